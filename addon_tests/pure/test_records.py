@@ -1,0 +1,91 @@
+"""Records check themselves."""
+
+import numpy as np
+import pytest
+
+from xihenet.records import Intrinsics, LightEstimate, PointCloud, RgbdFrame, UnitSphereCloud
+
+PINHOLE = Intrinsics(4, 3, 2.0, 2.0, 2.0, 1.5)
+
+
+def frame(**changes):
+    fields = {
+        "srgb_u8": np.zeros((3, 4, 3), np.uint8),
+        "plane_depth_m": np.ones((3, 4)),
+        "intrinsics": PINHOLE,
+        "world_from_camera": np.eye(4),
+    }
+    return RgbdFrame(**(fields | changes))
+
+
+def test_arrays_become_read_only_views_and_the_callers_stay_writable():
+    depths = np.ones((3, 4), np.float32)
+    record = frame(plane_depth_m=depths)
+    assert np.shares_memory(record.plane_depth_m, depths)
+    assert not record.plane_depth_m.flags.writeable and depths.flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"srgb_u8": np.zeros((3, 4, 3))}, "expected uint8"),
+        ({"srgb_u8": np.zeros((4, 3, 3), np.uint8)}, "srgb_u8"),
+        ({"plane_depth_m": np.ones((4, 3))}, "plane_depth_m"),
+        ({"world_from_camera": np.eye(3)}, "world_from_camera"),
+        ({"world_from_camera": np.full((4, 4), np.nan)}, "finite"),
+        ({"exposure": 0.0}, "exposure"),
+        ({"exposure": np.nan}, "exposure"),
+        ({"ambient": [1.0, 2.0]}, "ambient"),
+        ({"ambient": [1.0, np.nan, 0.0]}, "ambient"),
+        ({"ambient": [-1.0, 0.0, 0.0]}, "ambient"),
+    ],
+)
+def test_a_frame_that_makes_no_sense_is_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        frame(**changes)
+
+
+@pytest.mark.parametrize(
+    "wrong", [(0, 3, 1, 1, 0, 0), (4, 3, 0, 1, 0, 0), (4, 3, 1, np.inf, 0, 0), (4, 3, 1, 1, np.nan, 0)]
+)
+def test_intrinsics_that_make_no_sense_are_refused(wrong):
+    with pytest.raises(ValueError, match="Intrinsics"):
+        Intrinsics(*wrong)
+
+
+@pytest.mark.parametrize(
+    ("srgb", "distance_m", "is_set", "message"),
+    [
+        ([[0.5] * 3], [1.0], [False], "not set"),
+        ([[0.0] * 3], [1.0], [False], "not set"),
+        ([[1.1] * 3], [1.0], [True], r"\[0, 1\]"),
+        ([[np.nan] * 3], [1.0], [True], r"\[0, 1\]"),
+        ([[0.5] * 3], [-1.0], [True], "distance"),
+        ([[0.5] * 3], [np.inf], [True], "distance"),
+        ([[0.5] * 3], [np.nan], [True], "distance"),
+        ([[0.5] * 3] * 2, [1.0], [True], "shape"),
+    ],
+)
+def test_a_cloud_that_makes_no_sense_is_refused(srgb, distance_m, is_set, message):
+    with pytest.raises(ValueError, match=message):
+        UnitSphereCloud(srgb, distance_m, is_set)
+
+
+def test_a_set_anchor_may_be_black_and_at_distance_zero():
+    assert UnitSphereCloud([[0.0] * 3], [0.0], [True]).is_set.all()
+
+
+def test_empty_records_are_legal():
+    assert len(UnitSphereCloud.empty(0)) == 0
+    assert len(PointCloud(np.zeros((0, 3)), np.zeros((0, 3))).points_m) == 0
+
+
+def test_points_may_be_nan_but_need_a_colour_each():
+    PointCloud([[np.nan, 0, 0]], [[0, 0, 0]])
+    with pytest.raises(ValueError, match="PointCloud.srgb"):
+        PointCloud([[np.nan, 0, 0]], np.zeros((2, 3)))
+
+
+def test_an_estimate_with_nan_is_refused():
+    with pytest.raises(ValueError, match="finite"):
+        LightEstimate(np.full((9, 3), np.nan), 1.0, 0.5, "none")

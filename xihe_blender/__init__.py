@@ -1,0 +1,1 @@
+"""AR lighting previsualisation in Blender: everything that knows Blender. The science is in `xihenet`."""

@@ -1,0 +1,251 @@
+"""What passes between the stages of the chain: frozen records that check themselves.
+
+Each record is checked once, where it is made, so that no stage has to doubt its input. Arrays are converted to the
+stated type and kept as read-only views; the caller's own array stays writable. A wrong shape, a wrong type or a value
+out of range raises ValueError with what was expected and what came.
+
+Frames of reference: Blender world, right-handed, +Z up, metres. Cameras look down -Z with +Y up.
+Not here: conversions between records, which belong to the stage that makes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+ArrayF32 = NDArray[np.float32]
+ArrayF64 = NDArray[np.float64]
+ArrayU8 = NDArray[np.uint8]
+ArrayBool = NDArray[np.bool_]
+ArrayInt = NDArray[np.intp]
+
+TriggerReason = Literal["first", "colour", "coverage", "none"]
+
+
+def _checked(name: str, values: ArrayLike, dtype: Any, shape: tuple[int | None, ...]) -> NDArray[Any]:
+    """A read-only view of `values` as `dtype`; None in `shape` stands for any length."""
+    array = np.asarray(values, dtype=dtype)
+    if array.ndim != len(shape) or any(
+        want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
+    ):
+        expected = "(" + ", ".join("any" if want is None else str(want) for want in shape) + ")"
+        raise ValueError(f"{name}: expected an array of shape {expected}, got {array.shape}")
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def _set(record: object, **values: object) -> None:
+    """Store converted values in a frozen dataclass while it is being made."""
+    for name, value in values.items():
+        object.__setattr__(record, name, value)
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """Pinhole camera in pixels; pixel centres lie at +0.5, row 0 is the top row.
+
+    Parameters
+    ----------
+    width, height : image size in pixels, each at least 1
+    fx, fy : focal lengths in pixels, positive
+    cx, cy : principal point in pixels from the top left corner of the image; may lie outside (lens shift)
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise ValueError(f"Intrinsics: the image needs at least one pixel, got {self.width} x {self.height}")
+        if not (np.isfinite([self.fx, self.fy]).all() and self.fx > 0 and self.fy > 0):
+            raise ValueError(f"Intrinsics: focal lengths must be positive and finite, got fx={self.fx}, fy={self.fy}")
+        if not np.isfinite([self.cx, self.cy]).all():
+            raise ValueError(f"Intrinsics: the principal point must be finite, got cx={self.cx}, cy={self.cy}")
+
+
+@dataclass(frozen=True, eq=False)
+class RgbdFrame:
+    """What the phone delivers at one moment.
+
+    Parameters
+    ----------
+    srgb_u8 : (H, W, 3) uint8, sRGB-encoded after `exposure` and clipping
+    plane_depth_m : (H, W) float32, metres along the optical axis; 0, NaN or infinite where the sensor has none
+    intrinsics : of both images
+    world_from_camera : (4, 4) float64
+    exposure : factor that was applied to linear radiance before clipping and encoding, positive
+    ambient : (3,) linear scene radiance, averaged over the sensor's view and not clipped, or None without a sensor
+    time_s : seconds since the start of the session
+    frame : number of the frame in its source
+    """
+
+    srgb_u8: ArrayU8
+    plane_depth_m: ArrayF32
+    intrinsics: Intrinsics
+    world_from_camera: ArrayF64
+    exposure: float = 1.0
+    ambient: ArrayF64 | None = None
+    time_s: float = 0.0
+    frame: int = 0
+
+    def __post_init__(self) -> None:
+        colour = np.asarray(self.srgb_u8)
+        if colour.dtype != np.uint8:
+            raise ValueError(f"RgbdFrame.srgb_u8: expected uint8, got {colour.dtype}")
+        size = (self.intrinsics.height, self.intrinsics.width)
+        pose = _checked("RgbdFrame.world_from_camera", self.world_from_camera, np.float64, (4, 4))
+        if not np.isfinite(pose).all():
+            raise ValueError("RgbdFrame.world_from_camera: expected finite numbers, got NaN or infinity")
+        if not (np.isfinite(self.exposure) and self.exposure > 0):
+            raise ValueError(f"RgbdFrame.exposure: expected a positive factor, got {self.exposure}")
+        ambient = self.ambient
+        if ambient is not None:
+            ambient = _checked("RgbdFrame.ambient", ambient, np.float64, (3,))
+            if not (np.isfinite(ambient).all() and (ambient >= 0).all()):
+                raise ValueError(f"RgbdFrame.ambient: expected finite radiance >= 0, got {ambient}")
+        _set(
+            self,
+            srgb_u8=_checked("RgbdFrame.srgb_u8", colour, np.uint8, (*size, 3)),
+            plane_depth_m=_checked("RgbdFrame.plane_depth_m", self.plane_depth_m, np.float32, size),
+            world_from_camera=pose,
+            exposure=float(self.exposure),
+            ambient=ambient,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """Coloured points of one frame in the world. Points may be NaN or infinite: sampling skips and counts them.
+
+    Parameters
+    ----------
+    points_m : (P, 3) float32, world, metres; P may be 0
+    srgb : (P, 3) float32, sRGB-encoded colour in [0, 1] at the session's reference exposure
+    """
+
+    points_m: ArrayF32
+    srgb: ArrayF32
+
+    def __post_init__(self) -> None:
+        points = _checked("PointCloud.points_m", self.points_m, np.float32, (None, 3))
+        _set(self, points_m=points, srgb=_checked("PointCloud.srgb", self.srgb, np.float32, (len(points), 3)))
+
+
+@dataclass(frozen=True, eq=False)
+class UnitSphereCloud:
+    """What is known of the light that arrives at one position: a colour and a distance for each anchor that is set.
+
+    Parameters
+    ----------
+    srgb : (N, 3) float32 in [0, 1], sRGB-encoded; 0 where the anchor is not set
+    distance_m : (N,) float32, finite and >= 0; 0 where the anchor is not set
+    is_set : (N,) bool; this and nothing else says whether an anchor was seen
+    n_skipped_points : points that sampling could not use (not finite, or at the position itself)
+    """
+
+    srgb: ArrayF32
+    distance_m: ArrayF32
+    is_set: ArrayBool
+    n_skipped_points: int = 0
+
+    def __post_init__(self) -> None:
+        is_set = _checked("UnitSphereCloud.is_set", self.is_set, np.bool_, (None,))
+        n = len(is_set)
+        srgb = _checked("UnitSphereCloud.srgb", self.srgb, np.float32, (n, 3))
+        distance_m = _checked("UnitSphereCloud.distance_m", self.distance_m, np.float32, (n,))
+        if n and not (srgb.min() >= 0 and srgb.max() <= 1):
+            raise ValueError("UnitSphereCloud.srgb: expected colours in [0, 1], got values outside or NaN")
+        if n and not (distance_m.min() >= 0 and distance_m.max() < np.inf):
+            raise ValueError(
+                "UnitSphereCloud.distance_m: expected finite distances >= 0, got negative, infinite or NaN"
+            )
+        if srgb[~is_set].any() or distance_m[~is_set].any():
+            raise ValueError("UnitSphereCloud: an anchor that is not set must have colour and distance 0")
+        _set(self, srgb=srgb, distance_m=distance_m, is_set=is_set)
+
+    @classmethod
+    def empty(cls, n_anchors: int) -> UnitSphereCloud:
+        """A cloud of `n_anchors` anchors of which none is set."""
+        return cls(np.zeros((n_anchors, 3), np.float32), np.zeros(n_anchors, np.float32), np.zeros(n_anchors, bool))
+
+    def __len__(self) -> int:
+        return len(self.is_set)
+
+
+@dataclass(frozen=True)
+class TriggerDecision:
+    """Whether a new estimate is worth its cost, and why.
+
+    Parameters
+    ----------
+    fire : make a new estimate
+    reason : "first" without a previous cloud, "colour", "coverage", or "none"
+    change : the largest pooled colour change or, for "coverage", the newly seen share of the sphere; None for "first"
+    threshold : what `change` was held against
+    n_changed_anchors : anchors whose own pooled change exceeds the threshold, or newly seen anchors for "coverage"
+    """
+
+    fire: bool
+    reason: TriggerReason
+    change: float | None
+    threshold: float
+    n_changed_anchors: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class LightEstimate:
+    """The light at one position.
+
+    Parameters
+    ----------
+    sh_radiance : (9, 3) float64, radiance coefficients, linear Rec.709, carrying `exposure`
+    exposure : the session's reference exposure; dividing by it gives scene radiance
+    coverage : share of the anchors that were set, 0 to 1
+    estimator : its registered name
+    is_valid : False where the light could not be known; the coefficients are then 0 and must not be used
+    expected_error : SHC RMSE that the estimator expects of itself, or None
+    """
+
+    sh_radiance: ArrayF64
+    exposure: float
+    coverage: float
+    estimator: str
+    is_valid: bool = True
+    expected_error: float | None = None
+
+    def __post_init__(self) -> None:
+        sh_radiance = _checked("LightEstimate.sh_radiance", self.sh_radiance, np.float64, (9, 3))
+        if not np.isfinite(sh_radiance).all():
+            raise ValueError("LightEstimate.sh_radiance: expected finite coefficients, got NaN or infinity")
+        _set(self, sh_radiance=sh_radiance)
+
+
+@dataclass(frozen=True, eq=False)
+class StepReport:
+    """What one step of the chain did for one position.
+
+    Parameters
+    ----------
+    decision : of the trigger
+    estimate : the new light, or None if the trigger did not fire
+    stage_ms : milliseconds per stage: unproject, sample, merge, trigger, encode, estimate; only stages that ran
+    payload_bytes : size of the encoded cloud, 0 if none was encoded
+    coverage : share of the anchors set in the temporary buffer
+    n_skipped_points : points of this frame that sampling could not use
+    """
+
+    decision: TriggerDecision
+    estimate: LightEstimate | None
+    stage_ms: Mapping[str, float] = field(default_factory=dict)
+    payload_bytes: int = 0
+    coverage: float = 0.0
+    n_skipped_points: int = 0
