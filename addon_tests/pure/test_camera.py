@@ -1,0 +1,138 @@
+"""Pixels to points and back, for any pinhole camera."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from xihenet.camera import (
+    encode_exposed,
+    in_view,
+    plane_depth_from_ray_distance,
+    project_points,
+    ray_distance_from_plane_depth,
+    unproject_frame,
+)
+from xihenet.colour import srgb_to_linear
+from xihenet.records import Intrinsics, RgbdFrame
+
+
+def random_rotation(rng):
+    matrix, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return matrix * np.sign(np.linalg.det(matrix))
+
+
+def random_camera(rng, width=17, height=11):
+    """A camera anywhere, rolled and tilted, with separate focal lengths and a shifted lens."""
+    intrinsics = Intrinsics(
+        width, height, *rng.uniform(5, 40, 2), cx=width * rng.uniform(0.2, 0.8), cy=height * rng.uniform(0.2, 0.8)
+    )
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = random_rotation(rng), rng.uniform(-5, 5, 3)
+    return intrinsics, pose
+
+
+def frame_of(intrinsics, pose, plane_depth_m, srgb_u8=None, exposure=1.0):
+    if srgb_u8 is None:
+        srgb_u8 = np.full((intrinsics.height, intrinsics.width, 3), 128, np.uint8)
+    return RgbdFrame(srgb_u8, plane_depth_m, intrinsics, pose, exposure)
+
+
+@pytest.mark.parametrize("seed", range(50))
+def test_projecting_unprojected_pixels_gives_the_pixel_grid(seed):
+    rng = np.random.default_rng(seed)
+    intrinsics, pose = random_camera(rng)
+    plane_depth_m = rng.uniform(0.1, 8, (intrinsics.height, intrinsics.width)).astype(np.float32)
+    cloud = unproject_frame(frame_of(intrinsics, pose, plane_depth_m))
+    pixels, projected_m = project_points(cloud.points_m, intrinsics, pose)
+    y, x = np.mgrid[: intrinsics.height, : intrinsics.width] + 0.5
+    assert np.abs(pixels - np.stack([x.ravel(), y.ravel()], 1)).max() < 2e-3
+    assert np.abs(projected_m - plane_depth_m.ravel()).max() < 1e-5
+
+
+def test_camera_looks_down_minus_z_with_row_zero_on_top():
+    intrinsics = Intrinsics(3, 3, 1.0, 1.0, 1.5, 1.5)
+    cloud = unproject_frame(frame_of(intrinsics, np.eye(4), np.full((3, 3), 2.0)))
+    points = cloud.points_m.reshape(3, 3, 3)
+    np.testing.assert_allclose(points[1, 1], [0, 0, -2])
+    np.testing.assert_allclose(points[0, 1], [0, 2, -2])
+    np.testing.assert_allclose(points[1, 2], [2, 0, -2])
+
+
+@pytest.mark.parametrize("invalid", [0.0, -1.0, np.nan, np.inf, -np.inf, 1e10])
+def test_pixels_without_a_valid_plane_depth_give_points_that_are_nan(invalid):
+    intrinsics = Intrinsics(2, 1, 1.0, 1.0, 1.0, 0.5)
+    cloud = unproject_frame(frame_of(intrinsics, np.eye(4), np.array([[invalid, 1.0]])))
+    assert np.isnan(cloud.points_m[0]).all()
+    assert np.isfinite(cloud.points_m[1]).all()
+    assert cloud.srgb[0, 0] == pytest.approx(128 / 255)
+
+
+def test_moving_the_camera_moves_the_points_with_it():
+    rng = np.random.default_rng(3)
+    intrinsics, pose = random_camera(rng)
+    plane_depth_m = rng.uniform(1, 4, (intrinsics.height, intrinsics.width))
+    move = np.eye(4)
+    move[:3, :3], move[:3, 3] = random_rotation(rng), [1, -2, 3]
+    still = unproject_frame(frame_of(intrinsics, pose, plane_depth_m)).points_m
+    moved = unproject_frame(frame_of(intrinsics, move @ pose, plane_depth_m)).points_m
+    np.testing.assert_allclose(moved, still @ move[:3, :3].T + move[:3, 3], atol=2e-5)
+
+
+def test_ray_distance_is_the_distance_of_the_unprojected_point_from_the_camera():
+    rng = np.random.default_rng(4)
+    intrinsics, pose = random_camera(rng)
+    plane_depth_m = rng.uniform(1, 4, (intrinsics.height, intrinsics.width)).astype(np.float32)
+    points = unproject_frame(frame_of(intrinsics, pose, plane_depth_m)).points_m
+    ray_distance_m = ray_distance_from_plane_depth(plane_depth_m, intrinsics)
+    np.testing.assert_allclose(ray_distance_m.ravel(), np.linalg.norm(points - pose[:3, 3], axis=1), rtol=1e-5)
+    np.testing.assert_allclose(plane_depth_from_ray_distance(ray_distance_m, intrinsics), plane_depth_m, rtol=1e-6)
+
+
+def test_points_behind_the_camera_are_not_in_view():
+    intrinsics = Intrinsics(4, 4, 2.0, 2.0, 2.0, 2.0)
+    points = [[0, 0, -1], [0, 0, 1], [0.9, 0, -1], [1.1, 0, -1], [0, 0, 0], [np.nan, 0, -1]]
+    assert in_view(points, intrinsics, np.eye(4)).tolist() == [True, False, True, False, False, False]
+
+
+def test_a_camera_scaled_to_zero_is_refused():
+    with pytest.raises(ValueError, match="cannot be inverted"):
+        project_points(np.zeros((1, 3)), Intrinsics(1, 1, 1, 1, 0, 0), np.diag([0.0, 1, 1, 1]))
+
+
+def test_no_points_project_to_no_pixels():
+    pixels, plane_depth_m = project_points(np.zeros((0, 3)), Intrinsics(1, 1, 1, 1, 0, 0), np.eye(4))
+    assert pixels.shape == (0, 2) and plane_depth_m.shape == (0,)
+
+
+@given(st.floats(1e-3, 1e3), st.floats(1e-3, 1e3))
+def test_re_exposing_scales_linear_light_and_clips_it(exposure, reference):
+    colours = np.arange(256, dtype=np.uint8).reshape(1, 256, 1).repeat(3, axis=2)
+    intrinsics = Intrinsics(256, 1, 1.0, 1.0, 0.0, 0.0)
+    frame = frame_of(intrinsics, np.eye(4), np.ones((1, 256)), colours, exposure)
+    srgb = unproject_frame(frame, reference_exposure=reference).srgb
+    expected = np.minimum(srgb_to_linear(colours.reshape(-1, 3) / 255.0) * (reference / exposure), 1.0)
+    np.testing.assert_allclose(srgb_to_linear(srgb), expected, atol=2e-6)
+
+
+def test_the_frames_own_exposure_keeps_its_bytes():
+    colours = np.arange(256, dtype=np.uint8).reshape(1, 256, 1).repeat(3, axis=2)
+    frame = frame_of(Intrinsics(256, 1, 1.0, 1.0, 0.0, 0.0), np.eye(4), np.ones((1, 256)), colours, 0.37)
+    np.testing.assert_array_equal(np.rint(unproject_frame(frame).srgb * 255), colours.reshape(-1, 3))
+
+
+@pytest.mark.parametrize("exposure", [0.0, -1.0, np.nan, np.inf])
+def test_an_exposure_that_is_no_positive_number_is_refused(exposure):
+    frame = frame_of(Intrinsics(1, 1, 1, 1, 0, 0), np.eye(4), np.ones((1, 1)))
+    with pytest.raises(ValueError, match="positive, finite exposure"):
+        unproject_frame(frame, reference_exposure=exposure)
+
+
+def test_encoding_clips_and_never_wraps():
+    radiance = np.array([-1.0, 0.0, 0.5, 1.0, 2.0, 1e30, np.nan, np.inf, -np.inf])
+    assert encode_exposed(radiance, 1.0).tolist() == [0, 0, 188, 255, 255, 255, 0, 255, 0]
+
+
+def test_exposure_is_applied_before_clipping():
+    assert encode_exposed(np.array([0.25]), 4.0).tolist() == [255]
+    assert encode_exposed(np.array([4.0]), 0.05).tolist() == encode_exposed(np.array([0.2]), 1.0).tolist()

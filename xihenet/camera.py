@@ -1,0 +1,171 @@
+"""How do pixels become points in the world, and points become pixels?
+
+A pinhole camera with separate focal lengths and any principal point (so lens shift and non-square pixels are covered),
+exposure and the sRGB transfer. Row 0 is the top row and pixel centres lie at +0.5; the camera looks down -Z with +Y up,
+so the sign of y flips here and nowhere else.
+
+Chosen: a point for every pixel, NaN where the sensor saw nothing, so that point i is pixel i in every stage. Rejected:
+dropping invalid pixels, which costs a gather over the whole frame and hides how many there were.
+Not here: lens distortion, rolling shutter. Paper: section 4.1.1, `GeneratePointCloud`.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, Intrinsics, PointCloud, RgbdFrame
+
+__all__ = [
+    "MISS_PLANE_DEPTH_M",
+    "Intrinsics",
+    "encode_exposed",
+    "in_view",
+    "plane_depth_from_ray_distance",
+    "project_points",
+    "ray_distance_from_plane_depth",
+    "unproject_frame",
+    "valid_plane_depth",
+]
+
+MISS_PLANE_DEPTH_M = 1e9
+"""At and beyond this a plane depth is a miss: Cycles writes 1e10 where no surface was hit."""
+
+
+def valid_plane_depth(plane_depth_m: ArrayF32) -> ArrayBool:
+    """Where a sensor saw a surface: finite, positive and nearer than a renderer's miss. Any shape; NaN is invalid."""
+    return (plane_depth_m > 0) & (plane_depth_m < MISS_PLANE_DEPTH_M)
+
+
+def unproject_frame(frame: RgbdFrame, *, reference_exposure: float | None = None) -> PointCloud:
+    """Every pixel of `frame` as a coloured point in the world.
+
+    Parameters
+    ----------
+    frame : one capture; H x W pixels
+    reference_exposure : the session's exposure; colours are decoded, multiplied by `reference_exposure /
+        frame.exposure`, clipped at 1 and encoded again. None leaves the frame's own exposure
+
+    Returns
+    -------
+    PointCloud of H * W points in row order, world frame, metres. Points of pixels without a valid plane depth (0,
+    negative, NaN, infinite, or a renderer's miss) are NaN; their colour is kept.
+
+    Raises
+    ------
+    ValueError if `reference_exposure` is not positive and finite
+
+    Notes
+    -----
+    float32 arithmetic: the error of a point is about 2e-7 of its distance from the camera plus that of storing it,
+    6e-8 of its distance from the world's origin.
+    """
+    width, height = frame.intrinsics.width, frame.intrinsics.height
+    across, up = _ray_slopes(frame.intrinsics)
+    pose = frame.world_from_camera.astype(np.float32)
+    seen = np.where(valid_plane_depth(frame.plane_depth_m), frame.plane_depth_m, np.float32(np.nan))
+    # One contiguous plane per axis: sampling reads the axes one at a time.
+    points = np.empty((3, height, width), np.float32)
+    for axis in range(3):
+        plane = points[axis]
+        np.add(across * pose[axis, 0], (up * pose[axis, 1] - pose[axis, 2])[:, None], out=plane)
+        plane *= seen
+        plane += pose[axis, 3]
+    gain = 1.0 if reference_exposure is None else reference_exposure / frame.exposure
+    srgb = _reencoded_bytes(gain)[frame.srgb_u8]
+    return PointCloud(points.reshape(3, -1).T, srgb.reshape(-1, 3))
+
+
+def project_points(
+    points_m: ArrayLike, intrinsics: Intrinsics, world_from_camera: ArrayLike
+) -> tuple[ArrayF64, ArrayF64]:
+    """Where points of the world appear in the image.
+
+    Parameters
+    ----------
+    points_m : (P, 3) world, metres; NaN gives NaN
+    intrinsics : of the image
+    world_from_camera : (4, 4), invertible
+
+    Returns
+    -------
+    pixels : (P, 2) float64, from the top left corner of the image, pixel centres at +0.5; NaN in the camera's own plane
+    plane_depth_m : (P,) float64, negative behind the camera (the pixel is then a mirror image: check the sign)
+
+    Raises
+    ------
+    ValueError for a wrong shape or a matrix that cannot be inverted
+    """
+    points = np.asarray(points_m, np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"project_points: expected points of shape (P, 3), got {points.shape}")
+    pose = np.asarray(world_from_camera, np.float64)
+    try:
+        camera_from_world = np.linalg.inv(pose)
+    except np.linalg.LinAlgError:
+        raise ValueError("project_points: world_from_camera cannot be inverted; is the camera scaled to 0?") from None
+    in_camera = (points - pose[:3, 3]) @ camera_from_world[:3, :3].T
+    plane_depth_m = -in_camera[:, 2]
+    per_metre = np.divide(1.0, plane_depth_m, out=np.full_like(plane_depth_m, np.nan), where=plane_depth_m != 0)
+    x = intrinsics.cx + intrinsics.fx * in_camera[:, 0] * per_metre
+    y = intrinsics.cy - intrinsics.fy * in_camera[:, 1] * per_metre
+    return np.stack([x, y], axis=1), plane_depth_m
+
+
+def in_view(points_m: ArrayLike, intrinsics: Intrinsics, world_from_camera: ArrayLike) -> ArrayBool:
+    """(P,) bool: which points of the world lie inside the image and in front of the camera; occlusion is not judged."""
+    pixels, plane_depth_m = project_points(points_m, intrinsics, world_from_camera)
+    inside = (pixels >= 0) & (pixels < [intrinsics.width, intrinsics.height])
+    result: ArrayBool = inside.all(axis=1) & (plane_depth_m > 0)
+    return result
+
+
+def ray_distance_from_plane_depth(plane_depth_m: ArrayLike, intrinsics: Intrinsics) -> ArrayF32:
+    """(H, W) distances along each pixel's ray from those along the optical axis; invalid values stay as they are."""
+    return np.asarray(plane_depth_m, np.float32) * _ray_lengths(intrinsics)
+
+
+def plane_depth_from_ray_distance(ray_distance_m: ArrayLike, intrinsics: Intrinsics) -> ArrayF32:
+    """(H, W) distances along the optical axis from distances along each pixel's ray."""
+    return np.asarray(ray_distance_m, np.float32) / _ray_lengths(intrinsics)
+
+
+def encode_exposed(radiance: ArrayLike, exposure: float) -> ArrayU8:
+    """8-bit sRGB of linear radiance as a phone delivers it: times `exposure`, clipped to [0, 1], encoded, rounded.
+
+    Any shape with any values; infinite becomes 1, NaN 0 (a renderer's broken pixel is black, as it is on a screen).
+    """
+    finite = np.nan_to_num(np.asarray(radiance, np.float64), nan=0.0, posinf=1e30, neginf=0.0)
+    exposed = np.clip(finite * exposure, 0.0, 1.0)
+    encoded: ArrayU8 = np.rint(linear_to_srgb(exposed) * 255.0).astype(np.uint8)
+    return encoded
+
+
+@functools.lru_cache(maxsize=8)
+def _ray_slopes(intrinsics: Intrinsics) -> tuple[ArrayF32, ArrayF32]:
+    """x per column (W,) and y per row (H,) of the ray with plane depth 1 through each pixel centre, in the camera."""
+    across = (np.arange(intrinsics.width) + 0.5 - intrinsics.cx) / intrinsics.fx
+    up = -(np.arange(intrinsics.height) + 0.5 - intrinsics.cy) / intrinsics.fy
+    return across.astype(np.float32), up.astype(np.float32)
+
+
+@functools.lru_cache(maxsize=8)
+def _ray_lengths(intrinsics: Intrinsics) -> ArrayF32:
+    """(H, W) metres along the ray per metre along the optical axis."""
+    across, up = _ray_slopes(intrinsics)
+    return np.sqrt(1 + across.astype(np.float64) ** 2 + up.astype(np.float64)[:, None] ** 2).astype(np.float32)
+
+
+@functools.lru_cache(maxsize=64)
+def _reencoded_bytes(gain: float) -> ArrayF32:
+    """(256,) float32: the encoded colour of each byte after its light was multiplied by `gain` and clipped."""
+    if not (np.isfinite(gain) and gain > 0):
+        raise ValueError(f"unproject_frame: expected a positive, finite exposure, got a ratio of {gain}")
+    encoded = np.arange(256) / 255.0
+    if gain == 1.0:
+        return encoded.astype(np.float32)
+    reencoded = linear_to_srgb(np.minimum(srgb_to_linear(encoded) * gain, 1.0))
+    return np.clip(reencoded, 0.0, 1.0).astype(np.float32)
