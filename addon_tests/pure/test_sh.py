@@ -1,0 +1,503 @@
+"""Spherical harmonics: against SciPy, against plain integration, and by what must not change when the room turns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+import scipy.special
+from numpy.typing import NDArray
+
+from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.panorama import evaluate_panorama, panorama_directions, project_panorama, solid_angles
+from xihenet.records import UnitSphereCloud
+from xihenet.sh import basis, cosine_lobe, dering, dering_with_strength, irradiance, project_anchors, rotate
+
+F64 = NDArray[np.float64]
+
+AXES = {"+X": (1, 0, 0), "-X": (-1, 0, 0), "+Y": (0, 1, 0), "-Y": (0, -1, 0), "+Z": (0, 0, 1), "-Z": (0, 0, -1)}
+EVERY_AXIS = pytest.mark.parametrize("axis", list(AXES.values()), ids=list(AXES))
+CONSTANT = np.sqrt(4 * np.pi)
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """Anchors on a Fibonacci spiral from pole to pole, turned by `rotation`."""
+
+    n: int
+    rotation: F64 = field(default_factory=lambda: np.eye(3))
+
+    @property
+    def directions(self) -> F64:
+        i = np.arange(self.n)
+        z = 1 - 2 * i / max(self.n - 1, 1)
+        azimuth = i * np.pi * (3 - np.sqrt(5))
+        radius = np.sqrt(1 - z * z)
+        upright = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
+        return np.asarray(upright @ self.rotation.T)
+
+
+LATTICE = Lattice(1280)
+
+
+def random_directions(n: int, seed: int = 0) -> F64:
+    vectors = np.random.default_rng(seed).normal(size=(n, 3))
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
+
+def random_light(order: int = 2, seed: int = 1) -> F64:
+    return np.random.default_rng(seed).normal(size=((order + 1) ** 2, 3))
+
+
+def random_rotation(seed: int) -> F64:
+    turned, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    return np.asarray(turned * np.linalg.det(turned))
+
+
+def distant_light(direction: tuple[float, float, float] | F64, order: int = 2) -> F64:
+    """White light of irradiance 1 from one direction, cut off at `order`."""
+    return np.repeat(basis(np.array([direction], float), order).T, 3, axis=1)
+
+
+def cloud_of(radiance: F64, is_set: NDArray[np.bool_]) -> UnitSphereCloud:
+    srgb = np.where(is_set[:, None], linear_to_srgb(radiance), 0)
+    return UnitSphereCloud(srgb.astype(np.float32), is_set.astype(np.float32), is_set)
+
+
+def cap(lattice: Lattice, coverage: float, towards: tuple[float, float, float] = (0.6, 0.7, 0.2)) -> NDArray[np.bool_]:
+    """The anchors nearest to one direction, `coverage` of all and at least one."""
+    cosine = lattice.directions @ np.array(towards)
+    return np.asarray(cosine >= np.sort(cosine)[::-1][max(round(coverage * lattice.n), 1) - 1])
+
+
+# ---- basis
+
+
+def scipy_basis(directions: F64, order: int) -> F64:
+    """The same basis from SciPy's complex one, whose sign (-1)^m is taken back."""
+    polar = np.arccos(np.clip(directions[:, 2], -1, 1))
+    azimuth = np.arctan2(directions[:, 1], directions[:, 0])
+    columns = []
+    for band in range(order + 1):
+        for m in range(-band, band + 1):
+            if hasattr(scipy.special, "sph_harm_y"):
+                value = scipy.special.sph_harm_y(band, abs(m), polar, azimuth)
+            else:
+                value = scipy.special.sph_harm(abs(m), band, azimuth, polar)
+            part = value.real if m >= 0 else value.imag
+            columns.append((-1) ** m * part * (np.sqrt(2) if m else 1))
+    return np.stack(columns, axis=1)
+
+
+def test_basis_equals_scipy_to_order_10_poles_and_seam_included() -> None:
+    special = np.concatenate([np.eye(3), -np.eye(3), [[-1, 1e-12, 0], [-1, -1e-12, 0], [1e-9, 0, 1], [0, 1e-9, -1]]])
+    directions = np.concatenate([random_directions(2000), special])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    np.testing.assert_allclose(basis(directions, 10), scipy_basis(directions, 10), rtol=0, atol=1e-7)
+    # SciPy goes through an arc cosine, which loses half the digits at the poles; away from them both agree fully.
+    away = directions[np.abs(directions[:, 2]) < 0.999]
+    np.testing.assert_allclose(basis(away, 10), scipy_basis(away, 10), rtol=0, atol=2e-13)
+
+
+def test_order_2_equals_the_published_constants() -> None:
+    x, y, z = random_directions(50).T
+    one, linear, square = np.sqrt(1 / np.pi) / 2, np.sqrt(3 / np.pi) / 2, np.sqrt(15 / np.pi) / 2
+    expected = [
+        np.full(50, one),
+        *(linear * component for component in (y, z, x)),
+        square * x * y,
+        square * y * z,
+        np.sqrt(5 / np.pi) / 4 * (3 * z * z - 1),
+        square * x * z,
+        square / 2 * (x * x - y * y),
+    ]
+    np.testing.assert_allclose(basis(np.stack([x, y, z], axis=1)).T, expected, atol=1e-15)
+
+
+@pytest.mark.parametrize("order", [0, 1, 2, 5, 10, 40])
+def test_basis_obeys_the_addition_theorem(order: int) -> None:
+    table = basis(np.concatenate([random_directions(40), np.eye(3), -np.eye(3)]), order)
+    for band in range(order + 1):
+        of_band = table[:, band**2 : (band + 1) ** 2]
+        np.testing.assert_allclose((of_band**2).sum(axis=1), (2 * band + 1) / (4 * np.pi), rtol=1e-11)
+
+
+@pytest.mark.parametrize("length", [5e-324, 1e-300, 1e-20, 7.0, 1e200, 1e308])
+def test_the_length_of_a_direction_does_not_matter(length: float) -> None:
+    axis = np.array([[0.0, -1.0, 0.0]])
+    np.testing.assert_array_equal(basis(axis * length, 4), basis(axis, 4))
+    if 1e-300 <= length <= 1e200:
+        directions = random_directions(20)
+        np.testing.assert_allclose(basis(directions * length, 4), basis(directions, 4), atol=1e-14)
+
+
+def test_directions_without_direction_are_refused_with_their_number() -> None:
+    directions = random_directions(9)
+    directions[[1, 4]] = 0
+    directions[5, 2] = np.nan
+    directions[6, 0] = -np.inf
+    with pytest.raises(ValueError, match="4 that are zero, NaN or infinite"):
+        basis(directions)
+    with pytest.raises(ValueError, match=r"\(P, 3\), got \(3,\)"):
+        basis(directions[0])
+    with pytest.raises(ValueError, match="order of at least 0"):
+        basis(random_directions(1), -1)
+
+
+def test_no_directions_give_an_empty_table() -> None:
+    assert basis(np.empty((0, 3)), 3).shape == (0, 16)
+
+
+# ---- panoramas
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 7), (2, 1), (2, 3), (4, 8), (5, 9), (32, 64), (257, 512)])
+@pytest.mark.parametrize("order", [0, 2, 10])
+def test_constant_light_is_exact_at_any_panorama_size(size: tuple[int, int], order: int) -> None:
+    level = np.array([1.7, 0.25, -3.0])
+    expected = np.zeros(((order + 1) ** 2, 3))
+    expected[0] = CONSTANT * level
+    np.testing.assert_allclose(project_panorama(np.tile(level, (*size, 1)), order), expected, rtol=0, atol=1e-12)
+
+
+def gauss_texel_integrals(height: int, width: int, order: int) -> F64:
+    """The basis integrated over each texel by brute force: 24 x 24 Gauss nodes per texel, (H, W, K)."""
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    integrals = np.empty((height, width, (order + 1) ** 2))
+    for row in range(height):
+        polar = np.pi * (row + 0.5 + nodes / 2) / height
+        for column in range(width):
+            turn = 2 * np.pi * ((column + 0.5 + nodes / 2) / width - 0.5)
+            theta, alpha = np.meshgrid(polar, turn, indexing="ij")
+            toward = np.stack([np.sin(theta) * np.sin(alpha), np.sin(theta) * np.cos(alpha), np.cos(theta)], axis=-1)
+            area = np.outer(weights * np.sin(polar) * np.pi / (2 * height), weights * np.pi / width)
+            integrals[row, column] = area.ravel() @ basis(toward.reshape(-1, 3), order)
+    return integrals
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 2), (2, 3), (3, 4), (4, 8)])
+def test_every_texels_integral_equals_brute_force(size: tuple[int, int]) -> None:
+    expected = gauss_texel_integrals(*size, order=4)
+    for row in range(size[0]):
+        for column in range(size[1]):
+            lamp = np.zeros((*size, 3))
+            lamp[row, column] = 1
+            np.testing.assert_allclose(project_panorama(lamp, 4)[:, 1], expected[row, column], rtol=0, atol=1e-11)
+
+
+def test_the_integrals_of_all_texels_add_up_and_solid_angles_are_theirs() -> None:
+    for height, width in ((1, 1), (3, 5), (64, 32)):
+        angles = solid_angles(height, width)
+        assert angles.shape == (height, width)
+        assert angles.sum() == pytest.approx(4 * np.pi, rel=1e-13)
+    lamp = np.zeros((6, 4, 3))
+    lamp[1, 2] = 1
+    assert project_panorama(lamp, 0)[0, 0] == pytest.approx(solid_angles(6, 4)[1, 2] / CONSTANT, rel=1e-12)
+
+
+def test_the_panorama_looks_where_the_convention_says() -> None:
+    directions = panorama_directions(3, 4000)
+    columns = {"-Y": 0, "-X": 1000, "+Y": 2000, "+X": 3000}
+    for name, column in columns.items():
+        np.testing.assert_allclose(directions[1, column], AXES[name], atol=2e-3)
+    assert directions[1, 2000 + 10, 0] > 0
+    tall = panorama_directions(999, 2)
+    np.testing.assert_allclose(tall[0, 0], AXES["+Z"], atol=2e-3)
+    np.testing.assert_allclose(tall[-1, 0], AXES["-Z"], atol=2e-3)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=2), 1, atol=1e-15)
+    np.testing.assert_allclose(panorama_directions(1, 1)[0, 0], AXES["+Y"], atol=1e-15)
+
+
+@EVERY_AXIS
+def test_a_lamp_on_one_side_of_the_panorama_lights_that_side(axis: tuple[float, float, float]) -> None:
+    side = panorama_directions(40, 80) @ np.array(axis)
+    lamp = np.repeat((side > 0.95)[..., None].astype(float), 3, axis=2)
+    light = project_panorama(lamp)
+    received = irradiance(light, list(AXES.values()))[:, 0]
+    assert np.argmax(received) == list(AXES.values()).index(axis)
+    picture = evaluate_panorama(light, 40, 80)[..., 0]
+    brightest = panorama_directions(40, 80)[np.unravel_index(np.argmax(picture), picture.shape)]
+    assert brightest @ np.array(axis) > 0.99
+
+
+def test_projecting_a_picture_of_coefficients_gives_them_back() -> None:
+    light = random_light(4)
+    errors = [np.abs(project_panorama(evaluate_panorama(light, n, 2 * n), 4) - light).max() for n in (32, 64, 128)]
+    assert errors[2] < 2e-3
+    assert errors[0] / errors[1] == pytest.approx(4, rel=0.05)
+    assert errors[1] / errors[2] == pytest.approx(4, rel=0.05)
+
+
+def test_projection_is_linear_and_takes_float32() -> None:
+    a, b = np.random.default_rng(5).normal(size=(2, 8, 16, 3))
+    np.testing.assert_allclose(project_panorama(2 * a - b), 2 * project_panorama(a) - project_panorama(b), atol=1e-13)
+    single = a.astype(np.float32)
+    np.testing.assert_array_equal(project_panorama(single), project_panorama(single.astype(float)))
+
+
+def test_a_column_shift_is_a_turn_about_z() -> None:
+    image = np.random.default_rng(6).random((8, 12, 3))
+    angle = -2 * np.pi / 12  # Content moves to the right, that is clockwise seen from above.
+    turn = [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+    shifted = project_panorama(np.roll(image, 1, axis=1), 3)
+    np.testing.assert_allclose(shifted, rotate(project_panorama(image, 3), turn), atol=1e-13)
+
+
+def test_bad_panoramas_are_refused() -> None:
+    image = np.ones((4, 8, 3))
+    image[1, 1, 0] = image[2, 2] = np.nan
+    image[0, 0, 2] = np.inf
+    with pytest.raises(ValueError, match="got 3 pixels with NaN or infinity"):
+        project_panorama(image)
+    for shape in ((4, 8), (4, 8, 4), (0, 8, 3), (4, 0, 3)):
+        with pytest.raises(ValueError, match="panorama: expected"):
+            project_panorama(np.ones(shape))
+    for function in (panorama_directions, solid_angles):
+        with pytest.raises(ValueError, match="at least one texel"):
+            function(0, 4)
+    with pytest.raises(ValueError, match="order of at least 0"):
+        project_panorama(np.ones((2, 2, 3)), -1)
+
+
+# ---- anchors
+
+
+@pytest.mark.parametrize("n_anchors", [1, 2, 5, 64, 1280])
+@pytest.mark.parametrize("coverage", [0.0, 0.05, 0.3, 0.8, 1.0])
+@pytest.mark.parametrize("order", [0, 2, 4])
+def test_constant_light_stays_constant_at_any_coverage(n_anchors: int, coverage: float, order: int) -> None:
+    lattice = Lattice(n_anchors)
+    srgb = np.array([0.1, 0.735, 1.0], np.float32)
+    is_set = cap(lattice, coverage)
+    cloud = UnitSphereCloud(np.where(is_set[:, None], srgb, 0), is_set.astype(np.float32), is_set)
+    expected = np.zeros(((order + 1) ** 2, 3))
+    expected[0] = CONSTANT * srgb_to_linear(srgb.astype(float))
+    np.testing.assert_allclose(project_anchors(cloud, lattice, order), expected, rtol=0, atol=1e-12)
+
+
+def test_full_coverage_gives_the_light_back() -> None:
+    light = random_light() * 0.1 + np.eye(9, 3)[:, :1] * CONSTANT * 0.5
+    radiance = basis(LATTICE.directions) @ light
+    assert radiance.min() > 0
+    assert radiance.max() < 1
+    fitted = project_anchors(cloud_of(radiance, np.ones(1280, bool)), LATTICE)
+    np.testing.assert_allclose(fitted, light, atol=1e-6)  # float32 colours
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_small_view_does_not_explode(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    is_set = cap(LATTICE, 0.05, tuple(rng.normal(size=3)))
+    noisy = cloud_of(rng.random((1280, 3)) * (LATTICE.directions[:, :1] > 0), is_set)
+    fitted = evaluate_panorama(project_anchors(noisy, LATTICE), 16, 32)
+    assert np.abs(fitted).max() < 2
+
+
+def test_more_coverage_brings_the_fit_nearer() -> None:
+    radiance = np.repeat((LATTICE.directions @ [0.48, 0.6, 0.64] > 0.3)[:, None] * 0.8 + 0.1, 3, axis=1)
+    truth = project_anchors(cloud_of(radiance, np.ones(1280, bool)), LATTICE)
+    errors = [
+        np.sqrt(np.mean((project_anchors(cloud_of(radiance, cap(LATTICE, share)), LATTICE) - truth) ** 2))
+        for share in (0.05, 0.4, 0.7, 0.95, 1.0)
+    ]
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] == 0
+
+
+@EVERY_AXIS
+def test_bright_anchors_on_one_side_light_that_side(axis: tuple[float, float, float]) -> None:
+    bright = np.repeat((LATTICE.directions @ np.array(axis) > 0.9)[:, None].astype(float), 3, axis=1)
+    received = irradiance(project_anchors(cloud_of(bright, np.ones(1280, bool)), LATTICE), list(AXES.values()))
+    assert np.argmax(received[:, 1]) == list(AXES.values()).index(axis)
+
+
+def test_a_turned_room_gives_turned_coefficients() -> None:
+    turned = Lattice(1280, random_rotation(3))
+    rng = np.random.default_rng(4)
+    cloud = cloud_of(rng.random((1280, 3)), cap(LATTICE, 0.3))
+    expected = rotate(project_anchors(cloud, LATTICE, 3), turned.rotation)
+    np.testing.assert_allclose(project_anchors(cloud, turned, 3), expected, atol=1e-11)
+
+
+def test_channels_do_not_mix_and_distances_do_not_matter() -> None:
+    rng = np.random.default_rng(8)
+    radiance, is_set = rng.random((1280, 3)), rng.random(1280) < 0.4
+    cloud = cloud_of(radiance, is_set)
+    swapped = project_anchors(cloud_of(radiance[:, ::-1], is_set), LATTICE)
+    np.testing.assert_allclose(swapped[:, ::-1], project_anchors(cloud, LATTICE), atol=1e-14)
+    far = UnitSphereCloud(cloud.srgb, cloud.distance_m * 40, is_set)
+    np.testing.assert_array_equal(project_anchors(far, LATTICE), project_anchors(cloud, LATTICE))
+
+
+def test_higher_bands_are_trusted_less_in_a_small_view() -> None:
+    power = np.zeros(9)
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        is_set = cap(LATTICE, 0.1, tuple(rng.normal(size=3)))
+        power += (project_anchors(cloud_of(rng.random((1280, 3)), is_set), LATTICE) ** 2).sum(axis=1)
+    # White noise: a ratio of 0.2 with a penalty of l^2, 1.0 with l, 4.7 with the same for both bands.
+    assert power[4:].mean() < 0.5 * power[1:4].mean()
+
+
+def test_no_set_anchor_gives_zeros_and_a_wrong_size_is_refused() -> None:
+    assert not project_anchors(UnitSphereCloud.empty(1280), LATTICE, 3).any()
+    with pytest.raises(ValueError, match="1280 anchors, got 7"):
+        project_anchors(UnitSphereCloud.empty(7), LATTICE)
+
+
+# ---- irradiance
+
+
+def test_the_cosine_lobe_has_its_published_factors() -> None:
+    expected = [np.pi, 2 * np.pi / 3, np.pi / 4, 0, -np.pi / 24, 0, np.pi / 64, 0, -np.pi / 128]
+    np.testing.assert_allclose(cosine_lobe(8), expected, atol=1e-15)
+    with pytest.raises(ValueError, match="at least 0"):
+        cosine_lobe(-1)
+
+
+def test_the_cosine_lobe_is_the_integral_of_the_clamped_cosine() -> None:
+    nodes, weights = np.polynomial.legendre.leggauss(64)
+    z, weights = (nodes + 1) / 2, weights / 2
+    for band in range(13):
+        integral = 2 * np.pi * np.sum(weights * z * scipy.special.eval_legendre(band, z))
+        assert cosine_lobe(12)[band] == pytest.approx(integral, abs=1e-14)
+
+
+def test_irradiance_of_constant_light_is_pi_times_it() -> None:
+    light = np.zeros((25, 3))
+    light[0] = CONSTANT * np.array([1, 2, 3])
+    np.testing.assert_allclose(irradiance(light, random_directions(30)), np.pi * np.array([[1, 2, 3]] * 30), rtol=1e-14)
+
+
+def test_irradiance_equals_the_integral_over_the_hemisphere() -> None:
+    light = random_light(4, seed=7)
+    radiance = evaluate_panorama(light, 300, 600).reshape(-1, 3)
+    weights = solid_angles(300, 600).reshape(-1)
+    towards = panorama_directions(300, 600).reshape(-1, 3)
+    for normal in random_directions(4, seed=8):
+        expected = (np.clip(towards @ normal, 0, None) * weights) @ radiance
+        np.testing.assert_allclose(irradiance(light, [normal])[0], expected, atol=5e-4)
+
+
+def test_irradiance_refuses_bad_coefficients_and_takes_no_normals() -> None:
+    assert irradiance(random_light(), np.empty((0, 3))).shape == (0, 3)
+    for bad in (np.ones((9, 4)), np.ones((8, 3)), np.ones(9), np.ones((0, 3))):
+        with pytest.raises(ValueError, match="expected shape"):
+            irradiance(bad, [[0, 0, 1]])
+    with pytest.raises(ValueError, match="27 NaN or infinite"):
+        irradiance(np.full((9, 3), np.nan), [[0, 0, 1]])
+
+
+# ---- rotation
+
+
+@pytest.mark.parametrize("order", [0, 1, 2, 4, 10])
+def test_rotated_light_arrives_from_the_rotated_direction(order: int) -> None:
+    light, towards, rotation = random_light(order), random_directions(60), random_rotation(order)
+    after = basis(towards @ rotation.T, order) @ rotate(light, rotation)
+    np.testing.assert_allclose(after, basis(towards, order) @ light, atol=1e-12)
+
+
+def test_rotations_compose_invert_and_keep_the_power_of_each_band() -> None:
+    light, first, second = random_light(4), random_rotation(1), random_rotation(2)
+    turned = rotate(light, first)
+    np.testing.assert_allclose(rotate(turned, second), rotate(light, second @ first), atol=1e-13)
+    np.testing.assert_allclose(rotate(turned, first.T), light, atol=1e-13)
+    np.testing.assert_allclose(rotate(light, np.eye(3)), light, atol=1e-13)
+    for band in range(5):
+        of_band = slice(band**2, (band + 1) ** 2)
+        np.testing.assert_allclose((turned[of_band] ** 2).sum(0), (light[of_band] ** 2).sum(0), rtol=1e-12)
+
+
+def test_a_quarter_turn_about_z_brings_light_from_x_to_y() -> None:
+    quarter_turn = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    np.testing.assert_allclose(rotate(distant_light((1, 0, 0)), quarter_turn), distant_light((0, 1, 0)), atol=1e-14)
+
+
+def test_what_is_no_rotation_is_refused() -> None:
+    light = random_light()
+    mirror = np.diag([1.0, 1.0, -1.0])
+    for bad, message in (
+        (mirror, "determinant"),
+        (np.eye(3) * 1.001, "orthonormal"),
+        (np.eye(3) + [[0, 1e-3, 0], [0, 0, 0], [0, 0, 0]], "orthonormal"),
+        (np.full((3, 3), np.nan), "finite"),
+        (np.eye(4), r"\(3, 3\)"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            rotate(light, bad)
+    single = random_rotation(9).astype(np.float32)
+    np.testing.assert_allclose(rotate(light, single), rotate(light, random_rotation(9)), atol=1e-5)
+
+
+# ---- ringing
+
+
+def ringing_lights() -> list[F64]:
+    """Lights whose irradiance is negative somewhere: distant lights, also coloured, and strong random ones."""
+    lights = [distant_light(direction) for direction in random_directions(4, seed=20)]
+    lights += [distant_light(d, order=4) * [1.0, 0.2, 3.0] for d in random_directions(2, seed=21)]
+    for seed in range(6):
+        light = random_light(2 + seed % 3, seed=30 + seed)
+        light[0] = np.abs(light[0]) + 0.5
+        lights.append(light)
+    return lights
+
+
+def test_dering_leaves_light_that_needs_no_window_untouched() -> None:
+    for light in (np.zeros((9, 3)), distant_light((1, 2, 3)) * [[1.0]] + 3 * np.eye(9, 3)[:, :1]):
+        assert irradiance(light, random_directions(500)).min() >= 0
+        result, strength = dering_with_strength(light)
+        assert strength == 0
+        np.testing.assert_array_equal(result, light)
+
+
+@pytest.mark.parametrize("light", ringing_lights())
+def test_dering_lights_every_normal_with_the_smallest_window(light: F64) -> None:
+    normals = random_directions(20000, seed=40)
+    assert irradiance(light, normals).min() < 0
+    result, strength = dering_with_strength(light)
+    received = irradiance(result, normals)
+    assert received.min() >= -1e-3 * received.max()
+    assert 0 < strength < 1
+    order = round(np.sqrt(len(light))) - 1
+    band = np.repeat(np.arange(order + 1), 2 * np.arange(order + 1) + 1)[:, None]
+    np.testing.assert_allclose(result, light * (1 - strength) ** (band * (band + 1) / 2), atol=1e-14)
+    weaker = light * (1 - (strength - 0.01)) ** (band * (band + 1) / 2)
+    assert irradiance(weaker, normals).min() < 0
+    np.testing.assert_array_equal(dering(result), result)
+
+
+def test_dering_keeps_the_mean_light_and_does_not_shift_hue() -> None:
+    light = distant_light((1, -2, 0.5)) * [1.0, 0.5, 0.25]
+    result = dering(light)
+    np.testing.assert_allclose(result[0], light[0], rtol=1e-15)
+    np.testing.assert_allclose(result / result[:, :1], light / light[:, :1], rtol=1e-12)
+
+
+def test_dering_does_not_depend_on_scale_or_much_on_orientation() -> None:
+    light = ringing_lights()[6]
+    result, strength = dering_with_strength(light)
+    scaled, scaled_strength = dering_with_strength(light * 1e-6)
+    assert scaled_strength == strength
+    np.testing.assert_allclose(scaled, result * 1e-6, rtol=1e-12)
+    _, turned_strength = dering_with_strength(rotate(light, random_rotation(5)))
+    assert turned_strength == pytest.approx(strength, abs=2e-3)
+
+
+def test_a_channel_with_a_negative_mean_becomes_black_and_the_others_stay() -> None:
+    light = np.zeros((9, 3))
+    light[0], light[3, 1] = [1.0, -0.1, 0.0], 5.0
+    result, strength = dering_with_strength(light)
+    assert strength == 0
+    np.testing.assert_array_equal(result[0], [1.0, 0.0, 0.0])
+    assert not result[1:].any()
+
+
+def test_a_channel_without_any_mean_light_loses_all_variation() -> None:
+    light = np.zeros((9, 3))
+    light[0], light[2, 2] = [1.0, 1.0, 0.0], 1.0
+    result, strength = dering_with_strength(light)
+    assert strength == pytest.approx(1)
+    assert irradiance(result, random_directions(100)).min() >= -1e-8
