@@ -1,0 +1,71 @@
+"""Merging what was seen, and the two clouds of a position."""
+
+import numpy as np
+import pytest
+
+from xihenet.buffers import PositionBuffers, merge
+from xihenet.records import UnitSphereCloud
+
+N = 64
+
+
+def random_cloud(rng, n=N):
+    is_set = rng.random(n) < 0.5
+    return UnitSphereCloud(rng.random((n, 3)) * is_set[:, None], rng.random(n) * is_set, is_set)
+
+
+def same(a, b):
+    return (a.srgb == b.srgb).all() and (a.distance_m == b.distance_m).all() and (a.is_set == b.is_set).all()
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_new_wins_on_every_anchor_that_it_sets_and_old_stays_elsewhere(seed):
+    rng = np.random.default_rng(seed)
+    old, new = random_cloud(rng), random_cloud(rng)
+    merged = merge(old, new)
+    for anchor in range(N):
+        source = new if new.is_set[anchor] else old
+        assert (merged.srgb[anchor] == source.srgb[anchor]).all()
+        assert merged.distance_m[anchor] == source.distance_m[anchor]
+        assert merged.is_set[anchor] == source.is_set[anchor]
+
+
+def test_merging_is_idempotent_associative_and_neutral_on_nothing():
+    rng = np.random.default_rng(1)
+    a, b, c, nothing = random_cloud(rng), random_cloud(rng), random_cloud(rng), UnitSphereCloud.empty(N)
+    assert same(merge(a, a), a) and same(merge(a, nothing), a) and same(merge(nothing, a), a)
+    assert same(merge(merge(a, b), c), merge(a, merge(b, c)))
+
+
+def test_a_thousand_merges_do_not_drift():
+    rng = np.random.default_rng(2)
+    clouds = [random_cloud(rng) for _ in range(10)]
+    merged = UnitSphereCloud.empty(N)
+    for k in range(1000):
+        merged = merge(merged, clouds[k % 10])
+    once = UnitSphereCloud.empty(N)
+    for seen in clouds:
+        once = merge(once, seen)
+    assert same(merged, once)
+
+
+def test_a_bright_black_anchor_overwrites_too():
+    old = UnitSphereCloud([[1.0] * 3], [2.0], [True])
+    assert merge(old, UnitSphereCloud([[0.0] * 3], [0.0], [True])).srgb.sum() == 0
+
+
+def test_firing_moves_what_was_seen_into_the_persistent_cloud_and_starts_anew():
+    rng = np.random.default_rng(3)
+    first, second, third = random_cloud(rng), random_cloud(rng), random_cloud(rng)
+    buffers = PositionBuffers.empty(N).with_frame(first).with_frame(second)
+    assert not buffers.persistent.is_set.any() and same(buffers.temporary, merge(first, second))
+    fired = buffers.fired()
+    assert same(fired.persistent, merge(first, second)) and not fired.temporary.is_set.any()
+    again = fired.with_frame(third)
+    assert same(again.fired().persistent, merge(merge(first, second), third))
+    assert same(again.seen(), again.fired().persistent)
+
+
+def test_clouds_of_different_lattices_are_refused():
+    with pytest.raises(ValueError, match="64 and 3"):
+        merge(UnitSphereCloud.empty(N), UnitSphereCloud.empty(3))

@@ -1,0 +1,45 @@
+"""PNG files that every reader understands."""
+
+import zlib
+
+import numpy as np
+import pytest
+
+from xihenet.png import SIGNATURE, encode_png, write_png
+
+
+def decode_png(content):
+    """A decoder for 8-bit RGB with filters 0 and 1, written from the specification, and strict."""
+    assert content.startswith(SIGNATURE)
+    place, chunks = len(SIGNATURE), {}
+    while place < len(content):
+        size = int.from_bytes(content[place : place + 4], "big")
+        kind, body = content[place + 4 : place + 8], content[place + 8 : place + 8 + size]
+        assert zlib.crc32(kind + body) == int.from_bytes(content[place + 8 + size : place + 12 + size], "big")
+        chunks[kind] = body
+        place += 12 + size
+    assert list(chunks)[-1] == b"IEND" and chunks[b"IHDR"][8:] == bytes([8, 2, 0, 0, 0])
+    width, height = (int.from_bytes(chunks[b"IHDR"][k : k + 4], "big") for k in (0, 4))
+    rows = np.frombuffer(zlib.decompress(chunks[b"IDAT"]), np.uint8).reshape(height, 1 + 3 * width)
+    assert set(rows[:, 0]) <= {0, 1}
+    pixels = rows[:, 1:].reshape(height, width, 3)
+    filtered = rows[:, 0, None, None] == 1
+    return np.where(filtered, np.cumsum(pixels, axis=1, dtype=np.uint64).astype(np.uint8), pixels)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (5, 1), (48, 64)])
+def test_pixels_come_back(shape):
+    pixels = np.random.default_rng(0).integers(0, 256, (*shape, 3), dtype=np.uint8)
+    np.testing.assert_array_equal(decode_png(encode_png(pixels)), pixels)
+
+
+def test_a_view_that_is_not_contiguous_comes_back(tmp_path):
+    pixels = np.random.default_rng(1).integers(0, 256, (9, 8, 3), dtype=np.uint8)[::-1, ::2]
+    write_png(tmp_path / "a.png", pixels)
+    np.testing.assert_array_equal(decode_png((tmp_path / "a.png").read_bytes()), pixels)
+
+
+@pytest.mark.parametrize("wrong", [np.zeros((4, 4, 3)), np.zeros((4, 4), np.uint8), np.zeros((0, 4, 3), np.uint8)])
+def test_what_is_no_picture_is_refused(wrong):
+    with pytest.raises(ValueError, match="expected uint8"):
+        encode_png(wrong)

@@ -1,0 +1,71 @@
+"""A session that was kept can be run again."""
+
+import numpy as np
+import pytest
+
+from xihenet.recording import ReplayScanner, SessionRecorder, load_frame, save_frame
+from xihenet.records import Intrinsics, RgbdFrame
+
+
+def random_frame(seed, ambient=None):
+    rng = np.random.default_rng(seed)
+    depths = rng.uniform(0, 5, (6, 8)).astype(np.float32)
+    depths[0, :3] = [0, np.nan, np.inf]
+    colours = rng.integers(0, 256, (6, 8, 3), dtype=np.uint8)
+    intrinsics = Intrinsics(8, 6, *rng.uniform(1, 9, 4))
+    return RgbdFrame(colours, depths, intrinsics, rng.normal(size=(4, 4)), 0.3, ambient, 1.5, seed)
+
+
+def assert_same(a, b):
+    for name in ("srgb_u8", "plane_depth_m", "world_from_camera", "ambient"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+    assert (a.intrinsics, a.exposure, a.time_s, a.frame) == (b.intrinsics, b.exposure, b.time_s, b.frame)
+
+
+@pytest.mark.parametrize("ambient", [None, [0.1, 0.2, 0.3]])
+def test_a_frame_comes_back_bit_by_bit(tmp_path, ambient):
+    frame = random_frame(1, ambient)
+    save_frame(tmp_path / "frame.npz", frame)
+    loaded = load_frame(tmp_path / "frame.npz")
+    assert_same(loaded, frame)
+    assert (loaded.ambient is None) == (ambient is None)
+    assert [path.name for path in tmp_path.iterdir()] == ["frame.npz"]
+
+
+def test_replay_gives_the_frames_in_the_order_of_recording(tmp_path):
+    recorder = SessionRecorder(tmp_path / "walk")
+    frames = [random_frame(seed) for seed in (7, 3, 5)]
+    for frame in frames:
+        recorder.record(frame)
+    scanner = ReplayScanner(tmp_path / "walk")
+    assert len(scanner) == 3
+    for frame in frames:
+        assert_same(scanner.acquire_environment_scan(), frame)
+    with pytest.raises(StopIteration):
+        scanner.acquire_environment_scan()
+
+
+def test_a_recording_is_never_overwritten(tmp_path):
+    SessionRecorder(tmp_path).record(random_frame(0))
+    with pytest.raises(FileExistsError, match="already holds a recording"):
+        SessionRecorder(tmp_path)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 but no archive", b"nonsense"])
+def test_a_file_that_is_no_frame_is_named(tmp_path, content):
+    (tmp_path / "frame_000000.npz").write_bytes(content)
+    with pytest.raises(ValueError, match="frame_000000.npz: not a recorded frame"):
+        ReplayScanner(tmp_path).acquire_environment_scan()
+
+
+def test_a_truncated_file_is_named(tmp_path):
+    path = tmp_path / "frame.npz"
+    save_frame(path, random_frame(0))
+    path.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(ValueError, match="not a recorded frame"):
+        load_frame(path)
+
+
+def test_a_folder_without_frames_is_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no recorded frames"):
+        ReplayScanner(tmp_path)

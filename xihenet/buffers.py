@@ -1,0 +1,58 @@
+"""What has been seen from one position so far, and what of it the current light was estimated from.
+
+Two clouds per position: the temporary one merges every frame since the last fire, the persistent one is merged from it
+when the trigger fires, and the estimate is made from the persistent one after that merge. The trigger compares the two.
+Both are replaced, never changed, so a report can keep the clouds it was made from.
+
+Paper: section 4.2.1 and `Merging` in its figure 7.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from xihenet.records import UnitSphereCloud
+
+
+def merge(old: UnitSphereCloud, new: UnitSphereCloud) -> UnitSphereCloud:
+    """`old` with every anchor that `new` sets replaced by `new`'s colour and distance; nothing is averaged.
+
+    Both have N anchors (ValueError otherwise). Skipped points are those of `new`: they belong to a frame.
+    """
+    if len(old) != len(new):
+        raise ValueError(f"merge: expected clouds with as many anchors, got {len(old)} and {len(new)}")
+    seen = new.is_set
+    return UnitSphereCloud(
+        np.where(seen[:, None], new.srgb, old.srgb),
+        np.where(seen, new.distance_m, old.distance_m),
+        old.is_set | seen,
+        new.n_skipped_points,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class PositionBuffers:
+    """The two clouds of one estimation position, N anchors each."""
+
+    temporary: UnitSphereCloud
+    persistent: UnitSphereCloud
+
+    @classmethod
+    def empty(cls, n_anchors: int) -> PositionBuffers:
+        """Nothing seen yet."""
+        nothing = UnitSphereCloud.empty(n_anchors)
+        return cls(nothing, nothing)
+
+    def with_frame(self, sampled: UnitSphereCloud) -> PositionBuffers:
+        """After one more frame was sampled."""
+        return replace(self, temporary=merge(self.temporary, sampled))
+
+    def fired(self) -> PositionBuffers:
+        """After the trigger fired: the temporary cloud moves into the persistent one and starts anew."""
+        return PositionBuffers(UnitSphereCloud.empty(len(self.temporary)), merge(self.persistent, self.temporary))
+
+    def seen(self) -> UnitSphereCloud:
+        """All that is known, whether or not the light in force was made from it."""
+        return merge(self.persistent, self.temporary)

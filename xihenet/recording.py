@@ -1,0 +1,110 @@
+"""How is a session kept, so that the same walk can be run again with other settings?
+
+One compressed .npz per frame in a folder, whole or absent: colour, plane depth, intrinsics, pose, exposure, ambient,
+time. Chosen over one big file because a recording that is cut short is still a recording, and a run can resume on it.
+Paper: section 5, `XiheRecorder`; `EnvironmentScanner` is what a phone, a renderer or a recording can stand behind.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from xihenet.records import Intrinsics, RgbdFrame
+
+
+class EnvironmentScanner(Protocol):
+    """Whatever delivers frames."""
+
+    def acquire_environment_scan(self) -> RgbdFrame: ...
+
+
+def save_frame(path: Path, frame: RgbdFrame) -> None:
+    """Write `frame` to `path` (.npz). OSError if it cannot be written; an older file then stays as it was."""
+    beside = path.with_name(f".{path.name}.part")
+    fields: dict[str, Any] = {f"intrinsics_{name}": value for name, value in asdict(frame.intrinsics).items()}
+    if frame.ambient is not None:
+        fields["ambient"] = frame.ambient
+    for name in ("srgb_u8", "plane_depth_m", "world_from_camera", "exposure", "time_s", "frame"):
+        fields[name] = getattr(frame, name)
+    try:
+        with beside.open("wb") as file:
+            np.savez_compressed(file, **fields)
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def load_frame(path: Path) -> RgbdFrame:
+    """Read what `save_frame` wrote. ValueError naming the file if it is no such file, OSError if it cannot be read."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as fields:
+            intrinsics = Intrinsics(
+                int(fields["intrinsics_width"]),
+                int(fields["intrinsics_height"]),
+                *(float(fields[f"intrinsics_{name}"]) for name in ("fx", "fy", "cx", "cy")),
+            )
+            ambient = fields["ambient"] if "ambient" in fields.files else None
+            return RgbdFrame(
+                fields["srgb_u8"],
+                fields["plane_depth_m"],
+                intrinsics,
+                fields["world_from_camera"],
+                float(fields["exposure"]),
+                ambient,
+                float(fields["time_s"]),
+                int(fields["frame"]),
+            )
+    except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path}: not a recorded frame ({error})") from None
+
+
+class SessionRecorder:
+    """Keeps every frame it is given in `folder`, which is made if it is not there.
+
+    FileExistsError if the folder already holds a recording: nothing is overwritten.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(_recorded_files(folder)):
+            raise FileExistsError(f"{folder}: already holds a recording; choose another folder")
+        self.folder = folder
+        self.n_frames = 0
+
+    def record(self, frame: RgbdFrame) -> None:
+        """Add one frame; the order of recording is the order of replay."""
+        save_frame(self.folder / f"frame_{self.n_frames:06d}.npz", frame)
+        self.n_frames += 1
+
+
+class ReplayScanner:
+    """Delivers the frames of a recording one after the other.
+
+    FileNotFoundError if `folder` holds none; `acquire_environment_scan` raises StopIteration after the last.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.files = sorted(_recorded_files(folder))
+        if not self.files:
+            raise FileNotFoundError(f"{folder}: no recorded frames (frame_*.npz) in this folder")
+        self._frames = iter(self)
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def __iter__(self) -> Iterator[RgbdFrame]:
+        return (load_frame(file) for file in self.files)
+
+    def acquire_environment_scan(self) -> RgbdFrame:
+        """The next frame of the recording."""
+        return next(self._frames)
+
+
+def _recorded_files(folder: Path) -> Iterator[Path]:
+    return folder.glob("frame_*.npz")
