@@ -1,0 +1,271 @@
+"""Which anchor is nearest to a direction, for the price of one look-up?
+
+The sphere is cut into small cells once per lattice. A cell that lies wholly in the Voronoi cell of one anchor stores
+that anchor, and the look-up is right there by construction. Any other cell stores the number of a short list of the
+anchors that can win somewhere in it; only points that fall there, a few per cent, are compared.
+
+The map. A direction d becomes p = d / (|x| + |y| + |z|), a point on an octahedron, whose x and y address square cells
+in one of two layers, for the two signs of z. This needs no square root and no trigonometry, and the azimuth has no
+seam. The corners of the square, half of its area, are never reached; a map that fills it takes more passes over the
+points, which costs more time than the memory is worth. A table over azimuth and polar angle was rejected: it needs
+trigonometry, and its cells shrink to slivers at the poles.
+
+Why it is exact. A cell lies in one face of the octahedron, continued beyond the equator, where the lead of anchor i
+over anchor j, (a_i - a_j) . p, is linear: i beats j everywhere in a cell if and only if it does at the four corners.
+The build halves cells and drops from each the anchors that another one beats in this way; corner scores of the quarters
+are averages of the whole's. What is left when the cells have their final size is the list. `_MARGIN` covers points that
+float32 rounding puts into the cell beside theirs.
+
+Not here: anything about lattices. The table works for any set of different unit vectors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt
+
+# With e = 2^-24: conversion, sums, division and product move p_x and p_y by 6 e of their size, the sum that makes them
+# positive by e of at most 3 together, so p by at most 9 sqrt(2) e and the lead of one anchor over another, whose
+# difference is at most 2 long, by 1.6e-6. Scores kept in float32 add e per halving, eleven at most, for two anchors:
+# 1.4e-6.
+_MARGIN = 4e-6
+
+
+@dataclass(frozen=True, eq=False)
+class AnchorTable:
+    """The finished table; `find` is all that it is for.
+
+    Parameters
+    ----------
+    directions : (n, 3) unit vectors
+    n_cells : cells along an edge of a layer
+    codes : (2 (n_cells + 1)^2,) unsigned; below n an anchor, otherwise n + the number of a list. First the layer above
+        the equator, then the one below. Each repeats its last row and column, so that x = 1 and y = 1 need no clipping
+    lists : (S, K) anchors in rising order, then the first again up to K; lists of two come first
+    n_pairs : how many lists have two anchors
+    pair_leads : (3, n_pairs) second anchor's direction minus the first's
+    longer_directions : (S - n_pairs, K, 3) directions of the anchors of the other lists
+    """
+
+    directions: ArrayF64
+    n_cells: int
+    codes: NDArray[Any]
+    lists: ArrayInt
+    n_pairs: int
+    pair_leads: ArrayF64
+    longer_directions: ArrayF64
+
+    def find(self, columns: ArrayF32 | ArrayF64, taxicab: ArrayF32) -> ArrayInt:
+        """The nearest anchor of each direction.
+
+        Parameters
+        ----------
+        columns : (3, P) x, y and z of directions of any length from 1e-30 to 1e30, contiguous
+        taxicab : (P,) |x| + |y| + |z|; overwritten
+
+        Returns
+        -------
+        anchors : (P,)
+        """
+        codes = self.codes.take(self._cells(columns.astype(np.float32, copy=False), taxicab), mode="clip")
+        anchors = codes.astype(np.intp)
+        undecided = np.flatnonzero(codes >= len(self.directions))
+        if undecided.size:
+            lists = anchors.take(undecided) - len(self.directions)
+            anchors[undecided] = self._compare(lists, columns.take(undecided, axis=1).astype(np.float64))
+        return anchors
+
+    def _cells(self, columns: ArrayF32, taxicab: ArrayF32) -> NDArray[np.int32]:
+        """The cell of each direction, as an index into `codes`."""
+        half = np.float32(self.n_cells / 2)
+        # In place where it can be: what the passes touch should stay in the cache.
+        scale = row = np.divide(half, taxicab, out=taxicab)
+        column = columns[0] * scale
+        column += half
+        row *= columns[1]
+        row += half
+        cells: NDArray[np.int32] = row.astype(np.int32)
+        cells *= np.int32(self.n_cells + 1)
+        cells += column.astype(np.int32)
+        # The sign bit of z, spread over the word, selects the layer in half the time of a comparison and a product.
+        below = columns[2].view(np.int32) >> np.int32(31)
+        below &= np.int32(len(self.codes) // 2)
+        cells += below
+        return cells
+
+    def _compare(self, lists: ArrayInt, columns: ArrayF64) -> ArrayInt:
+        """The nearest anchor of each direction among those of its list; the lowest one if several are equally near."""
+        # A longer list reads some pair here; its answer is replaced below.
+        leads = self.pair_leads.take(lists, axis=1, mode="clip")
+        leads *= columns
+        second_wins = leads[0] + leads[1] + leads[2] > 0
+        anchors: ArrayInt = self.lists.ravel().take(lists * self.lists.shape[1] + second_wins)
+        longer = np.flatnonzero(lists >= self.n_pairs)
+        if longer.size:
+            rows = lists.take(longer)
+            candidates = self.lists.take(rows, axis=0)
+            rows -= self.n_pairs
+            cosines = self.longer_directions.take(rows, axis=0) @ columns.take(longer, axis=1).T[:, :, None]
+            winners = cosines.argmax(axis=1)[:, 0]
+            anchors[longer] = candidates[np.arange(len(rows)), winners]
+        return anchors
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Cells of one level and, cell after cell, the anchors that can still win in them.
+
+    Parameters
+    ----------
+    layer, row, column : (C,) place of each cell; layer 1 is below the equator, row is along y and column along x
+    lengths : (C,) candidates per cell, at least 1
+    anchors : (M,) candidates of all cells, in rising order within a cell; M is the sum of `lengths`
+    scores : (2, 2, M) anchor . corner at the cell's corners, [row, column]
+    """
+
+    layer: ArrayInt
+    row: ArrayInt
+    column: ArrayInt
+    lengths: ArrayInt
+    anchors: ArrayInt
+    scores: ArrayF32
+
+    def starts(self) -> ArrayInt:
+        """(C,) where each cell's candidates begin."""
+        return np.cumsum(self.lengths) - self.lengths
+
+    def select(self, cells: ArrayBool) -> _Cells:
+        """Only the cells that are marked."""
+        kept = np.repeat(cells, self.lengths)
+        return _Cells(
+            self.layer[cells],
+            self.row[cells],
+            self.column[cells],
+            self.lengths[cells],
+            self.anchors[kept],
+            self.scores[:, :, kept],
+        )
+
+
+def cells_for(n_anchors: int) -> int:
+    """How many cells along an edge of a layer suit a lattice.
+
+    36 sqrt(n) leaves 4 to 8 per cent of the points to be compared; fewer cells mean more of them, more cells more cache
+    misses and a longer build. At most 2048: 17 MB.
+    """
+    return int(min(2048, 2 ** np.ceil(np.log2(36 * np.sqrt(n_anchors)))))
+
+
+def build_anchor_table(directions: ArrayF64, n_cells: int) -> AnchorTable:
+    """Build the table by halving cells from 2 x 2 per layer to `n_cells` x `n_cells`.
+
+    Parameters
+    ----------
+    directions : (n, 3) unit vectors, n >= 1
+    n_cells : a power of two, at least 2
+    """
+    if n_cells < 2 or n_cells & (n_cells - 1):
+        raise ValueError(f"n_cells: expected a power of two of at least 2, got {n_cells}")
+    cells = _without_losers(_first_cells(directions))
+    codes = np.zeros((2, 2, 2), np.int32)
+    while True:
+        decided = cells.lengths == 1
+        codes[cells.layer[decided], cells.row[decided], cells.column[decided]] = cells.anchors[cells.starts()[decided]]
+        cells = cells.select(~decided)
+        if codes.shape[1] == n_cells:
+            break
+        cells = _halved(cells, codes.shape[1])
+        codes = codes.repeat(2, axis=1).repeat(2, axis=2)
+    lists, list_of_cell = _unique_lists(cells, len(directions))
+    codes[cells.layer, cells.row, cells.column] = len(directions) + list_of_cell
+    return _finished(directions, codes, lists)
+
+
+def _finished(directions: ArrayF64, codes: NDArray[np.int32], lists: ArrayInt) -> AnchorTable:
+    """Pad the layers, choose the smallest type and prepare the pairs."""
+    n_codes = len(directions) + len(lists)
+    small = codes.astype(np.uint16 if n_codes <= 2**16 else np.uint32)
+    padded = np.pad(small, ((0, 0), (0, 1), (0, 1)), mode="edge")
+    n_pairs = int((lists[:, 2] < 0).sum())
+    lists = np.where(lists < 0, lists[:, :1], lists)
+    first, second = directions[lists[:n_pairs, 0]], directions[lists[:n_pairs, 1]]
+    # A longer list reads the last pair before it is put right: there must be one.
+    leads = np.ascontiguousarray((second - first).T) if n_pairs else np.zeros((3, 1))
+    n_cells = codes.shape[1]
+    return AnchorTable(directions, n_cells, padded.ravel(), lists, n_pairs, leads, directions[lists[n_pairs:]])
+
+
+def _first_cells(directions: ArrayF64) -> _Cells:
+    """The eight cells of 2 x 2 per layer, each with every anchor."""
+    layer, row, column = (index.ravel() for index in np.indices((2, 2, 2)))
+    y, x = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij")
+    height = 1 - np.abs(x) - np.abs(y)
+    scores = []
+    for cell in zip(layer, row, column, strict=True):
+        corner = np.s_[cell[1] : cell[1] + 2, cell[2] : cell[2] + 2]
+        points = np.stack([x[corner], y[corner], height[corner] * (-1 if cell[0] else 1)], axis=-1)
+        scores.append((points @ directions.T).astype(np.float32))
+    n = len(directions)
+    every = np.tile(np.arange(n), 8)
+    return _Cells(layer, row, column, np.full(8, n), every, np.concatenate(scores, axis=2))
+
+
+def _without_losers(cells: _Cells) -> _Cells:
+    """Drop each candidate that the cell's strongest one beats at all four corners, by more than the margin."""
+    if not len(cells.lengths):
+        return cells
+    starts = cells.starts()
+    strength = cells.scores.sum(axis=(0, 1))
+    strongest = np.maximum.reduceat(strength, starts)
+    position = np.where(strength == np.repeat(strongest, cells.lengths), np.arange(len(strength)), len(strength))
+    leader = np.minimum.reduceat(position, starts)
+    lead = np.repeat(cells.scores[:, :, leader], cells.lengths, axis=2) - cells.scores
+    kept = lead.min(axis=(0, 1)) <= _MARGIN
+    lengths = np.add.reduceat(kept.astype(np.intp), starts)
+    return _Cells(cells.layer, cells.row, cells.column, lengths, cells.anchors[kept], cells.scores[:, :, kept])
+
+
+def _reached(cells: _Cells, n_side: int) -> ArrayBool:
+    """Which cells of a grid of `n_side` have a point with |x| + |y| <= 1."""
+    # The corner nearest to the middle of the layer decides, counted in cells from there.
+    half = n_side // 2
+    across, along = (np.where(i < half, half - 1 - i, i - half) for i in (cells.row, cells.column))
+    is_reached: ArrayBool = across + along <= half
+    return is_reached
+
+
+def _halved(cells: _Cells, n_side: int) -> _Cells:
+    """The four quarters of each cell of a grid of `n_side`, without the candidates that cannot win there."""
+    grid = np.empty((3, 3, len(cells.anchors)), np.float32)
+    grid[::2, ::2] = cells.scores
+    grid[1, ::2] = (cells.scores[0] + cells.scores[1]) / 2
+    grid[::2, 1] = (cells.scores[:, 0] + cells.scores[:, 1]) / 2
+    grid[1, 1] = (grid[0, 1] + grid[2, 1]) / 2
+    quarters = []
+    for i, j in np.ndindex(2, 2):
+        scores = grid[i : i + 2, j : j + 2]
+        quarter = _Cells(cells.layer, 2 * cells.row + i, 2 * cells.column + j, cells.lengths, cells.anchors, scores)
+        quarters.append(_without_losers(quarter.select(_reached(quarter, 2 * n_side))))
+    return _Cells(*(np.concatenate([getattr(q, part.name) for q in quarters], axis=-1) for part in fields(_Cells)))
+
+
+def _unique_lists(cells: _Cells, n_anchors: int) -> tuple[ArrayInt, ArrayInt]:
+    """The different candidate lists, (S, K) padded with -1 and shortest first, and the number of each cell's list."""
+    n_columns = max(3, int(cells.lengths.max(initial=0)))
+    starts = cells.starts()
+    table = np.full((len(starts), n_columns), -1, np.intp)
+    rows = np.repeat(np.arange(len(starts)), cells.lengths)
+    table[rows, np.arange(len(rows)) - starts[rows]] = cells.anchors
+    first, list_of_cell = np.zeros(0, np.intp), cells.lengths
+    for i in range(0, n_columns, 2):
+        # Two columns at a time: with fewer than 2^24 cells and 2^17 anchors the key stays below 2^58.
+        key = list_of_cell
+        for column in table.T[i : i + 2]:
+            key = key * (n_anchors + 1) + column + 1
+        _, first, list_of_cell = np.unique(key, return_index=True, return_inverse=True)
+    return table[first], list_of_cell

@@ -1,0 +1,243 @@
+"""Which directions stand for the whole sphere, and which of them is nearest to a given one?
+
+The anchors are the reference's Fibonacci lattice with its pole on +Z, in the same index order, so that a record on the
+wire means the same direction (the paper's section on unit-sphere sampling). Three ways to find the nearest anchor stay
+side by side, so that what exactness costs can be shown:
+
+- `exact`, the default: cells that know whether they are decided (`anchor_table`);
+- `table`, the paper's acceleration grid over azimuth and polar angle: the anchor nearest to the centre of the cell;
+- `brute`, every anchor's cosine in float64: the plain reference.
+
+Rejected as slower by more than a magnitude: a k-d tree, which also needs SciPy, and the analytic inverse of the lattice
+(Keinert et al. 2015).
+
+Lattices are values: two of the same size are equal and share their tables, which are built on first use and cached.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from operator import index
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from xihenet.anchor_table import AnchorTable, build_anchor_table, cells_for
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt
+
+NearestMethod = Literal["exact", "table", "brute"]
+
+MAX_ANCHORS = 65_536  # an anchor's index has 16 bits on the wire
+_GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
+_BRUTE_BLOCK = 2**18  # cosines at a time: 2 MB, which stays in the cache
+
+
+@dataclass(frozen=True)
+class AnchorLattice:
+    """Fibonacci lattice of `n` anchors on the unit sphere.
+
+    Parameters
+    ----------
+    n : number of anchors, 1 to 65,536
+    """
+
+    n: int
+
+    def __post_init__(self) -> None:
+        n = index(self.n)
+        if not 1 <= n <= MAX_ANCHORS:
+            raise ValueError(f"AnchorLattice.n: expected 1 to {MAX_ANCHORS} anchors, got {n}")
+        object.__setattr__(self, "n", n)
+
+    def __len__(self) -> int:
+        return self.n
+
+    @property
+    def directions(self) -> ArrayF64:
+        """(n, 3) unit vectors, world frame, +Z up; anchor 0 points to +Z. Read-only."""
+        return _lattice_directions(self.n)
+
+    def nearest(
+        self, directions: ArrayLike, method: NearestMethod = "exact", table_size: tuple[int, int] = (1024, 512)
+    ) -> ArrayInt:
+        """The anchor with the largest cosine to each direction.
+
+        Parameters
+        ----------
+        directions : (P, 3) world frame, of any positive length; P may be 0. Anything but float32 is read as float64
+        method : "exact" and "brute" are never more than 1e-7 below the best cosine; "table" is wrong for some per cent
+        table_size : cells over azimuth and over polar angle, for "table" alone
+
+        Returns
+        -------
+        anchors : (P,); 0 for a direction that is zero, NaN or infinite
+
+        Raises
+        ------
+        ValueError : for another shape, an unknown method or a table without cells
+        """
+        rows = np.asarray(directions)
+        if rows.ndim != 2 or rows.shape[1] != 3:
+            raise ValueError(f"directions: expected an array of shape (any, 3), got {rows.shape}")
+        columns: NDArray[Any] = np.ascontiguousarray(rows.T, np.float32 if rows.dtype == np.float32 else np.float64)
+        return self.nearest_to_columns(columns, method, table_size)
+
+    def nearest_to_columns(
+        self,
+        columns: ArrayF32 | ArrayF64,
+        method: NearestMethod = "exact",
+        table_size: tuple[int, int] = (1024, 512),
+    ) -> ArrayInt:
+        """As `nearest`, for (3, P) contiguous x, y and z: a fifth faster, for those who have them that way."""
+        if method not in ("exact", "table", "brute"):
+            raise ValueError(f"method: expected exact, table or brute, got {method!r}")
+        if columns.shape[1] == 0:
+            return np.zeros(0, np.intp)
+        if method == "exact":
+            return _find_exactly(columns, _exact_table(self.n))
+        if method == "table":
+            return _look_up(columns, _angular_table(self.n, *table_size))
+        return _largest_cosine(_rescaled(columns), self.directions)
+
+    def neighbours(self, k: int) -> ArrayInt:
+        """(n, k) for each anchor itself and its k - 1 nearest, nearest first, lower index first if equally near.
+
+        Compares all pairs: 0.05 s for 2048 anchors, 40 s for 65,536. Cached and read-only.
+
+        Raises
+        ------
+        ValueError : unless 1 <= k <= n
+        """
+        if not 1 <= k <= self.n:
+            raise ValueError(f"neighbours: expected 1 to {self.n} neighbours of {self.n} anchors, got {k}")
+        return _neighbours(self.n, k)
+
+
+@lru_cache(maxsize=32)
+def _lattice_directions(n: int) -> ArrayF64:
+    """(n, 3) the lattice; a single anchor points to +Z, where the formula would divide by zero."""
+    i = np.arange(n)
+    z = 1 - 2 * i / max(n - 1, 1)
+    radius = np.sqrt(1 - z * z)
+    azimuth = i * _GOLDEN_ANGLE
+    directions: ArrayF64 = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
+    directions.flags.writeable = False
+    return directions
+
+
+@lru_cache(maxsize=16)  # the twelve of the joint entropy, 65 MB together, and some in use
+def _exact_table(n: int) -> AnchorTable:
+    return build_anchor_table(_lattice_directions(n), cells_for(n))
+
+
+def _find_exactly(columns: ArrayF32 | ArrayF64, table: AnchorTable) -> ArrayInt:
+    taxicab = _taxicab_lengths(columns)
+    if not _is_ordinary(taxicab):
+        columns = _rescaled(columns)
+        taxicab = _taxicab_lengths(columns)
+    return table.find(columns, taxicab.astype(np.float32, copy=False))
+
+
+def _taxicab_lengths(columns: ArrayF32 | ArrayF64) -> NDArray[Any]:
+    """(P,) |x| + |y| + |z|; infinite where it overflows."""
+    lengths: NDArray[Any] = np.abs(columns[0])
+    with np.errstate(over="ignore"):
+        lengths += np.abs(columns[1])
+        lengths += np.abs(columns[2])
+    return lengths
+
+
+def _is_ordinary(sizes: NDArray[Any]) -> bool:
+    """Whether float32 can work with all sizes and their reciprocals. NaN is not ordinary, as comparisons fail."""
+    return bool(sizes.min() > 1e-30 and sizes.max() < 1e30)
+
+
+def _rescaled(columns: ArrayF32 | ArrayF64) -> ArrayF64:
+    """The same directions with 1 as their largest component; +Z for those that are zero, NaN or infinite."""
+    largest = np.abs(columns).max(axis=0).astype(np.float64)
+    is_usable: ArrayBool = (largest > 0) & np.isfinite(largest)
+    rescaled = np.tile(np.array([[0.0], [0.0], [1.0]]), len(largest))
+    np.divide(columns, largest, out=rescaled, where=is_usable)
+    return rescaled
+
+
+@dataclass(frozen=True, eq=False)
+class _AngularTable:
+    """The paper's acceleration grid.
+
+    Parameters
+    ----------
+    width, height : cells over azimuth, from -pi to pi, and over polar angle, from +Z to -Z
+    anchors : ((height + 1) (width + 1),) anchor nearest to each cell's centre; the last row and column are repeated,
+        so that an azimuth of pi and the pole at -Z need no clipping
+    """
+
+    width: int
+    height: int
+    anchors: NDArray[np.uint16]
+
+
+@lru_cache(maxsize=8)
+def _angular_table(n: int, width: int, height: int) -> _AngularTable:
+    if min(width, height) < 1 or width * height > 2**28:
+        raise ValueError(f"table_size: expected 1 to 2^28 cells, got {width} x {height}")
+    azimuth = (np.arange(width) + 0.5) * (2 * np.pi / width) - np.pi
+    polar = ((np.arange(height) + 0.5) * (np.pi / height))[:, None]
+    centres = np.empty((3, height, width))
+    centres[0] = np.sin(polar) * np.cos(azimuth)
+    centres[1] = np.sin(polar) * np.sin(azimuth)
+    centres[2] = np.cos(polar)
+    anchors = _find_exactly(centres.reshape(3, -1), _exact_table(n)).astype(np.uint16)
+    padded = np.pad(anchors.reshape(height, width), ((0, 1), (0, 1)), mode="edge")
+    return _AngularTable(width, height, padded.ravel())
+
+
+def _look_up(columns: ArrayF32 | ArrayF64, table: _AngularTable) -> ArrayInt:
+    """The anchor of the cell over azimuth and polar angle. All in float32, whose trigonometry NumPy vectorises."""
+    with np.errstate(over="ignore"):
+        x, y, z = columns.astype(np.float32, copy=False)
+        horizontal = x * x
+        horizontal += y * y
+        squares = z * z
+        squares += horizontal
+    if not _is_ordinary(squares):
+        return _look_up(_rescaled(columns), table)
+    column = np.arctan2(y, x)
+    column *= np.float32(table.width / (2 * np.pi))
+    column += np.float32(table.width / 2)
+    row = np.sqrt(horizontal, out=horizontal)
+    np.arctan2(row, z, out=row)
+    row *= np.float32(table.height / np.pi)
+    cells = row.astype(np.int32)
+    cells *= np.int32(table.width + 1)
+    cells += column.astype(np.int32)
+    anchors: ArrayInt = table.anchors.take(cells, mode="clip").astype(np.intp)
+    return anchors
+
+
+def _largest_cosine(columns: ArrayF64, directions: ArrayF64) -> ArrayInt:
+    """The anchor with the largest scalar product, the lowest one of several; in blocks that fit the cache."""
+    rows = max(1, _BRUTE_BLOCK // len(directions))
+    anchors = np.empty(columns.shape[1], np.intp)
+    for start in range(0, len(anchors), rows):
+        cosines = columns[:, start : start + rows].T @ directions.T
+        cosines.argmax(axis=1, out=anchors[start : start + rows])
+    return anchors
+
+
+@lru_cache(maxsize=32)
+def _neighbours(n: int, k: int) -> ArrayInt:
+    directions = _lattice_directions(n)
+    neighbours = np.empty((n, k), np.intp)
+    rows = max(1, _BRUTE_BLOCK // n)
+    for start in range(0, n, rows):
+        cosines = directions[start : start + rows] @ directions.T
+        # More than k, so that anchors that tie at the end are all there to be ordered.
+        near = np.argpartition(-cosines, min(k + 8, n) - 1, axis=1)[:, : k + 8]
+        near.sort(axis=1)
+        order = np.argsort(-np.take_along_axis(cosines, near, axis=1), axis=1, kind="stable")
+        neighbours[start : start + rows] = np.take_along_axis(near, order[:, :k], axis=1)
+    neighbours.flags.writeable = False
+    return neighbours
