@@ -1,0 +1,269 @@
+"""Unit-sphere sampling against its plain reference, and the two baselines."""
+
+import sys
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from xihenet.records import PointCloud
+from xihenet.sampling import (
+    sample_farthest,
+    sample_uniform,
+    sample_unit_sphere,
+    sample_unit_sphere_reference,
+)
+from xihenet.sphere import AnchorLattice
+
+LATTICE = AnchorLattice(1280)
+ORIGIN = np.zeros(3)
+
+
+def random_cloud(rng, n, size_m=5.0):
+    return PointCloud(rng.uniform(-size_m, size_m, (n, 3)), rng.random((n, 3), np.float32))
+
+
+def assert_same(a, b, rtol=4e-7):
+    np.testing.assert_array_equal(a.is_set, b.is_set)
+    np.testing.assert_array_equal(a.srgb, b.srgb)
+    np.testing.assert_allclose(a.distance_m, b.distance_m, rtol=rtol)
+    assert a.n_skipped_points == b.n_skipped_points
+
+
+def nasty_cloud(rng):
+    """Bad points and colours, points at the position, twins, and distances from 1e-30 to 1e30, among ordinary ones."""
+    directions = rng.normal(size=(400, 3))
+    lengths = 10.0 ** rng.uniform(-30, 30, (400, 1))
+    points = np.concatenate([directions, directions * lengths, directions[:100], np.zeros((3, 3))]).astype(np.float32)
+    srgb = rng.random(points.shape, np.float32)
+    points[5], points[50, 1], points[60, 2] = np.nan, np.inf, -np.inf
+    points[70] = 3e38  # its distance overflows float32
+    srgb[80], srgb[90, 1] = np.nan, np.inf
+    return PointCloud(points, srgb)
+
+
+@settings(max_examples=15, deadline=None)
+@given(n=st.sampled_from([1, 2, 7, 64, 1280]), n_points=st.integers(0, 2000), seed=st.integers(0, 2**32 - 1))
+def test_sampling_agrees_with_the_reference_on_random_points(n, n_points, seed):
+    rng = np.random.default_rng(seed)
+    cloud, position, lattice = random_cloud(rng, n_points), rng.uniform(-4, 4, 3), AnchorLattice(n)
+    assert_same(sample_unit_sphere(cloud, position, lattice), sample_unit_sphere_reference(cloud, position, lattice))
+
+
+@pytest.mark.parametrize("n", [1, 2, 64, 1280])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_sampling_agrees_with_the_reference_on_nasty_points(n, seed):
+    cloud, lattice = nasty_cloud(np.random.default_rng(seed)), AnchorLattice(n)
+    sampled = sample_unit_sphere(cloud, ORIGIN, lattice)
+    assert_same(sampled, sample_unit_sphere_reference(cloud, ORIGIN, lattice))
+    assert sampled.n_skipped_points == 3 + 1 + 2 + 3
+
+
+def test_sampling_keeps_the_nearer_colour():
+    red, blue = [1, 0, 0], [0, 0, 1]
+    for points, colours in (([[3, 0, 0], [2, 0, 0]], [red, blue]), ([[2, 0, 0], [3, 0, 0]], [blue, red])):
+        sampled = sample_unit_sphere(PointCloud(points, colours), ORIGIN, LATTICE)
+        assert sampled.is_set.sum() == 1
+        np.testing.assert_array_equal(sampled.srgb[sampled.is_set], [blue])
+        np.testing.assert_array_equal(sampled.distance_m[sampled.is_set], [2])
+
+
+def test_first_of_equally_near_points_wins():
+    points = [[0, 9, 0], [0, 4, 0], [0, 4, 0], [0, 4, 0]]
+    colours = [[0.1, 0, 0], [0.2, 0, 0], [0.3, 0, 0], [0.4, 0, 0]]
+    sampled = sample_unit_sphere(PointCloud(points, colours), ORIGIN, LATTICE)
+    np.testing.assert_array_equal(sampled.srgb[sampled.is_set], np.float32([[0.2, 0, 0]]))
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_point_along_an_axis_sets_the_anchor_that_points_there(axis, sign):
+    point = np.zeros(3)
+    point[axis] = sign
+    sampled = sample_unit_sphere(PointCloud([point + 7], [[1, 1, 1]]), ORIGIN + 7, LATTICE)
+    assert LATTICE.directions[sampled.is_set][0, axis] * sign > 0.99
+
+
+def test_distance_and_colour_come_from_one_point():
+    rng = np.random.default_rng(0)
+    cloud, position = random_cloud(rng, 20_000), np.array([0.3, -0.7, 1.1])
+    sampled = sample_unit_sphere(cloud, position, LATTICE)
+    distance_of_colour = {
+        tuple(colour): distance
+        for colour, distance in zip(cloud.srgb, np.linalg.norm(cloud.points_m - position, axis=1), strict=True)
+    }
+    for colour, distance_m in zip(sampled.srgb[sampled.is_set], sampled.distance_m[sampled.is_set], strict=True):
+        assert distance_m == pytest.approx(distance_of_colour[tuple(colour)], rel=4e-7)
+
+
+def test_order_of_the_points_does_not_matter():
+    rng = np.random.default_rng(1)
+    cloud = random_cloud(rng, 20_000)
+    order = rng.permutation(20_000)
+    shuffled = PointCloud(cloud.points_m[order], cloud.srgb[order])
+    assert_same(sample_unit_sphere(cloud, ORIGIN, LATTICE), sample_unit_sphere(shuffled, ORIGIN, LATTICE), rtol=0)
+
+
+def test_memory_layout_of_the_points_does_not_matter():
+    cloud = random_cloud(np.random.default_rng(2), 5000)
+    by_column = PointCloud(np.asfortranarray(cloud.points_m), np.asfortranarray(cloud.srgb))
+    assert_same(sample_unit_sphere(cloud, ORIGIN, LATTICE), sample_unit_sphere(by_column, ORIGIN, LATTICE), rtol=0)
+
+
+def test_moving_room_and_position_together_changes_nothing():
+    points = np.random.default_rng(3).integers(-500, 500, (5000, 3)) / 128  # such numbers survive the move exactly
+    srgb = np.random.default_rng(4).random((5000, 3))
+    position, move = np.array([0.25, 0.5, -0.125]), np.array([1024, -2048, 512])
+    here = sample_unit_sphere(PointCloud(points, srgb), position, LATTICE)
+    there = sample_unit_sphere(PointCloud(points + move, srgb), position + move, LATTICE)
+    assert_same(here, there, rtol=0)
+
+
+def test_twice_as_far_is_twice_the_distance():
+    cloud = random_cloud(np.random.default_rng(5), 5000)
+    near = sample_unit_sphere(cloud, ORIGIN, LATTICE)
+    far = sample_unit_sphere(PointCloud(cloud.points_m * 2, cloud.srgb), ORIGIN, LATTICE)
+    np.testing.assert_array_equal(far.distance_m, near.distance_m * 2)
+    np.testing.assert_array_equal(far.srgb, near.srgb)
+
+
+def test_distances_are_exact_ten_kilometres_from_the_origin():
+    rng = np.random.default_rng(6)
+    position = np.array([10_000.123456789, -9_999.987654321, 10_000.000000123])
+    points = (position + rng.uniform(-3, 3, (3000, 3))).astype(np.float32)
+    lattice = AnchorLattice(65)
+    sampled = sample_unit_sphere(PointCloud(points, np.zeros((3000, 3))), position, lattice)
+    relative = points.astype(np.float64) - position
+    distance_m, anchors = np.linalg.norm(relative, axis=1), lattice.nearest(relative, "brute")
+    expected = [distance_m[anchors == anchor].min() for anchor in range(lattice.n)]
+    np.testing.assert_allclose(sampled.distance_m, expected, rtol=4e-7)
+
+
+def test_every_point_goes_to_its_true_nearest_anchor_far_from_the_origin():
+    rng = np.random.default_rng(7)
+    position = np.array([123.456789012, -87.654321098, 1.234567891])
+    points = (position + rng.uniform(-3, 3, (300, 3))).astype(np.float32)
+    for point in points:
+        sampled = sample_unit_sphere(PointCloud(point[None], [[0.5, 0.5, 0.5]]), position, LATTICE)
+        relative = point.astype(np.float64) - position
+        cosines = LATTICE.directions @ relative / np.linalg.norm(relative)
+        assert cosines.max() - cosines[sampled.is_set][0] <= 1e-7
+
+
+def test_skipped_points_change_nothing_but_the_count():
+    rng = np.random.default_rng(8)
+    cloud = random_cloud(rng, 5000)
+    bad_points = np.float32([[np.nan] * 3, [np.inf, 0, 0], [0, 0, 0], [1e-3, 0, 0], [-3e38, 3e38, 3e38]])
+    bad_srgb = np.float32([[0, 0, 0]] * 3 + [[0, np.nan, 0]] + [[0, 0, 0]])
+    places = rng.integers(0, 5000, 5)
+    mixed = PointCloud(
+        np.insert(cloud.points_m, places, bad_points, axis=0), np.insert(cloud.srgb, places, bad_srgb, axis=0)
+    )
+    clean, sampled = sample_unit_sphere(cloud, ORIGIN, LATTICE), sample_unit_sphere(mixed, ORIGIN, LATTICE)
+    assert (clean.n_skipped_points, sampled.n_skipped_points) == (0, 5)
+    np.testing.assert_array_equal(sampled.is_set, clean.is_set)
+    np.testing.assert_array_equal(sampled.srgb, clean.srgb)
+    np.testing.assert_array_equal(sampled.distance_m, clean.distance_m)
+
+
+@pytest.mark.parametrize("point", [[np.nan, 0, 0], [2, 3, 4]])
+def test_nothing_but_skipped_points_sets_no_anchor(point):
+    sampled = sample_unit_sphere(PointCloud([point] * 9, np.ones((9, 3))), [2, 3, 4], LATTICE)
+    assert not sampled.is_set.any() and sampled.n_skipped_points == 9
+
+
+def test_cloud_without_points_is_legal():
+    sampled = sample_unit_sphere(PointCloud(np.zeros((0, 3)), np.zeros((0, 3))), ORIGIN, LATTICE)
+    assert len(sampled) == 1280 and not sampled.is_set.any() and sampled.n_skipped_points == 0
+
+
+def test_black_surface_is_set():
+    sampled = sample_unit_sphere(PointCloud([[0, 0, 1]], [[0, 0, 0]]), ORIGIN, LATTICE)
+    np.testing.assert_array_equal(np.flatnonzero(sampled.is_set), [0])
+
+
+def test_colour_beyond_the_range_is_clipped():
+    sampled = sample_unit_sphere(PointCloud([[0, 0, 1]], [[1.0000001, -1e-7, 0.5]]), ORIGIN, LATTICE)
+    np.testing.assert_array_equal(sampled.srgb[0], np.float32([1, 0, 0.5]))
+
+
+def test_sampling_leaves_the_cloud_alone():
+    points, srgb = np.asfortranarray(nasty_cloud(np.random.default_rng(9)).points_m), np.zeros((903, 3), np.float32)
+    before = points.copy()
+    sample_unit_sphere(PointCloud(points, srgb), ORIGIN, LATTICE)
+    np.testing.assert_array_equal(points, before)
+
+
+def test_table_sampling_differs_in_some_anchors_only():
+    cloud = random_cloud(np.random.default_rng(10), 49_152)
+    exact = sample_unit_sphere(cloud, ORIGIN, LATTICE)
+    by_table = sample_unit_sphere(cloud, ORIGIN, LATTICE, method="table")
+    by_brute = sample_unit_sphere(cloud, ORIGIN, LATTICE, method="brute")
+    assert_same(exact, by_brute, rtol=0)
+    assert 0 < (exact.distance_m != by_table.distance_m).mean() < 0.2
+
+
+@pytest.mark.parametrize("position", [[0, 0], [np.nan, 0, 0], [0, np.inf, 0], [[0, 0, 0]]])
+def test_position_must_be_three_finite_numbers(position):
+    with pytest.raises(ValueError, match="position_m: expected three finite numbers"):
+        sample_unit_sphere(random_cloud(np.random.default_rng(0), 3), position, LATTICE)
+
+
+@pytest.mark.parametrize("sample", [sample_uniform, sample_farthest])
+def test_baselines_pick_different_usable_points_with_their_own_colours(sample):
+    cloud = nasty_cloud(np.random.default_rng(11))
+    cloud = PointCloud(cloud.points_m[:400], cloud.srgb[:400])
+    picked = sample(cloud, 128, np.random.default_rng(12))
+    assert len(picked.points_m) == 128
+    assert np.isfinite(picked.points_m).all() and np.isfinite(picked.srgb).all()
+    pairs = {(*point, *colour) for point, colour in zip(cloud.points_m, cloud.srgb, strict=True)}
+    chosen = {(*point, *colour) for point, colour in zip(picked.points_m, picked.srgb, strict=True)}
+    assert len(chosen) == 128 and chosen <= pairs
+
+
+@pytest.mark.parametrize("sample", [sample_uniform, sample_farthest])
+def test_baselines_repeat_for_a_seed_and_differ_for_another(sample):
+    cloud = random_cloud(np.random.default_rng(13), 2000)
+    first, same, other = (sample(cloud, 50, np.random.default_rng(seed)).points_m for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, same)
+    assert not np.array_equal(first, other)
+
+
+@pytest.mark.parametrize("sample", [sample_uniform, sample_farthest])
+@pytest.mark.parametrize(("n", "n_points", "expected"), [(0, 5, 0), (5, 5, 5), (9, 5, 5), (3, 0, 0)])
+def test_baselines_give_all_points_where_there_are_no_more(sample, n, n_points, expected):
+    cloud = random_cloud(np.random.default_rng(14), n_points)
+    assert len(sample(cloud, n, np.random.default_rng(0)).points_m) == expected
+
+
+@pytest.mark.parametrize("sample", [sample_uniform, sample_farthest])
+def test_baselines_refuse_a_negative_number(sample):
+    with pytest.raises(ValueError, match="0 points or more, got -1"):
+        sample(random_cloud(np.random.default_rng(0), 3), -1, np.random.default_rng(0))
+
+
+def test_uniform_sampling_favours_no_point():
+    cloud = PointCloud(np.arange(30).reshape(10, 3), np.zeros((10, 3)))
+    rng = np.random.default_rng(15)
+    counts = np.zeros(10)
+    for _ in range(2000):
+        counts[(sample_uniform(cloud, 3, rng).points_m[:, 0] / 3).astype(int)] += 1
+    np.testing.assert_allclose(counts / 2000, 0.3, atol=0.05)
+
+
+def test_each_farthest_point_is_the_farthest_from_those_before_it():
+    cloud = random_cloud(np.random.default_rng(16), 3000)
+    picked = sample_farthest(cloud, 60, np.random.default_rng(17)).points_m.astype(np.float64)
+    gap_m = np.full(3000, np.inf)
+    for point, following in pairwise(picked):
+        gap_m = np.minimum(gap_m, np.linalg.norm(cloud.points_m - point, axis=1))
+        gap_of_following_m = gap_m[(cloud.points_m == following).all(axis=1)]
+        assert gap_of_following_m == pytest.approx([gap_m.max()], rel=1e-5)
+
+
+def test_farthest_sampling_names_the_extra_that_is_missing(monkeypatch):
+    monkeypatch.setitem(sys.modules, "fpsample", None)
+    with pytest.raises(ImportError, match=r"xihe-blender\[bench\]"):
+        sample_farthest(random_cloud(np.random.default_rng(0), 9), 3, np.random.default_rng(0))

@@ -1,0 +1,64 @@
+"""How much of the light around a position has been seen?
+
+Two answers. Coverage is the share of anchors that are set: the paper's observation completeness, and what the trigger
+and the report use. Joint entropy, the paper's equation 1, also asks how evenly the points of a cloud are spread, at
+several scales at once, and compares clouds of the same size; it needs no sampled cloud.
+
+P of the equation is taken as the share of the points in an anchor's cell and sums to 1 for each number of anchors. One
+sum over all numbers together was rejected: it would weigh the scales by a constant that carries no information.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from xihenet.records import ArrayInt, UnitSphereCloud
+from xihenet.sphere import AnchorLattice
+
+ENTROPY_SIZES = tuple(2**k for k in range(1, 13))
+
+
+def coverage(cloud: UnitSphereCloud) -> float:
+    """Share of the anchors that are set, 0 to 1; 0 for a cloud without anchors."""
+    return float(cloud.is_set.mean()) if len(cloud) else 0.0
+
+
+def joint_entropy(points_m: ArrayLike, position_m: ArrayLike) -> float:
+    """Joint entropy of the points' directions and the anchors, in bits, summed over 2, 4, ... 4096 anchors.
+
+    Parameters
+    ----------
+    points_m : (P, 3) world frame, metres. Points that are not finite or lie at the position are left out
+    position_m : (3,) finite, world frame, metres
+
+    Returns
+    -------
+    entropy : 0 if all points lie in one direction, or if there are none; at most 1 + 2 + ... + 12 = 78
+
+    Raises
+    ------
+    ValueError : for another shape, or a position that is not finite
+
+    Notes
+    -----
+    Equation 1 of the paper's section on unit-sphere sampling, P normalised for each number of anchors.
+    """
+    points, position = np.asarray(points_m, np.float64), np.asarray(position_m, np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"points_m: expected an array of shape (any, 3), got {points.shape}")
+    if position.shape != (3,) or not np.isfinite(position).all():
+        raise ValueError(f"position_m: expected three finite numbers, got {position_m!r}")
+    with np.errstate(over="ignore"):
+        relative = points - position
+    usable = np.isfinite(relative).all(axis=1) & relative.any(axis=1)
+    columns = np.ascontiguousarray(relative[usable].T)
+    return sum(_entropy(AnchorLattice(n).nearest_to_columns(columns)) for n in ENTROPY_SIZES)
+
+
+def _entropy(labels: ArrayInt) -> float:
+    """Entropy of the labels' shares, in bits; 0 without labels."""
+    counts = np.bincount(labels)
+    shares = counts[counts > 0] / max(len(labels), 1)
+    # Adding 0 turns the -0.0 of a single share into 0.0.
+    return float(-(shares * np.log2(shares)).sum()) + 0.0

@@ -1,0 +1,195 @@
+"""Which of a frame's many points say what light arrives at one position?
+
+Unit-sphere sampling, the paper's choice: every point is projected to the unit sphere around the position, goes to its
+nearest anchor, and the nearest point wins the anchor, since it hides what lies behind it. Distance and colour of an
+anchor always come from one and the same point. `sample_unit_sphere_reference` is the same in a readable loop.
+
+Distance and point number are packed into one 64-bit key, so that a single minimum per anchor yields the winner, and
+points that are equally near are told apart by their number. Sorting by distance was rejected: it takes longer than
+all the rest.
+
+Uniform random and farthest-point sampling are here as the paper's baselines. Not here: merging with earlier frames.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, PointCloud, UnitSphereCloud
+from xihenet.sphere import AnchorLattice, NearestMethod
+
+_NO_POINT = np.uint64(2**64 - 1)
+_INFINITY_KEY = np.uint64(int(np.float32(np.inf).view(np.uint32)) << 32)
+
+
+def sample_unit_sphere(
+    cloud: PointCloud, position_m: ArrayLike, lattice: AnchorLattice, *, method: NearestMethod = "exact"
+) -> UnitSphereCloud:
+    """Give each anchor the colour and the distance of the nearest point in its direction.
+
+    Parameters
+    ----------
+    cloud : points in the world frame
+    position_m : (3,) finite, world frame, metres: where the light is wanted
+    lattice : the anchors
+    method : how the nearest anchor is found, see `AnchorLattice.nearest`
+
+    Returns
+    -------
+    UnitSphereCloud with ray distances from the position. Points that are NaN or infinite, that lie at the position
+    itself, whose distance overflows float32, or whose colour is NaN or infinite are skipped and counted. Of points
+    with the same distance in float32 the first one wins. Colours are clipped to [0, 1].
+
+    Notes
+    -----
+    Distances are within 4e-7 of their size plus 2^-48 of the position's distance from the origin: 1e-11 m at 10 km.
+
+    Raises
+    ------
+    ValueError : if the position is not three finite numbers
+    """
+    columns = _relative_columns(cloud.points_m, _checked_position(position_m))
+    distance_m = _distances(columns)
+    n_skipped = _exclude_unusable(columns, distance_m, cloud.srgb)
+    anchors = lattice.nearest_to_columns(columns, method)
+    is_set, winners = _nearest_points(anchors, distance_m, lattice.n)
+    srgb = np.zeros((lattice.n, 3), np.float32)
+    srgb[is_set] = cloud.srgb.take(winners, axis=0).clip(0, 1)
+    anchor_distance_m = np.zeros(lattice.n, np.float32)
+    anchor_distance_m[is_set] = distance_m[winners]
+    return UnitSphereCloud(srgb, anchor_distance_m, is_set, n_skipped)
+
+
+def sample_unit_sphere_reference(cloud: PointCloud, position_m: ArrayLike, lattice: AnchorLattice) -> UnitSphereCloud:
+    """As `sample_unit_sphere`, point after point in float64: slow, and meant to be read and compared with."""
+    position = _checked_position(position_m)
+    srgb = np.zeros((lattice.n, 3), np.float32)
+    nearest_m = np.full(lattice.n, np.inf, np.float32)
+    n_skipped = 0
+    for point, colour in zip(cloud.points_m.astype(np.float64), cloud.srgb, strict=True):
+        relative = point - position
+        with np.errstate(over="ignore"):
+            distance_m = np.float32(np.sqrt((relative * relative).sum()))
+        if not (np.isfinite(distance_m) and distance_m > 0 and np.isfinite(colour).all()):
+            n_skipped += 1
+            continue
+        anchor = int(np.argmax(lattice.directions @ relative))
+        if distance_m < nearest_m[anchor]:
+            nearest_m[anchor] = distance_m
+            srgb[anchor] = colour.clip(0, 1)
+    is_set = np.isfinite(nearest_m)
+    return UnitSphereCloud(srgb, np.where(is_set, nearest_m, 0), is_set, n_skipped)
+
+
+def sample_uniform(cloud: PointCloud, n: int, rng: np.random.Generator) -> PointCloud:
+    """`n` different points, each equally likely, in the cloud's order; all if it has no more than `n`.
+
+    Points and colours that are NaN or infinite are left out. Raises ValueError for a negative `n`.
+    """
+    usable = _finite_points(cloud, n)
+    return _chosen(cloud, np.sort(rng.choice(usable, min(n, len(usable)), replace=False)))
+
+
+def sample_farthest(cloud: PointCloud, n: int, rng: np.random.Generator) -> PointCloud:
+    """`n` points of which each is the farthest from those before it, the first at random; all if there are no more.
+
+    Points and colours that are NaN or infinite are left out. Needs the package `fpsample`.
+
+    Raises
+    ------
+    ValueError : for a negative `n`
+    ImportError : without `fpsample`, naming the extra that brings it
+    """
+    try:
+        import fpsample
+    except ImportError as error:
+        raise ImportError("farthest-point sampling needs fpsample: pip install 'xihe-blender[bench]'") from error
+    usable = _finite_points(cloud, n)
+    if n == 0 or len(usable) <= n:
+        return _chosen(cloud, usable[:n])
+    first = int(rng.integers(len(usable)))
+    # Of its methods the bucket one is the fastest, and exact; 2^7 points per bucket suit some 50,000 points.
+    picked = fpsample.bucket_fps_kdline_sampling(cloud.points_m[usable], n, h=7, start_idx=first)
+    return _chosen(cloud, usable[np.asarray(picked, np.intp)])
+
+
+def _checked_position(position_m: ArrayLike) -> ArrayF64:
+    position = np.asarray(position_m, np.float64)
+    if position.shape != (3,) or not np.isfinite(position).all():
+        raise ValueError(f"position_m: expected three finite numbers, got {position_m!r}")
+    return position
+
+
+def _relative_columns(points_m: ArrayF32, position: ArrayF64) -> ArrayF32:
+    """(3, P) x, y and z of the points as seen from the position.
+
+    The position is taken off in two parts, its float32 value and what that leaves. A float32 difference is rounded
+    relative to itself and is exact where the two are close, so that rounding the position first loses nothing.
+    """
+    columns = np.empty((3, len(points_m)), np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        coarse = position.astype(np.float32)
+        fine = (position - coarse).astype(np.float32)
+        for axis, column in enumerate(columns):
+            np.subtract(points_m[:, axis], coarse[axis], out=column)
+            if fine[axis] != 0:
+                column -= fine[axis]
+    return columns
+
+
+def _distances(columns: ArrayF32) -> ArrayF32:
+    """(P,) lengths in float32; through float64 where a square would leave the range of float32."""
+    x, y, z = columns
+    with np.errstate(over="ignore"):
+        squares = x * x
+        squares += y * y
+        squares += z * z
+        distances: ArrayF32 = np.sqrt(squares)
+        if len(squares) and not (squares.min() > 1e-30 and squares.max() < 1e30):
+            extreme = np.flatnonzero(~((squares > 1e-30) & (squares < 1e30)))
+            few = columns.take(extreme, axis=1).astype(np.float64)
+            distances[extreme] = np.sqrt((few * few).sum(axis=0)).astype(np.float32)
+    return distances
+
+
+def _exclude_unusable(columns: ArrayF32, distance_m: ArrayF32, srgb: ArrayF32) -> int:
+    """Move points that cannot be used to an infinite distance, in place; how many there are."""
+    if not len(distance_m):
+        return 0
+    is_usable: ArrayBool | None = None
+    # NaN passes through a minimum and makes every comparison False.
+    if not (distance_m.min() > 0 and distance_m.max() < np.inf):
+        is_usable = (distance_m > 0) & (distance_m < np.inf)
+    if not (np.isfinite(srgb.min()) and np.isfinite(srgb.max())):
+        is_finite = np.isfinite(srgb).all(axis=1)
+        is_usable = is_finite if is_usable is None else is_usable & is_finite
+    if is_usable is None:
+        return 0
+    unusable = np.flatnonzero(~is_usable)
+    columns[:, unusable] = 1
+    distance_m[unusable] = np.inf
+    return len(unusable)
+
+
+def _nearest_points(anchors: ArrayInt, distance_m: ArrayF32, n_anchors: int) -> tuple[ArrayBool, ArrayInt]:
+    """Which anchors have a point at a finite distance, and the number of the nearest one for each of those."""
+    # The bits of floats that are not negative rise with the floats.
+    keys = distance_m.view(np.uint32).astype(np.uint64)
+    keys <<= np.uint64(32)
+    keys |= np.arange(len(keys), dtype=np.uint64)
+    best = np.full(n_anchors, _NO_POINT)
+    np.minimum.at(best, anchors, keys)
+    is_set: ArrayBool = best < _INFINITY_KEY
+    return is_set, (best[is_set] & np.uint64(2**32 - 1)).astype(np.intp)
+
+
+def _finite_points(cloud: PointCloud, n: int) -> ArrayInt:
+    """Numbers of the points whose place and colour are finite."""
+    if n < 0:
+        raise ValueError(f"n: expected 0 points or more, got {n}")
+    return np.flatnonzero(np.isfinite(cloud.points_m).all(axis=1) & np.isfinite(cloud.srgb).all(axis=1))
+
+
+def _chosen(cloud: PointCloud, numbers: ArrayInt) -> PointCloud:
+    return PointCloud(cloud.points_m[numbers], cloud.srgb[numbers])
