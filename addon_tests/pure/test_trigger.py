@@ -1,0 +1,165 @@
+"""When the trigger fires, and what it says about it."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from xihenet.records import TriggerDecision, UnitSphereCloud
+from xihenet.sphere import AnchorLattice
+from xihenet.trigger import TriggerSettings, decide_trigger
+
+N = 320
+LATTICE = AnchorLattice(N)
+
+
+def cloud(is_set, colour=0.5):
+    is_set = np.broadcast_to(is_set, N).copy()
+    srgb = np.where(is_set[:, None], np.float32(colour), 0).astype(np.float32) * np.ones(3, np.float32)
+    return UnitSphereCloud(srgb, np.where(is_set, 2.0, 0.0), is_set)
+
+
+def random_cloud(rng, share=0.5):
+    is_set = rng.random(N) < share
+    return UnitSphereCloud(rng.random((N, 3)) * is_set[:, None], rng.uniform(0.1, 5, N) * is_set, is_set)
+
+
+HALF = LATTICE.directions[:, 2] > 0
+
+
+def test_the_first_cloud_fires_for_being_first():
+    for previous in (None, UnitSphereCloud.empty(N)):
+        decision = decide_trigger(previous, cloud(HALF), LATTICE, TriggerSettings())
+        assert decision.fire and decision.reason == "first" and decision.change is None
+
+
+@pytest.mark.parametrize("policy", ["split", "reference"])
+def test_nothing_seen_never_fires(policy):
+    settings_ = TriggerSettings(theta=0.0, policy=policy, coverage_theta=0.0)
+    for previous in (None, UnitSphereCloud.empty(N), cloud(HALF)):
+        assert not decide_trigger(previous, UnitSphereCloud.empty(N), LATTICE, settings_).fire
+
+
+@pytest.mark.parametrize("policy", ["split", "reference"])
+@pytest.mark.parametrize("seed", range(5))
+def test_identical_clouds_never_fire_even_at_theta_zero(policy, seed):
+    seen = random_cloud(np.random.default_rng(seed))
+    decision = decide_trigger(seen, seen, LATTICE, TriggerSettings(theta=0.0, coverage_theta=0.0, policy=policy))
+    assert not decision.fire and decision.reason == "none" and decision.change == 0
+
+
+def test_a_light_that_changes_fires_for_colour():
+    decision = decide_trigger(cloud(HALF, 0.1), cloud(HALF, 1.0), LATTICE, TriggerSettings())
+    assert decision.fire and decision.reason == "colour"
+    assert decision.change == pytest.approx(0.81, abs=1e-6)
+    assert decision.n_changed_anchors == HALF.sum()
+
+
+def test_a_newly_seen_bright_thing_is_coverage_and_not_a_change_from_black():
+    before, after = cloud(HALF, 1.0), cloud(True, 1.0)
+    decision = decide_trigger(before, after, LATTICE, TriggerSettings())
+    assert decision.fire and decision.reason == "coverage"
+    assert decision.change == pytest.approx(1 - HALF.mean()) and decision.threshold == 0.05
+    assert decision.n_changed_anchors == N - HALF.sum()
+
+
+def test_the_reference_policy_counts_a_newly_seen_bright_thing_as_a_change_from_black():
+    settings_ = TriggerSettings(policy="reference")
+    decision = decide_trigger(cloud(HALF, 1.0), cloud(True, 1.0), LATTICE, settings_)
+    assert decision.fire and decision.reason == "colour" and decision.change == pytest.approx(1.0)
+    assert not decide_trigger(cloud(HALF, 1.0), cloud(True, 0.7), LATTICE, settings_).fire
+
+
+def test_the_reference_policy_equals_a_loop_over_anchors_as_the_paper_tells_it():
+    rng = np.random.default_rng(8)
+    window = LATTICE.neighbours(4)
+    for _ in range(20):
+        before, after = random_cloud(rng), random_cloud(rng)
+        pooled = []
+        for anchor in range(N):
+            change = [((after.srgb[k] - before.srgb[k]) ** 2).mean() for k in window[anchor]]
+            pooled.append(sum(change) / 4)
+        decision = decide_trigger(before, after, LATTICE, TriggerSettings(theta=0.3, policy="reference"))
+        assert decision.change == pytest.approx(max(pooled), rel=1e-5)
+        assert decision.n_changed_anchors == sum(value > 0.3 for value in pooled)
+
+
+def test_the_split_policy_equals_a_loop_over_the_anchors_set_on_both_sides():
+    rng = np.random.default_rng(9)
+    window = LATTICE.neighbours(4)
+    for _ in range(20):
+        before, after = random_cloud(rng), random_cloud(rng)
+        common = before.is_set & after.is_set
+        pooled = []
+        for anchor in np.flatnonzero(common):
+            change = [((after.srgb[k] - before.srgb[k]) ** 2).mean() for k in window[anchor] if common[k]]
+            pooled.append(sum(change) / len(change))
+        decision = decide_trigger(before, after, LATTICE, TriggerSettings(theta=0.3, coverage_theta=1.0))
+        assert decision.change == pytest.approx(max(pooled), rel=1e-5)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0, 1), st.floats(0, 1), st.sampled_from(["split", "reference"]))
+@settings(max_examples=50, deadline=None)
+def test_firing_for_colour_is_monotone_in_theta(seed, low, high, policy):
+    rng = np.random.default_rng(seed)
+    before, after = random_cloud(rng), random_cloud(rng)
+    low, high = sorted((low, high))
+    fires = [
+        decide_trigger(before, after, LATTICE, TriggerSettings(theta=theta, policy=policy, coverage_theta=1.0)).fire
+        for theta in (low, high)
+    ]
+    assert fires[0] or not fires[1]
+
+
+def test_an_infinite_theta_never_fires_for_colour():
+    decision = decide_trigger(
+        cloud(True, 0.0), cloud(True, 1.0), LATTICE, TriggerSettings(theta=np.inf, coverage_theta=1.0)
+    )
+    assert not decision.fire
+
+
+def test_a_few_noisy_anchors_can_be_set_aside():
+    after = cloud(True).srgb.copy()
+    after[[10, 150, 300]] = 1.0
+    noisy = UnitSphereCloud(after, cloud(True).distance_m, np.ones(N, bool))
+    eager, patient = TriggerSettings(theta=0.02), TriggerSettings(theta=0.02, ignored_share=0.1)
+    assert decide_trigger(cloud(True), noisy, LATTICE, eager).reason == "colour"
+    assert not decide_trigger(cloud(True), noisy, LATTICE, patient).fire
+    assert decide_trigger(cloud(True), cloud(True, 0.7), LATTICE, patient).reason == "colour"
+
+
+def test_hysteresis_keeps_a_flicker_around_the_threshold_from_firing_in_every_frame():
+    settings_ = TriggerSettings(theta=0.1, hysteresis=0.5)
+    flicker = (cloud(True, 0.3), cloud(True, 0.65))
+    first = decide_trigger(*flicker, LATTICE, settings_)
+    assert first.reason == "colour"
+    assert not decide_trigger(*flicker, LATTICE, settings_, last=first).fire
+    calm = TriggerDecision(False, "none", 0.0, 0.1)
+    assert decide_trigger(*flicker, LATTICE, settings_, last=calm).fire
+
+
+def test_a_single_anchor_works():
+    one = AnchorLattice(1)
+    dark, bright = (UnitSphereCloud([[c] * 3], [1.0], [True]) for c in (0.0, 1.0))
+    assert decide_trigger(dark, bright, one, TriggerSettings()).reason == "colour"
+
+
+def test_clouds_of_different_lattices_are_refused():
+    with pytest.raises(ValueError, match="320 and 2 anchors"):
+        decide_trigger(cloud(True), UnitSphereCloud.empty(2), LATTICE, TriggerSettings())
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"theta": -0.1},
+        {"theta": np.nan},
+        {"n_neighbours": 0},
+        {"policy": "best"},
+        {"coverage_theta": -1},
+        {"ignored_share": 1},
+    ],
+)
+def test_settings_out_of_range_are_refused(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        TriggerSettings(**wrong)
