@@ -83,7 +83,7 @@ class RgbdFrame:
     intrinsics : of both images
     world_from_camera : (4, 4) float64
     exposure : factor that was applied to linear radiance before clipping and encoding, positive
-    ambient : (3,) linear scene radiance, averaged over the sensor's view and not clipped, or None without a sensor
+    ambient : (3,) linear scene radiance that the ambient light sensor reports, or None without a sensor
     time_s : seconds since the start of the session
     frame : number of the frame in its source
     """

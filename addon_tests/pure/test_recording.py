@@ -54,7 +54,7 @@ def test_a_recording_is_never_overwritten(tmp_path):
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 but no archive", b"nonsense"])
 def test_a_file_that_is_no_frame_is_named(tmp_path, content):
     (tmp_path / "frame_000000.npz").write_bytes(content)
-    with pytest.raises(ValueError, match="frame_000000.npz: not a recorded frame"):
+    with pytest.raises(ValueError, match=r"frame_000000\.npz: not a recorded frame"):
         ReplayScanner(tmp_path).acquire_environment_scan()
 
 

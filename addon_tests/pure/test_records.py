@@ -82,7 +82,7 @@ def test_empty_records_are_legal():
 
 def test_points_may_be_nan_but_need_a_colour_each():
     PointCloud([[np.nan, 0, 0]], [[0, 0, 0]])
-    with pytest.raises(ValueError, match="PointCloud.srgb"):
+    with pytest.raises(ValueError, match=r"PointCloud\.srgb"):
         PointCloud([[np.nan, 0, 0]], np.zeros((2, 3)))
 
 

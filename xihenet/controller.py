@@ -1,0 +1,207 @@
+"""The chain of one session: unproject, sample, merge, trigger, encode, estimate, at every estimation position.
+
+`XiheController` holds all the state there is: the buffers, the last decision and the light in force of each position.
+Each stage is a function of its own file and is called here once. Capture comes before this chain, apply and compare
+after it; they belong to whoever has a camera and a picture.
+
+Paper: section 5 and its table of classes; section 4.3.2 for active positions.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from xihenet.backend import InferenceBackend
+from xihenet.buffers import PositionBuffers
+from xihenet.camera import in_view, unproject_frame
+from xihenet.codec import EncodingMethod, encode_cloud
+from xihenet.completeness import coverage
+from xihenet.estimators.base import EstimateContext
+from xihenet.recording import SessionRecorder
+from xihenet.records import ArrayF64, Intrinsics, LightEstimate, PointCloud, RgbdFrame, StepReport, TriggerDecision
+from xihenet.sampling import sample_unit_sphere
+from xihenet.sphere import AnchorLattice, NearestMethod
+from xihenet.trigger import TriggerSettings, decide_trigger
+
+
+@dataclass(frozen=True)
+class ControllerSettings:
+    """How a session runs.
+
+    Parameters
+    ----------
+    trigger : when a new estimate is worth its cost
+    codec : wire format by which `payload_bytes` is counted; see `xihenet.codec`
+    nearest : how points find their anchor, "exact", "table" or "brute"
+    reference_exposure : the exposure that anchors and estimates carry; None takes the first frame's
+    """
+
+    trigger: TriggerSettings = field(default_factory=TriggerSettings)
+    codec: EncodingMethod = "uint8_float16_stripped"
+    nearest: NearestMethod = "exact"
+    reference_exposure: float | None = None
+
+
+class XiheController:
+    """One AR session: positions go in, frames go in, light comes out.
+
+    Parameters
+    ----------
+    backend : makes the estimates; its `n_anchors` is the session's
+    settings : see `ControllerSettings`
+    """
+
+    def __init__(self, backend: InferenceBackend, settings: ControllerSettings | None = None) -> None:
+        self.backend = backend
+        self.settings = settings or ControllerSettings()
+        self.lattice = AnchorLattice(backend.n_anchors)
+        self.reference_exposure = self.settings.reference_exposure
+        # Tables are built on first use; built here, no frame pays for them.
+        self.lattice.nearest(self.lattice.directions[:1], method=self.settings.nearest)
+        self.lattice.neighbours(min(self.settings.trigger.n_neighbours, len(self.lattice)))
+        self._positions: dict[str, _Position] = {}
+        self._frame: RgbdFrame | None = None
+        self._recorder: SessionRecorder | None = None
+
+    def add_position(self, name: str, position_m: ArrayLike) -> None:
+        """Estimate the light at `position_m` ((3,), world, metres) from now on; a name that is known is moved there."""
+        position = np.asarray(position_m, np.float64)
+        if position.shape != (3,) or not np.isfinite(position).all():
+            raise ValueError(f"add_position {name!r}: expected three finite coordinates, got {position_m!r}")
+        self._positions[name] = _Position(position, PositionBuffers.empty(self.backend.n_anchors))
+
+    def light(self, name: str) -> LightEstimate | None:
+        """The light in force at a position: its last valid estimate, or None before there is one."""
+        return self._positions[name].light
+
+    def active(self, intrinsics: Intrinsics, world_from_camera: ArrayF64) -> list[str]:
+        """Names of the positions inside a camera's view; the others cost nothing and keep their light."""
+        if not self._positions:
+            return []
+        points = np.stack([position.position_m for position in self._positions.values()])
+        seen = in_view(points, intrinsics, world_from_camera)
+        return [name for name, is_active in zip(self._positions, seen, strict=True) if is_active]
+
+    def step(self, frame: RgbdFrame, truth: dict[str, ArrayF64] | None = None) -> dict[str, StepReport]:
+        """Run the chain on one frame for every active position.
+
+        Parameters
+        ----------
+        frame : one capture
+        truth : (9, 3) coefficients of the rendered light probe by position, for estimators that need them
+
+        Returns
+        -------
+        StepReport by position, active ones only. Unprojecting is shared; its time stands in the first report.
+        """
+        if self._recorder is not None:
+            self._recorder.record(frame)
+        if self.reference_exposure is None:
+            self.reference_exposure = frame.exposure
+        self._frame = frame
+        active = self.active(frame.intrinsics, frame.world_from_camera)
+        if not active:
+            return {}
+        clock = StageClock()
+        with clock.stage("unproject"):
+            points = unproject_frame(frame, reference_exposure=self.reference_exposure)
+        reports = {}
+        for name in active:
+            reports[name] = self._step_position(name, frame, points, (truth or {}).get(name), clock)
+            clock = StageClock()
+        return reports
+
+    def _step_position(
+        self, name: str, frame: RgbdFrame, points: PointCloud, truth_sh: ArrayF64 | None, clock: StageClock
+    ) -> StepReport:
+        position, settings = self._positions[name], self.settings
+        with clock.stage("sample"):
+            sampled = sample_unit_sphere(points, position.position_m, self.lattice, method=settings.nearest)
+        with clock.stage("merge"):
+            buffers = position.buffers.with_frame(sampled)
+        with clock.stage("trigger"):
+            decision = decide_trigger(
+                buffers.persistent, buffers.temporary, self.lattice, settings.trigger, last=position.decision
+            )
+        estimate, payload = None, b""
+        if decision.fire:
+            with clock.stage("encode"):
+                payload = encode_cloud(buffers.temporary, settings.codec)
+            context = EstimateContext(frame, points, position.position_m, truth_sh, self.reference_exposure)
+            with clock.stage("estimate"):
+                buffers = buffers.fired()
+                estimate = self._estimate(buffers, context)
+        position.buffers, position.decision = buffers, decision
+        if estimate is not None and estimate.is_valid:
+            position.light = estimate
+        return StepReport(
+            decision, estimate, clock.stage_ms, len(payload), coverage(buffers.seen()), sampled.n_skipped_points
+        )
+
+    def _estimate(self, buffers: PositionBuffers, context: EstimateContext) -> LightEstimate:
+        """The light from the persistent cloud. Only a cloud with a set anchor gives a valid one."""
+        cloud, exposure = buffers.persistent, self.reference_exposure or 1.0
+        return LightEstimate(
+            self.backend.estimate(cloud, context),
+            exposure,
+            coverage(cloud),
+            self.backend.name,
+            is_valid=bool(cloud.is_set.any()),
+        )
+
+    def estimate_at(self, position_m: ArrayLike) -> LightEstimate:
+        """The light at `position_m` as far as the last frame shows it, now and whatever the trigger thinks.
+
+        The session's positions are left as they are; `add_position` makes one that is followed.
+        ValueError before the first frame. Without a point in view the estimate says `is_valid=False`.
+        """
+        if self._frame is None or self.reference_exposure is None:
+            raise ValueError("estimate_at: no frame yet; call step(frame) first")
+        points = unproject_frame(self._frame, reference_exposure=self.reference_exposure)
+        sampled = sample_unit_sphere(points, position_m, self.lattice, method=self.settings.nearest)
+        buffers = PositionBuffers.empty(len(sampled)).with_frame(sampled).fired()
+        position = np.asarray(position_m, np.float64)
+        context = EstimateContext(self._frame, points, position, None, self.reference_exposure)
+        return self._estimate(buffers, context)
+
+    def start_recording(self, path: str | Path) -> None:
+        """Keep every frame that `step` gets in the folder `path`; FileExistsError if that holds a recording."""
+        self._recorder = SessionRecorder(Path(path))
+
+    def stop_recording(self) -> int:
+        """Stop, and return how many frames were kept; 0 if nothing was being recorded."""
+        recorder, self._recorder = self._recorder, None
+        return recorder.n_frames if recorder else 0
+
+
+@dataclass
+class _Position:
+    """What a session knows of one estimation position."""
+
+    position_m: ArrayF64
+    buffers: PositionBuffers
+    decision: TriggerDecision | None = None
+    light: LightEstimate | None = None
+
+
+class StageClock:
+    """Milliseconds per stage."""
+
+    def __init__(self) -> None:
+        self.stage_ms: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the time of the block to stage `name`."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.stage_ms[name] = self.stage_ms.get(name, 0.0) + 1e3 * (time.perf_counter() - start)

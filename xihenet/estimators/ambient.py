@@ -1,0 +1,42 @@
+"""What a phone gives today: one colour for light from everywhere.
+
+Stands for the ambient light estimates of ARKit (intensity and colour temperature) and ARCore (intensity and colour
+correction): a constant sphere of light, l = 0 only. The sensor's RGB is used whole: a colour temperature would lose its
+tint, and the baseline should not lose by that.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from xihenet.colour import srgb_to_linear
+from xihenet.estimators.base import EstimateContext, Estimator
+from xihenet.records import ArrayF64, UnitSphereCloud
+
+
+class Ambient(Estimator):
+    """Constant light from the frame's sensor; without one, the mean of the set anchors; without those, black."""
+
+    name = "ambient"
+    needs = frozenset({"frame"})
+
+    def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> ArrayF64:
+        radiance = _sensed_radiance(context)
+        if radiance is None:
+            radiance = srgb_to_linear(cloud.srgb[cloud.is_set]).mean(axis=0) if cloud.is_set.any() else np.zeros(3)
+        return constant_light(np.minimum(radiance, 1.0) if self.target == "ldr" else radiance)
+
+
+def constant_light(radiance: ArrayF64) -> ArrayF64:
+    """(9, 3) coefficients of light of `radiance` ((3,)) from everywhere: its integral with Y_00 = 1 / (2 sqrt(pi))."""
+    sh_radiance = np.zeros((9, 3))
+    sh_radiance[0] = 2 * np.sqrt(np.pi) * radiance
+    return sh_radiance
+
+
+def _sensed_radiance(context: EstimateContext) -> ArrayF64 | None:
+    """(3,) mean radiance of the sensor at the session's exposure, or None without a sensor."""
+    frame = context.frame
+    if frame is None or frame.ambient is None:
+        return None
+    return frame.ambient * (context.reference_exposure or frame.exposure)

@@ -1,0 +1,83 @@
+"""What every estimator promises: a cloud goes in, nine finite coefficients per channel come out.
+
+The checks that all estimators share (anchor count, finite output, what a context must hold) live here once; an
+estimator writes `_estimate`. Whether the light could be known at all is the controller's judgement, by coverage.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from xihenet.records import ArrayF64, PointCloud, RgbdFrame, UnitSphereCloud
+
+Target = Literal["ldr", "hdr"]
+
+
+@dataclass(frozen=True, eq=False)
+class EstimateContext:
+    """What an estimator may use besides the cloud; every part is optional.
+
+    Parameters
+    ----------
+    frame : the capture of this moment, for its ambient light sensor
+    points : the raw point cloud of this moment
+    position_m : (3,) estimation position, world, metres
+    truth_sh : (9, 3) coefficients of the light probe rendered at the position, carrying the session's exposure
+    reference_exposure : the session's exposure; None stands for the frame's own
+    """
+
+    frame: RgbdFrame | None = None
+    points: PointCloud | None = None
+    position_m: ArrayF64 | None = None
+    truth_sh: ArrayF64 | None = None
+    reference_exposure: float | None = None
+
+
+class Estimator(ABC):
+    """One way to know the light at a position.
+
+    Parameters
+    ----------
+    n_anchors : anchors of the clouds that will come in
+    target : "ldr" estimates light clipped at 1 after exposure, as the paper trains; "hdr" the whole light
+    """
+
+    name: ClassVar[str]
+    needs: ClassVar[frozenset[str]] = frozenset()
+    """Fields of `EstimateContext` that this estimator is made for."""
+
+    def __init__(self, n_anchors: int = 1280, target: Target = "ldr") -> None:
+        if n_anchors < 1:
+            raise ValueError(f"{self.name}: expected at least one anchor, got {n_anchors}")
+        if target not in ("ldr", "hdr"):
+            raise ValueError(f"{self.name}: expected the target 'ldr' or 'hdr', got {target!r}")
+        self.n_anchors = n_anchors
+        self.target: Target = target
+
+    def estimate(self, cloud: UnitSphereCloud, context: EstimateContext | None = None) -> ArrayF64:
+        """(9, 3) radiance coefficients carrying the session's exposure.
+
+        A cloud without a set anchor is legal; what it gives is the estimator's guess, finite in any case.
+        ValueError for another number of anchors, a missing part of the context, or a result that is not finite.
+        """
+        if len(cloud) != self.n_anchors:
+            raise ValueError(f"{self.name}: made for {self.n_anchors} anchors, got a cloud of {len(cloud)}")
+        sh_radiance = self._estimate(cloud, context or EstimateContext())
+        if sh_radiance.shape != (9, 3) or not np.isfinite(sh_radiance).all():
+            raise ValueError(f"{self.name}: the estimate is not nine finite triples; refusing to pass it on")
+        return sh_radiance
+
+    def estimate_batch(self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike) -> ArrayF64:
+        """(B, 9, 3) from srgb (B, N, 3), distance_m (B, N) and is_set (B, N); equals B single estimates. B may be 0."""
+        colours, distances, known = np.asarray(srgb), np.asarray(distance_m), np.asarray(is_set, bool)
+        clouds = (UnitSphereCloud(*parts) for parts in zip(colours, distances, known, strict=True))
+        return np.array([self.estimate(cloud) for cloud in clouds]).reshape(-1, 9, 3)
+
+    @abstractmethod
+    def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> ArrayF64:
+        """The estimate proper; the caller checks its input and its output."""
