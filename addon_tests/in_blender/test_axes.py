@@ -1,0 +1,108 @@
+"""A light from one side is on that side: in the picture, the probe, the anchors, and from a rolled and tilted phone."""
+
+import numpy as np
+import pytest
+from tiny_scenes import box, empty_scene, material, phone, set_world
+
+from xihe_blender.capture import open_scanner
+from xihe_blender.render import RenderSettings
+from xihe_blender.truth import open_light_probe, probe_radiance_sh
+from xihenet import sh
+from xihenet.camera import unproject_frame
+from xihenet.colour import srgb_to_linear
+from xihenet.sampling import sample_unit_sphere
+from xihenet.sphere import AnchorLattice
+
+AXES = [(axis, sign) for axis in range(3) for sign in (1, -1)]
+POSITION = (0.3, -0.2, 0.1)
+
+
+def room_with_one_glowing_side(axis, sign):
+    """A 4 m cube that shows nothing but one glowing panel, in the middle of the side at `sign` on `axis`."""
+    scene = empty_scene()
+    set_world(scene)
+    box(scene, "Room", (0, 0, 0), (4, 4, 4), material("Black", (0.0, 0.0, 0.0)), inward=True)
+    centre, size = np.zeros(3), np.full(3, 1.5)
+    centre[axis], size[axis] = sign * 1.95, 0.02
+    box(scene, "Panel", centre, size, material("Glow", (1.0, 1.0, 1.0), emission=0.8))
+    return scene
+
+
+def dominant_direction(sh_radiance):
+    """Where most light comes from: the l = 1 coefficients as (x, y, z)."""
+    return sh_radiance[[3, 1, 2]].sum(axis=1)
+
+
+@pytest.mark.parametrize(("axis", "sign"), AXES)
+def test_the_probe_knows_the_side(axis, sign):
+    scene = room_with_one_glowing_side(axis, sign)
+    with open_light_probe(scene, RenderSettings((32, 16), 16, denoise=False)) as probe:
+        panorama = probe.panorama(POSITION, 1)
+    direction = dominant_direction(probe_radiance_sh(panorama, 1.0, "hdr"))
+    # The panel's centre as the probe sees it: a swapped or mirrored axis would be far off.
+    expected = -np.array(POSITION)
+    expected[axis] += sign * 1.95
+    cosine = direction @ expected / np.linalg.norm(direction) / np.linalg.norm(expected)
+    assert cosine > 0.995
+
+
+@pytest.mark.parametrize(("axis", "sign"), AXES)
+def test_anchors_know_the_side_from_a_rolled_and_tilted_phone(axis, sign):
+    scene = room_with_one_glowing_side(axis, sign)
+    panel = np.zeros(3)
+    panel[axis] = sign * 1.95
+    eye = np.array([0.4, 0.3, -0.35]) - 0.5 * panel / 1.95
+    camera = phone(scene, eye, panel)
+    camera.rotation_euler.rotate_axis("Z", 0.7)
+    camera.rotation_euler.rotate_axis("X", 0.15)
+    with open_scanner(scene, RenderSettings((128, 96), 4, denoise=False)) as scanner:
+        scanner.move_to(1)
+        cloud = unproject_frame(scanner.acquire_environment_scan())
+    lattice = AnchorLattice(1280)
+    seen = sample_unit_sphere(cloud, POSITION, lattice)
+    light = srgb_to_linear(seen.srgb).sum(axis=1)
+    centre = (lattice.directions * light[:, None]).sum(axis=0)
+    expected = panel - POSITION
+    assert centre @ expected / np.linalg.norm(centre) / np.linalg.norm(expected) > 0.99
+    bright = lattice.directions[light > 1.0] @ (expected / np.linalg.norm(expected))
+    assert len(bright) > 10 and bright.min() > 0.7
+
+
+@pytest.mark.parametrize(("axis", "sign"), AXES)
+def test_the_panorama_can_be_read_at_the_direction_it_says(axis, sign):
+    scene = room_with_one_glowing_side(axis, sign)
+    with open_light_probe(scene, RenderSettings((64, 32), 4, denoise=False)) as probe:
+        panorama = probe.panorama((0, 0, 0), 1)
+    directions = sh.panorama_directions(32, 64)
+    along = directions[..., axis] * sign
+    assert panorama[along > 0.98].min() > 0.7
+    assert panorama[along < 0.5].max() == 0.0
+
+
+def test_under_constant_light_truth_gives_that_light():
+    scene = empty_scene()
+    set_world(scene, (0.25, 0.5, 0.75))
+    with open_light_probe(scene, RenderSettings((32, 16), 4, denoise=False)) as probe:
+        panorama = probe.panorama(POSITION, 1)
+    expected = np.zeros((9, 3))
+    expected[0] = 2 * np.sqrt(np.pi) * np.array([0.25, 0.5, 0.75]) * 1.2
+    np.testing.assert_allclose(probe_radiance_sh(panorama, 1.2, "ldr"), expected, atol=2e-6)
+
+
+def test_a_probe_close_above_a_surface_sees_it():
+    scene = empty_scene()
+    set_world(scene)
+    box(scene, "Glowing floor", (0, 0, -0.5), (10, 10, 1), material("Glow", (1, 1, 1), emission=1.0))
+    with open_light_probe(scene, RenderSettings((32, 16), 4, denoise=False)) as probe:
+        panorama = probe.panorama((0, 0, 0.03), 1)
+    assert panorama[9:].min() > 0.99 and panorama[:7].max() == 0
+
+
+def test_the_targets_differ_only_where_light_is_brighter_than_white():
+    scene = room_with_one_glowing_side(0, 1)
+    with open_light_probe(scene, RenderSettings((32, 16), 16, denoise=False)) as probe:
+        panorama = probe.panorama(POSITION, 1)
+    ldr, hdr = (probe_radiance_sh(panorama, 1.0, target) for target in ("ldr", "hdr"))
+    np.testing.assert_allclose(ldr, hdr, atol=1e-6)
+    ldr, hdr = (probe_radiance_sh(panorama, 5.0, target) for target in ("ldr", "hdr"))
+    assert hdr[0, 0] > 2.5 * ldr[0, 0]

@@ -1,0 +1,223 @@
+"""What the phone sees: plane depth, intrinsics, poses, exposure."""
+
+import math
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Vector
+from tiny_scenes import box, empty_scene, look_at, material, phone, room_with_a_virtual_sphere, set_world
+
+from xihe_blender.capture import meter_exposure, open_scanner, phone_camera, sized_for
+from xihe_blender.errors import UserError
+from xihe_blender.render import RenderSettings
+from xihenet.camera import ray_distance_from_plane_depth, unproject_frame
+
+SMALL = RenderSettings((64, 48), samples=1, denoise=False)
+
+
+def furnished():
+    """Boxes at odd angles in a room, so that a wrong ray shows."""
+    scene = empty_scene()
+    set_world(scene, (1.0, 1.0, 1.0))
+    box(scene, "Room", (0, 0, 1.5), (5, 6, 3), inward=True)
+    for k in range(5):
+        item = box(scene, f"Box {k}", (k * 0.7 - 1.5, 0.4 * k, 0.3 + 0.2 * k), (0.5, 0.4, 0.6))
+        item.rotation_euler = (0.3 * k, 0.2 * k, 0.5 * k)
+    return scene
+
+
+def cast(scene, frame):
+    """Ray distance through every pixel centre by Blender's own ray cast, without rendering."""
+    depsgraph = scene.view_layers[0].depsgraph
+    depsgraph.update()
+    eye = frame.world_from_camera[:3, 3]
+    one_metre = type(frame)(frame.srgb_u8, np.ones_like(frame.plane_depth_m), frame.intrinsics, frame.world_from_camera)
+    distances = []
+    for point in unproject_frame(one_metre).points_m.astype(float):
+        hit, place, *_ = scene.ray_cast(depsgraph, Vector(eye), Vector(point - eye).normalized())
+        distances.append((Vector(eye) - place).length if hit else np.nan)
+    return np.array(distances).reshape(frame.plane_depth_m.shape)
+
+
+def assert_depth_is_the_ray_cast(scene, size=(64, 48)):
+    with open_scanner(scene, RenderSettings(size, samples=1, denoise=False)) as scanner:
+        scanner.move_to(scene.frame_current)
+        frame = scanner.acquire_environment_scan()
+    error = np.abs(ray_distance_from_plane_depth(frame.plane_depth_m, frame.intrinsics) - cast(scene, frame))
+    assert np.median(error) < 1e-4
+    # A handful of pixels lie on an edge, where either surface is right.
+    assert np.mean(error > 1e-3) < 0.01
+    return frame
+
+
+def test_rendered_plane_depth_is_the_ray_cast():
+    scene = furnished()
+    phone(scene, (-2, -2.5, 1.6), (0.5, 0.5, 0.8))
+    assert_depth_is_the_ray_cast(scene)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"shift_x": 0.2, "shift_y": -0.15},
+        {"sensor_fit": "VERTICAL", "lens": 24},
+        {"sensor_fit": "HORIZONTAL", "sensor_width": 20, "lens": 14},
+        {"lens_unit": "FOV", "angle": math.radians(100)},
+    ],
+)
+def test_plane_depth_is_the_ray_cast_for_any_lens(change):
+    scene = furnished()
+    camera = phone(scene, (-2, -2.5, 1.6), (0.5, 0.5, 0.8))
+    for name, value in change.items():
+        setattr(camera.data, name, value)
+    assert_depth_is_the_ray_cast(scene)
+
+
+def test_plane_depth_is_the_ray_cast_for_a_portrait_phone():
+    scene = furnished()
+    scene.render.resolution_x, scene.render.resolution_y = 48, 64
+    phone(scene, (-2, -2.5, 1.6), (0.5, 0.5, 0.8))
+    assert sized_for(scene, SMALL).size == (48, 64)
+    assert_depth_is_the_ray_cast(scene, (48, 64))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_plane_depth_is_the_ray_cast_for_a_rolled_and_tilted_phone(seed):
+    scene = furnished()
+    rng = np.random.default_rng(seed)
+    camera = phone(scene, (0, 0, 0), (0, 0, -1))
+    camera.location, camera.rotation_euler = rng.uniform([-2, -2.5, 1], [2, 2.5, 2.5]), rng.uniform(-3, 3, 3)
+    assert_depth_is_the_ray_cast(scene)
+
+
+def test_a_scaled_parent_does_not_bend_the_phone():
+    scene = furnished()
+    parent = bpy.data.objects.new("Parent", None)
+    scene.collection.objects.link(parent)
+    parent.scale, parent.rotation_euler = (0.2, 0.2, 0.2), (0.1, 0.2, 0.3)
+    camera = phone(scene, (-2, -2.5, 1.6), (0.5, 0.5, 0.8))
+    camera.parent = parent
+    assert_depth_is_the_ray_cast(scene)
+
+
+def test_capture_leaves_virtual_objects_out():
+    scene = room_with_a_virtual_sphere()
+    with open_scanner(scene, SMALL) as scanner:
+        scanner.move_to(1)
+        with_ball = scanner.acquire_environment_scan()
+    bpy.data.objects.remove(bpy.data.objects["Ball"])
+    with open_scanner(scene, SMALL) as scanner:
+        scanner.move_to(1)
+        without = scanner.acquire_environment_scan()
+    np.testing.assert_array_equal(with_ball.plane_depth_m, without.plane_depth_m)
+    np.testing.assert_array_equal(with_ball.srgb_u8, without.srgb_u8)
+
+
+def test_each_frame_is_rendered_from_its_own_place_on_the_path():
+    scene = room_with_a_virtual_sphere()
+    frames = []
+    with open_scanner(scene, SMALL) as scanner:
+        for number in (1, 3, 2):
+            scanner.move_to(number)
+            frames.append(scanner.acquire_environment_scan())
+    assert [frame.frame for frame in frames] == [1, 3, 2]
+    assert frames[1].time_s == pytest.approx(2 / 24)
+    assert np.abs(frames[0].plane_depth_m - frames[1].plane_depth_m).mean() > 0.05
+    assert frames[1].world_from_camera[0, 3] == pytest.approx(-0.6)
+
+
+def test_a_constraint_moves_the_phone():
+    scene = furnished()
+    camera = phone(scene, (-2, -2.5, 1.6), (0.5, 0.5, 0.8))
+    target = bpy.data.objects.new("Rail", None)
+    scene.collection.objects.link(target)
+    target.location = (1.0, -2.0, 1.2)
+    camera.constraints.new("COPY_LOCATION").target = target
+    assert_depth_is_the_ray_cast(scene)
+    with open_scanner(scene, SMALL) as scanner:
+        np.testing.assert_allclose(scanner.move_to(1)[1][:3, 3], (1.0, -2.0, 1.2), atol=1e-6)
+
+
+def test_markers_switch_the_phone():
+    scene = room_with_a_virtual_sphere()
+    first, second = scene.camera, phone(scene, (1, 1, 1), (0, 0, 0.8), "Second")
+    scene.timeline_markers.new("a", frame=1).camera = first
+    scene.timeline_markers.new("b", frame=3).camera = second
+    with open_scanner(scene, SMALL) as scanner:
+        assert scanner.move_to(1)[1][0, 3] == pytest.approx(-1.2)
+        assert scanner.move_to(3)[1][0, 3] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("kind", ["ORTHO", "PANO"])
+def test_a_camera_that_is_not_perspective_is_refused(kind):
+    scene = furnished()
+    phone(scene, (-2, -2.5, 1.6), (0.5, 0.5, 0.8)).data.type = kind
+    with pytest.raises(UserError, match="must be perspective"):
+        phone_camera(scene)
+
+
+def test_a_scene_without_a_camera_is_refused():
+    with pytest.raises(UserError, match="has no camera"):
+        phone_camera(furnished())
+
+
+def test_a_camera_scaled_to_zero_is_refused():
+    scene = furnished()
+    phone(scene, (-2, -2.5, 1.6), (0.5, 0.5, 0.8)).scale = (1, 0, 1)
+    with pytest.raises(UserError, match="scale of 0"):
+        phone_camera(scene)
+
+
+def test_sky_has_no_plane_depth_but_a_colour():
+    scene = empty_scene()
+    set_world(scene, (0.2, 0.4, 0.8))
+    phone(scene, (0, 0, 1), (0, 1, 1))
+    with open_scanner(scene, SMALL) as scanner:
+        scanner.move_to(1)
+        frame = scanner.acquire_environment_scan()
+        assert scanner.n_invalid_pixels == 64 * 48
+    assert not frame.plane_depth_m.any()
+    np.testing.assert_allclose(frame.ambient, (0.2, 0.4, 0.8), atol=5e-3)
+
+
+def test_metering_brings_a_grey_world_to_middle_grey():
+    scene = empty_scene()
+    set_world(scene, (3.0, 3.0, 3.0))
+    look_at(phone(scene, (0, 0, 1), (0, 1, 1)), (0, 0, 1), (0, 1, 1))
+    assert meter_exposure(scene, [1, 2, 3]) == pytest.approx(0.06, rel=1e-3)
+
+
+def test_metering_a_scene_without_light_gives_one():
+    scene = empty_scene()
+    set_world(scene)
+    phone(scene, (0, 0, 1), (0, 1, 1))
+    assert meter_exposure(scene, [1]) == 1.0
+
+
+def test_a_lamp_that_is_off_at_first_does_not_blow_out_the_rest():
+    scene = room_with_a_virtual_sphere()
+    always = meter_exposure(scene, [1, 2, 3])
+    strength = bpy.data.materials["Light"].node_tree.nodes["Emission"].inputs["Strength"]
+    for frame, value in ((1, 0.0), (2, 6.0), (3, 6.0)):
+        strength.default_value = value
+        strength.keyframe_insert("default_value", frame=frame)
+    assert always < meter_exposure(scene, [1, 2, 3]) < 15 * always
+
+
+def test_working_scenes_are_gone_after_an_error():
+    scene = room_with_a_virtual_sphere()
+    with pytest.raises(RuntimeError, match="on purpose"), open_scanner(scene, SMALL):
+        raise RuntimeError("on purpose")
+    assert [s.name for s in bpy.data.scenes] == [scene.name]
+
+
+def test_the_material_override_of_a_view_layer_does_not_reach_the_phone():
+    scene = room_with_a_virtual_sphere()
+    with open_scanner(scene, SMALL) as scanner:
+        scanner.move_to(1)
+        plain = scanner.acquire_environment_scan()
+    scene.view_layers[0].material_override = material("Clay", (0.0, 0.0, 0.0))
+    with open_scanner(scene, SMALL) as scanner:
+        scanner.move_to(1)
+        np.testing.assert_array_equal(scanner.acquire_environment_scan().srgb_u8, plain.srgb_u8)

@@ -1,0 +1,119 @@
+"""Scenes small enough for a test: a closed box room, a phone, a virtual sphere. Built anew for every test."""
+
+import math
+
+import bpy
+import numpy as np
+
+from xihe_blender.virtual_objects import virtual_collection
+
+
+def empty_scene():
+    """A scene with nothing in it, set to render small and fast on one sample."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples = 1
+    scene.render.resolution_x, scene.render.resolution_y = 64, 48
+    scene.frame_start, scene.frame_end = 1, 3
+    return scene
+
+
+def material(name, colour=(0.7, 0.7, 0.7), emission=0.0):
+    """A diffuse or an emissive material."""
+    made = bpy.data.materials.new(name)
+    if made.node_tree is None:
+        made.use_nodes = True
+    tree = made.node_tree
+    tree.nodes.clear()
+    shader = tree.nodes.new("ShaderNodeEmission" if emission else "ShaderNodeBsdfDiffuse")
+    shader.inputs["Color"].default_value = (*colour, 1.0)
+    if emission:
+        shader.inputs["Strength"].default_value = emission
+    tree.links.new(shader.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
+    return made
+
+
+def box(scene, name, centre, size, look=None, collection=None, inward=False):
+    """An axis-aligned box; `inward` turns its faces around, which makes it a room."""
+    x, y, z = (np.array([-0.5, 0.5]) * side for side in size)
+    corners = [(a, b, c) for a in x for b in y for c in z]
+    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata(corners, [], [face[::-1] for face in faces] if inward else faces)
+    mesh.materials.append(look or material(name))
+    item = bpy.data.objects.new(name, mesh)
+    item.location = centre
+    (collection or scene.collection).objects.link(item)
+    return item
+
+
+def sphere(scene, name, centre, radius, look=None, collection=None):
+    """A smooth UV sphere."""
+    rows, columns = 24, 48
+    polar = np.linspace(0, np.pi, rows + 1)[1:-1]
+    azimuth = np.arange(columns) * 2 * np.pi / columns
+    ring = [(math.sin(p) * math.cos(a), math.sin(p) * math.sin(a), math.cos(p)) for p in polar for a in azimuth]
+    points = np.array([(0, 0, 1), *ring, (0, 0, -1)]) * radius
+    top = [(0, 1 + a, 1 + (a + 1) % columns) for a in range(columns)]
+    last, start = len(points) - 1, 1 + (rows - 2) * columns
+    bottom = [(last, start + (a + 1) % columns, start + a) for a in range(columns)]
+    middle = [
+        (1 + r * columns + a, 1 + (r + 1) * columns + a, 1 + (r + 1) * columns + b, 1 + r * columns + b)
+        for r in range(rows - 2)
+        for a in range(columns)
+        for b in [(a + 1) % columns]
+    ]
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata(points.tolist(), [], top + middle + bottom)
+    mesh.shade_smooth()
+    mesh.materials.append(look or material(name))
+    item = bpy.data.objects.new(name, mesh)
+    item.location = centre
+    (collection or scene.collection).objects.link(item)
+    return item
+
+
+def phone(scene, location, towards, name="Phone"):
+    """A camera at `location` that looks at `towards`, and the scene's camera from then on."""
+    camera = bpy.data.objects.new(name, bpy.data.cameras.new(name))
+    scene.collection.objects.link(camera)
+    look_at(camera, location, towards)
+    scene.camera = camera
+    return camera
+
+
+def look_at(camera, location, towards):
+    from mathutils import Vector
+
+    camera.location = location
+    camera.rotation_euler = (Vector(towards) - Vector(location)).to_track_quat("-Z", "Y").to_euler()
+
+
+def set_world(scene, colour=(0.0, 0.0, 0.0)):
+    """A background of constant radiance."""
+    world = bpy.data.worlds.new("Background")
+    if world.node_tree is None:
+        world.use_nodes = True
+    background = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
+    background.inputs["Color"].default_value = (*colour, 1.0)
+    scene.world = world
+    return world
+
+
+def room_with_a_virtual_sphere(n_frames=3):
+    """A 4 x 4 x 3 m room with a lamp on the +X side, a table, a grey virtual sphere on it, and a moving phone."""
+    scene = empty_scene()
+    scene.frame_end = n_frames
+    set_world(scene)
+    box(scene, "Room", (0, 0, 1.5), (4, 4, 3), material("Walls", (0.6, 0.55, 0.5)), inward=True)
+    box(scene, "Table", (0, 0, 0.7), (1.2, 0.8, 0.05), material("Wood", (0.35, 0.2, 0.1)))
+    box(scene, "Lamp", (1.9, 0, 1.6), (0.05, 1.0, 1.0), material("Light", (1.0, 0.9, 0.7), emission=6.0))
+    virtual = virtual_collection(scene, create=True)
+    sphere(scene, "Ball", (0, 0, 0.85), 0.12, material("Grey", (0.5, 0.5, 0.5)), virtual)
+    camera = phone(scene, (-1.2, -1.5, 1.5), (0, 0, 0.85))
+    for frame in range(1, n_frames + 1):
+        look_at(camera, (-1.2 + 0.3 * (frame - 1), -1.5, 1.5), (0, 0, 0.85))
+        camera.keyframe_insert("location", frame=frame)
+        camera.keyframe_insert("rotation_euler", frame=frame)
+    return scene

@@ -1,0 +1,100 @@
+"""Which files does a run leave, and where? Every name is known before the run starts.
+
+`RunOutputs` names them all; nothing else in the project builds an output path. Files are written beside their place and
+renamed, so that a name that exists is a file that is whole.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+
+@dataclass(frozen=True)
+class RunOutputs:
+    """The files of one run below `folder`. `scene` is the stem of the .blend."""
+
+    folder: Path
+    scene: str
+
+    @property
+    def results(self) -> Path:
+        return self.folder / "results.json"
+
+    @property
+    def report(self) -> Path:
+        return self.folder / "report.html"
+
+    @property
+    def lit_blend(self) -> Path:
+        return self.folder / f"{self.scene}_lit.blend"
+
+    @property
+    def settings(self) -> Path:
+        """What the stored work below was made with: a run resumes only where it is the same."""
+        return self.folder / "work" / "settings.json"
+
+    def capture(self, frame: int) -> Path:
+        """Colour and plane depth of one frame, as recorded."""
+        return self.folder / "work" / f"capture_{frame:04d}.npz"
+
+    def times(self, frame: int) -> Path:
+        """Seconds that rendering one frame took; written last, so that its presence says the frame is whole."""
+        return self.folder / "work" / f"times_{frame:04d}.json"
+
+    def compared(self, frame: int) -> Path:
+        """Metrics of one frame; written last, so that its presence says its pictures are whole."""
+        return self.folder / "work" / f"compared_{frame:04d}.json"
+
+    def probe(self, place: int, name: str, frame: int) -> Path:
+        """Radiance panorama of the light probe at one estimation position, the `place`-th of the run."""
+        return self.folder / "radiance" / f"probe_{place}_{_file_stem(name)}_{frame:04d}.exr"
+
+    def radiance(self, method: str, frame: int) -> Path:
+        """Linear picture of one method, or of "ground_truth"."""
+        return self.folder / "radiance" / f"{method}_{frame:04d}.exr"
+
+    def picture(self, kind: str, frame: int) -> Path:
+        """sRGB picture: "captured", "ground_truth", a method, or "error_" and a method."""
+        return self.folder / "pictures" / f"{kind}_{frame:04d}.png"
+
+    def relative(self, path: Path) -> str:
+        """`path` as results.json names it: relative to the run's folder, with forward slashes."""
+        return path.relative_to(self.folder).as_posix()
+
+
+def _file_stem(name: str) -> str:
+    """`name` with everything but letters, digits, '-' and '.' replaced, so that it is a file name everywhere."""
+    return "".join(c if c.isalnum() or c in "-." else "_" for c in name)
+
+
+@contextlib.contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """Give a temporary path beside `path`; rename it to `path` on success, remove it on any error.
+
+    The temporary name keeps the suffix, since writers choose a format by it.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    try:
+        yield beside
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write strict JSON (no NaN, no Infinity: those raise ValueError) whole or not at all."""
+    with written_whole(path) as beside:
+        beside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def finite_or_none(value: float | None) -> float | None:
+    """`value` as JSON can hold it: None for None, NaN and infinity."""
+    return None if value is None or not math.isfinite(value) else float(value)
