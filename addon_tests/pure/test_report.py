@@ -1,0 +1,418 @@
+"""Is the report whole, safe and true to the results, whatever values are missing?"""
+
+from __future__ import annotations
+
+import base64
+import copy
+import json
+import math
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import xihe_blender.report.page as report
+from xihe_blender.outputs import RunOutputs
+from xihe_blender.report.pictures import MAX_FRAMES
+from xihe_blender.report.values import number_runs, significant
+from xihenet.png import write_png
+
+VOID = {"meta", "img", "input", "wbr"}
+METHODS = ("projection", "ambient", "truth")
+KINDS = ("captured", "ground_truth", *METHODS, "error_projection", "error_ambient")
+NASTY_NAME = "Vase <script>alert(1)</script> & \"copper\" 'pot' \N{POTTED PLANT}"
+
+
+# ------------------------------------------------------------------------------------------- synthetic results
+
+
+def room_picture(kind: str, turn: float, size: tuple[int, int]) -> np.ndarray:
+    """A wall, a floor and a grey ball that each kind of picture lights differently."""
+    width, height = size
+    y, x = np.mgrid[:height, :width] / height
+    centre_x, radius = 0.5 * width / height + 0.2 * math.sin(turn), 0.24
+    wall = np.stack([0.75 - 0.3 * y, 0.66 - 0.25 * y, 0.55 - 0.2 * y], -1) * (0.7 + 0.3 * np.cos(x - turn))[..., None]
+    floor = np.stack([0.34 + 0 * y, 0.25 + 0.1 * x, 0.18 + 0 * x], -1)
+    picture = np.where((y < 0.62)[..., None], wall, floor)
+    u, v = (x - centre_x) / radius, (y - 0.6) / radius
+    inside = u * u + v * v < 1
+    w = np.sqrt(np.clip(1 - u * u - v * v, 0, 1))
+    light = {"ground_truth": 0.95, "truth": 0.85, "projection": 0.6, "ambient": 0.0}
+    if kind.startswith("error_"):
+        shade = np.abs(light["ground_truth"] - light[kind.removeprefix("error_")]) * np.clip(0.7 * u - 0.5 * v, 0, 1)
+        return np.uint8(255 * np.where(inside[..., None], np.stack([shade, shade**2, 0.3 * shade], -1), 0.08))
+    if kind != "captured":
+        shade = 0.35 + light[kind] * np.clip(0.6 * u - 0.6 * v + 0.4 * w - 0.1, 0, 1)
+        picture = np.where(inside[..., None], shade[..., None] * np.array([1.0, 0.93, 0.84]), picture)
+    return np.uint8(255 * np.clip(picture, 0, 1) ** (1 / 1.6))
+
+
+def one_probe(rng: np.random.Generator, name: str, step: int, *, fires: bool) -> dict[str, Any]:
+    truth = 0.2 * rng.standard_normal((9, 3))
+    estimate = truth + 0.08 * rng.standard_normal((9, 3)) / (1 + 0.1 * step)
+    reason = ("first" if step == 0 else ("colour", "coverage")[step % 2]) if fires else "none"
+    return {
+        "name": name,
+        "position_m": [0.3, -1.25, 0.8],
+        "coverage": 1 - math.exp(-0.3 - 0.06 * step),
+        "fired": fires,
+        "reason": reason,
+        "change": None if step == 0 else 0.62 if reason == "colour" else float(0.3 * rng.random()),
+        "threshold": 0.2 if reason == "coverage" else 0.6,
+        "payload_bytes": int(2000 + 150 * step + 400 * rng.random()) if fires else 0,
+        "sh": estimate.tolist(),
+        "sh_truth": truth.tolist(),
+        "shc_rmse": float(np.sqrt(np.mean((estimate - truth) ** 2))),
+    }
+
+
+def one_frame(rng: np.random.Generator, step: int, names: list[str], *, active: bool, fires: bool) -> dict[str, Any]:
+    stage_ms = {"unproject": 1.9, "sample": 2.1, "merge": 0.1, "trigger": 0.3, "encode": 0.1, "estimate": 0.9}
+    slow = 12.0 if step == 0 else 1.0
+    return {
+        "frame": step + 1,
+        "time_s": step / 30,
+        "active": active,
+        "render_s": 0.9,
+        "stage_ms": {k: slow * v * float(1 + 0.2 * rng.random()) for k, v in stage_ms.items()} if active else {},
+        "n_invalid_pixels": 12 * (step % 3),
+        "probes": [one_probe(rng, name, step, fires=fires) for name in names] if active else [],
+        "pictures": {"captured": f"pictures/captured_{step + 1:04d}.png"},
+    }
+
+
+def add_comparison(frame: dict[str, Any], outputs: RunOutputs, size: tuple[int, int]) -> None:
+    """Pictures on disk and metrics, as a compared frame has them."""
+    number = frame["frame"]
+    for kind in KINDS:
+        path = outputs.picture(kind, number)
+        write_png(path, room_picture(kind, 0.1 * number, size))
+        frame["pictures"][kind] = outputs.relative(path)
+    frame["comparison"] = copy.deepcopy(COMPARISON)
+
+
+COMPARISON: dict[str, dict[str, float | None]] = {
+    "projection": {"psnr": 31.4159, "ssim": 0.98123, "rmse": 0.03414, "si_rmse": 0.02001, "angular_deg": 1.25},
+    "ambient": {"psnr": 27.1, "ssim": 0.9507, "rmse": 0.04931, "si_rmse": 0.0399, "angular_deg": 2.5},
+    "truth": {"psnr": 38.25, "ssim": 0.9931, "rmse": 0.0152, "si_rmse": 0.0113, "angular_deg": 0.61},
+}
+
+
+def synthetic(
+    folder: Path,
+    *,
+    n_frames: int = 24,
+    names: tuple[str, ...] = ("Vase", "Grey sphere"),
+    inactive: tuple[int, ...] = (),
+    compare_every: int = 6,
+    size: tuple[int, int] = (32, 24),
+) -> tuple[dict[str, Any], RunOutputs]:
+    """Results as a run leaves them, and their pictures in `folder`."""
+    rng = np.random.default_rng(5)
+    outputs = RunOutputs(folder, "living_room")
+    (folder / "pictures").mkdir(parents=True, exist_ok=True)
+    fired = {0, 3, 8, 15, 20}
+    frames = [
+        one_frame(rng, i, list(names), active=i not in inactive, fires=i % 24 in fired and i < 48)
+        for i in range(n_frames)
+    ]
+    for frame in frames:
+        write_png(outputs.folder / frame["pictures"]["captured"], room_picture("captured", 0.1 * frame["frame"], size))
+        if frame["active"] and (frame["frame"] - 1) % compare_every == 0:
+            add_comparison(frame, outputs, size)
+    n_estimates = sum(probe["fired"] for frame in frames for probe in frame["probes"])
+    results = {
+        "schema_version": 1,
+        "software": {"xihe": "0.1.0", "blender": "4.5.15 LTS", "python": "3.11.9", "numpy": "1.26.4",
+                     "command": "xihe previs living_room.blend --out out --preset draft"},
+        "machine": {"platform": "Linux-6.1-x86_64", "processor": "x86_64", "n_cores": 2, "cycles_device": "CPU"},
+        "settings": {"estimator": "projection", "preset": "draft", "target": "ldr", "size": [256, 192],
+                     "frames": [f["frame"] for f in frames], "n_anchors": 1280, "codec": "uint8_float16_stripped",
+                     "seed": 0, "reference_exposure": 1.7, "samples": {"capture": 4, "truth": 16, "comparison": 16},
+                     "trigger": {"theta": 0.6, "n_neighbours": 4, "policy": "split"}, "error_map_full_scale": 0.25,
+                     "keep_radiance": True},
+        "scene": {"file": "living_room.blend", "name": "Scene", "camera": "Phone", "fps": 30.0,
+                  "virtual_objects": list(names)},
+        "effects": [{"name": "sensor_noise", "state": "on", "reason": "the camera path holds still for 4 frames"},
+                    {"name": "motion_blur", "state": "off", "reason": "the camera moves less than a pixel per frame"}],
+        "frames": frames,
+        "comparison": copy.deepcopy(COMPARISON) if any("comparison" in f for f in frames) else {},
+        "summary": {"n_frames": n_frames, "n_active_frames": sum(f["active"] for f in frames),
+                    "n_estimates": n_estimates, "mean_shc_rmse": 0.0712, "ambient_shc_rmse": 0.1466,
+                    "mean_step_ms": 5.3, "render_s": 21.6, "overhead_share": 0.021},
+        "notes": ["Pictures are made with the Standard view transform, whatever the scene has set."],
+    }  # fmt: skip
+    return json.loads(json.dumps(results)), outputs
+
+
+def page_of(results: dict[str, Any], outputs: RunOutputs) -> str:
+    return report.write_report(results, outputs).read_text(encoding="utf-8")
+
+
+class Page(HTMLParser):
+    """Reads a page, fails on a tag that is not closed or closed twice, and keeps what tests ask about."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self.feed(page)
+        self.close()
+        assert not self.open, f"never closed: {self.open}"
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open and self.open.pop() == tag, f"</{tag}> closes something else"
+
+    def handle_data(self, data: str) -> None:
+        if not self.open or self.open[-1] not in ("script", "style"):
+            self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return re.sub(r"\s+", " ", " ".join(self.words))
+
+    def attributes(self, tag: str, name: str) -> list[str]:
+        return [value for found, attrs in self.tags if found == tag and (value := attrs.get(name)) is not None]
+
+
+def without_numbers(value: Any) -> Any:
+    """`value` with null for every number but those that say which frame it is and which schema."""
+    if isinstance(value, dict):
+        kept = ("frame", "schema_version")
+        return {k: v if k in kept else without_numbers(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [without_numbers(v) for v in value]
+    return None if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+# ------------------------------------------------------------------------------------------------- the whole page
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        {},
+        {"n_frames": 1},
+        {"n_frames": 1, "inactive": (0,)},
+        {"n_frames": 6, "inactive": tuple(range(6))},
+        {"n_frames": 12, "inactive": (0, 4, 5, 11), "compare_every": 1},
+        {"n_frames": 300, "names": tuple(f"Object {i}" for i in range(12)), "compare_every": 60, "size": (9, 16)},
+    ],
+)
+def test_the_page_is_balanced_and_needs_nothing_from_outside(tmp_path: Path, made: dict[str, Any]) -> None:
+    page = Page(page_of(*synthetic(tmp_path, **made)))
+    sources = [source for tag in ("img", "script", "iframe") for source in page.attributes(tag, "src")]
+    assert all(source.startswith("data:image/png;base64,") for source in sources)
+    assert all(target.startswith("#") for tag in ("a", "link", "use") for target in page.attributes(tag, "href"))
+    whole = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert not re.search(r"https?://|@import|url\(|file:", whole)
+    ids = [attrs["id"] for _, attrs in page.tags if "id" in attrs]
+    assert len(ids) == len(set(ids))
+    assert not re.search(r"\b(None|nan|inf|NaN)\b", page.text)
+
+
+def test_the_same_results_give_the_same_bytes(tmp_path: Path) -> None:
+    results, outputs = synthetic(tmp_path, n_frames=8)
+    first = report.write_report(results, outputs).read_bytes()
+    assert report.write_report(copy.deepcopy(results), outputs).read_bytes() == first
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["pictures", "report.html"]
+
+
+def test_writing_a_report_leaves_the_results_as_they_are(tmp_path: Path) -> None:
+    results, outputs = synthetic(tmp_path, n_frames=8, inactive=(2,))
+    before = copy.deepcopy(results)
+    report.write_report(results, outputs)
+    assert results == before
+
+
+def test_results_with_nothing_but_a_version_still_make_a_page(tmp_path: Path) -> None:
+    page = Page(page_of({"schema_version": 1}, RunOutputs(tmp_path, "room")))
+    assert "Over no frames the phone made no estimates" in page.text
+
+
+def test_nulls_in_place_of_all_numbers_are_dashes_and_gaps(tmp_path: Path) -> None:
+    results, outputs = synthetic(tmp_path, inactive=(3,))
+    page = Page(page_of(without_numbers(results), outputs))
+    assert not re.search(r"\b(None|nan|null)\b", page.text)
+    assert "could not be measured against the ground truth" in page.text
+    assert "no value in any frame" in page.text
+
+
+@pytest.mark.parametrize(
+    "key", ["settings", "scene", "software", "machine", "comparison", "summary", "notes", "effects"]
+)
+def test_a_null_section_does_not_cost_the_report(tmp_path: Path, key: str) -> None:
+    results, outputs = synthetic(tmp_path, n_frames=4)
+    assert "Frame by frame" in Page(page_of(results | {key: None}, outputs)).text
+
+
+def test_names_are_shown_as_text_and_never_become_markup(tmp_path: Path) -> None:
+    results, outputs = synthetic(tmp_path, n_frames=4, names=(NASTY_NAME,))
+    results["scene"]["name"] = results["scene"]["file"] = results["notes"][0] = NASTY_NAME
+    results["effects"][0] |= {"name": NASTY_NAME, "reason": NASTY_NAME, "state": NASTY_NAME}
+    results["software"]["command"] = ["xihe", "previs", NASTY_NAME]
+    results["settings"] |= {NASTY_NAME: NASTY_NAME, "preset": [NASTY_NAME]}
+    results["settings"]["estimator"] = results["frames"][0]["probes"][0]["reason"] = NASTY_NAME
+    results["comparison"][NASTY_NAME] = results["comparison"]["projection"]
+    results["frames"][0]["pictures"][NASTY_NAME] = results["frames"][0]["pictures"]["projection"]
+    whole = page_of(results, outputs)
+    page = Page(whole)
+    assert "<script>alert" not in whole
+    assert sum(tag == "script" for tag, _ in page.tags) == 1
+    assert page.text.count(NASTY_NAME) > 10
+    assert NASTY_NAME in page.attributes("option", "value")
+
+
+def test_a_name_that_is_no_text_does_not_cost_the_report(tmp_path: Path) -> None:
+    results, outputs = synthetic(tmp_path, n_frames=2, names=("broken \udcff name",))
+    assert "broken ? name" in Page(page_of(results, outputs)).text
+
+
+# ------------------------------------------------------------------------------------------------------- pictures
+
+
+def test_embedded_pictures_are_the_files_byte_for_byte(tmp_path: Path) -> None:
+    results, outputs = synthetic(tmp_path, n_frames=8)
+    page = Page(page_of(results, outputs))
+    embedded = {base64.b64decode(src.partition(",")[2]) for src in page.attributes("img", "src")}
+    shown = [frame for frame in results["frames"] if "comparison" in frame]
+    assert shown and all((tmp_path / path).read_bytes() in embedded for f in shown for path in f["pictures"].values())
+    assert set(page.attributes("img", "width")) == {"32"} and set(page.attributes("img", "height")) == {"24"}
+
+
+@pytest.mark.parametrize("content", [None, b"", b"not a picture, but long enough to be one"])
+def test_a_missing_or_broken_picture_is_named(tmp_path: Path, content: bytes | None) -> None:
+    results, outputs = synthetic(tmp_path, n_frames=2)
+    lost = outputs.picture("ambient", 1)
+    lost.unlink() if content is None else lost.write_bytes(content)
+    page = Page(page_of(results, outputs))
+    assert "No picture here. Expected pictures/ambient_0001.png" in page.text
+    assert "ambient" not in page.attributes("img", "data-kind")
+    assert ("1 picture missing: pictures/ambient_0001.png" in page.text) == (content is None)
+
+
+def test_a_file_outside_the_run_is_not_embedded(tmp_path: Path) -> None:
+    results, outputs = synthetic(tmp_path / "run", n_frames=1)
+    write_png(tmp_path / "private.png", np.zeros((4, 4, 3), np.uint8))
+    results["frames"][0]["pictures"]["truth"] = "../private.png"
+    page = page_of(results, outputs)
+    assert base64.b64encode((tmp_path / "private.png").read_bytes()).decode() not in page
+
+
+def test_frames_left_out_are_named_and_every_estimate_is_kept(tmp_path: Path) -> None:
+    results, outputs = synthetic(tmp_path, n_frames=60, compare_every=1)
+    page = Page(page_of(results, outputs))
+    shown = [int(frame) for frame in page.attributes("input", "data-frame")]
+    fired = [f["frame"] for f in results["frames"] if any(p["fired"] for p in f["probes"])]
+    assert len(shown) == MAX_FRAMES and shown == sorted(shown)
+    assert set(fired) <= set(shown)
+    assert f"Pictures of {60 - MAX_FRAMES} more frames are files beside this page" in page.text
+    assert str(number_runs(sorted(set(range(1, 61)) - set(shown)))) in page.text
+
+
+# --------------------------------------------------------------------------------------------------------- tables
+
+
+def test_every_number_of_the_comparison_is_the_one_in_the_results(tmp_path: Path) -> None:
+    results, outputs = synthetic(tmp_path, n_frames=4)
+    rng = np.random.default_rng(11)
+    for metrics in results["comparison"].values():
+        metrics.update({name: float(10 ** rng.uniform(-7, 3)) for name in metrics})
+    whole = page_of(results, outputs)
+    told = [float(value) for value in Page(whole).attributes("data", "value")]
+    ordered = [results["comparison"][method] for method in ("projection", "ambient", "truth")]
+    assert told == [metrics[name] for metrics in ordered for name in COMPARISON["truth"]]
+    for value, shown in re.findall(r'<data value="([^"]+)">([^<]+)</data>', whole):
+        assert float(shown.replace(",", "")) == pytest.approx(float(value), rel=6e-3, abs=6e-9)
+
+
+def test_the_best_of_each_column_is_marked_and_truth_never_is(tmp_path: Path) -> None:
+    results, outputs = synthetic(tmp_path, n_frames=4)
+    results["comparison"]["ambient"] |= {"ssim": 0.99, "angular_deg": 1.25}
+    rows = re.findall(r"<tr><th scope=\"row\"><code>(\w+)</code>.*?</tr>", page_of(results, outputs))
+    cells = dict(re.findall(r"<tr><th scope=\"row\"><code>(\w+)</code>(.*?)</tr>", page_of(results, outputs)))
+    marked = {m: re.findall(r'data-column="(\w+)[^>]*><span><strong', cells[m]) for m in rows if m in METHODS}
+    assert marked["projection"] == ["psnr", "rmse", "si_rmse", "angular_deg"]
+    assert marked["ambient"] == ["ssim", "angular_deg"]
+    assert marked["truth"] == []
+
+
+def test_a_null_metric_is_a_dash_with_its_reason(tmp_path: Path) -> None:
+    results, outputs = synthetic(tmp_path, n_frames=4)
+    results["comparison"]["truth"]["psnr"] = None
+    results["comparison"]["projection"]["angular_deg"] = None
+    text = Page(page_of(results, outputs)).text
+    assert "psnr of truth has no finite value for identical pictures" in text
+    assert "angular_deg of projection is undefined where one of the colours is black" in text
+
+
+def test_the_page_says_what_metrics_cannot_do_and_how_it_was_made(tmp_path: Path) -> None:
+    results, outputs = synthetic(tmp_path, n_frames=4)
+    text = Page(page_of(results, outputs)).text
+    assert "No image metric tracks human preference" in text
+    assert results["software"]["command"] in text
+    assert results["notes"][0] in text
+    assert all(effect["reason"] in text for effect in results["effects"])
+
+
+def test_the_last_coefficients_of_a_probe_are_in_the_page(tmp_path: Path) -> None:
+    results, outputs = synthetic(tmp_path, n_frames=4, inactive=(3,))
+    last = results["frames"][2]["probes"][0]
+    text = Page(page_of(results, outputs)).text
+    for triple in last["sh"] + last["sh_truth"]:
+        assert all(f"{value:.4f}".replace("-", "\N{MINUS SIGN}") in text for value in triple)
+
+
+def test_a_run_without_a_probe_in_view_says_so(tmp_path: Path) -> None:
+    results, outputs = synthetic(tmp_path, n_frames=6, inactive=tuple(range(6)))
+    text = Page(page_of(results, outputs)).text
+    assert "Over 6 frames the phone made no estimates: no probe was in view." in text
+    assert text.count("no probe in view in any frame") == 5
+
+
+# ------------------------------------------------------------------------------------------------- plots and numbers
+
+
+def test_hovering_a_frame_tells_each_probes_value(tmp_path: Path) -> None:
+    results, outputs = synthetic(tmp_path, n_frames=5, inactive=(2,))
+    whole = page_of(results, outputs)
+    for frame in results["frames"]:
+        for probe in frame["probes"]:
+            assert f"{probe['name']}: {significant(probe['shc_rmse'])}" in whole
+    assert whole.count("frame 3 (0.07 s)\nno probe in view") == 5
+
+
+def test_a_null_value_is_a_gap_in_the_curve(tmp_path: Path) -> None:
+    results, outputs = synthetic(tmp_path, n_frames=9, names=("Vase",))
+    n_pieces = len(re.findall("M", _first_curve(page_of(results, outputs))))
+    results["frames"][4]["probes"][0]["shc_rmse"] = None
+    broken = _first_curve(page_of(results, outputs))
+    assert n_pieces == 1
+    assert (broken.count("M"), broken.count("L")) == (2, 6)
+
+
+def _first_curve(page: str) -> str:
+    found = re.search(r'<path class="line s0 d0" d="([^"]+)"', page)
+    assert found
+    return found[1]
+
+
+def test_one_slow_frame_does_not_flatten_the_others(tmp_path: Path) -> None:
+    results, outputs = synthetic(tmp_path, n_frames=12)
+    totals = [sum(frame["stage_ms"].values()) for frame in results["frames"]]
+    page = Page(page_of(results, outputs))
+    assert totals[0] > 5 * max(totals[1:])
+    assert f" {significant(totals[0])} ms " in page.text
+    assert not [word for word in page.words if word.strip() in ("20", "40", "60")]

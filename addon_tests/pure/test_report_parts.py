@@ -1,0 +1,141 @@
+"""Do the report's parts hold on their own: chosen frames, the sentence, axes, numbers as text, colours?"""
+
+from __future__ import annotations
+
+import ast
+import itertools
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import xihe_blender.report.page as report
+from xihe_blender.outputs import RunOutputs
+from xihe_blender.report.pictures import MAX_FRAMES, choose_frames, picture_kinds
+from xihe_blender.report.style import STYLE
+from xihe_blender.report.svg import axis_up_to
+from xihe_blender.report.timeline import Timeline
+from xihe_blender.report.values import closeness, closeness_in_words, number_runs, percent, significant
+
+
+def test_another_schema_version_is_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="expected schema_version 1, got 2"):
+        report.write_report({"schema_version": 2}, RunOutputs(tmp_path, "room"))
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_the_report_never_asks_for_blender() -> None:
+    for path in Path(report.__file__).parent.glob("report*.py"):
+        nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+        named = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+        named |= {f"{node.level}{node.module}" for node in nodes if isinstance(node, ast.ImportFrom)}
+        assert not any(re.match(r"0?(bpy|mathutils|numpy)\b", name) for name in named), path.name
+        assert all(name[1:].startswith(("report", "outputs")) for name in named if name[0] == "1"), path.name
+
+
+@pytest.mark.parametrize("n_frames", [1, 15, 16, 17, 100, 301])
+def test_chosen_frames_are_spread_over_the_run(n_frames: int) -> None:
+    frames = [{"frame": i, "pictures": {"captured": "", "ground_truth": ""}, "probes": []} for i in range(n_frames)]
+    chosen = [frame["frame"] for frame in choose_frames(frames)]
+    assert len(chosen) == min(n_frames, MAX_FRAMES) == len(set(chosen))
+    assert chosen[0] == 0 and chosen[-1] == n_frames - 1
+    gaps = [b - a for a, b in itertools.pairwise(chosen)]
+    assert max(gaps, default=1) <= 2 * n_frames / MAX_FRAMES + 1
+
+
+def test_captured_pictures_alone_never_push_out_a_comparison() -> None:
+    alone = [{"frame": i, "pictures": {"captured": ""}, "probes": [{"fired": True}]} for i in range(40)]
+    compared = [{"frame": 100 + i, "pictures": {"captured": "", "truth": ""}, "probes": []} for i in range(9)]
+    chosen = choose_frames(alone + compared)
+    assert [frame for frame in chosen if frame["frame"] >= 100] == compared
+    assert len(chosen) == MAX_FRAMES
+
+
+def test_pictures_come_in_the_order_of_the_story() -> None:
+    frames = [{"pictures": dict.fromkeys(["error_ambient", "error_lattice", "other", "truth", "ambient", "lattice"])}]
+    frames += [{"pictures": dict.fromkeys(["captured", "ground_truth"])}]
+    expected = ["captured", "ground_truth", "lattice", "ambient", "truth", "other", "error_lattice", "error_ambient"]
+    assert picture_kinds(frames, "lattice") == expected
+
+
+@pytest.mark.parametrize(
+    ("own", "ambient", "expected"),
+    [
+        (0.69, 1.0, "are 31\u202f% closer to the ground truth than with ambient"),
+        (1.12, 1.0, "are 12\u202f% further from the ground truth than with ambient"),
+        (3.1, 1.0, "are 3.1 times as far from the ground truth as with ambient"),
+        (1.0, 1.0, "are as close to the ground truth as with ambient"),
+        (0.0, 1.0, "are 100\u202f% closer to the ground truth than with ambient"),
+        (0.0, 0.0, "match the ground truth exactly, as they do with ambient"),
+        (0.1, 0.0, "miss the ground truth, which they match with ambient"),
+        (None, 1.0, "could not be measured"),
+        (0.5, None, "differ from the ground truth by an rmse of 0.500"),
+    ],
+)
+def test_the_sentence_tells_better_worse_and_undefined_apart(
+    own: float | None, ambient: float | None, expected: str
+) -> None:
+    results = {
+        "settings": {"estimator": "projection"},
+        "comparison": {"projection": {"rmse": own}, "ambient": {"rmse": ambient}},
+    }
+    words = re.sub("<[^>]*>", "", report.result_in_words(results))
+    assert expected in words
+
+
+def test_closeness_is_one_for_a_match_and_undefined_without_a_yardstick() -> None:
+    comparison = {"a": {"rmse": 0.0}, "ambient": {"rmse": 0.5}, "b": {"rmse": 1.0}, "c": None}
+    assert [closeness(comparison, m) for m in ("a", "ambient", "b", "c", "d")] == [1.0, 0.0, -1.0, None, None]
+    assert closeness({"a": {"rmse": 0.1}, "ambient": {"rmse": 0.0}}, "a") is None
+    assert closeness_in_words(-1.0) == f"{percent(1.0)} further"
+
+
+def test_columns_of_frames_cover_the_axis_and_hold_their_centres() -> None:
+    rng = np.random.default_rng(3)
+    for n_frames in (1, 2, 3, 50):
+        numbers = np.sort(rng.choice(500, n_frames, replace=False)).tolist()
+        timeline = Timeline.of({"frames": [{"frame": number} for number in reversed(numbers)]})
+        edges, centres = timeline.edges_percent, timeline.centres_percent
+        assert (edges[0], edges[-1]) == (0, pytest.approx(100)) and len(edges) == n_frames + 1
+        assert all(a < c < b for a, c, b in zip(edges[:-1], centres, edges[1:], strict=True))
+        assert np.ptp(np.diff(centres) / np.diff(numbers)) < 1e-9 if n_frames > 1 else centres == (50,)
+
+
+def test_an_axis_covers_its_values_in_a_few_round_steps() -> None:
+    for largest in [0.0, 5e-324, 1e-9, 0.049, 0.1, 0.2, 0.3, 1, 7, 8, 1234.5, 9.99e8]:
+        axis = axis_up_to(largest)
+        assert axis.ticks[0] == 0 and axis.ticks[-1] == axis.top
+        assert axis.top >= largest * (1 - 1e-9) and 2 <= len(axis.ticks) <= 6
+        assert axis.y(0) > axis.y(axis.top) == 0
+        assert len({axis.label(tick) for tick in axis.ticks}) == len(axis.ticks)
+
+
+def test_numbers_keep_their_value_when_they_become_text() -> None:
+    rng = np.random.default_rng(7)
+    for value in [*(10.0 ** rng.uniform(-12, 12, 200)), *(-(10.0 ** rng.uniform(-3, 3, 50))), 0.09996, 99.96, 0.0]:
+        assert float(significant(value).replace(",", "")) == pytest.approx(value, rel=6e-3)
+    assert (significant(None), percent(None)) == ("\N{EN DASH}", "\N{EN DASH}")
+    assert percent(0.31) == "31\u202f%" and percent(0.004) == "0.4\u202f%"
+    assert number_runs([1, 2, 4, 5, 6, 9]) == "1, 2, 4\N{EN DASH}6, 9"
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance of "#rrggbb", as WCAG 2 defines it."""
+    encoded = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+    linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+def contrast(first: str, second: str) -> float:
+    dark, light = sorted(map(luminance, (first, second)))
+    return (light + 0.05) / (dark + 0.05)
+
+
+def test_text_and_lines_stand_out_in_light_and_dark() -> None:
+    themes = [dict(re.findall(r"(--\w+): (#\w{6})", block)) for block in re.findall(r":root \{(.*?)\}", STYLE, re.S)]
+    assert len(themes) == 2
+    for theme in themes:
+        for ground in ("--paper", "--card"):
+            assert all(contrast(theme[text], theme[ground]) >= 4.5 for text in ("--ink", "--quiet", "--accent"))
+        assert all(contrast(theme[c], theme["--card"]) >= 3 for c in theme if re.fullmatch(r"--[kb]\d", c))

@@ -1,0 +1,306 @@
+"""What are the numbers behind the pictures, and what made them?
+
+Tables hold what results.json holds: a number in the comparison keeps its full value in a `data` element, a null is a
+dash with its reason below the table. `truth` is no competitor, since no phone has it, so the best is marked among the
+other methods.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import shlex
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from xihe_blender.report.pictures import METHOD_MEANINGS
+from xihe_blender.report.timeline import Timeline, probe_in, reason_in_words, reason_of
+from xihe_blender.report.values import (
+    DASH,
+    byte_size,
+    closeness,
+    closeness_in_words,
+    code,
+    escape,
+    finite,
+    finite_only,
+    items,
+    listed,
+    mapping,
+    mean,
+    number_runs,
+    percent,
+    significant,
+)
+
+# name, direction that is better, unit
+METRICS = (
+    ("psnr", "up", "dB"),
+    ("ssim", "up", ""),
+    ("rmse", "down", ""),
+    ("si_rmse", "down", ""),
+    ("angular_deg", "down", ""),
+)
+_BETTER = {"up": "\N{UPWARDS ARROW} higher is better", "down": "\N{DOWNWARDS ARROW} lower is better"}
+_UNDEFINED = {
+    "psnr": "has no finite value for identical pictures, and none where no pixel of an object is seen",
+    "angular_deg": "is undefined where one of the colours is black",
+}
+MINUS = "\N{MINUS SIGN}"
+_UNDEFINED_OTHERWISE = "is undefined where no pixel of an object is seen"
+
+
+def numbers_section(results: Mapping[str, Any]) -> str:
+    """All tables, from the comparison to the command."""
+    timeline = Timeline.of(results)
+    parts = [
+        _comparison(results),
+        _block("Probes", _probes(timeline)),
+        _block("Effects", _effects(results)),
+        _block("Notes", _notes(results)),
+        _block("Command", _command(results)),
+        _facts(results),
+    ]
+    return "".join(parts)
+
+
+def _block(title: str, content: str) -> str:
+    return f'<section class="block"><h3>{title}</h3>{content}</section>' if content else ""
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]], classes: str = "") -> str:
+    """A table that scrolls on its own where it is too wide; all cells are HTML, the first of a row is its heading.
+
+    Each cell carries its column's name, so that the style can stack wide tables on a narrow screen.
+    """
+    names = [re.sub("<[^>]*>", " ", cell).strip() for cell in head]
+    heads = "".join(f'<th scope="col">{cell}</th>' for cell in head)
+    body = "".join(f'<tr><th scope="row">{row[0]}</th>{"".join(map(_cell, names[1:], row[1:]))}</tr>' for row in rows)
+    return (
+        f'<div class="scroll" tabindex="0"><table class="{classes}"><thead><tr>{heads}</tr></thead>'
+        f"<tbody>{body}</tbody></table></div>"
+    )
+
+
+def _cell(name: str, content: str) -> str:
+    return f'<td data-column="{name}"><span>{content}</span></td>'
+
+
+# ----------------------------------------------------------------------------------------------------- comparison
+
+
+def _comparison(results: Mapping[str, Any]) -> str:
+    comparison = mapping(results, "comparison")
+    if not comparison:
+        return _block("Comparison with the ground truth", "<p>No frame was compared with the ground truth.</p>")
+    methods = sorted(comparison, key=lambda m: (m == "truth", m == "ambient"))
+    columns = [_metric_column(comparison, methods, name, way) for name, way, _ in METRICS]
+    rows = [
+        [_method_name(results, m), *(column[i] for column in columns), _closer_cell(comparison, m)]
+        for i, m in enumerate(methods)
+    ]
+    head = ["method", *(_metric_head(*metric) for metric in METRICS), "rmse against <code>ambient</code>"]
+    about = (
+        "Averages over the compared frames, inside the virtual objects. psnr and ssim are taken on the sRGB pictures,"
+        " the others on linear colour."
+    )
+    star = "\N{BLACK STAR} marks the best method that a phone could run; <code>truth</code> is not one."
+    honest = "No image metric tracks human preference: look at the pictures before you trust a ranking."
+    notes = f'<p class="quiet">{star} {honest}</p>{_null_reasons(comparison, methods)}'
+    return _block(
+        "Comparison with the ground truth", f"<p>{about}</p>{_table(head, rows, 'stacking comparison')}{notes}"
+    )
+
+
+def _metric_head(name: str, way: str, unit: str) -> str:
+    return f'{name}{f" ({unit})" if unit else ""}<span class="way">{_BETTER[way]}</span>'
+
+
+def _method_name(results: Mapping[str, Any], method: str) -> str:
+    tag = " (chosen)" if method == mapping(results, "settings").get("estimator") else ""
+    return f'{code(method)}{tag}<span class="way">{METHOD_MEANINGS.get(method, "")}</span>'
+
+
+def _metric_column(comparison: Mapping[str, Any], methods: Sequence[str], name: str, way: str) -> list[str]:
+    values = {method: finite(mapping(comparison, method).get(name)) for method in methods}
+    rivals = finite_only(value for method, value in values.items() if method != "truth")
+    best = (max if way == "up" else min)(rivals) if len(rivals) > 1 else None
+    decimals = _column_decimals(finite_only(values.values()))
+    cells = []
+    for method, value in values.items():
+        if value is None:
+            cells.append(DASH)
+            continue
+        shown = f'<data value="{value!r}">{value:,.{decimals}f}</data>'
+        is_best = value == best and method != "truth"
+        cells.append(f'<strong class="best">\N{BLACK STAR} {shown}</strong>' if is_best else shown)
+    return cells
+
+
+def _column_decimals(values: Sequence[float]) -> int:
+    """Decimals that show the smallest value that is not 0 with three significant digits: 2 to 8."""
+    smallest = min((abs(value) for value in values if value), default=1.0)
+    return min(8, max(2, 2 - math.floor(math.log10(smallest))))
+
+
+def _closer_cell(comparison: Mapping[str, Any], method: str) -> str:
+    if method == "ambient":
+        return "the yardstick"
+    closer = closeness(comparison, method)
+    return DASH if closer is None else closeness_in_words(closer)
+
+
+def _null_reasons(comparison: Mapping[str, Any], methods: Sequence[str]) -> str:
+    reasons = []
+    for name, _, _ in METRICS:
+        empty = [code(m) for m in methods if finite(mapping(comparison, m).get(name)) is None]
+        if empty:
+            reasons.append(f"{name} of {listed(empty)} {_UNDEFINED.get(name, _UNDEFINED_OTHERWISE)}")
+    if any(m != "ambient" and closeness(comparison, m) is None for m in methods):
+        reasons.append("a method is measured against <code>ambient</code> only where both have an rmse above 0")
+    return f'<p class="quiet">{DASH} means no value: {"; ".join(reasons)}.</p>' if reasons else ""
+
+
+# --------------------------------------------------------------------------------------------------------- probes
+
+
+def _probes(timeline: Timeline) -> str:
+    if not timeline.probe_names:
+        return "<p>No probe was in view in any frame.</p>"
+    head = [
+        "probe", "position x, y, z (m)", "frames in view", "coverage, mean", "coverage, last", "estimates made",
+        "SHC RMSE, mean", "payload",
+    ]  # fmt: skip
+    rows = [_probe_row(timeline, place, name) for place, name in enumerate(timeline.probe_names)]
+    details = "".join(_coefficients(timeline, name) for name in timeline.probe_names)
+    return _table(head, rows, "stacking probes") + details
+
+
+def _probe_row(timeline: Timeline, place: int, name: str) -> list[str]:
+    seen = [probe for frame in timeline.frames if (probe := probe_in(frame, name))]
+    coverages = finite_only(probe.get("coverage") for probe in seen)
+    reasons = [reason_in_words(reason_of(probe)) for probe in seen if probe.get("fired")]
+    told = ", ".join(f"{reasons.count(reason)} {reason}" for reason in dict.fromkeys(reasons))
+    return [
+        f'<b class="key">{place + 1}</b> {escape(name)}',
+        _position(seen[-1]),
+        str(len(seen)),
+        percent(mean(coverages)),
+        percent(coverages[-1] if coverages else None),
+        f'{len(reasons)}<span class="way">{told}</span>',
+        significant(mean(probe.get("shc_rmse") for probe in seen)),
+        byte_size(sum(finite_only(probe.get("payload_bytes") for probe in seen))),
+    ]
+
+
+def _position(probe: Mapping[str, Any]) -> str:
+    values = [finite(value) for value in items(probe, "position_m")]
+    return ", ".join(DASH if value is None else f"{value:.2f}".replace("-", MINUS) for value in values) or DASH
+
+
+def _coefficients(timeline: Timeline, name: str) -> str:
+    """The coefficients of the last frame that has the probe, beside those of the rendered one."""
+    last = next(probe for frame in reversed(timeline.frames) if (probe := probe_in(frame, name)))
+    rows = [
+        [
+            f"l = {degree}, m = {order}".replace("-", MINUS),
+            *(
+                _coefficient(last, key, degree * degree + degree + order, rgb)
+                for key in ("sh", "sh_truth")
+                for rgb in range(3)
+            ),
+        ]
+        for degree in range(3)
+        for order in range(-degree, degree + 1)
+    ]
+    head = ["", *(f"{what} {rgb}" for what in ("estimate", "truth") for rgb in ("R", "G", "B"))]
+    summary = f"Last spherical harmonics of {escape(name)}: radiance, real orthonormal basis, at the session's exposure"
+    return f"<details><summary>{summary}</summary>{_table(head, rows, 'coefficients')}</details>"
+
+
+def _coefficient(probe: Mapping[str, Any], key: str, index: int, rgb: int) -> str:
+    triples = items(probe, key)
+    triple = triples[index] if index < len(triples) and isinstance(triples[index], list | tuple) else ()
+    value = finite(triple[rgb]) if rgb < len(triple) else None
+    return DASH if value is None else f"{value:.4f}".replace("-", MINUS)
+
+
+# ------------------------------------------------------------------------------------------------- how it was made
+
+
+def _effects(results: Mapping[str, Any]) -> str:
+    rows = [
+        [
+            code(effect.get("name")),
+            f'<span class="state">{escape(effect.get("state") or DASH)}</span>',
+            escape(effect.get("reason") or DASH),
+        ]
+        for effect in items(results, "effects")
+    ]
+    return _table(["effect", "state", "why"], rows, "words") if rows else ""
+
+
+def _notes(results: Mapping[str, Any]) -> str:
+    notes = "".join(f"<li>{_with_code(escape(note))}</li>" for note in items(results, "notes"))
+    return f"<ul>{notes}</ul>" if notes else ""
+
+
+def _with_code(words: str) -> str:
+    """Escaped words, with what stands between backticks set as code."""
+    return re.sub("`([^`]+)`", r"<code>\1</code>", words)
+
+
+def command_line(results: Mapping[str, Any]) -> str:
+    """The command that made the results, as it would be typed; empty where it is not recorded."""
+    command = mapping(results, "software").get("command")
+    return shlex.join(map(str, command)) if isinstance(command, list | tuple) else str(command or "")
+
+
+def _command(results: Mapping[str, Any]) -> str:
+    command = command_line(results)
+    if not command:
+        return "<p>Not recorded.</p>"
+    return f'<pre id="command">{escape(command)}</pre><button type="button" id="copy" hidden>Copy the command</button>'
+
+
+def _facts(results: Mapping[str, Any]) -> str:
+    software = {key: value for key, value in mapping(results, "software").items() if key != "command"}
+    groups = {key: mapping(results, key) for key in ("settings", "scene", "summary", "machine")} | {
+        "software": software
+    }
+    order = ("settings", "scene", "summary", "software", "machine")
+    blocks = [_block(name.capitalize(), _fact_table(groups[name])) for name in order if groups[name]]
+    return f'<div class="facts">{"".join(blocks)}</div>'
+
+
+def _fact_table(facts: Mapping[str, Any]) -> str:
+    rows = "".join(
+        f'<tr><th scope="row">{escape(name).replace(".", ".<wbr>")}</th><td>{value}</td></tr>'
+        for name, value in _flat(facts)
+    )
+    return f'<table class="pairs"><tbody>{rows}</tbody></table>'
+
+
+def _flat(facts: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    """Names and values, those of an inner object as "outer.inner"."""
+    pairs: list[tuple[str, str]] = []
+    for key, value in facts.items():
+        if isinstance(value, Mapping):
+            pairs += _flat(value, f"{prefix}{key}.")
+        else:
+            pairs.append((f"{prefix}{key}", _fact(key, value)))
+    return pairs
+
+
+def _fact(key: str, value: Any) -> str:
+    if value is None:
+        return DASH
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if key == "frames" and isinstance(value, list) and all(isinstance(v, int) for v in value):
+        return f"{number_runs(value)} ({len(value)})"
+    if key == "size" and isinstance(value, list | tuple):
+        return " x ".join(_fact("", length) for length in value)
+    if isinstance(value, list | tuple):
+        return ", ".join(_fact("", inner) for inner in value) or "none"
+    return escape(f"{value:.6g}" if isinstance(value, float) else value)
