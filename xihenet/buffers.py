@@ -53,6 +53,6 @@ class PositionBuffers:
         """After the trigger fired: the temporary cloud moves into the persistent one and starts anew."""
         return PositionBuffers(UnitSphereCloud.empty(len(self.temporary)), merge(self.persistent, self.temporary))
 
-    def seen(self) -> UnitSphereCloud:
-        """All that is known, whether or not the light in force was made from it."""
-        return merge(self.persistent, self.temporary)
+    def coverage(self) -> float:
+        """Share of the anchors that are known, whether or not the light in force was made from them."""
+        return float((self.persistent.is_set | self.temporary.is_set).mean()) if len(self.temporary) else 0.0

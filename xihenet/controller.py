@@ -142,7 +142,7 @@ class XiheController:
         if estimate is not None and estimate.is_valid:
             position.light = estimate
         return StepReport(
-            decision, estimate, clock.stage_ms, len(payload), coverage(buffers.seen()), sampled.n_skipped_points
+            decision, estimate, clock.stage_ms, len(payload), buffers.coverage(), sampled.n_skipped_points
         )
 
     def _estimate(self, buffers: PositionBuffers, context: EstimateContext) -> LightEstimate:

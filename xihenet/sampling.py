@@ -51,7 +51,7 @@ def sample_unit_sphere(
     """
     columns = _relative_columns(cloud.points_m, _checked_position(position_m))
     distance_m = _distances(columns)
-    n_skipped = _exclude_unusable(columns, distance_m, cloud.srgb)
+    n_skipped = _exclude_unusable(columns, distance_m, cloud)
     anchors = lattice.nearest_to_columns(columns, method)
     is_set, winners = _nearest_points(anchors, distance_m, lattice.n)
     srgb = np.zeros((lattice.n, 3), np.float32)
@@ -153,7 +153,7 @@ def _distances(columns: ArrayF32) -> ArrayF32:
     return distances
 
 
-def _exclude_unusable(columns: ArrayF32, distance_m: ArrayF32, srgb: ArrayF32) -> int:
+def _exclude_unusable(columns: ArrayF32, distance_m: ArrayF32, cloud: PointCloud) -> int:
     """Move points that cannot be used to an infinite distance, in place; how many there are."""
     if not len(distance_m):
         return 0
@@ -161,8 +161,8 @@ def _exclude_unusable(columns: ArrayF32, distance_m: ArrayF32, srgb: ArrayF32) -
     # NaN passes through a minimum and makes every comparison False.
     if not (distance_m.min() > 0 and distance_m.max() < np.inf):
         is_usable = (distance_m > 0) & (distance_m < np.inf)
-    if not (np.isfinite(srgb.min()) and np.isfinite(srgb.max())):
-        is_finite = np.isfinite(srgb).all(axis=1)
+    if not cloud.has_finite_colours:
+        is_finite = np.isfinite(cloud.srgb).all(axis=1)
         is_usable = is_finite if is_usable is None else is_usable & is_finite
     if is_usable is None:
         return 0

@@ -1,0 +1,45 @@
+# The two commands that matter: `make previs` and `make test`. Both make a virtual environment first.
+# A bpy wheel fits one Python: 4.5 LTS needs 3.11, 5.2 LTS needs 3.13. Choose with `make PYTHON=python3.13 ...`.
+
+PYTHON ?= python3.11
+VENV ?= .venv
+BIN = $(VENV)/bin
+OUT ?= out
+
+.PHONY: previs test test-fast check format bench scenes clean
+
+previs: $(VENV)/installed
+	$(BIN)/xihe previs blend_scenes/living_room.blend --out $(OUT) --preset draft
+
+test: $(VENV)/installed
+	$(BIN)/python -m pytest
+
+test-fast: $(VENV)/installed
+	$(BIN)/python -m pytest -m "not slow"
+
+check: $(VENV)/installed
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+format: $(VENV)/installed
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+bench: $(VENV)/installed
+	$(BIN)/python addon_tests/bench/nearest.py
+	$(BIN)/python addon_tests/bench/steps.py
+	$(BIN)/python addon_tests/bench/rendering.py
+
+scenes: $(VENV)/installed
+	$(BIN)/xihe scenes build
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info
+
+$(VENV)/installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --editable ".[test]"
+	@$(BIN)/python -c "import bpy" || { echo "Blender's libraries are missing: run '.ci/system_packages' as root (Debian, Ubuntu)"; exit 1; }
+	@touch $@

@@ -1,0 +1,98 @@
+"""What does one step of the chain cost, without rendering? A table against the budget.
+
+    python addon_tests/bench/steps.py [--repeats 50]
+
+One synthetic frame of 256x192 points in a furnished box, 1280 anchors. Stages are timed one by one, then whole steps
+for one and for four probes, interleaved, so that the machine's drift hits all alike. Prints minimum and median.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+
+import numpy as np
+
+from xihenet import estimators
+from xihenet.backend import LocalBackend
+from xihenet.buffers import PositionBuffers
+from xihenet.camera import unproject_frame
+from xihenet.codec import encode_cloud
+from xihenet.controller import ControllerSettings, XiheController
+from xihenet.records import Intrinsics, RgbdFrame
+from xihenet.sampling import sample_unit_sphere
+from xihenet.sphere import AnchorLattice
+from xihenet.trigger import TriggerSettings, decide_trigger
+
+CAMERA = Intrinsics(256, 192, 200.0, 200.0, 128.0, 96.0)
+PROBES = [(0.0, 2.0, 0.0), (0.3, 2.2, 0.1), (-0.3, 1.8, -0.1), (0.2, 2.5, 0.2)]
+
+
+def frame_of_a_box(seed: int) -> RgbdFrame:
+    """The inside of a 4 x 6 x 3 m box with noise on its walls, seen from the middle of its short side."""
+    rng = np.random.default_rng(seed)
+    x = (np.arange(256) + 0.5 - CAMERA.cx) / CAMERA.fx
+    y = (np.arange(192) + 0.5 - CAMERA.cy)[:, None] / CAMERA.fy
+    reach = np.minimum(np.minimum(2.0 / np.abs(x), 1.5 / np.abs(y)), 5.5) * rng.uniform(0.97, 1.0, (192, 256))
+    pose = np.eye(4)
+    pose[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    colours = rng.integers(0, 256, (192, 256, 3), dtype=np.uint8)
+    return RgbdFrame(colours, reach, CAMERA, pose, ambient=[0.4, 0.4, 0.4])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=50)
+    repeats = parser.parse_args().repeats
+    lattice, settings = AnchorLattice(1280), TriggerSettings()
+    frames = [frame_of_a_box(seed) for seed in range(2)]
+    points = unproject_frame(frames[0])
+    cloud, other = (sample_unit_sphere(unproject_frame(f), PROBES[0], lattice) for f in frames)
+    buffers = PositionBuffers.empty(1280).with_frame(cloud).fired()
+    projection = estimators.load("projection")
+
+    def whole(n_probes: int) -> XiheController:
+        # Theta 0: every step fires, so every step pays for all stages.
+        controller = XiheController(LocalBackend(projection), ControllerSettings(TriggerSettings(theta=0.0)))
+        for k, position in enumerate(PROBES[:n_probes]):
+            controller.add_position(f"probe {k}", position)
+        return controller
+
+    one, four = whole(1), whole(4)
+    turn = iter(range(10**9))
+    candidates = {
+        "unproject": lambda: unproject_frame(frames[0]),
+        "sample": lambda: sample_unit_sphere(points, PROBES[0], lattice),
+        "unproject + sample": lambda: sample_unit_sphere(unproject_frame(frames[0]), PROBES[0], lattice),
+        "merge": lambda: buffers.with_frame(other),
+        "trigger": lambda: decide_trigger(buffers.persistent, other, lattice, settings),
+        "encode": lambda: encode_cloud(cloud),
+        "merge + trigger + encode": lambda: (
+            buffers.with_frame(other),
+            decide_trigger(buffers.persistent, other, lattice, settings),
+            encode_cloud(cloud),
+        ),
+        "estimate, projection": lambda: projection.estimate(cloud),
+        "whole step, 1 probe": lambda: one.step(frames[next(turn) % 2]),
+        "whole step, 4 probes": lambda: four.step(frames[next(turn) % 2]),
+    }
+    budget_ms = {"unproject + sample": 4.0, "merge + trigger + encode": 0.5, "whole step, 1 probe": 6.0}
+    taken: dict[str, list[float]] = {name: [] for name in candidates}
+    for _ in range(repeats + 3):
+        for name, candidate in candidates.items():
+            start = time.perf_counter()
+            candidate()
+            taken[name].append(1e3 * (time.perf_counter() - start))
+    print(f"{'256x192 points, 1280 anchors':<28}{'min ms':>9}{'median':>9}{'budget':>9}")
+    medians = {name: statistics.median(ms[3:]) for name, ms in taken.items()}
+    for name, ms in taken.items():
+        limit = f"{budget_ms[name]:9.1f}" if name in budget_ms else " " * 9
+        print(f"{name:<28}{min(ms[3:]):9.3f}{medians[name]:9.3f}{limit}")
+    first = medians["whole step, 1 probe"]
+    further = (medians["whole step, 4 probes"] - first) / 3
+    print(f"each further probe costs {further:.3f} ms, {further / first:.2f} of the first (budget 0.5)")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,152 @@
+"""The chain of a session, driven with frames made of a painted sphere around the phone."""
+
+import numpy as np
+import pytest
+
+from xihenet import estimators
+from xihenet.backend import LocalBackend
+from xihenet.buffers import merge
+from xihenet.camera import unproject_frame
+from xihenet.codec import encode_cloud
+from xihenet.controller import ControllerSettings, XiheController
+from xihenet.recording import ReplayScanner
+from xihenet.records import Intrinsics, RgbdFrame
+from xihenet.sampling import sample_unit_sphere
+from xihenet.trigger import TriggerSettings
+
+N = 320
+CAMERA = Intrinsics(48, 36, 30.0, 30.0, 24.0, 18.0)
+
+
+def looking(yaw, level=0.5, frame=0, exposure=1.0, height=0.0):
+    """The phone at the origin, turned by `yaw` about +Z from looking along +Y, sees a wall 3 m away."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    pose = np.eye(4)
+    pose[:3, :3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    pose[2, 3] = height
+    colours = np.full((36, 48, 3), round(255 * level), np.uint8)
+    return RgbdFrame(colours, np.full((36, 48), 3.0), CAMERA, pose, exposure, [level] * 3, frame / 30, frame)
+
+
+def session(estimator="projection", **settings):
+    controller = XiheController(LocalBackend(estimators.load(estimator, N)), ControllerSettings(**settings))
+    controller.add_position("Vase", (0, 1.5, 0))
+    return controller
+
+
+def test_the_chain_equals_its_stages_called_by_hand():
+    controller, frame = session(), looking(0.0)
+    report = controller.step(frame)["Vase"]
+    cloud = sample_unit_sphere(unproject_frame(frame), (0, 1.5, 0), controller.lattice)
+    assert report.decision.reason == "first"
+    assert report.payload_bytes == len(encode_cloud(cloud)) > 0
+    assert report.coverage == cloud.is_set.mean()
+    np.testing.assert_array_equal(report.estimate.sh_radiance, estimators.load("projection", N).estimate(cloud))
+    assert list(report.stage_ms) == ["unproject", "sample", "merge", "trigger", "encode", "estimate"]
+
+
+def test_an_unchanged_view_costs_no_estimate():
+    controller = session()
+    first = controller.step(looking(0.0))["Vase"].estimate
+    again = controller.step(looking(0.0, frame=1))["Vase"]
+    assert not again.decision.fire and again.estimate is None and again.payload_bytes == 0
+    assert "estimate" not in again.stage_ms
+    assert controller.light("Vase") is first
+
+
+def test_a_change_of_light_makes_a_new_estimate():
+    controller = session(trigger=TriggerSettings(theta=0.05))
+    controller.step(looking(0.0, level=0.2))
+    report = controller.step(looking(0.0, level=0.9))["Vase"]
+    assert report.decision.reason == "colour"
+    assert controller.light("Vase").sh_radiance[0].mean() > 5 * 0.2**2.2
+
+
+def test_an_estimate_is_made_from_everything_seen_so_far():
+    controller = session(trigger=TriggerSettings(coverage_theta=0.01))
+    frames = [looking(yaw, frame=k) for k, yaw in enumerate((0.0, 0.25, -0.25))]
+    clouds = []
+    for frame in frames:
+        estimate = controller.step(frame)["Vase"].estimate
+        clouds.append(sample_unit_sphere(unproject_frame(frame), (0, 1.5, 0), controller.lattice))
+        merged = clouds[0]
+        for cloud in clouds[1:]:
+            merged = merge(merged, cloud)
+        np.testing.assert_array_equal(estimate.sh_radiance, estimators.load("projection", N).estimate(merged))
+        assert estimate.coverage == merged.is_set.mean()
+
+
+def test_a_position_out_of_view_costs_nothing_and_keeps_its_light():
+    controller = session()
+    light = controller.step(looking(0.0))["Vase"].estimate
+    assert controller.step(looking(np.pi, frame=1)) == {}
+    assert controller.light("Vase") is light
+
+
+def test_positions_are_independent():
+    alone, together = session(), session()
+    together.add_position("Lamp", (0.4, 2.0, 0.2))
+    for k, yaw in enumerate((0.0, 0.1, 0.2)):
+        one, both = alone.step(looking(yaw, frame=k)), together.step(looking(yaw, frame=k))
+        assert list(both) == ["Vase", "Lamp"]
+        assert both["Vase"].decision == one["Vase"].decision
+        assert "unproject" not in both["Lamp"].stage_ms
+
+
+def test_a_change_of_the_cameras_exposure_alone_does_not_fire():
+    controller = session(trigger=TriggerSettings(theta=0.001))
+    controller.step(looking(0.0, level=0.5, exposure=1.0))
+    # Half the exposure: the same light gives half the linear value, 0.2140 / 2, which is 0.3613 encoded.
+    report = controller.step(looking(0.0, level=0.3613, exposure=0.5))["Vase"]
+    assert not report.decision.fire and report.decision.change < 1e-4
+
+
+def test_nothing_to_see_gives_an_estimate_that_says_it_is_not_valid():
+    controller = session()
+    frame = looking(0.0)
+    blind = RgbdFrame(frame.srgb_u8, np.zeros((36, 48)), CAMERA, frame.world_from_camera)
+    report = controller.step(blind)["Vase"]
+    assert not report.decision.fire and report.n_skipped_points == 36 * 48
+    assert controller.light("Vase") is None
+    assert not controller.estimate_at((0, 1.5, 0)).is_valid
+
+
+def test_estimate_at_any_position_leaves_the_session_alone():
+    controller = session()
+    with pytest.raises(ValueError, match="no frame yet"):
+        controller.estimate_at((0, 1, 0))
+    controller.step(looking(0.0))
+    there = controller.estimate_at((0.1, 1.2, 0))
+    assert there.is_valid and there.estimator == "projection" and there.exposure == 1.0
+    assert not controller.step(looking(0.0, frame=1))["Vase"].decision.fire
+
+
+def test_a_recorded_session_replays_to_the_same_lights(tmp_path):
+    def walk(controller, frames):
+        return [controller.step(frame)["Vase"] for frame in frames]
+
+    controller = session(trigger=TriggerSettings(theta=0.02))
+    controller.start_recording(tmp_path / "walk")
+    frames = [looking(0.1 * k, level=0.3 + 0.1 * k, frame=k) for k in range(4)]
+    live = walk(controller, frames)
+    assert controller.stop_recording() == 4 and controller.stop_recording() == 0
+    controller.step(looking(0.0))
+    scanner = ReplayScanner(tmp_path / "walk")
+    assert len(scanner) == 4
+    again = walk(session(trigger=TriggerSettings(theta=0.02)), list(scanner))
+    assert [report.decision for report in live] == [report.decision for report in again]
+    for a, b in zip(live, again, strict=True):
+        assert (a.estimate is None) == (b.estimate is None)
+        if a.estimate is not None:
+            np.testing.assert_array_equal(a.estimate.sh_radiance, b.estimate.sh_radiance)
+
+
+@pytest.mark.parametrize("wrong", [(0, 0), (0, 0, np.nan), "here"])
+def test_a_position_that_is_no_point_is_refused(wrong):
+    with pytest.raises(ValueError):
+        session().add_position("Vase", wrong)
+
+
+def test_no_position_means_no_work():
+    controller = XiheController(LocalBackend(estimators.load("projection", N)))
+    assert controller.step(looking(0.0)) == {}

@@ -1,0 +1,121 @@
+"""What every estimator promises, and what each of them gives."""
+
+import numpy as np
+import pytest
+
+from xihenet import estimators, sh
+from xihenet.colour import linear_to_srgb
+from xihenet.estimators import EstimateContext
+from xihenet.records import Intrinsics, RgbdFrame, UnitSphereCloud
+from xihenet.sphere import AnchorLattice
+
+N = 320
+LATTICE = AnchorLattice(N)
+RADIANCE = np.array([0.2, 0.5, 0.8])
+
+
+def constant_cloud(is_set, radiance=RADIANCE):
+    is_set = np.broadcast_to(is_set, N)
+    return UnitSphereCloud(linear_to_srgb(radiance) * is_set[:, None], 2.0 * is_set, is_set)
+
+
+def constant_sh(radiance):
+    coefficients = np.zeros((9, 3))
+    coefficients[0] = 2 * np.sqrt(np.pi) * np.asarray(radiance)
+    return coefficients
+
+
+def frame(ambient, exposure=1.0):
+    colours = np.zeros((1, 1, 3), np.uint8)
+    return RgbdFrame(colours, np.ones((1, 1)), Intrinsics(1, 1, 1, 1, 0.5, 0.5), np.eye(4), exposure, ambient)
+
+
+def context_for(name, radiance=RADIANCE):
+    return EstimateContext(frame=frame(radiance), truth_sh=constant_sh(radiance) if name == "truth" else None)
+
+
+@pytest.mark.parametrize("name", estimators.names())
+@pytest.mark.parametrize("seed", range(3))
+def test_under_constant_light_every_estimator_gives_that_light(name, seed):
+    seen = np.random.default_rng(seed).random(N) < 0.4
+    estimate = estimators.load(name, N).estimate(constant_cloud(seen), context_for(name))
+    np.testing.assert_allclose(estimate, constant_sh(RADIANCE), atol=1e-6)
+
+
+@pytest.mark.parametrize("name", estimators.names())
+def test_nothing_seen_gives_finite_light(name):
+    estimate = estimators.load(name, N).estimate(UnitSphereCloud.empty(N), context_for(name))
+    assert estimate.shape == (9, 3) and np.isfinite(estimate).all()
+
+
+@pytest.mark.parametrize("name", [name for name in estimators.names() if name != "truth"])
+def test_a_batch_equals_single_estimates(name):
+    rng = np.random.default_rng(0)
+    is_set = rng.random((5, N)) < 0.5
+    srgb, distance_m = rng.random((5, N, 3)) * is_set[..., None], rng.random((5, N)) * is_set
+    estimator = estimators.load(name, N)
+    batch = estimator.estimate_batch(srgb, distance_m, is_set)
+    for k in range(5):
+        np.testing.assert_allclose(batch[k], estimator.estimate(UnitSphereCloud(srgb[k], distance_m[k], is_set[k])))
+    assert estimator.estimate_batch(srgb[:0], distance_m[:0], is_set[:0]).shape == (0, 9, 3)
+
+
+@pytest.mark.parametrize("name", estimators.names())
+def test_a_cloud_of_another_lattice_is_refused(name):
+    with pytest.raises(ValueError, match="made for 320 anchors, got a cloud of 7"):
+        estimators.load(name, N).estimate(UnitSphereCloud.empty(7))
+
+
+def test_an_unknown_name_is_refused_with_the_known_ones():
+    with pytest.raises(ValueError, match="choose one of ambient, projection"):
+        estimators.load("magic")
+
+
+@pytest.mark.parametrize("wrong", [{"n_anchors": 0}, {"target": "sdr"}])
+def test_options_that_make_no_sense_are_refused(wrong):
+    with pytest.raises(ValueError, match="expected"):
+        estimators.load("projection", **wrong)
+
+
+def test_ambient_takes_the_sensor_and_the_sessions_exposure():
+    context = EstimateContext(frame=frame([0.1, 0.2, 0.3], exposure=2.0))
+    estimate = estimators.load("ambient", N).estimate(constant_cloud(True), context)
+    np.testing.assert_allclose(estimate, constant_sh([0.2, 0.4, 0.6]))
+    context = EstimateContext(frame=frame([0.1, 0.2, 0.3], exposure=2.0), reference_exposure=1.0)
+    np.testing.assert_allclose(
+        estimators.load("ambient", N).estimate(constant_cloud(True), context), constant_sh([0.1, 0.2, 0.3])
+    )
+
+
+def test_ambient_without_a_frame_takes_the_mean_of_the_set_anchors_in_linear_light():
+    half = LATTICE.directions[:, 0] > 0
+    colours = np.where(half[:, None], linear_to_srgb(0.9), linear_to_srgb(0.1)) * np.ones(3)
+    cloud = UnitSphereCloud(colours, np.ones(N), np.ones(N, bool))
+    expected = constant_sh(np.full(3, 0.1 + 0.8 * half.mean()))
+    np.testing.assert_allclose(estimators.load("ambient", N).estimate(cloud), expected, rtol=1e-6)
+
+
+def test_ambient_is_clipped_at_white_for_ldr_alone():
+    context = EstimateContext(frame=frame([0.5, 2.0, 7.0]))
+    for target, expected in (("ldr", [0.5, 1.0, 1.0]), ("hdr", [0.5, 2.0, 7.0])):
+        estimate = estimators.load("ambient", N, target).estimate(UnitSphereCloud.empty(N), context)
+        np.testing.assert_allclose(estimate, constant_sh(expected))
+
+
+def test_projection_finds_the_light_of_a_whole_sphere():
+    rng = np.random.default_rng(5)
+    light = rng.normal(size=(9, 3)) * 0.05 + constant_sh([0.5, 0.5, 0.5])
+    radiance = sh.basis(LATTICE.directions) @ light
+    cloud = UnitSphereCloud(linear_to_srgb(radiance), np.ones(N), np.ones(N, bool))
+    np.testing.assert_allclose(estimators.load("projection", N).estimate(cloud), light, atol=1e-5)
+
+
+def test_truth_without_its_probe_is_refused():
+    with pytest.raises(ValueError, match="needs the rendered light probe"):
+        estimators.load("truth", N).estimate(constant_cloud(True))
+
+
+def test_a_result_that_is_not_finite_never_leaves_an_estimator():
+    context = EstimateContext(truth_sh=np.full((9, 3), np.nan))
+    with pytest.raises(ValueError, match="not nine finite triples"):
+        estimators.load("truth", N).estimate(constant_cloud(True), context)
