@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import bmesh  # type: ignore[import-not-found]
 import bpy
 import numpy as np
 
@@ -172,15 +171,31 @@ def add_three_sphere_rig(
     return spheres
 
 
-def _sphere_mesh(name: str, radius_m: float) -> bpy.types.Mesh:
-    """A smooth UV sphere around the origin."""
+def _sphere_mesh(name: str, radius_m: float, n_around: int = 64, n_up: int = 32) -> bpy.types.Mesh:
+    """A smooth UV sphere around the origin; bmesh's own orders its vertices differently from version to version."""
+    polar = np.pi * np.arange(1, n_up) / n_up
+    azimuth = 2 * np.pi * np.arange(n_around) / n_around
+    across, along = np.sin(polar)[:, None], np.cos(polar)[:, None] * np.ones(n_around)
+    rings = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), along], axis=-1).reshape(-1, 3)
+    vertices = np.concatenate([rings, [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]]) * radius_m
     mesh = bpy.data.meshes.new(name)
-    builder = bmesh.new()
-    bmesh.ops.create_uvsphere(builder, u_segments=64, v_segments=32, radius=radius_m)
-    builder.to_mesh(mesh)
-    builder.free()
+    mesh.from_pydata(vertices.tolist(), [], _sphere_faces(n_around, n_up - 1))
     mesh.shade_smooth()
     return mesh
+
+
+def _sphere_faces(n_around: int, n_rings: int) -> list[tuple[int, ...]]:
+    """Faces of rings from the top down, followed by the top and the bottom pole; they turn outwards."""
+    ring = np.arange(n_around)
+    after = np.roll(ring, -1)
+    top, last = n_rings * n_around, (n_rings - 1) * n_around
+    faces: list[tuple[int, ...]] = [(top, a, b) for a, b in zip(ring.tolist(), after.tolist(), strict=True)]
+    faces += [(top + 1, last + b, last + a) for a, b in zip(ring.tolist(), after.tolist(), strict=True)]
+    for upper in range(0, last, n_around):
+        lower = upper + n_around
+        quads = np.stack([upper + ring, lower + ring, lower + after, upper + after], axis=-1)
+        faces += map(tuple, quads.tolist())
+    return faces
 
 
 def _rig_material(name: str, look: dict[str, Any]) -> bpy.types.Material:

@@ -1,0 +1,157 @@
+"""Build `walk_around`: a phone that circles a lamp on a table, once, in 24 frames.
+
+The paper's third recording: the light stays, the user walks. A full circle shows the estimator every wall; the lamp is
+the main light and stands right beside the virtual objects, so that their light changes quickly with position. Dusk
+comes in through one window. Virtual: a porcelain jar and a brushed metal ball on the table, on two sides of the lamp.
+
+The room is 4.4 m x 4.4 m x 2.6 m with its middle, the table and the lamp at the origin.
+"""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from furniture import (
+    add_bookcase,
+    add_cabinet,
+    add_chair,
+    add_curtain,
+    add_curtain_rod,
+    add_picture,
+    add_plant,
+    add_radiator,
+    add_round_table,
+    add_sofa,
+    at,
+)
+from lighting import add_table_lamp, set_sky
+from room_shell import Opening, Room, add_door, add_shell, add_skirting, add_window
+from shapes import add_solid, ball, box_between, revolved
+from staging import add_virtual, arc, main, open_stage, walk_phone
+from surfaces import carpet, coloured_by_face, curtain_cloth, fabric, foliage, paint, painting, plain, planks, wood
+
+WINDOW = Opening("+x", -0.8, 0.8, 0.85, 2.2)
+DOOR = Opening("-y", 0.9, 1.75, 0.0, 2.02, is_door=True)
+ROOM = Room(4.4, 4.4, 2.6, openings=(WINDOW, DOOR))
+TABLE_HEIGHT_M, TABLE_RADIUS_M = 0.74, 0.5
+# Radius and height in metres, from the foot over the belly and the lid to the knob.
+JAR_PROFILE = [
+    (0, 0), (0.06, 0), (0.068, 0.008), (0.082, 0.05), (0.086, 0.1),
+    (0.078, 0.145), (0.062, 0.165), (0.07, 0.172), (0.07, 0.18), (0.045, 0.2),
+    (0.016, 0.208), (0.012, 0.216), (0.02, 0.228), (0.014, 0.24), (0, 0.243),
+]  # fmt: skip
+
+Collection = bpy.types.Collection
+
+
+def build() -> bpy.types.Scene:
+    """The whole scene in an empty file."""
+    scene, room = open_stage("Walk around a lamp")
+    rng = np.random.default_rng(360)
+    add_walls(room)
+    add_furniture(room, rng)
+    add_decoration(room, rng)
+    add_virtual_pieces(scene)
+    glaze = plain("Lamp glaze", (0.4, 0.13, 0.07), roughness=0.2)
+    place = at(0.0, 0.0, TABLE_HEIGHT_M)
+    add_table_lamp(room, "Lamp", glaze, place=place, kelvin=2800, watts=32.0, radiance=1.8, height=0.52)
+    set_sky(
+        scene,
+        [
+            (0.0, (0.08, 0.08, 0.1)),
+            (0.49, (0.1, 0.1, 0.12)),
+            (0.51, (1.0, 0.6, 0.4)),
+            (0.7, (0.25, 0.4, 0.8)),
+            (1.0, (0.08, 0.17, 0.5)),
+        ],
+        strength=0.8,
+    )
+    positions = arc((0.0, 0.0), 1.45, (-90, 270 - 15), (1.42, 1.5))
+    walk_phone(scene, positions, np.tile((0.0, 0.0, 0.98), (len(positions), 1)), seed=21)
+    return scene
+
+
+def add_walls(room: Collection) -> None:
+    """Shell, window, door and skirting; each wall has its own colour, so that the light has a direction."""
+    white = plain("White lacquer", (0.75, 0.75, 0.73), roughness=0.35)
+    walls = {
+        "+x": paint("Cream paint", (0.68, 0.63, 0.52)),
+        "-x": paint("Brick red paint", (0.42, 0.13, 0.08)),
+        "+y": paint("Sage paint", (0.3, 0.38, 0.28)),
+        "-y": paint("Chalk paint", (0.65, 0.65, 0.63)),
+    }
+    floor = planks("Pine planks", (0.38, 0.24, 0.12), (0.52, 0.36, 0.2), width_m=0.12)
+    add_shell(room, ROOM, floor=floor, walls=walls, ceiling=paint("Ceiling paint", (0.74, 0.74, 0.72)))
+    add_skirting(room, ROOM, white)
+    add_window(room, ROOM, WINDOW, white, white)
+    add_door(room, ROOM, DOOR, white, white, plain("Steel", (0.6, 0.6, 0.6), metallic=1.0, roughness=0.3))
+
+
+def add_furniture(room: Collection, rng: np.random.Generator) -> None:
+    """The table in the middle; something to see on every side."""
+    oak = wood("Oak", (0.3, 0.17, 0.08), (0.44, 0.27, 0.14))
+    walnut = wood("Walnut", (0.09, 0.045, 0.022), (0.17, 0.09, 0.045), grain="Z")
+    brass = plain("Brass", (0.75, 0.5, 0.2), metallic=1.0, roughness=0.3)
+    add_round_table(room, "Table", TABLE_RADIUS_M, TABLE_HEIGHT_M, oak, walnut, place=at(0.0, 0.0))
+    cloth = fabric("Sofa cloth", (0.16, 0.22, 0.3))
+    throws = [fabric("Rust cloth", (0.5, 0.17, 0.05)), fabric("Cream cloth", (0.66, 0.6, 0.5))]
+    add_sofa(room, "Sofa", 1.9, cloth, walnut, throws, place=at(0.0, 1.74))
+    books = coloured_by_face("Book spines")
+    add_bookcase(room, "Bookcase 1", (0.95, 0.3, 2.0), walnut, books, rng, place=at(-2.05, -0.5, turn_deg=90))
+    add_bookcase(room, "Bookcase 2", (0.95, 0.3, 2.0), walnut, books, rng, place=at(-2.05, 0.5, turn_deg=90))
+    add_cabinet(room, "Sideboard", (1.5, 0.4, 0.8), oak, brass, place=at(-0.35, -2.0, turn_deg=180), doors=3)
+    add_chair(room, "Chair", walnut, fabric("Chair cloth", (0.5, 0.36, 0.12)), place=at(1.75, -1.3, turn_deg=-60))
+    rug = carpet("Rug", (0.42, 0.35, 0.27), (0.07, 0.12, 0.2), (0.36, 0.09, 0.05))
+    disc = revolved([(0, 0), (1.2, 0), (1.2, 0.012), (0, 0.012)], 64)
+    add_solid(room, "Rug", disc, rug)
+
+
+def add_decoration(room: Collection, rng: np.random.Generator) -> None:
+    """Curtains, radiator, pictures, plants, the street outside."""
+    linen = curtain_cloth("Linen", (0.7, 0.6, 0.45))
+    steel = plain("Rod steel", (0.25, 0.24, 0.23), metallic=1.0, roughness=0.4)
+    add_curtain_rod(room, "Curtain rod", 2.5, steel, place=at(2.1, 0.0, 2.35, 90))
+    add_curtain(room, "Curtain left", 0.5, 2.3, linen, place=at(2.1, 0.98, 2.35, 90), seed=1)
+    add_curtain(room, "Curtain right", 0.5, 2.3, linen, place=at(2.1, -0.98, 2.35, 90), seed=2)
+    enamel = plain("Radiator enamel", (0.74, 0.74, 0.72), roughness=0.3)
+    add_radiator(room, "Radiator", 1.3, 0.5, enamel, place=at(2.18, 0.0, turn_deg=-90))
+    black, mount = plain("Picture frame", (0.02, 0.02, 0.02), roughness=0.4), plain("Mount", (0.78, 0.77, 0.74))
+    stops = [(0.3, (0.03, 0.1, 0.18)), (0.47, (0.3, 0.42, 0.4)), (0.53, (0.7, 0.62, 0.45)), (0.7, (0.45, 0.14, 0.06))]
+    for i, (x, scale) in enumerate(((-0.55, 1.5), (0.0, 2.2), (0.55, 1.8))):
+        art = painting(f"Print {i + 1}", stops, scale=scale)
+        add_picture(room, f"Picture {i + 1}", (0.42, 0.54), art, black, mount, place=at(x, 2.2, 1.55))
+        art = painting(f"Study {i + 1}", stops, scale=scale + 1)
+        add_picture(room, f"Small picture {i + 1}", (0.34, 0.34), art, black, mount, place=at(x - 0.35, -2.2, 1.5, 180))
+    leaves = foliage("Leaves", (0.02, 0.07, 0.015), (0.1, 0.22, 0.05))
+    clay, soil = (
+        plain("Terracotta", (0.4, 0.15, 0.07), roughness=0.8),
+        plain("Soil", (0.03, 0.02, 0.015), roughness=1.0),
+    )
+    add_plant(room, "Plant", leaves, clay, soil, rng, place=at(1.75, 1.7), height=1.4, spread=0.4, n_leaves=32)
+    add_plant(
+        room, "Fern", leaves, clay, soil, rng, place=at(-0.8, -2.0, 0.8), height=0.45, spread=0.25, pot_radius=0.09
+    )
+    houses = [
+        box_between((12, y, -4), (16, y + w, h))
+        for y, w, h in ((-14, 6, 2.2), (-7, 5, 1.4), (-1.5, 6, 2.6), (5, 7, 1.7))
+    ]
+    for i, house in enumerate(houses):
+        add_solid(
+            room,
+            f"House {i + 1}",
+            house,
+            plain(f"Facade {i + 1}", (0.3, 0.24 - 0.03 * i, 0.2 - 0.03 * i), roughness=0.9),
+        )
+
+
+def add_virtual_pieces(scene: bpy.types.Scene) -> None:
+    """A jar on one side of the lamp, a ball on the other."""
+    jar = revolved(JAR_PROFILE, 64)
+    porcelain = plain("Virtual porcelain", (0.7, 0.7, 0.68), roughness=0.4)
+    add_virtual(scene, "Jar", jar, porcelain, (-0.27, -0.16, TABLE_HEIGHT_M))
+    metal = plain("Virtual brushed metal", (0.85, 0.83, 0.8), metallic=1.0, roughness=0.3)
+    add_virtual(scene, "Ball", ball(0.095, (0, 0, 0.095), 64), metal, (0.28, 0.14, TABLE_HEIGHT_M))
+
+
+if __name__ == "__main__":
+    main(build, __file__)

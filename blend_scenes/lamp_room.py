@@ -1,0 +1,146 @@
+"""The small study that `light_temperature` and `light_intensity` share: one lamp on a desk, and what it does over time.
+
+The lamp is the room's only light but for a faint night outside the window, so that whatever changes in the picture is
+the lamp. The phone is held still: in the paper's recordings of changing light only the light changes. One frame stands
+for half a second.
+
+The room is 3.2 m x 2.8 m x 2.5 m with its middle at the origin; the desk stands at the +y wall, right of the window.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import bpy
+import numpy as np
+from furniture import (
+    add_bookcase,
+    add_cabinet,
+    add_chair,
+    add_curtain,
+    add_curtain_rod,
+    add_picture,
+    add_plant,
+    add_table,
+    at,
+)
+from lighting import add_table_lamp, set_sky
+from room_shell import Opening, Room, add_door, add_shell, add_skirting, add_window
+from shapes import add_solid, ball, box, box_between, cylinder, joined
+from staging import add_virtual, hold_phone, open_stage
+from surfaces import (
+    carpet,
+    coloured_by_face,
+    curtain_cloth,
+    fabric,
+    foliage,
+    paint,
+    painting,
+    plain,
+    planks,
+    wood,
+)
+
+WINDOW = Opening("-x", -0.6, 0.5, 0.9, 2.1)
+DOOR = Opening("+x", -1.2, -0.4, 0.0, 2.02, is_door=True)
+ROOM = Room(3.2, 2.8, 2.5, openings=(WINDOW, DOOR))
+DESK_HEIGHT_M = 0.74
+LAMP_WATTS, SHADE_RADIANCE = 23.0, 1.8
+
+Collection = bpy.types.Collection
+
+
+def build_lamp_room(name: str) -> tuple[bpy.types.Scene, bpy.types.Object]:
+    """The furnished room with its virtual sphere and still phone; returns the scene and the lamp's light."""
+    scene, room = open_stage(name)
+    rng = np.random.default_rng(57)
+    _add_walls(room)
+    _add_desk(room)
+    _add_rest(room, rng)
+    set_sky(scene, [(0.0, (0.3, 0.35, 0.5)), (1.0, (0.5, 0.6, 1.0))], strength=0.15)
+    foot = plain("Lamp glaze", (0.12, 0.28, 0.3), roughness=0.2)
+    lamp = add_table_lamp(
+        room,
+        "Desk lamp",
+        foot,
+        place=at(0.95, 1.08, DESK_HEIGHT_M),
+        kelvin=3000,
+        watts=LAMP_WATTS,
+        radiance=SHADE_RADIANCE,
+    )
+    cream = plain("Virtual porcelain", (0.72, 0.7, 0.66), roughness=0.35, coat_weight=0.3, coat_roughness=0.1)
+    add_virtual(scene, "Porcelain ball", ball(0.11, (0, 0, 0.11), 64), cream, (0.42, 0.86, DESK_HEIGHT_M))
+    hold_phone(scene, (-0.35, -0.75, 1.4), (0.35, 0.95, 0.95), seed=5)
+    return scene, lamp
+
+
+def _add_walls(room: Collection) -> None:
+    wall = paint("Wall paint", (0.66, 0.64, 0.6))
+    accent = paint("Accent paint", (0.28, 0.36, 0.42))
+    white = plain("White lacquer", (0.75, 0.75, 0.73), roughness=0.35)
+    floor = planks("Ash planks", (0.36, 0.25, 0.15), (0.5, 0.38, 0.25), width_m=0.11)
+    add_shell(room, ROOM, floor=floor, walls={"+x": wall, "-x": wall, "+y": accent, "-y": wall}, ceiling=wall)
+    add_skirting(room, ROOM, white)
+    add_window(room, ROOM, WINDOW, white, white)
+    add_door(room, ROOM, DOOR, white, white, plain("Steel", (0.6, 0.6, 0.6), metallic=1.0, roughness=0.3))
+
+
+def _add_desk(room: Collection) -> None:
+    """Desk, chair, and what lies on the desk."""
+    oak = wood("Oak", (0.3, 0.17, 0.08), (0.44, 0.27, 0.14))
+    black = plain("Black steel", (0.03, 0.03, 0.03), roughness=0.4)
+    add_table(room, "Desk", (1.5, 0.7, DESK_HEIGHT_M), oak, black, place=at(0.5, 1.02), leg_m=0.045)
+    seat = fabric("Chair cloth", (0.1, 0.2, 0.25))
+    add_chair(room, "Desk chair", oak, seat, place=at(0.75, 0.3, turn_deg=195))
+    paper = plain("Paper", (0.76, 0.75, 0.71), roughness=0.9)
+    sheets = [box((0.21, 0.297, 0.002), (0, 0, 0.001)), box((0.21, 0.297, 0.002)).turned(17).moved((0.05, 0.02, 0.003))]
+    add_solid(room, "Papers", joined(sheets), paper, **at(0.75, 0.82, DESK_HEIGHT_M, 8))
+    cover = plain("Book cloth", (0.42, 0.08, 0.06), roughness=0.7)
+    pile = [box((0.25, 0.18, 0.03), (0, 0, 0.015)), box((0.22, 0.16, 0.028)).turned(12).moved((0, 0, 0.044))]
+    add_solid(room, "Book pile", joined(pile), cover, bevel_m=0.003, **at(0.02, 1.1, DESK_HEIGHT_M, -12))
+    mug = plain("Mug glaze", (0.65, 0.45, 0.12), roughness=0.3)
+    add_solid(room, "Pencil mug", cylinder(0.042, 0.1), mug, smooth=True, **at(0.62, 1.24, DESK_HEIGHT_M))
+
+
+def _add_rest(room: Collection, rng: np.random.Generator) -> None:
+    """Shelf, cabinet, pictures, curtain, plant and rug."""
+    oak, white = bpy.data.materials["Oak"], bpy.data.materials["White lacquer"]
+    black = bpy.data.materials["Black steel"]
+    books = coloured_by_face("Book spines")
+    add_bookcase(room, "Wall shelf", (1.2, 0.22, 0.7), oak, books, rng, place=at(0.5, 1.29, 1.45), n_shelves=2)
+    add_bookcase(room, "Bookcase", (0.8, 0.28, 1.9), white, books, rng, place=at(-1.1, 1.25))
+    add_cabinet(room, "Drawers", (0.9, 0.42, 0.8), white, black, place=at(1.37, 0.15, turn_deg=-90), doors=2)
+    stops = [(0.3, (0.05, 0.1, 0.16)), (0.5, (0.6, 0.55, 0.45)), (0.7, (0.5, 0.15, 0.08))]
+    add_picture(room, "Picture", (0.5, 0.4), painting("Harbour", stops), black, white, place=at(1.6, 0.3, 1.5, -90))
+    linen = curtain_cloth("Linen", (0.6, 0.5, 0.4))
+    add_curtain_rod(room, "Curtain rod", 1.9, black, place=at(-1.5, -0.05, 2.25, 90))
+    add_curtain(room, "Curtain left", 0.4, 2.2, linen, place=at(-1.5, 0.7, 2.25, 90), seed=1)
+    add_curtain(room, "Curtain right", 0.4, 2.2, linen, place=at(-1.5, -0.8, 2.25, 90), seed=2)
+    leaves = foliage("Leaves", (0.02, 0.07, 0.015), (0.1, 0.22, 0.05))
+    clay, soil = (
+        plain("Terracotta", (0.4, 0.15, 0.07), roughness=0.8),
+        plain("Soil", (0.03, 0.02, 0.015), roughness=1.0),
+    )
+    add_plant(room, "Plant", leaves, clay, soil, rng, place=at(-0.42, 1.15), height=0.8, spread=0.25, pot_radius=0.12)
+    rug = carpet("Rug", (0.35, 0.33, 0.3), (0.1, 0.14, 0.2), (0.5, 0.47, 0.4))
+    add_solid(room, "Rug", box_between((-0.8, -0.6, 0), (0.8, 0.6, 0.01)), rug, location=(0.0, -0.3, 0.0))
+
+
+def key_lamp(scene: bpy.types.Scene, lamp: bpy.types.Object, kelvin: Sequence[float], level: Sequence[float]) -> None:
+    """Key the lamp and its shade at every frame.
+
+    Parameters
+    ----------
+    kelvin : colour temperature per frame; the black body keeps its luminance, only its colour changes
+    level : power per frame as a share of full, 0 to 1; lamp and shade dim together
+    """
+    shade = bpy.data.materials["Desk lamp shade"].node_tree
+    bulb = lamp.data
+    for i, frame in enumerate(range(scene.frame_start, scene.frame_end + 1)):
+        for tree in (shade, bulb.node_tree):
+            tree.nodes["Temperature"].inputs[0].default_value = kelvin[i]
+            tree.nodes["Temperature"].inputs[0].keyframe_insert("default_value", frame=frame)
+        glow = next(node for node in shade.nodes if node.type == "BSDF_PRINCIPLED").inputs["Emission Strength"]
+        glow.default_value, bulb.energy = SHADE_RADIANCE * level[i], LAMP_WATTS * level[i]
+        glow.keyframe_insert("default_value", frame=frame)
+        bulb.keyframe_insert("energy", frame=frame)

@@ -1,0 +1,167 @@
+"""What geometry are the scenes made of?
+
+A few solids as plain vertex and face lists, and one function that turns such a list into a Blender object. Written
+without `bpy.ops`, so that a build depends on nothing but its arguments and the same call gives the same mesh. Rounded
+edges and cushions are bevel and subdivision modifiers: the file stays small and the shapes stay editable.
+
+Frames: each solid is made around its own origin in metres, +Z up, and placed by its object's location and turn.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import bpy
+import numpy as np
+
+Vector = Sequence[float]
+BOX_FACES = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5))
+SHARP_ANGLE = math.radians(40)
+
+
+@dataclass(frozen=True)
+class Solid:
+    """Vertices in metres, and faces as tuples of vertex indices that turn anticlockwise seen from outside."""
+
+    vertices: tuple[tuple[float, float, float], ...]
+    faces: tuple[tuple[int, ...], ...]
+
+    def moved(self, offset: Vector) -> Solid:
+        """The same solid, shifted."""
+        x, y, z = offset
+        return Solid(tuple((a + x, b + y, c + z) for a, b, c in self.vertices), self.faces)
+
+    def turned(self, degrees: float, axis: str = "Z") -> Solid:
+        """The same solid, turned about an axis through its origin, anticlockwise seen from the axis' tip."""
+        i, j = {"X": (1, 2), "Y": (2, 0), "Z": (0, 1)}[axis]
+        points = np.array(self.vertices)
+        c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+        points[:, [i, j]] = points[:, [i, j]] @ np.array([[c, s], [-s, c]])
+        return Solid(tuple(map(tuple, points.tolist())), self.faces)
+
+
+def joined(solids: Sequence[Solid]) -> Solid:
+    """All solids as one."""
+    vertices: list[tuple[float, float, float]] = []
+    faces: list[tuple[int, ...]] = []
+    for solid in solids:
+        first = len(vertices)
+        vertices += solid.vertices
+        faces += [tuple(first + i for i in face) for face in solid.faces]
+    return Solid(tuple(vertices), tuple(faces))
+
+
+def box(size: Vector, centre: Vector = (0.0, 0.0, 0.0)) -> Solid:
+    """A box of full extents `size` around `centre`."""
+    corners = [(x, y, z) for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)]
+    return Solid(tuple((x * size[0], y * size[1], z * size[2]) for x, y, z in corners), BOX_FACES).moved(centre)
+
+
+def box_between(low: Vector, high: Vector) -> Solid:
+    """The axis-aligned box from its low to its high corner."""
+    size = [b - a for a, b in zip(low, high, strict=True)]
+    return box(size, [(a + b) / 2 for a, b in zip(low, high, strict=True)])
+
+
+def revolved(profile: Sequence[tuple[float, float]], n_segments: int = 32) -> Solid:
+    """A solid of revolution about Z from a profile of (radius, height) that runs upwards on the outside.
+
+    A radius of 0 at an end closes it with a fan; otherwise it stays open.
+    """
+    vertices: list[tuple[float, float, float]] = []
+    rings: list[list[int]] = []
+    for radius, height in profile:
+        n = n_segments if radius > 0 else 1
+        rings.append(list(range(len(vertices), len(vertices) + n)))
+        angles = 2 * np.pi * np.arange(n) / n
+        vertices += [(radius * math.cos(a), radius * math.sin(a), height) for a in angles.tolist()]
+    faces = [face for low, high in pairwise(rings) for face in _band(low, high, n_segments)]
+    return Solid(tuple(vertices), tuple(faces))
+
+
+def _band(low: list[int], high: list[int], n: int) -> list[tuple[int, ...]]:
+    """Faces between two rings, of which either may be a single point."""
+    quads = [
+        (low[i % len(low)], low[(i + 1) % len(low)], high[(i + 1) % len(high)], high[i % len(high)]) for i in range(n)
+    ]
+    return [tuple(dict.fromkeys(quad)) for quad in quads]
+
+
+def cylinder(radius: float, height: float, n_segments: int = 24) -> Solid:
+    """A closed cylinder that stands on its origin."""
+    return revolved([(0, 0), (radius, 0), (radius, height), (0, height)], n_segments)
+
+
+def ball(radius: float, centre: Vector = (0.0, 0.0, 0.0), n_segments: int = 48) -> Solid:
+    """A sphere."""
+    angles = np.linspace(-np.pi / 2, np.pi / 2, n_segments // 2 + 1)
+    profile = [(radius * math.cos(a), radius * math.sin(a)) for a in angles.tolist()]
+    profile[0], profile[-1] = (0.0, -radius), (0.0, radius)
+    return revolved(profile, n_segments).moved(centre)
+
+
+def tube(start: Vector, end: Vector, radius: float, n_segments: int = 12) -> Solid:
+    """A closed round bar between two points."""
+    a, b = np.array(start, float), np.array(end, float)
+    along = (b - a) / np.linalg.norm(b - a)
+    side = np.cross(along, (0.0, 0.0, 1.0) if abs(along[2]) < 0.9 else (1.0, 0.0, 0.0))
+    side /= np.linalg.norm(side)
+    frame = np.stack([side, np.cross(along, side), along])
+    upright = cylinder(radius, float(np.linalg.norm(b - a)), n_segments)
+    return Solid(tuple(map(tuple, (np.array(upright.vertices) @ frame + a).tolist())), upright.faces)
+
+
+def sheet(grid: np.ndarray) -> Solid:
+    """An open surface through a grid of points (rows, columns, 3)."""
+    rows, columns = grid.shape[:2]
+    index = np.arange(rows * columns).reshape(rows, columns)
+    quads = np.stack([index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]], axis=-1).reshape(-1, 4)
+    return Solid(tuple(map(tuple, grid.reshape(-1, 3).tolist())), tuple(map(tuple, quads.tolist())))
+
+
+def add_solid(
+    collection: bpy.types.Collection,
+    name: str,
+    solid: Solid,
+    material: bpy.types.Material,
+    *,
+    location: Vector = (0.0, 0.0, 0.0),
+    turn_deg: float = 0.0,
+    bevel_m: float = 0.0,
+    subdivisions: int = 0,
+    smooth: bool = False,
+) -> bpy.types.Object:
+    """Make an object of `solid` in `collection`.
+
+    Parameters
+    ----------
+    location, turn_deg : of the object; the turn is about +Z
+    bevel_m : rounds sharp edges with this width; 0 leaves them
+    subdivisions : levels of Catmull-Clark smoothing; 0 for none
+    smooth : smooth shading, except across edges sharper than 40 degrees
+    """
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata(solid.vertices, [], solid.faces)
+    mesh.materials.append(material)
+    if smooth or subdivisions:
+        mesh.shade_smooth()
+        if not subdivisions:
+            mesh.set_sharp_from_angle(angle=SHARP_ANGLE)
+    thing = bpy.data.objects.new(name, mesh)
+    thing.location = location
+    thing.rotation_euler = (0.0, 0.0, math.radians(turn_deg))
+    collection.objects.link(thing)
+    _add_modifiers(thing, bevel_m, subdivisions)
+    return thing
+
+
+def _add_modifiers(thing: bpy.types.Object, bevel_m: float, subdivisions: int) -> None:
+    if bevel_m:
+        bevel = thing.modifiers.new("Rounded edges", "BEVEL")
+        bevel.width, bevel.segments, bevel.limit_method = bevel_m, 2, "ANGLE"
+    if subdivisions:
+        smoothing = thing.modifiers.new("Soft shape", "SUBSURF")
+        smoothing.levels = smoothing.render_levels = subdivisions
