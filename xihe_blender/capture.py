@@ -26,7 +26,7 @@ from xihenet.records import ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
 
 SCENE_NAME = "Xihe Capture"
 KEY_LUMINANCE = 0.18
-"""Metering brings the geometric mean of a session's luminance here: the middle grey of photography."""
+"""Metering brings a session's luminance here: the middle grey of photography."""
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """Of linear Rec.709, ITU-R BT.709."""
@@ -154,23 +154,26 @@ def _intrinsics(
 
 
 def meter_exposure(scene: bpy.types.Scene, frames: Sequence[int], seed: int = 0) -> float:
-    """The session's exposure: brings the geometric mean luminance of the first, middle and last frame to middle grey.
+    """The session's exposure: brings the mean key of the first, middle and last frame to middle grey.
 
-    Black pixels count as 1/1000 of the frames' mean, so that a lamp that is off at first does not blow out the rest.
-    A scene without any light gives 1.
+    A frame's key is the geometric mean of its luminance, black pixels counting as 1/1000 of its mean. The mean over
+    frames is arithmetic, so that a lamp that is off at first does not blow out the rest. Without any light: 1.
     """
     settings = RenderSettings((64, 48), samples=8, seed=seed, denoise=False)
-    chosen = sorted({frames[0], frames[len(frames) // 2], frames[-1]})
-    pictures = []
+    keys = []
     with open_scanner(scene, settings) as scanner:
-        for frame in chosen:
+        for frame in sorted({frames[0], frames[len(frames) // 2], frames[-1]}):
             scanner.move_to(frame)
-            pictures.append(first_layer(render_passes(scanner.scene))[0])
-    luminance = np.maximum(np.stack(pictures).astype(np.float64) @ LUMINANCE, 0.0)
+            keys.append(_key(first_layer(render_passes(scanner.scene))[0]))
+    key = float(np.mean(keys))
+    return KEY_LUMINANCE / key if np.isfinite(key) and key > 0 else 1.0
+
+
+def _key(radiance: ArrayF32) -> float:
+    """Geometric mean of the luminance; 0 for a black frame."""
+    luminance = np.maximum(radiance.astype(np.float64) @ LUMINANCE, 0.0)
     mean = float(luminance.mean())
-    if not (np.isfinite(mean) and mean > 0):
-        return 1.0
-    return float(KEY_LUMINANCE / np.exp(np.log(np.maximum(luminance, mean * 1e-3)).mean()))
+    return float(np.exp(np.log(np.maximum(luminance, mean * 1e-3)).mean())) if mean > 0 else 0.0
 
 
 def sized_for(scene: bpy.types.Scene, settings: RenderSettings) -> RenderSettings:
