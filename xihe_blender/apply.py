@@ -49,12 +49,12 @@ def make_sh_world(name: str) -> bpy.types.World:
     decided before the first render.
     """
     world = bpy.data.worlds.get(name) or bpy.data.worlds.new(name)
-    world.animation_data_clear()
+    _remove_animation(world)
     if bpy.app.version < (5, 0, 0):
         # From 5.0 on a world always has nodes, and the switch is deprecated.
         world.use_nodes = True
     tree = world.node_tree
-    tree.animation_data_clear()
+    _remove_animation(tree)
     tree.nodes.clear()
     group = tree.nodes.new("ShaderNodeGroup")
     group.name = group.label = NODE_GROUP_NAME
@@ -116,10 +116,19 @@ def remove_applied_light(scene: bpy.types.Scene) -> None:
     """Take everything away that applying left in the file: worlds, node group, markers."""
     remove_trigger_markers(scene)
     for world in [w for w in bpy.data.worlds if lights_by_sh(w)]:
+        _remove_animation(world.node_tree)
         bpy.data.worlds.remove(world)
     group = bpy.data.node_groups.get(NODE_GROUP_NAME)
     if group is not None:
         bpy.data.node_groups.remove(group)
+
+
+def _remove_animation(owner: bpy.types.ID) -> None:
+    """Take away the keys of `owner`, and their action if nothing else uses it."""
+    action = owner.animation_data.action if owner.animation_data else None
+    owner.animation_data_clear()
+    if action is not None and action.users == 0:
+        bpy.data.actions.remove(action)
 
 
 def lights_by_sh(world: bpy.types.World) -> bool:

@@ -7,6 +7,7 @@ renamed, so that a name that exists is a file that is whole.
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import math
 import os
@@ -39,6 +40,11 @@ class RunOutputs:
     def settings(self) -> Path:
         """What the stored work below was made with: a run resumes only where it is the same."""
         return self.folder / "work" / "settings.json"
+
+    @property
+    def exposure(self) -> Path:
+        """The exposure that was metered, so that a resumed run has the same without rendering."""
+        return self.folder / "work" / "exposure.json"
 
     def capture(self, frame: int) -> Path:
         """Colour and plane depth of one frame, as recorded."""
@@ -78,15 +84,28 @@ def _file_stem(name: str) -> str:
 def written_whole(path: Path) -> Iterator[Path]:
     """Give a temporary path beside `path`; rename it to `path` on success, remove it on any error.
 
-    The temporary name keeps the suffix, since writers choose a format by it.
+    The temporary name keeps the suffix, since writers choose a format by it. Whatever a writer says of a disk that
+    fails it, Python's or one in C++, comes out as an OSError that names `path`.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         yield beside
         beside.replace(path)
+    except OSError as error:
+        raise OSError(error.errno or errno.EIO, error.strerror or str(error), str(path)) from error
+    except RuntimeError as error:
+        raise _from_cpp(error, path) from error
     finally:
-        beside.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            beside.unlink(missing_ok=True)
+
+
+def _from_cpp(error: RuntimeError, path: Path) -> OSError:
+    """OpenEXR and Blender put the system's words for what went wrong into a RuntimeError."""
+    words = " ".join(str(error).split())
+    code = next((code for code in errno.errorcode if os.strerror(code) in words), errno.EIO)
+    return OSError(code, words if code == errno.EIO else os.strerror(code), str(path))
 
 
 def write_json(path: Path, content: Any) -> None:

@@ -1,8 +1,8 @@
 """How do we render with Cycles and get arrays back, without touching the user's scene?
 
 Chosen: a working scene, a copy that shares the objects and owns its settings, its frame and its view layers. The user's
-scene is never changed, so there is nothing to restore after an error, a cancel or a crash, and animation evaluated in
-the copy does not reach the original's objects. Rejected: changing settings in place and putting them back.
+settings are never changed, so there are none to restore after an error, a cancel or a crash. What rendering writes into
+the shared objects, their animated values, `scene_state` puts back. Rejected: changing settings in place.
 
 Pixels come back through a 32-bit EXR file in memory, since Blender cannot hand out a render result in background mode.
 Light transport (bounces, clamps, caustics) stays as the user's scene has it: the same in capture, truth and comparison,
@@ -130,9 +130,11 @@ def render_passes(scene: bpy.types.Scene) -> Rendered:
         except RuntimeError as error:
             raise UserError(f"Cycles could not render {scene.name!r}: {str(error).strip()}") from error
         render_s = time.perf_counter() - start
-        if not path.exists():
-            raise OSError(f"Blender wrote no picture to {path}; is the temporary folder full?")
-        return Rendered(_by_layer(read_channels(path)), render_s)
+        layers = _by_layer(read_channels(path)) if path.exists() else {}
+        # A file that was cut short opens without an error; what did not fit is missing.
+        if any("Depth.Z" not in layers.get(layer.name, ()) for layer in scene.view_layers if layer.use):
+            raise OSError(f"Blender wrote no whole picture to {path}: free some space in the temporary folder")
+        return Rendered(layers, render_s)
 
 
 def _by_layer(channels: dict[str, ArrayF32]) -> dict[str, dict[str, ArrayF32]]:

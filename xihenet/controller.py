@@ -77,6 +77,11 @@ class XiheController:
             raise ValueError(f"add_position {name!r}: expected three finite coordinates, got {position_m!r}")
         self._positions[name] = _Position(position, PositionBuffers.empty(self.backend.n_anchors))
 
+    @property
+    def positions(self) -> dict[str, ArrayF64]:
+        """World position of every estimation position, by name."""
+        return {name: position.position_m for name, position in self._positions.items()}
+
     def light(self, name: str) -> LightEstimate | None:
         """The light in force at a position: its last valid estimate, or None before there is one."""
         return self._positions[name].light

@@ -7,6 +7,7 @@ Paper: section 5, `XiheRecorder`; `EnvironmentScanner` is what a phone, a render
 
 from __future__ import annotations
 
+import io
 import zipfile
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -33,8 +34,10 @@ def save_frame(path: Path, frame: RgbdFrame) -> None:
     for name in ("srgb_u8", "plane_depth_m", "world_from_camera", "exposure", "time_s", "frame"):
         fields[name] = getattr(frame, name)
     try:
-        with beside.open("wb") as file:
-            np.savez_compressed(file, **fields)
+        # Through memory: a zip file that a full disk stops complains once more when it is collected.
+        content = io.BytesIO()
+        np.savez_compressed(content, **fields)
+        beside.write_bytes(content.getvalue())
         beside.replace(path)
     finally:
         beside.unlink(missing_ok=True)

@@ -1,0 +1,102 @@
+"""What does rendering a copy of the scene change in the user's own, and how is it put back?
+
+A working scene shares its objects with the user's. Blender's render operator writes the values of F-curves, NLA and
+drivers at the rendered frame into those shared objects, materials and worlds. A user who has moved an animated object
+without keying it would lose that, and everything else would stand as in the last frame rendered. So every animated
+value is noted before and put back after. Rejected: going back to the user's frame, which puts back what is keyed only.
+
+Rendering also makes an image data-block for its result; it goes if it was not there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from typing import Any
+
+import bpy
+
+
+@contextlib.contextmanager
+def scene_kept() -> Iterator[None]:
+    """Put back what renders during the block change in the open file, whatever happens in it."""
+    had_result = any(image.type == "RENDER_RESULT" for image in bpy.data.images)
+    before = animated_values()
+    try:
+        yield
+    finally:
+        if not had_result:
+            for image in [i for i in bpy.data.images if i.type == "RENDER_RESULT"]:
+                bpy.data.images.remove(image)
+        # A render leaves an evaluation pending, which would write over what is put back.
+        _evaluate_pending()
+        put_back(before)
+        _evaluate_pending()
+
+
+def _evaluate_pending() -> None:
+    """Bring every view layer that is in use up to date, each at its own scene's frame."""
+    for layer in [layer for scene in bpy.data.scenes for layer in scene.view_layers]:
+        if layer.depsgraph is not None:
+            layer.update()
+
+
+def animated_values() -> dict[tuple[bpy.types.ID, str], Any]:
+    """What every property of the file that an F-curve, an NLA strip or a driver moves has now, by owner and path."""
+    values = {}
+    for block in bpy.data.user_map():
+        for owner in (block, getattr(block, "node_tree", None)):
+            for path in _animated_paths(owner) if owner is not None else ():
+                # A path that leads nowhere belongs to something that was renamed or deleted.
+                with contextlib.suppress(KeyError, ValueError):
+                    values[owner, path] = _value(owner, path)
+    return values
+
+
+def put_back(values: dict[tuple[bpy.types.ID, str], Any]) -> None:
+    """Set every property of `values` that has another value now; what has been deleted since is left out."""
+    for (owner, path), value in values.items():
+        with contextlib.suppress(AttributeError, KeyError, ReferenceError, ValueError):
+            if _value(owner, path) != value:
+                _set_value(owner, path, value)
+
+
+def _animated_paths(owner: bpy.types.ID) -> set[str]:
+    animation = getattr(owner, "animation_data", None)
+    if animation is None:
+        return set()
+    actions = [animation.action, *(strip.action for track in animation.nla_tracks for strip in track.strips)]
+    curves = [curve for action in actions if action is not None for curve in _curves(action)]
+    return {curve.data_path for curve in (*curves, *animation.drivers)}
+
+
+def _curves(action: bpy.types.Action) -> list[bpy.types.FCurve]:
+    """All F-curves of an action, those of other slots too. Blender 4.4 moved them into layers."""
+    if not hasattr(action, "layers"):
+        return list(action.fcurves)
+    strips = [strip for layer in action.layers for strip in layer.strips]
+    return [curve for strip in strips for bag in strip.channelbags for curve in bag.fcurves]
+
+
+def _value(owner: bpy.types.ID, path: str) -> Any:
+    """A copy: vectors and arrays, which Blender hands out as views, become tuples."""
+    struct, key = _held(owner, path)
+    # A custom property read by its path would come out rounded to single precision.
+    value = owner.path_resolve(path) if key is None else struct[key]
+    return value if isinstance(value, str) or not hasattr(value, "__len__") else tuple(value)
+
+
+def _set_value(owner: bpy.types.ID, path: str, value: Any) -> None:
+    struct, key = _held(owner, path)
+    if key is None:
+        setattr(struct, path.rpartition(".")[2], value)
+    else:
+        struct[key] = value
+
+
+def _held(owner: bpy.types.ID, path: str) -> tuple[Any, str | None]:
+    """What holds the property at `path`, and the key if that is a custom property. ValueError if the path is broken."""
+    is_custom = path.endswith('"]')
+    holder, _, name = path[:-2].rpartition('["') if is_custom else path.rpartition(".")
+    struct = owner.path_resolve(holder) if holder else owner
+    return struct, bpy.utils.unescape_identifier(name) if is_custom else None
