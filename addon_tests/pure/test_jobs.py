@@ -1,0 +1,126 @@
+"""Driving a job: to its end, with progress, and to a clean stop."""
+
+import os
+import signal
+import threading
+
+import pytest
+
+from xihe_blender.jobs import Progress, interrupted_between_steps, run_blocking
+
+
+def count_to(total, log=None, action=None):
+    """A job of `total` steps that notes its steps and its end in `log` and does `action` at the second."""
+    log = [] if log is None else log
+    try:
+        for done in range(total):
+            yield Progress(done, total, f"step {done}")
+            log.append(done)
+            if done == 1 and action is not None:
+                action()
+        return "result"
+    finally:
+        log.append("closed")
+
+
+def press_ctrl_c():
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_a_job_is_driven_to_its_end_and_gives_its_result():
+    log = []
+    assert run_blocking(count_to(3, log)) == "result"
+    assert log == [0, 1, 2, "closed"]
+
+
+def test_a_job_without_a_step_gives_its_result():
+    assert run_blocking(count_to(0)) == "result"
+
+
+def test_every_progress_is_shown_with_the_time_since_the_start():
+    shown = []
+    run_blocking(count_to(3), lambda progress, elapsed_s: shown.append((progress, elapsed_s)))
+    assert [progress.done for progress, _ in shown] == [0, 1, 2]
+    times = [elapsed_s for _, elapsed_s in shown]
+    assert times == sorted(times) and times[0] >= 0
+
+
+@pytest.mark.parametrize(("done", "elapsed_s", "left"), [(1, 10, 30), (2, 10, 10), (4, 10, 0), (0.5, 1, 7)])
+def test_the_time_left_follows_from_the_pace_so_far(done, elapsed_s, left):
+    assert Progress(done, 4, "").seconds_left(elapsed_s) == pytest.approx(left)
+
+
+def test_before_anything_is_done_the_time_left_is_unknown():
+    assert Progress(0, 4, "").seconds_left(10) is None
+
+
+def test_ctrl_c_lets_the_step_end_and_closes_the_job():
+    log = []
+    with pytest.raises(KeyboardInterrupt):
+        run_blocking(count_to(5, log, press_ctrl_c))
+    assert log == [0, 1, "closed"]
+
+
+def test_ctrl_c_while_progress_is_shown_stops_before_the_next_step():
+    log = []
+    with pytest.raises(KeyboardInterrupt):
+        run_blocking(count_to(5, log), lambda progress, _: press_ctrl_c() if progress.done == 2 else None)
+    assert log == [0, 1, "closed"]
+
+
+def test_ctrl_c_in_the_last_step_does_not_lose_the_result():
+    assert run_blocking(count_to(2, action=press_ctrl_c)) == "result"
+
+
+def test_a_second_ctrl_c_does_not_wait_for_the_step():
+    def press_twice():
+        press_ctrl_c()
+        press_ctrl_c()
+        raise AssertionError("the second one did not stop the step")
+
+    log = []
+    with pytest.raises(KeyboardInterrupt):
+        run_blocking(count_to(5, log, press_twice))
+    assert log == [0, 1, "closed"]
+
+
+def test_an_error_in_a_step_comes_out_as_it_is_and_closes_the_job():
+    def fail():
+        raise OSError("on purpose")
+
+    log = []
+    with pytest.raises(OSError, match="on purpose"):
+        run_blocking(count_to(5, log, fail))
+    assert log == [0, 1, "closed"]
+
+
+def test_an_error_while_showing_progress_closes_the_job():
+    log = []
+    with pytest.raises(ZeroDivisionError):
+        run_blocking(count_to(5, log), lambda progress, _: 1 / progress.done)
+    assert log == ["closed"]
+
+
+@pytest.mark.parametrize("action", [None, press_ctrl_c])
+def test_the_handler_of_ctrl_c_is_put_back(action):
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        run_blocking(count_to(5, action=action))
+    except KeyboardInterrupt:
+        assert action is press_ctrl_c
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_off_the_main_thread_a_job_runs_without_handlers():
+    results = []
+    thread = threading.Thread(target=lambda: results.append(run_blocking(count_to(3))))
+    thread.start()
+    thread.join()
+    assert results == ["result"]
+
+
+def test_nothing_is_interrupted_that_was_not_asked_to():
+    with interrupted_between_steps() as is_interrupted:
+        assert not is_interrupted()
+        press_ctrl_c()
+        assert is_interrupted()

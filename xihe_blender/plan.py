@@ -1,0 +1,116 @@
+"""What will a previs run do? Everything that can be wrong with the scene is found here, before anything is rendered."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from xihe_blender.capture import phone_camera, sized_for
+from xihe_blender.errors import UserError
+from xihe_blender.previs_settings import PrevisSettings
+from xihe_blender.render import RenderSettings, working_scene
+from xihe_blender.virtual_objects import COLLECTION_NAME, estimation_positions, virtual_collection, virtual_objects
+from xihenet.records import ArrayF64
+
+DEFAULT_SIZE = (256, 192)
+MAX_SEED = 2**31 - 1
+
+
+@dataclass(frozen=True, eq=False)
+class Probe:
+    """One estimation position: its name in results, the virtual object it lights, and where it is in the world."""
+
+    name: str
+    object_name: str
+    position_m: ArrayF64
+
+
+@dataclass(frozen=True, eq=False)
+class PrevisPlan:
+    """The frames of the camera path, the size of its pictures, the virtual objects and their estimation positions."""
+
+    frames: tuple[int, ...]
+    size: tuple[int, int]
+    objects: tuple[bpy.types.Object, ...]
+    probes: tuple[Probe, ...]
+
+    def probes_of(self, object_name: str) -> list[Probe]:
+        return [probe for probe in self.probes if probe.object_name == object_name]
+
+
+def plan_previs(scene: bpy.types.Scene, settings: PrevisSettings) -> PrevisPlan:
+    """Check `scene` against `settings`: what would a run do? UserError names the fix; the scene stays as it is."""
+    _check_numbers(settings)
+    frames = planned_frames(scene, settings.frames)
+    objects = planned_objects(scene, settings.objects)
+    sized = sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1))
+    size = settings.size or sized.size
+    with working_scene(scene, "Xihe Plan", RenderSettings(size, samples=1)) as working:
+        for frame in reversed(frames):
+            working.frame_set(frame)
+            phone_camera(working)
+        depsgraph = working.view_layers[0].depsgraph
+        probes = [probe for item in objects for probe in _probes(item, depsgraph)]
+    return PrevisPlan(tuple(frames), size, tuple(objects), tuple(probes))
+
+
+def _check_numbers(settings: PrevisSettings) -> None:
+    exposure, seed = settings.exposure, settings.seed
+    if exposure is not None and not (math.isfinite(exposure) and exposure > 0):
+        raise UserError(f"an exposure of {exposure:g} makes no picture: give a positive factor, or none to meter it")
+    if not 0 <= seed <= MAX_SEED:
+        raise UserError(f"a seed of {seed} is out of Cycles' range: give 0 to {MAX_SEED}")
+
+
+def planned_frames(scene: bpy.types.Scene, wanted: Sequence[int] | None) -> list[int]:
+    """The frames of the camera path. UserError for frames outside the scene's range, or none at all."""
+    first, last = scene.frame_start, scene.frame_end
+    frames = sorted(set(range(first, last + 1, scene.frame_step) if wanted is None else wanted))
+    if not frames:
+        raise UserError("no frames are left to capture: give --frames A:B with A not after B")
+    outside = [frame for frame in frames if not first <= frame <= last]
+    if outside:
+        raise UserError(f"frame {outside[0]} is outside the scene's range {first} to {last}: choose frames within it")
+    return frames
+
+
+def planned_objects(scene: bpy.types.Scene, wanted: Sequence[str] | None) -> list[bpy.types.Object]:
+    """The virtual objects of the run. UserError if there is none, a name is unknown, or one is part of the room too."""
+    found = {item.name: item for item in virtual_objects(scene)}
+    if not found:
+        raise UserError(
+            f"scene {scene.name!r} has no virtual object: put what the phone would insert into a collection "
+            f"named {COLLECTION_NAME!r}"
+        )
+    if wanted is not None and not wanted:
+        raise UserError(f"no virtual object is chosen: choose among {', '.join(found)}, or leave --objects out for all")
+    unknown = [name for name in wanted or () if name not in found]
+    if unknown:
+        raise UserError(f"there is no virtual object {unknown[0]!r}: choose among {', '.join(found)}")
+    chosen = [item for name, item in found.items() if wanted is None or name in wanted]
+    for item in chosen:
+        _check_is_not_in_the_room(scene, item)
+    return chosen
+
+
+def _check_is_not_in_the_room(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
+    """An object that is linked into the room as well would be captured, and would light itself."""
+    virtual = virtual_collection(scene)
+    inside = {virtual, *virtual.children_recursive} if virtual is not None else set()
+    in_scene = {scene.collection, *scene.collection.children_recursive}
+    room = [home for home in item.users_collection if home in in_scene and home not in inside]
+    if room:
+        raise UserError(f"virtual object {item.name!r} is also in collection {room[0].name!r}: unlink it from there")
+
+
+def _probes(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[Probe]:
+    positions = estimation_positions(item, depsgraph)
+    if not np.isfinite(positions).all():
+        raise UserError(f"virtual object {item.name!r} has no finite position: check its scale and its constraints")
+    if len(positions) == 1:
+        return [Probe(item.name, item.name, positions[0])]
+    return [Probe(f"{item.name} {k}", item.name, position) for k, position in enumerate(positions, start=1)]
