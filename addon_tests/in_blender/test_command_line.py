@@ -1,0 +1,397 @@
+"""The `xihe` command as a user types it: exit codes, what goes to stdout and stderr, Ctrl-C, full disks, mistakes."""
+
+import hashlib
+import random
+import re
+import resource
+import signal
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+
+import bpy
+import pytest
+from previs_runs import N_FRAMES, files_below, unfinished_files, walk
+from results_schema import check_results, read_strictly, without_times
+
+from xihe_blender.virtual_objects import virtual_collection
+from xihenet import __version__
+
+ROOT = Path(__file__).resolve().parents[2]
+DRAFT = ("--preset", "draft", "--size", "32x24")
+
+
+def typed(*arguments):
+    # Warnings are errors in the command as well.
+    return [sys.executable, "-W", "error", "-m", "xihe_blender", *map(str, arguments)]
+
+
+def xihe(*arguments, **options):
+    return subprocess.run(typed(*arguments), cwd=ROOT, capture_output=True, text=True, timeout=100, **options)
+
+
+def previs(blend, out, *arguments, **options):
+    return xihe("previs", blend, "--out", out, *DRAFT, *arguments, **options)
+
+
+def assert_refused(done, *words):
+    """Exit 2, nothing on stdout, and one line on stderr after any progress, with `words` in it."""
+    lines = [line for line in done.stderr.splitlines() if not re.match(r" *\d+%  ", line)]
+    assert (done.returncode, done.stdout, len(lines)) == (2, "", 1), done.stderr
+    assert lines[0].startswith("xihe: ")
+    for word in words:
+        assert word in lines[0], lines[0]
+
+
+# -------------------------------------------------------------------------------------------------------------- scenes
+
+
+def _no_camera(scene):
+    bpy.data.objects.remove(scene.camera)
+
+
+def _no_virtual_object(scene):
+    for item in list(virtual_collection(scene).objects):
+        bpy.data.objects.remove(item)
+
+
+def _ball_in_the_room(scene):
+    scene.collection.objects.link(bpy.data.objects["Ball"])
+
+
+def _camera_of(kind):
+    return lambda scene: setattr(scene.camera.data, "type", kind)
+
+
+def _camera_without_size(scene):
+    scene.camera.scale = (0, 0, 0)
+
+
+SCENES = {
+    "walk": lambda scene: None,
+    "no_camera": _no_camera,
+    "orthographic": _camera_of("ORTHO"),
+    "panoramic": _camera_of("PANO"),
+    "camera_without_size": _camera_without_size,
+    "no_virtual_object": _no_virtual_object,
+    "ball_in_the_room": _ball_in_the_room,
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The scenes as files, and files that are none."""
+    folder = tmp_path_factory.mktemp("scenes")
+    noise = random.Random(0)
+    for name, change in SCENES.items():
+        change(walk())
+        if name == "walk":
+            # Makes the saved .blend the largest file of a run; see `SmallDisk`.
+            bpy.data.texts.new("Ballast").write("\n".join(noise.randbytes(500).hex() for _ in range(300)))
+        bpy.ops.wm.save_as_mainfile(filepath=str(folder / f"{name}.blend"), copy=True)
+    content = (folder / "walk.blend").read_bytes()
+    (folder / "cut_short.blend").write_bytes(content[: len(content) // 2])
+    (folder / "header_only.blend").write_bytes(content[:12])
+    (folder / "text.blend").write_text("a shopping list")
+    (folder / "empty.blend").write_bytes(b"")
+    (folder / "folder.blend").mkdir()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def finished(folder, tmp_path_factory):
+    """An undisturbed run: what the command said, and the folder it wrote."""
+    before = hashlib.sha256((folder / "walk.blend").read_bytes()).digest()
+    out = tmp_path_factory.mktemp("finished") / "out"
+    done = previs(folder / "walk.blend", out)
+    assert hashlib.sha256((folder / "walk.blend").read_bytes()).digest() == before
+    return done, out
+
+
+# ----------------------------------------------------------------------------------------------------------- a good run
+
+
+def test_a_run_ends_with_report_results_and_lit_blend(finished):
+    done, out = finished
+    assert done.returncode == 0, done.stderr
+    assert {path.name for path in out.iterdir() if path.is_file()} == {"report.html", "results.json", "walk_lit.blend"}
+    results = read_strictly(out / "results.json")
+    check_results(results)
+    assert results["scene"]["file"] == "walk.blend"
+    assert results["software"]["command"].startswith("xihe previs ")
+    assert not unfinished_files(out)
+
+
+def test_stdout_holds_only_the_result(finished):
+    done, out = finished
+    result, report = done.stdout.splitlines()
+    assert re.match(
+        rf"{N_FRAMES - 1} of {N_FRAMES} frames, \d+ estimates; projection is \d+% \w+ \w+ the ground", result
+    )
+    assert report == str(out / "report.html")
+
+
+def test_stderr_holds_only_the_progress_with_time_left(finished):
+    lines = finished[0].stderr.splitlines()
+    assert all(re.fullmatch(r" *\d+%  [^,]+(, \d+ s left)?", line) for line in lines), lines
+    shares = [int(line.split("%")[0]) for line in lines]
+    assert shares == sorted(shares) and shares[0] == 0 and shares[-1] == 100
+    assert sum("s left" in line for line in lines) >= len(lines) - 4
+
+
+def test_a_second_call_says_that_the_run_is_done(folder, finished):
+    done, out = finished
+    before = files_below(out)
+    again = previs(folder / "walk.blend", out)
+    assert (again.returncode, again.stdout) == (0, done.stdout)
+    assert len(again.stderr.splitlines()) == 1 and "already done" in again.stderr
+    assert files_below(out) == before
+
+
+def test_other_settings_are_refused_in_the_same_folder(folder, finished):
+    before = files_below(finished[1])
+    assert_refused(previs(folder / "walk.blend", finished[1], "--seed", 3), "another settings", "--out")
+    assert files_below(finished[1]) == before
+
+
+def test_a_changed_scene_is_refused_in_the_same_folder(finished, tmp_path):
+    changed = tmp_path / "walk.blend"
+    walk()
+    bpy.data.materials["Light"].diffuse_color = (1, 0, 0, 1)
+    bpy.ops.wm.save_as_mainfile(filepath=str(changed), copy=True)
+    assert_refused(previs(changed, finished[1]), "another blend", "--out")
+
+
+def test_frames_objects_estimator_and_exposure_can_be_chosen(folder, tmp_path):
+    chosen = (
+        "--frames",
+        "1:5:4",
+        "--objects",
+        "Ball",
+        "--estimator",
+        "ambient",
+        "--exposure",
+        "1.5",
+        "--target",
+        "hdr",
+    )
+    done = previs(folder / "walk.blend", tmp_path, *chosen)
+    assert done.returncode == 0, done.stderr
+    results = read_strictly(tmp_path / "results.json")
+    check_results(results)
+    settings = results["settings"]
+    assert settings["frames"] == [1, 5] and results["scene"]["virtual_objects"] == ["Ball"]
+    assert (settings["estimator"], settings["reference_exposure"], settings["target"]) == ("ambient", 1.5, "hdr")
+
+
+def test_version_and_help_are_no_errors():
+    assert xihe("--version").stdout == f"xihe {__version__}\n"
+    for arguments in (("--help",), ("previs", "--help")):
+        shown = xihe(*arguments)
+        assert (shown.returncode, shown.stderr) == (0, "")
+        assert "usage: xihe" in shown.stdout
+
+
+# --------------------------------------------------------------------------------------------------------------- stops
+
+
+def stopped(blend, out, doing, number):
+    """Start a run and send it the signal `number` when it says that it is `doing`; its exit code, stdout and stderr."""
+    process = subprocess.Popen(
+        typed("previs", blend, "--out", out, *DRAFT),
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    said = []
+    for line in process.stderr:
+        said.append(line)
+        if doing in line:
+            process.send_signal(number)
+            break
+    stdout, rest = process.communicate(timeout=100)
+    return process.returncode, stdout, "".join(said) + rest
+
+
+@pytest.mark.parametrize("doing", ["capturing frame 2", "comparing frame 1"])
+def test_a_run_stopped_by_ctrl_c_goes_on_with_the_same_command(folder, finished, tmp_path, doing):
+    out = tmp_path / "out"
+    code, stdout, stderr = stopped(folder / "walk.blend", out, doing, signal.SIGINT)
+    assert (code, stdout) == (130, "")
+    *progress, last = stderr.splitlines()
+    assert last == "xihe: stopped; the same command goes on from here"
+    assert all("%  " in line for line in progress)
+    assert not unfinished_files(out) and not (out / "results.json").exists()
+    before = files_below(out)
+    assert any(path.startswith("work/times_") for path in before)
+    done = previs(folder / "walk.blend", out)
+    assert done.returncode == 0, done.stderr
+    assert {path: time for path, time in files_below(out).items() if path in before} == before
+    undisturbed = read_strictly(finished[1] / "results.json")
+    assert without_times(read_strictly(out / "results.json")) == without_times(undisturbed)
+
+
+def test_a_run_that_was_killed_goes_on_with_the_same_command(folder, finished, tmp_path):
+    code, stdout, _ = stopped(folder / "walk.blend", tmp_path, "capturing frame 4", signal.SIGKILL)
+    assert (code, stdout) == (-signal.SIGKILL, "")
+    assert previs(folder / "walk.blend", tmp_path).returncode == 0
+    undisturbed = read_strictly(finished[1] / "results.json")
+    assert without_times(read_strictly(tmp_path / "results.json")) == without_times(undisturbed)
+
+
+# --------------------------------------------------------------------------------------------------------------- disks
+
+
+class SmallDisk:
+    """A folder that takes `n_bytes`: a file system in memory or, where none may be mounted, a limit on file sizes."""
+
+    def __init__(self, folder, n_bytes):
+        self.folder, self.limit = folder, n_bytes
+        mount = ["mount", "-t", "tmpfs", "-o", f"size={n_bytes}", "none", str(folder)]
+        try:
+            self.is_mounted = subprocess.run(mount, capture_output=True).returncode == 0
+        except FileNotFoundError:
+            self.is_mounted = False
+        self.says = "No space left on device" if self.is_mounted else "File too large"
+
+    def previs(self, blend, out):
+        limited = None if self.is_mounted else partial(resource.setrlimit, resource.RLIMIT_FSIZE, (self.limit,) * 2)
+        return previs(blend, out, preexec_fn=limited)
+
+    def enlarge(self):
+        self.limit = 2**30
+        if self.is_mounted:
+            subprocess.run(["mount", "-o", f"remount,size={self.limit}", str(self.folder)], check=True)
+
+    def take_away(self):
+        if self.is_mounted:
+            subprocess.run(["umount", str(self.folder)], check=True)
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    made = []
+
+    def make(n_bytes):
+        made.append(SmallDisk(tmp_path, n_bytes))
+        return made[-1]
+
+    yield make
+    for disk in made:
+        disk.take_away()
+
+
+def test_a_full_disk_is_refused_before_anything_is_rendered(folder, small_disk):
+    disk = small_disk(64 * 1024)
+    if disk.is_mounted:
+        (disk.folder / "ballast").write_bytes(bytes(64 * 1024))
+    disk.limit = 0
+    done = disk.previs(folder / "walk.blend", disk.folder / "out")
+    assert_refused(done, "cannot write to", disk.says, "another folder")
+    assert "%" not in done.stderr
+    assert not files_below(disk.folder / "out")
+
+
+# Full at the first light probe's picture, at a capture, and at the saved .blend.
+@pytest.mark.parametrize("n_kib", [8, 64, 300])
+def test_a_disk_that_fills_up_leaves_nothing_half_written(folder, finished, small_disk, n_kib):
+    disk = small_disk(n_kib * 1024)
+    out = disk.folder / "out"
+    disk.limit = 200 * 1024  # more than any picture, less than the .blend
+    done = disk.previs(folder / "walk.blend", out)
+    assert_refused(done, str(out), "free some space, and the same command goes on from here")
+    assert not (out / "results.json").exists() and not unfinished_files(out)
+    before = files_below(out)
+    disk.enlarge()
+    done = disk.previs(folder / "walk.blend", out)
+    assert done.returncode == 0, done.stderr
+    done_before = [path for path in before if path.startswith(("work/times", "work/compared", "work/exposure"))]
+    assert all(files_below(out)[path] == before[path] for path in done_before)
+    undisturbed = read_strictly(finished[1] / "results.json")
+    assert without_times(read_strictly(out / "results.json")) == without_times(undisturbed)
+    bpy.ops.wm.open_mainfile(filepath=str(out / "walk_lit.blend"), load_ui=False)
+
+
+# ------------------------------------------------------------------------------------------------------------ mistakes
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "COMMAND"),
+        (("prewiew",), "'prewiew'"),
+        (("previs",), "SCENE.blend"),
+        (("previs", "scene.blend"), "--out"),
+        (("previs", "scene.blend", "--out", "out", "--unknown"), "--unknown"),
+        (("scenes",), "action"),
+    ],
+)
+def test_a_command_that_is_not_complete_is_refused(arguments, words):
+    assert_refused(xihe(*arguments), words, "--help")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("nowhere.blend", "no such file"),
+        ("folder.blend", "is a folder"),
+        ("text.blend", "not a .blend"),
+        ("empty.blend", "not a .blend"),
+        ("header_only.blend", "cannot be opened"),
+        ("cut_short.blend", "cannot be opened"),
+        ("no_camera.blend", "add one"),
+        ("orthographic.blend", "perspective"),
+        ("panoramic.blend", "perspective"),
+        ("camera_without_size.blend", "set its scale"),
+        ("no_virtual_object.blend", "'Xihe Virtual'"),
+        ("ball_in_the_room.blend", "unlink"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_refused(folder, tmp_path, name, words):
+    assert_refused(previs(folder / name, tmp_path / "out"), words)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--frames", "5:1"), "A not after B"),
+        (("--frames", "a:b"), "1:24:2"),
+        (("--frames", "1:5:0"), "1 or more"),
+        (("--frames", "1:6"), "choose frames within it"),
+        (("--frames", "1:99999999999"), "last frame"),
+        (("--size", "0x0"), "4 to 8192"),
+        (("--size", "10"), "WxH"),
+        (("--size", "99999x2"), "4 to 8192"),
+        (("--size", "-3x8"), "--size"),
+        (("--objects", "Nobody"), "choose among Ball, Board"),
+        (("--objects", ","), "choose among Ball, Board"),
+        (("--estimator", "oracle"), "choose one of"),
+        (("--preset", "hasty"), "draft, balanced, accurate"),
+        (("--target", "sdr"), "ldr"),
+        (("--exposure", "-1"), "positive"),
+        (("--exposure", "nan"), "positive"),
+        (("--seed", "-1"), "0 to"),
+    ],
+)
+def test_a_senseless_setting_is_refused(folder, tmp_path, arguments, words):
+    assert_refused(previs(folder / "walk.blend", tmp_path / "out", *arguments), words)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_file_in_place_of_the_folder_is_refused(folder, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    assert_refused(previs(folder / "walk.blend", tmp_path / "file"), "is a file", "--out")
+    assert_refused(previs(folder / "walk.blend", tmp_path / "file" / "out"), "another folder", "--out")
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_a_file_in_the_way_is_named(folder, tmp_path):
+    (tmp_path / "pictures").write_text("mine")
+    done = previs(folder / "walk.blend", tmp_path)
+    assert_refused(done, str(tmp_path / "pictures"), "the same command goes on from here")
+    assert not (tmp_path / "results.json").exists()
+    (tmp_path / "pictures").unlink()
+    assert previs(folder / "walk.blend", tmp_path).returncode == 0

@@ -1,0 +1,240 @@
+"""The main job: what it leaves, that it repeats itself, that it goes on after a stop, what it refuses."""
+
+from dataclasses import dataclass, replace
+
+import bpy
+import numpy as np
+import pytest
+from previs_runs import (
+    LOOKS_AWAY,
+    N_FRAMES,
+    SMALL,
+    counted_renders,
+    files_below,
+    look_away,
+    run,
+    run_some_steps,
+    unfinished_files,
+    walk,
+)
+from results_schema import check_results, read_strictly, without_times
+from tiny_scenes import phone, room_with_a_virtual_sphere, sphere
+
+from xihe_blender.errors import UserError
+from xihe_blender.outputs import RunOutputs
+from xihe_blender.virtual_objects import virtual_collection
+from xihenet.recording import load_frame
+
+
+@dataclass
+class Finished:
+    """An undisturbed run of `walk`."""
+
+    outputs: RunOutputs
+    results: dict
+    renders: list
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    out = tmp_path_factory.mktemp("previs") / "out"
+    scene = walk()
+    with counted_renders() as renders:
+        results = run(scene, out)
+    return Finished(RunOutputs(out, "untitled"), results, renders)
+
+
+def entries(results):
+    return {entry["frame"]: entry for entry in results["frames"]}
+
+
+# ------------------------------------------------------------------------------------------------- what a run leaves
+
+
+def test_results_are_what_the_schema_promises(finished):
+    check_results(finished.results)
+    assert finished.results == read_strictly(finished.outputs.results)
+
+
+def test_the_walk_has_all_that_the_tests_look_at(finished):
+    probes = [probe for entry in finished.results["frames"] for probe in entry["probes"]]
+    assert {probe["name"] for probe in probes} == {"Ball", "Board 1", "Board 2"}
+    assert {probe["reason"] for probe in probes} >= {"first", "colour", "none"}
+    assert {len(entry["probes"]) for entry in finished.results["frames"]} >= {0, 2, 3}
+
+
+def test_every_file_that_results_name_is_there(finished):
+    named = [path for entry in finished.results["frames"] for path in entry.get("pictures", {}).values()]
+    assert len(named) == len(set(named)) > 0
+    assert all((finished.outputs.folder / path).stat().st_size > 0 for path in named)
+    assert finished.outputs.report.exists() and finished.outputs.lit_blend.exists()
+
+
+def test_the_first_and_the_last_active_frame_are_compared(finished):
+    compared = [frame for frame, entry in entries(finished.results).items() if "comparison" in entry]
+    assert compared[0] == 1 and compared[-1] == N_FRAMES
+
+
+def test_a_frame_without_a_position_in_view_is_not_captured(finished):
+    entry = entries(finished.results)[LOOKS_AWAY]
+    assert not entry["active"] and entry["render_s"] == 0 and "comparison" not in entry
+    assert not any(f"_{LOOKS_AWAY:04d}." in path for path in files_below(finished.outputs.folder))
+    assert finished.renders.count("Xihe Capture") == 3 + N_FRAMES - 1  # three of them for metering
+    said = "1 frame had no estimation position in view and was not captured."
+    assert said in finished.results["notes"]
+    assert said in finished.outputs.report.read_text(encoding="utf-8")
+
+
+def test_nothing_half_written_is_left(finished):
+    assert not unfinished_files(finished.outputs.folder)
+
+
+# --------------------------------------------------------------------------------------------------- it repeats itself
+
+
+def test_one_seed_gives_the_same_results(finished, tmp_path):
+    again = run(walk(), tmp_path / "out")
+    assert without_times(again) == without_times(finished.results)
+
+
+def test_another_seed_gives_another(finished, tmp_path):
+    other = run(walk(), tmp_path / "out", replace(SMALL, seed=1))
+    light, other_light = (entries(results)[1]["probes"][0]["sh"] for results in (finished.results, other))
+    assert np.abs(np.subtract(light, other_light)).max() > 0
+
+
+def test_a_finished_run_is_not_done_again(finished):
+    before = files_below(finished.outputs.folder)
+    scene = walk()
+    with counted_renders() as renders:
+        again = run(scene, finished.outputs.folder)
+    assert not renders
+    assert again == finished.results
+    assert files_below(finished.outputs.folder) == before
+
+
+def test_a_run_stopped_at_every_step_ends_as_an_undisturbed_one(finished, tmp_path):
+    out, scene, n_stops = tmp_path / "out", walk(), 0
+    with counted_renders() as renders:
+        # One step further at every start: what is done takes a step too, but no rendering.
+        while not run_some_steps(scene, out, n_stops + 2):
+            n_stops += 1
+            assert not (out / "results.json").exists()
+            assert not unfinished_files(out)
+        results = run(scene, out)
+    assert n_stops >= N_FRAMES
+    assert without_times(results) == without_times(finished.results)
+    assert sorted(renders) == sorted(finished.renders)
+
+
+def test_a_run_that_lost_its_report_makes_it_again_without_rendering(finished):
+    scene = walk()
+    finished.outputs.report.unlink()
+    with counted_renders() as renders:
+        again = run(scene, finished.outputs.folder)
+    assert not renders
+    assert finished.outputs.report.exists()
+    assert without_times(again) == without_times(finished.results)
+
+
+# -------------------------------------------------------------------------------------------------- whose folder it is
+
+
+@pytest.mark.parametrize(
+    "change", [{"seed": 1}, {"preset": "balanced"}, {"estimator": "ambient"}, {"frames": (1, 2)}, {"exposure": 2.0}]
+)
+def test_a_folder_of_another_run_is_refused(finished, change):
+    before = files_below(finished.outputs.folder)
+    with pytest.raises(UserError, match="another folder"):
+        run(walk(), finished.outputs.folder, replace(SMALL, **change))
+    assert files_below(finished.outputs.folder) == before
+
+
+@pytest.mark.parametrize("name", ["results.json", "report.html", "untitled_lit.blend"])
+def test_a_file_of_the_users_is_not_written_over(tmp_path, name):
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(UserError, match="another folder"):
+        run(walk(), tmp_path)
+    assert files_below(tmp_path).keys() == {name}
+    assert (tmp_path / name).read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"exposure": -1.0},
+        {"exposure": 0.0},
+        {"exposure": float("nan")},
+        {"exposure": float("inf")},
+        {"seed": -1},
+        {"seed": 2**31},
+        {"frames": ()},
+        {"frames": (0, 1)},
+        {"objects": ()},
+        {"objects": ("Nobody",)},
+    ],
+)
+def test_senseless_settings_are_refused_before_anything_is_written(tmp_path, change):
+    with pytest.raises(UserError):
+        run(walk(), tmp_path / "out", replace(SMALL, **change))
+    assert not (tmp_path / "out").exists()
+
+
+# ------------------------------------------------------------------------------------------------------------- cameras
+
+
+def pose(out, frame):
+    return load_frame(RunOutputs(out, "untitled").capture(frame)).world_from_camera[:3, 3]
+
+
+def test_a_camera_that_never_moves_needs_one_frame_only(tmp_path):
+    scene = room_with_a_virtual_sphere(1)
+    scene.camera.animation_data_clear()
+    results = run(scene, tmp_path)
+    check_results(results)
+    assert results["summary"]["n_frames"] == results["summary"]["n_compared_frames"] == 1
+
+
+def test_a_camera_moved_by_a_constraint_is_followed(tmp_path):
+    scene = room_with_a_virtual_sphere(2)
+    scene.camera.animation_data_clear()
+    rail = bpy.data.objects.new("Rail", None)
+    scene.collection.objects.link(rail)
+    for frame, x in ((1, -0.5), (2, 0.5)):
+        rail.location = (x, -1.4, 1.4)
+        rail.keyframe_insert("location", frame=frame)
+    scene.camera.constraints.new("COPY_LOCATION").target = rail
+    scene.camera.constraints.new("TRACK_TO").target = bpy.data.objects["Ball"]
+    check_results(run(scene, tmp_path))
+    np.testing.assert_allclose([pose(tmp_path, 1), pose(tmp_path, 2)], [(-0.5, -1.4, 1.4), (0.5, -1.4, 1.4)], atol=1e-6)
+
+
+def test_a_camera_switched_by_markers_is_followed(tmp_path):
+    scene = room_with_a_virtual_sphere(2)
+    first, second = scene.camera, phone(scene, (1.0, -1.4, 1.2), (0, 0, 0.85), "Second")
+    scene.timeline_markers.new("a", frame=1).camera = first
+    scene.timeline_markers.new("b", frame=2).camera = second
+    check_results(run(scene, tmp_path))
+    np.testing.assert_allclose(pose(tmp_path, 2), (1.0, -1.4, 1.2), atol=1e-6)
+    assert not np.allclose(pose(tmp_path, 1), pose(tmp_path, 2))
+
+
+def test_a_path_that_never_sees_a_position_gives_results_and_a_report(tmp_path):
+    scene = room_with_a_virtual_sphere(2)
+    for frame in (1, 2):
+        look_away(scene.camera, frame)
+    results = run(scene, tmp_path)
+    check_results(results)
+    assert results == read_strictly(tmp_path / "results.json")
+    assert results["summary"]["n_active_frames"] == 0 and results["comparison"] == {}
+    assert not (tmp_path / "pictures").exists()
+    assert "2 frames had no estimation position in view" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_an_object_that_is_never_in_view_changes_nothing_for_the_others(finished, tmp_path):
+    scene = walk()
+    sphere(scene, "Unseen", (0, -1.9, 2.9), 0.05, None, virtual_collection(scene))
+    results = run(scene, tmp_path)
+    check_results(results)
+    seen, alone = entries(results)[1]["probes"], entries(finished.results)[1]["probes"]
+    assert seen == alone

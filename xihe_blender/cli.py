@@ -1,0 +1,216 @@
+"""The `xihe` command: what a user types, turned into calls of the functions that do the work.
+
+Exit codes: 0 the job was done; 2 the user can mend it, and one line says how; 130 after Ctrl-C, and the same command
+goes on from there. What Blender prints is kept away from stdout, at the level of file descriptors, since Cycles writes
+there from C++.
+"""
+
+from __future__ import annotations
+
+import argparse
+import atexit
+import contextlib
+import errno
+import os
+import re
+import shlex
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from xihe_blender.errors import UserError
+from xihenet import __version__, estimators
+
+if TYPE_CHECKING:
+    from xihe_blender.jobs import Progress
+
+EXIT_USER_ERROR = 2
+EXIT_INTERRUPTED = 130
+MAX_FRAME = 1048574
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code."""
+    typed = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        options = _parser().parse_args(typed)
+        options.command_line = shlex.join(["xihe", *typed])
+        with blender_output_aside() as (stdout, stderr):
+            options.run(options, stdout, stderr)
+    except UserError as error:
+        return _failed(str(error))
+    except OSError as error:
+        return _failed(_said_of_the_disk(error))
+    except KeyboardInterrupt:
+        # On a terminal the line of progress, with "^C" at its end, stands there unfinished.
+        start = "\n" if sys.stderr.isatty() else ""
+        print(f"{start}xihe: stopped; the same command goes on from here", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    return 0
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, without the usage that hides it."""
+
+    def error(self, message: str) -> NoReturn:
+        raise UserError(f"{message}; see {self.prog} --help")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="xihe", description="AR lighting previsualisation in Blender.")
+    parser.add_argument("--version", action="version", version=f"xihe {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    previs = commands.add_parser("previs", help="what a phone on the scene's camera path believes about the light")
+    previs.add_argument("scene", type=Path, metavar="SCENE.blend")
+    previs.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder of the run; resumed if it exists"
+    )
+    previs.add_argument("--frames", type=frame_range, metavar="A:B[:S]", help="default: the scene's range and step")
+    previs.add_argument("--objects", type=_names, metavar="A,B", help="virtual objects; default: all")
+    previs.add_argument("--estimator", default=estimators.DEFAULT, metavar="NAME", help=", ".join(estimators.names()))
+    previs.add_argument("--preset", default="balanced", metavar="NAME", help="draft, balanced or accurate")
+    previs.add_argument("--size", type=picture_size, metavar="WxH", help="default: 256x192, upright for a portrait")
+    previs.add_argument(
+        "--target", choices=("ldr", "hdr"), default="ldr", help="light that coefficients are held against"
+    )
+    previs.add_argument("--exposure", type=float, metavar="FACTOR", help="of the phone; default: metered")
+    previs.add_argument("--seed", type=int, default=0)
+    previs.set_defaults(run=_previs)
+    scenes = commands.add_parser("scenes", help="the example scenes")
+    scenes.add_argument("action", choices=("build",), help="build the .blend files from their scripts")
+    scenes.set_defaults(run=_scenes)
+    return parser
+
+
+def frame_range(text: str) -> tuple[int, ...]:
+    """Frames of "A:B" or "A:B:S", both ends included, or of "A" alone."""
+    match = re.fullmatch(r"(-?\d+)(?::(-?\d+)(?::(\d+))?)?", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is no range of frames: give A:B or A:B:S, such as 1:24:2")
+    first, last, step = (None if part is None else int(part) for part in match.groups())
+    assert first is not None
+    if step == 0:
+        raise argparse.ArgumentTypeError(f"{text!r} has a step of 0: give 1 or more")
+    if max(abs(first), abs(last or 0)) > MAX_FRAME:
+        raise argparse.ArgumentTypeError(f"{text!r} goes beyond Blender's last frame, {MAX_FRAME}")
+    return tuple(range(first, (first if last is None else last) + 1, step or 1))
+
+
+def picture_size(text: str) -> tuple[int, int]:
+    """(width, height) of "WxH"."""
+    match = re.fullmatch(r"(\d+)x(\d+)", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is no picture size: give WxH, such as 256x192")
+    return int(match[1]), int(match[2])
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def _previs(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
+    from xihe_blender.blend_file import open_blend
+    from xihe_blender.jobs import run_blocking
+    from xihe_blender.previs import previs
+    from xihe_blender.previs_settings import PrevisSettings
+
+    settings = PrevisSettings(
+        estimator=options.estimator,
+        preset=options.preset,
+        target=options.target,
+        size=options.size,
+        frames=options.frames,
+        objects=options.objects,
+        exposure=options.exposure,
+        seed=options.seed,
+    )
+    scene = open_blend(options.scene)
+    job = previs(scene, options.out, settings, blend_file=options.scene, command=options.command_line)
+    results = run_blocking(job, progress_line(stderr))
+    print(said_in_one_line(results), file=stdout)
+    print(options.out / "report.html", file=stdout)
+
+
+def said_in_one_line(results: dict[str, Any]) -> str:
+    """The result of a previs run for someone who reads only one line."""
+    summary, estimator = results["summary"], results["settings"]["estimator"]
+    ratio = (summary["rmse_against_ambient"] or {}).get(estimator)
+    line = f"{summary['n_active_frames']} of {summary['n_frames']} frames, {summary['n_estimates']} estimates"
+    if ratio is None or estimator == "ambient":
+        return line
+    word = "closer to" if ratio <= 1 else "further from"
+    return f"{line}; {estimator} is {abs(1 - ratio):.0%} {word} the ground truth than ambient (RMSE)"
+
+
+def _scenes(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
+    import runpy
+
+    script = Path(__file__).resolve().parent.parent / "blend_scenes" / "build_all.py"
+    if not script.exists():
+        raise UserError(f"{script} is not there: build the scenes from a checkout of the project")
+    runpy.run_path(str(script), run_name="__main__")
+
+
+def progress_line(stream: Any) -> Callable[[Progress, float], None]:
+    """Shows progress on `stream`: on one line that is rewritten on a terminal, line by line elsewhere."""
+
+    def show(progress: Progress, elapsed_s: float) -> None:
+        left = progress.seconds_left(elapsed_s)
+        remaining = "" if left is None or progress.done >= progress.total else f", {left:.0f} s left"
+        line = f"{progress.done / progress.total:4.0%}  {progress.doing}{remaining}"
+        end = "\n" if not stream.isatty() or progress.done >= progress.total else ""
+        print(f"\r\033[K{line}" if stream.isatty() else line, file=stream, end=end, flush=True)
+
+    return show
+
+
+@contextlib.contextmanager
+def blender_output_aside() -> Iterator[tuple[Any, Any]]:
+    """Send what is written to file descriptors 1 and 2 nowhere during the block; give the real stdout and stderr.
+
+    With XIHE_VERBOSE set in the environment it goes to stderr instead.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    real = [os.dup(1), os.dup(2)]
+    aside = os.dup(2) if os.environ.get("XIHE_VERBOSE") else os.open(os.devnull, os.O_WRONLY)
+    os.dup2(aside, 1)
+    os.dup2(aside, 2)
+    streams = [os.fdopen(descriptor, "w", closefd=False) for descriptor in real]
+    try:
+        yield streams[0], streams[1]
+    finally:
+        # Registered after Blender was loaded, it runs before Blender ends, and 4.5 prints a line to stdout as it ends.
+        atexit.unregister(_close_stdout)
+        atexit.register(_close_stdout)
+        for stream in streams:
+            stream.flush()
+        for place, descriptor in enumerate(real, start=1):
+            os.dup2(descriptor, place)
+            os.close(descriptor)
+        os.close(aside)
+
+
+def _close_stdout() -> None:
+    """Send what still comes from this process' C++ nowhere."""
+    with contextlib.suppress(OSError, ValueError):
+        sys.stdout.flush()
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    os.close(nowhere)
+
+
+def _failed(message: str) -> int:
+    """Say in one line what the user can mend, and return the exit code for it."""
+    print(f"xihe: {' '.join(message.split())}", file=sys.stderr)
+    return EXIT_USER_ERROR
+
+
+def _said_of_the_disk(error: OSError) -> str:
+    if error.errno is None:
+        # Raised by ourselves, with the fix in it.
+        return f"{error}; then the same command goes on from here"
+    place = "" if error.filename is None else f"{error.filename}: "
+    fix = "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "mend that"
+    return f"{place}{error.strerror or error}; {fix}, and the same command goes on from here"

@@ -1,0 +1,81 @@
+"""How does the artist get the estimated light? As worlds keyed on the timeline, and as a .blend that shows them.
+
+The saved copy of the user's file has a second scene, `Xihe Lit`: only the virtual objects, each in a view layer under
+its own keyed world, film transparent, ready to be put over the captured frames.
+"""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from xihe_blender.apply import key_sh_on_world, make_sh_world, mark_trigger, remove_trigger_markers, world_name
+from xihe_blender.compare import LIT_SCENE, remove_lit_collections, set_up_lit_scene
+from xihe_blender.outputs import written_whole
+from xihe_blender.plan import PrevisPlan
+from xihenet.records import ArrayF64
+
+
+def apply_lights(
+    scene: bpy.types.Scene,
+    plan: PrevisPlan,
+    frames: Sequence[dict[str, Any]],
+    lights: Mapping[int, Mapping[str, ArrayF64]],
+    exposure: float,
+) -> None:
+    """Key a world per virtual object at every frame at which its light changes; mark the triggers.
+
+    Parameters
+    ----------
+    frames : as in results.json, for the triggers
+    lights : (9, 3) coefficients in force by frame and virtual object, carrying `exposure`; the pictures of the
+        comparison are made with the same. Worlds of earlier runs are keyed anew.
+    """
+    remove_trigger_markers(scene)
+    for item in plan.objects:
+        world = make_sh_world(world_name(item.name))
+        world.use_fake_user = True
+        before = None
+        for frame, light in lights.items():
+            if before is None or not np.array_equal(light[item.name], before):
+                before = light[item.name]
+                key_sh_on_world(world, frame, before, exposure)
+    for entry in frames:
+        reasons = [probe["reason"] for probe in entry["probes"] if probe["fired"]]
+        if reasons:
+            mark_trigger(scene, entry["frame"], reasons)
+
+
+def save_lit_blend(scene: bpy.types.Scene, plan: PrevisPlan, path: Path) -> None:
+    """Save a copy of the open file to `path`, whole or not at all, with the scene `Xihe Lit` in it; OSError if not."""
+    lit = scene.copy()
+    try:
+        lit.name = LIT_SCENE
+        # A copied scene has no user, and what has none is not saved.
+        lit.use_extra_user = True
+        for layer in list(lit.view_layers)[1:]:
+            lit.view_layers.remove(layer)
+        worlds = {world_name(item.name): (item.name, bpy.data.worlds[world_name(item.name)]) for item in plan.objects}
+        set_up_lit_scene(lit, plan.objects, worlds)
+        with written_whole(path) as beside:
+            bpy.ops.wm.save_as_mainfile(filepath=str(beside), copy=True, compress=True)
+            _check_is_whole(beside, lit.name)
+    finally:
+        bpy.data.scenes.remove(lit)
+        remove_lit_collections()
+
+
+def _check_is_whole(path: Path, scene_name: str) -> None:
+    """OSError if Blender cannot read back what it saved: it does not say so when the end of a file did not fit."""
+    try:
+        with bpy.data.libraries.load(str(path)) as (saved, _):
+            is_whole = scene_name in saved.scenes
+    except OSError:
+        is_whole = False
+    if not is_whole:
+        raise OSError(errno.ENOSPC, "Blender could save only a part of it", str(path))
