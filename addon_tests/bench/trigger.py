@@ -83,7 +83,7 @@ def main() -> None:
     every = {run.name: walk(run, EVERY_FRAME) for run in runs}
     print("share of steps that fire / error against truth / error against estimating in every frame")
     print(f"{'policy':<11}{'theta':>6}{'aside':>7}  " + "".join(f"{run.name:>24}" for run in runs))
-    print(f"{'every frame':<24}  " + "".join(f"{'1.00 / %.3f / 0.000' % every[run.name][2]:>24}" for run in runs))
+    print(f"{'every frame':<24}  " + "".join(f"{f'1.00 / {every[run.name][2]:.3f} / 0.000':>24}" for run in runs))
     for settings in CANDIDATES:
         row = f"{settings.policy:<11}{settings.theta:>6}{settings.ignored_share:>7}  "
         for run in runs:

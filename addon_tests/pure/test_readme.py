@@ -1,0 +1,45 @@
+"""What the README tells people to type exists."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from xihe_blender.cli import _parser
+
+ROOT = Path(__file__).resolve().parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+COMMANDS = [
+    line.split("#")[0].strip()
+    for block in re.findall(r"```sh\n(.*?)```", README, re.DOTALL)
+    for line in block.splitlines()
+    if line.split("#")[0].strip()
+]
+TARGETS = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+
+
+@pytest.mark.parametrize("command", [c for c in COMMANDS if c.startswith("make ")])
+def test_make_targets_of_the_readme_exist(command):
+    words = [word for word in shlex.split(command)[1:] if "=" not in word]
+    assert words and set(words) <= TARGETS
+
+
+@pytest.mark.parametrize("command", [c for c in COMMANDS if c.startswith("xihe ")])
+def test_xihe_commands_of_the_readme_are_understood(command):
+    options = _parser().parse_args(shlex.split(command)[1:])
+    scene = getattr(options, "scene", None)
+    assert scene is None or not str(scene).startswith("blend_scenes") or (ROOT / scene).exists()
+
+
+def test_the_readme_begins_with_the_two_commands():
+    assert [c for c in COMMANDS if c.startswith("make ")][:2] == ["make previs", "make test"]
+
+
+def test_every_command_of_the_readme_is_of_a_kind_that_is_tested_here():
+    assert all(command.split()[0] in ("make", "xihe") for command in COMMANDS)
+
+
+def test_files_that_the_readme_links_to_exist():
+    for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", README):
+        assert (ROOT / target).exists(), target
