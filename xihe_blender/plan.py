@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,7 +16,6 @@ from xihe_blender.virtual_objects import COLLECTION_NAME, estimation_positions, 
 from xihenet.records import ArrayF64
 
 DEFAULT_SIZE = (256, 192)
-MAX_SEED = 2**31 - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +42,6 @@ class PrevisPlan:
 
 def plan_previs(scene: bpy.types.Scene, settings: PrevisSettings) -> PrevisPlan:
     """Check `scene` against `settings`: what would a run do? UserError names the fix; the scene stays as it is."""
-    _check_numbers(settings)
     frames = planned_frames(scene, settings.frames)
     objects = planned_objects(scene, settings.objects)
     sized = sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1))
@@ -56,14 +53,6 @@ def plan_previs(scene: bpy.types.Scene, settings: PrevisSettings) -> PrevisPlan:
         depsgraph = working.view_layers[0].depsgraph
         probes = [probe for item in objects for probe in _probes(item, depsgraph)]
     return PrevisPlan(tuple(frames), size, tuple(objects), tuple(probes))
-
-
-def _check_numbers(settings: PrevisSettings) -> None:
-    exposure, seed = settings.exposure, settings.seed
-    if exposure is not None and not (math.isfinite(exposure) and exposure > 0):
-        raise UserError(f"an exposure of {exposure:g} makes no picture: give a positive factor, or none to meter it")
-    if not 0 <= seed <= MAX_SEED:
-        raise UserError(f"a seed of {seed} is out of Cycles' range: give 0 to {MAX_SEED}")
 
 
 def planned_frames(scene: bpy.types.Scene, wanted: Sequence[int] | None) -> list[int]:

@@ -5,6 +5,7 @@ Presets are provisional: they are round numbers until the frontier of error agai
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from xihe_blender.errors import UserError
@@ -37,6 +38,8 @@ PRESETS = {
     "balanced": Preset(16, 64, 32, 32),
     "accurate": Preset(64, 128, 64, 128),
 }
+
+MAX_SEED = 2**31 - 1
 
 PREVIS_TRIGGER = TriggerSettings(theta=0.02, ignored_share=0.25, coverage_theta=0.05)
 """The paper's theta of 0.6 sleeps through a lamp that changes; see docs/trigger.md for how these were chosen."""
@@ -80,6 +83,10 @@ class PrevisSettings:
             raise UserError(
                 f"a picture of {self.size[0]}x{self.size[1]} pixels cannot be captured: use 4 to 8192 a side"
             )
+        if self.exposure is not None and not (math.isfinite(self.exposure) and self.exposure > 0):
+            raise UserError(f"an exposure of {self.exposure:g} makes no picture: give a positive factor, or none")
+        if not 0 <= self.seed <= MAX_SEED:
+            raise UserError(f"a seed of {self.seed} is out of Cycles' range: give 0 to {MAX_SEED}")
 
     @property
     def effort(self) -> Preset:
