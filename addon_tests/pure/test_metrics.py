@@ -146,7 +146,7 @@ def test_every_answer_fits_in_json(metric: Metric) -> None:
     a, _ = images()
     black = np.zeros_like(a)
     answers = [metric(p, g, FULL) for p in (a, black, a / 1e9) for g in (a, black, np.ones_like(a))]
-    json.dumps(answers, allow_nan=False)
+    assert json.loads(json.dumps(answers, allow_nan=False)) == answers
 
 
 # ---- linear colour

@@ -1,0 +1,69 @@
+"""Lights, lattices and directions that the tests of spherical harmonics share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from xihenet.colour import linear_to_srgb
+from xihenet.records import UnitSphereCloud
+from xihenet.sh import basis
+
+F64 = NDArray[np.float64]
+
+AXES = {"+X": (1, 0, 0), "-X": (-1, 0, 0), "+Y": (0, 1, 0), "-Y": (0, -1, 0), "+Z": (0, 0, 1), "-Z": (0, 0, -1)}
+EVERY_AXIS = pytest.mark.parametrize("axis", list(AXES.values()), ids=list(AXES))
+CONSTANT = np.sqrt(4 * np.pi)
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """Anchors on a Fibonacci spiral from pole to pole, turned by `rotation`."""
+
+    n: int
+    rotation: F64 = field(default_factory=lambda: np.eye(3))
+
+    @property
+    def directions(self) -> F64:
+        i = np.arange(self.n)
+        z = 1 - 2 * i / max(self.n - 1, 1)
+        azimuth = i * np.pi * (3 - np.sqrt(5))
+        radius = np.sqrt(1 - z * z)
+        upright = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
+        return np.asarray(upright @ self.rotation.T)
+
+
+LATTICE = Lattice(1280)
+
+
+def random_directions(n: int, seed: int = 0) -> F64:
+    vectors = np.random.default_rng(seed).normal(size=(n, 3))
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
+
+def random_light(order: int = 2, seed: int = 1) -> F64:
+    return np.random.default_rng(seed).normal(size=((order + 1) ** 2, 3))
+
+
+def random_rotation(seed: int) -> F64:
+    turned, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    return np.asarray(turned * np.linalg.det(turned))
+
+
+def distant_light(direction: tuple[float, float, float] | F64, order: int = 2) -> F64:
+    """White light of irradiance 1 from one direction, cut off at `order`."""
+    return np.repeat(basis(np.array([direction], float), order).T, 3, axis=1)
+
+
+def cloud_of(radiance: F64, is_set: NDArray[np.bool_]) -> UnitSphereCloud:
+    srgb = np.where(is_set[:, None], linear_to_srgb(radiance), 0)
+    return UnitSphereCloud(srgb.astype(np.float32), is_set.astype(np.float32), is_set)
+
+
+def cap(lattice: Lattice, coverage: float, towards: tuple[float, float, float] = (0.6, 0.7, 0.2)) -> NDArray[np.bool_]:
+    """The anchors nearest to one direction, `coverage` of all and at least one."""
+    cosine = lattice.directions @ np.array(towards)
+    return np.asarray(cosine >= np.sort(cosine)[::-1][max(round(coverage * lattice.n), 1) - 1])

@@ -1,0 +1,118 @@
+"""Panoramas: exact integrals over texels, and the directions that the convention says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from addon_tests.pure.sh_samples import AXES, CONSTANT, EVERY_AXIS, F64, random_light
+from xihenet.panorama import evaluate_panorama, panorama_directions, project_panorama, solid_angles
+from xihenet.sh import basis, irradiance, rotate
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 7), (2, 1), (2, 3), (4, 8), (5, 9), (32, 64), (257, 512)])
+@pytest.mark.parametrize("order", [0, 2, 10])
+def test_constant_light_is_exact_at_any_panorama_size(size: tuple[int, int], order: int) -> None:
+    level = np.array([1.7, 0.25, -3.0])
+    expected = np.zeros(((order + 1) ** 2, 3))
+    expected[0] = CONSTANT * level
+    np.testing.assert_allclose(project_panorama(np.tile(level, (*size, 1)), order), expected, rtol=0, atol=1e-12)
+
+
+def gauss_texel_integrals(height: int, width: int, order: int) -> F64:
+    """The basis integrated over each texel by brute force: 24 x 24 Gauss nodes per texel, (H, W, K)."""
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    integrals = np.empty((height, width, (order + 1) ** 2))
+    for row in range(height):
+        polar = np.pi * (row + 0.5 + nodes / 2) / height
+        for column in range(width):
+            turn = 2 * np.pi * ((column + 0.5 + nodes / 2) / width - 0.5)
+            theta, alpha = np.meshgrid(polar, turn, indexing="ij")
+            toward = np.stack([np.sin(theta) * np.sin(alpha), np.sin(theta) * np.cos(alpha), np.cos(theta)], axis=-1)
+            area = np.outer(weights * np.sin(polar) * np.pi / (2 * height), weights * np.pi / width)
+            integrals[row, column] = area.ravel() @ basis(toward.reshape(-1, 3), order)
+    return integrals
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 2), (2, 3), (3, 4), (4, 8)])
+def test_every_texels_integral_equals_brute_force(size: tuple[int, int]) -> None:
+    expected = gauss_texel_integrals(*size, order=4)
+    for row in range(size[0]):
+        for column in range(size[1]):
+            lamp = np.zeros((*size, 3))
+            lamp[row, column] = 1
+            np.testing.assert_allclose(project_panorama(lamp, 4)[:, 1], expected[row, column], rtol=0, atol=1e-11)
+
+
+def test_the_integrals_of_all_texels_add_up_and_solid_angles_are_theirs() -> None:
+    for height, width in ((1, 1), (3, 5), (64, 32)):
+        angles = solid_angles(height, width)
+        assert angles.shape == (height, width)
+        assert angles.sum() == pytest.approx(4 * np.pi, rel=1e-13)
+    lamp = np.zeros((6, 4, 3))
+    lamp[1, 2] = 1
+    assert project_panorama(lamp, 0)[0, 0] == pytest.approx(solid_angles(6, 4)[1, 2] / CONSTANT, rel=1e-12)
+
+
+def test_the_panorama_looks_where_the_convention_says() -> None:
+    directions = panorama_directions(3, 4000)
+    columns = {"-Y": 0, "-X": 1000, "+Y": 2000, "+X": 3000}
+    for name, column in columns.items():
+        np.testing.assert_allclose(directions[1, column], AXES[name], atol=2e-3)
+    assert directions[1, 2000 + 10, 0] > 0
+    tall = panorama_directions(999, 2)
+    np.testing.assert_allclose(tall[0, 0], AXES["+Z"], atol=2e-3)
+    np.testing.assert_allclose(tall[-1, 0], AXES["-Z"], atol=2e-3)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=2), 1, atol=1e-15)
+    np.testing.assert_allclose(panorama_directions(1, 1)[0, 0], AXES["+Y"], atol=1e-15)
+
+
+@EVERY_AXIS
+def test_a_lamp_on_one_side_of_the_panorama_lights_that_side(axis: tuple[float, float, float]) -> None:
+    side = panorama_directions(40, 80) @ np.array(axis)
+    lamp = np.repeat((side > 0.95)[..., None].astype(float), 3, axis=2)
+    light = project_panorama(lamp)
+    received = irradiance(light, list(AXES.values()))[:, 0]
+    assert np.argmax(received) == list(AXES.values()).index(axis)
+    picture = evaluate_panorama(light, 40, 80)[..., 0]
+    brightest = panorama_directions(40, 80)[np.unravel_index(np.argmax(picture), picture.shape)]
+    assert brightest @ np.array(axis) > 0.99
+
+
+def test_projecting_a_picture_of_coefficients_gives_them_back() -> None:
+    light = random_light(4)
+    errors = [np.abs(project_panorama(evaluate_panorama(light, n, 2 * n), 4) - light).max() for n in (32, 64, 128)]
+    assert errors[2] < 2e-3
+    assert errors[0] / errors[1] == pytest.approx(4, rel=0.05)
+    assert errors[1] / errors[2] == pytest.approx(4, rel=0.05)
+
+
+def test_projection_is_linear_and_takes_float32() -> None:
+    a, b = np.random.default_rng(5).normal(size=(2, 8, 16, 3))
+    np.testing.assert_allclose(project_panorama(2 * a - b), 2 * project_panorama(a) - project_panorama(b), atol=1e-13)
+    single = a.astype(np.float32)
+    np.testing.assert_array_equal(project_panorama(single), project_panorama(single.astype(float)))
+
+
+def test_a_column_shift_is_a_turn_about_z() -> None:
+    image = np.random.default_rng(6).random((8, 12, 3))
+    angle = -2 * np.pi / 12  # Content moves to the right, that is clockwise seen from above.
+    turn = [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+    shifted = project_panorama(np.roll(image, 1, axis=1), 3)
+    np.testing.assert_allclose(shifted, rotate(project_panorama(image, 3), turn), atol=1e-13)
+
+
+def test_bad_panoramas_are_refused() -> None:
+    image = np.ones((4, 8, 3))
+    image[1, 1, 0] = image[2, 2] = np.nan
+    image[0, 0, 2] = np.inf
+    with pytest.raises(ValueError, match="got 3 pixels with NaN or infinity"):
+        project_panorama(image)
+    for shape in ((4, 8), (4, 8, 4), (0, 8, 3), (4, 0, 3)):
+        with pytest.raises(ValueError, match="panorama: expected"):
+            project_panorama(np.ones(shape))
+    for function in (panorama_directions, solid_angles):
+        with pytest.raises(ValueError, match="at least one texel"):
+            function(0, 4)
+    with pytest.raises(ValueError, match="order of at least 0"):
+        project_panorama(np.ones((2, 2, 3)), -1)
