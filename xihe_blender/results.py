@@ -206,9 +206,10 @@ def summary(frames: Sequence[dict[str, Any]], comparison: Mapping[str, Mapping[s
 
 def notes(scene: bpy.types.Scene, frames: Sequence[dict[str, Any]]) -> list[str]:
     """What a reader of the numbers has to know, in plain sentences."""
+    own = scene.view_settings.view_transform
+    aside = "as the scene has it" if own == "Standard" else f"the scene's own, {own}, would bend the comparison"
     said = [
-        "Pictures are made with the Standard view transform; the scene's own is "
-        f"{scene.view_settings.view_transform}, which the comparison leaves aside.",
+        f"Pictures are made with the Standard view transform: {aside}.",
         "Image metrics count the pixels that virtual objects cover, by how much they cover; psnr and ssim on "
         "sRGB-encoded colour, the others on linear colour at the session's exposure.",
         "The shadow that a virtual object casts on the room is in the ground truth but not in the methods' pictures.",
