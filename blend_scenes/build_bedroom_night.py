@@ -11,13 +11,22 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
-from bedding import add_bed, add_bench
-from furniture import add_cabinet, add_chair, add_curtain, add_curtain_rod, add_picture, add_plant, at
-from lighting import add_table_lamp, set_sky
-from room_shell import Opening, Room, add_door, add_shell, add_skirting, add_window
-from shapes import add_solid, ball, box, box_between, joined, revolved
 from staging import N_FRAMES, add_virtual, main, open_stage, walk_phone
-from surfaces import carpet, curtain_cloth, fabric, foliage, paint, painting, plain, planks, wood
+
+from xihe_blender.props.bedding import add_bed, add_bench
+from xihe_blender.props.furniture import (
+    add_cabinet,
+    add_chair,
+    add_curtain,
+    add_curtain_rod,
+    add_picture,
+    add_plant,
+    at,
+)
+from xihe_blender.props.lighting import add_table_lamp, set_sky
+from xihe_blender.props.room_shell import Opening, Room, add_door, add_shell, add_skirting, add_window
+from xihe_blender.props.shapes import add_solid, ball, box, box_between, joined, revolved
+from xihe_blender.props.surfaces import carpet, curtain_cloth, fabric, foliage, paint, painting, plain, planks, wood
 
 WINDOW = Opening("+x", -0.9, 0.5, 0.85, 2.15)
 DOOR = Opening("-y", 0.9, 1.75, 0.0, 2.02, is_door=True)

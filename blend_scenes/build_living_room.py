@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
-from furniture import (
+from staging import add_virtual, arc, main, open_stage, walk_phone
+
+from xihe_blender.props.furniture import (
     add_bookcase,
     add_cabinet,
     add_chair,
@@ -25,11 +27,10 @@ from furniture import (
     add_table,
     at,
 )
-from lighting import add_floor_lamp, add_pendant, add_sun, set_sky
-from room_shell import Opening, Room, add_door, add_shell, add_skirting, add_window
-from shapes import add_solid, ball, box, box_between, joined, revolved
-from staging import add_virtual, arc, main, open_stage, walk_phone
-from surfaces import (
+from xihe_blender.props.lighting import add_floor_lamp, add_pendant, add_sun, set_sky
+from xihe_blender.props.room_shell import Opening, Room, add_door, add_shell, add_skirting, add_window
+from xihe_blender.props.shapes import add_solid, ball, box, box_between, joined, revolved
+from xihe_blender.props.surfaces import (
     carpet,
     coloured_by_face,
     curtain_cloth,

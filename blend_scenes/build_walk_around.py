@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
-from furniture import (
+from staging import add_virtual, arc, main, open_stage, walk_phone
+
+from xihe_blender.props.furniture import (
     add_bookcase,
     add_cabinet,
     add_chair,
@@ -24,11 +26,21 @@ from furniture import (
     add_sofa,
     at,
 )
-from lighting import add_table_lamp, set_sky
-from room_shell import Opening, Room, add_door, add_shell, add_skirting, add_window
-from shapes import add_solid, ball, box_between, revolved
-from staging import add_virtual, arc, main, open_stage, walk_phone
-from surfaces import carpet, coloured_by_face, curtain_cloth, fabric, foliage, paint, painting, plain, planks, wood
+from xihe_blender.props.lighting import add_table_lamp, set_sky
+from xihe_blender.props.room_shell import Opening, Room, add_door, add_shell, add_skirting, add_window
+from xihe_blender.props.shapes import add_solid, ball, box_between, revolved
+from xihe_blender.props.surfaces import (
+    carpet,
+    coloured_by_face,
+    curtain_cloth,
+    fabric,
+    foliage,
+    paint,
+    painting,
+    plain,
+    planks,
+    wood,
+)
 
 WINDOW = Opening("+x", -0.8, 0.8, 0.85, 2.2)
 DOOR = Opening("-y", 0.9, 1.75, 0.0, 2.02, is_door=True)

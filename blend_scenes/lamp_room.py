@@ -13,7 +13,9 @@ from collections.abc import Sequence
 
 import bpy
 import numpy as np
-from furniture import (
+from staging import add_virtual, hold_phone, open_stage
+
+from xihe_blender.props.furniture import (
     add_bookcase,
     add_cabinet,
     add_chair,
@@ -24,11 +26,10 @@ from furniture import (
     add_table,
     at,
 )
-from lighting import add_table_lamp, set_sky
-from room_shell import Opening, Room, add_door, add_shell, add_skirting, add_window
-from shapes import add_solid, ball, box, box_between, cylinder, joined
-from staging import add_virtual, hold_phone, open_stage
-from surfaces import (
+from xihe_blender.props.lighting import add_table_lamp, set_sky
+from xihe_blender.props.room_shell import Opening, Room, add_door, add_shell, add_skirting, add_window
+from xihe_blender.props.shapes import add_solid, ball, box, box_between, cylinder, joined
+from xihe_blender.props.surfaces import (
     carpet,
     coloured_by_face,
     curtain_cloth,

@@ -15,10 +15,10 @@ from pathlib import Path
 import bpy
 import numpy as np
 from mathutils import Euler, Vector
-from shapes import Solid, add_solid
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # a clone builds its scenes without being installed
 
+from xihe_blender.props.shapes import Solid, add_solid
 from xihe_blender.virtual_objects import add_three_sphere_rig, virtual_collection
 
 N_FRAMES = 24

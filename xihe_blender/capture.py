@@ -11,7 +11,7 @@ Paper: section 5, `EnvironmentScanner`.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import bpy
@@ -154,18 +154,23 @@ def _intrinsics(
 
 
 def meter_exposure(scene: bpy.types.Scene, frames: Sequence[int], seed: int = 0) -> float:
-    """The session's exposure: brings the mean key of the first, middle and last frame to KEY_LUMINANCE.
-
-    A frame's key is the geometric mean of its luminance, black pixels counting as 1/1000 of its mean. The mean over
-    frames is arithmetic, so that a lamp that is off at first does not blow out the rest. Without any light: 1.
-    """
+    """The session's exposure, metered over the first, middle and last frame of the path; see `metered_exposure`."""
     settings = RenderSettings((64, 48), samples=8, seed=seed, denoise=False)
-    keys = []
+    pictures = []
     with open_scanner(scene, settings) as scanner:
         for frame in sorted({frames[0], frames[len(frames) // 2], frames[-1]}):
             scanner.move_to(frame)
-            keys.append(_key(first_layer(render_passes(scanner.scene))[0]))
-    key = float(np.mean(keys))
+            pictures.append(first_layer(render_passes(scanner.scene))[0])
+    return metered_exposure(pictures)
+
+
+def metered_exposure(pictures: Iterable[ArrayF32]) -> float:
+    """The exposure that brings the mean key of pictures (H, W, 3) of scene radiance to KEY_LUMINANCE; 1 without light.
+
+    A picture's key is the geometric mean of its luminance, black pixels counting as 1/1000 of its mean. The mean over
+    pictures is arithmetic, so that a lamp that is off at first does not blow out the rest.
+    """
+    key = float(np.mean([_key(picture) for picture in pictures]))
     return KEY_LUMINANCE / key if np.isfinite(key) and key > 0 else 1.0
 
 

@@ -80,6 +80,14 @@ def _parser() -> argparse.ArgumentParser:
     scenes = commands.add_parser("scenes", help="the example scenes")
     scenes.add_argument("action", choices=("build",), help="build the .blend files from their scripts")
     scenes.set_defaults(run=_scenes)
+    dataset = commands.add_parser("dataset", help="rooms to train estimators on")
+    actions = dataset.add_subparsers(dest="action", required=True, metavar="ACTION")
+    build = actions.add_parser("build", help="make and render procedural rooms; resumes what is there")
+    build.add_argument("--rooms", type=int, required=True, metavar="N", help="rooms in all")
+    build.add_argument("--out", type=Path, required=True, metavar="DIR", help="one .npz per room")
+    build.add_argument("--workers", type=int, metavar="K", help="processes of one thread; default: one per core")
+    build.add_argument("--seed", type=int, default=0)
+    build.set_defaults(run=_dataset_build)
     return parser
 
 
@@ -150,6 +158,28 @@ def _scenes(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     if not script.exists():
         raise UserError(f"{script} is not there: build the scenes from a checkout of the project")
     runpy.run_path(str(script), run_name="__main__")
+
+
+def _dataset_build(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
+    from xihe_blender.dataset.build import BuildSettings, build_dataset
+    from xihe_blender.jobs import run_blocking
+
+    settings = BuildSettings(options.rooms, options.seed, options.workers)
+    n_made = run_blocking(build_dataset(options.out, settings), when_news(progress_line(stderr)))
+    print(f"{options.rooms} rooms in {options.out}, {n_made} of them made now", file=stdout)
+
+
+def when_news(show: Callable[[Progress, float], None]) -> Callable[[Progress, float], None]:
+    """`show`, called only when more is done than before: for jobs that yield while they wait."""
+    last = -1.0
+
+    def show_news(progress: Progress, elapsed_s: float) -> None:
+        nonlocal last
+        if progress.done > last:
+            last = progress.done
+            show(progress, elapsed_s)
+
+    return show_news
 
 
 def progress_line(stream: Any) -> Callable[[Progress, float], None]:

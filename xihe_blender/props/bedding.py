@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import bpy
 import numpy as np
-from furniture import Place, cushion
-from shapes import Solid, Vector, add_solid, box, box_between, joined, sheet
 
-Material = bpy.types.Material
-Collection = bpy.types.Collection
+from xihe_blender.props.furniture import Place, cushion
+from xihe_blender.props.shapes import Solid, Vector, add_solid, box, box_between, joined, sheet
+
+Material: TypeAlias = bpy.types.Material
+Collection: TypeAlias = bpy.types.Collection
 BED_LENGTH_M, MATTRESS_TOP_M = 2.0, 0.52
 
 

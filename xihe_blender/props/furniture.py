@@ -8,14 +8,26 @@ each. Randomness (books, leaves) comes from a generator argument.
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import bpy
 import numpy as np
-from shapes import Solid, Vector, add_solid, box, box_between, cylinder, joined, revolved, sheet, tube
 
-Material = bpy.types.Material
-Collection = bpy.types.Collection
+from xihe_blender.props.shapes import (
+    Solid,
+    Vector,
+    add_solid,
+    box,
+    box_between,
+    cylinder,
+    joined,
+    revolved,
+    sheet,
+    tube,
+)
+
+Material: TypeAlias = bpy.types.Material
+Collection: TypeAlias = bpy.types.Collection
 Place = dict[str, Any]
 
 

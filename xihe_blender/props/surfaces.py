@@ -10,11 +10,12 @@ Colours are linear Rec.709, albedo below 0.85: brighter walls make interreflecti
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import bpy
 
-Colour = Sequence[float]
+Colour: TypeAlias = Sequence[float]
+Inputs: TypeAlias = dict[str | int, Any]
 
 
 class Shader:
@@ -108,8 +109,14 @@ def planks(
 ) -> bpy.types.Material:
     """A plank floor: each board its own tone, grain along X, dark joints."""
     shader = Shader(name, specular_ior_level=0.4)
-    tones = {"Color1": dark, "Color2": light, "Mortar": shade(dark, 0.25)}
-    joints = {"Scale": 1.0, "Mortar Size": 0.003, "Mortar Smooth": 0.1, "Brick Width": length_m, "Row Height": width_m}
+    tones: Inputs = {"Color1": dark, "Color2": light, "Mortar": shade(dark, 0.25)}
+    joints: Inputs = {
+        "Scale": 1.0,
+        "Mortar Size": 0.003,
+        "Mortar Smooth": 0.1,
+        "Brick Width": length_m,
+        "Row Height": width_m,
+    }
     boards = shader.add("TexBrick", {"Vector": shader.position(), **tones, **joints}, offset=0.37)
     grain = shader.noise(9.0, stretch=(0.08, 1.0, 1.0), detail=6.0)
     fibres = shader.ramp(grain, (0.25, (0.62, 0.6, 0.58)), (0.75, (1.0, 1.0, 1.0)))
@@ -131,8 +138,13 @@ def masonry(
         parts = shader.add("SeparateXYZ", {0: place}).outputs
         along = shader.add("Math", {0: parts[0], 1: parts[1]}, operation="ADD").outputs[0]
         place = shader.add("CombineXYZ", {0: along, 1: parts[2]}).outputs[0]
-    colours = dict(zip(("Color1", "Color2", "Mortar"), tones, strict=True))
-    sizes = {"Scale": 1.0, "Mortar Size": joint_m / 2, "Brick Width": brick_m[0], "Row Height": brick_m[1]}
+    colours: Inputs = dict(zip(("Color1", "Color2", "Mortar"), tones, strict=True))
+    sizes: Inputs = {
+        "Scale": 1.0,
+        "Mortar Size": joint_m / 2,
+        "Brick Width": brick_m[0],
+        "Row Height": brick_m[1],
+    }
     bricks = shader.add("TexBrick", {"Vector": place, **colours, **sizes}, offset=offset)
     stains = shader.ramp(shader.noise(2.5, detail=6.0), (0.25, (0.7, 0.68, 0.66)), (0.75, (1.0, 1.0, 1.0)))
     mixed = shader.add("Mix", {0: 1.0, 6: bricks.outputs[0], 7: stains}, data_type="RGBA", blend_type="MULTIPLY")

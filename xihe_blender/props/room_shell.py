@@ -11,11 +11,13 @@ by the side it stands on: "+x", "-x", "+y", "-y". Along a wall, the position run
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol, TypeAlias
 
 import bpy
-from shapes import Solid, add_solid, box_between, joined
 
-Material = bpy.types.Material
+from xihe_blender.props.shapes import Solid, add_solid, box_between, joined
+
+Material: TypeAlias = bpy.types.Material
 SKIRTING_HEIGHT_M, SKIRTING_THICKNESS_M = 0.09, 0.015
 
 
@@ -31,6 +33,30 @@ class Opening:
     is_door: bool = False
 
 
+class Walls(Protocol):
+    """Walls by name, with openings: `Room` here, other plans elsewhere."""
+
+    @property
+    def height(self) -> float: ...
+
+    @property
+    def wall_m(self) -> float: ...
+
+    @property
+    def openings(self) -> tuple[Opening, ...]: ...
+
+    def inner_ends(self, wall: str) -> tuple[float, float]:
+        """From where to where the wall's inner face runs, along the wall."""
+
+    def outer_ends(self, wall: str) -> tuple[float, float]:
+        """From where to where its masonry runs: past the inner face where it closes a corner."""
+
+    def wall_box(
+        self, wall: str, along: tuple[float, float], out: tuple[float, float], up: tuple[float, float]
+    ) -> Solid:
+        """A box on a wall: ranges along it, outwards from its inner face (negative is inside), and up."""
+
+
 @dataclass(frozen=True)
 class Room:
     """Inside measures in metres."""
@@ -41,9 +67,14 @@ class Room:
     wall_m: float = 0.25
     openings: tuple[Opening, ...] = field(default=())
 
-    def half_along(self, wall: str) -> float:
-        """Half of the wall's inside length."""
-        return (self.length if wall[1] == "x" else self.width) / 2
+    def inner_ends(self, wall: str) -> tuple[float, float]:
+        half = (self.length if wall[1] == "x" else self.width) / 2
+        return -half, half
+
+    def outer_ends(self, wall: str) -> tuple[float, float]:
+        low, high = self.inner_ends(wall)
+        extra = self.wall_m if wall[1] == "x" else 0.0
+        return low - extra, high + extra
 
     def wall_box(
         self, wall: str, along: tuple[float, float], out: tuple[float, float], up: tuple[float, float]
@@ -69,39 +100,38 @@ def add_shell(
         add_solid(collection, f"Wall {wall}", wall_solid(room, wall), material)
 
 
-def wall_solid(room: Room, wall: str) -> Solid:
+def wall_solid(room: Walls, wall: str) -> Solid:
     """One wall: full-height pieces between its openings, and the pieces under and over each of them."""
-    reach = room.half_along(wall) + (room.wall_m if wall[1] == "x" else 0.0)
-    out = (0.0, room.wall_m)
-    pieces, edge = [], -reach
+    edge, end = room.outer_ends(wall)
+    out, pieces = (0.0, room.wall_m), []
     for hole in sorted((o for o in room.openings if o.wall == wall), key=lambda o: o.low):
         pieces.append(room.wall_box(wall, (edge, hole.low), out, (0.0, room.height)))
         if hole.bottom > 0:
             pieces.append(room.wall_box(wall, (hole.low, hole.high), out, (0.0, hole.bottom)))
         pieces.append(room.wall_box(wall, (hole.low, hole.high), out, (hole.top, room.height)))
         edge = hole.high
-    return joined([*pieces, room.wall_box(wall, (edge, reach), out, (0.0, room.height))])
+    return joined([*pieces, room.wall_box(wall, (edge, end), out, (0.0, room.height))])
 
 
-def add_skirting(collection: bpy.types.Collection, room: Room, material: Material, walls: str = "+x -x +y -y") -> None:
+def add_skirting(collection: bpy.types.Collection, room: Walls, material: Material, walls: str = "+x -x +y -y") -> None:
     """Skirting boards along the walls, interrupted at doors."""
     boards = []
     for wall in walls.split():
-        edge, reach = -room.half_along(wall), room.half_along(wall)
+        edge, end = room.inner_ends(wall)
         for door in sorted((o for o in room.openings if o.wall == wall and o.is_door), key=lambda o: o.low):
             boards.append(_board(room, wall, edge, door.low - 0.07))
             edge = door.high + 0.07
-        boards.append(_board(room, wall, edge, reach))
+        boards.append(_board(room, wall, edge, end))
     add_solid(collection, "Skirting", joined(boards), material, bevel_m=0.004)
 
 
-def _board(room: Room, wall: str, low: float, high: float) -> Solid:
+def _board(room: Walls, wall: str, low: float, high: float) -> Solid:
     return room.wall_box(wall, (low, high), (-SKIRTING_THICKNESS_M, 0.0), (0.0, SKIRTING_HEIGHT_M))
 
 
 def add_window(
     collection: bpy.types.Collection,
-    room: Room,
+    room: Walls,
     opening: Opening,
     frame: Material,
     sill: Material,
@@ -124,7 +154,7 @@ def add_window(
 
 
 def add_door(
-    collection: bpy.types.Collection, room: Room, opening: Opening, leaf: Material, frame: Material, handle: Material
+    collection: bpy.types.Collection, room: Walls, opening: Opening, leaf: Material, frame: Material, handle: Material
 ) -> None:
     """A closed door with two panels, a frame and a handle."""
     low, high, top = opening.low, opening.high, opening.top

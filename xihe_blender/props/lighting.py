@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import bpy
-from furniture import Place
-from shapes import Vector, add_solid, ball, cylinder, joined, revolved, tube
-from surfaces import glowing
 
-Material = bpy.types.Material
-Collection = bpy.types.Collection
+from xihe_blender.props.furniture import Place
+from xihe_blender.props.shapes import Vector, add_solid, ball, cylinder, joined, revolved, tube
+from xihe_blender.props.surfaces import glowing
+
+Material: TypeAlias = bpy.types.Material
+Collection: TypeAlias = bpy.types.Collection
 
 
 def add_bulb(

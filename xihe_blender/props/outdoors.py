@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import bpy
 import numpy as np
-from furniture import Place
-from shapes import Solid, Vector, add_solid, box, box_between, joined
 
-Material = bpy.types.Material
-Collection = bpy.types.Collection
+from xihe_blender.props.furniture import Place
+from xihe_blender.props.shapes import Solid, Vector, add_solid, box, box_between, joined
+
+Material: TypeAlias = bpy.types.Material
+Collection: TypeAlias = bpy.types.Collection
 
 
 def add_bench(room: Collection, name: str, width: float, slats: Material, iron: Material, *, place: Place) -> None:

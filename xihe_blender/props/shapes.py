@@ -13,9 +13,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import bpy
 import numpy as np
+from numpy.typing import NDArray
 
 Vector = Sequence[float]
 BOX_FACES = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5))
@@ -114,7 +116,7 @@ def tube(start: Vector, end: Vector, radius: float, n_segments: int = 12) -> Sol
     return Solid(tuple(map(tuple, (np.array(upright.vertices) @ frame + a).tolist())), upright.faces)
 
 
-def sheet(grid: np.ndarray) -> Solid:
+def sheet(grid: NDArray[Any]) -> Solid:
     """An open surface through a grid of points (rows, columns, 3)."""
     rows, columns = grid.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)

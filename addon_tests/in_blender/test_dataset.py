@@ -1,0 +1,261 @@
+"""The data set of rooms: what is stored is whole, the same every time, and true to the room."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from xihe_blender.capture import metered_exposure
+from xihe_blender.cli import main
+from xihe_blender.dataset.build import BuildSettings, build_dataset, missing_rooms
+from xihe_blender.dataset.build_room import build_room
+from xihe_blender.dataset.contact_sheet import contact_sheet
+from xihe_blender.dataset.render_room import RoomRenderSettings, make_room
+from xihe_blender.dataset.rooms import room_generator, sample_room
+from xihe_blender.dataset.statistics import light_statistics, panorama_faults, statistics_table
+from xihe_blender.dataset.store import StoredRoom, load_room, room_path, save_room, stored_indices
+from xihe_blender.dataset.views import (
+    MIN_CLEARANCE_M,
+    N_POSITIONS,
+    N_VIEWS,
+    RoomRays,
+    RoomTooFull,
+    sample_positions,
+    sample_views,
+)
+from xihe_blender.errors import UserError
+from xihe_blender.jobs import run_blocking
+from xihenet.camera import project_points, unproject_frame
+from xihenet.sphere import AnchorLattice
+
+SMALL = RoomRenderSettings((32, 24), 1, (16, 8), 4)
+SMALL_NUMBERS = (32, 24, 1, 16, 8, 4)
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def room() -> StoredRoom:
+    return make_room(5, 0, SMALL)
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("rooms")
+    assert run_blocking(build_dataset(folder, BuildSettings(3, 5, 1, SMALL_NUMBERS))) == 3
+    return folder
+
+
+def test_a_room_made_twice_gives_the_same_bytes_in_any_process(room, built, tmp_path):
+    make_room(5, 1, SMALL)
+    save_room(tmp_path / "again.npz", make_room(5, 0, SMALL))
+    assert (tmp_path / "again.npz").read_bytes() == room_path(built, 0).read_bytes()
+
+
+def test_a_stored_room_comes_back_as_it_was(room, tmp_path):
+    path = tmp_path / "room.npz"
+    save_room(path, room)
+    back = load_room(path)
+    assert back.__dict__.keys() == room.__dict__.keys()
+    for name, value in room.__dict__.items():
+        np.testing.assert_array_equal(getattr(back, name), value, err_msg=name)
+
+
+def test_a_file_that_is_no_room_is_refused(tmp_path):
+    np.savez(tmp_path / "room_000000.npz", other=1)
+    with pytest.raises(ValueError, match="not a room"):
+        load_room(tmp_path / "room_000000.npz")
+    (tmp_path / "room_000001.npz").write_bytes(b"PK but cut short")
+    with pytest.raises(ValueError, match="not a room"):
+        load_room(tmp_path / "room_000001.npz")
+
+
+def test_a_room_holds_its_views_and_panoramas(room):
+    assert room.srgb_u8.shape == (N_VIEWS, 24, 32, 3)
+    assert room.radiance.shape == (N_VIEWS, 24, 32, 3)
+    assert room.plane_depth_m.shape == (N_VIEWS, 24, 32)
+    assert room.panoramas.shape == (N_POSITIONS, 8, 16, 3)
+    assert np.isfinite(room.panoramas).all()
+    assert np.isfinite(room.radiance).all()
+    assert panorama_faults(room) == []
+
+
+def test_a_black_panorama_is_a_fault(room):
+    black = StoredRoom(**{**room.__dict__, "panoramas": np.zeros_like(room.panoramas)})
+    assert len(panorama_faults(black)) == N_POSITIONS
+
+
+def test_pairs_that_count_project_into_the_picture(room):
+    for view in range(N_VIEWS):
+        pixels, plane_depth_m = project_points(room.positions_m, room.pinhole, room.world_from_camera[view])
+        inside = (pixels > 0).all(axis=1) & (pixels < [32, 24]).all(axis=1) & (plane_depth_m > 0)
+        np.testing.assert_array_equal(room.is_in_view[view], inside)
+
+
+def test_a_position_in_plain_sight_is_in_front_of_the_seen_surface(room):
+    for view, place in zip(*np.nonzero(room.is_in_view & room.is_unhidden), strict=True):
+        pixel, plane_depth_m = project_points(room.positions_m[[place]], room.pinhole, room.world_from_camera[view])
+        x, y = pixel[0].astype(int)
+        around = room.plane_depth_m[view, max(0, y - 1) : y + 2, max(0, x - 1) : x + 2].astype(float)
+        seen = np.where(around == 0, np.inf, around)
+        assert seen.max() > plane_depth_m[0] - 0.01
+
+
+def test_the_views_see_the_room_they_stand_in(room):
+    points = np.concatenate([unproject_frame(room.frame(i)).points_m for i in range(N_VIEWS)])
+    points = points[np.isfinite(points).all(axis=1)]
+    plan = sample_room(room_generator(5, 0))
+    bounds = plan.outline.bounds.grown(0.5)
+    inside = (points[:, 0] > bounds.x0) & (points[:, 0] < bounds.x1) & (points[:, 1] > bounds.y0)
+    assert (inside & (points[:, 2] > -0.02) & (points[:, 2] < plan.height + 0.02)).mean() > 0.99
+
+
+def test_the_exposure_follows_the_light(room):
+    pictures = room.radiance.astype(np.float32)
+    assert metered_exposure(4 * pictures) == pytest.approx(metered_exposure(pictures) / 4, rel=1e-5)
+    assert metered_exposure(np.zeros_like(pictures)) == 1.0
+
+
+@pytest.fixture(params=range(6))
+def places(request: pytest.FixtureRequest):
+    rng = room_generator(11, request.param)
+    for _ in range(20):
+        room = sample_room(rng)
+        rays = RoomRays.of(build_room(room))
+        try:
+            positions = sample_positions(rng, room, rays)
+            return room, rays, positions, sample_views(rng, room, rays, positions)
+        except RoomTooFull:
+            continue
+    raise AssertionError("no room with places in 20 draws")
+
+
+def test_positions_float_just_above_a_surface_and_clear_of_everything(places):
+    room, rays, positions, _ = places
+    down, everywhere = np.array([[0.0, 0.0, -1.0]]), AnchorLattice(500).directions.astype(np.float64)
+    for position in positions:
+        below, _ = rays.cast(position, down)
+        assert 0.05 - 1e-4 <= below[0] <= 0.1 + 1e-4
+        distances, from_behind = rays.cast(position, everywhere)
+        assert distances.min() > 0.8 * MIN_CLEARANCE_M
+        assert from_behind.mean() < 0.15, "inside a thing every surface is met from behind"
+        assert room.outline.holds((position[0], position[1]))
+
+
+def test_the_phone_is_held_as_by_a_person_and_inside_nothing(places):
+    room, rays, _, views = places
+    for view in views:
+        pose = view.world_from_camera
+        x, y, z = pose[:3, 3]
+        assert room.outline.holds((x, y))
+        assert 1.0 <= z <= 1.8
+        np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
+        assert abs(np.degrees(np.arcsin(pose[2, 0]))) < 20, "roll"
+        distances, _ = rays.cast(pose[:3, 3], AnchorLattice(200).directions.astype(np.float64))
+        assert distances.min() > 0.1
+
+
+def test_nothing_piles_up_from_room_to_room():
+    def n_blocks() -> int:
+        return sum(len(getattr(bpy.data, kind)) for kind in ("meshes", "materials", "objects", "lights", "images"))
+
+    build_room(sample_room(room_generator(5, 0)))
+    first = n_blocks()
+    for i in range(3):
+        build_room(sample_room(room_generator(5, i)))
+    build_room(sample_room(room_generator(5, 0)))
+    assert n_blocks() == first
+
+
+def test_a_second_build_makes_nothing_again(built):
+    before = {path: path.stat().st_mtime_ns for path in built.iterdir()}
+    assert run_blocking(build_dataset(built, BuildSettings(3, 5, 2, SMALL_NUMBERS))) == 0
+    assert {path: path.stat().st_mtime_ns for path in built.iterdir()} == before
+
+
+def test_a_room_that_is_missing_is_made_alone(built):
+    others = {i: room_path(built, i).stat().st_mtime_ns for i in (0, 2)}
+    content = room_path(built, 1).read_bytes()
+    room_path(built, 1).unlink()
+    assert run_blocking(build_dataset(built, BuildSettings(3, 5, 2, SMALL_NUMBERS))) == 1
+    assert room_path(built, 1).read_bytes() == content
+    assert {i: room_path(built, i).stat().st_mtime_ns for i in (0, 2)} == others
+
+
+def test_another_seed_in_the_same_folder_is_refused(built):
+    with pytest.raises(UserError, match="another folder"):
+        run_blocking(build_dataset(built, BuildSettings(3, 6, 1, SMALL_NUMBERS)))
+
+
+@pytest.mark.parametrize("wrong", [{"n_rooms": 0}, {"n_rooms": 1, "seed": -1}, {"n_rooms": 1, "n_workers": 0}])
+def test_settings_that_make_no_sense_are_refused(wrong):
+    with pytest.raises(UserError, match="give"):
+        BuildSettings(**wrong)
+
+
+@pytest.mark.parametrize("wrong", [["--rooms", "0"], ["--rooms", "1", "--workers", "0"], ["--rooms", "many"]])
+def test_the_command_refuses_what_makes_no_sense_in_one_line(wrong, tmp_path, capfd):
+    assert main(["dataset", "build", "--out", str(tmp_path / "rooms"), *wrong]) == 2
+    assert capfd.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "rooms").exists()
+
+
+def test_a_killed_worker_leaves_whole_files_alone(tmp_path):
+    command = [sys.executable, "-m", "xihe_blender.dataset.worker", "--out", str(tmp_path), "--seed", "5"]
+    command += ["--rooms", ",".join(map(str, range(50))), "--settings", *map(str, SMALL_NUMBERS)]
+    worker = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 60
+    while not any(stored_indices(tmp_path)) and worker.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.kill(worker.pid, signal.SIGKILL)
+    worker.wait()
+    there = list(stored_indices(tmp_path))
+    assert there
+    for index in there:
+        assert load_room(room_path(tmp_path, index)).seed.tolist() == [5, index]
+
+
+def test_a_closed_build_ends_its_workers_and_leaves_whole_files(tmp_path):
+    job = build_dataset(tmp_path, BuildSettings(30, 5, 1, SMALL_NUMBERS))
+    for progress in job:
+        if progress.done:
+            break
+    job.close()
+    there = len(list(stored_indices(tmp_path)))
+    time.sleep(0.5)
+    assert len(list(stored_indices(tmp_path))) == there
+    assert missing_rooms(tmp_path, 30)
+    assert not list(tmp_path.glob(".room_*"))
+
+
+def test_what_a_failing_worker_said_is_passed_on(tmp_path):
+    with pytest.raises(UserError, match="expected 6 arguments"):
+        run_blocking(build_dataset(tmp_path, BuildSettings(1, 5, 1, SMALL_NUMBERS[:5])))
+
+
+def test_a_folder_that_cannot_be_made_is_an_error_of_the_disk(tmp_path):
+    (tmp_path / "rooms").write_text("a file where a folder belongs")
+    with pytest.raises(OSError, match="rooms"):
+        run_blocking(build_dataset(tmp_path / "rooms", BuildSettings(1, 5, 1, SMALL_NUMBERS)))
+
+
+def test_a_contact_sheet_shows_every_room(room):
+    sheet = contact_sheet([room] * 5, n_columns=3)
+    assert sheet.shape == (2 * (24 + 16 + 4), 3 * (32 + 4), 3)
+    np.testing.assert_array_equal(sheet[:40, :32], sheet[44:84, 36:68])
+
+
+def test_the_statistics_of_constant_light_are_known(room):
+    grey = np.full_like(room.panoramas, 0.25 / room.exposure)
+    statistics = light_statistics([StoredRoom(**{**room.__dict__, "panoramas": grey})], n_anchors=64)
+    np.testing.assert_allclose(statistics.mean_l00, 0.25 * np.sqrt(4 * np.pi), rtol=2e-3)
+    assert max(spread.max() for spread in statistics.spread.values()) < 1e-3
+    assert statistics.n_pairs == room.is_in_view.sum()
+    assert statistics_table(statistics).count("\n") == 11

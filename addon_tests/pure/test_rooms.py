@@ -1,0 +1,133 @@
+"""Rooms as data: what is sampled could stand in a house."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from xihe_blender.dataset.arrange import FLAT_M, blocks_hole, collide
+from xihe_blender.dataset.outline import Outline, Rect, alcove_plan, box_plan, l_plan, turned
+from xihe_blender.dataset.room_data import Room
+from xihe_blender.dataset.rooms import room_generator, sample_room
+
+N_SEEDS = 200
+ROOMS = [sample_room(room_generator(7, i)) for i in range(N_SEEDS)]
+PLANS = [box_plan(4, 3), l_plan(5, 4, (2, 1.5)), alcove_plan(4, 3, (-1, 1), 0.8)]
+
+
+@pytest.fixture(params=ROOMS, ids=range(N_SEEDS))
+def room(request: pytest.FixtureRequest) -> Room:
+    return request.param
+
+
+def test_a_room_is_the_same_when_it_is_drawn_again():
+    assert [sample_room(room_generator(7, i)) for i in range(20)] == ROOMS[:20]
+
+
+def test_rooms_differ_from_each_other():
+    assert len({room.outline for room in ROOMS}) == N_SEEDS
+
+
+def test_furniture_stands_inside_the_room(room):
+    for piece in room.pieces:
+        assert room.outline.holds_rect(piece.footprint), piece.kind
+        assert piece.z >= 0
+        assert piece.top_m <= room.ceiling_at(piece.footprint.centre), piece.kind
+
+
+def test_pieces_do_not_overlap(room):
+    for one, other in itertools.combinations(room.pieces, 2):
+        assert not collide(one, other), f"{one.kind} and {other.kind}"
+
+
+def test_what_does_not_stand_on_the_floor_hangs_on_a_wall_or_lies_on_something(room):
+    for piece in room.pieces:
+        if piece.z == 0 or piece.kind in ("picture", "mirror", "cupboard"):
+            continue
+        under = [p for p in room.pieces if p.top_m == piece.z and p.footprint.overlaps(piece.footprint)]
+        assert under, f"{piece.kind} floats"
+
+
+def test_what_hangs_touches_a_wall(room):
+    for piece in (p for p in room.pieces if p.kind in ("picture", "mirror", "cupboard")):
+        assert not room.outline.holds_rect(piece.footprint.grown(0.05))
+
+
+def test_doors_can_be_opened(room):
+    for piece in (p for p in room.pieces if p.size[2] >= FLAT_M):
+        assert not blocks_hole(piece, room.outline, tuple(h for h in room.holes if h.is_door)), piece.kind
+
+
+def test_openings_lie_within_their_walls_and_apart(room):
+    for hole in room.holes:
+        assert 0 < hole.low < hole.high < room.outline.walls[hole.wall].length
+        assert 0 <= hole.bottom < hole.top < room.height
+    for one, other in itertools.combinations(room.holes, 2):
+        assert one.wall != other.wall or one.high < other.low or other.high < one.low
+
+
+def test_every_room_has_light(room):
+    has_window = any(not hole.is_door for hole in room.holes)
+    has_lamp = any(lamp.watts > 0 for lamp in room.lamps)
+    assert has_lamp or (has_window and room.daylight.strength > 0)
+    assert all(1400 <= lamp.kelvin <= 8000 for lamp in room.lamps if lamp.watts > 0)
+
+
+def test_lamps_hang_or_stand_inside_the_room(room):
+    for lamp in room.lamps:
+        assert room.outline.holds((lamp.x, lamp.y)), lamp.kind
+        assert lamp.z <= room.ceiling_at((lamp.x, lamp.y)) + 1e-9
+
+
+def test_all_shapes_and_hours_occur():
+    corners = {len(room.outline.corners) for room in ROOMS}
+    assert corners == {4, 6, 8}
+    assert {len(room.slopes) for room in ROOMS} == {0, 1, 2}
+    assert {room.regime for room in ROOMS} == {"day", "sunny", "mixed", "evening", "night"}
+    assert len({room.kind for room in ROOMS}) == 8
+
+
+@pytest.mark.parametrize("plan", PLANS)
+def test_a_plan_turned_by_a_quarter_keeps_its_area_and_what_it_holds(plan):
+    points = np.random.default_rng(1).uniform(-3, 3, (200, 2))
+    for quarters in range(5):
+        other = turned(plan, quarters)
+        assert other.area == pytest.approx(plan.area)
+        c, s = [(1, 0), (0, 1), (-1, 0), (0, -1)][quarters % 4]
+        for x, y in points.tolist():
+            assert other.holds((c * x - s * y, s * x + c * y)) == plan.holds((x, y))
+
+
+@given(
+    plan=st.sampled_from(PLANS),
+    x=st.floats(-3, 3),
+    y=st.floats(-3, 3),
+    w=st.floats(0.01, 4),
+    d=st.floats(0.01, 4),
+)
+def test_a_plan_holds_a_rectangle_only_if_it_holds_points_all_over_it(plan, x, y, w, d):
+    rect = Rect.around((x, y), (w, d))
+    grid = itertools.product(np.linspace(rect.x0, rect.x1, 7)[1:-1], np.linspace(rect.y0, rect.y1, 7)[1:-1])
+    if plan.holds_rect(rect):
+        assert all(plan.holds(point) for point in grid)
+
+
+def test_walls_look_outwards():
+    for plan in PLANS:
+        for wall in plan.walls:
+            assert plan.holds(wall.point(wall.length / 2, 0.05))
+            assert not plan.holds(wall.point(wall.length / 2, -0.05))
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [((0, 0), (1, 0), (1, 1)), ((0, 0), (0, 1), (1, 1), (1, 0)), ((0, 0), (2, 1), (2, 2), (0, 2))],
+    ids=["three walls", "clockwise", "slanted"],
+)
+def test_a_plan_that_is_none_is_refused(corners):
+    with pytest.raises(ValueError, match="Outline"):
+        Outline(corners)

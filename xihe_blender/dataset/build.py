@@ -1,0 +1,189 @@
+"""How is a data set of rooms built? A job that shares the missing rooms out to processes and watches their files.
+
+Resumable by room: a file that exists is whole and is not made again, and a room is the same whoever makes it. So a
+build may be stopped at any time, and may grow later. Rejected: a pool in this process, since Blender holds one scene.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+from xihe_blender.dataset.store import FORMAT_VERSION, stored_indices
+from xihe_blender.errors import UserError
+from xihe_blender.jobs import Job, Progress
+from xihe_blender.outputs import write_json
+from xihenet import __version__
+
+POLL_S = 0.25
+MAX_ROOMS = 1_000_000
+
+
+@dataclass(frozen=True)
+class BuildSettings:
+    """What to build.
+
+    Parameters
+    ----------
+    n_rooms : rooms 0 to n_rooms - 1; more may be added later with the same seed
+    seed : of the whole data set, at least 0
+    n_workers : processes, one thread each; None for one per core of this process
+    render : sizes (width, height, samples) of views and probes, as `worker` takes them
+    """
+
+    n_rooms: int
+    seed: int = 0
+    n_workers: int | None = None
+    render: tuple[int, ...] = field(default=(128, 96, 4, 64, 32, 24))
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.n_rooms <= MAX_ROOMS:
+            raise UserError(f"--rooms {self.n_rooms}: give 1 to {MAX_ROOMS}")
+        if self.seed < 0:
+            raise UserError(f"--seed {self.seed}: give 0 or more")
+        if self.n_workers is not None and self.n_workers < 1:
+            raise UserError(f"--workers {self.n_workers}: give 1 or more")
+
+
+def build_dataset(folder: Path, settings: BuildSettings) -> Job[int]:
+    """Build the rooms that are missing in `folder`; returns how many were made now.
+
+    UserError if the folder holds another data set or a worker fails; OSError if it cannot be written.
+    """
+    claim_folder(folder, settings)
+    missing = missing_rooms(folder, settings.n_rooms)
+    n_workers = min(settings.n_workers or _n_cores(), max(1, len(missing)))
+    shares = [missing[i::n_workers] for i in range(n_workers)] if missing else []
+    with contextlib.ExitStack() as stack:
+        workers = [
+            stack.enter_context(_worker(folder, settings, share, core))
+            for share, core in zip(shares, _cores_of_their_own(n_workers), strict=False)
+        ]
+        try:
+            yield from _watch(folder, settings.n_rooms, len(missing), workers)
+        finally:
+            # All are told before any is waited for: each finishes the room that it is at.
+            for worker in workers:
+                worker.process.terminate()
+    left = missing_rooms(folder, settings.n_rooms)
+    if left:
+        raise UserError(f"{len(left)} rooms were not made, the first is {left[0]}: run the same command again")
+    return len(missing)
+
+
+def claim_folder(folder: Path, settings: BuildSettings) -> None:
+    """Write what the data set is made with, or check that it is what is there; clear what killed workers left."""
+    folder.mkdir(parents=True, exist_ok=True)
+    made_with = {"format": FORMAT_VERSION, "seed": settings.seed, "render": list(settings.render)}
+    path = folder / "dataset.json"
+    if path.exists():
+        there = _read_json(path)
+        if {key: there.get(key) for key in made_with} != made_with:
+            raise UserError(f"{folder} holds rooms made with other settings ({path.name}): choose another folder")
+    else:
+        write_json(path, {**made_with, "software": f"xihe {__version__}"})
+    for part in folder.glob(".room_*.npz"):
+        part.unlink(missing_ok=True)
+
+
+def missing_rooms(folder: Path, n_rooms: int) -> list[int]:
+    """The numbers below `n_rooms` for which there is no file."""
+    there = set(stored_indices(folder))
+    return [i for i in range(n_rooms) if i not in there]
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise UserError(f"{path} is damaged ({error}): delete it to go on") from error
+    return content if isinstance(content, dict) else {}
+
+
+def _watch(folder: Path, n_rooms: int, n_missing: int, workers: list[_Worker]) -> Iterator[Progress]:
+    """Yield progress until all workers have ended. UserError, in its own words, if one failed."""
+    while True:
+        has_ended = all(worker.process.poll() is not None for worker in workers)
+        done = n_missing - len(missing_rooms(folder, n_rooms))
+        yield Progress(done, max(n_missing, 1), f"{n_rooms - n_missing + done} of {n_rooms} rooms")
+        for worker in workers:
+            if worker.process.poll() not in (None, 0):
+                raise UserError(f"a worker ended: {worker.last_words()}; the same command goes on from here")
+        if has_ended:
+            return
+        time.sleep(POLL_S)
+
+
+@dataclass(frozen=True, eq=False)
+class _Worker:
+    process: subprocess.Popen[bytes]
+    errors: IO[bytes]
+
+    def last_words(self) -> str:
+        """The last line that it wrote to stderr."""
+        self.errors.seek(0)
+        lines = self.errors.read().decode(errors="replace").strip().splitlines()
+        code = self.process.returncode
+        return lines[-1] if lines and code > 0 else f"exit code {code}"
+
+
+@contextlib.contextmanager
+def _worker(folder: Path, settings: BuildSettings, indices: Sequence[int], core: int | None) -> Iterator[_Worker]:
+    """A process that makes the rooms `indices`; it has ended when the block has, whatever happens."""
+    numbers = ",".join(str(i) for i in indices)
+    command = [sys.executable, "-m", "xihe_blender.dataset.worker", "--out", str(folder), "--seed", str(settings.seed)]
+    command += ["--rooms", numbers, "--settings", *(str(n) for n in settings.render)]
+    with tempfile.TemporaryFile() as errors:
+        with _on_core(core):
+            process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors, env=_environment()
+            )
+        try:
+            yield _Worker(process, errors)
+        finally:
+            process.terminate()
+            process.wait()
+
+
+def _environment() -> dict[str, str]:
+    """This process' environment, so that the worker finds the same packages as this one."""
+    root = str(Path(__file__).resolve().parents[2])
+    paths = [root, *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}
+
+
+@contextlib.contextmanager
+def _on_core(core: int | None) -> Iterator[None]:
+    """Let processes that are started in the block stay on one core; None leaves it to the system.
+
+    Blender starts threads beside Cycles' one that spin for work: 0.7 s of a second core for each second of rendering.
+    """
+    if core is None:
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {core})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+def _cores_of_their_own(n_workers: int) -> list[int | None]:
+    """A core for each worker, or None for each where there are too few or the system cannot say."""
+    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+    return list(cores[:n_workers]) if len(cores) >= n_workers else [None] * n_workers
+
+
+def _n_cores() -> int:
+    has_affinity = hasattr(os, "sched_getaffinity")
+    return len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1

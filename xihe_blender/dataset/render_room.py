@@ -1,0 +1,126 @@
+"""What does a room give? Five views of a phone and four light probes, rendered from one built scene.
+
+The phone's exposure is metered on the views themselves, as a capture meters it on its path: no further renders.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from xihe_blender.capture import first_layer, metered_exposure, open_scanner, phone_camera
+from xihe_blender.dataset.build_room import build_room
+from xihe_blender.dataset.room_data import Room
+from xihe_blender.dataset.rooms import room_generator, sample_room
+from xihe_blender.dataset.store import FORMAT_VERSION, StoredRoom, as_float16
+from xihe_blender.dataset.views import PhoneView, RoomRays, RoomTooFull, lines_of_sight, sample_positions, sample_views
+from xihe_blender.errors import UserError
+from xihe_blender.render import RenderSettings, render_passes
+from xihe_blender.truth import open_light_probe
+from xihenet import __version__
+from xihenet.camera import encode_exposed, in_view, valid_plane_depth
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, Intrinsics
+
+MAX_REDRAWS = 20
+
+
+@dataclass(frozen=True)
+class RoomRenderSettings:
+    """Sizes in pixels and samples per pixel. The seed of Cycles is fixed: noise differs by room anyway."""
+
+    view_size: tuple[int, int] = (128, 96)
+    view_samples: int = 4
+    probe_size: tuple[int, int] = (64, 32)
+    probe_samples: int = 24
+
+    @property
+    def view(self) -> RenderSettings:
+        return RenderSettings(self.view_size, self.view_samples)
+
+    @property
+    def probe(self) -> RenderSettings:
+        return RenderSettings(self.probe_size, self.probe_samples)
+
+
+def make_room(seed: int, index: int, settings: RoomRenderSettings) -> StoredRoom:
+    """Sample, build and render room `index` of the data set with `seed`; the open file is replaced.
+
+    A room that offers too few places is drawn again from the same generator. UserError if Cycles cannot render.
+    """
+    rng = room_generator(seed, index)
+    for _ in range(MAX_REDRAWS):
+        room = sample_room(rng)
+        scene = build_room(room)
+        rays = RoomRays.of(scene)
+        try:
+            positions_m = sample_positions(rng, room, rays)
+            views = sample_views(rng, room, rays, positions_m)
+        except RoomTooFull:
+            continue
+        is_unhidden = lines_of_sight(rays, views, positions_m)
+        pictures = render_views(scene, views, settings.view)
+        panoramas = render_probes(scene, positions_m, settings.probe)
+        return _as_stored(room, (seed, index), views, pictures, positions_m, panoramas, is_unhidden)
+    raise UserError(f"room {index} of seed {seed}: no place for phone and objects in {MAX_REDRAWS} draws")
+
+
+@dataclass(frozen=True, eq=False)
+class Pictures:
+    """What the views give: radiance (V, H, W, 3), plane depth (V, H, W) in metres, the camera."""
+
+    radiance: ArrayF32
+    plane_depth_m: ArrayF32
+    intrinsics: Intrinsics
+
+
+def render_views(scene: bpy.types.Scene, views: list[PhoneView], settings: RenderSettings) -> Pictures:
+    """Render each view; all have the same field of view."""
+    data = bpy.data.cameras.new("Phone")
+    data.sensor_fit, data.angle = "HORIZONTAL", math.radians(views[0].fov_deg)
+    data.clip_start, data.clip_end = 0.02, 200.0
+    scene.camera = bpy.data.objects.new("Phone", data)
+    scene.collection.objects.link(scene.camera)
+    radiance, plane_depth_m = [], []
+    with open_scanner(scene, settings) as scanner:
+        for view in views:
+            scene.camera.matrix_world = Matrix(view.world_from_camera.tolist())
+            intrinsics, _ = phone_camera(scanner.scene)
+            colour, distance = first_layer(render_passes(scanner.scene))
+            radiance.append(colour)
+            plane_depth_m.append(np.where(valid_plane_depth(distance), distance, np.float32(0)))
+    return Pictures(np.stack(radiance), np.stack(plane_depth_m), intrinsics)
+
+
+def render_probes(scene: bpy.types.Scene, positions_m: ArrayF64, settings: RenderSettings) -> ArrayF32:
+    """(P, h, w, 3) scene radiance around each position."""
+    with open_light_probe(scene, settings) as probe:
+        return np.stack([probe.panorama(position, scene.frame_current) for position in positions_m])
+
+
+def _as_stored(
+    room: Room, seed: tuple[int, int], views: list[PhoneView], pictures: Pictures, positions_m: ArrayF64,
+    panoramas: ArrayF32, is_unhidden: ArrayBool,
+) -> StoredRoom:  # fmt: skip
+    poses = np.stack([view.world_from_camera for view in views])
+    exposure = metered_exposure(pictures.radiance) * room.exposure_gain
+    camera = pictures.intrinsics
+    return StoredRoom(
+        srgb_u8=encode_exposed(pictures.radiance, exposure),
+        radiance=as_float16(pictures.radiance),
+        plane_depth_m=as_float16(pictures.plane_depth_m),
+        world_from_camera=poses,
+        intrinsics=np.array([camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy], np.float64),
+        exposure=exposure,
+        positions_m=positions_m,
+        panoramas=as_float16(panoramas),
+        is_in_view=np.stack([in_view(positions_m, camera, pose) for pose in poses]),
+        is_unhidden=is_unhidden,
+        seed=np.array(seed, np.int64),
+        kind=room.kind,
+        regime=room.regime,
+        versions=f"format {FORMAT_VERSION}, xihe {__version__}, Blender {bpy.app.version_string}",
+    )
