@@ -3,6 +3,8 @@
 
 PYTHON ?= python3.11
 VENV ?= .venv
+# `EXTRAS=test,train` brings torch, and with it the tests of addon_tests/torch.
+EXTRAS ?= test
 BIN = $(VENV)/bin
 OUT ?= out
 
@@ -40,6 +42,6 @@ clean:
 $(VENV)/installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable ".[test]"
+	$(BIN)/python -m pip install --quiet --editable ".[$(EXTRAS)]"
 	@$(BIN)/python -c "import bpy" || { echo "Blender's libraries are missing: run '.ci/system_packages' as root (Debian, Ubuntu)"; exit 1; }
 	@touch $@

@@ -65,18 +65,29 @@ class Estimator(ABC):
         A cloud without a set anchor is legal; what it gives is the estimator's guess, finite in any case.
         ValueError for another number of anchors, a missing part of the context, or a result that is not finite.
         """
-        if len(cloud) != self.n_anchors:
-            raise ValueError(f"{self.name}: made for {self.n_anchors} anchors, got a cloud of {len(cloud)}")
-        sh_radiance = self._estimate(cloud, context or EstimateContext())
-        if sh_radiance.shape != (9, 3) or not np.isfinite(sh_radiance).all():
-            raise ValueError(f"{self.name}: the estimate is not nine finite triples; refusing to pass it on")
-        return sh_radiance
+        self._check_size(cloud)
+        return self._checked(self._estimate(cloud, context or EstimateContext()))
+
+    def estimate_with_error(
+        self, cloud: UnitSphereCloud, context: EstimateContext | None = None
+    ) -> tuple[ArrayF64, float | None]:
+        """As `estimate`, and the SHC RMSE the estimator expects of it; None from one that does not know."""
+        return self.estimate(cloud, context), None
 
     def estimate_batch(self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike) -> ArrayF64:
         """(B, 9, 3) from srgb (B, N, 3), distance_m (B, N) and is_set (B, N); equals B single estimates. B may be 0."""
         colours, distances, known = np.asarray(srgb), np.asarray(distance_m), np.asarray(is_set, bool)
         clouds = (UnitSphereCloud(*parts) for parts in zip(colours, distances, known, strict=True))
         return np.array([self.estimate(cloud) for cloud in clouds]).reshape(-1, 9, 3)
+
+    def _check_size(self, cloud: UnitSphereCloud) -> None:
+        if len(cloud) != self.n_anchors:
+            raise ValueError(f"{self.name}: made for {self.n_anchors} anchors, got a cloud of {len(cloud)}")
+
+    def _checked(self, sh_radiance: ArrayF64) -> ArrayF64:
+        if sh_radiance.shape != (9, 3) or not np.isfinite(sh_radiance).all():
+            raise ValueError(f"{self.name}: the estimate is not nine finite triples; refusing to pass it on")
+        return sh_radiance
 
     @abstractmethod
     def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> ArrayF64:

@@ -1,0 +1,234 @@
+"""The lattice network in NumPy: what its form promises whatever the weights, and which files it refuses."""
+
+import json
+
+import numpy as np
+import pytest
+
+from xihenet.colour import linear_to_srgb
+from xihenet.estimators.lattice import Lattice
+from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights, load_weights, save_weights
+from xihenet.estimators.lattice_tables import pooling_table, quadrature_matrix
+from xihenet.estimators.projection import Projection
+from xihenet.records import UnitSphereCloud
+from xihenet.sh_basis import basis
+from xihenet.sphere import AnchorLattice
+
+SIZES = (512, 777, 1280, 2048)
+
+
+def random_weights(seed, target="ldr", architecture=None):
+    rng = np.random.default_rng(seed)
+    architecture = architecture or LatticeArchitecture()
+    arrays = {
+        name: (rng.normal(size=shape) / np.sqrt(shape[-1])).astype(np.float32)
+        for name, shape in architecture.array_shapes().items()
+    }
+    return LatticeWeights(architecture, target, arrays, data="none", seed=seed)
+
+
+@pytest.fixture(scope="module")
+def weights_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("weights") / "random.npz"
+    save_weights(path, random_weights(1))
+    return path
+
+
+def random_clouds(n, seed=0, n_clouds=6):
+    rng = np.random.default_rng(seed)
+    is_set = rng.random((n_clouds, n)) < rng.random((n_clouds, 1))
+    srgb = (rng.random((n_clouds, n, 3)) * is_set[..., None]).astype(np.float32)
+    return srgb, (rng.random((n_clouds, n)) * 6 * is_set).astype(np.float32), is_set
+
+
+def nasty_clouds(n):
+    """Nothing set, one anchor, black, white, one bright in black, far and near beyond measure."""
+    is_set = np.ones((7, n), bool)
+    is_set[0] = False
+    is_set[1] = np.arange(n) == n // 3
+    srgb = np.full((7, n, 3), 0.5, np.float32)
+    srgb[2], srgb[3], srgb[4] = 0, 1, 0
+    srgb[4, 7] = 1
+    distance_m = np.ones((7, n), np.float32)
+    distance_m[5], distance_m[6] = 3e38, 0
+    return srgb * is_set[..., None], distance_m * is_set, is_set
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_any_number_of_anchors_gives_finite_light_and_a_positive_expected_error(weights_file, n):
+    estimator = Lattice(n, weights=weights_file)
+    for clouds in (random_clouds(n), nasty_clouds(n)):
+        light, expected_error = estimator.estimate_batch_with_error(*clouds)
+        assert np.isfinite(light).all() and np.isfinite(expected_error).all() and (expected_error > 0).all()
+        assert (light[:, 0] >= 0).all()
+
+
+@pytest.mark.parametrize("n", [512, 1280])
+def test_a_batch_equals_single_estimates(weights_file, n):
+    estimator = Lattice(n, weights=weights_file)
+    clouds = [np.concatenate(parts) for parts in zip(random_clouds(n, 3, 12), nasty_clouds(n), strict=True)]
+    light, expected_error = estimator.estimate_batch_with_error(*clouds)
+    for k, parts in enumerate(zip(*clouds, strict=True)):
+        single, error = estimator.estimate_with_error(UnitSphereCloud(*parts))
+        np.testing.assert_allclose(light[k], single, atol=1e-5)
+        np.testing.assert_allclose(expected_error[k], error, rtol=1e-4)
+        np.testing.assert_array_equal(estimator.estimate(UnitSphereCloud(*parts)), single)
+
+
+def test_a_batch_without_clouds_is_legal(weights_file):
+    srgb, distance_m, is_set = random_clouds(512)
+    assert Lattice(512, weights=weights_file).estimate_batch(srgb[:0], distance_m[:0], is_set[:0]).shape == (0, 9, 3)
+
+
+@pytest.mark.parametrize("n", SIZES)
+@pytest.mark.parametrize("is_normalised", [True, False])
+def test_constant_light_stays_constant_whatever_the_weights(tmp_path, n, is_normalised):
+    architecture = LatticeArchitecture(is_exposure_normalised=is_normalised)
+    save_weights(tmp_path / "w.npz", random_weights(5, architecture=architecture))
+    is_set = np.random.default_rng(n).random((1, n)) < 0.4
+    radiance = np.array([0.2, 0.5, 0.8])
+    light = Lattice(n, weights=tmp_path / "w.npz").estimate_batch(
+        linear_to_srgb(radiance) * is_set[..., None], 2.0 * is_set, is_set
+    )
+    expected = np.zeros((9, 3))
+    expected[0] = 2 * np.sqrt(np.pi) * radiance
+    np.testing.assert_allclose(light[0], expected, atol=2e-6)
+
+
+def test_nothing_seen_gives_black_and_one_anchor_its_own_colour(weights_file):
+    light = Lattice(512, weights=weights_file).estimate_batch(*nasty_clouds(512))
+    assert (light[0] == 0).all()
+    np.testing.assert_allclose(light[1, 1:], 0, atol=1e-6)
+    assert (light[1, 0] > 0.5).all()
+
+
+def test_weights_of_zero_give_the_projection(tmp_path):
+    weights = random_weights(2)
+    for name in ("radiance", "gate"):
+        weights.arrays[f"{name}.weight"][:] = 0
+        weights.arrays[f"{name}.bias"][:] = 0
+    save_weights(tmp_path / "w.npz", weights)
+    clouds = random_clouds(1280, 4)
+    expected = Projection(1280).estimate_batch(*clouds)
+    expected[:, 0] = expected[:, 0].clip(0)
+    np.testing.assert_allclose(Lattice(1280, weights=tmp_path / "w.npz").estimate_batch(*clouds), expected, atol=1e-5)
+
+
+def test_an_unset_anchors_place_says_nothing(weights_file):
+    srgb, distance_m, is_set = random_clouds(512, 6)
+    estimator = Lattice(512, weights=weights_file)
+    filled = np.where(is_set[..., None], srgb, 0.9), np.where(is_set, distance_m, 3.0), is_set
+    np.testing.assert_array_equal(estimator.estimate_batch(*filled), estimator.estimate_batch(srgb, distance_m, is_set))
+
+
+@pytest.mark.parametrize(("part", "value"), [(0, np.nan), (0, 1.5), (1, np.inf), (1, -1.0), (1, np.nan)])
+def test_input_out_of_range_is_refused(weights_file, part, value):
+    clouds = [array.copy() for array in random_clouds(512)]
+    clouds[part][2, 5] = value
+    with pytest.raises(ValueError, match="lattice: expected"):
+        Lattice(512, weights=weights_file).estimate_batch(*clouds)
+
+
+def test_another_number_of_anchors_is_refused(weights_file):
+    with pytest.raises(ValueError, match="n = 1280"):
+        Lattice(1280, weights=weights_file).estimate_batch(*random_clouds(512))
+    with pytest.raises(ValueError, match="made for 1280 anchors, got a cloud of 512"):
+        Lattice(1280, weights=weights_file).estimate_with_error(UnitSphereCloud.empty(512))
+
+
+def test_half_precision_weights_change_the_light_little_and_fit_the_size(tmp_path, weights_file):
+    save_weights(tmp_path / "half.npz", load_weights(weights_file), is_half=True)
+    clouds = random_clouds(1280)
+    light = Lattice(1280, weights=weights_file).estimate_batch(*clouds)
+    half = Lattice(1280, weights=tmp_path / "half.npz").estimate_batch(*clouds)
+    assert np.abs(half - light).max() < 5e-3
+    assert weights_file.stat().st_size < 4e6 and LatticeArchitecture().n_parameters() < 1_000_000
+
+
+def test_a_saved_file_comes_back_as_it_was(tmp_path):
+    weights = random_weights(3, "hdr")
+    save_weights(tmp_path / "w.npz", weights)
+    back = load_weights(tmp_path / "w.npz")
+    assert (back.architecture, back.target, back.data, back.seed) == (weights.architecture, "hdr", "none", 3)
+    for name, array in weights.arrays.items():
+        np.testing.assert_array_equal(back.arrays[name], array)
+
+
+def test_weights_for_the_other_target_are_refused(weights_file):
+    with pytest.raises(ValueError, match=r"random\.npz: expected weights for the target 'hdr', got 'ldr'"):
+        Lattice(512, "hdr", weights=weights_file)
+
+
+@pytest.mark.parametrize("kept", [0, 10, 0.5, 0.99])
+def test_a_truncated_file_is_refused_by_name(tmp_path, weights_file, kept):
+    content = weights_file.read_bytes()
+    path = tmp_path / "cut.npz"
+    path.write_bytes(content[: int(kept * len(content)) if isinstance(kept, float) else kept])
+    with pytest.raises(ValueError, match=r"cut\.npz: expected an \.npz of lattice weights"):
+        Lattice(512, weights=path)
+
+
+def test_flipped_bytes_are_refused_by_name(tmp_path, weights_file):
+    content = bytearray(weights_file.read_bytes())
+    middle = len(content) // 2
+    content[middle : middle + 40] = bytes(40)
+    (tmp_path / "bad.npz").write_bytes(content)
+    with pytest.raises(ValueError, match=r"bad\.npz"):
+        load_weights(tmp_path / "bad.npz")
+
+
+def test_a_missing_file_is_refused_by_name(tmp_path):
+    with pytest.raises(ValueError, match=r"none\.npz: expected"):
+        load_weights(tmp_path / "none.npz")
+
+
+def changed_file(tmp_path, weights_file, change):
+    with np.load(weights_file) as stored:
+        content = dict(stored)
+    change(content)
+    np.savez(tmp_path / "changed.npz", **content)
+    return tmp_path / "changed.npz"
+
+
+def with_header(**changes):
+    def change(content):
+        header = json.loads(content["header"].item()) | changes
+        content["header"] = np.array(json.dumps(header))
+
+    return change
+
+
+CHANGES = {
+    "another format": (with_header(format=99), "expected format 1, got 99"),
+    "a target that is none": (with_header(target="sdr"), "expected 'ldr' or 'hdr'"),
+    "an unknown size": (with_header(architecture={"levels": [320, 80, 20], "depth": 3}), "depth"),
+    "sizes that are no numbers": (with_header(architecture={"levels": [320, 80, "x"]}), "expected three levels"),
+    "no header": (lambda content: content.pop("header"), "expected a header"),
+    "a missing array": (lambda content: content.pop("stem.bias"), "arrays: expected"),
+    "one array too many": (lambda content: content.update(more=np.zeros(1, np.float32)), "arrays: expected"),
+    "a wrong shape": (lambda content: content.update({"gate.bias": np.zeros(8, np.float32)}), r"shape \(9,\)"),
+    "NaN": (lambda content: content["code.weight"].fill(np.nan), "code.weight: expected finite weights"),
+    "whole numbers": (lambda content: content.update({"gate.bias": np.zeros(9, int)}), "expected float16 or float32"),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_changed_file_is_refused_with_what_was_expected(tmp_path, weights_file, name):
+    change, message = CHANGES[name]
+    with pytest.raises(ValueError, match=rf"changed\.npz: .*{message}"):
+        load_weights(changed_file(tmp_path, weights_file, change))
+
+
+@pytest.mark.parametrize("n_fine", [1, 20, 319, 512, 1280, 2048])
+def test_pooling_leaves_no_coarse_anchor_empty_and_counts_each_fine_one_once(n_fine):
+    table = pooling_table(n_fine, 320)
+    assert ((table.members < n_fine).sum(axis=1) == table.counts).all() and (table.counts >= 1).all()
+    owners = np.bincount(table.members[table.members < n_fine], minlength=n_fine)
+    assert (owners >= 1).all() and (n_fine < 1280 or (owners == 1).all())
+
+
+@pytest.mark.parametrize("n", [20, 80, 320])
+def test_the_quadrature_gives_back_every_light_of_order_two(n):
+    light = np.random.default_rng(n).normal(size=(9, 3))
+    radiance = basis(AnchorLattice(n).directions) @ light
+    np.testing.assert_allclose(quadrature_matrix(n) @ radiance, light, atol=1e-5)

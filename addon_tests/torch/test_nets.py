@@ -1,0 +1,160 @@
+"""The networks in torch: equal to NumPy, unmoved by what is not set, and able to learn."""
+
+import numpy as np
+import pytest
+import torch
+
+from xihenet.estimators.lattice import Lattice
+from xihenet.estimators.lattice_format import LatticeArchitecture, save_weights
+from xihenet.nets.lattice import LatticeNet, weights_of
+from xihenet.nets.pointconv import PointConvArchitecture, PointConvNet, farthest_points
+
+SMALL = PointConvArchitecture(centroids=(32, 8), n_neighbours=8)
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def lively_net(architecture=None):
+    """A network whose last layers do not start at 0."""
+    torch.manual_seed(3)
+    net = LatticeNet(architecture)
+    for name in ("radiance", "gate"):
+        torch.nn.init.normal_(net.layer(name).weight, 0, 0.3)
+    return net
+
+
+def clouds(n, seed=0, n_clouds=8):
+    """Random and nasty ones: empty, one anchor, full, black, white, one bright anchor in black, too far, too near."""
+    rng = np.random.default_rng(seed)
+    is_set = rng.random((n_clouds, n)) < rng.random((n_clouds, 1))
+    srgb, distance_m = rng.random((n_clouds, n, 3)) ** 3, rng.random((n_clouds, n)) * 5
+    nasty_set = np.ones((8, n), bool)
+    nasty_set[0] = False
+    nasty_set[1] = np.arange(n) == 5
+    nasty_srgb, nasty_m = rng.random((8, n, 3)), rng.random((8, n))
+    nasty_srgb[3], nasty_srgb[4], nasty_srgb[5] = 0, 1, 0
+    nasty_srgb[5, 3] = 1
+    nasty_m[6], nasty_m[7] = 3e38, 0
+    known = np.concatenate([is_set, nasty_set])
+    colours = np.concatenate([srgb, nasty_srgb]) * known[..., None]
+    return colours.astype(np.float32), (np.concatenate([distance_m, nasty_m]) * known).astype(np.float32), known
+
+
+def points(n=64, n_clouds=5, seed=0):
+    rng = torch.Generator().manual_seed(seed)
+    is_set = torch.rand(n_clouds, n, generator=rng) < 0.6
+    is_set[0] = False
+    is_set[1] = torch.arange(n) == 4
+    return torch.randn(n_clouds, n, 3, generator=rng), torch.rand(n_clouds, n, 3, generator=rng), is_set
+
+
+@pytest.mark.parametrize("n", [512, 777, 1280, 2048])
+@pytest.mark.parametrize("is_normalised", [True, False])
+def test_numpy_gives_what_torch_gives(tmp_path, n, is_normalised):
+    net = lively_net(LatticeArchitecture(is_exposure_normalised=is_normalised))
+    save_weights(tmp_path / "w.npz", weights_of(net, "ldr"))
+    parts = clouds(n, seed=n)
+    with torch.no_grad():
+        light, expected_error = net(*map(torch.from_numpy, parts))
+    in_numpy, error_in_numpy = Lattice(n, weights=tmp_path / "w.npz").estimate_batch_with_error(*parts)
+    np.testing.assert_allclose(in_numpy, light.numpy(), atol=1e-5)
+    np.testing.assert_allclose(error_in_numpy, expected_error.numpy(), atol=1e-5)
+
+
+def test_lattice_gradients_are_finite_on_nasty_clouds():
+    net = lively_net()
+    light, expected_error = net(*map(torch.from_numpy, clouds(512)))
+    (light.square().sum() + expected_error.sum()).backward()
+    assert all(torch.isfinite(parameter.grad).all() for parameter in net.parameters())
+
+
+def test_the_expected_error_sends_no_gradient_into_the_light():
+    net = lively_net()
+    net(*map(torch.from_numpy, clouds(512)))[1].sum().backward()
+    reached = {name for name, parameter in net.named_parameters() if parameter.grad is not None}
+    assert reached == {"error.weight", "error.bias", "error_hidden.weight", "error_hidden.bias"}
+
+
+def test_the_lattice_network_can_learn_eight_clouds_by_heart():
+    colours, distances, known = (torch.from_numpy(part[:8]) for part in clouds(512))
+    torch.manual_seed(0)
+    truth = torch.randn(8, 9, 3) * 0.2
+    truth[:, 0] += 1.5
+    net = LatticeNet()
+    optimiser = torch.optim.Adam(net.parameters(), lr=3e-3)
+    for _ in range(250):
+        loss = (net(colours, distances, known)[0] - truth).square().mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    assert loss.sqrt() < 0.02
+
+
+def test_a_fresh_lattice_network_has_the_size_the_documentation_gives():
+    assert sum(p.numel() for p in LatticeNet().parameters()) == LatticeArchitecture().n_parameters() == 265_061
+
+
+@pytest.mark.parametrize("keeps", [False, True])
+def test_pointconv_is_finite_with_finite_gradients_also_without_points(keeps):
+    torch.manual_seed(0)
+    net = PointConvNet(PointConvArchitecture(centroids=(32, 8), n_neighbours=8, keeps_unset_at_origin=keeps))
+    light = net(*points())
+    light.square().sum().backward()
+    assert light.shape == (5, 9, 3) and torch.isfinite(light).all()
+    assert all(torch.isfinite(parameter.grad).all() for parameter in net.parameters())
+
+
+def test_pointconv_gives_negative_coefficients_too():
+    torch.manual_seed(0)
+    with torch.no_grad():
+        light = PointConvNet(SMALL)(*points())
+    assert (light < 0).any() and (light > 0).any()
+
+
+def test_pointconv_leaves_unset_points_out_unless_told_to_keep_them():
+    places, colours, known = points()
+    more_places = torch.cat([places, torch.ones(5, 9, 3)], 1)
+    more_colours, more_known = (
+        torch.cat([colours, torch.ones(5, 9, 3)], 1),
+        torch.cat([known, torch.zeros(5, 9) > 0], 1),
+    )
+    changes = []
+    for keeps in (False, True):
+        torch.manual_seed(0)
+        net = PointConvNet(PointConvArchitecture(centroids=(32, 8), n_neighbours=8, keeps_unset_at_origin=keeps))
+        with torch.no_grad():
+            plain, padded = net(places, colours, known), net(more_places, more_colours, more_known)
+        changes.append(float((plain - padded).abs().max()))
+    assert changes[0] < 1e-5 < changes[1]
+
+
+def test_pointconv_gives_one_cloud_what_it_gives_it_in_a_batch():
+    torch.manual_seed(0)
+    net, parts = PointConvNet(SMALL), points()
+    with torch.no_grad():
+        batch = net(*parts)
+        for k in range(5):
+            single = net(*(part[k : k + 1] for part in parts))
+            np.testing.assert_allclose(single[0].numpy(), batch[k].numpy(), atol=1e-5)
+
+
+def test_pointconv_has_about_the_papers_size():
+    assert 1.3e6 < sum(p.numel() for p in PointConvNet().parameters()) < 1.6e6
+
+
+def test_farthest_points_are_those_of_the_plain_loop_and_never_repeat():
+    places, _, known = points(seed=4)
+    chosen, is_new = farthest_points(places, known, 16)
+    assert is_new.sum(1).tolist() == [min(16, int(k)) for k in known.sum(1)]
+    cloud, usable = places[2].numpy(), np.flatnonzero(known[2].numpy())
+    picked = [usable[0]]
+    while len(picked) < 16:
+        distance = np.linalg.norm(cloud[usable][:, None] - cloud[picked], axis=2).min(axis=1)
+        picked.append(usable[distance.argmax()])
+    assert chosen[2].tolist() == picked

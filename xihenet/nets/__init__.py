@@ -1,0 +1,1 @@
+"""Network definitions in torch, for training and for batches; start-up never imports them."""

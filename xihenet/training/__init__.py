@@ -1,0 +1,1 @@
+"""Training of the estimators' networks: `python -m xihenet.training`. Needs torch; start-up never imports it."""

@@ -1,0 +1,260 @@
+"""How is a network trained so that a stopped training, taken up again, ends where an undisturbed one does?
+
+Nothing random is left to chance or to a state that could be lost: the order of an epoch follows from the seed and the
+epoch's number, the learning rate from the step, and the networks draw nothing after they are made. So a checkpoint per
+epoch (weights, moving average, optimiser, history) is all there is to keep. What is judged, and kept in the end, is the
+moving average; training stops when it has not become better on the validation rooms for `patience` epochs.
+
+The loss is on coefficients and on irradiance at fixed normals, which is what a lit surface shows; a Huber loss, so that
+the few HDR lights of a hundred times the mean do not rule the rest. The expected error is fitted to the RMSE that was
+made, by the likelihood of an exponential distribution, whose best guess is the mean error.
+"""
+
+from __future__ import annotations
+
+import copy
+import csv
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from xihenet.estimators.base import Target
+from xihenet.sh import cosine_lobe
+from xihenet.sh_basis import basis
+from xihenet.sphere import AnchorLattice
+from xihenet.training.dataset import CloudSet, open_split
+from xihenet.training.networks import (
+    TrainedNetwork,
+    make_network,
+    predict,
+    read_batch,
+    read_torch,
+    run_network,
+    save_network,
+    write_torch,
+)
+
+N_NORMALS = 32
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class TrainSettings:
+    """One training.
+
+    Parameters
+    ----------
+    cache : sampled clouds, as `xihenet.training.dataset.build_cache` leaves them
+    out : folder of the run: checkpoint.pt, curves.csv, best.pt
+    estimator : lattice, xihenet, pointar or farthest; must fit the cache's sampling
+    target : "ldr" or "hdr"
+    seed : of the first weights and of the order of the clouds
+    epochs, batch_size, learning_rate, weight_decay : as usual; the rate falls to 0 along a cosine
+    ema : share of the moving average that a step keeps, at most; it averages faster in the first steps
+    patience : epochs without a better validation error after which training stops
+    irradiance_weight, error_weight : of the second and third part of the loss
+    huber_delta : difference of coefficients from which the loss is linear
+    options : of the network's architecture
+    device : torch device
+    """
+
+    cache: Path
+    out: Path
+    estimator: str = "lattice"
+    target: Target = "ldr"
+    seed: int = 0
+    epochs: int = 60
+    batch_size: int = 64
+    learning_rate: float = 2e-3
+    weight_decay: float = 0.02
+    ema: float = 0.995
+    patience: int = 15
+    irradiance_weight: float = 0.5
+    error_weight: float = 0.02
+    huber_delta: float = 1.0
+    options: dict[str, Any] = field(default_factory=dict)
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        if self.target not in ("ldr", "hdr"):
+            raise ValueError(f"target: expected 'ldr' or 'hdr', got {self.target!r}")
+        if min(self.epochs, self.batch_size, self.patience) < 1 or not 0 <= self.ema < 1:
+            raise ValueError("training: expected at least one epoch, cloud and epoch of patience, and 0 <= ema < 1")
+
+    def decisive(self) -> dict[str, Any]:
+        """What must be the same for a stopped training to be taken up."""
+        kept = asdict(self)
+        return {name: str(value) for name, value in kept.items() if name not in ("out", "cache", "device")}
+
+
+@dataclass(eq=False)
+class _Run:
+    """The state of a training, all of which is in a checkpoint."""
+
+    net: nn.Module
+    average: nn.Module
+    optimiser: torch.optim.Optimizer
+    epoch: int = 0
+    step: int = 0
+    best_rmse: float = float("inf")
+    best_epoch: int = 0
+    history: list[dict[str, float]] = field(default_factory=list)
+
+
+def train(settings: TrainSettings, *, stop_after: int | None = None, progress: Progress = lambda line: None) -> Path:
+    """Train, or go on with a training that was stopped; the path of the best network's file.
+
+    `stop_after` ends the call after that many epochs as if it had been interrupted. ValueError if the cache is missing,
+    a split that is needed is empty, or `settings.out` holds a training with other settings.
+    """
+    clouds, held_out = open_split(settings.cache, "train"), open_split(settings.cache, "validation")
+    for name, split in (("train", clouds), ("validation", held_out)):
+        if not len(split):
+            raise ValueError(f"{settings.cache}: the {name} split is empty; more rooms are needed")
+    settings.out.mkdir(parents=True, exist_ok=True)
+    run = _start_or_resume(settings)
+    yardstick = _mean_predictor_rmse(clouds, held_out, settings.target)
+    started, first_epoch = time.monotonic(), run.epoch
+    while run.epoch < settings.epochs and run.epoch - run.best_epoch < settings.patience:
+        if stop_after is not None and run.epoch - first_epoch >= stop_after:
+            break
+        loss = _train_epoch(run, clouds, settings)
+        _judge(run, held_out, settings, loss, yardstick)
+        _save_checkpoint(run, settings)
+        elapsed_s = time.monotonic() - started
+        left_s = elapsed_s / (run.epoch - first_epoch) * (settings.epochs - run.epoch)
+        progress(_progress_line(run, settings, left_s))
+    return settings.out / "best.pt"
+
+
+def training_loss(light: Tensor, expected_error: Tensor | None, truth: Tensor, settings: TrainSettings) -> Tensor:
+    """Scalar; light and truth (B, 9, 3)."""
+    to_irradiance = torch.as_tensor(_irradiance_matrix(), device=light.device)
+    huber = nn.functional.huber_loss
+    loss = huber(light, truth, delta=settings.huber_delta)
+    irradiance = huber(to_irradiance @ light, to_irradiance @ truth, delta=settings.huber_delta)
+    loss = loss + settings.irradiance_weight * irradiance
+    if expected_error is not None:
+        made = (light.detach() - truth).square().mean((1, 2)).sqrt()
+        loss = loss + settings.error_weight * (expected_error.log() + made / expected_error).mean()
+    return loss
+
+
+def _irradiance_matrix() -> Any:
+    """(N_NORMALS, 9) float32: irradiance / pi, what a white Lambert surface shows."""
+    lobe = np.repeat(cosine_lobe(2), [1, 3, 5]) / np.pi
+    return (basis(AnchorLattice(N_NORMALS).directions) * lobe).astype(np.float32)
+
+
+def _start_or_resume(settings: TrainSettings) -> _Run:
+    torch.manual_seed(settings.seed)
+    net = make_network(settings.estimator, **settings.options).to(settings.device)
+    average = copy.deepcopy(net)
+    optimiser = torch.optim.AdamW(
+        net.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay, foreach=False
+    )
+    run = _Run(net, average, optimiser)
+    path = settings.out / "checkpoint.pt"
+    if not path.exists():
+        return run
+    kept = read_torch(path, settings.device)
+    if kept.get("settings") != settings.decisive():
+        raise ValueError(f"{path}: expected a training with the same settings; choose another folder or remove it")
+    net.load_state_dict(kept["net"])
+    average.load_state_dict(kept["average"])
+    optimiser.load_state_dict(kept["optimiser"])
+    run.epoch, run.step, run.history = kept["epoch"], kept["step"], kept["history"]
+    run.best_rmse, run.best_epoch = kept["best_rmse"], kept["best_epoch"]
+    return run
+
+
+def _train_epoch(run: _Run, clouds: CloudSet, settings: TrainSettings) -> float:
+    """One pass; the mean loss."""
+    run.net.train()
+    order = np.random.default_rng([settings.seed, run.epoch]).permutation(len(clouds))
+    batches = np.array_split(order, -(-len(order) // settings.batch_size))
+    total = 0.0
+    for rows in batches:
+        for group in run.optimiser.param_groups:
+            group["lr"] = _learning_rate(run.step, settings.epochs * len(batches), settings.learning_rate)
+        batch = read_batch(clouds, rows, settings.target, settings.device)
+        light, expected_error = run_network(run.net, batch)
+        loss = training_loss(light, expected_error, batch.truth, settings)
+        run.optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        nn.utils.clip_grad_norm_(run.net.parameters(), 1.0)
+        run.optimiser.step()
+        run.step += 1
+        _average_in(run, settings.ema)
+        total += float(loss.detach())
+    run.epoch += 1
+    return total / len(batches)
+
+
+def _learning_rate(step: int, n_steps: int, highest: float) -> float:
+    """A linear rise over the first twentieth, then half a cosine down to 0."""
+    rise = max(1, n_steps // 20)
+    if step < rise:
+        return highest * (step + 1) / rise
+    return highest * 0.5 * (1 + float(np.cos(np.pi * (step - rise) / max(1, n_steps - rise))))
+
+
+def _average_in(run: _Run, ema: float) -> None:
+    keep = min(ema, (1 + run.step) / (10 + run.step))
+    with torch.no_grad():
+        for averaged, current in zip(run.average.parameters(), run.net.parameters(), strict=True):
+            averaged.lerp_(current, 1 - keep)
+
+
+def _judge(run: _Run, held_out: CloudSet, settings: TrainSettings, loss: float, yardstick: float) -> None:
+    """Validate the moving average, note it in the history, and keep it if it is the best so far."""
+    light, _ = predict(run.average, held_out, settings.target, settings.device)
+    rmse = float(np.sqrt(np.mean((light - held_out.truth(settings.target)) ** 2, dtype=np.float64)))
+    rate = run.optimiser.param_groups[0]["lr"]
+    run.history.append(
+        {"epoch": run.epoch, "loss": loss, "validation_rmse": rmse, "validation_ratio": rmse / yardstick, "rate": rate}
+    )
+    if rmse < run.best_rmse:
+        run.best_rmse, run.best_epoch = rmse, run.epoch
+        trained = TrainedNetwork(settings.estimator, settings.target, settings.seed, run.average)
+        save_network(settings.out / "best.pt", trained)
+
+
+def _mean_predictor_rmse(clouds: CloudSet, held_out: CloudSet, target: Target) -> float:
+    """Error on the validation rooms of always saying the training rooms' mean."""
+    mean = clouds.truth(target).mean(axis=0, dtype=np.float64)
+    return max(float(np.sqrt(np.mean((held_out.truth(target) - mean) ** 2))), 1e-9)
+
+
+def _save_checkpoint(run: _Run, settings: TrainSettings) -> None:
+    content = {
+        "settings": settings.decisive(),
+        "net": run.net.state_dict(),
+        "average": run.average.state_dict(),
+        "optimiser": run.optimiser.state_dict(),
+        "epoch": run.epoch,
+        "step": run.step,
+        "history": run.history,
+        "best_rmse": run.best_rmse,
+        "best_epoch": run.best_epoch,
+    }
+    write_torch(settings.out / "checkpoint.pt", content)
+    # From the history and not appended to, so that a resumed training has each epoch once.
+    with (settings.out / "curves.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(run.history[0]))
+        writer.writeheader()
+        writer.writerows(run.history)
+
+
+def _progress_line(run: _Run, settings: TrainSettings, left_s: float) -> str:
+    now = run.history[-1]
+    return (
+        f"epoch {run.epoch}/{settings.epochs}  loss {now['loss']:.4f}  validation {now['validation_ratio']:.3f} of the "
+        f"mean predictor's (best in epoch {run.best_epoch})  {left_s / 60:.1f} min left"
+    )

@@ -1,0 +1,132 @@
+"""Which network does an estimator's name stand for, how is it fed, and how is it kept between training and report?
+
+A trained network is one file: the estimator's name, its target, the architecture and the weights. It is read with
+torch's restricted reader, which runs no code.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from xihenet.estimators.base import Target
+from xihenet.estimators.lattice_format import LatticeArchitecture
+from xihenet.nets.lattice import LatticeNet
+from xihenet.nets.pointconv import PointConvArchitecture, PointConvNet
+from xihenet.records import ArrayInt
+from xihenet.training.dataset import CloudSet, Sampling
+
+SAMPLING_OF: dict[str, Sampling] = {
+    "lattice": "sphere",
+    "xihenet": "sphere",
+    "pointar": "uniform",
+    "farthest": "farthest",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Clouds as tensors: srgb and points_m (B, N, 3), is_set (B, N), truth (B, 9, 3)."""
+
+    srgb: Tensor
+    points_m: Tensor
+    is_set: Tensor
+    truth: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedNetwork:
+    """A network with what one has to know to use it."""
+
+    estimator: str
+    target: Target
+    seed: int
+    net: nn.Module
+
+
+def make_network(estimator: str, **options: Any) -> nn.Module:
+    """A fresh network; `options` go to its architecture. ValueError for an unknown estimator."""
+    if estimator not in SAMPLING_OF:
+        raise ValueError(f"estimator: expected one of {', '.join(SAMPLING_OF)}, got {estimator!r}")
+    if estimator == "lattice":
+        return LatticeNet(LatticeArchitecture(**options))
+    return PointConvNet(PointConvArchitecture(**options))
+
+
+def run_network(net: nn.Module, batch: Batch) -> tuple[Tensor, Tensor | None]:
+    """(B, 9, 3) coefficients and, from networks that know it, the expected error (B,)."""
+    if isinstance(net, LatticeNet):
+        light, expected_error = net(batch.srgb, batch.points_m.norm(dim=2), batch.is_set)
+        return light, expected_error
+    return net(batch.points_m, batch.srgb, batch.is_set), None
+
+
+def read_batch(clouds: CloudSet, rows: ArrayInt, target: Target, device: str) -> Batch:
+    """The clouds of the given rows."""
+    rows = np.sort(rows)  # in the order of the file
+    arrays = clouds.srgb_u8[rows], clouds.points_m[rows], clouds.is_set[rows], clouds.truth(target)[rows]
+    srgb, points_m, is_set, truth = (torch.from_numpy(np.ascontiguousarray(array)).to(device) for array in arrays)
+    return Batch(srgb.float() / 255, points_m.float(), is_set, truth)
+
+
+def predict(net: nn.Module, clouds: CloudSet, target: Target, device: str, batch_size: int = 64) -> tuple[Any, Any]:
+    """(M, 9, 3) coefficients and (M,) expected errors or None, NumPy float32, of all clouds in their order."""
+    net.eval()
+    lights, errors = [np.zeros((0, 9, 3), np.float32)], []
+    with torch.no_grad():
+        for start in range(0, len(clouds), batch_size):
+            rows = np.arange(start, min(start + batch_size, len(clouds)))
+            light, error = run_network(net, read_batch(clouds, rows, target, device))
+            lights.append(light.cpu().numpy())
+            if error is not None:
+                errors.append(error.cpu().numpy())
+    return np.concatenate(lights), np.concatenate(errors) if errors else None
+
+
+def save_network(path: Path, trained: TrainedNetwork) -> None:
+    """Write whole or not at all."""
+    architecture: Any = trained.net.architecture
+    content = {
+        "estimator": trained.estimator,
+        "target": trained.target,
+        "seed": trained.seed,
+        "architecture": asdict(architecture),
+        "weights": trained.net.state_dict(),
+    }
+    write_torch(path, content)
+
+
+def load_network(path: Path, device: str = "cpu") -> TrainedNetwork:
+    """Read what `save_network` wrote; ValueError naming the file if it is something else."""
+    content = read_torch(path, device)
+    try:
+        net = make_network(content["estimator"], **content["architecture"]).to(device)
+        net.load_state_dict(content["weights"])
+    except (KeyError, TypeError, RuntimeError) as error:
+        raise ValueError(f"{path}: expected a trained network of this version ({error})") from None
+    return TrainedNetwork(content["estimator"], content["target"], content["seed"], net)
+
+
+def write_torch(path: Path, content: dict[str, Any]) -> None:
+    """Write whole or not at all, in torch's format."""
+    beside = path.with_name(f".{path.name}.part")
+    torch.save(content, beside)
+    beside.replace(path)
+
+
+def read_torch(path: Path, device: str = "cpu") -> dict[str, Any]:
+    """Read what `write_torch` wrote, plain values and tensors only; ValueError naming the file if it is broken."""
+    try:
+        content = torch.load(path, map_location=device, weights_only=True)
+    except FileNotFoundError:
+        raise ValueError(f"{path}: expected a file of training, found none") from None
+    except (RuntimeError, EOFError, ValueError, KeyError, OSError) as error:
+        raise ValueError(f"{path}: expected a file of training ({error})") from None
+    if not isinstance(content, dict):
+        raise ValueError(f"{path}: expected a file of training, got {type(content).__name__}")
+    return content
