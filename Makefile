@@ -31,6 +31,7 @@ format: $(VENV)/installed
 bench: $(VENV)/installed
 	$(BIN)/python addon_tests/bench/nearest.py
 	$(BIN)/python addon_tests/bench/steps.py
+	$(BIN)/python addon_tests/bench/estimate.py
 	$(BIN)/python addon_tests/bench/rendering.py
 
 scenes: $(VENV)/installed

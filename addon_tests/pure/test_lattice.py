@@ -8,7 +8,7 @@ import pytest
 from xihenet.colour import linear_to_srgb
 from xihenet.estimators.lattice import Lattice
 from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights, load_weights, save_weights
-from xihenet.estimators.lattice_tables import pooling_table, quadrature_matrix
+from xihenet.estimators.lattice_tables import pooling_matrix, pooling_table, quadrature_matrix, slot_order
 from xihenet.estimators.projection import Projection
 from xihenet.records import UnitSphereCloud
 from xihenet.sh_basis import basis
@@ -121,9 +121,11 @@ def test_an_unset_anchors_place_says_nothing(weights_file):
     np.testing.assert_array_equal(estimator.estimate_batch(*filled), estimator.estimate_batch(srgb, distance_m, is_set))
 
 
-@pytest.mark.parametrize(("part", "value"), [(0, np.nan), (0, 1.5), (1, np.inf), (1, -1.0), (1, np.nan)])
+@pytest.mark.parametrize(
+    ("part", "value"), [(0, np.nan), (0, 1.5), (0, -0.1), (0, np.inf), (1, np.inf), (1, -1.0), (1, np.nan), (1, 1e39)]
+)
 def test_input_out_of_range_is_refused(weights_file, part, value):
-    clouds = [array.copy() for array in random_clouds(512)]
+    clouds = [array.astype(np.float64) for array in random_clouds(512)]
     clouds[part][2, 5] = value
     with pytest.raises(ValueError, match="lattice: expected"):
         Lattice(512, weights=weights_file).estimate_batch(*clouds)
@@ -232,3 +234,61 @@ def test_the_quadrature_gives_back_every_light_of_order_two(n):
     light = np.random.default_rng(n).normal(size=(9, 3))
     radiance = basis(AnchorLattice(n).directions) @ light
     np.testing.assert_allclose(quadrature_matrix(n) @ radiance, light, atol=1e-5)
+
+
+@pytest.mark.parametrize("n_fine", [1, 20, 319, 512, 1280])
+def test_adding_blocks_and_the_matrix_pool_as_the_table_does(n_fine):
+    table, order = pooling_table(n_fine, 320), slot_order(n_fine, 320)
+    values = np.random.default_rng(n_fine).random((3, n_fine + 1))
+    values[:, n_fine] = 0
+    expected = values[:, table.members].sum(axis=2)
+    np.testing.assert_allclose(order.sums(values[:, order.fine], 1), expected[:, order.coarse])
+    np.testing.assert_allclose(values[:, :n_fine] @ pooling_matrix(n_fine, 320), expected)
+    assert order.is_first.sum() == n_fine and sorted(order.coarse) == list(range(320))
+
+
+@pytest.mark.parametrize("name", ["shape", "is_set"])
+def test_clouds_in_the_wrong_place_or_shape_are_refused(weights_file, name):
+    srgb, distance_m, is_set = random_clouds(512)
+    wrong = {
+        "shape": [
+            (srgb[:, :, :2], distance_m, is_set),
+            (srgb, distance_m[:2], is_set),
+            (srgb[0], distance_m[0], is_set[0]),
+            (0.5, 1.0, True),
+        ],
+        "is_set": [(srgb, is_set, distance_m)],
+    }
+    for clouds in wrong[name]:
+        with pytest.raises(ValueError, match="lattice: expected"):
+            Lattice(512, weights=weights_file).estimate_batch(*clouds)
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_poor_input_degrades_gently_also_with_a_network_that_acts_strongly(tmp_path, n):
+    weights = random_weights(7)
+    for name in ("radiance", "gate"):
+        weights.arrays[f"{name}.weight"][:] *= 5
+    save_weights(tmp_path / "w.npz", weights)
+    rng = np.random.default_rng(n)
+    is_set = np.stack([rng.random(n) < 0.05, np.arange(n) == 3, np.ones(n, bool), np.ones(n, bool), np.ones(n, bool)])
+    srgb = rng.random((5, n, 3))
+    srgb[2], srgb[3] = 0, 1
+    light = Lattice(n, weights=tmp_path / "w.npz").estimate_batch(srgb * is_set[..., None], 2.0 * is_set, is_set)
+    plain = Projection(n).estimate_batch(srgb * is_set[..., None], 2.0 * is_set, is_set)
+    assert np.isfinite(light).all() and np.abs(light).max() < 40
+    assert np.abs(light - plain)[4].max() > 0.01
+    np.testing.assert_allclose(light[1:4], plain[1:4], atol=1e-5)
+
+
+@pytest.mark.parametrize("levels", [(320, 80, 20), (64, 16, 9), (400, 120, 30)])
+def test_other_sizes_and_numbers_of_clouds_give_the_same_in_a_batch(tmp_path, levels):
+    sizes = LatticeArchitecture(levels=levels, stem=5, fine=11, middle=7, coarse=13, narrow=3, hidden=40, code=9)
+    save_weights(tmp_path / "w.npz", random_weights(8, architecture=sizes))
+    estimator = Lattice(300, weights=tmp_path / "w.npz")
+    clouds = random_clouds(300, 2, 19)
+    light = estimator.estimate_batch(*clouds)
+    for k in range(19):
+        np.testing.assert_allclose(
+            light[k], estimator.estimate(UnitSphereCloud(*(part[k] for part in clouds))), atol=1e-5
+        )

@@ -6,8 +6,9 @@ import torch
 
 from xihenet.estimators.lattice import Lattice
 from xihenet.estimators.lattice_format import LatticeArchitecture, save_weights
+from xihenet.estimators.pointconv import PointConvArchitecture
 from xihenet.nets.lattice import LatticeNet, weights_of
-from xihenet.nets.pointconv import PointConvArchitecture, PointConvNet, farthest_points
+from xihenet.nets.pointconv import PointConvNet, farthest_points
 
 SMALL = PointConvArchitecture(centroids=(32, 8), n_neighbours=8)
 
@@ -150,10 +151,10 @@ def test_pointconv_has_about_the_papers_size():
 
 def test_farthest_points_are_those_of_the_plain_loop_and_never_repeat():
     places, _, known = points(seed=4)
-    chosen, is_new = farthest_points(places, known, 16)
+    chosen, is_new = farthest_points(places, torch.cdist(places, places).square(), known, 16)
     assert is_new.sum(1).tolist() == [min(16, int(k)) for k in known.sum(1)]
     cloud, usable = places[2].numpy(), np.flatnonzero(known[2].numpy())
-    picked = [usable[0]]
+    picked = [usable[np.linalg.norm(cloud[usable], axis=1).argmax()]]
     while len(picked) < 16:
         distance = np.linalg.norm(cloud[usable][:, None] - cloud[picked], axis=2).min(axis=1)
         picked.append(usable[distance.argmax()])

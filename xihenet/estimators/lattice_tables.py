@@ -75,6 +75,59 @@ def pooling_table(n_fine: int, n_coarse: int) -> PoolingTable:
     return PoolingTable(members, np.array([len(row) for row in rows], np.float32))
 
 
+@dataclass(frozen=True, eq=False)
+class SlotOrder:
+    """The same pooling by adding blocks: each coarse anchor's first member, then the second of those that have one.
+
+    Coarse anchors are ordered by falling number of members, so that each further block lies on the first so many.
+
+    Parameters
+    ----------
+    coarse : (n_coarse,) numbers of the coarse anchors in that order
+    fine : (m,) numbers of the fine anchors, block by block; m is above `n_fine` where a fine one stands in for several
+    lengths : of the blocks
+    counts : (n_coarse,) float32, members of each coarse anchor, at least 1
+    is_first : (m,) float32, 1 but for a fine anchor that came before
+    """
+
+    coarse: ArrayInt
+    fine: ArrayInt
+    lengths: tuple[int, ...]
+    counts: ArrayF32
+    is_first: ArrayF32
+
+    def sums(self, values: ArrayF32, axis: int) -> ArrayF32:
+        """Sums over each coarse anchor's members along `axis`, which holds the m fine anchors in order."""
+        before = (slice(None),) * axis
+        result = values[(*before, slice(self.lengths[0]))].copy()
+        start = self.lengths[0]
+        for length in self.lengths[1:]:
+            result[(*before, slice(length))] += values[(*before, slice(start, start + length))]
+            start += length
+        return result
+
+
+@lru_cache(maxsize=32)
+def slot_order(n_fine: int, n_coarse: int) -> SlotOrder:
+    """`pooling_table` of the same arguments, by blocks."""
+    table = pooling_table(n_fine, n_coarse)
+    coarse = np.argsort(-table.counts, kind="stable")
+    slots = [slot[slot < n_fine] for slot in table.members[coarse].T]
+    fine = np.concatenate(slots)
+    is_first = np.zeros(len(fine), np.float32)
+    is_first[np.unique(fine, return_index=True)[1]] = 1
+    return SlotOrder(coarse, fine, tuple(map(len, slots)), table.counts[coarse], is_first)
+
+
+@lru_cache(maxsize=32)
+def pooling_matrix(n_fine: int, n_coarse: int) -> ArrayF32:
+    """`pooling_table` of the same arguments as (n_fine, n_coarse), 1 for each member: a product with it gives sums."""
+    table = pooling_table(n_fine, n_coarse)
+    matrix = np.zeros((n_fine + 1, n_coarse), np.float32)
+    matrix[table.members, np.arange(n_coarse)[:, None]] = 1
+    return matrix[:n_fine]
+
+
 @lru_cache(maxsize=8)
 def quadrature_matrix(n: int) -> ArrayF32:
     """(9, n) float32: coefficients from radiance in the directions of `AnchorLattice(n)`, by least squares.

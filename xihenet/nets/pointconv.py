@@ -8,45 +8,35 @@ layers are normalised per point and not per batch, so that one cloud gives what 
 ReLU at the end, because coefficients of l >= 1 are negative half of the time.
 
 Uniform and farthest-point samples enter as points too: only the sampling tells `pointar` from `xihenet`.
+
+Written for two cores. Of the first layer of each block, points and centroids are passed before neighbours are gathered
+(it is linear, so their difference after it is what it makes of the difference); density and weights are multiplied
+where they are narrow; unset points are cut off; and a few clouds at a time are convolved, so that what lies between
+the layers stays in the cache. The plain form stands in the tests, which hold the two together.
 """
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
-from typing import cast
+from typing import NamedTuple, cast
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
+from xihenet.estimators.base import Target
+from xihenet.estimators.pointconv import PointConvArchitecture, PointConvWeights
+from xihenet.records import ArrayBool, ArrayF32
+
 _FAR = 1e9
-
-
-@dataclass(frozen=True)
-class PointConvArchitecture:
-    """Sizes of the network.
-
-    Parameters
-    ----------
-    centroids : points kept by the first and by the second block
-    n_neighbours : points around each centroid
-    n_weights : outputs of the function that makes weights from relative positions
-    bandwidth : of the density's Gaussian, relative to the cloud's mean distance
-    keeps_unset_at_origin : unset anchors enter as black points at the origin, as in the reference
-    """
-
-    centroids: tuple[int, int] = (128, 32)
-    n_neighbours: int = 32
-    n_weights: int = 16
-    bandwidth: float = 0.1
-    keeps_unset_at_origin: bool = False
+_NEIGHBOURS_AT_ONCE = 8192  # rows of some 100 numbers: larger blocks leave the cache, smaller ones gain nothing
 
 
 class PointConvNet(nn.Module):  # type: ignore[misc]
-    """`forward(points_m (B, N, 3), srgb (B, N, 3), is_set (B, N))` gives (B, 9, 3).
+    """`forward(points_m (B, N, 3), srgb (B, N, 3), is_set (B, N))` gives (B, 9, 3), float32.
 
-    Points are relative to the position. N may differ from call to call. A cloud without a set point gives what the
-    dense layers make of nothing: finite.
+    Points are relative to the position; their order says nothing. B and N are at least 1 and may differ from call to
+    call. A cloud without a set point gives what the dense layers make of nothing: finite.
     """
 
     def __init__(self, architecture: PointConvArchitecture | None = None) -> None:
@@ -59,17 +49,34 @@ class PointConvNet(nn.Module):  # type: ignore[misc]
 
     def forward(self, points_m: Tensor, srgb: Tensor, is_set: Tensor) -> Tensor:
         known = torch.ones_like(is_set) if self.architecture.keeps_unset_at_origin else is_set
-        places, features, known = self.block_1(points_m * is_set[..., None], srgb * is_set[..., None], known)
-        _, features, known = self.block_2(places, features, known)
-        weight = known[..., None].float()
+        inputs = _known_first(points_m * is_set[..., None], srgb * is_set[..., None], known)
+        is_halved = self.training and self.architecture.is_bfloat16_in_training
+        with torch.autocast(points_m.device.type, torch.bfloat16, enabled=is_halved):
+            _, features, known = self.block_2(*self.block_1(*inputs))
+        features, weight = features.float(), known[..., None].float()
         mean = (features * weight).sum(1) / weight.sum(1).clamp(min=1)
         largest = torch.where(known[..., None], features, -_FAR).amax(1)
         largest = torch.where(known.any(1, keepdim=True), largest, 0.0)
         return cast(Tensor, self.head(torch.cat([mean, largest], 1))).reshape(-1, 9, 3)
 
 
+class Neighbourhoods(NamedTuple):
+    """What does not depend on weights: who is near whom. S centroids with k neighbours each.
+
+    places (B, N, 3) relative to the cloud's size; inverse_density (B, N); centroids (B, S) and near (B, S, k) numbers
+    of points; is_centroid (B, S), False where the known points were used up. Points that are not known are near only
+    where others are missing, and have an inverse density of 0.
+    """
+
+    places: Tensor
+    inverse_density: Tensor
+    centroids: Tensor
+    is_centroid: Tensor
+    near: Tensor
+
+
 class PointConvBlock(nn.Module):  # type: ignore[misc]
-    """One density-weighted PointConv: N points with features in, `n_centroids` points with features out."""
+    """One density-weighted PointConv: N points with features in, `n_centroids` points (or N) with features out."""
 
     def __init__(
         self, n_in: int, widths: tuple[int, int], n_centroids: int, architecture: PointConvArchitecture
@@ -83,37 +90,97 @@ class PointConvBlock(nn.Module):  # type: ignore[misc]
         self.combine = _dense(architecture.n_weights * widths[1], widths[1])
 
     def forward(self, points_m: Tensor, features: Tensor, known: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        # Relative to the cloud's size: rooms differ by a factor of ten, and a bandwidth in metres would fit one.
-        size = (points_m.norm(dim=2) * known).sum(1) / known.sum(1).clamp(min=1)
-        places = points_m / size.clamp(min=1e-3)[:, None, None]
-        inverse_density = _inverse_density(places, known, self.bandwidth)
-        centroids, is_centroid = farthest_points(places, known, self.n_centroids)
-        near, is_near = _nearest(_rows(places, centroids), places, known, self.n_neighbours)
-        relative = _rows(places, near) - _rows(places, centroids)[:, :, None]
-        inputs = torch.cat([relative, _rows(features, near)], -1)
-        convolved = self.per_point(inputs) * self.density(_rows(inverse_density[..., None], near))
-        convolved = convolved * is_near[..., None]
-        mixed = torch.matmul(convolved.transpose(2, 3), self.weights(relative)) / self.n_neighbours
-        combined = self.combine(mixed.flatten(2)) * is_centroid[..., None]
-        return _rows(points_m, centroids), combined, is_centroid
+        around = self.neighbourhoods(points_m, known)
+        middle = _rows(around.places, around.centroids)
+        relative = _rows(around.places, around.near) - middle[:, :, None]
+        share = self.density(around.inverse_density[..., None]) * (known[..., None] / self.n_neighbours)
+        first = self.per_point[0]
+        # In float32 also while training in bfloat16: near points differ by less than bfloat16 tells apart.
+        with torch.autocast(points_m.device.type, enabled=False):
+            of_points = first(torch.cat([around.places, features.float()], -1))
+            of_centroids = middle @ first.weight[:, :3].T
+        parts = (of_points, of_centroids, share, relative, around.near)
+        n_at_once = self._clouds_at_once(around.near)
+        blocks = zip(*(part.split(n_at_once) for part in parts), strict=True)
+        convolved = torch.cat([self._convolve(*block) for block in blocks])
+        return _rows(points_m, around.centroids), convolved * around.is_centroid[..., None], around.is_centroid
+
+    def neighbourhoods(self, points_m: Tensor, known: Tensor) -> Neighbourhoods:
+        """Centroids, their neighbours and the density, from points_m (B, N, 3) and known (B, N)."""
+        with torch.no_grad():
+            # Relative to the cloud's size: rooms differ by a factor of ten, and a bandwidth in metres would fit one.
+            size = (points_m.norm(dim=2) * known).sum(1) / known.sum(1).clamp(min=1)
+            places = points_m / size.clamp(min=1e-3)[:, None, None]
+            squared = _squared_distances(places)
+            inverse_density = _inverse_density(squared, known, self.bandwidth)
+            n_points = known.shape[1]
+            centroids, is_centroid = farthest_points(places, squared, known, min(self.n_centroids, n_points))
+            from_centroids = torch.where(known[:, None], _rows(squared, centroids), _FAR)
+            near = from_centroids.topk(min(self.n_neighbours, n_points), dim=2, largest=False).indices
+            return Neighbourhoods(places, inverse_density, centroids, is_centroid, near)
+
+    def _convolve(
+        self, of_points: Tensor, of_centroids: Tensor, share: Tensor, relative: Tensor, near: Tensor
+    ) -> Tensor:
+        """(B, S, features) of some clouds."""
+        first = _gather(of_points, near) - of_centroids[:, :, None]
+        features = self.per_point[1:](first)
+        weights = self.weights(relative) * _gather(share, near)
+        return cast(Tensor, self.combine(torch.matmul(features.transpose(2, 3), weights).flatten(2)))
+
+    def _clouds_at_once(self, near: Tensor) -> int:
+        n_clouds, n_centroids, k = map(int, near.shape)
+        return n_clouds if near.is_cuda else max(1, _NEIGHBOURS_AT_ONCE // (n_centroids * k))
 
 
-def farthest_points(points: Tensor, known: Tensor, n: int) -> tuple[Tensor, Tensor]:
+def farthest_points(points: Tensor, squared: Tensor, known: Tensor, n: int) -> tuple[Tensor, Tensor]:
     """(B, n) numbers of points of which each is the farthest from those before, and whether it is a new one.
 
-    Starts at the first known point. Where the known points are used up, numbers repeat and are marked False.
+    points (B, N, 3), squared (B, N, N) their squared distances. Starts at the known point farthest from the origin,
+    so that the order of the points says nothing. Where the known points are used up, numbers repeat and are marked
+    False.
     """
     with torch.no_grad():
         rows = torch.arange(len(points), device=points.device)
+        index = torch.where(known, points.square().sum(2), -1.0).argmax(1)
         remaining = torch.where(known, _FAR, -1.0)
-        chosen, is_new = [], []
-        for _ in range(n):
+        chosen, is_new = [index], [known.any(1)]
+        for _ in range(n - 1):
+            remaining = torch.minimum(remaining, squared[rows, index])
             value, index = remaining.max(1)
             chosen.append(index)
             is_new.append(value > 0)
-            squared = (points - points[rows, index][:, None]).square().sum(2)
-            remaining = torch.minimum(remaining, squared)
         return torch.stack(chosen, 1), torch.stack(is_new, 1)
+
+
+def weights_of(net: PointConvNet, target: Target, **notes: object) -> PointConvWeights:
+    """What `save_weights` keeps; `notes` are its estimator, data, seed, figures and n_points."""
+    arrays = {name: value.detach().cpu().numpy().astype(np.float32) for name, value in net.state_dict().items()}
+    return PointConvWeights(net.architecture, target, arrays, **notes)  # type: ignore[arg-type]
+
+
+def network_of(weights: PointConvWeights) -> PointConvNet:
+    """The network that `weights_of` took them from, ready to estimate."""
+    net = PointConvNet(weights.architecture)
+    net.load_state_dict({name: torch.tensor(array) for name, array in weights.arrays.items()})
+    net.eval()
+    return net
+
+
+def run_in_numpy(net: PointConvNet, points_m: ArrayF32, srgb: ArrayF32, is_set: ArrayBool) -> ArrayF32:
+    """`net` without gradients: arrays in, (B, 9, 3) out."""
+    # Copied because torch refuses to share arrays that may not be written, as those of records.
+    tensors = (torch.tensor(array) for array in (points_m, srgb, is_set))
+    with torch.inference_mode():
+        light: ArrayF32 = net(*tensors).numpy()
+    return light
+
+
+def _known_first(points: Tensor, colours: Tensor, known: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The same clouds, their known points first, cut to as many points as the fullest has."""
+    order = known.to(torch.uint8).argsort(dim=1, descending=True, stable=True)
+    order = order[:, : max(1, int(known.sum(1).max()))]
+    return _rows(points, order), _rows(colours, order), known.gather(1, order)
 
 
 def _dense(*widths: int) -> nn.Sequential:
@@ -121,7 +188,7 @@ def _dense(*widths: int) -> nn.Sequential:
     layers: list[nn.Module] = []
     for n_in, n_out in itertools.pairwise(widths):
         layers.append(nn.Linear(n_in, n_out))
-        layers.extend([nn.LayerNorm(n_out), nn.ReLU()] if n_out > 1 else [nn.Sigmoid()])
+        layers.extend([nn.LayerNorm(n_out), nn.ReLU(inplace=True)] if n_out > 1 else [nn.Sigmoid()])
     return nn.Sequential(*layers)
 
 
@@ -131,22 +198,22 @@ def _rows(values: Tensor, index: Tensor) -> Tensor:
     return values[batch, index]
 
 
-def _squared_distances(a: Tensor, b: Tensor) -> Tensor:
-    """(B, S, N), without the cancellation that a product of the two would bring."""
-    return torch.cdist(a, b, compute_mode="donot_use_mm_for_euclid_dist").square()
+def _gather(values: Tensor, index: Tensor) -> Tensor:
+    """As `_rows`, by a look-up whose gradient is summed in a fixed order, also on a GPU."""
+    n_clouds, n_points, n_features = values.shape
+    offsets = torch.arange(0, n_clouds * n_points, n_points, device=values.device)
+    table = values.reshape(n_clouds * n_points, n_features)
+    return nn.functional.embedding(index + offsets.reshape(-1, *[1] * (index.ndim - 1)), table)
 
 
-def _inverse_density(places: Tensor, known: Tensor, bandwidth: float) -> Tensor:
+def _squared_distances(places: Tensor) -> Tensor:
+    """(B, N, N), without the cancellation that a product of the two would bring."""
+    return torch.cdist(places, places, compute_mode="donot_use_mm_for_euclid_dist").square_()
+
+
+def _inverse_density(squared: Tensor, known: Tensor, bandwidth: float) -> Tensor:
     """(B, N) in 0 to 1, 1 where a cloud is thinnest; 0 for what is not known. Gaussian kernel density."""
-    with torch.no_grad():
-        kernel = torch.exp(-_squared_distances(places, places) / (2 * bandwidth**2)) * known[:, None]
-        inverse = known / kernel.sum(2).clamp(min=1e-6)
-        return inverse / inverse.amax(1, keepdim=True).clamp(min=1e-6)
-
-
-def _nearest(centroids: Tensor, places: Tensor, known: Tensor, k: int) -> tuple[Tensor, Tensor]:
-    """(B, S, k) numbers of the nearest known points, and which of them are known."""
-    with torch.no_grad():
-        squared = torch.where(known[:, None], _squared_distances(centroids, places), _FAR)
-        value, index = squared.topk(min(k, places.shape[1]), dim=2, largest=False)
-        return index, value < _FAR
+    # Nothing beside the point itself, which adds 1; below that, exp gives denormal numbers ten times as slowly.
+    kernel = (squared * (-0.5 / bandwidth**2)).clamp_(min=-80).exp_().mul_(known[:, None])
+    inverse = known / kernel.sum(2).clamp(min=1e-6)
+    return inverse / inverse.amax(1, keepdim=True).clamp(min=1e-6)

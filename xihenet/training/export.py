@@ -1,4 +1,4 @@
-"""How does a trained lattice network become the weights file that the estimator reads without torch?"""
+"""How does a trained network become the weights file that an estimator reads?"""
 
 from __future__ import annotations
 
@@ -6,21 +6,41 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from xihenet.estimators.lattice_format import save_weights
-from xihenet.nets.lattice import LatticeNet, weights_of
+from xihenet.estimators.lattice_format import NetworkWeights, save_weights
+from xihenet.nets import lattice, pointconv
 from xihenet.training.networks import load_network
+
+
+def export_network(
+    trained: Path,
+    out: Path,
+    *,
+    data: str = "",
+    figures: Mapping[str, Any] | None = None,
+    n_points: int | None = None,
+    is_half: bool = True,
+) -> None:
+    """Write the network in `trained` (.pt) to `out` (.npz), in float16 unless `is_half` is False.
+
+    `data` and `figures` are for people to read. `n_points` are the anchors or points of the clouds it was trained with:
+    `pointar` draws as many. ValueError if the file is broken or float16 cannot hold the weights.
+    """
+    loaded = load_network(trained)
+    notes = {"data": data, "seed": loaded.seed, "figures": figures or {}, "n_points": n_points}
+    weights: NetworkWeights[Any]
+    if isinstance(loaded.net, lattice.LatticeNet):
+        weights = lattice.weights_of(loaded.net, loaded.target, **notes)
+    else:
+        weights = pointconv.weights_of(loaded.net, loaded.target, estimator=loaded.estimator, **notes)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    save_weights(out, weights, is_half=is_half)
 
 
 def export_lattice(
     trained: Path, out: Path, *, data: str = "", figures: Mapping[str, Any] | None = None, is_half: bool = True
 ) -> None:
-    """Write the network in `trained` (.pt) to `out` (.npz), in float16 unless `is_half` is False.
-
-    `data` and `figures` are for people to read. ValueError if the file is broken or holds another kind of network.
-    """
+    """As `export_network`; ValueError also if the file holds another kind of network."""
     loaded = load_network(trained)
-    if not isinstance(loaded.net, LatticeNet):
+    if not isinstance(loaded.net, lattice.LatticeNet):
         raise ValueError(f"{trained}: expected a trained lattice network, got {loaded.estimator}")
-    weights = weights_of(loaded.net, loaded.target, data=data, seed=loaded.seed, figures=figures or {})
-    out.parent.mkdir(parents=True, exist_ok=True)
-    save_weights(out, weights, is_half=is_half)
+    export_network(trained, out, data=data, figures=figures, is_half=is_half)

@@ -16,8 +16,9 @@ from torch import Tensor, nn
 
 from xihenet.estimators.base import Target
 from xihenet.estimators.lattice_format import LatticeArchitecture
+from xihenet.estimators.pointconv import PointConvArchitecture
 from xihenet.nets.lattice import LatticeNet
-from xihenet.nets.pointconv import PointConvArchitecture, PointConvNet
+from xihenet.nets.pointconv import PointConvNet
 from xihenet.records import ArrayInt
 from xihenet.training.dataset import CloudSet, Sampling
 

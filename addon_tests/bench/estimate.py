@@ -1,0 +1,100 @@
+"""What does an estimate of the lattice network cost, alone and in batches, and what the paper's network?
+
+    python addon_tests/bench/estimate.py [--repeats 30]
+
+1280 anchors, random clouds at 40 % coverage, the shipped weights or, where there are none, random ones. Candidates are
+timed in turn, so that the machine's drift hits all alike. Where torch is installed, the same network in torch and the
+paper's (random weights, 512 and 1280 anchors) run beside them. Prints minimum, median and spread (quartiles).
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from xihenet.estimators.lattice import WEIGHTS_FOLDER, Lattice
+from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights, load_weights, save_weights
+from xihenet.records import UnitSphereCloud
+
+N_ANCHORS = 1280
+BATCHES = (1, 8, 64, 512)
+
+
+def weights_to_time() -> tuple[LatticeWeights, str]:
+    """The shipped weights or random ones, and which."""
+    shipped = WEIGHTS_FOLDER / "lattice_ldr.npz"
+    if shipped.exists():
+        return load_weights(shipped), "shipped weights"
+    rng, architecture = np.random.default_rng(0), LatticeArchitecture()
+    shapes = architecture.array_shapes()
+    arrays = {name: (rng.normal(size=s) / np.sqrt(s[-1])).astype(np.float32) for name, s in shapes.items()}
+    return LatticeWeights(architecture, "ldr", arrays), "random weights"
+
+
+def random_clouds(n_clouds: int, n: int):
+    rng = np.random.default_rng(n_clouds)
+    is_set = rng.random((n_clouds, n)) < 0.4
+    srgb = rng.random((n_clouds, n, 3), np.float32) * is_set[..., None]
+    return srgb, rng.random((n_clouds, n), np.float32) * 5 * is_set, is_set
+
+
+def torch_candidates(weights: LatticeWeights) -> dict[str, tuple[int, Callable[[], object]]]:
+    """Clouds and run of each candidate; none where torch is missing."""
+    if importlib.util.find_spec("torch") is None:
+        return {}
+    import torch
+
+    from xihenet.nets.batch import net_from_weights
+    from xihenet.nets.pointconv import PointConvNet
+
+    torch.set_grad_enabled(False)
+    torch.set_num_threads(2)
+    net, paper = net_from_weights(weights), PointConvNet().eval()
+    candidates: dict[str, tuple[int, Callable[[], object]]] = {}
+    for size in BATCHES[1:]:
+        parts = [torch.from_numpy(part) for part in random_clouds(size, N_ANCHORS)]
+        candidates[f"lattice, torch, batch of {size}"] = size, lambda parts=parts: net(*parts)
+    for n in (512, N_ANCHORS):
+        srgb, distance_m, is_set = (torch.from_numpy(part) for part in random_clouds(1, n))
+        points_m = torch.nn.functional.normalize(torch.randn(1, n, 3), dim=2) * distance_m[..., None]
+        candidates[f"xihenet, torch, one of {n}"] = 1, lambda parts=(points_m, srgb, is_set): paper(*parts)
+    return candidates
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=30)
+    repeats = parser.parse_args().repeats
+    weights, which = weights_to_time()
+    with tempfile.TemporaryDirectory() as folder:
+        save_weights(Path(folder) / "w.npz", weights)
+        lattice = Lattice(N_ANCHORS, weights=Path(folder) / "w.npz")
+    one = UnitSphereCloud(*(part[0] for part in random_clouds(1, N_ANCHORS)))
+    candidates: dict[str, tuple[int, Callable[[], object]]] = {
+        "lattice, NumPy, one": (1, lambda: lattice.estimate(one))
+    }
+    for size in BATCHES:
+        parts = random_clouds(size, N_ANCHORS)
+        candidates[f"lattice, NumPy, batch of {size}"] = size, lambda parts=parts: lattice.estimate_batch(*parts)
+    candidates |= torch_candidates(weights)
+    taken: dict[str, list[float]] = {name: [] for name in candidates}
+    for _ in range(repeats + 2):
+        for name, (_, run) in candidates.items():
+            start = time.perf_counter()
+            run()
+            taken[name].append(1e3 * (time.perf_counter() - start))
+    print(f"{which + f', {N_ANCHORS} anchors':<34}{'min ms':>9}{'median':>9}{'quartiles':>20}{'clouds/s':>10}")
+    for name, (size, _) in candidates.items():
+        low, median, high = np.percentile(taken[name][2:], [25, 50, 75])
+        spread = f"{low:.3f} to {high:.3f}"
+        print(f"{name:<34}{min(taken[name][2:]):9.3f}{median:9.3f}{spread:>20}{1e3 * size / median:10.0f}")
+
+
+if __name__ == "__main__":
+    main()
