@@ -11,7 +11,7 @@ Paper: section 5, `EnvironmentScanner`.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import bpy
@@ -20,16 +20,10 @@ import numpy as np
 from xihe_blender.errors import UserError
 from xihe_blender.render import Rendered, RenderSettings, exclude_collection, render_passes, working_scene
 from xihe_blender.virtual_objects import virtual_collection
-from xihenet.camera import encode_exposed, valid_plane_depth
-from xihenet.colour import srgb_to_linear
-from xihenet.records import ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
+from xihenet.camera import encode_exposed, metered_exposure, sensed_ambient, valid_plane_depth
+from xihenet.records import ArrayF32, ArrayF64, Intrinsics, RgbdFrame
 
 SCENE_NAME = "Xihe Capture"
-KEY_LUMINANCE = 0.12
-"""Metering brings a session's luminance here. Meters are calibrated for 12 to 18 %; the low end spares lamps."""
-
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Of linear Rec.709, ITU-R BT.709."""
 
 
 @dataclass
@@ -80,15 +74,6 @@ class CyclesScanner:
             time_s=self.time_s,
             frame=self.scene.frame_current,
         )
-
-
-def sensed_ambient(srgb_u8: ArrayU8, exposure: float) -> ArrayF64:
-    """(3,) mean scene radiance of the phone's own picture, clipped where the picture is.
-
-    AR toolkits derive their ambient estimate from the camera's picture, so light beyond white is lost to it as well.
-    """
-    mean: ArrayF64 = srgb_to_linear(srgb_u8 / 255.0).mean(axis=(0, 1)) / exposure
-    return mean
 
 
 @contextlib.contextmanager
@@ -162,23 +147,6 @@ def meter_exposure(scene: bpy.types.Scene, frames: Sequence[int], seed: int = 0)
             scanner.move_to(frame)
             pictures.append(first_layer(render_passes(scanner.scene))[0])
     return metered_exposure(pictures)
-
-
-def metered_exposure(pictures: Iterable[ArrayF32]) -> float:
-    """The exposure that brings the mean key of pictures (H, W, 3) of scene radiance to KEY_LUMINANCE; 1 without light.
-
-    A picture's key is the geometric mean of its luminance, black pixels counting as 1/1000 of its mean. The mean over
-    pictures is arithmetic, so that a lamp that is off at first does not blow out the rest.
-    """
-    key = float(np.mean([_key(picture) for picture in pictures]))
-    return KEY_LUMINANCE / key if np.isfinite(key) and key > 0 else 1.0
-
-
-def _key(radiance: ArrayF32) -> float:
-    """Geometric mean of the luminance; 0 for a black frame."""
-    luminance = np.maximum(radiance.astype(np.float64) @ LUMINANCE, 0.0)
-    mean = float(luminance.mean())
-    return float(np.exp(np.log(np.maximum(luminance, mean * 1e-3)).mean())) if mean > 0 else 0.0
 
 
 def sized_for(scene: bpy.types.Scene, settings: RenderSettings) -> RenderSettings:

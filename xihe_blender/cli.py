@@ -33,8 +33,10 @@ MAX_FRAME = 1048574
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
     typed = list(sys.argv[1:] if arguments is None else arguments)
+    if typed[:1] == ["train"]:
+        return _train(typed[1:])
     try:
-        options = _parser().parse_args(typed)
+        options = _parser().parse_args(with_positions_bound(typed))
         options.command_line = shlex.join(["xihe", *typed])
         with blender_output_aside() as (stdout, stderr):
             options.run(options, stdout, stderr)
@@ -77,18 +79,64 @@ def _parser() -> argparse.ArgumentParser:
     previs.add_argument("--exposure", type=float, metavar="FACTOR", help="of the phone; default: metered")
     previs.add_argument("--seed", type=int, default=0)
     previs.set_defaults(run=_previs)
+    _add_estimate(commands)
     scenes = commands.add_parser("scenes", help="the example scenes")
     scenes.add_argument("action", choices=("build",), help="build the .blend files from their scripts")
     scenes.set_defaults(run=_scenes)
+    _add_dataset(commands)
+    commands.add_parser("train", help="train estimators and report on them: see xihe train --help")
+    return parser
+
+
+def _add_dataset(commands: Any) -> None:
     dataset = commands.add_parser("dataset", help="rooms to train estimators on")
     actions = dataset.add_subparsers(dest="action", required=True, metavar="ACTION")
     build = actions.add_parser("build", help="make and render procedural rooms; resumes what is there")
-    build.add_argument("--rooms", type=int, required=True, metavar="N", help="rooms in all")
-    build.add_argument("--out", type=Path, required=True, metavar="DIR", help="one .npz per room")
-    build.add_argument("--workers", type=int, metavar="K", help="processes of one thread; default: one per core")
-    build.add_argument("--seed", type=int, default=0)
+    add = build.add_argument
+    add("--rooms", type=int, required=True, metavar="N", help="rooms in all")
+    add("--out", type=Path, required=True, metavar="DIR", help="one .npz per room")
+    add("--workers", type=int, metavar="K", help="processes of one thread; default: one per core")
+    add("--seed", type=int, default=0)
+    add("--walk", type=int, metavar="F", help="F frames of a walk through each room; default: free views")
+    add("--split", metavar="NAME", help="only the rooms of train, validation or test; default: all")
     build.set_defaults(run=_dataset_build)
-    return parser
+    scene = actions.add_parser("scene", help="a scene with a camera path as one more room")
+    add = scene.add_argument
+    add("scene", type=Path, metavar="SCENE.blend")
+    add("--out", type=Path, required=True, metavar="DIR", help="a folder of scenes; one of the same name is replaced")
+    add("--frames", type=frame_range, metavar="A:B[:S]", help="default: the scene's range and step")
+    add("--at", type=_names, metavar="A,B", help="objects that mark positions; default: the virtual objects")
+    scene.set_defaults(run=_dataset_scene)
+
+
+def _add_estimate(commands: Any) -> None:
+    from xihe_blender.estimate_command import position, run_estimate
+
+    estimate = commands.add_parser("estimate", help="the light in one RGB-D frame from anywhere; needs no Blender")
+    add = estimate.add_argument
+    add("frame", type=Path, metavar="FRAME", help="OpenEXR with colour and Z, or a colour image with --plane-depth")
+    add("--camera", type=Path, required=True, metavar="FILE.json", help="intrinsics and pose")
+    add("--at", type=position, action="append", required=True, metavar="X,Y,Z", help="metres; may be repeated")
+    add("--plane-depth", type=Path, metavar="FILE", help="16-bit image of distances along the optical axis")
+    add("--depth-scale", type=float, default=1e-3, metavar="METRES", help="metres per unit of that; default: 0.001")
+    add("--exposure", type=float, metavar="FACTOR", help="default: metered for OpenEXR, 1 for images")
+    add("--estimator", default=estimators.DEFAULT, metavar="NAME", help=", ".join(estimators.names()))
+    add("--target", choices=("ldr", "hdr"), default="ldr", help="light clipped at white, or all of it")
+    add("--anchors", type=int, default=1280, metavar="N", help="directions that light is gathered in")
+    add("--json", action="store_true", help="JSON on stdout, and nothing else")
+    add("--out", type=Path, metavar="DIR", help="folder for estimate.json and a picture of each light")
+    estimate.set_defaults(run=run_estimate)
+
+
+def with_positions_bound(typed: Sequence[str]) -> list[str]:
+    """`typed` with "--at", "-1,0,2" as one word: on its own, what begins with a minus looks like an option."""
+    bound: list[str] = []
+    for word in typed:
+        if bound and bound[-1] == "--at" and re.match(r"-[\d.]", word):
+            bound[-1] = f"--at={word}"
+        else:
+            bound.append(word)
+    return bound
 
 
 def frame_range(text: str) -> tuple[int, ...]:
@@ -164,9 +212,29 @@ def _dataset_build(options: argparse.Namespace, stdout: Any, stderr: Any) -> Non
     from xihe_blender.dataset.build import BuildSettings, build_dataset
     from xihe_blender.jobs import run_blocking
 
-    settings = BuildSettings(options.rooms, options.seed, options.workers)
+    settings = BuildSettings(options.rooms, options.seed, options.workers, walk=options.walk, split=options.split)
     n_made = run_blocking(build_dataset(options.out, settings), when_news(progress_line(stderr)))
-    print(f"{options.rooms} rooms in {options.out}, {n_made} of them made now", file=stdout)
+    print(f"{len(settings.wanted())} rooms in {options.out}, {n_made} of them made now", file=stdout)
+
+
+def _dataset_scene(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
+    from xihe_blender.blend_file import open_blend
+    from xihe_blender.dataset.render_room import RoomRenderSettings
+    from xihe_blender.dataset.scene import add_scene
+    from xihe_blender.jobs import run_blocking
+
+    scene = open_blend(options.scene)
+    job = add_scene(scene, options.scene.stem, options.out, RoomRenderSettings(), frames=options.frames, at=options.at)
+    print(run_blocking(job, progress_line(stderr)), file=stdout)
+
+
+def _train(arguments: Sequence[str]) -> int:
+    """Training has its own command line, which needs torch and no Blender."""
+    try:
+        from xihenet.training.__main__ import main as train_main
+    except ImportError:
+        return _failed("train: torch is not installed; pip install 'xihe-blender[train]'")
+    return train_main(arguments)
 
 
 def when_news(show: Callable[[Progress, float], None]) -> Callable[[Progress, float], None]:

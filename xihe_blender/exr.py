@@ -1,7 +1,4 @@
-"""Reading what Cycles wrote, and writing radiance: OpenEXR in 32-bit float, nothing lost.
-
-Blender 4.x writes all passes as one part, 5.x one part per pass; both are read here as one table of channels.
-"""
+"""Radiance in files: OpenEXR in 32-bit float, nothing lost. What Cycles wrote is read by `xihenet.frame_files`."""
 
 from __future__ import annotations
 
@@ -11,25 +8,13 @@ import numpy as np
 import OpenEXR
 
 from xihe_blender.outputs import written_whole
+from xihenet.frame_files import read_exr_channels
 from xihenet.records import ArrayF32
-
-
-def read_channels(path: Path) -> dict[str, ArrayF32]:
-    """Every channel of the file as (H, W) float32 by its full name, such as "ViewLayer.Combined.R"; row 0 is the top.
-
-    OSError or RuntimeError if the file is missing or no OpenEXR file.
-    """
-    channels: dict[str, ArrayF32] = {}
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        for part in file.parts:
-            for name, channel in part.channels.items():
-                channels[name] = channel.pixels.astype(np.float32, copy=False)
-    return channels
 
 
 def read_radiance(path: Path) -> ArrayF32:
     """(H, W, 3) of a file that `write_radiance` wrote. ValueError if it has no R, G and B."""
-    channels = read_channels(path)
+    channels = read_exr_channels(path)
     if not {"R", "G", "B"} <= channels.keys():
         raise ValueError(f"{path}: expected the channels R, G and B, found {', '.join(sorted(channels))}")
     return np.stack([channels[c] for c in "RGB"], axis=-1)

@@ -21,7 +21,7 @@ from pathlib import Path
 import bpy
 
 from xihe_blender.errors import UserError
-from xihe_blender.exr import read_channels
+from xihenet.frame_files import read_exr_channels
 from xihenet.records import ArrayF32
 
 MEMORY_FOLDER = Path("/dev/shm")
@@ -130,7 +130,7 @@ def render_passes(scene: bpy.types.Scene) -> Rendered:
         except RuntimeError as error:
             raise UserError(f"Cycles could not render {scene.name!r}: {str(error).strip()}") from error
         render_s = time.perf_counter() - start
-        layers = _by_layer(read_channels(path)) if path.exists() else {}
+        layers = _by_layer(read_exr_channels(path)) if path.exists() else {}
         # A file that was cut short opens without an error; what did not fit is missing.
         if any("Depth.Z" not in layers.get(layer.name, ()) for layer in scene.view_layers if layer.use):
             raise OSError(f"Blender wrote no whole picture to {path}: free some space in the temporary folder")

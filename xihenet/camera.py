@@ -6,12 +6,14 @@ so the sign of y flips here and nowhere else.
 
 Chosen: a point for every pixel, NaN where the sensor saw nothing, so that point i is pixel i in every stage. Rejected:
 dropping invalid pixels, which costs a gather over the whole frame and hides how many there were.
+The exposure meter and the ambient light sensor of the phone are here too: both only read pictures.
 Not here: lens distortion, rolling shutter. Paper: section 4.1.1, `GeneratePointCloud`.
 """
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,19 +22,28 @@ from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, Intrinsics, PointCloud, RgbdFrame
 
 __all__ = [
+    "KEY_LUMINANCE",
     "MISS_PLANE_DEPTH_M",
     "Intrinsics",
     "encode_exposed",
     "in_view",
+    "metered_exposure",
     "plane_depth_from_ray_distance",
     "project_points",
     "ray_distance_from_plane_depth",
+    "sensed_ambient",
     "unproject_frame",
     "valid_plane_depth",
 ]
 
 MISS_PLANE_DEPTH_M = 1e9
 """At and beyond this a plane depth is a miss: Cycles writes 1e10 where no surface was hit."""
+
+KEY_LUMINANCE = 0.12
+"""Metering brings a session's luminance here. Meters are calibrated for 12 to 18 %; the low end spares lamps."""
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""Of linear Rec.709, ITU-R BT.709."""
 
 
 def valid_plane_depth(plane_depth_m: ArrayF32) -> ArrayBool:
@@ -150,6 +161,32 @@ def encode_exposed(radiance: ArrayLike, exposure: float) -> ArrayU8:
     exposed = np.clip(finite * exposure, 0.0, 1.0)
     encoded: ArrayU8 = np.rint(linear_to_srgb(exposed) * 255.0).astype(np.uint8)
     return encoded
+
+
+def metered_exposure(pictures: Iterable[ArrayF32]) -> float:
+    """The exposure that brings the mean key of pictures (..., 3) of scene radiance to KEY_LUMINANCE; 1 without light.
+
+    A picture's key is the geometric mean of its luminance, black pixels counting as 1/1000 of its mean. The mean over
+    pictures is arithmetic, so that a lamp that is off at first does not blow out the rest.
+    """
+    key = float(np.mean([_key(picture) for picture in pictures]))
+    return KEY_LUMINANCE / key if np.isfinite(key) and key > 0 else 1.0
+
+
+def _key(radiance: ArrayF32) -> float:
+    """Geometric mean of the luminance; 0 for a black frame."""
+    luminance = np.maximum(radiance.astype(np.float64) @ LUMINANCE, 0.0)
+    mean = float(luminance.mean())
+    return float(np.exp(np.log(np.maximum(luminance, mean * 1e-3)).mean())) if mean > 0 else 0.0
+
+
+def sensed_ambient(srgb_u8: ArrayU8, exposure: float) -> ArrayF64:
+    """(3,) mean scene radiance of the phone's own picture (H, W, 3), clipped where the picture is.
+
+    AR toolkits derive their ambient estimate from the camera's picture, so light beyond white is lost to it as well.
+    """
+    mean: ArrayF64 = srgb_to_linear(srgb_u8 / 255.0).mean(axis=(0, 1)) / exposure
+    return mean
 
 
 @functools.lru_cache(maxsize=8)

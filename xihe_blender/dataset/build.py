@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
@@ -23,9 +23,13 @@ from xihe_blender.errors import UserError
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.outputs import write_json
 from xihenet import __version__
+from xihenet.training.rooms import SPLITS, Split, split_of
 
 POLL_S = 0.25
 MAX_ROOMS = 1_000_000
+MAX_WALK = 240
+CLAIM = "dataset.json"
+"""What the rooms in a folder are made with."""
 
 
 @dataclass(frozen=True)
@@ -34,16 +38,20 @@ class BuildSettings:
 
     Parameters
     ----------
-    n_rooms : rooms 0 to n_rooms - 1; more may be added later with the same seed
+    n_rooms : room numbers are below this; more may be added later with the same seed
     seed : of the whole data set, at least 0
     n_workers : processes, one thread each; None for one per core of this process
     render : sizes (width, height, samples) of views and probes, as `worker` takes them
+    walk : frames of a walk in place of the free views; None for free views
+    split : make the rooms of this split alone; None for all
     """
 
     n_rooms: int
     seed: int = 0
     n_workers: int | None = None
     render: tuple[int, ...] = field(default=(128, 96, 4, 64, 32, 24))
+    walk: int | None = None
+    split: Split | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= self.n_rooms <= MAX_ROOMS:
@@ -52,6 +60,23 @@ class BuildSettings:
             raise UserError(f"--seed {self.seed}: give 0 or more")
         if self.n_workers is not None and self.n_workers < 1:
             raise UserError(f"--workers {self.n_workers}: give 1 or more")
+        if self.walk is not None and not 2 <= self.walk <= MAX_WALK:
+            raise UserError(f"--walk {self.walk}: give 2 to {MAX_WALK} frames")
+        if self.split is not None and self.split not in SPLITS:
+            raise UserError(f"--split {self.split}: choose one of {', '.join(SPLITS)}")
+        if not self.wanted():
+            raise UserError(f"--rooms {self.n_rooms}: none of these rooms is in the split {self.split}, give more")
+
+    def wanted(self) -> list[int]:
+        """The numbers of the rooms to make."""
+        everything = range(self.n_rooms)
+        return [i for i in everything if self.split is None or split_of((self.seed, i)) == self.split]
+
+    @property
+    def made_with(self) -> dict[str, Any]:
+        """What all rooms of a folder share. Free views are not named: the first data sets did not."""
+        shared = {"format": FORMAT_VERSION, "seed": self.seed, "render": list(self.render)}
+        return shared if self.walk is None else {**shared, "walk": self.walk}
 
 
 def build_dataset(folder: Path, settings: BuildSettings) -> Job[int]:
@@ -59,8 +84,9 @@ def build_dataset(folder: Path, settings: BuildSettings) -> Job[int]:
 
     UserError if the folder holds another data set or a worker fails; OSError if it cannot be written.
     """
-    claim_folder(folder, settings)
-    missing = missing_rooms(folder, settings.n_rooms)
+    claim_folder(folder, settings.made_with)
+    wanted = settings.wanted()
+    missing = missing_rooms(folder, wanted)
     n_workers = min(settings.n_workers or _n_cores(), max(1, len(missing)))
     shares = [missing[i::n_workers] for i in range(n_workers)] if missing else []
     with contextlib.ExitStack() as stack:
@@ -69,25 +95,23 @@ def build_dataset(folder: Path, settings: BuildSettings) -> Job[int]:
             for share, core in zip(shares, _cores_of_their_own(n_workers), strict=False)
         ]
         try:
-            yield from _watch(folder, settings.n_rooms, len(missing), workers)
+            yield from _watch(folder, wanted, len(missing), workers)
         finally:
             # All are told before any is waited for: each finishes the room that it is at.
             for worker in workers:
                 worker.process.terminate()
-    left = missing_rooms(folder, settings.n_rooms)
+    left = missing_rooms(folder, wanted)
     if left:
         raise UserError(f"{len(left)} rooms were not made, the first is {left[0]}: run the same command again")
     return len(missing)
 
 
-def claim_folder(folder: Path, settings: BuildSettings) -> None:
+def claim_folder(folder: Path, made_with: dict[str, Any]) -> None:
     """Write what the data set is made with, or check that it is what is there; clear what killed workers left."""
     folder.mkdir(parents=True, exist_ok=True)
-    made_with = {"format": FORMAT_VERSION, "seed": settings.seed, "render": list(settings.render)}
-    path = folder / "dataset.json"
+    path = folder / CLAIM
     if path.exists():
-        there = _read_json(path)
-        if {key: there.get(key) for key in made_with} != made_with:
+        if {key: value for key, value in _read_json(path).items() if key != "software"} != made_with:
             raise UserError(f"{folder} holds rooms made with other settings ({path.name}): choose another folder")
     else:
         write_json(path, {**made_with, "software": f"xihe {__version__}"})
@@ -95,10 +119,10 @@ def claim_folder(folder: Path, settings: BuildSettings) -> None:
         part.unlink(missing_ok=True)
 
 
-def missing_rooms(folder: Path, n_rooms: int) -> list[int]:
-    """The numbers below `n_rooms` for which there is no file."""
+def missing_rooms(folder: Path, wanted: Iterable[int]) -> list[int]:
+    """The numbers among `wanted` for which there is no file."""
     there = set(stored_indices(folder))
-    return [i for i in range(n_rooms) if i not in there]
+    return [i for i in wanted if i not in there]
 
 
 def _read_json(path: Path) -> dict[str, Any]:
@@ -109,12 +133,12 @@ def _read_json(path: Path) -> dict[str, Any]:
     return content if isinstance(content, dict) else {}
 
 
-def _watch(folder: Path, n_rooms: int, n_missing: int, workers: list[_Worker]) -> Iterator[Progress]:
+def _watch(folder: Path, wanted: Sequence[int], n_missing: int, workers: list[_Worker]) -> Iterator[Progress]:
     """Yield progress until all workers have ended. UserError, in its own words, if one failed."""
     while True:
         has_ended = all(worker.process.poll() is not None for worker in workers)
-        done = n_missing - len(missing_rooms(folder, n_rooms))
-        yield Progress(done, max(n_missing, 1), f"{n_rooms - n_missing + done} of {n_rooms} rooms")
+        done = n_missing - len(missing_rooms(folder, wanted))
+        yield Progress(done, max(n_missing, 1), f"{len(wanted) - n_missing + done} of {len(wanted)} rooms")
         for worker in workers:
             if worker.process.poll() not in (None, 0):
                 raise UserError(f"a worker ended: {worker.last_words()}; the same command goes on from here")
@@ -142,6 +166,7 @@ def _worker(folder: Path, settings: BuildSettings, indices: Sequence[int], core:
     numbers = ",".join(str(i) for i in indices)
     command = [sys.executable, "-m", "xihe_blender.dataset.worker", "--out", str(folder), "--seed", str(settings.seed)]
     command += ["--rooms", numbers, "--settings", *(str(n) for n in settings.render)]
+    command += [] if settings.walk is None else ["--walk", str(settings.walk)]
     with tempfile.TemporaryFile() as errors:
         with _on_core(core):
             process = subprocess.Popen(

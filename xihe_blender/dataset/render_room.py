@@ -1,4 +1,4 @@
-"""What does a room give? Five views of a phone and four light probes, rendered from one built scene.
+"""What does a room give? Views of a phone, five free ones or a walk's, and light probes, rendered from one scene.
 
 The phone's exposure is metered on the views themselves, as a capture meters it on its path: no further renders.
 """
@@ -12,17 +12,18 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from xihe_blender.capture import first_layer, metered_exposure, open_scanner, phone_camera
+from xihe_blender.capture import first_layer, open_scanner, phone_camera
 from xihe_blender.dataset.build_room import build_room
 from xihe_blender.dataset.room_data import Room
-from xihe_blender.dataset.rooms import room_generator, sample_room
+from xihe_blender.dataset.rooms import room_generator, sample_room, walk_generator
 from xihe_blender.dataset.store import FORMAT_VERSION, StoredRoom, as_float16
 from xihe_blender.dataset.views import PhoneView, RoomRays, RoomTooFull, lines_of_sight, sample_positions, sample_views
+from xihe_blender.dataset.walk import sample_walk
 from xihe_blender.errors import UserError
 from xihe_blender.render import RenderSettings, render_passes
 from xihe_blender.truth import open_light_probe
 from xihenet import __version__
-from xihenet.camera import encode_exposed, in_view, valid_plane_depth
+from xihenet.camera import encode_exposed, in_view, metered_exposure, valid_plane_depth
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, Intrinsics
 
 MAX_REDRAWS = 20
@@ -46,10 +47,12 @@ class RoomRenderSettings:
         return RenderSettings(self.probe_size, self.probe_samples)
 
 
-def make_room(seed: int, index: int, settings: RoomRenderSettings) -> StoredRoom:
+def make_room(seed: int, index: int, settings: RoomRenderSettings, *, walk: int | None = None) -> StoredRoom:
     """Sample, build and render room `index` of the data set with `seed`; the open file is replaced.
 
-    A room that offers too few places is drawn again from the same generator. UserError if Cycles cannot render.
+    With `walk` the views are so many frames of a walk, and room, positions and panoramas are the same as without: the
+    free views are drawn all the same. A room that offers too few places is drawn again from the same generator.
+    UserError if Cycles cannot render.
     """
     rng = room_generator(seed, index)
     for _ in range(MAX_REDRAWS):
@@ -61,6 +64,8 @@ def make_room(seed: int, index: int, settings: RoomRenderSettings) -> StoredRoom
             views = sample_views(rng, room, rays, positions_m)
         except RoomTooFull:
             continue
+        if walk is not None:
+            views = sample_walk(walk_generator(seed, index), room, rays, positions_m, views, walk)
         is_unhidden = lines_of_sight(rays, views, positions_m)
         pictures = render_views(scene, views, settings.view)
         panoramas = render_probes(scene, positions_m, settings.probe)

@@ -29,6 +29,11 @@ def room_generator(seed: int, index: int) -> Rng:
     return np.random.default_rng(np.random.SeedSequence([seed, index]))
 
 
+def walk_generator(seed: int, index: int) -> Rng:
+    """A child of the room's generator for the walk through it, so that the room is the same with and without."""
+    return np.random.default_rng(np.random.SeedSequence([seed, index], spawn_key=(1,)))
+
+
 def sample_room(rng: Rng) -> Room:
     """One room with all that is in it."""
     kind = str(rng.choice(list(KIND_SHARES), p=list(KIND_SHARES.values())))

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xihe_blender.outputs import written_whole
+from xihenet.camera import sensed_ambient
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
 
 ArrayF16 = NDArray[np.float16]
@@ -25,7 +26,7 @@ MAX_FLOAT16 = 65504.0
 
 @dataclass(frozen=True, eq=False)
 class StoredRoom:
-    """What one room gives: V views and P placement positions.
+    """What one room gives: V views and P placement positions. The views of a walk are its frames, in order.
 
     Parameters
     ----------
@@ -39,8 +40,8 @@ class StoredRoom:
     panoramas : (P, h, 2h, 3) float16, scene radiance around each position; row 0 up, middle column +Y
     is_in_view : (V, P) bool, the position projects into the picture: the pair counts
     is_unhidden : (V, P) bool, nothing stands between the phone and the position
-    seed : (2,) int64, of the data set and the room's number
-    kind, regime : of the room and its light, in words
+    seed : (2,) int64, of the data set and the room's number; of a scene see `scene_seed`
+    kind, regime : of the room and its light, in words; of a scene its name and SCENE_REGIME
     versions : of the format, this software and Blender
     """
 
@@ -67,8 +68,6 @@ class StoredRoom:
 
     def frame(self, view: int) -> RgbdFrame:
         """One view as the chain takes it; the sensed ambient light is the picture's mean, as in a capture."""
-        from xihe_blender.capture import sensed_ambient
-
         colour = self.srgb_u8[view]
         plane_depth_m: ArrayF32 = self.plane_depth_m[view].astype(np.float32)
         ambient = sensed_ambient(colour, self.exposure)

@@ -20,8 +20,9 @@ from xihe_blender.errors import UserError
 
 
 def make_rooms(
-    folder: Path, seed: int, indices: Sequence[int], settings: RoomRenderSettings, is_stopped: Callable[[], bool]
-) -> None:
+    folder: Path, seed: int, indices: Sequence[int], settings: RoomRenderSettings, walk: int | None,
+    is_stopped: Callable[[], bool],
+) -> None:  # fmt: skip
     """Make the rooms that are not there yet; stops between rooms when told to, or when its parent process is gone."""
     parent = os.getppid()
     for index in indices:
@@ -29,7 +30,7 @@ def make_rooms(
             return
         path = room_path(folder, index)
         if not path.exists():
-            save_room(path, make_room(seed, index, settings))
+            save_room(path, make_room(seed, index, settings, walk=walk))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -39,6 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--rooms", required=True, help="numbers, separated by commas")
     parser.add_argument("--settings", type=int, nargs=6, required=True, metavar="N", help="sizes and samples")
+    parser.add_argument("--walk", type=int, metavar="F", help="frames of a walk in place of free views")
     options = parser.parse_args(arguments)
     # Ctrl-C reaches the whole group of processes; the build decides what it means. Told to end, finish the room:
     # a process that dies while Cycles renders leaves its temporary files behind.
@@ -47,8 +49,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, lambda _signal, _frame: stop.set())
     view_w, view_h, view_samples, probe_w, probe_h, probe_samples = options.settings
     settings = RoomRenderSettings((view_w, view_h), view_samples, (probe_w, probe_h), probe_samples)
+    indices = [int(i) for i in options.rooms.split(",")]
     try:
-        make_rooms(options.out, options.seed, [int(i) for i in options.rooms.split(",")], settings, stop.is_set)
+        make_rooms(options.out, options.seed, indices, settings, options.walk, stop.is_set)
     except (UserError, OSError) as error:
         print(" ".join(str(error).split()), file=sys.stderr)
         return 2

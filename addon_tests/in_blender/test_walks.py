@@ -1,0 +1,386 @@
+"""Walks through rooms and scenes made by others: the same rooms, seen as someone who walks there sees them."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from scipy import ndimage, sparse
+from tiny_scenes import look_at, room_with_a_virtual_sphere
+
+from xihe_blender.capture import meter_exposure, phone_camera
+from xihe_blender.cli import main
+from xihe_blender.dataset.build import BuildSettings, build_dataset, claim_folder
+from xihe_blender.dataset.build_room import build_room
+from xihe_blender.dataset.free_floor import CELL_M, FreeFloor, Route
+from xihe_blender.dataset.outline import Rect
+from xihe_blender.dataset.render_room import RoomRenderSettings, make_room
+from xihe_blender.dataset.room_data import Piece
+from xihe_blender.dataset.rooms import room_generator, sample_room, walk_generator
+from xihe_blender.dataset.scene import SCENE_REGIME, SCENE_SEED, add_scene
+from xihe_blender.dataset.store import StoredRoom, load_room, room_path, stored_indices
+from xihe_blender.dataset.views import PHONE_CLEARANCE_M, RoomRays, RoomTooFull, sample_positions, sample_views
+from xihe_blender.dataset.walk import HIGHEST_M, LOWEST_M, SPEED_M_S, sample_walk
+from xihe_blender.errors import UserError
+from xihe_blender.jobs import run_blocking
+from xihenet.camera import project_points
+from xihenet.records import Intrinsics
+from xihenet.sphere import AnchorLattice
+from xihenet.training.rooms import SPLITS, split_of
+
+SMALL = RoomRenderSettings((32, 24), 1, (16, 8), 4)
+SMALL_NUMBERS = (32, 24, 1, 16, 8, 4)
+FIRST_DATASET = {"format": 1, "seed": 5, "render": list(SMALL_NUMBERS), "software": "xihe 0.1.0"}
+"""What the first version wrote into its folders."""
+
+N_FRAMES = 24
+
+
+def places_of(index):
+    """A room of seed 11 without pictures: the room, its rays, positions and free views."""
+    rng = room_generator(11, index)
+    for _ in range(20):
+        room = sample_room(rng)
+        rays = RoomRays.of(build_room(room))
+        try:
+            positions = sample_positions(rng, room, rays)
+            return room, rays, positions, sample_views(rng, room, rays, positions)
+        except RoomTooFull:
+            continue
+    raise AssertionError("no room with places in 20 draws")
+
+
+def poses_of(walk):
+    return np.stack([view.world_from_camera for view in walk])
+
+
+@pytest.fixture(scope="module", params=range(6))
+def walked(request: pytest.FixtureRequest):
+    """Room, positions, walk, and how near anything comes to the phone in each frame."""
+    room, rays, positions, views = places_of(request.param)
+    walk = sample_walk(walk_generator(11, request.param), room, rays, positions, views, N_FRAMES)
+    around = AnchorLattice(200).directions.astype(np.float64)
+    nearest_m = [rays.cast(pose[:3, 3], around)[0].min() for pose in poses_of(walk)]
+    return room, positions, walk, np.array(nearest_m)
+
+
+# ----------------------------------------------------------------------------------------------------------- free floor
+
+
+def random_floor(seed, share):
+    return FreeFloor((-1.0, 2.0), np.random.default_rng(seed).random((14, 19)) < share)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_largest_part_of_a_floor_is_the_one_that_labelling_finds(seed):
+    floor = random_floor(seed, (0.0, 0.3, 0.45, 0.6, 0.9, 1.0)[seed])
+    labels, n_parts = ndimage.label(floor.is_free, structure=np.ones((3, 3)))
+    sizes = ndimage.sum(floor.is_free, labels, range(1, n_parts + 1))
+    kept = floor.without(np.array([[100.0, 100.0]]), 0.1)
+    assert kept.area_m2 == pytest.approx(max(sizes, default=0) * CELL_M**2)
+    assert not (kept.is_free & ~floor.is_free).any()
+    assert len(set(labels[kept.is_free])) == (n_parts > 0)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_route_stays_on_free_floor_and_is_never_longer_than_the_shortest_way_over_cells(seed):
+    floor = random_floor(seed, 0.6).without(np.array([[100.0, 100.0]]), 0.1)
+    ends = np.random.default_rng(seed).permutation(floor.places_m)[:2]
+    route = floor.route(ends)
+    np.testing.assert_allclose(route.places_m[[0, -1]], ends, atol=1e-9)
+    assert floor.holds(route.places_m).all()
+    gaps = np.linalg.norm(floor.places_m[:, None] - floor.places_m[None], axis=-1)
+    steps = sparse.csr_matrix(np.where(gaps < 1.5 * CELL_M, gaps, 0))
+    start, end = (int(np.linalg.norm(floor.places_m - place, axis=1).argmin()) for place in ends)
+    shortest = sparse.csgraph.dijkstra(steps, indices=start)[end]
+    assert np.linalg.norm(ends[1] - ends[0]) - 1e-9 <= route.length_m <= shortest + 1e-9
+
+
+def test_a_route_is_walked_at_its_own_length():
+    route = Route.through(np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 4.0]]))
+    assert route.length_m == 7.0
+    np.testing.assert_allclose(
+        [route.at(-1), route.at(1.5), route.at(5), route.at(9)], [[0, 0], [1.5, 0], [3, 2], [3, 4]]
+    )
+
+
+# ---------------------------------------------------------------------------------------------------------------- walks
+
+
+def test_a_walker_stays_clear_of_walls_and_furniture(walked):
+    room, _, walk, nearest_m = walked
+    standing = [piece.footprint for piece in room.pieces if piece.size[2] >= 0.02 and piece.z < 1.0]
+    for x, y, _ in poses_of(walk)[:, :3, 3]:
+        assert room.outline.holds_rect(Rect.around((x, y), (0.2, 0.2)))
+        assert not any(rect.x0 < x < rect.x1 and rect.y0 < y < rect.y1 for rect in standing)
+    assert nearest_m.min() > 0.7 * PHONE_CLEARANCE_M
+
+
+def test_a_walker_moves_as_people_do(walked):
+    poses = poses_of(walked[2])
+    places, ahead = poses[:, :3, 3], -poses[:, :3, 2]
+    assert len(poses) == N_FRAMES
+    assert places[:, 2].min() >= LOWEST_M
+    assert places[:, 2].max() <= HIGHEST_M
+    steps = np.linalg.norm(np.diff(places[:, :2], axis=0), axis=1)
+    assert steps.max() <= SPEED_M_S[1] + 1e-9
+    assert steps.sum() > 1.0
+    turns = np.degrees(np.arccos(np.clip((ahead[1:] * ahead[:-1]).sum(axis=1), -1, 1)))
+    assert turns.max() < 40
+    pitch = np.degrees(np.arcsin(ahead[:, 2]))
+    assert -60 < pitch.min() < -20
+    assert pitch.max() < 26
+    assert np.abs(np.degrees(np.arcsin(poses[:, 2, 0]))).max() < 15, "roll"
+
+
+def test_a_walker_looks_at_every_position_and_around(walked):
+    _, positions, walk, _ = walked
+    focal = 64 / np.tan(np.radians(walk[0].fov_deg) / 2)
+    camera = Intrinsics(128, 96, focal, focal, 64, 48)
+    seen = np.zeros((N_FRAMES, len(positions)), bool)
+    for frame, pose in enumerate(poses_of(walk)):
+        pixels, plane_depth_m = project_points(positions, camera, pose)
+        seen[frame] = ((pixels > 0) & (pixels < [128, 96])).all(axis=1) & (plane_depth_m > 0)
+    assert seen.sum(axis=0).min() >= 2
+    assert seen.mean() > 0.12
+    ahead = -poses_of(walk)[:, :2, 2]
+    yaw = np.sort(np.degrees(np.arctan2(ahead[:, 1], ahead[:, 0])))
+    assert np.diff(np.append(yaw, yaw[0] + 360)).max() < 200, "more than half of the room was never faced"
+
+
+def test_the_same_seed_gives_the_same_walk():
+    room, rays, positions, views = places_of(3)
+    again = [poses_of(sample_walk(walk_generator(11, 3), room, rays, positions, views, 12)) for _ in range(2)]
+    np.testing.assert_array_equal(*again)
+    other = poses_of(sample_walk(walk_generator(11, 4), room, rays, positions, views, 12))
+    assert not np.array_equal(again[0], other)
+
+
+def test_where_there_is_no_floor_to_walk_on_one_stands_and_looks_around():
+    room, rays, positions, views = places_of(0)
+    bounds = room.outline.bounds
+    size = (bounds.x1 - bounds.x0, bounds.y1 - bounds.y0, 0.5)
+    full = replace(room, pieces=(Piece("podium", *bounds.centre, 0.0, 0.0, size, (), 0),))
+    poses = poses_of(sample_walk(walk_generator(11, 0), full, rays, positions, views, N_FRAMES))
+    assert (poses[:, :3, 3] == poses[0, :3, 3]).all()
+    assert any((poses[0, :3, 3] == view.world_from_camera[:3, 3]).all() for view in views)
+    assert len(np.unique(poses[:, :2, 2], axis=0)) == N_FRAMES
+
+
+@pytest.mark.parametrize("index", range(2))
+def test_a_walked_room_is_the_room_of_the_free_views(index):
+    free, walk = make_room(5, index, SMALL), make_room(5, index, SMALL, walk=7)
+    for name in ("positions_m", "panoramas", "seed"):
+        assert getattr(free, name).tobytes() == getattr(walk, name).tobytes(), name
+    assert (free.kind, free.regime) == (walk.kind, walk.regime)
+    np.testing.assert_array_equal(free.intrinsics, walk.intrinsics)
+    assert walk.srgb_u8.shape == (7, 24, 32, 3)
+    assert walk.is_in_view.shape == walk.is_unhidden.shape == (7, len(walk.positions_m))
+
+
+# --------------------------------------------------------------------------------------------------------------- builds
+
+
+def test_the_splits_share_all_rooms_out():
+    wanted = {split: BuildSettings(60, 5, split=split).wanted() for split in SPLITS}
+    assert sorted(room for rooms in wanted.values() for room in rooms) == list(range(60))
+    assert all(split_of((5, room)) == split for split, rooms in wanted.items() for room in rooms)
+
+
+@pytest.fixture(scope="module")
+def walked_folder(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, BuildSettings]:
+    folder = tmp_path_factory.mktemp("walks")
+    first = next(i for i in range(1000) if split_of((5, i)) == "test")
+    settings = BuildSettings(first + 1, 5, 1, SMALL_NUMBERS, walk=3, split="test")
+    assert run_blocking(build_dataset(folder, settings)) == 1
+    return folder, settings
+
+
+def test_a_build_of_walks_in_one_split_makes_these_alone(walked_folder):
+    folder, settings = walked_folder
+    assert list(stored_indices(folder)) == settings.wanted() == [settings.n_rooms - 1]
+    made, here = load_room(room_path(folder, settings.n_rooms - 1)), make_room(5, settings.n_rooms - 1, SMALL, walk=3)
+    np.testing.assert_array_equal(made.world_from_camera, here.world_from_camera)
+    np.testing.assert_array_equal(made.srgb_u8, here.srgb_u8)
+    assert run_blocking(build_dataset(folder, settings)) == 0
+
+
+def test_a_folder_of_walks_holds_nothing_else(walked_folder):
+    folder, settings = walked_folder
+    for other in (None, 4):
+        with pytest.raises(UserError, match="another folder"):
+            run_blocking(build_dataset(folder, replace(settings, walk=other)))
+
+
+def test_folders_of_the_first_version_go_on_as_free_views(tmp_path):
+    (tmp_path / "dataset.json").write_text(json.dumps(FIRST_DATASET))
+    settings = BuildSettings(3, 5, 1, SMALL_NUMBERS)
+    claim_folder(tmp_path, settings.made_with)
+    assert json.loads((tmp_path / "dataset.json").read_text()) == FIRST_DATASET
+    with pytest.raises(UserError, match="another folder"):
+        claim_folder(tmp_path, replace(settings, walk=24).made_with)
+
+
+def test_free_views_are_recorded_as_the_first_version_did(tmp_path):
+    claim_folder(tmp_path, BuildSettings(3, 5, 1, SMALL_NUMBERS).made_with)
+    written = json.loads((tmp_path / "dataset.json").read_text())
+    assert list(written) == list(FIRST_DATASET)
+    assert {**written, "software": ""} == {**FIRST_DATASET, "software": ""}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (("--rooms", "1", "--walk", "0"), "2 to 240"),
+        (("--rooms", "1", "--walk", "many"), "--walk"),
+        (("--rooms", "1", "--split", "dev"), "train, validation, test"),
+        (("--rooms", "1", "--split", "test"), "give more"),
+    ],
+)
+def test_a_build_that_makes_no_sense_is_refused_in_one_line(wrong, words, tmp_path, capfd):
+    assert main(["dataset", "build", "--out", str(tmp_path / "rooms"), *wrong]) == 2
+    said = capfd.readouterr().err
+    assert said.count("\n") == 1
+    assert words in said
+    assert not (tmp_path / "rooms").exists()
+
+
+# --------------------------------------------------------------------------------------------------------------- scenes
+
+
+def saved(scene, path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
+
+
+def added(scene, name, folder, **options) -> tuple[Path, StoredRoom]:
+    path = run_blocking(add_scene(scene, name, folder, SMALL, **options))
+    return path, load_room(path)
+
+
+def mark(scene, name, place):
+    empty = bpy.data.objects.new(name, None)
+    empty.location = place
+    scene.collection.objects.link(empty)
+
+
+def test_a_scene_is_stored_as_its_camera_path_saw_it(tmp_path):
+    scene = room_with_a_virtual_sphere()
+    path, room = added(scene, "tiny", tmp_path)
+    assert path == room_path(tmp_path, 0)
+    assert (room.kind, room.regime) == ("tiny", SCENE_REGIME)
+    assert room.seed.tolist() == [SCENE_SEED, zlib.crc32(b"tiny")]
+    assert room.exposure == meter_exposure(scene, [1, 2, 3])
+    np.testing.assert_allclose(room.positions_m, [[0, 0, 0.85]], atol=1e-6)
+    assert room.panoramas.shape == (1, 8, 16, 3)
+    for frame, pose in enumerate(room.world_from_camera, start=1):
+        scene.frame_set(frame)
+        np.testing.assert_allclose(pose, phone_camera(scene)[1], atol=1e-6)
+    assert room.is_in_view.all()
+    assert room.is_unhidden.all(), "the virtual sphere itself hides nothing"
+
+
+def test_virtual_objects_are_in_no_picture_of_a_scene(tmp_path):
+    _, with_ball = added(room_with_a_virtual_sphere(), "with", tmp_path)
+    scene = room_with_a_virtual_sphere()
+    bpy.data.objects.remove(bpy.data.objects["Ball"])
+    mark(scene, "Mark", (0, 0, 0.85))
+    _, without = added(scene, "without", tmp_path, at=["Mark"])
+    np.testing.assert_array_equal(with_ball.radiance, without.radiance)
+    np.testing.assert_array_equal(with_ball.panoramas, without.panoramas)
+
+
+def test_positions_of_a_scene_are_where_the_named_objects_are(tmp_path):
+    scene = room_with_a_virtual_sphere()
+    mark(scene, "On the table", (0.4, 0.2, 0.8))
+    mark(scene, "Under the table", (0.0, 0.0, 0.4))
+    _, room = added(scene, "marked", tmp_path, at=["Under the table", "On the table"], frames=[1, 3])
+    np.testing.assert_allclose(room.positions_m, [[0, 0, 0.4], [0.4, 0.2, 0.8]], atol=1e-6)
+    assert len(room.srgb_u8) == 2
+    np.testing.assert_array_equal(room.is_unhidden, [[False, True]] * 2)
+
+
+def test_a_scene_takes_its_own_place_again_and_others_the_next(tmp_path):
+    scene = room_with_a_virtual_sphere()
+    first, _ = added(scene, "one", tmp_path, frames=[1])
+    second, _ = added(scene, "two", tmp_path, frames=[1])
+    again, room = added(scene, "one", tmp_path, frames=[1, 2])
+    assert (first, second, again) == (room_path(tmp_path, 0), room_path(tmp_path, 1), room_path(tmp_path, 0))
+    assert len(room.srgb_u8) == 2
+    assert list(stored_indices(tmp_path)) == [0, 1]
+
+
+def test_rooms_and_scenes_keep_to_folders_of_their_own(walked_folder, tmp_path):
+    scene = room_with_a_virtual_sphere()
+    with pytest.raises(UserError, match="another folder"):
+        added(scene, "tiny", walked_folder[0], frames=[1])
+    added(scene, "tiny", tmp_path, frames=[1])
+    with pytest.raises(UserError, match="another folder"):
+        claim_folder(tmp_path, BuildSettings(1, SCENE_SEED, 1, SMALL_NUMBERS).made_with)
+
+
+def test_a_camera_that_zooms_is_refused(tmp_path):
+    scene = room_with_a_virtual_sphere()
+    for frame, lens in ((1, 30.0), (3, 60.0)):
+        scene.camera.data.lens = lens
+        scene.camera.data.keyframe_insert("lens", frame=frame)
+    with pytest.raises(UserError, match="zooms before frame 2"):
+        added(scene, "zoom", tmp_path)
+    assert not list(stored_indices(tmp_path))
+
+
+def test_a_scene_added_leaves_the_open_file_as_it_was(tmp_path):
+    scene = room_with_a_virtual_sphere()
+    look_at(scene.camera, (1.0, 1.0, 1.2), (0, 0, 0.8))
+    before = tuple(scene.camera.location), scene.frame_current, len(bpy.data.scenes), len(bpy.data.objects)
+    added(scene, "tiny", tmp_path, frames=[2])
+    assert (tuple(scene.camera.location), scene.frame_current, len(bpy.data.scenes), len(bpy.data.objects)) == before
+
+
+def test_the_command_adds_a_scene_and_says_where(tmp_path, capfd):
+    blend = saved(room_with_a_virtual_sphere(), tmp_path / "tiny.blend")
+    capfd.readouterr()
+    assert main(["dataset", "scene", str(blend), "--out", str(tmp_path / "scenes"), "--frames", "1:3:2"]) == 0
+    said = capfd.readouterr()
+    assert said.out.strip() == str(room_path(tmp_path / "scenes", 0))
+    room = load_room(room_path(tmp_path / "scenes", 0))
+    assert room.kind == "tiny"
+    assert room.srgb_u8.shape == (2, 96, 128, 3)
+    assert room.panoramas.shape == (1, 32, 64, 3)
+
+
+def _without_camera(scene):
+    bpy.data.objects.remove(scene.camera)
+
+
+def _without_virtual_objects(scene):
+    bpy.data.objects.remove(bpy.data.objects["Ball"])
+
+
+@pytest.mark.parametrize(
+    ("change", "arguments", "words"),
+    [
+        (None, ("--at", "Ball,Nobody"), "no object 'Nobody'"),
+        (None, ("--at", ","), "--at"),
+        (None, ("--frames", "1:9"), "choose frames within it"),
+        (_without_camera, (), "has no camera"),
+        (_without_camera, ("--at", "Ball"), "has no camera"),
+        (_without_virtual_objects, (), "--at A,B"),
+    ],
+)
+def test_a_scene_that_cannot_be_added_is_refused_in_one_line(change, arguments, words, tmp_path, capfd):
+    scene = room_with_a_virtual_sphere()
+    if change is not None:
+        change(scene)
+    blend = saved(scene, tmp_path / "tiny.blend")
+    capfd.readouterr()
+    assert main(["dataset", "scene", str(blend), "--out", str(tmp_path / "scenes"), *arguments]) == 2
+    said = capfd.readouterr()
+    assert (said.out, said.err.count("\n")) == ("", 1)
+    assert words in said.err
+    assert not (tmp_path / "scenes").exists()

@@ -1,0 +1,49 @@
+"""Frames as files, for tests: a camera at the origin looking along +Y into a box whose walls differ in colour."""
+
+import json
+
+import numpy as np
+import OpenEXR
+from PIL import Image
+
+from xihenet.records import Intrinsics
+
+WIDTH, HEIGHT = 32, 24
+INTRINSICS = Intrinsics(WIDTH, HEIGHT, fx=20.0, fy=20.0, cx=16.0, cy=12.0)
+LOOKING_ALONG_Y = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+
+
+def box_radiance_and_plane_depth():
+    """(H, W, 3) and (H, W): right half red, left half blue, the wall 3 m ahead; the floor nearer."""
+    radiance = np.zeros((HEIGHT, WIDTH, 3), np.float32)
+    radiance[:, WIDTH // 2 :] = [0.6, 0.1, 0.1]
+    radiance[:, : WIDTH // 2] = [0.1, 0.1, 0.6]
+    plane_depth_m = np.full((HEIGHT, WIDTH), 3.0, np.float32)
+    plane_depth_m[-6:] = np.linspace(2.5, 1.5, 6)[:, None]
+    return radiance, plane_depth_m
+
+
+def write_camera(path, **changes):
+    content = {name: getattr(INTRINSICS, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+    content |= {"world_from_camera": LOOKING_ALONG_Y.tolist()} | changes
+    path.write_text(json.dumps({name: value for name, value in content.items() if value is not None}))
+    return path
+
+
+def write_channels(path, channels):
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    pixels = {name: OpenEXR.Channel(np.ascontiguousarray(values)) for name, values in channels.items()}
+    with OpenEXR.File(header, pixels) as file:
+        file.write(str(path))
+    return path
+
+
+def write_exr(path, radiance, plane_depth_m, colour="{}", plane_depth="Z"):
+    """`colour` and `plane_depth` name the channels, such as "ViewLayer.Combined.{}" and "ViewLayer.Depth.Z"."""
+    channels = {colour.format(c): radiance[..., place] for place, c in enumerate("RGB")}
+    return write_channels(path, channels | ({plane_depth: plane_depth_m} if plane_depth else {}))
+
+
+def write_image(path, pixels):
+    Image.fromarray(pixels).save(path)
+    return path

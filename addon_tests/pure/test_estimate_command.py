@@ -1,0 +1,260 @@
+"""`xihe estimate` as a user types it, where there is no Blender: what it says, what it writes, what it refuses."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from addon_tests.pure.frame_makers import (
+    box_radiance_and_plane_depth,
+    write_camera,
+    write_exr,
+    write_image,
+)
+from xihe_blender.cli import main
+from xihenet import __version__, estimators, sh
+from xihenet.camera import encode_exposed, unproject_frame
+from xihenet.frame_files import read_camera, read_frame
+from xihenet.light_picture import light_picture
+from xihenet.png import encode_png
+from xihenet.sampling import sample_unit_sphere
+from xihenet.sphere import AnchorLattice
+
+ROOT = Path(__file__).resolve().parents[2]
+RADIANCE, PLANE_DEPTH_M = box_radiance_and_plane_depth()
+COLOUR, MILLIMETRES = encode_exposed(RADIANCE, 1), np.rint(PLANE_DEPTH_M * 1000).astype(np.uint16)
+AT = "0,2,-0.3"
+WITHOUT_BLENDER = (
+    "import sys\n"
+    "for name in ('bpy', 'bmesh', 'mathutils', 'bpy_extras', 'torch', 'scipy'): sys.modules[name] = None\n"
+    "from xihe_blender.cli import main\n"
+    "sys.exit(main(sys.argv[1:]))"
+)
+
+
+def xihe_without_blender(*arguments):
+    """The command in a process in which importing bpy fails, and in which warnings are errors."""
+    code = [sys.executable, "-W", "error", "-c", WITHOUT_BLENDER, "estimate", *map(str, arguments)]
+    return subprocess.run(code, cwd=ROOT, capture_output=True, text=True, timeout=60)
+
+
+def estimate(*arguments):
+    return main(["estimate", *map(str, arguments)])
+
+
+def no_constant(name):
+    raise AssertionError(f"{name} is no JSON")
+
+
+def read_strictly(text):
+    return json.loads(text, parse_constant=no_constant)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("frame")
+    write_camera(folder / "camera.json")
+    write_exr(folder / "frame.exr", RADIANCE, PLANE_DEPTH_M)
+    write_exr(folder / "no_z.exr", RADIANCE, PLANE_DEPTH_M, plane_depth=None)
+    write_exr(folder / "nothing.exr", RADIANCE, PLANE_DEPTH_M * 0)
+    write_image(folder / "colour.png", COLOUR)
+    write_image(folder / "plane_depth.png", MILLIMETRES)
+    write_image(folder / "cropped.png", COLOUR[:, :20])
+    write_camera(folder / "singular.json", world_from_camera=[[0] * 4] * 3 + [[0, 0, 0, 1]])
+    write_camera(folder / "scaled.json", world_from_camera=np.diag([2, 2, 2, 1]).tolist())
+    write_camera(folder / "nan.json", fx=float("nan"))
+    (folder / "text.exr").write_text("a shopping list")
+    return folder
+
+
+@pytest.fixture
+def exr(folder):
+    return [folder / "frame.exr", "--camera", folder / "camera.json"]
+
+
+@pytest.fixture
+def images(folder):
+    return [folder / "colour.png", "--plane-depth", folder / "plane_depth.png", "--camera", folder / "camera.json"]
+
+
+def test_it_runs_where_blender_is_not_installed_and_json_is_all_that_stdout_holds(exr):
+    done = xihe_without_blender(*exr, "--at", AT, "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    content = read_strictly(done.stdout)
+    assert content["positions"][0]["is_valid"]
+
+
+def test_without_blender_a_mistake_is_one_line_and_exit_2(folder):
+    done = xihe_without_blender(folder / "none.exr", "--camera", folder / "camera.json", "--at", AT)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("xihe: cannot read") and done.stderr.count("\n") == 1
+
+
+def test_the_estimator_and_the_anchors_that_were_asked_for_are_used(exr, folder, capfd):
+    frame = read_frame(folder / "frame.exr", read_camera(folder / "camera.json"))
+    cloud = sample_unit_sphere(unproject_frame(frame), (0, 2, -0.3), AnchorLattice(640))
+    assert estimate(*exr, "--at", AT, "--json", "--anchors", 640, "--estimator", "projection") == 0
+    content = read_strictly(capfd.readouterr().out)
+    expected = estimators.load("projection", 640).estimate(cloud)
+    np.testing.assert_allclose(content["positions"][0]["sh_radiance"], expected, rtol=1e-12)
+    assert content["exposure"] == frame.exposure
+    assert estimate(*exr, "--at", AT, "--json", "--estimator", "ambient") == 0
+    flat = np.array(read_strictly(capfd.readouterr().out)["positions"][0]["sh_radiance"])
+    assert flat[0].all() and not flat[1:].any()
+
+
+def test_the_json_says_all_there_is_to_say(exr, capfd):
+    assert estimate(*exr, "--at", AT, "--at=-1,2,0", "--json", "--target", "hdr", "--estimator", "projection") == 0
+    content = read_strictly(capfd.readouterr().out)
+    positions = content.pop("positions")
+    assert content.pop("exposure") > 0
+    assert content == {
+        "schema_version": 1,
+        "software": {"xihe": __version__, "numpy": np.__version__},
+        "estimator": "projection",
+        "target": "hdr",
+        "n_anchors": 1280,
+        "sh_axes": "right-handed, +Z up",
+    }
+    assert [one["position_m"] for one in positions] == [[0, 2, -0.3], [-1, 2, 0]]
+    for one in positions:
+        assert np.shape(one["sh_radiance"]) == (9, 3) and np.isfinite(one["sh_radiance"]).all()
+        assert 0 < one["coverage"] < 1 and one["n_skipped_points"] == 0
+        assert (one["in_view"], one["is_valid"], one["expected_error"]) == (True, True, None)
+
+
+def test_red_walls_on_the_right_light_the_right(exr, capfd):
+    assert estimate(*exr, "--at", AT, "--json") == 0
+    light = np.array(read_strictly(capfd.readouterr().out)["positions"][0]["sh_radiance"])
+    right, left = sh.basis([(1, 1, 0), (-1, 1, 0)]) @ light
+    assert right[0] > left[0] + 0.05 and left[2] > right[2] + 0.05
+
+
+def test_images_give_the_light_that_the_exr_gives(exr, images, capfd):
+    assert estimate(*exr, "--at", AT, "--json", "--exposure", 1) == 0
+    assert estimate(*images, "--at", AT, "--json") == 0
+    from_exr, from_images = capfd.readouterr().out.split("\n}\n{\n")
+    of_exr, of_images = read_strictly(from_exr + "}"), read_strictly("{" + from_images)
+    assert of_exr["exposure"] == of_images["exposure"] == 1
+    np.testing.assert_allclose(
+        of_images["positions"][0]["sh_radiance"], of_exr["positions"][0]["sh_radiance"], atol=0.01
+    )
+
+
+def test_positions_are_in_the_world_of_the_camera_file_and_light_is_upright(exr, folder, capfd):
+    write_camera(folder / "y_up.json", world_from_camera=np.eye(4).tolist(), up="y")
+    assert estimate(*exr, "--at", "0.2,2,-0.3", "--json") == 0
+    of_z_up = read_strictly(capfd.readouterr().out)["positions"][0]
+    assert estimate(folder / "frame.exr", "--camera", folder / "y_up.json", "--at", "0.2,-0.3,-2", "--json") == 0
+    of_y_up = read_strictly(capfd.readouterr().out)["positions"][0]
+    assert of_y_up["position_m"] == [0.2, -0.3, -2] and of_y_up["in_view"]
+    np.testing.assert_allclose(of_y_up["sh_radiance"], of_z_up["sh_radiance"], atol=1e-6)
+
+
+def test_a_position_outside_of_the_view_is_estimated_with_a_warning(exr, capfd):
+    assert estimate(*exr, "--at", "0,-2,0", "--at", AT, "--json") == 0
+    said = capfd.readouterr()
+    content = read_strictly(said.out)
+    assert [one["in_view"] for one in content["positions"]] == [False, True]
+    assert content["positions"][0]["is_valid"]
+    assert said.err.splitlines() == [
+        "xihe: warning: 0,-2,0 is not in the frame's view: its light is estimated from surfaces elsewhere"
+    ]
+
+
+def test_a_position_that_begins_with_a_minus_needs_no_equals_sign(exr, capfd):
+    assert estimate(*exr, "--at", "-0.5,2,0", "--at", "-.5,2,0", "--json") == 0
+    positions = read_strictly(capfd.readouterr().out)["positions"]
+    assert [one["position_m"] for one in positions] == [[-0.5, 2, 0]] * 2
+
+
+def test_the_table_holds_the_numbers_of_the_json(exr, capfd):
+    assert estimate(*exr, "--at", AT, "--at", "0,-2,0", "--json") == 0
+    positions = read_strictly(capfd.readouterr().out)["positions"]
+    assert estimate(*exr, "--at", AT, "--at", "0,-2,0") == 0
+    first, second = capfd.readouterr().out.strip().split("\n\n")
+    for table, one in ((first, positions[0]), (second, positions[1])):
+        numbers = [[float(word) for word in line.split()] for line in table.splitlines()[2:]]
+        np.testing.assert_allclose(np.array(numbers)[:, 2:], one["sh_radiance"], atol=5.1e-5)
+        assert [row[0] ** 2 + row[0] + row[1] for row in numbers] == list(range(9))
+    assert first.startswith(f"{AT}: in view, ") and second.startswith("0,-2,0: not in view, ")
+
+
+def test_a_folder_gets_the_json_and_a_picture_of_each_light(exr, tmp_path, capfd):
+    out = tmp_path / "new" / "folder"
+    assert estimate(*exr, "--at", AT, "--at", "0.5,2,0", "--out", out, "--json") == 0
+    content = read_strictly((out / "estimate.json").read_text(encoding="utf-8"))
+    assert content == read_strictly(capfd.readouterr().out)
+    assert sorted(path.name for path in out.iterdir()) == ["estimate.json", "light_0.png", "light_1.png"]
+    for place, one in enumerate(content["positions"]):
+        assert (out / f"light_{place}.png").read_bytes() == encode_png(light_picture(one["sh_radiance"]))
+
+
+def test_the_same_command_gives_the_same_bytes_and_replaces_what_was_there(exr, tmp_path, capfd):
+    def contents():
+        assert estimate(*exr, "--at", AT, "--out", tmp_path) == 0
+        assert capfd.readouterr().out.splitlines()[-1] == str(tmp_path / "light_0.png")
+        return {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+
+    first = contents()
+    (tmp_path / "light_0.png").write_bytes(b"old")
+    assert contents() == first
+
+
+def test_where_one_picture_cannot_be_written_nothing_is(exr, tmp_path, capfd):
+    # A folder that is not empty, where the second picture belongs.
+    (tmp_path / "light_1.png" / "full").mkdir(parents=True)
+    assert estimate(*exr, "--at", AT, "--at", "0.5,2,0", "--out", tmp_path) == 2
+    assert "choose another folder for --out" in capfd.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["light_1.png"]
+
+
+# ------------------------------------------------------------------------------------------------------------ mistakes
+
+EXR = ["frame.exr", "--camera", "camera.json"]
+IMAGES = ["colour.png", "--plane-depth", "plane_depth.png", "--camera", "camera.json"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([*EXR], "--at"),
+        ([*EXR, "--at", "1,2"], "'1,2' is no position: give X,Y,Z"),
+        ([*EXR, "--at", "1,2,3,4"], "is no position"),
+        ([*EXR, "--at", "1,2,nan"], "is no position"),
+        ([*EXR, "--at", "here"], "is no position"),
+        (["frame.exr", "--at", AT], "--camera"),
+        (["none.exr", "--camera", "camera.json", "--at", AT], "none.exr (No such file or directory)"),
+        (["frame.exr", "--camera", "none.json", "--at", AT], "none.json (No such file or directory)"),
+        ([".", "--camera", "camera.json", "--at", AT], "(Is a directory)"),
+        (["text.exr", "--camera", "camera.json", "--at", AT], "is no OpenEXR file"),
+        (["text.exr", "--plane-depth", *IMAGES[2:], "--at", AT], "expected an image"),
+        (["no_z.exr", "--camera", "camera.json", "--at", AT], "save the Z pass"),
+        (["nothing.exr", "--camera", "camera.json", "--at", AT], "no pixel has a valid plane depth"),
+        (["frame.exr", "--camera", "singular.json", "--at", AT], "singular"),
+        (["frame.exr", "--camera", "scaled.json", "--at", AT], "without scale or shear"),
+        (["frame.exr", "--camera", "nan.json", "--at", AT], "focal lengths must be positive"),
+        (["cropped.png", *IMAGES[1:], "--at", AT], "expected the same ratio"),
+        (["colour.png", "--camera", "camera.json", "--at", AT], "plane depth"),
+        ([*IMAGES, "--at", AT, "--depth-scale", "0"], "depth scale"),
+        ([*EXR, "--at", AT, "--exposure", "-1"], "exposure"),
+        ([*EXR, "--at", AT, "--estimator", "truth"], "choose another --estimator"),
+        ([*EXR, "--at", AT, "--estimator", "oracle"], "choose one of"),
+        ([*EXR, "--at", AT, "--anchors", "0"], "--anchors: expected 1 to"),
+        ([*EXR, "--at", AT, "--anchors", "1000000000"], "--anchors: expected 1 to"),
+        ([*EXR, "--at", AT, "--target", "sdr"], "--target"),
+        ([*EXR, "--at", AT, "--out", "frame.exr"], "choose another folder for --out"),
+    ],
+)
+def test_a_mistake_gets_one_line_that_names_it_and_leaves_nothing(folder, monkeypatch, capfd, arguments, said):
+    monkeypatch.chdir(folder)
+    before = sorted(folder.rglob("*"))
+    out = [] if "--out" in arguments else ["--out", "out"]
+    assert estimate(*arguments, *out) == 2
+    told = capfd.readouterr()
+    assert told.out == "" and told.err.count("\n") == 1 and told.err.startswith("xihe: ")
+    assert said in told.err
+    assert sorted(folder.rglob("*")) == before

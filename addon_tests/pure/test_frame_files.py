@@ -1,0 +1,425 @@
+"""A frame from files: what was written comes back, and what does not fit together is refused."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from addon_tests.pure.frame_makers import (
+    HEIGHT,
+    INTRINSICS,
+    LOOKING_ALONG_Y,
+    WIDTH,
+    box_radiance_and_plane_depth,
+    write_camera,
+    write_channels,
+    write_exr,
+    write_image,
+)
+from xihenet.camera import KEY_LUMINANCE, LUMINANCE, encode_exposed, unproject_frame
+from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.frame_files import area_averaged, read_camera, read_frame
+
+ROOT = Path(__file__).resolve().parents[2]
+RADIANCE, PLANE_DEPTH_M = box_radiance_and_plane_depth()
+MILLIMETRES = np.rint(PLANE_DEPTH_M * 1000).astype(np.uint16)
+
+
+@pytest.fixture
+def camera(tmp_path):
+    return read_camera(write_camera(tmp_path / "camera.json"))
+
+
+# ------------------------------------------------------------------------------------------------------------- OpenEXR
+
+
+@pytest.mark.parametrize(
+    ("colour", "plane_depth"),
+    [
+        ("{}", "Z"),
+        ("Combined.{}", "Depth.V"),
+        ("{}", "Depth.Z"),
+        ("ViewLayer.Combined.{}", "ViewLayer.Depth.Z"),
+        ("Layer.with.dots.Combined.{}", "Layer.with.dots.Depth.V"),
+        ("beauty.{}", "beauty.Z"),
+    ],
+)
+def test_an_exr_comes_back_whatever_its_channels_are_called(tmp_path, camera, colour, plane_depth):
+    path = write_exr(tmp_path / "frame.exr", RADIANCE, PLANE_DEPTH_M, colour, plane_depth)
+    frame = read_frame(path, camera, exposure=0.5)
+    np.testing.assert_array_equal(frame.srgb_u8, encode_exposed(RADIANCE, 0.5))
+    np.testing.assert_array_equal(frame.plane_depth_m, PLANE_DEPTH_M)
+    np.testing.assert_array_equal(frame.world_from_camera, LOOKING_ALONG_Y)
+    assert (frame.exposure, frame.intrinsics) == (0.5, INTRINSICS)
+
+
+def test_other_passes_and_other_layers_do_not_get_in_the_way(tmp_path, camera):
+    dark, far = RADIANCE * 0, PLANE_DEPTH_M + 1
+    channels = {f"A.Combined.{c}": dark[..., 0] for c in "RGBA"}  # a layer without plane depth
+    channels |= {f"B.Combined.{c}": RADIANCE[..., place] for place, c in enumerate("RGB")}
+    channels |= {f"B.DiffCol.{c}": dark[..., 0] for c in "RGB"} | {"B.Depth.Z": PLANE_DEPTH_M, "C.Depth.Z": far}
+    frame = read_frame(write_channels(tmp_path / "frame.exr", channels), camera, exposure=1)
+    np.testing.assert_array_equal(frame.srgb_u8, encode_exposed(RADIANCE, 1))
+    np.testing.assert_array_equal(frame.plane_depth_m, PLANE_DEPTH_M)
+
+
+def write_parts(path, colour, plane_depth_m):
+    """One part per pass, as Blender 5.x writes it."""
+    passes = {"ViewLayer.Combined": dict(zip("RGB", np.moveaxis(colour, -1, 0), strict=True))}
+    passes["ViewLayer.Depth"] = {"Z": plane_depth_m}
+    corners = np.array([[0, 0], [WIDTH - 1, HEIGHT - 1]], np.int32)
+    display = {"displayWindow": tuple(corners)}
+    parts = [
+        OpenEXR.Part(dict(display), {f"{name}.{c}": np.ascontiguousarray(v) for c, v in channels.items()}, name)
+        for name, channels in passes.items()
+    ]
+    with OpenEXR.File(parts) as file:
+        file.write(str(path))
+    return path
+
+
+def test_an_exr_with_a_part_for_each_pass_is_read(tmp_path, camera):
+    frame = read_frame(write_parts(tmp_path / "frame.exr", RADIANCE, PLANE_DEPTH_M), camera, exposure=1)
+    np.testing.assert_array_equal(frame.srgb_u8, encode_exposed(RADIANCE, 1))
+    np.testing.assert_array_equal(frame.plane_depth_m, PLANE_DEPTH_M)
+
+
+def test_parts_of_different_sizes_are_refused(tmp_path, camera):
+    path = write_parts(tmp_path / "frame.exr", RADIANCE, PLANE_DEPTH_M[:12, :16])
+    with pytest.raises(ValueError, match="colour and plane depth of one size"):
+        read_frame(path, camera)
+
+
+def test_an_exr_in_half_float_is_read_as_well(tmp_path, camera):
+    half = (RADIANCE.astype(np.float16), PLANE_DEPTH_M.astype(np.float16))
+    frame = read_frame(write_exr(tmp_path / "frame.exr", *half), camera, exposure=1)
+    np.testing.assert_allclose(frame.plane_depth_m, PLANE_DEPTH_M, rtol=1e-3)
+
+
+@pytest.mark.parametrize("gain", [1e-3, 1.0, 50.0])
+def test_an_exr_is_metered_so_that_its_own_brightness_does_not_matter(tmp_path, camera, gain):
+    frame = read_frame(write_exr(tmp_path / "frame.exr", RADIANCE * np.float32(gain), PLANE_DEPTH_M), camera)
+    luminance = srgb_to_linear(frame.srgb_u8 / 255) @ LUMINANCE
+    assert np.exp(np.log(luminance).mean()) == pytest.approx(KEY_LUMINANCE, rel=0.02)
+
+
+def test_broken_pixels_disturb_neither_metering_nor_the_rest_of_the_frame(tmp_path, camera):
+    broken, holes = RADIANCE.copy(), PLANE_DEPTH_M.copy()
+    broken[0, :4, 0] = [np.nan, np.inf, -np.inf, -1]
+    holes[1, :6] = [np.nan, np.inf, -np.inf, -1, 0, 1e10]
+    whole = read_frame(write_exr(tmp_path / "whole.exr", RADIANCE, PLANE_DEPTH_M), camera)
+    frame = read_frame(write_exr(tmp_path / "broken.exr", broken, holes), camera)
+    assert frame.exposure == pytest.approx(whole.exposure, rel=0.02)
+    assert not frame.plane_depth_m[1, :6].any()
+    np.testing.assert_array_equal(frame.plane_depth_m[2:], PLANE_DEPTH_M[2:])
+
+
+@pytest.mark.parametrize(
+    ("channels", "said"),
+    [
+        ({"Z": PLANE_DEPTH_M}, "expected colour"),
+        (dict.fromkeys("RGBA", PLANE_DEPTH_M), "save the Z pass"),
+        (dict.fromkeys("RG", PLANE_DEPTH_M) | {"Z": PLANE_DEPTH_M}, "expected colour"),
+        (dict.fromkeys("RGB", PLANE_DEPTH_M) | {"Z": PLANE_DEPTH_M * 0}, "no pixel has a valid plane depth"),
+        (dict.fromkeys("RGB", PLANE_DEPTH_M) | {"Z": PLANE_DEPTH_M * np.nan}, "no pixel has a valid plane depth"),
+        (dict.fromkeys("RGB", PLANE_DEPTH_M) | {"Z": PLANE_DEPTH_M + 1e10}, "no pixel has a valid plane depth"),
+        (dict.fromkeys("RGBZ", PLANE_DEPTH_M[:, :20]), "the intrinsics are for 32x24"),
+    ],
+)
+def test_an_exr_that_is_no_frame_is_refused(tmp_path, camera, channels, said):
+    with pytest.raises(ValueError, match=said):
+        read_frame(write_channels(tmp_path / "frame.exr", channels), camera)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.3, 0.9, 0.999])
+def test_an_exr_that_is_cut_short_is_refused(tmp_path, camera, share):
+    path = write_exr(tmp_path / "frame.exr", RADIANCE, PLANE_DEPTH_M)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    with pytest.raises(ValueError, match=r"frame\.exr: .*(could not read it|cannot be read)"):
+        read_frame(path, camera)
+
+
+def test_an_exr_takes_no_second_plane_depth(tmp_path, camera):
+    path = write_exr(tmp_path / "frame.exr", RADIANCE, PLANE_DEPTH_M)
+    with pytest.raises(ValueError, match="brings its own plane depth"):
+        read_frame(path, camera, plane_depth=path)
+
+
+# -------------------------------------------------------------------------------------------------------------- images
+
+
+def image_frame(tmp_path, camera, colour, plane_depth=MILLIMETRES, **options):
+    colour_path = write_image(tmp_path / "colour.png", colour)
+    return read_frame(
+        colour_path, camera, plane_depth=write_image(tmp_path / "plane_depth.png", plane_depth), **options
+    )
+
+
+def test_images_of_one_size_come_back_byte_by_byte(tmp_path, camera):
+    colour = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH, 3), np.uint8)
+    frame = image_frame(tmp_path, camera, colour)
+    np.testing.assert_array_equal(frame.srgb_u8, colour)
+    np.testing.assert_allclose(frame.plane_depth_m, MILLIMETRES / 1000, rtol=1e-6)
+    assert frame.exposure == 1.0
+    np.testing.assert_allclose(frame.ambient, srgb_to_linear(colour / 255).mean(axis=(0, 1)))
+
+
+def test_images_and_an_exr_of_the_same_scene_are_the_same_frame(tmp_path, camera):
+    exr = read_frame(write_exr(tmp_path / "frame.exr", RADIANCE, PLANE_DEPTH_M), camera, exposure=0.7)
+    images = image_frame(tmp_path, camera, encode_exposed(RADIANCE, 0.7), exposure=0.7)
+    np.testing.assert_array_equal(images.srgb_u8, exr.srgb_u8)
+    np.testing.assert_allclose(images.plane_depth_m, exr.plane_depth_m, atol=5.1e-4)
+    np.testing.assert_allclose(images.ambient, exr.ambient)
+
+
+def test_the_scale_of_the_plane_depth_is_metres_per_unit(tmp_path, camera):
+    colour = encode_exposed(RADIANCE, 1)
+    in_metres = image_frame(tmp_path, camera, colour, np.full((HEIGHT, WIDTH), 2, np.uint16), depth_scale=1.0)
+    assert (in_metres.plane_depth_m == 2).all()
+
+
+def test_plane_depth_of_16_bits_keeps_its_largest_value_and_its_holes(tmp_path, camera):
+    plane_depth = np.full((HEIGHT, WIDTH), 65535, np.uint16)
+    plane_depth[0] = 0
+    frame = image_frame(tmp_path, camera, encode_exposed(RADIANCE, 1), plane_depth)
+    np.testing.assert_allclose(frame.plane_depth_m[1:], 65.535, rtol=1e-6)
+    assert not frame.plane_depth_m[0].any()
+    assert np.isnan(unproject_frame(frame).points_m[:WIDTH]).all()
+
+
+@pytest.mark.parametrize("factor", [1, 2, 7.5])
+def test_colour_of_another_size_is_averaged_in_linear_light(tmp_path, camera, factor):
+    size = (round(HEIGHT * factor), round(WIDTH * factor))
+    stripes = np.zeros((*size, 3), np.uint8)
+    stripes[::2] = 255
+    frame = image_frame(tmp_path, camera, stripes)
+    if factor == 2:
+        assert (frame.srgb_u8 == round(float(linear_to_srgb(0.5)) * 255)).all()
+    share = stripes[..., 0].mean() / 255
+    assert srgb_to_linear(frame.srgb_u8 / 255).mean() == pytest.approx(share, abs=3e-3)
+
+
+def test_intrinsics_of_the_colour_image_serve_the_smaller_plane_depth(tmp_path):
+    large = {"width": 320, "height": 240, "fx": 200.0, "fy": 200.0, "cx": 160.0, "cy": 120.0}
+    camera = read_camera(write_camera(tmp_path / "camera.json", **large))
+    frame = image_frame(tmp_path, camera, np.full((240, 320, 3), 90, np.uint8))
+    assert frame.intrinsics == INTRINSICS
+    assert (frame.srgb_u8 == 90).all()
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), *(st.integers(1, 9) for _ in range(4)))
+def test_area_averaging_equals_averaging_a_finely_repeated_image(seed, height, width, new_height, new_width):
+    image = np.random.default_rng(seed).random((height, width, 3))
+    fine = image.repeat(new_height, axis=0).repeat(new_width, axis=1)
+    expected = fine.reshape(new_height, height, new_width, width, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(area_averaged(image, new_height, new_width), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("mode", ["L", "RGBA", "P", "LA", "CMYK"])
+def test_colour_images_of_other_kinds_are_read(tmp_path, camera, mode):
+    path = tmp_path / "colour.tiff"
+    Image.fromarray(np.full((HEIGHT, WIDTH, 3), 102, np.uint8)).convert(mode).save(path)
+    frame = read_frame(path, camera, plane_depth=write_image(tmp_path / "plane_depth.png", MILLIMETRES))
+    assert (np.abs(frame.srgb_u8.astype(int) - 102) <= 1).all()
+
+
+def test_a_jpeg_is_read(tmp_path, camera):
+    path = write_image(tmp_path / "colour.jpg", np.full((HEIGHT, WIDTH, 3), 120, np.uint8))
+    frame = read_frame(path, camera, plane_depth=write_image(tmp_path / "plane_depth.png", MILLIMETRES))
+    assert (np.abs(frame.srgb_u8.astype(int) - 120) <= 2).all()
+
+
+COLOUR = encode_exposed(RADIANCE, 1)
+
+
+@pytest.mark.parametrize(
+    ("colour", "plane_depth", "options", "said"),
+    [
+        (COLOUR, MILLIMETRES.astype(np.uint8), {}, "expected a grey image of 16 bits"),
+        (COLOUR, COLOUR, {}, "expected a grey image of 16 bits"),
+        (MILLIMETRES, MILLIMETRES, {}, "expected a colour image of 8 bits"),
+        (COLOUR, MILLIMETRES[:, :20], {}, "expected the same ratio"),
+        (COLOUR[:20], MILLIMETRES, {}, "expected the same ratio"),
+        (COLOUR[:, :20], MILLIMETRES[:, :20], {}, "the intrinsics are for 32x24"),
+        (COLOUR, MILLIMETRES * 0, {}, "no pixel has a valid plane depth"),
+        (COLOUR, MILLIMETRES, {"depth_scale": 0.0}, "depth scale"),
+        (COLOUR, MILLIMETRES, {"depth_scale": np.nan}, "depth scale"),
+        (COLOUR, MILLIMETRES, {"exposure": -1.0}, "exposure"),
+        (COLOUR, MILLIMETRES, {"exposure": np.inf}, "exposure"),
+    ],
+)
+def test_images_that_are_no_frame_are_refused(tmp_path, camera, colour, plane_depth, options, said):
+    with pytest.raises(ValueError, match=said):
+        image_frame(tmp_path, camera, colour, plane_depth, **options)
+
+
+@pytest.mark.parametrize("n_bytes", [0, 5, 30, 60, 150])
+def test_an_image_that_is_cut_short_is_refused(tmp_path, camera, n_bytes):
+    path = write_image(tmp_path / "colour.png", np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH, 3), np.uint8))
+    path.write_bytes(path.read_bytes()[:n_bytes])
+    with pytest.raises(ValueError, match=r"colour\.png: expected an image"):
+        read_frame(path, camera, plane_depth=write_image(tmp_path / "plane_depth.png", MILLIMETRES))
+
+
+def test_a_photo_that_is_stored_turned_is_refused(tmp_path, camera):
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.fromarray(COLOUR).save(tmp_path / "colour.jpg", exif=exif)
+    with pytest.raises(ValueError, match="save it upright"):
+        read_frame(tmp_path / "colour.jpg", camera, plane_depth=write_image(tmp_path / "d.png", MILLIMETRES))
+
+
+def test_a_colour_image_alone_is_refused(tmp_path, camera):
+    with pytest.raises(ValueError, match="needs a 16-bit image of plane depth"):
+        read_frame(write_image(tmp_path / "colour.png", COLOUR), camera)
+
+
+def test_files_that_are_missing_are_named(tmp_path, camera):
+    colour = write_image(tmp_path / "colour.png", COLOUR)
+    with pytest.raises(FileNotFoundError, match=r"none\.exr"):
+        read_frame(tmp_path / "none.exr", camera)
+    with pytest.raises(FileNotFoundError, match=r"none\.png"):
+        read_frame(colour, camera, plane_depth=tmp_path / "none.png")
+    with pytest.raises(FileNotFoundError, match=r"none\.json"):
+        read_camera(tmp_path / "none.json")
+
+
+def test_without_pillow_the_extra_to_install_is_named(tmp_path):
+    write_image(tmp_path / "colour.png", COLOUR)
+    camera = write_camera(tmp_path / "camera.json")
+    code = (
+        "import sys; sys.modules['PIL'] = None\n"
+        "from pathlib import Path; from xihenet.frame_files import read_camera, read_frame\n"
+        f"colour = Path({str(tmp_path / 'colour.png')!r})\n"
+        f"try: read_frame(colour, read_camera(Path({str(camera)!r})), plane_depth=colour)\n"
+        "except ImportError as error: print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert "xihe-blender[images]" in done.stdout
+
+
+# -------------------------------------------------------------------------------------------------------------- camera
+
+
+def points_of(tmp_path, frame_path, **changes):
+    frame = read_frame(frame_path, read_camera(write_camera(tmp_path / "camera.json", **changes)), exposure=1)
+    return unproject_frame(frame).points_m
+
+
+def some_pose(seed):
+    rotation, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    pose = np.eye(4)
+    pose[:3, :3] = rotation * np.linalg.det(rotation)
+    pose[:3, 3] = [1, -2, 3]
+    return pose
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_same_camera_in_opencv_axes_sees_the_same_points(tmp_path, seed):
+    exr, pose = write_exr(tmp_path / "frame.exr", RADIANCE, PLANE_DEPTH_M), some_pose(seed)
+    opencv_pose = pose.copy()
+    opencv_pose[:, 1:3] *= -1  # its y and z axes point the other way
+    ours = points_of(tmp_path, exr, world_from_camera=pose.tolist())
+    theirs = points_of(tmp_path, exr, world_from_camera=opencv_pose.tolist(), convention="opencv")
+    np.testing.assert_allclose(theirs, ours, atol=1e-6)
+
+
+def test_an_opencv_camera_at_the_origin_of_a_world_like_its_own_looks_along_plus_z_with_y_down(tmp_path):
+    exr = write_exr(tmp_path / "frame.exr", RADIANCE, PLANE_DEPTH_M)
+    points = points_of(tmp_path, exr, world_from_camera=np.eye(4).tolist(), convention="opencv")
+    points = points.reshape(HEIGHT, WIDTH, 3)
+    np.testing.assert_allclose(points[..., 2], PLANE_DEPTH_M, rtol=1e-6)
+    assert points[0, 0, 0] < 0 < points[0, -1, 0] and points[0, 0, 1] < 0 < points[-1, 0, 1]
+
+
+def test_a_world_with_y_up_is_turned_upright(tmp_path):
+    # An upright phone of ARKit at the origin looks along its world's -Z, which is Blender's +Y.
+    exr = write_exr(tmp_path / "frame.exr", RADIANCE, PLANE_DEPTH_M)
+    turned = points_of(tmp_path, exr, world_from_camera=np.eye(4).tolist(), up="y")
+    np.testing.assert_allclose(turned, points_of(tmp_path, exr), atol=1e-6)
+    camera = read_camera(write_camera(tmp_path / "camera.json", up="y"))
+    np.testing.assert_array_equal(camera.blender_from_file @ [1, 2, -3], [1, 3, 2])
+
+
+def changed_pose(change):
+    pose = LOOKING_ALONG_Y.copy()
+    change(pose)
+    return {"world_from_camera": pose.tolist()}
+
+
+def _singular(pose):
+    pose[:3, 0] = pose[:3, 1]
+
+
+def _scaled(pose):
+    pose[:3, :3] *= 2
+
+
+def _mirrored(pose):
+    pose[:3, 0] *= -1
+
+
+def _sheared(pose):
+    pose[0, 1] = 0.1
+
+
+def _not_finite(pose):
+    pose[0, 3] = np.nan
+
+
+def _transposed(pose):
+    pose[3, :3] = [1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (changed_pose(_singular), "singular"),
+        (changed_pose(_scaled), "without scale or shear"),
+        (changed_pose(_mirrored), "mirrors"),
+        (changed_pose(_sheared), "without scale or shear"),
+        (changed_pose(_not_finite), "world_from_camera: expected finite numbers"),
+        (changed_pose(_transposed), "transpose it"),
+        ({"world_from_camera": [[1, 0], [0, 1]]}, "four rows of four numbers"),
+        ({"world_from_camera": [[1, 0, 0, 0], [0]]}, "four rows of four numbers"),
+        ({"world_from_camera": "identity"}, "four rows of four numbers"),
+        ({"world_from_camera": None}, "world_from_camera is missing"),
+        ({"fx": None}, "fx is missing"),
+        ({"fx": "20"}, "fx: expected a number"),
+        ({"fx": np.nan}, "focal lengths must be positive"),
+        ({"cy": np.inf}, "principal point must be finite"),
+        ({"fy": 0}, "focal lengths must be positive"),
+        ({"width": 32.5}, "whole number"),
+        ({"width": np.nan}, "whole number"),
+        ({"width": True}, "expected a number"),
+        ({"height": 0}, "at least one pixel"),
+        ({"convention": "OpenGL"}, "convention: expected 'blender' or 'opencv'"),
+        ({"up": ["y"]}, "up: expected 'z' or 'y'"),
+    ],
+)
+def test_a_camera_that_cannot_be_is_refused(tmp_path, changes, said):
+    with pytest.raises(ValueError, match=rf"camera\.json: .*{said}"):
+        read_camera(write_camera(tmp_path / "camera.json", **changes))
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "3", '"camera"', "\ufeff{}", json.dumps({})])
+def test_a_camera_file_without_a_camera_is_refused(tmp_path, text):
+    path = tmp_path / "camera.json"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=r"camera\.json"):
+        read_camera(path)
+
+
+def test_a_pose_in_single_precision_is_accepted(tmp_path):
+    pose = some_pose(5).astype(np.float32).astype(float)
+    camera = read_camera(write_camera(tmp_path / "camera.json", world_from_camera=pose.tolist()))
+    np.testing.assert_array_equal(camera.world_from_camera, pose)

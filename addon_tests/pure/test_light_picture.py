@@ -1,0 +1,186 @@
+"""Pictures of light: what the three spheres show under light that is known."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad
+
+from xihenet import sh
+from xihenet.colour import linear_to_srgb
+from xihenet.light_picture import (
+    BACKGROUND,
+    SILVER_ROUGHNESS,
+    light_picture,
+    silver_lobe,
+    sphere_mask,
+    sphere_transfer,
+    three_spheres,
+)
+
+RADIANCE = np.array([0.2, 0.5, 0.8])
+MIRROR, SILVER, DIFFUSE = range(3)
+SIZE = 33  # odd, so that one pixel is the very centre
+
+
+def constant(radiance):
+    light = np.zeros((9, 3))
+    light[0] = 2 * np.sqrt(np.pi) * np.asarray(radiance)
+    return light
+
+
+def towards(*direction, strength=1.0):
+    """Light that comes mostly from one direction, equal in all channels and positive everywhere."""
+    light = constant([1.0, 1.0, 1.0])
+    light[1:4] += strength * sh.basis([direction])[0, 1:4, None]
+    return light
+
+
+def random_light(seed):
+    return np.random.default_rng(seed).normal(size=(9, 3))
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 16, 33])
+def test_constant_light_shows_itself_on_all_three_spheres(size):
+    shown = three_spheres(constant(RADIANCE), size)
+    on_spheres = shown[:, sphere_mask(size)]
+    np.testing.assert_allclose(on_spheres, np.broadcast_to(RADIANCE, on_spheres.shape), rtol=1e-12)
+    assert not shown[:, ~sphere_mask(size)].any()
+
+
+@pytest.mark.parametrize(
+    ("direction", "bright", "dark"),
+    [
+        ((1, 0, 0), (16, 28), (16, 4)),
+        ((-1, 0, 0), (16, 4), (16, 28)),
+        ((0, 0, 1), (4, 16), (28, 16)),
+        ((0, 0, -1), (28, 16), (4, 16)),
+        ((0, -1, 0), (16, 16), (16, 31)),
+    ],
+)
+@pytest.mark.parametrize("sphere", [MIRROR, SILVER, DIFFUSE])
+def test_each_sphere_is_bright_on_the_side_that_the_light_comes_from(sphere, direction, bright, dark):
+    shown = three_spheres(towards(*direction), SIZE)[sphere, ..., 0]
+    assert shown[bright] > shown[dark] + 0.05
+
+
+def test_the_mirror_shows_what_is_behind_the_camera_at_its_centre_and_what_is_before_it_at_its_rim():
+    light = towards(0, 1, 0)
+    shown = three_spheres(light, 401)[MIRROR, 200]
+    behind, before = sh.basis([(0, -1, 0), (0, 1, 0)]) @ light
+    np.testing.assert_allclose(shown[200], behind, rtol=1e-12)
+    np.testing.assert_allclose(shown[[0, 400]], [before, before], rtol=0.01)
+
+
+def test_half_way_to_the_rim_the_mirror_looks_sideways():
+    # A normal 45 degrees off the view turns the view by 90 degrees: 2 (k + 0.5) / size - 1 = sqrt(1/2).
+    light, size = random_light(1), 501
+    column = round((1 + np.sqrt(0.5)) * size / 2 - 0.5)
+    shown = three_spheres(light, size)[MIRROR]
+    right, top = sh.basis([(1, 0, 0), (0, 0, 1)]) @ light
+    np.testing.assert_allclose(shown[250, column], right, atol=0.02)
+    np.testing.assert_allclose(shown[size - 1 - column, 250], top, atol=0.02)
+
+
+def test_the_diffuse_sphere_shows_irradiance_over_pi():
+    light = random_light(2)
+    z, x = np.nonzero(sphere_mask(SIZE))
+    x, z = (2 * x + 1) / SIZE - 1, 1 - (2 * z + 1) / SIZE
+    normals = np.stack([x, -np.sqrt(1 - x**2 - z**2), z], axis=1)
+    shown = three_spheres(light, SIZE)[DIFFUSE, sphere_mask(SIZE)]
+    np.testing.assert_allclose(shown, sh.irradiance(light, normals) / np.pi, atol=1e-12)
+
+
+def test_the_lobe_of_the_silver_sphere_is_the_ggx_lobe_integrated_by_another_method():
+    alpha_squared = SILVER_ROUGHNESS**4
+
+    def lobe(angle):
+        ndf = alpha_squared / (np.pi * (np.cos(angle / 2) ** 2 * (alpha_squared - 1) + 1) ** 2)
+        return ndf * np.cos(angle) * np.sin(angle)
+
+    legendre = (lambda c: 1.0, lambda c: c, lambda c: (3 * c * c - 1) / 2)
+    bands = [quad(lambda angle, p=p: lobe(angle) * p(np.cos(angle)), 0, np.pi / 2)[0] for p in legendre]
+    np.testing.assert_allclose(silver_lobe(), np.array(bands) / bands[0], rtol=1e-7)
+
+
+def test_silver_lies_between_the_mirror_and_the_diffuse_sphere():
+    diffuse = sh.cosine_lobe(2) / np.pi
+    assert silver_lobe()[0] == pytest.approx(1)
+    assert (diffuse[1:] < silver_lobe()[1:]).all() and (silver_lobe()[1:] < 1).all()
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), scale=st.floats(-1e3, 1e3), size=st.integers(1, 20))
+def test_pictures_add_up_as_light_does(seed, scale, size):
+    one, other = random_light(seed), random_light(seed + 1)
+    both = three_spheres(one + scale * other, size)
+    apart = three_spheres(one, size) + scale * three_spheres(other, size)
+    np.testing.assert_allclose(both, apart, atol=1e-9 * (1 + abs(scale)))
+
+
+def test_turning_the_light_about_the_view_turns_the_picture():
+    quarter = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # +Z goes to +X: clockwise in the picture
+    light = random_light(3)
+    turned = three_spheres(sh.rotate(light, quarter), 24)
+    np.testing.assert_allclose(turned, np.rot90(three_spheres(light, 24), -1, axes=(1, 2)), atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [1, 2, 7, 32])
+def test_the_transfer_has_a_row_for_each_pixel_of_the_mask_in_row_order(size):
+    transfer, light = sphere_transfer(size), random_light(4)
+    assert transfer.shape == (3, np.count_nonzero(sphere_mask(size)), 9)
+    np.testing.assert_array_equal(three_spheres(light, size)[:, sphere_mask(size)], transfer @ light)
+    assert not transfer.flags.writeable
+
+
+def test_the_mask_is_a_disc_that_fills_the_picture():
+    assert sphere_mask(400).mean() == pytest.approx(np.pi / 4, rel=1e-3)
+    mask = sphere_mask(31)
+    assert mask[15].all() and mask[:, 15].all() and not mask[0, 0]
+    np.testing.assert_array_equal(mask, mask[::-1].T)
+
+
+def test_light_below_zero_is_kept_in_numbers_and_black_in_the_picture():
+    light = towards(1, 0, 0, strength=9.0)
+    assert three_spheres(light, SIZE).min() < -0.5
+    picture = light_picture(light, panorama_height=64, margin=4)
+    panorama = picture[4:68, 4:132]
+    assert (panorama[32, 32] == 0).all() and (panorama[32, 96] == 255).all()
+
+
+@pytest.mark.parametrize(("height", "margin"), [(256, 16), (64, 0), (50, 7)])
+def test_the_picture_of_constant_light_is_that_colour_on_the_background_with_equal_margins(height, margin):
+    picture = light_picture(constant(RADIANCE), panorama_height=height, margin=margin)
+    colour, grey = np.rint(linear_to_srgb(RADIANCE) * 255), round(BACKGROUND * 255)
+    size = (2 * height - 2 * margin) // 3
+    assert picture.shape == (height + size + 3 * margin, 2 * height + 2 * margin, 3)
+    assert picture.dtype == np.uint8
+    assert (picture[margin : margin + height, margin : margin + 2 * height] == colour).all()
+    below = picture[2 * margin + height :, margin : margin + 2 * height]
+    for column in (size // 2, height, 2 * height - 1 - size // 2):
+        assert (below[size // 2, column] == colour).all()
+    border = np.ones(picture.shape[:2], bool)
+    border[margin : border.shape[0] - margin, margin : border.shape[1] - margin] = False
+    assert (picture[border] == grey).all()
+
+
+def test_the_panorama_of_the_picture_has_plus_x_on_the_right():
+    picture = light_picture(towards(1, 0, 0), panorama_height=64, margin=4).astype(int)
+    assert picture[36, 4 + 96].sum() > picture[36, 4 + 32].sum() + 50
+
+
+@pytest.mark.parametrize(
+    "light", [np.zeros((4, 3)), np.zeros((9, 4)), np.full((9, 3), np.nan), np.full((9, 3), np.inf)]
+)
+def test_what_is_no_light_of_order_2_is_refused(light):
+    with pytest.raises(ValueError, match="spher"):
+        three_spheres(light, 8)
+    with pytest.raises(ValueError, match="spher"):
+        light_picture(light)
+
+
+def test_a_picture_without_room_is_refused():
+    with pytest.raises(ValueError, match="at least one pixel"):
+        sphere_mask(0)
+    with pytest.raises(ValueError, match="no room"):
+        light_picture(constant(RADIANCE), panorama_height=8, margin=8)

@@ -1,0 +1,358 @@
+"""How does one RGB-D frame from anywhere become an `RgbdFrame`?
+
+Colour and plane depth come as an OpenEXR file (linear, with a Z pass, as renderers write it) or as a colour image with
+a 16-bit image of plane depth (as phones and depth cameras deliver it); intrinsics and pose come as JSON. Whatever does
+not fit together is refused with what was found: a frame that is read wrongly gives a light that looks right.
+
+The two images may differ in size. Colour is then averaged over the area of each depth pixel, in linear light;
+enlarging plane depth instead was rejected, since it invents surfaces between near and far ones. Colour is taken as
+sRGB or linear Rec.709: colour profiles inside files are not applied. Not here: lens distortion, and images that do not
+show the same field of view.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xihenet.camera import encode_exposed, metered_exposure, sensed_ambient, valid_plane_depth
+from xihenet.colour import srgb_to_linear
+from xihenet.records import ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
+
+EXR_MAGIC = b"\x76\x2f\x31\x01"
+PLANE_DEPTH_CHANNELS = ("Depth.Z", "Depth.V", "Z")
+ORIENTATION_TAG = 0x0112
+SAME_ASPECT = 0.01
+"""Sizes whose ratios of width to height differ by less show the same field: rounding moves 256x144 by 0.4 %."""
+
+POSE_TOLERANCE = 1e-3
+"""Of a rotation's rows and columns, as poses are written with four digits."""
+
+BLENDER_FROM_OPENCV_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])
+BLENDER_FROM_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+"""A platform's (x, y, z) with +Y up is Blender's (x, -z, y)."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameCamera:
+    """What a camera file says, in Blender's axes.
+
+    Parameters
+    ----------
+    intrinsics : of either image of the frame, or of any other size that shows the same field
+    world_from_camera : (4, 4) float64
+    blender_from_file : (3, 3) what turns positions in the file's world into Blender's; the identity with +Z up
+    """
+
+    intrinsics: Intrinsics
+    world_from_camera: ArrayF64
+    blender_from_file: ArrayF64
+
+
+def read_frame(
+    path: Path,
+    camera: FrameCamera,
+    *,
+    plane_depth: Path | None = None,
+    depth_scale: float = 1e-3,
+    exposure: float | None = None,
+) -> RgbdFrame:
+    """One frame from files; what `path` is shows in its first bytes, not in its name.
+
+    Parameters
+    ----------
+    path : OpenEXR file with colour and plane depth, or a colour image of 8 bits
+    camera : from `read_camera`
+    plane_depth : 16-bit image of plane depth, 0 where there is none; for a colour image, and only for one
+    depth_scale : metres per unit of that image
+    exposure : to be applied to an OpenEXR file (None meters it); of a colour image the one it was taken with (None: 1)
+
+    Returns
+    -------
+    RgbdFrame of the size of the plane depth, at least one pixel of which is valid; pixels without a valid one are 0.
+
+    Raises
+    ------
+    OSError : if a file is missing or cannot be read
+    ValueError : if what the files hold is no frame
+    ImportError : without the package that reads the files, naming the extra that brings it
+    """
+    if exposure is not None and not (np.isfinite(exposure) and exposure > 0):
+        raise ValueError(f"exposure: expected a positive factor, got {exposure}")
+    with path.open("rb") as file:
+        is_exr = file.read(4) == EXR_MAGIC
+    if is_exr:
+        if plane_depth is not None:
+            raise ValueError(f"{path} is an OpenEXR file and brings its own plane depth: leave out {plane_depth}")
+        return _exr_frame(path, camera, exposure)
+    if plane_depth is None:
+        raise ValueError(f"{path} is no OpenEXR file: a colour image needs a 16-bit image of plane depth as well")
+    if not (np.isfinite(depth_scale) and depth_scale > 0):
+        raise ValueError(f"depth scale: expected a positive number of metres per unit, got {depth_scale}")
+    return _image_frame(path, plane_depth, depth_scale, camera, 1.0 if exposure is None else exposure)
+
+
+# -------------------------------------------------------------------------------------------------------------- camera
+
+
+def read_camera(path: Path) -> FrameCamera:
+    """Intrinsics and pose from a JSON file.
+
+    Keys: `width`, `height`, `fx`, `fy`, `cx`, `cy` in pixels (pixel centres at +0.5) and `world_from_camera`, four rows
+    of four, metres. Optional: `convention`, "blender" (the camera looks down -Z with +Y up, as in ARKit and OpenGL;
+    the default) or "opencv" (down +Z with +Y down); `up`, "z" (the default) or "y", the world's vertical.
+
+    Raises
+    ------
+    OSError : if the file cannot be read
+    ValueError : if something is missing, of the wrong kind, not finite, or the pose is no rotation and translation
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path}: expected JSON, and could not read it ({error})") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{path}: expected a JSON object with width, height, fx, fy, cx, cy and world_from_camera")
+    try:
+        width, height = (_whole_number(content, name) for name in ("width", "height"))
+        intrinsics = Intrinsics(width, height, *(_number(content, name) for name in ("fx", "fy", "cx", "cy")))
+        pose = _pose(_entry(content, "world_from_camera"))
+        is_opencv = _choice(content, "convention", ("blender", "opencv")) == "opencv"
+        is_y_up = _choice(content, "up", ("z", "y")) == "y"
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    blender_from_file = BLENDER_FROM_Y_UP if is_y_up else np.eye(4)
+    pose = blender_from_file @ pose @ (BLENDER_FROM_OPENCV_CAMERA if is_opencv else np.eye(4))
+    return FrameCamera(intrinsics, pose, blender_from_file[:3, :3])
+
+
+def _entry(content: dict[str, Any], name: str) -> Any:
+    if name not in content:
+        raise ValueError(f"{name} is missing")
+    return content[name]
+
+
+def _number(content: dict[str, Any], name: str) -> float:
+    value = _entry(content, name)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{name}: expected a number, got {value!r}")
+    return float(value)
+
+
+def _whole_number(content: dict[str, Any], name: str) -> int:
+    value = _number(content, name)
+    if not value.is_integer():
+        raise ValueError(f"{name}: expected a whole number of pixels, got {value}")
+    return int(value)
+
+
+def _choice(content: dict[str, Any], name: str, allowed: tuple[str, ...]) -> str:
+    """One of `allowed`, of which the first is the default."""
+    value = content.get(name, allowed[0])
+    if value not in allowed:
+        raise ValueError(f"{name}: expected {' or '.join(map(repr, allowed))}, got {value!r}")
+    return str(value)
+
+
+def _pose(rows: Any) -> ArrayF64:
+    """(4, 4) of nested lists; ValueError unless it is a rotation and a translation."""
+    try:
+        pose = np.array(rows, np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError("world_from_camera: expected four rows of four numbers") from error
+    if pose.shape != (4, 4):
+        raise ValueError(f"world_from_camera: expected four rows of four numbers, got an array of shape {pose.shape}")
+    if not np.isfinite(pose).all():
+        raise ValueError("world_from_camera: expected finite numbers, got NaN or infinity")
+    if not np.allclose(pose[3], [0, 0, 0, 1], rtol=0, atol=POSE_TOLERANCE):
+        raise ValueError(f"world_from_camera: expected the last row 0 0 0 1, got {pose[3].tolist()}: transpose it?")
+    _check_rotation(pose[:3, :3])
+    return pose
+
+
+def _check_rotation(axes: ArrayF64) -> None:
+    error = float(np.abs(axes.T @ axes - np.eye(3)).max())
+    determinant = float(np.linalg.det(axes))
+    if abs(determinant) < POSE_TOLERANCE:
+        raise ValueError("world_from_camera: it is singular, its axes do not span space; expected a rotation")
+    if error > POSE_TOLERANCE:
+        raise ValueError(f"world_from_camera: expected a rotation without scale or shear, got an error of {error:.3g}")
+    if determinant < 0:
+        raise ValueError("world_from_camera: it mirrors; expected right-handed axes (negate one of them)")
+
+
+def _same_field(width: int, height: int, other_width: int, other_height: int) -> bool:
+    """Whether images of two sizes can show the same field of view."""
+    return abs(width * other_height / (height * other_width) - 1) < SAME_ASPECT
+
+
+def _intrinsics_for(camera: Intrinsics, width: int, height: int) -> Intrinsics:
+    """The same field of view in another number of pixels. ValueError for another ratio of width to height."""
+    if not _same_field(camera.width, camera.height, width, height):
+        raise ValueError(
+            f"the intrinsics are for {camera.width}x{camera.height} pixels and the plane depth has {width}x{height}: "
+            "expected the same ratio of width to height"
+        )
+    across, down = width / camera.width, height / camera.height
+    return Intrinsics(width, height, camera.fx * across, camera.fy * down, camera.cx * across, camera.cy * down)
+
+
+def _frame(
+    srgb_u8: ArrayU8, plane_depth_m: ArrayF32, camera: FrameCamera, exposure: float, source: Path, fix: str
+) -> RgbdFrame:
+    """The record; ValueError with `fix` in it if no plane depth is valid."""
+    is_valid = valid_plane_depth(plane_depth_m)
+    if not is_valid.any():
+        raise ValueError(
+            f"{source}: no pixel has a valid plane depth (all are 0, negative, not finite or misses): {fix}"
+        )
+    height, width = plane_depth_m.shape
+    return RgbdFrame(
+        srgb_u8,
+        np.where(is_valid, plane_depth_m, np.float32(0)),
+        _intrinsics_for(camera.intrinsics, width, height),
+        camera.world_from_camera,
+        exposure,
+        sensed_ambient(srgb_u8, exposure),
+    )
+
+
+# ------------------------------------------------------------------------------------------------------------- OpenEXR
+
+
+def read_exr_channels(path: Path) -> dict[str, ArrayF32]:
+    """Every channel of an OpenEXR file as (H, W) float32 by its full name, such as "ViewLayer.Combined.R".
+
+    Row 0 is the top. Blender 4.x writes all passes as one part, 5.x one part per pass; both come as one table.
+    OSError or RuntimeError if the file is missing or no OpenEXR file. Without an error OpenEXR leaves out a part whose
+    pixels are broken: a file that is cut short has no channels.
+    """
+    import OpenEXR
+
+    channels: dict[str, ArrayF32] = {}
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        for part in file.parts:
+            for name, channel in part.channels.items():
+                channels[name] = channel.pixels.astype(np.float32, copy=False)
+    return channels
+
+
+def _exr_frame(path: Path, camera: FrameCamera, exposure: float | None) -> RgbdFrame:
+    try:
+        channels = read_exr_channels(path)
+    except RuntimeError as error:
+        raise ValueError(f"{path}: expected an OpenEXR file, and could not read it ({error})") from error
+    if not channels:
+        raise ValueError(f"{path}: its pixels cannot be read, it may be cut short: save it again")
+    colour, plane_depth_channel = _frame_channels(channels, path)
+    radiance = np.stack([channels[name] for name in colour], axis=-1)
+    plane_depth_m = channels[plane_depth_channel]
+    if radiance.shape[:2] != plane_depth_m.shape:
+        sizes = f"{radiance.shape[:2]} and {plane_depth_m.shape}"
+        raise ValueError(f"{path}: expected colour and plane depth of one size, got {sizes} (rows, columns)")
+    if exposure is None:
+        is_finite = np.isfinite(radiance).all(axis=2)
+        exposure = metered_exposure([radiance[is_finite]]) if is_finite.any() else 1.0
+    fix = "save the Z pass too, and let the camera see surfaces"
+    return _frame(encode_exposed(radiance, exposure), plane_depth_m, camera, exposure, path, fix)
+
+
+def _frame_channels(channels: dict[str, ArrayF32], path: Path) -> tuple[list[str], str]:
+    """Names of R, G, B and of the plane depth of one layer; of several, the first in the file with both."""
+    befores = [name[:-1] for name in channels if name == "R" or name.endswith(".R")]
+    colours = {
+        before: [before + c for c in "RGB"] for before in befores if {before + "G", before + "B"} <= channels.keys()
+    }
+    if not colours:
+        raise ValueError(f"{path}: expected colour as R, G, B or <layer>.Combined.R, G, B, found {_found(channels)}")
+    for before, colour in colours.items():
+        layer = before.removesuffix("Combined.")
+        for name in PLANE_DEPTH_CHANNELS:
+            if layer + name in channels:
+                return colour, layer + name
+    raise ValueError(
+        f"{path}: expected plane depth as Z, Depth.V or <layer>.Depth.Z beside the colour, found {_found(channels)}: "
+        "save the Z pass too"
+    )
+
+
+def _found(channels: dict[str, ArrayF32]) -> str:
+    names = sorted(channels)
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+
+
+# -------------------------------------------------------------------------------------------------------------- images
+
+
+def _image_frame(
+    colour_path: Path, plane_depth_path: Path, depth_scale: float, camera: FrameCamera, exposure: float
+) -> RgbdFrame:
+    plane_depth_m = _plane_depth_image(plane_depth_path, depth_scale)
+    srgb_u8 = _colour_image(colour_path)
+    (height, width), (colour_height, colour_width) = plane_depth_m.shape, srgb_u8.shape[:2]
+    if not _same_field(colour_width, colour_height, width, height):
+        raise ValueError(
+            f"{colour_path} has {colour_width}x{colour_height} pixels and {plane_depth_path} {width}x{height}: "
+            "expected the same ratio of width to height, of one field of view"
+        )
+    if (colour_height, colour_width) != (height, width):
+        srgb_u8 = encode_exposed(area_averaged(srgb_to_linear(srgb_u8 / np.float32(255)), height, width), 1.0)
+    fix = "0 stands for none, check the image"
+    return _frame(srgb_u8, plane_depth_m, camera, exposure, plane_depth_path, fix)
+
+
+def area_averaged(image: NDArray[Any], height: int, width: int) -> ArrayF64:
+    """`image` (H, W, C) in another size: each new pixel is the mean over the area it covers, parts of pixels included.
+
+    (height, width, C) float64. The mean of the whole image stays what it was; larger sizes repeat pixels.
+    """
+    return _averaged_rows(_averaged_rows(image, height).swapaxes(0, 1), width).swapaxes(0, 1)
+
+
+def _averaged_rows(image: NDArray[Any], n_rows: int) -> ArrayF64:
+    """Means between evenly spaced edges: differences of the running sum, which is linear inside a row."""
+    edges = np.arange(n_rows + 1) * len(image) / n_rows
+    row = np.minimum(edges.astype(np.intp), len(image) - 1)
+    before = np.concatenate([np.zeros_like(image[:1], np.float64), np.cumsum(image, axis=0, dtype=np.float64)])
+    at_edges = before[row] + (edges - row)[:, None, None] * image[row]
+    averaged: ArrayF64 = np.diff(at_edges, axis=0) * (n_rows / len(image))
+    return averaged
+
+
+def _colour_image(path: Path) -> ArrayU8:
+    """(H, W, 3) sRGB. Grey becomes equal channels; alpha is left out."""
+    image = _opened(path)
+    if image.mode.startswith(("I", "F")):
+        raise ValueError(f"{path}: expected a colour image of 8 bits, got pixels of mode {image.mode}")
+    return np.asarray(image.convert("RGB"))
+
+
+def _plane_depth_image(path: Path, depth_scale: float) -> ArrayF32:
+    image = _opened(path)
+    if not image.mode.startswith("I"):
+        raise ValueError(f"{path}: expected a grey image of 16 bits, got pixels of mode {image.mode}")
+    plane_depth_m: ArrayF32 = (np.asarray(image).astype(np.float64) * depth_scale).astype(np.float32)
+    return plane_depth_m
+
+
+def _opened(path: Path) -> Any:
+    """The picture in memory. ValueError if it is none, is cut short, or is stored turned."""
+    try:
+        from PIL import Image
+    except ImportError as error:
+        raise ImportError("colour images are read by pillow: pip install 'xihe-blender[images]'") from error
+    content = path.open("rb")
+    with content:
+        try:
+            image = Image.open(content)
+            image.load()
+        except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
+            raise ValueError(f"{path}: expected an image, and could not read it ({error})") from error
+    if image.getexif().get(ORIENTATION_TAG, 1) != 1:
+        raise ValueError(f"{path} is stored turned, as its EXIF orientation says: save it upright and without the mark")
+    return image
