@@ -25,7 +25,16 @@ from xihenet.codec import EncodingMethod, encode_cloud
 from xihenet.completeness import coverage
 from xihenet.estimators.base import EstimateContext
 from xihenet.recording import SessionRecorder
-from xihenet.records import ArrayF64, Intrinsics, LightEstimate, PointCloud, RgbdFrame, StepReport, TriggerDecision
+from xihenet.records import (
+    ArrayF64,
+    Intrinsics,
+    LightEstimate,
+    PointCloud,
+    RgbdFrame,
+    StepReport,
+    TriggerDecision,
+    UnitSphereCloud,
+)
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice, NearestMethod
 from xihenet.trigger import TriggerSettings, decide_trigger
@@ -153,13 +162,9 @@ class XiheController:
     def _estimate(self, buffers: PositionBuffers, context: EstimateContext) -> LightEstimate:
         """The light from the persistent cloud. Only a cloud with a set anchor gives a valid one."""
         cloud, exposure = buffers.persistent, self.reference_exposure or 1.0
-        return LightEstimate(
-            self.backend.estimate(cloud, context),
-            exposure,
-            coverage(cloud),
-            self.backend.name,
-            is_valid=bool(cloud.is_set.any()),
-        )
+        sh_radiance, expected_error = _estimate_with_error(self.backend, cloud, context)
+        is_valid = bool(cloud.is_set.any())
+        return LightEstimate(sh_radiance, exposure, coverage(cloud), self.backend.name, is_valid, expected_error)
 
     def estimate_at(self, position_m: ArrayLike) -> LightEstimate:
         """The light at `position_m` as far as the last frame shows it, now and whatever the trigger thinks.
@@ -184,6 +189,16 @@ class XiheController:
         """Stop, and return how many frames were kept; 0 if nothing was being recorded."""
         recorder, self._recorder = self._recorder, None
         return recorder.n_frames if recorder else 0
+
+
+def _estimate_with_error(
+    backend: InferenceBackend, cloud: UnitSphereCloud, context: EstimateContext
+) -> tuple[ArrayF64, float | None]:
+    """The error is None from a backend that gives light alone."""
+    if hasattr(backend, "estimate_with_error"):
+        sh_radiance, expected_error = backend.estimate_with_error(cloud, context)
+        return sh_radiance, expected_error
+    return backend.estimate(cloud, context), None
 
 
 @dataclass
