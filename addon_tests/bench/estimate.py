@@ -19,7 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from xihenet.estimators.lattice import WEIGHTS_FOLDER, Lattice
-from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights, load_weights, save_weights
+from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights, load_weights
+from xihenet.estimators.weights_format import save_weights
 from xihenet.records import UnitSphereCloud
 
 N_ANCHORS = 1280

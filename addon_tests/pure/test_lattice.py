@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 
 from xihenet.colour import linear_to_srgb
+from xihenet.estimators.ambient import constant_light
+from xihenet.estimators.base import EstimateContext
 from xihenet.estimators.lattice import Lattice
-from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights, load_weights, save_weights
+from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights, load_weights
 from xihenet.estimators.lattice_tables import pooling_matrix, pooling_table, quadrature_matrix, slot_order
 from xihenet.estimators.projection import Projection
-from xihenet.records import UnitSphereCloud
+from xihenet.estimators.weights_format import save_weights
+from xihenet.records import Intrinsics, RgbdFrame, UnitSphereCloud
 from xihenet.sh_basis import basis
 from xihenet.sphere import AnchorLattice
 
@@ -292,3 +295,21 @@ def test_other_sizes_and_numbers_of_clouds_give_the_same_in_a_batch(tmp_path, le
         np.testing.assert_allclose(
             light[k], estimator.estimate(UnitSphereCloud(*(part[k] for part in clouds))), atol=1e-5
         )
+
+
+def test_next_to_nothing_seen_leans_on_the_phones_sensor_and_constant_light_stays(weights_file):
+    estimator, rng = Lattice(1280, weights=weights_file), np.random.default_rng(0)
+    sensed = np.array([0.3, 0.2, 0.1])
+    frame = RgbdFrame(
+        np.zeros((1, 1, 3), np.uint8), np.ones((1, 1)), Intrinsics(1, 1, 1, 1, 0.5, 0.5), np.eye(4), 1.0, sensed
+    )
+    context, far = EstimateContext(frame=frame), []
+    for n_set in (1, 64, 600):
+        is_set = np.zeros(1280, bool)
+        is_set[rng.permutation(1280)[:n_set]] = True
+        cloud = UnitSphereCloud(rng.random((1280, 3)) * is_set[:, None], 2.0 * is_set, is_set)
+        alone, with_sensor = estimator.estimate(cloud), estimator.estimate(cloud, context)
+        far.append(np.abs(with_sensor - alone).max() / np.abs(constant_light(sensed) - alone).max())
+        constant = UnitSphereCloud(linear_to_srgb(sensed) * is_set[:, None], 2.0 * is_set, is_set)
+        np.testing.assert_allclose(estimator.estimate(constant, context), constant_light(sensed), atol=1e-5)
+    assert far[0] > 0.9 and far[1] < 0.01 and far[2] < 1e-12

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from xihenet.estimators.lattice import Lattice
-from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights, save_weights
+from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights
+from xihenet.estimators.weights_format import save_weights
 from xihenet.nets import batch
 from xihenet.nets.batch import estimate_batch_torch
 

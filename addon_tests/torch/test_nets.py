@@ -5,8 +5,9 @@ import pytest
 import torch
 
 from xihenet.estimators.lattice import Lattice
-from xihenet.estimators.lattice_format import LatticeArchitecture, save_weights
+from xihenet.estimators.lattice_format import LatticeArchitecture
 from xihenet.estimators.pointconv import PointConvArchitecture
+from xihenet.estimators.weights_format import save_weights
 from xihenet.nets.lattice import LatticeNet, weights_of
 from xihenet.nets.pointconv import PointConvNet, farthest_points
 

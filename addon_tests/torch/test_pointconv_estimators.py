@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from xihenet.estimators.base import EstimateContext
-from xihenet.estimators.lattice_format import load_weights, save_weights
+from xihenet.estimators.lattice_format import load_weights
 from xihenet.estimators.pointconv import PointAR, PointConvArchitecture, XiheNet, load_pointconv_weights
+from xihenet.estimators.weights_format import save_weights
 from xihenet.nets.pointconv import PointConvNet, weights_of
 from xihenet.records import PointCloud, UnitSphereCloud
 from xihenet.sphere import AnchorLattice

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 import torch
 
+from xihenet.camera import encode_exposed
 from xihenet.colour import linear_to_srgb
 from xihenet.estimators.lattice import Lattice
-from xihenet.records import PointCloud
+from xihenet.panorama import evaluate_panorama
+from xihenet.records import PointCloud, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sh import project_anchors, rotate
 from xihenet.sh_basis import basis
@@ -18,16 +20,15 @@ from xihenet.training import __main__ as command_line
 from xihenet.training.dataset import (
     SAMPLINGS,
     CacheSettings,
+    RoomChange,
     build_cache,
     open_split,
     rotation_about_vertical,
-    turned_cloud,
 )
 from xihenet.training.export import export_lattice
-from xihenet.training.loop import TrainSettings, train, training_loss
+from xihenet.training.loop import TrainSettings, hide_caps, train, training_loss
 from xihenet.training.networks import Batch, load_network, run_network
-from xihenet.training.report import fit_linear, make_report
-from xihenet.training.rooms import read_room, split_of
+from xihenet.training.rooms import pairs_that_count, read_room, split_of
 
 N = 96
 TINY_POINTCONV = {"centroids": (16, 4), "n_neighbours": 4}
@@ -47,9 +48,11 @@ def write_room(path, index):
     pose = np.eye(4)
     pose[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
     tint = rng.random(3)
+    radiance = rng.random((2, 12, 16, 3)) * tint
     np.savez_compressed(
         path / f"room_{index:06d}.npz",
-        srgb_u8=(rng.random((2, 12, 16, 3)) * 255 * tint).astype(np.uint8),
+        srgb_u8=encode_exposed(radiance, 2.0),
+        radiance=radiance.astype(np.float16),
         plane_depth_m=(1 + 2 * rng.random((2, 12, 16))).astype(np.float16),
         world_from_camera=np.stack([pose, pose]),
         intrinsics=np.array([16, 12, 10, 10, 8, 6.0]),
@@ -77,7 +80,7 @@ def rooms(tmp_path_factory):
 def caches(rooms, tmp_path_factory):
     folder = tmp_path_factory.mktemp("caches")
     for sampling in SAMPLINGS:
-        build_cache(rooms, folder / sampling, CacheSettings(N, sampling, turns_per_pair=2, merged_per_position=2))
+        build_cache(rooms, folder / sampling, CacheSettings(N, sampling, changes_per_pair=2, merged_per_position=2))
     return {sampling: folder / sampling for sampling in SAMPLINGS}
 
 
@@ -109,11 +112,54 @@ def test_turning_the_cloud_and_turning_the_light_are_the_same():
     cloud = PointCloud((position + 2 * directions).astype(np.float32), srgb)
     lattice = AnchorLattice(1280)
     for angle in (0.4, 2.0, 5.5):
-        seen = sample_unit_sphere(turned_cloud(cloud, position, angle), np.zeros(3), lattice)
+        change = RoomChange(angle)
+        seen = sample_unit_sphere(change.of_cloud(cloud, position, None), np.zeros(3), lattice)
         expected = rotate(light, rotation_about_vertical(angle))
+        np.testing.assert_allclose(change.of_light(light), expected)
         # Of the points around an anchor any may be the nearest by rounding: an anchor's width of noise stays.
         assert np.abs(project_anchors(seen, lattice) - expected).max() < 5e-3
         assert np.abs(light - expected).max() > 0.02
+
+
+def test_a_mirrored_cloud_shows_the_mirrored_light():
+    rng = np.random.default_rng(1)
+    light = rng.normal(size=(9, 3)) * 0.05
+    light[0] = 1.5
+    directions = AnchorLattice(20_000).directions
+    srgb = linear_to_srgb(basis(directions) @ light).astype(np.float32)
+    cloud = PointCloud((2 * directions).astype(np.float32), srgb)
+    for change in (RoomChange(0.0, True), RoomChange(2.0, True)):
+        seen = sample_unit_sphere(change.of_cloud(cloud, np.zeros(3), None), np.zeros(3), AnchorLattice(1280))
+        expected = change.of_light(light)
+        assert np.abs(project_anchors(seen, AnchorLattice(1280)) - expected).max() < 5e-3
+        assert np.abs(change.of_light(expected) - expected).max() > 0.02
+
+
+def test_a_brighter_room_is_clipped_as_its_picture_would_be(rooms):
+    room = read_room(next(iter(sorted(rooms.glob("*.npz")))))
+    gains = np.array([2.0, 1.5, 0.5])
+    cloud = RoomChange(gains=gains).of_cloud(room.views[0], np.zeros(3), room.radiance[0])
+    encoded = linear_to_srgb(np.clip(room.radiance[0] * gains, 0, 1))
+    assert np.abs(cloud.srgb - encoded).max() <= 0.5 / 255 + 1e-6
+    ldr, hdr = room.truth(0, gains)
+    unchanged_ldr, unchanged_hdr = room.truth(0, np.ones(3))
+    np.testing.assert_allclose(hdr, unchanged_hdr * gains)
+    assert (ldr[0] <= hdr[0] + 1e-12).all() and ldr[0, 0] < 2 * unchanged_ldr[0, 0]
+
+
+def test_other_colours_need_the_linear_ones(rooms):
+    room = read_room(next(iter(sorted(rooms.glob("*.npz")))))
+    with pytest.raises(ValueError, match="radiance"):
+        RoomChange(gains=np.full(3, 1.2)).of_cloud(room.views[0], np.zeros(3), None)
+
+
+def test_changes_are_of_any_angle_and_no_more_than_a_factor_of_2_5():
+    rng = np.random.default_rng(0)
+    changes = [RoomChange.drawn(CacheSettings(exposure_spread=2.0), rng) for _ in range(300)]
+    gains = np.array([change.gains for change in changes])
+    assert gains.min() > 0.39 and gains.max() < 2.51 and gains.std() > 0.5
+    assert 0.4 < np.mean([change.is_mirrored for change in changes]) < 0.6
+    assert np.histogram([change.angle for change in changes], 4, (0, 2 * np.pi))[0].min() > 50
 
 
 def test_the_cache_holds_what_was_asked_for(caches):
@@ -130,15 +176,49 @@ def test_truth_is_clipped_for_ldr_and_carries_the_exposure(caches, rooms):
     clouds = open_split(caches["sphere"], "test")
     index = int(clouds.room[0])
     room = read_room(rooms / f"room_{index:06d}.npz")
-    np.testing.assert_allclose(clouds.truth_ldr[0], room.truth_ldr[0], atol=1e-6)
+    np.testing.assert_allclose(clouds.truth_ldr[0], room.truth(0, np.ones(3))[0], atol=1e-6)
     with np.load(rooms / f"room_{index:06d}.npz") as stored:
         mean = 2.0 * stored["panoramas"][0].astype(float)
     assert (clouds.truth_hdr[0, 0] <= mean.max() * 4).all() and (clouds.truth_ldr[:, 0] <= clouds.truth_hdr[:, 0]).all()
-    assert (room.truth_ldr[:, 0] < 2 * np.sqrt(np.pi)).all() and room.truth_hdr[:, 0].max() > 0
+    assert (clouds.truth_ldr[:, 0] < 2 * np.sqrt(np.pi)).all() and clouds.truth_hdr[:, 0].max() > 0
+
+
+def test_the_whole_sphere_shows_the_probe_itself(tmp_path):
+    write_room(tmp_path, 0)
+    with np.load(tmp_path / "room_000000.npz") as stored:
+        content = dict(stored)
+    light = np.random.default_rng(0).normal(size=(9, 3)) * 0.03
+    light[0] = 1.5
+    content["panoramas"] = np.stack([evaluate_panorama(light, 64, 128) / 2.0] * 2).astype(np.float16)
+    np.savez_compressed(tmp_path / "room_000000.npz", **content)
+    build_cache(tmp_path, tmp_path / "cache", CacheSettings(1280, is_test_only=True, is_whole_sphere=True))
+    clouds = open_split(tmp_path / "cache", "test")
+    assert len(clouds) == 2 and clouds.is_set.all() and not len(open_split(tmp_path / "cache", "train"))
+    srgb, distance_m = clouds.srgb_u8[0] / np.float32(255), np.linalg.norm(clouds.points_m[0].astype(float), axis=1)
+    seen = UnitSphereCloud(srgb, distance_m.astype(np.float32), clouds.is_set[0])
+    assert np.abs(project_anchors(seen, AnchorLattice(1280)) - light).max() < 0.01
+
+
+def test_an_upright_phone_sees_the_middle_of_the_same_picture(rooms):
+    path = next(iter(sorted(rooms.glob("*.npz"))))
+    wide, upright = read_room(path), read_room(path, is_upright=True)
+    middle = np.arange(12 * 16).reshape(12, 16)[:, 3:12].ravel()  # 9 of 16 columns, 12 rows
+    moved = np.abs(wide.views[0].points_m[middle + 0] - upright.views[0].points_m)
+    assert np.nanmax(moved) < 1e-5
+    np.testing.assert_array_equal(wide.radiance[:, middle], upright.radiance)
+    np.testing.assert_array_equal(pairs_that_count(path, is_upright=True), upright.is_in_view)
+
+
+def test_a_cache_of_test_rooms_holds_the_same_test_clouds(rooms, caches, tmp_path):
+    settings = CacheSettings(N, "sphere", changes_per_pair=2, merged_per_position=2, only=("test",))
+    build_cache(rooms, tmp_path / "test", settings)
+    assert not len(open_split(tmp_path / "test", "train"))
+    whole, alone = open_split(caches["sphere"], "test"), open_split(tmp_path / "test", "test")
+    np.testing.assert_array_equal(whole.points_m, alone.points_m)
 
 
 def test_a_cache_is_the_same_twice_and_is_kept(rooms, caches, tmp_path):
-    settings = CacheSettings(N, "sphere", turns_per_pair=2, merged_per_position=2)
+    settings = CacheSettings(N, "sphere", changes_per_pair=2, merged_per_position=2)
     lines = []
     build_cache(rooms, tmp_path / "again", settings, lines.append)
     for file in sorted((caches["sphere"] / "train").iterdir()):
@@ -204,6 +284,21 @@ def test_the_expected_error_learns_the_mean_error(tmp_path):
     assert losses[0.3] < losses[0.2] and losses[0.3] < losses[0.4]
 
 
+def test_hidden_caps_leave_a_part_of_some_clouds_and_nothing_of_what_was_hidden():
+    rng = np.random.default_rng(0)
+    points = torch.from_numpy((3 * AnchorLattice(N).directions).astype(np.float32)).expand(200, N, 3)
+    is_set = torch.from_numpy(rng.random((200, N)) < 0.5)
+    is_set[0] = False
+    whole = Batch(torch.rand(200, N, 3) * is_set[..., None], points * is_set[..., None], is_set, torch.zeros(200, 9, 3))
+    hidden = hide_caps(whole, 0.5, rng)
+    n_changed = int((hidden.is_set != is_set).any(1).sum())
+    assert 60 < n_changed < 120 and not (hidden.is_set & ~is_set).any()
+    assert hidden.is_set.any(1)[1:].all() and not hidden.is_set[0].any()
+    assert not hidden.srgb[~hidden.is_set].any() and not hidden.points_m[~hidden.is_set].any()
+    assert torch.equal(hidden.srgb[hidden.is_set], whole.srgb[hidden.is_set])
+    assert torch.equal(hide_caps(whole, 0.0, rng).is_set, is_set)
+
+
 def test_an_exported_network_gives_what_the_trained_one_gives(caches, tmp_path):
     trained = train(quick(caches["sphere"], tmp_path, epochs=2))
     export_lattice(trained, tmp_path / "w.npz", data="noise", is_half=False)
@@ -224,41 +319,32 @@ def test_a_pointconv_network_cannot_be_exported_as_lattice_weights(caches, tmp_p
         export_lattice(trained, tmp_path / "w.npz")
 
 
-@pytest.mark.parametrize("is_merged", [False, True])
-def test_the_report_has_a_row_for_each_predictor(caches, tmp_path, is_merged):
-    lattice = train(quick(caches["sphere"], tmp_path / "lattice"))
-    pointar = train(quick(caches["uniform"], tmp_path / "p", estimator="pointar", options=TINY_POINTCONV, epochs=1))
-    report = make_report(caches, {"lattice": lattice, "uniform:pointar": pointar}, is_merged=is_merged)
-    names = ["ambient", "ambient, fitted", "projection", "projection, linear fit", "lattice", "pointar"]
-    assert [row.name for row in report.rows] == names and report.n_rooms == 2
-    assert report.n_clouds == (4 if is_merged else 6)
-    assert all(row.ratio > 0 for row in report.rows) and len(report.rows[4].calibration) == 3
-    assert json.loads(json.dumps(report.as_dict(), allow_nan=False))["n_clouds"] == report.n_clouds
-    assert all(f"| {name} |" in report.as_markdown() for name in names)
-
-
-def test_the_linear_fit_finds_a_linear_law():
-    rng = np.random.default_rng(0)
-    features, slopes, offset = rng.normal(size=(5000, 4)), rng.normal(size=(4, 27)), rng.normal(size=27)
-    fit = fit_linear(features, (features @ slopes + offset).reshape(-1, 9, 3))
-    np.testing.assert_allclose(fit, np.vstack([slopes, offset]), atol=5e-3)
-
-
 def test_the_command_line_trains_exports_and_reports(rooms, tmp_path, capsys):
-    common = ["--data", str(rooms), "--out", str(tmp_path), "--anchors", str(N), "--turns", "1", "--merged-clouds", "1"]
+    common = [
+        "--data",
+        str(rooms),
+        "--out",
+        str(tmp_path),
+        "--anchors",
+        str(N),
+        "--changes",
+        "1",
+        "--merged-clouds",
+        "1",
+    ]
     assert command_line.main(["train", *common, "--epochs", "1"]) == 0
     best = tmp_path / "lattice_ldr_0" / "best.pt"
     assert capsys.readouterr().out.strip() == str(best)
     assert command_line.main(["export", str(best), str(tmp_path / "w.npz")]) == 0
     assert Lattice(N, weights=tmp_path / "w.npz").n_anchors == N
-    clouds = f"sphere={tmp_path / f'clouds_sphere_{N}'}"
-    assert command_line.main(["report", "--clouds", clouds, "--network", f"ours={best}", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["rows"][-1]["name"] == "ours"
+    clouds = str(tmp_path / f"clouds_sphere_{N}")
+    assert command_line.main(["report", "--clouds", clouds, "--network", f"ours={best}", "--json", "-"]) == 0
+    assert json.loads(capsys.readouterr().out)["tables"][0]["rows"][-1]["name"] == "ours"
 
 
 @pytest.mark.parametrize(
     "arguments",
-    [["report", "--clouds", "sphere=/nowhere"], ["export", "/nowhere.pt", "/nowhere.npz"], ["report", "--clouds", "a"]],
+    [["report", "--clouds", "/nowhere"], ["export", "/nowhere.pt", "/nowhere.npz"], ["report", "--network", "a"]],
 )
 def test_a_users_mistake_is_one_line_and_exit_2(arguments, capsys):
     assert command_line.main(arguments) == 2

@@ -19,19 +19,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from xihenet.estimators.ambient import Ambient
 from xihenet.estimators.base import EstimateContext, Estimator, Target
+from xihenet.estimators.calibration import Calibration
 from xihenet.estimators.lattice_format import LatticeWeights, load_weights
 from xihenet.estimators.lattice_tables import N_SH, anchor_tables, pooling_matrix, quadrature_matrix, slot_order
+from xihenet.estimators.weights_format import WEIGHTS_FOLDER
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, UnitSphereCloud
 from xihenet.sh import L1_VARIANCE, RESIDUAL_NOISE, SMALLEST_PENALTY
-
-WEIGHTS_FOLDER = Path(__file__).resolve().parents[1] / "weights"
 
 SMALLEST_MEAN = 1e-3  # Darker clouds are not brightened further: it would be noise.
 CONTRAST_SCALE = 0.02  # Relative spread of the seen light at which the network is half trusted.
 CLIPPED_FROM = 0.995
 NEAREST_M = 0.05
 SMALLEST_SHARE = 1e-6
+SEEN_ENOUGH = 0.01  # Share of the sphere from which an estimate counts more than the ambient sensor.
 SMALLEST_ERROR = 1e-4
 N_DIRECTION_FEATURES = 3
 SQUARED_BAND = np.repeat(np.arange(3.0), [1, 3, 5]) ** 2
@@ -75,14 +77,23 @@ class Lattice(Estimator):
         if loaded.target != target:
             raise ValueError(f"{path}: expected weights for the target {target!r}, got {loaded.target!r}")
         self._network = LatticeNetwork(loaded, n_anchors)
+        self._calibration = Calibration.from_figures(loaded.figures)
+        self._sensor = Ambient(n_anchors, target)
 
     def estimate_with_error(
         self, cloud: UnitSphereCloud, context: EstimateContext | None = None
     ) -> tuple[ArrayF64, float | None]:
-        """As `estimate`, and the SHC RMSE that the network expects of it."""
+        """As `estimate`, and the SHC RMSE that is expected of it.
+
+        With a frame in the context, a cloud of which next to nothing is set leans on the phone's sensor; see
+        `lean_on_sensor`.
+        """
         self._check_size(cloud)
-        sh_radiance, expected_error = self._network.run(cloud.srgb[None], cloud.distance_m[None], cloud.is_set[None])
-        return self._checked(sh_radiance[0]), float(expected_error[0])
+        light, raw_error = self._network.run(cloud.srgb[None], cloud.distance_m[None], cloud.is_set[None])
+        if context is not None and context.frame is not None:
+            sensed = self._sensor.estimate(cloud, context)
+            light = lean_on_sensor(light, cloud.is_set.mean(keepdims=True), sensed[None])
+        return self._checked(light[0]), float(self._calibration.expected(raw_error)[0])
 
     def estimate_batch(self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike) -> ArrayF64:
         """(B, 9, 3) of B clouds; ValueError for shapes that do not fit and for colours or distances out of range."""
@@ -100,7 +111,7 @@ class Lattice(Estimator):
             sh_radiance[block], expected_error[block] = light, error
         if not np.isfinite(sh_radiance).all():
             raise ValueError("lattice: an estimate is not finite; refusing to pass it on")
-        return sh_radiance, expected_error
+        return sh_radiance, self._calibration.expected(expected_error)
 
     def _checked_batch(
         self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike
@@ -123,6 +134,17 @@ class Lattice(Estimator):
 
     def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> ArrayF64:
         return self.estimate_with_error(cloud, context)[0]
+
+
+def lean_on_sensor(sh_radiance: ArrayF64, coverage: ArrayF64, sensed: ArrayF64) -> ArrayF64:
+    """Lights (B, 9, 3) mixed with the ambient sensor's (B, 9, 3) where the coverage (B,) is next to nothing.
+
+    A few anchors say less than the mean of the whole picture. The estimate's share is 1 - exp(-coverage / SEEN_ENOUGH):
+    8 % for one anchor of 1280, 99 % from a twentieth of the sphere on. Constant light stays constant.
+    """
+    share = -np.expm1(-coverage / SEEN_ENOUGH)[:, None, None]
+    mixed: ArrayF64 = share * sh_radiance + (1 - share) * sensed
+    return mixed
 
 
 class LatticeNetwork:

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.estimators.base import EstimateContext, Estimator, Target
-from xihenet.estimators.lattice import WEIGHTS_FOLDER
-from xihenet.estimators.lattice_format import NetworkWeights, read_weights
+from xihenet.estimators.weights_format import WEIGHTS_FOLDER, NetworkWeights, read_weights
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, PointCloud, UnitSphereCloud
 from xihenet.sampling import sample_uniform
 from xihenet.sphere import AnchorLattice
@@ -174,12 +173,12 @@ class PointAR(_PointConv):
 def load_pointconv_weights(path: Path, estimator: str) -> PointConvWeights:
     """Read and check the PointConv weights of `estimator`; ValueError naming the file, and what to do if it is missing.
 
-    See `xihenet.estimators.lattice_format.read_weights`.
+    See `xihenet.estimators.weights_format.read_weights`.
     """
     if not path.exists():
         raise ValueError(
             f"{path}: expected {estimator} weights, found no file; train the network and export it "
-            "with `python -m xihenet.training train` and `export`, or choose another estimator"
+            "with `xihe train` and `xihe train export`, or choose another estimator"
         )
     return read_weights(path, estimator, _architecture_from)
 

@@ -1,32 +1,56 @@
-"""`python -m xihenet.training cache | train | report | export`: the command line of training, and nothing else."""
+"""`xihe train`, also `python -m xihenet.training`: the command line of training, and nothing else.
+
+xihe train --estimator NAME --data DIR --out DIR     train, or go on with a training
+xihe train --report ...                              how good the networks are
+xihe train cache | report | export ...               the single steps
+"""
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import NoReturn
 
 from xihenet.training.dataset import CacheSettings, build_cache
-from xihenet.training.export import export_lattice
+from xihenet.training.export import export_network
 from xihenet.training.loop import TrainSettings, train
 from xihenet.training.networks import SAMPLING_OF
-from xihenet.training.report import make_report
+from xihenet.training.report_command import add_report_options
+from xihenet.training.report_parts import calibrate_network
+
+STEPS = ("cache", "train", "report", "export")
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, without the usage that hides it."""
+
+    def error(self, message: str) -> NoReturn:
+        raise ValueError(f"{message}; see {self.prog} --help")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """0 done, 2 a user's mistake in one line on stderr, 130 interrupted: the same command goes on."""
-    options = _parser().parse_args(arguments)
     try:
+        options = _parser().parse_args(with_step(sys.argv[1:] if arguments is None else arguments))
         options.run(options)
     except (ValueError, OSError, ImportError) as error:
-        print(" ".join(str(error).split()), file=sys.stderr)
+        print(f"xihe train: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("stopped; the same command goes on from the last whole epoch", file=sys.stderr)
         return 130
     return 0
+
+
+def with_step(arguments: Sequence[str]) -> list[str]:
+    """The arguments with the step in front: what is named first, the report for `--report`, else training."""
+    words = list(arguments)
+    if "--report" in words:
+        return ["report", *(word for word in words if word != "--report")]
+    return words if words and (words[0] in STEPS or words[0] in ("-h", "--help")) else ["train", *words]
 
 
 def cache_folder(out: Path, sampling: str, n_anchors: int) -> Path:
@@ -35,25 +59,23 @@ def cache_folder(out: Path, sampling: str, n_anchors: int) -> Path:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m xihenet.training", description="Train the estimators' networks.")
+    parser = _Parser(prog="xihe train", description="Train the estimators' networks.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    _add_cache_options(commands.add_parser("cache", help="sample the rooms once"), _run_cache)
+    cache = commands.add_parser("cache", help="sample the rooms once")
+    _add_cache_options(cache, _run_cache)
+    _add_test_options(cache)
     training = commands.add_parser("train", help="train a network, or go on with it")
     _add_cache_options(training, _run_train)
     _add_train_options(training)
-    report = commands.add_parser("report", help="the table of errors on the test rooms")
-    report.add_argument("--clouds", nargs="+", required=True, metavar="SAMPLING=DIR", help="sphere=DIR and others")
-    report.add_argument("--network", nargs="*", default=[], metavar="[SAMPLING:]NAME=FILE.pt")
-    report.add_argument("--split", choices=("validation", "test"), default="test")
-    report.add_argument("--target", choices=("ldr", "hdr"), default="ldr")
-    report.add_argument("--merged", action="store_true", help="clouds of all views of a room instead of one")
-    report.add_argument("--json", action="store_true")
-    report.set_defaults(run=_run_report)
-    export = commands.add_parser("export", help="lattice weights for use without torch")
+    report = commands.add_parser("report", help="all figures, on the test rooms")
+    add_report_options(report)
+    export = commands.add_parser("export", help="weights as estimators read them")
     export.add_argument("network", type=Path)
     export.add_argument("out", type=Path)
     export.add_argument("--data", default="", help="what it was trained on, in words")
-    export.set_defaults(run=lambda o: export_lattice(o.network, o.out, data=o.data))
+    export.add_argument("--anchors", type=int, help="points it was trained with, for PointConv networks")
+    export.add_argument("--clouds", type=Path, help="whose validation rooms calibrate the expected error of lattice")
+    export.set_defaults(run=_run_export)
     return parser
 
 
@@ -62,9 +84,18 @@ def _add_cache_options(parser: argparse.ArgumentParser, run: object) -> None:
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="the rooms")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument("--anchors", type=int, default=1280)
-    parser.add_argument("--turns", type=int, default=4, help="training clouds of each pair")
-    parser.add_argument("--merged-clouds", type=int, default=4, help="merged training clouds of each position")
+    parser.add_argument("--changes", type=int, default=6, help="training clouds of each pair")
+    parser.add_argument("--merged-clouds", type=int, default=8, help="merged training clouds of each position")
     parser.set_defaults(run=run)
+
+
+def _add_test_options(parser: argparse.ArgumentParser) -> None:
+    """For clouds that are only reported on."""
+    add = parser.add_argument
+    add("--test-only", action="store_true", help="the test rooms and no others")
+    add("--all-rooms", action="store_true", help="every room as a test room: walks, scenes of no data set")
+    add("--whole-sphere", action="store_true", help="every anchor set, coloured by the light probe")
+    add("--upright", action="store_true", help="as a phone turned by 90 degrees sees the rooms")
 
 
 def _add_train_options(parser: argparse.ArgumentParser) -> None:
@@ -77,20 +108,38 @@ def _add_train_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--patience", type=int, default=15)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--keep-unset-at-origin", action="store_true", help="as the reference does (PointConv)")
+    parser.add_argument("--bfloat16", action="store_true", help="train in half precision (PointConv)")
+
+
+def _run_export(options: argparse.Namespace) -> None:
+    figures = {} if options.clouds is None else calibrate_network(options.network, [options.clouds]).as_figures()
+    export_network(options.network, options.out, data=options.data, figures=figures, n_points=options.anchors)
 
 
 def _run_cache(options: argparse.Namespace) -> Path:
     sampling = SAMPLING_OF[options.estimator]
-    settings = CacheSettings(options.anchors, sampling, options.turns, options.merged_clouds)
-    folder = cache_folder(options.out, sampling, options.anchors)
+    settings = CacheSettings(options.anchors, sampling, options.changes, options.merged_clouds)
+    name = cache_folder(options.out, sampling, options.anchors).name
+    if any(getattr(options, switch, False) for switch in ("test_only", "all_rooms", "whole_sphere", "upright")):
+        settings = replace(
+            settings, is_test_only=options.all_rooms, is_whole_sphere=options.whole_sphere,
+            is_upright=options.upright, only=("test",),
+        )  # fmt: skip
+        kinds = {"test": True, "whole": options.whole_sphere, "upright": options.upright}
+        name = "_".join([name, *(kind for kind, is_on in kinds.items() if is_on)])
+    folder: Path = options.out / name
     folder.parent.mkdir(parents=True, exist_ok=True)
     build_cache(options.data, folder, settings, _say)
     return folder
 
 
 def _run_train(options: argparse.Namespace) -> None:
-    if options.keep_unset_at_origin and options.estimator == "lattice":
-        raise ValueError("--keep-unset-at-origin: expected a PointConv network, got lattice")
+    switches = {
+        "keeps_unset_at_origin": options.keep_unset_at_origin,
+        "is_bfloat16_in_training": options.bfloat16,
+    }
+    if any(switches.values()) and options.estimator == "lattice":
+        raise ValueError("--keep-unset-at-origin and --bfloat16: expected a PointConv network, got lattice")
     cache = _run_cache(options)
     settings = TrainSettings(
         cache,
@@ -104,25 +153,9 @@ def _run_train(options: argparse.Namespace) -> None:
         weight_decay=options.weight_decay,
         patience=options.patience,
         device=options.device,
-        options={"keeps_unset_at_origin": True} if options.keep_unset_at_origin else {},
+        options={name: True for name, is_on in switches.items() if is_on},
     )
     print(train(settings, progress=_say))
-
-
-def _run_report(options: argparse.Namespace) -> None:
-    caches = {name: Path(folder) for name, folder in map(_named, options.clouds)}
-    networks = {name: Path(file) for name, file in map(_named, options.network)}
-    if "sphere" not in caches:
-        raise ValueError("--clouds: expected at least sphere=DIR")
-    report = make_report(caches, networks, split=options.split, target=options.target, is_merged=options.merged)
-    print(json.dumps(report.as_dict(), indent=1, allow_nan=False) if options.json else report.as_markdown())
-
-
-def _named(text: str) -> tuple[str, str]:
-    name, equals, value = text.partition("=")
-    if not (name and equals and value):
-        raise ValueError(f"expected NAME=PATH, got {text!r}")
-    return name, value
 
 
 def _say(line: str) -> None:

@@ -1,9 +1,10 @@
 """How do rooms become clouds with the light they should give, once and not once per epoch?
 
-Each pair of a view and a position in it becomes one cloud, unturned: those are what tables report on, as the paper
-does. Training gets more of each: the raw points turned about the vertical by a random angle, the light turned alike,
-and then sampled, so that a turned room meets the anchors as a real one would; and clouds merged from several views,
-as after a walk. All of a split lies in memory-mapped arrays: an epoch reads, it does not sample.
+Each pair of a view and a position in it becomes one cloud, as it is: those are what tables report on, as the paper
+does. Training gets more of each, changed as `RoomChange` says: turned about the vertical and perhaps mirrored, exposed
+otherwise and tinted before the picture is clipped, its light alike, and only then sampled, so that a changed room meets
+the anchors and the end of the range as a real one would; and clouds merged from several views, as after a walk. All of
+a split lies in memory-mapped arrays: an epoch reads, it does not sample.
 
 Rejected: turning sampled clouds by moving anchors, which leaves holes, and sampling in the loop, which costs more than
 the network.
@@ -14,7 +15,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,6 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xihenet.buffers import merge
+from xihenet.camera import encode_exposed
+from xihenet.colour import srgb_to_linear
 from xihenet.records import ArrayF64, PointCloud, UnitSphereCloud
 from xihenet.sampling import sample_farthest, sample_uniform, sample_unit_sphere
 from xihenet.sh import rotate
@@ -39,7 +42,10 @@ from xihenet.training.rooms import (
 
 Sampling = Literal["sphere", "uniform", "farthest"]
 SAMPLINGS: tuple[Sampling, ...] = ("sphere", "uniform", "farthest")
-CACHE_VERSION = 1
+CACHE_VERSION = 2
+ODD_IN_X = np.array([1, 1, 1, -1, -1, 1, 1, -1, 1.0])
+"""(9,) -1 for the spherical harmonics that change their sign with x."""
+
 _MAX_DISTANCE_M = 65504.0
 
 
@@ -51,22 +57,85 @@ class CacheSettings:
     ----------
     n_anchors : anchors, or points of the other samplings
     sampling : unit sphere, uniform random points (pointar) or farthest points
-    turns_per_pair : training clouds of each pair, the first unturned
+    changes_per_pair : training clouds of each pair, the first as it is
     merged_per_position : training clouds of each position merged from 1 to V views; elsewhere one of all views
-    seed : of the angles, the choice of views and the random points
+    exposure_spread, tint_spread : standard deviations of the logs of the gain of all channels and of each
+    is_test_only : every room counts as a test room: for walks, and for scenes that are of no data set
+    is_whole_sphere : one cloud per position of which every anchor is set, coloured by the light probe: the floor that
+        sampling and the network leave; distances that no view knows are the others' median
+    is_upright : pictures cut to the upright middle part that a phone turned by 90 degrees sees
+    only : splits whose clouds are made; the others stay empty
+    seed : of the changes, the choice of views and the random points
     """
 
     n_anchors: int = 1280
     sampling: Sampling = "sphere"
-    turns_per_pair: int = 4
-    merged_per_position: int = 4
+    changes_per_pair: int = 6
+    merged_per_position: int = 8
+    exposure_spread: float = 0.3
+    tint_spread: float = 0.06
+    is_test_only: bool = False
+    is_whole_sphere: bool = False
+    is_upright: bool = False
+    only: tuple[Split, ...] = SPLITS
     seed: int = 0
 
     def __post_init__(self) -> None:
         if self.sampling not in SAMPLINGS:
             raise ValueError(f"sampling: expected one of {', '.join(SAMPLINGS)}, got {self.sampling!r}")
-        if self.n_anchors < 1 or self.turns_per_pair < 1 or self.merged_per_position < 0:
+        if self.is_whole_sphere and self.sampling != "sphere":
+            raise ValueError(f"is_whole_sphere: expected unit-sphere sampling, got {self.sampling!r}")
+        numbers = (self.n_anchors - 1, self.changes_per_pair - 1, self.merged_per_position)
+        if min(*numbers, self.exposure_spread, self.tint_spread) < 0:
             raise ValueError(f"cache settings: expected positive numbers, got {asdict(self)}")
+
+    def split(self, seed: tuple[int, int]) -> Split:
+        """The split of a room."""
+        return "test" if self.is_test_only else split_of(seed)
+
+
+@dataclass(frozen=True, eq=False)
+class RoomChange:
+    """Another room made of one: mirrored left to right (x becomes -x), then turned; its light times `gains`.
+
+    Parameters
+    ----------
+    angle : about the vertical, anticlockwise seen from above, radians
+    is_mirrored : before it is turned
+    gains : (3,) of the linear light of each channel, before the picture is clipped
+    """
+
+    angle: float = 0.0
+    is_mirrored: bool = False
+    gains: ArrayF64 = field(default_factory=lambda: np.ones(3))
+
+    @classmethod
+    def drawn(cls, settings: CacheSettings, rng: np.random.Generator) -> RoomChange:
+        """Any angle, mirrored half of the time, gains as the settings say and no more than a factor of 2.5."""
+        log_gains = rng.normal(0.0, settings.exposure_spread) + rng.normal(0.0, settings.tint_spread, 3)
+        gains = np.exp(np.clip(log_gains, -np.log(2.5), np.log(2.5)))
+        return cls(float(rng.uniform(0, 2 * np.pi)), bool(rng.random() < 0.5), gains)
+
+    @property
+    def is_geometric_only(self) -> bool:
+        """Whether colours stay as they are."""
+        return bool((self.gains == 1).all())
+
+    def of_cloud(self, cloud: PointCloud, position_m: ArrayF64, radiance: NDArray[Any] | None) -> PointCloud:
+        """Points relative to the position; `radiance` (P, 3) of the same points is needed where colours change."""
+        relative = cloud.points_m.astype(np.float64) - position_m
+        relative[:, 0] *= -1.0 if self.is_mirrored else 1.0
+        points = (relative @ rotation_about_vertical(self.angle).T).astype(np.float32)
+        if self.is_geometric_only:
+            return PointCloud(points, cloud.srgb)
+        if radiance is None:
+            raise ValueError("training rooms: expected linear colours of the views (`radiance`), got a room without")
+        return PointCloud(points, encode_exposed(radiance * self.gains, 1.0).astype(np.float32) / np.float32(255))
+
+    def of_light(self, sh_radiance: ArrayF64) -> ArrayF64:
+        """Coefficients (9, 3) mirrored and turned; the gains are in them already."""
+        mirrored = sh_radiance * ODD_IN_X[:, None] if self.is_mirrored else sh_radiance
+        return rotate(mirrored, rotation_about_vertical(self.angle))
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,14 +189,15 @@ def build_cache(
     """
     files = room_files(data)
     seeds = {path: room_seed(path) for path in files}
-    wanted = {"version": CACHE_VERSION, **asdict(settings), "rooms": sorted(map(list, seeds.values()))}
+    wanted = {"version": CACHE_VERSION, **asdict(settings), "only": list(settings.only)}
+    wanted["rooms"] = sorted(map(list, seeds.values()))
     done = out / "settings.json"
     if done.exists() and json.loads(done.read_text()) == wanted:
         return
     beside = out.with_name(f".{out.name}.part")
     shutil.rmtree(beside, ignore_errors=True)
     for split in SPLITS:
-        members = [path for path in files if split_of(seeds[path]) == split]
+        members = [path for path in files if settings.split(seeds[path]) == split and split in settings.only]
         _build_split(members, seeds, beside / split, split, settings, progress)
     (beside / "settings.json").write_text(json.dumps(wanted))
     shutil.rmtree(out, ignore_errors=True)
@@ -149,19 +219,22 @@ def clouds_of_room(
     room: TrainingRoom, settings: CacheSettings, split: Split, rng: np.random.Generator
 ) -> Iterator[Any]:
     """The rows that a room gives: pairs first, then merged clouds."""
-    n_turns = settings.turns_per_pair if split == "train" else 1
+    if settings.is_whole_sphere:
+        yield from (_whole_sphere(room, position, settings, rng) for position in range(len(room.positions_m)))
+        return
+    is_training = split == "train"
     for view, position in np.argwhere(room.is_in_view):
-        for turn in range(n_turns):
-            angle = rng.uniform(0, 2 * np.pi) if turn else 0.0
-            yield _sample(room, [view], position, angle, settings, rng)
+        for i in range(settings.changes_per_pair if is_training else 1):
+            change = RoomChange.drawn(settings, rng) if i else RoomChange()
+            yield _sample(room, [view], position, change, settings, rng)
     n_views = len(room.views)
     for position in range(len(room.positions_m)):
-        if split != "train":
-            yield _sample(room, range(n_views), position, 0.0, settings, rng)
+        if not is_training:
+            yield _sample(room, range(n_views), position, RoomChange(), settings, rng)
             continue
         for _ in range(settings.merged_per_position):
             chosen = rng.permutation(n_views)[: rng.integers(1, n_views + 1)]
-            yield _sample(room, chosen, position, rng.uniform(0, 2 * np.pi), settings, rng)
+            yield _sample(room, chosen, position, RoomChange.drawn(settings, rng), settings, rng)
 
 
 def rotation_about_vertical(angle: float) -> ArrayF64:
@@ -170,19 +243,33 @@ def rotation_about_vertical(angle: float) -> ArrayF64:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def turned_cloud(cloud: PointCloud, position_m: ArrayF64, angle: float) -> PointCloud:
-    """Points relative to the position, turned about the vertical through it."""
-    relative = (cloud.points_m.astype(np.float64) - position_m) @ rotation_about_vertical(angle).T
-    return PointCloud(relative.astype(np.float32), cloud.srgb)
-
-
 def _sample(
-    room: TrainingRoom, views: Any, position: int, angle: float, settings: CacheSettings, rng: np.random.Generator
+    room: TrainingRoom, views: Any, position: int, change: RoomChange, settings: CacheSettings, rng: np.random.Generator
 ) -> _Sample:
-    turned = [turned_cloud(room.views[view], room.positions_m[position], angle) for view in views]
-    rotation = rotation_about_vertical(angle)
-    truth = (rotate(room.truth_ldr[position], rotation), rotate(room.truth_hdr[position], rotation))
-    return _Sample(_sampled(turned, settings, rng), truth, room.ambient[list(views)].mean(axis=0), len(turned))
+    place = room.positions_m[position]
+    clouds = [
+        change.of_cloud(room.views[view], place, None if room.radiance is None else room.radiance[view])
+        for view in views
+    ]
+    ldr, hdr = room.truth(position, change.gains)
+    # What the phone's sensor says: the mean of its pictures.
+    ambient = np.mean([srgb_to_linear(cloud.srgb).mean(axis=0) for cloud in clouds], axis=0)
+    return _Sample(_sampled(clouds, settings, rng), (change.of_light(ldr), change.of_light(hdr)), ambient, len(clouds))
+
+
+def _whole_sphere(room: TrainingRoom, position: int, settings: CacheSettings, rng: np.random.Generator) -> _Sample:
+    merged = _sample(room, range(len(room.views)), position, RoomChange(), settings, rng)
+    assert isinstance(merged.cloud, UnitSphereCloud)
+    panorama = room.panoramas[position]
+    x, y, z = AnchorLattice(settings.n_anchors).directions.T
+    height, width = panorama.shape[:2]
+    row = np.minimum((np.arccos(np.clip(z, -1, 1)) / np.pi * height).astype(int), height - 1)
+    column = ((0.5 + np.arctan2(x, y) / (2 * np.pi)) * width).astype(int) % width
+    srgb = encode_exposed(panorama[row, column], 1.0).astype(np.float32) / np.float32(255)
+    known = merged.cloud.is_set
+    median_m = float(np.median(merged.cloud.distance_m[known])) if known.any() else 1.0
+    distance_m = np.where(known, merged.cloud.distance_m, np.float32(median_m))
+    return replace(merged, cloud=UnitSphereCloud(srgb, distance_m, np.ones(len(known), bool)))
 
 
 def _sampled(
@@ -204,12 +291,13 @@ def _build_split(
     files: list[Path], seeds: dict[Path, tuple[int, int]], folder: Path, split: Split, settings: CacheSettings,
     progress: Callable[[str], None],
 ) -> None:  # fmt: skip
-    arrays = _open_arrays(folder, sum(_n_clouds(pairs_that_count(path), split, settings) for path in files), settings)
+    n_clouds = sum(_n_clouds(pairs_that_count(path, is_upright=settings.is_upright), split, settings) for path in files)
+    arrays = _open_arrays(folder, n_clouds, settings)
     row = 0
     for i, path in enumerate(files):
         # A generator per room: the same room gives the same clouds whatever other rooms there are.
         rng = np.random.default_rng([settings.seed, *seeds[path]])
-        for sample in clouds_of_room(read_room(path), settings, split, rng):
+        for sample in clouds_of_room(read_room(path, is_upright=settings.is_upright), settings, split, rng):
             _store(arrays, row, sample, settings)
             arrays["room"][row] = seeds[path][1]
             row += 1
@@ -221,8 +309,10 @@ def _build_split(
 
 def _n_clouds(is_in_view: NDArray[np.bool_], split: Split, settings: CacheSettings) -> int:
     n_pairs, n_positions = int(is_in_view.sum()), is_in_view.shape[1]
+    if settings.is_whole_sphere:
+        return n_positions
     if split == "train":
-        return n_pairs * settings.turns_per_pair + n_positions * settings.merged_per_position
+        return n_pairs * settings.changes_per_pair + n_positions * settings.merged_per_position
     return n_pairs + n_positions
 
 

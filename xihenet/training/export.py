@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from xihenet.estimators.lattice_format import NetworkWeights, save_weights
+from xihenet.estimators.weights_format import NetworkWeights, save_weights
 from xihenet.nets import lattice, pointconv
 from xihenet.training.networks import load_network
 

@@ -1,9 +1,10 @@
 """How is a network trained so that a stopped training, taken up again, ends where an undisturbed one does?
 
-Nothing random is left to chance or to a state that could be lost: the order of an epoch follows from the seed and the
-epoch's number, the learning rate from the step, and the networks draw nothing after they are made. So a checkpoint per
-epoch (weights, moving average, optimiser, history) is all there is to keep. What is judged, and kept in the end, is the
-moving average; training stops when it has not become better on the validation rooms for `patience` epochs.
+Nothing random is left to chance or to a state that could be lost: the order of an epoch and what is hidden in it follow
+from the seed and the epoch's number, the learning rate from the step, and the networks draw nothing after they are
+made. So a checkpoint per epoch (weights, moving average, optimiser, history) is all there is to keep. What is judged,
+and kept in the end, is the moving average; training stops when it has not become better on the validation rooms for
+`patience` epochs.
 
 The loss is on coefficients and on irradiance at fixed normals, which is what a lit surface shows; a Huber loss, so that
 the few HDR lights of a hundred times the mean do not rule the rest. The expected error is fitted to the RMSE that was
@@ -30,6 +31,7 @@ from xihenet.sh_basis import basis
 from xihenet.sphere import AnchorLattice
 from xihenet.training.dataset import CloudSet, open_split
 from xihenet.training.networks import (
+    Batch,
     TrainedNetwork,
     make_network,
     predict,
@@ -60,6 +62,7 @@ class TrainSettings:
     patience : epochs without a better validation error after which training stops
     irradiance_weight, error_weight : of the second and third part of the loss
     huber_delta : difference of coefficients from which the loss is linear
+    hidden_share : share of the training clouds of which a random cap is hidden, see `hide_caps`
     options : of the network's architecture
     device : torch device
     """
@@ -78,6 +81,7 @@ class TrainSettings:
     irradiance_weight: float = 0.5
     error_weight: float = 0.02
     huber_delta: float = 1.0
+    hidden_share: float = 0.3
     options: dict[str, Any] = field(default_factory=dict)
     device: str = "cpu"
 
@@ -133,6 +137,23 @@ def train(settings: TrainSettings, *, stop_after: int | None = None, progress: P
     return settings.out / "best.pt"
 
 
+def hide_caps(batch: Batch, share: float, rng: np.random.Generator) -> Batch:
+    """Of some clouds, leave only what lies within a random cap, as if a wall had been close to the phone.
+
+    The cap's axis points to anywhere, its half angle leaves 5 to 100 % of the sphere; a cloud that would have nothing
+    left stays whole. The light to be found stays the same.
+    """
+    n = len(batch.is_set)
+    axes = torch.from_numpy(rng.normal(size=(n, 3)).astype(np.float32)).to(batch.is_set.device)
+    is_chosen = torch.from_numpy(rng.random(n) < share).to(batch.is_set.device)
+    lowest_cosine = torch.from_numpy((1 - 2 * rng.uniform(0.05, 1.0, n)).astype(np.float32)).to(batch.is_set.device)
+    along = torch.einsum("bnc,bc->bn", nn.functional.normalize(batch.points_m, dim=2), nn.functional.normalize(axes))
+    left = batch.is_set & (along >= lowest_cosine[:, None])
+    is_set = torch.where((is_chosen & left.any(1))[:, None], left, batch.is_set)
+    known = is_set[..., None]
+    return Batch(batch.srgb * known, batch.points_m * known, is_set, batch.truth)
+
+
 def training_loss(light: Tensor, expected_error: Tensor | None, truth: Tensor, settings: TrainSettings) -> Tensor:
     """Scalar; light and truth (B, 9, 3)."""
     to_irradiance = torch.as_tensor(_irradiance_matrix(), device=light.device)
@@ -177,13 +198,14 @@ def _start_or_resume(settings: TrainSettings) -> _Run:
 def _train_epoch(run: _Run, clouds: CloudSet, settings: TrainSettings) -> float:
     """One pass; the mean loss."""
     run.net.train()
-    order = np.random.default_rng([settings.seed, run.epoch]).permutation(len(clouds))
+    rng = np.random.default_rng([settings.seed, run.epoch])
+    order = rng.permutation(len(clouds))
     batches = np.array_split(order, -(-len(order) // settings.batch_size))
     total = 0.0
     for rows in batches:
         for group in run.optimiser.param_groups:
             group["lr"] = _learning_rate(run.step, settings.epochs * len(batches), settings.learning_rate)
-        batch = read_batch(clouds, rows, settings.target, settings.device)
+        batch = hide_caps(read_batch(clouds, rows, settings.target, settings.device), settings.hidden_share, rng)
         light, expected_error = run_network(run.net, batch)
         loss = training_loss(light, expected_error, batch.truth, settings)
         run.optimiser.zero_grad()

@@ -1,220 +1,194 @@
-"""How good are the networks beside what needs no training, and where?
+"""How good are the networks beside what needs no training, where, and what bounds them?
 
-One table: SHC RMSE divided by the mean predictor's (which always says the mean light of the training rooms), so that
-figures of different data can be compared. The baselines are fitted like the networks, on the training rooms: a scale
-and an offset for the ambient light, and a regularised linear fit on top of the projection, which is a serious baseline.
-Rows are pooled over all coefficients of all clouds, as the paper's figures are. The test split is for this alone.
+All figures of the tables, for one target: errors of every predictor on clouds of one view, on clouds of all views of a
+room, and on whatever other groups are given (walks, scenes of others, the whole sphere); by coverage; by number of
+training rooms; by room; of the networks' own expectation; and under disturbances. Errors are divided by those of the
+mean predictor, which always says the mean light of the training rooms, on the same clouds, so that figures of different
+data can be compared. The test split is for this alone; to develop, ask for the validation split.
+
+Here it is said what a report is made of; `report_parts` makes the figures, `report_text` and `plots` show them.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from xihenet.estimators.ambient import constant_light
 from xihenet.estimators.base import Target
-from xihenet.records import ArrayBool, ArrayF64, UnitSphereCloud
-from xihenet.sh import project_anchors
-from xihenet.sh_basis import band_slice
-from xihenet.sphere import AnchorLattice
-from xihenet.training.dataset import CloudSet, open_split
-from xihenet.training.networks import load_network, predict
+from xihenet.estimators.calibration import SHARES_ASKED
+from xihenet.training.baselines import Baselines, fit_baselines
+from xihenet.training.groups import Group, main_folder, open_group, training_clouds
+from xihenet.training.predictions import NetworkSeeds, Predictions, joined, load_seeds, over_seeds, predict_group
+from xihenet.training.report_parts import (
+    SeedCalibrations,
+    coverage_curve,
+    group_table,
+    prediction_figures,
+    room_figures,
+    stress_group,
+)
 from xihenet.training.rooms import Split
+from xihenet.training.scores import COVERAGE_EDGES, DOMINANT_SHARE
+from xihenet.training.stress import CAP_SHARE, COLOUR_NOISE, DISTANCE_NOISE, DISTURBANCES, STRESS_LIMIT
 
-COVERAGE_EDGES = (0.0, 0.25, 0.4, 0.55, 0.7, 1.0)
-RIDGE = 3.0
-"""Penalty of the linear fits in clouds: that many clouds' worth of belief in the mean."""
-
-SHARES_ASKED = (0.5, 0.68, 0.9)
+REPORT_VERSION = 2
+ONE_VIEW, ALL_VIEWS, WALK, WHOLE = "one view", "all views of a room", "walk", "whole sphere"
 
 
-@dataclass(frozen=True, eq=False)
-class Row:
-    """One predictor's errors, each divided by the mean predictor's on the same clouds; None where there are no clouds.
+@dataclass(frozen=True)
+class ReportSettings:
+    """What a report is made of. Folders hold sampled clouds; one per sampling and number of anchors.
 
     Parameters
     ----------
-    ratio : over all clouds
-    by_band : of l = 0, 1, 2
-    by_coverage : of clouds between the `COVERAGE_EDGES`
-    calibration : for each of `SHARES_ASKED`, the share of clouds whose error is within the multiple of the expected
-        error that held that share of the validation clouds; empty where no error is expected
+    clouds : of the rooms that were trained on; the first of the sphere is what baselines see
+    networks : files by label, one for each seed; see `predictions.load_seeds`
+    split : "test", or "validation" to develop
+    target : "ldr" or "hdr"
+    walks, whole : clouds of walks, whose merged ones count, and of positions of which every direction is known
+    scenes : folders by the scene's name; all of its clouds of one view, and the merged ones
+    stress : folders by name, for the groups that need the rooms, such as other numbers of anchors
+    learning : files of networks by the number of rooms they were trained on
+    device : torch device
+    seed : of the disturbances
     """
 
-    name: str
-    ratio: float | None
-    by_band: tuple[float | None, ...]
-    by_coverage: tuple[float | None, ...]
-    calibration: tuple[float, ...] = ()
+    clouds: Sequence[Path]
+    networks: Mapping[str, Sequence[Path]] = field(default_factory=dict)
+    split: Split = "test"
+    target: Target = "ldr"
+    walks: Sequence[Path] = ()
+    whole: Sequence[Path] = ()
+    scenes: Mapping[str, Sequence[Path]] = field(default_factory=dict)
+    stress: Mapping[str, Sequence[Path]] = field(default_factory=dict)
+    learning: Mapping[int, Sequence[Path]] = field(default_factory=dict)
+    device: str = "cpu"
+    seed: int = 0
 
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """A table for one split and kind of cloud, and what it was made of."""
-
-    split: Split
-    target: Target
-    n_clouds: int
-    n_rooms: int
-    mean_predictor_rmse: float | None
-    rows: list[Row] = field(default_factory=list)
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON: numbers, strings and None."""
-        head = {name: getattr(self, name) for name in ("split", "target", "n_clouds", "n_rooms", "mean_predictor_rmse")}
-        return {**head, "coverage_edges": list(COVERAGE_EDGES), "rows": [vars(row) for row in self.rows]}
-
-    def as_markdown(self) -> str:
-        """The table as text."""
-        edges = itertools.pairwise(COVERAGE_EDGES)
-        columns = ["predictor", "all", "l = 0", "l = 1", "l = 2", *(f"{a:.0%} to {b:.0%} seen" for a, b in edges)]
-        lines = [f"| {' | '.join(columns)} |", "|" + " --- |" * len(columns)]
-        for row in self.rows:
-            cells = [_cell(value) for value in (row.ratio, *row.by_band, *row.by_coverage)]
-            lines.append(f"| {row.name} | {' | '.join(cells)} |")
-        notes = [f"{r.name}: of errors promised for {_percent(SHARES_ASKED)} came {_percent(r.calibration)}"
-                 for r in self.rows if r.calibration]  # fmt: skip
-        head = (
-            f"{self.split}, {self.target}: {self.n_clouds} clouds of {self.n_rooms} rooms, SHC RMSE / mean predictor's"
-        )
-        return "\n".join([head, "", *lines, "", *notes])
-
-
-def make_report(
-    caches: Mapping[str, Path], networks: Mapping[str, Path], *, split: Split = "test", target: Target = "ldr",
-    is_merged: bool = False, device: str = "cpu",
-) -> Report:  # fmt: skip
-    """The table for clouds of one view, or of all views of a room if `is_merged`.
+    """Plain figures: numbers, strings, None, lists and dictionaries of such.
 
     Parameters
     ----------
-    caches : folder of sampled clouds by sampling; "sphere" must be there, "uniform" and "farthest" for their networks
-    networks : file of a trained network by the name of its row, `<sampling>:<name>` where that is not "sphere"
-
-    Raises
-    ------
-    ValueError : for a missing cache, a file that is no network, or one that was trained for the other target
+    head : split, target, what baselines were fitted to, definitions
+    tables : one per group of clouds
+    curve : error against coverage in narrow bins
+    learning : error against the number of training rooms
+    rooms : how unevenly the error is spread over clouds and rooms
+    calibration : of the networks that expect an error
+    stress : under disturbances, beside `ambient`
     """
-    fitted_on, all_clouds = open_split(caches["sphere"], "train"), open_split(caches["sphere"], split)
-    chosen = (all_clouds.n_views > 1) if is_merged else (all_clouds.n_views == 1)
-    truth = all_clouds.truth(target)[chosen].astype(np.float64)
-    coverage = all_clouds.is_set[chosen].mean(axis=1) if chosen.any() else np.zeros(0)
-    mean_light = np.broadcast_to(fitted_on.truth(target).mean(axis=0, dtype=np.float64), truth.shape)
-    yardstick = mean_light - truth
-    n_rooms = len(np.unique(all_clouds.room[chosen]))
-    report = Report(split, target, len(truth), n_rooms, _rms(yardstick))
-    for name, light in _baselines(fitted_on, all_clouds, target).items():
-        report.rows.append(_row(name, light[chosen] - truth, yardstick, coverage))
-    for label, path in networks.items():
-        sampling, _, name = label.rpartition(":")
-        trained = load_network(path, device)
-        if trained.target != target:
-            raise ValueError(f"{path}: expected a network trained for {target!r}, got {trained.target!r}")
-        clouds = open_split(caches[sampling or "sphere"], split)
-        light, expected = predict(trained.net, clouds, target, device)
-        row = _row(name, light[chosen] - truth, yardstick, coverage)
-        if expected is not None and len(truth):
-            limits = error_quantiles(path, caches[sampling or "sphere"], device)
-            made = _per_cloud(light[chosen] - truth) / expected[chosen]
-            row = replace(row, calibration=tuple(float(np.mean(made <= limit)) for limit in limits))
-        report.rows.append(row)
-    return report
+
+    head: dict[str, Any]
+    tables: list[dict[str, Any]]
+    curve: dict[str, Any]
+    learning: list[dict[str, Any]]
+    rooms: list[dict[str, Any]]
+    calibration: list[dict[str, Any]]
+    stress: list[dict[str, Any]]
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"version": REPORT_VERSION, **asdict(self)}
 
 
-def error_quantiles(network: Path, cache: Path, device: str = "cpu") -> tuple[float, ...]:
-    """How many times the expected error holds each of `SHARES_ASKED` of the validation clouds, merged ones included.
-
-    ValueError if the network expects no error or there are no validation clouds.
-    """
-    trained, clouds = load_network(network, device), open_split(cache, "validation")
-    light, expected = predict(trained.net, clouds, trained.target, device)
-    if expected is None or not len(clouds):
-        raise ValueError(f"{network}: expected a network that knows its error, and validation clouds")
-    made = _per_cloud(light - clouds.truth(trained.target).astype(np.float64)) / expected
-    return tuple(float(np.quantile(made, share)) for share in SHARES_ASKED)
-
-
-def projected(clouds: CloudSet) -> ArrayF64:
-    """(M, 9, 3) what `projection` says of every cloud."""
-    lattice = AnchorLattice(clouds.is_set.shape[1])
-    lights = [
-        project_anchors(UnitSphereCloud(srgb / np.float32(255), np.zeros(len(known), np.float32), known), lattice)
-        for srgb, known in zip(clouds.srgb_u8, clouds.is_set, strict=True)
-    ]
-    return np.array(lights).reshape(-1, 9, 3)
-
-
-def fit_linear(features: ArrayF64, truth: NDArray[Any]) -> ArrayF64:
-    """(F + 1, 27) ridge regression from features (M, F) to coefficients (M, 9, 3), the offset unpenalised and last."""
-    means, answers = features.mean(axis=0), truth.reshape(len(truth), -1).astype(np.float64)
-    spread = features.std(axis=0) + 1e-9
-    centred = (features - means) / spread
-    gram = centred.T @ centred + RIDGE * np.eye(len(means))
-    slopes = np.linalg.solve(gram, centred.T @ (answers - answers.mean(axis=0))) / spread[:, None]
-    return np.vstack([slopes, answers.mean(axis=0) - means @ slopes])
-
-
-def _baselines(fitted_on: CloudSet, clouds: CloudSet, target: Target) -> dict[str, ArrayF64]:
-    """(M, 9, 3) of each predictor that is no network."""
-    projection, of_training = projected(clouds), projected(fitted_on)
-    truth = fitted_on.truth(target)
-    return {
-        "ambient": np.array([constant_light(a) for a in clouds.ambient.astype(np.float64)]).reshape(-1, 9, 3),
-        "ambient, fitted": _apply_linear(fit_linear(fitted_on.ambient.astype(float), truth), clouds.ambient),
-        "projection": projection,
-        "projection, linear fit": _apply_linear(
-            fit_linear(_projection_features(of_training, fitted_on), truth), _projection_features(projection, clouds)
-        ),
-    }
-
-
-def _projection_features(projection: ArrayF64, clouds: CloudSet) -> ArrayF64:
-    """(M, 55): the coefficients, and again times the share not seen, and that share."""
-    unseen = 1 - clouds.is_set.mean(axis=1, keepdims=True)
-    flat = projection.reshape(len(projection), 27)
-    return np.concatenate([flat, flat * unseen, unseen], axis=1)
-
-
-def _apply_linear(fit: ArrayF64, features: NDArray[Any]) -> ArrayF64:
-    light: ArrayF64 = (features @ fit[:-1] + fit[-1]).reshape(-1, 9, 3)
-    return light
-
-
-def _row(name: str, error: ArrayF64, yardstick: ArrayF64, coverage: ArrayF64) -> Row:
-    groups = [(coverage >= a) & ((coverage < b) | (b == 1)) for a, b in itertools.pairwise(COVERAGE_EDGES)]
-    bands = [band_slice(band) for band in range(3)]
-    return Row(
-        name,
-        _ratio(error, yardstick),
-        tuple(_ratio(error[:, band], yardstick[:, band]) for band in bands),
-        tuple(_ratio(error[group], yardstick[group]) for group in groups),
+def make_report(settings: ReportSettings, progress: Callable[[str], None] = lambda line: None) -> Report:
+    """All figures. ValueError for a missing or broken folder or file, or networks of another kind or target."""
+    target, device = settings.target, settings.device
+    groups = _groups(settings)
+    networks = [load_seeds(label, files, target, device) for label, files in settings.networks.items()]
+    progress("fitting the baselines")
+    baselines = fit_baselines(training_clouds(main_folder(settings.clouds)), target)
+    said: list[Predictions] = []
+    for group in groups:
+        progress(f"predicting {group.name}: {len(group.cases)} clouds")
+        said.append(predict_group(group, baselines, networks, target, device))
+    progress("calibrating, and disturbing clouds")
+    calibrations = _calibrations(settings, networks)
+    return Report(
+        head=_head(settings, baselines),
+        tables=[group_table(group, one, target) for group, one in zip(groups, said, strict=True)],
+        curve=coverage_curve(groups[:2], joined(said[:2]), target),
+        learning=_learning(settings, groups[:2], said[:2]),
+        rooms=[room_figures(groups[0], name, seeds, target) for name, seeds in said[0].items()],
+        calibration=[one.figures(groups, said, target) for one in calibrations],
+        stress=_stress(settings, groups[0], networks, baselines, calibrations),
     )
 
 
-def _per_cloud(error: ArrayF64) -> ArrayF64:
-    """(M,) SHC RMSE of each cloud."""
-    made: ArrayF64 = np.sqrt(np.mean(error**2, axis=(1, 2)))
-    return made
+def _groups(settings: ReportSettings) -> list[Group]:
+    """One view and all views first; then what else is given."""
+    groups = [
+        open_group(ONE_VIEW, settings.clouds, settings.split, "one"),
+        open_group(ALL_VIEWS, settings.clouds, settings.split, "merged"),
+    ]
+    if settings.walks:
+        groups.append(open_group(WALK, settings.walks, settings.split, "merged"))
+    for name, folders in settings.scenes.items():
+        groups.append(open_group(f"{name}, {ONE_VIEW}", folders, settings.split, "one", is_of_strangers=True))
+        groups.append(open_group(f"{name}, all views", folders, settings.split, "merged", is_of_strangers=True))
+    if settings.whole:
+        groups.append(open_group(WHOLE, settings.whole, settings.split, "one"))
+    return groups
 
 
-def _ratio(error: ArrayF64, yardstick: ArrayF64) -> float | None:
-    above, below = _rms(error), _rms(yardstick)
-    return above / below if above is not None and below else None
+def _head(settings: ReportSettings, baselines: Baselines) -> dict[str, Any]:
+    return {
+        "split": settings.split,
+        "target": settings.target,
+        "n_rooms_fitted": baselines.n_rooms,
+        "n_clouds_fitted": baselines.n_clouds,
+        "coverage_edges": list(COVERAGE_EDGES),
+        "shares_promised": list(SHARES_ASKED),
+        "dominant_share": DOMINANT_SHARE,
+        "stress_limit": STRESS_LIMIT,
+        "cap_share": CAP_SHARE,
+        "colour_noise": COLOUR_NOISE,
+        "distance_noise": DISTANCE_NOISE,
+    }
 
 
-def _rms(values: ArrayF64 | ArrayBool) -> float | None:
-    return float(np.sqrt(np.mean(np.square(values)))) if values.size else None
+def _learning(settings: ReportSettings, groups: Sequence[Group], said: Sequence[Predictions]) -> list[dict[str, Any]]:
+    """For each number of rooms the ratio in each group, mean and spread over seeds."""
+    points = []
+    for n_rooms, files in sorted(settings.learning.items()):
+        seeds = load_seeds(f"{n_rooms} rooms", files, settings.target, settings.device)
+        point: dict[str, Any] = {"n_rooms": n_rooms, "n_seeds": len(files), "estimator": seeds.estimator}
+        for group, known in zip(groups, said, strict=True):
+            figures = prediction_figures(group, known, seeds.predictions(group, settings.target, settings.device) or [],
+                                         settings.target)  # fmt: skip
+            mean, spread = over_seeds([one["ratio"] for one in figures] or [None])
+            point[group.name] = {"ratio": mean, "spread": spread}
+        points.append(point)
+    return points
 
 
-def _cell(value: float | None) -> str:
-    return "" if value is None else f"{value:.3f}"
+def _calibrations(settings: ReportSettings, networks: Sequence[NetworkSeeds]) -> list[SeedCalibrations]:
+    """Of the networks that expect an error, fitted to the validation clouds of one view and of all views."""
+    held_out = [open_group(views, settings.clouds, "validation", views) for views in ("one", "merged")]
+    is_crossed = settings.split == "validation"
+    found = [SeedCalibrations.fitted(n, held_out, settings.target, settings.device, is_crossed) for n in networks]
+    return [one for one in found if one is not None]
 
 
-def _percent(shares: Sequence[float]) -> str:
-    return ", ".join(f"{share:.0%}" for share in shares)
+def _stress(
+    settings: ReportSettings, group: Group, networks: Sequence[NetworkSeeds], baselines: Baselines,
+    calibrations: Sequence[SeedCalibrations],
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Each disturbance of the clouds of one view, and each group of clouds that were sampled otherwise."""
+    disturbed = {
+        name: disturb(group.cases, np.random.default_rng([settings.seed, i]))
+        for i, (name, disturb) in enumerate(DISTURBANCES.items())
+    }
+    clouds = {"undisturbed": group.cases, **disturbed}
+    for name, folders in settings.stress.items():
+        clouds[name] = open_group(name, folders, settings.split, "one").cases
+    of_lattice = [network for network in networks if network.estimator == "lattice"]
+    rows = {one.name: one for one in calibrations}
+    return [stress_group(name, some, of_lattice, baselines, rows, settings.device) for name, some in clouds.items()]

@@ -15,14 +15,15 @@ from typing import Literal
 
 import numpy as np
 
-from xihenet.camera import unproject_frame
-from xihenet.colour import srgb_to_linear
+from xihenet.camera import in_view, unproject_frame
 from xihenet.panorama import project_panorama
-from xihenet.records import ArrayBool, ArrayF64, Intrinsics, PointCloud, RgbdFrame
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, Intrinsics, PointCloud, RgbdFrame
 
 Split = Literal["train", "validation", "test"]
 SPLITS: tuple[Split, ...] = ("train", "validation", "test")
 TRAIN_SHARE, VALIDATION_SHARE = 0.8, 0.1
+TRAINING_ONLY = frozenset({"radiance"})
+"""Parts of a room's file that only training uses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,19 +32,24 @@ class TrainingRoom:
 
     Parameters
     ----------
-    views : V clouds in the world, coloured at the room's exposure
-    ambient : (V, 3) the pictures' mean linear colour at that exposure: what the phone's sensor says
+    views : V clouds in the world, coloured as the phone delivered them
+    radiance : (V, points, 3) linear colour of the same points at the room's exposure, not clipped; None where the
+        room's file does not keep it
     positions_m : (P, 3) world
-    truth_ldr, truth_hdr : (P, 9, 3) coefficients at that exposure, of panoramas clipped at 1 and whole
+    panoramas : (P, h, 2h, 3) linear light around each position at that exposure, not clipped
     is_in_view : (V, P) the pair counts
     """
 
     views: list[PointCloud]
-    ambient: ArrayF64
+    radiance: ArrayF32 | None
     positions_m: ArrayF64
-    truth_ldr: ArrayF64
-    truth_hdr: ArrayF64
+    panoramas: ArrayF64
     is_in_view: ArrayBool
+
+    def truth(self, position: int, gains: ArrayF64) -> tuple[ArrayF64, ArrayF64]:
+        """(9, 3) of the light at a position times `gains` (3,): clipped at 1, and whole."""
+        light = self.panoramas[position] * gains
+        return project_panorama(np.minimum(light, 1.0)), project_panorama(light)
 
 
 def room_files(folder: Path) -> list[Path]:
@@ -70,33 +76,55 @@ def split_of(seed: tuple[int, int]) -> Split:
     return "validation" if place < TRAIN_SHARE + VALIDATION_SHARE else "test"
 
 
-def pairs_that_count(path: Path) -> ArrayBool:
+def pairs_that_count(path: Path, *, is_upright: bool = False) -> ArrayBool:
     """(V, P) without reading the pictures."""
-    return np.asarray(_read(path, "is_in_view")["is_in_view"], bool)
+    stored = _read(path, "is_in_view", "positions_m", "world_from_camera", "intrinsics")
+    return _pairs_that_count(stored, _phone(stored, is_upright)[0], is_upright)
 
 
-def read_room(path: Path) -> TrainingRoom:
-    """All of a room. ValueError naming the file if it is not one."""
+def read_room(path: Path, *, is_upright: bool = False) -> TrainingRoom:
+    """All of a room, or what an upright phone sees of it. ValueError naming the file if it is no room."""
     names = ("srgb_u8", "plane_depth_m", "world_from_camera", "intrinsics", "exposure", "positions_m", "panoramas")
-    stored = _read(path, *names, "is_in_view")
-    width, height, *rest = stored["intrinsics"].tolist()
-    intrinsics, exposure = Intrinsics(int(width), int(height), *rest), float(stored["exposure"])
+    stored = _read(path, *names, "is_in_view", optional=TRAINING_ONLY)
+    intrinsics, columns = _phone(stored, is_upright)
+    exposure = float(stored["exposure"])
     pictures = zip(stored["srgb_u8"], stored["plane_depth_m"], stored["world_from_camera"], strict=True)
-    frames = [RgbdFrame(c, d.astype(np.float32), intrinsics, pose, exposure) for c, d, pose in pictures]
-    light = stored["panoramas"].astype(np.float64) * exposure
+    frames = [
+        RgbdFrame(np.ascontiguousarray(c[:, columns]), d[:, columns].astype(np.float32), intrinsics, pose, exposure)
+        for c, d, pose in pictures
+    ]
+    radiance = None
+    if "radiance" in stored:
+        kept = stored["radiance"][:, :, columns].astype(np.float32)
+        radiance = kept.reshape(len(frames), -1, 3) * np.float32(exposure)
     return TrainingRoom(
         [unproject_frame(frame) for frame in frames],
-        np.array([srgb_to_linear(frame.srgb_u8 / 255.0).mean(axis=(0, 1)) for frame in frames]),
+        radiance,
         stored["positions_m"],
-        np.array([project_panorama(np.minimum(panorama, 1.0)) for panorama in light]),
-        np.array([project_panorama(panorama) for panorama in light]),
-        np.asarray(stored["is_in_view"], bool),
+        stored["panoramas"].astype(np.float64) * exposure,
+        _pairs_that_count(stored, intrinsics, is_upright),
     )
 
 
-def _read(path: Path, *names: str) -> dict[str, np.ndarray]:  # type: ignore[type-arg]
+def _phone(stored: dict[str, np.ndarray], is_upright: bool) -> tuple[Intrinsics, slice]:  # type: ignore[type-arg]
+    """Intrinsics, and the columns of the pictures that are used: all, or 3:4 of the height in the middle."""
+    width, height, fx, fy, cx, cy = stored["intrinsics"].tolist()
+    n_columns = int(height * 3 / 4) if is_upright else int(width)
+    first = (int(width) - n_columns) // 2
+    return Intrinsics(n_columns, int(height), fx, fy, cx - first, cy), slice(first, first + n_columns)
+
+
+def _pairs_that_count(
+    stored: dict[str, np.ndarray], intrinsics: Intrinsics, is_upright: bool  # type: ignore[type-arg]
+) -> ArrayBool:  # fmt: skip
+    if not is_upright:
+        return np.asarray(stored["is_in_view"], bool)
+    return np.stack([in_view(stored["positions_m"], intrinsics, pose) for pose in stored["world_from_camera"]])
+
+
+def _read(path: Path, *names: str, optional: frozenset[str] = frozenset()) -> dict[str, np.ndarray]:  # type: ignore[type-arg]
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            return {name: stored[name] for name in names}
+            return {name: stored[name] for name in (*names, *(optional & set(stored.files)))}
     except (KeyError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise ValueError(f"{path}: expected a room of a data set ({error})") from None

@@ -1,0 +1,133 @@
+"""Which clouds does a table of the report speak of, and where do they lie?
+
+A group is one set of cases (the same rooms, views and positions) with their clouds as each kind of network wants them:
+sampled on the sphere, at random, or by farthest points, with some number of anchors. A folder of sampled clouds says
+itself what it holds, so folders are given without further words, and those of one group must speak of the same cases.
+
+Folders made for tests alone (`CacheSettings.is_test_only`) are read whatever split is asked for. Where their rooms are
+those of the data set, as in walks, only the rooms of that split count: a walk through a training room would flatter,
+and one through a test room is not to be looked at while developing. Scenes of others count whole.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xihenet.records import ArrayF64, ArrayInt
+from xihenet.training.dataset import CloudSet, open_split
+from xihenet.training.rooms import Split, split_of
+
+Views = Literal["one", "merged"]
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """M cases, in memory.
+
+    Parameters
+    ----------
+    name : of the table
+    main : key of the clouds that baselines see and that coverage is counted on, sampled on the sphere
+    clouds : by key, see `cache_key`; all of the same cases in the same order
+    """
+
+    name: str
+    main: str
+    clouds: Mapping[str, CloudSet]
+
+    @property
+    def cases(self) -> CloudSet:
+        """The clouds of `main`."""
+        return self.clouds[self.main]
+
+    @property
+    def coverage(self) -> ArrayF64:
+        """(M,) share of the anchors that are set."""
+        return coverage_of(self.cases)
+
+
+def cache_settings(folder: Path) -> dict[str, Any]:
+    """What a folder of sampled clouds says of itself; ValueError naming it if it is none."""
+    try:
+        found = json.loads((folder / "settings.json").read_text())
+        return {**found, "key": f"{found['sampling']}_{found['n_anchors']}"}
+    except (OSError, ValueError, KeyError, TypeError):
+        raise ValueError(
+            f"{folder}: expected sampled clouds, got none; make them with `python -m xihenet.training cache`"
+        ) from None
+
+
+def cache_key(folder: Path) -> str:
+    """Sampling and number of anchors of a folder, such as "sphere_1280"."""
+    return str(cache_settings(folder)["key"])
+
+
+def open_group(
+    name: str, folders: Sequence[Path], split: Split, views: Views, *, is_of_strangers: bool = False
+) -> Group:
+    """The cases of one view, or of merged views, of a split; of all rooms if `is_of_strangers` (scenes of others).
+
+    ValueError if no folder is of the sphere or the folders do not hold the same cases.
+    """
+    clouds: dict[str, CloudSet] = {}
+    for folder in folders:
+        found = cache_settings(folder)
+        opened = open_split(folder, "test" if found.get("is_test_only") else split)
+        counts = np.asarray(opened.n_views) > 1 if views == "merged" else np.asarray(opened.n_views) == 1
+        if found.get("is_test_only") and not is_of_strangers:
+            members = {number for seed, number in found.get("rooms", ()) if split_of((seed, number)) == split}
+            counts &= np.isin(opened.room, list(members))
+        clouds[found["key"]] = rows_of(opened, np.flatnonzero(counts))
+    main = next((key for key in clouds if key.startswith("sphere")), None)
+    if main is None:
+        raise ValueError(
+            f"{name}: expected a folder of clouds sampled on the sphere, got {', '.join(clouds) or 'none'}"
+        )
+    for key, other in clouds.items():
+        if not np.array_equal(other.room, clouds[main].room):
+            raise ValueError(f"{name}: expected the same cases in all folders, got others in {key} than in {main}")
+    return Group(name, main, clouds)
+
+
+def main_folder(folders: Sequence[Path]) -> Path:
+    """The first folder that is sampled on the sphere: what baselines are fitted to and see. ValueError without one."""
+    found = next((folder for folder in folders if cache_settings(folder)["sampling"] == "sphere"), None)
+    if found is None:
+        raise ValueError(f"expected a folder of clouds sampled on the sphere, got {', '.join(map(str, folders))}")
+    return found
+
+
+def training_clouds(folder: Path) -> CloudSet:
+    """What baselines are fitted to: the training pairs as they are, and the clouds merged of several views.
+
+    Networks see changed copies of each pair as well. A linear fit gains nothing from these, and the mean light of the
+    rooms is that of the rooms as they are.
+    """
+    found, clouds = cache_settings(folder), open_split(folder, "train")
+    n_copies = int(found.get("changes_per_pair", found.get("turns_per_pair", 1)))
+    room, is_merged = np.asarray(clouds.room), np.asarray(clouds.n_views) > 1
+    # Pairs come first in each room, a block of copies each, the first of which is as it is.
+    _, first, member = np.unique(room, return_index=True, return_inverse=True)
+    place = np.arange(len(room)) - first[member]
+    n_merged_before: ArrayInt = np.cumsum(is_merged)
+    is_as_it_is = (place % n_copies == 0) & (n_merged_before == n_merged_before[first][member]) & ~is_merged
+    return rows_of(clouds, np.flatnonzero(is_as_it_is | is_merged))
+
+
+def rows_of(clouds: CloudSet, rows: ArrayInt) -> CloudSet:
+    """Some clouds, read into memory."""
+    return CloudSet(**{part.name: np.asarray(getattr(clouds, part.name)[rows]) for part in fields(CloudSet)})
+
+
+def coverage_of(clouds: CloudSet) -> ArrayF64:
+    """(M,) share of the anchors that are set."""
+    is_set: NDArray[np.bool_] = clouds.is_set
+    share: ArrayF64 = is_set.mean(axis=1) if len(is_set) else np.zeros(0)
+    return share
