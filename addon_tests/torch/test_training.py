@@ -26,7 +26,7 @@ from xihenet.training.dataset import (
     rotation_about_vertical,
 )
 from xihenet.training.export import export_lattice
-from xihenet.training.loop import TrainSettings, hide_caps, train, training_loss
+from xihenet.training.loop import TrainSettings, hide_caps, rows_of_first_rooms, train, training_loss
 from xihenet.training.networks import Batch, load_network, run_network
 from xihenet.training.rooms import pairs_that_count, read_room, split_of
 
@@ -254,6 +254,20 @@ def test_a_stopped_training_ends_where_an_undisturbed_one_does(caches, tmp_path,
     train(stopped, stop_after=2)
     assert same_weights(weights(whole), weights(train(stopped)))
     assert (tmp_path / "whole" / "curves.csv").read_text() == (tmp_path / "stopped" / "curves.csv").read_text()
+
+
+def test_a_learning_curve_takes_the_first_rooms_alone(caches, tmp_path):
+    clouds = open_split(caches["sphere"], "train")
+    rows = rows_of_first_rooms(clouds, 2)
+    assert (
+        set(clouds.room[rows]) == set(indices("train", 2))
+        and len(rows) == np.isin(clouds.room, clouds.room[rows]).sum()
+    )
+    assert len(rows_of_first_rooms(clouds, None)) == len(clouds)
+    few, all_ = (weights(train(quick(caches["sphere"], tmp_path / str(n), epochs=1, n_rooms=n))) for n in (2, None))
+    assert not same_weights(few, all_)
+    with pytest.raises(ValueError, match="expected 1 to 4 training rooms"):
+        rows_of_first_rooms(clouds, 5)
 
 
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others(caches, tmp_path):

@@ -107,6 +107,7 @@ def _add_train_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--weight-decay", type=float, default=0.02)
     parser.add_argument("--patience", type=int, default=15)
     parser.add_argument("--device", default="cpu")
+    parser.add_argument("--rooms", type=int, metavar="N", help="the first N training rooms alone, for learning curves")
     parser.add_argument("--keep-unset-at-origin", action="store_true", help="as the reference does (PointConv)")
     parser.add_argument("--bfloat16", action="store_true", help="train in half precision (PointConv)")
 
@@ -141,9 +142,10 @@ def _run_train(options: argparse.Namespace) -> None:
     if any(switches.values()) and options.estimator == "lattice":
         raise ValueError("--keep-unset-at-origin and --bfloat16: expected a PointConv network, got lattice")
     cache = _run_cache(options)
+    of_rooms = [] if options.rooms is None else [f"{options.rooms}rooms"]
     settings = TrainSettings(
         cache,
-        options.out / f"{options.estimator}_{options.target}_{options.seed}",
+        options.out / "_".join([options.estimator, options.target, str(options.seed), *of_rooms]),
         estimator=options.estimator,
         target=options.target,
         seed=options.seed,
@@ -153,6 +155,7 @@ def _run_train(options: argparse.Namespace) -> None:
         weight_decay=options.weight_decay,
         patience=options.patience,
         device=options.device,
+        n_rooms=options.rooms,
         options={name: True for name, is_on in switches.items() if is_on},
     )
     print(train(settings, progress=_say))

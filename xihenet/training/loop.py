@@ -26,6 +26,7 @@ import torch
 from torch import Tensor, nn
 
 from xihenet.estimators.base import Target
+from xihenet.records import ArrayInt
 from xihenet.sh import cosine_lobe
 from xihenet.sh_basis import basis
 from xihenet.sphere import AnchorLattice
@@ -63,6 +64,7 @@ class TrainSettings:
     irradiance_weight, error_weight : of the second and third part of the loss
     huber_delta : difference of coefficients from which the loss is linear
     hidden_share : share of the training clouds of which a random cap is hidden, see `hide_caps`
+    n_rooms : train on the clouds of the first rooms alone, for learning curves; None for all
     options : of the network's architecture
     device : torch device
     """
@@ -82,6 +84,7 @@ class TrainSettings:
     error_weight: float = 0.02
     huber_delta: float = 1.0
     hidden_share: float = 0.3
+    n_rooms: int | None = None
     options: dict[str, Any] = field(default_factory=dict)
     device: str = "cpu"
 
@@ -135,6 +138,14 @@ def train(settings: TrainSettings, *, stop_after: int | None = None, progress: P
         left_s = elapsed_s / (run.epoch - first_epoch) * (settings.epochs - run.epoch)
         progress(_progress_line(run, settings, left_s))
     return settings.out / "best.pt"
+
+
+def rows_of_first_rooms(clouds: CloudSet, n_rooms: int | None) -> ArrayInt:
+    """Numbers of the clouds of the first `n_rooms` rooms, all for None. ValueError if there are fewer."""
+    rooms = np.unique(clouds.room)
+    if n_rooms is not None and not 1 <= n_rooms <= len(rooms):
+        raise ValueError(f"rooms: expected 1 to {len(rooms)} training rooms, got {n_rooms}")
+    return np.flatnonzero(np.isin(clouds.room, rooms[:n_rooms]))
 
 
 def hide_caps(batch: Batch, share: float, rng: np.random.Generator) -> Batch:
@@ -199,7 +210,7 @@ def _train_epoch(run: _Run, clouds: CloudSet, settings: TrainSettings) -> float:
     """One pass; the mean loss."""
     run.net.train()
     rng = np.random.default_rng([settings.seed, run.epoch])
-    order = rng.permutation(len(clouds))
+    order = rng.permutation(rows_of_first_rooms(clouds, settings.n_rooms))
     batches = np.array_split(order, -(-len(order) // settings.batch_size))
     total = 0.0
     for rows in batches:
