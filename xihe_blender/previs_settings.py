@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from xihe_blender.errors import UserError
 from xihe_blender.render import RenderSettings
 from xihenet import estimators
-from xihenet.estimators import Target
+from xihenet.estimators import Estimator, Target
 from xihenet.trigger import TriggerSettings
 
 
@@ -102,3 +102,11 @@ class PrevisSettings:
 
     def comparison(self, size: tuple[int, int]) -> RenderSettings:
         return RenderSettings(size, self.effort.comparison_samples, self.seed)
+
+
+def load_estimator(settings: PrevisSettings) -> Estimator:
+    """The estimator of a run; UserError if a package or a file of weights is missing."""
+    try:
+        return estimators.load(settings.estimator, settings.n_anchors, settings.target)
+    except (ImportError, ValueError) as error:
+        raise UserError(f"--estimator {settings.estimator}: {error}") from error

@@ -127,7 +127,7 @@ def test_stdout_holds_only_the_result(finished):
     done, out = finished
     result, report = done.stdout.splitlines()
     assert re.match(
-        rf"{N_FRAMES - 1} of {N_FRAMES} frames, \d+ estimates; projection is \d+% \w+ \w+ the ground", result
+        rf"{N_FRAMES - 1} of {N_FRAMES} frames, \d+ estimates; lattice is \d+% \w+ \w+ the ground", result
     )
     assert report == str(out / "report.html")
 

@@ -13,6 +13,8 @@ N = 320
 LATTICE = AnchorLattice(N)
 RADIANCE = np.array([0.2, 0.5, 0.8])
 
+WITHOUT_TORCH = [name for name in estimators.names() if name not in estimators.NEED_TORCH]
+
 
 def constant_cloud(is_set, radiance=RADIANCE):
     is_set = np.broadcast_to(is_set, N)
@@ -34,7 +36,7 @@ def context_for(name, radiance=RADIANCE):
     return EstimateContext(frame=frame(radiance), truth_sh=constant_sh(radiance) if name == "truth" else None)
 
 
-@pytest.mark.parametrize("name", estimators.names())
+@pytest.mark.parametrize("name", WITHOUT_TORCH)
 @pytest.mark.parametrize("seed", range(3))
 def test_under_constant_light_every_estimator_gives_that_light(name, seed):
     seen = np.random.default_rng(seed).random(N) < 0.4
@@ -42,13 +44,13 @@ def test_under_constant_light_every_estimator_gives_that_light(name, seed):
     np.testing.assert_allclose(estimate, constant_sh(RADIANCE), atol=1e-6)
 
 
-@pytest.mark.parametrize("name", estimators.names())
+@pytest.mark.parametrize("name", WITHOUT_TORCH)
 def test_nothing_seen_gives_finite_light(name):
     estimate = estimators.load(name, N).estimate(UnitSphereCloud.empty(N), context_for(name))
     assert estimate.shape == (9, 3) and np.isfinite(estimate).all()
 
 
-@pytest.mark.parametrize("name", [name for name in estimators.names() if name != "truth"])
+@pytest.mark.parametrize("name", [name for name in WITHOUT_TORCH if name != "truth"])
 def test_a_batch_equals_single_estimates(name):
     rng = np.random.default_rng(0)
     is_set = rng.random((5, N)) < 0.5
@@ -56,11 +58,12 @@ def test_a_batch_equals_single_estimates(name):
     estimator = estimators.load(name, N)
     batch = estimator.estimate_batch(srgb, distance_m, is_set)
     for k in range(5):
-        np.testing.assert_allclose(batch[k], estimator.estimate(UnitSphereCloud(srgb[k], distance_m[k], is_set[k])))
+        single = estimator.estimate(UnitSphereCloud(srgb[k], distance_m[k], is_set[k]))
+        np.testing.assert_allclose(batch[k], single, rtol=1e-7, atol=1e-6)  # networks compute in float32
     assert estimator.estimate_batch(srgb[:0], distance_m[:0], is_set[:0]).shape == (0, 9, 3)
 
 
-@pytest.mark.parametrize("name", estimators.names())
+@pytest.mark.parametrize("name", WITHOUT_TORCH)
 def test_a_cloud_of_another_lattice_is_refused(name):
     with pytest.raises(ValueError, match="made for 320 anchors, got a cloud of 7"):
         estimators.load(name, N).estimate(UnitSphereCloud.empty(7))

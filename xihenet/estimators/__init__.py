@@ -10,15 +10,20 @@ import importlib
 
 from xihenet.estimators.base import EstimateContext, Estimator, Target
 
-__all__ = ["DEFAULT", "EstimateContext", "Estimator", "Target", "load", "names"]
+__all__ = ["DEFAULT", "NEED_TORCH", "EstimateContext", "Estimator", "Target", "load", "names"]
 
 _REGISTRY = {
     "ambient": ("xihenet.estimators.ambient", "Ambient"),
     "projection": ("xihenet.estimators.projection", "Projection"),
+    "pointar": ("xihenet.estimators.pointconv", "PointAR"),
+    "xihenet": ("xihenet.estimators.pointconv", "XiheNet"),
+    "lattice": ("xihenet.estimators.lattice", "Lattice"),
     "truth": ("xihenet.estimators.truth", "Truth"),
 }
+NEED_TORCH = frozenset({"pointar", "xihenet"})
+"""Estimators that cannot be loaded without the extra `train`."""
 
-DEFAULT = "projection"
+DEFAULT = "lattice"
 
 
 def names() -> list[str]:
