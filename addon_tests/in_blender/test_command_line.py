@@ -126,9 +126,7 @@ def test_a_run_ends_with_report_results_and_lit_blend(finished):
 def test_stdout_holds_only_the_result(finished):
     done, out = finished
     result, report = done.stdout.splitlines()
-    assert re.match(
-        rf"{N_FRAMES - 1} of {N_FRAMES} frames, \d+ estimates; lattice is \d+% \w+ \w+ the ground", result
-    )
+    assert re.match(rf"{N_FRAMES - 1} of {N_FRAMES} frames, \d+ estimates; lattice is \d+% \w+ \w+ the ground", result)
     assert report == str(out / "report.html")
 
 
