@@ -16,7 +16,7 @@ import contextlib
 import json
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -26,14 +26,12 @@ import numpy as np
 from xihe_blender import results
 from xihe_blender.capture import CyclesScanner, meter_exposure, open_scanner
 from xihe_blender.compare import Comparer, Comparison, display, error_map, measure, open_comparer
-from xihe_blender.effects import EffectPlan, plan_effects
 from xihe_blender.exr import read_radiance, write_radiance
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.lit_blend import apply_lights, save_lit_blend
 from xihe_blender.outputs import RunOutputs, write_json, written_whole
 from xihe_blender.plan import PrevisPlan, Probe, plan_previs
 from xihe_blender.previs_settings import PrevisSettings, load_estimator
-from xihe_blender.render import RenderSettings
 from xihe_blender.report import write_report
 from xihe_blender.run_folder import claim_folder
 from xihe_blender.scene_state import scene_kept
@@ -76,15 +74,14 @@ def previs(
     with scene_kept():
         yield Progress(0, 1, "metering the exposure")
         exposure = _session_exposure(scene, plan, outputs, settings)
-        effects = _run_effects(scene, plan, outputs)
-        run = _Run(scene, plan, outputs, settings, exposure, estimator, effects)
+        run = _Run(scene, plan, outputs, settings, exposure, estimator)
         yield from run.walk()
         yield from run.compare()
     yield Progress(run.total, run.total, "applying the light and writing the report")
     estimated = {frame: methods[settings.estimator] for frame, methods in run.lights.items()}
     apply_lights(scene, plan, run.frames, estimated, exposure)
     save_lit_blend(scene, plan, outputs.lit_blend)
-    content = results.assemble(scene, file, plan, settings, exposure, run.frames, effects=effects, command=command)
+    content = results.assemble(scene, file, plan, settings, exposure, run.frames, command=command)
     # The results come last: their presence says that the run is done.
     write_report(content, outputs)
     write_json(outputs.results, content)
@@ -100,14 +97,6 @@ def _session_exposure(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutp
     return float(json.loads(outputs.exposure.read_text(encoding="utf-8"))["exposure"])
 
 
-def _run_effects(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs) -> EffectPlan:
-    """The effects that an earlier part of this run planned, or that the scene calls for now."""
-    if not outputs.effects.exists():
-        positions = [probe.position_m.tolist() for probe in plan.probes]
-        write_json(outputs.effects, plan_effects(scene, positions=positions, frames=plan.frames).as_json())
-    return EffectPlan.from_json(json.loads(outputs.effects.read_text(encoding="utf-8")))
-
-
 @dataclass
 class _Run:
     """The state of one run while it is under way."""
@@ -118,7 +107,6 @@ class _Run:
     settings: PrevisSettings
     exposure: float
     estimator: Estimator
-    effects: EffectPlan
     frames: list[dict[str, Any]] = field(default_factory=list)
     lights: dict[int, dict[str, dict[str, ArrayF64]]] = field(default_factory=dict)
     """By compared frame, method and virtual object."""
@@ -142,16 +130,12 @@ class _Run:
         """Units of work for the progress: a frame to capture is one, a frame to compare three."""
         return len(self.plan.frames) + 3 * len(range(0, len(self.plan.frames), self.settings.effort.comparison_step))
 
-    def _simulated(self, settings: RenderSettings) -> RenderSettings:
-        """`settings` with the run's light transport, one for capture, truth and comparison."""
-        return replace(settings, light_transport=self.effects.light_transport)
-
     def walk(self) -> Iterator[Progress]:
         """Capture the path and run the chain on it."""
-        capture = self._simulated(self.settings.capture(self.plan.size))
+        capture = self.settings.capture(self.plan.size)
         with (
             open_scanner(self.scene, capture) as scanner,
-            open_light_probe(self.scene, self._simulated(self.settings.truth())) as light_probe,
+            open_light_probe(self.scene, self.settings.truth()) as light_probe,
         ):
             scanner.exposure = self.exposure
             for done, frame in enumerate(self.plan.frames):
@@ -228,7 +212,7 @@ class _Run:
         if active and chosen[-1] is not active[-1]:
             chosen.append(active[-1])
         done = len(self.plan.frames)
-        comparison = self._simulated(self.settings.comparison(self.plan.size))
+        comparison = self.settings.comparison(self.plan.size)
         with contextlib.ExitStack() as stack:
             comparer = None
             for entry in chosen:
