@@ -32,6 +32,7 @@ bench: $(VENV)/installed
 	$(BIN)/python addon_tests/bench/nearest.py
 	$(BIN)/python addon_tests/bench/steps.py
 	$(BIN)/python addon_tests/bench/estimate.py
+	$(BIN)/python addon_tests/bench/phone.py
 	$(BIN)/python addon_tests/bench/rendering.py
 
 scenes: $(VENV)/installed

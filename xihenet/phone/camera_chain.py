@@ -1,0 +1,234 @@
+"""What does this phone deliver, where a perfect camera saw this frame?
+
+The effects that are on, in the order in which light and electronics meet them: rows are read while the camera moves;
+the colour is exposed; the range sensor smooths over edges, errs, and finds no answer where too little comes back; its
+numbers are cut and stepped; tracking adds a pose and the light sensor its reading.
+
+Everything random comes from (seed, effect, frame number), and what has a memory (exposure, light sensor, drift) is a
+function of the session's times, so a frame is the same bytes in any order and after a resume. Rejected: a camera that
+remembers the frame before, which would make a resumed run another run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from xihenet.camera import valid_plane_depth
+from xihenet.phone import depth, holes
+from xihenet.phone.exposure import AutoExposure, expose, follow_exposure
+from xihenet.phone.frame_rate import FrameRate
+from xihenet.phone.holes import SurfaceFacts, facing_cosines
+from xihenet.phone.light_sensor import LightSensor, ambient_of_reading, follow_light, read_light
+from xihenet.phone.motion import CameraMotion, PoseDrift, RollingShutter, drift_pose, read_rows
+from xihenet.phone.profile import PhoneProfile
+from xihenet.phone.settings import Section
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, RgbdFrame
+
+SectionT = TypeVar("SectionT", bound=Section)
+TrackedT = TypeVar("TrackedT")
+
+SEEDS = {"noise": 1, "pose_drift": 2, "light_sensor": 3, "light_sensor_gain": 4}
+"""What tells the random numbers of one effect from another's. Never renumber: old seeds would give new sessions."""
+
+
+@dataclass(frozen=True)
+class SessionTrack:
+    """What has a memory, for each frame number of a session; made by `PhoneCamera.follow`."""
+
+    exposure: Mapping[int, float] = field(default_factory=dict)
+    ambient: Mapping[int, ArrayF64] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class PixelCounts:
+    """Pixels of one frame: all, those without a valid plane depth as it came, and those that each effect took away."""
+
+    n_pixels: int
+    n_invalid: int
+    n_lost: Mapping[str, int]
+
+    @property
+    def lost_share(self) -> float:
+        """Share of the pixels that any effect took away."""
+        return sum(self.n_lost.values()) / self.n_pixels
+
+
+class PhoneCamera:
+    """A phone with a seed.
+
+    Parameters
+    ----------
+    profile : the device
+    seed : of the session, a whole number >= 0
+    effects : names of those to simulate; None for all that the device has. ValueError for one that it has not
+    """
+
+    def __init__(self, profile: PhoneProfile, seed: int, *, effects: Collection[str] | None = None) -> None:
+        chosen = profile.effects if effects is None else frozenset(effects)
+        missing = sorted(chosen - profile.effects)
+        if missing:
+            raise ValueError(f"{profile.name} has no {', '.join(missing)}; it has {', '.join(profile.sections)}")
+        if seed < 0:
+            raise ValueError(f"PhoneCamera: expected a seed of 0 or more, got {seed}")
+        self.profile, self.seed, self.effects = profile, seed, chosen
+
+    def settings(self, effect: str, kind: type[SectionT]) -> SectionT | None:
+        """Settings of an effect that is on, else None."""
+        section = self.profile.sections.get(effect) if effect in self.effects else None
+        return section if isinstance(section, kind) else None
+
+    def follow(
+        self, frames: Sequence[int], times_s: Sequence[float], *, metered: Sequence[float], ambient: ArrayLike,
+        reference: float,
+    ) -> SessionTrack:  # fmt: skip
+        """Exposure and light sensor over a session of N frames. A longer session has the same beginning.
+
+        Parameters
+        ----------
+        frames : (N,) frame numbers
+        times_s : (N,) never decreasing
+        metered : (N,) the exposure that each frame's light asks for, as `camera.metered_exposure` gives it
+        ambient : (N, 3) linear scene radiance, what each frame's light sensor would read at once
+        reference : the session's exposure
+        """
+        exposure: dict[int, float] = {}
+        light: dict[int, ArrayF64] = {}
+        auto_exposure = self.settings("auto_exposure", AutoExposure)
+        if auto_exposure:
+            followed = follow_exposure(times_s, metered, reference=reference, settings=auto_exposure)
+            exposure = dict(zip(frames, followed.tolist(), strict=True))
+        sensor = self.settings("light_sensor", LightSensor)
+        if sensor:
+            light = dict(zip(frames, follow_light(times_s, ambient, sensor), strict=True))
+        return SessionTrack(exposure, light)
+
+    def see(
+        self, frame: RgbdFrame, *, facts: SurfaceFacts | None = None, motion: CameraMotion | None = None,
+        radiance: ArrayF32 | None = None, track: SessionTrack | None = None,
+    ) -> RgbdFrame:  # fmt: skip
+        """What the phone delivers of `frame`; the frame itself if nothing changes it. See `see_and_count`."""
+        if not self.effects:
+            return frame
+        return self.see_and_count(frame, facts=facts, motion=motion, radiance=radiance, track=track)[0]
+
+    def see_and_count(
+        self, frame: RgbdFrame, *, facts: SurfaceFacts | None = None, motion: CameraMotion | None = None,
+        radiance: ArrayF32 | None = None, track: SessionTrack | None = None,
+    ) -> tuple[RgbdFrame, PixelCounts]:  # fmt: skip
+        """What the phone delivers, and what became of the pixels.
+
+        Parameters
+        ----------
+        frame : as a perfect camera saw it
+        facts : of the surfaces in it, as far as they are known
+        motion : of the camera while it is read; None for a still one
+        radiance : (H, W, 3) linear scene radiance, for an exact exposure; else the picture is decoded
+        track : `follow` of the session; None leaves exposure and light as they are, without lag
+
+        ValueError if `track` lacks the frame.
+        """
+        known = (facts or SurfaceFacts()).checked_for(frame.intrinsics)
+        shutter = self.settings("rolling_shutter", RollingShutter)
+        seen, source = read_rows(frame, motion, shutter)
+        n_pixels, n_invalid, n_lost = frame.plane_depth_m.size, _n_invalid(frame.plane_depth_m), {}
+        ranged = frame
+        if source is not None and radiance is not None:
+            radiance = radiance.reshape(-1, 3)[source]
+        if source is not None and shutter is not None and shutter.reads_plane_depth:
+            ranged, known = seen, known.taken_from(source)
+            n_lost["rolling_shutter"] = max(_n_invalid(seen.plane_depth_m) - n_invalid, 0)
+        plane_depth_m, holes_made = self._measured(ranged, known)
+        if plane_depth_m is not seen.plane_depth_m:
+            seen = replace(seen, plane_depth_m=plane_depth_m)
+        seen = self._exposed(seen, radiance, track)
+        seen = drift_pose(seen, self.settings("pose_drift", PoseDrift), [self.seed, SEEDS["pose_drift"]])
+        return self._with_light(seen, track), PixelCounts(n_pixels, n_invalid, n_lost | holes_made)
+
+    def _measured(self, frame: RgbdFrame, facts: SurfaceFacts) -> tuple[ArrayF32, dict[str, int]]:
+        """The plane depth that the range sensor gives, and how many pixels each effect took, counted once."""
+        surface = self._surface_holes(frame, facts)
+        scale = self._pixel_scale(frame)
+        z = depth.bleed_edges(
+            frame.plane_depth_m, self.settings("edge_bleeding", depth.EdgeBleeding), pixel_scale=scale
+        )
+        noise = self.settings("noise", depth.DistanceNoise)
+        if noise:
+            z = depth.add_noise(z, noise, self._rng("noise", frame.frame), pixel_scale=scale)
+        span = self.settings("span_holes", holes.SpanHoles)
+        if span:
+            surface["span_holes"] = holes.span_holes(z, span)
+        n_lost: dict[str, int] = {}
+        for effect, is_hole in surface.items():
+            z, n_lost[effect] = _cleared_and_counted(z, is_hole)
+        limits = self.settings("range", depth.RangeLimits)
+        before = _n_invalid(z) if limits else 0
+        z = depth.cut_range(z, limits)
+        if limits:
+            n_lost["range"] = _n_invalid(z) - before
+        return depth.quantise(z, self.settings("quantisation", depth.Quantisation)), n_lost
+
+    def _surface_holes(self, frame: RgbdFrame, facts: SurfaceFacts) -> dict[str, ArrayBool]:
+        """Masks of the holes that surfaces make, of the effects that are on."""
+        made: dict[str, ArrayBool] = {}
+        dark = self.settings("dark_holes", holes.DarkHoles)
+        if dark:
+            made["dark_holes"] = holes.dark_holes(frame.srgb_u8, facts, dark)
+        transparent = self.settings("transparent_holes", holes.TransparentHoles)
+        if transparent:
+            made["transparent_holes"] = holes.transparent_holes(frame.plane_depth_m.shape, facts, transparent)
+        glossy = self.settings("glossy_holes", holes.GlossyHoles) if facts.roughness is not None else None
+        grazing = self.settings("grazing_holes", holes.GrazingHoles)
+        if glossy or grazing:
+            facing = facing_cosines(frame, facts)
+            if glossy:
+                made["glossy_holes"] = holes.glossy_holes(facing, facts, glossy)
+            if grazing:
+                made["grazing_holes"] = holes.grazing_holes(facing, grazing)
+        return made
+
+    def _exposed(self, frame: RgbdFrame, radiance: ArrayF32 | None, track: SessionTrack | None) -> RgbdFrame:
+        if track is None or not self.settings("auto_exposure", AutoExposure):
+            return frame
+        return expose(frame, _tracked(track.exposure, frame.frame, "exposure"), radiance)
+
+    def _with_light(self, frame: RgbdFrame, track: SessionTrack | None) -> RgbdFrame:
+        """A frame without an ambient sensor stays without."""
+        sensor = self.settings("light_sensor", LightSensor)
+        if sensor is None or frame.ambient is None:
+            return frame
+        light = frame.ambient if track is None else _tracked(track.ambient, frame.frame, "ambient light")
+        device = np.random.default_rng([self.seed, SEEDS["light_sensor_gain"]])
+        reading = read_light(light, sensor, device_rng=device, rng=self._rng("light_sensor", frame.frame))
+        return replace(frame, ambient=ambient_of_reading(reading))
+
+    def _pixel_scale(self, frame: RgbdFrame) -> float:
+        """The picture's width over the range sensor's; 1 where the profile does not say."""
+        section = self.profile.sections.get("frame_rate")
+        return frame.intrinsics.width / section.width_px if isinstance(section, FrameRate) else 1.0
+
+    def _rng(self, effect: str, frame: int) -> np.random.Generator:
+        """Of one effect in one frame; frame numbers may be negative.
+
+        NumPy pads seeds with 0, so that [a, b] is [a, b, 0]: what has no frame needs an effect number of its own.
+        """
+        return np.random.default_rng([self.seed, SEEDS[effect], 2 * frame if frame >= 0 else -2 * frame - 1])
+
+
+def _tracked(values: Mapping[int, TrackedT], frame: int, what: str) -> TrackedT:
+    if frame not in values:
+        raise ValueError(f"PhoneCamera: the session's track has no {what} for frame {frame}; follow the whole session")
+    return values[frame]
+
+
+def _n_invalid(plane_depth_m: ArrayF32) -> int:
+    return int(plane_depth_m.size - np.count_nonzero(valid_plane_depth(plane_depth_m)))
+
+
+def _cleared_and_counted(plane_depth_m: ArrayF32, is_hole: ArrayBool) -> tuple[ArrayF32, int]:
+    n_lost = int(np.count_nonzero(is_hole & valid_plane_depth(plane_depth_m)))
+    return depth.cleared(plane_depth_m, is_hole), n_lost

@@ -1,0 +1,239 @@
+"""What does a real range sensor make of a perfect plane depth? Range, noise, grain, steps and bleeding edges.
+
+Each function takes a plane depth (H, W) in metres and one settings section and returns a new one; no section, or a
+section that changes nothing, returns the very array it was given. Pixels without a valid plane depth (0, negative, NaN,
+infinite, a renderer's miss) come out with the same bytes: no effect makes up a surface where there was none.
+
+Lengths in pixels belong to the sensor's own width; callers scale them (`pixel_scale`), so that a small preview shows
+the same share of its width. Chosen: noise as a standard deviation that grows with distance, and a grain (the distance
+in pixels over which it is smooth), since a phone's range sensor measures a few hundred dots and fills in the rest.
+Rejected: white noise per pixel for all, which averages out over an anchor's pixels and so looks too harmless.
+Not here: holes (see `holes`), multipath, sunlight.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xihenet.camera import valid_plane_depth
+from xihenet.phone.settings import Section, number
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64
+
+
+@dataclass(frozen=True, kw_only=True)
+class RangeLimits(Section):
+    """The sensor answers from `nearest_m` to `farthest_m` of plane depth, both included."""
+
+    nearest_m: float = number("m", 0.0, 100.0)
+    farthest_m: float = number("m", 0.0, 1000.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.nearest_m >= self.farthest_m:
+            raise ValueError(f"farthest_m: expected more than nearest_m ({self.nearest_m:g}), got {self.farthest_m:g}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DistanceNoise(Section):
+    """Standard deviation sigma_m + growth * max(z - growth_from_m, 0) ** growth_power, z in metres.
+
+    Parameters
+    ----------
+    sigma_m : near the sensor
+    growth : metres per metre ** growth_power
+    growth_from_m : where growth begins
+    growth_power : 1 for time of flight, 2 for triangulation
+    grain_px : distance over which the noise is smooth; 1 or less makes it independent from pixel to pixel
+    shift_px : standard deviation of the place on the sensor that a pixel really reads; 0 for none
+    """
+
+    sigma_m: float = number("m", 0.0, 1.0)
+    growth: float = number("m per m^power", 0.0, 1.0)
+    growth_from_m: float = number("m", 0.0, 100.0)
+    growth_power: float = number("", 1.0, 4.0)
+    grain_px: float = number("px", 0.0, 1000.0)
+    shift_px: float = number("px", 0.0, 10.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantisation(Section):
+    """Plane depth comes in steps of `step_m`; 0 for none."""
+
+    step_m: float = number("m", 0.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeBleeding(Section):
+    """Where the plane depth spans more than `span_m` within `radius_px`, it is the mean over that window."""
+
+    radius_px: float = number("px", 0.0, 100.0)
+    span_m: float = number("m", 0.0, 100.0)
+
+
+def cut_range(plane_depth_m: ArrayF32, settings: RangeLimits | None) -> ArrayF32:
+    """0 where the sensor does not reach; the rest, and what was invalid before, keeps its bytes."""
+    if settings is None:
+        return plane_depth_m
+    beyond = (plane_depth_m < settings.nearest_m) | (plane_depth_m > settings.farthest_m)
+    return cleared(plane_depth_m, beyond)
+
+
+def cleared(plane_depth_m: ArrayF32, is_hole: ArrayBool) -> ArrayF32:
+    """0 at the valid pixels of `is_hole`; the array itself if there are none."""
+    holes = is_hole & valid_plane_depth(plane_depth_m)
+    return np.where(holes, np.float32(0), plane_depth_m) if holes.any() else plane_depth_m
+
+
+def noise_sigma_m(plane_depth_m: ArrayF32, settings: DistanceNoise) -> ArrayF64:
+    """Standard deviation at each plane depth, same shape, metres; 0 where the plane depth is invalid."""
+    valid = valid_plane_depth(plane_depth_m)
+    beyond_m = np.where(valid, plane_depth_m.astype(np.float64), 0.0) - settings.growth_from_m
+    sigma_m = settings.sigma_m + settings.growth * np.maximum(beyond_m, 0.0) ** settings.growth_power
+    return np.where(valid, sigma_m, 0.0)
+
+
+def add_noise(
+    plane_depth_m: ArrayF32, settings: DistanceNoise | None, rng: np.random.Generator, *, pixel_scale: float = 1.0
+) -> ArrayF32:
+    """Plane depth as the sensor measures it: each pixel reads a place nearby, with an error that grows with distance.
+
+    A surface never comes nearer than half its true distance: noise alone neither turns it behind the camera nor makes
+    a hole. `pixel_scale` is the picture's width over the sensor's.
+    """
+    if settings is None:
+        return plane_depth_m
+    read_m = _shifted(plane_depth_m, settings.shift_px * pixel_scale, rng)
+    sigma_m = noise_sigma_m(plane_depth_m, settings)
+    if not sigma_m.any():
+        return read_m
+    error_m = sigma_m * grained_noise(plane_depth_m.shape, settings.grain_px * pixel_scale, rng)
+    valid = valid_plane_depth(read_m)
+    nearest_m = 0.5 * np.where(valid, read_m, np.float32(0))
+    with np.errstate(invalid="ignore"):
+        noisy = np.maximum(read_m + error_m, nearest_m).astype(np.float32)
+    return np.where(valid, noisy, plane_depth_m)
+
+
+def grained_noise(shape: tuple[int, ...], grain_px: float, rng: np.random.Generator) -> ArrayF64:
+    """(H, W) normal noise of standard deviation 1 at every pixel, smooth over `grain_px`.
+
+    Independent values on a grid of that pitch, which lies at random, are interpolated bilinearly; dividing by the
+    root of the summed squared weights keeps the standard deviation at 1 between the nodes too.
+    """
+    height, width = shape
+    if grain_px <= 1.0:
+        return rng.normal(size=(height, width))
+    row, row_share = _grid_places(height, grain_px, rng)
+    column, column_share = _grid_places(width, grain_px, rng)
+    nodes = rng.normal(size=(int(row[-1]) + 2, int(column[-1]) + 2))
+    along = _lerped(nodes[row], nodes[row + 1], row_share[:, None])
+    return _lerped(along[:, column], along[:, column + 1], column_share[None, :])
+
+
+def quantise(plane_depth_m: ArrayF32, settings: Quantisation | None) -> ArrayF32:
+    """Plane depth rounded to the sensor's step; what is nearer than half a step keeps one step, so it stays valid."""
+    if settings is None or settings.step_m == 0:
+        return plane_depth_m
+    valid = valid_plane_depth(plane_depth_m)
+    steps = np.rint(np.where(valid, plane_depth_m.astype(np.float64), 1.0) / settings.step_m)
+    return np.where(valid, (np.maximum(steps, 1.0) * settings.step_m).astype(np.float32), plane_depth_m)
+
+
+def bleed_edges(plane_depth_m: ArrayF32, settings: EdgeBleeding | None, *, pixel_scale: float = 1.0) -> ArrayF32:
+    """Points that float between a near surface and the far one behind it, as a smoothed depth map has them.
+
+    The window is 2 r + 1 pixels wide, r = radius_px * pixel_scale rounded, at least 1; its mean is over valid pixels.
+    """
+    if settings is None or settings.radius_px == 0:
+        return plane_depth_m
+    radius = max(1, math.floor(settings.radius_px * pixel_scale + 0.5))
+    valid = valid_plane_depth(plane_depth_m)
+    is_edge = valid & (window_span_m(plane_depth_m, radius) > settings.span_m)
+    if not is_edge.any():
+        return plane_depth_m
+    total = _window_sum(np.where(valid, plane_depth_m, np.float32(0)).astype(np.float64), radius)
+    n_valid = _window_sum(valid.astype(np.float64), radius)
+    mean_m = total / np.maximum(n_valid, 1.0)
+    return np.where(is_edge, mean_m.astype(np.float32), plane_depth_m)
+
+
+def window_span_m(plane_depth_m: ArrayF32, radius: int) -> ArrayF32:
+    """(H, W) largest less smallest valid plane depth within `radius` pixels; 0 where none is valid."""
+    valid = valid_plane_depth(plane_depth_m)
+    highest = _window_extreme(np.where(valid, plane_depth_m, np.float32(-np.inf)), radius)
+    lowest = -_window_extreme(np.where(valid, -plane_depth_m, np.float32(-np.inf)), radius)
+    seen = highest > -np.inf
+    return np.subtract(highest, lowest, out=np.zeros_like(highest), where=seen)
+
+
+def _window_extreme(values: ArrayF32, radius: int) -> ArrayF32:
+    """The largest within `radius`, one axis after the other."""
+    for axis in (0, 1):
+        ahead = values.copy()
+        for shift in range(1, min(radius, values.shape[axis] - 1) + 1):
+            low, high = _shifted_pair(axis, shift)
+            np.maximum(ahead[low], values[high], out=ahead[low])
+            np.maximum(ahead[high], values[low], out=ahead[high])
+        values = ahead
+    return values
+
+
+def _window_sum(values: ArrayF64, radius: int) -> ArrayF64:
+    """The sum within `radius`, one axis after the other."""
+    for axis in (0, 1):
+        total = values.copy()
+        for shift in range(1, min(radius, values.shape[axis] - 1) + 1):
+            low, high = _shifted_pair(axis, shift)
+            total[low] += values[high]
+            total[high] += values[low]
+        values = total
+    return values
+
+
+def _shifted_pair(axis: int, shift: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
+    """Indices of all but the last `shift` places along `axis`, and of all but the first."""
+    whole = slice(None)
+    low, high = slice(None, -shift), slice(shift, None)
+    return ((low, whole), (high, whole)) if axis == 0 else ((whole, low), (whole, high))
+
+
+def _shifted(plane_depth_m: ArrayF32, shift_px: float, rng: np.random.Generator) -> ArrayF32:
+    """Each pixel reads bilinearly at a random place nearby; where one of the four pixels there is invalid, its own."""
+    if shift_px == 0:
+        return plane_depth_m
+    height, width = plane_depth_m.shape
+    row, down = _place(np.arange(height)[:, None] + rng.normal(scale=shift_px, size=(height, width)), height)
+    column, right = _place(np.arange(width)[None, :] + rng.normal(scale=shift_px, size=(height, width)), width)
+    next_row, next_column = np.minimum(row + 1, height - 1), np.minimum(column + 1, width - 1)
+    valid = valid_plane_depth(plane_depth_m)
+    readable = valid & valid[row, column] & valid[row, next_column] & valid[next_row, column]
+    readable &= valid[next_row, next_column]
+    z = np.where(valid, plane_depth_m, np.float32(0)).astype(np.float64)
+    upper = z[row, column] * (1 - right) + z[row, next_column] * right
+    lower = z[next_row, column] * (1 - right) + z[next_row, next_column] * right
+    read_m = (upper * (1 - down) + lower * down).astype(np.float32)
+    return np.where(readable, read_m, plane_depth_m)
+
+
+def _place(position: ArrayF64, size: int) -> tuple[NDArray[np.intp], ArrayF64]:
+    """Whole pixel below a position, held inside the picture, and the share towards the next."""
+    inside = np.clip(position, 0, size - 1)
+    whole = inside.astype(np.intp)
+    return whole, inside - whole
+
+
+def _grid_places(size: int, pitch: float, rng: np.random.Generator) -> tuple[NDArray[np.intp], ArrayF64]:
+    """For each pixel the grid node before it and the share towards the next; the grid's start is random."""
+    position = (np.arange(size) + 0.5) / pitch + rng.random()
+    whole = position.astype(np.intp)
+    return whole, position - whole
+
+
+def _lerped(before: ArrayF64, after: ArrayF64, share: ArrayF64) -> ArrayF64:
+    """Between two independent normal values, scaled so that the standard deviation stays 1."""
+    mixed: ArrayF64 = (before * (1 - share) + after * share) / np.sqrt((1 - share) ** 2 + share**2)
+    return mixed

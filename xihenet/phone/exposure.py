@@ -1,0 +1,93 @@
+"""At which exposure does the phone take each frame, if it meters by itself and lags behind?
+
+A small state machine on the logarithm of the exposure: each frame moves it towards what the frame before asked for,
+exponentially in time, within clamps around the session's reference. What the reference exposure does to a picture is
+the frame's own encoding (`camera.encode_exposed`).
+
+Chosen: an exponential approach in stops, as open camera stacks filter theirs; a doubling of the light is then followed
+as fast as a halving. Rejected: a full model of shutter time and gain, of which only the product reaches the picture.
+The whole session is one pure function of its meterings that never looks ahead: a run that is resumed, or whose frames
+are seen in another order, gets the same exposures.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from xihenet.camera import encode_exposed
+from xihenet.colour import srgb_to_linear
+from xihenet.phone.settings import Section, number
+from xihenet.records import ArrayF64, RgbdFrame
+
+
+@dataclass(frozen=True, kw_only=True)
+class AutoExposure(Section):
+    """How fast the exposure follows the light, and how far from the session's reference it may go."""
+
+    time_constant_s: float = number("s", 0.0, 60.0)
+    darkest_stops: float = number("stops below the reference", 0.0, 20.0)
+    brightest_stops: float = number("stops above the reference", 0.0, 20.0)
+
+
+def step_exposure(
+    exposure: float, wanted: float, elapsed_s: float, *, reference: float, settings: AutoExposure
+) -> float:
+    """The exposure `elapsed_s` after `exposure`, when metering asks for `wanted`.
+
+    All exposures are positive factors on linear radiance; ValueError otherwise, or if time runs backwards.
+    """
+    if not all(math.isfinite(e) and e > 0 for e in (exposure, wanted, reference)):
+        raise ValueError(f"step_exposure: expected positive exposures, got {exposure}, {wanted} and {reference}")
+    if not elapsed_s >= 0:
+        raise ValueError(f"step_exposure: expected time to go on, got {elapsed_s} s")
+    target = _clamped(wanted, reference, settings)
+    left = math.exp(-elapsed_s / settings.time_constant_s) if settings.time_constant_s else 0.0
+    return _clamped(target * math.pow(exposure / target, left), reference, settings)
+
+
+def follow_exposure(
+    times_s: Sequence[float], metered: Sequence[float], *, reference: float, settings: AutoExposure
+) -> ArrayF64:
+    """(N,) the exposure of each frame of a session.
+
+    Parameters
+    ----------
+    times_s : (N,) seconds, never decreasing
+    metered : (N,) the exposure that each frame's own light asks for, such as `camera.metered_exposure` gives
+    reference : the session's exposure; clamps lie around it
+
+    The first frame is metered well (a phone's preview ran before); each later one only knows the frames before it.
+    """
+    if len(times_s) != len(metered):
+        raise ValueError(f"follow_exposure: expected as many times as meterings, got {len(times_s)} and {len(metered)}")
+    exposures = np.empty(len(metered), np.float64)
+    for i in range(len(metered)):
+        before, wanted = (exposures[i - 1], metered[i - 1]) if i else (metered[0], metered[0])
+        elapsed_s = times_s[i] - times_s[i - 1] if i else 0.0
+        exposures[i] = step_exposure(before, wanted, elapsed_s, reference=reference, settings=settings)
+    return exposures
+
+
+def expose(frame: RgbdFrame, exposure: float, radiance: ArrayLike | None = None) -> RgbdFrame:
+    """The frame as it is taken at `exposure`; at its own exposure the frame itself.
+
+    With `radiance` (H, W, 3), linear and scene-referred, this is exact. Without it the 8-bit picture is decoded: what
+    was clipped stays clipped, and brightening shows 8-bit steps.
+    """
+    if exposure == frame.exposure:
+        return frame
+    if radiance is None:
+        light_of_byte = srgb_to_linear(np.arange(256) / 255.0) / frame.exposure
+        return replace(frame, srgb_u8=encode_exposed(light_of_byte, exposure)[frame.srgb_u8], exposure=exposure)
+    return replace(frame, srgb_u8=encode_exposed(radiance, exposure), exposure=exposure)
+
+
+def _clamped(exposure: float, reference: float, settings: AutoExposure) -> float:
+    lowest = reference * math.pow(2.0, -settings.darkest_stops)
+    highest = reference * math.pow(2.0, settings.brightest_stops)
+    return min(max(exposure, lowest), highest)

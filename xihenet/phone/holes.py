@@ -1,0 +1,176 @@
+"""Where does a range sensor give no answer? Dark, glossy, transparent and grazing surfaces, and depth edges.
+
+Each function returns an (H, W) mask of holes; `depth.cleared` makes them 0. A sensor's light comes back from a rough
+bright surface that faces it. What a picture alone cannot tell (roughness, transmission, reflectance, true normals) the
+caller gives as `SurfaceFacts`; where it gives none, darkness is judged by the picture and grazing angles by normals
+from the plane depth itself, and glossy and transparent surfaces make no holes.
+
+Chosen: thresholds, as the published simulation of the Azure Kinect has them. Rejected: a probability per pixel, which
+makes a lace that no sensor shows; real holes are whole surfaces.
+Not here: what a mirror makes a sensor measure instead (the mirrored room).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from xihenet.camera import valid_plane_depth
+from xihenet.phone.depth import window_span_m
+from xihenet.phone.settings import Section, number
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, ArrayU8, Intrinsics, RgbdFrame
+
+
+@dataclass(frozen=True, kw_only=True)
+class DarkHoles(Section):
+    """No answer where less than `below_grey` comes back: of the surface's reflectance, or of the picture's grey."""
+
+    below_grey: float = number("of white", 0.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GlossyHoles(Section):
+    """No answer from a surface smoother than `below_roughness` that is turned away more than `beyond_deg`."""
+
+    below_roughness: float = number("of Blender's roughness", 0.0, 1.0)
+    beyond_deg: float = number("degrees", 0.0, 90.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TransparentHoles(Section):
+    """No answer where more than `above_transmission` of the light goes through."""
+
+    above_transmission: float = number("of the light", 0.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GrazingHoles(Section):
+    """No answer where the surface's normal is more than `beyond_deg` away from the ray back to the camera."""
+
+    beyond_deg: float = number("degrees", 0.0, 90.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpanHoles(Section):
+    """No answer where the plane depth spans more than `span_m` in a window of 3 x 3 pixels."""
+
+    span_m: float = number("m", 0.0, 100.0)
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceFacts:
+    """What the caller knows of the surface in each pixel of one frame; None where it does not.
+
+    Parameters
+    ----------
+    normals : (H, W, 3) world, any length; a normal that is 0 or not finite counts as facing the camera
+    roughness : (H, W) 0 for a mirror, 1 for chalk
+    transmission : (H, W) share of the light that goes through
+    reflectance : (H, W) share that comes back, at the sensor's wavelength or as grey
+    """
+
+    normals: ArrayF32 | None = None
+    roughness: ArrayF32 | None = None
+    transmission: ArrayF32 | None = None
+    reflectance: ArrayF32 | None = None
+
+    def checked_for(self, intrinsics: Intrinsics) -> SurfaceFacts:
+        """Itself; ValueError naming the array whose size is not that of the picture."""
+        size = (intrinsics.height, intrinsics.width)
+        for name, values in vars(self).items():
+            expected = (*size, 3) if name == "normals" else size
+            if values is not None and np.shape(values) != expected:
+                raise ValueError(f"SurfaceFacts.{name}: expected shape {expected}, got {np.shape(values)}")
+        return self
+
+    def taken_from(self, source: ArrayInt) -> SurfaceFacts:
+        """The facts of pixels `source` (H, W), each a place in row order."""
+        return SurfaceFacts(**{name: _taken(values, source) for name, values in vars(self).items()})
+
+
+def _taken(values: ArrayF32 | None, source: ArrayInt) -> ArrayF32 | None:
+    if values is None:
+        return None
+    flat = values.reshape(source.size, *values.shape[2:])
+    return flat[source]
+
+
+def dark_holes(srgb_u8: ArrayU8, facts: SurfaceFacts, settings: DarkHoles) -> ArrayBool:
+    """By reflectance where it is known, else by the picture's sRGB grey (the mean of the three bytes)."""
+    grey = facts.reflectance if facts.reflectance is not None else srgb_u8.mean(axis=2, dtype=np.float32) / 255
+    result: ArrayBool = grey < settings.below_grey
+    return result
+
+
+def glossy_holes(facing: ArrayF64, facts: SurfaceFacts, settings: GlossyHoles) -> ArrayBool:
+    """`facing` (H, W) as `facing_cosines` gives it. None where roughness is not known."""
+    if facts.roughness is None:
+        return np.zeros(facing.shape, bool)
+    away = facing < np.cos(np.radians(settings.beyond_deg))
+    result: ArrayBool = away & (facts.roughness < settings.below_roughness)
+    return result
+
+
+def transparent_holes(shape: tuple[int, ...], facts: SurfaceFacts, settings: TransparentHoles) -> ArrayBool:
+    """None where transmission is not known."""
+    if facts.transmission is None:
+        return np.zeros(shape, bool)
+    result: ArrayBool = facts.transmission > settings.above_transmission
+    return result
+
+
+def grazing_holes(facing: ArrayF64, settings: GrazingHoles) -> ArrayBool:
+    """`facing` (H, W) as `facing_cosines` gives it."""
+    result: ArrayBool = facing < np.cos(np.radians(settings.beyond_deg))
+    return result
+
+
+def span_holes(plane_depth_m: ArrayF32, settings: SpanHoles) -> ArrayBool:
+    """Of the plane depth as it was measured, noise included."""
+    result: ArrayBool = window_span_m(plane_depth_m, 1) > settings.span_m
+    return result
+
+
+def facing_cosines(frame: RgbdFrame, facts: SurfaceFacts) -> ArrayF64:
+    """(H, W) cosine between each surface's normal and the ray back to the camera, 0 to 1; both sides count.
+
+    Without normals they come from the plane depth: from the flatter neighbour along each axis, so that a depth edge is
+    not taken for a grazing surface. Pixels that are invalid, or alone, face the camera (1).
+    """
+    across, up = _slopes(frame.intrinsics)
+    rays = np.stack(np.broadcast_arrays(across[None, :], up[:, None], np.float64(-1)), axis=-1)
+    if facts.normals is not None:
+        in_camera = np.asarray(facts.normals, np.float64) @ frame.world_from_camera[:3, :3]
+    else:
+        in_camera = _normals_in_camera(frame.plane_depth_m, rays)
+    lengths = np.linalg.norm(in_camera, axis=2) * np.linalg.norm(rays, axis=2)
+    known = np.isfinite(lengths) & (lengths > 0)
+    dots = np.abs(np.einsum("hwc,hwc->hw", in_camera, rays))
+    return np.divide(dots, lengths, out=np.ones(lengths.shape), where=known)
+
+
+def _slopes(intrinsics: Intrinsics) -> tuple[ArrayF64, ArrayF64]:
+    """x per column and y per row of the ray with plane depth 1."""
+    across = (np.arange(intrinsics.width) + 0.5 - intrinsics.cx) / intrinsics.fx
+    return across, -(np.arange(intrinsics.height) + 0.5 - intrinsics.cy) / intrinsics.fy
+
+
+def _normals_in_camera(plane_depth_m: ArrayF32, rays: ArrayF64) -> ArrayF64:
+    """(H, W, 3), 0 where a neighbour is missing."""
+    valid = valid_plane_depth(plane_depth_m)
+    points = rays * np.where(valid, plane_depth_m, np.nan)[..., None]
+    return np.cross(_flatter_step(points, axis=1), _flatter_step(points, axis=0))
+
+
+def _flatter_step(points: ArrayF64, axis: int) -> ArrayF64:
+    """(H, W, 3) to the next or from the previous point along `axis`, whichever changes plane depth less; else 0."""
+    steps = np.diff(points, axis=axis)
+    edge = [(0, 0)] * 3
+    edge[axis] = (0, 1)
+    ahead = np.pad(steps, edge, constant_values=np.nan)
+    edge[axis] = (1, 0)
+    behind = np.pad(steps, edge, constant_values=np.nan)
+    change_ahead, change_behind = (np.nan_to_num(np.abs(s[..., 2]), nan=np.inf) for s in (ahead, behind))
+    chosen = np.where((change_ahead <= change_behind)[..., None], ahead, behind)
+    return np.nan_to_num(chosen, nan=0.0)

@@ -1,0 +1,137 @@
+"""When does an estimate arrive that was asked for now?
+
+Simulated time between trigger and arrival over a link to an edge server: work on the device and the server, the time
+the bytes take, and a network delay that is log-normal (never below its floor, with a tail). A request that is lost is
+sent again after a time-out, and given up after a few: it is then late, or never comes.
+
+Chosen: three presets fitted to the paper's figures. Its medians already hold the bytes of one cloud (4,249 in the
+paper's encoding), so only bytes beyond those cost more. Rejected: a queue per packet, which the figures cannot fix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from xihenet.phone.settings import Section, count, number
+from xihenet.records import ArrayF64, ArrayInt
+
+REFERENCE_PAYLOAD_BYTES = 4249
+"""One cloud of 1280 anchors, uint8 and float16, stripped: the paper's average, of which its network times are."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Link(Section):
+    """A way to the edge server.
+
+    Parameters
+    ----------
+    processing_s : on the device and the server together
+    median_s : of the network time of one cloud, there and back
+    floor_s : the network is never faster
+    spread : standard deviation of the logarithm of what lies above the floor
+    uplink_bit_per_s : for bytes beyond one cloud
+    loss : share of the requests that are lost, each time they are sent
+    resend_s : after this a lost request is sent again
+    n_sends : after so many it is given up
+    """
+
+    processing_s: float = number("s", 0.0, 60.0)
+    median_s: float = number("s", 0.0, 60.0)
+    floor_s: float = number("s", 0.0, 60.0)
+    spread: float = number("", 0.0, 5.0)
+    uplink_bit_per_s: float = number("bit/s", 1.0, 1e12)
+    loss: float = number("of the requests", 0.0, 1.0)
+    resend_s: float = number("s", 0.0, 60.0)
+    n_sends: int = count(1, 100)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.floor_s > self.median_s:
+            raise ValueError(f"floor_s: expected at most median_s ({self.median_s:g}), got {self.floor_s:g}")
+
+
+_PROCESSING_S = 0.01227
+"""20.67 ms end to end, the paper's best on university WiFi, less its 8.4 ms of network time."""
+
+LINKS: Mapping[str, Link] = MappingProxyType(
+    {
+        "wifi": Link(
+            source="the paper: 8.4 ms network time on university WiFi; four positions cost 1.28 x one, hence the "
+            "uplink (0.28 x 8.4 ms for 3 x 4,249 bytes); end to end 20.67 ms at best, under 24.04 ms on every device, "
+            "hence floor and spread. Loss 0.1 %: the best WiFi in Codavel's table of real-world links. Time-out: "
+            "the lower limit of TCP on Linux",
+            processing_s=_PROCESSING_S,
+            median_s=0.0084,
+            floor_s=0.006,
+            spread=0.3,
+            uplink_bit_per_s=43e6,
+            loss=0.001,
+            resend_s=0.2,
+            n_sends=3,
+        ),
+        "home": Link(
+            source="25 ms and 0.2 % loss: WiFi in the USA in Codavel's table of real-world links; the paper says that "
+            "residential WiFi took several times as long as the university's. Chosen: floor at half the median, "
+            "spread 0.5, 10 Mbit/s uplink",
+            processing_s=_PROCESSING_S,
+            median_s=0.025,
+            floor_s=0.0125,
+            spread=0.5,
+            uplink_bit_per_s=10e6,
+            loss=0.002,
+            resend_s=0.2,
+            n_sends=3,
+        ),
+        "lte": Link(
+            source="the paper: 79.2 ms end to end on LTE, less the processing. Loss 0.5 %: 4G in the USA in Codavel's "
+            "table of real-world links. Chosen: floor at half the median, spread 0.6, 8 Mbit/s uplink",
+            processing_s=_PROCESSING_S,
+            median_s=0.0669,
+            floor_s=0.03345,
+            spread=0.6,
+            uplink_bit_per_s=8e6,
+            loss=0.005,
+            resend_s=0.2,
+            n_sends=3,
+        ),
+    }
+)
+
+
+def arrival_frames(
+    trigger_times_s: Sequence[float], payload_bytes: ArrayLike, link: Link | None, rng: np.random.Generator
+) -> ArrayF64:
+    """(N,) when the estimate of each triggered frame arrives, seconds; infinite if it was lost for good.
+
+    Parameters
+    ----------
+    trigger_times_s : (N,) any order; N may be 0
+    payload_bytes : (N,) or one number, what is sent up, >= 0
+    link : None for a phone that estimates by itself: everything arrives at once
+    rng : each request draws the same amount, so a request's luck does not depend on the link's loss
+    """
+    asked_s = np.asarray(trigger_times_s, np.float64)
+    if link is None:
+        return asked_s
+    sizes = np.broadcast_to(np.asarray(payload_bytes, np.float64), asked_s.shape)
+    if not (np.isfinite(sizes) & (sizes >= 0)).all():
+        raise ValueError("arrival_frames: expected payloads of 0 or more bytes, got a negative one or one not finite")
+    normal = rng.normal(size=asked_s.shape)
+    luck = rng.random(size=(*asked_s.shape, link.n_sends))
+    network_s = link.floor_s + (link.median_s - link.floor_s) * np.exp(link.spread * normal)
+    extra_s = np.maximum(sizes - REFERENCE_PAYLOAD_BYTES, 0) * 8 / link.uplink_bit_per_s
+    gets_through = luck >= link.loss
+    n_resent = np.where(gets_through.any(axis=-1), gets_through.argmax(axis=-1), np.inf)
+    waited_s = np.multiply(n_resent, link.resend_s, out=np.full(asked_s.shape, np.inf), where=np.isfinite(n_resent))
+    arrivals_s: ArrayF64 = asked_s + link.processing_s + network_s + extra_s + waited_s
+    return arrivals_s
+
+
+def first_frame_after(arrivals_s: ArrayLike, frame_times_s: Sequence[float]) -> ArrayInt:
+    """(N,) place of the first frame, of ascending times, at or after each arrival; the number of frames if none is."""
+    return np.searchsorted(np.asarray(frame_times_s, np.float64), np.asarray(arrivals_s, np.float64), side="left")

@@ -1,0 +1,123 @@
+"""Which phone is it? Profiles as data files: what each sensor does, with the source of every number.
+
+A profile is a TOML file with a name, a summary and one table for each effect that the device has; a table that is
+missing means that the device does not have the effect. Users add their own file and pass its path.
+Chosen: tables named as the effects are, so that a plan, a profile and a report use one vocabulary.
+Rejected: profiles in Python, which users could not add without touching the package.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+from xihenet.phone.depth import DistanceNoise, EdgeBleeding, Quantisation, RangeLimits
+from xihenet.phone.exposure import AutoExposure
+from xihenet.phone.frame_rate import FrameRate
+from xihenet.phone.holes import DarkHoles, GlossyHoles, GrazingHoles, SpanHoles, TransparentHoles
+from xihenet.phone.light_sensor import LightSensor
+from xihenet.phone.motion import PoseDrift, RollingShutter
+from xihenet.phone.settings import Section, section_from_table
+
+PROFILES_FOLDER = Path(__file__).parent / "profiles"
+
+EFFECTS: Mapping[str, type[Section]] = MappingProxyType(
+    {
+        "frame_rate": FrameRate,
+        "rolling_shutter": RollingShutter,
+        "auto_exposure": AutoExposure,
+        "edge_bleeding": EdgeBleeding,
+        "noise": DistanceNoise,
+        "range": RangeLimits,
+        "quantisation": Quantisation,
+        "dark_holes": DarkHoles,
+        "glossy_holes": GlossyHoles,
+        "transparent_holes": TransparentHoles,
+        "grazing_holes": GrazingHoles,
+        "span_holes": SpanHoles,
+        "pose_drift": PoseDrift,
+        "light_sensor": LightSensor,
+    }
+)
+"""Every sensor effect and its settings, in the order in which they are told."""
+
+
+@dataclass(frozen=True)
+class PhoneProfile:
+    """A device; each effect's settings, or none where the device does not have the effect.
+
+    Parameters
+    ----------
+    name : as people call the device
+    summary : one line
+    sections : settings by the names of EFFECTS
+    """
+
+    name: str
+    summary: str
+    sections: Mapping[str, Section]
+
+    def __post_init__(self) -> None:
+        for key, text in (("name", self.name), ("summary", self.summary)):
+            if not isinstance(text, str) or not text.strip():
+                raise ValueError(f"{key}: expected some text, got {text!r}")
+        for effect, section in self.sections.items():
+            if effect not in EFFECTS:
+                raise ValueError(f"{effect}: there is no such effect; choose from {', '.join(EFFECTS)}")
+            if not isinstance(section, EFFECTS[effect]):
+                raise ValueError(f"{effect}: expected {EFFECTS[effect].__name__}, got {type(section).__name__}")
+        ordered = {effect: self.sections[effect] for effect in EFFECTS if effect in self.sections}
+        object.__setattr__(self, "sections", ordered)
+
+    @property
+    def effects(self) -> frozenset[str]:
+        """The effects that the device has."""
+        return frozenset(self.sections)
+
+
+def profile_names() -> list[str]:
+    """The profiles that come with the package."""
+    return sorted(file.stem for file in PROFILES_FOLDER.glob("*.toml"))
+
+
+def load_profile(name_or_path: str | Path) -> PhoneProfile:
+    """A profile by its name, or from a TOML file of the user's.
+
+    ValueError names the file and the key that is wrong, or lists the names there are.
+    """
+    if str(name_or_path) in profile_names():
+        return _read_profile(PROFILES_FOLDER / f"{name_or_path}.toml")
+    path = Path(name_or_path)
+    if not path.is_file():
+        raise ValueError(
+            f"there is no phone profile {str(name_or_path)!r}: choose one of {', '.join(profile_names())}, "
+            "or give the path of a .toml file"
+        )
+    return _read_profile(path)
+
+
+def _read_profile(path: Path) -> PhoneProfile:
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path}: this is no TOML file ({error})") from None
+    try:
+        return _profile_from_tables(tables)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _profile_from_tables(tables: dict[str, object]) -> PhoneProfile:
+    texts = {key: tables.pop(key, None) for key in ("name", "summary")}
+    sections = {}
+    for effect, table in tables.items():
+        if effect not in EFFECTS:
+            raise ValueError(f"[{effect}]: there is no such effect; choose from {', '.join(EFFECTS)}")
+        try:
+            sections[effect] = section_from_table(EFFECTS[effect], table)
+        except ValueError as error:
+            raise ValueError(f"[{effect}] {error}") from None
+    return PhoneProfile(sections=sections, **texts)  # type: ignore[arg-type]

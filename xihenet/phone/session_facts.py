@@ -1,0 +1,114 @@
+"""What can be said of a session from frames of it, before the phone is simulated?
+
+Perfect frames, few and small ones will do, give distances, edges, darkness, angles, motion and brightness. What no
+picture shows (roughness, transmission, which lights are animated) the caller adds; what it leaves out stays not known,
+and its effects stay on. Chosen: extremes over all pixels, so that a fact errs towards simulating.
+Not here: frames that were not given. Facts from every tenth frame are about every tenth frame.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from xihenet.camera import metered_exposure, unproject_frame, valid_plane_depth
+from xihenet.colour import srgb_to_linear
+from xihenet.phone.called_for import SessionFacts
+from xihenet.phone.depth import window_span_m
+from xihenet.phone.holes import SurfaceFacts, facing_cosines
+from xihenet.phone.motion import turn_between
+from xihenet.records import ArrayF64, RgbdFrame
+
+
+@dataclass(frozen=True)
+class _FrameFacts:
+    """Of one frame; None where it has no valid plane depth."""
+
+    nearest_m: float | None
+    farthest_m: float | None
+    clearance_m: float | None
+    widest_step_m: float
+    steepest_deg: float
+    darkest_grey: float
+    stops: float
+
+
+def facts_from_frames(frames: Sequence[RgbdFrame], positions_m: ArrayLike, **known: Any) -> SessionFacts:
+    """Facts of a session from its perfect frames.
+
+    Parameters
+    ----------
+    frames : in the order of their times; ValueError without any
+    positions_m : (P, 3) estimation positions, world; P may be 0
+    known : further fields of SessionFacts; they win over what the frames say
+
+    Speed is the fastest even motion between two neighbouring frames; with one frame, or where two have the same time,
+    frame rate and speed are not known. A distance that no frame has is not known.
+    """
+    if not frames:
+        raise ValueError("facts_from_frames: expected at least one frame, got none")
+    positions = np.asarray(positions_m, np.float64).reshape(-1, 3)
+    each = [_facts_of(frame, positions) for frame in frames]
+    stops = [facts.stops for facts in each]
+    found = {
+        "duration_s": frames[-1].time_s - frames[0].time_s,
+        "focal_px": max(max(frame.intrinsics.fx, frame.intrinsics.fy) for frame in frames),
+        "nearest_m": _least([facts.nearest_m for facts in each]),
+        "farthest_m": _most([facts.farthest_m for facts in each]),
+        "clearance_m": _least([facts.clearance_m for facts in each]),
+        "widest_step_m": max(facts.widest_step_m for facts in each),
+        "steepest_deg": max(facts.steepest_deg for facts in each),
+        "darkest_grey": min(facts.darkest_grey for facts in each),
+        "brightness_change_stops": max(stops) - min(stops),
+    }
+    return SessionFacts(**(found | _motion_facts(frames) | known))
+
+
+def _motion_facts(frames: Sequence[RgbdFrame]) -> dict[str, float]:
+    """Frame rate and fastest motion between neighbouring frames; nothing if two have the same time, or for one."""
+    steps_s = np.diff([frame.time_s for frame in frames])
+    if not len(steps_s) or steps_s.min() <= 0:
+        return {}
+    poses = [frame.world_from_camera for frame in frames]
+    moves_m = np.linalg.norm(np.diff([pose[:3, 3] for pose in poses], axis=0), axis=1)
+    turns = np.degrees([turn_between(before, after)[0] for before, after in itertools.pairwise(poses)])
+    return {
+        "frame_rate_hz": float(1.0 / steps_s.min()),
+        "fastest_m_per_s": float((moves_m / steps_s).max()),
+        "fastest_turn_deg_per_s": float((turns / steps_s).max()),
+    }
+
+
+def _facts_of(frame: RgbdFrame, positions_m: ArrayF64) -> _FrameFacts:
+    valid = valid_plane_depth(frame.plane_depth_m)
+    seen = frame.plane_depth_m[valid]
+    facing = facing_cosines(frame, SurfaceFacts())[valid]
+    radiance = srgb_to_linear(frame.srgb_u8 / 255.0).astype(np.float32) / frame.exposure
+    return _FrameFacts(
+        nearest_m=float(seen.min()) if seen.size else None,
+        farthest_m=float(seen.max()) if seen.size else None,
+        clearance_m=_clearance_m(frame, positions_m) if seen.size and len(positions_m) else None,
+        widest_step_m=float(window_span_m(frame.plane_depth_m, 1).max()),
+        steepest_deg=float(np.degrees(np.arccos(facing.min()))) if seen.size else 0.0,
+        darkest_grey=float(frame.srgb_u8.mean(axis=2)[valid].min()) / 255 if seen.size else 1.0,
+        stops=float(np.log2(metered_exposure([radiance]))),
+    )
+
+
+def _clearance_m(frame: RgbdFrame, positions_m: ArrayF64) -> float:
+    """From any position to the nearest point that the frame saw."""
+    points = unproject_frame(frame).points_m.astype(np.float64)
+    return min(float(np.nanmin(np.linalg.norm(points - position, axis=1))) for position in positions_m)
+
+
+def _least(values: Sequence[float | None]) -> float | None:
+    return min((v for v in values if v is not None), default=None)
+
+
+def _most(values: Sequence[float | None]) -> float | None:
+    return max((v for v in values if v is not None), default=None)
