@@ -66,12 +66,14 @@ def random_clouds(rng, rooms, n_pairs, n_merged, n_anchors=N, coverage=(0.2, 0.6
     )
 
 
-def write_cache(folder, sampling="sphere", n_anchors=N, is_test_only=False, coverage=(0.2, 0.6), seed=0):
+def write_cache(
+    folder, sampling="sphere", n_anchors=N, is_test_only=False, coverage=(0.2, 0.6), seed=0, n_test_pairs=4
+):
     rng = np.random.default_rng(seed)
     for split, rooms, n_pairs, n_merged in (
         ("train", np.arange(12), 2 * N_COPIES, 4),
         ("validation", np.arange(20, 26), 3, 2),
-        ("test", TEST_ROOMS, 4, 2),
+        ("test", TEST_ROOMS, n_test_pairs, 2),
     ):
         clouds = random_clouds(rng, rooms, n_pairs, n_merged, n_anchors, coverage)
         if split == "train":
@@ -99,7 +101,7 @@ def folders(tmp_path_factory):
         "sphere": write_cache(folder / "sphere"),
         "uniform": write_cache(folder / "uniform", "uniform"),
         "walk": write_cache(folder / "walk", is_test_only=True, coverage=(0.7, 0.9), seed=1),
-        "whole": write_cache(folder / "whole", is_test_only=True, coverage=(1.0, 1.0), seed=2),
+        "whole": write_cache(folder / "whole", is_test_only=True, coverage=(1.0, 1.0), seed=2, n_test_pairs=0),
         "fewer": write_cache(folder / "fewer", n_anchors=64, seed=3),
     }
 
@@ -145,6 +147,7 @@ def test_each_group_has_a_table_with_a_row_for_each_predictor(report):
     assert names == [*BASELINES, "lattice", "pointar"] and tables[ONE_VIEW]["n_clouds"] == 16
     assert tables[ALL_VIEWS]["n_clouds"] == 8 and tables[WALK]["coverage"]["p5"] > 0.6
     assert [row["name"] for row in tables[WHOLE]["rows"]] == [*BASELINES, "lattice"]
+    assert tables[WHOLE]["n_clouds"] == 8
     assert tables[WHOLE]["coverage"] == {"p5": 1.0, "p50": 1.0, "p95": 1.0}
     for table in tables.values():
         assert table["rows"][0]["figures"]["ratio"] == 1.0 and all(r["figures"]["ratio"] > 0 for r in table["rows"])

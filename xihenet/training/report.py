@@ -134,7 +134,7 @@ def _groups(settings: ReportSettings) -> list[Group]:
         groups.append(open_group(f"{name}, {ONE_VIEW}", folders, settings.split, "one", is_of_strangers=True))
         groups.append(open_group(f"{name}, all views", folders, settings.split, "merged", is_of_strangers=True))
     if settings.whole:
-        groups.append(open_group(WHOLE, settings.whole, settings.split, "one"))
+        groups.append(open_group(WHOLE, settings.whole, settings.split, "merged"))
     return groups
 
 

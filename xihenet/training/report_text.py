@@ -17,6 +17,8 @@ def report_markdown(report: Mapping[str, Any]) -> str:
     """`Report.as_dict()` as text, one section for each part that has figures."""
     head = report["head"]
     lines = [
+        f"# Estimators on the {head['split']} rooms, {head['target']}",
+        "",
         f"Split: {head['split']}, target: {head['target']}. The mean predictor, whose error divides the others', "
         f"and the fits come from {head['n_clouds_fitted']} clouds of {head['n_rooms_fitted']} training rooms. "
         "± is the standard deviation over seeds.",
