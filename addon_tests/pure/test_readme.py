@@ -25,7 +25,7 @@ def test_make_targets_of_the_readme_exist(command):
     assert words and set(words) <= TARGETS
 
 
-@pytest.mark.parametrize("command", [c for c in COMMANDS if c.startswith("xihe ")])
+@pytest.mark.parametrize("command", [c for c in COMMANDS if c.startswith("xihe ") and not c.startswith("xihe train ")])
 def test_xihe_commands_of_the_readme_are_understood(command):
     options = _parser().parse_args(shlex.split(command)[1:])
     scene = getattr(options, "scene", None)
