@@ -94,7 +94,7 @@ class PointConvBlock(nn.Module):  # type: ignore[misc]
         middle = _rows(around.places, around.centroids)
         relative = _rows(around.places, around.near) - middle[:, :, None]
         share = self.density(around.inverse_density[..., None]) * (known[..., None] / self.n_neighbours)
-        first = self.per_point[0]
+        first = cast(nn.Linear, self.per_point[0])
         # In float32 also while training in bfloat16: near points differ by less than bfloat16 tells apart.
         with torch.autocast(points_m.device.type, enabled=False):
             of_points = first(torch.cat([around.places, features.float()], -1))

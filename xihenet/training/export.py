@@ -31,6 +31,7 @@ def export_network(
     if isinstance(loaded.net, lattice.LatticeNet):
         weights = lattice.weights_of(loaded.net, loaded.target, **notes)
     else:
+        assert isinstance(loaded.net, pointconv.PointConvNet)
         weights = pointconv.weights_of(loaded.net, loaded.target, estimator=loaded.estimator, **notes)
     out.parent.mkdir(parents=True, exist_ok=True)
     save_weights(out, weights, is_half=is_half)
