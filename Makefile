@@ -34,6 +34,8 @@ bench: $(VENV)/installed
 	$(BIN)/python addon_tests/bench/estimate.py
 	$(BIN)/python addon_tests/bench/phone.py
 	$(BIN)/python addon_tests/bench/rendering.py
+	$(BIN)/python addon_tests/bench/effort.py
+	$(BIN)/python addon_tests/bench/effects.py
 
 scenes: $(VENV)/installed
 	$(BIN)/xihe scenes build

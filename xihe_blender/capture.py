@@ -4,7 +4,8 @@ The room without the virtual objects is rendered from the scene's camera at the 
 clipped and encoded to 8 bits as a phone delivers it; plane depth is Cycles' Z pass, taken through the pixel centres.
 
 Chosen: one exposure for the whole session, metered over a few frames of the path before it starts (a locked exposure,
-as AR toolkits recommend for estimation). Not here: what a real sensor adds (noise, range, holes, exposure that lags).
+as AR toolkits recommend for estimation). What a real sensor adds (noise, range, holes, exposure that lags) is added to
+it in `phone_capture`.
 Paper: section 5, `EnvironmentScanner`.
 """
 
@@ -12,7 +13,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import bpy
 import numpy as np
@@ -36,6 +37,7 @@ class CyclesScanner:
     exposure : factor of the session
     start_frame : frame at which the session's time is 0
     n_invalid_pixels, render_s : of the last scan
+    rendered : all passes of the last scan
     """
 
     scene: bpy.types.Scene
@@ -43,6 +45,7 @@ class CyclesScanner:
     start_frame: int = 0
     n_invalid_pixels: int = 0
     render_s: float = 0.0
+    rendered: Rendered = field(default_factory=lambda: Rendered({}, 0.0))
 
     @property
     def time_s(self) -> float:
@@ -58,7 +61,7 @@ class CyclesScanner:
     def acquire_environment_scan(self) -> RgbdFrame:
         """Render the current frame."""
         intrinsics, world_from_camera = phone_camera(self.scene)
-        rendered = render_passes(self.scene)
+        self.rendered = rendered = render_passes(self.scene)
         radiance, plane_depth_m = first_layer(rendered)
         colour = encode_exposed(radiance, self.exposure)
         self.render_s = rendered.render_s

@@ -11,6 +11,7 @@ import argparse
 import atexit
 import contextlib
 import errno
+import json
 import os
 import re
 import shlex
@@ -21,6 +22,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from xihe_blender.errors import UserError
 from xihenet import __version__, estimators
+from xihenet.phone import LINKS, profile_names
 
 if TYPE_CHECKING:
     from xihe_blender.jobs import Progress
@@ -28,6 +30,13 @@ if TYPE_CHECKING:
 EXIT_USER_ERROR = 2
 EXIT_INTERRUPTED = 130
 MAX_FRAME = 1048574
+OVERRIDE: dict[str, Any] = {
+    "dest": "overrides",
+    "action": "append",
+    "default": [],
+    "metavar": "NAME=on|off|auto",
+    "help": "an effect, whatever the scene calls for; may be repeated, is not saved",
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -77,8 +86,21 @@ def _parser() -> argparse.ArgumentParser:
         "--target", choices=("ldr", "hdr"), default="ldr", help="light that coefficients are held against"
     )
     previs.add_argument("--exposure", type=float, metavar="FACTOR", help="of the phone; default: metered")
+    previs.add_argument("--phone", default="perfect", metavar="NAME|FILE.toml", help=", ".join(profile_names()))
+    previs.add_argument("--network", metavar="NAME", help=", ".join(LINKS) + "; default: estimates arrive at once")
     previs.add_argument("--seed", type=int, default=0)
+    previs.add_argument("--effect", **OVERRIDE)
+    effort = previs.add_mutually_exclusive_group()
+    effort.add_argument("--noise-target", type=float, metavar="SHARE", help="of the light; default: the preset's")
+    effort.add_argument("--samples", type=int, metavar="N", help="of every capture and probe, whatever the noise")
     previs.set_defaults(run=_previs)
+    effects = commands.add_parser("effects", help="which effects of light transport the scene calls for, and why")
+    effects.add_argument("scene", type=Path, metavar="SCENE.blend")
+    effects.add_argument("--frames", type=frame_range, metavar="A:B[:S]", help="default: the scene's range and step")
+    effects.add_argument("--effect", **OVERRIDE)
+    effects.add_argument("--plan-only", action="store_true", help="measure nothing: no costs, no changes")
+    effects.add_argument("--json", action="store_true", help="JSON on stdout, and nothing else")
+    effects.set_defaults(run=_effects)
     _add_estimate(commands)
     scenes = commands.add_parser("scenes", help="the example scenes")
     scenes.add_argument("action", choices=("build",), help="build the .blend files from their scripts")
@@ -167,6 +189,7 @@ def _names(text: str) -> tuple[str, ...]:
 
 def _previs(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     from xihe_blender.blend_file import open_blend
+    from xihe_blender.effects.overrides import parsed_overrides
     from xihe_blender.jobs import run_blocking
     from xihe_blender.previs import previs
     from xihe_blender.previs_settings import PrevisSettings
@@ -180,6 +203,11 @@ def _previs(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         objects=options.objects,
         exposure=options.exposure,
         seed=options.seed,
+        phone=options.phone,
+        network=options.network,
+        effect_choices=parsed_overrides(options.overrides),
+        noise_target=options.noise_target,
+        samples=options.samples,
     )
     scene = open_blend(options.scene)
     job = previs(scene, options.out, settings, blend_file=options.scene, command=options.command_line)
@@ -193,10 +221,32 @@ def said_in_one_line(results: dict[str, Any]) -> str:
     summary, estimator = results["summary"], results["settings"]["estimator"]
     ratio = (summary["rmse_against_ambient"] or {}).get(estimator)
     line = f"{summary['n_active_frames']} of {summary['n_frames']} frames, {summary['n_estimates']} estimates"
+    if results["settings"]["network"] is not None:
+        line += f", {said_of_the_network(summary)}"
     if ratio is None or estimator == "ambient":
         return line
     word = "closer to" if ratio <= 1 else "further from"
     return f"{line}; {estimator} is {abs(1 - ratio):.0%} {word} the ground truth than ambient (RMSE)"
+
+
+def said_of_the_network(summary: dict[str, Any]) -> str:
+    """How long estimates took, and how many never came: "84 ms on their way, none lost"."""
+    latency_ms = summary["mean_latency_ms"]
+    took = "none arrived" if latency_ms is None else f"{latency_ms:.0f} ms on their way"
+    return f"{took}, {summary['n_lost'] or 'none'} lost"
+
+
+def _effects(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
+    from xihe_blender.blend_file import open_blend
+    from xihe_blender.effects.command import report_effects, said_as_table
+    from xihe_blender.effects.overrides import parsed_overrides
+    from xihe_blender.jobs import run_blocking
+
+    overrides = parsed_overrides(options.overrides)
+    scene = open_blend(options.scene)
+    job = report_effects(scene, options.frames, overrides, is_measured=not options.plan_only)
+    report = run_blocking(job, when_news(progress_line(stderr)))
+    print(json.dumps(report.as_json(), indent=1) if options.json else said_as_table(report), file=stdout)
 
 
 def _scenes(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:

@@ -11,10 +11,16 @@ import errno
 import json
 import math
 import os
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+
+from xihenet.png import write_png
+from xihenet.records import ArrayF64, ArrayU8
 
 
 @dataclass(frozen=True)
@@ -46,9 +52,28 @@ class RunOutputs:
         """The exposure that was metered, so that a resumed run has the same without rendering."""
         return self.folder / "work" / "exposure.json"
 
+    @property
+    def effects(self) -> Path:
+        """The plan of effects, so that a resumed run renders by the same one."""
+        return self.folder / "work" / "effects.json"
+
+    @property
+    def effort(self) -> Path:
+        """The numbers of samples, so that a resumed run renders with the same ones."""
+        return self.folder / "work" / "effort.json"
+
+    @property
+    def states(self) -> Path:
+        """What changes from frame to frame, so that a resumed run takes over the same renders from earlier frames."""
+        return self.folder / "work" / "states.json"
+
     def capture(self, frame: int) -> Path:
         """Colour and plane depth of one frame, as recorded."""
         return self.folder / "work" / f"capture_{frame:04d}.npz"
+
+    def surfaces(self, frame: int) -> Path:
+        """What a range sensor meets in each pixel of one capture; only for phones that ask."""
+        return self.folder / "work" / f"surfaces_{frame:04d}.npz"
 
     def times(self, frame: int) -> Path:
         """Seconds that rendering one frame took; written last, so that its presence says the frame is whole."""
@@ -63,7 +88,7 @@ class RunOutputs:
         return self.folder / "radiance" / f"probe_{place}_{_file_stem(name)}_{frame:04d}.exr"
 
     def radiance(self, method: str, frame: int) -> Path:
-        """Linear picture of one method, or of "ground_truth"."""
+        """Linear picture of one method, of "ground_truth", or "captured" for phones that expose by themselves."""
         return self.folder / "radiance" / f"{method}_{frame:04d}.exr"
 
     def picture(self, kind: str, frame: int) -> Path:
@@ -106,6 +131,19 @@ def _from_cpp(error: RuntimeError, path: Path) -> OSError:
     words = " ".join(str(error).split())
     code = next((code for code in errno.errorcode if os.strerror(code) in words), errno.EIO)
     return OSError(code, words if code == errno.EIO else os.strerror(code), str(path))
+
+
+def copy_whole(source: Path, target: Path) -> None:
+    """Copy a file whole or not at all."""
+    with written_whole(target) as beside:
+        shutil.copyfile(source, beside)
+
+
+def write_picture(path: Path, picture: ArrayF64 | ArrayU8) -> None:
+    """Write (H, W, 3) uint8, or floats in [0, 1], as sRGB, whole or not at all."""
+    pixels = picture if picture.dtype == np.uint8 else np.rint(picture * 255).astype(np.uint8)
+    with written_whole(path) as beside:
+        write_png(beside, pixels)
 
 
 def write_json(path: Path, content: Any) -> None:

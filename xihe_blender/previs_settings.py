@@ -1,17 +1,23 @@
 """What can a user choose for a previs run, and what do the presets choose for them?
 
-Presets are provisional: they are round numbers until the frontier of error against time picks better ones.
+Presets are provisional: they are round numbers until the frontier of error against time picks better ones. Their noise
+targets are what `living_room`, the noisiest of the example scenes, has with some 4, 16 and 64 samples per capture at
+256x192; the others reach them with 2 to 5 samples in balanced. An estimate is off by some 30 % of the light, to which
+noise of 6, 3 and 1.5 % adds, in quadrature, 2 %, 0.5 % and 0.1 % of that.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from xihe_blender.effects.overrides import NETWORK, PHONE_EFFECTS, checked
 from xihe_blender.errors import UserError
 from xihe_blender.render import RenderSettings
 from xihenet import estimators
 from xihenet.estimators import Estimator, Target
+from xihenet.phone import LINKS, Link, PhoneProfile, load_profile
 from xihenet.trigger import TriggerSettings
 
 
@@ -21,25 +27,28 @@ class Preset:
 
     Parameters
     ----------
-    capture_samples, truth_samples, comparison_samples : Cycles samples per pixel
+    noise_target : relative error of the nine SH coefficients that rendering may cause in captures and light probes
+    max_samples : Cycles samples per pixel for them, at most; see `effort` for how many are taken
+    comparison_samples : Cycles samples per pixel, fixed
     truth_width : width of the light probe's panorama in pixels; twice its height
     comparison_step : compare at every n-th frame of the path, and at its last
     """
 
-    capture_samples: int
+    noise_target: float
+    max_samples: int
     truth_width: int
-    truth_samples: int
     comparison_samples: int
     comparison_step: int = 1
 
 
 PRESETS = {
-    "draft": Preset(4, 32, 16, 8, comparison_step=2),
-    "balanced": Preset(16, 64, 32, 32),
-    "accurate": Preset(64, 128, 64, 128),
+    "draft": Preset(0.06, 32, 32, 8, comparison_step=2),
+    "balanced": Preset(0.03, 64, 64, 32),
+    "accurate": Preset(0.015, 256, 128, 128),
 }
 
 MAX_SEED = 2**31 - 1
+MAX_SAMPLES = 65536
 
 PREVIS_TRIGGER = TriggerSettings(theta=0.02, ignored_share=0.25, coverage_theta=0.05)
 """The paper's theta of 0.6 sleeps through a lamp that changes; see docs/trigger.md for how these were chosen."""
@@ -59,7 +68,12 @@ class PrevisSettings:
     objects : names of virtual objects to estimate for; None takes all
     exposure : of the phone, locked for the session; None meters it
     seed : of everything that is random
+    noise_target : relative error of the light that rendering may cause; None takes the preset's
+    samples : of every capture and light probe, whatever the noise; None takes what the noise target calls for
     n_anchors : of the unit sphere
+    phone : name of a profile, or path of a user's TOML file; see docs/phone.md
+    network : name of one of LINKS, over which estimates are asked for; None lets them arrive in their own frame
+    effect_choices : effect: "auto", "on" or "off"; wins over what the .blend remembers, which wins over the scene
     """
 
     estimator: str = estimators.DEFAULT
@@ -71,7 +85,12 @@ class PrevisSettings:
     exposure: float | None = None
     seed: int = 0
     n_anchors: int = 1280
+    noise_target: float | None = None
+    samples: int | None = None
     trigger: TriggerSettings = field(default_factory=lambda: PREVIS_TRIGGER)
+    phone: str = "perfect"
+    network: str | None = None
+    effect_choices: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.estimator not in estimators.names():
@@ -87,18 +106,52 @@ class PrevisSettings:
             raise UserError(f"an exposure of {self.exposure:g} makes no picture: give a positive factor, or none")
         if not 0 <= self.seed <= MAX_SEED:
             raise UserError(f"a seed of {self.seed} is out of Cycles' range: give 0 to {MAX_SEED}")
+        if self.network is not None and self.network not in LINKS:
+            raise UserError(f"there is no network {self.network!r}: choose one of {', '.join(LINKS)}, or leave it out")
+        self._check_choices()
+        if self.noise_target is not None and not 0 < self.noise_target < 1:
+            raise UserError(f"a noise target of {self.noise_target:g} is none: give a share of the light, such as 0.03")
+        if self.samples is not None and not 1 <= self.samples <= MAX_SAMPLES:
+            raise UserError(f"{self.samples} samples cannot be rendered: give 1 to {MAX_SAMPLES}, or none")
+
+    def _check_choices(self) -> None:
+        profile = self.profile
+        for name, state in checked(self.effect_choices).items():
+            if name == NETWORK and state == "on" and self.link is None:
+                raise UserError("effect 'network' cannot be on without a network: choose one with --network")
+            if name in PHONE_EFFECTS and name not in (NETWORK, *profile.effects) and state == "on":
+                raise UserError(
+                    f"effect {name!r} cannot be on: {profile.name} does not have it; choose another --phone"
+                )
 
     @property
     def effort(self) -> Preset:
         return PRESETS[self.preset]
 
-    def capture(self, size: tuple[int, int]) -> RenderSettings:
-        return RenderSettings(size, self.effort.capture_samples, self.seed)
+    @property
+    def profile(self) -> PhoneProfile:
+        """The phone; UserError if there is none of that name, or its file is wrong."""
+        try:
+            return load_profile(self.phone)
+        except ValueError as error:
+            raise UserError(f"--phone {self.phone}: {error}") from error
 
-    def truth(self) -> RenderSettings:
+    @property
+    def link(self) -> Link | None:
+        return None if self.network is None else LINKS[self.network]
+
+    @property
+    def noise_aim(self) -> float:
+        """The noise target in force: the user's or the preset's."""
+        return self.effort.noise_target if self.noise_target is None else self.noise_target
+
+    def capture(self, size: tuple[int, int], samples: int) -> RenderSettings:
+        return RenderSettings(size, samples, self.seed)
+
+    def truth(self, samples: int) -> RenderSettings:
         width = self.effort.truth_width
         # A denoiser would smear the few texels of a probe, and their noise averages out in nine coefficients.
-        return RenderSettings((width, width // 2), self.effort.truth_samples, self.seed, denoise=False)
+        return RenderSettings((width, width // 2), samples, self.seed, denoise=False)
 
     def comparison(self, size: tuple[int, int]) -> RenderSettings:
         return RenderSettings(size, self.effort.comparison_samples, self.seed)

@@ -5,8 +5,8 @@ settings are never changed, so there are none to restore after an error, a cance
 the shared objects, their animated values, `scene_state` puts back. Rejected: changing settings in place.
 
 Pixels come back through a 32-bit EXR file in memory, since Blender cannot hand out a render result in background mode.
-Light transport (bounces, clamps, caustics) stays as the user's scene has it: the same in capture, truth and comparison,
-or the comparison would measure the renderer.
+Light transport (bounces, caustics) is what the settings say, or what the user's scene has where they say nothing: the
+same in capture, truth and comparison, or the comparison would measure the renderer. Clamps stay as the scene has them.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from __future__ import annotations
 import contextlib
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,12 +37,14 @@ class RenderSettings:
     samples : per pixel, fixed: adaptive sampling is off, so that equal settings give equal noise
     seed : of Cycles, the same in every frame
     denoise : with OpenImageDenoise, where the build has it
+    light_transport : (setting, value) as an EffectPlan gives them; settings that are not named stay the scene's own
     """
 
     size: tuple[int, int]
     samples: int
     seed: int = 0
     denoise: bool = True
+    light_transport: tuple[tuple[str, bool | int], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +94,14 @@ def set_up_cycles(scene: bpy.types.Scene, settings: RenderSettings) -> None:
         layer.samples = 0
         layer.material_override = None
         layer.use_pass_combined = layer.use_pass_z = True
+    apply_effects(scene, settings.light_transport)
     set_up_memory_exr(render.image_settings)
+
+
+def apply_effects(scene: bpy.types.Scene, light_transport: Iterable[tuple[str, bool | int]]) -> None:
+    """Set what an EffectPlan asks for: (name, value) of Cycles' settings; motion blur is the only one of Blender's."""
+    for name, value in light_transport:
+        setattr(scene.render if name == "use_motion_blur" else scene.cycles, name, value)
 
 
 def can_denoise(scene: bpy.types.Scene) -> bool:
@@ -146,10 +155,12 @@ def _by_layer(channels: dict[str, ArrayF32]) -> dict[str, dict[str, ArrayF32]]:
     return layers
 
 
-def exclude_collection(layer: bpy.types.LayerCollection, collection: bpy.types.Collection) -> None:
-    """Leave `collection` out of the view layer that `layer` is the root of, wherever it is linked."""
+def exclude_collection(
+    layer: bpy.types.LayerCollection, collection: bpy.types.Collection, *, is_excluded: bool = True
+) -> None:
+    """Leave `collection` out of the view layer that `layer` is the root of, wherever it is linked; or take it in."""
     for child in layer.children:
         if child.collection == collection:
-            child.exclude = True
+            child.exclude = is_excluded
         else:
-            exclude_collection(child, collection)
+            exclude_collection(child, collection, is_excluded=is_excluded)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import platform
-import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -17,58 +16,84 @@ import bpy
 import numpy as np
 
 from xihe_blender.compare import ERROR_AT_FULL_SCALE
-from xihe_blender.effects import simulated_effects
+from xihe_blender.effects.overrides import overrides_in_force
+from xihe_blender.effects.unchanged import KeptRenders
+from xihe_blender.effort import Effort
 from xihe_blender.outputs import finite_or_none
-from xihe_blender.plan import PrevisPlan, Probe
-from xihe_blender.previs_settings import PrevisSettings
+from xihe_blender.phone_capture import PhoneCapture
+from xihe_blender.plan import Probe
+from xihe_blender.prepared_run import PreparedRun
+from xihe_blender.results_summary import mean_comparison, noise_notes, notes, summary
 from xihenet import __version__
 from xihenet.camera import valid_plane_depth
 from xihenet.metrics import shc_rmse
+from xihenet.phone import Request, first_frame_after
 from xihenet.records import ArrayF64, RgbdFrame, StepReport
 
 SCHEMA_VERSION = 1
-METRICS = ("psnr", "ssim", "rmse", "si_rmse", "angular_deg")
 
 
-def inactive_frame(frame: int, time_s: float) -> dict[str, Any]:
-    """A frame in which no estimation position is in view: nothing was rendered, nothing computed."""
+def inactive_frame(frame: int, time_s: float, *, is_delivered: bool = True) -> dict[str, Any]:
+    """A frame with no estimation position in view, or that the phone does not deliver: nothing rendered or computed."""
     return {
         "frame": frame,
         "time_s": time_s,
         "active": False,
+        "is_delivered": is_delivered,
         "render_s": 0.0,
         "work_s": 0.0,
         "stage_ms": {},
         "n_invalid_pixels": 0,
+        "n_lost_pixels": {},
         "probes": [],
     }
 
 
 def active_frame(
-    captured: RgbdFrame,
+    seen: RgbdFrame,
     steps: Mapping[str, StepReport],
     probes: list[dict[str, Any]],
     render_s: float,
     work_s: float,
+    *,
+    n_lost: Mapping[str, int],
 ) -> dict[str, Any]:
-    """A frame that went through the chain; `stage_ms` adds up its positions, `work_s` is all that is not rendering."""
+    """A frame, as the phone saw it, that went through the chain.
+
+    `stage_ms` adds up its positions, `work_s` is all that is not rendering, `n_lost` pixels that each effect took.
+    """
     stage_ms: dict[str, float] = {}
     for step in steps.values():
         for stage, ms in step.stage_ms.items():
             stage_ms[stage] = stage_ms.get(stage, 0.0) + ms
-    valid = valid_plane_depth(captured.plane_depth_m)
-    ambient = None if captured.ambient is None else captured.ambient.tolist()
+    valid = valid_plane_depth(seen.plane_depth_m)
+    ambient = None if seen.ambient is None else seen.ambient.tolist()
     return {
-        "frame": captured.frame,
-        "time_s": captured.time_s,
+        "frame": seen.frame,
+        "time_s": seen.time_s,
         "active": True,
+        "is_delivered": True,
+        "exposure": seen.exposure,
         "render_s": render_s,
         "work_s": work_s,
         "stage_ms": stage_ms,
         "ambient_radiance": ambient,
         "n_invalid_pixels": int(valid.size - np.count_nonzero(valid)),
+        "n_lost_pixels": dict(n_lost),
         "probes": probes,
     }
+
+
+def rendering(frame: int, names: Sequence[str], effort: Effort, kept: KeptRenders) -> dict[str, Any]:
+    """What was rendered for `frame`, with how many samples and what noise, and what an earlier frame had already."""
+    capture = _render(frame, kept.capture(frame), effort.capture_samples, effort.capture_noise)
+    probes = {name: _render(frame, kept.probe(frame, name), effort.truth_samples, effort.truth_noise) for name in names}
+    return {"rendering": {"capture": capture, "probes": probes}}
+
+
+def _render(frame: int, source: int, samples: int, noise: float | None) -> dict[str, Any]:
+    same_as = None if source == frame else source
+    return {"rendered": same_as is None, "same_as": same_as, "samples": samples, "noise": finite_or_none(noise)}
 
 
 def probe_entry(probe: Probe, step: StepReport, light: ArrayF64, truth: ArrayF64) -> dict[str, Any]:
@@ -93,17 +118,38 @@ def probe_entry(probe: Probe, step: StepReport, light: ArrayF64, truth: ArrayF64
     }
 
 
+def arrival(request: Request | None, frames: Sequence[int], times_s: Sequence[float]) -> dict[str, Any]:
+    """When the estimate of one step arrives; null without one, for one that was lost, or after the last frame."""
+    if request is None:
+        return {"arrival_frame": None, "latency_ms": None}
+    place = int(first_frame_after([request.arrival_s], times_s)[0])
+    latency_s = request.latency_s
+    return {
+        "arrival_frame": frames[place] if place < len(frames) else None,
+        "latency_ms": None if latency_s is None else 1e3 * latency_s,
+    }
+
+
 def assemble(
-    scene: bpy.types.Scene,
-    file: Path,
-    plan: PrevisPlan,
-    settings: PrevisSettings,
-    exposure: float,
+    run: PreparedRun,
     frames: list[dict[str, Any]],
     *,
+    phone: PhoneCapture,
+    errors: dict[str, Any] | None,
+    file: Path,
     command: str,
 ) -> dict[str, Any]:
-    """The content of results.json."""
+    """The content of results.json.
+
+    Parameters
+    ----------
+    frames : its entries
+    phone : with the effects that were simulated
+    errors : what these do to the light; None without any
+    file : where the scene comes from
+    command : what the user typed
+    """
+    scene = run.scene
     comparison = mean_comparison(frames)
     return {
         "schema_version": SCHEMA_VERSION,
@@ -120,43 +166,62 @@ def assemble(
             "n_cores": os.cpu_count(),
             "cycles_device": cycles_device(scene),
         },
-        "settings": _settings(plan, settings, exposure),
+        "settings": _settings(run),
         "scene": {
             "file": file.name,
             "name": scene.name,
             "camera": scene.camera.name if scene.camera else None,
             "fps": scene.render.fps / scene.render.fps_base,
-            "virtual_objects": [item.name for item in plan.objects],
+            "virtual_objects": [item.name for item in run.plan.objects],
             "view_transform": scene.view_settings.view_transform,
         },
-        "effects": simulated_effects(scene),
+        "effects": [*run.effects.as_json(), *other_effects(scene), *phone.as_json()],
+        "phone": {"name": phone.profile.name, "summary": phone.profile.summary, "shc_rmse": errors},
         "frames": frames,
         "comparison": comparison,
-        "summary": summary(frames, comparison),
-        "notes": notes(scene, frames),
+        "summary": summary(frames, comparison) | {"pilot_s": run.effort.pilot_s},
+        "notes": [*notes(scene, frames), *phone.notes(), *noise_notes(run.settings, run.effort)],
     }
 
 
-def _settings(plan: PrevisPlan, settings: PrevisSettings, exposure: float) -> dict[str, Any]:
-    effort = settings.effort
+def other_effects(scene: bpy.types.Scene) -> list[dict[str, Any]]:
+    """[{name, state, reason, parameters, origin}] of what is always so, besides light transport and phone."""
+    clamp = scene.cycles.sample_clamp_indirect
+    rows = [
+        ("indirect clamp", clamp > 0, f"as the scene has it: {clamp:g}"),
+        ("8-bit clipping", True, "a phone delivers clipped, sRGB-encoded bytes"),
+    ]
+    return [
+        {"name": name, "state": "on" if is_on else "off", "reason": reason, "parameters": {}, "origin": "auto"}
+        for name, is_on, reason in rows
+    ]
+
+
+def _settings(run: PreparedRun) -> dict[str, Any]:
+    settings, effort, preset = run.settings, run.effort, run.settings.effort
     return {
         "estimator": settings.estimator,
         "preset": settings.preset,
         "target": settings.target,
-        "size": list(plan.size),
-        "frames": list(plan.frames),
+        "size": list(run.plan.size),
+        "frames": list(run.plan.frames),
         "n_anchors": settings.n_anchors,
         "codec": "uint8_float16_stripped",
         "seed": settings.seed,
-        "reference_exposure": exposure,
+        "phone": settings.phone,
+        "network": settings.network,
+        "effect_choices": overrides_in_force(run.scene, settings.effect_choices),
+        "reference_exposure": run.exposure,
         "trigger": asdict(settings.trigger),
         "samples": {
             "capture": effort.capture_samples,
             "truth": effort.truth_samples,
-            "comparison": effort.comparison_samples,
+            "comparison": preset.comparison_samples,
         },
-        "truth_size": [effort.truth_width, effort.truth_width // 2],
-        "comparison_step": effort.comparison_step,
+        "noise_target": None if settings.samples is not None else settings.noise_aim,
+        "noise": {"capture": effort.capture_noise, "truth": effort.truth_noise},
+        "truth_size": [preset.truth_width, preset.truth_width // 2],
+        "comparison_step": preset.comparison_step,
         "comparison_view_transform": "Standard",
         "error_map_full_scale": ERROR_AT_FULL_SCALE,
     }
@@ -169,67 +234,3 @@ def cycles_device(scene: bpy.types.Scene) -> str:
     addon = bpy.context.preferences.addons.get("cycles")
     kind = addon.preferences.compute_device_type if addon else "NONE"
     return "CPU" if kind == "NONE" else str(kind)
-
-
-def mean_comparison(frames: Sequence[dict[str, Any]]) -> dict[str, dict[str, float | None]]:
-    """Every metric of every method, averaged over the compared frames in which it is defined."""
-    compared = [entry["comparison"] for entry in frames if "comparison" in entry]
-    methods = list(compared[0]) if compared else []
-    return {name: {metric: _mean(entry[name][metric] for entry in compared) for metric in METRICS} for name in methods}
-
-
-def summary(frames: Sequence[dict[str, Any]], comparison: Mapping[str, Mapping[str, float | None]]) -> dict[str, Any]:
-    """The run in a few numbers."""
-    active = [entry for entry in frames if entry["active"]]
-    probes = [probe for entry in active for probe in entry["probes"]]
-    render_s, work_s = sum(e["render_s"] for e in active), sum(e["work_s"] for e in active)
-    return {
-        "n_frames": len(frames),
-        "n_active_frames": len(active),
-        "n_compared_frames": sum("comparison" in entry for entry in frames),
-        "n_estimates": sum(probe["fired"] for probe in probes),
-        "fired_share": _mean(float(probe["fired"]) for probe in probes),
-        "mean_shc_rmse": _mean(probe["shc_rmse"] for probe in probes),
-        "ambient_shc_rmse": _mean(probe["ambient_shc_rmse"] for probe in probes),
-        "mean_coverage": _mean(probe["coverage"] for probe in probes),
-        "mean_step_ms": _mean(sum(entry["stage_ms"].values()) for entry in active),
-        "payload_bytes": sum(probe["payload_bytes"] for probe in probes),
-        "n_invalid_pixels": sum(entry["n_invalid_pixels"] for entry in active),
-        "render_s": render_s,
-        "comparison_render_s": sum(entry.get("comparison_render_s", 0.0) for entry in frames),
-        "overhead_share": work_s / render_s if render_s else None,
-        "rmse_against_ambient": {
-            name: _ratio(metrics["rmse"], comparison["ambient"]["rmse"]) for name, metrics in comparison.items()
-        },
-    }
-
-
-def notes(scene: bpy.types.Scene, frames: Sequence[dict[str, Any]]) -> list[str]:
-    """What a reader of the numbers has to know, in plain sentences."""
-    own = scene.view_settings.view_transform
-    aside = "as the scene has it" if own == "Standard" else f"the scene's own, {own}, would bend the comparison"
-    said = [
-        f"Pictures are made with the Standard view transform: {aside}.",
-        "Image metrics count the pixels that virtual objects cover, by how much they cover; psnr and ssim on "
-        "sRGB-encoded colour, the others on linear colour at the session's exposure.",
-        "The shadow that a virtual object casts on the room is in the ground truth but not in the methods' pictures.",
-        "In the pictures `truth` is the whole light of the rendered probe as order-2 SH, not clipped.",
-    ]
-    inactive = [entry["frame"] for entry in frames if not entry["active"]]
-    if inactive:
-        frames_were = ("1 frame", "was") if len(inactive) == 1 else (f"{len(inactive)} frames", "were")
-        said.append("{} had no estimation position in view and {} not captured.".format(*frames_were))
-    invalid = sum(entry["n_invalid_pixels"] for entry in frames)
-    if invalid:
-        said.append(f"{invalid} captured pixels had no plane depth (open sky or a window) and gave no point.")
-    return said
-
-
-def _mean(values: Any) -> float | None:
-    """Mean of the values that are not None; None without any."""
-    known = [value for value in values if value is not None]
-    return statistics.fmean(known) if known else None
-
-
-def _ratio(value: float | None, reference: float | None) -> float | None:
-    return value / reference if value is not None and reference else None

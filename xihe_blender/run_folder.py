@@ -57,6 +57,8 @@ def run_identity(scene: bpy.types.Scene, file: Path, settings: PrevisSettings, p
         "blend_sha256": hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else None,
         "scene": scene.name,
         "settings": asdict(settings),
+        # A file of the user's may have changed since.
+        "phone": asdict(settings.profile),
         "effort": asdict(settings.effort),
         "frames": plan.frames,
         "size": plan.size,

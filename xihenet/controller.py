@@ -10,7 +10,7 @@ Paper: section 5 and its table of classes; section 4.3.2 for active positions.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -103,13 +103,16 @@ class XiheController:
         seen = in_view(points, intrinsics, world_from_camera)
         return [name for name, is_active in zip(self._positions, seen, strict=True) if is_active]
 
-    def step(self, frame: RgbdFrame, truth: dict[str, ArrayF64] | None = None) -> dict[str, StepReport]:
+    def step(
+        self, frame: RgbdFrame, truth: dict[str, ArrayF64] | None = None, *, active: Sequence[str] | None = None
+    ) -> dict[str, StepReport]:
         """Run the chain on one frame for every active position.
 
         Parameters
         ----------
         frame : one capture
         truth : (9, 3) coefficients of the rendered light probe by position, for estimators that need them
+        active : names of the positions in view, for whoever knows the true pose of a frame whose own has drifted
 
         Returns
         -------
@@ -120,7 +123,8 @@ class XiheController:
         if self.reference_exposure is None:
             self.reference_exposure = frame.exposure
         self._frame = frame
-        active = self.active(frame.intrinsics, frame.world_from_camera)
+        if active is None:
+            active = self.active(frame.intrinsics, frame.world_from_camera)
         if not active:
             return {}
         clock = StageClock()

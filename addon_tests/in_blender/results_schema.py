@@ -4,12 +4,16 @@ import itertools
 import json
 import math
 
+from xihe_blender.effects.overrides import PHONE_EFFECTS
+
 FRAME_TIMES = {"render_s", "work_s", "stage_ms", "comparison_render_s"}
-SUMMARY_TIMES = {"render_s", "comparison_render_s", "overhead_share", "mean_step_ms"}
+SUMMARY_TIMES = {"render_s", "pilot_s", "comparison_render_s", "overhead_share", "mean_step_ms"}
 STAGES = {"unproject", "sample", "merge", "trigger", "encode", "estimate"}
 METRICS = {"psnr", "ssim", "rmse", "si_rmse", "angular_deg"}
 REASONS = {"first", "colour", "coverage", "none"}
-PARTS = {"schema_version", "software", "machine", "settings", "scene", "effects", "frames", "comparison", "summary"}
+PARTS = {
+    "schema_version", "software", "machine", "settings", "scene", "effects", "phone", "frames", "comparison", "summary",
+}  # fmt: skip
 
 
 def read_strictly(path):
@@ -37,17 +41,49 @@ def check_results(results):
     for part in ("software", "machine"):
         assert all(isinstance(value, str | int) for value in results[part].values()), part
     assert results["settings"]["target"] in ("ldr", "hdr")
-    for effect in results["effects"]:
-        assert set(effect) == {"name", "state", "reason"}
-        assert effect["state"] in ("on", "off") and all(effect.values())
+    _check_effects(results)
     assert [entry["frame"] for entry in results["frames"]] == results["settings"]["frames"]
     for entry in results["frames"]:
-        _check_frame(entry)
+        _check_frame(entry, results["settings"]["frames"])
     _check_comparison(results)
     _check_summary(results)
 
 
-def _check_frame(entry):
+def _check_effects(results):
+    """Every effect once, and the phone's errors for those of the phone and the session that are on."""
+    names = [effect["name"] for effect in results["effects"]]
+    assert len(names) == len(set(names))
+    for effect in results["effects"]:
+        assert set(effect) >= {"name", "state", "reason", "parameters", "origin"}
+        assert effect["state"] in ("on", "off") and effect["name"] and effect["reason"]
+        assert effect["origin"] == ("user" if effect["name"] in _chosen(results) else "auto")
+    phone, settings = results["phone"], results["settings"]
+    assert phone["name"] and phone["summary"] and settings["phone"]
+    assert settings["network"] is None or isinstance(settings["network"], str)
+    on = {effect["name"] for effect in results["effects"] if effect["state"] == "on"} & set(PHONE_EFFECTS)
+    errors = phone["shc_rmse"]
+    assert (errors is None) == (not on)
+    if errors is not None:
+        assert set(errors["without"]) == on
+        assert all(
+            e is None or _is_number(e) for e in (errors["all_on"], errors["perfect"], *errors["without"].values())
+        )
+        assert errors["all_on"] == results["summary"]["mean_shc_rmse"]
+
+
+def _chosen(results):
+    """Names of the effects that the user turned on or off, as far as phone and session have them."""
+    chosen = results["settings"]["effect_choices"]
+    assert set(chosen.values()) <= {"on", "off"}
+    return {name for name in chosen if name not in PHONE_EFFECTS or _numbers_of(results, name)}
+
+
+def _numbers_of(results, name):
+    """The numbers of an effect; empty for one that the phone or the session does not have."""
+    return next(effect["parameters"] for effect in results["effects"] if effect["name"] == name)
+
+
+def _check_frame(entry, frames):
     assert isinstance(entry["frame"], int) and isinstance(entry["active"], bool)
     assert math.isfinite(entry["time_s"])
     assert _is_number(entry["render_s"]) and entry["render_s"] >= 0
@@ -55,11 +91,29 @@ def _check_frame(entry):
     assert all(_is_number(ms) and ms >= 0 for ms in entry["stage_ms"].values())
     # `probes` lists active positions only, so that a frame is active exactly when it lists any.
     assert entry["active"] == bool(entry["probes"])
-    assert entry["active"] == (entry["render_s"] > 0)
+    if entry["active"]:
+        _check_rendering(entry)
+    else:
+        assert entry["render_s"] == 0
+    assert isinstance(entry["is_delivered"], bool) and (entry["is_delivered"] or not entry["active"])
+    assert all(isinstance(n, int) and n >= 0 for n in entry["n_lost_pixels"].values())
     for probe in entry["probes"]:
         _check_probe(probe)
+        _check_arrival(probe, entry["frame"], frames)
     if "estimate" in entry["stage_ms"]:
         assert any(probe["fired"] for probe in entry["probes"])
+
+
+def _check_rendering(entry):
+    capture, probes = entry["rendering"]["capture"], entry["rendering"]["probes"]
+    assert set(probes) == {probe["name"] for probe in entry["probes"]}
+    renders = [capture, *probes.values()]
+    for render in renders:
+        assert isinstance(render["samples"], int) and render["samples"] >= 1
+        assert render["noise"] is None or 0 <= render["noise"] < math.inf
+        assert render["rendered"] == (render["same_as"] is None)
+        assert render["rendered"] or render["same_as"] < entry["frame"]
+    assert (entry["render_s"] > 0) == any(render["rendered"] for render in renders)
 
 
 def _check_probe(probe):
@@ -80,6 +134,12 @@ def _check_probe(probe):
     assert math.isclose(probe["shc_rmse"], rmse, rel_tol=1e-9)
 
 
+def _check_arrival(probe, frame, frames):
+    latency, arrives = probe["latency_ms"], probe["arrival_frame"]
+    assert latency is None or (_is_number(latency) and latency >= 0 and probe["fired"])
+    assert arrives is None or (arrives in frames and arrives >= frame and latency is not None)
+
+
 def _check_comparison(results):
     compared = [entry for entry in results["frames"] if "comparison" in entry]
     methods = {results["settings"]["estimator"], "ambient", "truth"} if compared else set()
@@ -97,6 +157,9 @@ def _check_summary(results):
     assert summary["n_frames"] == len(frames)
     assert summary["n_active_frames"] == sum(entry["active"] for entry in frames)
     assert summary["n_estimates"] == sum(probe["fired"] for entry in frames for probe in entry["probes"])
+    fired = [probe for entry in frames for probe in entry["probes"] if probe["fired"]]
+    assert summary["n_lost"] == sum(probe["latency_ms"] is None for probe in fired)
+    assert (summary["mean_latency_ms"] is None) == (summary["n_lost"] == len(fired))
     assert summary["payload_bytes"] == sum(probe["payload_bytes"] for entry in frames for probe in entry["probes"])
 
 

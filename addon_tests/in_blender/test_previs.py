@@ -79,7 +79,8 @@ def test_a_frame_without_a_position_in_view_is_not_captured(finished):
     entry = entries(finished.results)[LOOKS_AWAY]
     assert not entry["active"] and entry["render_s"] == 0 and "comparison" not in entry
     assert not any(f"_{LOOKS_AWAY:04d}." in path for path in files_below(finished.outputs.folder))
-    assert finished.renders.count("Xihe Capture") == 3 + N_FRAMES - 1  # three of them for metering
+    # Three of them for metering, three for the pilot that chooses the number of samples.
+    assert finished.renders.count("Xihe Capture") == 3 + 3 + N_FRAMES - 1
     said = "1 frame had no estimation position in view and was not captured."
     assert said in finished.results["notes"]
     assert said in finished.outputs.report.read_text(encoding="utf-8")

@@ -367,6 +367,13 @@ def test_the_page_says_what_metrics_cannot_do_and_how_it_was_made(tmp_path: Path
     assert all(effect["reason"] in text for effect in results["effects"])
 
 
+def test_the_table_of_effects_says_what_cycles_was_set_to(tmp_path: Path) -> None:
+    results, outputs = synthetic(tmp_path, n_frames=4)
+    results["effects"][0]["parameters"] = {"diffuse_bounces": 17, "use_light_tree": True, "use_fast_gi": False}
+    text = Page(page_of(results, outputs)).text
+    assert all(words in text for words in ("diffuse_bounces 17", "use_light_tree on", "use_fast_gi off"))
+
+
 def test_the_last_coefficients_of_a_probe_are_in_the_page(tmp_path: Path) -> None:
     results, outputs = synthetic(tmp_path, n_frames=4, inactive=(3,))
     last = results["frames"][2]["probes"][0]

@@ -13,6 +13,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from xihe_blender.report.phone import phone_caption, phone_in_words, phone_rows
 from xihe_blender.report.pictures import METHOD_MEANINGS
 from xihe_blender.report.timeline import Timeline, probe_in, reason_in_words, reason_of
 from xihe_blender.report.values import (
@@ -57,6 +58,7 @@ def numbers_section(results: Mapping[str, Any]) -> str:
         _comparison(results),
         _block("Probes", _probes(timeline)),
         _block("Effects", _effects(results)),
+        _block("Phone", _phone(results)),
         _block("Notes", _notes(results)),
         _block("Command", _command(results)),
         _facts(results),
@@ -234,10 +236,25 @@ def _effects(results: Mapping[str, Any]) -> str:
             code(effect.get("name")),
             f'<span class="state">{escape(effect.get("state") or DASH)}</span>',
             escape(effect.get("reason") or DASH),
+            _set_to(effect),
         ]
         for effect in items(results, "effects")
     ]
-    return _table(["effect", "state", "why"], rows, "words") if rows else ""
+    return _table(["effect", "state", "why", "set to"], rows, "words") if rows else ""
+
+
+def _set_to(effect: Mapping[str, Any]) -> str:
+    """What an effect was set to: "diffuse_bounces 17", "farthest_m 5.0"; a dash where nothing sets it."""
+    said = {True: "on", False: "off"}
+    settings = mapping(effect, "parameters").items()
+    words = [f"{name} {said[value] if isinstance(value, bool) else value}" for name, value in settings]
+    return ", ".join(code(word) for word in words) or DASH
+
+
+def _phone(results: Mapping[str, Any]) -> str:
+    rows = phone_rows(results)
+    head = ["effect", "SHC RMSE, all on", "without it", "it adds"]
+    return phone_in_words(results) + (_table(head, rows) + phone_caption() if rows else "")
 
 
 def _notes(results: Mapping[str, Any]) -> str:

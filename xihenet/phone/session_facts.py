@@ -3,13 +3,14 @@
 Perfect frames, few and small ones will do, give distances, edges, darkness, angles, motion and brightness. What no
 picture shows (roughness, transmission, which lights are animated) the caller adds; what it leaves out stays not known,
 and its effects stay on. Chosen: extremes over all pixels, so that a fact errs towards simulating.
+A long session need not be held in memory: `facts_of_frame` as each frame comes, `facts_of_session` at the end.
 Not here: frames that were not given. Facts from every tenth frame are about every tenth frame.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,10 +26,22 @@ from xihenet.phone.motion import turn_between
 from xihenet.records import ArrayF64, RgbdFrame
 
 
-@dataclass(frozen=True)
-class _FrameFacts:
-    """Of one frame; None where it has no valid plane depth."""
+@dataclass(frozen=True, eq=False)
+class FrameFacts:
+    """Of one frame; None where it has no valid plane depth, or where no position was given.
 
+    Parameters
+    ----------
+    time_s, focal_px, world_from_camera : of the frame
+    nearest_m, farthest_m : plane depth of any surface
+    clearance_m : from an estimation position to the nearest surface
+    widest_step_m, steepest_deg, darkest_grey : see SessionFacts
+    stops : logarithm to base 2 of the exposure that the frame asks for
+    """
+
+    time_s: float
+    focal_px: float
+    world_from_camera: ArrayF64
     nearest_m: float | None
     farthest_m: float | None
     clearance_m: float | None
@@ -38,26 +51,30 @@ class _FrameFacts:
     stops: float
 
 
-def facts_from_frames(frames: Sequence[RgbdFrame], positions_m: ArrayLike, **known: Any) -> SessionFacts:
-    """Facts of a session from its perfect frames.
+def facts_from_frames(frames: Iterable[RgbdFrame], positions_m: ArrayLike, **known: Any) -> SessionFacts:
+    """Facts of a session from its perfect frames; see `facts_of_session`.
 
     Parameters
     ----------
     frames : in the order of their times; ValueError without any
     positions_m : (P, 3) estimation positions, world; P may be 0
     known : further fields of SessionFacts; they win over what the frames say
+    """
+    return facts_of_session([facts_of_frame(frame, positions_m) for frame in frames], **known)
+
+
+def facts_of_session(each: Sequence[FrameFacts], **known: Any) -> SessionFacts:
+    """Facts of a session from those of its frames, in the order of their times; ValueError without any.
 
     Speed is the fastest even motion between two neighbouring frames; with one frame, or where two have the same time,
-    frame rate and speed are not known. A distance that no frame has is not known.
+    frame rate and speed are not known. A distance that no frame has is not known. What is in `known` wins.
     """
-    if not frames:
-        raise ValueError("facts_from_frames: expected at least one frame, got none")
-    positions = np.asarray(positions_m, np.float64).reshape(-1, 3)
-    each = [_facts_of(frame, positions) for frame in frames]
+    if not each:
+        raise ValueError("facts_of_session: expected at least one frame, got none")
     stops = [facts.stops for facts in each]
     found = {
-        "duration_s": frames[-1].time_s - frames[0].time_s,
-        "focal_px": max(max(frame.intrinsics.fx, frame.intrinsics.fy) for frame in frames),
+        "duration_s": each[-1].time_s - each[0].time_s,
+        "focal_px": max(facts.focal_px for facts in each),
         "nearest_m": _least([facts.nearest_m for facts in each]),
         "farthest_m": _most([facts.farthest_m for facts in each]),
         "clearance_m": _least([facts.clearance_m for facts in each]),
@@ -66,15 +83,15 @@ def facts_from_frames(frames: Sequence[RgbdFrame], positions_m: ArrayLike, **kno
         "darkest_grey": min(facts.darkest_grey for facts in each),
         "brightness_change_stops": max(stops) - min(stops),
     }
-    return SessionFacts(**(found | _motion_facts(frames) | known))
+    return SessionFacts(**(found | _motion_facts(each) | known))
 
 
-def _motion_facts(frames: Sequence[RgbdFrame]) -> dict[str, float]:
+def _motion_facts(each: Sequence[FrameFacts]) -> dict[str, float]:
     """Frame rate and fastest motion between neighbouring frames; nothing if two have the same time, or for one."""
-    steps_s = np.diff([frame.time_s for frame in frames])
+    steps_s = np.diff([facts.time_s for facts in each])
     if not len(steps_s) or steps_s.min() <= 0:
         return {}
-    poses = [frame.world_from_camera for frame in frames]
+    poses = [facts.world_from_camera for facts in each]
     moves_m = np.linalg.norm(np.diff([pose[:3, 3] for pose in poses], axis=0), axis=1)
     turns = np.degrees([turn_between(before, after)[0] for before, after in itertools.pairwise(poses)])
     return {
@@ -84,15 +101,20 @@ def _motion_facts(frames: Sequence[RgbdFrame]) -> dict[str, float]:
     }
 
 
-def _facts_of(frame: RgbdFrame, positions_m: ArrayF64) -> _FrameFacts:
+def facts_of_frame(frame: RgbdFrame, positions_m: ArrayLike) -> FrameFacts:
+    """What one perfect frame says; `positions_m` (P, 3) are the estimation positions, world; P may be 0."""
+    positions = np.asarray(positions_m, np.float64).reshape(-1, 3)
     valid = valid_plane_depth(frame.plane_depth_m)
     seen = frame.plane_depth_m[valid]
     facing = facing_cosines(frame, SurfaceFacts())[valid]
     radiance = srgb_to_linear(frame.srgb_u8 / 255.0).astype(np.float32) / frame.exposure
-    return _FrameFacts(
+    return FrameFacts(
+        time_s=frame.time_s,
+        focal_px=max(frame.intrinsics.fx, frame.intrinsics.fy),
+        world_from_camera=frame.world_from_camera,
         nearest_m=float(seen.min()) if seen.size else None,
         farthest_m=float(seen.max()) if seen.size else None,
-        clearance_m=_clearance_m(frame, positions_m) if seen.size and len(positions_m) else None,
+        clearance_m=_clearance_m(frame, positions) if seen.size and len(positions) else None,
         widest_step_m=float(window_span_m(frame.plane_depth_m, 1).max()),
         steepest_deg=float(np.degrees(np.arccos(facing.min()))) if seen.size else 0.0,
         darkest_grey=float(frame.srgb_u8.mean(axis=2)[valid].min()) / 255 if seen.size else 1.0,

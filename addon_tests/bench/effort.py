@@ -1,0 +1,224 @@
+"""What do a noise target and renders that are not made twice save, at equal noise of the light?
+
+    python addon_tests/bench/effort.py [--size 128x96] [--preset draft] [--step 3]
+
+A walk: capture, light probes and, at every n-th frame, the comparison of three methods; nothing is stored, and the
+chain is left out. Before, each frame renders all of it with fixed numbers of samples. Now the walk has its pilot and
+its look at what changes, both counted, takes the samples that reach the preset's noise target, and takes over what an
+earlier frame has already. Light transport is planned in both.
+
+First table: `living_room` with a phone that stops and goes: of 24 frames it walks four and holds its pose for four,
+three times, or walks four and holds for eight, twice. Fixed numbers are the ones that the pilot finds, so that noise is
+equal and what is saved is renders.
+Second table: each scene on its own walk (every `--step`-th frame timed, renders counted over all). Fixed numbers are
+those of the scene that needs the most, since a number that is fixed for all scenes must reach the target there as well.
+Seconds are of processor time, all threads together, which a busy machine stretches less than the clock's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import bpy
+
+from xihe_blender.blend_file import open_blend
+from xihe_blender.capture import meter_exposure, open_scanner
+from xihe_blender.cli import blender_output_aside, picture_size
+from xihe_blender.compare import open_comparer
+from xihe_blender.effects import plan_effects
+from xihe_blender.effects.unchanged import KeptRenders, SceneState, scene_states
+from xihe_blender.effort import Effort, measure_effort
+from xihe_blender.plan import PrevisPlan, plan_previs
+from xihe_blender.previs_settings import PrevisSettings
+from xihe_blender.render import RenderSettings
+from xihe_blender.scene_state import scene_kept
+from xihe_blender.truth import open_light_probe, probe_radiance_sh
+from xihenet.camera import in_view
+
+SCENES = Path(__file__).resolve().parents[2] / "blend_scenes"
+METHODS = ("projection", "ambient", "truth")
+
+
+class Stage(NamedTuple):
+    """A scene that is ready to be walked through."""
+
+    scene: bpy.types.Scene
+    plan: PrevisPlan
+    settings: PrevisSettings
+    exposure: float
+    light_transport: tuple
+
+
+class Walked(NamedTuple):
+    """Processor seconds of captures and light probes, those of comparisons, and how many of each it rendered."""
+
+    walk_s: float
+    compare_s: float
+    captures: int
+    probes: int
+    comparisons: int
+
+    @property
+    def seconds(self) -> float:
+        return self.walk_s + self.compare_s
+
+
+def open_stage(name: str, settings: PrevisSettings, held: int = 0) -> Stage:
+    scene = open_blend(SCENES / f"{name}.blend")
+    if held:
+        stop_and_go(scene, held)
+    plan = plan_previs(scene, settings)
+    positions = [probe.position_m.tolist() for probe in plan.probes]
+    transport = plan_effects(scene, positions=positions, frames=plan.frames).light_transport
+    return Stage(scene, plan, settings, meter_exposure(scene, plan.frames), transport)
+
+
+def stop_and_go(scene: bpy.types.Scene, held: int) -> None:
+    """Key the phone anew: it walks four frames along its path, holds its pose for `held`, and so on."""
+    phone, poses = scene.camera, []
+    for frame in range(1, 25):
+        scene.frame_set(frame)
+        poses.append((phone.location.copy(), phone.rotation_euler.copy()))
+    for frame in range(1, 25):
+        block, place = divmod(frame - 1, 4 + held)
+        phone.location, phone.rotation_euler = poses[(4 + held) * block + min(place, 3)]
+        phone.keyframe_insert("location", frame=frame)
+        phone.keyframe_insert("rotation_euler", frame=frame)
+
+
+def simulated(stage: Stage, settings: RenderSettings) -> RenderSettings:
+    return RenderSettings(settings.size, settings.samples, settings.seed, settings.denoise, stage.light_transport)
+
+
+def each_its_own(frames: tuple[int, ...]) -> KeptRenders:
+    """Nothing is ever the same, so that every frame is rendered."""
+    return KeptRenders(frames, [SceneState(str(f), str(f), str(f)) for f in frames])
+
+
+def walk(stage: Stage, effort: Effort, kept: KeptRenders) -> Walked:
+    """Render what `kept` does not have already."""
+    scene, plan, settings, exposure, _ = stage
+    start = time.process_time()
+    capture, truth = settings.capture(plan.size, effort.capture_samples), settings.truth(effort.truth_samples)
+    captured, lights, compared, n_probes = {}, {}, {}, 0
+    with (
+        open_scanner(scene, simulated(stage, capture)) as scanner,
+        open_light_probe(scene, simulated(stage, truth)) as light_probe,
+    ):
+        scanner.exposure = exposure
+        for frame in plan.frames:
+            camera = scanner.move_to(frame)
+            seen = [probe for probe in plan.probes if in_view(probe.position_m[None], *camera)[0]]
+            if not seen:
+                continue
+            if kept.capture(frame) == frame:
+                captured[frame] = scanner.acquire_environment_scan()
+            for probe in seen:
+                if kept.probe(frame, probe.name) == frame:
+                    panorama = light_probe.panorama(probe.position_m, frame)
+                    lights[probe.object_name] = probe_radiance_sh(panorama, exposure, "hdr")
+                    n_probes += 1
+            compared[frame] = kept.capture(frame), dict(lights)
+    walk_s, start, n_comparisons = time.process_time() - start, time.process_time(), 0
+    with open_comparer(scene, plan.objects, METHODS, simulated(stage, settings.comparison(plan.size))) as comparer:
+        for frame in list(compared)[:: settings.effort.comparison_step]:
+            source, light = compared[frame]
+            by_name = [light[name].tobytes() for name in sorted(light)]
+            if kept.comparison(frame, str(source).encode(), *by_name) == frame:
+                anywhere = next(iter(light.values()))
+                of_each = {item.name: light.get(item.name, anywhere) for item in plan.objects}
+                comparer.render_comparison(captured[source], dict.fromkeys(METHODS, of_each))
+                n_comparisons += 1
+    return Walked(walk_s, time.process_time() - start, len(captured), n_probes, n_comparisons)
+
+
+def adaptive_walk(stage: Stage) -> tuple[Walked, Effort]:
+    """As a run does it: `walk_s` holds pilot, look at what changes, and walk."""
+    start = time.process_time()
+    effort = measure_effort(stage.scene, stage.plan, stage.settings, stage.exposure, stage.light_transport)
+    kept = KeptRenders(stage.plan.frames, scene_states(stage.scene, stage.plan.frames))
+    before_s = time.process_time() - start
+    walked = walk(stage, effort, kept)
+    return walked._replace(walk_s=before_s + walked.walk_s), effort
+
+
+def still_table(settings: PrevisSettings) -> Iterator[str]:
+    """The table, line by line."""
+    walks = {}
+    for held in (4, 8):
+        stage = open_stage("living_room", settings, held)
+        with scene_kept():
+            walks[f"now, holds for {held} of {4 + held}"], effort = adaptive_walk(stage)
+            if held == 4:
+                before = walk(stage, effort, each_its_own(stage.plan.frames))
+    yield f"living_room, stop and go, {settings.preset}, {said(effort)}"
+    yield f"{'':<26}{'captures, probes':>24}{'compared':>16}{'all':>16}"
+    for name, walked in {"fixed, every frame": before, **walks}.items():
+        counts = f"{walked.captures:3} {walked.probes:3}"
+        parts = [(walked.walk_s, before.walk_s), (walked.compare_s, before.compare_s), (walked.seconds, before.seconds)]
+        walk_part, compare_part, all_of_it = (f"{now:7.1f} s{was / now:5.2f}x" for now, was in parts)
+        yield f"{name:<26}{counts} {walk_part:>16}{walked.comparisons:3}{compare_part:>16}{all_of_it:>16}"
+
+
+def said(effort: Effort) -> str:
+    return (
+        f"captures {effort.capture_samples} samples ({effort.capture_noise:.1%} noise), "
+        f"probes {effort.truth_samples} ({effort.truth_noise:.1%})"
+    )
+
+
+def kept_counts(name: str, settings: PrevisSettings) -> str:
+    """Captures and probes that the scene's whole own walk renders, of those that it needs."""
+    scene = open_blend(SCENES / f"{name}.blend")
+    plan = plan_previs(scene, settings)
+    kept = KeptRenders(plan.frames, scene_states(scene, plan.frames))
+    captures, probes = [], []
+    with open_scanner(scene, RenderSettings(plan.size, samples=1)) as scanner:
+        for frame in plan.frames:
+            camera = scanner.move_to(frame)
+            seen = [probe for probe in plan.probes if in_view(probe.position_m[None], *camera)[0]]
+            captures += [kept.capture(frame) == frame] if seen else []
+            probes += [kept.probe(frame, probe.name) == frame for probe in seen]
+    return f"{sum(captures):5} /{len(captures):3}{sum(probes):8} /{len(probes):3}"
+
+
+def scene_table(size: tuple[int, int], preset: str, step: int) -> Iterator[str]:
+    """The table, line by line."""
+    names = sorted(path.stem for path in SCENES.glob("*.blend"))
+    settings = PrevisSettings(size=size, preset=preset, frames=tuple(range(1, 25, step)))
+    efforts = {}
+    for name in names:
+        _, plan, _, exposure, transport = stage = open_stage(name, settings)
+        efforts[name] = measure_effort(stage.scene, plan, settings, exposure, transport)
+    most = Effort(max(e.capture_samples for e in efforts.values()), max(e.truth_samples for e in efforts.values()))
+    yield f"own walks, {preset}, fixed: captures {most.capture_samples} samples, probes {most.truth_samples}"
+    yield f"{'':<20}{'captures':>10}{'probes':>12}{'fixed s':>10}{'now s':>8}{'':>8}  samples now"
+    for name in names:
+        stage = open_stage(name, settings)
+        with scene_kept():
+            now, effort = adaptive_walk(stage)
+            before = walk(stage, most, each_its_own(stage.plan.frames))
+        counts = kept_counts(name, PrevisSettings(size=size, preset=preset))
+        ratio = f"{before.seconds / now.seconds:7.2f}x"
+        yield f"{name:<20}{counts}{before.seconds:10.1f}{now.seconds:8.1f}{ratio}  {said(effort)}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--size", type=picture_size, default=(128, 96))
+    parser.add_argument("--preset", default="draft")
+    parser.add_argument("--step", type=int, default=3)
+    options = parser.parse_args()
+    with blender_output_aside() as (stdout, _):
+        still = still_table(PrevisSettings(size=options.size, preset=options.preset))
+        for line in itertools.chain(still, [""], scene_table(options.size, options.preset, options.step)):
+            print(line, file=stdout, flush=True)
+
+
+if __name__ == "__main__":
+    main()

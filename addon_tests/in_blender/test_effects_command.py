@@ -1,0 +1,260 @@
+"""`xihe effects`, what it measures, and a user's overrides: remembered in the .blend, given on the command line."""
+
+import hashlib
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+import pytest
+from effect_scenes import ball, glass, stage, with_ball
+from previs_runs import SMALL, run
+from results_schema import check_results, read_strictly
+from scene_snapshot import differences, snapshot
+from tiny_scenes import room_with_a_virtual_sphere
+
+from xihe_blender.blend_file import open_blend
+from xihe_blender.effects import plan_effects, remember_overrides, remembered_overrides
+from xihe_blender.effects.command import report_effects, said_as_table
+from xihe_blender.effects.overrides import PROPERTY, SWITCHED_ELSEWHERE, parsed_overrides
+from xihe_blender.effects.plan import RULES
+from xihe_blender.errors import UserError
+from xihe_blender.jobs import run_blocking
+
+ROOT = Path(__file__).resolve().parents[2]
+COSTLESS = {"subsurface", "hair", "displacement", "depth of field", "environment sampling"}
+
+
+def xihe(*arguments):
+    typed = [sys.executable, "-W", "error", "-m", "xihe_blender", *map(str, arguments)]
+    return subprocess.run(typed, cwd=ROOT, capture_output=True, text=True, timeout=100)
+
+
+def saved(scene, path):
+    with bpy.context.temp_override(scene=scene):
+        bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True)
+    return path
+
+
+# ------------------------------------------------------------------------------------------------------------ overrides
+
+
+def test_an_override_wins_over_the_scene_and_says_so():
+    plan = plan_effects(with_ball(glass), overrides={"transmission": "off", "volumes": "on"})
+    off, on = plan["transmission"], plan["volumes"]
+    assert (off.state, off.origin, off.parameters) == ("off", "user", {"transmission_bounces": 0})
+    assert (on.state, on.origin) == ("on", "user") and on.parameters["volume_bounces"] > 0
+    assert "you turned it off" in off.reason and "would be on" in off.reason
+    assert plan["glossy bounces"].origin == "auto"
+
+
+def test_overrides_are_remembered_in_the_blend_until_they_are_auto(tmp_path):
+    scene = stage()
+    remember_overrides(scene, {"volumes": "on", "light tree": "on"})
+    scene = open_blend(saved(scene, tmp_path / "kept.blend"))
+    assert remembered_overrides(scene) == {"volumes": "on", "light tree": "on"}
+    assert plan_effects(scene)["volumes"].origin == "user"
+    remember_overrides(scene, {"volumes": "auto"})
+    assert remembered_overrides(scene) == {"light tree": "on"}
+    remember_overrides(scene, {"light tree": "auto"})
+    assert PROPERTY not in scene
+
+
+def test_what_is_given_wins_over_what_is_remembered():
+    scene = stage()
+    remember_overrides(scene, {"volumes": "on"})
+    assert plan_effects(scene, overrides={"volumes": "off"})["volumes"].state == "off"
+    auto = plan_effects(scene, overrides={"volumes": "auto"})["volumes"]
+    assert (auto.state, auto.origin) == ("off", "auto")
+    assert remembered_overrides(scene) == {"volumes": "on"}
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        ({"fog": "on"}, "there is no effect 'fog': choose among diffuse bounces"),
+        ({"volumes": "maybe"}, "choose auto, on or off"),
+        ({"hair": "on"}, "particle or hair settings"),
+        ({"depth of field": "off"}, "the camera's"),
+    ],
+)
+def test_senseless_overrides_are_refused(overrides, words):
+    scene = stage()
+    with pytest.raises(UserError, match=words):
+        plan_effects(scene, overrides=overrides)
+    with pytest.raises(UserError, match=words):
+        remember_overrides(scene, overrides)
+    assert PROPERTY not in scene
+
+
+def test_a_property_that_holds_something_else_is_refused():
+    scene = stage()
+    scene[PROPERTY] = "volumes"
+    with pytest.raises(UserError, match="delete it"):
+        plan_effects(scene)
+
+
+def test_typed_overrides_are_read_with_spaces_and_the_last_one_wins():
+    typed = ["motion blur=off", " volumes = on ", "motion blur=on"]
+    assert parsed_overrides(typed) == {"motion blur": "on", "volumes": "on"}
+    assert parsed_overrides([]) == {}
+
+
+@pytest.mark.parametrize("text", ["volumes", "=on", "volumes=", "volumes:on", ""])
+def test_what_is_no_override_is_refused(text):
+    with pytest.raises(UserError, match="give NAME=on"):
+        parsed_overrides([text])
+
+
+def test_every_effect_says_whether_a_scene_can_switch_it():
+    assert list(SWITCHED_ELSEWHERE) == list(RULES)
+    assert {name for name, elsewhere in SWITCHED_ELSEWHERE.items() if elsewhere is not None} == COSTLESS
+
+
+# --------------------------------------------------------------------------------------------------------------- costs
+
+
+@pytest.fixture(scope="module")
+def measured():
+    """The report on the tiny room with a glass ball in it, and what measuring changed in the file."""
+    scene = room_with_a_virtual_sphere(n_frames=1)
+    ball(scene, "Vase", (0.5, 0.3, 1.0), glass())
+    bpy.context.view_layer.update()
+    before = snapshot()
+    report = run_blocking(report_effects(scene))
+    return report, differences(before, snapshot())
+
+
+@pytest.mark.slow
+def test_measuring_changes_nothing_in_the_file(measured):
+    assert measured[1] == ({}, [])
+
+
+@pytest.mark.slow
+def test_every_effect_that_a_setting_switches_has_a_cost(measured):
+    assert set(RULES) - set(measured[0].costs) == COSTLESS
+    assert all(cost.time_share > -1 for cost in measured[0].costs.values())
+
+
+@pytest.mark.slow
+def test_leaving_out_what_the_scene_calls_for_changes_the_picture(measured):
+    for name in ("transmission", "diffuse bounces"):
+        change = measured[0].costs[name].picture
+        assert change.relative < -2 * change.standard_error < 0, name
+        assert measured[0].plan[name].state == "on"
+
+
+@pytest.mark.slow
+def test_leaving_out_what_the_scene_does_not_call_for_changes_nothing(measured):
+    for name in ("volumes", "transparency"):
+        cost = measured[0].costs[name]
+        assert measured[0].plan[name].state == "off"
+        for change in (cost.light, cost.picture):
+            assert (change.relative, change.standard_error) == (0, 0), name
+
+
+@pytest.mark.slow
+def test_the_table_shows_every_effect_with_what_it_costs(measured):
+    table = said_as_table(measured[0])
+    for effect in measured[0].plan.effects:
+        line = next(line for line in table.splitlines() if line.startswith(effect.name))
+        assert effect.state in line and effect.reason[:30] in line
+        assert ("%" in line) == (effect.name in measured[0].costs)
+    assert "standard error" in table
+
+
+@pytest.mark.slow
+def test_measured_costs_are_json(measured):
+    rows = json.loads(json.dumps(measured[0].as_json(), allow_nan=False))
+    by_name = {row["name"]: row for row in rows}
+    assert set(by_name["transmission"]["cost"]) == {"time_share", "light", "picture"}
+    assert by_name["hair"]["cost"] is None
+
+
+def test_a_scene_without_a_camera_and_objects_has_a_plan_and_no_costs():
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    report = run_blocking(report_effects(bpy.context.scene))
+    assert report.costs == {} and len(report.plan.effects) == len(RULES)
+
+
+def test_frames_outside_the_scenes_range_are_refused():
+    with pytest.raises(UserError, match="outside the scene's range"):
+        run_blocking(report_effects(stage(), [1, 9]))
+
+
+def test_effects_of_the_phone_are_sent_to_previs():
+    with pytest.raises(UserError, match="give it to xihe previs"):
+        run_blocking(report_effects(stage(), overrides={"noise": "on"}))
+
+
+# ----------------------------------------------------------------------------------------------------- the command line
+
+
+@pytest.fixture(scope="module")
+def blend(tmp_path_factory):
+    """The tiny room as a file that remembers an override."""
+    scene = room_with_a_virtual_sphere(n_frames=2)
+    remember_overrides(scene, {"light tree": "off"})
+    return saved(scene, tmp_path_factory.mktemp("effects") / "room.blend")
+
+
+def test_the_command_prints_strict_json_and_saves_no_override(blend):
+    before = hashlib.sha256(blend.read_bytes()).digest()
+    done = xihe("effects", blend, "--plan-only", "--json", "--effect", "motion blur=off", "--effect", "volumes=on")
+    assert done.returncode == 0, done.stderr
+    rows = {row["name"]: row for row in json.loads(done.stdout)}
+    assert list(rows) == list(RULES)
+    user = {name: row["state"] for name, row in rows.items() if row["origin"] == "user"}
+    assert user == {"light tree": "off", "motion blur": "off", "volumes": "on"}
+    assert hashlib.sha256(blend.read_bytes()).digest() == before
+
+
+def test_the_command_prints_a_table_with_a_star_for_the_users(blend):
+    done = xihe("effects", blend, "--plan-only")
+    assert done.returncode == 0, done.stderr
+    head, *lines = done.stdout.splitlines()
+    assert head.split() == ["effect", "state", "why", "set", "in", "Cycles"]
+    assert any(line.startswith("light tree") and " off* " in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--effect", "volumes=perhaps"), "auto, on or off"),
+        (("--effect", "smoke=on"), "there is no effect"),
+        (("--effect", "volumes"), "NAME=on"),
+        (("--frames", "1:9"), "outside the scene's range"),
+    ],
+)
+def test_a_mistake_gets_one_line_and_exit_2(blend, arguments, words):
+    done = xihe("effects", blend, "--plan-only", *arguments)
+    lines = [line for line in done.stderr.splitlines() if "%  " not in line]
+    assert (done.returncode, done.stdout, len(lines)) == (2, "", 1), done.stderr
+    assert lines[0].startswith("xihe: ") and words in lines[0]
+
+
+def test_previs_refuses_a_senseless_effect_before_it_writes(blend, tmp_path):
+    done = xihe("previs", blend, "--out", tmp_path / "out", "--effect", "volumes=perhaps")
+    assert (done.returncode, done.stdout) == (2, "") and "auto, on or off" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_results_name_the_users_overrides_and_the_given_ones_win(blend, tmp_path):
+    scene = open_blend(blend)
+    settings = replace(SMALL, frames=(1,), effect_choices={"volumes": "on", "reflective caustics": "off"})
+    run(scene, tmp_path / "out", settings)
+    results = read_strictly(tmp_path / "out" / "results.json")
+    check_results(results)
+    user = {row["name"]: row for row in results["effects"] if row.get("origin") == "user"}
+    assert {name: row["state"] for name, row in user.items()} == {
+        "light tree": "off",
+        "volumes": "on",
+        "reflective caustics": "off",
+    }
+    assert results["settings"]["effect_choices"] == {"light tree": "off", **settings.effect_choices}
+    report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "volume_bounces 32" in report and "you turned it on" in report
+    with pytest.raises(UserError, match="another settings"):
+        run(scene, tmp_path / "out", replace(settings, effect_choices={}))

@@ -1,0 +1,108 @@
+"""Does what the plan leaves out change the picture? Renders with the plan beside renders with everything on.
+
+Everything on is `everything_on`: every effect that a setting switches, and 32 bounces of every kind. Both sides are
+rendered with the same 16 seeds, 32x24 pixels, and compared by `xihenet.agreement`: the means over the seeds, of the
+whole picture per channel and of 16 blocks, must not differ by more than two standard errors. Where the plan changes
+nothing that a path could have met, both sides are the same to the last bit; where it cuts bounces or chooses lights
+otherwise, they are not, and the statistic decides. With a fixed seed the outcome is fixed too: these tests do not fail
+by chance from one day to the next.
+
+That the statistic would notice is tested as well: the effects that a scene does call for are switched off one by one.
+"""
+
+import contextlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from effect_scenes import PAIRS, bright_room, open_field
+
+from xihe_blender.capture import first_layer
+from xihe_blender.effects import plan_effects
+from xihe_blender.effects.plan import everything_on, judge_effects, planned
+from xihe_blender.render import RenderSettings, render_passes, working_scene
+from xihenet.agreement import agreement
+
+N_SEEDS = 16
+
+
+def pictures_of(scene, *plans, samples=8):
+    """(16, 24, 32, 3) by plan, over the same seeds, on one thread."""
+    settings = RenderSettings((32, 24), samples, denoise=False)
+    found = [[] for _ in plans]
+    with contextlib.ExitStack() as stack:
+        scenes = [stack.enter_context(_working(scene, settings, plan)) for plan in plans]
+        for seed in range(N_SEEDS):
+            for place, working in enumerate(scenes):
+                working.cycles.seed = seed
+                found[place].append(first_layer(render_passes(working))[0])
+    return [np.array(pictures) for pictures in found]
+
+
+@contextlib.contextmanager
+def _working(scene, settings, plan):
+    with working_scene(scene, "Equal", replace(settings, light_transport=plan.light_transport)) as working:
+        working.render.threads_mode, working.render.threads = "FIXED", 1
+        working.frame_set((scene.frame_start + scene.frame_end) // 2)
+        yield working
+
+
+def against_everything_on(scene, overrides=None):
+    verdicts = judge_effects(scene)
+    plan = planned(verdicts, overrides or {})
+    return agreement(*pictures_of(scene, everything_on(scene, verdicts), plan))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", PAIRS)
+def test_a_scene_that_does_not_call_for_an_effect_shows_the_same_without_it(effect):
+    scene = PAIRS[effect][1]()
+    assert plan_effects(scene)[effect].state == "off"
+    found = against_everything_on(scene)
+    assert found.holds, found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "effect", ["diffuse bounces", "glossy bounces", "transmission", "transparency", "volumes", "motion blur"]
+)
+def test_an_effect_that_a_scene_calls_for_is_missed_when_it_is_switched_off(effect):
+    found = against_everything_on(PAIRS[effect][0](), {effect: "off"})
+    assert not found.holds, found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", PAIRS)
+def test_a_scene_that_calls_for_an_effect_shows_all_of_it_by_the_plan(effect):
+    found = against_everything_on(PAIRS[effect][0]())
+    assert found.holds, found
+
+
+@pytest.mark.parametrize("albedo", [0.5, 0.8])
+def test_in_a_closed_bright_room_the_plan_cuts_no_bounce_that_shows(albedo):
+    found = against_everything_on(bright_room(albedo))
+    assert found.holds, found
+    assert abs(found.relative_difference) < 2e-3
+
+
+@pytest.mark.parametrize("bounces", [0, 1, 2])
+def test_in_a_closed_bright_room_two_bounces_are_missed(bounces):
+    scene = bright_room(0.8)
+    plan = everything_on(scene, judge_effects(scene))
+    full, cut = pictures_of(scene, plan, _Cut(plan, bounces))
+    found = agreement(full, cut)
+    assert not found.holds and found.relative_difference < -0.05, found
+
+
+def test_on_open_ground_two_bounces_are_enough():
+    scene = open_field()
+    assert plan_effects(scene)["diffuse bounces"].parameters == {"diffuse_bounces": 2}
+    found = against_everything_on(scene)
+    assert found.holds, found
+
+
+class _Cut:
+    """A plan with another number of diffuse bounces."""
+
+    def __init__(self, plan, bounces):
+        self.light_transport = (*plan.light_transport, ("diffuse_bounces", bounces))

@@ -1,0 +1,265 @@
+"""Samples reach the noise target, no render is made twice, and what is taken over is what would have been rendered."""
+
+from dataclasses import replace
+
+import bpy
+import numpy as np
+import pytest
+from previs_runs import SMALL, counted_renders, look_away, run, run_some_steps
+from results_schema import check_results, without_times
+from test_unchanged import key, still_room
+from tiny_scenes import look_at, room_with_a_virtual_sphere
+
+from xihe_blender.capture import open_scanner
+from xihe_blender.effort import SMALLEST_LIGHT, Effort, NoiseModel, fit_noise, measure_effort, pilot_views
+from xihe_blender.errors import UserError
+from xihe_blender.exr import read_radiance
+from xihe_blender.outputs import RunOutputs
+from xihe_blender.plan import plan_previs
+from xihe_blender.previs_settings import PRESETS, PrevisSettings
+from xihe_blender.truth import open_light_probe, probe_radiance_sh
+from xihenet.camera import unproject_frame
+from xihenet.recording import load_frame
+from xihenet.sampling import sample_unit_sphere
+from xihenet.sh import project_anchors
+from xihenet.sphere import AnchorLattice
+
+N_FRAMES = 5
+MOVES = 5
+"""The frame of `still_walk` at which the phone moves; before that it holds still."""
+
+TOLERANCE = 2.0
+"""Real over expected error, or the other way round: a pilot of three frames sees little of the denoiser's bias."""
+
+
+def still_walk():
+    """A phone that holds its pose but for the last frame."""
+    scene = room_with_a_virtual_sphere(N_FRAMES)
+    for frame in range(1, N_FRAMES + 1):
+        look_at(scene.camera, (-1.2 if frame < MOVES else -0.6, -1.5, 1.5), (0, 0, 0.85))
+        scene.camera.keyframe_insert("location", frame=frame)
+        scene.camera.keyframe_insert("rotation_euler", frame=frame)
+    return scene
+
+
+def one_thread(scene):
+    scene.render.threads_mode, scene.render.threads = "FIXED", 1
+    return scene
+
+
+# --------------------------------------------------------------------------------------------------- the noise model
+
+
+@pytest.mark.parametrize("is_denoised", [False, True])
+@pytest.mark.parametrize(("sigma", "bias"), [(0.1, 0.0), (0.1, 0.05), (0.1, 0.1), (0.1, 0.2)])
+def test_a_fit_finds_the_noise_and_the_bias_that_renders_have(is_denoised, sigma, bias):
+    rng, n_small, rate = np.random.default_rng(3), 2, 0.5 if is_denoised else 1.0
+    light = rng.normal(size=(4000, 9, 3))
+    light *= 2.0 / np.linalg.norm(light, axis=(1, 2), keepdims=True)
+
+    def render(n):
+        noise = rng.normal(size=light.shape) * 2.0 * sigma / np.sqrt(27 * n)
+        return light * (1 - bias / n**rate) + noise
+
+    model = fit_noise(render(n_small), render(n_small), render(4 * n_small), n_small, is_denoised=is_denoised)
+    for n in (n_small, 8, 50):
+        truth = np.sqrt(((render(n) - light) ** 2).sum(axis=(1, 2)).mean()) / 2.0
+        # The larger render, which the fit takes the light's norm from, is itself biased and noisy.
+        assert model.noise(n) == pytest.approx(truth, rel=0.34 if is_denoised else 0.08)
+
+
+def test_light_that_nobody_sees_is_held_against_grey():
+    rng = np.random.default_rng(4)
+    dark = rng.normal(size=(500, 9, 3)) * 1e-3
+    a, b, c = (dark + 0.01 * rng.normal(size=dark.shape) for _ in range(3))
+    assert fit_noise(a, b, c, 1, is_denoised=False).variance == pytest.approx(27 * 1e-4 / SMALLEST_LIGHT**2, rel=0.05)
+
+
+def test_the_fit_of_no_position_is_refused():
+    with pytest.raises(ValueError, match="one position or more"):
+        fit_noise(*np.zeros((3, 0, 9, 3)), 1, is_denoised=True)
+
+
+def test_a_tighter_target_takes_more_samples_up_to_the_maximum():
+    model = NoiseModel(variance=0.04, bias=0.1, bias_rate=0.5)
+    samples = [model.samples_for(target, 2, 64) for target in (0.5, 0.1, 0.06, 0.04, 0.02, 0.001)]
+    assert samples == sorted(samples) and samples[0] == 2 and samples[-1] == 64 and len(set(samples)) >= 5
+    for target, n in zip((0.1, 0.06, 0.04), samples[1:], strict=False):
+        assert model.noise(n) <= target < model.noise(n - 1)
+
+
+# ----------------------------------------------------------------------------------------------------- the noise itself
+
+
+def lights_in(scene, plan, settings, frame, samples, seeds):
+    """Coefficients (S, K, 9, 3) of captures, and of light probes, of `frame` with each of `seeds`."""
+    exposure, lattice, positions = 1.0, AnchorLattice(1280), [probe.position_m for probe in plan.probes]
+    captures, probes = [], []
+    with open_scanner(scene, settings.capture(plan.size, samples[0])) as scanner:
+        scanner.move_to(frame)
+        for seed in seeds:
+            scanner.scene.cycles.seed = seed
+            cloud = unproject_frame(scanner.acquire_environment_scan())
+            captures.append([project_anchors(sample_unit_sphere(cloud, p, lattice), lattice) for p in positions])
+    with open_light_probe(scene, settings.truth(samples[1])) as light_probe:
+        for seed in seeds:
+            light_probe.scene.cycles.seed = seed
+            panoramas = [light_probe.panorama(p, frame) for p in positions]
+            probes.append([probe_radiance_sh(panorama, exposure, "ldr") for panorama in panoramas])
+    return np.array(captures), np.array(probes)
+
+
+def relative_error(lights, reference):
+    return np.sqrt(((lights - reference) ** 2).sum(axis=(-1, -2)).mean() / (reference**2).sum(axis=(-1, -2)).mean())
+
+
+@pytest.mark.slow
+def test_the_noise_is_what_was_expected_and_within_the_target():
+    scene = one_thread(room_with_a_virtual_sphere(24))
+    scene.camera.animation_data_clear()
+    look_at(scene.camera, (-1.2, -1.5, 1.5), (0, 0, 0.85))
+    settings = PrevisSettings(preset="draft", size=(64, 48), exposure=1.0, noise_target=0.05)
+    plan = plan_previs(scene, settings)
+    effort = measure_effort(scene, plan, settings, 1.0)
+    samples = (effort.capture_samples, effort.truth_samples)
+    lights = lights_in(scene, plan, settings, 8, samples, range(100, 112))
+    references = lights_in(scene, plan, settings, 8, (128, 256), range(200, 202))
+    for expected, found, reference in zip((effort.capture_noise, effort.truth_noise), lights, references, strict=True):
+        assert expected <= 0.05
+        error = relative_error(found, reference.mean(axis=0))
+        assert expected / TOLERANCE < error < TOLERANCE * expected
+
+
+def test_a_tighter_target_takes_more_samples_of_a_scene():
+    scene = one_thread(room_with_a_virtual_sphere(3))
+    settings = PrevisSettings(preset="balanced", size=(32, 24), exposure=1.0)
+    plan = plan_previs(scene, settings)
+    efforts = [measure_effort(scene, plan, replace(settings, noise_target=t), 1.0) for t in (0.3, 0.08, 0.04, 0.0001)]
+    for kind in ("capture_samples", "truth_samples"):
+        samples = [getattr(effort, kind) for effort in efforts]
+        assert samples == sorted(samples) and len(set(samples)) >= 3
+        assert samples[-1] == PRESETS["balanced"].max_samples
+    again = measure_effort(scene, plan, replace(settings, noise_target=0.04), 1.0)
+    assert replace(again, pilot_s=0) == replace(efforts[2], pilot_s=0)
+
+
+def test_a_number_of_samples_is_taken_as_it_is_without_a_pilot():
+    scene = room_with_a_virtual_sphere(3)
+    settings = replace(SMALL, samples=7, exposure=1.0)
+    plan = plan_previs(scene, settings)
+    with counted_renders() as renders:
+        assert measure_effort(scene, plan, settings, 1.0) == Effort(7, 7)
+    assert not renders
+
+
+def test_a_path_that_sees_no_position_needs_no_pilot():
+    scene = room_with_a_virtual_sphere(2)
+    for frame in (1, 2):
+        look_away(scene.camera, frame)
+    plan = plan_previs(scene, SMALL)
+    maximum = PRESETS[SMALL.preset].max_samples
+    with counted_renders() as renders:
+        assert measure_effort(scene, plan, SMALL, 1.0) == Effort(maximum, maximum)
+    assert not renders
+
+
+@pytest.mark.parametrize(
+    ("n_frames", "expected"), [(1, [1]), (8, [5]), (9, [3, 7]), (24, [5, 13, 21]), (60, [11, 31, 51])]
+)
+def test_pilots_are_spread_over_the_frames_that_see_a_position(n_frames, expected):
+    scene = room_with_a_virtual_sphere(n_frames)
+    scene.camera.animation_data_clear()
+    assert [frame for frame, _ in pilot_views(scene, plan_previs(scene, SMALL))] == expected
+
+
+@pytest.mark.parametrize(
+    "change", [{"noise_target": 0.0}, {"noise_target": 1.0}, {"noise_target": float("nan")}, {"samples": 0}]
+)
+def test_senseless_effort_is_refused(change):
+    with pytest.raises(UserError):
+        replace(SMALL, **change)
+
+
+# --------------------------------------------------------------------------------------------------- what is taken over
+
+
+@pytest.fixture(scope="module")
+def still(tmp_path_factory):
+    """A run along `still_walk`, with its files and what was rendered."""
+    out = tmp_path_factory.mktemp("still") / "out"
+    scene = still_walk()
+    with counted_renders() as renders:
+        results = run(scene, out, replace(SMALL, exposure=1.0))
+    return RunOutputs(out, "untitled"), results, renders
+
+
+def test_frames_that_show_nothing_new_are_not_rendered(still):
+    _, results, renders = still
+    check_results(results)
+    captures = [entry["rendering"]["capture"] for entry in results["frames"]]
+    assert [capture["same_as"] for capture in captures] == [None, 1, 1, 1, None]
+    probes = [entry["rendering"]["probes"]["Ball"] for entry in results["frames"]]
+    assert [probe["same_as"] for probe in probes] == [None, 1, 1, 1, 1]
+    assert [entry.get("comparison_same_as") for entry in results["frames"]] == [None, None, 1, None, None]
+    # Three more of each for the pilot.
+    assert (renders.count("Xihe Capture"), renders.count("Xihe Truth")) == (2 + 3, 1 + 3)
+    assert renders.count("Xihe Ground Truth") == 2
+    assert (results["summary"]["n_reused_captures"], results["summary"]["n_reused_probes"]) == (3, 4)
+
+
+def test_results_say_the_samples_and_the_noise(still):
+    outputs, results, _ = still
+    samples, noise = results["settings"]["samples"], results["settings"]["noise"]
+    capture = results["frames"][0]["rendering"]["capture"]
+    assert (capture["samples"], capture["noise"]) == (samples["capture"], noise["capture"])
+    for kind in ("capture", "truth"):
+        told = any("above the target" in note for note in results["notes"])
+        assert noise[kind] <= results["settings"]["noise_target"] or told
+    assert outputs.effort.exists()
+
+
+def test_what_is_taken_over_is_what_would_have_been_rendered(still, tmp_path):
+    outputs, results, _ = still
+    samples = results["settings"]["samples"]
+    settings = replace(SMALL, exposure=1.0)
+    # Alone in its run, frame 3 has no earlier frame to take anything from. Its pilot looks at frame 3, so the numbers
+    # of samples of the whole walk are put into its folder.
+    outputs_alone = RunOutputs(tmp_path / "alone", "untitled")
+    outputs_alone.effort.parent.mkdir(parents=True)
+    outputs_alone.effort.write_text(outputs.effort.read_text(encoding="utf-8"), encoding="utf-8")
+    alone = run(still_walk(), outputs_alone.folder, replace(settings, frames=(3,)))
+    assert alone["settings"]["samples"] == samples
+    assert alone["frames"][0]["rendering"]["capture"]["rendered"]
+    taken, rendered = (load_frame(files.capture(3)) for files in (outputs, outputs_alone))
+    np.testing.assert_array_equal(taken.srgb_u8, rendered.srgb_u8)
+    np.testing.assert_array_equal(taken.plane_depth_m, rendered.plane_depth_m)
+    assert (taken.frame, taken.time_s) == (rendered.frame, rendered.time_s)
+    np.testing.assert_array_equal(*(read_radiance(o.probe(0, "Ball", 3)) for o in (outputs, outputs_alone)))
+    assert results["frames"][2]["comparison"] == alone["frames"][0]["comparison"]
+    for kind in ("ground_truth", "lattice", "ambient", "truth"):
+        for file in ("picture", "radiance"):
+            one, other = (getattr(files, file)(kind, 3).read_bytes() for files in (outputs, outputs_alone))
+            assert one == other or file == "radiance"
+        np.testing.assert_array_equal(*(read_radiance(o.radiance(kind, 3)) for o in (outputs, outputs_alone)))
+
+
+def test_a_run_that_was_stopped_takes_over_the_same(still, tmp_path):
+    _, results, renders = still
+    settings = replace(SMALL, exposure=1.0)
+    scene = still_walk()
+    with counted_renders() as in_parts:
+        for n_steps in (3, 5, 8):
+            assert not run_some_steps(scene, tmp_path, n_steps, settings)
+        again = run(scene, tmp_path, settings)
+    assert without_times(again) == without_times(results)
+    assert sorted(in_parts) == sorted(renders)
+
+
+def test_a_lamp_that_changes_has_every_frame_rendered_anew(tmp_path):
+    scene = still_room()
+    key(bpy.data.lights["Spot"], "energy", (5.0, 9.0))
+    results = run(scene, tmp_path, replace(SMALL, exposure=1.0, samples=2))
+    check_results(results)
+    assert results["summary"]["n_reused_captures"] == results["summary"]["n_reused_probes"] == 0
+    first, second = (entry["probes"][0]["sh_truth"] for entry in results["frames"])
+    assert np.subtract(second, first).max() > 0

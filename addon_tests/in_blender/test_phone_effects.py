@@ -1,0 +1,223 @@
+"""Which effects of a phone a session shows, what they know of the room, and that leaving others out changes nothing."""
+
+from dataclasses import replace
+
+import bpy
+import numpy as np
+import pytest
+from phone_runs import IPAD, pane, planned, principled, state
+from previs_runs import SMALL
+from tiny_scenes import material, room_with_a_virtual_sphere
+
+from xihe_blender.effects import remember_overrides
+from xihe_blender.phone_surfaces import load_surfaces
+from xihe_blender.previs_settings import PrevisSettings
+from xihe_blender.virtual_objects import virtual_collection
+
+
+def test_range_is_cut_in_a_large_room_and_not_in_a_small_one(tmp_path):
+    small, _ = planned(room_with_a_virtual_sphere(), tmp_path, IPAD)
+    assert state(small, "range") == "off"
+    scene = room_with_a_virtual_sphere()
+    bpy.data.objects["Room"].scale = (4, 4, 2)
+    large, captured = planned(scene, tmp_path, IPAD)
+    assert state(large, "range") == "on"
+    _, n_lost = large.see(captured, large.camera_with({"range"}))
+    assert n_lost["range"] == np.count_nonzero(captured.plane_depth_m > 5)
+
+
+def test_an_effect_that_was_left_out_would_have_changed_nothing(tmp_path):
+    scene = room_with_a_virtual_sphere()
+    by_itself, captured = planned(scene, tmp_path, IPAD)
+    forced, _ = planned(scene, tmp_path, replace(IPAD, effect_choices={"range": "on", "transparent_holes": "on"}))
+    assert {"range", "transparent_holes"} <= forced.on - by_itself.on
+    assert np.array_equal(by_itself.see(captured)[0].plane_depth_m, forced.see(captured)[0].plane_depth_m)
+
+
+def test_a_still_camera_has_no_rolling_shutter_and_no_drift(tmp_path):
+    scene = room_with_a_virtual_sphere()
+    moving, _ = planned(scene, tmp_path, IPAD)
+    assert state(moving, "rolling_shutter") == state(moving, "pose_drift") == "on"
+    scene.camera.animation_data_clear()
+    still, captured = planned(scene, tmp_path, IPAD)
+    assert state(still, "rolling_shutter") == state(still, "pose_drift") == "off"
+    assert np.array_equal(still.see(captured)[0].world_from_camera, captured.world_from_camera)
+
+
+def test_a_single_frame_of_a_walk_is_not_taken_for_a_still_camera(tmp_path):
+    phone, _ = planned(room_with_a_virtual_sphere(), tmp_path, replace(IPAD, frames=(2,)))
+    assert state(phone, "rolling_shutter") == "on"
+    assert np.linalg.norm(phone.motions[2].velocity_m_per_s) == pytest.approx(0.3 * 24, rel=0.05)
+
+
+def _dimmed(scene):
+    strength = bpy.data.materials["Light"].node_tree.nodes["Emission"].inputs["Strength"]
+    for frame, value in ((1, 6.0), (3, 1.0)):
+        strength.default_value = value
+        strength.keyframe_insert("default_value", frame=frame)
+
+
+def _driven_lamp(scene):
+    lamp = bpy.data.objects.new("Spot", bpy.data.lights.new("Spot", "POINT"))
+    scene.collection.objects.link(lamp)
+    lamp.data.driver_add("energy").driver.expression = "frame * 10"
+
+
+def _switched_off(scene):
+    lamp = bpy.data.objects["Lamp"]
+    for frame in (1, 2):
+        lamp.hide_render = frame == 2
+        lamp.keyframe_insert("hide_render", frame=frame)
+
+
+def _carried_away(scene):
+    lamp = bpy.data.objects["Lamp"]
+    for frame in (1, 3):
+        lamp.location.y = frame
+        lamp.keyframe_insert("location", frame=frame)
+
+
+def _sky_changes(scene):
+    background = next(node for node in scene.world.node_tree.nodes if node.type == "BACKGROUND")
+    for frame in (1, 3):
+        background.inputs["Color"].default_value = (0.1 * frame,) * 3 + (1.0,)
+        background.inputs["Color"].keyframe_insert("default_value", frame=frame)
+
+
+def _nothing(scene):
+    """As it is."""
+
+
+def _a_virtual_lamp_changes(scene):
+    """As an instance of a collection, and by itself; the captures show neither."""
+    lamps = bpy.data.collections.new("Lamps")
+    lamp = bpy.data.objects.new("Candle", bpy.data.lights.new("Candle", "POINT"))
+    lamp.data.driver_add("energy").driver.expression = "frame * 10"
+    lamps.objects.link(lamp)
+    candles = bpy.data.objects.new("Candles", None)
+    candles.instance_type, candles.instance_collection = "COLLECTION", lamps
+    virtual_collection(scene).objects.link(candles)
+    virtual_collection(scene).objects.link(bpy.data.objects.new("Torch", lamp.data))
+
+
+def _a_box_moves(scene):
+    for frame in (1, 3):
+        bpy.data.objects["Table"].location.y = 0.1 * frame
+        bpy.data.objects["Table"].keyframe_insert("location", frame=frame)
+
+
+@pytest.mark.parametrize("change", [_dimmed, _driven_lamp, _switched_off, _carried_away, _sky_changes])
+def test_the_light_sensor_is_simulated_where_a_light_changes(change, tmp_path):
+    scene = room_with_a_virtual_sphere()
+    change(scene)
+    phone, captured = planned(scene, tmp_path, IPAD)
+    assert state(phone, "light_sensor") == "on"
+    assert not np.allclose(phone.see(captured)[0].ambient, captured.ambient, rtol=1e-3)
+
+
+@pytest.mark.parametrize("change", [_nothing, _a_virtual_lamp_changes, _a_box_moves])
+def test_the_light_sensor_is_left_out_where_no_light_changes(change, tmp_path):
+    scene = room_with_a_virtual_sphere()
+    change(scene)
+    phone, captured = planned(scene, tmp_path, IPAD)
+    assert state(phone, "light_sensor") == "off"
+    assert np.array_equal(phone.see(captured)[0].ambient, captured.ambient)
+
+
+@pytest.mark.parametrize(
+    ("effect", "look"),
+    [
+        ("transparent_holes", {"Transmission_Weight": 1.0, "Roughness": 0.0, "Base_Color": (1, 1, 1, 1)}),
+        ("glossy_holes", {"Metallic": 1.0, "Roughness": 0.02}),
+        ("dark_holes", {"Base_Color": (0.01, 0.01, 0.01, 1), "Specular_IOR_Level": 0.0}),
+    ],
+)
+def test_a_surface_that_gives_no_answer_makes_a_hole_where_it_is(effect, look, tmp_path):
+    scene = room_with_a_virtual_sphere()
+    without, _ = planned(scene, tmp_path / "without", IPAD)
+    assert state(without, effect) == "off"
+    pane(scene, principled("Pane", **look))
+    phone, captured = planned(scene, tmp_path / "with", IPAD)
+    assert state(phone, effect) == "on"
+    seen, n_lost = phone.see(captured, phone.camera_with({effect}))
+    middle = (slice(10, 14), slice(14, 18))
+    assert (captured.plane_depth_m[middle] > 0).all() and (seen.plane_depth_m[middle] == 0).all()
+    assert 16 <= n_lost[effect] < captured.plane_depth_m.size / 2
+
+
+def test_a_lacquered_surface_answers_and_a_lamp_is_not_dark(tmp_path):
+    scene = room_with_a_virtual_sphere()
+    pane(scene, principled("Lacquer", Roughness=0.02, Base_Color=(0.6, 0.3, 0.2, 1)))
+    phone, captured = planned(scene, tmp_path, replace(IPAD, effect_choices={"glossy_holes": "on"}))
+    assert state(phone, "dark_holes") == "off"
+    assert phone.see(captured)[1]["glossy_holes"] == 0
+
+
+def test_a_bright_wall_at_night_is_not_dark_to_a_sensor_with_its_own_light(tmp_path):
+    scene = room_with_a_virtual_sphere()
+    bpy.data.materials["Light"].node_tree.nodes["Emission"].inputs["Strength"].default_value = 1e-3
+    phone, captured = planned(scene, tmp_path, IPAD)
+    assert captured.srgb_u8.mean() < 15
+    assert state(phone, "dark_holes") == "off"
+
+
+def test_roughness_that_a_texture_drives_is_not_known_and_makes_no_hole(tmp_path):
+    scene = room_with_a_virtual_sphere()
+    look = principled("Brushed", Metallic=1.0)
+    noise = look.node_tree.nodes.new("ShaderNodeTexNoise")
+    shader = next(node for node in look.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    look.node_tree.links.new(noise.outputs[0], shader.inputs["Roughness"])
+    pane(scene, look)
+    phone, captured = planned(scene, tmp_path, IPAD)
+    assert state(phone, "glossy_holes") == "on"
+    assert np.isnan(load_surfaces(phone.outputs.surfaces(1)).roughness[12, 16])
+    assert phone.see(captured)[1]["glossy_holes"] == 0
+
+
+def test_materials_of_other_names_do_not_stand_in_for_a_mirror(tmp_path):
+    """Names of every length and beyond ASCII: Cryptomatte knows a material by a hash of its name."""
+    scene = room_with_a_virtual_sphere()
+    item = pane(scene, material("Chalk"))
+    for name in ("M", "Mi", "Mir", "Mirr", "Spiegel größer", "鏡"):
+        item.data.materials[0] = principled(name, Metallic=1.0, Roughness=0.07)
+        phone, _ = planned(scene, tmp_path / name, replace(IPAD, frames=(1,)))
+        roughness = load_surfaces(phone.outputs.surfaces(1)).roughness
+        assert roughness[12, 16] == np.float32(0.07) and roughness[0, 0] == 1, name
+
+
+def test_a_path_that_is_coarser_than_the_network_says_so(tmp_path):
+    scene = room_with_a_virtual_sphere()
+    scene.render.fps = 2
+    phone, _ = planned(scene, tmp_path, replace(SMALL, network="lte"))
+    assert len(phone.notes()) == 1 and "500 ms" in phone.notes()[0] and "79 ms" in phone.notes()[0]
+    scene.render.fps = 24
+    assert planned(scene, tmp_path, replace(SMALL, network="lte"))[0].notes() == []
+
+
+def test_the_network_can_be_switched_off_by_choice(tmp_path):
+    settings = PrevisSettings(network="lte", effect_choices={"network": "off"})
+    phone, _ = planned(room_with_a_virtual_sphere(), tmp_path, settings)
+    assert phone.link_in_use is None
+    assert phone.effects[-1].origin == "user"
+
+
+def test_choices_are_remembered_in_the_blend_and_the_runs_own_win(tmp_path):
+    scene = room_with_a_virtual_sphere()
+    remember_overrides(scene, {"noise": "off", "range": "on", "volumes": "on"})
+    phone, _ = planned(scene, tmp_path, IPAD)
+    assert (state(phone, "noise"), state(phone, "range")) == ("off", "on")
+    phone, _ = planned(scene, tmp_path, replace(IPAD, effect_choices={"noise": "auto", "range": "off"}))
+    assert (state(phone, "noise"), state(phone, "range")) == ("on", "off")
+    perfect, _ = planned(scene, tmp_path, SMALL)
+    assert perfect.on == frozenset()
+
+
+def test_a_frame_that_is_taken_over_has_what_its_source_has(tmp_path):
+    phone, captured = planned(room_with_a_virtual_sphere(1), tmp_path, IPAD)
+    phone.take_over(1, 7)
+    phone.notice(replace(captured, frame=7, time_s=0.25))
+    phone.plan()
+    first, later = (phone.see(frame)[0] for frame in (captured, replace(captured, frame=7, time_s=0.25)))
+    assert np.array_equal(first.srgb_u8, later.srgb_u8) and first.exposure == later.exposure
+    kept = [vars(load_surfaces(phone.outputs.surfaces(frame))) for frame in (1, 7)]
+    assert all(np.array_equal(kept[0][key], kept[1][key]) for key in kept[0])

@@ -1,0 +1,314 @@
+"""A run with a phone that is not perfect: what it sees, which effects it plans, when its estimates arrive."""
+
+from collections import Counter
+from dataclasses import dataclass, replace
+
+import bpy
+import numpy as np
+import pytest
+from phone_runs import IPAD
+from previs_runs import SMALL, counted_renders, files_below, run, run_some_steps, walk
+from results_schema import check_results, without_times
+from tiny_scenes import room_with_a_virtual_sphere
+
+from xihe_blender.apply import f_curves
+from xihe_blender.cli import main
+from xihe_blender.errors import UserError
+from xihe_blender.outputs import RunOutputs
+from xihe_blender.phone_capture import PhoneCapture
+from xihe_blender.phone_session import PhoneSession
+from xihe_blender.plan import plan_previs
+from xihe_blender.previs_settings import load_estimator
+from xihenet import estimators
+from xihenet.backend import LocalBackend
+from xihenet.controller import ControllerSettings, XiheController
+from xihenet.estimators import EstimateContext
+from xihenet.phone import EFFECTS, LINKS
+from xihenet.recording import load_frame
+from xihenet.records import UnitSphereCloud
+
+FAST = replace(SMALL, estimator="projection", n_anchors=320)
+
+
+@dataclass
+class Finished:
+    """An undisturbed run of `walk`, with its scene as the run left it."""
+
+    outputs: RunOutputs
+    results: dict
+    renders: list
+    keys: dict
+
+
+def finished_run(out, settings):
+    scene = walk()
+    with counted_renders() as renders:
+        results = run(scene, out, settings)
+    check_results(results)
+    return Finished(RunOutputs(out, "untitled"), results, renders, keyed_frames())
+
+
+def keyed_frames():
+    """Frames at which the light of each virtual object's world is keyed."""
+    worlds = {name: bpy.data.worlds[f"Xihe {name}"] for name in ("Ball", "Board")}
+    curves = {name: f_curves(world.node_tree)[0] for name, world in worlds.items()}
+    return {name: [int(point.co[0]) for point in curve.keyframe_points] for name, curve in curves.items()}
+
+
+@pytest.fixture(scope="module")
+def perfect(tmp_path_factory):
+    return finished_run(tmp_path_factory.mktemp("perfect") / "out", SMALL)
+
+
+@pytest.fixture(scope="module")
+def ipad(tmp_path_factory):
+    return finished_run(tmp_path_factory.mktemp("ipad") / "out", IPAD)
+
+
+@pytest.fixture(scope="module")
+def over_lte(tmp_path_factory):
+    return finished_run(tmp_path_factory.mktemp("lte") / "out", replace(SMALL, network="lte"))
+
+
+def rows(results):
+    return {effect["name"]: effect for effect in results["effects"]}
+
+
+def steps(results):
+    """(frame, probe) of every probe entry."""
+    return [(entry, probe) for entry in results["frames"] for probe in entry["probes"]]
+
+
+# -------------------------------------------------------------------------------------------------- the perfect phone
+
+
+def test_a_perfect_phone_gives_what_the_plain_chain_gives(perfect):
+    """The reference is the controller alone, fed with the captures that the run kept."""
+    estimator = load_estimator(SMALL)
+    exposure = perfect.results["settings"]["reference_exposure"]
+    chain = XiheController(LocalBackend(estimator), ControllerSettings(SMALL.trigger, reference_exposure=exposure))
+    for _, probe in steps(perfect.results):
+        if probe["name"] not in chain.positions:
+            chain.add_position(probe["name"], probe["position_m"])
+    ambient = estimators.load("ambient", SMALL.n_anchors, SMALL.target)
+    for entry in perfect.results["frames"]:
+        if not entry["active"]:
+            continue
+        frame = load_frame(perfect.outputs.capture(entry["frame"]))
+        reports = chain.step(frame)
+        sensed = ambient.estimate(UnitSphereCloud.empty(SMALL.n_anchors), EstimateContext(frame=frame))
+        for probe in entry["probes"]:
+            light = chain.light(probe["name"])
+            assert np.array_equal(probe["sh"], sensed if light is None else light.sh_radiance)
+            assert probe["fired"] == reports[probe["name"]].decision.fire
+
+
+def test_a_perfect_phone_costs_nothing(perfect, ipad):
+    by_scene, with_flaws = Counter(perfect.renders), Counter(ipad.renders)
+    # Even a phone with flaws renders nothing more; it only has another look at the room's lights and materials.
+    assert by_scene.pop("Xihe Effects") < with_flaws.pop("Xihe Effects")
+    assert by_scene == with_flaws
+    kept = files_below(perfect.outputs.folder)
+    assert not any("surfaces_" in path or path.startswith("radiance/captured") for path in kept)
+    assert perfect.results["phone"]["shc_rmse"] is None
+    assert {rows(perfect.results)[effect]["state"] for effect in (*EFFECTS, "network")} == {"off"}
+    arrivals = [(entry["frame"], probe) for entry, probe in steps(perfect.results) if probe["fired"]]
+    assert all((probe["arrival_frame"], probe["latency_ms"]) == (frame, 0) for frame, probe in arrivals)
+
+
+# ----------------------------------------------------------------------------------------------- a phone with flaws
+
+
+def test_every_effect_of_the_phone_has_a_row_with_its_numbers(ipad):
+    named = rows(ipad.results)
+    assert list(named)[-len(EFFECTS) - 1 :] == [*EFFECTS, "network"]
+    assert named["range"]["parameters"] == {"nearest_m": 0.0, "farthest_m": 5.0}
+    assert named["noise"]["state"] == "on" and "mm" in named["noise"]["reason"]
+    assert named["quantisation"]["state"] == "off" and "does not have it" in named["quantisation"]["reason"]
+
+
+def test_the_phone_changes_the_light_and_leaves_the_captures_perfect(perfect, ipad):
+    for entry in perfect.results["frames"]:
+        if entry["active"]:
+            frames = [load_frame(run.outputs.capture(entry["frame"])) for run in (perfect, ipad)]
+            assert np.array_equal(frames[0].plane_depth_m, frames[1].plane_depth_m)
+            assert np.array_equal(frames[0].srgb_u8, frames[1].srgb_u8)
+    lights = [[probe["sh"] for _, probe in steps(run.results)] for run in (perfect, ipad)]
+    assert not np.array_equal(*lights)
+    assert [probe["sh_truth"] for _, probe in steps(perfect.results)] == [
+        probe["sh_truth"] for _, probe in steps(ipad.results)
+    ]
+
+
+def test_the_errors_of_the_report_are_those_of_whole_sessions(perfect, ipad, tmp_path):
+    errors = ipad.results["phone"]["shc_rmse"]
+    assert errors["all_on"] == ipad.results["summary"]["mean_shc_rmse"]
+    assert errors["perfect"] == perfect.results["summary"]["mean_shc_rmse"]
+    quiet = run(walk(), tmp_path, replace(IPAD, effect_choices={"edge_bleeding": "off"}))
+    assert quiet["summary"]["mean_shc_rmse"] == errors["without"]["edge_bleeding"] != errors["all_on"]
+    text = ipad.outputs.report.read_text(encoding="utf-8")
+    assert f"{errors['all_on']:.4f}" in text and f"{errors['without']['edge_bleeding']:.4f}" in text
+
+
+@pytest.mark.slow
+def test_a_run_stopped_at_every_step_ends_as_an_undisturbed_one(tmp_path):
+    settings = replace(IPAD, network="home")
+    undisturbed = run(walk(), tmp_path / "whole", settings)
+    scene, n_stops = walk(), 0
+    while not run_some_steps(scene, tmp_path / "out", n_stops + 2, settings):
+        n_stops += 2
+    assert n_stops >= 6
+    assert without_times(run(scene, tmp_path / "out", settings)) == without_times(undisturbed)
+    assert undisturbed["summary"]["mean_latency_ms"] > 0
+
+
+def test_another_seed_is_another_phone(ipad):
+    settings = replace(IPAD, seed=1)
+    frames = [load_frame(ipad.outputs.capture(1))] * 2
+    scene = walk()
+    seen = []
+    for frame, chosen in zip(frames, (IPAD, settings), strict=True):
+        phone = PhoneCapture(scene, plan_previs(scene, chosen), ipad.outputs, chosen, frame.exposure)
+        seen.append(phone.see(frame, phone.camera_with({"noise"}))[0].plane_depth_m)
+    assert not np.array_equal(*seen)
+
+
+def test_the_same_folder_refuses_another_phone_network_or_choice(ipad):
+    for change in ({"phone": "iphone_lidar"}, {"network": "lte"}, {"effect_choices": {"noise": "off"}}):
+        with pytest.raises(UserError, match="another folder"):
+            run(walk(), ipad.outputs.folder, replace(IPAD, **change))
+
+
+def test_a_scene_faster_than_the_phone_loses_frames(tmp_path):
+    scene = room_with_a_virtual_sphere(4)
+    scene.render.fps = 120
+    results = run(scene, tmp_path, replace(FAST, phone="ipad_pro_lidar"))
+    check_results(results)
+    assert [entry["is_delivered"] for entry in results["frames"]] == [True, False, True, False]
+    assert results["phone"]["shc_rmse"]["without"]["frame_rate"] is None
+    assert any("2 of 4 frames" in note for note in results["notes"])
+
+
+# ---------------------------------------------------------------------------------------------- the user's own choices
+
+
+def test_overrides_win_and_are_named(tmp_path):
+    choices = {"noise": "off", "range": "on", "rolling_shutter": "auto", "reflective caustics": "off"}
+    results = run(room_with_a_virtual_sphere(2), tmp_path, replace(FAST, phone="iphone_lidar", effect_choices=choices))
+    check_results(results)
+    named = rows(results)
+    assert (named["noise"]["state"], named["noise"]["origin"]) == ("off", "user")
+    assert named["noise"]["reason"].startswith("you turned it off; by itself it would be on: ")
+    assert (named["range"]["state"], named["range"]["origin"]) == ("on", "user")
+    assert named["reflective caustics"]["origin"] == "user" and named["rolling_shutter"]["origin"] == "auto"
+    assert results["settings"]["effect_choices"] == {n: s for n, s in choices.items() if s != "auto"}
+
+
+PROFILE = """
+name = "My phone"
+summary = "Sees one metre"
+
+[range]
+source = "measured on the kitchen table"
+nearest_m = 0.0
+farthest_m = {farthest}
+"""
+
+
+def test_a_users_own_profile_works_and_a_changed_one_is_another_run(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text(PROFILE.format(farthest=2.0))
+    settings = replace(FAST, phone=str(file))
+    results = run(room_with_a_virtual_sphere(2), tmp_path / "out", settings)
+    check_results(results)
+    assert results["phone"]["name"] == "My phone" and rows(results)["range"]["state"] == "on"
+    for entry in results["frames"]:
+        plane_depth_m = load_frame(RunOutputs(tmp_path / "out", "untitled").capture(entry["frame"])).plane_depth_m
+        assert entry["n_lost_pixels"] == {"range": np.count_nonzero(plane_depth_m > 2)} != {"range": 0}
+        assert entry["n_invalid_pixels"] == np.count_nonzero((plane_depth_m > 2) | (plane_depth_m == 0))
+    file.write_text(PROFILE.format(farthest=1.5))
+    with pytest.raises(UserError, match="another phone"):
+        run(room_with_a_virtual_sphere(2), tmp_path / "out", settings)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--phone", "nokia_3310"], ["nokia_3310", "ipad_pro_lidar"]),
+        (["--network", "pigeon"], ["pigeon", "lte"]),
+        (["--effect", "noise"], ["NAME=on"]),
+        (["--effect", "hum=on"], ["hum", "rolling_shutter", "diffuse bounces", "network"]),
+        (["--effect", "noise=loud"], ["loud", "auto, on or off"]),
+        (["--effect", "noise=on"], ["noise", "Perfect phone", "--phone"]),
+        (["--effect", "network=on"], ["--network"]),
+    ],
+)
+def test_what_there_is_not_is_refused_in_one_line(arguments, words, tmp_path, capfd):
+    assert main(["previs", "nowhere.blend", "--out", str(tmp_path / "out"), *arguments]) == 2
+    said = capfd.readouterr()
+    assert said.out == "" and len(said.err.splitlines()) == 1
+    assert all(word in said.err for word in words), said.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_profile_with_a_mistake_names_the_file_and_the_key(tmp_path, capfd):
+    file = tmp_path / "mine.toml"
+    file.write_text(PROFILE.format(farthest='"far"'))
+    assert main(["previs", "nowhere.blend", "--out", str(tmp_path / "out"), "--phone", str(file)]) == 2
+    said = capfd.readouterr().err
+    assert "mine.toml" in said and "farthest_m" in said and len(said.splitlines()) == 1
+
+
+# --------------------------------------------------------------------------------------------------------- the network
+
+
+def test_an_estimate_is_applied_at_the_first_frame_after_its_arrival(perfect, over_lte):
+    frames = over_lte.results["frames"]
+    times_s = {entry["frame"]: entry["time_s"] for entry in frames}
+    by_itself = {(e["frame"], p["name"]): p for e, p in steps(perfect.results)}
+    fired = [(entry, probe) for entry, probe in steps(over_lte.results) if probe["fired"]]
+    assert {(e["frame"], p["name"]) for e, p in fired} == {key for key, probe in by_itself.items() if probe["fired"]}
+    for entry, probe in fired:
+        there_s = entry["time_s"] + 1e-3 * probe["latency_ms"]
+        assert probe["arrival_frame"] == next((f for f, t in times_s.items() if t >= there_s), None)
+    for entry, probe in steps(over_lte.results):
+        there = [
+            e["frame"] for e, p in fired if p["name"] == probe["name"] and (p["arrival_frame"] or 99) <= entry["frame"]
+        ]
+        if there:
+            assert probe["sh"] == by_itself[max(there), probe["name"]]["sh"]
+        else:
+            assert np.count_nonzero(np.any(probe["sh"], axis=1)) == 1  # the ambient light, l = 0 alone
+    summary = over_lte.results["summary"]
+    assert summary["mean_latency_ms"] == pytest.approx(np.mean([p["latency_ms"] for _, p in fired]))
+    assert rows(over_lte.results)["network"]["state"] == "on" and summary["n_lost"] == 0
+
+
+def test_the_timeline_is_keyed_where_estimates_arrive(perfect, over_lte):
+    arrivals = {p["arrival_frame"] for _, p in steps(over_lte.results) if p["name"] == "Ball"} - {None}
+    assert set(over_lte.keys["Ball"]) >= arrivals > set()
+    assert min(arrivals) > 1 and over_lte.keys != perfect.keys
+
+
+def test_estimates_that_are_lost_never_light_anything(perfect):
+    plan = plan_previs(walk(), SMALL)
+    exposure = perfect.results["settings"]["reference_exposure"]
+    link = replace(LINKS["wifi"], loss=1.0)
+    session = PhoneSession(plan, SMALL, exposure, load_estimator(SMALL), link)
+    for entry in perfect.results["frames"]:
+        if not entry["active"]:
+            continue
+        names = [probe["name"] for probe in entry["probes"]]
+        step = session.step(load_frame(perfect.outputs.capture(entry["frame"])), {}, names)
+        assert all(request.latency_s is None for request in step.requests.values())
+        for name in names:
+            assert np.array_equal(session.light(name, entry["time_s"]), step.ambient_sh)
+
+
+def test_the_network_matters_to_nobody_who_stands_still_in_steady_light(tmp_path):
+    scene = room_with_a_virtual_sphere(2)
+    scene.camera.animation_data_clear()
+    results = run(scene, tmp_path, replace(FAST, network="lte"))
+    check_results(results)
+    assert rows(results)["network"]["state"] == "off"
+    assert results["summary"]["mean_latency_ms"] == 0 and results["phone"]["shc_rmse"] is None

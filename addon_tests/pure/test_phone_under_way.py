@@ -1,0 +1,74 @@
+"""Estimates between being asked for and arriving: the light in force against a plain look through all of them."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from xihenet.phone import LINKS, EstimatesUnderWay
+from xihenet.records import LightEstimate
+
+FRAMES_S = np.arange(40) / 24
+UNSTEADY = replace(LINKS["lte"], loss=0.4, resend_s=0.1, n_sends=2)
+"""Every sixth request is lost, and one that was sent twice may be overtaken."""
+
+
+def estimate(number, *, is_valid=True):
+    return LightEstimate(np.full((9, 3), float(number)), 1.0, 0.5, "truth", is_valid)
+
+
+def session(link, seed, names=("a", "b")):
+    """Every position asks in every frame; requests by position."""
+    under_way = EstimatesUnderWay(link, seed)
+    asked = {
+        name: [
+            under_way.ask(name, estimate(i, is_valid=i % 5 != 4), frame=i, asked_s=t, payload_bytes=4249)
+            for i, t in enumerate(FRAMES_S)
+        ]
+        for name in names
+    }
+    return under_way, asked
+
+
+def test_without_a_link_every_valid_estimate_is_there_at_once():
+    under_way, asked = session(None, 0)
+    for i, t in enumerate(FRAMES_S):
+        last_valid = i - 1 if i % 5 == 4 else i
+        assert under_way.light("a", t).sh_radiance[0, 0] == last_valid
+    assert all(request.latency_s == 0 for request in asked["a"])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_light_is_the_youngest_valid_estimate_that_has_arrived(seed):
+    under_way, asked = session(UNSTEADY, seed)
+    requests = asked["a"]
+    overtaken = [later.arrival_s < request.arrival_s for request, later in itertools.pairwise(requests)]
+    assert any(overtaken) and any(request.latency_s is None for request in requests)
+    for t in np.linspace(-0.1, 3, 200):
+        there = [i for i, r in enumerate(requests) if r.arrival_s <= t and r.estimate.is_valid]
+        light = under_way.light("a", t)
+        assert (light is None) == (not there)
+        assert light is None or light.sh_radiance[0, 0] == max(there)
+
+
+def test_what_is_lost_leaves_the_light_before_in_force():
+    under_way = EstimatesUnderWay(replace(LINKS["wifi"], loss=0.0), 0)
+    under_way.ask("a", estimate(1), frame=1, asked_s=0.0, payload_bytes=4249)
+    under_way.link = replace(LINKS["wifi"], loss=1.0)
+    lost = under_way.ask("a", estimate(2), frame=2, asked_s=0.1, payload_bytes=4249)
+    assert lost.latency_s is None
+    assert under_way.light("a", 1e9).sh_radiance[0, 0] == 1
+
+
+def test_luck_depends_on_seed_frame_and_position_and_on_nothing_else():
+    _, asked = session(UNSTEADY, 3)
+    _, alone = session(UNSTEADY, 3, names=("b",))
+    _, other = session(UNSTEADY, 4)
+    arrivals = {key: [r.arrival_s for r in requests] for key, requests in asked.items()}
+    assert [r.arrival_s for r in alone["b"]] == arrivals["b"]
+    assert arrivals["a"] != arrivals["b"] and [r.arrival_s for r in other["a"]] != arrivals["a"]
+
+
+def test_a_position_that_never_asked_has_no_light():
+    assert EstimatesUnderWay(None, 0).light("nobody", 1.0) is None

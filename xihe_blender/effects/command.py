@@ -1,0 +1,115 @@
+"""What does `xihe effects` print? The plan as a table, with what each effect costs and what leaving it out changes."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+
+from xihe_blender.effects.costs import Change, EffectCost, measure_costs
+from xihe_blender.effects.overrides import PHONE_EFFECTS, overrides_in_force
+from xihe_blender.effects.plan import Effect, EffectPlan, judge_effects, planned
+from xihe_blender.errors import UserError
+from xihe_blender.jobs import Job, Progress
+from xihe_blender.plan import planned_frames
+from xihe_blender.render import RenderSettings, working_scene
+from xihe_blender.virtual_objects import estimation_positions, virtual_objects
+
+REASON_WIDTH = 60
+DASH = "-"
+
+
+@dataclass(frozen=True)
+class EffectsReport:
+    """The plan of a scene; `costs` by effect, empty where they were not measured or nothing switches the effect."""
+
+    plan: EffectPlan
+    costs: Mapping[str, EffectCost]
+
+    def as_json(self) -> list[dict[str, Any]]:
+        """The rows of results.json, each with `cost`: see `EffectCost.as_json`, or None."""
+        costs = {name: cost.as_json() for name, cost in self.costs.items()}
+        return [{**row, "cost": costs.get(row["name"])} for row in self.plan.as_json()]
+
+
+def report_effects(
+    scene: bpy.types.Scene,
+    frames: Sequence[int] | None = None,
+    overrides: Mapping[str, str] | None = None,
+    *,
+    is_measured: bool = True,
+) -> Job[EffectsReport]:
+    """The plan of a previs run on all virtual objects of `scene`; one without any, or without a camera, has one too.
+
+    Parameters
+    ----------
+    frames : to judge; None takes the scene's range and step. Costs are measured at the middle one
+    overrides : effect: "auto", "on" or "off"; not remembered
+    is_measured : render what each effect costs and changes, some 150 small renders
+
+    Raises
+    ------
+    UserError for frames outside the scene's range, or overrides that make no sense here
+    """
+    chosen = planned_frames(scene, frames)
+    for name in overrides or ():
+        if name in PHONE_EFFECTS:
+            raise UserError(f"effect {name!r} is planned from captures, not here: give it to xihe previs")
+    wanted = overrides_in_force(scene, overrides or {})
+    yield Progress(0, 1, "looking at the scene")
+    positions = positions_in(scene, chosen[0])
+    verdicts = judge_effects(scene, None, positions, frames=chosen)
+    plan = planned(verdicts, wanted)
+    if not is_measured:
+        return EffectsReport(plan, {})
+    costs = yield from measure_costs(scene, verdicts, wanted, positions, chosen[len(chosen) // 2])
+    return EffectsReport(plan, costs)
+
+
+def positions_in(scene: bpy.types.Scene, frame: int) -> list[list[float]]:
+    """Where the light of the virtual objects is estimated."""
+    with working_scene(scene, "Xihe Effects", RenderSettings((4, 4), samples=1)) as working:
+        working.frame_set(frame)
+        depsgraph = working.view_layers[0].depsgraph
+        return [place.tolist() for item in virtual_objects(scene) for place in estimation_positions(item, depsgraph)]
+
+
+def said_as_table(report: EffectsReport) -> str:
+    """A line or more per effect: name, state (with * for a user's override), cost, change, reason, Cycles' settings.
+
+    Cost is the render time that the effect adds. Light and picture are what leaving it out changes, in mean radiance,
+    with the standard error.
+    """
+    header = ("effect", "state", "cost", "light", "picture", "why", "set in Cycles")
+    rows = [header, *(row for effect in report.plan.effects for row in _rows(effect, report.costs.get(effect.name)))]
+    shown = [column for column in range(len(header)) if report.costs or header[column] not in header[2:5]]
+    widths = {column: max(len(row[column]) for row in rows) for column in shown}
+    lines = ["  ".join(row[column].ljust(widths[column]) for column in shown).rstrip() for row in rows]
+    return "\n".join([*lines, *(LEGEND if report.costs else ())])
+
+
+LEGEND = (
+    "",
+    "cost: render time that the effect adds. light, picture: what leaving it out does to the mean radiance of the",
+    "light probe and of the phone's picture, with the standard error; what is within two of them may be chance.",
+)
+
+
+def _rows(effect: Effect, cost: EffectCost | None) -> list[tuple[str, ...]]:
+    """The reason over as many lines as it takes, all else on the first of them."""
+    first, *more = textwrap.wrap(effect.reason, REASON_WIDTH)
+    state = effect.state + ("*" if effect.origin == "user" else "")
+    settings = ", ".join(f"{name} {_said(value)}" for name, value in effect.parameters.items())
+    costs = (DASH,) * 3 if cost is None else (f"{cost.time_share:+.0%}", _changed(cost.light), _changed(cost.picture))
+    return [(effect.name, state, *costs, first, settings), *(("", "", "", "", "", line, "") for line in more)]
+
+
+def _changed(change: Change | None) -> str:
+    return DASH if change is None else f"{change.relative:+.1%} ± {change.standard_error:.1%}"
+
+
+def _said(value: bool | int) -> str:
+    return {True: "on", False: "off"}[value] if isinstance(value, bool) else str(value)

@@ -1,0 +1,120 @@
+"""What does a run render at each frame of the camera path: the capture, and the light probes that are in view?
+
+Read where an earlier part of the run kept them, taken over from an earlier frame where nothing has changed since, else
+rendered. What is rendered is kept file by file before anything is made of it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from xihe_blender.capture import CyclesScanner, open_scanner
+from xihe_blender.exr import read_radiance, write_radiance
+from xihe_blender.outputs import write_json, write_picture
+from xihe_blender.phone_capture import PhoneCapture
+from xihe_blender.plan import Probe
+from xihe_blender.prepared_run import PreparedRun
+from xihe_blender.truth import LightProbe, open_light_probe
+from xihenet.camera import in_view
+from xihenet.recording import load_frame, save_frame
+from xihenet.records import ArrayF32, RgbdFrame
+
+
+@dataclass(frozen=True, eq=False)
+class FrameRenders:
+    """The perfect capture of one frame and what stands at its light probes.
+
+    Parameters
+    ----------
+    captured : before the phone has a hand in it
+    panoramas : (H, W, 3) scene radiance by name of the probe
+    render_s : seconds that rendering took, in whichever part of the run
+    rendered_now_s : seconds of these in this process
+    """
+
+    captured: RgbdFrame
+    panoramas: Mapping[str, ArrayF32]
+    render_s: float
+    rendered_now_s: float
+
+
+class PathRenders:
+    """Renders of one run; made by `open_path_renders`. Asked frame by frame, in order."""
+
+    def __init__(self, run: PreparedRun, phone: PhoneCapture, scanner: CyclesScanner, light_probe: LightProbe) -> None:
+        self.run, self.phone, self.scanner, self.light_probe = run, phone, scanner, light_probe
+        self.positions_m = np.stack([probe.position_m for probe in run.plan.probes])
+
+    def move_to(self, frame: int) -> tuple[float, list[Probe]]:
+        """The time of `frame`, and the probes that its camera sees; none if the phone does not deliver it."""
+        seen = in_view(self.positions_m, *self.scanner.move_to(frame)) & (frame in self.phone.delivered)
+        return self.scanner.time_s, [p for p, is_seen in zip(self.run.plan.probes, seen, strict=True) if is_seen]
+
+    def at(self, frame: int, probes: Sequence[Probe]) -> FrameRenders:
+        """The renders of `frame`, to which `move_to` has moved, and of `probes`, those in view."""
+        # Asked in any case: the first frame that asks is the one that holds the render.
+        kept = self.run.kept
+        source, sources = kept.capture(frame), {probe.name: kept.probe(frame, probe.name) for probe in probes}
+        if self.run.outputs.times(frame).exists():
+            return self._kept(frame, probes)
+        captured, capture_s = self._captured(frame, source)
+        panoramas, probes_s = self._panoramas(frame, probes, sources)
+        render_s = capture_s + probes_s
+        outputs = self.run.outputs
+        save_frame(outputs.capture(frame), captured)
+        write_picture(outputs.picture("captured", frame), captured.srgb_u8)
+        write_json(outputs.times(frame), {"render_s": render_s})
+        return FrameRenders(captured, panoramas, render_s, render_s)
+
+    def _kept(self, frame: int, probes: Sequence[Probe]) -> FrameRenders:
+        outputs = self.run.outputs
+        render_s = float(json.loads(outputs.times(frame).read_text(encoding="utf-8"))["render_s"])
+        panoramas = {probe.name: self._read_panorama(probe, frame) for probe in probes}
+        return FrameRenders(load_frame(outputs.capture(frame)), panoramas, render_s, 0.0)
+
+    def _captured(self, frame: int, source: int) -> tuple[RgbdFrame, float]:
+        """The capture, and the seconds that rendering it took."""
+        if source == frame:
+            captured = self.scanner.acquire_environment_scan()
+            self.phone.keep(self.scanner, frame)
+            return captured, self.scanner.render_s
+        self.phone.take_over(source, frame)
+        captured = load_frame(self.run.outputs.capture(source))
+        return replace(captured, time_s=self.scanner.time_s, frame=frame), 0.0
+
+    def _panoramas(
+        self, frame: int, probes: Sequence[Probe], sources: Mapping[str, int]
+    ) -> tuple[dict[str, ArrayF32], float]:
+        """The panorama of each probe, kept, and the seconds that rendering them took."""
+        panoramas, render_s = {}, 0.0
+        for probe in probes:
+            if sources[probe.name] == frame:
+                panoramas[probe.name] = self.light_probe.panorama(probe.position_m, frame)
+                render_s += self.light_probe.render_s
+            else:
+                panoramas[probe.name] = self._read_panorama(probe, sources[probe.name])
+            write_radiance(self.run.outputs.probe(self._place(probe), probe.name, frame), panoramas[probe.name])
+        return panoramas, render_s
+
+    def _read_panorama(self, probe: Probe, frame: int) -> ArrayF32:
+        return read_radiance(self.run.outputs.probe(self._place(probe), probe.name, frame))
+
+    def _place(self, probe: Probe) -> int:
+        return self.run.plan.probes.index(probe)
+
+
+@contextlib.contextmanager
+def open_path_renders(run: PreparedRun, phone: PhoneCapture) -> Iterator[PathRenders]:
+    """The renders of `run`, with what `phone` needs of them."""
+    with (
+        open_scanner(run.scene, run.capture) as scanner,
+        open_light_probe(run.scene, run.truth) as light_probe,
+    ):
+        scanner.exposure = run.exposure
+        phone.prepare(scanner)
+        yield PathRenders(run, phone, scanner, light_probe)

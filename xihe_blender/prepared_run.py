@@ -1,0 +1,133 @@
+"""What is settled before the first frame of a run is captured, and stays as it is when the run is resumed?
+
+The exposure, the plan of effects, the numbers of samples, and what changes from frame to frame. Each is worked out once
+and kept in the run's folder, so that a resumed run does the same without looking at the scene again.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Generator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from xihe_blender.capture import meter_exposure
+from xihe_blender.effects import EffectPlan, plan_effects
+from xihe_blender.effects.unchanged import KeptRenders, SceneState, scene_states
+from xihe_blender.effort import Effort, measure_effort
+from xihe_blender.jobs import Progress
+from xihe_blender.outputs import RunOutputs, write_json
+from xihe_blender.plan import PrevisPlan
+from xihe_blender.previs_settings import PrevisSettings
+from xihe_blender.render import RenderSettings
+from xihenet.estimators import Estimator
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedRun:
+    """All that is known of a run before its walk; the stages behind share it.
+
+    Parameters
+    ----------
+    scene : the user's
+    plan : frames, virtual objects, estimation positions
+    outputs : files of the run
+    settings : the user's
+    estimator : of the run
+    exposure : of the session
+    effects : which effects of light transport are simulated
+    effort : samples of captures and light probes
+    kept : in which earlier frame a render would come out the same
+    """
+
+    scene: bpy.types.Scene
+    plan: PrevisPlan
+    outputs: RunOutputs
+    settings: PrevisSettings
+    estimator: Estimator
+    exposure: float
+    effects: EffectPlan
+    effort: Effort
+    kept: KeptRenders
+
+    @property
+    def methods(self) -> list[str]:
+        """Names of the lights that are compared."""
+        return list(dict.fromkeys([self.settings.estimator, "ambient", "truth"]))
+
+    @property
+    def total(self) -> int:
+        """Units of work for the progress: a frame to capture is one, a frame to compare three."""
+        return len(self.plan.frames) + 3 * len(range(0, len(self.plan.frames), self.settings.effort.comparison_step))
+
+    @property
+    def capture(self) -> RenderSettings:
+        return self._simulated(self.settings.capture(self.plan.size, self.effort.capture_samples))
+
+    @property
+    def truth(self) -> RenderSettings:
+        return self._simulated(self.settings.truth(self.effort.truth_samples))
+
+    @property
+    def comparison(self) -> RenderSettings:
+        return self._simulated(self.settings.comparison(self.plan.size))
+
+    def _simulated(self, settings: RenderSettings) -> RenderSettings:
+        """`settings` with the run's light transport, one for capture, truth and comparison."""
+        return replace(settings, light_transport=self.effects.light_transport)
+
+
+def prepare_run(
+    scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs, settings: PrevisSettings, estimator: Estimator
+) -> Generator[Progress, None, PreparedRun]:
+    """A job: work out what an earlier part of this run has not left in `outputs`."""
+    yield Progress(0, 1, "metering the exposure")
+    exposure = _session_exposure(scene, plan, outputs, settings)
+    effects = _effects(scene, plan, outputs, settings)
+    yield Progress(0, 1, "measuring how many samples it takes")
+    transport = effects.light_transport
+    effort = _once(outputs.effort, lambda: measure_effort(scene, plan, settings, exposure, transport).as_json())
+    kept = KeptRenders(plan.frames, _scene_states(scene, plan, outputs, effects))
+    return PreparedRun(scene, plan, outputs, settings, estimator, exposure, effects, Effort(**effort), kept)
+
+
+def _once(path: Path, work_out: Callable[[], Any]) -> Any:
+    """What `work_out` gave when it was first asked, as JSON keeps it."""
+    if not path.exists():
+        write_json(path, work_out())
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def _session_exposure(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs, settings: PrevisSettings) -> float:
+    """The exposure that the user gave, or that is metered."""
+    if settings.exposure is not None:
+        return settings.exposure
+    kept = _once(outputs.exposure, lambda: {"exposure": meter_exposure(scene, plan.frames, settings.seed)})
+    return float(kept["exposure"])
+
+
+def _effects(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs, settings: PrevisSettings) -> EffectPlan:
+    """The effects of light transport that the scene calls for, or the user."""
+    positions = [probe.position_m.tolist() for probe in plan.probes]
+    choices = settings.effect_choices
+    return EffectPlan.from_json(
+        _once(
+            outputs.effects,
+            lambda: plan_effects(scene, positions=positions, frames=plan.frames, overrides=choices).as_json(),
+        )
+    )
+
+
+def _scene_states(
+    scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs, effects: EffectPlan
+) -> list[SceneState]:
+    """The state of the scene at each frame of the path."""
+    has_motion_blur = bool(dict(effects.light_transport).get("use_motion_blur"))
+    states = _once(
+        outputs.states,
+        lambda: [asdict(state) for state in scene_states(scene, plan.frames, has_motion_blur=has_motion_blur)],
+    )
+    return [SceneState(**state) for state in states]

@@ -1,0 +1,101 @@
+"""What do the frames of a run come to: means, sums, and what a reader has to know, in sentences?"""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import bpy
+
+from xihe_blender.effort import Effort
+from xihe_blender.previs_settings import PrevisSettings
+
+METRICS = ("psnr", "ssim", "rmse", "si_rmse", "angular_deg")
+
+
+def mean_comparison(frames: Sequence[dict[str, Any]]) -> dict[str, dict[str, float | None]]:
+    """Every metric of every method, averaged over the compared frames in which it is defined."""
+    compared = [entry["comparison"] for entry in frames if "comparison" in entry]
+    methods = list(compared[0]) if compared else []
+    return {name: {metric: _mean(entry[name][metric] for entry in compared) for metric in METRICS} for name in methods}
+
+
+def summary(frames: Sequence[dict[str, Any]], comparison: Mapping[str, Mapping[str, float | None]]) -> dict[str, Any]:
+    """The run in a few numbers."""
+    active = [entry for entry in frames if entry["active"]]
+    probes = [probe for entry in active for probe in entry["probes"]]
+    render_s, work_s = sum(e["render_s"] for e in active), sum(e["work_s"] for e in active)
+    return {
+        "n_frames": len(frames),
+        "n_active_frames": len(active),
+        "n_compared_frames": sum("comparison" in entry for entry in frames),
+        "n_reused_captures": sum(not e["rendering"]["capture"]["rendered"] for e in active),
+        "n_reused_probes": sum(not p["rendered"] for e in active for p in e["rendering"]["probes"].values()),
+        "n_reused_comparisons": sum(entry.get("comparison_same_as") is not None for entry in frames),
+        "n_estimates": sum(probe["fired"] for probe in probes),
+        "fired_share": _mean(float(probe["fired"]) for probe in probes),
+        "mean_shc_rmse": _mean(probe["shc_rmse"] for probe in probes),
+        "ambient_shc_rmse": _mean(probe["ambient_shc_rmse"] for probe in probes),
+        "mean_coverage": _mean(probe["coverage"] for probe in probes),
+        "mean_step_ms": _mean(sum(entry["stage_ms"].values()) for entry in active),
+        "payload_bytes": sum(probe["payload_bytes"] for probe in probes),
+        "mean_latency_ms": _mean(probe["latency_ms"] for probe in probes if probe["fired"]),
+        "n_lost": sum(probe["fired"] and probe["latency_ms"] is None for probe in probes),
+        "n_invalid_pixels": sum(entry["n_invalid_pixels"] for entry in active),
+        "render_s": render_s,
+        "comparison_render_s": sum(entry.get("comparison_render_s", 0.0) for entry in frames),
+        "overhead_share": work_s / render_s if render_s else None,
+        "rmse_against_ambient": {
+            name: _ratio(metrics["rmse"], comparison["ambient"]["rmse"]) for name, metrics in comparison.items()
+        },
+    }
+
+
+def notes(scene: bpy.types.Scene, frames: Sequence[dict[str, Any]]) -> list[str]:
+    """What a reader of the numbers has to know, in plain sentences."""
+    own = scene.view_settings.view_transform
+    aside = "as the scene has it" if own == "Standard" else f"the scene's own, {own}, would bend the comparison"
+    said = [
+        f"Pictures are made with the Standard view transform: {aside}.",
+        "Image metrics count the pixels that virtual objects cover, by how much they cover; psnr and ssim on "
+        "sRGB-encoded colour, the others on linear colour at the session's exposure.",
+        "The shadow that a virtual object casts on the room is in the ground truth but not in the methods' pictures.",
+        "In the pictures `truth` is the whole light of the rendered probe as order-2 SH, not clipped.",
+    ]
+    undelivered = sum(not entry["is_delivered"] for entry in frames)
+    if undelivered:
+        said.append(f"{undelivered} of {len(frames)} frames of the path came too soon after another for the phone.")
+    inactive = [entry["frame"] for entry in frames if not entry["active"] and entry["is_delivered"]]
+    if inactive:
+        frames_were = ("1 frame", "was") if len(inactive) == 1 else (f"{len(inactive)} frames", "were")
+        said.append("{} had no estimation position in view and {} not captured.".format(*frames_were))
+    lost = sum(n for entry in frames for n in entry["n_lost_pixels"].values())
+    if lost:
+        said.append(f"The phone's range sensor had no answer in {lost} captured pixels; they gave no point.")
+    invalid = sum(entry["n_invalid_pixels"] for entry in frames) - lost
+    if invalid > 0:
+        said.append(f"{invalid} captured pixels had no plane depth (open sky or a window) and gave no point.")
+    return said
+
+
+def noise_notes(settings: PrevisSettings, effort: Effort) -> list[str]:
+    """A sentence for each kind of render whose noise is above the target at the most samples the preset allows."""
+    target, most = settings.noise_aim, settings.effort.max_samples
+    missed = [("captures", effort.capture_noise), ("light probes", effort.truth_noise)]
+    return [
+        f"The noise of {name} is {noise:.1%} of the light, above the target of {target:.1%}: the preset stops at "
+        f"{most} samples."
+        for name, noise in missed
+        if noise is not None and noise > target
+    ]
+
+
+def _mean(values: Any) -> float | None:
+    """Mean of the values that are not None; None without any."""
+    known = [value for value in values if value is not None]
+    return statistics.fmean(known) if known else None
+
+
+def _ratio(value: float | None, reference: float | None) -> float | None:
+    return value / reference if value is not None and reference else None
