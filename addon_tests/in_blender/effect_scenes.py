@@ -5,6 +5,8 @@ import math
 import bpy
 from tiny_scenes import box, empty_scene, material, phone, set_world, sphere
 
+from xihe_blender.effects import plan_effects
+
 
 def stage(make_look=None, lamp=True):
     """A floor under a black sky, a ball, both matt unless `make_look` makes another material, a lamp, and a phone."""
@@ -195,3 +197,27 @@ PAIRS = {
     "denoising": (stage, lambda: stage(lamp=False)),
 }
 """By effect: a scene that calls for it, and one that does not. No scene calls for Fast GI, which is not among them."""
+
+
+def state(scene, effect, **options):
+    """What the plan says of an effect: on or off."""
+    return plan_effects(scene, **options)[effect].state
+
+
+def node_of(scene, kind):
+    """The node of a type in the material of the ball that `with_ball` put there."""
+    return next(node for node in scene.objects["Ball"].data.materials[0].node_tree.nodes if node.type == kind)
+
+
+def mixed(factor, is_linked=False):
+    """Chalk and glass, mixed."""
+    look = bpy.data.materials.new("Mixed")
+    tree, output = nodes_of(look)
+    mix = tree.nodes.new("ShaderNodeMixShader")
+    mix.inputs[0].default_value = factor
+    tree.links.new(shader_node(tree, "BsdfDiffuse").outputs[0], mix.inputs[1])
+    tree.links.new(shader_node(tree, "BsdfGlass").outputs[0], mix.inputs[2])
+    tree.links.new(mix.outputs[0], output.inputs["Surface"])
+    if is_linked:
+        tree.links.new(tree.nodes.new("ShaderNodeTexNoise").outputs[0], mix.inputs[0])
+    return look

@@ -12,6 +12,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from sampled_places import places_of
 
 from xihe_blender.cli import main
 from xihe_blender.dataset.build import BuildSettings, build_dataset, missing_rooms
@@ -25,10 +26,6 @@ from xihe_blender.dataset.views import (
     MIN_CLEARANCE_M,
     N_POSITIONS,
     N_VIEWS,
-    RoomRays,
-    RoomTooFull,
-    sample_positions,
-    sample_views,
 )
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
@@ -124,16 +121,7 @@ def test_the_exposure_follows_the_light(room):
 
 @pytest.fixture(params=range(6))
 def places(request: pytest.FixtureRequest):
-    rng = room_generator(11, request.param)
-    for _ in range(20):
-        room = sample_room(rng)
-        rays = RoomRays.of(build_room(room))
-        try:
-            positions = sample_positions(rng, room, rays)
-            return room, rays, positions, sample_views(rng, room, rays, positions)
-        except RoomTooFull:
-            continue
-    raise AssertionError("no room with places in 20 draws")
+    return places_of(request.param)
 
 
 def test_positions_float_just_above_a_surface_and_clear_of_everything(places):

@@ -15,7 +15,6 @@ from xihe_blender.outputs import RunOutputs
 from xihe_blender.render import render_passes, set_up_memory_exr
 from xihe_blender.virtual_objects import virtual_collection
 
-
 DIMMING = replace(SMALL, estimator="projection")
 """An estimator that follows the lamp of `walk` far enough down for pictures to tell."""
 

@@ -10,21 +10,21 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from sampled_places import places_of
 from scipy import ndimage, sparse
 from tiny_scenes import look_at, room_with_a_virtual_sphere
 
 from xihe_blender.capture import meter_exposure, phone_camera
 from xihe_blender.cli import main
 from xihe_blender.dataset.build import BuildSettings, build_dataset, claim_folder
-from xihe_blender.dataset.build_room import build_room
 from xihe_blender.dataset.free_floor import CELL_M, FreeFloor, Route
 from xihe_blender.dataset.outline import Rect
 from xihe_blender.dataset.render_room import RoomRenderSettings, make_room
 from xihe_blender.dataset.room_data import Piece
-from xihe_blender.dataset.rooms import room_generator, sample_room, walk_generator
+from xihe_blender.dataset.rooms import walk_generator
 from xihe_blender.dataset.scene import SCENE_REGIME, SCENE_SEED, add_scene
 from xihe_blender.dataset.store import StoredRoom, load_room, room_path, stored_indices
-from xihe_blender.dataset.views import PHONE_CLEARANCE_M, RoomRays, RoomTooFull, sample_positions, sample_views
+from xihe_blender.dataset.views import PHONE_CLEARANCE_M
 from xihe_blender.dataset.walk import HIGHEST_M, LOWEST_M, SPEED_M_S, sample_walk
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
@@ -39,20 +39,6 @@ FIRST_DATASET = {"format": 1, "seed": 5, "render": list(SMALL_NUMBERS), "softwar
 """What the first version wrote into its folders."""
 
 N_FRAMES = 24
-
-
-def places_of(index):
-    """A room of seed 11 without pictures: the room, its rays, positions and free views."""
-    rng = room_generator(11, index)
-    for _ in range(20):
-        room = sample_room(rng)
-        rays = RoomRays.of(build_room(room))
-        try:
-            positions = sample_positions(rng, room, rays)
-            return room, rays, positions, sample_views(rng, room, rays, positions)
-        except RoomTooFull:
-            continue
-    raise AssertionError("no room with places in 20 draws")
 
 
 def poses_of(walk):

@@ -14,14 +14,6 @@ from xihenet.nets.pointconv import PointConvNet, farthest_points
 SMALL = PointConvArchitecture(centroids=(32, 8), n_neighbours=8)
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
-
-
 def lively_net(architecture=None):
     """A network whose last layers do not start at 0."""
     torch.manual_seed(3)

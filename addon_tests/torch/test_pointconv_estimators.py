@@ -23,14 +23,6 @@ SMALL = {"centroids": (32, 8), "n_neighbours": 8}
 ESTIMATORS = {"xihenet": XiheNet, "pointar": PointAR}
 
 
-@pytest.fixture(autouse=True, scope="module")
-def one_thread():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
-
-
 def fresh_net(seed=0, **options):
     torch.manual_seed(seed)
     return PointConvNet(PointConvArchitecture(**{**SMALL, **options}))

@@ -33,14 +33,6 @@ TEST_ROOMS = np.array([i for i in range(400) if split_of((7, i)) == "test"][:4])
 TINY_POINTCONV = {"centroids": (16, 4), "n_neighbours": 4}
 
 
-@pytest.fixture(autouse=True, scope="module")
-def one_thread():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
-
-
 def random_clouds(rng, rooms, n_pairs, n_merged, n_anchors=N, coverage=(0.2, 0.6)):
     """Clouds that show the light they have as their truth; the same for each room: pairs first, then merged ones."""
     room = np.repeat(rooms, n_pairs + n_merged)

@@ -34,14 +34,6 @@ N = 96
 TINY_POINTCONV = {"centroids": (16, 4), "n_neighbours": 4}
 
 
-@pytest.fixture(autouse=True, scope="module")
-def one_thread():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
-
-
 def write_room(path, index):
     """Two views and two positions of pictures that hold nothing but noise of a room's own colour."""
     rng = np.random.default_rng(index)

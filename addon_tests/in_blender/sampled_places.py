@@ -1,0 +1,19 @@
+"""Rooms of the data set with the places in them, as plans: nothing is rendered."""
+
+from xihe_blender.dataset.build_room import build_room
+from xihe_blender.dataset.rooms import room_generator, sample_room
+from xihe_blender.dataset.views import RoomRays, RoomTooFull, sample_positions, sample_views
+
+
+def places_of(index):
+    """A room of seed 11 without pictures: the room, its rays, positions and free views."""
+    rng = room_generator(11, index)
+    for _ in range(20):
+        room = sample_room(rng)
+        rays = RoomRays.of(build_room(room))
+        try:
+            positions = sample_positions(rng, room, rays)
+            return room, rays, positions, sample_views(rng, room, rays, positions)
+        except RoomTooFull:
+            continue
+    raise AssertionError("no room with places in 20 draws")

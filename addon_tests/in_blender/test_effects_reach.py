@@ -1,0 +1,188 @@
+"""What light can reach, over the frames of a run: animated, hidden, instanced, linked, made by modifiers."""
+
+import bpy
+from effect_scenes import (
+    add_lamp,
+    ball,
+    glass,
+    mirror,
+    mixed,
+    node_of,
+    shader_look,
+    stage,
+    state,
+    with_ball,
+)
+from tiny_scenes import material
+
+from xihe_blender.effects import plan_effects
+
+
+def test_an_emission_driven_at_frame_100_counts_only_if_frame_100_is_rendered():
+    scene = with_ball(lambda: shader_look("Flash", "Emission"))
+    strength = node_of(scene, "EMISSION").inputs["Strength"]
+    strength.default_value = 0.0
+    strength.driver_add("default_value").driver.expression = "frame >= 100"
+    assert state(scene, "light tree", frames=[1, 50, 99]) == "off"
+    assert state(scene, "light tree", frames=[1, 50, 100]) == "on"
+
+
+def test_an_animated_mix_factor_counts_over_its_frames():
+    scene = with_ball(lambda: mixed(0.0))
+    factor = node_of(scene, "MIX_SHADER").inputs[0]
+    for frame, value in ((1, 0.0), (10, 0.0), (20, 1.0)):
+        factor.default_value = value
+        factor.keyframe_insert("default_value", frame=frame)
+    assert state(scene, "transmission", frames=range(1, 11)) == "off"
+    assert state(scene, "transmission", frames=range(1, 13)) == "on"
+
+
+def test_a_lamp_that_is_keyed_on_later_is_a_second_light():
+    scene = stage()
+    data = add_lamp(scene, (1, 1, 1)).data
+    for frame, power in ((1, 0.0), (5, 0.0), (6, 10.0)):
+        data.energy = power
+        data.keyframe_insert("energy", frame=frame)
+    assert state(scene, "light tree", frames=range(1, 6)) == "off"
+    assert state(scene, "light tree", frames=range(1, 8)) == "on"
+
+
+def test_glass_out_of_every_view_but_in_a_mirror_counts():
+    scene = with_ball(mirror)
+    ball(scene, "Behind the phone", (0, -6, 1), glass())
+    assert state(scene, "transmission") == "on"
+
+
+def test_hidden_in_the_viewport_is_not_hidden_in_renders():
+    scene = with_ball(glass)
+    item = bpy.data.objects["Ball"]
+    item.hide_viewport = True
+    item.hide_set(True)
+    assert state(scene, "transmission") == "on"
+    item.hide_viewport, item.hide_render = False, True
+    assert state(scene, "transmission") == "off"
+
+
+def test_what_is_in_an_excluded_collection_is_left_out():
+    scene = stage()
+    collection = bpy.data.collections.new("Store")
+    scene.collection.children.link(collection)
+    ball(scene, "Ball", (0.5, 0, 0.35), glass(), collection)
+    assert state(scene, "transmission") == "on"
+    scene.view_layers[0].layer_collection.children["Store"].exclude = True
+    assert state(scene, "transmission") == "off"
+
+
+def test_a_holdout_is_still_seen_by_other_surfaces():
+    scene = with_ball(glass)
+    bpy.data.objects["Ball"].is_holdout = True
+    assert state(scene, "transmission") == "on"
+
+
+def test_an_object_that_no_ray_meets_is_left_out():
+    scene = with_ball(glass)
+    item = bpy.data.objects["Ball"]
+    for ray in ("camera", "diffuse", "glossy", "transmission", "volume_scatter"):
+        setattr(item, f"visible_{ray}", False)
+    assert state(scene, "transmission") == "off"
+    item.visible_glossy = True
+    assert state(scene, "transmission") == "on"
+
+
+def test_a_material_slot_that_no_face_uses_is_left_out():
+    scene = stage()
+    mesh = bpy.data.objects["Matt ball"].data
+    mesh.materials.append(glass())
+    assert state(scene, "transmission") == "off"
+    mesh.polygons[0].material_index = 1
+    assert state(scene, "transmission") == "on"
+
+
+def test_a_slot_that_no_face_uses_is_left_out_of_a_subdivided_mesh_as_well():
+    scene = stage()
+    item = bpy.data.objects["Matt ball"]
+    item.modifiers.new("Subdivision", "SUBSURF")
+    item.data.materials.append(glass())
+    assert state(scene, "transmission") == "off"
+    item.data.polygons[0].material_index = 1
+    assert state(scene, "transmission") == "on"
+
+
+def test_a_material_linked_to_the_object_wins_over_the_meshs():
+    scene = with_ball(glass)
+    slot = bpy.data.objects["Ball"].material_slots[0]
+    slot.link = "OBJECT"
+    slot.material = material("Chalk")
+    assert state(scene, "transmission") == "off"
+
+
+def test_an_instanced_collection_counts_although_the_scene_does_not_hold_it():
+    scene = stage()
+    collection = bpy.data.collections.new("Asset")
+    ball(scene, "Vase", (0, 0, 0), glass(), collection)
+    assert state(scene, "transmission") == "off"
+    empty = bpy.data.objects.new("Placed", None)
+    empty.instance_type, empty.instance_collection = "COLLECTION", collection
+    scene.collection.objects.link(empty)
+    assert state(scene, "transmission") == "on"
+    empty.hide_render = True
+    assert state(scene, "transmission") == "off"
+
+
+def test_instances_of_geometry_nodes_count():
+    scene = stage()
+    hidden = ball(scene, "Vase", (0, 0, 0), glass())
+    hidden.hide_render = True
+    group = bpy.data.node_groups.new("Place", "GeometryNodeTree")
+    group.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
+    group.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    out, points = group.nodes.new("NodeGroupOutput"), group.nodes.new("GeometryNodeInstanceOnPoints")
+    source, info = group.nodes.new("NodeGroupInput"), group.nodes.new("GeometryNodeObjectInfo")
+    info.inputs["Object"].default_value = hidden
+    info.inputs["As Instance"].default_value = True
+    group.links.new(source.outputs[0], points.inputs["Points"])
+    group.links.new(info.outputs["Geometry"], points.inputs["Instance"])
+    group.links.new(points.outputs[0], out.inputs[0])
+    assert state(scene, "transmission") == "off"
+    bpy.data.objects["Floor"].modifiers.new("Place", "NODES").node_group = group
+    assert state(scene, "transmission") == "on"
+
+
+def test_a_material_that_geometry_nodes_set_counts():
+    scene = stage()
+    group = bpy.data.node_groups.new("Set", "GeometryNodeTree")
+    group.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
+    group.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    node = group.nodes.new("GeometryNodeSetMaterial")
+    node.inputs["Material"].default_value = glass()
+    group.links.new(group.nodes.new("NodeGroupInput").outputs[0], node.inputs[0])
+    group.links.new(node.outputs[0], group.nodes.new("NodeGroupOutput").inputs[0])
+    bpy.data.objects["Matt ball"].modifiers.new("Set", "NODES").node_group = group
+    assert state(scene, "transmission") == "on"
+
+
+def test_a_material_from_a_linked_library_is_read(tmp_path):
+    scene = with_ball(lambda: material("Chalk"))
+    bpy.data.libraries.write(str(tmp_path / "library.blend"), {glass("Library glass")})
+    bpy.data.materials.remove(bpy.data.materials["Library glass"])
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, wanted):
+        wanted.materials = ["Library glass"]
+    bpy.data.objects["Ball"].data.materials[0] = wanted.materials[0]
+    assert wanted.materials[0].library is not None
+    assert "'Library glass'" in plan_effects(scene)["transmission"].reason
+
+
+def test_hair_of_a_particle_system_counts():
+    scene = stage()
+    bpy.data.objects["Floor"].modifiers.new("Grass", "PARTICLE_SYSTEM")
+    settings = bpy.data.objects["Floor"].particle_systems[0].settings
+    assert state(scene, "hair") == "off"
+    settings.type = "HAIR"
+    assert state(scene, "hair") == "on"
+
+
+def test_an_empty_scene_has_a_plan_with_everything_off():
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    plan = plan_effects(bpy.context.scene)
+    assert {effect.name for effect in plan.effects if effect.state == "on"} == set()
+    assert dict(plan.light_transport)["max_bounces"] == 0
