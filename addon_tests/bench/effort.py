@@ -1,17 +1,18 @@
 """What do a noise target and renders that are not made twice save, at equal noise of the light?
 
-    python addon_tests/bench/effort.py [--size 128x96] [--preset draft] [--step 3]
+    python addon_tests/bench/effort.py [--size 128x96] [--presets balanced,draft] [--step 3]
 
 A walk: capture, light probes and, at every n-th frame, the comparison of three methods; nothing is stored, and the
 chain is left out. Before, each frame renders all of it with fixed numbers of samples. Now the walk has its pilot and
 its look at what changes, both counted, takes the samples that reach the preset's noise target, and takes over what an
 earlier frame has already. Light transport is planned in both.
 
-First table: `living_room` with a phone that stops and goes: of 24 frames it walks four and holds its pose for four,
-three times, or walks four and holds for eight, twice. Fixed numbers are the ones that the pilot finds, so that noise is
-equal and what is saved is renders.
-Second table: each scene on its own walk (every `--step`-th frame timed, renders counted over all). Fixed numbers are
-those of the scene that needs the most, since a number that is fixed for all scenes must reach the target there as well.
+First table, for each preset: `living_room` with a phone that stops and goes: of 24 frames it walks four and holds its
+pose for four, three times, or walks four and holds for eight, twice. Fixed numbers are those that the pilot finds, so
+that noise is equal and what is saved is renders.
+Second table: each scene on its own walk in the last of the presets (every `--step`-th frame timed, renders counted over
+all). Fixed numbers are those of the scene that needs the most, since a number that is fixed for all scenes must reach
+the target there as well.
 Seconds are of processor time, all threads together, which a busy machine stretches less than the clock's.
 """
 
@@ -211,12 +212,13 @@ def scene_table(size: tuple[int, int], preset: str, step: int) -> Iterator[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--size", type=picture_size, default=(128, 96))
-    parser.add_argument("--preset", default="draft")
+    parser.add_argument("--presets", default="balanced,draft", type=lambda text: text.split(","))
     parser.add_argument("--step", type=int, default=3)
     options = parser.parse_args()
     with blender_output_aside() as (stdout, _):
-        still = still_table(PrevisSettings(size=options.size, preset=options.preset))
-        for line in itertools.chain(still, [""], scene_table(options.size, options.preset, options.step)):
+        still = [still_table(PrevisSettings(size=options.size, preset=preset)) for preset in options.presets]
+        scenes = scene_table(options.size, options.presets[-1], options.step)
+        for line in itertools.chain(*still, [""], scenes):
             print(line, file=stdout, flush=True)
 
 

@@ -369,9 +369,13 @@ def test_the_page_says_what_metrics_cannot_do_and_how_it_was_made(tmp_path: Path
 
 def test_the_table_of_effects_says_what_cycles_was_set_to(tmp_path: Path) -> None:
     results, outputs = synthetic(tmp_path, n_frames=4)
-    results["effects"][0]["parameters"] = {"diffuse_bounces": 17, "use_light_tree": True, "use_fast_gi": False}
+    cycles = {"diffuse_bounces": 17, "use_light_tree": True, "use_fast_gi": False}
+    phone = {"farthest_m": 5.0, "noise_at_1_m": 0.0019, "uplink_bit_per_s": 8e6, "link": "lte"}
+    results["effects"][0]["parameters"] = cycles | phone
     text = Page(page_of(results, outputs)).text
-    assert all(words in text for words in ("diffuse_bounces 17", "use_light_tree on", "use_fast_gi off"))
+    assert all(words in text for words in ("diffuse_bounces 17", "use_light_tree on", "use_fast_gi off", "link lte"))
+    assert all(words in text for words in ("farthest_m 5", "noise_at_1_m 0.0019", "uplink_bit_per_s 8,000,000"))
+    assert "farthest_m 5.0" not in text
 
 
 def test_the_last_coefficients_of_a_probe_are_in_the_page(tmp_path: Path) -> None:

@@ -244,11 +244,18 @@ def _effects(results: Mapping[str, Any]) -> str:
 
 
 def _set_to(effect: Mapping[str, Any]) -> str:
-    """What an effect was set to: "diffuse_bounces 17", "farthest_m 5.0"; a dash where nothing sets it."""
+    """What an effect was set to: "diffuse_bounces 17", "farthest_m 5"; a dash where nothing sets it."""
     said = {True: "on", False: "off"}
     settings = mapping(effect, "parameters").items()
-    words = [f"{name} {said[value] if isinstance(value, bool) else value}" for name, value in settings]
+    words = [f"{name} {said[value] if isinstance(value, bool) else _number(value)}" for name, value in settings]
     return ", ".join(code(word) for word in words) or DASH
+
+
+def _number(value: Any) -> str:
+    """8000000.0 as "8,000,000", 0.0019 as it is; what is no number in its own words."""
+    if not isinstance(value, int | float):
+        return str(value)
+    return f"{value:,.0f}" if float(value).is_integer() else f"{value:,.6g}"
 
 
 def _phone(results: Mapping[str, Any]) -> str:

@@ -44,7 +44,7 @@ class SessionFacts:
 
     Parameters
     ----------
-    frame_rate_hz : of the scene
+    frame_rate_hz : of the camera path
     duration_s : first to last frame
     n_anchors : of the estimates
     focal_px : of the capture, the longer of the two
@@ -128,12 +128,12 @@ def _planned(name: str, facts: SessionFacts, profile: PhoneProfile, choice: Choi
 
 
 def calls_for_frame_rate(facts: SessionFacts, settings: FrameRate) -> Call:
-    """A scene with more frames than the phone delivers."""
+    """A path with more frames than the phone delivers."""
     if facts.frame_rate_hz is None:
-        return _unknown("the scene's frame rate")
+        return _unknown("the frame rate of the camera path")
     if facts.frame_rate_hz > settings.rate_hz:
-        return True, f"the scene has {facts.frame_rate_hz:g} frames per second, the phone delivers {settings.rate_hz:g}"
-    return False, f"the phone delivers {settings.rate_hz:g} frames per second, the scene has {facts.frame_rate_hz:g}"
+        return True, f"the path has {facts.frame_rate_hz:g} frames per second, the phone delivers {settings.rate_hz:g}"
+    return False, f"the phone delivers {settings.rate_hz:g} frames per second, the path has {facts.frame_rate_hz:g}"
 
 
 def calls_for_rolling_shutter(facts: SessionFacts, settings: RollingShutter) -> Call:
