@@ -93,7 +93,8 @@ class Lattice(Estimator):
         if context is not None and context.frame is not None:
             sensed = self._sensor.estimate(cloud, context)
             light = lean_on_sensor(light, cloud.is_set.mean(keepdims=True), sensed[None])
-        return self._checked(light[0]), float(self._calibration.expected(raw_error)[0])
+        coverage = cloud.is_set.mean(keepdims=True)
+        return self._checked(light[0]), float(self._calibration.expected(raw_error, coverage)[0])
 
     def estimate_batch(self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike) -> ArrayF64:
         """(B, 9, 3) of B clouds; ValueError for shapes that do not fit and for colours or distances out of range."""
@@ -111,7 +112,7 @@ class Lattice(Estimator):
             sh_radiance[block], expected_error[block] = light, error
         if not np.isfinite(sh_radiance).all():
             raise ValueError("lattice: an estimate is not finite; refusing to pass it on")
-        return sh_radiance, self._calibration.expected(expected_error)
+        return sh_radiance, self._calibration.expected(expected_error, known.mean(axis=1))
 
     def _checked_batch(
         self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike

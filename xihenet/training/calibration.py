@@ -1,47 +1,57 @@
 """By how much may a network's word about its own error be believed, and what makes it better?
 
 A network's raw expected error comes from training rooms, which it knows better than others: it is too small, and says
-too much of what it learned by heart. On the validation rooms a power law maps it to the error that was made: two
-numbers, positive and monotone for any raw value. They maximise the likelihood of exponential errors, as in training,
-whose mean is the best guess; so expected errors average to those made. Multiples of the expected error that hold a
-share of the validation clouds then make promises: of 90 % of the clouds the error is below so many times the expected.
+too much of what it learned by heart; and the less of the sphere it has seen, the more so. On the validation rooms a
+power law, times an exponential of the coverage, maps it to the error that was made: three numbers, positive and
+monotone for any raw value. They maximise the likelihood of exponential errors, as in training, whose mean is the best
+guess; so expected errors average to those made. Multiples of the expected error that hold a share of the validation
+clouds then make promises: of 90 % of the clouds the error is below so many times the expected.
 
-Rejected: a line a + b x raw, which may be negative for an odd raw value; isotonic regression, which is no two numbers.
+Rejected: a line a + b x raw, which may be negative for an odd raw value; isotonic regression, which is not smooth; the
+power law alone, which kept its promise of 50 % for 45 % of clouds of one view and 62 % of merged ones (validation
+rooms, each half judged by the other).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihenet.estimators.calibration import SHARES_ASKED, SMALLEST_RAW, STEEPEST, Calibration
+from xihenet.estimators.calibration import (
+    SHARES_ASKED,
+    SMALLEST_RAW,
+    STEEPEST,
+    STEEPEST_IN_COVERAGE,
+    Calibration,
+)
 from xihenet.records import ArrayBool, ArrayF64
 
 N_BINS = 8
-_N_STEPS = 60
+_N_STEPS = 40
 
 
-def fit_calibration(raw: ArrayLike, made: ArrayLike) -> Calibration:
-    """The power law and the quantiles of validation clouds.
+def fit_calibration(raw: ArrayLike, made: ArrayLike, coverage: ArrayLike) -> Calibration:
+    """The three numbers and the quantiles of validation clouds.
 
     Parameters
     ----------
     raw, made : (M,) what the network expected and what came, M at least 2
+    coverage : (M,) share of the sphere that was seen, 0 to 1
 
     Returns
     -------
     Calibration whose expected errors have made / expected = 1 in the mean. Raises ValueError for too few, other
     shapes, negative errors, NaN or infinity.
     """
-    expected, errors = _checked(raw, made)
-    power = _best_power(np.log(np.maximum(expected, SMALLEST_RAW)), errors)
-    powered = np.maximum(expected, SMALLEST_RAW) ** power
-    factor = float(np.mean(errors / powered))
-    quantiles = np.quantile(errors / np.maximum(factor * powered, SMALLEST_RAW), SHARES_ASKED)
-    return Calibration(factor, power, tuple(map(float, quantiles)))
+    expected, errors, seen = _checked(raw, made, coverage)
+    power, slope = _likeliest(np.log(np.maximum(expected, SMALLEST_RAW)), seen, errors)
+    shape = np.maximum(expected, SMALLEST_RAW) ** power * np.exp(slope * seen)
+    factor = float(np.mean(errors / shape))
+    quantiles = np.quantile(errors / np.maximum(factor * shape, SMALLEST_RAW), SHARES_ASKED)
+    return Calibration(factor, power, slope, tuple(map(float, quantiles)))
 
 
 def calibration_figures(
@@ -84,27 +94,41 @@ def _bins(expected: ArrayF64, made: ArrayF64) -> list[dict[str, float]]:
     return [{"expected": float(expected[p].mean()), "made": float(made[p].mean())} for p in parts if len(p)]
 
 
-def _best_power(log_raw: ArrayF64, made: ArrayF64) -> float:
-    """The power of the highest likelihood, by golden section: with the factor put in, what is minimised is convex."""
-    centred = log_raw - log_raw.mean()
+def _likeliest(log_raw: ArrayF64, coverage: ArrayF64, made: ArrayF64) -> tuple[float, float]:
+    """Power and slope of the highest likelihood, 0 for what does not vary: with the factor put in, it is convex."""
+    if not made.any():
+        return 0.0, 0.0
+    x, c = log_raw - log_raw.mean(), coverage - coverage.mean()
 
-    def unlikeliness(power: float) -> float:
-        return float(np.log(np.mean(made * np.exp(-power * centred))))
+    def unlikeliness(power: float, slope: float) -> float:
+        return float(np.log(np.mean(made * np.exp(-power * x - slope * c))))
 
-    if not (np.ptp(log_raw) > 0 and made.any()):
-        return 0.0
-    low, high, golden = 0.0, STEEPEST, (np.sqrt(5) - 1) / 2
+    def best_slope(power: float) -> float:
+        if np.ptp(c) == 0:
+            return 0.0
+        return _lowest(lambda slope: unlikeliness(power, slope), -STEEPEST_IN_COVERAGE, STEEPEST_IN_COVERAGE)
+
+    power = 0.0
+    if np.ptp(x) > 0:
+        power = _lowest(lambda power: unlikeliness(power, best_slope(power)), 0.0, STEEPEST)
+    return power, best_slope(power)
+
+
+def _lowest(of: Callable[[float], float], low: float, high: float) -> float:
+    """Where a convex function is lowest, by golden section."""
+    golden = (np.sqrt(5) - 1) / 2
     for _ in range(_N_STEPS):
         a, b = high - golden * (high - low), low + golden * (high - low)
-        low, high = (low, b) if unlikeliness(a) < unlikeliness(b) else (a, high)
+        low, high = (low, b) if of(a) < of(b) else (a, high)
     return float((low + high) / 2)
 
 
-def _checked(raw: ArrayLike, made: ArrayLike) -> tuple[ArrayF64, ArrayF64]:
-    expected, errors = np.asarray(raw, np.float64), np.asarray(made, np.float64)
-    if expected.ndim != 1 or expected.shape != errors.shape or len(errors) < 2:
-        raise ValueError(f"calibration: expected two arrays (M,) of 2 or more, got {expected.shape}, {errors.shape}")
-    both = np.concatenate([expected, errors])
-    if not (np.isfinite(both).all() and both.min() >= 0):
-        raise ValueError("calibration: expected finite errors >= 0, got negative, infinite or NaN")
-    return expected, errors
+def _checked(raw: ArrayLike, made: ArrayLike, coverage: ArrayLike) -> tuple[ArrayF64, ArrayF64, ArrayF64]:
+    expected, errors, seen = (np.asarray(part, np.float64) for part in (raw, made, coverage))
+    if expected.ndim != 1 or not expected.shape == errors.shape == seen.shape or len(errors) < 2:
+        shapes = f"{expected.shape}, {errors.shape}, {seen.shape}"
+        raise ValueError(f"calibration: expected three arrays (M,) of 2 or more, got {shapes}")
+    everything = np.concatenate([expected, errors, seen])
+    if not (np.isfinite(everything).all() and everything.min() >= 0 and seen.max() <= 1):
+        raise ValueError("calibration: expected finite errors >= 0 and coverages of at most 1, got others or NaN")
+    return expected, errors, seen

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -139,6 +139,7 @@ class SeedCalibrations:
         parts = [network.predictions(group, target, device) for group in held_out]
         truth = np.concatenate([group.cases.truth(target) for group in held_out])
         parity = _parity(np.concatenate([group.cases.room for group in held_out]))
+        coverage = np.concatenate([group.coverage for group in held_out])
         by_seed, halves = [], []
         for i in range(len(network.nets)):
             of_seed = [part[i] for part in parts if part is not None]
@@ -147,19 +148,19 @@ class SeedCalibrations:
                 return None
             raw_error = np.concatenate(raw)
             made = rmse_of_each(np.concatenate([one.light for one in of_seed]), truth)
-            by_seed.append(fit_calibration(raw_error, made))
-            even, odd = (fit_calibration(raw_error[parity == p], made[parity == p]) for p in (0, 1))
+            by_seed.append(fit_calibration(raw_error, made, coverage))
+            even, odd = (fit_calibration(*(part[parity == p] for part in (raw_error, made, coverage))) for p in (0, 1))
             halves.append((even, odd))
         return cls(network.name, tuple(by_seed), tuple(halves) if is_crossed else None)
 
-    def expected(self, seed: int, raw: ArrayF64, room: ArrayInt) -> tuple[ArrayF64, ArrayF64]:
+    def expected(self, seed: int, raw: ArrayF64, coverage: ArrayF64, room: ArrayInt) -> tuple[ArrayF64, ArrayF64]:
         """(M,) expected errors, and (S, M) the errors promised for each share asked."""
         if self.halves is None:
-            errors = self.by_seed[seed].expected(raw)
+            errors = self.by_seed[seed].expected(raw, coverage)
             return errors, np.outer(self.by_seed[seed].quantiles, errors)
         parity = _parity(room)
         by_other_half = [self.halves[seed][1 - p] for p in (0, 1)]
-        errors = np.choose(parity, [one.expected(raw) for one in by_other_half])
+        errors = np.choose(parity, [one.expected(raw, coverage) for one in by_other_half])
         multiples = np.array([one.quantiles for one in by_other_half])[parity].T
         return errors, multiples * errors
 
@@ -168,14 +169,14 @@ class SeedCalibrations:
         known = [(group, part[self.name]) for group, part in zip(groups, said, strict=True) if self.name in part]
         by_seed = [self._seed_figures(i, [(g, part[i]) for g, part in known], target) for i in range(len(self.by_seed))]
         mean, spread = over_seeds(by_seed)
-        weights = [{"factor": one.factor, "power": one.power, "quantiles": list(one.quantiles)} for one in self.by_seed]
+        weights = [asdict(one) | {"quantiles": list(one.quantiles)} for one in self.by_seed]
         return {"name": self.name, "n_seeds": len(by_seed), "by_seed": weights, "figures": mean, "spread": spread}
 
     def _seed_figures(self, seed: int, known: list[tuple[Group, Prediction]], target: Target) -> dict[str, Any]:
         expected, promised, made, coverage, table = [], [], [], [], []
         for i, (group, said) in enumerate(known):
             raw = said.raw_error if said.raw_error is not None else np.zeros(len(group.cases))
-            one, limits = self.expected(seed, raw, group.cases.room)
+            one, limits = self.expected(seed, raw, group.coverage, group.cases.room)
             expected.append(one)
             promised.append(limits)
             made.append(rmse_of_each(said.light, group.cases.truth(target)))
@@ -212,7 +213,7 @@ def stress_group(
     calibrations: Mapping[str, SeedCalibrations], device: str,
 ) -> dict[str, Any]:  # fmt: skip
     """RMSE of `projection` and the lattice networks over `ambient`'s, and whether all lights are finite."""
-    truth, basic = clouds.truth(baselines.target), baselines.lights(clouds)
+    truth, basic, coverage = clouds.truth(baselines.target), baselines.lights(clouds), coverage_of(clouds)
     of_ambient = pooled_rms(basic[AMBIENT] - truth)
     rows = [{"name": PROJECTION, "n_seeds": 1, **_stress_row(Prediction(basic[PROJECTION]), truth, of_ambient, None)}]
     for network in networks:
@@ -220,17 +221,16 @@ def stress_group(
         for i, net in enumerate(network.nets):
             said = predict_clouds(net, clouds, baselines.target, device)
             # As the estimator does in a session, where the frame's sensor is at hand.
-            said = replace(said, light=lean_on_sensor(said.light, coverage_of(clouds), basic[AMBIENT]))
+            said = replace(said, light=lean_on_sensor(said.light, coverage, basic[AMBIENT]))
             expected = None
             if network.name in calibrations and said.raw_error is not None:
-                expected = calibrations[network.name].expected(i, said.raw_error, clouds.room)[0]
+                expected = calibrations[network.name].expected(i, said.raw_error, coverage, clouds.room)[0]
             figures.append(_stress_row(said, truth, of_ambient, expected))
         mean, spread = over_seeds(figures)
         is_finite = all(one["is_finite"] for one in figures)
         is_within = is_finite and (mean["ratio"] is None or mean["ratio"] <= STRESS_LIMIT)
         row = {**mean, "spread": spread["ratio"], "is_finite": is_finite, "is_within": is_within}
         rows.append({"name": network.name, "n_seeds": len(network.nets), **row})
-    coverage = coverage_of(clouds)
     seen = float(coverage.mean()) if len(coverage) else None
     return {"name": name, "n_clouds": len(clouds), "n_anchors": clouds.is_set.shape[1], "coverage": seen, "rows": rows}
 

@@ -97,11 +97,15 @@ def _calibration_section(calibration: Sequence[Mapping[str, Any]], head: Mapping
             + ["" if kept is None else f"{kept:.0%}" for kept in part["kept"]]
             for name, part in parts.items()
         ]
-        law = ", ".join(f"{one['factor']:.3g} x raw^{one['power']:.3g}" for one in row["by_seed"])
+        law = ", ".join(_law(one) for one in row["by_seed"])
         told = f"Expected error from the validation rooms: {law}. Correlation with the error made: "
         lines += [f"## Does {row['name']} know its error?", "", told + f"{_cell(figures['correlation'], None, 2)}.", ""]
         lines += [*_table(["clouds", "number", "expected", "made", *promised], rows), ""]
     return lines
+
+
+def _law(of_seed: Mapping[str, Any]) -> str:
+    return f"{of_seed['factor']:.3g} x raw^{of_seed['power']:.3g} x exp({of_seed['slope']:.3g} x coverage)"
 
 
 def _room_section(rooms: Sequence[Mapping[str, Any]]) -> list[str]:
