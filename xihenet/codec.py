@@ -86,12 +86,14 @@ def encode_cloud(cloud: UnitSphereCloud, method: EncodingMethod = "uint8_float16
     -------
     One record per anchor or, if stripped, per set anchor in rising order; empty where there is none. Distances of set
     anchors are clipped to [2^-24, 65504] m, 8-bit colours rounded to the nearest code. Raises ValueError for an unknown
-    method and for more than 65,536 anchors in a stripped one.
+    method, for more than 65,536 anchors in a stripped one, and for NaN.
     """
     wire_format = _format_for(method, len(cloud))
     # The record checked its colours, but it views the caller's arrays, and those may have changed since.
     srgb = np.clip(cloud.srgb, 0.0, 1.0)
     distance_m = np.clip(cloud.distance_m, MIN_DISTANCE_M, MAX_DISTANCE_M)
+    if np.isnan(srgb.sum()) or np.isnan(distance_m.sum()):
+        raise ValueError("codec: expected a cloud without NaN; its arrays were changed after it was made")
     if wire_format.is_stripped:
         anchor = np.flatnonzero(cloud.is_set)
         records = np.empty(len(anchor), wire_format.record)

@@ -162,7 +162,9 @@ def _checked_rotation(rotation: ArrayLike) -> ArrayF64:
     matrix = np.asarray(rotation, dtype=np.float64)
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         raise ValueError(f"rotate: expected a finite (3, 3) matrix, got shape {matrix.shape}: {matrix.tolist()}")
-    error = np.abs(matrix @ matrix.T - np.eye(3)).max()
+    largest = np.abs(matrix).max()
+    # Rows of a rotation hold nothing above 1; the squares of what does may overflow.
+    error = np.abs(matrix @ matrix.T - np.eye(3)).max() if largest < 2 else largest
     if error > ROTATION_TOLERANCE:
         raise ValueError(f"rotate: expected orthonormal rows within {ROTATION_TOLERANCE}, got an error of {error:.3g}")
     if np.linalg.det(matrix) < 0:
