@@ -161,7 +161,7 @@ def _decoded_colour(stored: NDArray[Any]) -> ArrayF32:
         return stored.astype(np.float32) / np.float32(255)
     colour = stored.astype(np.float32)
     _refuse(~((colour >= 0) & (colour <= 1)).all(axis=1), "colours in [0, 1]", colour)
-    return colour
+    return np.abs(colour)  # -0 becomes 0, as it does for distances.
 
 
 def _checked_anchors(stored: NDArray[Any], n_anchors: int) -> ArrayInt:
