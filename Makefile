@@ -8,7 +8,7 @@ EXTRAS ?= test
 BIN = $(VENV)/bin
 OUT ?= out
 
-.PHONY: previs test test-fast check format bench scenes clean
+.PHONY: previs test test-fast hard-cases check format bench scenes clean
 
 previs: $(VENV)/installed
 	$(BIN)/xihe previs blend_scenes/living_room.blend --out $(OUT) --preset draft
@@ -18,6 +18,9 @@ test: $(VENV)/installed
 
 test-fast: $(VENV)/installed
 	$(BIN)/python -m pytest -m "not slow"
+
+hard-cases: $(VENV)/installed
+	$(BIN)/python -m addon_tests.pure.hard_cases
 
 check: $(VENV)/installed
 	$(BIN)/ruff format --check .
