@@ -85,8 +85,9 @@ def encode_cloud(cloud: UnitSphereCloud, method: EncodingMethod = "uint8_float16
     Returns
     -------
     One record per anchor or, if stripped, per set anchor in rising order; empty where there is none. Distances of set
-    anchors are clipped to [2^-24, 65504] m, 8-bit colours rounded to the nearest code. Raises ValueError for an unknown
-    method, for more than 65,536 anchors in a stripped one, and for NaN.
+    anchors are clipped to [2^-24, 65504] m, 8-bit colours rounded to the nearest code. 8 bits are off by at most half a
+    code, half floats from 2^-14 m on by at most 2^-11 of the distance, float32 by nothing. Raises ValueError for an
+    unknown method, for more than 65,536 anchors in a stripped one, and for NaN.
     """
     wire_format = _format_for(method, len(cloud))
     # The record checked its colours, but it views the caller's arrays, and those may have changed since.

@@ -95,7 +95,7 @@ def project_anchors(cloud: UnitSphereCloud, lattice: AnchorDirections, order: in
     Returns
     -------
     ((order + 1)^2, 3) float64, linear, carrying the cloud's exposure; zeros if no anchor is set. Raises ValueError if
-    the cloud and the lattice differ in size.
+    the cloud and the lattice differ in size. float64 throughout: with all anchors set within 1e-8 of a fit by SVD.
     """
     table = _anchor_basis(lattice, order)
     if len(cloud) != len(table):
@@ -151,6 +151,11 @@ def irradiance(sh_radiance: ArrayLike, normals: ArrayLike) -> ArrayF64:
     -------
     (P, 3) float64, pi times the radiance under constant light; may be negative where the finite series rings. Raises
     ValueError for coefficients or normals that are not finite, and for normals of length 0.
+
+    Notes
+    -----
+    What order 2 cannot hold, root mean square over the normals: at most 7 % of the mean irradiance in the shipped test
+    rooms, 14 % for a sun alone (docs/error_bounds.md).
     """
     coefficients, order = checked_sh(sh_radiance)
     lobe = np.repeat(cosine_lobe(order), 2 * np.arange(order + 1) + 1)

@@ -6,15 +6,23 @@ from addon_tests.pure.hard_cases import (
     colour,
     compare,
     encode,
+    encode_random,
     estimate,
+    estimate_kept,
     harmonics,
+    harmonics_in_use,
     least_squares,
     merge,
     sample,
+    sample_points,
     trigger,
+    trigger_input,
     unproject,
 )
 from addon_tests.pure.hard_cases.hard_case import HardCase
 
-_FILES = (unproject, colour, sample, merge, trigger, encode, harmonics, least_squares, estimate, compare)
-CASES: list[HardCase] = [case for file in _FILES for case in file.CASES]
+_BY_CHAIN = (
+    *(unproject, colour, sample, sample_points, merge, trigger, trigger_input, encode, encode_random),
+    *(harmonics, harmonics_in_use, least_squares, estimate, estimate_kept, compare),
+)
+CASES: list[HardCase] = [case for file in _BY_CHAIN for case in file.CASES]
