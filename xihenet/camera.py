@@ -194,7 +194,7 @@ def encode_exposed(radiance: ArrayLike, exposure: float) -> ArrayU8:
     if not (np.isfinite(exposure) and exposure >= 0):
         raise ValueError(f"encode_exposed: expected a finite exposure >= 0, got {exposure}")
     finite = np.nan_to_num(np.asarray(radiance, np.float64), nan=0.0, posinf=1e30, neginf=0.0)
-    with np.errstate(over="ignore"):  # What overflows is clipped to white in the same line.
+    with np.errstate(over="ignore"):  # What overflows is clipped in the next line.
         exposed = np.clip(finite * exposure, 0.0, 1.0)
     encoded: ArrayU8 = np.rint(linear_to_srgb(exposed) * 255.0).astype(np.uint8)
     return encoded

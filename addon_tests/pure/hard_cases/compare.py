@@ -64,7 +64,8 @@ METRICS = {
 
 def case(metric: str, name: str, given: Given, must: Must, naive: Any = None) -> HardCase:
     function, by_hand = METRICS[metric]
-    return HardCase(STAGE, f"the {metric} of {name}", given, lambda given: function(*given), must, naive or by_hand)
+    sentence = f"the {metric} of {name}" + ("" if " is " in name else " is right")
+    return HardCase(STAGE, sentence, given, lambda given: function(*given), must, naive or by_hand)
 
 
 def nan_outside(image: np.ndarray) -> np.ndarray:

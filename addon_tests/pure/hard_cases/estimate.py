@@ -90,7 +90,12 @@ def by_log_distance(cloud: UnitSphereCloud) -> float:
 
 EXTREMES = [
     HardCase(
-        STAGE, f"{name} gives plausible light ({target})", cloud, partial(largest, target=target), at_most(bound), naive
+        STAGE,
+        f"the light from {name} is plausible ({target})",
+        cloud,
+        partial(largest, target=target),
+        at_most(bound),
+        naive,
     )
     for group, naive, of_ldr, of_hdr in (
         (DARK, relative_in_half, 0.01, 0.01),
