@@ -9,10 +9,10 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as nps
 
+from addon_tests.pure.hard_cases.estimate import estimator
 from xihenet.buffers import merge
 from xihenet.camera import encode_exposed, metered_exposure, project_points, unproject_frame
 from xihenet.codec import METHODS, decode_cloud, encode_cloud
-from xihenet.estimators import load
 from xihenet.metrics import angular_error_deg, image_rmse, psnr, shc_rmse, si_rmse, ssim
 from xihenet.records import Intrinsics, PointCloud, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere, sample_unit_sphere_reference
@@ -110,7 +110,7 @@ def fits_boundedly(cloud: UnitSphereCloud) -> None:
 
 def estimates_boundedly(cloud: UnitSphereCloud) -> None:
     for target in ("ldr", "hdr"):
-        light, error = load("lattice", N, target).estimate_with_error(cloud)
+        light, error = estimator("lattice", N, target).estimate_with_error(cloud)
         assert np.abs(light).max() <= 8 * WHITE and error is not None and np.isfinite(error)
 
 
