@@ -70,13 +70,17 @@ def pictures(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def samples_like_the_reference(given: tuple[PointCloud, np.ndarray]) -> None:
-    """Anchors may differ where two are equally near in float32; what is set, skipped and nearest may not."""
-    fast, slow = sample_unit_sphere(*given, LATTICE), sample_unit_sphere_reference(*given, LATTICE)
-    assert fast.n_skipped_points == slow.n_skipped_points
-    assert fast.is_set.any() == slow.is_set.any()
-    if fast.is_set.any():
-        nearest = fast.distance_m[fast.is_set].min(), slow.distance_m[slow.is_set].min()
-        assert np.isclose(*nearest, rtol=1e-5, atol=0)
+    """Within what sampling promises for distances; a point nearer than that may be taken for one at the position."""
+    cloud, position = given
+    fast, slow = sample_unit_sphere(cloud, position, LATTICE), sample_unit_sphere_reference(cloud, position, LATTICE)
+    error_m = 2.0**-48 * np.linalg.norm(position) + 3e-45
+    distance_m = np.linalg.norm(cloud.points_m.astype(float) - position, axis=1)
+    n_too_near = int((distance_m <= 2 * error_m).sum())
+    assert abs(fast.n_skipped_points - slow.n_skipped_points) <= n_too_near
+    if n_too_near == 0 and fast.is_set.any():
+        nearest_m = fast.distance_m[fast.is_set].min(), slow.distance_m[slow.is_set].min()
+        assert np.isclose(*nearest_m, rtol=5e-7, atol=error_m)
+    assert n_too_near or fast.is_set.any() == slow.is_set.any()
 
 
 def survives_the_wire(cloud: UnitSphereCloud) -> None:

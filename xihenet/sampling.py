@@ -43,7 +43,8 @@ def sample_unit_sphere(
 
     Notes
     -----
-    Distances are within 4e-7 of their size plus 2^-48 of the position's distance from the origin: 1e-11 m at 10 km.
+    Distances are within 4e-7 of their size plus 2^-48 of the position's distance from the origin (1e-11 m at 10 km)
+    plus the step of the smallest float32, 1e-45 m; a point nearer than that may pass for one at the position itself.
 
     Raises
     ------
