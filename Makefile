@@ -7,8 +7,10 @@ VENV ?= .venv
 EXTRAS ?= test
 BIN = $(VENV)/bin
 OUT ?= out
+# How long `make fuzz` searches.
+MINUTES ?= 60
 
-.PHONY: previs test test-fast check format bench scenes clean
+.PHONY: previs test test-fast hard-cases fuzz check format bench scenes clean
 
 previs: $(VENV)/installed
 	$(BIN)/xihe previs blend_scenes/living_room.blend --out $(OUT) --preset draft
@@ -18,6 +20,12 @@ test: $(VENV)/installed
 
 test-fast: $(VENV)/installed
 	$(BIN)/python -m pytest -m "not slow"
+
+hard-cases: $(VENV)/installed
+	$(BIN)/python -m addon_tests.pure.hard_cases
+
+fuzz: $(VENV)/installed
+	$(BIN)/python addon_tests/fuzz.py --minutes $(MINUTES)
 
 check: $(VENV)/installed
 	$(BIN)/ruff format --check .

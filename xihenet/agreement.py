@@ -93,6 +93,7 @@ def _differences_in_errors(first: ArrayF64, second: ArrayF64, scale: float) -> A
     difference = second.mean(axis=0) - first.mean(axis=0)
     error = np.sqrt((first.var(axis=0, ddof=1) + second.var(axis=0, ddof=1)) / len(first))
     is_light = np.abs(difference) > ROUNDING * scale
+    # Without any spread a difference is infinitely many errors; 0 / 0 is no light, and taken for 0.
     with np.errstate(divide="ignore", invalid="ignore"):
         found: ArrayF64 = np.where(is_light, difference / error, 0.0)
     return found

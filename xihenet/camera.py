@@ -42,6 +42,15 @@ MISS_PLANE_DEPTH_M = 1e9
 KEY_LUMINANCE = 0.12
 """Metering brings a session's luminance here. Meters are calibrated for 12 to 18 %; the low end spares lamps."""
 
+SMALLEST_KEY = 1e-300
+"""A darker session has no light to meter, and its exposure would not fit a float."""
+
+NEGLIGIBLE_M = 1e-6
+"""What rounding a camera's place to float32 may cost: it stays below this within 16 m of the world's origin."""
+
+SMALLEST_VOLUME = 1e-12
+"""Of the box that a camera's axes of length 1 span; thinner ones are taken for flat, and cannot be inverted."""
+
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """Of linear Rec.709, ITU-R BT.709."""
 
@@ -72,22 +81,31 @@ def unproject_frame(frame: RgbdFrame, *, reference_exposure: float | None = None
     Notes
     -----
     float32 arithmetic: the error of a point is about 2e-7 of its distance from the camera plus that of storing it,
-    6e-8 of its distance from the world's origin.
+    6e-8 of its distance from the world's origin. A point beyond the range of float32 is infinite or NaN.
     """
-    width, height = frame.intrinsics.width, frame.intrinsics.height
-    across, up = _ray_slopes(frame.intrinsics)
-    pose = frame.world_from_camera.astype(np.float32)
-    seen = np.where(valid_plane_depth(frame.plane_depth_m), frame.plane_depth_m, np.float32(np.nan))
-    # One contiguous plane per axis: sampling reads the axes one at a time.
-    points = np.empty((3, height, width), np.float32)
-    for axis in range(3):
-        plane = points[axis]
-        np.add(across * pose[axis, 0], (up * pose[axis, 1] - pose[axis, 2])[:, None], out=plane)
-        plane *= seen
-        plane += pose[axis, 3]
+    points = _unprojected(frame)
     gain = 1.0 if reference_exposure is None else reference_exposure / frame.exposure
     srgb = _reencoded_bytes(gain)[frame.srgb_u8]
     return PointCloud(points.reshape(3, -1).T, srgb.reshape(-1, 3))
+
+
+def _unprojected(frame: RgbdFrame) -> ArrayF32:
+    """(3, H, W): one contiguous plane per axis, since sampling reads the axes one at a time."""
+    across, up = _ray_slopes(frame.intrinsics)
+    seen = np.where(valid_plane_depth(frame.plane_depth_m), frame.plane_depth_m, np.float32(np.nan))
+    points = np.empty((3, *seen.shape), np.float32)
+    # A camera that float32 cannot hold gives points that are not finite; sampling skips and counts them.
+    with np.errstate(over="ignore", invalid="ignore"):
+        pose = frame.world_from_camera.astype(np.float32)
+        unrounded = frame.world_from_camera[:3, 3] - pose[:3, 3]
+        for axis, plane in enumerate(points):
+            np.add(across * pose[axis, 0], (up * pose[axis, 1] - pose[axis, 2])[:, None], out=plane)
+            plane *= seen
+            # Far from the origin the camera's place is rounded by as much as the points are: once is enough.
+            if abs(unrounded[axis]) > NEGLIGIBLE_M:
+                plane += np.float32(unrounded[axis])
+            plane += pose[axis, 3]
+    return points
 
 
 def project_points(
@@ -103,12 +121,13 @@ def project_points(
 
     Returns
     -------
-    pixels : (P, 2) float64, from the top left corner of the image, pixel centres at +0.5; NaN in the camera's own plane
+    pixels : (P, 2) float64, from the top left corner of the image, pixel centres at +0.5; NaN in the camera's own
+        plane and for points that are not finite
     plane_depth_m : (P,) float64, negative behind the camera (the pixel is then a mirror image: check the sign)
 
     Raises
     ------
-    ValueError for a wrong shape or a matrix that cannot be inverted
+    ValueError for a wrong shape or a matrix that cannot be inverted: with an axis of length 0, or axes in one plane
     """
     points = np.asarray(points_m, np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
@@ -116,21 +135,33 @@ def project_points(
     pose = np.asarray(world_from_camera, np.float64)
     if pose.shape != (4, 4):
         raise ValueError(f"project_points: expected world_from_camera of shape (4, 4), got {pose.shape}")
-    in_camera = (points - pose[:3, 3]) @ _inverse_3x3(pose[:3, :3]).T
-    plane_depth_m = -in_camera[:, 2]
-    per_metre = np.divide(1.0, plane_depth_m, out=np.full_like(plane_depth_m, np.nan), where=plane_depth_m != 0)
-    x = intrinsics.cx + intrinsics.fx * in_camera[:, 0] * per_metre
-    y = intrinsics.cy - intrinsics.fy * in_camera[:, 1] * per_metre
+    inverse = _inverse_3x3(pose[:3, :3])
+    # Points that are not finite, or so far that float64 overflows, have no pixel: NaN or infinite says so.
+    with np.errstate(over="ignore", invalid="ignore"):
+        in_camera = (points - pose[:3, 3]) @ inverse.T
+        plane_depth_m = -in_camera[:, 2]
+        per_metre = np.divide(1.0, plane_depth_m, out=np.full_like(plane_depth_m, np.nan), where=plane_depth_m != 0)
+        x = intrinsics.cx + intrinsics.fx * in_camera[:, 0] * per_metre
+        y = intrinsics.cy - intrinsics.fy * in_camera[:, 1] * per_metre
     return np.stack([x, y], axis=1), plane_depth_m
 
 
 def _inverse_3x3(matrix: ArrayF64) -> ArrayF64:
-    """By cross products. numpy.linalg.inv wakes BLAS threads for any size: 8 ms beside a busy renderer, this 0.05."""
-    x, y, z = matrix.T
-    determinant = float(np.dot(x, np.cross(y, z)))
-    if not np.isfinite(determinant) or determinant == 0:
+    """By cross products. numpy.linalg.inv wakes BLAS threads for any size: 8 ms beside a busy renderer, this 0.05.
+
+    Axes are brought to length 1 first, so that the scale of a camera neither overflows nor passes for flatness.
+    """
+    largest = np.abs(matrix).max(axis=0)
+    if not (np.isfinite(largest).all() and (largest > 0).all()):
         raise ValueError("project_points: world_from_camera cannot be inverted; is the camera scaled to 0?")
-    inverse: ArrayF64 = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)]) / determinant
+    axes = matrix / largest
+    lengths = np.sqrt(np.einsum("ij,ij->j", axes, axes))
+    x, y, z = (axes / lengths).T
+    volume = float(np.dot(x, np.cross(y, z)))
+    if abs(volume) < SMALLEST_VOLUME:
+        raise ValueError("project_points: world_from_camera cannot be inverted; its axes lie in one plane")
+    unscaled = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)]) / volume
+    inverse: ArrayF64 = unscaled / (largest * lengths)[:, None]
     return inverse
 
 
@@ -144,7 +175,9 @@ def in_view(points_m: ArrayLike, intrinsics: Intrinsics, world_from_camera: Arra
 
 def ray_distance_from_plane_depth(plane_depth_m: ArrayLike, intrinsics: Intrinsics) -> ArrayF32:
     """(H, W) distances along each pixel's ray from those along the optical axis; invalid values stay as they are."""
-    return np.asarray(plane_depth_m, np.float32) * _ray_lengths(intrinsics)
+    with np.errstate(over="ignore"):  # Only what is a miss already can leave the range of float32.
+        distance_m: ArrayF32 = np.asarray(plane_depth_m, np.float32) * _ray_lengths(intrinsics)
+    return distance_m
 
 
 def plane_depth_from_ray_distance(ray_distance_m: ArrayLike, intrinsics: Intrinsics) -> ArrayF32:
@@ -156,9 +189,13 @@ def encode_exposed(radiance: ArrayLike, exposure: float) -> ArrayU8:
     """8-bit sRGB of linear radiance as a phone delivers it: times `exposure`, clipped to [0, 1], encoded, rounded.
 
     Any shape with any values; infinite becomes 1, NaN 0 (a renderer's broken pixel is black, as it is on a screen).
+    An exposure of 0 gives black; ValueError for one that is negative, infinite or NaN.
     """
+    if not (np.isfinite(exposure) and exposure >= 0):
+        raise ValueError(f"encode_exposed: expected a finite exposure >= 0, got {exposure}")
     finite = np.nan_to_num(np.asarray(radiance, np.float64), nan=0.0, posinf=1e30, neginf=0.0)
-    exposed = np.clip(finite * exposure, 0.0, 1.0)
+    with np.errstate(over="ignore"):  # What overflows is clipped in the next line.
+        exposed = np.clip(finite * exposure, 0.0, 1.0)
     encoded: ArrayU8 = np.rint(linear_to_srgb(exposed) * 255.0).astype(np.uint8)
     return encoded
 
@@ -167,17 +204,21 @@ def metered_exposure(pictures: Iterable[ArrayF32]) -> float:
     """The exposure that brings the mean key of pictures (..., 3) of scene radiance to KEY_LUMINANCE; 1 without light.
 
     A picture's key is the geometric mean of its luminance, black pixels counting as 1/1000 of its mean. The mean over
-    pictures is arithmetic, so that a lamp that is off at first does not blow out the rest.
+    pictures is arithmetic, so that a lamp that is off at first does not blow out the rest. Pixels that are NaN or
+    infinite, which renderers leave behind, do not count.
     """
-    key = float(np.mean([_key(picture) for picture in pictures]))
-    return KEY_LUMINANCE / key if np.isfinite(key) and key > 0 else 1.0
+    keys = [_key(picture) for picture in pictures]
+    key = float(np.mean(keys)) if keys else 0.0
+    return KEY_LUMINANCE / key if SMALLEST_KEY < key < np.inf else 1.0
 
 
 def _key(radiance: ArrayF32) -> float:
-    """Geometric mean of the luminance; 0 for a black frame."""
-    luminance = np.maximum(radiance.astype(np.float64) @ LUMINANCE, 0.0)
-    mean = float(luminance.mean())
-    return float(np.exp(np.log(np.maximum(luminance, mean * 1e-3)).mean())) if mean > 0 else 0.0
+    """Geometric mean of the luminance; 0 for a frame that is black, empty or broken throughout."""
+    is_finite = np.isfinite(radiance).all(axis=-1)
+    seen = radiance if is_finite.all() else radiance[is_finite]
+    luminance = np.maximum(seen.astype(np.float64) @ LUMINANCE, 0.0)
+    mean = float(luminance.mean()) if luminance.size else 0.0
+    return float(np.exp(np.log(np.maximum(luminance, mean * 1e-3)).mean())) if mean * 1e-3 > 0 else 0.0
 
 
 def sensed_ambient(srgb_u8: ArrayU8, exposure: float) -> ArrayF64:

@@ -49,7 +49,7 @@ def joint_entropy(points_m: ArrayLike, position_m: ArrayLike) -> float:
         raise ValueError(f"points_m: expected an array of shape (any, 3), got {points.shape}")
     if position.shape != (3,) or not np.isfinite(position).all():
         raise ValueError(f"position_m: expected three finite numbers, got {position_m!r}")
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore"):  # What float64 cannot hold becomes infinite, and is left out below.
         relative = points - position
     usable = np.isfinite(relative).all(axis=1) & relative.any(axis=1)
     columns = np.ascontiguousarray(relative[usable].T)

@@ -69,7 +69,7 @@ def shc_rmse(a: ArrayLike, b: ArrayLike) -> float:
     n_bad = np.count_nonzero(~np.isfinite(first)) + np.count_nonzero(~np.isfinite(second))
     if n_bad:
         raise ValueError(f"shc_rmse: expected finite coefficients, got {n_bad} NaN or infinite ones")
-    return float(np.sqrt(np.mean((first - second) ** 2)))
+    return _root_mean_square(first - second, np.ones(first.shape))
 
 
 def _checked_weights(mask: ArrayLike, size: tuple[int, ...]) -> ArrayF64:
@@ -78,7 +78,9 @@ def _checked_weights(mask: ArrayLike, size: tuple[int, ...]) -> ArrayF64:
         raise ValueError(f"mask: expected shape {size} as the images, got {weights.shape}")
     if weights.size and not (weights.min() >= -RANGE_TOLERANCE and weights.max() <= 1 + RANGE_TOLERANCE):
         raise ValueError("mask: expected bool or weights in [0, 1], got values outside or NaN")
-    return np.clip(weights, 0.0, 1.0)
+    weights = np.clip(weights, 0.0, 1.0)
+    # Means are relative to the weights' sum; beside it the smallest weights would lose their products to underflow.
+    return weights / largest if (largest := weights.max(initial=0.0)) > 0 else weights
 
 
 def _checked_images(prediction: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> tuple[ArrayF64, ArrayF64, ArrayF64]:
@@ -105,9 +107,16 @@ def _checked_srgb(prediction: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> t
     return predicted, true, weights
 
 
-def _weighted_mse(difference: ArrayF64, weights: ArrayF64) -> float:
-    """Mean over pixels and channels of the squared difference; the weights must not all be 0."""
-    return float(np.einsum("hwc,hwc,hw->", difference, difference, weights) / (3 * weights.sum()))
+def _root_mean_square(difference: ArrayF64, weights: ArrayF64) -> float:
+    """Mean over pixels and channels of the squared difference, its root; the weights must not all be 0.
+
+    Brought to size 1 by a power of two, which rounds nothing: squares of 1e200 and of 1e-200 would leave float64, and
+    two lights that differ would score infinity or a perfect 0.
+    """
+    exponent = np.frexp(np.abs(difference).max())[1]
+    scaled = np.ldexp(difference, -exponent).reshape(weights.size, -1)
+    mean_square = np.einsum("pc,pc,p->", scaled, scaled, weights.ravel()) / (scaled.shape[1] * weights.sum())
+    return float(np.ldexp(np.sqrt(mean_square), exponent))
 
 
 def image_rmse(prediction: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> float | None:
@@ -124,7 +133,7 @@ def image_rmse(prediction: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> floa
     and with their number for pixels inside the mask that are not finite.
     """
     predicted, true, weights = _checked_images(prediction, truth, mask)
-    return float(np.sqrt(_weighted_mse(predicted - true, weights))) if weights.any() else None
+    return _root_mean_square(predicted - true, weights) if weights.any() else None
 
 
 def si_rmse(prediction: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> float | None:
@@ -146,7 +155,7 @@ def si_rmse(prediction: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> float |
     scaled = np.ldexp(predicted, -np.frexp(np.abs(predicted).max())[1])
     power = np.einsum("hwc,hwc,hw->", scaled, scaled, weights)
     alpha = np.einsum("hwc,hwc,hw->", scaled, true, weights) / power if power > 0 else 0.0
-    return float(np.sqrt(_weighted_mse(alpha * scaled - true, weights)))
+    return _root_mean_square(alpha * scaled - true, weights)
 
 
 def _hues(image: ArrayF64) -> tuple[ArrayF64, ArrayF64]:
@@ -199,8 +208,8 @@ def psnr(prediction: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> float | No
     colour outside [0, 1].
     """
     predicted, true, weights = _checked_srgb(prediction, truth, mask)
-    mse = _weighted_mse(predicted - true, weights) if weights.any() else 0.0
-    return float(-10 * np.log10(mse)) if mse > 0 else None
+    rmse = _root_mean_square(predicted - true, weights) if weights.any() else 0.0
+    return float(-20 * np.log10(rmse)) if rmse > 0 else None
 
 
 def _gaussian_sum(image: ArrayF64) -> ArrayF64:

@@ -8,14 +8,15 @@ Paper: section 5, `XiheRecorder`; `EnvironmentScanner` is what a phone, a render
 from __future__ import annotations
 
 import io
-import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
+from xihenet.npz_files import read_npz
 from xihenet.records import Intrinsics, RgbdFrame
 
 
@@ -46,25 +47,35 @@ def save_frame(path: Path, frame: RgbdFrame) -> None:
 def load_frame(path: Path) -> RgbdFrame:
     """Read what `save_frame` wrote. ValueError naming the file if it is no such file, OSError if it cannot be read."""
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as fields:
-            intrinsics = Intrinsics(
-                int(fields["intrinsics_width"]),
-                int(fields["intrinsics_height"]),
-                *(float(fields[f"intrinsics_{name}"]) for name in ("fx", "fy", "cx", "cy")),
-            )
-            ambient = fields["ambient"] if "ambient" in fields.files else None
-            return RgbdFrame(
-                fields["srgb_u8"],
-                fields["plane_depth_m"],
-                intrinsics,
-                fields["world_from_camera"],
-                float(fields["exposure"]),
-                ambient,
-                float(fields["time_s"]),
-                int(fields["frame"]),
-            )
-    except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        fields = read_npz(path)
+        return RgbdFrame(
+            _numbers(fields, "srgb_u8", 3),
+            _numbers(fields, "plane_depth_m", 2),
+            Intrinsics(
+                int(_number(fields, "intrinsics_width")),
+                int(_number(fields, "intrinsics_height")),
+                *(float(_number(fields, f"intrinsics_{name}")) for name in ("fx", "fy", "cx", "cy")),
+            ),
+            _numbers(fields, "world_from_camera", 2),
+            float(_number(fields, "exposure")),
+            _numbers(fields, "ambient", 1) if "ambient" in fields else None,
+            float(_number(fields, "time_s")),
+            int(_number(fields, "frame")),
+        )
+    except (LookupError, ValueError, OverflowError) as error:
         raise ValueError(f"{path}: not a recorded frame ({error})") from None
+
+
+def _numbers(fields: Mapping[str, NDArray[Any]], name: str, n_axes: int) -> NDArray[Any]:
+    """An array of real numbers of so many axes."""
+    array = fields[name]
+    if array.dtype.kind not in "iuf" or array.ndim != n_axes:
+        raise ValueError(f"{name}: expected numbers along {n_axes} axes, got {array.dtype} of {array.shape}")
+    return array
+
+
+def _number(fields: Mapping[str, NDArray[Any]], name: str) -> Any:
+    return _numbers(fields, name, 0).item()
 
 
 class SessionRecorder:

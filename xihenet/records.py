@@ -29,7 +29,8 @@ TriggerReason = Literal["first", "colour", "coverage", "none"]
 
 def _checked(name: str, values: ArrayLike, dtype: Any, shape: tuple[int | None, ...]) -> NDArray[Any]:
     """A read-only view of `values` as `dtype`; None in `shape` stands for any length."""
-    array = np.asarray(values, dtype=dtype)
+    with np.errstate(over="ignore"):  # What float32 cannot hold becomes infinite, which each record judges.
+        array = np.asarray(values, dtype=dtype)
     if array.ndim != len(shape) or any(
         want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
     ):
@@ -241,6 +242,12 @@ class LightEstimate:
         sh_radiance = _checked("LightEstimate.sh_radiance", self.sh_radiance, np.float64, (9, 3))
         if not np.isfinite(sh_radiance).all():
             raise ValueError("LightEstimate.sh_radiance: expected finite coefficients, got NaN or infinity")
+        if not (np.isfinite(self.exposure) and self.exposure > 0):
+            raise ValueError(f"LightEstimate.exposure: expected a positive factor, got {self.exposure}")
+        if not 0 <= self.coverage <= 1:
+            raise ValueError(f"LightEstimate.coverage: expected a share from 0 to 1, got {self.coverage}")
+        if self.expected_error is not None and not 0 <= self.expected_error < np.inf:
+            raise ValueError(f"LightEstimate.expected_error: expected a finite error, got {self.expected_error}")
         _set(self, sh_radiance=sh_radiance)
 
 

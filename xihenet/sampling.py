@@ -43,7 +43,8 @@ def sample_unit_sphere(
 
     Notes
     -----
-    Distances are within 4e-7 of their size plus 2^-48 of the position's distance from the origin: 1e-11 m at 10 km.
+    Distances are within 4e-7 of their size plus 2^-48 of the position's distance from the origin (1e-11 m at 10 km)
+    plus the step of the smallest float32, 1e-45 m; a point nearer than that may pass for one at the position itself.
 
     Raises
     ------
@@ -69,7 +70,7 @@ def sample_unit_sphere_reference(cloud: PointCloud, position_m: ArrayLike, latti
     n_skipped = 0
     for point, colour in zip(cloud.points_m.astype(np.float64), cloud.srgb, strict=True):
         relative = point - position
-        with np.errstate(over="ignore"):
+        with np.errstate(over="ignore"):  # A distance beyond float32 is infinite, and is skipped and counted below.
             distance_m = np.float32(np.sqrt((relative * relative).sum()))
         if not (np.isfinite(distance_m) and distance_m > 0 and np.isfinite(colour).all()):
             n_skipped += 1
@@ -128,6 +129,7 @@ def _relative_columns(points_m: ArrayF32, position: ArrayF64) -> ArrayF32:
     relative to itself and is exact where the two are close, so that rounding the position first loses nothing.
     """
     columns = np.empty((3, len(points_m)), np.float32)
+    # Infinity and NaN stay what they are, and positions beyond float32 put all points there: they are counted later.
     with np.errstate(over="ignore", invalid="ignore"):
         coarse = position.astype(np.float32)
         fine = (position - coarse).astype(np.float32)
@@ -141,7 +143,7 @@ def _relative_columns(points_m: ArrayF32, position: ArrayF64) -> ArrayF32:
 def _distances(columns: ArrayF32) -> ArrayF32:
     """(P,) lengths in float32; through float64 where a square would leave the range of float32."""
     x, y, z = columns
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore"):  # Squares that overflow are found by their size and taken again in float64.
         squares = x * x
         squares += y * y
         squares += z * z

@@ -95,7 +95,7 @@ def project_anchors(cloud: UnitSphereCloud, lattice: AnchorDirections, order: in
     Returns
     -------
     ((order + 1)^2, 3) float64, linear, carrying the cloud's exposure; zeros if no anchor is set. Raises ValueError if
-    the cloud and the lattice differ in size.
+    the cloud and the lattice differ in size. float64 throughout: with all anchors set within 1e-8 of a fit by SVD.
     """
     table = _anchor_basis(lattice, order)
     if len(cloud) != len(table):
@@ -151,6 +151,11 @@ def irradiance(sh_radiance: ArrayLike, normals: ArrayLike) -> ArrayF64:
     -------
     (P, 3) float64, pi times the radiance under constant light; may be negative where the finite series rings. Raises
     ValueError for coefficients or normals that are not finite, and for normals of length 0.
+
+    Notes
+    -----
+    What order 2 cannot hold, root mean square over the normals: at most 7 % of the mean irradiance in the shipped test
+    rooms, 14 % for a sun alone (docs/error_bounds.md).
     """
     coefficients, order = checked_sh(sh_radiance)
     lobe = np.repeat(cosine_lobe(order), 2 * np.arange(order + 1) + 1)
@@ -162,7 +167,9 @@ def _checked_rotation(rotation: ArrayLike) -> ArrayF64:
     matrix = np.asarray(rotation, dtype=np.float64)
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         raise ValueError(f"rotate: expected a finite (3, 3) matrix, got shape {matrix.shape}: {matrix.tolist()}")
-    error = np.abs(matrix @ matrix.T - np.eye(3)).max()
+    largest = np.abs(matrix).max()
+    # Rows of a rotation hold nothing above 1; the squares of what does may overflow.
+    error = np.abs(matrix @ matrix.T - np.eye(3)).max() if largest < 2 else largest
     if error > ROTATION_TOLERANCE:
         raise ValueError(f"rotate: expected orthonormal rows within {ROTATION_TOLERANCE}, got an error of {error:.3g}")
     if np.linalg.det(matrix) < 0:

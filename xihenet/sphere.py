@@ -143,7 +143,7 @@ def _find_exactly(columns: ArrayF32 | ArrayF64, table: AnchorTable) -> ArrayInt:
 def _taxicab_lengths(columns: ArrayF32 | ArrayF64) -> NDArray[Any]:
     """(P,) |x| + |y| + |z|; infinite where it overflows."""
     lengths: NDArray[Any] = np.abs(columns[0])
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore"):  # Infinite lengths are not ordinary, and their directions are scaled first.
         lengths += np.abs(columns[1])
         lengths += np.abs(columns[2])
     return lengths
@@ -196,7 +196,7 @@ def _angular_table(n: int, width: int, height: int) -> _AngularTable:
 
 def _look_up(columns: ArrayF32 | ArrayF64, table: _AngularTable) -> ArrayInt:
     """The anchor of the cell over azimuth and polar angle. All in float32, whose trigonometry NumPy vectorises."""
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore"):  # Infinite squares are not ordinary, and their directions are scaled first.
         x, y, z = columns.astype(np.float32, copy=False)
         horizontal = x * x
         horizontal += y * y

@@ -59,6 +59,8 @@ class TriggerSettings:
         for name in ("theta", "coverage_theta", "hysteresis"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"TriggerSettings.{name}: expected a number >= 0, got {getattr(self, name)}")
+        if self.hysteresis == float("inf"):  # Times a theta of 0 it would be NaN, above which nothing ever fires.
+            raise ValueError("TriggerSettings.hysteresis: expected a finite share, got inf")
         if not 0 <= self.ignored_share < 1:
             raise ValueError(f"TriggerSettings.ignored_share: expected 0 to below 1, got {self.ignored_share}")
 
@@ -87,7 +89,12 @@ def decide_trigger(
 
     Raises
     ------
-    ValueError if the clouds differ in their number of anchors
+    ValueError if the clouds or the lattice differ in their number of anchors
+
+    Notes
+    -----
+    Records hold no NaN when they are made. An anchor whose colour became NaN in the caller's array since then counts
+    as unchanged; it neither fires nor keeps the others from firing.
     """
     if previous is not None and len(previous) != len(current):
         raise ValueError(f"decide_trigger: the clouds have {len(previous)} and {len(current)} anchors")
@@ -96,6 +103,8 @@ def decide_trigger(
     if previous is None or not previous.is_set.any():
         return TriggerDecision(True, "first", None, settings.theta, int(current.is_set.sum()))
     window = lattice.neighbours(min(settings.n_neighbours, len(current)))
+    if len(window) != len(current):
+        raise ValueError(f"decide_trigger: the lattice has {len(window)} anchors and the clouds {len(current)}")
     if settings.policy == "reference":
         return _decide_as_the_paper(previous, current, window, settings.theta)
     was_colour = last is not None and last.fire and last.reason == "colour"
@@ -154,6 +163,7 @@ def _anchor_change(previous: UnitSphereCloud, current: UnitSphereCloud) -> Array
     """(N,) mean over RGB of the squared difference of sRGB-encoded colour."""
     difference = current.srgb - previous.srgb
     change: ArrayF32 = np.einsum("nc,nc->n", difference, difference) / np.float32(3)
+    change[np.isnan(change)] = 0
     return change
 
 

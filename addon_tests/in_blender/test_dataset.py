@@ -73,6 +73,19 @@ def test_a_file_that_is_no_room_is_refused(tmp_path):
         load_room(tmp_path / "room_000001.npz")
 
 
+def test_a_room_whose_bytes_changed_is_refused_or_read_and_nothing_else(room, tmp_path):
+    path, rng = tmp_path / "room_000000.npz", np.random.default_rng(0)
+    save_room(path, room)
+    right, n_refused = path.read_bytes(), 0
+    for place in rng.integers(0, len(right), 200):
+        path.write_bytes(right[:place] + bytes([right[place] ^ int(rng.integers(1, 256))]) + right[place + 1 :])
+        try:
+            load_room(path)
+        except ValueError as error:
+            n_refused += path.name in str(error)
+    assert n_refused > 100
+
+
 def test_a_room_holds_its_views_and_panoramas(room):
     assert room.srgb_u8.shape == (N_VIEWS, 24, 32, 3)
     assert room.radiance.shape == (N_VIEWS, 24, 32, 3)

@@ -6,7 +6,6 @@ depth (a step of 4 mm at 5 m, less than a sensor's noise) and radiance (11 bits;
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from xihe_blender.outputs import written_whole
 from xihenet.camera import sensed_ambient
+from xihenet.npz_files import read_npz
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
 
 ArrayF16 = NDArray[np.float16]
@@ -91,12 +91,12 @@ def save_room(path: Path, room: StoredRoom) -> None:
 def load_room(path: Path) -> StoredRoom:
     """Read what `save_room` wrote. ValueError naming the file if it is no such file, OSError if it cannot be read."""
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            content: dict[str, Any] = {f.name: stored[f.name] for f in fields(StoredRoom)}
-    except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        stored = read_npz(path)
+        content: dict[str, Any] = {f.name: stored[f.name] for f in fields(StoredRoom)}
+        for name in ("exposure", "kind", "regime", "versions"):
+            content[name] = content[name].item()
+    except (KeyError, ValueError) as error:
         raise ValueError(f"{path}: not a room of a data set ({error})") from None
-    for name in ("exposure", "kind", "regime", "versions"):
-        content[name] = content[name].item()
     return StoredRoom(**content)
 
 

@@ -32,6 +32,7 @@ SMALLEST_MEAN = 1e-3  # Darker clouds are not brightened further: it would be no
 CONTRAST_SCALE = 0.02  # Relative spread of the seen light at which the network is half trusted.
 CLIPPED_FROM = 0.995
 NEAREST_M = 0.05
+FARTHEST_M = 100.0  # The test rooms end at 8 m. Unclipped, 1e38 m made a light of 16 times white.
 SMALLEST_SHARE = 1e-6
 SEEN_ENOUGH = 0.01  # Share of the sphere from which an estimate counts more than the ambient sensor.
 SMALLEST_ERROR = 1e-4
@@ -207,6 +208,7 @@ class LatticeNetwork:
         np.maximum(brightest, colours[2], out=brightest)
         inputs[_CLIPPED] = brightest >= CLIPPED_FROM
         distances = distance_m.take(self._to_fine.fine, axis=1, mode="clip")
+        np.minimum(distances, np.float32(FARTHEST_M), out=distances)
         distances += np.float32(NEAREST_M)
         np.log(distances, out=inputs[_DISTANCE])
         np.subtract(known, 1, out=inputs[_UNSET])

@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -22,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xihenet.estimators.base import Target
+from xihenet.npz_files import read_npz
 from xihenet.records import ArrayF32
 
 FORMAT_VERSION = 1
@@ -112,9 +111,8 @@ def read_weights(
     ValueError naming the file and what was expected, also if it is missing.
     """
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            content = {name: stored[name] for name in stored.files}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
+        content = read_npz(path)
+    except (OSError, ValueError) as error:
         raise ValueError(f"{path}: expected an .npz of {estimator} weights ({error})") from None
     try:
         return _weights_from(content, estimator, architecture_from)

@@ -20,6 +20,7 @@ from xihenet.estimators.base import Target
 from xihenet.estimators.lattice import (
     CLIPPED_FROM,
     CONTRAST_SCALE,
+    FARTHEST_M,
     NEAREST_M,
     SMALLEST_ERROR,
     SMALLEST_MEAN,
@@ -96,7 +97,7 @@ class LatticeNet(nn.Module):  # type: ignore[misc]
             linear / (linear + by_scale),
             srgb,
             (srgb.amax(2, keepdim=True) >= CLIPPED_FROM).float(),
-            torch.log(distance_m + NEAREST_M)[..., None],
+            torch.log(distance_m.clamp(max=FARTHEST_M) + NEAREST_M)[..., None],
             *self._placed_inputs(projection, by_scale, srgb.shape[1]),
         ]
         features, weight = torch.relu(self.layer("stem")(torch.cat(inputs, 2))), known[..., None]

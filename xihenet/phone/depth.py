@@ -113,7 +113,7 @@ def add_noise(
     error_m = sigma_m * grained_noise(plane_depth_m.shape, settings.grain_px * pixel_scale, rng)
     valid = valid_plane_depth(read_m)
     nearest_m = 0.5 * np.where(valid, read_m, np.float32(0))
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore"):  # Readings that are none come back below as they were.
         noisy = np.maximum(read_m + error_m, nearest_m).astype(np.float32)
     return np.where(valid, noisy, plane_depth_m)
 

@@ -1,0 +1,187 @@
+"""What must hold at every numerical stage for any input that a record can hold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as nps
+
+from addon_tests.pure.hard_cases.estimate import estimator
+from xihenet.buffers import merge
+from xihenet.camera import encode_exposed, metered_exposure, project_points, unproject_frame
+from xihenet.codec import METHODS, decode_cloud, encode_cloud
+from xihenet.metrics import angular_error_deg, image_rmse, psnr, shc_rmse, si_rmse, ssim
+from xihenet.records import Intrinsics, PointCloud, RgbdFrame, UnitSphereCloud
+from xihenet.sampling import sample_unit_sphere, sample_unit_sphere_reference
+from xihenet.sh import dering, irradiance, project_anchors, rotate
+from xihenet.sphere import AnchorLattice
+from xihenet.trigger import TriggerSettings, decide_trigger
+
+N = 24
+LATTICE = AnchorLattice(N)
+WHITE = float(np.sqrt(4 * np.pi))
+ANY32 = st.floats(width=32)
+UNIT32 = st.floats(0, 1, width=32)
+METRES32 = st.floats(0, 2.0**127, width=32)
+LIGHT = nps.arrays(np.float64, (9, 3), elements=st.floats(-1e9, 1e9))
+
+
+@st.composite
+def clouds(draw: st.DrawFn) -> UnitSphereCloud:
+    known = draw(nps.arrays(bool, N))
+    srgb = draw(nps.arrays(np.float32, (N, 3), elements=UNIT32)) * known[:, None]
+    return UnitSphereCloud(srgb, draw(nps.arrays(np.float32, N, elements=METRES32)) * known, known)
+
+
+@st.composite
+def point_clouds(draw: st.DrawFn) -> tuple[PointCloud, np.ndarray]:
+    n = draw(st.integers(0, 30))
+    points = draw(nps.arrays(np.float32, (n, 3), elements=ANY32))
+    colours = draw(nps.arrays(np.float32, (n, 3), elements=ANY32))
+    return PointCloud(points, colours), draw(nps.arrays(np.float64, 3, elements=st.floats(-1e6, 1e6)))
+
+
+@st.composite
+def frames(draw: st.DrawFn) -> RgbdFrame:
+    colours = draw(nps.arrays(np.uint8, (2, 3, 3)))
+    depths = draw(nps.arrays(np.float32, (2, 3), elements=ANY32))
+    turn, _ = np.linalg.qr(draw(nps.arrays(np.float64, (3, 3), elements=st.floats(-1, 1))) + 3 * np.eye(3))
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = turn, draw(nps.arrays(np.float64, 3, elements=st.floats(-1e4, 1e4)))
+    focal = draw(st.floats(0.01, 1e4))
+    camera = Intrinsics(3, 2, focal, focal, draw(st.floats(-10, 10)), draw(st.floats(-10, 10)))
+    return RgbdFrame(colours, depths, camera, pose, draw(st.floats(1e-6, 1e6)))
+
+
+@st.composite
+def pictures(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    height, width = draw(st.integers(0, 5)), draw(st.integers(0, 5))
+    size = (height, width, 3)
+    elements = st.floats(0, 1) | st.sampled_from([0.0, 1.0, 5e-324, 1e-200, 0.5])
+    first, second = (draw(nps.arrays(np.float64, size, elements=elements)) for _ in range(2))
+    return (
+        first,
+        first.copy() if draw(st.booleans()) else second,
+        draw(nps.arrays(np.float64, size[:2], elements=elements)),
+    )
+
+
+def samples_like_the_reference(given: tuple[PointCloud, np.ndarray]) -> None:
+    """Within what sampling promises for distances; a point nearer than that may be taken for one at the position."""
+    cloud, position = given
+    fast, slow = sample_unit_sphere(cloud, position, LATTICE), sample_unit_sphere_reference(cloud, position, LATTICE)
+    error_m = 2.0**-48 * np.linalg.norm(position) + 3e-45
+    distance_m = np.linalg.norm(cloud.points_m.astype(float) - position, axis=1)
+    n_too_near = int((distance_m <= 2 * error_m).sum())
+    assert abs(fast.n_skipped_points - slow.n_skipped_points) <= n_too_near
+    if n_too_near == 0 and fast.is_set.any():
+        nearest_m = fast.distance_m[fast.is_set].min(), slow.distance_m[slow.is_set].min()
+        assert np.isclose(*nearest_m, rtol=5e-7, atol=error_m)
+    assert n_too_near or fast.is_set.any() == slow.is_set.any()
+
+
+def survives_the_wire(cloud: UnitSphereCloud) -> None:
+    for method in METHODS:
+        once = decode_cloud(encode_cloud(cloud, method), N, method)
+        assert (once.is_set == cloud.is_set).all()
+        assert np.abs(once.srgb - cloud.srgb).max() <= 0.5001 / 255
+        assert encode_cloud(decode_cloud(encode_cloud(once, method), N, method), method) == encode_cloud(once, method)
+
+
+def merges_without_drift(given: tuple[UnitSphereCloud, UnitSphereCloud]) -> None:
+    once = merge(*given)
+    again = merge(merge(given[1], once), once)
+    assert np.array_equal(once.srgb, again.srgb) and np.array_equal(once.distance_m, again.distance_m)
+
+
+def triggers_monotonely(given: tuple[UnitSphereCloud, UnitSphereCloud, float, float]) -> None:
+    previous, current, *thetas = given
+    for policy in ("split", "reference"):
+        low, high = (
+            decide_trigger(previous, current, LATTICE, TriggerSettings(theta, policy=policy))  # type: ignore[arg-type]
+            for theta in sorted(thetas)
+        )
+        assert not (high.reason == "colour" and low.reason != "colour")
+        assert decide_trigger(previous, previous, LATTICE, TriggerSettings(0.0)).reason != "colour"
+
+
+def fits_boundedly(cloud: UnitSphereCloud) -> None:
+    assert np.abs(project_anchors(cloud, LATTICE)).max() <= 2 * WHITE
+
+
+def estimates_boundedly(cloud: UnitSphereCloud) -> None:
+    for target in ("ldr", "hdr"):
+        light, error = estimator("lattice", N, target).estimate_with_error(cloud)
+        assert np.abs(light).max() <= 8 * WHITE and error is not None and np.isfinite(error)
+
+
+def derings(light: np.ndarray) -> None:
+    lit = irradiance(dering(light), LATTICE.directions)
+    assert lit.min() >= -2e-3 * max(np.abs(irradiance(light * (light[0] >= 0), LATTICE.directions)).max(), 1e-300)
+
+
+def turns_back(given: tuple[np.ndarray, np.ndarray]) -> None:
+    light, matrix = given
+    turn, _ = np.linalg.qr(matrix + 3 * np.eye(3))
+    turn *= np.sign(np.linalg.det(turn))
+    back = rotate(rotate(light, turn), turn.T)
+    assert np.abs(back - light).max() <= 1e-12 * max(np.abs(light).max(), 1e-300)
+
+
+def comes_back_to_its_pixels(frame: RgbdFrame) -> None:
+    cloud = unproject_frame(frame, reference_exposure=1.0)
+    assert cloud.srgb.min() >= 0 and cloud.srgb.max() <= 1
+    _, depth_m = project_points(cloud.points_m, frame.intrinsics, frame.world_from_camera)
+    depths = frame.plane_depth_m.ravel()
+    far = np.linalg.norm(frame.world_from_camera[:3, 3]) + 1
+    is_plain = np.isfinite(depths) & (depths > 1e-3 * far) & (depths < 1e6)
+    error_m = 1e-6 * (far + np.abs(cloud.points_m[is_plain]).max(axis=1, initial=0))
+    assert (np.abs(depth_m[is_plain] - depths[is_plain]) <= error_m * 3).all()
+
+
+def encodes_any_light(given: tuple[np.ndarray, float]) -> None:
+    light, exposure = given
+    codes = encode_exposed(light, exposure)
+    assert (codes[light <= 0] == 0).all() and (
+        codes[np.isposinf(light)] == (255 if exposure > 1e-29 else codes[np.isposinf(light)])
+    ).all()
+
+
+def meters_any_light(light: np.ndarray) -> None:
+    exposure = metered_exposure([light])
+    assert np.isfinite(exposure) and exposure > 0
+
+
+def scores_finitely(given: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    for metric in (image_rmse, si_rmse, angular_error_deg, psnr, ssim):
+        score = metric(*given)
+        assert score is None or np.isfinite(score)
+        assert (score is None) == (metric(*given) is None)
+    similarity = ssim(*given)
+    assert similarity is None or -1 - 1e-9 <= similarity <= 1 + 1e-12
+    assert (image_rmse(*given) or 0.0) + 1e-12 >= (si_rmse(*given) or 0.0)
+
+
+def scores_coefficients(given: tuple[np.ndarray, np.ndarray]) -> None:
+    difference = np.abs(given[0] - given[1]).max()
+    assert difference / 6 <= shc_rmse(*given) * (1 + 1e-12) <= difference * (1 + 1e-9) + 1e-300
+
+
+STAGES: dict[str, tuple[st.SearchStrategy[Any], Callable[[Any], None]]] = {
+    "sample": (point_clouds(), samples_like_the_reference),
+    "encode": (clouds(), survives_the_wire),
+    "merge": (st.tuples(clouds(), clouds()), merges_without_drift),
+    "trigger": (st.tuples(clouds(), clouds(), st.floats(0, 2), st.floats(0, 2)), triggers_monotonely),
+    "least_squares": (clouds(), fits_boundedly),
+    "lattice": (clouds(), estimates_boundedly),
+    "dering": (LIGHT, derings),
+    "rotate": (st.tuples(LIGHT, nps.arrays(np.float64, (3, 3), elements=st.floats(-1, 1))), turns_back),
+    "unproject": (frames(), comes_back_to_its_pixels),
+    "colour": (st.tuples(nps.arrays(np.float64, 5), st.floats(0, 1e308)), encodes_any_light),
+    "metering": (nps.arrays(np.float32, (2, 2, 3), elements=ANY32), meters_any_light),
+    "compare": (pictures(), scores_finitely),
+    "coefficients": (st.tuples(LIGHT, LIGHT), scores_coefficients),
+}

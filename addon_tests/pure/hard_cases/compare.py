@@ -1,0 +1,274 @@
+"""Hard cases of the metrics: black, equal, scaled, masked away, broken, and a single pixel."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from addon_tests.pure.hard_cases.hard_case import HardCase, Must, at_most, equal, near, refused, that
+from xihenet.metrics import angular_error, angular_error_deg, image_rmse, psnr, shc_rmse, si_rmse, ssim
+
+STAGE = "compare"
+MASK = np.ones((8, 8))
+RNG = np.random.default_rng(0)
+PICTURE = RNG.random((8, 8, 3))
+OTHER = RNG.random((8, 8, 3))
+BLACK, GREY = np.zeros((8, 8, 3)), np.full((8, 8, 3), 0.5)
+UNDEFINED = that("None", lambda came: came is None)
+Given = tuple[Any, Any, Any]
+
+# -------------------------------------------------------------------------------------------------- naive versions
+
+
+def rmse_by_hand(given: Given) -> float:
+    prediction, truth, mask = given
+    return float(np.sqrt(((prediction - truth) ** 2 * mask[..., None]).sum() / (3 * mask.sum())))
+
+
+def si_rmse_by_hand(given: Given) -> float:
+    """Naive: the residual as a difference of sums, the scale by a division."""
+    p, g, _ = given
+    alpha = (p * g).sum() / (p * p).sum()
+    return float(np.sqrt(((g * g).sum() - alpha * (p * g).sum()) / g.size))
+
+
+def angle_by_hand(given: Given) -> float:
+    """Naive: the arc cosine of the normalised product, NaN counted as no error."""
+    p, g, mask = given
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cosine = (p * g).sum(axis=2) / (np.linalg.norm(p, axis=2) * np.linalg.norm(g, axis=2))
+        angle = np.nan_to_num(np.degrees(np.arccos(cosine)))
+    return float((angle * mask).sum() / mask.sum())
+
+
+def psnr_by_hand(given: Given) -> float:
+    return float(-10 * np.log10(np.float64(rmse_by_hand(given)) ** 2))
+
+
+def ssim_by_hand(given: Given) -> float:
+    """Naive: over the whole picture, whatever the mask, in float32, without the constants."""
+    x, y = (image.mean(axis=2).astype(np.float32) for image in given[:2])
+    covariance = ((x - x.mean()) * (y - y.mean())).mean()
+    return float(4 * x.mean() * y.mean() * covariance / ((x.mean() ** 2 + y.mean() ** 2) * (x.var() + y.var())))
+
+
+METRICS = {
+    "RMSE": (image_rmse, rmse_by_hand),
+    "scale-invariant RMSE": (si_rmse, si_rmse_by_hand),
+    "angular error": (angular_error_deg, angle_by_hand),
+    "PSNR": (psnr, psnr_by_hand),
+    "SSIM": (ssim, ssim_by_hand),
+}
+
+
+def case(metric: str, name: str, given: Given, must: Must, naive: Any = None) -> HardCase:
+    function, by_hand = METRICS[metric]
+    sentence = f"the {metric} of {name}" + ("" if " is " in name else " is right")
+    return HardCase(STAGE, sentence, given, lambda given: function(*given), must, naive or by_hand)
+
+
+def nan_outside(image: np.ndarray) -> np.ndarray:
+    """A picture whose left half is NaN."""
+    broken = image.copy()
+    broken[:, :4] = np.nan
+    return broken
+
+
+RIGHT_HALF = np.repeat([0.0, 1.0], 4) * np.ones((8, 1))
+ONE = np.full((1, 1, 3), 0.25), np.full((1, 1, 3), 0.75), np.ones((1, 1))
+EMPTY = PICTURE, OTHER, MASK * 0
+TEXTURE = 1e-9 * PICTURE
+NONE_AT_ALL = np.zeros((0, 0, 3)), np.zeros((0, 0, 3)), np.zeros((0, 0))
+
+PICTURES = [
+    *(
+        case(metric, "pictures under an empty mask is undefined", EMPTY, UNDEFINED)
+        for metric in ("RMSE", "angular error", "PSNR")
+    ),
+    case("scale-invariant RMSE", "pictures under an empty mask is undefined", EMPTY, UNDEFINED),
+    case("SSIM", "pictures under an empty mask is undefined", EMPTY, UNDEFINED),
+    *(case(metric, "pictures without pixels is undefined", NONE_AT_ALL, UNDEFINED) for metric in ("RMSE", "SSIM")),
+    *(
+        case(
+            metric,
+            "pictures that are NaN outside the mask",
+            (nan_outside(GREY), nan_outside(GREY / 2), RIGHT_HALF),
+            near(value, 1e-6),
+        )
+        for metric, value in (("RMSE", 0.25), ("PSNR", 12.0412))
+    ),
+    *(
+        case(
+            metric,
+            "pictures that are NaN inside the mask is refused with their number",
+            (nan_outside(PICTURE), PICTURE, MASK),
+            refused("prediction: expected finite colour inside the mask, got 32"),
+        )
+        for metric in METRICS
+    ),
+    case("RMSE", "one pixel", ONE, equal(0.5), lambda given: float(np.std(given[0] - given[1], ddof=1))),
+    case("SSIM", "one pixel is that of its luminance alone", ONE, near(0.6001, 1e-3)),
+    case("PSNR", "equal pictures is undefined", (PICTURE, PICTURE, MASK), UNDEFINED),
+    case(
+        "SSIM",
+        "equal pictures is exactly 1",
+        (PICTURE, PICTURE, MASK),
+        equal(1.0),
+        lambda given: float(np.float32(ssim_by_hand(given)) * np.float32(0.999999)),
+    ),
+    case("SSIM", "equal constant pictures is exactly 1", (GREY, GREY, MASK), equal(1.0)),
+    case("SSIM", "black pictures is exactly 1", (BLACK, BLACK, MASK), equal(1.0)),
+    case("angular error", "equal pictures is exactly 0", (PICTURE, PICTURE, MASK), equal(0.0)),
+    case("angular error", "a picture and its double is 0", (PICTURE, PICTURE * 2, MASK), at_most(1e-13)),
+    case(
+        "angular error",
+        "hues that differ by 1e-9",
+        (GREY, GREY + [1e-9, 0, 0], MASK),
+        near(np.degrees(1e-9 / 0.5 * np.sqrt(2) / 3), 1e-12),
+    ),
+    case("angular error", "a black prediction is undefined and not perfect", (BLACK, PICTURE, MASK), UNDEFINED),
+    case("angular error", "a black truth is undefined", (PICTURE, BLACK, MASK), UNDEFINED),
+    case(
+        "angular error",
+        "opposite colours",
+        (GREY, -GREY, MASK),
+        equal(180.0),
+        lambda given: angle_by_hand((given[0] + 1e-3, given[1] * [1, 1, 0.99], given[2])),
+    ),
+    case(
+        "angular error",
+        "denormal colours",
+        (GREY * 1e-320, GREY * [1, 1, 0], MASK),
+        near(np.degrees(np.arctan2(1, np.sqrt(2))), 0.1),
+    ),
+    case(
+        "angular error",
+        "colours of 1e200",
+        (GREY * 1e200, GREY * [1, 1, 0], MASK),
+        near(np.degrees(np.arctan2(1, np.sqrt(2))), 1e-9),
+    ),
+    case("scale-invariant RMSE", "an exactly scaled picture is 0", (PICTURE * 3, PICTURE, MASK), at_most(1e-15)),
+    case("scale-invariant RMSE", "a picture scaled to 1e-200 is 0", (PICTURE * 1e-200, PICTURE, MASK), at_most(1e-15)),
+    case("scale-invariant RMSE", "a picture scaled to 1e200 is 0", (PICTURE * 1e200, PICTURE, MASK), at_most(1e-15)),
+    case("scale-invariant RMSE", "a black prediction is the truth's own size", (BLACK, GREY, MASK), equal(0.5)),
+    case("scale-invariant RMSE", "black pictures is 0", (BLACK, BLACK, MASK), equal(0.0)),
+    case("RMSE", "pictures that differ by 1e200", (GREY * 2e200, BLACK, MASK), near(1.0e200, 1e186)),
+    case(
+        "RMSE",
+        "pictures that differ by 1e-200 is not 0",
+        (GREY * 2e-200, BLACK, MASK),
+        near(1.0e-200, 1e-214),
+        lambda given: rmse_by_hand(given) or 1.0,
+    ),
+    case(
+        "RMSE",
+        "a million pixels of a tenth is a tenth",
+        (np.full((1000, 1000, 3), 0.1), np.zeros((1000, 1000, 3)), np.ones((1000, 1000))),
+        near(0.1, 1e-12),
+        lambda given: float(np.sqrt(np.cumsum(given[0].astype(np.float32) ** 2, dtype=np.float32)[-1] / given[0].size)),
+    ),
+    case("PSNR", "pictures that differ by 1e-200 is finite", (GREY * 2e-200, BLACK, MASK), near(4000.0, 1e-6)),
+    case(
+        "PSNR",
+        "linear light above 1 is refused",
+        (GREY * 4, GREY, MASK),
+        refused("expected sRGB-encoded colour in [0, 1], got 64 pixels"),
+    ),
+    case("SSIM", "flat pictures with a texture of 1e-9", (GREY + TEXTURE, GREY - TEXTURE, MASK), near(1.0, 1e-6)),
+    case("SSIM", "black and white", (BLACK, BLACK + 1, MASK), near(1e-4, 1e-6)),
+    *(
+        case(metric, "grey and black under a mask of 5e-324", (GREY, BLACK, MASK * 5e-324), near(value, 1e-3), naive)
+        for metric, value, naive in (("RMSE", 0.5, None), ("PSNR", 6.0206, None), ("SSIM", 4e-4, None))
+    ),
+    case(
+        "RMSE",
+        "a mask with NaN is refused",
+        (GREY, BLACK, MASK * np.nan),
+        refused("mask: expected bool or weights in [0, 1]"),
+    ),
+    case(
+        "RMSE",
+        "a mask of 255 is refused",
+        (GREY, BLACK, MASK * 255),
+        refused("mask: expected bool or weights in [0, 1]"),
+    ),
+]
+
+# --------------------------------------------------------------------------------------------- counts, coefficients
+
+
+def blacks(given: Given) -> tuple[int, int, int]:
+    found = angular_error(*given)
+    return found.n_pixels, found.n_black_prediction, found.n_black_truth
+
+
+def blacks_by_hand(given: Given) -> tuple[int, int, int]:
+    """Naive: an angle of NaN is an angle of 0, and no pixel is black."""
+    return given[0][..., 0].size, 0, 0
+
+
+def shc(given: tuple[Any, Any]) -> float:
+    return shc_rmse(*given)
+
+
+def shc_by_hand(given: tuple[Any, Any]) -> float:
+    """Naive: broadcasts whatever comes."""
+    return float(np.sqrt(np.mean((given[0] - given[1]) ** 2)))
+
+
+SH = np.ones((9, 3))
+HALF_BLACK = np.where(RIGHT_HALF[..., None] > 0, GREY, BLACK)
+COUNTS = [
+    HardCase(
+        STAGE,
+        "black pixels of a prediction are counted",
+        (HALF_BLACK, GREY, MASK),
+        blacks,
+        equal((64, 32, 0)),
+        blacks_by_hand,
+    ),
+    HardCase(
+        STAGE,
+        "black pixels of the truth are counted, whatever the prediction",
+        (HALF_BLACK, BLACK, MASK),
+        blacks,
+        equal((64, 0, 64)),
+        blacks_by_hand,
+    ),
+    HardCase(
+        STAGE,
+        "coefficients that differ by 1e200 have that error",
+        (SH * 1e200, SH * 0),
+        shc,
+        near(1e200, 1e186),
+        shc_by_hand,
+    ),
+    HardCase(
+        STAGE,
+        "coefficients that differ by 1e-200 are not equal",
+        (SH * 1e-200, SH * 0),
+        shc,
+        near(1e-200, 1e-214),
+        lambda given: shc_by_hand(given) or 1.0,
+    ),
+    HardCase(
+        STAGE,
+        "coefficients with NaN are refused with their number",
+        (SH * np.nan, SH),
+        shc,
+        refused("got 27 NaN or infinite"),
+        shc_by_hand,
+    ),
+    HardCase(
+        STAGE,
+        "coefficients of another order are not stretched",
+        (SH[:1], SH),
+        shc,
+        refused("expected two equal shapes"),
+        shc_by_hand,
+    ),
+    HardCase(STAGE, "no coefficients are refused", (SH[:0], SH[:0]), shc, refused("not empty"), shc_by_hand),
+]
+
+CASES = [*PICTURES, *COUNTS]

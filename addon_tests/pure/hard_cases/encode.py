@@ -1,0 +1,363 @@
+"""Hard cases of the wire: distances beyond half floats, every half float, and bytes that anyone may have sent."""
+
+from __future__ import annotations
+
+import struct
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from addon_tests.pure.hard_cases.hard_case import HardCase, at_most, equal, refused, that
+from xihenet.codec import METHODS, EncodingMethod, decode_cloud, encode_cloud
+from xihenet.records import UnitSphereCloud
+
+STAGE = "encode"
+N = 1280
+STRIPPED: EncodingMethod = "uint8_float16_stripped"
+WHOLE: EncodingMethod = "uint8_float16"
+RECORD = struct.Struct("<HBBBe")
+
+
+def full_cloud(n: int, srgb: float = 0.5, distance_m: float = 1.0) -> UnitSphereCloud:
+    return UnitSphereCloud(np.full((n, 3), srgb), np.full(n, distance_m), np.ones(n, bool))
+
+
+def records(*rows: tuple[int, int, float]) -> bytes:
+    """A stripped payload of (index, grey, distance)."""
+    return b"".join(RECORD.pack(anchor, grey, grey, grey, distance_m) for anchor, grey, distance_m in rows)
+
+
+def decoded_by_hand(payload: bytes, n: int = N) -> dict[int, tuple[float, float]]:
+    """Naive: whatever whole records there are, the last one of an anchor winning, an index beyond the end wrapping."""
+    rows = [RECORD.unpack_from(payload, start) for start in range(0, len(payload) - 6, 7)]
+    return {anchor % n: (grey / 255, distance_m) for anchor, grey, _, _, distance_m in rows}
+
+
+# -------------------------------------------------------------------------------------------------------- distances
+
+
+def carried(distance_m: float) -> float:
+    """A distance after the wire; 0 says that the anchor came back unset."""
+    return float(decode_cloud(encode_cloud(full_cloud(1, 0.5, distance_m)), 1).distance_m[0])
+
+
+def carried_by_hand(distance_m: float) -> float:
+    """Naive: cast to a half float, with 0 for "not set"."""
+    return float(np.float32(distance_m).astype(np.float16))
+
+
+LARGEST, SMALLEST = 65504.0, 2.0**-24
+DISTANCES = [
+    HardCase(
+        STAGE, f"a distance of {sent:g} m arrives as {arrives:g} m", sent, carried, equal(arrives), carried_by_hand
+    )
+    for sent, arrives in (
+        (65520.0, LARGEST),
+        (65535.0, LARGEST),
+        (1e10, LARGEST),
+        (3e38, LARGEST),
+        (2.9e-8, SMALLEST),
+        (1e-30, SMALLEST),
+        (float(np.float32(1e-45)), SMALLEST),
+        (0.0, SMALLEST),
+    )
+]
+
+# ------------------------------------------------------------------------------------------------------ half floats
+
+PATTERNS = np.arange(65536, dtype=np.uint16)
+VALUES = PATTERNS.view(np.float16).astype(np.float32)
+LEGAL = np.isfinite(VALUES) & (VALUES >= 0)
+
+
+def wrong_patterns(method: EncodingMethod) -> int:
+    """How many of the 65,536 half floats are not read as their distance, or not refused where they are none."""
+    good = PATTERNS[LEGAL]
+    payload = np.zeros(len(good), METHODS[method].record)
+    payload["distance_m"] = good.view(np.float16)
+    if METHODS[method].is_stripped:
+        payload["anchor"] = np.arange(len(good))
+    cloud = decode_cloud(payload.tobytes(), len(good), method)
+    is_wrong = (cloud.distance_m != VALUES[LEGAL]) | np.signbit(cloud.distance_m)
+    if not METHODS[method].is_stripped:
+        is_wrong |= cloud.is_set != (VALUES[LEGAL] > 0)
+    return int(is_wrong.sum()) + sum(is_accepted(pattern, method) for pattern in PATTERNS[~LEGAL])
+
+
+def is_accepted(pattern: np.uint16, method: EncodingMethod) -> bool:
+    payload = np.zeros(1, METHODS[method].record)
+    payload["distance_m"] = pattern.view(np.float16)
+    try:
+        decode_cloud(payload.tobytes(), 1, method)
+    except ValueError:
+        return False
+    return True
+
+
+def wrong_patterns_by_hand(method: EncodingMethod) -> int:
+    """Naive: every pattern is a distance."""
+    return int((~LEGAL).sum())
+
+
+HALVES = [
+    HardCase(
+        STAGE,
+        f"every half float is a distance or refused in {method}",
+        method,
+        wrong_patterns,
+        equal(0),
+        wrong_patterns_by_hand,
+    )
+    for method in (STRIPPED, WHOLE)
+]
+
+# ----------------------------------------------------------------------------------------------------- what is lost
+
+
+def largest_error(method: EncodingMethod, part: str) -> float:
+    rng = np.random.default_rng(1)
+    cloud = UnitSphereCloud(rng.random((N, 3)), 10 ** rng.uniform(-3, 4, N), np.ones(N, bool))
+    again = decode_cloud(encode_cloud(cloud, method), N, method)
+    if part == "srgb":
+        return float(np.abs(again.srgb - cloud.srgb).max())
+    return float((np.abs(again.distance_m - cloud.distance_m) / cloud.distance_m).max())
+
+
+def cut_off(_: object) -> float:
+    """Naive: colours cut off instead of rounded."""
+    srgb = np.random.default_rng(1).random((N, 3))
+    return float(np.abs(np.floor(srgb * 255) / 255 - srgb).max())
+
+
+def kept_distance(_: object) -> float:
+    """Naive: distances as 16-bit millimetres, as depth cameras send them."""
+    distance_m = 10 ** np.random.default_rng(1).uniform(-3, 4, N)
+    return float((np.abs(np.minimum(np.floor(distance_m * 1000), 65535) / 1000 - distance_m) / distance_m).max())
+
+
+def codes_of(srgb: list[float]) -> list[int]:
+    cloud = UnitSphereCloud(np.repeat(np.array(srgb)[:, None], 3, axis=1), np.ones(len(srgb)), np.ones(len(srgb), bool))
+    return np.frombuffer(encode_cloud(cloud, WHOLE), METHODS[WHOLE].record)["srgb"][:, 0].tolist()
+
+
+LOSS = [
+    HardCase(
+        STAGE,
+        "8 bits lose half a code of colour",
+        STRIPPED,
+        partial(largest_error, part="srgb"),
+        at_most(0.5001 / 255),
+        cut_off,
+    ),
+    HardCase(
+        STAGE,
+        "half floats lose 2^-11 of a distance",
+        STRIPPED,
+        partial(largest_error, part="distance_m"),
+        at_most(2.0**-11),
+        kept_distance,
+    ),
+    HardCase(
+        STAGE,
+        "float32 loses nothing",
+        "float32_stripped",
+        partial(largest_error, part="distance_m"),
+        equal(0.0),
+        kept_distance,
+    ),
+    HardCase(
+        STAGE,
+        "colours at the edges of codes are rounded",
+        [0.0, 0.49 / 255, 0.51 / 255, 254.51 / 255, 1 - 1e-7, 1.0],
+        codes_of,
+        equal([0, 0, 1, 255, 255, 255]),
+        lambda srgb: [int(value * 255) for value in srgb],
+    ),
+    HardCase(
+        STAGE,
+        "a black anchor is carried and not dropped",
+        full_cloud(3, 0.0),
+        lambda cloud: int(decode_cloud(encode_cloud(cloud), 3).is_set.sum()),
+        equal(3),
+        lambda cloud: int((cloud.srgb.sum(axis=1) > 0).sum()),
+    ),
+]
+
+# ------------------------------------------------------------------------------------------------------------ bytes
+
+
+def read(payload: bytes, n: int = N, method: EncodingMethod = STRIPPED) -> tuple[int, float]:
+    """Set anchors and the largest distance."""
+    cloud = decode_cloud(payload, n, method)
+    return int(cloud.is_set.sum()), float(cloud.distance_m.max(initial=0))
+
+
+def read_by_hand(payload: bytes, n: int = N) -> tuple[int, float]:
+    found = decoded_by_hand(payload, n)
+    return len(found), max((distance_m for _, distance_m in found.values()), default=-1.0)
+
+
+def float_record(**changes: Any) -> bytes:
+    """One record of float32_stripped."""
+    record = np.zeros(1, METHODS["float32_stripped"].record)
+    record["srgb"], record["distance_m"] = 0.5, 1.0
+    for name, value in changes.items():
+        record[name] = value
+    return record.tobytes()
+
+
+def read_float(payload: bytes) -> tuple[int, float]:
+    return read(payload, N, "float32_stripped")
+
+
+def read_float_by_hand(payload: bytes) -> tuple[int, float]:
+    """Naive: the bytes are what they say."""
+    record = np.frombuffer(payload, METHODS["float32_stripped"].record)
+    return len(record), float(record["distance_m"].max())
+
+
+TWO = records((3, 10, 1.0), (7, 20, 2.0))
+BYTES = [
+    HardCase(STAGE, "an empty payload sets nothing", b"", read, equal((0, 0.0)), read_by_hand),
+    HardCase(
+        STAGE,
+        "an empty payload is refused where each anchor has a record",
+        b"",
+        partial(read, method=WHOLE),
+        refused("expected 6400 bytes, got 0"),
+        read_by_hand,
+    ),
+    HardCase(
+        STAGE,
+        "a payload cut short by one byte is refused",
+        TWO[:-1],
+        read,
+        refused("multiple of 7 bytes, got 13"),
+        read_by_hand,
+    ),
+    HardCase(
+        STAGE,
+        "a payload with one byte too many is refused",
+        TWO + b"\0",
+        read,
+        refused("multiple of 7 bytes, got 15"),
+        read_by_hand,
+    ),
+    HardCase(
+        STAGE,
+        "more records than anchors are refused",
+        records(*[(0, 0, 1.0)] * 5),
+        partial(read, n=4),
+        refused("at most 28 bytes, got 35"),
+        partial(read_by_hand, n=4),
+    ),
+    HardCase(
+        STAGE,
+        "an anchor that comes twice is refused",
+        records((3, 10, 1.0), (3, 20, 2.0)),
+        read,
+        refused("record 1: expected each anchor once, got 3"),
+        read_by_hand,
+    ),
+    HardCase(
+        STAGE,
+        "the first anchor out of range is refused",
+        records((0, 1, 1.0), (1280, 1, 1.0)),
+        read,
+        refused("record 1: expected an anchor below 1280, got 1280"),
+        read_by_hand,
+    ),
+    HardCase(
+        STAGE,
+        "anchor 65,535 is out of range",
+        records((65535, 1, 1.0)),
+        read,
+        refused("record 0: expected an anchor below 1280"),
+        read_by_hand,
+    ),
+    HardCase(
+        STAGE,
+        "anchor 65,535 of 65,536 is carried",
+        65_536,
+        lambda n: bool(decode_cloud(encode_cloud(full_cloud(n)), n).is_set[-1]),
+        equal(True),
+        lambda n: (n - 1) == int(np.array(n - 1).astype(np.int16)),
+    ),
+    HardCase(
+        STAGE,
+        "65,537 anchors are refused where an index has 16 bits",
+        65_537,
+        lambda n: len(encode_cloud(full_cloud(n))),
+        refused("at most 65536 anchors, got 65537"),
+        lambda n: int(np.arange(n).astype(np.uint16)[-1]),
+    ),
+    HardCase(
+        STAGE,
+        "65,537 anchors are carried where there is no index",
+        65_537,
+        lambda n: len(decode_cloud(encode_cloud(full_cloud(n), WHOLE), n, WHOLE)),
+        equal(65_537),
+        lambda n: len(set(np.arange(n).astype(np.uint16).tolist())),
+    ),
+    HardCase(
+        STAGE,
+        "unsorted anchors are the same cloud",
+        records((7, 20, 2.0), (3, 10, 1.0)),
+        lambda payload: decode_cloud(payload, N).distance_m[[3, 7]].tolist(),
+        equal([1.0, 2.0]),
+        lambda payload: [distance_m for _, distance_m in decoded_by_hand(payload).values()],
+    ),
+    HardCase(
+        STAGE,
+        "a distance of minus 0 is 0 and set",
+        records((3, 10, -0.0)),
+        lambda payload: (read(payload), bool(np.signbit(decode_cloud(payload, N).distance_m[3]))),
+        that("one anchor set, no sign", lambda came: came == ((1, 0.0), False)),
+        lambda payload: ((1, 0.0), bool(np.signbit(decoded_by_hand(payload)[3][1]))),
+    ),
+    HardCase(
+        STAGE,
+        "a distance of minus 0 is not set where there is no index",
+        b"\x09\x09\x09\x00\x80",
+        partial(read, n=1, method=WHOLE),
+        equal((0, 0.0)),
+        lambda payload: (int(payload[3:] != b"\0\0"), 0.0),
+    ),
+    HardCase(
+        STAGE,
+        "a colour beside distance 0 is dropped where there is no index",
+        b"\xff\xff\xff\x00\x00",
+        lambda payload: float(decode_cloud(payload, 1, WHOLE).srgb.max()),
+        equal(0.0),
+        lambda payload: payload[0] / 255,
+    ),
+    *(
+        HardCase(
+            STAGE,
+            f"a float32 {name} is refused",
+            float_record(**change),
+            read_float,
+            refused(words),
+            read_float_by_hand,
+        )
+        for name, change, words in (
+            ("distance of NaN", {"distance_m": np.nan}, "a finite distance"),
+            ("distance of infinity", {"distance_m": np.inf}, "a finite distance"),
+            ("distance just below 0", {"distance_m": np.float32(-1e-45)}, "a finite distance"),
+            ("colour of NaN", {"srgb": np.nan}, "colours in [0, 1]"),
+            ("colour just above 1", {"srgb": np.nextafter(np.float32(1), np.float32(2))}, "colours in [0, 1]"),
+            ("colour just below 0", {"srgb": np.float32(-1e-45)}, "colours in [0, 1]"),
+        )
+    ),
+    HardCase(
+        STAGE,
+        "an unknown method is refused",
+        "uint8",
+        lambda method: encode_cloud(full_cloud(1), method),
+        refused("expected a method out of float32"),
+        lambda method: full_cloud(1).srgb.astype(method).tobytes(),
+    ),
+]
+
+CASES = [*DISTANCES, *HALVES, *LOSS, *BYTES]

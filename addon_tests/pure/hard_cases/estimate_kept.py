@@ -1,0 +1,252 @@
+"""Hard cases of networks in batches and in files, and of sessions that cannot know the light."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from addon_tests.pure.hard_cases.estimate import CLOUDS, NOTHING, STAGE, WHITE_LIGHT, N, estimator
+from addon_tests.pure.hard_cases.hard_case import HardCase, at_most, equal, near, refused
+from xihenet.backend import LocalBackend
+from xihenet.controller import XiheController
+from xihenet.estimators import EstimateContext, load
+from xihenet.estimators.lattice import Lattice
+from xihenet.estimators.lattice_format import LatticeWeights, load_weights
+from xihenet.estimators.weights_format import WEIGHTS_FOLDER, save_weights
+from xihenet.records import Intrinsics, LightEstimate, RgbdFrame, UnitSphereCloud
+from xihenet.sphere import AnchorLattice
+
+# ------------------------------------------------------------------------------------------------ batches and weights
+
+BATCH = list(CLOUDS.values())
+
+
+def stacked(clouds: list[UnitSphereCloud]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return tuple(np.stack([getattr(cloud, part) for cloud in clouds]) for part in ("srgb", "distance_m", "is_set"))
+
+
+def batch_against_single(clouds: list[UnitSphereCloud]) -> float:
+    """The largest difference between a batch and its clouds one by one."""
+    together = estimator().estimate_batch(*stacked(clouds))
+    return float(np.abs(together - [estimator().estimate(cloud) for cloud in clouds]).max())
+
+
+def batch_normalised_together(clouds: list[UnitSphereCloud]) -> float:
+    """Naive: colours relative to the mean of the whole batch."""
+    means = np.array([cloud.srgb.mean() for cloud in clouds])
+    return float(np.abs(means / means.mean() - means / means).max())
+
+
+def shuffled(clouds: list[UnitSphereCloud]) -> float:
+    """The largest difference that the order of a batch makes."""
+    order = np.random.default_rng(1).permutation(len(clouds))
+    there = estimator().estimate_batch(*stacked(clouds))[order]
+    return float(np.abs(there - estimator().estimate_batch(*stacked([clouds[i] for i in order]))).max())
+
+
+def running_mean(clouds: list[UnitSphereCloud]) -> float:
+    """Naive: a state that is carried from cloud to cloud."""
+    means = np.array([cloud.srgb.mean() for cloud in clouds])
+    order = np.random.default_rng(1).permutation(len(clouds))
+    carried, shuffled_too = (np.cumsum(m) / np.arange(1, len(m) + 1) for m in (means, means[order]))
+    return float(np.abs(carried[order] - shuffled_too).max())
+
+
+def shipped(target: str = "ldr") -> LatticeWeights:
+    return load_weights(WEIGHTS_FOLDER / f"lattice_{target}.npz")
+
+
+def light_after_saving(weights: LatticeWeights, is_half: bool) -> np.ndarray:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "weights.npz"
+        save_weights(path, weights, is_half=is_half)
+        return Lattice(N, weights.target, weights=path).estimate_batch(*stacked(BATCH))
+
+
+def changed(weights: LatticeWeights, change: Callable[[np.ndarray], np.ndarray]) -> LatticeWeights:
+    return replace(weights, arrays={name: change(array).astype(np.float32) for name, array in weights.arrays.items()})
+
+
+def half_against_float(seed: int) -> float:
+    """What half floats cost: weights a little off what a half float holds, saved as both."""
+    rng = np.random.default_rng(seed)
+    weights = changed(shipped(), lambda array: array * (1 + rng.uniform(-1, 1, array.shape) * 2.0**-11))
+    return float(np.abs(light_after_saving(weights, True) - light_after_saving(weights, False)).max())
+
+
+def in_8_bits(seed: int) -> float:
+    """Naive: weights in 8 bits, one scale per array."""
+    coarse = changed(shipped(), lambda array: np.rint(array / np.abs(array).max() * 127) / 127 * np.abs(array).max())
+    return float(np.abs(light_after_saving(coarse, False) - light_after_saving(shipped(), False)).max())
+
+
+def saved_and_loaded(target: str) -> float:
+    weights = shipped(target)
+    once = Lattice(N, weights.target).estimate_batch(*stacked(BATCH))
+    return float(np.abs(light_after_saving(weights, True) - once).max())
+
+
+def saved_as_text(target: str) -> float:
+    """Naive: weights printed with three digits."""
+    rounded = changed(shipped(target), lambda array: np.round(array, 3))
+    return float(
+        np.abs(light_after_saving(rounded, False) - Lattice(N, rounded.target).estimate_batch(*stacked(BATCH))).max()
+    )
+
+
+def half_of_weight(value: float) -> float:
+    weights = shipped()
+    arrays = dict(weights.arrays) | {"gate.bias": np.full(9, value, np.float32)}
+    return float(np.abs(light_after_saving(replace(weights, arrays=arrays), True)).max())
+
+
+NETWORKS = [
+    HardCase(
+        STAGE,
+        "a batch of extremes is its clouds one by one",
+        BATCH,
+        batch_against_single,
+        at_most(1e-4),
+        batch_normalised_together,
+    ),
+    HardCase(STAGE, "the order of a batch makes no difference", BATCH, shuffled, at_most(1e-4), running_mean),
+    HardCase(
+        STAGE,
+        "weights in half floats give the light of those in float32",
+        3,
+        half_against_float,
+        at_most(0.02),
+        in_8_bits,
+    ),
+    *(
+        HardCase(
+            STAGE,
+            f"saved and loaded weights give the same light ({target})",
+            target,
+            saved_and_loaded,
+            equal(0.0),
+            saved_as_text,
+        )
+        for target in ("ldr", "hdr")
+    ),
+    HardCase(
+        STAGE,
+        "a weight beyond half floats is refused",
+        1e6,
+        half_of_weight,
+        refused("gate.bias does not fit into float16"),
+        lambda value: float(np.float32(value).astype(np.float16)),
+    ),
+    HardCase(
+        STAGE,
+        "a weight of NaN is refused",
+        np.nan,
+        half_of_weight,
+        refused("gate.bias: expected finite weights"),
+        lambda value: float(np.float32(value).astype(np.float16)),
+    ),
+]
+
+# ----------------------------------------------------------------------------------------- sessions, and what is known
+
+CAMERA = Intrinsics(16, 12, 8.0, 8.0, 8.0, 6.0)
+AHEAD = [0.0, 0.0, -1.0]
+
+
+def frame(plane_depth_m: float, code: int = 180) -> RgbdFrame:
+    return RgbdFrame(np.full((12, 16, 3), code, np.uint8), np.full((12, 16), plane_depth_m), CAMERA, np.eye(4))
+
+
+def session(plane_depths: list[float]) -> tuple[bool, int, bool]:
+    """After frames of these plane depths: whether a light is in force, skipped points, validity of what is asked."""
+    controller = XiheController(LocalBackend(estimator("projection")))
+    controller.add_position("ball", AHEAD)
+    skipped = sum(controller.step(frame(value))["ball"].n_skipped_points for value in plane_depths)
+    return controller.light("ball") is not None, skipped, controller.estimate_at(AHEAD).is_valid
+
+
+def session_by_hand(plane_depths: list[float]) -> tuple[bool, int, bool]:
+    """Naive: every frame makes a light, and nothing is counted."""
+    return bool(plane_depths), 0, True
+
+
+def made(changes: dict[str, Any]) -> LightEstimate:
+    fields = {"sh_radiance": np.zeros((9, 3)), "exposure": 1.0, "coverage": 0.5, "estimator": "none"}
+    return LightEstimate(**(fields | changes))
+
+
+def scene_light(changes: dict[str, Any]) -> float:
+    """Naive: divides by whatever exposure comes."""
+    return 1.0 / float(changes.get("exposure", 1.0) or 1e-300)
+
+
+def sensed(ambient: list[float]) -> float:
+    """What the sensor's light of a frame with nothing known is, clipped at white."""
+    seen = replace(frame(np.nan), ambient=np.array(ambient))
+    return float(estimator("ambient").estimate(NOTHING, EstimateContext(seen)).max())
+
+
+SESSIONS = [
+    HardCase(
+        STAGE,
+        "a session of frames without plane depth has no light and says so",
+        [np.nan, 0.0, 1e10],
+        session,
+        equal((False, 576, False)),
+        session_by_hand,
+    ),
+    HardCase(
+        STAGE,
+        "a session keeps its light through frames without plane depth",
+        [2.0, np.nan, np.inf],
+        session,
+        equal((True, 384, False)),
+        session_by_hand,
+    ),
+    HardCase(
+        STAGE,
+        "a session that sees a wall has a valid light",
+        [2.0],
+        session,
+        equal((True, 0, True)),
+        lambda depths: session_by_hand(depths[1:]),
+    ),
+    HardCase(
+        STAGE,
+        "a sun of 2e5 on the sensor is white to clipped light",
+        [2e5] * 3,
+        sensed,
+        near(WHITE_LIGHT, 1e-12),
+        lambda ambient: ambient[0] * WHITE_LIGHT,
+    ),
+    *(
+        HardCase(STAGE, f"an estimate with {name} is refused", changes, made, refused(words), scene_light)
+        for name, changes, words in (
+            ("an exposure of 0", {"exposure": 0.0}, "LightEstimate.exposure"),
+            ("an exposure of NaN", {"exposure": np.nan}, "LightEstimate.exposure"),
+            ("a coverage above 1", {"coverage": 1.5}, "LightEstimate.coverage"),
+            ("an expected error of infinity", {"expected_error": np.inf}, "LightEstimate.expected_error"),
+            (
+                "one NaN among its coefficients",
+                {"sh_radiance": np.where(np.arange(27).reshape(9, 3) == 13, np.nan, 0)},
+                "LightEstimate.sh_radiance",
+            ),
+        )
+    ),
+    HardCase(
+        STAGE,
+        "an estimator without anchors is refused",
+        0,
+        partial(load, "lattice"),
+        refused("expected at least one anchor"),
+        lambda n: AnchorLattice(max(n, 1)).n,
+    ),
+]
+
+CASES = [*NETWORKS, *SESSIONS]

@@ -1,0 +1,278 @@
+"""Hard cases of spherical harmonics: poles, tiny turns, suns that ring, matrices that are no rotation."""
+
+from __future__ import annotations
+
+from math import factorial
+from typing import Any
+
+import numpy as np
+
+from addon_tests.pure.hard_cases.hard_case import HardCase, at_most, near, refused, that
+from xihenet.sh import (
+    basis,
+    cosine_lobe,
+    evaluate_panorama,
+    panorama_directions,
+    project_panorama,
+    solid_angles,
+)
+
+STAGE = "harmonics"
+CONSTANT = np.sqrt(4 * np.pi)
+NORMALS = np.random.default_rng(0).normal(size=(2000, 3))
+UNIT_NORMALS = NORMALS / np.linalg.norm(NORMALS, axis=1, keepdims=True)
+
+
+def light(order: int = 2, **coefficients: float) -> np.ndarray:
+    """((order + 1)^2, 3) grey; coefficients by place: c0=1 is the constant one."""
+    sh = np.zeros(((order + 1) ** 2, 3))
+    for name, value in coefficients.items():
+        sh[int(name[1:])] = value
+    return sh
+
+
+def random_light(order: int, seed: int = 1) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=((order + 1) ** 2, 3))
+
+
+# -------------------------------------------------------------------------------------------------------- the basis
+
+
+def legendre_by_hand(band: int, m: int, z: float) -> float:
+    """Naive: the textbook's sum with its factorials, in float64."""
+    total = 0.0
+    for k in range((band - m) // 2 + 1):
+        top = float((-1) ** k) * float(factorial(2 * band - 2 * k))
+        bottom = float(2**band) * float(factorial(k)) * float(factorial(band - k)) * float(factorial(band - 2 * k - m))
+        total += top / bottom * z ** (band - 2 * k - m)
+    return total * (1 - z * z) ** (m / 2)
+
+
+def power(order: int) -> float:
+    """How far the squares of each band are from (2 l + 1) / 4 pi, at the poles and the seam too."""
+    directions = np.concatenate([[[0, 0, 1.0], [0, 0, -1.0], [-1, 0.0, 0], [-1, -0.0, 0]], UNIT_NORMALS[:20]])
+    squares = basis(directions, order) ** 2
+    return max(
+        float(np.abs(squares[:, band**2 : (band + 1) ** 2].sum(axis=1) * 4 * np.pi / (2 * band + 1) - 1).max())
+        for band in range(order + 1)
+    )
+
+
+def power_by_hand(order: int) -> float:
+    """Naive: only the factorials of the formula, with z from float32."""
+    z = float(np.float32(0.3))
+    bands = np.array([legendre_by_hand(band, 0, z) ** 2 for band in range(order + 1)])
+    return float(np.abs(bands - bands[0]).max())
+
+
+def basis_of_length(length: float) -> float:
+    return float(np.abs(basis(UNIT_NORMALS[:50] * length) - basis(UNIT_NORMALS[:50])).max())
+
+
+def basis_by_norm(length: float) -> float:
+    """Naive: divides by the square root of the sum of squares."""
+    scaled = UNIT_NORMALS[:50] * length
+    return float(
+        np.abs(basis(scaled / np.sqrt((scaled**2).sum(axis=1, keepdims=True))) - basis(UNIT_NORMALS[:50])).max()
+    )
+
+
+def any_basis(directions: Any) -> int:
+    return len(basis(directions))
+
+
+def any_basis_by_hand(directions: Any) -> int:
+    """Naive: by angles, which any numbers have."""
+    x, y, z = np.nan_to_num(np.array(directions, float)).T
+    return len(np.sin(np.arctan2(y, x)) * np.cos(np.arctan2(np.hypot(x, y), z)))
+
+
+BASIS = [
+    *(
+        HardCase(
+            STAGE,
+            f"bands to order {order} keep their power at poles and seam",
+            order,
+            power,
+            at_most(1e-11),
+            power_by_hand,
+        )
+        for order in (1, 2, 5, 10, 100)
+    ),
+    HardCase(
+        STAGE,
+        "order 0 is constant",
+        0,
+        lambda order: basis(UNIT_NORMALS[:4], order)[:, 0],
+        near([1 / CONSTANT] * 4, 1e-16),
+        lambda order: basis(UNIT_NORMALS[:4], order + 1)[:, 1],
+    ),
+    *(
+        HardCase(
+            STAGE,
+            f"directions {length:g} long have the same basis",
+            length,
+            basis_of_length,
+            at_most(1e-12),
+            basis_by_norm,
+        )
+        for length in (1e-200, 1e200)
+    ),
+    *(
+        HardCase(
+            STAGE,
+            f"a direction {name} is refused",
+            [[0, 0, 1.0], direction],
+            any_basis,
+            refused("got 1 that are zero, NaN or infinite"),
+            any_basis_by_hand,
+        )
+        for name, direction in (
+            ("of length 0", [0.0, 0, 0]),
+            ("with NaN", [np.nan, 0, 1]),
+            ("with infinity", [np.inf, 0, 1]),
+        )
+    ),
+    HardCase(
+        STAGE,
+        "an order below 0 is refused",
+        -1,
+        lambda order: basis(UNIT_NORMALS, order),
+        refused("at least 0"),
+        lambda order: (order + 1) ** 2,
+    ),
+    HardCase(
+        STAGE,
+        "the cosine lobe of order 2000 is finite and falls",
+        2000,
+        lambda order: float(abs(cosine_lobe(order)[order])),
+        that("above 0, below 1e-4", lambda came: 0 < came < 1e-4),
+        lambda order: float(factorial(order)) / (2.0**order * float(factorial(order // 2)) ** 2),
+    ),
+]
+
+# -------------------------------------------------------------------------------------------------------- panoramas
+
+
+def panorama_by_samples(radiance: np.ndarray, order: int = 2) -> np.ndarray:
+    """Naive: texel centres weighted by their solid angle."""
+    height, width, _ = radiance.shape
+    weights = (solid_angles(height, width)[..., None] * radiance).reshape(-1, 3)
+    return basis(panorama_directions(height, width).reshape(-1, 3), order).T @ weights
+
+
+def ones(height: int, width: int) -> np.ndarray:
+    return np.broadcast_to(np.float32(1), (height, width, 3))
+
+
+def sunny(value: float, height: int = 64, width: int = 128, sky: float = 0.2) -> np.ndarray:
+    """One texel of sun in a constant sky."""
+    radiance = np.full((height, width, 3), sky)
+    radiance[height // 4, width // 3] = value
+    return radiance
+
+
+def leak(given: tuple[int, int]) -> float:
+    """What constant light of such a panorama has besides its constant coefficient, relative to it."""
+    return float(np.abs(project_panorama(ones(*given), 2) / CONSTANT - light(c0=1)).max())
+
+
+def leak_by_samples(given: tuple[int, int]) -> float:
+    return float(np.abs(panorama_by_samples(ones(*given)) / CONSTANT - light(c0=1)).max())
+
+
+def small_leak(given: tuple[int, int]) -> float:
+    """Naive: by rows whose solid angle is the sine times the step, in float32."""
+    height, width = given
+    sines = np.sin(np.float32(np.pi) * (np.arange(height, dtype=np.float32) + np.float32(0.5)) / np.float32(height))
+    areas = sines * np.float32(2 * np.pi**2 / width / height)
+    return abs(float(areas.sum(dtype=np.float32) * width) / (4 * np.pi) - 1)
+
+
+def pole_power(row: int) -> float:
+    """Power of one lit texel at a pole of a large panorama, relative to a constant basis over its solid angle."""
+    radiance = np.zeros((512, 1024, 3))
+    radiance[row, 100] = 1 / solid_angles(512, 1024)[row, 0]
+    return float((project_panorama(radiance)[:, 0] ** 2).sum() * 4 * np.pi / 9)
+
+
+def pole_power_by_hand(row: int) -> float:
+    """Naive: the solid angle of the row as a difference of cosines, in float32."""
+    edges = np.cos(np.arange(513, dtype=np.float32) * np.float32(np.pi / 512))
+    return float(np.abs(edges[row] - edges[row + 1]) * (2 * np.pi / 1024) / solid_angles(512, 1024)[row, 0]) ** 2
+
+
+PANORAMAS = [
+    *(
+        HardCase(
+            STAGE,
+            f"constant light in {width} x {height} texels is constant",
+            (height, width),
+            leak,
+            at_most(1e-12),
+            naive,
+        )
+        for (height, width), naive in (
+            ((1, 1), leak_by_samples),
+            ((1, 2), leak_by_samples),
+            ((2, 1), leak_by_samples),
+            ((3, 5), leak_by_samples),
+            ((8, 16), leak_by_samples),
+            ((2048, 4096), small_leak),
+        )
+    ),
+    HardCase(
+        STAGE, "a lit texel at the upper pole has its whole power", 0, pole_power, near(1.0, 1e-4), pole_power_by_hand
+    ),
+    HardCase(
+        STAGE, "a lit texel at the lower pole has its whole power", 511, pole_power, near(1.0, 1e-4), pole_power_by_hand
+    ),
+    HardCase(
+        STAGE,
+        "a sun of 2e5 in one texel is kept whole",
+        sunny(2e5),
+        lambda sky: float(project_panorama(sky)[0, 0] / CONSTANT),
+        near(float((sunny(2e5)[..., 0] * solid_angles(64, 128)).sum() / (4 * np.pi)), 1e-10),
+        lambda sky: float((sky[..., 0].astype(np.float16) * solid_angles(64, 128)).sum() / (4 * np.pi)),
+    ),
+    HardCase(
+        STAGE,
+        "light of 1e6 beside light of 1e-6 does not lose the dim side",
+        1e-6,
+        lambda dim: (
+            float(
+                project_panorama(np.concatenate([np.full((4, 16, 3), 1e6), np.full((4, 16, 3), dim)]))[0, 0] / CONSTANT
+                - 5e5
+            )
+            * 2
+        ),
+        near(1e-6, 2e-9),
+        lambda dim: float((np.float32(1e6) + np.float32(dim)) / 2 - 5e5) * 2,
+    ),
+    HardCase(
+        STAGE,
+        "a panorama without texels is refused",
+        np.zeros((0, 4, 3)),
+        project_panorama,
+        refused("at least one texel"),
+        lambda image: image.sum(),
+    ),
+    HardCase(
+        STAGE,
+        "a panorama with one NaN is refused with its number",
+        sunny(np.nan),
+        project_panorama,
+        refused("got 1 pixels with NaN"),
+        panorama_by_samples,
+    ),
+    HardCase(
+        STAGE,
+        "a panorama of coefficients gives them back",
+        random_light(2),
+        lambda sh: project_panorama(evaluate_panorama(sh, 256, 512)),
+        near(random_light(2), 3e-4),
+        lambda sh: panorama_by_samples(evaluate_panorama(sh, 4, 8)),
+    ),
+]
+
+CASES = [*BASIS, *PANORAMAS]

@@ -1,0 +1,213 @@
+"""Hard cases of the least squares on the anchors: too few, all on one side, all alike, and at odds with each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from addon_tests.pure.hard_cases.hard_case import HardCase, at_most, equal, near, refused
+from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.records import UnitSphereCloud
+from xihenet.sh import basis, project_anchors
+from xihenet.sphere import AnchorLattice
+
+STAGE = "least squares"
+CONSTANT = np.sqrt(4 * np.pi)
+N = 1280
+LATTICE = AnchorLattice(N)
+BOUND = 5.0
+"""White from everywhere has a coefficient of 3.5; what is plausible stays below this."""
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """A cloud and the anchors it is on."""
+
+    radiance: np.ndarray
+    is_set: np.ndarray
+    lattice: Any = LATTICE
+
+    @property
+    def cloud(self) -> UnitSphereCloud:
+        known = np.broadcast_to(self.is_set, len(self.lattice.directions))
+        srgb = linear_to_srgb(np.broadcast_to(self.radiance, (len(known), 3))) * known[:, None]
+        return UnitSphereCloud(srgb, known * 1.0, known)
+
+
+@dataclass(frozen=True, eq=False)
+class Anchors:
+    """Any directions, for fits on what no lattice gives."""
+
+    directions: np.ndarray
+
+
+def fitted(given: Given, order: int = 2) -> np.ndarray:
+    return project_anchors(given.cloud, given.lattice, order)
+
+
+def fitted_plainly(given: Given, order: int = 2) -> np.ndarray:
+    """Naive: the normal equations as the textbook has them."""
+    cloud = given.cloud
+    seen = basis(given.lattice.directions, order)[cloud.is_set]
+    return np.linalg.solve(seen.T @ seen, seen.T @ srgb_to_linear(cloud.srgb[cloud.is_set].astype(float)))
+
+
+def summed_plainly(given: Given) -> np.ndarray:
+    """Naive: a sum over the set anchors, as if they were the whole sphere."""
+    cloud = given.cloud
+    radiance = srgb_to_linear(cloud.srgb[cloud.is_set].astype(float))
+    return basis(given.lattice.directions)[cloud.is_set].T @ radiance * (4 * np.pi / max(len(radiance), 1))
+
+
+def size(given: Given) -> float:
+    """The largest coefficient."""
+    return float(np.abs(fitted(given)).max())
+
+
+def size_plainly(given: Given) -> float:
+    return float(np.abs(fitted_plainly(given)).max())
+
+
+def miss(given: Given) -> float:
+    """How far the fit is from the light that was seen, root mean square over the set anchors."""
+    cloud = given.cloud
+    there = basis(given.lattice.directions)[cloud.is_set] @ fitted(given)
+    return float(np.sqrt(((there - srgb_to_linear(cloud.srgb[cloud.is_set].astype(float))) ** 2).mean()))
+
+
+def only(*numbers: int, n: int = N) -> np.ndarray:
+    return np.isin(np.arange(n), numbers)
+
+
+Z = LATTICE.directions[:, 2]
+NOISE = np.random.default_rng(0).random((N, 3))
+UPPER, EQUATOR, STRIPE = Z > 0, np.abs(Z) < 0.01, np.abs(LATTICE.directions[:, 0]) < 0.02
+CAP = Z > 0.97
+LINE = Anchors(np.stack([np.cos(np.linspace(0, 1, 40)), np.sin(np.linspace(0, 1, 40)), np.zeros(40)], axis=1))
+ONE_PLACE = Anchors(np.tile([[0.6, 0.0, 0.8]], (40, 1)))
+AT_ODDS = np.where(np.arange(40) % 2, 1.0, 0.0)[:, None]
+FLAT = np.array([0.25, 0.5, 1.0])
+FLAT_SH = np.zeros((9, 3))
+FLAT_SH[0] = srgb_to_linear(linear_to_srgb(FLAT).astype(np.float32).astype(float)) * CONSTANT
+PLACES = {
+    "one anchor": Given(FLAT, only(77)),
+    "two neighbours": Given(FLAT, only(77, 78)),
+    "nine anchors, as many as coefficients": Given(FLAT, only(*range(0, 1280, 143))),
+    "one half of the sphere": Given(FLAT, UPPER),
+    "the equator": Given(FLAT, EQUATOR),
+    "a line": Given(FLAT, True, LINE),
+    "one place, forty times": Given(FLAT, True, ONE_PLACE),
+    "a lattice of one anchor": Given(FLAT, True, AnchorLattice(1)),
+    "a lattice of three anchors": Given(FLAT, True, AnchorLattice(3)),
+}
+CASES = [
+    HardCase(STAGE, "no anchor gives black", Given(FLAT, False), fitted, equal(np.zeros((9, 3))), fitted_plainly),
+    *(
+        HardCase(
+            STAGE, f"constant light seen from {name} is constant", given, fitted, near(FLAT_SH, 1e-9), summed_plainly
+        )
+        for name, given in PLACES.items()
+    ),
+    *(
+        HardCase(STAGE, f"noise on {name} stays bounded", given, size, at_most(BOUND), size_plainly)
+        for name, given in {
+            "a cap of 1.5 % of the sphere": Given(NOISE, CAP),
+            "nine anchors": Given(NOISE, only(*range(600, 609))),
+            "two neighbours": Given(NOISE, only(600, 601)),
+            "one line": Given(NOISE, STRIPE),
+            "the equator": Given(NOISE, EQUATOR),
+        }.items()
+    ),
+    HardCase(
+        STAGE,
+        "black and white in one place are their mean",
+        Given(AT_ODDS, True, ONE_PLACE),
+        lambda given: fitted(given)[0],
+        near([0.5 * CONSTANT] * 3, 1e-6),
+        lambda given: fitted_plainly(given)[0],
+    ),
+    HardCase(
+        STAGE,
+        "black and white in one place leave the error that they have",
+        Given(AT_ODDS, True, ONE_PLACE),
+        miss,
+        near(0.5, 1e-9),
+        lambda given: float(np.abs(fitted_plainly(given)).max()),
+    ),
+    HardCase(
+        STAGE,
+        "a white half beside a black one is bounded by white",
+        Given(UPPER[:, None] * 1.0, True),
+        size,
+        at_most(CONSTANT),
+        lambda given: float(np.abs(summed_plainly(Given(given.radiance, UPPER))).max()),
+    ),
+    HardCase(
+        STAGE,
+        "one white anchor in a black half is bounded by white",
+        Given(only(3)[:, None] * 1.0, UPPER),
+        size,
+        at_most(CONSTANT * 0.1),
+        lambda given: float(np.abs(summed_plainly(Given(1.0, only(3)))).max()),
+    ),
+    HardCase(
+        STAGE,
+        "order 10 on a cap stays bounded",
+        Given(NOISE, CAP),
+        lambda given: float(np.abs(fitted(given, 10)).max()),
+        at_most(BOUND),
+        lambda given: float(np.abs(fitted_plainly(given, 10)).max()),
+    ),
+    HardCase(
+        STAGE,
+        "order 10 on five anchors stays bounded",
+        Given(NOISE[:5], True, AnchorLattice(5)),
+        lambda given: float(np.abs(fitted(given, 10)).max()),
+        at_most(BOUND),
+        lambda given: float(np.abs(fitted_plainly(given, 10)).max()),
+    ),
+    HardCase(
+        STAGE,
+        "the darkest code on the whole sphere is not lost",
+        Given(srgb_to_linear(1 / 255), True),
+        lambda given: float(fitted(given)[0, 0] / CONSTANT),
+        near(float(srgb_to_linear(1 / 255)), 1e-10),
+        lambda given: float(fitted_plainly(given)[0, 0].astype(np.float16) / CONSTANT),
+    ),
+    HardCase(
+        STAGE,
+        "65,535 anchors give back the light they were lit by",
+        65_535,
+        lambda n: given_back(n),
+        at_most(1e-5),
+        lambda n: float(np.abs(summed_in_half(n)).max()),
+    ),
+    HardCase(
+        STAGE,
+        "a cloud of another lattice is refused",
+        (UnitSphereCloud.empty(640), LATTICE),
+        lambda given: project_anchors(*given),
+        refused("1280 anchors, got 640"),
+        lambda given: given[1].directions[np.flatnonzero(given[0].is_set)],
+    ),
+]
+
+
+def linear_light(n: int) -> np.ndarray:
+    """(n,) light that rises from 0.1 below to 0.9 above."""
+    return 0.5 + 0.4 * AnchorLattice(n).directions[:, 2]
+
+
+def given_back(n: int) -> float:
+    """Error of a fit of light that order 2 can hold, on all anchors."""
+    truth = np.zeros(9)
+    truth[0], truth[2] = 0.5 * CONSTANT, 0.4 * np.sqrt(4 * np.pi / 3)
+    return float(np.abs(fitted(Given(linear_light(n)[:, None], True, AnchorLattice(n)))[:, 0] - truth).max())
+
+
+def summed_in_half(n: int) -> np.ndarray:
+    """Naive: a sum over all anchors in half floats."""
+    light, z = linear_light(n).astype(np.float16), AnchorLattice(n).directions[:, 2].astype(np.float16)
+    return np.cumsum(light * z, dtype=np.float16)[-1] * (4 * np.pi / n) - 0.4 * 4 * np.pi / 3

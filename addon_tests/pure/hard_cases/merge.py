@@ -1,0 +1,223 @@
+"""Hard cases of merging: order, drift, things that move, and what nobody has looked at since."""
+
+from __future__ import annotations
+
+from functools import reduce
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+
+from addon_tests.pure.hard_cases.hard_case import HardCase, equal, refused
+from xihenet.buffers import PositionBuffers, merge
+from xihenet.records import UnitSphereCloud
+
+STAGE = "merge"
+N = 64
+ANCHORS = np.arange(N)
+
+
+def cloud_of(is_set: np.ndarray, srgb: float = 0.5, distance_m: float = 1.0) -> UnitSphereCloud:
+    """One colour at one distance."""
+    return UnitSphereCloud(np.outer(is_set * srgb, np.ones(3)), is_set * distance_m, is_set)
+
+
+def random_cloud(seed: int, is_set: np.ndarray | None = None) -> UnitSphereCloud:
+    rng = np.random.default_rng(seed)
+    known = rng.random(N) < 0.6 if is_set is None else is_set
+    return UnitSphereCloud(rng.random((N, 3)) * known[:, None], rng.random(N) * known, known)
+
+
+def parts(cloud: UnitSphereCloud) -> np.ndarray:
+    """(N, 5) all there is in a cloud."""
+    return np.column_stack([cloud.srgb, cloud.distance_m, cloud.is_set])
+
+
+def merged(clouds: Any) -> np.ndarray:
+    return parts(reduce(merge, clouds))
+
+
+def averaged(clouds: Any) -> np.ndarray:
+    """Naive: a running mean, what is not set being black."""
+    return reduce(lambda old, new: (old + new) / 2, map(parts, clouds))
+
+
+def nearest_kept(clouds: Any) -> np.ndarray:
+    """Naive: the nearest ever seen stays."""
+    stacked = np.array([parts(cloud) for cloud in clouds])
+    nearest = np.where(stacked[..., 4] > 0, stacked[..., 3], np.inf).argmin(axis=0)
+    return stacked[nearest, ANCHORS]
+
+
+def brighter_kept(clouds: Any) -> np.ndarray:
+    """Naive: black stands for "not seen"."""
+    return reduce(lambda old, new: np.where(new[:, :1] > 0, new, old), map(parts, clouds))
+
+
+def distance_says_set(clouds: Any) -> np.ndarray:
+    """Naive: a distance above 0 stands for "seen"."""
+    return reduce(lambda old, new: np.where(new[:, 3:4] > 0, new, old), map(parts, clouds))
+
+
+ALL = np.ones(N, bool)
+EVEN, NOBODY = ANCHORS % 2 == 0, np.zeros(N, bool)
+THIRDS = [random_cloud(seed, seed == ANCHORS % 3) for seed in range(3)]
+FIRST, SECOND = random_cloud(10), random_cloud(11)
+BY_TURNS = [FIRST, SECOND] * 500
+
+
+def all_orders(clouds: list[UnitSphereCloud]) -> int:
+    """In how many different clouds the orders of merging end."""
+    return len({merged(order).tobytes() for order in permutations(clouds)})
+
+
+def all_orders_averaged(clouds: list[UnitSphereCloud]) -> int:
+    return len({averaged(order).tobytes() for order in permutations(clouds)})
+
+
+def wide(distances: tuple[float, float]) -> list[UnitSphereCloud]:
+    return [cloud_of(EVEN, distance_m=distances[0]), cloud_of(~EVEN, distance_m=distances[1])]
+
+
+def after_fires(n: int) -> np.ndarray:
+    """The persistent cloud after something was seen once and the trigger fired `n` times since."""
+    buffers = PositionBuffers.empty(N).with_frame(FIRST)
+    for _ in range(n):
+        buffers = buffers.fired()
+    return parts(buffers.persistent)
+
+
+def after_fires_forgetting(n: int) -> np.ndarray:
+    """Naive: the persistent cloud is replaced by the temporary one."""
+    persistent, temporary = UnitSphereCloud.empty(N), FIRST
+    for _ in range(n):
+        persistent, temporary = temporary, UnitSphereCloud.empty(N)
+    return parts(persistent)
+
+
+NOTHING = UnitSphereCloud.empty(N)
+CASES = [
+    HardCase(
+        STAGE, "clouds that share no anchor merge alike in any order", THIRDS, all_orders, equal(1), all_orders_averaged
+    ),
+    HardCase(
+        STAGE,
+        "where clouds share anchors the last one wins",
+        [FIRST, SECOND, FIRST],
+        merged,
+        equal(np.where(FIRST.is_set[:, None], parts(FIRST), parts(SECOND))),
+        averaged,
+    ),
+    HardCase(
+        STAGE,
+        "a thousand merges of the same two clouds do not drift",
+        BY_TURNS,
+        merged,
+        equal(merged([FIRST, SECOND])),
+        averaged,
+    ),
+    HardCase(
+        STAGE,
+        "a cloud merged with itself a thousand times is itself",
+        [FIRST] * 1000,
+        merged,
+        equal(parts(FIRST)),
+        lambda clouds: parts(clouds[0]) * np.float32(1.0000001) ** len(clouds),
+    ),
+    HardCase(
+        STAGE,
+        "a ball that moves away shows the wall behind it",
+        [cloud_of(ALL, 0.2, 1.0), cloud_of(ALL, 0.8, 5.0)],
+        merged,
+        equal(parts(cloud_of(ALL, 0.8, 5.0))),
+        nearest_kept,
+    ),
+    HardCase(
+        STAGE,
+        "a ball that moves in hides the wall behind it",
+        [cloud_of(ALL, 0.8, 5.0), cloud_of(ALL, 0.2, 1.0)],
+        merged,
+        equal(parts(cloud_of(ALL, 0.2, 1.0))),
+        averaged,
+    ),
+    HardCase(
+        STAGE,
+        "a lamp that goes out goes out",
+        [cloud_of(ALL, 1.0), cloud_of(ALL, 0.0)],
+        merged,
+        equal(parts(cloud_of(ALL, 0.0))),
+        brighter_kept,
+    ),
+    HardCase(
+        STAGE,
+        "what was seen once is there after a thousand frames of other things",
+        [cloud_of(EVEN), *[cloud_of(~EVEN)] * 1000],
+        merged,
+        equal(parts(cloud_of(ALL))),
+        averaged,
+    ),
+    HardCase(
+        STAGE,
+        "frames that see nothing change nothing",
+        [FIRST, *[NOTHING] * 1000],
+        merged,
+        equal(parts(FIRST)),
+        averaged,
+    ),
+    HardCase(
+        STAGE,
+        "nothing merged with nothing is nothing",
+        [NOTHING, NOTHING],
+        lambda clouds: merged(clouds).sum(),
+        equal(0.0),
+        lambda clouds: float(np.divide(parts(clouds[0]).sum(axis=0), parts(clouds[0])[:, 4].sum()).sum()),
+    ),
+    HardCase(
+        STAGE,
+        "a surface at distance 0 is seen",
+        [cloud_of(ALL, 0.8, 5.0), cloud_of(ALL, 0.2, 0.0)],
+        merged,
+        equal(parts(cloud_of(ALL, 0.2, 0.0))),
+        distance_says_set,
+    ),
+    HardCase(
+        STAGE,
+        "1e-45 m and 3e38 m stand side by side",
+        (1e-45, 3e38),
+        lambda distances: merged(wide(distances))[:, 3],
+        equal(np.where(EVEN, np.float32(1e-45), np.float32(3e38))),
+        lambda distances: np.where(EVEN, *np.float32(distances).astype(np.float16)),
+    ),
+    HardCase(
+        STAGE,
+        "a cloud of one anchor is not stretched over another lattice",
+        (1, N),
+        lambda sizes: merge(UnitSphereCloud.empty(sizes[0]), UnitSphereCloud.empty(sizes[1])),
+        refused("as many anchors, got 1 and 64"),
+        lambda sizes: np.where(np.zeros(sizes[1], bool), np.zeros(sizes[1]), np.zeros(sizes[0])),
+    ),
+    HardCase(
+        STAGE,
+        "65,536 anchors merge anchor by anchor",
+        65_536,
+        lambda n: int(merge(cloud_of(np.arange(n) == 0), cloud_of(np.arange(n) == n - 1)).is_set.sum()),
+        equal(2),
+        lambda n: len({np.arange(2 * n).astype(np.uint16)[i] for i in (0, n)}),
+    ),
+    HardCase(
+        STAGE,
+        "skipped points of a thousand frames are those of the last frame",
+        [UnitSphereCloud(np.zeros((1, 3)), np.zeros(1), np.zeros(1, bool), 7)] * 1000,
+        lambda clouds: reduce(merge, clouds).n_skipped_points,
+        equal(7),
+        lambda clouds: sum(cloud.n_skipped_points for cloud in clouds),
+    ),
+    HardCase(
+        STAGE,
+        "what was seen once outlives a thousand fires",
+        1000,
+        after_fires,
+        equal(parts(FIRST)),
+        after_fires_forgetting,
+    ),
+]

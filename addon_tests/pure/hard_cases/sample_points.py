@@ -1,0 +1,315 @@
+"""Hard cases of points: at the probe, beyond float32, broken, in crowds and by millions; and of probes far away."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from addon_tests.pure.hard_cases.hard_case import HardCase, at_most, equal, near, refused, that
+from addon_tests.pure.hard_cases.sample import STAGE, random_directions
+from xihenet.completeness import joint_entropy
+from xihenet.records import PointCloud
+from xihenet.sampling import sample_uniform, sample_unit_sphere
+from xihenet.sphere import AnchorLattice
+
+HERE = np.zeros(3)
+
+# ------------------------------------------------------------------------------------------- points and their clouds
+
+ALONG = np.array([0.6, 0.0, 0.8])
+
+
+def sampled(points_m: Any, colours: Any = 0.5, position_m: Any = HERE, n: int = 64) -> Any:
+    points = np.array(points_m, float).reshape(-1, 3)
+    return sample_unit_sphere(PointCloud(points, np.broadcast_to(colours, points.shape)), position_m, AnchorLattice(n))
+
+
+def seen(points_m: Any) -> tuple[int, int, float]:
+    """Anchors that are set, points that were skipped, and the largest distance."""
+    cloud = sampled(points_m)
+    return int(cloud.is_set.sum()), cloud.n_skipped_points, float(cloud.distance_m.max())
+
+
+def seen_by_hand(points_m: Any) -> tuple[int, int, float]:
+    """Naive: distance and direction as the textbook has them, in float32."""
+    points = np.array(points_m, np.float32).reshape(-1, 3)
+    distance_m = np.sqrt((points * points).sum(axis=1))
+    anchors = np.argmax(points / distance_m[:, None] @ AnchorLattice(64).directions.T, axis=1)
+    return len(np.unique(anchors)), 0, float(distance_m.max())
+
+
+def seen_in_half(points_m: Any) -> tuple[int, int, float]:
+    """Naive: distances kept as they go over the wire."""
+    n_set, n_skipped, _ = seen(points_m)
+    return n_set, n_skipped, float(np.linalg.norm(points_m, axis=-1).astype(np.float16).max())
+
+
+def single(distance_m: float) -> list[float]:
+    return (ALONG * distance_m).tolist()
+
+
+SKIPPED = equal((0, 1, 0.0))
+
+
+def set_at(distance_m: float, share: float = 2e-7) -> Any:
+    return that(
+        f"one anchor set, at {distance_m:g} m",
+        lambda came: came[:2] == (1, 0) and abs(came[2] - distance_m) <= share * distance_m,
+    )
+
+
+SMALLEST = float(np.float32(1e-45))
+POINTS = [
+    HardCase(STAGE, "a point at the probe itself is skipped and counted", [0, 0, 0], seen, SKIPPED, seen_by_hand),
+    HardCase(STAGE, "a point 1e-30 m away sets its anchor", single(1e-30), seen, set_at(1e-30), seen_by_hand),
+    HardCase(
+        STAGE,
+        "a point as near as float32 can be sets its anchor",
+        [0, 0, SMALLEST],
+        seen,
+        set_at(SMALLEST),
+        seen_by_hand,
+    ),
+    HardCase(STAGE, "a point 1e30 m away sets its anchor", single(1e30), seen, set_at(1e30), seen_by_hand),
+    HardCase(STAGE, "a point 3e38 m away sets its anchor", [0, 0, 3e38], seen, set_at(3e38), seen_by_hand),
+    HardCase(
+        STAGE, "a point whose distance float32 cannot hold is skipped", [3e38, 3e38, 3e38], seen, SKIPPED, seen_by_hand
+    ),
+    HardCase(STAGE, "a point that float32 cannot hold is skipped", [1e39, 0, 0], seen, SKIPPED, seen_by_hand),
+    HardCase(STAGE, "a NaN point is skipped", [np.nan, 0, 0], seen, SKIPPED, seen_by_hand),
+    HardCase(STAGE, "an infinite point is skipped", [np.inf, 0, 1], seen, SKIPPED, seen_by_hand),
+    HardCase(STAGE, "a point 65,535 m away keeps its distance", single(65535), seen, set_at(65535), seen_in_half),
+    HardCase(STAGE, "a point 1e10 m away keeps its distance", single(1e10), seen, set_at(1e10), seen_in_half),
+    HardCase(STAGE, "an empty cloud sets nothing", [], seen, equal((0, 0, 0.0)), seen_by_hand),
+    HardCase(STAGE, "a cloud of NaN alone sets nothing", [[np.nan] * 3] * 5, seen, equal((0, 5, 0.0)), seen_by_hand),
+    HardCase(
+        STAGE,
+        "one good point among broken ones is found",
+        [[np.nan] * 3, [0, 0, 2], [np.inf] * 3, [0, 0, 0]],
+        seen,
+        equal((1, 3, 2.0)),
+        seen_by_hand,
+    ),
+    HardCase(
+        STAGE,
+        "points at 1e-30 m and 1e30 m do not disturb each other",
+        [single(1e-30), (-ALONG * 1e30).tolist()],
+        seen,
+        that("two anchors set", lambda came: came[:2] == (2, 0)),
+        seen_by_hand,
+    ),
+]
+
+# ------------------------------------------------------------------------------------------- which point wins
+
+
+def last_wins(points: np.ndarray, n: int = 64) -> np.ndarray:
+    """Naive: (n,) distances, each anchor's from the last point that fell on it."""
+    distances = np.zeros(n)
+    distances[AnchorLattice(n).nearest(points)] = np.linalg.norm(points, axis=1)
+    return distances
+
+
+def crowd(n: int) -> np.ndarray:
+    """`n` points all in the cell of one anchor, the nearest one not the last."""
+    rng = np.random.default_rng(3)
+    return (ALONG + rng.normal(size=(n, 3)) * 1e-4) * rng.uniform(1, 5, (n, 1))
+
+
+def millions(n: int) -> np.ndarray:
+    return np.random.default_rng(4).uniform(-5, 5, (n, 3)).astype(np.float32)
+
+
+def metres_from_the_nearest(n: int) -> float:
+    """The largest error of an anchor's distance for `n` points, against the least float64 distance in its cell."""
+    points = millions(n)
+    cloud = sample_unit_sphere(PointCloud(points, np.zeros_like(points)), HERE, AnchorLattice(64))
+    return float(np.abs(cloud.distance_m - least_distances(points)).max())
+
+
+def least_distances(points: np.ndarray) -> np.ndarray:
+    least = np.full(64, np.inf)
+    np.minimum.at(least, AnchorLattice(64).nearest(points), np.sqrt(np.einsum("pi,pi->p", points, points, dtype=float)))
+    return least
+
+
+def tie(_: object) -> float:
+    colours = [[0.25] * 3, [0.75] * 3, [1.0] * 3]
+    return float(sampled([single(2)] * 3, colours).srgb.max())
+
+
+SHUFFLED = np.random.default_rng(5).permutation(4096)
+SPREAD = random_directions(4096, 6) * np.random.default_rng(7).uniform(1, 9, (4096, 1))
+WINNING = [
+    HardCase(
+        STAGE,
+        "10,000 points in one anchor give the nearest one",
+        crowd(10_000),
+        lambda points: sampled(points).distance_m.max(),
+        near(np.linalg.norm(crowd(10_000), axis=1).min(), 1e-6),
+        lambda points: last_wins(points).max(),
+    ),
+    HardCase(
+        STAGE,
+        "4 million points give each anchor its nearest one",
+        4_000_000,
+        metres_from_the_nearest,
+        at_most(2e-6),
+        lambda n: float(np.abs(last_wins(millions(n)) - least_distances(millions(n))).max()),
+    ),
+    HardCase(
+        STAGE,
+        "of equally near points the first one gives the colour",
+        None,
+        tie,
+        equal(0.25),
+        lambda _: dict(zip([0, 0, 0], [0.25, 0.75, 1.0], strict=True))[0],
+    ),
+    HardCase(
+        STAGE,
+        "shuffled points give the same cloud",
+        SHUFFLED,
+        lambda order: float(np.abs(sampled(SPREAD).distance_m - sampled(SPREAD[order]).distance_m).max()),
+        equal(0.0),
+        lambda order: float(np.abs(last_wins(SPREAD) - last_wins(SPREAD[order])).max()),
+    ),
+    HardCase(
+        STAGE,
+        "a lattice of one anchor takes the nearest of all points",
+        SPREAD,
+        lambda points: sampled(points, n=1).distance_m.tolist(),
+        near([np.linalg.norm(SPREAD, axis=1).min()], 1e-6),
+        lambda points: last_wins(points, 1).tolist(),
+    ),
+    HardCase(
+        STAGE,
+        "azimuth pi and minus pi are one direction",
+        [[-1, 0.0, 0.1], [-1, -0.0, 0.1]],
+        lambda points: int(sampled(points).is_set.sum()),
+        equal(1),
+        lambda points: len({int((np.arctan2(y, x) + np.pi) / (2 * np.pi) * 1024) for x, y, _ in points}),
+    ),
+    HardCase(
+        STAGE,
+        "points on both poles set the first and the last anchor",
+        [[0, 0, 3], [0, 0, -4]],
+        lambda points: np.flatnonzero(sampled(points).is_set).tolist(),
+        equal([0, 63]),
+        lambda points: [int(np.arctan2(y, x) * 1024) for x, y, _ in points],
+    ),
+    HardCase(
+        STAGE,
+        "colours beyond white and below black are clipped",
+        ([single(1), single(-1)], [[1.5] * 3, [-0.5] * 3]),
+        lambda given: sorted(sampled(*given).srgb.max(axis=1)[sampled(*given).is_set].tolist()),
+        equal([0.0, 1.0]),
+        lambda given: sorted(colour[0] for colour in given[1]),
+    ),
+    HardCase(
+        STAGE,
+        "a NaN colour is skipped and does not hide the point behind it",
+        ([single(1), single(2)], [[np.nan] * 3, [0.5] * 3]),
+        lambda given: (float(sampled(*given).distance_m.max()), sampled(*given).n_skipped_points),
+        equal((2.0, 1)),
+        lambda given: (float(np.linalg.norm(given[0], axis=1).min()), 0),
+    ),
+]
+
+# ---------------------------------------------------------------------------------------------- where the probe is
+
+
+def metres_off_at(position_m: np.ndarray) -> float:
+    """Error of the distance to a point 0.1 m beside a position, against float64 on the point as it is stored."""
+    point = (position_m + [0.06, 0.0, 0.08]).astype(np.float32)
+    cloud = sampled(point, position_m=position_m)
+    return abs(float(cloud.distance_m.max()) - float(np.linalg.norm(point.astype(float) - position_m)))
+
+
+def metres_off_by_hand(position_m: np.ndarray) -> float:
+    """Naive: the position in float32, like the points."""
+    point = (position_m + [0.06, 0.0, 0.08]).astype(np.float32)
+    distance = np.linalg.norm(point - position_m.astype(np.float32))
+    return abs(float(distance) - float(np.linalg.norm(point.astype(float) - position_m)))
+
+
+PLACES = [
+    HardCase(
+        STAGE,
+        "10 km from the origin distances are right to 0.1 micrometres",
+        np.array([10000.0003, -10000.0003, 10000.0003]),
+        metres_off_at,
+        at_most(1e-7),
+        metres_off_by_hand,
+    ),
+    HardCase(
+        STAGE,
+        "1000 km from the origin distances are right to 0.1 micrometres",
+        np.array([1e6 + 0.01, 0, 1e6 - 0.02]),
+        metres_off_at,
+        at_most(1e-7),
+        metres_off_by_hand,
+    ),
+    HardCase(
+        STAGE,
+        "a probe where float32 ends sees nothing and counts it",
+        [1e39, 0, 0],
+        lambda place: (
+            int(sampled([single(1)] * 3, position_m=place).is_set.sum()),
+            sampled([single(1)] * 3, position_m=place).n_skipped_points,
+        ),
+        equal((0, 3)),
+        lambda place: (int(np.isfinite(np.float32(place)).all()), 0),
+    ),
+    HardCase(
+        STAGE,
+        "a NaN position is refused",
+        [np.nan, 0, 0],
+        lambda place: sampled([single(1)], position_m=place),
+        refused("expected three finite numbers"),
+        lambda place: sampled([np.array(single(1)) - place]),
+    ),
+]
+
+# -------------------------------------------------------------------------------------------------- entropy, baselines
+
+
+def entropy_by_hand(points_m: np.ndarray) -> float:
+    """Naive: every anchor's share enters the sum, those of 0 too."""
+    points = np.asarray(points_m, float)
+    units = points / np.linalg.norm(points, axis=1, keepdims=True)
+    total = 0.0
+    for n in (2, 4, 8):
+        shares = np.bincount(AnchorLattice(n).nearest(units), minlength=n) / len(units)
+        total -= float((shares * np.log2(shares)).sum())
+    return total
+
+
+ENTROPY = [
+    HardCase(
+        STAGE,
+        f"the joint entropy of {name} is 0",
+        points,
+        lambda points: joint_entropy(points, HERE),
+        equal(0.0),
+        entropy_by_hand,
+    )
+    for name, points in (
+        ("no point", np.zeros((0, 3))),
+        ("points at the position", np.zeros((4, 3))),
+        ("points in one direction", np.outer([1.0, 1e-200, 1e200], ALONG)),
+        ("broken points", np.full((3, 3), np.nan)),
+    )
+]
+BASELINES = [
+    HardCase(
+        STAGE,
+        "drawing from broken points alone draws none",
+        np.full((5, 3), np.nan),
+        lambda points: len(sample_uniform(PointCloud(points, np.zeros((5, 3))), 3, np.random.default_rng(0)).points_m),
+        equal(0),
+        lambda points: len(np.random.default_rng(0).choice(points, 3)),
+    )
+]
+
+CASES = [*POINTS, *WINNING, *PLACES, *ENTROPY, *BASELINES]

@@ -1,0 +1,44 @@
+"""The catalogue, run: every case comes out as it must, and its naive version does not."""
+
+from pathlib import Path
+
+import pytest
+
+from addon_tests.pure.hard_cases.__main__ import main
+from addon_tests.pure.hard_cases.catalogue import CASES
+from addon_tests.pure.hard_cases.hard_case import tried
+
+ROOT = Path(__file__).resolve().parents[3]
+EVERY_CASE = pytest.mark.parametrize("case", CASES, ids=str)
+
+
+@EVERY_CASE
+def test_hard_case(case):
+    outcome = tried(case, case.ask)
+    assert outcome.is_ok, f"expected {case.must.says}, got {outcome.came}"
+
+
+@EVERY_CASE
+def test_the_naive_version_fails(case):
+    outcome = tried(case, case.naive)
+    assert not outcome.is_ok, f"this case cannot fail: the naive version gives {outcome.came} as well"
+
+
+def test_there_are_150_cases_and_each_has_a_name_of_its_own():
+    assert len({str(case) for case in CASES}) == len(CASES) >= 150
+
+
+def test_nothing_hides_a_numpy_warning_without_a_comment_on_why():
+    for file in [file for package in ("xihenet", "xihe_blender") for file in (ROOT / package).rglob("*.py")]:
+        lines = file.read_text(encoding="utf-8").splitlines()
+        for above, line in zip(["", *lines], lines, strict=False):
+            is_told = "#" in line or above.lstrip().startswith("#")
+            assert is_told or "np.errstate(" not in line, f"{file}: {line.strip()} hides a warning and does not say why"
+
+
+def test_the_table_has_a_line_for_each_case_of_a_stage(capsys):
+    assert main(["merge"]) == 0
+    n_cases = sum(case.stage == "merge" for case in CASES)
+    lines = capsys.readouterr().out.splitlines()
+    assert sum(line.startswith("merge ") and line.endswith("| yes") for line in lines) == n_cases
+    assert lines[-1] == f"{n_cases} cases, 0 wrong"

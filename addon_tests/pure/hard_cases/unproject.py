@@ -1,0 +1,373 @@
+"""Hard cases of the camera: turned, scaled, sheared, shifted, tiny, huge and far away, and of plane depths."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from addon_tests.pure.hard_cases.hard_case import HardCase, at_most, equal, near, refused, that
+from xihenet.camera import in_view, project_points, ray_distance_from_plane_depth, unproject_frame
+from xihenet.records import Intrinsics, RgbdFrame
+
+STAGE = "unproject"
+ORDINARY = Intrinsics(8, 6, 7.0, 7.0, 4.0, 3.0)
+PLACE_M = np.array([1.0, -2.0, 1.5])
+
+
+def turned(axis: str, degrees: float) -> np.ndarray:
+    """(3, 3) rotation about a world axis."""
+    first, second = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
+    matrix = np.eye(3)
+    matrix[first, first] = matrix[second, second] = np.cos(np.radians(degrees))
+    matrix[second, first] = np.sin(np.radians(degrees))
+    matrix[first, second] = -matrix[second, first]
+    return matrix
+
+
+def posed(axes: np.ndarray, place_m: Any = PLACE_M) -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = axes, place_m
+    return pose
+
+
+def shot(pose: np.ndarray, intrinsics: Intrinsics = ORDINARY, plane_depth_m: Any = 2.0) -> RgbdFrame:
+    size = intrinsics.height, intrinsics.width
+    return RgbdFrame(np.zeros((*size, 3), np.uint8), np.broadcast_to(np.float32(plane_depth_m), size), intrinsics, pose)
+
+
+def wide(degrees: float) -> Intrinsics:
+    """64 x 48 pixels with this horizontal field of view."""
+    focal = 32 / np.tan(np.radians(degrees / 2))
+    return Intrinsics(64, 48, focal, focal, 32.0, 24.0)
+
+
+# ------------------------------------------------------------------------------------- there and back, in pixels
+
+
+def some_pixels(camera: Intrinsics) -> np.ndarray:
+    """Up to 2000 pixels by number, first and last among them."""
+    return np.unique(np.linspace(0, camera.width * camera.height - 1, 2000).astype(int))
+
+
+def centres(camera: Intrinsics, number: np.ndarray) -> np.ndarray:
+    return np.stack([number % camera.width, number // camera.width], axis=1) + 0.5
+
+
+def pixels_off(frame: RgbdFrame) -> float:
+    """How far pixels land from where they were, after unprojecting and projecting, in pixels."""
+    camera, number = frame.intrinsics, some_pixels(frame.intrinsics)
+    there, _ = project_points(unproject_frame(frame).points_m[number], camera, frame.world_from_camera)
+    return float(np.abs(there - centres(camera, number)).max())
+
+
+def pixels_off_upright(frame: RgbdFrame) -> float:
+    """Naive: takes the camera for a rotation that has +Z upwards in its picture, built from where it looks."""
+    camera, number = frame.intrinsics, some_pixels(frame.intrinsics)
+    back = frame.world_from_camera[:3, 2]
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right = right / np.linalg.norm(right)
+    axes = np.stack([right, np.cross(back, right), back], axis=1)
+    points = unproject_frame(frame).points_m[number]
+    seen = (points - frame.world_from_camera[:3, 3]) @ axes
+    x = camera.cx + camera.fx * seen[:, 0] / -seen[:, 2]
+    y = camera.cy - camera.fy * seen[:, 1] / -seen[:, 2]
+    return float(np.abs(np.stack([x, y], axis=1) - centres(camera, number)).max())
+
+
+def pixels_off_from_corners(frame: RgbdFrame) -> float:
+    """Naive: rays through the pixels' corners, one focal length, the principal point in the middle."""
+    camera, number = frame.intrinsics, some_pixels(frame.intrinsics)
+    corner = centres(camera, number) - 0.5 - np.array([camera.width, camera.height]) / 2
+    slopes = np.column_stack([corner[:, 0], -corner[:, 1]]) / camera.fx
+    rays = np.column_stack([slopes, -np.ones(len(slopes))]) @ frame.world_from_camera[:3, :3].T
+    points = rays * frame.plane_depth_m.ravel()[number, None] + frame.world_from_camera[:3, 3]
+    there, _ = project_points(points, camera, frame.world_from_camera)
+    return float(np.abs(there - centres(camera, number)).max())
+
+
+UP, DOWN = turned("x", 180), np.eye(3)
+LEVEL = turned("x", 90)
+POSES = {
+    "a camera upside down": LEVEL @ turned("z", 180),
+    "a camera rolled by 37 degrees": LEVEL @ turned("z", 37),
+    "a camera that looks straight up, where Euler angles lock": UP @ turned("z", 30),
+    "a camera that looks straight down": DOWN @ turned("z", -70),
+    "a camera with another scale on each axis": LEVEL @ np.diag([1.0, 2.0, 0.5]),
+    "a camera mirrored by one negative scale": LEVEL @ np.diag([-1.0, 1.0, 1.0]),
+    "a camera whose scales are all negative": LEVEL @ np.diag([-1.0, -1.0, -1.0]),
+    "a sheared camera": LEVEL @ np.array([[1, 0.4, 0.1], [0, 1, -0.3], [0, 0, 1]]),
+    "a camera that is rolled, sheared and scaled": LEVEL
+    @ turned("z", 80)
+    @ np.diag([0.3, -2.0, 1.0])
+    @ np.array([[1, 0, 0], [0.7, 1, 0], [0, 0.2, 1]]),
+}
+SCALES = {"millimetres": 1e-3, "kilometres": 1e3}
+LENSES = {
+    "a lens shifted far outside the picture": Intrinsics(8, 6, 7.0, 7.0, -50.0, 300.0),
+    "pixels twice as high as wide": Intrinsics(8, 6, 14.0, 7.0, 4.0, 3.0),
+    "a picture of one pixel": Intrinsics(1, 1, 1.0, 1.0, 0.5, 0.5),
+    "a picture of one row": Intrinsics(64, 1, 50.0, 50.0, 32.0, 0.5),
+    "a picture in 4K": Intrinsics(3840, 2160, 3000.0, 3000.0, 1920.0, 1080.0),
+    "a field of view of 1 degree": wide(1),
+    "a field of view of 179 degrees": wide(179),
+}
+THERE_AND_BACK = [
+    *(
+        HardCase(
+            STAGE, f"{name} lands on its own pixels", shot(posed(axes)), pixels_off, at_most(1e-4), pixels_off_upright
+        )
+        for name, axes in POSES.items()
+    ),
+    *(
+        HardCase(
+            STAGE,
+            f"a camera in a scene in {name} lands on its own pixels",
+            shot(posed(LEVEL * scale, PLACE_M * scale)),
+            pixels_off,
+            at_most(1e-4),
+            pixels_off_upright,
+        )
+        for name, scale in SCALES.items()
+    ),
+    *(
+        HardCase(
+            STAGE, f"{name} comes back", shot(posed(LEVEL), lens), pixels_off, at_most(1e-2), pixels_off_from_corners
+        )
+        for name, lens in LENSES.items()
+    ),
+]
+
+# ---------------------------------------------------------------------------------------- far away, in metres
+
+
+def metres_off(frame: RgbdFrame) -> float:
+    """The largest distance of a point from where float64 has it."""
+    return float(np.linalg.norm(unproject_frame(frame).points_m - in_float64(frame), axis=1).max())
+
+
+def in_float64(frame: RgbdFrame) -> np.ndarray:
+    camera = frame.intrinsics
+    row, column = np.mgrid[: camera.height, : camera.width] + 0.5
+    rays = np.stack([(column - camera.cx) / camera.fx, -(row - camera.cy) / camera.fy, -np.ones_like(row)], axis=-1)
+    seen = rays * frame.plane_depth_m.astype(float)[..., None]
+    return (seen @ frame.world_from_camera[:3, :3].T + frame.world_from_camera[:3, 3]).reshape(-1, 3)
+
+
+def metres_off_in_float32(frame: RgbdFrame) -> float:
+    """Naive: the camera's place is rounded, and then the points are."""
+    near_origin = in_float64(shot(posed(frame.world_from_camera[:3, :3], 0), frame.intrinsics, frame.plane_depth_m))
+    points = near_origin.astype(np.float32) + frame.world_from_camera[:3, 3].astype(np.float32)
+    return float(np.linalg.norm(points - in_float64(frame), axis=1).max())
+
+
+def metres_off_in_float16(frame: RgbdFrame) -> float:
+    return float(np.linalg.norm(in_float64(frame).astype(np.float16) - in_float64(frame), axis=1).max())
+
+
+def unproject_by_hand(frame: RgbdFrame) -> int:
+    """Naive: a camera that float32 cannot hold is rounded all the same."""
+    pose = frame.world_from_camera.astype(np.float32)
+    return len(np.ones((6 * 8, 3), np.float32) @ pose[:3, :3].T + pose[:3, 3])
+
+
+FINE = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
+FAR = [
+    HardCase(
+        STAGE,
+        "10 km along each axis from the origin, points are right to a millimetre",
+        shot(posed(LEVEL @ turned("z", 20), [10000.00045, -10000.00045, 10000.00045]), FINE, 3.3),
+        metres_off,
+        at_most(1e-3),
+        metres_off_in_float32,
+    ),
+    HardCase(
+        STAGE,
+        "1 km away, points are right to 0.1 mm",
+        shot(posed(LEVEL, [1000.00003, -1000.00003, 1000.00003]), FINE, 3.3),
+        metres_off,
+        at_most(5.3e-5),
+        metres_off_in_float32,
+    ),
+    HardCase(
+        STAGE,
+        "in a room, points are right to 2 micrometres",
+        shot(posed(LEVEL @ turned("z", 20)), FINE, 5.0),
+        metres_off,
+        at_most(2e-6),
+        metres_off_in_float16,
+    ),
+    HardCase(
+        STAGE,
+        "a camera 1e39 m away gives points that are not finite, and no warning",
+        shot(posed(LEVEL, [1e39, 0, 0])),
+        lambda frame: int(np.isfinite(unproject_frame(frame).points_m).all(axis=1).sum()),
+        equal(0),
+        unproject_by_hand,
+    ),
+]
+
+# --------------------------------------------------------------------------------------- plane depths, in points
+
+
+def first_point(plane_depth_m: float) -> np.ndarray:
+    """(3,) the point of the first pixel, of a camera at the origin; its neighbour is 1 m away."""
+    depths = np.ones((6, 8), np.float32)
+    depths[0, 0] = plane_depth_m
+    frame = RgbdFrame(np.zeros((6, 8, 3), np.uint8), depths, ORDINARY, np.eye(4))
+    points = unproject_frame(frame).points_m
+    assert np.isfinite(points[1:]).all(), "one pixel disturbs the others"
+    return points[0]
+
+
+def first_point_by_hand(plane_depth_m: float) -> np.ndarray:
+    """Naive: makes numbers of what is none, and multiplies."""
+    ray = np.array([-3.5 / 7, 2.5 / 7, -1.0])
+    return ray * float(np.nan_to_num(np.float32(plane_depth_m)))
+
+
+def first_point_in_half(plane_depth_m: float) -> np.ndarray:
+    return np.array([-3.5 / 7, 2.5 / 7, -1.0]) * float(np.array(plane_depth_m).astype(np.float16))
+
+
+NO_POINT = that("no point", lambda came: bool(np.isnan(came).all()))
+DEPTHS = [
+    *(
+        HardCase(STAGE, f"a plane depth of {value} is no point", value, first_point, NO_POINT, first_point_by_hand)
+        for value in (0.0, -1.0, np.nan, np.inf, -np.inf, 1e10, 1e9)
+    ),
+    *(
+        HardCase(
+            STAGE,
+            f"a plane depth of {value:g} m is a point",
+            value,
+            lambda value: first_point(value) / np.float32(value),
+            near([-0.5, 2.5 / 7, -1.0], 1e-6),
+            lambda value: first_point_in_half(value) / value,
+        )
+        for value in (65535.0, 9e8, 1e-8, 1e-30)
+    ),
+    HardCase(
+        STAGE,
+        "at 179 degrees, rays to the corners are as long as float64 says",
+        wide(179),
+        lambda lens: ray_distance_from_plane_depth(np.ones((48, 64)), lens)[0, 0],
+        near(np.sqrt(1 + (31.5**2 + 23.5**2) / wide(179).fx ** 2), 2e-5),
+        lambda lens: 1.0,
+    ),
+    HardCase(
+        STAGE,
+        "a plane depth of 3e38 gives no warning as a ray distance",
+        wide(179),
+        lambda lens: ray_distance_from_plane_depth(np.full((48, 64), 3e38), lens)[0, 0],
+        equal(np.float32(np.inf)),
+        lambda lens: np.float32(3e38) * np.float32(100),
+    ),
+]
+
+# ----------------------------------------------------------------------------------- points to pixels, and refusals
+
+
+def pixel_of(given: tuple[Any, np.ndarray]) -> np.ndarray:
+    point, pose = given
+    return project_points([point], ORDINARY, pose)[0][0]
+
+
+def pixel_by_cofactors(given: tuple[Any, np.ndarray]) -> np.ndarray:
+    """Naive: the inverse by the textbook's determinant, and the perspective division as it stands."""
+    point, pose = given
+    x, y, z = pose[:3, :3].T
+    determinant = np.float64(np.dot(x, np.cross(y, z)))
+    inverse = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)]) / determinant
+    seen = inverse @ (np.asarray(point, float) - pose[:3, 3])
+    return np.array([4.0, 3.0]) + 7 * seen[:2] * [1, -1] / -seen[2]
+
+
+def is_in_view(point: Any) -> bool:
+    return bool(in_view([point], ORDINARY, np.eye(4))[0])
+
+
+def is_in_view_by_hand(point: Any) -> bool:
+    """Naive: whatever is not outside the picture is inside."""
+    (x, y), _ = (found[0] for found in project_points([point], ORDINARY, np.eye(4)))
+    return not (x < 0 or x >= 8 or y < 0 or y >= 6)
+
+
+FLAT = np.array([[1, 2, 3], [4, 5, 6], [7, 8, 9]]) * 0.1
+NO_PIXEL = that("NaN for a pixel", lambda came: bool(np.isnan(came).all()))
+PROJECTING = [
+    *(
+        HardCase(
+            STAGE,
+            f"a camera scaled by {scale:g} still projects",
+            ([1.0 * scale, 1.0 * scale, -2.0 * scale], posed(np.eye(3) * scale, 0)),
+            pixel_of,
+            near([7.5, -0.5], 1e-9),
+            pixel_by_cofactors,
+        )
+        for scale in (1e-200, 1e-120, 1e120, 1e200)
+    ),
+    HardCase(
+        STAGE,
+        "a camera scaled to 0 is refused",
+        ([0, 0, -1.0], posed(np.zeros((3, 3)), 0)),
+        pixel_of,
+        refused("is the camera scaled to 0?"),
+        pixel_by_cofactors,
+    ),
+    HardCase(
+        STAGE,
+        "a camera whose axes lie in one plane but for rounding is refused",
+        ([0, 0, -1.0], posed(FLAT, 0)),
+        pixel_of,
+        refused("lie in one plane"),
+        pixel_by_cofactors,
+    ),
+    HardCase(
+        STAGE,
+        "a point at the camera itself has no pixel",
+        ([0, 0, 0.0], np.eye(4)),
+        pixel_of,
+        NO_PIXEL,
+        pixel_by_cofactors,
+    ),
+    HardCase(
+        STAGE,
+        "a point at infinity has no pixel and gives no warning",
+        ([np.inf, 0, -1.0], np.eye(4)),
+        pixel_of,
+        NO_PIXEL,
+        lambda given: pixel_by_cofactors(([1e308, 0, -1e-5], given[1])),
+    ),
+    HardCase(STAGE, "a NaN point is not in view", [np.nan, 0, -1.0], is_in_view, equal(False), is_in_view_by_hand),
+    HardCase(
+        STAGE, "a point behind the camera is not in view", [0, 0, 2.0], is_in_view, equal(False), is_in_view_by_hand
+    ),
+    HardCase(
+        STAGE,
+        "a point in the camera's own plane is not in view",
+        [1, 0, 0.0],
+        is_in_view,
+        equal(False),
+        is_in_view_by_hand,
+    ),
+    HardCase(
+        STAGE,
+        "a pose with NaN is refused",
+        np.nan,
+        lambda value: len(unproject_frame(shot(posed(np.eye(3) * value))).points_m),
+        refused("world_from_camera: expected finite"),
+        lambda value: len(in_float64(shot(posed(np.eye(3))))),
+    ),
+    HardCase(
+        STAGE,
+        "a picture without pixels is refused",
+        (0, 6),
+        lambda size: Intrinsics(*size, 7.0, 7.0, 4.0, 3.0),
+        refused("at least one pixel"),
+        partial(np.zeros, dtype=np.float32),
+    ),
+]
+
+CASES = [*THERE_AND_BACK, *FAR, *DEPTHS, *PROJECTING]
