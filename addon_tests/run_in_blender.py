@@ -12,6 +12,7 @@ import os
 import shutil
 import sys
 import traceback
+from collections import Counter
 from pathlib import Path
 
 import bpy
@@ -28,15 +29,28 @@ def packages_folder():
     return Path(os.environ.get("XIHE_TEST_PACKAGES") or ROOT / "build" / "test_packages" / PYTHON).resolve()
 
 
+def why_left_out(item):
+    """Why a whole Blender, or this one, cannot run a test; None if it can."""
+    mark = item.get_closest_marker("wheel_only")
+    if mark is not None:
+        return mark.args[0]
+    if item.get_closest_marker("needs_denoiser"):
+        from xihe_blender.render import can_denoise
+
+        return None if can_denoise(bpy.context.scene) else "this Blender has no OpenImageDenoise"
+    return None
+
+
 class WholeBlender:
-    """A pytest plugin: leaves out the tests marked `wheel_only`, and says so."""
+    """A pytest plugin: leaves out the tests that cannot run here, and says why."""
 
     def __init__(self):
-        self.left_out = []
+        self.left_out = {}
 
     def pytest_collection_modifyitems(self, config, items):
-        self.left_out = [item for item in items if item.get_closest_marker("wheel_only")]
-        config.hook.pytest_deselected(items=self.left_out)
+        reasons = {item: why_left_out(item) for item in items}
+        self.left_out = {item: reason for item, reason in reasons.items() if reason}
+        config.hook.pytest_deselected(items=list(self.left_out))
         items[:] = [item for item in items if item not in self.left_out]
 
     def pytest_report_header(self):
@@ -44,8 +58,8 @@ class WholeBlender:
         return f"Blender {bpy.app.version_string}, NumPy {numpy.__version__} of {Path(numpy.__file__).parent}"
 
     def pytest_terminal_summary(self, terminalreporter):
-        for item in self.left_out:
-            terminalreporter.write_line(f"left out: {item.nodeid}: {item.get_closest_marker('wheel_only').args[0]}")
+        for reason, number in Counter(self.left_out.values()).items():
+            terminalreporter.write_line(f"left out: {number} tests: {reason}")
 
 
 def run(arguments):
