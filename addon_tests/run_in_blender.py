@@ -9,7 +9,6 @@ the exit code is pytest's. A test that a whole Blender cannot run has a marker t
 """
 
 import os
-import shutil
 import sys
 import traceback
 from collections import Counter
@@ -18,10 +17,13 @@ from pathlib import Path
 import bpy
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from xihe_blender.processes import EXIT_CRASHED, leave_blender  # noqa: E402
+
 FOLDERS = ("addon_tests/pure", "addon_tests/in_blender")
 PYTHON = ".".join(str(number) for number in sys.version_info[:2])
 EXIT_NO_PACKAGES = 2
-EXIT_CRASHED = 70
 
 
 def packages_folder():
@@ -78,14 +80,6 @@ def run(arguments):
     return int(pytest.main([*arguments, *([] if has_paths else FOLDERS)], plugins=[WholeBlender()]))
 
 
-def leave(code):
-    """End Blender with `code`. Its own way out ends with 0, or with whatever its libraries' destructors make of it."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
-    os._exit(code)
-
-
 if __name__ == "__main__":
     exit_code = EXIT_CRASHED
     try:
@@ -94,4 +88,4 @@ if __name__ == "__main__":
         # Blender itself would end with 0 after an exception.
         if exit_code == EXIT_CRASHED:
             traceback.print_exc()
-        leave(exit_code)
+        leave_blender(exit_code)
