@@ -12,6 +12,7 @@ lighting back and the Graph Editor shows it; timeline markers show the triggers.
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterable, Sequence
 
 import bpy
@@ -23,6 +24,7 @@ from xihenet.records import ArrayF64
 
 NODE_GROUP_NAME = "Xihe SH Radiance"
 PREFIX = "Xihe "
+MAX_NAME_BYTES = 63
 MARKER_PREFIX = "Xihe trigger"
 GAIN = "Gain"
 COEFFICIENTS = [
@@ -98,8 +100,19 @@ def key_sh_on_world(world: bpy.types.World, frame: int, sh_radiance: ArrayLike, 
 
 
 def world_name(virtual_object: str) -> str:
-    """Name of the world that lights a virtual object, cut to the 63 bytes that Blender keeps of a name."""
-    return f"{PREFIX}{virtual_object}".encode()[:63].decode(errors="ignore")
+    """Name of the world that lights a virtual object; see `name_within_limit`."""
+    return name_within_limit(f"{PREFIX}{virtual_object}")
+
+
+def name_within_limit(name: str) -> str:
+    """`name` in the 63 bytes that every Blender keeps of one.
+
+    A longer one is cut, and ends with a checksum of all of it: objects whose long names begin alike stay apart.
+    """
+    whole = name.encode()
+    if len(whole) <= MAX_NAME_BYTES:
+        return name
+    return f"{whole[: MAX_NAME_BYTES - 9].decode(errors='ignore')} {zlib.crc32(whole):08x}"
 
 
 def mark_trigger(scene: bpy.types.Scene, frame: int, reasons: Iterable[str]) -> None:

@@ -63,6 +63,7 @@ def save_lit_blend(scene: bpy.types.Scene, plan: PrevisPlan, path: Path) -> None
             lit.view_layers.remove(layer)
         worlds = {world_name(item.name): (item.name, bpy.data.worlds[world_name(item.name)]) for item in plan.objects}
         set_up_lit_scene(lit, plan.objects, worlds)
+        lit.render.engine = "CYCLES"
         # Denoised as the report's pictures are. A build without the denoiser would refuse to render with it.
         lit.cycles.use_denoising = can_denoise(lit) and lit.cycles.use_denoising
         with written_whole(path) as beside:

@@ -76,7 +76,12 @@ def working_scene(scene: bpy.types.Scene, name: str, settings: RenderSettings) -
 
 
 def set_up_cycles(scene: bpy.types.Scene, settings: RenderSettings) -> None:
-    """Make `scene` render plain radiance: no border, compositor, sequencer, film exposure or adaptive sampling."""
+    """Make `scene` render plain radiance: no border, compositor, sequencer, film exposure or adaptive sampling.
+
+    UserError where the user has turned Cycles off.
+    """
+    if not hasattr(scene, "cycles"):
+        raise UserError("Cycles is turned off in this Blender: turn on Cycles Render Engine in Preferences > Add-ons")
     render, cycles = scene.render, scene.cycles
     render.engine = "CYCLES"
     render.resolution_x, render.resolution_y = settings.size

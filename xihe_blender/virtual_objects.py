@@ -12,6 +12,7 @@ Not here: hiding the objects for a capture, and the worlds that light them.
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import bpy
@@ -21,6 +22,9 @@ from xihe_blender.units import metres_per_unit
 from xihenet.records import ArrayF64
 
 COLLECTION_NAME = "Xihe Virtual"
+NAME_PATTERN = re.compile(rf"{COLLECTION_NAME}(\.\d{{3,}})?")
+"""Names are unique in a file: of two scenes, the second one's collection is "Xihe Virtual.001"."""
+
 GEOMETRY_TYPES = frozenset({"MESH", "CURVE", "SURFACE", "FONT", "META", "VOLUME", "CURVES", "POINTCLOUD"})
 
 # A box of exactly n spacings is split in n, although its world corners carry float32 rounding.
@@ -39,19 +43,21 @@ def virtual_collection(scene: bpy.types.Scene, *, create: bool = False) -> bpy.t
     Parameters
     ----------
     scene : searched by name, so that a collection of another scene in the same file is not found
-    create : link the collection to the scene if it is missing
+    create : make the collection if it is missing; one that another scene shows stays that scene's
 
     Returns
     -------
     the collection, or None where there is none and `create` is False
     """
-    for collection in scene.collection.children_recursive:
-        if collection.name == COLLECTION_NAME:
-            return collection
+    found = [c for c in scene.collection.children_recursive if NAME_PATTERN.fullmatch(c.name)]
+    if found:
+        return min(found, key=lambda collection: collection.name)
     if not create:
         return None
     # A file that was appended to may hold the collection without any scene that shows it.
-    collection = bpy.data.collections.get(COLLECTION_NAME) or bpy.data.collections.new(COLLECTION_NAME)
+    collection = bpy.data.collections.get((COLLECTION_NAME, None))
+    if collection is None or any(collection in other.collection.children_recursive for other in bpy.data.scenes):
+        collection = bpy.data.collections.new(COLLECTION_NAME)
     scene.collection.children.link(collection)
     return collection
 
