@@ -10,7 +10,12 @@ OUT ?= out
 # How long `make fuzz` searches.
 MINUTES ?= 60
 
-.PHONY: previs test test-fast hard-cases fuzz check format bench scenes clean
+# A whole Blender, its Python, and what the tests need that Blender has not; see addon_tests/run_in_blender.py.
+BLENDER ?= blender
+BLENDER_PYTHON ?= 3.11
+TEST_PACKAGES ?= build/test_packages/$(BLENDER_PYTHON)
+
+.PHONY: previs test test-fast test-packages test-blender hard-cases fuzz check format bench scenes clean
 
 previs: $(VENV)/installed
 	$(BIN)/xihe previs blend_scenes/living_room.blend --out $(OUT) --preset draft
@@ -26,6 +31,12 @@ hard-cases: $(VENV)/installed
 
 fuzz: $(VENV)/installed
 	$(BIN)/python addon_tests/fuzz.py --minutes $(MINUTES)
+
+test-packages: $(TEST_PACKAGES)/installed
+
+test-blender: $(TEST_PACKAGES)/installed
+	XIHE_TEST_PACKAGES=$(TEST_PACKAGES) $(BLENDER) --background --factory-startup \
+		--python addon_tests/run_in_blender.py -- $(PYTEST_ARGUMENTS)
 
 check: $(VENV)/installed
 	$(BIN)/ruff format --check .
@@ -56,4 +67,12 @@ $(VENV)/installed: pyproject.toml
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --editable ".[$(EXTRAS)]"
 	@$(BIN)/python -c "import bpy" || { echo "Blender's libraries are missing: run '.ci/system_packages' as root (Debian, Ubuntu)"; exit 1; }
+	@touch $@
+
+# NumPy is Blender's own: what depends on it is installed alone.
+$(TEST_PACKAGES)/installed:
+	$(PYTHON) -m pip install --quiet --target $(TEST_PACKAGES) --python-version $(BLENDER_PYTHON) \
+		--only-binary=:all: "pytest>=8" "pytest-timeout>=2.3" "hypothesis>=6.100" "pillow>=10"
+	$(PYTHON) -m pip install --quiet --target $(TEST_PACKAGES) --python-version $(BLENDER_PYTHON) \
+		--only-binary=:all: --no-deps "scipy>=1.11"
 	@touch $@

@@ -332,7 +332,8 @@ def blender_output_aside() -> Iterator[tuple[Any, Any]]:
         # Registered after Blender was loaded, it runs before Blender ends, and 4.5 prints a line to stdout as it ends.
         atexit.unregister(_close_stdout)
         atexit.register(_close_stdout)
-        for stream in streams:
+        # A whole Blender writes what its operators report through Python's own stdout.
+        for stream in (sys.stdout, sys.stderr, *streams):
             stream.flush()
         for place, descriptor in enumerate(real, start=1):
             os.dup2(descriptor, place)

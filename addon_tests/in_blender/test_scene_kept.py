@@ -71,6 +71,17 @@ def test_the_snapshot_sees_what_a_render_does_to_edits_without_a_key():
     assert "objects/Phone/location" in changed and new == ["images/Render Result"]
 
 
+@pytest.mark.parametrize("kind", ["POINT", "SUN", "SPOT", "AREA"])
+def test_the_snapshot_sees_a_lamp(kind):
+    scene = walk(1)
+    lamp = bpy.data.lights.new("Bulb", kind)
+    scene.collection.objects.link(bpy.data.objects.new("Bulb", lamp))
+    before = snapshot()
+    assert differences(before, snapshot()) == ({}, [])
+    lamp.energy = 7
+    assert set(differences(before, snapshot())[0]) == {"lights/Bulb/energy"}
+
+
 def test_the_scene_is_as_it_was_after_a_run(tmp_path):
     scene = lived_in_scene()
     before = snapshot()
