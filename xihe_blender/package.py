@@ -91,7 +91,9 @@ def default_wheels_folder() -> Path:
 
 def run_package(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     """The command: options in, the zip's path and size out."""
-    if options.out.exists() and not options.out.is_dir():
-        raise UserError(f"{options.out} is a file: give a folder with --out")
-    path = build_extension(options.out, options.wheels or default_wheels_folder())
+    wheels = options.wheels or default_wheels_folder()
+    for folder, option in ((options.out, "--out"), (wheels, "--wheels")):
+        if folder.exists() and not folder.is_dir():
+            raise UserError(f"{folder} is a file: give a folder with {option}")
+    path = build_extension(options.out, wheels)
     print(f"{path} ({path.stat().st_size / 1e6:.1f} MB)", file=stdout)

@@ -32,7 +32,7 @@ def project_wheel(checkout: Path = CHECKOUT) -> tuple[str, bytes]:
     settings = tomllib.loads((checkout / "pyproject.toml").read_text(encoding="utf-8"))
     project = settings["project"]
     contents = _packages(checkout, settings["tool"]["setuptools"])
-    version = f"{__version__}+{hashlib.sha256(packed(contents)).hexdigest()[:8]}"
+    version = f"{__version__}+{_digest(contents)[:8]}"
     stem = f"{project['name'].replace('-', '_')}-{version}"
     info = f"{stem}.dist-info"
     contents[f"{info}/METADATA"] = _metadata(project, version)
@@ -56,6 +56,14 @@ def _packages(checkout: Path, setuptools: dict[str, Any]) -> Contents:
             files.update(package.glob("*.py"))
             files.update(file for pattern in data.get(name, ()) for file in package.glob(pattern))
     return {file.relative_to(checkout).as_posix(): file.read_bytes() for file in files}
+
+
+def _digest(contents: Contents) -> str:
+    """One hash of all names and contents."""
+    digest = hashlib.sha256()
+    for name, content in sorted(contents.items()):
+        digest.update(f"{name}\0{len(content)}\0".encode() + content)
+    return digest.hexdigest()
 
 
 def _metadata(project: dict[str, Any], version: str) -> bytes:
