@@ -1,6 +1,6 @@
 """These tests need a whole Blender: without the command for one they are not collected, and the run says so.
 
-    make test-blender BLENDER=/path/to/blender
+    make test-extension BLENDER=/path/to/blender
 
 One extension is built for all of them. Each Blender gets a folder of its own for what it keeps of a user.
 """
