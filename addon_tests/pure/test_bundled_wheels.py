@@ -11,6 +11,7 @@ from xihe_blender.package import MANIFEST
 
 PLATFORMS = {"manylinux": "linux", "macosx": "macos", "win": "windows"}
 MACHINES = {"x86_64": "x64", "amd64": "x64", "arm64": "arm64"}
+NEEDS_PIP = pytest.mark.wheel_only("a whole Blender's Python may have no pip")
 
 
 @pytest.fixture
@@ -23,6 +24,7 @@ def shelf(tmp_path, monkeypatch):
     return tmp_path / "shelf"
 
 
+@NEEDS_PIP
 def test_missing_wheels_are_fetched_whatever_this_machine_is(shelf, tmp_path):
     pinned = made_up_wheels(shelf)
     files = wheel_files(tmp_path / "cache", pinned)
@@ -35,12 +37,14 @@ def test_wheels_that_are_there_are_not_fetched_again(shelf, tmp_path):
     assert [file.read_bytes() for file in wheel_files(tmp_path / "cache", pinned)] == [tiny_wheel(n) for n in NAMES]
 
 
+@NEEDS_PIP
 def test_a_wheel_that_cannot_be_fetched_is_named_with_what_pip_says(shelf, tmp_path):
     with pytest.raises(UserError, match=rf"{NAMES[0]} cannot be fetched: put it into .*No matching distribution"):
         wheel_files(tmp_path / "cache", {NAMES[0]: "0" * 64})
     assert not (tmp_path / "cache").exists()
 
 
+@NEEDS_PIP
 def test_a_fetched_file_with_another_hash_is_refused_and_not_kept(shelf, tmp_path):
     made_up_wheels(shelf)
     with pytest.raises(UserError, match=r"is not the file that bundled_wheels\.toml names"):

@@ -133,6 +133,7 @@ def test_the_wheel_records_every_file_as_it_is(wheel):
         assert int(size) == len(contents[name])
 
 
+@pytest.mark.wheel_only("a whole Blender's Python may have no pip")
 def test_pip_installs_the_wheel_and_it_estimates_light_without_the_checkout(wheel, tmp_path):
     name, content = wheel
     (tmp_path / name).write_bytes(content)

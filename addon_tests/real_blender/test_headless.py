@@ -7,6 +7,8 @@ import subprocess
 import time
 from pathlib import Path
 
+import numpy as np
+import OpenEXR
 import pytest
 from results_schema import check_results, read_strictly, without_times
 
@@ -85,6 +87,19 @@ def test_what_needs_a_checkout_says_so(blender, tmp_path):
 def test_help_ends_well(blender):
     done = blender.xihe("--help")
     assert done.returncode == 0 and done.stdout.startswith("usage: xihe")
+
+
+def test_frames_of_other_programs_are_read_by_the_bundled_package(blender, tmp_path):
+    path = tmp_path / "frame.exr"
+    header = {"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage}
+    pixels = np.random.default_rng(0).random((12, 16)).astype(np.float32) + 1
+    with OpenEXR.File(header, {name: OpenEXR.Channel(pixels) for name in "RGBZ"}) as file:
+        file.write(str(path))
+    camera = {"width": 16, "height": 12, "fx": 16, "fy": 16, "cx": 8, "cy": 6, "world_from_camera": np.eye(4).tolist()}
+    (tmp_path / "camera.json").write_text(json.dumps(camera))
+    done = blender.xihe("estimate", path, "--camera", tmp_path / "camera.json", "--at", "0,0,-1", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["positions"][0]["is_valid"]
 
 
 def test_a_data_set_is_built_by_more_blenders(blender, tmp_path):
