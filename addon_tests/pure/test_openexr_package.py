@@ -8,9 +8,7 @@ import pytest
 from xihenet.frame_files import read_exr_channels
 from xihenet.openexr_package import is_installed, read_by_package
 
-pytestmark = pytest.mark.wheel_only(
-    "the OpenEXR package, which writes these files, crashes beside Blender's own"
-)
+pytestmark = pytest.mark.wheel_only("the OpenEXR package, which writes these files, crashes beside Blender's own")
 NAMES = ("ViewLayer.Combined.R", "a/b, ü.Z", "names")
 
 
