@@ -21,7 +21,9 @@ collect_ignore_glob = [] if HAS_BLENDER else ["test_*.py"]
 
 def pytest_terminal_summary(terminalreporter):
     if not HAS_BLENDER:
-        terminalreporter.write_line(f"{COMMAND} is not set: addon_tests/real_blender was left out", yellow=True)
+        terminalreporter.write_line(
+            f"{COMMAND} is not set: the extension's tests of addon_tests/real_blender were left out", yellow=True
+        )
 
 
 @pytest.fixture(scope="session")
