@@ -15,7 +15,8 @@ BLENDER ?= blender
 BLENDER_PYTHON ?= 3.11
 TEST_PACKAGES ?= build/test_packages/$(BLENDER_PYTHON)
 
-.PHONY: previs test test-fast test-packages test-blender hard-cases fuzz check format bench scenes clean
+.PHONY: previs test test-fast test-packages test-blender test-extension package hard-cases fuzz check format bench \
+	scenes clean
 
 previs: $(VENV)/installed
 	$(BIN)/xihe previs blend_scenes/living_room.blend --out $(OUT) --preset draft
@@ -37,6 +38,12 @@ test-packages: $(TEST_PACKAGES)/installed
 test-blender: $(TEST_PACKAGES)/installed
 	XIHE_TEST_PACKAGES=$(TEST_PACKAGES) $(BLENDER) --background --factory-startup \
 		--python addon_tests/run_in_blender.py -- $(PYTEST_ARGUMENTS)
+
+test-extension: $(VENV)/installed
+	XIHE_BLENDER="$(BLENDER)" $(BIN)/python -m pytest addon_tests/real_blender
+
+package: $(VENV)/installed
+	$(BIN)/xihe package --out $(OUT)
 
 check: $(VENV)/installed
 	$(BIN)/ruff format --check .

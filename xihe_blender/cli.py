@@ -106,6 +106,7 @@ def _parser() -> argparse.ArgumentParser:
     scenes.add_argument("action", choices=("build",), help="build the .blend files from their scripts")
     scenes.set_defaults(run=_scenes)
     _add_dataset(commands)
+    _add_package(commands)
     commands.add_parser("train", help="train estimators and report on them: see xihe train --help")
     return parser
 
@@ -148,6 +149,16 @@ def _add_estimate(commands: Any) -> None:
     add("--json", action="store_true", help="JSON on stdout, and nothing else")
     add("--out", type=Path, metavar="DIR", help="folder for estimate.json and a picture of each light")
     estimate.set_defaults(run=run_estimate)
+
+
+def _add_package(commands: Any) -> None:
+    from xihe_blender.package import run_package
+
+    package = commands.add_parser("package", help="the Blender extension as a zip, from a checkout; needs no Blender")
+    add = package.add_argument
+    add("--out", type=Path, required=True, metavar="DIR", help="folder for xihe-<version>.zip")
+    add("--wheels", type=Path, metavar="DIR", help="wheels of others; missing ones are fetched; default: a cache")
+    package.set_defaults(run=run_package)
 
 
 def with_positions_bound(typed: Sequence[str]) -> list[str]:
@@ -330,10 +341,10 @@ def blender_output_aside() -> Iterator[tuple[Any, Any]]:
         yield streams[0], streams[1]
     finally:
         # Registered after Blender was loaded, it runs before Blender ends, and 4.5 prints a line to stdout as it ends.
-        atexit.unregister(_close_stdout)
-        atexit.register(_close_stdout)
-        # A whole Blender writes what its operators report through Python's own stdout.
-        for stream in (sys.stdout, sys.stderr, *streams):
+        atexit.unregister(close_stdout)
+        atexit.register(close_stdout)
+        # Blender's operators write what they report through Python's own stream.
+        for stream in (*streams, sys.stdout, sys.stderr):
             stream.flush()
         for place, descriptor in enumerate(real, start=1):
             os.dup2(descriptor, place)
@@ -341,7 +352,7 @@ def blender_output_aside() -> Iterator[tuple[Any, Any]]:
         os.close(aside)
 
 
-def _close_stdout() -> None:
+def close_stdout() -> None:
     """Send what still comes from this process' C++ nowhere."""
     with contextlib.suppress(OSError, ValueError):
         sys.stdout.flush()

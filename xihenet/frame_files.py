@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xihenet import exr
+from xihenet import exr, openexr_package
 from xihenet.camera import encode_exposed, metered_exposure, sensed_ambient, valid_plane_depth
 from xihenet.colour import srgb_to_linear
 from xihenet.records import ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
@@ -235,20 +235,9 @@ def read_exr_channels(path: Path) -> dict[str, ArrayF32]:
     try:
         return exr.read_exr(path)
     except exr.OtherExr as error:
-        return _read_by_openexr(path, error)
-
-
-def _read_by_openexr(path: Path, why: exr.OtherExr) -> dict[str, ArrayF32]:
-    try:
-        import OpenEXR
-    except ImportError as error:
-        fix = "save it in scan lines with ZIP compression, or pip install 'xihe-blender[images]'"
-        raise ValueError(f"{why}: {fix}") from error
-    channels: dict[str, ArrayF32] = {}
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        for part in file.parts:
-            for name, channel in part.channels.items():
-                channels[name] = channel.pixels.astype(np.float32, copy=False)
+        if not openexr_package.is_installed():
+            raise ValueError(f"{error}: save it in scan lines with ZIP compression, or pip install OpenEXR") from error
+    channels = openexr_package.read_by_package(path)
     # A part whose pixels are broken is left out without an error.
     if not channels:
         raise ValueError(f"{path}: its pixels cannot be read, it may be cut short: save it again")
@@ -256,10 +245,7 @@ def _read_by_openexr(path: Path, why: exr.OtherExr) -> dict[str, ArrayF32]:
 
 
 def _exr_frame(path: Path, camera: FrameCamera, exposure: float | None) -> RgbdFrame:
-    try:
-        channels = read_exr_channels(path)
-    except RuntimeError as error:
-        raise ValueError(f"{path}: expected an OpenEXR file, and could not read it ({error})") from error
+    channels = read_exr_channels(path)
     colour, plane_depth_channel = _frame_channels(channels, path)
     radiance = np.stack([channels[name] for name in colour], axis=-1)
     plane_depth_m = channels[plane_depth_channel]

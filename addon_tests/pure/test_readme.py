@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from xihe_blender.cli import _parser
+from xihenet import __version__
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -32,12 +33,26 @@ def test_xihe_commands_of_the_readme_are_understood(command):
     assert scene is None or not str(scene).startswith("blend_scenes") or (ROOT / scene).exists()
 
 
+@pytest.mark.parametrize("command", [c for c in COMMANDS if c.startswith("blender --command xihe ")])
+def test_the_same_holds_inside_blender(command):
+    _parser().parse_args(shlex.split(command)[3:])
+
+
+def test_the_readme_names_the_extension_as_it_is_built():
+    assert set(re.findall(r"xihe-[\d.]+\.zip", README)) == {f"xihe-{__version__}.zip"}
+
+
+def test_scripts_of_the_readme_that_blender_runs_exist():
+    scripts = [shlex.split(c)[4] for c in COMMANDS if c.startswith("blender --background ")]
+    assert scripts and all((ROOT / script).exists() for script in scripts)
+
+
 def test_the_readme_begins_with_the_two_commands():
     assert [c for c in COMMANDS if c.startswith("make ")][:2] == ["make previs", "make test"]
 
 
 def test_every_command_of_the_readme_is_of_a_kind_that_is_tested_here():
-    assert all(command.split()[0] in ("make", "xihe") for command in COMMANDS)
+    assert all(command.split()[0] in ("make", "xihe", "blender") for command in COMMANDS)
 
 
 def test_files_that_the_readme_links_to_exist():

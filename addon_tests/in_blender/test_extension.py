@@ -1,0 +1,40 @@
+"""The extension's zip in the eyes of Blender itself: its own validator, which comes with the bpy wheel."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import bpy
+import pytest
+
+from addon_tests.pure.made_up_wheels import made_up_wheels
+from xihe_blender.archive import packed
+from xihe_blender.bundled_wheels import pinned_wheels
+from xihe_blender.package import build_extension
+
+VALIDATOR = Path(bpy.utils.system_resource("SCRIPTS")) / "addons_core/bl_pkg/cli/blender_ext.py"
+
+
+def validate(path):
+    """Exit code and all that the validator says."""
+    done = subprocess.run([sys.executable, VALIDATOR, "validate", path], capture_output=True, text=True, timeout=100)
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.fixture(scope="module")
+def extension(tmp_path_factory):
+    """A zip with wheels of the names that are bundled, but nothing in them."""
+    folder = tmp_path_factory.mktemp("extension")
+    pinned = made_up_wheels(folder / "wheels", tuple(pinned_wheels()))
+    return build_extension(folder / "out", folder / "wheels", pinned=pinned)
+
+
+def test_blender_finds_nothing_wrong_with_the_extension(extension):
+    code, said = validate(extension)
+    assert code == 0 and "Success" in said, said
+
+
+def test_blender_would_say_if_something_were_wrong(tmp_path):
+    (tmp_path / "wrong.zip").write_bytes(packed({"__init__.py": b"", "blender_manifest.toml": b'id = "xihe"\n'}))
+    code, said = validate(tmp_path / "wrong.zip")
+    assert code != 0 and "missing" in said.lower(), said

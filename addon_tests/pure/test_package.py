@@ -1,0 +1,200 @@
+"""The extension's zip: what is in it, that it is the same every time, and that nothing half done is left."""
+
+import base64
+import csv
+import hashlib
+import io
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from addon_tests.pure.made_up_wheels import NAMES, made_up_wheels
+from xihe_blender.errors import UserError
+from xihe_blender.package import build_extension
+from xihe_blender.project_wheel import project_wheel
+from xihenet import __version__
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = ("xihenet", "xihe_blender", "pyproject.toml", "LICENSE")
+
+
+def xihe(*arguments, **options):
+    command = [sys.executable, "-W", "error", "-m", "xihe_blender", *map(str, arguments)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=100, **options)
+
+
+def assert_refused(done, *words):
+    """Exit 2, nothing on stdout, and one line on stderr with `words` in it."""
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
+    assert done.stderr.startswith("xihe: ")
+    for word in words:
+        assert word in done.stderr
+
+
+def copy_of_the_checkout(folder):
+    """What a package is made of, in another place, with other times and in another order."""
+    for name in reversed(SOURCES):
+        if (ROOT / name).is_dir():
+            shutil.copytree(ROOT / name, folder / name, copy_function=shutil.copy)
+        else:
+            folder.mkdir(exist_ok=True)
+            shutil.copy(ROOT / name, folder / name)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """The zip, and the folder of the made-up wheels in it."""
+    folder = tmp_path_factory.mktemp("package")
+    pinned = made_up_wheels(folder / "wheels")
+    return build_extension(folder / "out", folder / "wheels", pinned=pinned), folder / "wheels"
+
+
+@pytest.fixture(scope="module")
+def manifest(built):
+    with zipfile.ZipFile(built[0]) as archive:
+        return tomllib.loads(archive.read("blender_manifest.toml").decode())
+
+
+@pytest.fixture(scope="module")
+def wheel():
+    return project_wheel()
+
+
+# ------------------------------------------------------------------------------------------------------------- the zip
+
+
+def test_the_zip_holds_manifest_registration_licence_and_wheels_and_nothing_else(built, wheel):
+    with zipfile.ZipFile(built[0]) as archive:
+        names = archive.namelist()
+    assert built[0].name == f"xihe-{__version__}.zip"
+    wheels = [f"wheels/{name}" for name in (*NAMES, wheel[0])]
+    assert sorted(names) == sorted(["__init__.py", "LICENSE", "blender_manifest.toml", *wheels])
+
+
+def test_wheels_of_others_are_not_changed(built):
+    path, wheels = built
+    with zipfile.ZipFile(path) as archive:
+        for name in NAMES:
+            assert archive.read(f"wheels/{name}") == (wheels / name).read_bytes()
+
+
+def test_the_manifest_lists_the_wheels_of_the_zip(built, manifest):
+    with zipfile.ZipFile(built[0]) as archive:
+        in_zip = {f"./{name}" for name in archive.namelist() if name.endswith(".whl")}
+    assert len(manifest["wheels"]) == len(in_zip) and set(manifest["wheels"]) == in_zip
+
+
+def test_the_manifest_says_who_it_is_and_asks_for_files_alone(manifest):
+    assert (manifest["id"], manifest["version"]) == ("xihe", __version__)
+    assert manifest["blender_version_min"] == "4.2.0"
+    assert manifest["license"] == ["SPDX:GPL-3.0-or-later"]
+    assert manifest["permissions"].keys() == {"files"}
+
+
+def test_the_same_input_makes_the_same_bytes(built, tmp_path):
+    pinned = made_up_wheels(tmp_path / "wheels", tuple(reversed(NAMES)))
+    checkout = copy_of_the_checkout(tmp_path / "checkout")
+    again = build_extension(tmp_path / "out", tmp_path / "wheels", pinned=pinned, checkout=checkout)
+    assert again.read_bytes() == built[0].read_bytes()
+
+
+# ------------------------------------------------------------------------------------------------ this project's wheel
+
+
+def test_the_wheel_holds_every_file_of_both_packages(wheel):
+    files = {
+        path.relative_to(ROOT).as_posix()
+        for package in ("xihenet", "xihe_blender")
+        for path in (ROOT / package).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    with zipfile.ZipFile(io.BytesIO(wheel[1])) as archive:
+        in_wheel = {name for name in archive.namelist() if ".dist-info/" not in name}
+    assert in_wheel == files
+
+
+def test_the_wheel_records_every_file_as_it_is(wheel):
+    with zipfile.ZipFile(io.BytesIO(wheel[1])) as archive:
+        contents = {name: archive.read(name) for name in archive.namelist()}
+    record = next(name for name in contents if name.endswith(".dist-info/RECORD"))
+    rows = {name: (digest, size) for name, digest, size in csv.reader(contents[record].decode().splitlines())}
+    assert rows.keys() == contents.keys() and rows.pop(record) == ("", "")
+    for name, (digest, size) in rows.items():
+        padded = digest.removeprefix("sha256=") + "="
+        assert base64.urlsafe_b64decode(padded).hex() == hashlib.sha256(contents[name]).hexdigest()
+        assert int(size) == len(contents[name])
+
+
+@pytest.mark.wheel_only("a whole Blender's Python may have no pip")
+def test_pip_installs_the_wheel_and_it_estimates_light_without_the_checkout(wheel, tmp_path):
+    name, content = wheel
+    (tmp_path / name).write_bytes(content)
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps", "--no-compile"]
+    subprocess.run([*pip, "--target", tmp_path / "site", tmp_path / name], check=True, timeout=100)
+    code = "import xihenet.estimators as e, xihe_blender.cli; print(xihe_blender.__file__, e.load('lattice').name)"
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path / "site")}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=100
+    )
+    assert done.stdout.split() == [str(tmp_path / "site" / "xihe_blender" / "__init__.py"), "lattice"], done.stderr
+
+
+def test_another_content_makes_another_version_of_the_wheel(wheel, tmp_path):
+    checkout = copy_of_the_checkout(tmp_path / "checkout")
+    assert project_wheel(checkout)[0] == wheel[0]
+    with (checkout / "xihenet" / "sh.py").open("a", encoding="utf-8") as file:
+        file.write("# Another line.\n")
+    assert project_wheel(checkout)[0] != wheel[0]
+
+
+def test_what_is_no_checkout_is_refused(tmp_path):
+    with pytest.raises(UserError, match="is no checkout of the project"):
+        project_wheel(tmp_path)
+
+
+# -------------------------------------------------------------------------------------------------- whole or not at all
+
+
+def test_a_zip_that_cannot_be_written_leaves_the_one_before(tmp_path):
+    before = tmp_path / f"xihe-{__version__}.zip"
+    before.write_bytes(b"the one before")
+    made_up_wheels(tmp_path / "wheels")
+    code = (
+        "import sys, pathlib as p; from xihe_blender.package import build_extension;"
+        "build_extension(p.Path(sys.argv[1]), p.Path(sys.argv[1]) / 'wheels', pinned={})"
+    )
+    limit = 1 << 16
+    done = subprocess.run(
+        [sys.executable, "-c", code, tmp_path],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+    )
+    assert done.returncode == 1 and "OSError" in done.stderr
+    assert before.read_bytes() == b"the one before"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["wheels", before.name]
+
+
+def test_a_file_in_place_of_the_folder_is_refused(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    assert_refused(xihe("package", "--out", tmp_path / "file"), "is a file", "--out")
+    assert_refused(xihe("package", "--out", tmp_path / "out", "--wheels", tmp_path / "file"), "is a file", "--wheels")
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_the_command_refuses_a_wheel_that_is_not_the_pinned_one(tmp_path):
+    from xihe_blender.bundled_wheels import pinned_wheels
+
+    made_up_wheels(tmp_path / "wheels", tuple(pinned_wheels()))
+    done = xihe("package", "--out", tmp_path / "out", "--wheels", tmp_path / "wheels")
+    assert_refused(done, next(iter(pinned_wheels())), "SHA-256", "delete it")
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,141 @@
+"""Blender without a window: the command, a script, and the packages themselves do one and the same."""
+
+import json
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+from results_schema import check_results, read_strictly, without_times
+
+from addon_tests.real_blender.whole_blender import ROOT, SCENE, SMALL
+
+EXAMPLE = ROOT / "docs" / "previs_in_blender.py"
+AS_MODULE = (
+    "import runpy, sys; sys.argv = ['xihe', *sys.argv[sys.argv.index('--') + 1 :]];"
+    "runpy.run_module('xihe_blender', run_name='__main__')"
+)
+
+
+def assert_refused(done, *words):
+    """Exit 2, nothing on stdout, and one line on stderr with `words` in it."""
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stdout + done.stderr
+    assert done.stderr.startswith("xihe: ")
+    for word in words:
+        assert word in done.stderr
+
+
+@pytest.fixture(scope="module")
+def commanded(blender, tmp_path_factory):
+    """A run by the command: what it said, and its folder."""
+    out = tmp_path_factory.mktemp("commanded") / "out"
+    return blender.xihe("previs", SCENE, "--out", out, *SMALL), out
+
+
+def results_of(out):
+    return without_times(read_strictly(out / "results.json"))
+
+
+def test_the_command_makes_a_whole_run(commanded):
+    done, out = commanded
+    assert done.returncode == 0, done.stderr
+    check_results(read_strictly(out / "results.json"))
+    result, report = done.stdout.splitlines()
+    assert "3 of 3 frames" in result and report == str(out / "report.html")
+
+
+def test_a_script_with_the_public_api_gives_the_same_results(blender, commanded, tmp_path):
+    said = blender.background(SCENE, "--python", EXAMPLE, "--", tmp_path / "out")
+    assert "estimates, see" in said
+    assert results_of(tmp_path / "out") == results_of(commanded[1])
+
+
+def test_the_package_run_as_a_module_gives_the_same_results(blender, commanded, tmp_path):
+    blender.background("--python-expr", AS_MODULE, "--", "previs", SCENE, "--out", tmp_path / "out", *SMALL)
+    assert results_of(tmp_path / "out") == results_of(commanded[1])
+
+
+def test_the_same_command_says_that_the_run_is_done(blender, commanded):
+    again = blender.xihe("previs", SCENE, "--out", commanded[1], *SMALL)
+    assert again.returncode == 0 and "already done" in again.stderr
+
+
+def test_with_json_stdout_holds_the_json_alone(blender):
+    done = blender.xihe("effects", SCENE, "--plan-only", "--frames", "1", "--json")
+    assert done.returncode == 0, done.stderr
+    assert {"name", "state"} <= json.loads(done.stdout)[0].keys()
+
+
+def test_a_mistake_is_one_line_and_exit_code_2(blender, tmp_path):
+    assert_refused(blender.xihe("prewiew"), "'prewiew'")
+    assert_refused(blender.xihe("previs", tmp_path / "nowhere.blend", "--out", tmp_path / "out"), "no such file")
+
+
+def test_training_says_in_one_line_that_torch_is_missing(blender):
+    assert_refused(blender.xihe("train"), "torch is not installed")
+
+
+def test_what_needs_a_checkout_says_so(blender, tmp_path):
+    assert_refused(blender.xihe("package", "--out", tmp_path), "checkout")
+    assert_refused(blender.xihe("scenes", "build"), "checkout")
+
+
+def test_help_ends_well(blender):
+    done = blender.xihe("--help")
+    assert done.returncode == 0 and done.stdout.startswith("usage: xihe")
+
+
+def test_frames_of_other_programs_are_read_by_the_bundled_package(blender, tmp_path):
+    path = tmp_path / "frame.exr"
+    header = {"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage}
+    pixels = np.random.default_rng(0).random((12, 16)).astype(np.float32) + 1
+    with OpenEXR.File(header, {name: OpenEXR.Channel(pixels) for name in "RGBZ"}) as file:
+        file.write(str(path))
+    camera = {"width": 16, "height": 12, "fx": 16, "fy": 16, "cx": 8, "cy": 6, "world_from_camera": np.eye(4).tolist()}
+    (tmp_path / "camera.json").write_text(json.dumps(camera))
+    done = blender.xihe("estimate", path, "--camera", tmp_path / "camera.json", "--at", "0,0,-1", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["positions"][0]["is_valid"]
+
+
+def test_a_data_set_is_built_by_more_blenders(blender, tmp_path):
+    done = blender.xihe("dataset", "build", "--rooms", "1", "--workers", "1", "--out", tmp_path / "rooms")
+    assert done.returncode == 0, done.stderr
+    assert [path.name for path in (tmp_path / "rooms").glob("*.npz")] == ["room_000000.npz"]
+
+
+def blender_process(*words):
+    """The id of the Blender whose arguments contain `words`, once it is there."""
+    for _ in range(100):
+        for folder in Path("/proc").glob("[0-9]*"):
+            try:
+                arguments = (folder / "cmdline").read_bytes().decode().split("\0")
+            except OSError:
+                continue
+            if Path(arguments[0]).name.startswith("blender") and set(words) <= set(arguments):
+                return int(folder.name)
+        time.sleep(0.1)
+    raise AssertionError(f"no Blender with {words}")
+
+
+def test_ctrl_c_stops_a_run_that_the_same_command_finishes(blender, commanded, tmp_path):
+    out = tmp_path / "out"
+    arguments = ("--command", "xihe", "previs", SCENE, "--out", out, *SMALL)
+    environment = {**os.environ, "BLENDER_USER_RESOURCES": str(blender.user)}
+    with subprocess.Popen(
+        blender.command(*arguments), env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        for line in process.stderr:
+            if "capturing frame 7" in line:
+                os.kill(blender_process(str(out)), signal.SIGINT)
+                break
+        stdout, stderr = process.communicate(timeout=100)
+    assert process.returncode == 130, stderr
+    assert stdout == "" and "the same command goes on from here" in stderr
+    assert not (out / "results.json").exists()
+    assert blender.run(*arguments).returncode == 0
+    assert results_of(out) == results_of(commanded[1])
