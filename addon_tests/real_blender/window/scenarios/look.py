@@ -1,0 +1,28 @@
+"""Nothing but a look: the tab as it is when a file is opened, with everything in it unfolded and what buttons say."""
+
+import sys
+from pathlib import Path
+
+import bpy
+
+sys.path[:0] = [str(Path(__file__).resolve().parent), str(Path(__file__).resolve().parents[1])]
+
+from window_steps import begin
+
+
+def scenario(w):
+    yield from w.open_tab()
+    w.facts["width"] = w.sidebar.width
+    w.facts["language"] = bpy.context.preferences.view.language
+    w.picture("tab")
+    if hasattr(bpy.types, "XIHE_OT_run"):
+        yield from w.find("xihe.run(")
+        yield 1.2
+        w.picture("run_hovered")
+    w.facts["worlds"] = sorted(world.name for world in bpy.data.worlds)
+    w.facts["n_missing_types"] = sum(
+        "Undefined" in repr(node.bl_idname) for t in bpy.data.node_groups for node in t.nodes
+    )
+
+
+begin(scenario)
