@@ -1,0 +1,28 @@
+"""How does an operator say that it could not do what was asked? In one line, and as the last error of the panel."""
+
+from __future__ import annotations
+
+import bpy
+
+from xihe_blender.errors import UserError
+
+FAILURES = (UserError, OSError, ReferenceError)
+"""What a user can mend; anything else is a mistake of ours, and its traceback should be seen."""
+
+
+def said_of(error: BaseException) -> str:
+    """`error` in one line."""
+    if isinstance(error, ReferenceError):
+        return "The scene, or an object of it, was deleted meanwhile: start again"
+    if isinstance(error, OSError) and error.strerror:
+        place = "" if error.filename is None else f"{error.filename}: "
+        return f"{place}{error.strerror}"
+    return " ".join(str(error).split())
+
+
+def failed(operator: bpy.types.Operator, context: bpy.types.Context, error: BaseException) -> set[str]:
+    """Report `error` and give what the operator returns."""
+    line = said_of(error)
+    context.window_manager.xihe.error = line
+    operator.report({"ERROR"}, line)
+    return {"CANCELLED"}
