@@ -19,6 +19,8 @@ MODULES = (
     "run_operator",
     "result_operators",
     "light_operators",
+    "panels",
+    "overlay",
 )
 
 

@@ -166,6 +166,7 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
     effects: bpy.props.CollectionProperty(
         name="Effects", description="What the scene calls for, effect by effect", type=XiheEffectRow
     )
+    active_effect: bpy.props.IntProperty(name="Active Effect", description="The effect whose reason is shown")
     show_positions: bpy.props.BoolProperty(
         name="Show Positions",
         description="Show where the light of virtual objects is estimated, and how much was seen around there",

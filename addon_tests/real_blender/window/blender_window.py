@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-SCENARIOS = Path(__file__).resolve().parent / "scenarios"
+SCRIPT = Path(__file__).resolve().parent / "run_scenario.py"
 COMPLAINT = re.compile(r"Traceback|Error|rna_uiItem|uiItem|not found|unsupported|leak", re.IGNORECASE)
 HARMLESS = re.compile(r"XDG_RUNTIME_DIR|ALSA|libEGL|EGL|audio|libdecor|color management|OCIO|MESA", re.IGNORECASE)
 
@@ -39,10 +39,11 @@ class WindowRun:
 def run_in_window(
     scenario: str, out: Path, *, blend: Path | None = None, add_on: str | None = None, timeout_s: float = 280
 ) -> WindowRun:
-    """Run scenarios/<scenario>.py; `blend` is opened before, `add_on` as `window_steps.begin` takes it."""
+    """Run scenarios/<scenario>.py; `blend` is opened before, `add_on` as run_scenario.py takes it."""
     command = shlex.split(os.environ["XIHE_BLENDER_WINDOW"]) + ["--factory-startup"]
     command += [] if blend is None else [str(blend)]
-    command += ["--python-exit-code", "1", "--python", str(SCENARIOS / f"{scenario}.py"), "--", "--out", str(out)]
+    command += ["--python-exit-code", "1", "--python", str(SCRIPT), "--"]
+    command += ["--scenario", scenario, "--out", str(out)]
     command += ["--site", os.environ.get("XIHE_BLENDER_SITE", "")]
     command += ["--add-on", add_on or os.environ.get("XIHE_BLENDER_ADD_ON", "checkout")]
     done = subprocess.run(

@@ -1,8 +1,8 @@
 """How does a script use Blender's window as an artist would: look, rest the mouse on something, click, press keys?
 
 Runs inside a Blender with a window. A scenario is a generator: it acts, and yields the seconds to wait before it goes
-on, during which Blender draws and handles what the mouse and the keys did. `begin` registers the add-on, drives the
-scenario from a timer and ends Blender: exit code 0 at its end, 1 after an error, with a picture of the window as it was.
+on, during which Blender draws and handles what the mouse and the keys did. `play` drives it from a timer and ends
+Blender: exit code 0 at its end, 1 after an error, with a picture of the window as it was then.
 
 Where is a button? The mouse is moved over the sidebar, from the top down, and Blender itself is asked at each place
 what is under the mouse: its operators "Copy Python Command" and "Copy Full Data Path" answer for the button that is
@@ -14,7 +14,6 @@ Pictures are taken of the whole virtual screen with ImageMagick's `import`, mous
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import json
 import os
@@ -29,7 +28,6 @@ import bpy
 
 Steps = Generator[float, None, Any]
 
-ROOT = Path(__file__).resolve().parents[3]
 HOVER_S = 0.06
 ROW_PX = 9
 
@@ -137,35 +135,6 @@ _copy_path = _CopyPath()
 
 def _xdotool(*words: str) -> None:
     subprocess.run(["xdotool", *words], check=True)
-
-
-def begin(scenario: Callable[[Window], Steps], prepare: Callable[[], Any] | None = None) -> None:
-    """What a script that was given to Blender with `--python` calls; what follows its "--" are the options below.
-
-    `prepare` makes the scene, before the add-on is registered, as a user opens a file.
-    """
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--out", type=Path, required=True, help="folder for pictures and facts.json")
-    parser.add_argument("--site", default="", help="folders with packages for this Python, as in PYTHONPATH")
-    parser.add_argument("--add-on", default="checkout", help="checkout, none, or the name of an installed extension")
-    options = parser.parse_args(sys.argv[sys.argv.index("--") + 1 :])
-    sys.path[:0] = [*filter(None, options.site.split(os.pathsep)), str(ROOT), str(ROOT / "addon_tests" / "in_blender")]
-    if prepare is not None:
-        prepare()
-    enable(options.add_on)
-    play(scenario, options.out)
-
-
-def enable(add_on: str) -> None:
-    """The add-on of this checkout, an installed one by its name, or none."""
-    if add_on == "checkout":
-        from xihe_blender import addon
-
-        addon.register("xihe")
-    elif add_on != "none":
-        import addon_utils
-
-        assert addon_utils.enable(add_on) is not None, f"{add_on} could not be enabled"
 
 
 def play(scenario: Callable[[Window], Steps], out: Path) -> None:

@@ -1,17 +1,10 @@
 """A run that is stopped: once with Esc, once with the button beside the progress bar."""
 
-import sys
-from pathlib import Path
-
 import bpy
-
-sys.path[:0] = [str(Path(__file__).resolve().parent), str(Path(__file__).resolve().parents[1])]
-
 from rooms import look_through_camera, make_runs_short, room_to_light
-from window_steps import begin
 
 
-def room_with_a_long_path():
+def prepare():
     """Long enough that it cannot be over before Esc comes."""
     from xihe_blender.virtual_objects import virtual_collection
 
@@ -58,6 +51,3 @@ def scenario(w):
 
     yield from stopped_with(w, "stopped_with_escape", escape)
     yield from stopped_with(w, "stopped_with_button", button)
-
-
-begin(scenario, room_with_a_long_path)

@@ -1,14 +1,7 @@
 """From an open room to a lit object in a few clicks, then Undo, Redo, the comparison, saving, and Remove."""
 
-import sys
-from pathlib import Path
-
 import bpy
-
-sys.path[:0] = [str(Path(__file__).resolve().parent), str(Path(__file__).resolve().parents[1])]
-
-from rooms import look_through_camera, make_runs_short, room_to_light
-from window_steps import begin
+from rooms import look_through_camera, make_runs_short
 
 
 def left_in_file():
@@ -92,6 +85,3 @@ def remove(w):
     yield 0.8
     w.facts["removed"] = left_in_file()
     w.picture("9_removed")
-
-
-begin(scenario, room_to_light)

@@ -1,13 +1,6 @@
 """Nothing but a look: the tab as it is when a file is opened, with everything in it unfolded and what buttons say."""
 
-import sys
-from pathlib import Path
-
 import bpy
-
-sys.path[:0] = [str(Path(__file__).resolve().parent), str(Path(__file__).resolve().parents[1])]
-
-from window_steps import begin
 
 
 def scenario(w):
@@ -23,6 +16,3 @@ def scenario(w):
     w.facts["n_missing_types"] = sum(
         "Undefined" in repr(node.bl_idname) for t in bpy.data.node_groups for node in t.nodes
     )
-
-
-begin(scenario)
