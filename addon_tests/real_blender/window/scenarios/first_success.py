@@ -1,7 +1,11 @@
 """From an open room to a lit object in a few clicks, then Undo, Redo, the comparison, saving, and Remove."""
 
 import bpy
-from rooms import look_through_camera, make_runs_short
+from rooms import look_through_camera, make_runs_short, room_to_light
+
+
+def prepare():
+    room_to_light()
 
 
 def left_in_file():
