@@ -127,7 +127,7 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 
 def _from_cpp(error: RuntimeError, path: Path) -> OSError:
-    """OpenEXR and Blender put the system's words for what went wrong into a RuntimeError."""
+    """Blender puts the system's words for what went wrong into a RuntimeError."""
     words = " ".join(str(error).split())
     code = next((code for code in errno.errorcode if os.strerror(code) in words), errno.EIO)
     return OSError(code, words if code == errno.EIO else os.strerror(code), str(path))

@@ -21,7 +21,7 @@ from pathlib import Path
 import bpy
 
 from xihe_blender.errors import UserError
-from xihenet.frame_files import read_exr_channels
+from xihenet.exr import read_exr
 from xihenet.records import ArrayF32
 
 MEMORY_FOLDER = Path("/dev/shm")
@@ -139,11 +139,19 @@ def render_passes(scene: bpy.types.Scene) -> Rendered:
         except RuntimeError as error:
             raise UserError(f"Cycles could not render {scene.name!r}: {str(error).strip()}") from error
         render_s = time.perf_counter() - start
-        layers = _by_layer(read_exr_channels(path)) if path.exists() else {}
-        # A file that was cut short opens without an error; what did not fit is missing.
-        if any("Depth.Z" not in layers.get(layer.name, ()) for layer in scene.view_layers if layer.use):
-            raise OSError(f"Blender wrote no whole picture to {path}: free some space in the temporary folder")
-        return Rendered(layers, render_s)
+        return Rendered(_whole_picture(scene, path), render_s)
+
+
+def _whole_picture(scene: bpy.types.Scene, path: Path) -> dict[str, dict[str, ArrayF32]]:
+    """The passes of every view layer that renders. OSError if Blender, which does not say so, could not write them."""
+    try:
+        layers = _by_layer(read_exr(path)) if path.exists() else {}
+    except ValueError:
+        # Cut short where the disk was full.
+        layers = {}
+    if any("Depth.Z" not in layers.get(layer.name, ()) for layer in scene.view_layers if layer.use):
+        raise OSError(f"Blender wrote no whole picture to {path}: free some space in the temporary folder")
+    return layers
 
 
 def _by_layer(channels: dict[str, ArrayF32]) -> dict[str, dict[str, ArrayF32]]:
