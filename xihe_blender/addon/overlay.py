@@ -134,7 +134,7 @@ def draw_label(x: float, y: float, text: str) -> None:
 _overlay: Overlay | None = None
 
 
-@bpy.app.handlers.persistent
+@bpy.app.handlers.persistent  # type: ignore[untyped-decorator]
 def forget_positions(*_: Any) -> None:
     """They are computed anew when a view is drawn next."""
     if _overlay is not None:

@@ -20,6 +20,9 @@ from xihe_blender.addon.last_run import LastRun, last_run
 
 TAB = "Xihe"
 VIRTUAL_COLLECTION = "Xihe Virtual"
+WITHOUT_SURFACE = frozenset(
+    {"ARMATURE", "CAMERA", "GREASEPENCIL", "GPENCIL", "LATTICE", "LIGHT", "LIGHT_PROBE", "SPEAKER"}
+)
 N_NAMED = 6
 N_EFFECTS = 8
 LABEL_SHARE = 0.42
@@ -91,7 +94,7 @@ class XIHE_PT_camera_path(StagePanel, bpy.types.Panel):
 class XIHE_PT_picture(StagePanel, bpy.types.Panel):
     bl_label = "Picture"
     bl_parent_id = "XIHE_PT_camera_path"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012  Blender wants a plain set
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.xihe
@@ -125,7 +128,7 @@ class XIHE_UL_effects(bpy.types.UIList):
 class XIHE_PT_effects(StagePanel, bpy.types.Panel):
     bl_label = "Effects"
     bl_order = 2
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.xihe
@@ -161,7 +164,7 @@ class XIHE_PT_estimator(StagePanel, bpy.types.Panel):
 class XIHE_PT_estimator_details(StagePanel, bpy.types.Panel):
     bl_label = "Details"
     bl_parent_id = "XIHE_PT_estimator"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.xihe
@@ -236,11 +239,17 @@ class XIHE_PT_apply(StagePanel, bpy.types.Panel):
 
 
 def named_virtual_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """What the collection of virtual objects holds, sorted by name: a look at names, where a run looks at geometry."""
+    """The virtual objects of `scene`, sorted by name: as `virtual_objects` has them, but without importing NumPy."""
     collection = bpy.data.collections.get(VIRTUAL_COLLECTION)
     if collection is None or collection not in scene.collection.children_recursive:
         return []
-    return sorted((o for o in collection.all_objects if o.type not in {"CAMERA", "LIGHT"}), key=lambda o: o.name)
+    return sorted((item for item in collection.all_objects if has_surface(item)), key=lambda item: item.name)
+
+
+def has_surface(item: bpy.types.Object) -> bool:
+    if item.type == "EMPTY":
+        return item.instance_type == "COLLECTION" and item.instance_collection is not None
+    return item.type not in WITHOUT_SURFACE
 
 
 def object_icon(item: bpy.types.Object) -> str:
