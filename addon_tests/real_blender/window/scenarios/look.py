@@ -13,6 +13,5 @@ def scenario(w):
         yield 1.2
         w.picture("run_hovered")
     w.facts["worlds"] = sorted(world.name for world in bpy.data.worlds)
-    w.facts["n_missing_types"] = sum(
-        "Undefined" in repr(node.bl_idname) for t in bpy.data.node_groups for node in t.nodes
-    )
+    undefined = [node.name for tree in bpy.data.node_groups for node in tree.nodes if "Undefined" in node.bl_idname]
+    w.facts["n_undefined_nodes"] = len(undefined)
