@@ -158,6 +158,18 @@ def test_coverage_goes_from_one_colour_to_the_other_and_unknown_has_its_own():
     assert overlay.colour_of(None) == overlay.UNKNOWN
 
 
+def test_labels_that_would_overlap_are_moved_down_until_none_does():
+    rng = np.random.default_rng(5)
+    taken = []
+    for x, y in rng.uniform(0, 60, (40, 2)):
+        taken.append(overlay.below_others((x, y, x + 50, y + 12), taken))
+    for place, (left, bottom, right, top) in enumerate(taken):
+        assert top - bottom == pytest.approx(12)
+        for other in taken[:place]:
+            assert left >= other[2] or other[0] >= right or bottom >= other[3] - 1e-9 or other[1] >= top - 1e-9
+    assert overlay.below_others((0, 0, 1, 1), []) == (0, 0, 1, 1)
+
+
 def test_every_panel_is_in_the_tab_in_the_order_of_the_chain():
     stages = [cls for cls in panels.classes if issubclass(cls, bpy.types.Panel) and not hasattr(cls, "bl_parent_id")]
     assert [cls.bl_category for cls in stages] == ["Xihe"] * len(stages)

@@ -19,11 +19,14 @@ import bpy
 from xihe_blender.addon.last_run import last_run
 
 Colour = tuple[float, float, float, float]
+Box = tuple[float, float, float, float]
+"""Left, bottom, right, top, in pixels of the region."""
 
 RADIUS_PX = 6.0
 N_CORNERS = 20
 FONT = 0
 FONT_PX = 12.0
+LINE = 1.2
 RIM: Colour = (0.0, 0.0, 0.0, 0.8)
 UNKNOWN: Colour = (0.85, 0.85, 0.85, 1.0)
 LITTLE: Colour = (0.95, 0.35, 0.15, 1.0)
@@ -58,10 +61,11 @@ class Overlay:
             self.positions[scene.name] = shown_positions(scene, context.evaluated_depsgraph_get())
         run = last_run(scene.xihe.run_folder)
         coverage = run.coverage_by_position if run else {}
+        taken: list[Box] = []
         for position, x, y in on_screen(context, self.positions[scene.name]):
             seen = coverage.get(position.name)
             draw_disc(x, y, colour_of(seen))
-            draw_label(x, y, position.name if seen is None else f"{position.name}  {seen:.0%}")
+            draw_label(x, y, position.name if seen is None else f"{position.name}  {seen:.0%}", taken)
 
 
 def shown_positions(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> list[Position]:
@@ -117,18 +121,31 @@ def disc_corners(x: float, y: float, radius: float) -> list[tuple[float, float]]
     return [(x + radius * math.cos(turn), y + radius * math.sin(turn)) for turn in turns]
 
 
-def draw_label(x: float, y: float, text: str) -> None:
-    """`text` beside the disc, with a shadow to be read before a bright wall."""
+def draw_label(x: float, y: float, text: str, taken: list[Box]) -> None:
+    """`text` beside the disc, below the labels of `taken`, with a shadow to be read before a bright wall."""
     import blf
 
     scale = bpy.context.preferences.system.ui_scale
     blf.size(FONT, FONT_PX * scale)
+    left, bottom = x + (RADIUS_PX + 5) * scale, y - 0.35 * FONT_PX * scale
+    wanted = (left, bottom, left + blf.dimensions(FONT, text)[0], bottom + LINE * FONT_PX * scale)
+    box = below_others(wanted, taken)
+    taken.append(box)
     blf.color(FONT, 1.0, 1.0, 1.0, 1.0)
     blf.enable(FONT, blf.SHADOW)
     blf.shadow(FONT, 3, 0.0, 0.0, 0.0, 0.9)
-    blf.position(FONT, x + (RADIUS_PX + 5) * scale, y - 0.35 * FONT_PX * scale, 0)
+    blf.position(FONT, box[0], box[1], 0)
     blf.draw(FONT, text)
     blf.disable(FONT, blf.SHADOW)
+
+
+def below_others(wanted: Box, taken: Sequence[Box]) -> Box:
+    """`wanted`, moved down until it overlaps none of `taken`."""
+    left, bottom, right, top = wanted
+    for other in sorted(taken, key=lambda box: -box[1]):
+        if left < other[2] and other[0] < right and bottom < other[3] and other[1] < top:
+            bottom, top = other[1] - (top - bottom), other[1]
+    return left, bottom, right, top
 
 
 _overlay: Overlay | None = None
