@@ -37,15 +37,22 @@ class WindowRun:
 
 
 def run_in_window(
-    scenario: str, out: Path, *, blend: Path | None = None, add_on: str | None = None, timeout_s: float = 280
+    scenario: str,
+    out: Path,
+    *,
+    blend: Path | None = None,
+    add_on: str | None = None,
+    run: Path | None = None,
+    timeout_s: float = 280,
 ) -> WindowRun:
-    """Run scenarios/<scenario>.py; `blend` is opened before, `add_on` as run_scenario.py takes it."""
+    """Run scenarios/<scenario>.py; `blend` is opened before, `add_on` and `run` are as run_scenario.py takes them."""
     command = shlex.split(os.environ["XIHE_BLENDER_WINDOW"]) + ["--factory-startup"]
     command += [] if blend is None else [str(blend)]
     command += ["--python-exit-code", "1", "--python", str(SCRIPT), "--"]
     command += ["--scenario", scenario, "--out", str(out)]
     command += ["--site", os.environ.get("XIHE_BLENDER_SITE", "")]
     command += ["--add-on", add_on or os.environ.get("XIHE_BLENDER_ADD_ON", "checkout")]
+    command += [] if run is None else ["--run", str(run)]
     done = subprocess.run(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", timeout=timeout_s
     )

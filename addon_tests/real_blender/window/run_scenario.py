@@ -22,6 +22,7 @@ def main():
     parser.add_argument("--out", type=Path, required=True, help="folder for pictures and facts.json")
     parser.add_argument("--site", default="", help="folders with packages for this Python, as in PYTHONPATH")
     parser.add_argument("--add-on", default="checkout", help="checkout, none, or the name of an installed extension")
+    parser.add_argument("--run", type=Path, help="folder of a finished run, for scenarios that show one")
     options = parser.parse_args(sys.argv[sys.argv.index("--") + 1 :])
     own = [str(HERE), str(HERE / "scenarios"), str(ROOT / "addon_tests" / "in_blender")]
     sys.path[:0] = [*filter(None, options.site.split(os.pathsep)), *own]
@@ -31,7 +32,7 @@ def main():
     if hasattr(scenario, "prepare"):
         scenario.prepare()
     enable(options.add_on)
-    importlib.import_module("window_steps").play(scenario.scenario, options.out)
+    importlib.import_module("window_steps").play(scenario.scenario, options.out, options.run)
 
 
 def enable(add_on):

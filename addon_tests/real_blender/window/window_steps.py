@@ -33,10 +33,11 @@ ROW_PX = 9
 
 
 class Window:
-    """The one window of this Blender, its 3D view, and the folder for pictures and facts."""
+    """The one window of this Blender, its 3D view, the folder for pictures and facts, and a finished run to show."""
 
-    def __init__(self, out: Path) -> None:
+    def __init__(self, out: Path, run_folder: Path | None = None) -> None:
         self.out = out
+        self.run_folder = run_folder
         self.facts: dict[str, Any] = {}
         self.window = bpy.context.window_manager.windows[0]
 
@@ -137,11 +138,11 @@ def _xdotool(*words: str) -> None:
     subprocess.run(["xdotool", *words], check=True)
 
 
-def play(scenario: Callable[[Window], Steps], out: Path) -> None:
+def play(scenario: Callable[[Window], Steps], out: Path, run_folder: Path | None = None) -> None:
     """Drive `scenario` from a timer; write its facts as facts.json into `out`; end Blender."""
     out.mkdir(parents=True, exist_ok=True)
     bpy.context.preferences.view.show_splash = False
-    window = Window(out)
+    window = Window(out, run_folder)
     steps = scenario(window)
 
     def tick() -> float | None:

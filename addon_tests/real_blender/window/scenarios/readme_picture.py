@@ -1,0 +1,50 @@
+"""The first picture of the README: the tab beside a lit room, and estimate against ground truth beside both."""
+
+import bpy
+
+
+def scenario(w):
+    scene = bpy.context.scene
+    tidy_window(w)
+    yield 1
+    yield from w.open_tab()
+    scene.xihe.run_folder = str(w.run_folder)
+    scene.frame_set(13)
+    with w.context():
+        w.facts["applied"] = sorted(bpy.ops.xihe.apply_light())
+        w.facts["compared"] = sorted(bpy.ops.xihe.show_comparison())
+    scene.xihe.wipe = 0.5
+    yield 1
+    fit_image(w)
+    w.move(w.window.width * 0.3, 5)
+    for area in w.window.screen.areas:
+        area.tag_redraw()
+    yield 4
+    w.picture("panel")
+
+
+def tidy_window(w):
+    """The 3D view on the left, an Image Editor on the right, the timeline below; nothing else."""
+    screen = w.window.screen
+    for kind in ("OUTLINER", "PROPERTIES"):
+        area = next(a for a in screen.areas if a.type == kind)
+        with bpy.context.temp_override(window=w.window, area=area):
+            bpy.ops.screen.area_close()
+    with bpy.context.temp_override(window=w.window, area=w.area):
+        bpy.ops.screen.area_split(direction="VERTICAL", factor=0.62)
+    left, right = sorted((a for a in screen.areas if a.type == "VIEW_3D"), key=lambda a: a.x)
+    right.type = "IMAGE_EDITOR"
+    space = left.spaces.active
+    space.show_region_toolbar = space.show_gizmo = space.show_region_tool_header = False
+    space.overlay.show_text = space.overlay.show_cursor = False
+    space.shading.type = "MATERIAL"
+    space.region_3d.view_perspective = "CAMERA"
+    space.region_3d.view_camera_zoom = 22
+    right.spaces.active.show_region_toolbar = False
+
+
+def fit_image(w):
+    area = next(a for a in w.window.screen.areas if a.type == "IMAGE_EDITOR")
+    region = next(r for r in area.regions if r.type == "WINDOW")
+    with bpy.context.temp_override(window=w.window, area=area, region=region):
+        bpy.ops.image.view_all(fit_view=True)
