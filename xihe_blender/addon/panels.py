@@ -26,7 +26,7 @@ WITHOUT_SURFACE = frozenset(
 N_NAMED = 6
 N_EFFECTS = 8
 LABEL_SHARE = 0.42
-PIXELS_PER_CHARACTER = 7.0
+PIXELS_PER_CHARACTER = 6.6
 FEWEST_CHARACTERS = 16
 
 
@@ -118,7 +118,9 @@ class XIHE_UL_effects(bpy.types.UIList):
     def draw_item(self, _c: Any, layout: Any, _data: Any, item: Any, _i: Any, _owner: Any, _p: Any) -> None:
         row = layout.row(align=True)
         row.active = item.state == "on"
-        row.label(text=item.name, icon="CHECKBOX_HLT" if item.state == "on" else "CHECKBOX_DEHLT", translate=False)
+        row.label(
+            text=in_title(item.name), icon="CHECKBOX_HLT" if item.state == "on" else "CHECKBOX_DEHLT", translate=False
+        )
         if item.is_switchable:
             choice = layout.row()
             choice.ui_units_x = 3.2
@@ -142,7 +144,7 @@ class XIHE_PT_effects(StagePanel, bpy.types.Panel):
         )
         if 0 <= settings.active_effect < len(effects):
             effect = effects[settings.active_effect]
-            sentence(context, layout, f"{effect.name}: {effect.reason}", icon="INFO")
+            sentence(context, layout, effect.reason, icon="INFO")
         layout.operator("xihe.plan_effects", text="Plan Again", icon="FILE_REFRESH")
 
 
@@ -254,6 +256,11 @@ def has_surface(item: bpy.types.Object) -> bool:
 
 def object_icon(item: bpy.types.Object) -> str:
     return "OUTLINER_OB_MESH" if item.type == "MESH" else "OBJECT_DATA"
+
+
+def in_title(name: str) -> str:
+    """As Blender writes labels, without touching what is in capitals already: "Fast GI", "Light Tree"."""
+    return " ".join(word[:1].upper() + word[1:] for word in name.split(" "))
 
 
 def missing_run(folder: str) -> str:

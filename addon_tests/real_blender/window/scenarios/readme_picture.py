@@ -9,7 +9,7 @@ def scenario(w):
     yield 1
     yield from w.open_tab()
     scene.xihe.run_folder = str(w.run_folder)
-    scene.frame_set(13)
+    scene.frame_set(9)
     with w.context():
         w.facts["applied"] = sorted(bpy.ops.xihe.apply_light())
         w.facts["compared"] = sorted(bpy.ops.xihe.show_comparison())
