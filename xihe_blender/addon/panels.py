@@ -221,6 +221,8 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         split = layout.split(factor=LABEL_SHARE)
         split.label(text="Go to Trigger")
         row = split.row(align=True)
+        # Buttons of nothing but an icon do not grow by themselves.
+        row.scale_x = 2.5
         row.operator("xihe.go_to_trigger", text="", icon="PREV_KEYFRAME").direction = "PREVIOUS"
         row.operator("xihe.go_to_trigger", text="", icon="NEXT_KEYFRAME").direction = "NEXT"
         column = layout.column(align=True)
@@ -271,8 +273,8 @@ def result_rows(run: LastRun) -> list[tuple[str, str]]:
     """(label, value) of the last run, both short enough for half the sidebar."""
     return [
         ("Triggers", f"{run.n_estimates} in {run.n_frames} frames"),
-        ("Error", _number(run.shc_rmse, ".3f")),
-        ("Ambient's", _number(run.ambient_shc_rmse, ".3f")),
+        ("Light Error", _number(run.shc_rmse, ".3f")),
+        ("Ambient Error", _number(run.ambient_shc_rmse, ".3f")),
         ("Coverage", _number(run.coverage, ".0%")),
         ("Chain", _number(run.step_ms, ".1f", " ms")),
         ("Rendering", in_words(run.render_s)),

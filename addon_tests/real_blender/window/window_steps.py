@@ -30,6 +30,9 @@ Steps = Generator[float, None, Any]
 
 HOVER_S = 0.06
 ROW_PX = 9
+TABS_PX = 20
+N_SCROLLS = 2
+"""Times that the sidebar is looked through, a good part of its height further down each time."""
 
 
 class Window:
@@ -85,18 +88,21 @@ class Window:
     def find(self, wanted: str, *, across: float = 0.5) -> Steps:
         """Rest the mouse on the button whose command or data path holds `wanted`; `across` of the sidebar's width.
 
-        AssertionError if it is not there, with what was found.
+        The sidebar is scrolled down where that is not in view. AssertionError if it is not there, with what was found.
         """
         seen: list[str] = []
-        r = self.sidebar
-        for y in range(r.y + r.height - 8, r.y, -ROW_PX):
-            self.move(r.x + across * (r.width - 20), y)
-            yield HOVER_S
-            here = self.under_mouse()
-            if wanted in here:
-                return
-            if here and here not in seen:
-                seen.append(here)
+        for _ in range(N_SCROLLS):
+            r = self.sidebar
+            for y in range(r.y + r.height - 8, r.y, -ROW_PX):
+                self.move(r.x + across * (r.width - TABS_PX), y)
+                yield HOVER_S
+                here = self.under_mouse()
+                if wanted in here:
+                    return
+                if here and here not in seen:
+                    seen.append(here)
+            _xdotool("click", "--repeat", "8", "--delay", "30", "5")
+            yield 1.0
         raise AssertionError(f"there is no {wanted!r} in the sidebar; there are {seen}")
 
     def click_on(self, wanted: str, *, across: float = 0.5) -> Steps:

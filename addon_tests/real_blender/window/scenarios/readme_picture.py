@@ -30,6 +30,11 @@ def tidy_window(w):
         area = next(a for a in screen.areas if a.type == kind)
         with bpy.context.temp_override(window=w.window, area=area):
             bpy.ops.screen.area_close()
+    # Room for the markers at the triggers.
+    timeline = next(a for a in screen.areas if a.type == "DOPESHEET_EDITOR")
+    x, y = timeline.x + timeline.width // 2, timeline.y + timeline.height
+    with bpy.context.temp_override(window=w.window, screen=screen):
+        bpy.ops.screen.area_move(x=x, y=y, delta=40)
     with bpy.context.temp_override(window=w.window, area=w.area):
         bpy.ops.screen.area_split(direction="VERTICAL", factor=0.62)
     left, right = sorted((a for a in screen.areas if a.type == "VIEW_3D"), key=lambda a: a.x)
