@@ -71,6 +71,18 @@ class Window:
     def click(self) -> None:
         _xdotool("click", "1")
 
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> Steps:
+        """Such as the edge between two areas."""
+        self.move(*start)
+        yield 0.3
+        _xdotool("mousedown", "1")
+        yield 0.3
+        for share in (0.3, 0.6, 1.0):
+            self.move(*(a + share * (b - a) for a, b in zip(start, end, strict=True)))
+            yield 0.2
+        _xdotool("mouseup", "1")
+        yield 0.3
+
     def press(self, key: str) -> None:
         """Such as "Escape" or "ctrl+z"; it goes to what is under the mouse."""
         _xdotool("key", key)

@@ -50,7 +50,8 @@ def scenario(w):
 
 def see_the_comparison(w):
     other = next(a for a in w.window.screen.areas if a.type == "PROPERTIES")
-    other.type = "IMAGE_EDITOR"
+    with bpy.context.temp_override(window=w.window, area=other):
+        other.type = "IMAGE_EDITOR"
     yield 0.5
     yield from w.click_on("xihe.show_comparison")
     yield 0.5

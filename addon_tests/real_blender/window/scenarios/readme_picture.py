@@ -7,6 +7,10 @@ def scenario(w):
     scene = bpy.context.scene
     tidy_window(w)
     yield 1
+    timeline = next(a for a in w.window.screen.areas if a.type == "DOPESHEET_EDITOR")
+    edge = timeline.x + timeline.width / 3, timeline.y + timeline.height
+    # Room for the markers at the triggers.
+    yield from w.drag(edge, (edge[0], edge[1] + 50))
     yield from w.open_tab()
     scene.xihe.run_folder = str(w.run_folder)
     scene.frame_set(9)
@@ -30,22 +34,20 @@ def tidy_window(w):
         area = next(a for a in screen.areas if a.type == kind)
         with bpy.context.temp_override(window=w.window, area=area):
             bpy.ops.screen.area_close()
-    # Room for the markers at the triggers.
-    timeline = next(a for a in screen.areas if a.type == "DOPESHEET_EDITOR")
-    x, y = timeline.x + timeline.width // 2, timeline.y + timeline.height
-    with bpy.context.temp_override(window=w.window, screen=screen):
-        bpy.ops.screen.area_move(x=x, y=y, delta=40)
     with bpy.context.temp_override(window=w.window, area=w.area):
         bpy.ops.screen.area_split(direction="VERTICAL", factor=0.62)
     left, right = sorted((a for a in screen.areas if a.type == "VIEW_3D"), key=lambda a: a.x)
-    right.type = "IMAGE_EDITOR"
-    space = left.spaces.active
-    space.show_region_toolbar = space.show_gizmo = space.show_region_tool_header = False
-    space.overlay.show_text = space.overlay.show_cursor = False
-    space.shading.type = "MATERIAL"
-    space.region_3d.view_perspective = "CAMERA"
-    space.region_3d.view_camera_zoom = 22
-    right.spaces.active.show_region_toolbar = False
+    # Blender changes areas for the window of the context, which a timer has none of.
+    with bpy.context.temp_override(window=w.window, area=right):
+        right.type = "IMAGE_EDITOR"
+        right.spaces.active.show_region_toolbar = False
+    with bpy.context.temp_override(window=w.window, area=left):
+        space = left.spaces.active
+        space.show_region_toolbar = space.show_gizmo = space.show_region_tool_header = False
+        space.overlay.show_text = space.overlay.show_cursor = False
+        space.shading.type = "MATERIAL"
+        space.region_3d.view_perspective = "CAMERA"
+        space.region_3d.view_camera_zoom = 22
 
 
 def fit_image(w):
