@@ -1,7 +1,7 @@
 """What of the add-on does Blender have registered? These modules, in this order, and gone again in reverse.
 
-The extension's `__init__.py` calls `register(__package__)`. Nothing that is imported for it imports NumPy, OpenEXR, torch
-or a work module: operators import their function when they run, so that Blender starts as fast with the add-on as
+The extension's `__init__.py` calls `register(__package__)`. Nothing that is imported for it imports NumPy, OpenEXR,
+torch or a work module: operators import their function when they run, so that Blender starts as fast with the add-on as
 without.
 """
 

@@ -6,6 +6,7 @@ import bpy
 
 from xihe_blender.addon import polls
 from xihe_blender.addon.failures import FAILURES, failed
+from xihe_blender.addon.properties import last_run_folder
 
 
 class XIHE_OT_apply_light(bpy.types.Operator):
@@ -19,11 +20,12 @@ class XIHE_OT_apply_light(bpy.types.Operator):
         return polls.is_possible(cls, context, polls.is_idle, polls.is_own_scene, polls.has_cycles, polls.has_last_run)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from xihe_blender.results_in_blender import apply_results, read_results
+        from xihe_blender.results_in_blender import apply_results
+        from xihe_blender.run_results import read_results
 
-        folder = polls.last_run_folder(context.scene)
+        folder = last_run_folder(context.scene)
         try:
-            apply_results(context.scene, read_results(folder), folder)
+            apply_results(context.scene, read_results(folder), folder, wipe=context.scene.xihe.wipe)
         except FAILURES as error:
             return failed(self, context, error)
         return {"FINISHED"}

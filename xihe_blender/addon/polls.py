@@ -1,15 +1,16 @@
 """Why can an operator not run now? One function per reason: it gives the sentence that Blender shows, or None.
 
-Functions instead of a base class: each operator lists what it needs, and the grey button says the first that is missing.
-They run at every redraw, so they look at names and flags alone.
+Functions instead of a base class: each operator lists what it needs, and the grey button says the first that is
+missing. They run at every redraw, so they look at names and flags alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import bpy
+
+from xihe_blender.addon.properties import last_run_folder
 
 Condition = Callable[[bpy.types.Context], str | None]
 
@@ -108,18 +109,12 @@ def has_comparison(context: bpy.types.Context) -> str | None:
 
 def has_light(context: bpy.types.Context) -> str | None:
     """Whether there is anything that a run, or Apply, leaves in a file."""
-    kinds = (bpy.data.worlds, bpy.data.images, bpy.data.node_groups)
-    if any(block.name.startswith("Xihe ") for kind in kinds for block in kind) or has_triggers(context) is None:
-        return None
-    return "There is nothing of a run in this file"
+    from xihe_blender.results_in_blender import has_anything
+
+    return None if has_anything(context.scene) else "There is nothing of a run in this file"
 
 
 def has_triggers(context: bpy.types.Context) -> str | None:
     if any(marker.name.startswith("Xihe trigger") for marker in context.scene.timeline_markers):
         return None
     return "There are no triggers on the timeline: run first, or apply the last run"
-
-
-def last_run_folder(scene: bpy.types.Scene) -> Path:
-    """Folder of the run whose results are shown, as an absolute path."""
-    return Path(bpy.path.abspath(scene.xihe.run_folder))

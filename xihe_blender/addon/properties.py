@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
 
 from xihe_blender.addon import choices
@@ -22,10 +24,19 @@ def _override_changed(row: XiheEffectRow, context: bpy.types.Context) -> None:
         row.override = "AUTO"
 
 
-def _wipe_changed(settings: XiheSceneSettings, _context: bpy.types.Context) -> None:
+def _wipe_changed(settings: XiheSceneSettings, context: bpy.types.Context) -> None:
+    from xihe_blender.errors import UserError
     from xihe_blender.results_in_blender import show_comparison_at
 
-    show_comparison_at(settings.id_data)
+    try:
+        show_comparison_at(settings.id_data, last_run_folder(settings.id_data), settings.wipe)
+    except UserError as error:
+        context.window_manager.xihe.error = str(error)
+
+
+def last_run_folder(scene: bpy.types.Scene) -> Path:
+    """Folder of the run whose results are shown, as an absolute path."""
+    return Path(bpy.path.abspath(scene.xihe.run_folder))
 
 
 def _own_frames_wanted(settings: XiheSceneSettings, _context: bpy.types.Context) -> None:
@@ -49,7 +60,7 @@ def _choose_phone(settings: XiheSceneSettings, number: int) -> None:
 
 
 def _state(row: XiheEffectRow) -> str:
-    return row.called_for if row.override == "AUTO" else row.override.lower()
+    return str(row.called_for if row.override == "AUTO" else row.override.lower())
 
 
 def _origin(row: XiheEffectRow) -> str:
