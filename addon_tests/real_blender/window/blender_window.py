@@ -43,7 +43,7 @@ def run_in_window(
     blend: Path | None = None,
     add_on: str | None = None,
     run: Path | None = None,
-    timeout_s: float = 280,
+    timeout_s: float = 600,
 ) -> WindowRun:
     """Run scenarios/<scenario>.py; `blend` is opened before, `add_on` and `run` are as run_scenario.py takes them."""
     command = shlex.split(os.environ["XIHE_BLENDER_WINDOW"]) + ["--factory-startup"]
@@ -53,8 +53,19 @@ def run_in_window(
     command += ["--site", os.environ.get("XIHE_BLENDER_SITE", "")]
     command += ["--add-on", add_on or os.environ.get("XIHE_BLENDER_ADD_ON", "checkout")]
     command += [] if run is None else ["--run", str(run)]
-    done = subprocess.run(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", timeout=timeout_s
-    )
+    code, console = _run(command, timeout_s)
     facts = out / "facts.json"
-    return WindowRun(done.returncode, done.stdout, json.loads(facts.read_text()) if facts.exists() else {}, out)
+    return WindowRun(code, console, json.loads(facts.read_text()) if facts.exists() else {}, out)
+
+
+def _run(command: list[str], timeout_s: float) -> tuple[int, str]:
+    """Exit code and all that was printed. After `timeout_s` the command is asked to end, and its code says so."""
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace")
+    try:
+        console, _ = process.communicate(timeout=timeout_s)
+    except subprocess.TimeoutExpired:
+        # Not killed: a command that starts Blender on a screen of its own has to take that down with it.
+        process.terminate()
+        console, _ = process.communicate()
+        console += f"\nended after {timeout_s:.0f} s"
+    return process.returncode, console

@@ -6,6 +6,7 @@ import pytest
 from blender_window import run_in_window
 
 ROOT = Path(__file__).resolve().parents[3]
+pytestmark = pytest.mark.timeout(1200)
 KINDS = ("worlds", "images", "node_groups", "actions", "scenes", "markers")
 
 

@@ -29,7 +29,8 @@ import bpy
 Steps = Generator[float, None, Any]
 
 HOVER_S = 0.06
-ROW_PX = 9
+ROW_PX = 16
+"""Less than the height of a button, so that none is missed."""
 TABS_PX = 20
 N_SCROLLS = 2
 """Times that the sidebar is looked through, a good part of its height further down each time."""

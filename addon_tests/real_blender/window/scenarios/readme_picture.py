@@ -5,6 +5,7 @@ import bpy
 
 def scenario(w):
     scene = bpy.context.scene
+    bpy.context.preferences.view.ui_scale = 0.9
     tidy_window(w)
     yield 1
     timeline = next(a for a in w.window.screen.areas if a.type == "DOPESHEET_EDITOR")
@@ -13,11 +14,11 @@ def scenario(w):
     yield from w.drag(edge, (edge[0], edge[1] + 50))
     yield from w.open_tab()
     scene.xihe.run_folder = str(w.run_folder)
-    scene.frame_set(9)
+    scene.frame_set(1)
     with w.context():
         w.facts["applied"] = sorted(bpy.ops.xihe.apply_light())
         w.facts["compared"] = sorted(bpy.ops.xihe.show_comparison())
-    scene.xihe.wipe = 0.5
+    scene.xihe.wipe = 0.73
     yield 1
     fit_image(w)
     w.move(w.window.width * 0.3, 5)

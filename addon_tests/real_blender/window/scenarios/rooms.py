@@ -24,7 +24,9 @@ def make_runs_short(scene):
 
 
 def look_through_camera(window):
-    """What a user sees after Numpad 0, in a shading that software OpenGL draws quickly."""
+    """What a user sees after Numpad 0, set up so that software OpenGL draws it quickly."""
+    # Else each move of the mouse over the sidebar draws the 3D view below it, too.
+    bpy.context.preferences.system.use_region_overlap = False
     space = window.area.spaces.active
     space.region_3d.view_perspective = "CAMERA"
     space.shading.type = "SOLID"
