@@ -43,6 +43,7 @@ class Window:
         self.out = out
         self.run_folder = run_folder
         self.facts: dict[str, Any] = {}
+        self.found_at = 0
         self.window = bpy.context.window_manager.windows[0]
 
     @property
@@ -101,19 +102,22 @@ class Window:
     def find(self, wanted: str, *, across: float = 0.5) -> Steps:
         """Rest the mouse on the button whose command or data path holds `wanted`; `across` of the sidebar's width.
 
-        The sidebar is scrolled down where that is not in view. AssertionError if it is not there, with what was found.
+        Looks near what was found last first. The sidebar is scrolled down where that is not in view. AssertionError if it is not there, with what was found.
         """
         seen: list[str] = []
         for _ in range(N_SCROLLS):
             r = self.sidebar
-            for y in range(r.y + r.height - 8, r.y, -ROW_PX):
+            rows = range(r.y + r.height - 8, r.y, -ROW_PX)
+            for y in sorted(rows, key=lambda y: abs(y - self.found_at)) if self.found_at else rows:
                 self.move(r.x + across * (r.width - TABS_PX), y)
                 yield HOVER_S
                 here = self.under_mouse()
                 if wanted in here:
+                    self.found_at = y
                     return
                 if here and here not in seen:
                     seen.append(here)
+            self.found_at = 0
             _xdotool("click", "--repeat", "8", "--delay", "30", "5")
             yield 1.0
         raise AssertionError(f"there is no {wanted!r} in the sidebar; there are {seen}")
