@@ -102,7 +102,8 @@ class Window:
     def find(self, wanted: str, *, across: float = 0.5) -> Steps:
         """Rest the mouse on the button whose command or data path holds `wanted`; `across` of the sidebar's width.
 
-        Looks near what was found last first. The sidebar is scrolled down where that is not in view. AssertionError if it is not there, with what was found.
+        Looks near what was found last first. The sidebar is scrolled down where that is not in view. AssertionError if
+        it is not there, with what was found.
         """
         seen: list[str] = []
         for _ in range(N_SCROLLS):
