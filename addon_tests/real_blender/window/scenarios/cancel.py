@@ -47,7 +47,7 @@ def scenario(w):
         w.press("Escape")
 
     def button():
-        yield from w.click_on("xihe.cancel_run", across=0.97)
+        yield from w.click_on("xihe.cancel_run", across=0.89)
 
     yield from stopped_with(w, "stopped_with_escape", escape)
     yield from stopped_with(w, "stopped_with_button", button)
