@@ -152,7 +152,8 @@ def f_curves(owner: bpy.types.ID) -> Sequence[bpy.types.FCurve]:
     if animation is None or animation.action is None:
         return []
     action = animation.action
-    if hasattr(action, "fcurves"):
+    # From 4.4 to 4.5 an action also lists the curves of its first slot, which may be another owner's.
+    if not hasattr(action, "layers"):
         return list(action.fcurves)
     bags = (strip.channelbag(animation.action_slot) for layer in action.layers for strip in layer.strips)
     return [curve for bag in bags if bag is not None for curve in bag.fcurves]
