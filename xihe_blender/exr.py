@@ -1,20 +1,19 @@
-"""Radiance in files: OpenEXR in 32-bit float, nothing lost. What Cycles wrote is read by `xihenet.frame_files`."""
+"""Radiance in files: OpenEXR in 32-bit float, nothing lost."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
-import OpenEXR
 
 from xihe_blender.outputs import written_whole
-from xihenet.frame_files import read_exr_channels
+from xihenet.exr import read_exr, write_exr
 from xihenet.records import ArrayF32
 
 
 def read_radiance(path: Path) -> ArrayF32:
     """(H, W, 3) of a file that `write_radiance` wrote. ValueError if it has no R, G and B."""
-    channels = read_exr_channels(path)
+    channels = read_exr(path)
     if not {"R", "G", "B"} <= channels.keys():
         raise ValueError(f"{path}: expected the channels R, G and B, found {', '.join(sorted(channels))}")
     return np.stack([channels[c] for c in "RGB"], axis=-1)
@@ -22,8 +21,6 @@ def read_radiance(path: Path) -> ArrayF32:
 
 def write_radiance(path: Path, radiance: ArrayF32) -> None:
     """Write (H, W, 3) linear Rec.709 as channels R, G, B; whole or not at all. OSError if it cannot be written."""
-    pixels = np.ascontiguousarray(radiance, np.float32)
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    channels = {c: OpenEXR.Channel(np.ascontiguousarray(pixels[..., i])) for i, c in enumerate("RGB")}
-    with written_whole(path) as beside, OpenEXR.File(header, channels) as file:
-        file.write(str(beside))
+    pixels = np.asarray(radiance, np.float32)
+    with written_whole(path) as beside:
+        write_exr(beside, {c: pixels[..., place] for place, c in enumerate("RGB")})

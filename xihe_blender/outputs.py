@@ -22,6 +22,9 @@ import numpy as np
 from xihenet.png import write_png
 from xihenet.records import ArrayF64, ArrayU8
 
+MAX_STEM = 40
+"""Characters of an object's name in a file name: Blender 5 allows 255 bytes, as much as a whole file name may have."""
+
 
 @dataclass(frozen=True)
 class RunOutputs:
@@ -101,8 +104,8 @@ class RunOutputs:
 
 
 def _file_stem(name: str) -> str:
-    """`name` with everything but letters, digits, '-' and '.' replaced, so that it is a file name everywhere."""
-    return "".join(c if c.isalnum() or c in "-." else "_" for c in name)
+    """`name` as part of a file name: everything but letters, digits, '-' and '.' replaced, and not too long."""
+    return "".join(c if c.isalnum() or c in "-." else "_" for c in name[:MAX_STEM])
 
 
 @contextlib.contextmanager
@@ -127,7 +130,7 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 
 def _from_cpp(error: RuntimeError, path: Path) -> OSError:
-    """OpenEXR and Blender put the system's words for what went wrong into a RuntimeError."""
+    """Blender puts the system's words for what went wrong into a RuntimeError."""
     words = " ".join(str(error).split())
     code = next((code for code in errno.errorcode if os.strerror(code) in words), errno.EIO)
     return OSError(code, words if code == errno.EIO else os.strerror(code), str(path))

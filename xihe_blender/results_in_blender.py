@@ -47,7 +47,8 @@ def show_results(scene: bpy.types.Scene, results: dict[str, Any], folder: Path, 
     wipe : 0 to 1, see `wiped`
     """
     for name in results["lights"]:
-        _key_curves(bpy.data.worlds[world_name(name)], results, name)
+        # The file's own world: one of a linked library may have the same name.
+        _key_curves(bpy.data.worlds[world_name(name), None], results, name)
     show_images(scene, results, folder, wipe=wipe)
 
 
@@ -170,8 +171,8 @@ def image_named(name: str) -> bpy.types.Image | None:
 
 
 def our_images() -> Iterator[bpy.types.Image]:
-    """All images that results were shown in."""
-    return (image for image in bpy.data.images if _MADE_BY in image)
+    """All images of the file itself that results were shown in."""
+    return (image for image in bpy.data.images if _MADE_BY in image and image.library is None)
 
 
 def _read_picture(path: Path) -> ArrayF32:
@@ -235,4 +236,5 @@ def remove_everything(scene: bpy.types.Scene) -> None:
 def has_anything(scene: bpy.types.Scene) -> bool:
     """Whether `remove_everything` would find something."""
     marked = any(marker.name.startswith(MARKER_PREFIX) for marker in scene.timeline_markers)
-    return marked or any(lights_by_sh(world) for world in bpy.data.worlds) or next(our_images(), None) is not None
+    lit = any(lights_by_sh(world) and world.library is None for world in bpy.data.worlds)
+    return marked or lit or next(our_images(), None) is not None

@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xihenet import exr
 from xihenet.camera import encode_exposed, metered_exposure, sensed_ambient, valid_plane_depth
 from xihenet.colour import srgb_to_linear
 from xihenet.records import ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
 
-EXR_MAGIC = b"\x76\x2f\x31\x01"
 PLANE_DEPTH_CHANNELS = ("Depth.Z", "Depth.V", "Z")
 ORIENTATION_TAG = 0x0112
 SAME_ASPECT = 0.01
@@ -85,7 +85,7 @@ def read_frame(
     if exposure is not None and not (np.isfinite(exposure) and exposure > 0):
         raise ValueError(f"exposure: expected a positive factor, got {exposure}")
     with path.open("rb") as file:
-        is_exr = file.read(4) == EXR_MAGIC
+        is_exr = file.read(4) == exr.MAGIC
     if is_exr:
         if plane_depth is not None:
             raise ValueError(f"{path} is an OpenEXR file and brings its own plane depth: leave out {plane_depth}")
@@ -229,16 +229,28 @@ def read_exr_channels(path: Path) -> dict[str, ArrayF32]:
     """Every channel of an OpenEXR file as (H, W) float32 by its full name, such as "ViewLayer.Combined.R".
 
     Row 0 is the top. Blender 4.x writes all passes as one part, 5.x one part per pass; both come as one table.
-    OSError or RuntimeError if the file is missing or no OpenEXR file. Without an error OpenEXR leaves out a part whose
-    pixels are broken: a file that is cut short has no channels.
+    OSError if the file cannot be opened; ValueError if it is none, is cut short, or is in a form that only the OpenEXR
+    package reads where that is not installed.
     """
-    import OpenEXR
+    try:
+        return exr.read_exr(path)
+    except exr.OtherExr as error:
+        return _read_by_openexr(path, error)
 
+
+def _read_by_openexr(path: Path, why: exr.OtherExr) -> dict[str, ArrayF32]:
+    try:
+        import OpenEXR
+    except ImportError as error:
+        raise ValueError(f"{why}: save it in scan lines with ZIP compression, or pip install OpenEXR") from error
     channels: dict[str, ArrayF32] = {}
     with OpenEXR.File(str(path), separate_channels=True) as file:
         for part in file.parts:
             for name, channel in part.channels.items():
                 channels[name] = channel.pixels.astype(np.float32, copy=False)
+    # A part whose pixels are broken is left out without an error.
+    if not channels:
+        raise ValueError(f"{path}: its pixels cannot be read, it may be cut short: save it again")
     return channels
 
 
@@ -247,8 +259,6 @@ def _exr_frame(path: Path, camera: FrameCamera, exposure: float | None) -> RgbdF
         channels = read_exr_channels(path)
     except RuntimeError as error:
         raise ValueError(f"{path}: expected an OpenEXR file, and could not read it ({error})") from error
-    if not channels:
-        raise ValueError(f"{path}: its pixels cannot be read, it may be cut short: save it again")
     colour, plane_depth_channel = _frame_channels(channels, path)
     radiance = np.stack([channels[name] for name in colour], axis=-1)
     plane_depth_m = channels[plane_depth_channel]

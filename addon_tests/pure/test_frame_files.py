@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import OpenEXR
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -16,6 +15,7 @@ from addon_tests.pure.frame_makers import (
     HEIGHT,
     INTRINSICS,
     LOOKING_ALONG_Y,
+    NEEDS_OPENEXR,
     WIDTH,
     box_radiance_and_plane_depth,
     write_camera,
@@ -72,6 +72,8 @@ def test_other_passes_and_other_layers_do_not_get_in_the_way(tmp_path, camera):
 
 def write_parts(path, colour, plane_depth_m):
     """One part per pass, as Blender 5.x writes it."""
+    import OpenEXR
+
     passes = {"ViewLayer.Combined": dict(zip("RGB", np.moveaxis(colour, -1, 0), strict=True))}
     passes["ViewLayer.Depth"] = {"Z": plane_depth_m}
     corners = np.array([[0, 0], [WIDTH - 1, HEIGHT - 1]], np.int32)
@@ -85,12 +87,14 @@ def write_parts(path, colour, plane_depth_m):
     return path
 
 
+@NEEDS_OPENEXR
 def test_an_exr_with_a_part_for_each_pass_is_read(tmp_path, camera):
     frame = read_frame(write_parts(tmp_path / "frame.exr", RADIANCE, PLANE_DEPTH_M), camera, exposure=1)
     np.testing.assert_array_equal(frame.srgb_u8, encode_exposed(RADIANCE, 1))
     np.testing.assert_array_equal(frame.plane_depth_m, PLANE_DEPTH_M)
 
 
+@NEEDS_OPENEXR
 def test_parts_of_different_sizes_are_refused(tmp_path, camera):
     path = write_parts(tmp_path / "frame.exr", RADIANCE, PLANE_DEPTH_M[:12, :16])
     with pytest.raises(ValueError, match="colour and plane depth of one size"):
@@ -145,6 +149,22 @@ def test_an_exr_that_is_cut_short_is_refused(tmp_path, camera, share):
     path.write_bytes(content[: int(share * len(content))])
     with pytest.raises(ValueError, match=r"frame\.exr: .*(could not read it|cannot be read)"):
         read_frame(path, camera)
+
+
+@NEEDS_OPENEXR
+@pytest.mark.parametrize("compression", ["PIZ", "DWAA", "RLE"])
+def test_an_exr_of_another_compression_is_read_by_the_openexr_package(tmp_path, camera, compression, monkeypatch):
+    import OpenEXR
+
+    values = {c: np.ascontiguousarray(RADIANCE[..., place]) for place, c in enumerate("RGB")} | {"Z": PLANE_DEPTH_M}
+    header = {"compression": getattr(OpenEXR, f"{compression}_COMPRESSION"), "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, values) as file:
+        file.write(str(tmp_path / "frame.exr"))
+    frame = read_frame(tmp_path / "frame.exr", camera, exposure=1)
+    np.testing.assert_allclose(frame.plane_depth_m, PLANE_DEPTH_M, rtol=1e-2)
+    monkeypatch.setitem(sys.modules, "OpenEXR", None)
+    with pytest.raises(ValueError, match=f"its compression, {compression}, .*with ZIP compression, or pip install"):
+        read_frame(tmp_path / "frame.exr", camera)
 
 
 def test_an_exr_takes_no_second_plane_depth(tmp_path, camera):

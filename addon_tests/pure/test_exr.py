@@ -1,0 +1,151 @@
+"""OpenEXR by NumPy and zlib: what is written comes back, the OpenEXR package agrees, broken files are refused."""
+
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from addon_tests.pure.frame_makers import NEEDS_OPENEXR
+from xihenet.exr import OtherExr, read_exr, write_exr
+
+KINDS = (np.float32, np.float16, np.uint32)
+LONG_NAME = "A view layer with a name longer than short names may be.Combined.R"
+NASTY = [np.nan, np.inf, -np.inf, -0.0, 1e-45, 3.4e38, 65504.0, 1e10]
+
+
+def noise(seed, size, kind=np.float32):
+    generator = np.random.default_rng(seed)
+    if kind == np.uint32:
+        return generator.integers(0, 2**32, size, np.uint32)
+    values = generator.normal(0, 100, size)
+    values.flat[: len(NASTY)] = NASTY[: values.size]
+    with np.errstate(over="ignore", under="ignore"):
+        return values.astype(kind)
+
+
+def picture(seed, height, width):
+    """Channels of all types, one of them smooth, so that ZIP stores some chunks deflated and others as they are."""
+    channels = {f"Layer.{kind.__name__}": noise(seed, (height, width), kind) for kind in KINDS}
+    smooth = np.linspace(0, 1, height * width, dtype=np.float32).reshape(height, width)
+    return channels | {LONG_NAME: smooth, "R": noise(seed + 1, (height, width)), "flat": np.zeros_like(smooth)}
+
+
+def assert_equal(back, channels):
+    assert sorted(back) == sorted(channels)
+    for name, values in channels.items():
+        assert back[name].dtype == np.float32
+        np.testing.assert_array_equal(back[name], values.astype(np.float32), err_msg=name)
+
+
+@pytest.mark.parametrize("compression", ["none", "ZIPS", "ZIP"])
+@pytest.mark.parametrize("size", [(1, 1), (1, 7), (16, 3), (17, 5), (33, 64)])
+def test_what_is_written_comes_back(tmp_path, compression, size):
+    channels = picture(3, *size)
+    write_exr(tmp_path / "a.exr", channels, compression=compression)
+    assert_equal(read_exr(tmp_path / "a.exr"), channels)
+
+
+@NEEDS_OPENEXR
+@pytest.mark.parametrize("compression", ["none", "ZIPS", "ZIP"])
+@pytest.mark.parametrize("size", [(1, 1), (17, 5), (33, 64)])
+def test_the_openexr_package_reads_what_is_written(tmp_path, compression, size):
+    import OpenEXR
+
+    channels = picture(4, *size)
+    write_exr(tmp_path / "a.exr", channels, compression=compression)
+    with OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True) as file:
+        back = {name: channel.pixels for name, channel in file.parts[0].channels.items()}
+    assert {name: values.dtype for name, values in back.items()} == {name: v.dtype for name, v in channels.items()}
+    assert_equal({name: values.astype(np.float32) for name, values in back.items()}, channels)
+
+
+@NEEDS_OPENEXR
+@pytest.mark.parametrize("compression", ["NO", "ZIPS", "ZIP"])
+@pytest.mark.parametrize("n_parts", [1, 3])
+@pytest.mark.parametrize("size", [(1, 1), (17, 5), (33, 64)])
+def test_what_the_openexr_package_writes_is_read(tmp_path, compression, n_parts, size):
+    import OpenEXR
+
+    pictures = [picture(seed, *size) for seed in range(n_parts)]
+    named = [{f"{place}.{name}": v for name, v in channels.items()} for place, channels in enumerate(pictures)]
+    header = {"compression": getattr(OpenEXR, f"{compression}_COMPRESSION"), "type": OpenEXR.scanlineimage}
+    parts = [OpenEXR.Part(dict(header), dict(channels), f"part {place}") for place, channels in enumerate(named)]
+    with OpenEXR.File(parts) as file:
+        file.write(str(tmp_path / "a.exr"))
+    assert_equal(read_exr(tmp_path / "a.exr"), {name: v for channels in named for name, v in channels.items()})
+
+
+@NEEDS_OPENEXR
+def test_a_tiled_file_is_said_to_be_of_another_form(tmp_path):
+    import OpenEXR
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.tiledimage}
+    header["tiles"] = OpenEXR.TileDescription()
+    with OpenEXR.File(header, {"R": noise(0, (40, 40))}) as file:
+        file.write(str(tmp_path / "a.exr"))
+    with pytest.raises(OtherExr, match="tile"):
+        read_exr(tmp_path / "a.exr")
+
+
+def test_a_subsampled_channel_and_another_compression_are_of_another_form(tmp_path):
+    write_exr(tmp_path / "a.exr", {"R": noise(0, (4, 4))})
+    content = (tmp_path / "a.exr").read_bytes()
+    sampling = content.index(b"R\0", 20) + 2 + 8
+    for changed, said in (
+        (content[:sampling] + struct.pack("<i", 2) + content[sampling + 4 :], "subsampled"),
+        (content.replace(b"compression\0compression\0\1\0\0\0\3", b"compression\0compression\0\1\0\0\0\4"), "PIZ"),
+    ):
+        assert changed != content
+        (tmp_path / "b.exr").write_bytes(changed)
+        with pytest.raises(OtherExr, match=said):
+            read_exr(tmp_path / "b.exr")
+
+
+@pytest.mark.parametrize("compression", ["none", "ZIP"])
+def test_a_file_that_is_cut_short_anywhere_is_refused(tmp_path, compression):
+    write_exr(tmp_path / "a.exr", picture(5, 17, 4), compression=compression)
+    content = (tmp_path / "a.exr").read_bytes()
+    for length in range(0, len(content), 7):
+        (tmp_path / "b.exr").write_bytes(content[:length])
+        with pytest.raises(ValueError, match=r"b\.exr"):
+            read_exr(tmp_path / "b.exr")
+
+
+@given(st.integers(8, 700), st.integers(0, 255))
+def test_a_broken_byte_gives_a_picture_or_a_plain_refusal(tmp_path_factory, place, value):
+    folder = tmp_path_factory.getbasetemp()
+    write_exr(folder / "a.exr", picture(6, 5, 4))
+    content = bytearray((folder / "a.exr").read_bytes())
+    content[min(place, len(content) - 1)] = value
+    (folder / "a.exr").write_bytes(bytes(content))
+    try:
+        back = read_exr(folder / "a.exr")
+    except ValueError as error:
+        assert "a.exr" in str(error)
+    else:
+        assert all(values.ndim == 2 for values in back.values())
+
+
+@pytest.mark.parametrize(
+    "channels",
+    [
+        {},
+        {"R": np.zeros((0, 3), np.float32)},
+        {"R": np.zeros(3, np.float32)},
+        {"R": np.zeros((2, 3), np.float32), "G": np.zeros((3, 2), np.float32)},
+        {"R": np.zeros((2, 3))},
+        {"R": np.zeros((2, 3), np.uint8)},
+    ],
+)
+def test_what_is_no_picture_is_not_written(tmp_path, channels):
+    with pytest.raises(ValueError, match="write_exr: expected"):
+        write_exr(tmp_path / "a.exr", channels)
+    assert not (tmp_path / "a.exr").exists()
+
+
+def test_what_is_no_openexr_file_is_refused(tmp_path):
+    (tmp_path / "a.exr").write_bytes(b"\x89PNG and more")
+    with pytest.raises(ValueError, match="expected an OpenEXR file"):
+        read_exr(tmp_path / "a.exr")
