@@ -72,11 +72,12 @@ def apply_results(scene: bpy.types.Scene, results: dict[str, Any], folder: Path,
 def light_in_force(results: dict[str, Any], name: str, frame: int) -> ArrayF64:
     """(9, 3) the light of virtual object `name` at `frame`, carrying the run's exposure; before the first, the first.
 
-    ValueError for an object that the run did not light.
+    ValueError for an object that the run did not light: another one, or where no position was ever in view.
     """
     changes = results["lights"].get(name)
     if not changes:
-        raise ValueError(f"expected one of the objects {', '.join(results['lights'])}, got {name!r}")
+        lit = ", ".join(other for other, of_one in results["lights"].items() if of_one)
+        raise ValueError(f"expected one of the objects that the run lit ({lit or 'none'}), got {name!r}")
     reached = [change for change in changes if change["frame"] <= frame]
     return np.array((reached or changes)[-1 if reached else 0]["sh"], np.float64)
 
@@ -109,9 +110,14 @@ def show_images(
 ) -> None:
     """Make the images of `results` show `frame`; None takes the scene's current one."""
     shown = scene.frame_current if frame is None else frame
-    for name in results["lights"]:
-        show_light(results, name, shown)
-    show_comparison(results, folder, shown, wipe)
+    for name, changes in results["lights"].items():
+        if changes:
+            show_light(results, name, shown)
+        else:
+            # Nothing was ever in view, and a picture of an earlier run would say otherwise.
+            _remove_image(f"{LIGHT_PREFIX}{name}")
+    if show_comparison(results, folder, shown, wipe) is None:
+        _remove_image(COMPARISON_NAME)
 
 
 def show_light(results: dict[str, Any], name: str, frame: int) -> bpy.types.Image:
@@ -173,6 +179,12 @@ def image_named(name: str) -> bpy.types.Image | None:
 def our_images() -> Iterator[bpy.types.Image]:
     """All images of the file itself that results were shown in."""
     return (image for image in bpy.data.images if _MADE_BY in image and image.library is None)
+
+
+def _remove_image(name: str) -> None:
+    image = image_named(name)
+    if image is not None:
+        bpy.data.images.remove(image)
 
 
 def _read_picture(path: Path) -> ArrayF32:

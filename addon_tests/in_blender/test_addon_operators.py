@@ -306,7 +306,9 @@ def test_folders_of_runs_are_new_each_time(tmp_path):
     scene = walk_for_the_panel(tmp_path / "deep" / "runs")
     folders = [new_run_folder(scene) for _ in range(4)]
     assert len(set(folders)) == 4 and all(folder.is_dir() for folder in folders)
-    assert all(folder.name.startswith("untitled_") and folder.parent == tmp_path / "deep" / "runs" for folder in folders)
+    assert all(
+        folder.name.startswith("untitled_") and folder.parent == tmp_path / "deep" / "runs" for folder in folders
+    )
 
 
 def test_a_runs_folder_that_cannot_be_made_names_the_preference(tmp_path):
