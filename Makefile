@@ -7,8 +7,12 @@ VENV ?= .venv
 EXTRAS ?= test
 BIN = $(VENV)/bin
 OUT ?= out
+# A whole Blender, its Python, and what the tests need that Blender has not; see addon_tests/run_in_blender.py.
+BLENDER ?= blender
+BLENDER_PYTHON ?= 3.11
+TEST_PACKAGES ?= build/test_packages/$(BLENDER_PYTHON)
 
-.PHONY: previs test test-fast check format bench scenes clean
+.PHONY: previs test test-fast test-packages test-blender check format bench scenes clean
 
 previs: $(VENV)/installed
 	$(BIN)/xihe previs blend_scenes/living_room.blend --out $(OUT) --preset draft
@@ -18,6 +22,17 @@ test: $(VENV)/installed
 
 test-fast: $(VENV)/installed
 	$(BIN)/python -m pytest -m "not slow"
+
+# NumPy is Blender's own: nothing that would bring another one is installed with what it depends on.
+test-packages:
+	$(PYTHON) -m pip install --quiet --upgrade --target $(TEST_PACKAGES) --python-version $(BLENDER_PYTHON) \
+		--only-binary=:all: "pytest>=8" "pytest-timeout>=2.3" "hypothesis>=6.100" "pillow>=10"
+	$(PYTHON) -m pip install --quiet --upgrade --target $(TEST_PACKAGES) --python-version $(BLENDER_PYTHON) \
+		--only-binary=:all: --no-deps "scipy>=1.11"
+
+test-blender: test-packages
+	XIHE_TEST_PACKAGES=$(TEST_PACKAGES) $(BLENDER) --background --factory-startup \
+		--python addon_tests/run_in_blender.py -- $(PYTEST_ARGUMENTS)
 
 check: $(VENV)/installed
 	$(BIN)/ruff format --check .

@@ -9,18 +9,21 @@ the exit code is pytest's. A test that a whole Blender cannot run has a marker t
 """
 
 import os
-import shutil
 import sys
 import traceback
+from collections import Counter
 from pathlib import Path
 
 import bpy
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from xihe_blender.processes import EXIT_CRASHED, leave_blender  # noqa: E402
+
 FOLDERS = ("addon_tests/pure", "addon_tests/in_blender")
 PYTHON = ".".join(str(number) for number in sys.version_info[:2])
 EXIT_NO_PACKAGES = 2
-EXIT_CRASHED = 70
 
 
 def packages_folder():
@@ -28,15 +31,28 @@ def packages_folder():
     return Path(os.environ.get("XIHE_TEST_PACKAGES") or ROOT / "build" / "test_packages" / PYTHON).resolve()
 
 
+def why_left_out(item):
+    """Why a whole Blender, or this one, cannot run a test; None if it can."""
+    mark = item.get_closest_marker("wheel_only")
+    if mark is not None:
+        return mark.args[0]
+    if item.get_closest_marker("needs_denoiser"):
+        from xihe_blender.render import can_denoise
+
+        return None if can_denoise(bpy.context.scene) else "this Blender has no OpenImageDenoise"
+    return None
+
+
 class WholeBlender:
-    """A pytest plugin: leaves out the tests marked `wheel_only`, and says so."""
+    """A pytest plugin: leaves out the tests that cannot run here, and says why."""
 
     def __init__(self):
-        self.left_out = []
+        self.left_out = {}
 
     def pytest_collection_modifyitems(self, config, items):
-        self.left_out = [item for item in items if item.get_closest_marker("wheel_only")]
-        config.hook.pytest_deselected(items=self.left_out)
+        reasons = {item: why_left_out(item) for item in items}
+        self.left_out = {item: reason for item, reason in reasons.items() if reason}
+        config.hook.pytest_deselected(items=list(self.left_out))
         items[:] = [item for item in items if item not in self.left_out]
 
     def pytest_report_header(self):
@@ -44,8 +60,8 @@ class WholeBlender:
         return f"Blender {bpy.app.version_string}, NumPy {numpy.__version__} of {Path(numpy.__file__).parent}"
 
     def pytest_terminal_summary(self, terminalreporter):
-        for item in self.left_out:
-            terminalreporter.write_line(f"left out: {item.nodeid}: {item.get_closest_marker('wheel_only').args[0]}")
+        for reason, number in Counter(self.left_out.values()).items():
+            terminalreporter.write_line(f"left out: {number} tests: {reason}")
 
 
 def run(arguments):
@@ -64,14 +80,6 @@ def run(arguments):
     return int(pytest.main([*arguments, *([] if has_paths else FOLDERS)], plugins=[WholeBlender()]))
 
 
-def leave(code):
-    """End Blender with `code`. Its own way out ends with 0, or with whatever its libraries' destructors make of it."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
-    os._exit(code)
-
-
 if __name__ == "__main__":
     exit_code = EXIT_CRASHED
     try:
@@ -80,4 +88,4 @@ if __name__ == "__main__":
         # Blender itself would end with 0 after an exception.
         if exit_code == EXIT_CRASHED:
             traceback.print_exc()
-        leave(exit_code)
+        leave_blender(exit_code)

@@ -137,6 +137,9 @@ def key_lamp(scene: bpy.types.Scene, lamp: bpy.types.Object, kelvin: Sequence[fl
     """
     shade = bpy.data.materials["Desk lamp shade"].node_tree
     bulb = lamp.data
+    # Actions of their own: one that a lamp shares with its node tree has two slots, and Blender 4.3 reads the first.
+    for owner, name in ((bulb, bulb.name), (bulb.node_tree, f"{bulb.name} colour")):
+        owner.animation_data_create().action = bpy.data.actions.new(name)
     for i, frame in enumerate(range(scene.frame_start, scene.frame_end + 1)):
         for tree in (shade, bulb.node_tree):
             tree.nodes["Temperature"].inputs[0].default_value = kelvin[i]

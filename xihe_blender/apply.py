@@ -12,6 +12,7 @@ lighting back and the Graph Editor shows it; timeline markers show the triggers.
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterable, Sequence
 
 import bpy
@@ -23,6 +24,7 @@ from xihenet.records import ArrayF64
 
 NODE_GROUP_NAME = "Xihe SH Radiance"
 PREFIX = "Xihe "
+MAX_NAME_BYTES = 63
 MARKER_PREFIX = "Xihe trigger"
 GAIN = "Gain"
 COEFFICIENTS = [
@@ -38,7 +40,7 @@ def sh_node_group() -> bpy.types.NodeTree:
 
     Inputs: nine vectors (R, G, B of each coefficient, in the order l*l + l + m) and a gain. Output: radiance.
     """
-    group = bpy.data.node_groups.get(NODE_GROUP_NAME)
+    group = _local(bpy.data.node_groups, NODE_GROUP_NAME)
     return group if group is not None else _make_node_group()
 
 
@@ -48,7 +50,7 @@ def make_sh_world(name: str) -> bpy.types.World:
     The importance map is small and fixed: choosing its size automatically costs Cycles seconds per change, and must be
     decided before the first render.
     """
-    world = bpy.data.worlds.get(name) or bpy.data.worlds.new(name)
+    world = _local(bpy.data.worlds, name) or bpy.data.worlds.new(name)
     _remove_animation(world)
     if bpy.app.version < (5, 0, 0):
         # From 5.0 on a world always has nodes, and the switch is deprecated.
@@ -85,6 +87,10 @@ def apply_sh_to_world(world: bpy.types.World, sh_radiance: ArrayLike, exposure: 
 def key_sh_on_world(world: bpy.types.World, frame: int, sh_radiance: ArrayLike, exposure: float = 1.0) -> None:
     """Like `apply_sh_to_world`, from `frame` on: keyed with constant interpolation, as estimates arrive."""
     apply_sh_to_world(world, sh_radiance, exposure)
+    animation = world.node_tree.animation_data_create()
+    if animation.action is None:
+        # Blender 4.3 names an action after the node tree, "Shader Nodetree": nobody would know whose it is.
+        animation.action = bpy.data.actions.new(world.name)
     inputs = _inputs(world)
     for name in (*COEFFICIENTS, GAIN):
         inputs[name].keyframe_insert("default_value", frame=frame)
@@ -94,8 +100,19 @@ def key_sh_on_world(world: bpy.types.World, frame: int, sh_radiance: ArrayLike, 
 
 
 def world_name(virtual_object: str) -> str:
-    """Name of the world that lights a virtual object, cut to the 63 bytes that Blender keeps of a name."""
-    return f"{PREFIX}{virtual_object}".encode()[:63].decode(errors="ignore")
+    """Name of the world that lights a virtual object; see `name_within_limit`."""
+    return name_within_limit(f"{PREFIX}{virtual_object}")
+
+
+def name_within_limit(name: str) -> str:
+    """`name` in the 63 bytes that every Blender keeps of one.
+
+    A longer one is cut, and ends with a checksum of all of it: objects whose long names begin alike stay apart.
+    """
+    whole = name.encode()
+    if len(whole) <= MAX_NAME_BYTES:
+        return name
+    return f"{whole[: MAX_NAME_BYTES - 9].decode(errors='ignore')} {zlib.crc32(whole):08x}"
 
 
 def mark_trigger(scene: bpy.types.Scene, frame: int, reasons: Iterable[str]) -> None:
@@ -115,11 +132,11 @@ def remove_trigger_markers(scene: bpy.types.Scene) -> None:
 def remove_applied_light(scene: bpy.types.Scene) -> None:
     """Take everything away that applying left in the file: worlds, node group, markers."""
     remove_trigger_markers(scene)
-    for world in [w for w in bpy.data.worlds if lights_by_sh(w)]:
+    for world in [w for w in bpy.data.worlds if lights_by_sh(w) and w.library is None]:
         _remove_animation(world)
         _remove_animation(world.node_tree)
         bpy.data.worlds.remove(world)
-    group = bpy.data.node_groups.get(NODE_GROUP_NAME)
+    group = _local(bpy.data.node_groups, NODE_GROUP_NAME)
     if group is not None:
         bpy.data.node_groups.remove(group)
 
@@ -139,7 +156,7 @@ def lights_by_sh(world: bpy.types.World) -> bool:
 
 def applied_worlds(scene: bpy.types.Scene) -> dict[str, bpy.types.World]:
     """The world that lights each virtual object of `scene`, for those that have one."""
-    found = {item.name: bpy.data.worlds.get(world_name(item.name)) for item in virtual_objects(scene)}
+    found = {item.name: _local(bpy.data.worlds, world_name(item.name)) for item in virtual_objects(scene)}
     return {name: world for name, world in found.items() if world is not None}
 
 
@@ -152,10 +169,16 @@ def f_curves(owner: bpy.types.ID) -> Sequence[bpy.types.FCurve]:
     if animation is None or animation.action is None:
         return []
     action = animation.action
-    if hasattr(action, "fcurves"):
+    # From 4.4 to 4.5 an action also lists the curves of its first slot, which may be another owner's.
+    if not hasattr(action, "layers"):
         return list(action.fcurves)
     bags = (strip.channelbag(animation.action_slot) for layer in action.layers for strip in layer.strips)
     return [curve for bag in bags if bag is not None for curve in bag.fcurves]
+
+
+def _local(blocks: bpy.types.bpy_prop_collection, name: str) -> bpy.types.ID | None:
+    """The data-block of the file itself that has this name: one of a linked library may have it as well."""
+    return blocks.get((name, None))
 
 
 def _checked(sh_radiance: ArrayLike, exposure: float) -> ArrayF64:

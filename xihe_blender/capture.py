@@ -20,6 +20,7 @@ import numpy as np
 
 from xihe_blender.errors import UserError
 from xihe_blender.render import Rendered, RenderSettings, exclude_collection, render_passes, working_scene
+from xihe_blender.units import metres_per_unit
 from xihe_blender.virtual_objects import virtual_collection
 from xihenet.camera import encode_exposed, metered_exposure, sensed_ambient, valid_plane_depth
 from xihenet.records import ArrayF32, ArrayF64, Intrinsics, RgbdFrame
@@ -101,7 +102,7 @@ def first_layer(rendered: Rendered) -> tuple[ArrayF32, ArrayF32]:
 
 
 def phone_camera(scene: bpy.types.Scene) -> tuple[Intrinsics, ArrayF64]:
-    """Intrinsics and (4, 4) world_from_camera of the scene's camera at its current frame.
+    """Intrinsics and (4, 4) world_from_camera, in metres, of the scene's camera at its current frame.
 
     Constraints, parents, drivers and markers that switch the camera are followed; the object's scale is left out, as
     Cycles leaves it out. UserError without a camera, for one that is not perspective, or one whose scale is 0.
@@ -120,6 +121,7 @@ def phone_camera(scene: bpy.types.Scene) -> tuple[Intrinsics, ArrayF64]:
     if not (np.isfinite(pose).all() and lengths.min() > 1e-12):
         raise UserError(f"camera {camera.name!r} has a scale of 0 at frame {scene.frame_current}: set its scale to 1")
     pose[:3, :3] /= lengths
+    pose[:3, 3] *= metres_per_unit(scene)
     return _intrinsics(evaluated, depsgraph, scene.render), pose
 
 

@@ -19,6 +19,7 @@ from xihe_blender.apply import key_sh_on_world, make_sh_world, mark_trigger, rem
 from xihe_blender.compare import LIT_SCENE, remove_lit_collections, set_up_lit_scene
 from xihe_blender.outputs import written_whole
 from xihe_blender.plan import PrevisPlan
+from xihe_blender.render import can_denoise
 from xihenet.records import ArrayF64
 
 
@@ -74,6 +75,9 @@ def save_lit_blend(scene: bpy.types.Scene, plan: PrevisPlan, path: Path) -> None
             lit.view_layers.remove(layer)
         worlds = {world_name(item.name): (item.name, bpy.data.worlds[world_name(item.name)]) for item in plan.objects}
         set_up_lit_scene(lit, plan.objects, worlds)
+        lit.render.engine = "CYCLES"
+        # Denoised as the report's pictures are. A build without the denoiser would refuse to render with it.
+        lit.cycles.use_denoising = can_denoise(lit) and lit.cycles.use_denoising
         with written_whole(path) as beside:
             bpy.ops.wm.save_as_mainfile(filepath=str(beside), copy=True, compress=True)
             _check_is_whole(beside, lit.name)

@@ -22,6 +22,9 @@ import numpy as np
 from xihenet.png import write_png
 from xihenet.records import ArrayF64, ArrayU8
 
+MAX_STEM = 40
+"""Characters of an object's name in a file name: Blender 5 allows 255 bytes, as much as a whole file name may have."""
+
 
 @dataclass(frozen=True)
 class RunOutputs:
@@ -101,8 +104,8 @@ class RunOutputs:
 
 
 def _file_stem(name: str) -> str:
-    """`name` with everything but letters, digits, '-' and '.' replaced, so that it is a file name everywhere."""
-    return "".join(c if c.isalnum() or c in "-." else "_" for c in name)
+    """`name` as part of a file name: everything but letters, digits, '-' and '.' replaced, and not too long."""
+    return "".join(c if c.isalnum() or c in "-." else "_" for c in name[:MAX_STEM])
 
 
 @contextlib.contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -42,6 +43,7 @@ class PrevisPlan:
 
 def plan_previs(scene: bpy.types.Scene, settings: PrevisSettings) -> PrevisPlan:
     """Check `scene` against `settings`: what would a run do? UserError names the fix; the scene stays as it is."""
+    check_nothing_is_missing(scene)
     frames = planned_frames(scene, settings.frames)
     objects = planned_objects(scene, settings.objects)
     sized = sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1))
@@ -53,6 +55,16 @@ def plan_previs(scene: bpy.types.Scene, settings: PrevisSettings) -> PrevisPlan:
         depsgraph = working.view_layers[0].depsgraph
         probes = [probe for item in objects for probe in _probes(item, depsgraph)]
     return PrevisPlan(tuple(frames), size, tuple(objects), tuple(probes))
+
+
+def check_nothing_is_missing(scene: bpy.types.Scene) -> None:
+    """UserError if a part of `scene` is linked from a library that is not there: Blender would render without it."""
+    missing = [block for block in (*scene.collection.children_recursive, *scene.objects) if block.is_missing]
+    if missing:
+        raise UserError(
+            f"{missing[0].name!r} is missing, its library {missing[0].library.filepath} was not found: "
+            "put it back, or relocate it in Blender's outliner"
+        )
 
 
 def planned_frames(scene: bpy.types.Scene, wanted: Sequence[int] | None) -> list[int]:
@@ -77,6 +89,7 @@ def planned_objects(scene: bpy.types.Scene, wanted: Sequence[str] | None) -> lis
         )
     if wanted is not None and not wanted:
         raise UserError(f"no virtual object is chosen: choose among {', '.join(found)}, or leave --objects out for all")
+    _check_names_differ(virtual_objects(scene))
     unknown = [name for name in wanted or () if name not in found]
     if unknown:
         raise UserError(f"there is no virtual object {unknown[0]!r}: choose among {', '.join(found)}")
@@ -84,6 +97,17 @@ def planned_objects(scene: bpy.types.Scene, wanted: Sequence[str] | None) -> lis
     for item in chosen:
         _check_is_not_in_the_room(scene, item)
     return chosen
+
+
+def _check_names_differ(items: Sequence[bpy.types.Object]) -> None:
+    """Results go by name, and an object of a linked library may have the name of another."""
+    for item, other in itertools.pairwise(items):
+        if item.name == other.name:
+            linked = item if item.library is not None else other
+            raise UserError(
+                f"two virtual objects are named {item.name!r}, one of them linked from {linked.library.filepath}: "
+                "rename one of them"
+            )
 
 
 def _check_is_not_in_the_room(scene: bpy.types.Scene, item: bpy.types.Object) -> None:

@@ -19,8 +19,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from xihe_blender.errors import UserError
+from xihe_blender.units import metres_per_unit
+from xihenet.camera import MISS_PLANE_DEPTH_M
 from xihenet.exr import read_exr
 from xihenet.records import ArrayF32
 
@@ -51,7 +54,10 @@ class RenderSettings:
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
-    """Channels (H, W) by "<pass>.<channel>" for each view layer, and the seconds Blender's render operator took."""
+    """Channels (H, W) by "<pass>.<channel>" for each view layer, and the seconds Blender's render operator took.
+
+    "Depth.Z" is in metres.
+    """
 
     layers: dict[str, dict[str, ArrayF32]]
     render_s: float
@@ -73,7 +79,12 @@ def working_scene(scene: bpy.types.Scene, name: str, settings: RenderSettings) -
 
 
 def set_up_cycles(scene: bpy.types.Scene, settings: RenderSettings) -> None:
-    """Make `scene` render plain radiance: no border, compositor, sequencer, film exposure or adaptive sampling."""
+    """Make `scene` render plain radiance: no border, compositor, sequencer, film exposure or adaptive sampling.
+
+    UserError where the user has turned Cycles off.
+    """
+    if not hasattr(scene, "cycles"):
+        raise UserError("Cycles is turned off in this Blender: turn on Cycles Render Engine in Preferences > Add-ons")
     render, cycles = scene.render, scene.cycles
     render.engine = "CYCLES"
     render.resolution_x, render.resolution_y = settings.size
@@ -154,7 +165,16 @@ def _whole_picture(scene: bpy.types.Scene, path: Path) -> dict[str, dict[str, Ar
         layers = {}
     if any("Depth.Z" not in layers.get(layer.name, ()) for layer in scene.view_layers if layer.use):
         raise OSError(f"Blender wrote no whole picture to {path}: free some space in the temporary folder")
+    for passes in layers.values():
+        passes["Depth.Z"] = _in_metres(passes["Depth.Z"], metres_per_unit(scene))
     return layers
+
+
+def _in_metres(plane_depth: ArrayF32, metres: float) -> ArrayF32:
+    """Plane depth in Blender units as metres; misses stay what they are."""
+    if metres == 1:
+        return plane_depth
+    return np.where(plane_depth < MISS_PLANE_DEPTH_M, plane_depth * np.float32(metres), plane_depth)
 
 
 def _by_layer(channels: dict[str, ArrayF32]) -> dict[str, dict[str, ArrayF32]]:

@@ -47,7 +47,8 @@ def show_results(scene: bpy.types.Scene, results: dict[str, Any], folder: Path, 
     wipe : 0 to 1, see `wiped`
     """
     for name in results["lights"]:
-        _key_curves(bpy.data.worlds[world_name(name)], results, name)
+        # The file's own world: one of a linked library may have the same name.
+        _key_curves(bpy.data.worlds[world_name(name), None], results, name)
     show_images(scene, results, folder, wipe=wipe)
 
 
@@ -71,11 +72,12 @@ def apply_results(scene: bpy.types.Scene, results: dict[str, Any], folder: Path,
 def light_in_force(results: dict[str, Any], name: str, frame: int) -> ArrayF64:
     """(9, 3) the light of virtual object `name` at `frame`, carrying the run's exposure; before the first, the first.
 
-    ValueError for an object that the run did not light.
+    ValueError for an object that the run did not light: another one, or where no position was ever in view.
     """
     changes = results["lights"].get(name)
     if not changes:
-        raise ValueError(f"expected one of the objects {', '.join(results['lights'])}, got {name!r}")
+        lit = ", ".join(other for other, of_one in results["lights"].items() if of_one)
+        raise ValueError(f"expected one of the objects that the run lit ({lit or 'none'}), got {name!r}")
     reached = [change for change in changes if change["frame"] <= frame]
     return np.array((reached or changes)[-1 if reached else 0]["sh"], np.float64)
 
@@ -108,9 +110,14 @@ def show_images(
 ) -> None:
     """Make the images of `results` show `frame`; None takes the scene's current one."""
     shown = scene.frame_current if frame is None else frame
-    for name in results["lights"]:
-        show_light(results, name, shown)
-    show_comparison(results, folder, shown, wipe)
+    for name, changes in results["lights"].items():
+        if changes:
+            show_light(results, name, shown)
+        else:
+            # Nothing was ever in view, and a picture of an earlier run would say otherwise.
+            _remove_image(f"{LIGHT_PREFIX}{name}")
+    if show_comparison(results, folder, shown, wipe) is None:
+        _remove_image(COMPARISON_NAME)
 
 
 def show_light(results: dict[str, Any], name: str, frame: int) -> bpy.types.Image:
@@ -170,8 +177,14 @@ def image_named(name: str) -> bpy.types.Image | None:
 
 
 def our_images() -> Iterator[bpy.types.Image]:
-    """All images that results were shown in."""
-    return (image for image in bpy.data.images if _MADE_BY in image)
+    """All images of the file itself that results were shown in."""
+    return (image for image in bpy.data.images if _MADE_BY in image and image.library is None)
+
+
+def _remove_image(name: str) -> None:
+    image = image_named(name)
+    if image is not None:
+        bpy.data.images.remove(image)
 
 
 def _read_picture(path: Path) -> ArrayF32:
@@ -235,4 +248,5 @@ def remove_everything(scene: bpy.types.Scene) -> None:
 def has_anything(scene: bpy.types.Scene) -> bool:
     """Whether `remove_everything` would find something."""
     marked = any(marker.name.startswith(MARKER_PREFIX) for marker in scene.timeline_markers)
-    return marked or any(lights_by_sh(world) for world in bpy.data.worlds) or next(our_images(), None) is not None
+    lit = any(lights_by_sh(world) and world.library is None for world in bpy.data.worlds)
+    return marked or lit or next(our_images(), None) is not None

@@ -8,8 +8,10 @@ from typing import Any
 
 import bpy
 
+from xihe_blender.apply import PREFIX
 from xihe_blender.effort import Effort
 from xihe_blender.previs_settings import PrevisSettings
+from xihe_blender.units import said_of_units
 
 METRICS = ("psnr", "ssim", "rmse", "si_rmse", "angular_deg")
 
@@ -63,6 +65,7 @@ def notes(scene: bpy.types.Scene, frames: Sequence[dict[str, Any]]) -> list[str]
         "The shadow that a virtual object casts on the room is in the ground truth but not in the methods' pictures.",
         "In the pictures `truth` is the whole light of the rendered probe as order-2 SH, not clipped.",
     ]
+    said += [note for note in (said_of_units(scene), said_of_scenes(scene)) if note is not None]
     undelivered = sum(not entry["is_delivered"] for entry in frames)
     if undelivered:
         said.append(f"{undelivered} of {len(frames)} frames of the path came too soon after another for the phone.")
@@ -77,6 +80,12 @@ def notes(scene: bpy.types.Scene, frames: Sequence[dict[str, Any]]) -> list[str]
     if invalid > 0:
         said.append(f"{invalid} captured pixels had no plane depth (open sky or a window) and gave no point.")
     return said
+
+
+def said_of_scenes(scene: bpy.types.Scene) -> str | None:
+    """A sentence where the file has more scenes of the user's than the one that was run; None where it has not."""
+    n_scenes = sum(other == scene or not other.name.startswith(PREFIX) for other in bpy.data.scenes)
+    return None if n_scenes == 1 else f"The file has {n_scenes} scenes; this is a run of {scene.name!r} alone."
 
 
 def noise_notes(settings: PrevisSettings, effort: Effort) -> list[str]:

@@ -11,6 +11,7 @@ from mathutils import Vector
 from numpy.typing import ArrayLike
 
 from xihe_blender.apply import apply_sh_to_world, make_sh_world, world_name
+from xihe_blender.units import metres_per_unit
 from xihe_blender.virtual_objects import estimation_positions, virtual_collection, virtual_objects
 from xihenet import controller
 from xihenet.records import LightEstimate
@@ -44,7 +45,7 @@ class XiheController(controller.XiheController):
             collection = virtual_collection(scene, create=True)
             assert collection is not None
             collection.objects.link(item)
-        item.matrix_world.translation = Vector(position)
+        item.matrix_world.translation = Vector(position / metres_per_unit(scene))
         bpy.context.view_layer.update()
         positions = estimation_positions(item)
         estimates = [self.estimate_at(p) for p in positions]

@@ -18,12 +18,13 @@ from numpy.typing import ArrayLike
 
 from xihe_blender.capture import first_layer, leave_out_virtual_objects
 from xihe_blender.render import RenderSettings, render_passes, working_scene
+from xihe_blender.units import metres_per_unit
 from xihenet.estimators.base import Target
 from xihenet.records import ArrayF32, ArrayF64
 from xihenet.sh import project_panorama
 
 SCENE_NAME = "Xihe Truth"
-CLIP_START_M = 0.001
+CLIP_START_M, CLIP_END_M = 0.001, 1e5
 
 
 @dataclass
@@ -33,9 +34,13 @@ class LightProbe:
     scene: bpy.types.Scene
     render_s: float = 0.0
 
+    def stand_at(self, position_m: ArrayLike) -> None:
+        """Put the probe at `position_m` (world, metres)."""
+        self.scene.camera.location = tuple(np.asarray(position_m, np.float64) / metres_per_unit(self.scene))
+
     def panorama(self, position_m: ArrayLike, frame: int) -> ArrayF32:
         """(H, W, 3) scene radiance at `position_m` (world, metres); row 0 is up, the middle column looks along +Y."""
-        self.scene.camera.location = tuple(np.asarray(position_m, np.float64))
+        self.stand_at(position_m)
         self.scene.frame_set(frame)
         rendered = render_passes(self.scene)
         self.render_s = rendered.render_s
@@ -72,7 +77,7 @@ def _panoramic_camera(scene: bpy.types.Scene) -> Iterator[bpy.types.Object]:
         data.type = "PANO"
         panorama = data if hasattr(data, "panorama_type") else data.cycles
         panorama.panorama_type = "EQUIRECTANGULAR"
-        data.clip_start, data.clip_end = CLIP_START_M, 1e5
+        data.clip_start, data.clip_end = (metres / metres_per_unit(scene) for metres in (CLIP_START_M, CLIP_END_M))
         camera.rotation_euler = (math.pi / 2, 0.0, 0.0)
         # Not linked to a collection: those are the user's. Cycles needs only the scene to point at it.
         scene.camera = camera

@@ -12,6 +12,7 @@ Not here: hiding the objects for a capture, and the worlds that light them.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -19,9 +20,13 @@ import bpy
 import numpy as np
 
 from xihe_blender.errors import UserError
+from xihe_blender.units import metres_per_unit
 from xihenet.records import ArrayF64
 
 COLLECTION_NAME = "Xihe Virtual"
+NAME_PATTERN = re.compile(rf"{COLLECTION_NAME}(\.\d{{3,}})?")
+"""Names are unique in a file: of two scenes, the second one's collection is "Xihe Virtual.001"."""
+
 GEOMETRY_TYPES = frozenset({"MESH", "CURVE", "SURFACE", "FONT", "META", "VOLUME", "CURVES", "POINTCLOUD"})
 
 # A box of exactly n spacings is split in n, although its world corners carry float32 rounding.
@@ -40,19 +45,21 @@ def virtual_collection(scene: bpy.types.Scene, *, create: bool = False) -> bpy.t
     Parameters
     ----------
     scene : searched by name, so that a collection of another scene in the same file is not found
-    create : link the collection to the scene if it is missing
+    create : make the collection if it is missing; one that another scene shows stays that scene's
 
     Returns
     -------
     the collection, or None where there is none and `create` is False
     """
-    for collection in scene.collection.children_recursive:
-        if collection.name == COLLECTION_NAME:
-            return collection
+    found = [c for c in scene.collection.children_recursive if NAME_PATTERN.fullmatch(c.name)]
+    if found:
+        return min(found, key=lambda collection: collection.name)
     if not create:
         return None
     # A file that was appended to may hold the collection without any scene that shows it.
-    collection = bpy.data.collections.get(COLLECTION_NAME) or bpy.data.collections.new(COLLECTION_NAME)
+    collection = bpy.data.collections.get((COLLECTION_NAME, None))
+    if collection is None or any(collection in other.collection.children_recursive for other in bpy.data.scenes):
+        collection = bpy.data.collections.new(COLLECTION_NAME)
     scene.collection.children.link(collection)
     return collection
 
@@ -159,7 +166,8 @@ def estimation_positions(
     """
     if not (np.isfinite(spacing_m) and spacing_m > 0):
         raise ValueError(f"estimation_positions: spacing_m must be positive and finite, got {spacing_m}")
-    corners = world_box_corners(object, depsgraph or bpy.context.evaluated_depsgraph_get())
+    depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
+    corners = world_box_corners(object, depsgraph) * metres_per_unit(depsgraph.scene)
     return box_cell_centres(corners.min(axis=0), corners.max(axis=0), spacing_m)
 
 
@@ -172,7 +180,7 @@ def box_cell_centres(low_m: ArrayF64, high_m: ArrayF64, spacing_m: float) -> Arr
 
 
 def world_box_corners(object: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> ArrayF64:
-    """Box corners (8 n, 3) in the world of everything that `object` puts into the render; its origin if nothing."""
+    """Box corners (8 n, 3), in Blender units, of all that `object` puts into the render; its origin if nothing."""
     boxes = [_instance_corners(i) for i in depsgraph.object_instances if _belongs_to(i, object)]
     evaluated = object.evaluated_get(depsgraph)
     if not boxes and object.type in GEOMETRY_TYPES:
@@ -208,7 +216,7 @@ def add_three_sphere_rig(
     Parameters
     ----------
     scene : gets the virtual collection if it has none
-    location : world point under the middle sphere, metres
+    location : world point under the middle sphere, Blender units, as the 3D cursor has it
     radius_m : of each sphere, positive
 
     Returns
@@ -224,23 +232,24 @@ def add_three_sphere_rig(
     collection = virtual_collection(scene, create=True)
     assert collection is not None
     x, y, z = location
+    radius = radius_m / metres_per_unit(scene)
     spheres = []
     for step, (name, look) in zip((-1, 0, 1), RIG_LOOKS.items(), strict=True):
-        sphere = bpy.data.objects.new(name, _sphere_mesh(name, radius_m))
+        sphere = bpy.data.objects.new(name, _sphere_mesh(name, radius))
         sphere.data.materials.append(_rig_material(name, look))
-        sphere.location = (x + 2.3 * radius_m * step, y, z + radius_m)
+        sphere.location = (x + 2.3 * radius * step, y, z + radius)
         collection.objects.link(sphere)
         spheres.append(sphere)
     return spheres
 
 
-def _sphere_mesh(name: str, radius_m: float, n_around: int = 64, n_up: int = 32) -> bpy.types.Mesh:
+def _sphere_mesh(name: str, radius: float, n_around: int = 64, n_up: int = 32) -> bpy.types.Mesh:
     """A smooth UV sphere around the origin; bmesh's own orders its vertices differently from version to version."""
     polar = np.pi * np.arange(1, n_up) / n_up
     azimuth = 2 * np.pi * np.arange(n_around) / n_around
     across, along = np.sin(polar)[:, None], np.cos(polar)[:, None] * np.ones(n_around)
     rings = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), along], axis=-1).reshape(-1, 3)
-    vertices = np.concatenate([rings, [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]]) * radius_m
+    vertices = np.concatenate([rings, [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]]) * radius
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata(vertices.tolist(), [], _sphere_faces(n_around, n_up - 1))
     mesh.shade_smooth()

@@ -11,23 +11,29 @@ PACKAGE = "xihe_test"
 
 
 @contextlib.contextmanager
-def registered_addon(runs_folder=None):
-    """The add-on as Blender has it when it is enabled; runs go to `runs_folder`. Gone afterwards."""
+def registered_addon():
+    """The add-on, registered as Blender does it, and gone afterwards."""
     addon.register(PACKAGE)
-    entry = bpy.context.preferences.addons.new()
-    entry.module = PACKAGE
-    if runs_folder is not None:
-        entry.preferences.cache_folder = str(runs_folder)
     try:
         yield
     finally:
-        bpy.context.preferences.addons.remove(entry)
+        addons = bpy.context.preferences.addons
+        for entry in [entry for entry in addons if entry.module == PACKAGE]:
+            addons.remove(entry)
         addon.unregister()
 
 
-def walk_for_the_panel(**settings):
-    """`walk`, with the settings of a small run in the panel."""
+def enable_preferences():
+    """The add-on's preferences, as they are there once it is enabled; a factory reset takes them away."""
+    entry = bpy.context.preferences.addons.new()
+    entry.module = PACKAGE
+    return entry.preferences
+
+
+def walk_for_the_panel(runs_folder, **settings):
+    """`walk`, with the settings of a small run in the panel; runs go to `runs_folder`."""
     scene = walk()
+    enable_preferences().cache_folder = str(runs_folder)
     chosen = scene.xihe
     chosen.preset, chosen.use_own_size, chosen.size = "draft", True, (32, 24)
     for name, value in settings.items():

@@ -11,6 +11,9 @@ UI_OR_DERIVED = {"window_managers", "screens", "workspaces", "all_ids"}
 """Collections of bpy.data that hold no work of the user's."""
 
 NOT_COMPARED = {"rna_type", "bl_rna", "original", "users", "session_uid", "preview", "depsgraph", "is_evaluated"}
+NOT_COMPARED |= {"uv_sculpt"}
+"""Of these, `uv_sculpt` is a tool's settings whose brush Blender 4.3 cannot hand out: reading it is a crash."""
+
 GEOMETRY = {"vertices", "edges", "loops", "polygons", "loop_triangles", "vertex_normals", "polygon_normals"}
 GEOMETRY |= {"corner_normals", "attributes", "loop_triangle_polygons", "color_attributes"}
 """Of meshes, thousands of entries each; compared as a hash of the coordinates instead."""

@@ -6,29 +6,18 @@ import re
 import resource
 import signal
 import subprocess
-import sys
 from functools import partial
-from pathlib import Path
 
 import bpy
 import pytest
 from previs_runs import N_FRAMES, files_below, unfinished_files, walk
 from results_schema import check_results, read_strictly, without_times
+from xihe_process import ROOT, said, typed, xihe
 
 from xihe_blender.virtual_objects import virtual_collection
 from xihenet import __version__
 
-ROOT = Path(__file__).resolve().parents[2]
 DRAFT = ("--preset", "draft", "--size", "32x24")
-
-
-def typed(*arguments):
-    # Warnings are errors in the command as well.
-    return [sys.executable, "-W", "error", "-m", "xihe_blender", *map(str, arguments)]
-
-
-def xihe(*arguments, **options):
-    return subprocess.run(typed(*arguments), cwd=ROOT, capture_output=True, text=True, timeout=100, **options)
 
 
 def previs(blend, out, *arguments, **options):
@@ -203,14 +192,14 @@ def stopped(blend, out, doing, number):
         stderr=subprocess.PIPE,
         text=True,
     )
-    said = []
+    lines = []
     for line in process.stderr:
-        said.append(line)
+        lines.append(line)
         if doing in line:
             process.send_signal(number)
             break
     stdout, rest = process.communicate(timeout=100)
-    return process.returncode, stdout, "".join(said) + rest
+    return process.returncode, said(stdout), said("".join(lines) + rest)
 
 
 @pytest.mark.parametrize("doing", ["capturing frame 2", "comparing frame 1"])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -29,6 +28,7 @@ from xihe_blender.dataset.views import (
 )
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
+from xihe_blender.processes import module_command
 from xihenet.camera import metered_exposure, project_points, unproject_frame
 from xihenet.sphere import AnchorLattice
 
@@ -195,7 +195,7 @@ def test_the_command_refuses_what_makes_no_sense_in_one_line(wrong, tmp_path, ca
 
 
 def test_a_killed_worker_leaves_whole_files_alone(tmp_path):
-    command = [sys.executable, "-m", "xihe_blender.dataset.worker", "--out", str(tmp_path), "--seed", "5"]
+    command = [*module_command("xihe_blender.dataset.worker"), "--out", str(tmp_path), "--seed", "5"]
     command += ["--rooms", ",".join(map(str, range(50))), "--settings", *map(str, SMALL_NUMBERS)]
     worker = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 60

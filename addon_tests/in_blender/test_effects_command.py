@@ -2,10 +2,7 @@
 
 import hashlib
 import json
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import bpy
 import pytest
@@ -14,6 +11,7 @@ from previs_runs import SMALL, run
 from results_schema import check_results, read_strictly
 from scene_snapshot import differences, snapshot
 from tiny_scenes import room_with_a_virtual_sphere
+from xihe_process import xihe
 
 from xihe_blender.blend_file import open_blend
 from xihe_blender.effects import plan_effects, remember_overrides, remembered_overrides
@@ -23,13 +21,7 @@ from xihe_blender.effects.plan import RULES
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 
-ROOT = Path(__file__).resolve().parents[2]
 COSTLESS = {"subsurface", "hair", "displacement", "depth of field", "environment sampling"}
-
-
-def xihe(*arguments):
-    typed = [sys.executable, "-W", "error", "-m", "xihe_blender", *map(str, arguments)]
-    return subprocess.run(typed, cwd=ROOT, capture_output=True, text=True, timeout=100)
 
 
 def saved(scene, path):

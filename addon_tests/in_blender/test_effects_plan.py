@@ -23,7 +23,9 @@ from xihe_blender.effects.plan import RULES, everything_on, judge_effects
 from xihe_blender.render import RenderSettings, can_denoise, working_scene
 
 
-@pytest.mark.parametrize("effect", PAIRS)
+@pytest.mark.parametrize(
+    "effect", [pytest.param(e, marks=pytest.mark.needs_denoiser) if e == "denoising" else e for e in PAIRS]
+)
 def test_an_effect_is_on_in_a_scene_that_calls_for_it_and_off_in_one_that_does_not(effect):
     calls_for_it, does_not = PAIRS[effect]
     called = plan_effects(calls_for_it())[effect]
@@ -171,6 +173,7 @@ def test_a_camera_of_ones_own_is_judged_instead_of_the_scenes():
     assert plan_effects(scene, other)["depth of field"].state == "on"
 
 
+@pytest.mark.needs_denoiser
 def test_a_world_of_a_view_layer_is_the_one_that_is_judged():
     scene = stage(lamp=False)
     assert state(scene, "denoising") == "off"

@@ -163,6 +163,12 @@ def test_a_tiny_render_is_neither_black_nor_blank(scene, tmp_path):
     assert pixels.std() > 0.03
 
 
+def test_blender_4_3_reads_all_keys(scene):
+    assert bpy.data.actions
+    for action in bpy.data.actions:
+        assert len(getattr(action, "slots", ["the only one"])) == 1, action.name
+
+
 def test_the_lamp_goes_from_warm_to_cool(scene_of):
     kelvin, power = lamp_over_time(scene_of("light_temperature"))
     assert (kelvin[0], kelvin[-1]) == pytest.approx((1500, 6500))

@@ -19,6 +19,8 @@ from xihenet.sphere import AnchorLattice
 
 LATTICE = AnchorLattice(1280)
 ORIGIN = np.zeros(3)
+NEEDS_FPSAMPLE = pytest.mark.wheel_only("fpsample, for one baseline, has no wheels that Blender's Python could load")
+BASELINES = [sample_uniform, pytest.param(sample_farthest, marks=NEEDS_FPSAMPLE)]
 
 
 def random_cloud(rng, n, size_m=5.0):
@@ -211,7 +213,7 @@ def test_position_must_be_three_finite_numbers(position):
         sample_unit_sphere(random_cloud(np.random.default_rng(0), 3), position, LATTICE)
 
 
-@pytest.mark.parametrize("sample", [sample_uniform, sample_farthest])
+@pytest.mark.parametrize("sample", BASELINES)
 def test_baselines_pick_different_usable_points_with_their_own_colours(sample):
     cloud = nasty_cloud(np.random.default_rng(11))
     cloud = PointCloud(cloud.points_m[:400], cloud.srgb[:400])
@@ -223,7 +225,7 @@ def test_baselines_pick_different_usable_points_with_their_own_colours(sample):
     assert len(chosen) == 128 and chosen <= pairs
 
 
-@pytest.mark.parametrize("sample", [sample_uniform, sample_farthest])
+@pytest.mark.parametrize("sample", BASELINES)
 def test_baselines_repeat_for_a_seed_and_differ_for_another(sample):
     cloud = random_cloud(np.random.default_rng(13), 2000)
     first, same, other = (sample(cloud, 50, np.random.default_rng(seed)).points_m for seed in (1, 1, 2))
@@ -231,14 +233,14 @@ def test_baselines_repeat_for_a_seed_and_differ_for_another(sample):
     assert not np.array_equal(first, other)
 
 
-@pytest.mark.parametrize("sample", [sample_uniform, sample_farthest])
+@pytest.mark.parametrize("sample", BASELINES)
 @pytest.mark.parametrize(("n", "n_points", "expected"), [(0, 5, 0), (5, 5, 5), (9, 5, 5), (3, 0, 0)])
 def test_baselines_give_all_points_where_there_are_no_more(sample, n, n_points, expected):
     cloud = random_cloud(np.random.default_rng(14), n_points)
     assert len(sample(cloud, n, np.random.default_rng(0)).points_m) == expected
 
 
-@pytest.mark.parametrize("sample", [sample_uniform, sample_farthest])
+@pytest.mark.parametrize("sample", BASELINES)
 def test_baselines_refuse_a_negative_number(sample):
     with pytest.raises(ValueError, match="0 points or more, got -1"):
         sample(random_cloud(np.random.default_rng(0), 3), -1, np.random.default_rng(0))
@@ -253,6 +255,7 @@ def test_uniform_sampling_favours_no_point():
     np.testing.assert_allclose(counts / 2000, 0.3, atol=0.05)
 
 
+@NEEDS_FPSAMPLE
 def test_each_farthest_point_is_the_farthest_from_those_before_it():
     cloud = random_cloud(np.random.default_rng(16), 3000)
     picked = sample_farthest(cloud, 60, np.random.default_rng(17)).points_m.astype(np.float64)

@@ -7,8 +7,11 @@ without.
 
 from __future__ import annotations
 
+import atexit
 import importlib
 from types import ModuleType
+
+import bpy
 
 MODULES = (
     "properties",
@@ -34,10 +37,14 @@ def register(package: str) -> None:
         except Exception:
             _unregister(modules[:place])
             raise
+    if getattr(bpy.app, "module", False):
+        # The wheel of Blender 4.5 never ends where something is still registered.
+        atexit.register(unregister)
 
 
 def unregister() -> None:
     """Take everything away that `register` made."""
+    atexit.unregister(unregister)
     _unregister(_modules())
 
 

@@ -72,8 +72,7 @@ class XIHE_OT_add_sphere_rig(bpy.types.Operator):
 
     radius_m: bpy.props.FloatProperty(
         name="Radius",
-        description="Of each sphere",
-        subtype="DISTANCE",
+        description="Of each sphere, in metres",
         default=0.06,
         min=0.001,
         soft_min=0.01,

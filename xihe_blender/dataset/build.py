@@ -10,7 +10,6 @@ import contextlib
 import json
 import os
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -22,6 +21,7 @@ from xihe_blender.dataset.store import FORMAT_VERSION, stored_indices
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.outputs import write_json
+from xihe_blender.processes import module_command
 from xihenet import __version__
 from xihenet.training.rooms import SPLITS, Split, split_of
 
@@ -164,7 +164,7 @@ class _Worker:
 def _worker(folder: Path, settings: BuildSettings, indices: Sequence[int], core: int | None) -> Iterator[_Worker]:
     """A process that makes the rooms `indices`; it has ended when the block has, whatever happens."""
     numbers = ",".join(str(i) for i in indices)
-    command = [sys.executable, "-m", "xihe_blender.dataset.worker", "--out", str(folder), "--seed", str(settings.seed)]
+    command = [*module_command("xihe_blender.dataset.worker"), "--out", str(folder), "--seed", str(settings.seed)]
     command += ["--rooms", numbers, "--settings", *(str(n) for n in settings.render)]
     command += [] if settings.walk is None else ["--walk", str(settings.walk)]
     with tempfile.TemporaryFile() as errors:

@@ -37,6 +37,7 @@ from xihe_blender.previs_settings import PrevisSettings
 from xihe_blender.render import RenderSettings, render_passes, working_scene
 from xihe_blender.scene_state import scene_kept
 from xihe_blender.truth import open_light_probe
+from xihe_blender.units import metres_per_unit
 from xihe_blender.virtual_objects import virtual_objects
 from xihenet import __version__
 from xihenet.camera import encode_exposed, in_view, valid_plane_depth
@@ -70,6 +71,8 @@ def add_scene(
     ------
     UserError if the scene cannot be used so, or the folder holds something else; OSError if it cannot be written
     """
+    if metres_per_unit(scene) != 1:
+        raise UserError(f"scene {scene.name!r} has a unit scale other than 1: set it to 1, rooms are in metres")
     chosen = planned_frames(scene, frames)
     size = sized_for(scene, settings.view).size
     positions_m = scene_positions(scene, chosen, at)

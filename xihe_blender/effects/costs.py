@@ -176,7 +176,7 @@ def _change(on: ArrayF64, off: ArrayF64) -> Change | None:
 @contextlib.contextmanager
 def _probe(scene: bpy.types.Scene, variant: _Variant, position_m: ArrayLike, frame: int) -> Iterator[_View]:
     with open_light_probe(scene, _planned(PROBE, variant)) as probe:
-        probe.scene.camera.location = tuple(np.asarray(position_m, np.float64))
+        probe.stand_at(position_m)
         probe.scene.frame_set(frame)
         # The coefficient of l = 0 is the mean over all directions, whatever the panorama's texels cover.
         yield _View(probe.scene, lambda panorama: float(project_panorama(panorama, order=0).mean()), [], [])

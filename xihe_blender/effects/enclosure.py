@@ -24,6 +24,7 @@ import numpy as np
 from mathutils import Vector
 
 from xihe_blender.effects.solids import Solids
+from xihe_blender.units import metres_per_unit
 from xihenet.records import ArrayF64
 from xihenet.sphere import AnchorLattice
 
@@ -39,7 +40,7 @@ LEFT_OUT = 2e-4
 1e-3 was seen. Late bounces are nearly free, since Cycles ends weak paths by chance: 32 in place of 8 cost 0 to 5 %."""
 
 Ray = tuple[Vector, Vector]
-"""Where it starts, and its direction, in the world."""
+"""Where it starts, and its direction, in the world, metres."""
 
 
 def rays_all_round(origins: Sequence[Sequence[float]]) -> list[Ray]:
@@ -50,7 +51,7 @@ def rays_all_round(origins: Sequence[Sequence[float]]) -> list[Ray]:
 
 def rays_through_picture(camera: bpy.types.Object, scene: bpy.types.Scene) -> list[Ray]:
     """Rays through an even grid of the picture of an evaluated `camera`; all round for one that is not perspective."""
-    place = camera.matrix_world.translation
+    place = camera.matrix_world.translation * metres_per_unit(scene)
     if camera.type != "CAMERA" or camera.data.type != "PERSP":
         return rays_all_round([tuple(place)])
     right_top, right_bottom, left_bottom, left_top = camera.data.view_frame(scene=scene)

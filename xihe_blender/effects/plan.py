@@ -278,7 +278,12 @@ def _environment_sampling(s: Scenery) -> Verdict:
 def _denoising(s: Scenery) -> Verdict:
     off = {"use_denoising": False}
     if not s.has_denoiser:
-        return Verdict(False, "this build of Blender has no OpenImageDenoise", off, off)
+        return Verdict(
+            False,
+            "this build of Blender has no OpenImageDenoise: noise may trigger estimates, more samples help",
+            off,
+            off,
+        )
     if s.reach.n_lights == 0:
         return Verdict(False, "there is no light, so there is no noise", {}, off)
     return Verdict(True, "OpenImageDenoise cleans pictures; light probes are left as they are", {}, off)

@@ -17,6 +17,7 @@ import numpy as np
 from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
+from xihe_blender.units import metres_per_unit
 from xihenet.records import ArrayF64, ArrayInt
 
 MESHED = frozenset({"MESH", "CURVE", "SURFACE", "FONT", "META"})
@@ -32,7 +33,7 @@ SlotAlbedo = Callable[[bpy.types.Object, int], float | None]
 
 
 class Solids:
-    """The surfaces of an evaluated graph; holds nothing of it, so that it may outlive it.
+    """The surfaces of an evaluated graph, in metres; holds nothing of it, so that it may outlive it.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ class Solids:
             if item.type not in MESHED or not is_met(instance):
                 continue
             corners, faces, slots = _triangles(item, is_boxed=n_triangles > MAX_TRIANGLES)
-            world = np.array(instance.matrix_world)
+            world = np.array(instance.matrix_world) * metres_per_unit(depsgraph.scene)
             points.append(corners @ world[:3, :3].T + world[:3, 3])
             triangles.append(faces + n_points)
             albedos.append(_by_slot(item, slots, albedo))

@@ -196,7 +196,7 @@ def set_sky(
 
 def set_panorama(scene: bpy.types.Scene, file_name: str, *, strength: float, turn_deg: float = 0.0) -> None:
     """One of the CC0 panoramas that Blender ships in its studio lights, packed into the file."""
-    folder = Path(bpy.utils.resource_path("LOCAL")) / "datafiles" / "studiolights" / "world"
+    folder = Path(bpy.utils.system_resource("DATAFILES", path="studiolights/world"))
     world = WorldNodes(scene, strength, 1024)
     picture = world.nodes.new("ShaderNodeTexEnvironment")
     picture.image = bpy.data.images.load(str(folder / file_name))

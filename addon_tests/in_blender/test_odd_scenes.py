@@ -1,0 +1,338 @@
+"""Scenes and installations that are out of the ordinary: each works, or says in one line what to do."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from previs_runs import SMALL, run, walk
+from results_schema import check_results, without_times
+from tiny_scenes import empty_scene, room_with_a_virtual_sphere, sphere
+
+from xihe_blender.apply import lights_by_sh, sh_node_group, world_name
+from xihe_blender.blend_file import open_blend
+from xihe_blender.capture import open_scanner
+from xihe_blender.compare import LIT_SCENE
+from xihe_blender.dataset.render_room import RoomRenderSettings
+from xihe_blender.dataset.scene import add_scene
+from xihe_blender.effects.command import report_effects
+from xihe_blender.errors import UserError
+from xihe_blender.jobs import run_blocking
+from xihe_blender.plan import plan_previs
+from xihe_blender.render import RenderSettings
+from xihe_blender.session import XiheController
+from xihe_blender.units import metres_per_unit
+from xihe_blender.virtual_objects import (
+    add_three_sphere_rig,
+    estimation_positions,
+    virtual_collection,
+    virtual_objects,
+)
+from xihenet.controller import ControllerSettings
+from xihenet.estimators import load
+
+EXACT = replace(SMALL, exposure=0.5, samples=64)
+
+
+def save(path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True)
+    return path
+
+
+def assert_refused(scene, out, *words, settings=SMALL):
+    """One line that holds `words`, and no folder."""
+    with pytest.raises(UserError) as refused:
+        run(scene, out, settings)
+    assert "\n" not in str(refused.value)
+    for word in words:
+        assert word in str(refused.value)
+    assert not out.exists()
+
+
+# -------------------------------------------------------------------------------------------------------------- scenes
+
+
+def test_an_empty_scene_says_what_to_put_in(tmp_path):
+    assert_refused(empty_scene(), tmp_path / "out", "no virtual object", "Xihe Virtual")
+
+
+def test_a_scene_without_a_camera_says_so(tmp_path):
+    scene = room_with_a_virtual_sphere()
+    bpy.data.objects.remove(scene.camera)
+    assert_refused(scene, tmp_path / "out", "no camera", "add one")
+
+
+def test_a_scene_of_another_engine_runs_and_keeps_it(tmp_path):
+    scene = room_with_a_virtual_sphere(1)
+    scene.render.engine = "BLENDER_WORKBENCH"
+    check_results(run(scene, tmp_path / "out"))
+    assert scene.render.engine == "BLENDER_WORKBENCH"
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "out" / "untitled_lit.blend"))
+    assert bpy.data.scenes[LIT_SCENE].render.engine == "CYCLES"
+    assert bpy.data.scenes["Scene"].render.engine == "BLENDER_WORKBENCH"
+
+
+def test_long_and_strange_names_are_kept_apart(tmp_path):
+    scene = room_with_a_virtual_sphere(1)
+    scene.name = "Räume/\\ 部屋" * 4
+    scene.camera.name = 'Télé/phone:*? <&> "'
+    bpy.data.objects["Ball"].name = "球 <b>" * 40
+    for x in (-0.3, 0.3):
+        sphere(scene, "x" * 300, (x, 0, 0.85), 0.1, None, virtual_collection(scene))
+    results = run(scene, tmp_path / "out")
+    check_results(results)
+    names = results["scene"]["virtual_objects"]
+    assert len(set(names)) == 3
+    assert {world.name for world in bpy.data.worlds if lights_by_sh(world)} == {world_name(name) for name in names}
+    assert len({world_name(name) for name in names}) == 3
+    assert all(len(path.name.encode()) < 255 for path in (tmp_path / "out").rglob("*"))
+
+
+@pytest.mark.parametrize("name", ["Ball", "x" * 58, "x" * 59, "x" * 300, "球" * 19, "球" * 20, "é" * 200])
+def test_the_name_of_a_world_fits_and_tells_its_object(name):
+    made = bpy.data.worlds.new(world_name(name))
+    assert made.name == world_name(name)
+    assert made.name.startswith("Xihe " + name[:16])
+    assert world_name(name) != world_name(name + "y") != world_name(name + "z")
+    bpy.data.worlds.remove(made)
+
+
+# ---------------------------------------------------------------------------------------------------------- two scenes
+
+
+def test_only_the_scene_that_runs_gets_light_and_markers(tmp_path):
+    first = room_with_a_virtual_sphere(2)
+    first.name = "First"
+    bpy.ops.scene.new(type="FULL_COPY")
+    second = bpy.context.scene
+    second.name = "Second"
+    assert [item.name for item in virtual_objects(second)] == ["Ball.001"]
+    results = run(second, tmp_path / "out")
+    assert results["scene"]["name"] == "Second" and results["scene"]["virtual_objects"] == ["Ball.001"]
+    assert any("2 scenes" in note and "'Second'" in note for note in results["notes"])
+    assert [world.name for world in bpy.data.worlds if lights_by_sh(world)] == ["Xihe Ball.001"]
+    assert second.timeline_markers and not first.timeline_markers
+    assert bpy.context.scene == second
+
+
+def test_a_file_runs_the_scene_it_was_saved_in(tmp_path):
+    room_with_a_virtual_sphere(2).name = "First"
+    bpy.ops.scene.new(type="EMPTY")
+    bpy.context.scene.name = "Second"
+    assert open_blend(save(tmp_path / "two.blend")).name == "Second"
+
+
+def test_a_new_collection_of_one_scene_holds_nothing_of_another():
+    first = room_with_a_virtual_sphere(2)
+    second = bpy.data.scenes.new("Second")
+    assert not virtual_collection(second, create=True).objects
+    assert virtual_collection(second, create=True) == virtual_collection(second) != virtual_collection(first)
+
+
+# ----------------------------------------------------------------------------------------------------------- libraries
+
+
+@pytest.fixture
+def library(tmp_path):
+    """The walk as a library: (its file, and the results of a run in it)."""
+    scene = walk(2)
+    file = save(tmp_path / "library.blend")
+    return file, run(scene, tmp_path / "own")
+
+
+def link_all(file, frames=2):
+    """A scene that holds nothing of its own: room, phone and virtual objects are linked from `file`."""
+    scene = empty_scene()
+    scene.frame_end = frames
+    virtual = virtual_collection(scene, create=True)
+    with bpy.data.libraries.load(str(file), link=True) as (there, wanted):
+        wanted.objects, wanted.worlds = list(there.objects), ["Background"]
+    scene.world = wanted.worlds[0]
+    for item in wanted.objects:
+        (virtual if item.name in ("Ball", "Board") else scene.collection).objects.link(item)
+        scene.camera = item if item.type == "CAMERA" else scene.camera
+    bpy.context.view_layer.update()
+    return scene
+
+
+def numbers(results):
+    frames = without_times(results)["frames"]
+    return [[(p["name"], p["position_m"], p["sh"], p["sh_truth"]) for p in frame["probes"]] for frame in frames]
+
+
+def test_a_scene_that_is_linked_gives_the_numbers_of_the_library(library, tmp_path):
+    file, own = library
+    scene = link_all(file)
+    linked = run(scene, tmp_path / "out")
+    assert numbers(linked) == numbers(own)
+    assert all(world.library is None for world in bpy.data.worlds if lights_by_sh(world))
+
+
+def test_an_overridden_virtual_object_is_estimated_where_it_was_moved_to(library, tmp_path):
+    scene = link_all(library[0])
+    moved = scene.objects["Ball"].override_create(remap_local_usages=True)
+    moved.location.x += 0.25
+    bpy.context.view_layer.update()
+    place = next(p.position_m for p in plan_previs(scene, SMALL).probes if p.name == "Ball")
+    np.testing.assert_allclose(place, (0.25, 0, 0.85), atol=1e-6)
+    check_results(run(scene, tmp_path / "out"))
+
+
+def test_a_linked_object_with_the_name_of_another_is_told_apart_by_the_user(library, tmp_path):
+    scene = link_all(library[0])
+    sphere(scene, "Ball", (0.3, 0, 0.85), 0.1, None, virtual_collection(scene))
+    assert_refused(scene, tmp_path / "out", "two virtual objects are named 'Ball'", "library.blend", "rename")
+
+
+def test_light_of_a_library_stays_as_it_is(tmp_path):
+    run(room_with_a_virtual_sphere(1), tmp_path / "out")
+    lit = tmp_path / "out" / "untitled_lit.blend"
+    scene = room_with_a_virtual_sphere(1)
+    with bpy.data.libraries.load(str(lit), link=True) as (_, wanted):
+        wanted.worlds, wanted.node_groups = ["Xihe Ball"], ["Xihe SH Radiance"]
+    linked = wanted.worlds[0]
+    run(scene, tmp_path / "again")
+    assert linked.library is not None and linked.node_tree.animation_data.action.library is not None
+    assert [world.library for world in bpy.data.worlds if world.name == "Xihe Ball"].count(None) == 1
+    assert sh_node_group().library is None
+
+
+def test_a_missing_library_is_named(library, tmp_path):
+    link_all(library[0])
+    main = save(tmp_path / "main.blend")
+    library[0].unlink()
+    assert_refused(open_blend(main), tmp_path / "out", "is missing", "library.blend", "put it back")
+
+
+# --------------------------------------------------------------------------------------------------------------- units
+
+
+def scaled_room(scale_length, system="METRIC"):
+    """The room of the tests, its lengths in Blender units divided by `scale_length`, which its units give back."""
+    scene = room_with_a_virtual_sphere(1)
+    scene.unit_settings.system, scene.unit_settings.scale_length = system, scale_length
+    for item in scene.objects:
+        item.animation_data_clear()
+        item.location /= scale_length
+        if item.type == "CAMERA":
+            item.data.clip_start, item.data.clip_end = 0.1 / scale_length, 1000 / scale_length
+        else:
+            item.scale /= scale_length
+    bpy.context.view_layer.update()
+    return scene
+
+
+@pytest.fixture(scope="module")
+def in_metres(tmp_path_factory):
+    return run(scaled_room(1.0), tmp_path_factory.mktemp("metres") / "out", replace(EXACT, phone="ipad_pro_lidar"))
+
+
+@pytest.mark.parametrize("scale_length", [0.01, 1000.0])
+def test_a_room_in_other_units_is_the_same_room(in_metres, tmp_path, scale_length):
+    scene = scaled_room(scale_length)
+    assert metres_per_unit(scene) == pytest.approx(scale_length)
+    results = run(scene, tmp_path / "out", replace(EXACT, phone="ipad_pro_lidar"))
+    check_results(results)
+    (frame,), (known,) = results["frames"], in_metres["frames"]
+    (probe,), (known_probe,) = frame["probes"], known["probes"]
+    np.testing.assert_allclose(probe["position_m"], known_probe["position_m"], atol=1e-5)
+    assert probe["coverage"] == pytest.approx(known_probe["coverage"], abs=0.01)
+    np.testing.assert_allclose(probe["sh"], known_probe["sh"], atol=0.02)
+    np.testing.assert_allclose(probe["sh_truth"], known_probe["sh_truth"], atol=0.02)
+    assert frame["n_lost_pixels"].keys() == known["n_lost_pixels"].keys()
+    assert frame["n_invalid_pixels"] == pytest.approx(known["n_invalid_pixels"], abs=3)
+    for method in ("lattice", "ambient", "truth"):
+        mine, known_rmse = results["comparison"][method]["rmse"], in_metres["comparison"][method]["rmse"]
+        assert mine == pytest.approx(known_rmse, rel=0.15, abs=0.01)
+    assert any(f"{scale_length:g} m" in note for note in results["notes"])
+    assert not any("Blender unit" in note for note in in_metres["notes"])
+
+
+def test_the_effects_are_planned_by_metres():
+    reports = [run_blocking(report_effects(scaled_room(s), is_measured=False)) for s in (1.0, 0.01, 1000.0)]
+    bounces = [report.plan["diffuse bounces"].parameters["diffuse_bounces"] for report in reports]
+    assert max(bounces) - min(bounces) <= 1
+    assert [[e.state for e in report.plan.effects] for report in reports[1:]] == [
+        [e.state for e in reports[0].plan.effects]
+    ] * 2
+
+
+def test_without_a_unit_system_a_blender_unit_is_a_metre():
+    scene = empty_scene()
+    scene.unit_settings.system, scene.unit_settings.scale_length = "NONE", 0.01
+    assert metres_per_unit(scene) == 1
+
+
+def test_a_board_gets_a_position_for_each_metre_of_it():
+    scene = scaled_room(0.01)
+    board = bpy.data.objects["Table"]
+    assert len(estimation_positions(board)) == 2
+    scene.unit_settings.scale_length = 0.1
+    assert len(estimation_positions(board)) == 12 * 8
+
+
+def test_a_rig_is_as_large_as_it_says_and_stands_at_the_cursor():
+    scene = scaled_room(0.01)
+    mirror, silver, diffuse = add_three_sphere_rig(scene, (10.0, 20.0, 75.0))
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(silver.location, (10, 20, 81), atol=1e-4)
+    np.testing.assert_allclose(silver.dimensions, (12, 12, 12), rtol=1e-3)
+    assert mirror.location.x < silver.location.x < diffuse.location.x
+
+
+def test_an_object_is_placed_in_metres():
+    scene = scaled_room(0.01)
+    controller = XiheController(load("ambient"), ControllerSettings())
+    with open_scanner(scene, RenderSettings((32, 24), samples=4)) as scanner:
+        controller.step(scanner.acquire_environment_scan())
+    controller.place_and_estimate_at(bpy.data.objects["Ball"], (0.1, 0.2, 0.85))
+    np.testing.assert_allclose(bpy.data.objects["Ball"].location, (10, 20, 85), atol=1e-3)
+
+
+def test_rooms_to_train_on_are_in_metres(tmp_path):
+    job = add_scene(scaled_room(0.01), "room", tmp_path / "rooms", RoomRenderSettings())
+    with pytest.raises(UserError, match="set it to 1"):
+        run_blocking(job)
+
+
+# -------------------------------------------------------------------------------------------------------- installations
+
+
+def test_without_cycles_the_line_names_the_add_on(tmp_path):
+    scene = room_with_a_virtual_sphere(1)
+    bpy.ops.preferences.addon_disable(module="cycles")
+    try:
+        assert_refused(scene, tmp_path / "out", "Cycles", "Preferences > Add-ons")
+        with pytest.raises(UserError, match="Preferences > Add-ons"):
+            run_blocking(report_effects(scene, is_measured=False))
+    finally:
+        bpy.ops.preferences.addon_enable(module="cycles")
+    check_results(run(room_with_a_virtual_sphere(1), tmp_path / "again"))
+
+
+def test_without_torch_an_estimator_that_needs_it_says_how_to_get_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    settings = replace(SMALL, estimator="xihenet")
+    assert_refused(room_with_a_virtual_sphere(1), tmp_path / "out", "xihenet needs torch", settings=settings)
+
+
+def test_a_folder_that_cannot_be_written_is_named():
+    # Nobody may make folders there, not even root.
+    assert_refused(room_with_a_virtual_sphere(1), Path("/proc/xihe"), "cannot write to /proc/xihe", "another folder")
+
+
+def test_names_in_another_language_change_nothing(tmp_path):
+    """Where new data-blocks get translated names, nodes and collections are not called what they are in English."""
+    results = []
+    for translated in (False, True):
+        scene = walk(2)
+        if translated:
+            trees = [block.node_tree for block in (*bpy.data.materials, *bpy.data.worlds)]
+            for node in [node for tree in trees for node in tree.nodes]:
+                # The walk's lamp is keyed, by this name.
+                node.name = node.name if node.name == "Emission" else f"Knoten {node.name[::-1]}"
+            scene.view_layers[0].name = "Ansichtsebene"
+        results.append(run(scene, tmp_path / str(translated)))
+    assert numbers(results[0]) == numbers(results[1])

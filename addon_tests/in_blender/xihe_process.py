@@ -1,0 +1,41 @@
+"""The `xihe` command in a process of its own: `python -m xihe_blender`, or in another Blender where this is whole.
+
+Run as a module inside that Blender, it marks where the command begins: what Blender says before is not the command's.
+"""
+
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+from xihe_blender.cli import main
+from xihe_blender.processes import is_whole_blender, module_command
+
+ROOT = Path(__file__).resolve().parents[2]
+BEGINS = "---- the command begins ----\n"
+
+
+def typed(*arguments):
+    """What is started; warnings are errors in the command as well."""
+    words = [str(argument) for argument in arguments]
+    if is_whole_blender():
+        return [*module_command("xihe_process"), *words]
+    return [sys.executable, "-W", "error", "-m", "xihe_blender", *words]
+
+
+def said(text):
+    """`text` of a process without what a whole Blender said before the command began."""
+    return text.partition(BEGINS)[2] if is_whole_blender() else text
+
+
+def xihe(*arguments, **options):
+    """Run the command; its exit code and what it said."""
+    done = subprocess.run(typed(*arguments), cwd=ROOT, capture_output=True, text=True, timeout=100, **options)
+    return subprocess.CompletedProcess(done.args, done.returncode, said(done.stdout), said(done.stderr))
+
+
+if __name__ == "__main__":
+    for stream in (sys.stdout, sys.stderr):
+        print(BEGINS, end="", file=stream, flush=True)
+    warnings.simplefilter("error")
+    sys.exit(main())

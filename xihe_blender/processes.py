@@ -1,0 +1,65 @@
+"""How is another process started that has Blender and this project at hand?
+
+With the bpy wheel, as `python -m module`. A whole Blender's Python has no bpy of its own: there it is another Blender
+in background, which runs this file, with the paths of this one. Its own way out is not taken: Blender 4.3 was seen to
+wait for ever in it, after renders.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import runpy
+import shutil
+import sys
+import traceback
+from pathlib import Path
+from typing import NoReturn
+
+import bpy
+
+EXIT_CRASHED = 70
+
+
+def is_whole_blender() -> bool:
+    """Whether this is the application, and not the bpy wheel, which has no program to start."""
+    return bool(bpy.app.binary_path)
+
+
+def module_command(module: str) -> list[str]:
+    """The start of a command line that runs `module`; its arguments follow. Exit code and streams are the module's.
+
+    A whole Blender says a line or two of its own on stdout before, and Blender's settings are the factory's.
+    """
+    if not is_whole_blender():
+        return [sys.executable, "-m", module]
+    script = str(Path(__file__).resolve())
+    return [
+        bpy.app.binary_path, "--background", "--factory-startup", "--python", script, "--", json.dumps(sys.path), module
+    ]  # fmt: skip
+
+
+def leave_blender(code: int) -> NoReturn:
+    """End this Blender with `code`, at once."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
+    os._exit(code)
+
+
+def _run_module(paths: str, module: str, *arguments: str) -> NoReturn:
+    """What a Blender that `module_command` started does."""
+    code = EXIT_CRASHED
+    sys.path[:], sys.argv[:] = json.loads(paths), [module, *arguments]
+    try:
+        runpy.run_module(module, run_name="__main__")
+        code = 0
+    except SystemExit as end:
+        code = end.code if isinstance(end.code, int) else int(end.code is not None)
+    except Exception:  # noqa: BLE001  # Whatever it is, the process ends with it.
+        traceback.print_exc()
+    leave_blender(code)
+
+
+if __name__ == "__main__":
+    _run_module(*sys.argv[sys.argv.index("--") + 1 :])
