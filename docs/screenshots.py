@@ -4,7 +4,7 @@
 
 XIHE_BLENDER_WINDOW is a command that starts Blender with a window of 1600x1000 on some (virtual) screen, where
 ImageMagick and xdotool are at hand; see addon_tests/real_blender/window. The run that is shown is made first, with the
-bpy module of this Python (a minute or two); `--run DIR` takes one that is there.
+bpy module of this Python (some minutes); `--run DIR` takes one that is there.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from blender_window import run_in_window  # noqa: E402  where the driver is, is 
 
 
 def make_run(folder: Path) -> None:
-    """A run with few frames and large, clean pictures."""
-    options = ["--frames", "1:24:8", "--size", "400x300", "--preset", "draft", "--samples", "16"]
+    """A quick run with pictures large enough to be looked at."""
+    options = ["--size", "400x300", "--preset", "draft", "--samples", "16"]
     subprocess.run([sys.executable, "-m", "xihe_blender", "previs", SCENE, "--out", folder, *options], check=True)
 
 

@@ -11,9 +11,10 @@ def scenario(w):
     timeline = next(a for a in w.window.screen.areas if a.type == "DOPESHEET_EDITOR")
     edge = timeline.x + timeline.width / 3, timeline.y + timeline.height
     # Room for the markers at the triggers.
-    yield from w.drag(edge, (edge[0], edge[1] + 50))
+    yield from w.drag(edge, (edge[0], edge[1] + 20))
     yield from w.open_tab()
     scene.xihe.run_folder = str(w.run_folder)
+    scene.xihe.preset = "draft"
     scene.frame_set(1)
     with w.context():
         w.facts["applied"] = sorted(bpy.ops.xihe.apply_light())
@@ -48,7 +49,9 @@ def tidy_window(w):
         space.overlay.show_text = space.overlay.show_cursor = False
         space.shading.type = "MATERIAL"
         space.region_3d.view_perspective = "CAMERA"
-        space.region_3d.view_camera_zoom = 22
+        # Left of the sidebar, which lies over the view.
+        space.region_3d.view_camera_zoom = 9
+        space.region_3d.view_camera_offset = (0.14, 0.0)
 
 
 def fit_image(w):
