@@ -21,6 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SCENE = ROOT / "blend_scenes" / "living_room.blend"
 WIDTH_PX = 1360
 N_COLOURS = 256
+N_REPEATS = 3
 
 sys.path.insert(0, str(ROOT / "addon_tests" / "real_blender" / "window"))
 
@@ -34,11 +35,17 @@ def make_run(folder: Path) -> None:
 
 
 def save_small(screenshot: Path, picture: Path) -> None:
-    """Smaller, and in few colours, which a window of flat panels does not miss."""
+    """Smaller, and in few colours, which flat panels do not miss: most are chosen for the comparison on the right."""
     with Image.open(screenshot) as image:
         height = round(image.height * WIDTH_PX / image.width)
         small = image.convert("RGB").resize((WIDTH_PX, height), Image.Resampling.LANCZOS)
-    small.quantize(N_COLOURS, dither=Image.Dither.FLOYDSTEINBERG).save(picture, optimize=True)
+    comparison = small.crop((round(0.62 * WIDTH_PX), round(0.22 * height), WIDTH_PX, round(0.69 * height)))
+    sample = Image.new("RGB", (WIDTH_PX, height + N_REPEATS * comparison.height))
+    sample.paste(small, (0, 0))
+    for k in range(2 * N_REPEATS):
+        sample.paste(comparison, (k % 2 * comparison.width, height + k // 2 * comparison.height))
+    palette = sample.quantize(N_COLOURS, kmeans=2)
+    small.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG).save(picture, optimize=True)
 
 
 def main() -> None:
