@@ -31,6 +31,22 @@ def test_the_tab_draws_without_an_error_in_a_room(tmp_path):
     assert (seen.code, seen.complaints) == (0, []), seen.console
 
 
+def test_enabling_and_disabling_ten_times_leaves_nothing_behind(tmp_path):
+    seen = run_in_window("ten_times", tmp_path)
+    assert (seen.code, seen.complaints) == (0, []), seen.console
+    enabled, disabled = seen.facts["enabled"], seen.facts["disabled"]
+    assert seen.facts["enabled_again"] == enabled
+    assert disabled["types"] == disabled["operators"] == []
+    assert disabled["properties"] == [False, False]
+    assert sum(disabled["handlers"].values()) < sum(enabled["handlers"].values())
+
+
+def test_the_tab_works_in_another_language_where_the_build_has_one(tmp_path):
+    seen = run_in_window("other_language", tmp_path)
+    assert (seen.code, seen.complaints) == (0, []), seen.console
+    assert seen.facts["language"] is None or seen.facts["virtual"] == 3
+
+
 def test_a_few_clicks_lead_from_an_open_room_to_a_lit_object(first_success):
     assert (first_success.code, first_success.complaints) == (0, []), first_success.console
     facts = first_success.facts
