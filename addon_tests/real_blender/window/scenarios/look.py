@@ -1,17 +1,17 @@
-"""Nothing but a look: the tab as it is when a file is opened, with everything in it unfolded and what buttons say."""
+"""Nothing but a look: the tab as it is when a file is opened, and what the button Run says; without the add-on, none."""
 
 import bpy
 
 
 def scenario(w):
-    yield from w.open_tab()
-    w.facts["width"] = w.sidebar.width
-    w.facts["language"] = bpy.context.preferences.view.language
-    w.picture("tab")
-    if hasattr(bpy.types, "XIHE_OT_run"):
+    if hasattr(bpy.types.Scene, "xihe"):
+        yield from w.open_tab()
+        w.facts["width"] = w.sidebar.width
+        w.picture("tab")
         yield from w.find("xihe.run(")
         yield 1.2
-        w.picture("run_hovered")
+    w.picture("seen")
     w.facts["worlds"] = sorted(world.name for world in bpy.data.worlds)
     undefined = [node.name for tree in bpy.data.node_groups for node in tree.nodes if "Undefined" in node.bl_idname]
     w.facts["n_undefined_nodes"] = len(undefined)
+    yield 0.1
