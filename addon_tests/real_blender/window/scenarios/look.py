@@ -1,4 +1,4 @@
-"""Nothing but a look: the tab as it is when a file is opened, and what the button Run says; without the add-on, none."""
+"""Nothing but a look: the tab as it is when a file is opened, and what Run says; without the add-on, the window."""
 
 import bpy
 
