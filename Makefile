@@ -23,14 +23,9 @@ test: $(VENV)/installed
 test-fast: $(VENV)/installed
 	$(BIN)/python -m pytest -m "not slow"
 
-# NumPy is Blender's own: nothing that would bring another one is installed with what it depends on.
-test-packages:
-	$(PYTHON) -m pip install --quiet --upgrade --target $(TEST_PACKAGES) --python-version $(BLENDER_PYTHON) \
-		--only-binary=:all: "pytest>=8" "pytest-timeout>=2.3" "hypothesis>=6.100" "pillow>=10"
-	$(PYTHON) -m pip install --quiet --upgrade --target $(TEST_PACKAGES) --python-version $(BLENDER_PYTHON) \
-		--only-binary=:all: --no-deps "scipy>=1.11"
+test-packages: $(TEST_PACKAGES)/installed
 
-test-blender: test-packages
+test-blender: $(TEST_PACKAGES)/installed
 	XIHE_TEST_PACKAGES=$(TEST_PACKAGES) $(BLENDER) --background --factory-startup \
 		--python addon_tests/run_in_blender.py -- $(PYTEST_ARGUMENTS)
 
@@ -63,4 +58,12 @@ $(VENV)/installed: pyproject.toml
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --editable ".[$(EXTRAS)]"
 	@$(BIN)/python -c "import bpy" || { echo "Blender's libraries are missing: run '.ci/system_packages' as root (Debian, Ubuntu)"; exit 1; }
+	@touch $@
+
+# NumPy is Blender's own: what depends on it is installed alone.
+$(TEST_PACKAGES)/installed:
+	$(PYTHON) -m pip install --quiet --target $(TEST_PACKAGES) --python-version $(BLENDER_PYTHON) \
+		--only-binary=:all: "pytest>=8" "pytest-timeout>=2.3" "hypothesis>=6.100" "pillow>=10"
+	$(PYTHON) -m pip install --quiet --target $(TEST_PACKAGES) --python-version $(BLENDER_PYTHON) \
+		--only-binary=:all: --no-deps "scipy>=1.11"
 	@touch $@

@@ -75,6 +75,8 @@ def working_scene(scene: bpy.types.Scene, name: str, settings: RenderSettings) -
         set_up_cycles(copy, settings)
         yield copy
     finally:
+        # Frees what Cycles kept between renders: Blender 5.2 keeps it beyond the scene's end, and crashes on it later.
+        copy.render.use_persistent_data = False
         bpy.data.scenes.remove(copy)
 
 

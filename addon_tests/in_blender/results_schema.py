@@ -12,7 +12,8 @@ STAGES = {"unproject", "sample", "merge", "trigger", "encode", "estimate"}
 METRICS = {"psnr", "ssim", "rmse", "si_rmse", "angular_deg"}
 REASONS = {"first", "colour", "coverage", "none"}
 PARTS = {
-    "schema_version", "software", "machine", "settings", "scene", "effects", "phone", "frames", "lights", "comparison", "summary",
+    "schema_version", "software", "machine", "settings", "scene", "effects", "phone", "frames", "lights", "comparison",
+    "summary",
 }  # fmt: skip
 
 

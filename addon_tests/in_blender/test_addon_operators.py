@@ -23,6 +23,8 @@ def addon():
 
 
 def select(*names):
+    # Blender 5.2 lists what was linked only after an update.
+    bpy.context.view_layer.update()
     for item in bpy.context.view_layer.objects:
         item.select_set(item.name in names)
     bpy.context.view_layer.update()
@@ -268,7 +270,8 @@ def test_every_setting_of_the_panel_reaches_the_run(tmp_path):
     (tmp_path / "mine.toml").write_text('name = "Mine"\nsummary = "A phone of my own."\n')
     scene = walk_for_the_panel(
         tmp_path, estimator="projection", target="hdr", use_own_frames=True, frame_start=2, frame_end=5, frame_step=2,
-        phone="FILE", phone_file=str(tmp_path / "mine.toml"), network="lte", use_own_exposure=True, exposure=0.5, seed=7,
+        phone="FILE", phone_file=str(tmp_path / "mine.toml"), network="lte", use_own_exposure=True, exposure=0.5,
+        seed=7,
     )  # fmt: skip
     assert previs_settings(scene) == PrevisSettings(
         estimator="projection", preset="draft", target="hdr", size=(32, 24), frames=(2, 4), exposure=0.5, seed=7,

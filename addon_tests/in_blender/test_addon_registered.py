@@ -34,10 +34,10 @@ def registered_things():
         for handler in getattr(bpy.app.handlers, name)
     }
     properties = {
-        f"{kind.__name__}.{name}"
+        f"{kind.__name__}.{prop.identifier}"
         for kind in (bpy.types.Scene, bpy.types.WindowManager, bpy.types.Object)
-        for name in kind.bl_rna.properties.keys()
-        if "xihe" in name.lower()
+        for prop in kind.bl_rna.properties
+        if "xihe" in prop.identifier.lower()
     }
     return classes | handlers | properties | set(dir(bpy.ops.xihe))
 

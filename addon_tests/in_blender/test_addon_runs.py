@@ -197,7 +197,7 @@ def test_removing_leaves_the_file_as_it_was_before_the_run(done):
     bpy.ops.xihe.remove_light()
     bpy.context.view_layer.update()
     assert data_blocks(snapshot()) == data_blocks(before)
-    assert not any(name.startswith("Xihe") for name in bpy.context.scene.timeline_markers.keys())
+    assert not any(marker.name.startswith("Xihe") for marker in bpy.context.scene.timeline_markers)
 
 
 def test_removing_leaves_what_a_user_named_like_ours(shown):

@@ -92,11 +92,11 @@ def test_long_and_strange_names_are_kept_apart(tmp_path):
 
 @pytest.mark.parametrize("name", ["Ball", "x" * 58, "x" * 59, "x" * 300, "球" * 19, "球" * 20, "é" * 200])
 def test_the_name_of_a_world_fits_and_tells_its_object(name):
+    empty_scene()
     made = bpy.data.worlds.new(world_name(name))
     assert made.name == world_name(name)
     assert made.name.startswith("Xihe " + name[:16])
     assert world_name(name) != world_name(name + "y") != world_name(name + "z")
-    bpy.data.worlds.remove(made)
 
 
 # ---------------------------------------------------------------------------------------------------------- two scenes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Generator
 from typing import Any
 
@@ -12,7 +13,13 @@ from xihe_blender.addon.failures import FAILURES, failed
 from xihe_blender.addon.run_under_way import RunUnderWay
 
 UNDO_KEYS = {"Z", "Y"}
+NO_INPUT = {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE", "WINDOW_DEACTIVATE", "NONE"}
 TICK_S = 0.02
+QUIET_S = 0.3
+"""A step blocks the window for a frame's renders, so it waits until the user has not touched anything for so long."""
+
+LONGEST_WAIT_S = 1.0
+"""But no longer than this: some add-ons listen to the window all the time."""
 
 
 class XIHE_OT_run(bpy.types.Operator):
@@ -45,6 +52,7 @@ class XIHE_OT_run(bpy.types.Operator):
             self.run.step()
         except FAILURES as error:
             return failed(self, context, error)
+        self.input_at = self.stepped_at = time.perf_counter()
         self.run.timer = context.window_manager.event_timer_add(TICK_S, window=context.window)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
@@ -57,17 +65,27 @@ class XIHE_OT_run(bpy.types.Operator):
             self.report({"INFO"}, "The run was cancelled; nothing of it is left")
             return {"CANCELLED"}
         if event.type == "TIMER":
-            return self._step(context)
+            return {"RUNNING_MODAL"} if self._is_users_turn(context) else self._step(context)
+        if event.type not in NO_INPUT:
+            self.input_at = time.perf_counter()
         if event.type == "F12" or (event.type in UNDO_KEYS and (event.ctrl or event.oskey)):
             # Undo would take away the scenes that the run works in; a render would get in its way.
             return {"RUNNING_MODAL"}
         return {"PASS_THROUGH"}
+
+    def _is_users_turn(self, context: bpy.types.Context) -> bool:
+        """Whether the user is busy, as while the view is turned: then the run waits a little."""
+        now = time.perf_counter()
+        if now - self.stepped_at > LONGEST_WAIT_S:
+            return False
+        return now - self.input_at < QUIET_S or len(context.window.modal_operators) > 1
 
     def _step(self, context: bpy.types.Context) -> set[str]:
         try:
             is_done = self.run.step()
         except FAILURES as error:
             return failed(self, context, error)
+        self.stepped_at = time.perf_counter()
         if not is_done:
             return {"RUNNING_MODAL"}
         return self._done(context)
