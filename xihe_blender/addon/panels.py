@@ -244,10 +244,10 @@ class XIHE_PT_apply(StagePanel, bpy.types.Panel):
 
 def named_virtual_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """The virtual objects of `scene`, sorted by name: as `virtual_objects` has them, but without importing NumPy."""
-    collection = bpy.data.collections.get(VIRTUAL_COLLECTION)
-    if collection is None or collection not in scene.collection.children_recursive:
-        return []
-    return sorted((item for item in collection.all_objects if has_surface(item)), key=lambda item: item.name)
+    for collection in scene.collection.children_recursive:
+        if collection.name == VIRTUAL_COLLECTION:
+            return sorted((item for item in collection.all_objects if has_surface(item)), key=lambda item: item.name)
+    return []
 
 
 def has_surface(item: bpy.types.Object) -> bool:

@@ -25,6 +25,8 @@ def scenario(w):
     for row in effects:
         if row.name == "motion blur":
             row.override = "ON"
-    w.area.tag_redraw()
-    yield 3
+    for _ in range(3):
+        # Panels unfold in steps, some of them only when drawn again.
+        w.area.tag_redraw()
+        yield 2
     w.picture("unfolded")
