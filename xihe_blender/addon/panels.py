@@ -73,7 +73,10 @@ class XIHE_PT_camera_path(StagePanel, bpy.types.Panel):
         layout.use_property_decorate = False
         layout.prop(scene, "camera")
         column = layout.column()
-        column.prop(settings, "phone")
+        whole = column.row()
+        # The name of a phone needs all of the width.
+        whole.use_property_split = False
+        whole.prop(settings, "phone", text="")
         if settings.phone == "FILE":
             column.prop(settings, "phone_file", text="File")
         column.prop(settings, "network")
