@@ -32,8 +32,9 @@ class WindowRun:
 
     @property
     def complaints(self) -> list[str]:
-        """Lines of the console that speak of an error."""
-        return [line for line in self.console.splitlines() if COMPLAINT.search(line) and not HARMLESS.search(line)]
+        """Lines of the console that speak of an error, from where the scenario begins: before it, Blender starts."""
+        ours = self.console.partition("\nscenario ")[2] or self.console
+        return [line for line in ours.splitlines() if COMPLAINT.search(line) and not HARMLESS.search(line)]
 
 
 def run_in_window(
