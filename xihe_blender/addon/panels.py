@@ -231,6 +231,12 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         column = layout.column(align=True)
         column.operator("xihe.show_comparison", text="Compare", icon="IMAGE_DATA")
         column.prop(settings, "wipe", slider=True)
+        row = column.row()
+        row.active = False
+        row.label(text="Estimate")
+        right = row.row()
+        right.alignment = "RIGHT"
+        right.label(text="Ground Truth")
         layout.operator("xihe.open_report", text="Open Report", icon="URL")
 
 
