@@ -46,13 +46,16 @@ class RunUnderWay:
         except BaseException:
             self.end()
             raise
-        self.show(progress, time.perf_counter() - self.start)
+        self.show(progress)
         return False
 
-    def show(self, progress: Any, elapsed_s: float) -> None:
+    def show(self, progress: Any, _elapsed_s: float = 0.0) -> None:
         """Say in the window how far the job is; `progress` is a Progress."""
         share = progress.done / progress.total
-        left_s = progress.seconds_left(elapsed_s)
+        if not progress.done:
+            # What comes before the first frame says nothing about the pace of frames.
+            self.start = time.perf_counter()
+        left_s = progress.seconds_left(time.perf_counter() - self.start)
         state = self.window_manager.xihe
         state.progress, state.doing, state.seconds_left = share, progress.doing, left_s or 0.0
         self.window_manager.progress_update(round(100 * share))
