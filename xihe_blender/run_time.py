@@ -22,7 +22,7 @@ import numpy as np
 from xihe_blender.capture import CyclesScanner, open_scanner
 from xihe_blender.compare import open_comparer
 from xihe_blender.compare_path import compared_frames
-from xihe_blender.jobs import run_blocking
+from xihe_blender.jobs import Job, Progress, run_blocking
 from xihe_blender.outputs import RunOutputs
 from xihe_blender.plan import plan_previs
 from xihe_blender.prepared_run import PreparedRun, prepare_run
@@ -94,18 +94,24 @@ def said_of_run_time(seconds: float) -> str:
 
 
 def measure_run_time(scene: bpy.types.Scene, settings: PrevisSettings) -> RunTime:
+    """Drive `run_time_job` to its end."""
+    return run_blocking(run_time_job(scene, settings))
+
+
+def run_time_job(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[RunTime]:
     """Prepare a run on `scene` and render a little of it; the scene stays as it is. UserError as a run raises it."""
     plan = plan_previs(scene, settings)
     estimator = load_estimator(settings)
     start = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="xihe_") as folder, scene_kept():
-        run = run_blocking(prepare_run(scene, plan, RunOutputs(Path(folder), "scene"), settings, estimator))
+        run = yield from prepare_run(scene, plan, RunOutputs(Path(folder), "scene"), settings, estimator)
         prepared_s = time.perf_counter() - start
-        return _measured(run, prepared_s)
+        return (yield from _measured(run, prepared_s))
 
 
-def _measured(run: PreparedRun, prepared_s: float) -> RunTime:
+def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
     """The run's time, from a few renders at the middle one of the frames in which a position is in view."""
+    yield Progress(1, 4, "measuring a capture")
     with open_scanner(run.scene, run.capture) as scanner:
         in_sight = _probes_in_view(run, scanner)
         if not in_sight:
@@ -116,7 +122,9 @@ def _measured(run: PreparedRun, prepared_s: float) -> RunTime:
         scanner.move_to(frame)
         capture_loaded_s, capture = _timed(scanner.acquire_environment_scan, run.capture.samples, scanner.scene)
         captured = scanner.acquire_environment_scan()
+    yield Progress(2, 4, "measuring a light probe")
     probe_loaded_s, probe = _timed_probe(run, frame)
+    yield Progress(3, 4, "measuring a comparison")
     comparison_loaded_s, comparison = _timed_comparison(run, captured)
     entries = [{"frame": frame, "active": frame in in_sight} for frame in run.plan.frames]
     return RunTime(

@@ -29,6 +29,7 @@ class RunUnderWay:
         self.is_over = False
         self.window_manager, self.workspace = context.window_manager, context.workspace
         self.job = job
+        self.result: Any = None
         self.timer: bpy.types.Timer | None = None
         self.start = time.perf_counter()
         state = self.window_manager.xihe
@@ -40,7 +41,8 @@ class RunUnderWay:
         """Go on to the next point at which the job can stop; True if it was its end. Raises what the job raises."""
         try:
             progress = next(self.job)
-        except StopIteration:
+        except StopIteration as finished:
+            self.result = finished.value
             self.end()
             return True
         except BaseException:
@@ -49,7 +51,7 @@ class RunUnderWay:
         self.show(progress)
         return False
 
-    def show(self, progress: Any, _elapsed_s: float = 0.0) -> None:
+    def show(self, progress: Any) -> None:
         """Say in the window how far the job is; `progress` is a Progress."""
         share = progress.done / progress.total
         if not progress.done:
