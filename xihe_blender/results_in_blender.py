@@ -18,7 +18,14 @@ from typing import Any
 import bpy
 import numpy as np
 
-from xihe_blender.apply import MARKER_PREFIX, f_curves, lights_by_sh, remove_applied_light, world_name
+from xihe_blender.apply import (
+    MARKER_PREFIX,
+    f_curves,
+    lights_by_sh,
+    remove_applied_light,
+    remove_trigger_markers,
+    world_name,
+)
 from xihe_blender.errors import UserError
 from xihe_blender.lit_blend import apply_lights
 from xihe_blender.run_results import compared_frames_of, nearest_compared_frame, read_results
@@ -239,8 +246,13 @@ def go_to_trigger(scene: bpy.types.Scene, direction: str) -> int | None:
 
 
 def remove_everything(scene: bpy.types.Scene) -> None:
-    """Take everything away that a run or `apply_results` left in the file: worlds, node group, markers, images."""
+    """Take everything away that a run or `apply_results` left in the file: worlds, node group, markers, images.
+
+    Of the other scenes as well: without their worlds their markers would say what is not so.
+    """
     remove_applied_light(scene)
+    for other in [other for other in bpy.data.scenes if other.library is None]:
+        remove_trigger_markers(other)
     for image in list(our_images()):
         bpy.data.images.remove(image)
 

@@ -242,7 +242,9 @@ def _read_by_openexr(path: Path, why: exr.OtherExr) -> dict[str, ArrayF32]:
     try:
         import OpenEXR
     except ImportError as error:
-        raise ValueError(f"{why}: save it in scan lines with ZIP compression, or pip install 'xihe-blender[images]'") from error
+        raise ValueError(
+            f"{why}: save it in scan lines with ZIP compression, or pip install 'xihe-blender[images]'"
+        ) from error
     channels: dict[str, ArrayF32] = {}
     with OpenEXR.File(str(path), separate_channels=True) as file:
         for part in file.parts:

@@ -285,6 +285,7 @@ def test_every_setting_of_the_panel_reaches_the_run(tmp_path):
         ({"use_own_frames": True, "frame_start": 3, "frame_end": 2}, "end at 2, before they start at 3"),
         ({"use_own_frames": True, "frame_start": 3, "frame_end": 9}, "3 to 9 go beyond the scene's range 1 to 5"),
         ({"phone": "FILE"}, "no file is chosen"),
+        ({"phone": "FILE", "phone_file": "/nowhere.toml"}, "Phone /nowhere.toml: there is no phone profile"),
     ],
 )
 def test_settings_that_cannot_be_run_are_said_in_the_panels_words(tmp_path, settings, said):

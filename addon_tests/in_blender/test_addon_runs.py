@@ -204,7 +204,10 @@ def test_removing_leaves_what_a_user_named_like_ours(shown):
     bpy.data.images.new("Xihe Light of mine", 4, 4)
     bpy.data.worlds.new("Xihe world of mine")
     bpy.context.scene.timeline_markers.new("Mine", frame=3)
+    other = bpy.data.scenes.new("Other")
+    other.timeline_markers.new("Xihe trigger (first)", frame=1)
     remove_everything(bpy.context.scene)
+    assert not other.timeline_markers
     assert [image.name for image in bpy.data.images if image.name.startswith("Xihe")] == ["Xihe Light of mine"]
     assert [world.name for world in bpy.data.worlds if world.name.startswith("Xihe")] == ["Xihe world of mine"]
     assert [marker.name for marker in bpy.context.scene.timeline_markers] == ["Mine"]

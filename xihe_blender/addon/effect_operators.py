@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from typing import Any
+
 import bpy
 
 from xihe_blender.addon import polls
 from xihe_blender.addon.failures import FAILURES, failed
+from xihe_blender.addon.modal_job import ModalJob
 
 
 class XIHE_OT_plan_effects(bpy.types.Operator):
@@ -34,11 +38,12 @@ class XIHE_OT_plan_effects(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class XIHE_OT_measure_run(bpy.types.Operator):
+class XIHE_OT_measure_run(ModalJob, bpy.types.Operator):
     bl_idname = "xihe.measure_run"
     bl_label = "Estimate Time"
     bl_description = "Render a few small pictures to find out how long a run would take on this machine"
     bl_options = {"REGISTER"}
+    cancelled = "Nothing was measured"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -46,15 +51,16 @@ class XIHE_OT_measure_run(bpy.types.Operator):
             cls, context, polls.is_idle, polls.has_cycles, polls.has_virtual_objects, polls.has_camera
         )
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def start_job(self, context: bpy.types.Context) -> Generator[Any, None, Any]:
         from xihe_blender.addon.run_settings import previs_settings
-        from xihe_blender.run_time import predict_run_s, said_of_run_time
+        from xihe_blender.run_time import run_time_job
 
-        try:
-            seconds = predict_run_s(context.scene, previs_settings(context.scene))
-        except FAILURES as error:
-            return failed(self, context, error)
-        context.window_manager.xihe.run_estimate = said_of_run_time(seconds)
+        return run_time_job(context.scene, previs_settings(context.scene))
+
+    def finish(self, context: bpy.types.Context, result: Any) -> set[str]:
+        from xihe_blender.run_time import said_of_run_time
+
+        context.window_manager.xihe.run_estimate = said_of_run_time(result.total_s)
         return {"FINISHED"}
 
 

@@ -104,6 +104,10 @@ def _show_in_editor(context: bpy.types.Context, image: bpy.types.Image | None) -
         areas = [max(context.window_manager.windows[-1].screen.areas, key=lambda area: area.width * area.height)]
         areas[0].ui_type = "IMAGE_EDITOR"
     areas[0].spaces.active.image = image
+    window = next(w for w in context.window_manager.windows if areas[0] in list(w.screen.areas))
+    region = next(region for region in areas[0].regions if region.type == "WINDOW")
+    with context.temp_override(window=window, area=areas[0], region=region):
+        bpy.ops.image.view_all(fit_view=True)
 
 
 register, unregister = bpy.utils.register_classes_factory(

@@ -29,6 +29,7 @@ class RunUnderWay:
         self.is_over = False
         self.window_manager, self.workspace = context.window_manager, context.workspace
         self.job = job
+        self.result: Any = None
         self.timer: bpy.types.Timer | None = None
         self.start = time.perf_counter()
         state = self.window_manager.xihe
@@ -40,19 +41,23 @@ class RunUnderWay:
         """Go on to the next point at which the job can stop; True if it was its end. Raises what the job raises."""
         try:
             progress = next(self.job)
-        except StopIteration:
+        except StopIteration as finished:
+            self.result = finished.value
             self.end()
             return True
         except BaseException:
             self.end()
             raise
-        self.show(progress, time.perf_counter() - self.start)
+        self.show(progress)
         return False
 
-    def show(self, progress: Any, elapsed_s: float) -> None:
+    def show(self, progress: Any) -> None:
         """Say in the window how far the job is; `progress` is a Progress."""
         share = progress.done / progress.total
-        left_s = progress.seconds_left(elapsed_s)
+        if not progress.done:
+            # What comes before the first frame says nothing about the pace of frames.
+            self.start = time.perf_counter()
+        left_s = progress.seconds_left(time.perf_counter() - self.start)
         state = self.window_manager.xihe
         state.progress, state.doing, state.seconds_left = share, progress.doing, left_s or 0.0
         self.window_manager.progress_update(round(100 * share))
