@@ -133,6 +133,7 @@ def remove_applied_light(scene: bpy.types.Scene) -> None:
     """Take everything away that applying left in the file: worlds, node group, markers."""
     remove_trigger_markers(scene)
     for world in [w for w in bpy.data.worlds if lights_by_sh(w) and w.library is None]:
+        _remove_animation(world)
         _remove_animation(world.node_tree)
         bpy.data.worlds.remove(world)
     group = _local(bpy.data.node_groups, NODE_GROUP_NAME)
@@ -159,13 +160,17 @@ def applied_worlds(scene: bpy.types.Scene) -> dict[str, bpy.types.World]:
     return {name: world for name, world in found.items() if world is not None}
 
 
-def f_curves(tree: bpy.types.NodeTree) -> Sequence[bpy.types.FCurve]:
-    """The F-curves that key `tree`. Blender 4.4 moved them into layers and slots, 5.0 left only those."""
-    animation = tree.animation_data
+def f_curves(owner: bpy.types.ID) -> Sequence[bpy.types.FCurve]:
+    """The F-curves that key `owner`, a world or a node tree.
+
+    Blender 4.4 moved them into layers and slots, 5.0 left only those.
+    """
+    animation = owner.animation_data
     if animation is None or animation.action is None:
         return []
     action = animation.action
-    if hasattr(action, "fcurves"):
+    # From 4.4 to 4.5 an action also lists the curves of its first slot, which may be another owner's.
+    if not hasattr(action, "layers"):
         return list(action.fcurves)
     bags = (strip.channelbag(animation.action_slot) for layer in action.layers for strip in layer.strips)
     return [curve for bag in bags if bag is not None for curve in bag.fcurves]

@@ -13,6 +13,7 @@ from typing import Any
 
 import bpy
 import numpy as np
+from numpy.typing import ArrayLike
 
 from xihe_blender.apply import key_sh_on_world, make_sh_world, mark_trigger, remove_trigger_markers, world_name
 from xihe_blender.compare import LIT_SCENE, remove_lit_collections, set_up_lit_scene
@@ -22,30 +23,41 @@ from xihe_blender.render import can_denoise
 from xihenet.records import ArrayF64
 
 
+def light_changes(
+    plan: PrevisPlan, lights: Mapping[int, Mapping[str, ArrayF64]]
+) -> dict[str, list[tuple[int, ArrayF64]]]:
+    """(frame, (9, 3) coefficients) of each virtual object, for the frames at which its light changes.
+
+    `lights` are the coefficients in force by frame and virtual object.
+    """
+    changes: dict[str, list[tuple[int, ArrayF64]]] = {item.name: [] for item in plan.objects}
+    for frame, light in lights.items():
+        for name, of_one in changes.items():
+            if not of_one or not np.array_equal(light[name], of_one[-1][1]):
+                of_one.append((frame, light[name]))
+    return changes
+
+
 def apply_lights(
     scene: bpy.types.Scene,
-    plan: PrevisPlan,
+    changes: Mapping[str, Sequence[tuple[int, ArrayLike]]],
     frames: Sequence[dict[str, Any]],
-    lights: Mapping[int, Mapping[str, ArrayF64]],
     exposure: float,
 ) -> None:
     """Key a world per virtual object at every frame at which its light changes; mark the triggers.
 
     Parameters
     ----------
+    changes : as of `light_changes`, carrying `exposure`; the pictures of the comparison are made with the same. Worlds
+        of earlier runs are keyed anew.
     frames : as in results.json, for the triggers
-    lights : (9, 3) coefficients in force by frame and virtual object, carrying `exposure`; the pictures of the
-        comparison are made with the same. Worlds of earlier runs are keyed anew.
     """
     remove_trigger_markers(scene)
-    for item in plan.objects:
-        world = make_sh_world(world_name(item.name))
+    for name, of_one in changes.items():
+        world = make_sh_world(world_name(name))
         world.use_fake_user = True
-        before = None
-        for frame, light in lights.items():
-            if before is None or not np.array_equal(light[item.name], before):
-                before = light[item.name]
-                key_sh_on_world(world, frame, before, exposure)
+        for frame, light in of_one:
+            key_sh_on_world(world, frame, light, exposure)
     for entry in frames:
         reasons = [probe["reason"] for probe in entry["probes"] if probe["fired"]]
         if reasons:

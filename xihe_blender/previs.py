@@ -19,7 +19,7 @@ import bpy
 from xihe_blender import results
 from xihe_blender.compare_path import compare_path
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.lit_blend import apply_lights, save_lit_blend
+from xihe_blender.lit_blend import apply_lights, light_changes, save_lit_blend
 from xihe_blender.outputs import RunOutputs, write_json
 from xihe_blender.phone_errors import measure_phone
 from xihe_blender.plan import plan_previs
@@ -63,10 +63,13 @@ def previs(
         errors = yield from measure_phone(run, walked)
     yield Progress(run.total, run.total, "applying the light and writing the report")
     estimated = {frame: methods[settings.estimator] for frame, methods in walked.lights.items()}
-    apply_lights(scene, plan, walked.frames, estimated, run.exposure)
+    changes = light_changes(plan, estimated)
+    apply_lights(scene, changes, walked.frames, run.exposure)
     save_lit_blend(scene, plan, outputs.lit_blend)
     frames = [entry | compared.get(entry["frame"], {}) for entry in walked.frames]
-    content = results.assemble(run, frames, phone=walked.phone, errors=errors, file=file, command=command)
+    content = results.assemble(
+        run, frames, lights=changes, phone=walked.phone, errors=errors, file=file, command=command
+    )
     # The results come last: their presence says that the run is done.
     write_report(content, outputs)
     write_json(outputs.results, content)

@@ -28,6 +28,8 @@ from xihenet.exr import read_exr
 from xihenet.records import ArrayF32
 
 MEMORY_FOLDER = Path("/dev/shm")
+WORKING = "xihe_working"
+"""Custom property of working scenes, by which those are found that an Undo or a saved file brought back."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,7 @@ def working_scene(scene: bpy.types.Scene, name: str, settings: RenderSettings) -
     copy = scene.copy()
     try:
         copy.name = name
+        copy[WORKING] = True
         for layer in list(copy.view_layers)[1:]:
             copy.view_layers.remove(layer)
         set_up_cycles(copy, settings)

@@ -134,6 +134,7 @@ def assemble(
     run: PreparedRun,
     frames: list[dict[str, Any]],
     *,
+    lights: Mapping[str, Sequence[tuple[int, ArrayF64]]],
     phone: PhoneCapture,
     errors: dict[str, Any] | None,
     file: Path,
@@ -144,6 +145,7 @@ def assemble(
     Parameters
     ----------
     frames : its entries
+    lights : what the timeline of each virtual object is keyed with: (frame, coefficients) where they change
     phone : with the effects that were simulated
     errors : what these do to the light; None without any
     file : where the scene comes from
@@ -178,6 +180,9 @@ def assemble(
         "effects": [*run.effects.as_json(), *other_effects(scene), *phone.as_json()],
         "phone": {"name": phone.profile.name, "summary": phone.profile.summary, "shc_rmse": errors},
         "frames": frames,
+        "lights": {
+            name: [{"frame": frame, "sh": light.tolist()} for frame, light in of_one] for name, of_one in lights.items()
+        },
         "comparison": comparison,
         "summary": summary(frames, comparison) | {"pilot_s": run.effort.pilot_s},
         "notes": [*notes(scene, frames), *phone.notes(), *noise_notes(run.settings, run.effort)],

@@ -13,11 +13,13 @@ Not here: hiding the objects for a capture, and the worlds that light them.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import bpy
 import numpy as np
 
+from xihe_blender.errors import UserError
 from xihe_blender.units import metres_per_unit
 from xihenet.records import ArrayF64
 
@@ -72,6 +74,67 @@ def virtual_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     if collection is None:
         return []
     return sorted((o for o in collection.all_objects if has_renderable_geometry(o)), key=lambda o: o.name)
+
+
+def make_virtual(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
+    """Move `objects` from the room of `scene` into its virtual collection, made if needed.
+
+    An object is taken out of every collection of the room, since one that is in both would be captured and light
+    itself; collections of other scenes keep it. Parents, children and transforms stay as they are. Objects without
+    renderable geometry (lamps, cameras) are left where they are.
+
+    Returns
+    -------
+    those that are virtual now. UserError, with nothing changed, for an object in a collection of another file
+    """
+    chosen = [item for item in objects if has_renderable_geometry(item)]
+    virtual, room = _collections_of(scene)
+    _check_are_own(chosen, [*virtual, *room])
+    collection = virtual_collection(scene, create=bool(chosen))
+    for item in chosen:
+        assert collection is not None
+        # Linked before it is unlinked, so that it stays selected.
+        if not virtual & set(item.users_collection):
+            collection.objects.link(item)
+        for home in room & set(item.users_collection):
+            home.objects.unlink(item)
+    return chosen
+
+
+def make_room(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
+    """Move virtual `objects` back into the room of `scene`, into its master collection.
+
+    Returns
+    -------
+    those that were virtual. UserError, with nothing changed, for an object in a collection of another file
+    """
+    virtual, room = _collections_of(scene)
+    chosen = [item for item in objects if virtual & set(item.users_collection)]
+    _check_are_own(chosen, [*virtual, *room])
+    for item in chosen:
+        if not room & set(item.users_collection):
+            scene.collection.objects.link(item)
+        for home in virtual & set(item.users_collection):
+            home.objects.unlink(item)
+    return chosen
+
+
+def _collections_of(scene: bpy.types.Scene) -> tuple[set[bpy.types.Collection], set[bpy.types.Collection]]:
+    """The collections of virtual objects, and those of the room."""
+    collection = virtual_collection(scene)
+    virtual = set() if collection is None else {collection, *collection.children_recursive}
+    return virtual, {scene.collection, *scene.collection.children_recursive} - virtual
+
+
+def _check_are_own(objects: Sequence[bpy.types.Object], collections: Sequence[bpy.types.Collection]) -> None:
+    """UserError if one of `objects` is in a collection that only its own file can change."""
+    for home in (home for home in collections if home.library is not None):
+        for item in objects:
+            if home in item.users_collection:
+                raise UserError(
+                    f"object {item.name!r} is in collection {home.name!r}, which is linked from another file: "
+                    "make that local first (Object > Relations > Make Local)"
+                )
 
 
 def has_renderable_geometry(object: bpy.types.Object) -> bool:

@@ -12,7 +12,8 @@ STAGES = {"unproject", "sample", "merge", "trigger", "encode", "estimate"}
 METRICS = {"psnr", "ssim", "rmse", "si_rmse", "angular_deg"}
 REASONS = {"first", "colour", "coverage", "none"}
 PARTS = {
-    "schema_version", "software", "machine", "settings", "scene", "effects", "phone", "frames", "comparison", "summary",
+    "schema_version", "software", "machine", "settings", "scene", "effects", "phone", "frames", "lights", "comparison",
+    "summary",
 }  # fmt: skip
 
 
@@ -45,6 +46,7 @@ def check_results(results):
     assert [entry["frame"] for entry in results["frames"]] == results["settings"]["frames"]
     for entry in results["frames"]:
         _check_frame(entry, results["settings"]["frames"])
+    _check_lights(results)
     _check_comparison(results)
     _check_summary(results)
 
@@ -161,6 +163,22 @@ def _check_summary(results):
     assert summary["n_lost"] == sum(probe["latency_ms"] is None for probe in fired)
     assert (summary["mean_latency_ms"] is None) == (summary["n_lost"] == len(fired))
     assert summary["payload_bytes"] == sum(probe["payload_bytes"] for entry in frames for probe in entry["probes"])
+
+
+def _check_lights(results):
+    """The light of every object, by the frames at which it changes; of one with a single position that of its probe."""
+    lights = results["lights"]
+    assert list(lights) == results["scene"]["virtual_objects"]
+    active = [entry["frame"] for entry in results["frames"] if entry["active"]]
+    for changes in lights.values():
+        frames = [change["frame"] for change in changes]
+        assert frames == sorted(set(frames)) and frames[:1] == active[:1]
+        assert all(len(change["sh"]) == 9 and all(_are_numbers(row, 3) for row in change["sh"]) for change in changes)
+    for entry in results["frames"]:
+        for probe in entry["probes"]:
+            if probe["name"] == probe["object"]:
+                reached = [change for change in lights[probe["object"]] if change["frame"] <= entry["frame"]]
+                assert reached[-1]["sh"] == probe["sh"]
 
 
 def _is_number(value):

@@ -1,0 +1,52 @@
+"""The add-on registered for a test, with preferences, and a run from its panel on the tiny room."""
+
+import contextlib
+
+import bpy
+from previs_runs import walk
+
+from xihe_blender import addon
+
+PACKAGE = "xihe_test"
+
+
+@contextlib.contextmanager
+def registered_addon():
+    """The add-on, registered as Blender does it, and gone afterwards."""
+    addon.register(PACKAGE)
+    try:
+        yield
+    finally:
+        addons = bpy.context.preferences.addons
+        for entry in [entry for entry in addons if entry.module == PACKAGE]:
+            addons.remove(entry)
+        addon.unregister()
+
+
+def enable_preferences():
+    """The add-on's preferences, as they are there once it is enabled; a factory reset takes them away."""
+    entry = bpy.context.preferences.addons.new()
+    entry.module = PACKAGE
+    return entry.preferences
+
+
+def walk_for_the_panel(runs_folder, **settings):
+    """`walk`, with the settings of a small run in the panel; runs go to `runs_folder`."""
+    scene = walk()
+    enable_preferences().cache_folder = str(runs_folder)
+    chosen = scene.xihe
+    chosen.preset, chosen.use_own_size, chosen.size = "draft", True, (32, 24)
+    for name, value in settings.items():
+        setattr(chosen, name, value)
+    return scene
+
+
+def poll_message(operator):
+    """What a grey button says; empty if it is not grey, without running the operator."""
+    if operator.poll():
+        return ""
+    try:
+        operator()
+    except RuntimeError as error:
+        return str(error).split("poll()", 1)[1].strip()
+    raise AssertionError("poll said no, and the operator ran")

@@ -1,0 +1,375 @@
+"""Each operator does what its function does, and says why when it cannot."""
+
+import bpy
+import numpy as np
+import pytest
+from addon_runs import enable_preferences, poll_message, registered_addon, walk_for_the_panel
+from previs_runs import walk
+from scene_snapshot import differences, snapshot
+from tiny_scenes import box, empty_scene, phone, room_with_a_virtual_sphere
+
+from xihe_blender.effects.command import report_effects
+from xihe_blender.effects.overrides import remembered_overrides
+from xihe_blender.errors import UserError
+from xihe_blender.jobs import run_blocking
+from xihe_blender.previs_settings import PrevisSettings
+from xihe_blender.virtual_objects import COLLECTION_NAME, make_room, make_virtual, virtual_objects
+
+
+@pytest.fixture(autouse=True)
+def addon():
+    with registered_addon():
+        yield
+
+
+def select(*names):
+    # Blender 5.2 lists what was linked only after an update.
+    bpy.context.view_layer.update()
+    for item in bpy.context.view_layer.objects:
+        item.select_set(item.name in names)
+    bpy.context.view_layer.update()
+
+
+def memberships():
+    return {item.name: sorted(home.name for home in item.users_collection) for item in bpy.data.objects}
+
+
+def everything():
+    """The open file; what is selected, and where in memory something lies, left out."""
+    bpy.context.view_layer.update()
+    table = snapshot()
+    return {p: value for p, value in table.items() if not p.startswith("context/") and "address=0x" not in str(value)}
+
+
+def after(make_scene, act):
+    act(make_scene())
+    return everything()
+
+
+# ------------------------------------------------------------------------------------------------------------- objects
+
+
+def test_making_virtual_equals_its_function():
+    def by_operator(scene):
+        select("Table", "Lamp", "Phone")
+        assert bpy.ops.xihe.add_virtual_objects() == {"FINISHED"}
+
+    def by_function(scene):
+        select("Table", "Lamp", "Phone")
+        made = make_virtual(scene, bpy.context.selected_objects)
+        assert {item.name for item in made} == {"Table", "Lamp"}
+
+    assert after(walk, by_operator) == after(walk, by_function)
+    assert memberships()["Table"] == [COLLECTION_NAME] and memberships()["Phone"] == ["Scene Collection"]
+
+
+def test_making_room_equals_its_function():
+    def by_operator(scene):
+        select("Ball", "Table")
+        assert bpy.ops.xihe.remove_virtual_objects() == {"FINISHED"}
+
+    def by_function(scene):
+        select("Ball", "Table")
+        assert [item.name for item in make_room(scene, bpy.context.selected_objects)] == ["Ball"]
+
+    assert after(walk, by_operator) == after(walk, by_function)
+    assert memberships()["Ball"] == ["Scene Collection"]
+
+
+def test_virtual_and_back_is_the_room_it_was():
+    scene = walk()
+    before = memberships()
+    select("Table")
+    bpy.ops.xihe.add_virtual_objects()
+    assert "Table" in {item.name for item in virtual_objects(scene)}
+    assert bpy.context.selected_objects == [bpy.data.objects["Table"]]
+    bpy.ops.xihe.remove_virtual_objects()
+    assert memberships() == before
+
+
+def test_a_virtual_object_leaves_every_collection_of_the_room_and_keeps_its_parent():
+    scene = room_with_a_virtual_sphere()
+    inner, other = bpy.data.collections.new("Inner"), bpy.data.scenes.new("Other")
+    scene.collection.children.link(inner)
+    table = bpy.data.objects["Table"]
+    vase = box(scene, "Vase", (0.2, 0, 0.2), (0.1, 0.1, 0.3), collection=inner)
+    vase.parent = table
+    scene.collection.objects.link(vase)
+    other.collection.objects.link(vase)
+    bpy.context.view_layer.update()
+    place = vase.matrix_world.copy()
+    make_virtual(scene, [vase])
+    bpy.context.view_layer.update()
+    assert {home.name for home in vase.users_collection} == {COLLECTION_NAME, "Scene Collection"}
+    assert vase.name in other.collection.objects and vase.name not in scene.collection.objects
+    assert vase.parent == table and vase.matrix_world == place
+    assert table not in virtual_objects(scene)
+
+
+def test_making_nothing_virtual_makes_no_collection():
+    scene = empty_scene()
+    assert make_virtual(scene, [phone(scene, (0, 0, 1), (0, 0, 0))]) == []
+    assert scene.collection.children.keys() == []
+
+
+def test_an_object_in_a_linked_collection_says_so_and_stays(tmp_path):
+    scene = empty_scene()
+    furniture = bpy.data.collections.new("Furniture")
+    scene.collection.children.link(furniture)
+    box(scene, "Chair", (0, 0, 0), (1, 1, 1), collection=furniture)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+    scene = empty_scene()
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, wanted):
+        wanted.collections = ["Furniture"]
+    scene.collection.children.link(bpy.data.collections["Furniture"])
+    before = memberships()
+    with pytest.raises(UserError, match="'Furniture', which is linked from another file"):
+        make_virtual(scene, [bpy.data.objects["Chair"]])
+    assert memberships() == before and len(bpy.data.collections) == 1
+
+
+def test_the_rig_stands_at_the_cursor():
+    scene = empty_scene()
+    scene.cursor.location = (1, 2, 3)
+    assert bpy.ops.xihe.add_sphere_rig(radius_m=0.1) == {"FINISHED"}
+    rig = virtual_objects(scene)
+    assert len(rig) == 3
+    np.testing.assert_allclose(np.mean([item.location for item in rig], axis=0), (1, 2, 3.1), atol=1e-6)
+
+
+# ------------------------------------------------------------------------------------------------------------- effects
+
+
+def rows(scene):
+    return {row.name: (row.state, row.origin) for row in scene.xihe.effects}
+
+
+def test_the_rows_of_effects_are_those_of_the_command_line():
+    scene = walk()
+    scene.xihe.use_own_frames, scene.xihe.frame_start, scene.xihe.frame_end = True, 2, 4
+    assert bpy.ops.xihe.plan_effects() == {"FINISHED"}
+    plan = run_blocking(report_effects(scene, (2, 3, 4), is_measured=False)).plan
+    assert rows(scene) == {effect.name: (effect.state, effect.origin) for effect in plan.effects}
+    assert [row.reason for row in scene.xihe.effects] == [effect.reason for effect in plan.effects]
+
+
+def test_an_override_is_kept_in_the_file_and_outlasts_another_look():
+    scene = walk()
+    bpy.ops.xihe.plan_effects()
+    scene.xihe.effects["denoising"].override = "OFF"
+    scene.xihe.effects["volumes"].override = "ON"
+    assert remembered_overrides(scene) == {"denoising": "off", "volumes": "on"}
+    for _ in range(2):
+        plan = run_blocking(report_effects(scene, is_measured=False)).plan
+        assert rows(scene) == {effect.name: (effect.state, effect.origin) for effect in plan.effects}
+        bpy.ops.xihe.plan_effects()
+    scene.xihe.effects["denoising"].override = "AUTO"
+    assert remembered_overrides(scene) == {"volumes": "on"}
+
+
+def test_an_effect_that_nothing_switches_goes_back_to_auto_and_says_why():
+    scene = walk()
+    bpy.ops.xihe.plan_effects()
+    row = scene.xihe.effects["hair"]
+    assert not row.is_switchable
+    row.override = "ON"
+    assert row.override == "AUTO" and "cannot be switched" in bpy.context.window_manager.xihe.error
+    assert remembered_overrides(scene) == {}
+
+
+# -------------------------------------------------------------------------------------------------------- what is grey
+
+
+def test_grey_buttons_without_anything_say_what_to_do():
+    empty_scene()
+    said = {name: poll_message(getattr(bpy.ops.xihe, name)) for name in dir(bpy.ops.xihe)}
+    assert said == {
+        "add_sphere_rig": "",
+        "plan_effects": "",
+        "add_virtual_objects": "Select the objects that the phone would insert",
+        "remove_virtual_objects": "Select virtual objects first",
+        "measure_run": "Make an object virtual first: select it, and add it above",
+        "run": "Make an object virtual first: select it, and add it above",
+        "cancel_run": "No run is under way",
+        "apply_light": "There are no results yet: run first",
+        "remove_light": "There is nothing of a run in this file",
+        "go_to_trigger": "There are no triggers on the timeline: run first, or apply the last run",
+        "show_comparison": "There are no results yet: run first",
+        "open_report": "There are no results yet: run first",
+    }
+
+
+def test_while_a_run_lasts_nothing_else_can_be_done():
+    walk()
+    bpy.context.window_manager.xihe.is_running = True
+    changing = set(dir(bpy.ops.xihe)) - {"cancel_run", "open_report"}
+    for name in changing:
+        assert poll_message(getattr(bpy.ops.xihe, name)) == "A run is under way: wait for it, or cancel it", name
+    assert bpy.ops.xihe.cancel_run() == {"FINISHED"}
+    assert bpy.context.window_manager.xihe.is_cancel_wanted
+
+
+def test_grey_buttons_of_objects():
+    scene = walk()
+    select("Phone")
+    assert "has a surface to light" in poll_message(bpy.ops.xihe.add_virtual_objects)
+    select("Ball")
+    assert poll_message(bpy.ops.xihe.add_virtual_objects) == "The selected objects are virtual already"
+    bpy.context.view_layer.objects.active = bpy.data.objects["Ball"]
+    bpy.ops.object.mode_set(mode="EDIT")
+    for operator in (bpy.ops.xihe.add_virtual_objects, bpy.ops.xihe.add_sphere_rig, bpy.ops.xihe.run):
+        assert poll_message(operator) == "Go to Object Mode first"
+    bpy.ops.object.mode_set(mode="OBJECT")
+    scene.camera = None
+    for operator in (bpy.ops.xihe.measure_run, bpy.ops.xihe.run):
+        assert poll_message(operator) == "Add a camera and animate it as the phone's path"
+
+
+def test_a_camera_that_only_a_marker_chooses_is_one():
+    scene = walk()
+    scene.timeline_markers.new("Phone", frame=1).camera = scene.camera
+    scene.camera = None
+    assert poll_message(bpy.ops.xihe.run) == ""
+
+
+def test_a_last_run_that_is_gone_says_so(tmp_path):
+    scene = walk()
+    scene.xihe.run_folder = str(tmp_path / "gone")
+    for operator in (bpy.ops.xihe.apply_light, bpy.ops.xihe.show_comparison, bpy.ops.xihe.open_report):
+        assert poll_message(operator) == "The last run's folder is gone: run again"
+    scene.xihe.run_folder = str(tmp_path)
+    (tmp_path / "results.json").write_text("{}")
+    assert poll_message(bpy.ops.xihe.show_comparison) == "The last run compared no frame: no virtual object was in view"
+    assert poll_message(bpy.ops.xihe.open_report) == "The last run's report is gone: run again"
+    with pytest.raises(RuntimeError, match="is not from a run of this version: run again"):
+        bpy.ops.xihe.apply_light()
+
+
+def test_without_cycles_the_buttons_say_which_add_on_to_enable():
+    walk()
+    bpy.ops.preferences.addon_disable(module="cycles")
+    try:
+        for operator in (bpy.ops.xihe.run, bpy.ops.xihe.measure_run, bpy.ops.xihe.plan_effects):
+            assert poll_message(operator) == "Enable the add-on Cycles Render Engine in Blender's preferences"
+    finally:
+        bpy.ops.preferences.addon_enable(module="cycles")
+
+
+# ------------------------------------------------------------------------------------------------------------ settings
+
+
+def test_the_panel_as_it_is_at_first_is_a_run_without_options():
+    from xihe_blender.addon.run_settings import previs_settings
+
+    assert previs_settings(walk()) == PrevisSettings()
+
+
+def test_every_setting_of_the_panel_reaches_the_run(tmp_path):
+    from xihe_blender.addon.run_settings import previs_settings
+
+    (tmp_path / "mine.toml").write_text('name = "Mine"\nsummary = "A phone of my own."\n')
+    scene = walk_for_the_panel(
+        tmp_path, estimator="projection", target="hdr", use_own_frames=True, frame_start=2, frame_end=5, frame_step=2,
+        phone="FILE", phone_file=str(tmp_path / "mine.toml"), network="lte", use_own_exposure=True, exposure=0.5,
+        seed=7,
+    )  # fmt: skip
+    assert previs_settings(scene) == PrevisSettings(
+        estimator="projection", preset="draft", target="hdr", size=(32, 24), frames=(2, 4), exposure=0.5, seed=7,
+        phone=str(tmp_path / "mine.toml"), network="lte",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"use_own_frames": True, "frame_start": 3, "frame_end": 2}, "end at 2, before they start at 3"),
+        ({"use_own_frames": True, "frame_start": 3, "frame_end": 9}, "3 to 9 go beyond the scene's range 1 to 5"),
+        ({"phone": "FILE"}, "no file is chosen"),
+        ({"phone": "FILE", "phone_file": "/nowhere.toml"}, "Phone /nowhere.toml: there is no phone profile"),
+    ],
+)
+def test_settings_that_cannot_be_run_are_said_in_the_panels_words(tmp_path, settings, said):
+    walk_for_the_panel(tmp_path / "runs", **settings)
+    for operator in (bpy.ops.xihe.run, bpy.ops.xihe.measure_run):
+        with pytest.raises(RuntimeError, match=said):
+            operator()
+    assert said in bpy.context.window_manager.xihe.error
+    assert not (tmp_path / "runs").exists()
+
+
+def test_own_frames_begin_with_the_scenes_range():
+    scene = walk()
+    scene.frame_start, scene.frame_end, scene.frame_step = 2, 40, 3
+    scene.xihe.use_own_frames = True
+    assert (scene.xihe.frame_start, scene.xihe.frame_end, scene.xihe.frame_step) == (2, 40, 3)
+
+
+def test_folders_of_runs_are_new_each_time(tmp_path):
+    from xihe_blender.addon.run_settings import new_run_folder
+
+    scene = walk_for_the_panel(tmp_path / "deep" / "runs")
+    folders = [new_run_folder(scene) for _ in range(4)]
+    assert len(set(folders)) == 4 and all(folder.is_dir() for folder in folders)
+    assert all(
+        folder.name.startswith("untitled_") and folder.parent == tmp_path / "deep" / "runs" for folder in folders
+    )
+
+
+def test_a_runs_folder_that_cannot_be_made_names_the_preference(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    walk_for_the_panel(tmp_path / "file")
+    with pytest.raises(RuntimeError, match="choose another Runs Folder in the add-on's preferences"):
+        bpy.ops.xihe.run()
+
+
+# ------------------------------------------------------------------------------------------------------------ run time
+
+
+def test_the_time_of_a_run_grows_with_its_frames_and_leaves_the_scene(tmp_path):
+    from xihe_blender.addon.run_settings import previs_settings
+    from xihe_blender.run_time import measure_run_time, predict_run_s
+
+    scene = walk_for_the_panel(tmp_path, use_own_frames=True, frame_end=2)
+    bpy.context.view_layer.update()
+    before = snapshot()
+    few = measure_run_time(scene, previs_settings(scene))
+    scene.xihe.frame_end = 5
+    many = measure_run_time(scene, previs_settings(scene))
+    assert 0 < few.n_captures < many.n_captures and few.n_probes < many.n_probes
+    assert few.n_comparisons < many.n_comparisons
+    assert few.total_s > 0 and predict_run_s(scene, previs_settings(scene)) > 0
+    scene.xihe.frame_end = 2
+    assert differences(before, snapshot()) == ({}, [])
+
+
+def test_a_run_of_more_frames_takes_longer_in_proportion():
+    from dataclasses import replace
+
+    from xihe_blender.run_time import RenderTime, RunTime
+
+    one = RunTime(2.0, 3, 6, 2, RenderTime(0.1, 0.01, 10), RenderTime(0.0, 0.1, 4), RenderTime(1.0, 0.5, 8))
+    assert one.total_s == pytest.approx(2 + 3 * 0.2 + 6 * 0.4 + 2 * 5)
+    double = replace(one, n_captures=6, n_probes=12, n_comparisons=4)
+    assert double.total_s - 2 == pytest.approx(2 * (one.total_s - 2))
+
+
+def test_the_estimate_of_time_is_said_with_how_it_was_made(tmp_path):
+    from xihe_blender.run_time import said_of_run_time
+
+    assert said_of_run_time(0.3) == "about 5 s, measured on this machine"
+    assert said_of_run_time(170) == "about 3 min, measured on this machine"
+    assert said_of_run_time(5000) == "about 1.4 h, measured on this machine"
+    walk_for_the_panel(tmp_path, use_own_frames=True, frame_end=1)
+    assert bpy.ops.xihe.measure_run() == {"FINISHED"}
+    said = bpy.context.window_manager.xihe.run_estimate
+    assert said.startswith("about ") and said.endswith(", measured on this machine")
+
+
+def test_the_file_of_the_preferences_phone_is_used_where_a_scene_has_none(tmp_path):
+    from xihe_blender.addon.run_settings import previs_settings
+
+    (tmp_path / "mine.toml").write_text('name = "Mine"\nsummary = "A phone of my own."\n')
+    scene = walk()
+    user = enable_preferences()
+    user.phone, user.phone_file = "FILE", str(tmp_path / "mine.toml")
+    assert previs_settings(scene).phone == str(tmp_path / "mine.toml")

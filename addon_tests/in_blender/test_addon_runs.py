@@ -1,0 +1,368 @@
+"""A run from the panel: the numbers of the command line, its results in the open file, and gone again."""
+
+import contextlib
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from addon_runs import enable_preferences, registered_addon, walk_for_the_panel
+from previs_runs import SMALL, run
+from results_schema import read_strictly, without_times
+from scene_snapshot import data_blocks, differences, snapshot
+from test_lit_blend import keyed
+from tiny_scenes import empty_scene
+
+from xihe_blender.apply import f_curves
+from xihe_blender.capture import first_layer
+from xihe_blender.errors import UserError
+from xihe_blender.render import RenderSettings, render_passes, working_scene
+from xihe_blender.results_in_blender import (
+    COMPARISON_NAME,
+    COVERAGE_CURVE,
+    ERROR_CURVE,
+    apply_results,
+    go_to_trigger,
+    image_named,
+    light_in_force,
+    remove_everything,
+    show_comparison,
+    show_light,
+    wiped,
+)
+from xihe_blender.run_results import nearest_compared_frame, read_results, trigger_frames
+from xihe_blender.shown_run import run_and_show
+from xihenet.panorama import evaluate_panorama
+
+
+@pytest.fixture(autouse=True)
+def addon():
+    with registered_addon():
+        yield
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    """A run from the panel, its file saved at its end: the folder of both, and the scene before and after."""
+    folder = tmp_path_factory.mktemp("panel")
+    with registered_addon():
+        scene = walk_for_the_panel(folder / "runs")
+        bpy.context.view_layer.update()
+        before = snapshot()
+        assert bpy.ops.xihe.run() == {"FINISHED"}
+        after = snapshot()
+        run_folder = Path(scene.xihe.run_folder)
+        bpy.ops.wm.save_as_mainfile(filepath=str(folder / "shown.blend"))
+    return folder, run_folder, before, after
+
+
+@pytest.fixture
+def shown(done):
+    """The folder of the run, whose saved file is open."""
+    bpy.ops.wm.open_mainfile(filepath=str(done[0] / "shown.blend"), load_ui=False)
+    enable_preferences().cache_folder = str(done[0] / "runs")
+    return done[1]
+
+
+def pixels(image):
+    """(H, W, 3), row 0 at the top."""
+    values = np.empty(len(image.pixels), np.float32)
+    image.pixels.foreach_get(values)
+    return values.reshape(image.size[1], image.size[0], -1)[::-1, :, :3]
+
+
+# ----------------------------------------------------------------------------------------------------------- the run
+
+
+def test_the_panels_run_has_the_numbers_of_the_function(done, tmp_path):
+    with_window = read_strictly(done[1] / "results.json")
+    scene = walk_for_the_panel(tmp_path)
+    assert without_times(with_window) == without_times(run(scene, tmp_path / "out", SMALL))
+
+
+def test_the_scene_is_as_it_was_but_for_the_last_run(done):
+    changed, new = differences(done[2], done[3])
+    assert set(changed) == {"scenes/Scene/xihe/run_folder"} and new == []
+
+
+def test_a_run_that_is_stopped_leaves_no_folder_and_the_scene_as_it_was(tmp_path):
+    scene = walk_for_the_panel(tmp_path)
+    bpy.context.view_layer.update()
+    before = snapshot()
+    for n_steps in (1, 4, 9):
+        folder = tmp_path / "run"
+        folder.mkdir()
+        with contextlib.closing(run_and_show(scene, folder, SMALL)) as job:
+            for _, progress in zip(range(n_steps), job, strict=False):
+                assert progress.done < progress.total
+            assert folder.exists()
+        assert not folder.exists()
+        assert differences(before, snapshot()) == ({}, [])
+
+
+def test_a_run_that_fails_leaves_no_folder_and_one_line(tmp_path):
+    scene = walk_for_the_panel(tmp_path)
+    scene.camera.data.type = "ORTHO"
+    with pytest.raises(RuntimeError, match="a phone's camera must be perspective"):
+        bpy.ops.xihe.run()
+    state = bpy.context.window_manager.xihe
+    assert "perspective" in state.error and "\n" not in state.error
+    assert not state.is_running and state.progress == 0 and state.doing == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_object_that_is_deleted_meanwhile_ends_the_run_with_one_line(tmp_path):
+    walk_for_the_panel(tmp_path)
+
+    def delete(scene, *_):
+        if scene.name == "Xihe Truth" and "Ball" in bpy.data.objects:
+            bpy.data.objects.remove(bpy.data.objects["Ball"])
+
+    bpy.app.handlers.render_post.append(delete)
+    try:
+        with pytest.raises(RuntimeError, match="was deleted meanwhile: start again"):
+            bpy.ops.xihe.run()
+    finally:
+        bpy.app.handlers.render_post.remove(delete)
+    assert [scene.name for scene in bpy.data.scenes] == ["Scene"] and list(tmp_path.iterdir()) == []
+    assert not bpy.context.window_manager.xihe.is_running
+
+
+# -------------------------------------------------------------------------------------------------------------- light
+
+
+def light_on_the_timeline():
+    return {world.name: keyed(world)[0] for world in bpy.data.worlds if world.name.startswith("Xihe ")}
+
+
+def test_the_light_of_the_results_is_the_one_that_the_run_put_on_the_timeline(shown):
+    results = read_results(shown)
+    for name in ("Ball", "Board"):
+        coefficients, interpolations = keyed(bpy.data.worlds[f"Xihe {name}"])
+        assert interpolations == {"CONSTANT"} and len(coefficients) > 1
+        for frame in results["settings"]["frames"]:
+            on_timeline = coefficients[max(known for known in coefficients if known <= frame)]
+            np.testing.assert_allclose(light_in_force(results, name, frame), on_timeline, rtol=1e-6, atol=1e-7)
+
+
+def test_light_in_force_is_that_of_the_positions_in_view(shown):
+    results = read_results(shown)
+    for entry in results["frames"]:
+        in_view = {probe["name"]: probe["sh"] for probe in entry["probes"]}
+        if "Ball" in in_view:
+            np.testing.assert_array_equal(light_in_force(results, "Ball", entry["frame"]), in_view["Ball"])
+        if {"Board 1", "Board 2"} <= in_view.keys():
+            mean = np.mean([in_view["Board 1"], in_view["Board 2"]], axis=0)
+            np.testing.assert_allclose(light_in_force(results, "Board", entry["frame"]), mean, rtol=1e-12)
+    with pytest.raises(ValueError, match=r"that the run lit \(Ball, Board\), got 'Chair'"):
+        light_in_force(results, "Chair", 1)
+
+
+def test_applying_again_gives_what_the_run_left(shown):
+    bpy.context.view_layer.update()
+    light, left = light_on_the_timeline(), data_blocks(snapshot())
+    markers = [(marker.frame, marker.name) for marker in bpy.context.scene.timeline_markers]
+    bpy.ops.xihe.remove_light()
+    assert light_on_the_timeline() == {} and not bpy.context.scene.timeline_markers
+    for _ in range(2):
+        assert bpy.ops.xihe.apply_light() == {"FINISHED"}
+        again = light_on_the_timeline()
+        assert again.keys() == light.keys()
+        for name, by_frame in light.items():
+            assert by_frame.keys() == again[name].keys()
+            for frame, coefficients in by_frame.items():
+                np.testing.assert_array_equal(again[name][frame], coefficients)
+        assert [(marker.frame, marker.name) for marker in bpy.context.scene.timeline_markers] == markers
+        assert data_blocks(snapshot()) == left
+
+
+def test_the_light_can_be_applied_to_another_file_with_the_same_objects(shown, tmp_path):
+    light = light_on_the_timeline()
+    scene = walk_for_the_panel(tmp_path)
+    apply_results(scene, read_results(shown), shown)
+    again = light_on_the_timeline()
+    assert {name: list(by_frame) for name, by_frame in again.items()} == {n: list(f) for n, f in light.items()}
+
+
+def test_light_of_an_object_that_is_gone_is_refused(shown):
+    bpy.data.objects.remove(bpy.data.objects["Ball"])
+    with pytest.raises(RuntimeError, match="'Ball' of the last run is not in this scene any more: run again"):
+        bpy.ops.xihe.apply_light()
+
+
+def test_removing_leaves_the_file_as_it_was_before_the_run(done):
+    before = done[2]
+    bpy.ops.wm.open_mainfile(filepath=str(done[0] / "shown.blend"), load_ui=False)
+    bpy.ops.xihe.remove_light()
+    bpy.context.view_layer.update()
+    assert data_blocks(snapshot()) == data_blocks(before)
+    assert not any(marker.name.startswith("Xihe") for marker in bpy.context.scene.timeline_markers)
+
+
+def test_removing_leaves_what_a_user_named_like_ours(shown):
+    bpy.data.images.new("Xihe Light of mine", 4, 4)
+    bpy.data.worlds.new("Xihe world of mine")
+    bpy.context.scene.timeline_markers.new("Mine", frame=3)
+    other = bpy.data.scenes.new("Other")
+    other.timeline_markers.new("Xihe trigger (first)", frame=1)
+    remove_everything(bpy.context.scene)
+    assert not other.timeline_markers
+    assert [image.name for image in bpy.data.images if image.name.startswith("Xihe")] == ["Xihe Light of mine"]
+    assert [world.name for world in bpy.data.worlds if world.name.startswith("Xihe")] == ["Xihe world of mine"]
+    assert [marker.name for marker in bpy.context.scene.timeline_markers] == ["Mine"]
+
+
+# ------------------------------------------------------------------------------------------------------------- curves
+
+
+def test_error_and_coverage_are_curves_of_the_worlds(shown):
+    results = read_results(shown)
+    for name in ("Ball", "Board"):
+        curves = {curve.data_path: curve for curve in f_curves(bpy.data.worlds[f"Xihe {name}"])}
+        assert curves.keys() == {f'["{ERROR_CURVE}"]', f'["{COVERAGE_CURVE}"]'}
+        for curve, key in ((ERROR_CURVE, "shc_rmse"), (COVERAGE_CURVE, "coverage")):
+            points = curves[f'["{curve}"]'].keyframe_points
+            expected = {
+                entry["frame"]: np.mean([probe[key] for probe in entry["probes"] if probe["object"] == name])
+                for entry in results["frames"]
+                if any(probe["object"] == name for probe in entry["probes"])
+            }
+            assert {round(p.co[0]): p.co[1] for p in points} == pytest.approx(expected, rel=1e-6)
+            assert {point.interpolation for point in points} == {"CONSTANT"}
+
+
+# ------------------------------------------------------------------------------------------------------------- images
+
+
+def test_a_saved_file_keeps_its_images_without_the_run(shown):
+    expected = {name: pixels(image_named(name)) for name in (COMPARISON_NAME, "Xihe Light Ball", "Xihe Light Board")}
+    assert all(image_named(name).packed_file is not None for name in expected)
+    results = read_results(shown)
+    panorama = (
+        evaluate_panorama(light_in_force(results, "Ball", 1), 64, 128) / results["settings"]["reference_exposure"]
+    )
+    np.testing.assert_allclose(np.sort(expected["Xihe Light Ball"], axis=None), np.sort(panorama, axis=None), rtol=1e-4)
+    assert np.ptp(expected[COMPARISON_NAME]) > 0.3
+
+
+def test_the_comparison_is_the_estimate_up_to_the_wipe_and_the_truth_behind(shown):
+    results = read_results(shown)
+    nearest = nearest_compared_frame(results, 2)
+    sides = {}
+    for kind in ("lattice", "ground_truth"):
+        image = bpy.data.images.load(str(shown / "pictures" / f"{kind}_{nearest:04d}.png"))
+        sides[kind] = pixels(image)
+        bpy.data.images.remove(image)
+    assert np.abs(sides["lattice"] - sides["ground_truth"]).max() > 0.05
+    for wipe, column in ((0.0, 0), (0.25, 8), (0.5, 16), (1.0, 32)):
+        picture = pixels(show_comparison(results, shown, 2, wipe))
+        np.testing.assert_allclose(picture[:, :column], sides["lattice"][:, :column], atol=1e-6)
+        behind = column + (0 < column < 32)
+        np.testing.assert_allclose(picture[:, behind:], sides["ground_truth"][:, behind:], atol=1e-6)
+        assert (picture[:, column:behind] == 1).all()
+
+
+def test_moving_the_wipe_composes_the_image_anew(shown):
+    scene = bpy.context.scene
+    scene.xihe.wipe = 0.0
+    truth = pixels(image_named(COMPARISON_NAME))
+    scene.xihe.wipe = 1.0
+    estimate = pixels(image_named(COMPARISON_NAME))
+    assert np.abs(truth - estimate).max() > 0.05
+    remove_everything(scene)
+    scene.xihe.wipe = 0.3
+    assert image_named(COMPARISON_NAME) is None, "a slider makes nothing that was removed"
+
+
+@pytest.mark.parametrize("wipe", [-1.0, 0.0, 0.01, 0.5, 0.999, 1.0, 2.0])
+def test_a_wipe_never_leaves_the_picture(wipe):
+    estimate, truth = np.zeros((2, 5, 3), np.float32), np.full((2, 5, 3), 0.5, np.float32)
+    place = round(min(max(wipe, 0), 1) * 5)
+    row = wiped(estimate, truth, wipe)[0, :, 0].tolist()
+    line = [1.0] if 0 < place < 5 else []
+    assert row == [0.0] * place + line + [0.5] * (5 - place - len(line))
+    with pytest.raises(ValueError, match="two pictures of one shape"):
+        wiped(estimate, truth[:1], wipe)
+
+
+def test_the_image_of_a_light_is_the_environment_it_stands_for():
+    """The image in an Environment Texture lights what a camera sees as the coefficients say, in every direction."""
+    scene = empty_scene()
+    sh = np.random.default_rng(3).normal(size=(9, 3)) * 0.1
+    sh[0] += 2
+    results = {"lights": {"Ball": [{"frame": 1, "sh": sh.tolist()}]}, "settings": {"reference_exposure": 0.5}}
+    image = show_light(results, "Ball", 1)
+    world = bpy.data.worlds.new("World")
+    if world.node_tree is None:
+        world.use_nodes = True
+    texture = world.node_tree.nodes.new("ShaderNodeTexEnvironment")
+    texture.image = image
+    background = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
+    world.node_tree.links.new(texture.outputs[0], background.inputs["Color"])
+    scene.world = world
+    data = bpy.data.cameras.new("Panorama")
+    data.type = "PANO"
+    (data if hasattr(data, "panorama_type") else data.cycles).panorama_type = "EQUIRECTANGULAR"
+    scene.camera = bpy.data.objects.new("Panorama", data)
+    scene.collection.objects.link(scene.camera)
+    scene.camera.rotation_euler = (np.pi / 2, 0, 0)
+    with working_scene(scene, "Test", RenderSettings((64, 32), 4, denoise=False)) as working:
+        seen, _ = first_layer(render_passes(working))
+    expected = evaluate_panorama(sh / 0.5, 32, 64)
+    error = np.abs(seen - expected) / np.ptp(expected)
+    assert np.median(error) < 0.005
+    # Cycles' interpolation ends at the picture's edge, so that a seam of one texel is left.
+    assert error.max() < 0.1
+
+
+# ----------------------------------------------------------------------------------------------------------- timeline
+
+
+def test_going_from_trigger_to_trigger_shows_the_light_of_each(shown):
+    scene, results = bpy.context.scene, read_results(shown)
+    frames = trigger_frames(results)
+    scene.frame_set(0)
+    exposure = results["settings"]["reference_exposure"]
+    for frame in frames:
+        assert bpy.ops.xihe.go_to_trigger(direction="NEXT") == {"FINISHED"} and scene.frame_current == frame
+        mean = evaluate_panorama(light_in_force(results, "Ball", frame), 64, 128).mean() / exposure
+        assert pixels(image_named("Xihe Light Ball")).mean() == pytest.approx(mean, rel=1e-4)
+    assert bpy.ops.xihe.go_to_trigger(direction="NEXT") == {"CANCELLED"} and scene.frame_current == frames[-1]
+    for frame in reversed(frames[:-1]):
+        assert go_to_trigger(scene, "PREVIOUS") == frame
+    assert go_to_trigger(scene, "PREVIOUS") is None
+
+
+def test_triggers_can_be_walked_without_the_runs_folder(shown):
+    scene = bpy.context.scene
+    scene.xihe.run_folder = str(shown / "gone")
+    scene.frame_set(0)
+    assert bpy.ops.xihe.go_to_trigger() == {"FINISHED"}
+
+
+def test_the_nearest_compared_frame_is_the_earlier_of_two():
+    entries = [{"frame": f, "comparison": {}, "pictures": {}} for f in (1, 5)] + [{"frame": 3}]
+    assert [nearest_compared_frame({"frames": entries}, f) for f in (-9, 2, 3, 4, 99)] == [1, 1, 1, 5, 5]
+    assert nearest_compared_frame({"frames": entries[2:]}, 3) is None
+
+
+def test_results_of_a_run_under_way_or_of_another_program_are_refused(tmp_path):
+    with pytest.raises(UserError, match="cannot be read"):
+        read_results(tmp_path)
+    for content in ("{", "[]", '{"schema_version": 2, "lights": {"a": []}}'):
+        (tmp_path / "results.json").write_text(content)
+        with pytest.raises(UserError, match="not from a run of this version"):
+            read_results(tmp_path)
+
+
+def test_a_run_that_saw_no_position_shows_no_picture(tmp_path):
+    scene = walk_for_the_panel(tmp_path)
+    for frame in range(1, 6):
+        scene.camera.rotation_euler = (np.pi / 2, 0, np.pi)
+        scene.camera.keyframe_insert("rotation_euler", frame=frame)
+    with contextlib.closing(run_and_show(scene, tmp_path / "run", replace(SMALL, frames=(1, 2)))) as job:
+        for _ in job:
+            pass
+    assert nearest_compared_frame(read_results(tmp_path / "run"), 1) is None
+    assert image_named(COMPARISON_NAME) is None and image_named("Xihe Light Ball") is None

@@ -1,0 +1,191 @@
+"""What the tab says, and from where: held against the work modules and a results.json, without a window."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+import tiny_scenes
+
+from xihe_blender.addon import last_run as reader
+from xihe_blender.addon import overlay, panels
+from xihe_blender.plan import plan_previs
+from xihe_blender.previs_settings import PrevisSettings
+from xihe_blender.virtual_objects import COLLECTION_NAME, virtual_collection, virtual_objects
+
+CONTENT = {
+    "settings": {"estimator": "lattice"},
+    "summary": {
+        "n_frames": 2,
+        "n_estimates": 3,
+        "mean_shc_rmse": 0.25,
+        "ambient_shc_rmse": None,
+        "mean_coverage": 0.5,
+        "mean_step_ms": 3.25,
+        "render_s": 61.0,
+        "comparison_render_s": 20.0,
+        "n_compared_frames": 1,
+    },
+    "frames": [
+        {"frame": 1, "probes": [{"name": "Ball", "coverage": 0.25, "fired": True}]},
+        {"frame": 2, "probes": [{"name": "Ball", "coverage": 0.75, "fired": False}]},
+        {"frame": 3, "probes": [{"name": "Vase", "coverage": 0.5, "fired": True}]},
+    ],
+}
+
+
+@pytest.fixture
+def run_folder(tmp_path):
+    (tmp_path / "results.json").write_text(json.dumps(CONTENT), encoding="utf-8")
+    return tmp_path
+
+
+def one_object_of_each_type(scene, collection):
+    data = [None, bpy.data.cameras.new("c"), bpy.data.meshes.new("m"), bpy.data.lattices.new("l")]
+    data += [bpy.data.lights.new("s", "SUN"), bpy.data.curves.new("k", "CURVE"), bpy.data.curves.new("t", "FONT")]
+    data += [bpy.data.metaballs.new("b"), bpy.data.armatures.new("a"), bpy.data.volumes.new("v")]
+    data += [bpy.data.speakers.new("p"), bpy.data.curves.new("u", "SURFACE"), bpy.data.hair_curves.new("h")]
+    for place, block in enumerate(data):
+        collection.objects.link(bpy.data.objects.new(f"Thing {place:02}", block))
+    instance = bpy.data.objects.new("Instance", None)
+    instance.instance_type, instance.instance_collection = "COLLECTION", bpy.data.collections.new("Set")
+    collection.objects.link(instance)
+
+
+def test_the_names_that_are_listed_are_those_of_the_virtual_objects():
+    scene = tiny_scenes.empty_scene()
+    assert panels.named_virtual_objects(scene) == []
+    one_object_of_each_type(scene, virtual_collection(scene, create=True))
+    assert panels.named_virtual_objects(scene) == virtual_objects(scene)
+    assert len(virtual_objects(scene)) == 8
+    assert panels.VIRTUAL_COLLECTION == COLLECTION_NAME
+
+
+def test_virtual_objects_of_another_scene_are_not_listed():
+    tiny_scenes.room_with_a_virtual_sphere()
+    other = bpy.data.scenes.new("Other")
+    assert panels.named_virtual_objects(other) == virtual_objects(other) == []
+
+
+def test_positions_that_are_shown_are_those_of_a_run_by_name_and_place():
+    scene = tiny_scenes.room_with_a_virtual_sphere()
+    tiny_scenes.box(scene, "Shelf", (0, 1.5, 1), (2.5, 0.2, 0.2), collection=virtual_collection(scene))
+    bpy.context.view_layer.update()
+    probes = plan_previs(scene, PrevisSettings()).probes
+    shown = overlay.shown_positions(scene, bpy.context.evaluated_depsgraph_get())
+    assert [position.name for position in shown] == [probe.name for probe in probes]
+    np.testing.assert_allclose([position.place_m for position in shown], [p.position_m for p in probes], atol=1e-6)
+    assert len(shown) == 4
+
+
+def test_an_overlay_is_never_made_in_background():
+    before = [list(handlers) for handlers in overlay.listened_to()]
+    overlay.register()
+    assert overlay._overlay is None
+    assert [list(handlers) for handlers in overlay.listened_to()] == before
+    overlay.unregister()
+
+
+def test_the_last_run_is_read_out_of_its_results(run_folder):
+    run = reader.last_run(str(run_folder))
+    assert run.trigger_frames == (1, 3)
+    assert run.coverage_by_position == {"Ball": 0.75, "Vase": 0.5}
+    assert (run.shc_rmse, run.ambient_shc_rmse, run.render_s) == (0.25, None, 81.0)
+    assert not run.has_report
+    assert dict(panels.result_rows(run))["Triggers"] == "3 in 2 frames"
+
+
+def test_results_are_read_once_until_they_change(run_folder):
+    first = reader.last_run(str(run_folder))
+    assert reader.last_run(str(run_folder)) is first
+    changed = CONTENT | {"settings": {"estimator": "ambient"}}
+    path = run_folder / "results.json"
+    path.write_text(json.dumps(changed), encoding="utf-8")
+    before = path.stat().st_mtime
+    os.utime(path, (before + 5, before + 5))
+    assert reader.last_run(str(run_folder)).estimator == "ambient"
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"summary": {}, "frames": []}', '{"frames": 3, "summary": 1}'])
+def test_results_that_are_none_are_no_run(tmp_path, text):
+    (tmp_path / "results.json").write_text(text, encoding="utf-8")
+    assert reader.last_run(str(tmp_path)) is None
+
+
+def test_a_run_whose_folder_is_gone_is_no_run(tmp_path):
+    assert reader.last_run(str(tmp_path / "gone")) is None
+    assert reader.last_run("") is None
+    assert panels.missing_run("") != panels.missing_run("somewhere")
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (0, "0 s"),
+        (59.4, "59 s"),
+        (59.6, "1 min"),
+        (83, "1 min 23 s"),
+        (600, "10 min"),
+        (3599, "1 h 0 min"),
+        (7500, "2 h 5 min"),
+    ],
+)
+def test_a_time_is_told_in_words(seconds, words):
+    assert panels.in_words(seconds) == words
+
+
+def test_progress_tells_the_time_left_once_there_is_a_pace():
+    assert panels.progress_text(0.0, 0.0) == "0%"
+    assert panels.progress_text(0.43, 83) == "43%, 1 min 23 s left"
+
+
+def test_sentences_are_wrapped_and_lose_no_word():
+    text = "you turned it on; by itself it would be off: no smoke, fog or other volume is visible to the camera"
+    lines = panels.wrapped(text, 30)
+    assert " ".join(lines) == text
+    assert max(map(len, lines)) <= 30
+    assert panels.wrapped("", 30) == []
+
+
+def test_coverage_goes_from_one_colour_to_the_other_and_unknown_has_its_own():
+    assert overlay.colour_of(0) == overlay.LITTLE
+    assert overlay.colour_of(1.0) == pytest.approx(overlay.MUCH)
+    assert overlay.colour_of(7) == overlay.colour_of(1)
+    assert overlay.colour_of(None) == overlay.UNKNOWN
+
+
+def test_labels_that_would_overlap_are_moved_down_until_none_does():
+    rng = np.random.default_rng(5)
+    taken = []
+    for x, y in rng.uniform(0, 60, (40, 2)):
+        taken.append(overlay.below_others((x, y, x + 50, y + 12), taken))
+    for place, (left, bottom, right, top) in enumerate(taken):
+        assert top - bottom == pytest.approx(12)
+        for other in taken[:place]:
+            assert left >= other[2] or other[0] >= right or bottom >= other[3] - 1e-9 or other[1] >= top - 1e-9
+    assert overlay.below_others((0, 0, 1, 1), []) == (0, 0, 1, 1)
+
+
+def test_every_panel_is_in_the_tab_in_the_order_of_the_chain():
+    stages = [cls for cls in panels.classes if issubclass(cls, bpy.types.Panel) and not hasattr(cls, "bl_parent_id")]
+    assert [cls.bl_category for cls in stages] == ["Xihe"] * len(stages)
+    assert [cls.bl_order for cls in stages] == list(range(len(stages)))
+    names = ["Virtual Objects", "Camera Path", "Effects", "Estimator", "Run", "Results", "Apply"]
+    assert [cls.bl_label for cls in stages] == names
+
+
+def test_drawing_imports_nothing_heavy():
+    heavy = ["torch", "OpenEXR", "numpy"]
+    root = Path(__file__).resolve().parents[2]
+    code = (
+        "import sys, bpy; before = set(sys.modules);"
+        "from xihe_blender.addon import panels, overlay, last_run;"
+        "panels.named_virtual_objects(bpy.context.scene); last_run.last_run('/nowhere');"
+        f"print([n for n in {heavy} if n in set(sys.modules) - before])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)
+    assert done.stdout.strip().endswith("[]")

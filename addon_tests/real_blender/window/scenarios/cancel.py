@@ -1,0 +1,53 @@
+"""A run that is stopped: once with Esc, once with the button beside the progress bar."""
+
+import bpy
+from rooms import look_through_camera, make_runs_short, room_to_light
+
+
+def prepare():
+    """Long enough that it cannot be over before Esc comes."""
+    from xihe_blender.virtual_objects import virtual_collection
+
+    scene = room_to_light()
+    scene.frame_end = 200
+    ball = bpy.data.objects["Ball"]
+    scene.collection.objects.unlink(ball)
+    virtual_collection(scene, create=True).objects.link(ball)
+    return scene
+
+
+def state():
+    names = sorted(block.name for kind in ("worlds", "scenes", "images") for block in getattr(bpy.data, kind))
+    return [names, bpy.context.scene.frame_current, bpy.context.scene.xihe.run_folder]
+
+
+def stopped_with(w, name, stop):
+    """Start a run with the mouse, let it go on for a while, stop it."""
+    job = bpy.context.window_manager.xihe
+    before = state()
+    yield from w.click_on("xihe.run(")
+    yield from w.wait_until(lambda: job.is_running, "the run begins", at_most_s=30)
+    yield from w.wait_until(lambda: job.doing != "", "the run goes on", at_most_s=30)
+    yield 1
+    yield from stop()
+    yield from w.wait_until(lambda: not job.is_running, "the run ends", at_most_s=60)
+    yield 0.5
+    w.facts[name] = {"same": state() == before, "error": job.error, "before": before, "after": state()}
+    w.picture(name)
+
+
+def scenario(w):
+    make_runs_short(bpy.context.scene)
+    look_through_camera(w)
+    yield from w.open_tab()
+
+    def escape():
+        w.move(w.area.x + w.area.width * 0.3, w.area.y + w.area.height * 0.5)
+        yield 0.3
+        w.press("Escape")
+
+    def button():
+        yield from w.click_on("xihe.cancel_run", across=0.89)
+
+    yield from stopped_with(w, "stopped_with_escape", escape)
+    yield from stopped_with(w, "stopped_with_button", button)

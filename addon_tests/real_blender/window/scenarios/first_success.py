@@ -1,0 +1,95 @@
+"""From an open room to a lit object in a few clicks, then Undo, Redo, the comparison, saving, and Remove."""
+
+import bpy
+from rooms import look_through_camera, make_runs_short, room_to_light
+
+
+def prepare():
+    room_to_light()
+
+
+def left_in_file():
+    """Everything of a run that is in the file, by kind."""
+    kinds = ("worlds", "images", "node_groups", "actions", "scenes")
+    left = {kind: sorted(b.name for b in getattr(bpy.data, kind) if b.name.startswith("Xihe ")) for kind in kinds}
+    left["markers"] = sorted(m.name for scene in bpy.data.scenes for m in scene.timeline_markers)
+    return left
+
+
+def scenario(w):
+    scene = bpy.context.scene
+    make_runs_short(scene)
+    look_through_camera(w)
+    yield from w.open_tab()
+    with w.context():
+        # What was set up here is what the first Undo goes back to.
+        bpy.ops.ed.undo_push(message="Room")
+    w.facts["before"] = left_in_file()
+    w.picture("1_room")
+    yield from w.click_on("xihe.add_virtual_objects", across=0.3)
+    yield 0.5
+    w.facts["virtual"] = [o.name for o in bpy.data.collections["Xihe Virtual"].objects]
+    w.picture("2_virtual")
+    job = bpy.context.window_manager.xihe
+    yield from w.click_on("xihe.run(")
+    yield from w.wait_until(lambda: job.is_running or scene.xihe.run_folder, "the run begins", at_most_s=20)
+    yield from w.wait_until(lambda: job.progress > 0.3 or not job.is_running, "the run goes on")
+    w.facts["under_way"] = {"is_running": job.is_running, "doing": job.doing, "progress": job.progress}
+    w.picture("3_running")
+    yield from w.wait_until(lambda: not job.is_running, "the run ends")
+    yield 1
+    w.facts["error"] = job.error
+    w.facts["after"] = left_in_file()
+    w.facts["folder"] = bpy.context.scene.xihe.run_folder
+    w.picture("4_done")
+    yield from see_the_comparison(w)
+    yield from undo_and_redo(w)
+    bpy.ops.wm.save_as_mainfile(filepath=str(w.out / "saved.blend"), copy=True)
+    yield from remove(w)
+
+
+def see_the_comparison(w):
+    other = next(a for a in w.window.screen.areas if a.type == "PROPERTIES")
+    with bpy.context.temp_override(window=w.window, area=other):
+        other.type = "IMAGE_EDITOR"
+    yield 0.5
+    yield from w.click_on("xihe.show_comparison")
+    yield 0.5
+    w.facts["compared"] = [
+        a.spaces.active.image.name
+        for a in w.window.screen.areas
+        if a.type == "IMAGE_EDITOR" and a.spaces.active.image is not None
+    ]
+    w.facts["n_windows"] = len(bpy.context.window_manager.windows)
+    w.picture("5_comparison")
+    bpy.context.scene.xihe.wipe = 0.2
+    yield 1
+    w.picture("6_wiped")
+
+
+def undo_and_redo(w):
+    w.move(w.area.x + w.area.width * 0.3, w.area.y + w.area.height * 0.5)
+    yield 0.3
+    yield from press_until(w, "ctrl+z", lambda: not left_in_file()["worlds"])
+    w.facts["undone"] = left_in_file()
+    w.picture("7_undone")
+    yield from press_until(w, "ctrl+shift+z", lambda: left_in_file() == w.facts["after"])
+    w.facts["redone"] = left_in_file()
+    w.picture("8_redone")
+
+
+def press_until(w, key, is_there, at_most=5):
+    """Changes of the wipe count as steps of their own; how many it took is noted."""
+    n = 0
+    while not is_there() and n < at_most:
+        w.press(key)
+        yield 1.0
+        n += 1
+    w.facts[f"n_{key}"] = n
+
+
+def remove(w):
+    yield from w.click_on("xihe.remove_light")
+    yield 0.8
+    w.facts["removed"] = left_in_file()
+    w.picture("9_removed")

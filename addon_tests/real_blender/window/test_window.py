@@ -1,0 +1,89 @@
+"""What an artist does, in a real Blender with a window: each scenario once, then what it saw and left."""
+
+from pathlib import Path
+
+import pytest
+from blender_window import run_in_window
+
+ROOT = Path(__file__).resolve().parents[3]
+pytestmark = pytest.mark.timeout(1200)
+KINDS = ("worlds", "images", "node_groups", "actions", "scenes", "markers")
+
+
+@pytest.fixture(scope="module")
+def first_success(tmp_path_factory):
+    return run_in_window("first_success", tmp_path_factory.mktemp("first_success"))
+
+
+@pytest.fixture(scope="module")
+def cancel(tmp_path_factory):
+    return run_in_window("cancel", tmp_path_factory.mktemp("cancel"))
+
+
+def test_the_tab_draws_without_an_error_in_a_fresh_scene(tmp_path):
+    seen = run_in_window("look", tmp_path)
+    assert (seen.code, seen.complaints) == (0, []), seen.console
+    assert seen.facts["width"] > 0
+
+
+def test_the_tab_draws_without_an_error_in_a_room(tmp_path):
+    seen = run_in_window("look", tmp_path, blend=ROOT / "blend_scenes" / "cornell_box.blend")
+    assert (seen.code, seen.complaints) == (0, []), seen.console
+
+
+def test_enabling_and_disabling_ten_times_leaves_nothing_behind(tmp_path):
+    seen = run_in_window("ten_times", tmp_path)
+    assert (seen.code, seen.complaints) == (0, []), seen.console
+    enabled, disabled = seen.facts["enabled"], seen.facts["disabled"]
+    assert seen.facts["enabled_again"] == enabled
+    assert disabled["types"] == disabled["operators"] == []
+    assert disabled["properties"] == [False, False]
+    assert sum(disabled["handlers"].values()) < sum(enabled["handlers"].values())
+
+
+def test_the_tab_works_in_another_language_where_the_build_has_one(tmp_path):
+    seen = run_in_window("other_language", tmp_path)
+    assert (seen.code, seen.complaints) == (0, []), seen.console
+    assert seen.facts["language"] is None or seen.facts["virtual"] == 3
+
+
+def test_a_few_clicks_lead_from_an_open_room_to_a_lit_object(first_success):
+    assert (first_success.code, first_success.complaints) == (0, []), first_success.console
+    facts = first_success.facts
+    assert facts["virtual"] == ["Ball"]
+    assert facts["under_way"]["doing"]
+    assert facts["error"] == ""
+    assert facts["after"]["worlds"] == ["Xihe Ball"]
+    assert {"Xihe Comparison", "Xihe Light Ball"} <= set(facts["after"]["images"])
+    assert any(name.startswith("Xihe trigger") for name in facts["after"]["markers"])
+    assert facts["after"]["scenes"] == []
+
+
+def test_the_comparison_is_shown_in_the_image_editor_that_is_open(first_success):
+    assert first_success.facts["compared"] == ["Xihe Comparison"]
+    assert first_success.facts["n_windows"] == 1
+
+
+def test_undo_takes_the_applied_light_back_and_redo_brings_it_again(first_success):
+    facts = first_success.facts
+    assert facts["undone"]["worlds"] == facts["before"]["worlds"] == []
+    assert facts["undone"]["markers"] == facts["before"]["markers"]
+    assert facts["redone"] == facts["after"]
+
+
+def test_remove_leaves_nothing(first_success):
+    assert first_success.facts["removed"] == first_success.facts["before"] == {kind: [] for kind in KINDS}
+
+
+@pytest.mark.parametrize("add_on", ["none", None], ids=["without the add-on", "with it again"])
+def test_a_file_that_was_saved_with_results_opens(first_success, tmp_path, add_on):
+    seen = run_in_window("look", tmp_path, blend=first_success.out / "saved.blend", add_on=add_on)
+    assert (seen.code, seen.complaints) == (0, []), seen.console
+    assert "Xihe Ball" in seen.facts["worlds"]
+    assert seen.facts["n_undefined_nodes"] == 0
+
+
+@pytest.mark.parametrize("way", ["stopped_with_escape", "stopped_with_button"])
+def test_a_run_that_is_cancelled_leaves_nothing(cancel, way):
+    assert (cancel.code, cancel.complaints) == (0, []), cancel.console
+    assert cancel.facts[way]["same"], cancel.facts[way]

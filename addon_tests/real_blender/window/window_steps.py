@@ -1,0 +1,192 @@
+"""How does a script use Blender's window as an artist would: look, rest the mouse on something, click, press keys?
+
+Runs inside a Blender with a window. A scenario is a generator: it acts, and yields the seconds to wait before it goes
+on, during which Blender draws and handles what the mouse and the keys did. `play` drives it from a timer and ends
+Blender: exit code 0 at its end, 1 after an error, with a picture of the window as it was then.
+
+Where is a button? The mouse is moved over the sidebar, from the top down, and Blender itself is asked at each place
+what is under the mouse: its operators "Copy Python Command" and "Copy Full Data Path" answer for the button that is
+active. So places hold in every version, theme and language, whatever is drawn above the button. Rejected: places
+measured on screenshots, which move with every label, and pictures of buttons to look for, which change with the theme.
+
+Pictures are taken of the whole virtual screen with ImageMagick's `import`, mouse and keys are xdotool's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import traceback
+from collections.abc import Callable, Generator, Iterator
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+Steps = Generator[float, None, Any]
+
+HOVER_S = 0.06
+ROW_PX = 16
+"""Less than the height of a button, so that none is missed."""
+TABS_PX = 20
+N_SCROLLS = 2
+"""Times that the sidebar is looked through, a good part of its height further down each time."""
+
+
+class Window:
+    """The one window of this Blender, its 3D view, the folder for pictures and facts, and a finished run to show."""
+
+    def __init__(self, out: Path, run_folder: Path | None = None) -> None:
+        self.out = out
+        self.run_folder = run_folder
+        self.facts: dict[str, Any] = {}
+        self.found_at = 0
+        self.window = bpy.context.window_manager.windows[0]
+
+    @property
+    def area(self) -> bpy.types.Area:
+        return max((a for a in self.window.screen.areas if a.type == "VIEW_3D"), key=lambda a: a.width * a.height)
+
+    @property
+    def sidebar(self) -> bpy.types.Region:
+        return next(region for region in self.area.regions if region.type == "UI")
+
+    @contextlib.contextmanager
+    def context(self, region: bpy.types.Region | None = None) -> Iterator[None]:
+        """As if a script were run from `region`, the sidebar's if None."""
+        with bpy.context.temp_override(window=self.window, area=self.area, region=region or self.sidebar):
+            yield
+
+    def picture(self, name: str) -> Path:
+        """A picture of the whole screen."""
+        path = self.out / f"{name}.png"
+        subprocess.run(["import", "-window", "root", str(path)], check=True)
+        return path
+
+    def move(self, x: float, y: float) -> None:
+        """The mouse, to a place in Blender's window, whose origin is its lower left corner."""
+        _xdotool("mousemove", str(round(x)), str(round(self.window.height - 1 - y)))
+
+    def click(self) -> None:
+        _xdotool("click", "1")
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> Steps:
+        """Such as the edge between two areas."""
+        self.move(*start)
+        yield 0.3
+        _xdotool("mousedown", "1")
+        yield 0.3
+        for share in (0.3, 0.6, 1.0):
+            self.move(*(a + share * (b - a) for a, b in zip(start, end, strict=True)))
+            yield 0.2
+        _xdotool("mouseup", "1")
+        yield 0.3
+
+    def press(self, key: str) -> None:
+        """Such as "Escape" or "ctrl+z"; it goes to what is under the mouse."""
+        _xdotool("key", key)
+
+    def under_mouse(self) -> str:
+        """What the button under the mouse in the sidebar does: "xihe.run()", "scenes[...].xihe.seed", or nothing."""
+        clipboard = bpy.context.window_manager
+        with self.context():
+            for ask in (bpy.ops.ui.copy_python_command_button, _copy_path):
+                clipboard.clipboard = ""
+                if ask.poll() and ask() == {"FINISHED"}:
+                    return clipboard.clipboard.removeprefix("bpy.ops.").removeprefix("bpy.data.")
+        return ""
+
+    def find(self, wanted: str, *, across: float = 0.5) -> Steps:
+        """Rest the mouse on the button whose command or data path holds `wanted`; `across` of the sidebar's width.
+
+        Looks near what was found last first. The sidebar is scrolled down where that is not in view. AssertionError if
+        it is not there, with what was found.
+        """
+        seen: list[str] = []
+        for _ in range(N_SCROLLS):
+            r = self.sidebar
+            rows = range(r.y + r.height - 8, r.y, -ROW_PX)
+            for y in sorted(rows, key=lambda y: abs(y - self.found_at)) if self.found_at else rows:
+                self.move(r.x + across * (r.width - TABS_PX), y)
+                yield HOVER_S
+                here = self.under_mouse()
+                if wanted in here:
+                    self.found_at = y
+                    return
+                if here and here not in seen:
+                    seen.append(here)
+            self.found_at = 0
+            _xdotool("click", "--repeat", "8", "--delay", "30", "5")
+            yield 1.0
+        raise AssertionError(f"there is no {wanted!r} in the sidebar; there are {seen}")
+
+    def click_on(self, wanted: str, *, across: float = 0.5) -> Steps:
+        yield from self.find(wanted, across=across)
+        self.click()
+        yield 0.3
+
+    def open_tab(self, name: str = "Xihe") -> Steps:
+        """The sidebar with the tab `name`. Blender needs a moment before it knows its tabs."""
+        self.area.spaces.active.show_region_ui = True
+        yield 1.0
+        self.sidebar.active_panel_category = name
+        self.area.tag_redraw()
+        yield 0.5
+
+    def wait_until(self, is_true: Callable[[], bool], what: str, *, at_most_s: float = 120) -> Steps:
+        waited = 0.0
+        while not is_true():
+            assert waited < at_most_s, f"waited {at_most_s:.0f} s for this: {what}"
+            yield 0.1
+            waited += 0.1
+
+
+class _CopyPath:
+    """`ui.copy_data_path_button` with the full path."""
+
+    def poll(self) -> bool:
+        return bool(bpy.ops.ui.copy_data_path_button.poll())
+
+    def __call__(self) -> set[str]:
+        answer: set[str] = bpy.ops.ui.copy_data_path_button(full_path=True)
+        return answer
+
+
+_copy_path = _CopyPath()
+
+
+def _xdotool(*words: str) -> None:
+    subprocess.run(["xdotool", *words], check=True)
+
+
+def play(scenario: Callable[[Window], Steps], out: Path, run_folder: Path | None = None) -> None:
+    """Drive `scenario` from a timer; write its facts as facts.json into `out`; end Blender."""
+    out.mkdir(parents=True, exist_ok=True)
+    bpy.context.preferences.view.show_splash = False
+    window = Window(out, run_folder)
+    steps = scenario(window)
+
+    def tick() -> float | None:
+        try:
+            return next(steps)
+        except StopIteration:
+            _end(window, 0)
+        except BaseException:
+            traceback.print_exc()
+            window.picture("failed")
+            _end(window, 1)
+            raise
+        return None
+
+    bpy.app.timers.register(tick, first_interval=1.5, persistent=True)
+
+
+def _end(window: Window, code: int) -> None:
+    """Ended hard: Blender's own way out has no exit code."""
+    (window.out / "facts.json").write_text(json.dumps(window.facts, indent=1), encoding="utf-8")
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)

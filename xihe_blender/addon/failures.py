@@ -1,0 +1,40 @@
+"""How does an operator say that it could not do what was asked? In one line, and as the last error of the panel."""
+
+from __future__ import annotations
+
+import re
+
+import bpy
+
+from xihe_blender.errors import UserError
+
+FAILURES = (UserError, OSError, ReferenceError)
+"""What a user can mend; anything else is a mistake of ours, and its traceback should be seen."""
+
+IN_THE_PANEL = {
+    "--estimator": "Estimator",
+    "--frames": "Own Frames",
+    "--network": "Network",
+    "--out": "Runs Folder",
+    "--phone": "Phone",
+}
+"""What the panel calls an option of the command line, in whose words the work speaks."""
+
+
+def said_of(error: BaseException) -> str:
+    """`error` in one line."""
+    if isinstance(error, ReferenceError):
+        return "The scene, or an object of it, was deleted meanwhile: start again"
+    if isinstance(error, OSError) and error.strerror:
+        place = "" if error.filename is None else f"{error.filename}: "
+        return f"{place}{error.strerror}"
+    line = " ".join(str(error).split())
+    return re.sub(r"--[a-z]+", lambda option: IN_THE_PANEL.get(option[0], option[0]), line)
+
+
+def failed(operator: bpy.types.Operator, context: bpy.types.Context, error: BaseException) -> set[str]:
+    """Report `error` and give what the operator returns."""
+    line = said_of(error)
+    context.window_manager.xihe.error = line
+    operator.report({"ERROR"}, line)
+    return {"CANCELLED"}

@@ -1,0 +1,54 @@
+"""What a run has in the file while it is under way must not come back: by Undo, or from a file saved meanwhile.
+
+Working scenes are the file's own data while a run lasts. Where one was kept in a step of Undo or in a file, it goes as
+soon as it is back. An Undo in the middle of a run ends the run, since it takes the run's scenes away.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+WORKING = "xihe_working"
+"""As in `render`, which is not imported here: it needs NumPy."""
+
+
+def remove_working_scenes() -> None:
+    """Remove every working scene of a run that is over, and what only that used."""
+    for scene in [scene for scene in bpy.data.scenes if WORKING in scene]:
+        bpy.data.scenes.remove(scene)
+    # The collections of the scene Xihe Lit; what has no user now is not saved either.
+    for collection in [c for c in bpy.data.collections if c.name.startswith("Xihe Lit ") and not c.users]:
+        bpy.data.collections.remove(collection)
+
+
+@bpy.app.handlers.persistent
+def _after_undo(*_: Any) -> None:
+    job = bpy.context.window_manager.xihe
+    if job.is_running:
+        job.is_cancel_wanted = True
+    else:
+        remove_working_scenes()
+
+
+@bpy.app.handlers.persistent
+def _after_load(*_: Any) -> None:
+    # The run, if there was one, ended when the file was left; a file that was saved meanwhile says otherwise.
+    job = bpy.context.window_manager.xihe
+    job.is_running = job.is_cancel_wanted = False
+    job.doing = job.error = job.run_estimate = ""
+    job.progress = job.seconds_left = 0.0
+    remove_working_scenes()
+
+
+def register() -> None:
+    bpy.app.handlers.undo_post.append(_after_undo)
+    bpy.app.handlers.redo_post.append(_after_undo)
+    bpy.app.handlers.load_post.append(_after_load)
+
+
+def unregister() -> None:
+    bpy.app.handlers.undo_post.remove(_after_undo)
+    bpy.app.handlers.redo_post.remove(_after_undo)
+    bpy.app.handlers.load_post.remove(_after_load)

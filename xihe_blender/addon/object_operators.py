@@ -1,0 +1,99 @@
+"""Which objects are virtual? The selected ones, or three spheres at the 3D cursor."""
+
+from __future__ import annotations
+
+import bpy
+
+from xihe_blender.addon import polls
+from xihe_blender.addon.failures import FAILURES, failed
+
+
+class XIHE_OT_add_virtual_objects(bpy.types.Operator):
+    bl_idname = "xihe.add_virtual_objects"
+    bl_label = "Make Virtual"
+    bl_description = "Make the selected objects virtual: the phone inserts them, and estimates their light"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return polls.is_possible(
+            cls,
+            context,
+            polls.is_idle,
+            polls.is_own_scene,
+            polls.is_in_object_mode,
+            polls.has_selected_room_objects,
+        )
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from xihe_blender.virtual_objects import make_virtual
+
+        try:
+            made = make_virtual(context.scene, context.selected_objects)
+        except FAILURES as error:
+            return failed(self, context, error)
+        self.report({"INFO"}, f"{_said(len(made))} virtual now")
+        return {"FINISHED"}
+
+
+class XIHE_OT_remove_virtual_objects(bpy.types.Operator):
+    bl_idname = "xihe.remove_virtual_objects"
+    bl_label = "Make Room"
+    bl_description = "Make the selected virtual objects part of the room again"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return polls.is_possible(
+            cls,
+            context,
+            polls.is_idle,
+            polls.is_own_scene,
+            polls.is_in_object_mode,
+            polls.has_selected_virtual_objects,
+        )
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from xihe_blender.virtual_objects import make_room
+
+        try:
+            made = make_room(context.scene, context.selected_objects)
+        except FAILURES as error:
+            return failed(self, context, error)
+        self.report({"INFO"}, f"{_said(len(made))} part of the room again")
+        return {"FINISHED"}
+
+
+class XIHE_OT_add_sphere_rig(bpy.types.Operator):
+    bl_idname = "xihe.add_sphere_rig"
+    bl_label = "Add Three Spheres"
+    bl_description = "Add a mirror, a matte silver and a grey sphere as virtual objects at the 3D cursor"
+    bl_options = {"REGISTER", "UNDO"}
+
+    radius_m: bpy.props.FloatProperty(
+        name="Radius",
+        description="Of each sphere, in metres",
+        default=0.06,
+        min=0.001,
+        soft_min=0.01,
+        soft_max=1.0,
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return polls.is_possible(cls, context, polls.is_idle, polls.is_own_scene, polls.is_in_object_mode)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from xihe_blender.virtual_objects import add_three_sphere_rig
+
+        add_three_sphere_rig(context.scene, tuple(context.scene.cursor.location), self.radius_m)
+        return {"FINISHED"}
+
+
+def _said(n_objects: int) -> str:
+    return "1 object is" if n_objects == 1 else f"{n_objects} objects are"
+
+
+register, unregister = bpy.utils.register_classes_factory(
+    (XIHE_OT_add_virtual_objects, XIHE_OT_remove_virtual_objects, XIHE_OT_add_sphere_rig)
+)

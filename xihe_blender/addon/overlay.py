@@ -1,0 +1,183 @@
+"""Where is light estimated, and how much of the surroundings was seen from there? Drawn over the 3D view.
+
+A disc at each estimation position, coloured by its coverage in the last run, with its name and share. Discs are drawn
+in the picture's plane and over everything: a position lies inside its object. Rejected: points of the GPU, whose size
+some of its backends ignore.
+
+Positions are computed when something has changed, not when the view is drawn: handlers only set a flag. The one object
+at module level, `_overlay`, holds the handle that has to be given back. In background there is nothing to draw on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import bpy
+
+from xihe_blender.addon.last_run import last_run
+
+Colour = tuple[float, float, float, float]
+Box = tuple[float, float, float, float]
+"""Left, bottom, right, top, in pixels of the region."""
+
+RADIUS_PX = 6.0
+N_CORNERS = 20
+FONT = 0
+FONT_PX = 12.0
+LINE = 1.2
+RIM: Colour = (0.0, 0.0, 0.0, 0.8)
+UNKNOWN: Colour = (0.85, 0.85, 0.85, 1.0)
+LITTLE: Colour = (0.95, 0.35, 0.15, 1.0)
+MUCH: Colour = (0.20, 0.75, 0.95, 1.0)
+"""Orange and blue, which look different to nearly everyone."""
+
+
+class Position(NamedTuple):
+    """One estimation position, named as in results.json, in world metres."""
+
+    name: str
+    place_m: tuple[float, float, float]
+
+
+class Overlay:
+    """The draw handler, and the positions it draws by name of the scene, until something changes."""
+
+    def __init__(self) -> None:
+        self.positions: dict[str, list[Position]] = {}
+        self._handle = bpy.types.SpaceView3D.draw_handler_add(self.draw, (), "WINDOW", "POST_PIXEL")
+
+    def remove(self) -> None:
+        bpy.types.SpaceView3D.draw_handler_remove(self._handle, "WINDOW")
+
+    def draw(self) -> None:
+        """Called by Blender for every 3D view that is drawn."""
+        context = bpy.context
+        scene, space = context.scene, context.space_data
+        if not (scene.xihe.show_positions and space.overlay.show_overlays):
+            return
+        if scene.name not in self.positions:
+            self.positions[scene.name] = shown_positions(scene, context.evaluated_depsgraph_get())
+        run = last_run(scene.xihe.run_folder)
+        coverage = run.coverage_by_position if run else {}
+        taken: list[Box] = []
+        for position, x, y in on_screen(context, self.positions[scene.name]):
+            seen = coverage.get(position.name)
+            draw_disc(x, y, colour_of(seen))
+            draw_label(x, y, position.name if seen is None else f"{position.name}  {seen:.0%}", taken)
+
+
+def shown_positions(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> list[Position]:
+    """The estimation positions of all virtual objects as a run would name them, at the frame that is shown."""
+    # NumPy comes with it, which must wait until something is shown.
+    from xihe_blender.virtual_objects import estimation_positions, virtual_objects
+
+    found = []
+    for item in virtual_objects(scene):
+        places = [tuple(map(float, place)) for place in estimation_positions(item, depsgraph)]
+        names = [item.name] if len(places) == 1 else [f"{item.name} {k}" for k in range(1, len(places) + 1)]
+        found += [Position(name, (x, y, z)) for name, (x, y, z) in zip(names, places, strict=True)]
+    return found
+
+
+def on_screen(context: bpy.types.Context, positions: Sequence[Position]) -> Iterator[tuple[Position, float, float]]:
+    """Those of `positions` in front of the view, with their pixel in the region."""
+    from bpy_extras.view3d_utils import location_3d_to_region_2d
+
+    for position in positions:
+        pixel = location_3d_to_region_2d(context.region, context.region_data, position.place_m)
+        if pixel is not None:
+            yield position, pixel.x, pixel.y
+
+
+def colour_of(coverage: float | None) -> Colour:
+    """From orange at 0 to blue at 1, by the share of the sphere that was seen; grey where nothing is known."""
+    if coverage is None:
+        return UNKNOWN
+    share = min(1.0, max(0.0, coverage))
+    red, green, blue = (low + share * (high - low) for low, high in zip(LITTLE[:3], MUCH[:3], strict=True))
+    return red, green, blue, 1.0
+
+
+def draw_disc(x: float, y: float, colour: Colour) -> None:
+    """A filled disc with a dark rim, as triangles."""
+    import gpu
+    from gpu_extras.batch import batch_for_shader
+
+    scale = bpy.context.preferences.system.ui_scale
+    shader = gpu.shader.from_builtin("UNIFORM_COLOR")
+    gpu.state.blend_set("ALPHA")
+    for radius, paint in ((RADIUS_PX + 1.5, RIM), (RADIUS_PX, colour)):
+        corners = disc_corners(x, y, radius * scale)
+        triangles = [(0, k, k + 1) for k in range(1, len(corners) - 1)]
+        shader.uniform_float("color", paint)
+        batch_for_shader(shader, "TRIS", {"pos": corners}, indices=triangles).draw(shader)
+    gpu.state.blend_set("NONE")
+
+
+def disc_corners(x: float, y: float, radius: float) -> list[tuple[float, float]]:
+    turns = [2 * math.pi * k / N_CORNERS for k in range(N_CORNERS)]
+    return [(x + radius * math.cos(turn), y + radius * math.sin(turn)) for turn in turns]
+
+
+def draw_label(x: float, y: float, text: str, taken: list[Box]) -> None:
+    """`text` beside the disc, below the labels of `taken`, with a shadow to be read before a bright wall."""
+    import blf
+
+    scale = bpy.context.preferences.system.ui_scale
+    blf.size(FONT, FONT_PX * scale)
+    left, bottom = x + (RADIUS_PX + 5) * scale, y - 0.35 * FONT_PX * scale
+    wanted = (left, bottom, left + blf.dimensions(FONT, text)[0], bottom + LINE * FONT_PX * scale)
+    box = below_others(wanted, taken)
+    taken.append(box)
+    blf.color(FONT, 1.0, 1.0, 1.0, 1.0)
+    blf.enable(FONT, blf.SHADOW)
+    blf.shadow(FONT, 3, 0.0, 0.0, 0.0, 0.9)
+    blf.position(FONT, box[0], box[1], 0)
+    blf.draw(FONT, text)
+    blf.disable(FONT, blf.SHADOW)
+
+
+def below_others(wanted: Box, taken: Sequence[Box]) -> Box:
+    """`wanted`, moved down until it overlaps none of `taken`."""
+    left, bottom, right, top = wanted
+    for other in sorted(taken, key=lambda box: -box[1]):
+        if left < other[2] and other[0] < right and bottom < other[3] and other[1] < top:
+            bottom, top = other[1] - (top - bottom), other[1]
+    return left, bottom, right, top
+
+
+_overlay: Overlay | None = None
+
+
+@bpy.app.handlers.persistent  # type: ignore[untyped-decorator]
+def forget_positions(*_: Any) -> None:
+    """They are computed anew when a view is drawn next."""
+    if _overlay is not None:
+        _overlay.positions.clear()
+
+
+def listened_to() -> tuple[list[Any], ...]:
+    """Blender's lists of what it calls after a change; looked up anew, since they belong to Blender."""
+    handlers = bpy.app.handlers
+    return handlers.depsgraph_update_post, handlers.frame_change_post, handlers.load_post
+
+
+def register() -> None:
+    global _overlay
+    if bpy.app.background:
+        return
+    _overlay = Overlay()
+    for handlers in listened_to():
+        handlers.append(forget_positions)
+
+
+def unregister() -> None:
+    global _overlay
+    if _overlay is None:
+        return
+    for handlers in listened_to():
+        handlers.remove(forget_positions)
+    _overlay.remove()
+    _overlay = None

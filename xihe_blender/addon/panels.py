@@ -1,0 +1,349 @@
+"""What does an artist see? The tab "Xihe" in the sidebar of the 3D view: the chain from top to bottom, a panel a stage.
+
+    Virtual Objects, Camera Path, Effects, Estimator, Run, Results, Apply
+
+A panel with nothing to show says in one line what to do next, and a grey button says why when the mouse rests on it
+(the operators' polls). Panels are drawn many times a second: they look at properties and names only, compute nothing
+and import nothing heavy.
+
+The sidebar is 220 pixels wide unless someone drags it: labels are short, and sentences are wrapped.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from typing import Any
+
+import bpy
+
+from xihe_blender.addon.last_run import LastRun, last_run
+
+TAB = "Xihe"
+VIRTUAL_COLLECTION = "Xihe Virtual"
+WITHOUT_SURFACE = frozenset(
+    {"ARMATURE", "CAMERA", "GREASEPENCIL", "GPENCIL", "LATTICE", "LIGHT", "LIGHT_PROBE", "SPEAKER"}
+)
+N_NAMED = 6
+N_EFFECTS = 8
+LABEL_SHARE = 0.42
+PIXELS_PER_CHARACTER = 6.6
+FEWEST_CHARACTERS = 16
+
+
+class StagePanel:
+    """Where all panels of the tab live."""
+
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = TAB
+
+
+class XIHE_PT_virtual_objects(StagePanel, bpy.types.Panel):
+    bl_label = "Virtual Objects"
+    bl_order = 0
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        objects = named_virtual_objects(context.scene)
+        if not objects:
+            sentence(context, layout, "Select what the phone would insert, then add it:")
+        column = layout.column(align=True)
+        for item in objects[:N_NAMED]:
+            column.label(text=item.name, icon=object_icon(item), translate=False)
+        if len(objects) > N_NAMED:
+            column.label(text=f"and {len(objects) - N_NAMED} more", icon="BLANK1")
+        column = layout.column(align=True)
+        row = column.row(align=True)
+        row.operator("xihe.add_virtual_objects", text="Add Selected", icon="ADD")
+        row.operator("xihe.remove_virtual_objects", text="", icon="REMOVE")
+        column.operator("xihe.add_sphere_rig", text="Three-Sphere Rig", icon="SPHERE")
+        if objects:
+            layout.prop(context.scene.xihe, "show_positions")
+
+
+class XIHE_PT_camera_path(StagePanel, bpy.types.Panel):
+    bl_label = "Camera Path"
+    bl_order = 1
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, scene, settings = self.layout, context.scene, context.scene.xihe
+        if scene.camera is None:
+            sentence(context, layout, "Add a camera: it stands for the phone")
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        layout.prop(scene, "camera")
+        column = layout.column()
+        whole = column.row()
+        # The name of a phone needs all of the width.
+        whole.use_property_split = False
+        whole.prop(settings, "phone", text="")
+        if settings.phone == "FILE":
+            column.prop(settings, "phone_file", text="File")
+        column.prop(settings, "network")
+        self._draw_frames(layout, scene, settings)
+
+    def _draw_frames(self, layout: bpy.types.UILayout, scene: bpy.types.Scene, settings: Any) -> None:
+        layout.prop(settings, "use_own_frames")
+        if settings.use_own_frames:
+            column = layout.column(align=True)
+            column.prop(settings, "frame_start")
+            column.prop(settings, "frame_end")
+            column.prop(settings, "frame_step")
+        else:
+            step = "" if scene.frame_step == 1 else f", step {scene.frame_step}"
+            layout.label(text=f"Frames {scene.frame_start} to {scene.frame_end}{step}", icon="BLANK1", translate=False)
+
+
+class XIHE_PT_picture(StagePanel, bpy.types.Panel):
+    bl_label = "Picture"
+    bl_parent_id = "XIHE_PT_camera_path"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, context.scene.xihe
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        layout.prop(settings, "use_own_size")
+        column = layout.column(align=True)
+        column.active = settings.use_own_size
+        column.prop(settings, "size", index=0, text="Width")
+        column.prop(settings, "size", index=1, text="Height")
+        layout.prop(settings, "use_own_exposure")
+        row = layout.row()
+        row.active = settings.use_own_exposure
+        row.prop(settings, "exposure")
+
+
+class XIHE_UL_effects(bpy.types.UIList):
+    """An effect a row: whether it is simulated, its name, and what the user wants."""
+
+    # Blender counts the parameters.
+    def draw_item(self, _c: Any, layout: Any, _data: Any, item: Any, _i: Any, _owner: Any, _p: Any) -> None:
+        row = layout.row(align=True)
+        row.active = item.state == "on"
+        row.label(
+            text=in_title(item.name), icon="CHECKBOX_HLT" if item.state == "on" else "CHECKBOX_DEHLT", translate=False
+        )
+        if item.is_switchable:
+            choice = layout.row()
+            choice.ui_units_x = 3.2
+            choice.prop(item, "override", text="", emboss=item.override != "AUTO")
+
+
+class XIHE_PT_effects(StagePanel, bpy.types.Panel):
+    bl_label = "Effects"
+    bl_order = 2
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, context.scene.xihe
+        effects = settings.effects
+        if not effects:
+            sentence(context, layout, "A run simulates what the scene calls for. See what that is:")
+            layout.operator("xihe.plan_effects", text="Plan Effects", icon="VIEWZOOM")
+            return
+        layout.template_list(
+            "XIHE_UL_effects", "", settings, "effects", settings, "active_effect", rows=N_EFFECTS, maxrows=N_EFFECTS
+        )
+        if 0 <= settings.active_effect < len(effects):
+            effect = effects[settings.active_effect]
+            sentence(context, layout, effect.reason, icon="INFO")
+        layout.operator("xihe.plan_effects", text="Plan Again", icon="FILE_REFRESH")
+
+
+class XIHE_PT_estimator(StagePanel, bpy.types.Panel):
+    bl_label = "Estimator"
+    bl_order = 3
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, context.scene.xihe
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        layout.prop(settings, "estimator")
+        layout.prop(settings, "preset")
+        run = last_run(settings.run_folder)
+        if run is not None and run.step_ms is not None and run.estimator == settings.estimator:
+            layout.label(text=f"{run.step_ms:.1f} ms a frame, last run", icon="TIME")
+
+
+class XIHE_PT_estimator_details(StagePanel, bpy.types.Panel):
+    bl_label = "Details"
+    bl_parent_id = "XIHE_PT_estimator"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, context.scene.xihe
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        layout.prop(settings, "target", text="Target")
+        layout.prop(settings, "seed")
+
+
+class XIHE_PT_run(StagePanel, bpy.types.Panel):
+    bl_label = "Run"
+    bl_order = 4
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, job = self.layout, context.window_manager.xihe
+        if job.is_running:
+            self._draw_progress(context, job)
+            return
+        row = layout.row()
+        row.scale_y = 1.5
+        row.operator("xihe.run", text="Run", icon="PLAY")
+        row = layout.row(align=True)
+        row.operator("xihe.measure_run", text="" if job.run_estimate else "How Long?", icon="TIME")
+        if job.run_estimate:
+            sentence(context, row, job.run_estimate, n_columns_used=1)
+        if job.error:
+            sentence(context, layout, job.error, icon="ERROR")
+
+    def _draw_progress(self, context: bpy.types.Context, job: Any) -> None:
+        layout = self.layout
+        row = layout.row(align=True)
+        row.progress(factor=job.progress, type="BAR", text=progress_text(job.progress, job.seconds_left))
+        row.operator("xihe.cancel_run", text="", icon="X")
+        sentence(context, layout, "Stopping after this step" if job.is_cancel_wanted else job.doing)
+
+
+class XIHE_PT_results(StagePanel, bpy.types.Panel):
+    bl_label = "Results"
+    bl_order = 5
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, context.scene.xihe
+        run = last_run(settings.run_folder)
+        if run is None:
+            sentence(context, layout, missing_run(settings.run_folder))
+            return
+        column = layout.column(align=True)
+        for name, value in result_rows(run):
+            split = column.split(factor=LABEL_SHARE)
+            split.label(text=name)
+            split.label(text=value, translate=False)
+        split = layout.split(factor=LABEL_SHARE)
+        split.label(text="Go to Trigger")
+        row = split.row(align=True)
+        # Buttons of nothing but an icon do not grow by themselves.
+        row.scale_x = 2.5
+        row.operator("xihe.go_to_trigger", text="", icon="PREV_KEYFRAME").direction = "PREVIOUS"
+        row.operator("xihe.go_to_trigger", text="", icon="NEXT_KEYFRAME").direction = "NEXT"
+        column = layout.column(align=True)
+        column.operator("xihe.show_comparison", text="Compare", icon="IMAGE_DATA")
+        column.prop(settings, "wipe", slider=True)
+        row = column.row()
+        row.active = False
+        row.label(text="Estimate")
+        right = row.row()
+        right.alignment = "RIGHT"
+        right.label(text="Ground Truth")
+        layout.operator("xihe.open_report", text="Open Report", icon="URL")
+
+
+class XIHE_PT_apply(StagePanel, bpy.types.Panel):
+    bl_label = "Apply"
+    bl_order = 6
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        column = layout.column(align=True)
+        column.operator("xihe.apply_light", text="Apply Light", icon="LIGHT_HEMI")
+        column.operator("xihe.remove_light", text="Remove Light", icon="TRASH")
+
+
+def named_virtual_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The virtual objects of `scene`, sorted by name: as `virtual_objects` has them, but without importing NumPy."""
+    for collection in scene.collection.children_recursive:
+        if collection.name == VIRTUAL_COLLECTION:
+            return sorted((item for item in collection.all_objects if has_surface(item)), key=lambda item: item.name)
+    return []
+
+
+def has_surface(item: bpy.types.Object) -> bool:
+    if item.type == "EMPTY":
+        return item.instance_type == "COLLECTION" and item.instance_collection is not None
+    return item.type not in WITHOUT_SURFACE
+
+
+def object_icon(item: bpy.types.Object) -> str:
+    return "OUTLINER_OB_MESH" if item.type == "MESH" else "OBJECT_DATA"
+
+
+def in_title(name: str) -> str:
+    """As Blender writes labels, without touching what is in capitals already: "Fast GI", "Light Tree"."""
+    return " ".join(word[:1].upper() + word[1:] for word in name.split(" "))
+
+
+def missing_run(folder: str) -> str:
+    return "The folder of the last run is gone: run again" if folder else "Nothing yet: press Run"
+
+
+def result_rows(run: LastRun) -> list[tuple[str, str]]:
+    """(label, value) of the last run, both short enough for half the sidebar."""
+    return [
+        ("Triggers", f"{run.n_estimates} in {run.n_frames} frames"),
+        ("Light Error", _number(run.shc_rmse, ".3f")),
+        ("Ambient Error", _number(run.ambient_shc_rmse, ".3f")),
+        ("Coverage", _number(run.coverage, ".0%")),
+        ("Chain", _number(run.step_ms, ".1f", " ms")),
+        ("Rendering", in_words(run.render_s)),
+    ]
+
+
+def _number(value: float | None, form: str, unit: str = "") -> str:
+    return "none" if value is None else f"{value:{form}}{unit}"
+
+
+def progress_text(progress: float, seconds_left: float) -> str:
+    """Such as "45 %, 2 min left"; the time only once there is a pace."""
+    share = f"{progress:.0%}"
+    return f"{share}, {in_words(seconds_left)} left" if seconds_left > 0 else share
+
+
+def in_words(seconds: float) -> str:
+    """A time to wait, rounded: "8 s", "1 min 20 s", "12 min", "2 h 5 min"."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 600:
+        return f"{whole // 60} min {whole % 60} s" if whole % 60 else f"{whole // 60} min"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def sentence(
+    context: bpy.types.Context, layout: bpy.types.UILayout, text: str, *, icon: str = "NONE", n_columns_used: int = 0
+) -> None:
+    """Labels that hold `text`, wrapped at the sidebar's width; `n_columns_used` are icons beside it in the row."""
+    n_icons = n_columns_used + (icon != "NONE")
+    column = layout.column(align=True)
+    column.scale_y = 0.8
+    for place, line in enumerate(wrapped(text, line_length(context, n_icons))):
+        column.label(text=line, icon=icon if place == 0 else "BLANK1" if icon != "NONE" else "NONE", translate=False)
+
+
+def wrapped(text: str, length: int) -> list[str]:
+    """Lines of at most `length` characters; a longer word is cut. Empty text has no line."""
+    return textwrap.wrap(text, length)
+
+
+def line_length(context: bpy.types.Context, n_icons: int = 0) -> int:
+    """Characters that fit into a line of the sidebar as it is drawn, beside `n_icons` icons."""
+    scale = context.preferences.system.ui_scale
+    pixels = context.region.width / scale - 40 - 20 * n_icons
+    return max(FEWEST_CHARACTERS, int(pixels / PIXELS_PER_CHARACTER))
+
+
+classes = (
+    XIHE_PT_virtual_objects,
+    XIHE_PT_camera_path,
+    XIHE_PT_picture,
+    XIHE_UL_effects,
+    XIHE_PT_effects,
+    XIHE_PT_estimator,
+    XIHE_PT_estimator_details,
+    XIHE_PT_run,
+    XIHE_PT_results,
+    XIHE_PT_apply,
+)
+register, unregister = bpy.utils.register_classes_factory(classes)

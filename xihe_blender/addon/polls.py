@@ -1,0 +1,120 @@
+"""Why can an operator not run now? One function per reason: it gives the sentence that Blender shows, or None.
+
+Functions instead of a base class: each operator lists what it needs, and the grey button says the first that is
+missing. They run at every redraw, so they look at names and flags alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import bpy
+
+from xihe_blender.addon.properties import last_run_folder
+
+Condition = Callable[[bpy.types.Context], str | None]
+
+
+def is_possible(operator: type[bpy.types.Operator], context: bpy.types.Context, *conditions: Condition) -> bool:
+    """Whether all `conditions` hold; the first that does not is said by the greyed button of `operator`."""
+    for condition in conditions:
+        message = condition(context)
+        if message is not None:
+            operator.poll_message_set(message)
+            return False
+    return True
+
+
+def has_scene(context: bpy.types.Context) -> str | None:
+    return "There is no scene" if context.scene is None else None
+
+
+def is_idle(context: bpy.types.Context) -> str | None:
+    return "A run is under way: wait for it, or cancel it" if context.window_manager.xihe.is_running else None
+
+
+def is_running(context: bpy.types.Context) -> str | None:
+    return None if context.window_manager.xihe.is_running else "No run is under way"
+
+
+def is_in_object_mode(context: bpy.types.Context) -> str | None:
+    return None if context.mode == "OBJECT" else "Go to Object Mode first"
+
+
+def is_own_scene(context: bpy.types.Context) -> str | None:
+    """A scene that is linked from another file cannot be changed."""
+    if context.scene.library is None:
+        return None
+    return "The scene is linked from another file: open that file, or make the scene local"
+
+
+def has_cycles(context: bpy.types.Context) -> str | None:
+    if "cycles" in context.preferences.addons:
+        return None
+    return "Enable the add-on Cycles Render Engine in Blender's preferences"
+
+
+def has_camera(context: bpy.types.Context) -> str | None:
+    scene = context.scene
+    if scene.camera is not None or any(marker.camera is not None for marker in scene.timeline_markers):
+        return None
+    return "Add a camera and animate it as the phone's path"
+
+
+def has_virtual_objects(context: bpy.types.Context) -> str | None:
+    from xihe_blender.virtual_objects import virtual_objects
+
+    if virtual_objects(context.scene):
+        return None
+    return "Make an object virtual first: select it, and add it above"
+
+
+def has_selected_room_objects(context: bpy.types.Context) -> str | None:
+    from xihe_blender.virtual_objects import has_renderable_geometry, virtual_objects
+
+    if not context.selected_objects:
+        return "Select the objects that the phone would insert"
+    able = [item for item in context.selected_objects if has_renderable_geometry(item)]
+    if not able:
+        return "None of the selected objects has a surface to light: select meshes, curves or texts"
+    return "The selected objects are virtual already" if set(able) <= set(virtual_objects(context.scene)) else None
+
+
+def has_selected_virtual_objects(context: bpy.types.Context) -> str | None:
+    from xihe_blender.virtual_objects import virtual_objects
+
+    if set(context.selected_objects) & set(virtual_objects(context.scene)):
+        return None
+    return "Select virtual objects first"
+
+
+def has_last_run(context: bpy.types.Context) -> str | None:
+    folder = context.scene.xihe.run_folder
+    if not folder:
+        return "There are no results yet: run first"
+    if last_run_folder(context.scene).joinpath("results.json").is_file():
+        return None
+    return "The last run's folder is gone: run again"
+
+
+def has_report(context: bpy.types.Context) -> str | None:
+    has_it = last_run_folder(context.scene).joinpath("report.html").is_file()
+    return None if has_it else "The last run's report is gone: run again"
+
+
+def has_comparison(context: bpy.types.Context) -> str | None:
+    has_it = any(last_run_folder(context.scene).joinpath("pictures").glob("ground_truth_*.png"))
+    return None if has_it else "The last run compared no frame: no virtual object was in view"
+
+
+def has_light(context: bpy.types.Context) -> str | None:
+    """Whether there is anything that a run, or Apply, leaves in a file."""
+    from xihe_blender.results_in_blender import has_anything
+
+    return None if has_anything(context.scene) else "There is nothing of a run in this file"
+
+
+def has_triggers(context: bpy.types.Context) -> str | None:
+    if any(marker.name.startswith("Xihe trigger") for marker in context.scene.timeline_markers):
+        return None
+    return "There are no triggers on the timeline: run first, or apply the last run"

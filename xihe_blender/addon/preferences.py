@@ -1,0 +1,59 @@
+"""What holds for all files of a user: which phone to begin with, and where runs are kept.
+
+The device that Cycles renders on is Blender's own preference, and is shown here as it is.
+"""
+
+from __future__ import annotations
+
+import bpy
+
+from xihe_blender.addon.choices import DEFAULT_PHONE, FROM_FILE, number_of, phone_items
+
+
+class XihePreferences(bpy.types.AddonPreferences):
+    bl_idname = "xihe"
+
+    phone: bpy.props.EnumProperty(
+        name="Phone",
+        description="The phone of scenes for which none was chosen",
+        items=phone_items,
+        default=number_of(DEFAULT_PHONE),
+    )
+    phone_file: bpy.props.StringProperty(
+        name="Phone File", description="TOML file that describes the phone", subtype="FILE_PATH"
+    )
+    cache_folder: bpy.props.StringProperty(
+        name="Runs Folder",
+        description="Runs started from the panel are kept in a folder each in here; empty for the add-on's own place",
+        subtype="DIR_PATH",
+    )
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        layout.use_property_split = True
+        layout.prop(self, "phone")
+        if self.phone == FROM_FILE:
+            layout.prop(self, "phone_file")
+        layout.prop(self, "cache_folder")
+        layout.label(text=f"Cycles renders on: {cycles_device_in_preferences(context)}. Change it in System.")
+
+
+def set_package(package: str) -> None:
+    """Say by which name Blender knows the add-on; before it is registered."""
+    XihePreferences.bl_idname = package
+
+
+def preferences(context: bpy.types.Context) -> XihePreferences | None:
+    """The user's preferences; None where the add-on is not enabled, as in a script that registered it by itself."""
+    addon = context.preferences.addons.get(XihePreferences.bl_idname)
+    return None if addon is None else addon.preferences
+
+
+def cycles_device_in_preferences(context: bpy.types.Context) -> str:
+    """The kind of device that Cycles may use, as the user has set it in Blender's preferences."""
+    cycles = context.preferences.addons.get("cycles")
+    kind = "NONE" if cycles is None else cycles.preferences.compute_device_type
+    return "CPU" if kind == "NONE" else str(kind)
+
+
+register, unregister = bpy.utils.register_classes_factory((XihePreferences,))

@@ -1,0 +1,224 @@
+"""What does the panel remember: of a scene, in its file, and of the job under way, in the window manager?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from xihe_blender.addon import choices
+from xihe_blender.addon.preferences import preferences
+
+LAST_FRAME = 1048574
+
+
+def _override_changed(row: XiheEffectRow, context: bpy.types.Context) -> None:
+    """Write the user's choice into the scene, where a run finds it; one that cannot be kept goes back to Auto."""
+    from xihe_blender.effects.overrides import remember_overrides
+    from xihe_blender.errors import UserError
+
+    try:
+        remember_overrides(row.id_data, {row.name: row.override.lower()})
+    except UserError as error:
+        context.window_manager.xihe.error = str(error)
+        row.override = "AUTO"
+
+
+def _wipe_changed(settings: XiheSceneSettings, context: bpy.types.Context) -> None:
+    from xihe_blender.errors import UserError
+    from xihe_blender.results_in_blender import show_comparison_at
+
+    try:
+        show_comparison_at(settings.id_data, last_run_folder(settings.id_data), settings.wipe)
+    except UserError as error:
+        context.window_manager.xihe.error = str(error)
+
+
+def last_run_folder(scene: bpy.types.Scene) -> Path:
+    """Folder of the run whose results are shown, as an absolute path."""
+    return Path(bpy.path.abspath(scene.xihe.run_folder))
+
+
+def _own_frames_wanted(settings: XiheSceneSettings, _context: bpy.types.Context) -> None:
+    """Begin with the scene's own range."""
+    scene = settings.id_data
+    if settings.use_own_frames and not settings.is_property_set("frame_end"):
+        settings.frame_start, settings.frame_end = scene.frame_start, scene.frame_end
+        settings.frame_step = scene.frame_step
+
+
+def _phone(settings: XiheSceneSettings) -> int:
+    """The phone chosen for this scene, else the one in the preferences."""
+    known = {name: number for name, *_, number in choices.phone_items(None, None)}
+    user = preferences(bpy.context)
+    name = settings.phone_name or (user.phone if user is not None else choices.DEFAULT_PHONE)
+    return known.get(name, known[choices.DEFAULT_PHONE])
+
+
+def _choose_phone(settings: XiheSceneSettings, number: int) -> None:
+    settings.phone_name = next(name for name, *_, own in choices.phone_items(None, None) if own == number)
+
+
+def _state(row: XiheEffectRow) -> str:
+    return str(row.called_for if row.override == "AUTO" else row.override.lower())
+
+
+def _origin(row: XiheEffectRow) -> str:
+    return "auto" if row.override == "AUTO" else "user"
+
+
+class XiheEffectRow(bpy.types.PropertyGroup):
+    """An effect of light transport; `name` is the effect's."""
+
+    called_for: bpy.props.StringProperty(name="Called For", description="What the scene itself calls for: on or off")
+    reason: bpy.props.StringProperty(name="Reason", description="Why the scene calls for the effect or does not")
+    is_switchable: bpy.props.BoolProperty(
+        name="Switchable", description="Whether a run can switch the effect for the whole scene", default=True
+    )
+    override: bpy.props.EnumProperty(
+        name="Override",
+        description="Simulate the effect whatever the scene calls for; kept in the file",
+        items=choices.OVERRIDES,
+        update=_override_changed,
+    )
+    state: bpy.props.StringProperty(name="State", description="What a run does: on or off", get=_state)
+    origin: bpy.props.StringProperty(name="Origin", description="Who decides: auto for the scene, or user", get=_origin)
+
+
+class XiheSceneSettings(bpy.types.PropertyGroup):
+    """What a run does with this scene, and which run was the last."""
+
+    estimator: bpy.props.EnumProperty(
+        name="Estimator",
+        description="How the light is estimated from what the phone has seen",
+        items=choices.estimator_items,
+        default=choices.number_of(choices.DEFAULT_ESTIMATOR),
+    )
+    preset: bpy.props.EnumProperty(
+        name="Quality",
+        description="How much rendering a run may spend",
+        items=choices.PRESETS,
+        default="balanced",
+    )
+    target: bpy.props.EnumProperty(
+        name="Compare With", description="Which light the estimates are held against", items=choices.TARGETS
+    )
+    use_own_frames: bpy.props.BoolProperty(
+        name="Own Frames",
+        description="Run on other frames than the scene's range and step",
+        update=_own_frames_wanted,
+    )
+    frame_start: bpy.props.IntProperty(
+        name="Start", description="First frame of the camera path", default=1, min=-LAST_FRAME, max=LAST_FRAME
+    )
+    frame_end: bpy.props.IntProperty(
+        name="End", description="Last frame of the camera path", default=250, min=-LAST_FRAME, max=LAST_FRAME
+    )
+    frame_step: bpy.props.IntProperty(
+        name="Step", description="Frames from one that is captured to the next", default=1, min=1, soft_max=24
+    )
+    phone_name: bpy.props.StringProperty(
+        name="Phone Name", description="Phone chosen for this scene; empty for that of the preferences"
+    )
+    phone: bpy.props.EnumProperty(
+        name="Phone",
+        description="Which phone walks along the camera path, with the errors of its sensors",
+        items=choices.phone_items,
+        get=_phone,
+        set=_choose_phone,
+    )
+    phone_file: bpy.props.StringProperty(
+        name="Phone File", description="TOML file that describes the phone", subtype="FILE_PATH"
+    )
+    network: bpy.props.EnumProperty(
+        name="Network",
+        description="Over which network estimates are asked for, which decides when they arrive",
+        items=choices.network_items,
+        default=choices.number_of(choices.NO_NETWORK),
+    )
+    use_own_size: bpy.props.BoolProperty(
+        name="Own Size", description="Capture pictures of another size than 256 by 192 pixels"
+    )
+    size: bpy.props.IntVectorProperty(
+        name="Size",
+        description="Width and height of captures and comparisons in pixels",
+        size=2,
+        default=(256, 192),
+        min=4,
+        max=8192,
+        soft_max=1024,
+    )
+    use_own_exposure: bpy.props.BoolProperty(
+        name="Own Exposure", description="Lock the phone's exposure at a factor instead of metering it"
+    )
+    exposure: bpy.props.FloatProperty(
+        name="Exposure",
+        description="Factor on the scene's light before the phone clips it at white",
+        default=1.0,
+        min=1e-6,
+        soft_min=0.01,
+        soft_max=100.0,
+    )
+    seed: bpy.props.IntProperty(
+        name="Seed", description="Of everything that is random; the same seed gives the same numbers", min=0
+    )
+    wipe: bpy.props.FloatProperty(
+        name="Wipe",
+        description="Estimate on the left of it, ground truth on the right",
+        subtype="FACTOR",
+        default=0.5,
+        min=0.0,
+        max=1.0,
+        update=_wipe_changed,
+    )
+    run_folder: bpy.props.StringProperty(
+        name="Last Run", description="Folder of the run whose results are shown", subtype="DIR_PATH"
+    )
+    effects: bpy.props.CollectionProperty(
+        name="Effects", description="What the scene calls for, effect by effect", type=XiheEffectRow
+    )
+    active_effect: bpy.props.IntProperty(name="Active Effect", description="The effect whose reason is shown")
+    show_positions: bpy.props.BoolProperty(
+        name="Show Positions",
+        description="Show where the light of virtual objects is estimated, and how much was seen around there",
+        default=True,
+    )
+
+
+class XiheJobState(bpy.types.PropertyGroup):
+    """The job under way; it lives in the window manager, so that Undo leaves it alone."""
+
+    is_running: bpy.props.BoolProperty(name="Running", description="Whether a run is under way")
+    is_cancel_wanted: bpy.props.BoolProperty(name="Cancel", description="Whether the run is to end at its next step")
+    progress: bpy.props.FloatProperty(
+        name="Progress", description="Share of the run that is done", subtype="FACTOR", min=0.0, max=1.0
+    )
+    doing: bpy.props.StringProperty(name="Doing", description="What the run is doing")
+    seconds_left: bpy.props.FloatProperty(
+        name="Time Left", description="Seconds that the run will take, at the pace so far; 0 while unknown", min=0.0
+    )
+    error: bpy.props.StringProperty(name="Error", description="What went wrong last, in one line")
+    run_estimate: bpy.props.StringProperty(
+        name="Run Time", description="How long a run would take on this machine, and how that was measured"
+    )
+
+
+_register_classes, _unregister_classes = bpy.utils.register_classes_factory(
+    (XiheEffectRow, XiheSceneSettings, XiheJobState)
+)
+
+
+def register() -> None:
+    _register_classes()
+    bpy.types.Scene.xihe = bpy.props.PointerProperty(
+        name="Xihe", description="AR lighting previsualisation of this scene", type=XiheSceneSettings
+    )
+    bpy.types.WindowManager.xihe = bpy.props.PointerProperty(
+        name="Xihe", description="The run under way", type=XiheJobState
+    )
+
+
+def unregister() -> None:
+    del bpy.types.WindowManager.xihe
+    del bpy.types.Scene.xihe
+    _unregister_classes()

@@ -1,0 +1,115 @@
+"""What came out of the last run: triggers on the timeline, pictures beside the truth, the report."""
+
+from __future__ import annotations
+
+import bpy
+
+from xihe_blender.addon import polls
+from xihe_blender.addon.failures import FAILURES, failed, said_of
+from xihe_blender.addon.properties import last_run_folder
+
+
+class XIHE_OT_go_to_trigger(bpy.types.Operator):
+    bl_idname = "xihe.go_to_trigger"
+    bl_label = "Go to Trigger"
+    bl_description = "Go to the frame of the previous or next trigger, and show its light and comparison"
+    bl_options = {"REGISTER", "UNDO"}
+
+    direction: bpy.props.EnumProperty(
+        name="Direction",
+        description="Which trigger, seen from the current frame",
+        items=(
+            ("PREVIOUS", "Previous", "The last trigger before the current frame"),
+            ("NEXT", "Next", "The first trigger after the current frame"),
+        ),
+        default="NEXT",
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return polls.is_possible(cls, context, polls.is_idle, polls.is_own_scene, polls.has_triggers)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from xihe_blender.results_in_blender import go_to_trigger
+
+        scene = context.scene
+        found = go_to_trigger(scene, self.direction)
+        if found is None:
+            where = "before" if self.direction == "PREVIOUS" else "after"
+            self.report({"INFO"}, f"There is no trigger {where} frame {scene.frame_current}")
+            return {"CANCELLED"}
+        try:
+            if polls.has_last_run(context) is None:
+                _show_images(scene)
+        except FAILURES as error:
+            # The light on the timeline is there without the run's pictures.
+            self.report({"WARNING"}, said_of(error))
+        return {"FINISHED"}
+
+
+class XIHE_OT_show_comparison(bpy.types.Operator):
+    bl_idname = "xihe.show_comparison"
+    bl_label = "Show Comparison"
+    bl_description = "Show the estimate beside the ground truth in an Image Editor, at the compared frame nearest by"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return polls.is_possible(
+            cls, context, polls.is_idle, polls.is_own_scene, polls.has_last_run, polls.has_comparison
+        )
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from xihe_blender.results_in_blender import COMPARISON_NAME, image_named
+
+        try:
+            _show_images(context.scene)
+        except FAILURES as error:
+            return failed(self, context, error)
+        if not bpy.app.background:
+            _show_in_editor(context, image_named(COMPARISON_NAME))
+        return {"FINISHED"}
+
+
+class XIHE_OT_open_report(bpy.types.Operator):
+    bl_idname = "xihe.open_report"
+    bl_label = "Open Report"
+    bl_description = "Open the last run's report in the web browser"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return polls.is_possible(cls, context, polls.has_last_run, polls.has_report)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        bpy.ops.wm.url_open(url=last_run_folder(context.scene).joinpath("report.html").resolve().as_uri())
+        return {"FINISHED"}
+
+
+def _show_images(scene: bpy.types.Scene) -> None:
+    """Make the images of the last run show the scene's current frame."""
+    from xihe_blender.results_in_blender import show_images
+    from xihe_blender.run_results import read_results
+
+    folder = last_run_folder(scene)
+    show_images(scene, read_results(folder), folder, wipe=scene.xihe.wipe)
+
+
+def _show_in_editor(context: bpy.types.Context, image: bpy.types.Image | None) -> None:
+    """Show `image` in the Image Editor that is open, of this window first; else in a window of its own."""
+    windows = [context.window, *(window for window in context.window_manager.windows if window != context.window)]
+    areas = [area for window in windows for area in window.screen.areas if area.type == "IMAGE_EDITOR"]
+    areas = [area for area in areas if area.ui_type == "IMAGE_EDITOR"] or areas
+    if not areas:
+        bpy.ops.wm.window_new()
+        areas = [max(context.window_manager.windows[-1].screen.areas, key=lambda area: area.width * area.height)]
+        areas[0].ui_type = "IMAGE_EDITOR"
+    areas[0].spaces.active.image = image
+    window = next(w for w in context.window_manager.windows if areas[0] in list(w.screen.areas))
+    region = next(region for region in areas[0].regions if region.type == "WINDOW")
+    with context.temp_override(window=window, area=areas[0], region=region):
+        bpy.ops.image.view_all(fit_view=True)
+
+
+register, unregister = bpy.utils.register_classes_factory(
+    (XIHE_OT_go_to_trigger, XIHE_OT_show_comparison, XIHE_OT_open_report)
+)

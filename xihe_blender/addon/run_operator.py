@@ -1,0 +1,63 @@
+"""The run from the panel, and how it is cancelled with the mouse."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import Any
+
+import bpy
+
+from xihe_blender.addon import polls
+from xihe_blender.addon.modal_job import ModalJob
+
+
+class XIHE_OT_run(ModalJob, bpy.types.Operator):
+    bl_idname = "xihe.run"
+    bl_label = "Run"
+    bl_description = "Walk the phone along the camera path, estimate the light, compare it with the truth, and apply it"
+    # Not REGISTER: repeating the last operator would run all of it again, without a window to cancel it in.
+    bl_options = {"UNDO"}
+    cancelled = "The run was cancelled; nothing of it is left"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return polls.is_possible(
+            cls,
+            context,
+            polls.is_idle,
+            polls.is_own_scene,
+            polls.has_cycles,
+            polls.is_in_object_mode,
+            polls.has_virtual_objects,
+            polls.has_camera,
+        )
+
+    def start_job(self, context: bpy.types.Context) -> Generator[Any, None, dict[str, Any]]:
+        from xihe_blender.addon.run_settings import new_run_folder, previs_settings
+        from xihe_blender.shown_run import run_and_show
+
+        settings = previs_settings(context.scene)
+        self.scene, self.folder = context.scene, new_run_folder(context.scene)
+        return run_and_show(context.scene, self.folder, settings, wipe=context.scene.xihe.wipe)
+
+    def finish(self, context: bpy.types.Context, result: dict[str, Any]) -> set[str]:
+        self.scene.xihe.run_folder = str(self.folder)
+        self.report({"INFO"}, f"The run is done: {self.folder}")
+        return {"FINISHED"}
+
+
+class XIHE_OT_cancel_run(bpy.types.Operator):
+    bl_idname = "xihe.cancel_run"
+    bl_label = "Cancel"
+    bl_description = "End the run under way at its next step, and leave nothing of it; the same as Esc"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return polls.is_possible(cls, context, polls.is_running)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        context.window_manager.xihe.is_cancel_wanted = True
+        return {"FINISHED"}
+
+
+register, unregister = bpy.utils.register_classes_factory((XIHE_OT_run, XIHE_OT_cancel_run))
