@@ -31,6 +31,18 @@ def test_the_tab_draws_without_an_error_in_a_room(tmp_path):
     assert (seen.code, seen.complaints) == (0, []), seen.console
 
 
+@pytest.mark.parametrize("scenario", ["unfolded", "long_words"])
+def test_all_of_the_tab_draws_without_an_error(tmp_path, scenario):
+    seen = run_in_window(scenario, tmp_path, blend=ROOT / "blend_scenes" / "cornell_box.blend")
+    assert (seen.code, seen.complaints) == (0, []), seen.console
+
+
+def test_the_time_of_a_run_is_measured_by_a_click(tmp_path):
+    seen = run_in_window("how_long", tmp_path)
+    assert (seen.code, seen.complaints) == (0, []), seen.console
+    assert seen.facts["said"].startswith("about ")
+
+
 def test_enabling_and_disabling_ten_times_leaves_nothing_behind(tmp_path):
     seen = run_in_window("ten_times", tmp_path)
     assert (seen.code, seen.complaints) == (0, []), seen.console

@@ -1,0 +1,25 @@
+"""The time of a run, measured by a click."""
+
+import bpy
+from rooms import look_through_camera, make_runs_short, room_to_light
+
+
+def prepare():
+    from xihe_blender.virtual_objects import virtual_collection
+
+    scene = room_to_light()
+    ball = bpy.data.objects["Ball"]
+    scene.collection.objects.unlink(ball)
+    virtual_collection(scene, create=True).objects.link(ball)
+
+
+def scenario(w):
+    job = bpy.context.window_manager.xihe
+    make_runs_short(bpy.context.scene)
+    look_through_camera(w)
+    yield from w.open_tab()
+    yield from w.click_on("xihe.measure_run")
+    yield from w.wait_until(lambda: job.run_estimate and not job.is_running, "the time is known")
+    yield 0.5
+    w.facts["said"], w.facts["error"] = job.run_estimate, job.error
+    w.picture("how_long")
