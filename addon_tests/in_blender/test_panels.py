@@ -15,7 +15,7 @@ from xihe_blender.addon import last_run as reader
 from xihe_blender.addon import overlay, panels
 from xihe_blender.plan import plan_previs
 from xihe_blender.previs_settings import PrevisSettings
-from xihe_blender.virtual_objects import COLLECTION_NAME, virtual_collection, virtual_objects
+from xihe_blender.virtual_objects import NAME_PATTERN, virtual_collection, virtual_objects
 
 CONTENT = {
     "settings": {"estimator": "lattice"},
@@ -62,7 +62,7 @@ def test_the_names_that_are_listed_are_those_of_the_virtual_objects():
     one_object_of_each_type(scene, virtual_collection(scene, create=True))
     assert panels.named_virtual_objects(scene) == virtual_objects(scene)
     assert len(virtual_objects(scene)) == 8
-    assert panels.VIRTUAL_COLLECTION == COLLECTION_NAME
+    assert panels.VIRTUAL_COLLECTION.pattern == NAME_PATTERN.pattern
 
 
 def test_virtual_objects_of_another_scene_are_not_listed():
@@ -78,8 +78,13 @@ def test_positions_that_are_shown_are_those_of_a_run_by_name_and_place():
     probes = plan_previs(scene, PrevisSettings()).probes
     shown = overlay.shown_positions(scene, bpy.context.evaluated_depsgraph_get())
     assert [position.name for position in shown] == [probe.name for probe in probes]
-    np.testing.assert_allclose([position.place_m for position in shown], [p.position_m for p in probes], atol=1e-6)
+    np.testing.assert_allclose([position.place for position in shown], [p.position_m for p in probes], atol=1e-6)
     assert len(shown) == 4
+    # The view has Blender units, whatever they are in metres.
+    scene.unit_settings.system, scene.unit_settings.scale_length = "METRIC", 0.5
+    halved = overlay.shown_positions(scene, bpy.context.evaluated_depsgraph_get())
+    ball = next(position for position in shown if "Shelf" not in position.name)
+    np.testing.assert_allclose(next(p.place for p in halved if p.name == ball.name), ball.place, atol=1e-6)
 
 
 def test_an_overlay_is_never_made_in_background():

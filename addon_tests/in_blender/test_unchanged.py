@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from tiny_scenes import box, look_at, material, room_with_a_virtual_sphere, sphere
 
+from xihe_blender.addon.overlay import forget_positions
 from xihe_blender.effects.unchanged import KeptRenders, SceneState, scene_states
 from xihe_blender.virtual_objects import virtual_collection
 
@@ -317,6 +318,16 @@ def test_with_motion_blur_or_a_handler_no_frame_is_like_another():
     finally:
         bpy.app.handlers.frame_change_post.remove(meddle)
     assert first != second
+
+
+def test_the_overlay_of_the_panel_changes_no_frame():
+    scene = still_room()
+    bpy.app.handlers.frame_change_post.append(forget_positions)
+    try:
+        first, second = scene_states(scene, FRAMES)
+    finally:
+        bpy.app.handlers.frame_change_post.remove(forget_positions)
+    assert first == second
 
 
 def test_looking_leaves_the_scene_as_it_was():

@@ -35,10 +35,10 @@ MUCH: Colour = (0.20, 0.75, 0.95, 1.0)
 
 
 class Position(NamedTuple):
-    """One estimation position, named as in results.json, in world metres."""
+    """One estimation position, named as in results.json, in the world: Blender units, as the view has them."""
 
     name: str
-    place_m: tuple[float, float, float]
+    place: tuple[float, float, float]
 
 
 class Overlay:
@@ -71,11 +71,13 @@ class Overlay:
 def shown_positions(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> list[Position]:
     """The estimation positions of all virtual objects as a run would name them, at the frame that is shown."""
     # NumPy comes with it, which must wait until something is shown.
+    from xihe_blender.units import metres_per_unit
     from xihe_blender.virtual_objects import estimation_positions, virtual_objects
 
+    metres = metres_per_unit(scene)
     found = []
     for item in virtual_objects(scene):
-        places = [tuple(map(float, place)) for place in estimation_positions(item, depsgraph)]
+        places = (estimation_positions(item, depsgraph) / metres).tolist()
         names = [item.name] if len(places) == 1 else [f"{item.name} {k}" for k in range(1, len(places) + 1)]
         found += [Position(name, (x, y, z)) for name, (x, y, z) in zip(names, places, strict=True)]
     return found
@@ -86,7 +88,7 @@ def on_screen(context: bpy.types.Context, positions: Sequence[Position]) -> Iter
     from bpy_extras.view3d_utils import location_3d_to_region_2d
 
     for position in positions:
-        pixel = location_3d_to_region_2d(context.region, context.region_data, position.place_m)
+        pixel = location_3d_to_region_2d(context.region, context.region_data, position.place)
         if pixel is not None:
             yield position, pixel.x, pixel.y
 

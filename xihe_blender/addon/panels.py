@@ -11,6 +11,7 @@ The sidebar is 220 pixels wide unless someone drags it: labels are short, and se
 
 from __future__ import annotations
 
+import re
 import textwrap
 from typing import Any
 
@@ -19,7 +20,9 @@ import bpy
 from xihe_blender.addon.last_run import LastRun, last_run
 
 TAB = "Xihe"
-VIRTUAL_COLLECTION = "Xihe Virtual"
+VIRTUAL_COLLECTION = re.compile(r"Xihe Virtual(\.\d{3,})?")
+"""As in `virtual_objects`, which is not imported here: it needs NumPy."""
+
 WITHOUT_SURFACE = frozenset(
     {"ARMATURE", "CAMERA", "GREASEPENCIL", "GPENCIL", "LATTICE", "LIGHT", "LIGHT_PROBE", "SPEAKER"}
 )
@@ -253,10 +256,9 @@ class XIHE_PT_apply(StagePanel, bpy.types.Panel):
 
 def named_virtual_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """The virtual objects of `scene`, sorted by name: as `virtual_objects` has them, but without importing NumPy."""
-    for collection in scene.collection.children_recursive:
-        if collection.name == VIRTUAL_COLLECTION:
-            return sorted((item for item in collection.all_objects if has_surface(item)), key=lambda item: item.name)
-    return []
+    found = [c for c in scene.collection.children_recursive if VIRTUAL_COLLECTION.fullmatch(c.name)]
+    shown = min(found, key=lambda collection: collection.name).all_objects if found else ()
+    return sorted((item for item in shown if has_surface(item)), key=lambda item: item.name)
 
 
 def has_surface(item: bpy.types.Object) -> bool:

@@ -55,10 +55,15 @@ def scene_states(scene: bpy.types.Scene, frames: Sequence[int], *, has_motion_bl
 
     With `has_motion_blur` every frame is a state of its own.
     """
-    meddlers = [name for name in HANDLERS if getattr(bpy.app.handlers, name)]
+    meddlers = [handler for name in HANDLERS for handler in getattr(bpy.app.handlers, name) if not _is_ours(handler)]
     inspection = _Inspection(scene, is_sure=not (has_motion_blur or meddlers))
     look_at_frames(scene, frames, inspection.look_at)
     return inspection.states
+
+
+def _is_ours(handler: object) -> bool:
+    """The panel's own handlers only take notice."""
+    return str(getattr(handler, "__module__", "")).startswith("xihe_blender.")
 
 
 class _Inspection:
