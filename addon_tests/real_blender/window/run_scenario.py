@@ -24,7 +24,6 @@ def main():
     parser.add_argument("--add-on", default="checkout", help="checkout, none, or the name of an installed extension")
     parser.add_argument("--run", type=Path, help="folder of a finished run, for scenarios that show one")
     options = parser.parse_args(sys.argv[sys.argv.index("--") + 1 :])
-    print(f"scenario {options.scenario}", flush=True)
     own = [str(HERE), str(HERE / "scenarios"), str(ROOT / "addon_tests" / "in_blender")]
     sys.path[:0] = [*filter(None, options.site.split(os.pathsep)), *own]
     if options.add_on == "checkout":
@@ -32,6 +31,7 @@ def main():
     scenario = importlib.import_module(options.scenario)
     if hasattr(scenario, "prepare"):
         scenario.prepare()
+    print(f"scenario {options.scenario}", flush=True)
     enable(options.add_on)
     importlib.import_module("window_steps").play(scenario.scenario, options.out, options.run)
 

@@ -1,5 +1,7 @@
 """From an open room to a lit object in a few clicks, then Undo, Redo, the comparison, saving, and Remove."""
 
+import shutil
+
 import bpy
 from rooms import look_through_camera, make_runs_short, room_to_light
 
@@ -93,3 +95,5 @@ def remove(w):
     yield 0.8
     w.facts["removed"] = left_in_file()
     w.picture("9_removed")
+    # The run's own folder is the user's to keep; a test's is not.
+    shutil.rmtree(bpy.context.scene.xihe.run_folder)
