@@ -73,7 +73,8 @@ def _check_is_the_same(outputs: RunOutputs, identity: dict[str, Any]) -> None:
         kept = json.loads(outputs.settings.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         kept = {}
-    different = [name for name in identity if kept.get(name) != identity[name]]
+    known = kept if isinstance(kept, dict) else {}
+    different = [name for name in identity if known.get(name) != identity[name]]
     if different:
         what = ", ".join(name.replace("_", " ") for name in different)
         raise UserError(

@@ -97,10 +97,8 @@ def test_an_overlay_is_never_made_in_background():
 
 def test_the_last_run_is_read_out_of_its_results(run_folder):
     run = reader.last_run(str(run_folder))
-    assert run.trigger_frames == (1, 3)
     assert run.coverage_by_position == {"Ball": 0.75, "Vase": 0.5}
     assert (run.shc_rmse, run.ambient_shc_rmse, run.render_s) == (0.25, None, 81.0)
-    assert not run.has_report
     assert dict(panels.result_rows(run))["Triggers"] == "3 in 2 frames"
 
 

@@ -151,6 +151,14 @@ def test_a_folder_of_another_run_is_refused(finished, change):
     assert files_below(finished.outputs.folder) == before
 
 
+@pytest.mark.parametrize("content", ["", "[1]", "null", '{"xihe": ', "\0"])
+def test_a_folder_whose_settings_are_broken_is_refused(tmp_path, content):
+    (tmp_path / "work").mkdir()
+    (tmp_path / "work" / "settings.json").write_text(content)
+    with pytest.raises(UserError, match="another folder"):
+        run(walk(), tmp_path)
+
+
 @pytest.mark.parametrize("name", ["results.json", "report.html", "untitled_lit.blend"])
 def test_a_file_of_the_users_is_not_written_over(tmp_path, name):
     (tmp_path / name).write_text("mine")

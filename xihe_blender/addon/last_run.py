@@ -19,7 +19,6 @@ from typing import Any
 import bpy
 
 RESULTS = "results.json"
-REPORT = "report.html"
 
 
 @dataclass(frozen=True)
@@ -30,28 +29,22 @@ class LastRun:
     ----------
     estimator : its name
     n_frames, n_estimates : frames of the path, and estimates that triggers asked for
-    trigger_frames : frames with a trigger, in order
     shc_rmse, ambient_shc_rmse : mean error of the coefficients, and that of the phone's ambient light
     coverage : mean share of the sphere that was seen
     step_ms : mean time of the chain per frame, without rendering
     render_s : time that rendering took, comparisons included
     coverage_by_position : share of the sphere that was seen, at the end of the run, by name of the estimation position
-    n_compared : frames with a comparison
-    has_report : whether there is a report to open
     """
 
     estimator: str
     n_frames: int
     n_estimates: int
-    trigger_frames: tuple[int, ...]
     shc_rmse: float | None
     ambient_shc_rmse: float | None
     coverage: float | None
     step_ms: float | None
     render_s: float
     coverage_by_position: Mapping[str, float]
-    n_compared: int
-    has_report: bool
 
 
 def last_run(folder: str) -> LastRun | None:
@@ -70,25 +63,22 @@ def last_run(folder: str) -> LastRun | None:
 def _read(path: Path, _changed: int) -> LastRun | None:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        return _picked(content, has_report=(path.parent / REPORT).is_file())
+        return _picked(content)
     except (OSError, ValueError, KeyError, TypeError):
         return None
 
 
-def _picked(content: Mapping[str, Any], *, has_report: bool) -> LastRun:
+def _picked(content: Mapping[str, Any]) -> LastRun:
     summary, frames = content["summary"], content["frames"]
     probes = [probe for entry in frames for probe in entry["probes"]]
     return LastRun(
         estimator=content["settings"]["estimator"],
         n_frames=summary["n_frames"],
         n_estimates=summary["n_estimates"],
-        trigger_frames=tuple(entry["frame"] for entry in frames if any(p["fired"] for p in entry["probes"])),
         shc_rmse=summary["mean_shc_rmse"],
         ambient_shc_rmse=summary["ambient_shc_rmse"],
         coverage=summary["mean_coverage"],
         step_ms=summary["mean_step_ms"],
         render_s=summary["render_s"] + summary["comparison_render_s"],
         coverage_by_position={probe["name"]: probe["coverage"] for probe in probes},
-        n_compared=summary["n_compared_frames"],
-        has_report=has_report,
     )
