@@ -78,7 +78,7 @@ def read_exr(path: Path) -> dict[str, ArrayF32]:
         return _read(content)
     except OtherExr as error:
         raise OtherExr(f"{path}: {error}") from error
-    except (ValueError, KeyError, IndexError, struct.error, zlib.error) as error:
+    except (ValueError, KeyError, IndexError, OverflowError, struct.error, zlib.error) as error:
         raise ValueError(f"{path}: its pixels cannot be read, it may be cut short: save it again") from error
 
 
@@ -207,7 +207,10 @@ def _channels_of(part: _Part, rows: NDArray[np.uint8]) -> dict[str, ArrayF32]:
     channels, at = {}, 0
     for name, kind in part.channels:
         end = at + part.width * kind.itemsize
-        channels[name] = np.ascontiguousarray(rows[:, at:end]).view(kind).astype(np.float32, copy=False)
+        pixels = np.ascontiguousarray(rows[:, at:end]).view(kind).astype(np.float32, copy=False)
+        # The same for every NaN: one that signals would warn at the first cast, far from here.
+        pixels[np.isnan(pixels)] = np.nan
+        channels[name] = pixels
         at = end
     return channels
 

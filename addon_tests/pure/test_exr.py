@@ -149,3 +149,11 @@ def test_what_is_no_openexr_file_is_refused(tmp_path):
     (tmp_path / "a.exr").write_bytes(b"\x89PNG and more")
     with pytest.raises(ValueError, match="expected an OpenEXR file"):
         read_exr(tmp_path / "a.exr")
+
+
+@pytest.mark.parametrize("compression", ["none", "ZIP"])
+def test_a_nan_that_signals_is_read_as_any_other(tmp_path, compression):
+    signalling = np.full((17, 5), 0x7F800001, np.uint32).view(np.float32)
+    write_exr(tmp_path / "a.exr", {"R": signalling}, compression=compression)
+    pixels = read_exr(tmp_path / "a.exr")["R"]
+    assert np.isnan(pixels.astype(np.float64)).all()
