@@ -11,6 +11,7 @@ from previs_runs import SMALL, run, walk
 from results_schema import check_results, without_times
 from tiny_scenes import empty_scene, room_with_a_virtual_sphere, sphere
 
+import xihenet.nets
 from xihe_blender.apply import lights_by_sh, sh_node_group, world_name
 from xihe_blender.blend_file import open_blend
 from xihe_blender.capture import open_scanner
@@ -314,6 +315,9 @@ def test_without_cycles_the_line_names_the_add_on(tmp_path):
 
 def test_without_torch_an_estimator_that_needs_it_says_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
+    # Another test may have imported the networks already.
+    monkeypatch.delitem(sys.modules, "xihenet.nets.pointconv", raising=False)
+    monkeypatch.delattr(xihenet.nets, "pointconv", raising=False)
     settings = replace(SMALL, estimator="xihenet")
     assert_refused(room_with_a_virtual_sphere(1), tmp_path / "out", "xihenet needs torch", settings=settings)
 
