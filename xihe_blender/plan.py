@@ -11,9 +11,10 @@ import numpy as np
 
 from xihe_blender.capture import phone_camera, sized_for
 from xihe_blender.errors import UserError
+from xihe_blender.estimation_positions import estimation_positions
 from xihe_blender.previs_settings import PrevisSettings
 from xihe_blender.render import RenderSettings, working_scene
-from xihe_blender.virtual_objects import COLLECTION_NAME, estimation_positions, virtual_collection, virtual_objects
+from xihe_blender.virtual_objects import COLLECTION_NAME, virtual_collection, virtual_objects
 from xihenet.records import ArrayF64
 
 DEFAULT_SIZE = (256, 192)

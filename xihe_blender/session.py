@@ -11,8 +11,9 @@ from mathutils import Vector
 from numpy.typing import ArrayLike
 
 from xihe_blender.apply import apply_sh_to_world, make_sh_world, world_name
+from xihe_blender.estimation_positions import estimation_positions
 from xihe_blender.units import metres_per_unit
-from xihe_blender.virtual_objects import estimation_positions, virtual_collection, virtual_objects
+from xihe_blender.virtual_objects import virtual_collection, virtual_objects
 from xihenet import controller
 from xihenet.records import LightEstimate
 

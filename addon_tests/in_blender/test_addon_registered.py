@@ -162,4 +162,4 @@ def test_registering_imports_no_work_and_nothing_heavy():
 @pytest.mark.parametrize("is_unregistered", [True, False])
 def test_a_script_that_registers_the_add_on_ends(is_unregistered):
     code = f"import bpy; from xihe_blender import addon; addon.register('a'); {is_unregistered} and addon.unregister()"
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, timeout=60)
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, timeout=60).returncode == 0

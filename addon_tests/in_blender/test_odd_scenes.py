@@ -20,17 +20,14 @@ from xihe_blender.dataset.render_room import RoomRenderSettings
 from xihe_blender.dataset.scene import add_scene
 from xihe_blender.effects.command import report_effects
 from xihe_blender.errors import UserError
+from xihe_blender.estimation_positions import estimation_positions
 from xihe_blender.jobs import run_blocking
 from xihe_blender.plan import plan_previs
 from xihe_blender.render import RenderSettings
 from xihe_blender.session import XiheController
+from xihe_blender.sphere_rig import add_three_sphere_rig
 from xihe_blender.units import metres_per_unit
-from xihe_blender.virtual_objects import (
-    add_three_sphere_rig,
-    estimation_positions,
-    virtual_collection,
-    virtual_objects,
-)
+from xihe_blender.virtual_objects import virtual_collection, virtual_objects
 from xihenet.controller import ControllerSettings
 from xihenet.estimators import load
 

@@ -15,9 +15,11 @@ from xihe_blender.addon import last_run as reader
 from xihe_blender.addon import overlay, panels
 from xihe_blender.plan import plan_previs
 from xihe_blender.previs_settings import PrevisSettings
-from xihe_blender.virtual_objects import NAME_PATTERN, virtual_collection, virtual_objects
+from xihe_blender.virtual_objects import virtual_collection, virtual_objects
 
 CONTENT = {
+    "schema_version": 1,
+    "lights": {"Ball": [], "Vase": []},
     "settings": {"estimator": "lattice"},
     "summary": {
         "n_frames": 2,
@@ -56,19 +58,18 @@ def one_object_of_each_type(scene, collection):
     collection.objects.link(instance)
 
 
-def test_the_names_that_are_listed_are_those_of_the_virtual_objects():
+def test_what_is_listed_is_what_has_a_surface_by_name():
     scene = tiny_scenes.empty_scene()
-    assert panels.named_virtual_objects(scene) == []
+    assert virtual_objects(scene) == []
     one_object_of_each_type(scene, virtual_collection(scene, create=True))
-    assert panels.named_virtual_objects(scene) == virtual_objects(scene)
-    assert len(virtual_objects(scene)) == 8
-    assert panels.VIRTUAL_COLLECTION.pattern == NAME_PATTERN.pattern
+    found = virtual_objects(scene)
+    assert len(found) == 8 and found == sorted(found, key=lambda item: item.name)
 
 
 def test_virtual_objects_of_another_scene_are_not_listed():
     tiny_scenes.room_with_a_virtual_sphere()
     other = bpy.data.scenes.new("Other")
-    assert panels.named_virtual_objects(other) == virtual_objects(other) == []
+    assert virtual_objects(other) == []
 
 
 def test_positions_that_are_shown_are_those_of_a_run_by_name_and_place():
@@ -187,7 +188,8 @@ def test_drawing_imports_nothing_heavy():
     code = (
         "import sys, bpy; before = set(sys.modules);"
         "from xihe_blender.addon import panels, overlay, last_run;"
-        "panels.named_virtual_objects(bpy.context.scene); last_run.last_run('/nowhere');"
+        "from xihe_blender.virtual_objects import virtual_objects;"
+        "virtual_objects(bpy.context.scene); last_run.last_run('/nowhere');"
         f"print([n for n in {heavy} if n in set(sys.modules) - before])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)

@@ -35,7 +35,8 @@ def test_xihe_commands_of_the_readme_are_understood(command):
 
 @pytest.mark.parametrize("command", [c for c in COMMANDS if c.startswith("blender --command xihe ")])
 def test_the_same_holds_inside_blender(command):
-    _parser().parse_args(shlex.split(command)[3:])
+    words = shlex.split(command)[3:]
+    assert _parser().parse_args(words).command == words[0]
 
 
 def test_the_readme_names_the_extension_as_it_is_built():

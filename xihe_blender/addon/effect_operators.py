@@ -12,15 +12,12 @@ from xihe_blender.addon.failures import FAILURES, failed
 from xihe_blender.addon.modal_job import ModalJob
 
 
-class XIHE_OT_plan_effects(bpy.types.Operator):
+class XIHE_OT_plan_effects(polls.Conditional, bpy.types.Operator):
     bl_idname = "xihe.plan_effects"
     bl_label = "Look at Scene"
     bl_description = "Find out which effects of light transport the scene calls for, and why; nothing is rendered"
     bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return polls.is_possible(cls, context, polls.is_idle, polls.is_own_scene, polls.has_cycles)
+    conditions = (polls.is_idle, polls.is_own_scene, polls.has_cycles)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from xihe_blender.addon.run_settings import planned_rows
@@ -38,18 +35,13 @@ class XIHE_OT_plan_effects(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class XIHE_OT_measure_run(ModalJob, bpy.types.Operator):
+class XIHE_OT_measure_run(polls.Conditional, ModalJob, bpy.types.Operator):
     bl_idname = "xihe.measure_run"
     bl_label = "Estimate Time"
     bl_description = "Render a few small pictures to find out how long a run would take on this machine"
     bl_options = {"REGISTER"}
     cancelled = "Nothing was measured"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return polls.is_possible(
-            cls, context, polls.is_idle, polls.has_cycles, polls.has_virtual_objects, polls.has_camera
-        )
+    conditions = (polls.is_idle, polls.has_cycles, polls.has_virtual_objects, polls.has_camera)
 
     def start_job(self, context: bpy.types.Context) -> Generator[Any, None, Any]:
         from xihe_blender.addon.run_settings import previs_settings

@@ -1,8 +1,8 @@
 """What does the panel tell of the last run? A few numbers out of its results.json, read once per file.
 
 Panels are drawn many times a second, a results.json holds thousands of numbers. So the numbers that are shown are kept
-by path and time of change, and a draw costs one look at the file's date. Rejected: copies of the numbers as properties
-of the scene, which would still be there when the run's folder is gone.
+by folder and time of change, and a draw costs one look at the file's date. Rejected: copies of the numbers as
+properties of the scene, which would still be there when the run's folder is gone.
 
 Nothing heavy is imported: this is read while the window draws.
 """
@@ -10,7 +10,6 @@ Nothing heavy is imported: this is read while the window draws.
 from __future__ import annotations
 
 import functools
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Any
 
 import bpy
 
-RESULTS = "results.json"
+from xihe_blender.errors import UserError
 
 
 @dataclass(frozen=True)
@@ -51,20 +50,20 @@ def last_run(folder: str) -> LastRun | None:
     """The run in `folder`, as a scene remembers it; None without one, or where its results are gone or unreadable."""
     if not folder:
         return None
-    path = Path(bpy.path.abspath(folder)) / RESULTS
+    path = Path(bpy.path.abspath(folder))
     try:
-        changed = path.stat().st_mtime_ns
+        return _read(path, path.joinpath("results.json").stat().st_mtime_ns)
     except OSError:
         return None
-    return _read(path, changed)
 
 
 @functools.lru_cache(maxsize=4)
-def _read(path: Path, _changed: int) -> LastRun | None:
+def _read(folder: Path, _changed: int) -> LastRun | None:
+    from xihe_blender.run_results import read_results
+
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        return _picked(content)
-    except (OSError, ValueError, KeyError, TypeError):
+        return _picked(read_results(folder))
+    except (KeyError, TypeError, UserError):
         return None
 
 

@@ -9,15 +9,12 @@ from xihe_blender.addon.failures import FAILURES, failed
 from xihe_blender.addon.properties import last_run_folder
 
 
-class XIHE_OT_apply_light(bpy.types.Operator):
+class XIHE_OT_apply_light(polls.Conditional, bpy.types.Operator):
     bl_idname = "xihe.apply_light"
     bl_label = "Apply"
     bl_description = "Put the light of the last run onto the timeline again, with its triggers, errors and pictures"
     bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return polls.is_possible(cls, context, polls.is_idle, polls.is_own_scene, polls.has_cycles, polls.has_last_run)
+    conditions = (polls.is_idle, polls.is_own_scene, polls.has_cycles, polls.has_last_run)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from xihe_blender.results_in_blender import apply_results
@@ -31,15 +28,12 @@ class XIHE_OT_apply_light(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class XIHE_OT_remove_light(bpy.types.Operator):
+class XIHE_OT_remove_light(polls.Conditional, bpy.types.Operator):
     bl_idname = "xihe.remove_light"
     bl_label = "Remove"
     bl_description = "Take everything away that runs left in this file: worlds, markers, curves and pictures"
     bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return polls.is_possible(cls, context, polls.is_idle, polls.is_own_scene, polls.has_light)
+    conditions = (polls.is_idle, polls.is_own_scene, polls.has_light)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from xihe_blender.results_in_blender import remove_everything

@@ -8,22 +8,12 @@ from xihe_blender.addon import polls
 from xihe_blender.addon.failures import FAILURES, failed
 
 
-class XIHE_OT_add_virtual_objects(bpy.types.Operator):
+class XIHE_OT_add_virtual_objects(polls.Conditional, bpy.types.Operator):
     bl_idname = "xihe.add_virtual_objects"
     bl_label = "Make Virtual"
     bl_description = "Make the selected objects virtual: the phone inserts them, and estimates their light"
     bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return polls.is_possible(
-            cls,
-            context,
-            polls.is_idle,
-            polls.is_own_scene,
-            polls.is_in_object_mode,
-            polls.has_selected_room_objects,
-        )
+    conditions = (polls.is_idle, polls.is_own_scene, polls.is_in_object_mode, polls.has_selected_room_objects)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from xihe_blender.virtual_objects import make_virtual
@@ -36,22 +26,12 @@ class XIHE_OT_add_virtual_objects(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class XIHE_OT_remove_virtual_objects(bpy.types.Operator):
+class XIHE_OT_remove_virtual_objects(polls.Conditional, bpy.types.Operator):
     bl_idname = "xihe.remove_virtual_objects"
     bl_label = "Make Room"
     bl_description = "Make the selected virtual objects part of the room again"
     bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return polls.is_possible(
-            cls,
-            context,
-            polls.is_idle,
-            polls.is_own_scene,
-            polls.is_in_object_mode,
-            polls.has_selected_virtual_objects,
-        )
+    conditions = (polls.is_idle, polls.is_own_scene, polls.is_in_object_mode, polls.has_selected_virtual_objects)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from xihe_blender.virtual_objects import make_room
@@ -64,11 +44,12 @@ class XIHE_OT_remove_virtual_objects(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class XIHE_OT_add_sphere_rig(bpy.types.Operator):
+class XIHE_OT_add_sphere_rig(polls.Conditional, bpy.types.Operator):
     bl_idname = "xihe.add_sphere_rig"
     bl_label = "Add Three Spheres"
     bl_description = "Add a mirror, a matte silver and a grey sphere as virtual objects at the 3D cursor"
     bl_options = {"REGISTER", "UNDO"}
+    conditions = (polls.is_idle, polls.is_own_scene, polls.is_in_object_mode)
 
     radius_m: bpy.props.FloatProperty(
         name="Radius",
@@ -79,12 +60,8 @@ class XIHE_OT_add_sphere_rig(bpy.types.Operator):
         soft_max=1.0,
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return polls.is_possible(cls, context, polls.is_idle, polls.is_own_scene, polls.is_in_object_mode)
-
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from xihe_blender.virtual_objects import add_three_sphere_rig
+        from xihe_blender.sphere_rig import add_three_sphere_rig
 
         add_three_sphere_rig(context.scene, tuple(context.scene.cursor.location), self.radius_m)
         return {"FINISHED"}

@@ -71,8 +71,9 @@ class Overlay:
 def shown_positions(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> list[Position]:
     """The estimation positions of all virtual objects as a run would name them, at the frame that is shown."""
     # NumPy comes with it, which must wait until something is shown.
+    from xihe_blender.estimation_positions import estimation_positions
     from xihe_blender.units import metres_per_unit
-    from xihe_blender.virtual_objects import estimation_positions, virtual_objects
+    from xihe_blender.virtual_objects import virtual_objects
 
     metres = metres_per_unit(scene)
     found = []

@@ -11,7 +11,6 @@ The sidebar is 220 pixels wide unless someone drags it: labels are short, and se
 
 from __future__ import annotations
 
-import re
 import textwrap
 from typing import Any
 
@@ -20,12 +19,6 @@ import bpy
 from xihe_blender.addon.last_run import LastRun, last_run
 
 TAB = "Xihe"
-VIRTUAL_COLLECTION = re.compile(r"Xihe Virtual(\.\d{3,})?")
-"""As in `virtual_objects`, which is not imported here: it needs NumPy."""
-
-WITHOUT_SURFACE = frozenset(
-    {"ARMATURE", "CAMERA", "GREASEPENCIL", "GPENCIL", "LATTICE", "LIGHT", "LIGHT_PROBE", "SPEAKER"}
-)
 N_NAMED = 6
 N_EFFECTS = 8
 LABEL_SHARE = 0.42
@@ -46,8 +39,10 @@ class XIHE_PT_virtual_objects(StagePanel, bpy.types.Panel):
     bl_order = 0
 
     def draw(self, context: bpy.types.Context) -> None:
+        from xihe_blender.virtual_objects import virtual_objects
+
         layout = self.layout
-        objects = named_virtual_objects(context.scene)
+        objects = virtual_objects(context.scene)
         if not objects:
             sentence(context, layout, "Select what the phone would insert, then add it:")
         column = layout.column(align=True)
@@ -252,19 +247,6 @@ class XIHE_PT_apply(StagePanel, bpy.types.Panel):
         column = layout.column(align=True)
         column.operator("xihe.apply_light", text="Apply Light", icon="LIGHT_HEMI")
         column.operator("xihe.remove_light", text="Remove Light", icon="TRASH")
-
-
-def named_virtual_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The virtual objects of `scene`, sorted by name: as `virtual_objects` has them, but without importing NumPy."""
-    found = [c for c in scene.collection.children_recursive if VIRTUAL_COLLECTION.fullmatch(c.name)]
-    shown = min(found, key=lambda collection: collection.name).all_objects if found else ()
-    return sorted((item for item in shown if has_surface(item)), key=lambda item: item.name)
-
-
-def has_surface(item: bpy.types.Object) -> bool:
-    if item.type == "EMPTY":
-        return item.instance_type == "COLLECTION" and item.instance_collection is not None
-    return item.type not in WITHOUT_SURFACE
 
 
 def object_icon(item: bpy.types.Object) -> str:

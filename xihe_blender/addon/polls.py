@@ -1,7 +1,7 @@
 """Why can an operator not run now? One function per reason: it gives the sentence that Blender shows, or None.
 
-Functions instead of a base class: each operator lists what it needs, and the grey button says the first that is
-missing. They run at every redraw, so they look at names and flags alone.
+Each operator lists what it needs, and the grey button says the first that is missing. Conditions run at every redraw,
+so they look at names and flags alone.
 """
 
 from __future__ import annotations
@@ -15,18 +15,21 @@ from xihe_blender.addon.properties import last_run_folder
 Condition = Callable[[bpy.types.Context], str | None]
 
 
-def is_possible(operator: type[bpy.types.Operator], context: bpy.types.Context, *conditions: Condition) -> bool:
-    """Whether all `conditions` hold; the first that does not is said by the greyed button of `operator`."""
-    for condition in conditions:
-        message = condition(context)
-        if message is not None:
-            operator.poll_message_set(message)
-            return False
-    return True
+class Conditional:
+    """Base of operators: greyed, with the reason, unless all their conditions hold."""
 
+    conditions: tuple[Condition, ...] = ()
+    poll_message_set: Callable[[str], None]
+    """Of bpy.types.Operator."""
 
-def has_scene(context: bpy.types.Context) -> str | None:
-    return "There is no scene" if context.scene is None else None
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        for condition in cls.conditions:
+            message = condition(context)
+            if message is not None:
+                cls.poll_message_set(message)
+                return False
+        return True
 
 
 def is_idle(context: bpy.types.Context) -> str | None:

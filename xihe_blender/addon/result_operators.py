@@ -9,11 +9,12 @@ from xihe_blender.addon.failures import FAILURES, failed, said_of
 from xihe_blender.addon.properties import last_run_folder
 
 
-class XIHE_OT_go_to_trigger(bpy.types.Operator):
+class XIHE_OT_go_to_trigger(polls.Conditional, bpy.types.Operator):
     bl_idname = "xihe.go_to_trigger"
     bl_label = "Go to Trigger"
     bl_description = "Go to the frame of the previous or next trigger, and show its light and comparison"
     bl_options = {"REGISTER", "UNDO"}
+    conditions = (polls.is_idle, polls.is_own_scene, polls.has_triggers)
 
     direction: bpy.props.EnumProperty(
         name="Direction",
@@ -24,10 +25,6 @@ class XIHE_OT_go_to_trigger(bpy.types.Operator):
         ),
         default="NEXT",
     )
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return polls.is_possible(cls, context, polls.is_idle, polls.is_own_scene, polls.has_triggers)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from xihe_blender.results_in_blender import go_to_trigger
@@ -47,17 +44,12 @@ class XIHE_OT_go_to_trigger(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class XIHE_OT_show_comparison(bpy.types.Operator):
+class XIHE_OT_show_comparison(polls.Conditional, bpy.types.Operator):
     bl_idname = "xihe.show_comparison"
     bl_label = "Show Comparison"
     bl_description = "Show the estimate beside the ground truth in an Image Editor, at the compared frame nearest by"
     bl_options = {"REGISTER"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return polls.is_possible(
-            cls, context, polls.is_idle, polls.is_own_scene, polls.has_last_run, polls.has_comparison
-        )
+    conditions = (polls.is_idle, polls.is_own_scene, polls.has_last_run, polls.has_comparison)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from xihe_blender.results_in_blender import COMPARISON_NAME, image_named
@@ -71,14 +63,11 @@ class XIHE_OT_show_comparison(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class XIHE_OT_open_report(bpy.types.Operator):
+class XIHE_OT_open_report(polls.Conditional, bpy.types.Operator):
     bl_idname = "xihe.open_report"
     bl_label = "Open Report"
     bl_description = "Open the last run's report in the web browser"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return polls.is_possible(cls, context, polls.has_last_run, polls.has_report)
+    conditions = (polls.has_last_run, polls.has_report)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         bpy.ops.wm.url_open(url=last_run_folder(context.scene).joinpath("report.html").resolve().as_uri())

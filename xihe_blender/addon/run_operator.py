@@ -11,26 +11,21 @@ from xihe_blender.addon import polls
 from xihe_blender.addon.modal_job import ModalJob
 
 
-class XIHE_OT_run(ModalJob, bpy.types.Operator):
+class XIHE_OT_run(polls.Conditional, ModalJob, bpy.types.Operator):
     bl_idname = "xihe.run"
     bl_label = "Run"
     bl_description = "Walk the phone along the camera path, estimate the light, compare it with the truth, and apply it"
     # Not REGISTER: repeating the last operator would run all of it again, without a window to cancel it in.
     bl_options = {"UNDO"}
     cancelled = "The run was cancelled; nothing of it is left"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return polls.is_possible(
-            cls,
-            context,
-            polls.is_idle,
-            polls.is_own_scene,
-            polls.has_cycles,
-            polls.is_in_object_mode,
-            polls.has_virtual_objects,
-            polls.has_camera,
-        )
+    conditions = (
+        polls.is_idle,
+        polls.is_own_scene,
+        polls.has_cycles,
+        polls.is_in_object_mode,
+        polls.has_virtual_objects,
+        polls.has_camera,
+    )
 
     def start_job(self, context: bpy.types.Context) -> Generator[Any, None, dict[str, Any]]:
         from xihe_blender.addon.run_settings import new_run_folder, previs_settings
@@ -46,14 +41,11 @@ class XIHE_OT_run(ModalJob, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class XIHE_OT_cancel_run(bpy.types.Operator):
+class XIHE_OT_cancel_run(polls.Conditional, bpy.types.Operator):
     bl_idname = "xihe.cancel_run"
     bl_label = "Cancel"
     bl_description = "End the run under way at its next step, and leave nothing of it; the same as Esc"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return polls.is_possible(cls, context, polls.is_running)
+    conditions = (polls.is_running,)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         context.window_manager.xihe.is_cancel_wanted = True

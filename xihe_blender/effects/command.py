@@ -13,10 +13,11 @@ from xihe_blender.effects.costs import Change, EffectCost, measure_costs
 from xihe_blender.effects.overrides import PHONE_EFFECTS, overrides_in_force
 from xihe_blender.effects.plan import Effect, EffectPlan, judge_effects, planned
 from xihe_blender.errors import UserError
+from xihe_blender.estimation_positions import estimation_positions
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.plan import planned_frames
 from xihe_blender.render import RenderSettings, working_scene
-from xihe_blender.virtual_objects import estimation_positions, virtual_objects
+from xihe_blender.virtual_objects import virtual_objects
 
 REASON_WIDTH = 60
 DASH = "-"
