@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xihe_blender.outputs import written_whole
+from xihenet.npz_files import read_npz
 from xihenet.phone import SurfaceFacts
 from xihenet.records import ArrayF32
 
@@ -72,9 +73,8 @@ def save_surfaces(path: Path, surfaces: SurfaceFacts) -> None:
 
 
 def load_surfaces(path: Path) -> SurfaceFacts:
-    """Read what `save_surfaces` wrote."""
-    with np.load(path, allow_pickle=False) as stored:
-        return SurfaceFacts(**{name: stored[name] for name in stored.files})
+    """Read what `save_surfaces` wrote; ValueError if the file is broken."""
+    return SurfaceFacts(**read_npz(path))
 
 
 def _grey(passes: Mapping[str, ArrayF32], names: Sequence[str]) -> ArrayF32:

@@ -11,6 +11,7 @@ import struct
 import tokenize
 import zipfile
 import zlib
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -35,10 +36,13 @@ BROKEN_FILE = (
 """What NumPy and zipfile were seen to raise, or say that they raise, for files that are none."""
 
 
-def read_npz(path: Path) -> dict[str, NDArray[Any]]:
-    """Every array of the file by name. ValueError if it is no sound .npz, OSError if it cannot be read."""
+def read_npz(path: Path, names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
+    """The arrays of the file by name: all, or those of `names` that it has; others are not even unpacked.
+
+    ValueError if it is no sound .npz, OSError if it cannot be read.
+    """
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files}
+            return {name: stored[name] for name in stored.files if names is None or name in names}
     except BROKEN_FILE as error:
         raise ValueError(f"not a sound .npz file ({type(error).__name__}: {error})") from None

@@ -7,8 +7,6 @@ split as a whole, by a hash of its seed: more rooms leave the older ones where t
 from __future__ import annotations
 
 import hashlib
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -16,6 +14,7 @@ from typing import Literal
 import numpy as np
 
 from xihenet.camera import in_view, unproject_frame
+from xihenet.npz_files import read_npz
 from xihenet.panorama import project_panorama
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, Intrinsics, PointCloud, RgbdFrame
 
@@ -124,7 +123,7 @@ def _pairs_that_count(
 
 def _read(path: Path, *names: str, optional: frozenset[str] = frozenset()) -> dict[str, np.ndarray]:  # type: ignore[type-arg]
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            return {name: stored[name] for name in (*names, *(optional & set(stored.files)))}
-    except (KeyError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        stored = read_npz(path, {*names, *optional})
+        return {name: stored[name] for name in (*names, *(optional & stored.keys()))}
+    except (KeyError, ValueError) as error:
         raise ValueError(f"{path}: expected a room of a data set ({error})") from None

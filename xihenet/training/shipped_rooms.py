@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from xihenet.npz_files import read_npz
 from xihenet.training.rooms import TRAINING_ONLY, room_files, room_seed, split_of
 
 
@@ -29,8 +30,7 @@ def write_shipped_rooms(data: Path, out: Path, n_rooms: int) -> list[Path]:
         raise ValueError(f"{data}: expected {n_rooms} test rooms, got {len(chosen)}; build more rooms")
     out.mkdir(parents=True, exist_ok=True)
     for path in chosen:
-        with np.load(path, allow_pickle=False) as stored:
-            content = {name: stored[name] for name in stored.files if name not in TRAINING_ONLY}
+        content = {name: values for name, values in read_npz(path).items() if name not in TRAINING_ONLY}
         np.savez_compressed(out / path.name, **content)
     return [out / path.name for path in chosen]
 
