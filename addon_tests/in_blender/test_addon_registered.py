@@ -148,6 +148,9 @@ def test_a_file_that_was_saved_in_the_middle_of_a_run_opens_without_its_scenes(t
         assert not bpy.context.window_manager.xihe.is_running
 
 
+@pytest.mark.wheel_only(
+    "starts a Python that has bpy as a module; real_blender/test_start_up.py asks it of a whole Blender"
+)
 def test_registering_imports_no_work_and_nothing_heavy():
     code = (
         "import sys, bpy; before = set(sys.modules); from xihe_blender import addon; addon.register('xihe_test');"
@@ -159,6 +162,7 @@ def test_registering_imports_no_work_and_nothing_heavy():
     assert done.stdout.strip().splitlines()[-1] == "[]"
 
 
+@pytest.mark.wheel_only("it is the wheel that does not end where something is registered")
 @pytest.mark.parametrize("is_unregistered", [True, False])
 def test_a_script_that_registers_the_add_on_ends(is_unregistered):
     code = f"import bpy; from xihe_blender import addon; addon.register('a'); {is_unregistered} and addon.unregister()"

@@ -182,6 +182,9 @@ def test_every_panel_is_in_the_tab_in_the_order_of_the_chain():
     assert [cls.bl_label for cls in stages] == names
 
 
+@pytest.mark.wheel_only(
+    "starts a Python that has bpy as a module; real_blender/test_start_up.py asks it of a whole Blender"
+)
 def test_drawing_imports_nothing_heavy():
     heavy = ["torch", "OpenEXR", "numpy"]
     root = Path(__file__).resolve().parents[2]
