@@ -130,7 +130,7 @@ def test_every_effect_that_a_setting_switches_has_a_cost(measured):
     # A build without the denoiser cannot switch it on.
     missing = set() if can_denoise(bpy.context.scene) else {"denoising"}
     assert set(RULES) - set(measured[0].costs) == COSTLESS | missing
-    assert all(cost.time_share > -1 for cost in measured[0].costs.values())
+    assert all(cost.time_share > -1 and cost.time_standard_error > 0 for cost in measured[0].costs.values())
 
 
 @pytest.mark.slow
@@ -164,7 +164,7 @@ def test_the_table_shows_every_effect_with_what_it_costs(measured):
 def test_measured_costs_are_json(measured):
     rows = json.loads(json.dumps(measured[0].as_json(), allow_nan=False))
     by_name = {row["name"]: row for row in rows}
-    assert set(by_name["transmission"]["cost"]) == {"time_share", "light", "picture"}
+    assert set(by_name["transmission"]["cost"]) == {"time_share", "time_standard_error", "light", "picture"}
     assert by_name["hair"]["cost"] is None
 
 

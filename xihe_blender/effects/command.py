@@ -99,8 +99,8 @@ def positions_in(scene: bpy.types.Scene, frame: int) -> list[list[float]]:
 def said_as_table(report: EffectsReport) -> str:
     """A line or more per effect: name, state (with * for a user's override), cost, change, reason, settings.
 
-    Cost is the render time that the effect adds. Light and picture are what leaving it out changes, in mean radiance,
-    with the standard error.
+    Cost is the render time that the effect adds. Light and picture are what leaving it out changes, in mean radiance.
+    Each has its standard error.
     """
     header = ("effect", "state", "cost", "light", "picture", "why", "set to")
     rows = [header, *(row for effect in report.effects for row in _rows(effect, report.costs.get(effect.name)))]
@@ -113,7 +113,7 @@ def said_as_table(report: EffectsReport) -> str:
 LEGEND = (
     "",
     "cost: render time that the effect adds. light, picture: what leaving it out does to the mean radiance of the",
-    "light probe and of the phone's picture, with the standard error; what is within two of them may be chance.",
+    "light probe and of the phone's picture. Each with its standard error; what is within two of them may be chance.",
 )
 
 
@@ -122,7 +122,10 @@ def _rows(effect: Effect | PhoneEffect, cost: EffectCost | None) -> list[tuple[s
     first, *more = textwrap.wrap(effect.reason, REASON_WIDTH)
     state = effect.state + ("*" if effect.origin == "user" else "")
     settings = ", ".join(f"{name} {_said(value)}" for name, value in effect.parameters.items())
-    costs = (DASH,) * 3 if cost is None else (f"{cost.time_share:+.0%}", _changed(cost.light), _changed(cost.picture))
+    costs = (DASH,) * 3
+    if cost is not None:
+        time = f"{cost.time_share:+.0%} ± {cost.time_standard_error:.0%}"
+        costs = (time, _changed(cost.light), _changed(cost.picture))
     return [(effect.name, state, *costs, first, settings), *(("", "", "", "", "", line, "") for line in more)]
 
 
