@@ -1,4 +1,4 @@
-"""How much does a room's light change where the room is moved, turned, or scaled? Prints a table of docs/error_bounds.md.
+"""How much does a room's light change where the room is moved, turned, or scaled? Prints one of docs/error_bounds' tables.
 
 Run it as `python addon_tests/bench/invariance.py`; exit 1 if a bound does not hold. Each figure is the largest found of
 the norm of the difference of nine coefficients over their own norm, the light turned back. The bounds are those of
