@@ -1,8 +1,8 @@
-"""How much does a room's light change where the room is moved, turned, or scaled? Prints one of docs/error_bounds' tables.
+"""How much does a room's light change where the room is moved, turned, or scaled? Prints a table of the docs.
 
-Run it as `python addon_tests/bench/invariance.py`; exit 1 if a bound does not hold. Each figure is the largest found of
-the norm of the difference of nine coefficients over their own norm, the light turned back. The bounds are those of
-addon_tests/in_blender/test_invariance.py.
+Run it as `python addon_tests/bench/invariance.py` for docs/error_bounds.md; exit 1 if a bound does not hold. Figures
+are the largest found of the norm of the difference of nine coefficients over their own norm, the light turned back. The
+bounds are those of addon_tests/in_blender/test_invariance.py.
 """
 
 from __future__ import annotations
