@@ -24,7 +24,7 @@ from xihe_blender.outputs import finite_or_none
 from xihe_blender.phone_capture import PhoneCapture
 from xihe_blender.plan import Probe
 from xihe_blender.prepared_run import PreparedRun
-from xihe_blender.results_summary import faults_seen, mean_comparison, noise_notes, notes, summary
+from xihe_blender.results_summary import dim_notes, faults_seen, mean_comparison, noise_notes, notes, summary
 from xihenet import __version__
 from xihenet.camera import valid_plane_depth
 from xihenet.metrics import shc_rmse
@@ -190,6 +190,7 @@ def assemble(
         "notes": [
             *notes(scene, frames),
             *faults_seen(run.plan.faults, frames, math.prod(run.plan.size)),
+            *dim_notes(scene, run.exposure),
             *phone.notes(),
             *noise_notes(run.settings, run.effort),
         ],

@@ -108,6 +108,17 @@ def faults_seen(faults: Sequence[SceneFault], frames: Sequence[dict[str, Any]], 
     return said
 
 
+def dim_notes(scene: bpy.types.Scene, exposure: float) -> list[str]:
+    """A sentence where lamps that light the picture up to white are below the light that Cycles samples at all."""
+    threshold = scene.cycles.light_sampling_threshold
+    if threshold * exposure < 1:
+        return []
+    return [
+        f"The scene is so dim that lamps fall below Cycles' light threshold of {threshold:.2g} and are sampled by lot: "
+        "set Render > Sampling > Lights > Light Threshold to 0, or make the lamps brighter."
+    ]
+
+
 def _is_lit(entry: Mapping[str, Any]) -> bool:
     """Whether the phone's picture shows light."""
     return any(channel * entry["exposure"] > FAINTEST for channel in entry["ambient_radiance"] or ())
