@@ -29,6 +29,7 @@ test-fast: $(VENV)/installed
 
 hard-cases: $(VENV)/installed
 	$(BIN)/python -m addon_tests.pure.hard_cases
+	$(BIN)/python -m addon_tests.in_blender.hard_cases
 
 fuzz: $(VENV)/installed
 	$(BIN)/python addon_tests/fuzz.py --minutes $(MINUTES)

@@ -117,8 +117,13 @@ def phone_camera(scene: bpy.types.Scene) -> tuple[Intrinsics, ArrayF64]:
     depsgraph.update()
     evaluated = camera.evaluated_get(depsgraph)
     pose = np.array(evaluated.matrix_world, np.float64)
+    if not np.isfinite(pose).all():
+        raise UserError(
+            f"camera {camera.name!r} is nowhere at frame {scene.frame_current}: "
+            "check its location, its rotation and its constraints"
+        )
     lengths = np.linalg.norm(pose[:3, :3], axis=0)
-    if not (np.isfinite(pose).all() and lengths.min() > 1e-12):
+    if lengths.min() <= 1e-12:
         raise UserError(f"camera {camera.name!r} has a scale of 0 at frame {scene.frame_current}: set its scale to 1")
     pose[:3, :3] /= lengths
     pose[:3, 3] *= metres_per_unit(scene)

@@ -11,12 +11,16 @@ from typing import Any
 import bpy
 import numpy as np
 
+from xihe_blender.errors import UserError
 from xihe_blender.units import metres_per_unit
 from xihe_blender.virtual_objects import GEOMETRY_TYPES
 from xihenet.records import ArrayF64
 
 # A box of exactly n spacings is split in n, although its world corners carry float32 rounding.
 SPLIT_TOLERANCE = 1e-5
+
+MAX_POSITIONS = 1000
+"""Of one object. Each gets a light probe in every frame; a shop of 100 x 10 m has as many."""
 
 
 def estimation_positions(
@@ -38,17 +42,40 @@ def estimation_positions(
     Raises
     ------
     ValueError : if `spacing_m` is not positive and finite
+    UserError : if the object has no finite box, or more than MAX_POSITIONS
     """
     if not (np.isfinite(spacing_m) and spacing_m > 0):
         raise ValueError(f"estimation_positions: spacing_m must be positive and finite, got {spacing_m}")
     depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
     corners = world_box_corners(object, depsgraph) * metres_per_unit(depsgraph.scene)
-    return box_cell_centres(corners.min(axis=0), corners.max(axis=0), spacing_m)
+    low_m, high_m = corners.min(axis=0), corners.max(axis=0)
+    _check_box(object, low_m, high_m, spacing_m)
+    return box_cell_centres(low_m, high_m, spacing_m)
+
+
+def _check_box(object: bpy.types.Object, low_m: ArrayF64, high_m: ArrayF64, spacing_m: float) -> None:
+    if not np.isfinite([low_m, high_m]).all():
+        raise UserError(
+            f"virtual object {object.name!r} has no finite position: check its scale, its vertices and its constraints"
+        )
+    n_positions = cells_per_axis(low_m, high_m, spacing_m).prod()
+    if n_positions > MAX_POSITIONS:
+        size = " x ".join(f"{side:.3g}" for side in high_m - low_m)
+        raise UserError(
+            f"virtual object {object.name!r} is {size} m and would be estimated at {n_positions:.3g} positions: "
+            "make it smaller, split it, or set the unit scale (Scene > Units) to the metres in a Blender unit"
+        )
+
+
+def cells_per_axis(low_m: ArrayF64, high_m: ArrayF64, spacing_m: float) -> ArrayF64:
+    """(3,) whole numbers from 1 on; float64, since those of a box as large as float32 fit no integer."""
+    cells: ArrayF64 = np.maximum(1.0, np.ceil((high_m - low_m) / spacing_m - SPLIT_TOLERANCE))
+    return cells
 
 
 def box_cell_centres(low_m: ArrayF64, high_m: ArrayF64, spacing_m: float) -> ArrayF64:
     """Centres (K, 3) of the even split of an axis-aligned box into cells of at most `spacing_m` along each axis."""
-    n_cells = np.maximum(1, np.ceil((high_m - low_m) / spacing_m - SPLIT_TOLERANCE)).astype(int)
+    n_cells = cells_per_axis(low_m, high_m, spacing_m).astype(int)
     axes = [low + (high - low) * (np.arange(n) + 0.5) / n for low, high, n in zip(low_m, high_m, n_cells, strict=True)]
     centres: ArrayF64 = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     return centres

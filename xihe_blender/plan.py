@@ -14,6 +14,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.estimation_positions import estimation_positions
 from xihe_blender.previs_settings import PrevisSettings
 from xihe_blender.render import RenderSettings, working_scene
+from xihe_blender.scene_faults import SceneFault, faults_at_frame, image_faults, place_faults
 from xihe_blender.virtual_objects import COLLECTION_NAME, virtual_collection, virtual_objects
 from xihenet.records import ArrayF64
 
@@ -31,12 +32,16 @@ class Probe:
 
 @dataclass(frozen=True, eq=False)
 class PrevisPlan:
-    """The frames of the camera path, the size of its pictures, the virtual objects and their estimation positions."""
+    """The frames of the camera path, the size of its pictures, the virtual objects and their estimation positions.
+
+    `faults` is what is wrong with the scene and yet no reason to stop.
+    """
 
     frames: tuple[int, ...]
     size: tuple[int, int]
     objects: tuple[bpy.types.Object, ...]
     probes: tuple[Probe, ...]
+    faults: tuple[SceneFault, ...] = ()
 
     def probes_of(self, object_name: str) -> list[Probe]:
         return [probe for probe in self.probes if probe.object_name == object_name]
@@ -50,12 +55,15 @@ def plan_previs(scene: bpy.types.Scene, settings: PrevisSettings) -> PrevisPlan:
     sized = sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1))
     size = settings.size or sized.size
     with working_scene(scene, "Xihe Plan", RenderSettings(size, samples=1)) as working:
+        cameras_m, faults = [], image_faults(scene.world)
+        depsgraph = working.view_layers[0].depsgraph
         for frame in reversed(frames):
             working.frame_set(frame)
-            phone_camera(working)
-        depsgraph = working.view_layers[0].depsgraph
+            cameras_m.append(phone_camera(working)[1][:3, 3])
+            faults += faults_at_frame(depsgraph, is_first=frame == frames[-1])
         probes = [probe for item in objects for probe in _probes(item, depsgraph)]
-    return PrevisPlan(tuple(frames), size, tuple(objects), tuple(probes))
+        faults += place_faults(scene, {probe.name: probe.position_m for probe in probes}, np.stack(cameras_m))
+    return PrevisPlan(tuple(frames), size, tuple(objects), tuple(probes), tuple(dict.fromkeys(faults)))
 
 
 def check_nothing_is_missing(scene: bpy.types.Scene) -> None:
@@ -123,8 +131,6 @@ def _check_is_not_in_the_room(scene: bpy.types.Scene, item: bpy.types.Object) ->
 
 def _probes(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[Probe]:
     positions = estimation_positions(item, depsgraph)
-    if not np.isfinite(positions).all():
-        raise UserError(f"virtual object {item.name!r} has no finite position: check its scale and its constraints")
     if len(positions) == 1:
         return [Probe(item.name, item.name, positions[0])]
     return [Probe(f"{item.name} {k}", item.name, position) for k, position in enumerate(positions, start=1)]

@@ -5,6 +5,7 @@ Numbers only as JSON can hold them: None where a value is undefined, never NaN o
 
 from __future__ import annotations
 
+import math
 import os
 import platform
 from collections.abc import Mapping, Sequence
@@ -23,7 +24,7 @@ from xihe_blender.outputs import finite_or_none
 from xihe_blender.phone_capture import PhoneCapture
 from xihe_blender.plan import Probe
 from xihe_blender.prepared_run import PreparedRun
-from xihe_blender.results_summary import mean_comparison, noise_notes, notes, summary
+from xihe_blender.results_summary import dim_notes, faults_seen, mean_comparison, noise_notes, notes, summary
 from xihenet import __version__
 from xihenet.camera import valid_plane_depth
 from xihenet.metrics import shc_rmse
@@ -176,6 +177,7 @@ def assemble(
             "fps": scene.render.fps / scene.render.fps_base,
             "virtual_objects": [item.name for item in run.plan.objects],
             "view_transform": scene.view_settings.view_transform,
+            "faults": [asdict(fault) for fault in run.plan.faults],
         },
         "effects": [*run.effects.as_json(), *other_effects(scene), *phone.as_json()],
         "phone": {"name": phone.profile.name, "summary": phone.profile.summary, "shc_rmse": errors},
@@ -185,7 +187,13 @@ def assemble(
         },
         "comparison": comparison,
         "summary": summary(frames, comparison) | {"pilot_s": run.effort.pilot_s},
-        "notes": [*notes(scene, frames), *phone.notes(), *noise_notes(run.settings, run.effort)],
+        "notes": [
+            *notes(scene, frames),
+            *faults_seen(run.plan.faults, frames, math.prod(run.plan.size)),
+            *dim_notes(scene, run.exposure),
+            *phone.notes(),
+            *noise_notes(run.settings, run.effort),
+        ],
     }
 
 

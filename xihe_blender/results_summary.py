@@ -11,7 +11,11 @@ import bpy
 from xihe_blender.apply import PREFIX
 from xihe_blender.effort import Effort
 from xihe_blender.previs_settings import PrevisSettings
+from xihe_blender.scene_faults import SceneFault
 from xihe_blender.units import said_of_units
+
+FAINTEST = 1e-3
+"""Light of less than this, at the session's exposure, is none: the first code above black is 3e-4."""
 
 METRICS = ("psnr", "ssim", "rmse", "si_rmse", "angular_deg")
 
@@ -80,6 +84,48 @@ def notes(scene: bpy.types.Scene, frames: Sequence[dict[str, Any]]) -> list[str]
     if invalid > 0:
         said.append(f"{invalid} captured pixels had no plane depth (open sky or a window) and gave no point.")
     return said
+
+
+def faults_seen(faults: Sequence[SceneFault], frames: Sequence[dict[str, Any]], n_pixels: int) -> list[str]:
+    """What is wrong with the scene: as its plan found it, and as frames of `n_pixels` that are dark or empty show."""
+    active = [entry for entry in frames if entry["active"]]
+    blind = [e for e in active if e["n_invalid_pixels"] - sum(e["n_lost_pixels"].values()) == n_pixels]
+    unlit = [e for e in active if e not in blind and not _is_lit(e) and any(map(_is_probe_lit, e["probes"]))]
+    dark = {p["name"]: None for e in active if _is_lit(e) for p in e["probes"] if not _is_probe_lit(p)}
+    unseen = [e for e in frames if e.get("comparison") and all(m["rmse"] is None for m in e["comparison"].values())]
+    said = [fault.said for fault in faults]
+    if active and not any(_is_lit(e) or any(map(_is_probe_lit, e["probes"])) for e in active):
+        said.append("Neither the phone nor a light probe saw any light: is every lamp off, or hidden in renders?")
+    said += [f"The light probe of {name!r} saw no light where the phone did: is it inside an object?" for name in dark]
+    for entries, words in (
+        (blind, "showed no surface at all: check the camera's clip range, and where it stands"),
+        (unlit, "showed no light, but a light probe did: is the camera inside an object?"),
+        (unseen, "showed nothing of a virtual object: the metrics are undefined there"),
+    ):
+        if entries:
+            which = f"Frame {entries[0]['frame']}" if len(entries) == 1 else f"{len(entries)} frames"
+            said.append(f"{which} {words}" + ("" if words.endswith("?") else "."))
+    return said
+
+
+def dim_notes(scene: bpy.types.Scene, exposure: float) -> list[str]:
+    """A sentence where lamps that light the picture up to white are below the light that Cycles samples at all."""
+    threshold = scene.cycles.light_sampling_threshold
+    if threshold * exposure < 1:
+        return []
+    return [
+        f"The scene is so dim that lamps fall below Cycles' light threshold of {threshold:.2g} and are sampled by lot: "
+        "set Render > Sampling > Lights > Light Threshold to 0, or make the lamps brighter."
+    ]
+
+
+def _is_lit(entry: Mapping[str, Any]) -> bool:
+    """Whether the phone's picture shows light."""
+    return any(channel * entry["exposure"] > FAINTEST for channel in entry["ambient_radiance"] or ())
+
+
+def _is_probe_lit(probe: Mapping[str, Any]) -> bool:
+    return any(abs(channel) > FAINTEST for coefficient in probe["sh_truth"] for channel in coefficient)
 
 
 def said_of_scenes(scene: bpy.types.Scene) -> str | None:

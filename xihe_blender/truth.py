@@ -62,11 +62,11 @@ def open_light_probe(scene: bpy.types.Scene, settings: RenderSettings) -> Iterat
 def probe_radiance_sh(panorama: ArrayF32, exposure: float, target: Target) -> ArrayF64:
     """(9, 3) radiance coefficients of a panorama of scene radiance, carrying `exposure`.
 
-    "ldr" clips every texel at 1 after exposure, as a phone's picture does; "hdr" keeps all of it.
+    "ldr" clips every texel to [0, 1] after exposure, as a phone's picture does; "hdr" keeps all, negative light too.
     ValueError if the panorama holds NaN or infinite texels.
     """
     exposed = np.asarray(panorama, np.float64) * exposure
-    return project_panorama(np.minimum(exposed, 1.0) if target == "ldr" else exposed)
+    return project_panorama(np.clip(exposed, 0.0, 1.0) if target == "ldr" else exposed)
 
 
 @contextlib.contextmanager

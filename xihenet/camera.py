@@ -42,6 +42,12 @@ MISS_PLANE_DEPTH_M = 1e9
 KEY_LUMINANCE = 0.12
 """Metering brings a session's luminance here. Meters are calibrated for 12 to 18 %; the low end spares lamps."""
 
+DARKEST = 1 / 20
+"""Of the key: what is darker counts as this dark to the meter. It is code 18 of 255 in the picture."""
+
+BISECTIONS = 60
+"""Of the key: all that float64 can hold of it."""
+
 SMALLEST_KEY = 1e-300
 """A darker session has no light to meter, and its exposure would not fit a float."""
 
@@ -203,9 +209,11 @@ def encode_exposed(radiance: ArrayLike, exposure: float) -> ArrayU8:
 def metered_exposure(pictures: Iterable[ArrayF32]) -> float:
     """The exposure that brings the mean key of pictures (..., 3) of scene radiance to KEY_LUMINANCE; 1 without light.
 
-    A picture's key is the geometric mean of its luminance, black pixels counting as 1/1000 of its mean. The mean over
-    pictures is arithmetic, so that a lamp that is off at first does not blow out the rest. Pixels that are NaN or
-    infinite, which renderers leave behind, do not count.
+    A picture's key is what its luminance balances around on a log scale, where light beyond white counts as white and
+    darkness as no darker than DARKEST of the key. A phone meters its own clipped picture in the same way: neither the
+    sun nor a black window decides by how far off it is, only by how many pixels it fills. Where most of a picture is
+    black, the median of the rest is at most white. The mean over pictures is arithmetic, so that a lamp that is off at
+    first does not blow out the rest. Pixels that are NaN or infinite, which renderers leave behind, do not count.
     """
     keys = [_key(picture) for picture in pictures]
     key = float(np.mean(keys)) if keys else 0.0
@@ -213,12 +221,28 @@ def metered_exposure(pictures: Iterable[ArrayF32]) -> float:
 
 
 def _key(radiance: ArrayF32) -> float:
-    """Geometric mean of the luminance; 0 for a frame that is black, empty or broken throughout."""
+    """The key of one picture; 0 for a frame that is black, empty or broken throughout."""
     is_finite = np.isfinite(radiance).all(axis=-1)
     seen = radiance if is_finite.all() else radiance[is_finite]
-    luminance = np.maximum(seen.astype(np.float64) @ LUMINANCE, 0.0)
-    mean = float(luminance.mean()) if luminance.size else 0.0
-    return float(np.exp(np.log(np.maximum(luminance, mean * 1e-3)).mean())) if mean * 1e-3 > 0 else 0.0
+    luminance = (seen.astype(np.float64) @ LUMINANCE).ravel()
+    lit = luminance[luminance > 0]
+    if not lit.size:
+        return 0.0
+    balanced = float(np.exp(_balanced_log(np.log(lit), luminance.size - lit.size)))
+    return max(balanced, KEY_LUMINANCE * float(np.median(lit)))
+
+
+def _balanced_log(log_luminance: ArrayF64, n_black: int) -> float:
+    """By bisection: the logarithm of the key around which pixels balance, each as far off as it may count."""
+    brightest, darkest = -np.log(KEY_LUMINANCE), np.log(DARKEST)
+    low, high = log_luminance.min() - brightest, log_luminance.max() - darkest
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        if np.clip(log_luminance - middle, darkest, brightest).sum() + n_black * darkest > 0:
+            low = middle
+        else:
+            high = middle
+    return float(low)
 
 
 def sensed_ambient(srgb_u8: ArrayU8, exposure: float) -> ArrayF64:

@@ -134,7 +134,7 @@ def view_of_room(seed: int) -> tuple[PointCloud, ArrayF64]:
     across, along = np.meshgrid(np.linspace(-0.65, 0.65, 256), np.linspace(0.5, -0.5, 192))
     rays = (forward + across[..., None] * right + along[..., None] * up).reshape(-1, 3)
     camera, walls = np.array([*rng.uniform(-1, 1, 2), 1.5]), np.array([[-2.5, -2, 0], [2.5, 2, 2.6]])
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore"):  # A ray along a wall never meets it: the infinite reach loses to another wall.
         reach = ((np.where(rays > 0, walls[1], walls[0]) - camera) / rays).min(axis=1)
     points = camera + rays * reach[:, None]
     return PointCloud(points, rng.random(points.shape)), np.array([*(camera[:2] + 0.8 * forward[:2]), 0.1])

@@ -320,6 +320,26 @@ def test_a_camera_that_zooms_is_refused(tmp_path):
     assert not list(stored_indices(tmp_path))
 
 
+@pytest.mark.parametrize("strength", [1e-5, 1e9])
+def test_a_scene_whose_light_half_floats_cannot_hold_is_refused(tmp_path, strength):
+    scene = room_with_a_virtual_sphere(1)
+    bpy.data.materials["Light"].node_tree.nodes["Emission"].inputs["Strength"].default_value = strength
+    with pytest.raises(UserError, match="which a data set cannot hold: bring its lights between"):
+        run_blocking(add_scene(scene, "room", tmp_path, SMALL))
+
+
+def test_a_lamp_and_a_position_that_are_no_numbers_are_refused_for_named_positions_too(tmp_path):
+    scene = room_with_a_virtual_sphere(1)
+    strength = bpy.data.materials["Light"].node_tree.nodes["Emission"].inputs["Strength"]
+    strength.default_value = float("nan")
+    with pytest.raises(UserError, match="'Light' has nan as its strength"):
+        run_blocking(add_scene(scene, "room", tmp_path, SMALL, at=["Ball"]))
+    strength.default_value = 6.0
+    bpy.data.objects["Ball"].location.x = float("nan")
+    with pytest.raises(UserError, match="'Ball' has no finite position"):
+        run_blocking(add_scene(scene, "room", tmp_path, SMALL, at=["Ball"]))
+
+
 def test_a_scene_added_leaves_the_open_file_as_it_was(tmp_path):
     scene = room_with_a_virtual_sphere()
     look_at(scene.camera, (1.0, 1.0, 1.2), (0, 0, 0.8))

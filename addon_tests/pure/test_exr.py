@@ -21,7 +21,7 @@ def noise(seed, size, kind=np.float32):
         return generator.integers(0, 2**32, size, np.uint32)
     values = generator.normal(0, 100, size)
     values.flat[: len(NASTY)] = NASTY[: values.size]
-    with np.errstate(over="ignore", under="ignore"):
+    with np.errstate(over="ignore", under="ignore"):  # What a half float cannot hold is part of the noise.
         return values.astype(kind)
 
 

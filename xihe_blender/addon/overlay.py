@@ -69,8 +69,12 @@ class Overlay:
 
 
 def shown_positions(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> list[Position]:
-    """The estimation positions of all virtual objects as a run would name them, at the frame that is shown."""
+    """The estimation positions of all virtual objects as a run would name them, at the frame that is shown.
+
+    An object whose positions a run would refuse has none.
+    """
     # NumPy comes with it, which must wait until something is shown.
+    from xihe_blender.errors import UserError
     from xihe_blender.estimation_positions import estimation_positions
     from xihe_blender.units import metres_per_unit
     from xihe_blender.virtual_objects import virtual_objects
@@ -78,7 +82,10 @@ def shown_positions(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> l
     metres = metres_per_unit(scene)
     found = []
     for item in virtual_objects(scene):
-        places = (estimation_positions(item, depsgraph) / metres).tolist()
+        try:
+            places = (estimation_positions(item, depsgraph) / metres).tolist()
+        except UserError:
+            continue
         names = [item.name] if len(places) == 1 else [f"{item.name} {k}" for k in range(1, len(places) + 1)]
         found += [Position(name, (x, y, z)) for name, (x, y, z) in zip(names, places, strict=True)]
     return found

@@ -21,6 +21,7 @@ from xihe_blender.dataset.build import claim_folder
 from xihe_blender.dataset.render_room import RoomRenderSettings
 from xihe_blender.dataset.store import (
     FORMAT_VERSION,
+    MAX_FLOAT16,
     ArrayF16,
     StoredRoom,
     as_float16,
@@ -35,6 +36,7 @@ from xihe_blender.jobs import Job, Progress
 from xihe_blender.plan import plan_previs, planned_frames
 from xihe_blender.previs_settings import PrevisSettings
 from xihe_blender.render import RenderSettings, render_passes, working_scene
+from xihe_blender.scene_faults import faults_at_frame
 from xihe_blender.scene_state import scene_kept
 from xihe_blender.truth import open_light_probe
 from xihe_blender.units import metres_per_unit
@@ -44,6 +46,12 @@ from xihenet.camera import encode_exposed, in_view, valid_plane_depth
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, Intrinsics
 
 SCENE_REGIME = "scene"
+SMALLEST_FLOAT16 = 2.0**-21
+"""Of which half floats still tell eighths."""
+
+DARKEST_SHOWN = 3e-4
+"""Of white: the first code above black in a picture of 8 bits."""
+
 SCENE_SEED = 2**31 - 1
 """In the place of the data set's seed."""
 
@@ -82,6 +90,7 @@ def add_scene(
     with scene_kept():
         yield Progress(0, total, "metering")
         exposure = meter_exposure(scene, chosen)
+        _check_can_be_stored(scene, exposure)
         pictures = []
         for picture in _pictures(scene, chosen, RenderSettings(size, settings.view_samples), positions_m):
             pictures.append(picture)
@@ -93,6 +102,16 @@ def add_scene(
         save_room(path, _as_stored(name, pictures, exposure, positions_m, np.stack(panoramas)))
     yield Progress(total, total, f"{path.name} written")
     return path
+
+
+def _check_can_be_stored(scene: bpy.types.Scene, exposure: float) -> None:
+    """UserError if a file of half floats cannot hold the light that `exposure` shows, from black to white."""
+    white = 1 / exposure
+    if white > MAX_FLOAT16 or white * DARKEST_SHOWN < SMALLEST_FLOAT16:
+        raise UserError(
+            f"scene {scene.name!r} has its white at a radiance of {white:.3g}, which a data set cannot hold: "
+            f"bring its lights between {SMALLEST_FLOAT16 / DARKEST_SHOWN:.2g} and {MAX_FLOAT16:g}"
+        )
 
 
 def scene_positions(scene: bpy.types.Scene, frames: Sequence[int], at: Sequence[str] | None) -> ArrayF64:
@@ -108,12 +127,17 @@ def scene_positions(scene: bpy.types.Scene, frames: Sequence[int], at: Sequence[
         missing = f"there is no object {unknown[0]!r}" if unknown else "no object is chosen"
         raise UserError(f"{missing} in scene {scene.name!r}: give names of its objects to --at, separated by commas")
     with working_scene(scene, "Xihe Plan", RenderSettings((8, 6), samples=1)) as working:
+        depsgraph = working.view_layers[0].depsgraph
         for frame in reversed(frames):
             working.frame_set(frame)
             phone_camera(working)
-        depsgraph = working.view_layers[0].depsgraph
+            faults_at_frame(depsgraph, is_first=frame == frames[-1])
         places = [scene.objects[name].evaluated_get(depsgraph).matrix_world.translation for name in at]
-        return np.array([tuple(place) for place in places], np.float64)
+        positions_m = np.array([tuple(place) for place in places], np.float64)
+    for name, position_m in zip(at, positions_m, strict=True):
+        if not np.isfinite(position_m).all():
+            raise UserError(f"object {name!r} has no finite position: check its location and its constraints")
+    return positions_m
 
 
 @dataclass(frozen=True, eq=False)

@@ -175,6 +175,20 @@ def metered_by_hand(pictures: list[np.ndarray]) -> float:
     return float(0.12 / np.mean([np.mean(picture) for picture in pictures]))
 
 
+def part_of_a_room(share: float, value: float) -> np.ndarray:
+    """A room of surfaces around 0.12, a `share` of whose pixels are `value`."""
+    luminance = 0.12 * np.exp(np.random.default_rng(0).normal(0, 0.7, 4096))
+    luminance *= 0.12 / np.median(luminance[round(share * luminance.size) :])
+    luminance[: round(share * luminance.size)] = value
+    return np.repeat(luminance[:, None], 3, axis=1)
+
+
+def metered_by_logarithm(pictures: list[np.ndarray]) -> float:
+    """Naive: the geometric mean, black pixels counting as a thousandth of the arithmetic one."""
+    keys = [np.exp(np.log(np.maximum(picture, picture.mean() * 1e-3)).mean()) for picture in pictures]
+    return float(0.12 / np.mean(keys))
+
+
 NEAR_1 = near(1.0, 0.3)
 METERING = [
     HardCase(STAGE, "a black frame is metered as 1", [GREY * 0], metered_exposure, equal(1.0), metered_by_hand),
@@ -213,6 +227,28 @@ METERING = [
         metered_exposure,
         near(1.0, 0.01),
         metered_by_hand,
+    ),
+    *(
+        HardCase(
+            STAGE,
+            f"a sun of 2e5 that fills {share:.0%} of a room does not black it out",
+            [part_of_a_room(share, SUN)],
+            metered_exposure,
+            near(1.0, within),
+            metered_by_logarithm,
+        )
+        for share, within in ((0.01, 0.05), (0.05, 0.15), (0.2, 0.5))
+    ),
+    *(
+        HardCase(
+            STAGE,
+            f"darkness that fills {share:.0%} of a room does not blow out the rest",
+            [part_of_a_room(share, 0.0)],
+            metered_exposure,
+            that("at least 1, and half of the room below white", lambda exposure: 1 <= exposure <= 1 / 0.12 + 1e-9),
+            metered_by_logarithm,
+        )
+        for share in (0.4, 0.7, 0.99)
     ),
     HardCase(
         STAGE,

@@ -36,6 +36,7 @@ def si_rmse_by_hand(given: Given) -> float:
 def angle_by_hand(given: Given) -> float:
     """Naive: the arc cosine of the normalised product, NaN counted as no error."""
     p, g, mask = given
+    # Hiding it is the mistake that is shown here.
     with np.errstate(invalid="ignore", divide="ignore"):
         cosine = (p * g).sum(axis=2) / (np.linalg.norm(p, axis=2) * np.linalg.norm(g, axis=2))
         angle = np.nan_to_num(np.degrees(np.arccos(cosine)))

@@ -17,7 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-WAYS_TO_FAIL = (ValueError, ArithmeticError, IndexError, RuntimeWarning)
+from xihe_blender.errors import UserError
+
+REFUSALS = (ValueError, UserError)
+WAYS_TO_FAIL = (*REFUSALS, ArithmeticError, IndexError, RuntimeWarning)
 """What numbers can do to code. Anything else is a mistake in the catalogue, and is not caught."""
 
 SHOWN_NUMBERS = 4
@@ -31,7 +34,7 @@ class Must:
     ----------
     says : what must come out
     holds : whether what came is that
-    is_refusal : a ValueError must come out, and `holds` is given the ValueError
+    is_refusal : a ValueError or a UserError must come out, and `holds` is given the error
     """
 
     says: str
@@ -79,7 +82,7 @@ def tried(case: HardCase, ask: Callable[[Any], Any]) -> Outcome:
             warnings.simplefilter("error")
             came = ask(case.given)
     except WAYS_TO_FAIL as error:
-        is_ok = case.must.is_refusal and isinstance(error, ValueError) and case.must.holds(error)
+        is_ok = case.must.is_refusal and isinstance(error, REFUSALS) and case.must.holds(error)
         return Outcome(f"{type(error).__name__}: {error}", is_ok)
     return Outcome(shown(came), not case.must.is_refusal and bool(case.must.holds(came)))
 

@@ -1,0 +1,208 @@
+"""One furnished room, built wherever and as large as asked, and what the chain makes of its light end to end.
+
+Everything is placed by hand, not by a parent: places and sizes of objects, the size and the power of the lamp (power
+goes with area, the strength of a sun or of an emitting surface does not), the clip planes, the phone's path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import bpy
+import numpy as np
+from tiny_scenes import box, empty_scene, look_at, material, phone, set_world, sphere
+
+from xihe_blender.capture import meter_exposure, open_scanner
+from xihe_blender.previs_settings import PREVIS_TRIGGER
+from xihe_blender.render import RenderSettings
+from xihe_blender.truth import open_light_probe, probe_radiance_sh
+from xihe_blender.virtual_objects import virtual_collection
+from xihenet.backend import LocalBackend
+from xihenet.controller import ControllerSettings, XiheController
+from xihenet.estimators import load
+from xihenet.records import ArrayF64, RgbdFrame
+from xihenet.sh import rotate
+
+EYES = ((-1.2, -1.5, 1.5), (-0.3, -1.6, 1.4), (0.9, -1.3, 1.2))
+PROBE = (0.0, 0.0, 0.85)
+LAMP_W, SUN_STRENGTH, SKY = 60.0, 2.0, (0.3, 0.4, 0.6)
+ESTIMATORS = ("projection", "lattice")
+SIZE, PANORAMA, SAMPLES = (32, 24), (32, 16), 64
+
+NOISE = {"projection": 0.02, "lattice": 0.03, "truth": 0.03}
+"""What another seed changes at most, relative to the norm of the light; and what moving and scaling may change."""
+
+TOLERANCE = {"projection": 0.05, "lattice": 0.15, "truth": 0.03}
+"""What a yaw may change: noise, and that the anchors of the unit sphere do not turn with the room."""
+
+
+@dataclass(frozen=True)
+class Placing:
+    """Where a room stands: scaled, then turned by `yaw_deg` about +Z, then moved by `offset`, in Blender units."""
+
+    name: str = "as it is"
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    yaw_deg: float = 0.0
+    scale: float = 1.0
+    metres_per_unit: float = 1.0
+
+    def __str__(self) -> str:
+        return self.name
+
+    @property
+    def rotation(self) -> ArrayF64:
+        c, s = np.cos(np.radians(self.yaw_deg)), np.sin(np.radians(self.yaw_deg))
+        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+    def __call__(self, point: Sequence[float]) -> ArrayF64:
+        """Where a point of the room as it is goes, in Blender units."""
+        moved: ArrayF64 = self.rotation @ (self.scale * np.asarray(point, np.float64)) + self.offset
+        return moved
+
+    def turned_back(self, sh_radiance: ArrayF64) -> ArrayF64:
+        return rotate(sh_radiance, self.rotation.T)
+
+
+AS_IT_IS = Placing()
+FAR = (7071.3, -7071.7, 321.9)
+"""10 km from the origin, and on no whole number."""
+
+YAWS = [Placing(f"turned by {yaw:g} degrees", yaw_deg=yaw) for yaw in (1e-3, 17.3, 90.0, -77.7)]
+NOT_TURNED = [
+    Placing("10 km away along X", (1e4, 0.0, 0.0)),
+    Placing("10 km away on all axes", FAR),
+    Placing("1000 times as large, its unit told", scale=1e3, metres_per_unit=1e-3),
+    Placing("1000 times as small, its unit told", scale=1e-3, metres_per_unit=1e3),
+]
+ALL_THREE = [
+    Placing("10 km away, turned, 1000 times as large, its unit told", tuple(1e3 * np.array(FAR)), 123.456, 1e3, 1e-3),
+    Placing("10 km away, turned, 1000 times as small, its unit told", tuple(1e-3 * np.array(FAR)), -77.7, 1e-3, 1e3),
+]
+IN_METRES = [
+    Placing("4 km wide", scale=1e3),
+    Placing("4 km wide, 10 km away, turned", FAR, 123.456, 1e3),
+]
+"""Really 1000 times as large: for whoever does not read metres, `projection` and the light probe."""
+
+
+def furnished_room(placing: Placing = AS_IT_IS, *, is_open: bool = False) -> bpy.types.Scene:
+    """A furnished room with a lamp and a shining panel, a virtual ball on a table, and a phone that walks by.
+
+    `is_open` takes the walls away and lets the sun and the sky in.
+    """
+    scene = empty_scene()
+    scene.unit_settings.system, scene.unit_settings.scale_length = "METRIC", placing.metres_per_unit
+    scene.frame_end = len(EYES)
+    scene.cycles.sample_clamp_indirect = 0.0
+    set_world(scene, SKY if is_open else (0.0, 0.0, 0.0))
+    _furnish(scene, is_open)
+    _lamp(scene, "AREA", LAMP_W)
+    if is_open:
+        _lamp(scene, "SUN", SUN_STRENGTH)
+    _place(scene, placing)
+    _walk(scene, placing)
+    bpy.context.view_layer.update()
+    return scene
+
+
+def _furnish(scene: bpy.types.Scene, is_open: bool) -> None:
+    walls = material("Walls", (0.6, 0.55, 0.5))
+    if is_open:
+        box(scene, "Floor", (0, 0, -0.05), (8, 8, 0.1), walls)
+    else:
+        box(scene, "Room", (0, 0, 1.5), (4, 4, 3), walls, inward=True)
+    box(scene, "Table", (0, 0, 0.7), (1.2, 0.8, 0.05), material("Wood", (0.35, 0.2, 0.1)))
+    box(scene, "Shelf", (-1.7, 0.9, 1.0), (0.4, 1.2, 2.0), material("Green", (0.1, 0.5, 0.2)))
+    box(scene, "Chest", (1.2, 1.4, 0.4), (0.9, 0.6, 0.8), material("Red", (0.7, 0.1, 0.1)))
+    box(scene, "Panel", (0.3, 1.95, 1.6), (0.8, 0.05, 0.5), material("Light", (0.7, 0.8, 1.0), emission=3.0))
+    ball = virtual_collection(scene, create=True)
+    sphere(scene, "Ball", PROBE, 0.12, material("Grey", (0.5, 0.5, 0.5)), ball)
+
+
+def _lamp(scene: bpy.types.Scene, kind: str, energy: float) -> None:
+    data = bpy.data.lights.new(kind, kind)
+    data.energy, data.color = energy, (1.0, 0.9, 0.75)
+    if kind == "AREA":
+        data.shape, data.size, data.size_y = "RECTANGLE", 0.8, 0.5
+    lamp = bpy.data.objects.new(kind, data)
+    lamp.location, lamp.rotation_euler = (1.1, 0.4, 2.7), (0.2, 0.3, 0.1)
+    scene.collection.objects.link(lamp)
+
+
+def _place(scene: bpy.types.Scene, placing: Placing) -> None:
+    for item in scene.objects:
+        item.location = placing(item.location)
+        # Blender's Euler angles turn about Z last.
+        item.rotation_euler.z += np.radians(placing.yaw_deg)
+        if item.type == "MESH":
+            item.scale *= placing.scale
+        elif item.data.type == "AREA":
+            item.data.size, item.data.size_y = item.data.size * placing.scale, item.data.size_y * placing.scale
+            item.data.energy *= placing.scale**2
+
+
+def _walk(scene: bpy.types.Scene, placing: Placing) -> None:
+    camera = phone(scene, placing(EYES[0]), placing(PROBE))
+    camera.data.clip_start, camera.data.clip_end = 0.05 * placing.scale, 100 * placing.scale
+    for frame, eye in enumerate(EYES, start=1):
+        look_at(camera, placing(eye), placing(PROBE))
+        camera.keyframe_insert("location", frame=frame)
+        camera.keyframe_insert("rotation_euler", frame=frame)
+
+
+@dataclass(frozen=True, eq=False)
+class SeenLight:
+    """What was seen of a room: the frames, and (9, 3) coefficients of scene radiance by estimator and for `truth`."""
+
+    frames: list[RgbdFrame]
+    lights: Mapping[str, ArrayF64]
+
+
+def see(
+    placing: Placing = AS_IT_IS,
+    *,
+    seed: int = 0,
+    estimators: Sequence[str] = ESTIMATORS,
+    is_open: bool = False,
+) -> SeenLight:
+    """Build the room there, meter and capture its path, run the chain at the ball, and render the light probe."""
+    scene = furnished_room(placing, is_open=is_open)
+    position_m = placing(PROBE) * placing.metres_per_unit
+    exposure = meter_exposure(scene, range(1, len(EYES) + 1), seed)
+    frames = []
+    with open_scanner(scene, RenderSettings(SIZE, SAMPLES, seed, denoise=False)) as scanner:
+        scanner.exposure = exposure
+        for frame in range(1, len(EYES) + 1):
+            scanner.move_to(frame)
+            frames.append(scanner.acquire_environment_scan())
+    with open_light_probe(scene, RenderSettings(PANORAMA, SAMPLES, seed, denoise=False)) as light_probe:
+        truth = probe_radiance_sh(light_probe.panorama(position_m, len(EYES)), exposure, "ldr") / exposure
+    lights = {name: estimated(frames, position_m, name) for name in estimators}
+    return SeenLight(frames, lights | {"truth": truth})
+
+
+def estimated(frames: Sequence[RgbdFrame], position_m: ArrayF64, estimator: str) -> ArrayF64:
+    """(9, 3) scene radiance that a session believes in after `frames`."""
+    settings = ControllerSettings(trigger=PREVIS_TRIGGER, reference_exposure=frames[0].exposure)
+    controller = XiheController(LocalBackend(load(estimator)), settings)
+    controller.add_position("ball", position_m)
+    for frame in frames:
+        controller.step(frame)
+    light = controller.light("ball")
+    assert light is not None
+    return light.sh_radiance / light.exposure
+
+
+def turned_by_hand(seen: SeenLight, yaw_deg: float, estimator: str) -> ArrayF64:
+    """What `estimator` makes of frames whose poses alone are turned about +Z, turned back: only the anchors differ."""
+    placing = Placing(yaw_deg=yaw_deg)
+    pose = np.eye(4)
+    pose[:3, :3] = placing.rotation
+    frames = [replace(frame, world_from_camera=pose @ frame.world_from_camera) for frame in seen.frames]
+    return placing.turned_back(estimated(frames, placing(PROBE), estimator))
+
+
+def apart(light: ArrayF64, reference: ArrayF64) -> float:
+    """The norm of the difference over the reference's own."""
+    return float(np.linalg.norm(light - reference) / np.linalg.norm(reference))
