@@ -122,7 +122,7 @@ def test_the_json_says_all_there_is_to_say(exr, capfd):
     assert [one["position_m"] for one in positions] == [[0, 2, -0.3], [-1, 2, 0]]
     for one in positions:
         assert np.shape(one["sh_radiance"]) == (9, 3) and np.isfinite(one["sh_radiance"]).all()
-        assert 0 < one["coverage"] < 1 and one["n_skipped_points"] == 0
+        assert 0 < one["coverage"] < 1 and one["n_invalid_points"] == 0
         assert (one["in_view"], one["is_valid"], one["expected_error"]) == (True, True, None)
 
 
