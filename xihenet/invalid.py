@@ -17,7 +17,7 @@ Counts = Mapping[str, int]
 LEFT_OUT: Mapping[str, str] = MappingProxyType(
     {
         "no_surface": "no surface there: open sky, a window, or beyond the camera's clip end",
-        "no_distance": "a plane depth of 0 or less",
+        "no_distance": "no distance was measured: a plane depth of 0 or less",
         "not_finite": "a plane depth or a place that is NaN or infinite",
         "colour_not_finite": "a colour that is NaN or infinite",
         "at_probe": "the point lies at the estimation position itself and has no direction",
@@ -45,6 +45,12 @@ UNKNOWN: Mapping[str, str] = MappingProxyType(
     }
 )
 """Why the light at a position could not be known."""
+
+
+def in_words(reason: str) -> str:
+    """Why, in words; a reason that is not listed here is the name of an effect of the phone."""
+    said = {**LEFT_OUT, **CLAMPED, **UNKNOWN}
+    return said.get(reason, f"the phone's {reason.replace('_', ' ')}")
 
 
 def counted(**counts: int) -> dict[str, int]:

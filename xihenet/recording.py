@@ -1,7 +1,8 @@
 """How is a session kept, so that the same walk can be run again with other settings?
 
 One compressed .npz per frame in a folder, whole or absent: colour, plane depth, intrinsics, pose, exposure, ambient,
-time, and how many pixels were invalid and why. Chosen over one big file because a recording that is cut short is still a recording, and a run can resume on it.
+time, and how many pixels were invalid and why. Chosen over one big file because a recording that is cut short is still
+a recording, and a run can resume on it.
 Paper: section 5, `XiheRecorder`; `EnvironmentScanner` is what a phone, a renderer or a recording can stand behind.
 """
 
@@ -18,7 +19,6 @@ from numpy.typing import NDArray
 
 from xihenet.npz_files import read_npz
 from xihenet.records import Intrinsics, RgbdFrame
-
 
 INVALID = "invalid_"
 """Begins the name of the number that belongs to a reason."""
