@@ -153,16 +153,16 @@ class XiheController:
         if decision.fire:
             with clock.stage("encode"):
                 payload = encode_cloud(buffers.temporary, settings.codec)
-            sent = buffers.temporary
             context = EstimateContext(frame, points, position.position_m, truth_sh, self.reference_exposure)
             with clock.stage("estimate"):
-                buffers = buffers.fired()
-                estimate = self._estimate(buffers, context)
+                fired = buffers.fired()
+                estimate = self._estimate(fired, context)
             unknown_because = estimate.unknown_because
-            invalid = {**invalid, **self._clamped(sent, buffers.persistent)}
+            invalid = {**invalid, **self._clamped(buffers.temporary, fired.persistent)}
+            if estimate.is_valid:
+                # Else what was seen is still unanswered, and the trigger goes on to ask.
+                buffers, position.light = fired, estimate
         position.buffers, position.decision = buffers, decision
-        if estimate is not None and estimate.is_valid:
-            position.light = estimate
         return StepReport(
             decision, estimate, clock.stage_ms, len(payload), buffers.coverage(), invalid, unknown_because
         )

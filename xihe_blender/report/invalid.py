@@ -11,6 +11,7 @@ from typing import Any
 
 from xihe_blender.report.timeline import Timeline, is_active, number, probe_name
 from xihe_blender.report.values import (
+    DASH,
     code,
     escape,
     finite,
@@ -60,8 +61,9 @@ def _comparison_rows(counts: Mapping[str, Any]) -> list[list[str]]:
 
 
 def _counted(n: Any, noun: str = "") -> str:
-    many = finite(n) or 0.0
-    return f"{many:,.0f}" + (f" {noun}{'' if many == 1 else 's'}" if noun else "")
+    many = finite(n)
+    told = DASH if many is None else f"{many:,.0f}"
+    return f"{told} {noun}{'' if many == 1 else 's'}" if noun else told
 
 
 def _row(what: str, reason: str, n: Any, of_all: float | None, became: str) -> list[str]:
@@ -72,6 +74,8 @@ def _row(what: str, reason: str, n: Any, of_all: float | None, became: str) -> l
 
 
 def _why(reason: str) -> str:
+    if not reason:
+        return "reason not recorded"
     return escape(in_words(reason)) if reason in {**LEFT_OUT, **CLAMPED, **UNKNOWN} else f"{code(reason)} of the phone"
 
 
@@ -88,7 +92,7 @@ def _light_rows(timeline: Timeline) -> list[list[str]]:
     for frame in timeline.frames:
         for probe in items(frame, "probes"):
             if is_kept(probe):
-                reason = str(probe.get("unknown_because"))
+                reason = str(probe.get("unknown_because") or "")
                 kept.setdefault((probe_name(probe), reason), []).append((number(frame), probe.get("light_frame")))
     return [
         [f"light at {escape(name)}", escape(frames_told([n for n, _ in of_one])), _why(reason), _stayed(of_one)]
@@ -109,7 +113,7 @@ def is_kept(probe: Mapping[str, Any]) -> bool:
 
 def kept_in_words(probe: Mapping[str, Any]) -> str:
     """Why the last light was kept: ", last light kept: no surface was seen from there"; empty where it was not."""
-    return f", last light kept: {escape(in_words(str(probe.get('unknown_because'))))}" if is_kept(probe) else ""
+    return f", last light kept: {_why(str(probe.get('unknown_because') or ''))}" if is_kept(probe) else ""
 
 
 def invalid_otherwise(results: Mapping[str, Any]) -> str:
