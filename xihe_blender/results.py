@@ -23,7 +23,7 @@ from xihe_blender.outputs import finite_or_none
 from xihe_blender.phone_capture import PhoneCapture
 from xihe_blender.plan import Probe
 from xihe_blender.prepared_run import PreparedRun
-from xihe_blender.results_summary import mean_comparison, noise_notes, notes, summary
+from xihe_blender.results_summary import exposure_notes, mean_comparison, noise_notes, notes, summary
 from xihenet import __version__
 from xihenet.camera import invalid_pixels
 from xihenet.invalid import CLAMPED
@@ -195,7 +195,12 @@ def assemble(
         },
         "comparison": comparison,
         "summary": summary(frames, comparison) | {"pilot_s": run.effort.pilot_s},
-        "notes": [*notes(scene, frames), *phone.notes(), *noise_notes(run.settings, run.effort)],
+        "notes": [
+            *notes(scene, frames),
+            *phone.notes(),
+            *exposure_notes(run.settings, run.exposure),
+            *noise_notes(run.settings, run.effort),
+        ],
     }
 
 

@@ -124,6 +124,14 @@ def said_of_scenes(scene: bpy.types.Scene) -> str | None:
     return None if n_scenes == 1 else f"The file has {n_scenes} scenes; this is a run of {scene.name!r} alone."
 
 
+def exposure_notes(settings: PrevisSettings, exposure: float) -> list[str]:
+    """A sentence where the room gave no light to meter."""
+    # No light to meter comes out as exactly 1, and light does not.
+    if settings.exposure is not None or exposure != 1.0:
+        return []
+    return ["The path shows no light that the exposure could be metered by; it is 1. Give one by --exposure."]
+
+
 def noise_notes(settings: PrevisSettings, effort: Effort) -> list[str]:
     """A sentence for each kind of render whose noise is above the target at the most samples the preset allows."""
     target, most = settings.noise_aim, settings.effort.max_samples

@@ -105,3 +105,12 @@ def test_negative_light_is_counted_where_it_is_taken_for_black():
         frame = scanner.acquire_environment_scan()
     assert frame.invalid == {"negative_colour": 32 * 24}
     assert not frame.srgb_u8.any() and invalid_pixels(frame) == {}
+
+
+def test_a_path_without_light_to_meter_says_so(tmp_path):
+    scene = stage(AT_THE_WALL)
+    bpy.data.materials["Light"].node_tree.nodes["Emission"].inputs["Strength"].default_value = 0.0
+    results = run(scene, tmp_path / "out")
+    check_results(results)
+    assert any("no light that the exposure could be metered by" in note for note in results["notes"])
+    assert results["summary"]["n_unknown_lights"] == 0
