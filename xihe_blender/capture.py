@@ -22,7 +22,8 @@ from xihe_blender.errors import UserError
 from xihe_blender.render import Rendered, RenderSettings, exclude_collection, render_passes, working_scene
 from xihe_blender.units import metres_per_unit
 from xihe_blender.virtual_objects import virtual_collection
-from xihenet.camera import encode_exposed, metered_exposure, sensed_ambient, valid_plane_depth
+from xihenet.camera import encode_exposed, metered_exposure, sensed_ambient, sound_plane_depth
+from xihenet.invalid import n_left_out
 from xihenet.records import ArrayF32, ArrayF64, Intrinsics, RgbdFrame
 
 SCENE_NAME = "Xihe Capture"
@@ -66,17 +67,18 @@ class CyclesScanner:
         radiance, plane_depth_m = first_layer(rendered)
         colour = encode_exposed(radiance, self.exposure)
         self.render_s = rendered.render_s
-        valid = valid_plane_depth(plane_depth_m)
-        self.n_invalid_pixels = int(valid.size - np.count_nonzero(valid))
+        sound_m, invalid = sound_plane_depth(plane_depth_m, radiance)
+        self.n_invalid_pixels = n_left_out(invalid)
         return RgbdFrame(
             colour,
-            np.where(valid, plane_depth_m, np.float32(0)),
+            sound_m,
             intrinsics,
             world_from_camera,
             self.exposure,
             sensed_ambient(colour, self.exposure),
             time_s=self.time_s,
             frame=self.scene.frame_current,
+            invalid=invalid,
         )
 
 

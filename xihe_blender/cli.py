@@ -238,6 +238,8 @@ def said_in_one_line(results: dict[str, Any]) -> str:
     line = f"{summary['n_active_frames']} of {summary['n_frames']} frames, {summary['n_estimates']} estimates"
     if results["settings"]["network"] is not None:
         line += f", {said_of_the_network(summary)}"
+    if summary["n_unknown_lights"]:
+        line += f", the light was kept {summary['n_unknown_lights']} times where it could not be known"
     if ratio is None or estimator == "ambient":
         return line
     word = "closer to" if ratio <= 1 else "further from"

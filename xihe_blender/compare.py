@@ -23,7 +23,7 @@ from xihe_blender.capture import first_layer
 from xihe_blender.render import RenderSettings, render_passes, working_scene
 from xihenet.camera import MISS_PLANE_DEPTH_M, valid_plane_depth
 from xihenet.colour import linear_to_srgb, srgb_to_linear
-from xihenet.metrics import angular_error_deg, image_rmse, psnr, si_rmse, ssim
+from xihenet.metrics import angular_error, angular_error_deg, image_rmse, psnr, si_rmse, ssim
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, RgbdFrame
 
 LIT_SCENE = "Xihe Lit"
@@ -188,6 +188,12 @@ def measure(prediction: ArrayF64, ground_truth: ArrayF64, weights: ArrayF64) -> 
         "si_rmse": si_rmse(prediction, ground_truth, weights),
         "angular_deg": angular_error_deg(prediction, ground_truth, weights),
     }
+
+
+def hueless_pixels(prediction: ArrayF64, ground_truth: ArrayF64, weights: ArrayF64) -> int:
+    """Pixels inside the objects that `angular_deg` leaves out: black on either side."""
+    angle = angular_error(prediction, ground_truth, weights)
+    return angle.n_black_prediction + angle.n_black_truth
 
 
 def display(picture: ArrayF64) -> ArrayF64:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from xihe_blender.compare import Comparer, Comparison, display, error_map, measure, open_comparer
+from xihe_blender.compare import Comparer, Comparison, display, error_map, hueless_pixels, measure, open_comparer
 from xihe_blender.exr import write_radiance
 from xihe_blender.jobs import Progress
 from xihe_blender.outputs import RunOutputs, copy_whole, write_json, write_picture
@@ -77,6 +77,10 @@ def _compare_frame(run: PreparedRun, frame: int, lights: Lights, comparer: Compa
         "pictures": _write_pictures(run, frame, compared),
         "comparison": {
             name: measure(picture, compared.ground_truth, compared.weights)
+            for name, picture in compared.methods.items()
+        },
+        "n_hueless_pixels": {
+            name: hueless_pixels(picture, compared.ground_truth, compared.weights)
             for name, picture in compared.methods.items()
         },
         "comparison_render_s": compared.render_s,

@@ -20,10 +20,11 @@ import numpy as np
 from xihe_blender.errors import UserError
 from xihe_blender.outputs import finite_or_none, written_whole
 from xihenet import __version__, estimators
+from xihenet.backend import LocalBackend, estimate_light
 from xihenet.camera import in_view, unproject_frame
-from xihenet.completeness import coverage
 from xihenet.estimators import EstimateContext, Estimator, Target
 from xihenet.frame_files import FrameCamera, read_camera, read_frame
+from xihenet.invalid import CLAMPED, Counts, counted, in_words, n_left_out
 from xihenet.light_picture import light_picture
 from xihenet.png import write_png
 from xihenet.records import LightEstimate, PointCloud, RgbdFrame
@@ -65,7 +66,7 @@ class PlacedEstimate:
     position_m: Position
     light: LightEstimate
     is_in_view: bool
-    n_skipped_points: int
+    invalid: Counts
 
 
 def position(text: str) -> Position:
@@ -127,18 +128,11 @@ def _estimate_at(
     in_blender_m = camera.blender_from_file @ position_m
     cloud = sample_unit_sphere(points, in_blender_m, lattice)
     context = EstimateContext(frame, points, in_blender_m, None, frame.exposure)
-    sh_radiance, expected_error = estimator.estimate_with_error(cloud, context)
-    is_valid = bool(cloud.is_set.any())
-    light = LightEstimate(
-        sh_radiance if is_valid else np.zeros((9, 3)),
-        frame.exposure,
-        coverage(cloud),
-        estimator.name,
-        is_valid,
-        expected_error,
-    )
+    light = estimate_light(LocalBackend(estimator), cloud, context, frame.exposure)
     is_in_view = bool(in_view([in_blender_m], frame.intrinsics, frame.world_from_camera)[0])
-    return PlacedEstimate(position_m, light, is_in_view, cloud.n_skipped_points)
+    clamped = {reason: n for reason, n in frame.invalid.items() if reason in CLAMPED}
+    beyond = counted(distance_in_network=int(np.count_nonzero(cloud.distance_m > estimator.farthest_m)))
+    return PlacedEstimate(position_m, light, is_in_view, {**cloud.invalid, **clamped, **beyond})
 
 
 def as_json(settings: EstimateSettings, exposure: float, placed: list[PlacedEstimate]) -> dict[str, Any]:
@@ -155,9 +149,12 @@ def as_json(settings: EstimateSettings, exposure: float, placed: list[PlacedEsti
             {
                 "position_m": list(one.position_m),
                 "coverage": one.light.coverage,
-                "n_skipped_points": one.n_skipped_points,
+                "n_skipped_points": n_left_out(one.invalid),
+                "n_invalid_points": n_left_out(one.invalid),
+                "invalid": dict(one.invalid),
                 "in_view": one.is_in_view,
                 "is_valid": one.light.is_valid,
+                "unknown_because": one.light.unknown_because or None,
                 "expected_error": finite_or_none(one.light.expected_error),
                 "sh_radiance": one.light.sh_radiance.tolist(),
             }
@@ -177,13 +174,19 @@ def _position_table(one: PlacedEstimate) -> str:
     if light.expected_error is not None:
         facts.append(f"expected error {light.expected_error:.3f}")
     if not light.is_valid:
-        facts.append("no light could be estimated")
+        facts.append(f"the light cannot be known: {in_words(light.unknown_because)}")
     head = f"{_told(one.position_m)}: {', '.join(facts)}"
-    rows = [" l  m      red    green     blue"]
+    rows = [_said_of_invalid(one.invalid)] if one.invalid else []
+    rows.append(" l  m      red    green     blue")
     bands = [(band, m) for band in range(3) for m in range(-band, band + 1)]
     for (band, m), (red, green, blue) in zip(bands, light.sh_radiance, strict=True):
         rows.append(f"{band:2d} {m:2d} {red:8.4f} {green:8.4f} {blue:8.4f}")
     return "\n".join([head, *rows])
+
+
+def _said_of_invalid(invalid: Counts) -> str:
+    """Such as "points left out or clamped: 12 (no distance was measured: ...)"."""
+    return "points left out or clamped: " + "; ".join(f"{n} ({in_words(reason)})" for reason, n in invalid.items())
 
 
 def warnings_about(placed: list[PlacedEstimate]) -> list[str]:

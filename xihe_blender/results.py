@@ -24,9 +24,18 @@ from xihe_blender.outputs import finite_or_none
 from xihe_blender.phone_capture import PhoneCapture
 from xihe_blender.plan import Probe
 from xihe_blender.prepared_run import PreparedRun
-from xihe_blender.results_summary import dim_notes, faults_seen, mean_comparison, noise_notes, notes, summary
+from xihe_blender.results_summary import (
+    dim_notes,
+    exposure_notes,
+    faults_seen,
+    mean_comparison,
+    noise_notes,
+    notes,
+    summary,
+)
 from xihenet import __version__
-from xihenet.camera import valid_plane_depth
+from xihenet.camera import invalid_pixels
+from xihenet.invalid import CLAMPED
 from xihenet.metrics import shc_rmse
 from xihenet.phone import Request, first_frame_after
 from xihenet.records import ArrayF64, RgbdFrame, StepReport
@@ -46,6 +55,7 @@ def inactive_frame(frame: int, time_s: float, *, is_delivered: bool = True) -> d
         "stage_ms": {},
         "n_invalid_pixels": 0,
         "n_lost_pixels": {},
+        "invalid": {},
         "probes": [],
     }
 
@@ -67,7 +77,8 @@ def active_frame(
     for step in steps.values():
         for stage, ms in step.stage_ms.items():
             stage_ms[stage] = stage_ms.get(stage, 0.0) + ms
-    valid = valid_plane_depth(seen.plane_depth_m)
+    left_out = invalid_pixels(seen)
+    clamped = {reason: n for reason, n in seen.invalid.items() if reason in CLAMPED}
     ambient = None if seen.ambient is None else seen.ambient.tolist()
     return {
         "frame": seen.frame,
@@ -79,8 +90,9 @@ def active_frame(
         "work_s": work_s,
         "stage_ms": stage_ms,
         "ambient_radiance": ambient,
-        "n_invalid_pixels": int(valid.size - np.count_nonzero(valid)),
+        "n_invalid_pixels": sum(left_out.values()),
         "n_lost_pixels": dict(n_lost),
+        "invalid": left_out | clamped,
         "probes": probes,
     }
 
@@ -97,8 +109,10 @@ def _render(frame: int, source: int, samples: int, noise: float | None) -> dict[
     return {"rendered": same_as is None, "same_as": same_as, "samples": samples, "noise": finite_or_none(noise)}
 
 
-def probe_entry(probe: Probe, step: StepReport, light: ArrayF64, truth: ArrayF64) -> dict[str, Any]:
-    """What one step did at one position; `light` is the one in force after it."""
+def probe_entry(
+    probe: Probe, step: StepReport, light: ArrayF64, truth: ArrayF64, *, light_frame: int | None
+) -> dict[str, Any]:
+    """What one step did at one position; `light` is the one in force after it, estimated in `light_frame`."""
     decision = step.decision
     return {
         "name": probe.name,
@@ -110,8 +124,12 @@ def probe_entry(probe: Probe, step: StepReport, light: ArrayF64, truth: ArrayF64
         "change": finite_or_none(decision.change),
         "threshold": finite_or_none(decision.threshold),
         "n_changed_anchors": decision.n_changed_anchors,
-        "n_skipped_points": step.n_skipped_points,
-        "is_valid": step.estimate is None or step.estimate.is_valid,
+        "n_skipped_points": step.n_invalid_points,
+        "n_invalid_points": step.n_invalid_points,
+        "invalid": dict(step.invalid),
+        "is_valid": not step.unknown_because,
+        "unknown_because": step.unknown_because or None,
+        "light_frame": light_frame,
         "payload_bytes": step.payload_bytes,
         "sh": light.tolist(),
         "sh_truth": truth.tolist(),
@@ -192,6 +210,7 @@ def assemble(
             *faults_seen(run.plan.faults, frames, math.prod(run.plan.size)),
             *dim_notes(scene, run.exposure),
             *phone.notes(),
+            *exposure_notes(run.settings, run.exposure),
             *noise_notes(run.settings, run.effort),
         ],
     }

@@ -11,8 +11,10 @@ import bpy
 from xihe_blender.apply import PREFIX
 from xihe_blender.effort import Effort
 from xihe_blender.previs_settings import PrevisSettings
+from xihe_blender.report.values import frames_told
 from xihe_blender.scene_faults import SceneFault
 from xihe_blender.units import said_of_units
+from xihenet.invalid import added, counted, in_words
 
 FAINTEST = 1e-3
 """Light of less than this, at the session's exposure, is none: the first code above black is 3e-4."""
@@ -31,11 +33,12 @@ def summary(frames: Sequence[dict[str, Any]], comparison: Mapping[str, Mapping[s
     """The run in a few numbers."""
     active = [entry for entry in frames if entry["active"]]
     probes = [probe for entry in active for probe in entry["probes"]]
+    compared = [entry for entry in frames if "comparison" in entry]
     render_s, work_s = sum(e["render_s"] for e in active), sum(e["work_s"] for e in active)
     return {
         "n_frames": len(frames),
         "n_active_frames": len(active),
-        "n_compared_frames": sum("comparison" in entry for entry in frames),
+        "n_compared_frames": len(compared),
         "n_reused_captures": sum(not e["rendering"]["capture"]["rendered"] for e in active),
         "n_reused_probes": sum(not p["rendered"] for e in active for p in e["rendering"]["probes"].values()),
         "n_reused_comparisons": sum(entry.get("comparison_same_as") is not None for entry in frames),
@@ -49,6 +52,15 @@ def summary(frames: Sequence[dict[str, Any]], comparison: Mapping[str, Mapping[s
         "mean_latency_ms": _mean(probe["latency_ms"] for probe in probes if probe["fired"]),
         "n_lost": sum(probe["fired"] and probe["latency_ms"] is None for probe in probes),
         "n_invalid_pixels": sum(entry["n_invalid_pixels"] for entry in active),
+        "n_invalid_points": sum(probe["n_invalid_points"] for probe in probes),
+        "n_unknown_lights": sum(not probe["is_valid"] for probe in probes),
+        "invalid": {
+            "pixels": added(entry["invalid"] for entry in active),
+            "points": added(probe["invalid"] for probe in probes),
+            "lights": added({p["unknown_because"]: 1} for p in probes if not p["is_valid"]),
+            "metrics": added(undefined for entry in compared for undefined in _undefined(entry["comparison"])),
+            "hues": added(counted(**entry["n_hueless_pixels"]) for entry in compared),
+        },
         "render_s": render_s,
         "comparison_render_s": sum(entry.get("comparison_render_s", 0.0) for entry in frames),
         "overhead_share": work_s / render_s if render_s else None,
@@ -56,6 +68,11 @@ def summary(frames: Sequence[dict[str, Any]], comparison: Mapping[str, Mapping[s
             name: _ratio(metrics["rmse"], comparison["ambient"]["rmse"]) for name, metrics in comparison.items()
         },
     }
+
+
+def _undefined(comparison: Mapping[str, Mapping[str, float | None]]) -> list[dict[str, int]]:
+    """Once for each method's metric that has no value."""
+    return [{name: 1} for metrics in comparison.values() for name, value in metrics.items() if value is None]
 
 
 def notes(scene: bpy.types.Scene, frames: Sequence[dict[str, Any]]) -> list[str]:
@@ -83,7 +100,26 @@ def notes(scene: bpy.types.Scene, frames: Sequence[dict[str, Any]]) -> list[str]
     invalid = sum(entry["n_invalid_pixels"] for entry in frames) - lost
     if invalid > 0:
         said.append(f"{invalid} captured pixels had no plane depth (open sky or a window) and gave no point.")
-    return said
+    return said + said_of_unknown_lights(frames)
+
+
+def said_of_unknown_lights(frames: Sequence[dict[str, Any]]) -> list[str]:
+    """A sentence for each position and reason why its light could not be known, and which light it kept."""
+    kept: dict[tuple[str, str, int | None], list[int]] = {}
+    for entry in frames:
+        for probe in entry["probes"]:
+            if not probe["is_valid"]:
+                key = probe["name"], probe["unknown_because"], probe["light_frame"]
+                kept.setdefault(key, []).append(entry["frame"])
+    return [
+        f"The light at {name} could not be known in {frames_told(numbers)}, because {in_words(reason)}: "
+        + (
+            "the phone's ambient light stood in."
+            if source is None
+            else f"the last light stayed, that of frame {source}."
+        )
+        for (name, reason, source), numbers in kept.items()
+    ]
 
 
 def faults_seen(faults: Sequence[SceneFault], frames: Sequence[dict[str, Any]], n_pixels: int) -> list[str]:
@@ -132,6 +168,14 @@ def said_of_scenes(scene: bpy.types.Scene) -> str | None:
     """A sentence where the file has more scenes of the user's than the one that was run; None where it has not."""
     n_scenes = sum(other == scene or not other.name.startswith(PREFIX) for other in bpy.data.scenes)
     return None if n_scenes == 1 else f"The file has {n_scenes} scenes; this is a run of {scene.name!r} alone."
+
+
+def exposure_notes(settings: PrevisSettings, exposure: float) -> list[str]:
+    """A sentence where the room gave no light to meter."""
+    # No light to meter comes out as exactly 1, and light does not.
+    if settings.exposure is not None or exposure != 1.0:
+        return []
+    return ["The path shows no light that the exposure could be metered by; it is 1. Give one by --exposure."]
 
 
 def noise_notes(settings: PrevisSettings, effort: Effort) -> list[str]:

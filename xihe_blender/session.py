@@ -31,8 +31,9 @@ class XiheController(controller.XiheController):
 
         Returns
         -------
-        The estimate at the object's estimation position; of a big object that has several, the mean. Its positions are
-        followed by `step` from now on. Where nothing valid could be estimated the world is left as it was.
+        The estimate at the object's estimation position; of a big object that has several, the mean of those that could
+        be known. Its positions are followed by `step` from now on. Where none could be known it says why, and the world
+        is left as it was.
 
         Raises
         ------

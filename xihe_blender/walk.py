@@ -142,6 +142,7 @@ class _Walk:
 
     def _probe_entry(self, probe: Probe, step: SessionStep, seen: RgbdFrame) -> dict[str, Any]:
         light, truth = self.session.light(probe.name, seen.time_s), self.truths[probe.name][self.run.settings.target]
-        entry = results.probe_entry(probe, step.reports[probe.name], light, truth)
+        light_frame = self.session.light_frame(probe.name, seen.time_s)
+        entry = results.probe_entry(probe, step.reports[probe.name], light, truth, light_frame=light_frame)
         entry |= results.arrival(step.requests.get(probe.name), self.run.plan.frames, self.phone.times_s)
         return entry | {"ambient_shc_rmse": shc_rmse(step.ambient_sh, truth)}

@@ -19,7 +19,7 @@ from xihenet.records import UnitSphereCloud
 def merge(old: UnitSphereCloud, new: UnitSphereCloud) -> UnitSphereCloud:
     """`old` with every anchor that `new` sets replaced by `new`'s colour and distance; nothing is averaged.
 
-    Both have N anchors (ValueError otherwise). Skipped points are those of `new`: they belong to a frame.
+    Both have N anchors (ValueError otherwise). What is invalid is that of `new`: it belongs to a frame.
     """
     if len(old) != len(new):
         raise ValueError(f"merge: expected clouds with as many anchors, got {len(old)} and {len(new)}")
@@ -28,7 +28,7 @@ def merge(old: UnitSphereCloud, new: UnitSphereCloud) -> UnitSphereCloud:
         np.where(seen[:, None], new.srgb, old.srgb),
         np.where(seen, new.distance_m, old.distance_m),
         old.is_set | seen,
-        new.n_skipped_points,
+        new.invalid,
     )
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.invalid import counted, left_out
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, Intrinsics, PointCloud, RgbdFrame
 
 __all__ = [
@@ -27,11 +28,13 @@ __all__ = [
     "Intrinsics",
     "encode_exposed",
     "in_view",
+    "invalid_pixels",
     "metered_exposure",
     "plane_depth_from_ray_distance",
     "project_points",
     "ray_distance_from_plane_depth",
     "sensed_ambient",
+    "sound_plane_depth",
     "unproject_frame",
     "valid_plane_depth",
 ]
@@ -66,6 +69,52 @@ def valid_plane_depth(plane_depth_m: ArrayF32) -> ArrayBool:
     return (plane_depth_m > 0) & (plane_depth_m < MISS_PLANE_DEPTH_M)
 
 
+def sound_plane_depth(plane_depth_m: ArrayF32, radiance: ArrayF32 | None = None) -> tuple[ArrayF32, dict[str, int]]:
+    """What a frame keeps of plane depth (H, W), and what is wrong with its pixels, for `RgbdFrame.invalid`.
+
+    (H, W), 0 wherever there is no surface or where the radiance (H, W, 3) is NaN: a broken pixel says nothing of the
+    light, and black is an answer. Colours that are negative or infinite are clamped later, and counted here.
+    """
+    valid = valid_plane_depth(plane_depth_m)
+    invalid = _told_by_value(plane_depth_m, valid)
+    if radiance is not None:
+        is_broken = np.isnan(radiance).any(axis=-1)
+        invalid |= counted(colour_not_finite=np.count_nonzero(valid & is_broken))
+        valid &= ~is_broken
+        invalid |= counted(
+            negative_colour=np.count_nonzero((radiance < 0).any(axis=-1) & valid),
+            infinite_colour=np.count_nonzero(np.isposinf(radiance).any(axis=-1) & valid),
+        )
+    return np.where(valid, plane_depth_m, np.float32(0)), invalid
+
+
+def invalid_pixels(frame: RgbdFrame) -> dict[str, int]:
+    """How many pixels of `frame` give no point, by reason: in all those without a valid plane depth.
+
+    First the reasons that whoever made the frame knows, `frame.invalid`; others are told by their values.
+    """
+    valid = valid_plane_depth(frame.plane_depth_m)
+    n_left = valid.size - int(np.count_nonzero(valid))
+    named: dict[str, int] = {}
+    for reason, n in left_out(frame.invalid).items():
+        named |= counted(**{reason: min(n, n_left)})
+        n_left -= named.get(reason, 0)
+    if not n_left:
+        return named
+    for reason, n in _told_by_value(frame.plane_depth_m, valid).items():
+        more = min(n, n_left)
+        named |= counted(**{reason: named.get(reason, 0) + more})
+        n_left -= more
+    return named
+
+
+def _told_by_value(plane_depth_m: ArrayF32, valid: ArrayBool) -> dict[str, int]:
+    """Reasons of all pixels that are not `valid`; a 0, which may stand for another reason, comes last."""
+    refused = plane_depth_m[~valid]
+    n_nan, n_missed = np.count_nonzero(np.isnan(refused)), np.count_nonzero(refused >= MISS_PLANE_DEPTH_M)
+    return counted(not_finite=n_nan, no_surface=n_missed, no_distance=refused.size - n_nan - n_missed)
+
+
 def unproject_frame(frame: RgbdFrame, *, reference_exposure: float | None = None) -> PointCloud:
     """Every pixel of `frame` as a coloured point in the world.
 
@@ -78,7 +127,7 @@ def unproject_frame(frame: RgbdFrame, *, reference_exposure: float | None = None
     Returns
     -------
     PointCloud of H * W points in row order, world frame, metres. Points of pixels without a valid plane depth (0,
-    negative, NaN, infinite, or a renderer's miss) are NaN; their colour is kept.
+    negative, NaN, infinite, or a renderer's miss) are NaN and counted by reason; their colour is kept.
 
     Raises
     ------
@@ -92,7 +141,7 @@ def unproject_frame(frame: RgbdFrame, *, reference_exposure: float | None = None
     points = _unprojected(frame)
     gain = 1.0 if reference_exposure is None else reference_exposure / frame.exposure
     srgb = _reencoded_bytes(gain)[frame.srgb_u8]
-    return PointCloud(points.reshape(3, -1).T, srgb.reshape(-1, 3))
+    return PointCloud(points.reshape(3, -1).T, srgb.reshape(-1, 3), invalid_pixels(frame))
 
 
 def _unprojected(frame: RgbdFrame) -> ArrayF32:

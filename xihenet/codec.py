@@ -27,6 +27,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from xihenet.invalid import counted
 from xihenet.records import ArrayBool, ArrayF32, ArrayInt, UnitSphereCloud
 
 EncodingMethod = Literal["float32", "float32_stripped", "uint8_float16", "uint8_float16_stripped"]
@@ -108,6 +109,12 @@ def encode_cloud(cloud: UnitSphereCloud, method: EncodingMethod = "uint8_float16
     return records.tobytes()
 
 
+def n_clamped_distances(cloud: UnitSphereCloud) -> int:
+    """Set anchors whose distance no wire format can say: `encode_cloud` takes them for the nearest that it can."""
+    sayable = (cloud.distance_m >= MIN_DISTANCE_M) & (cloud.distance_m <= MAX_DISTANCE_M)
+    return int(np.count_nonzero(cloud.is_set & ~sayable))
+
+
 def decode_cloud(
     payload: bytes | bytearray | memoryview, n_anchors: int, method: EncodingMethod = "uint8_float16_stripped"
 ) -> UnitSphereCloud:
@@ -122,8 +129,9 @@ def decode_cloud(
 
     Returns
     -------
-    UnitSphereCloud of `n_anchors`. Without an index, distance 0 means not set, and the colour beside it is dropped.
-    With one, the record's presence says that the anchor is set, and distance 0 is a distance: other clients send it.
+    UnitSphereCloud of `n_anchors`. Without an index, distance 0 means not set; a colour beside it is left out and
+    counted. With one, the record's presence says that the anchor is set, and distance 0 is a distance: other clients
+    send it.
     Raises ValueError for a wrong length, an anchor out of range or repeated, a distance that is negative, infinite or
     NaN, a float32 colour that is NaN or outside [0, 1], an unknown method, and more anchors than the method carries.
     """
@@ -134,7 +142,8 @@ def decode_cloud(
     srgb = _decoded_colour(records["srgb"])
     if not wire_format.is_stripped:
         is_set = distance_m > 0
-        return UnitSphereCloud(srgb * is_set[:, None], np.abs(distance_m), is_set)
+        without = counted(colour_without_distance=np.count_nonzero(srgb[~is_set].any(axis=1)))
+        return UnitSphereCloud(srgb * is_set[:, None], np.abs(distance_m), is_set, without)
     anchor = _checked_anchors(records["anchor"], n_anchors)
     all_srgb, all_distance_m = np.zeros((n_anchors, 3), np.float32), np.zeros(n_anchors, np.float32)
     is_set = np.zeros(n_anchors, np.bool_)

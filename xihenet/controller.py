@@ -18,12 +18,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihenet.backend import InferenceBackend
+from xihenet.backend import InferenceBackend, estimate_light
 from xihenet.buffers import PositionBuffers
 from xihenet.camera import in_view, unproject_frame
-from xihenet.codec import EncodingMethod, encode_cloud
-from xihenet.completeness import coverage
+from xihenet.codec import EncodingMethod, encode_cloud, n_clamped_distances
 from xihenet.estimators.base import EstimateContext
+from xihenet.invalid import Counts, counted
 from xihenet.recording import SessionRecorder
 from xihenet.records import (
     ArrayF64,
@@ -148,27 +148,33 @@ class XiheController:
             decision = decide_trigger(
                 buffers.persistent, buffers.temporary, self.lattice, settings.trigger, last=position.decision
             )
-        estimate, payload = None, b""
+        estimate, payload, unknown_because = None, b"", "" if sampled.is_set.any() else "nothing_seen"
+        invalid = sampled.invalid
         if decision.fire:
             with clock.stage("encode"):
                 payload = encode_cloud(buffers.temporary, settings.codec)
             context = EstimateContext(frame, points, position.position_m, truth_sh, self.reference_exposure)
             with clock.stage("estimate"):
-                buffers = buffers.fired()
-                estimate = self._estimate(buffers, context)
+                fired = buffers.fired()
+                estimate = self._estimate(fired, context)
+            unknown_because = estimate.unknown_because
+            invalid = {**invalid, **self._clamped(buffers.temporary, fired.persistent)}
+            if estimate.is_valid:
+                # Else what was seen is still unanswered, and the trigger goes on to ask.
+                buffers, position.light = fired, estimate
         position.buffers, position.decision = buffers, decision
-        if estimate is not None and estimate.is_valid:
-            position.light = estimate
         return StepReport(
-            decision, estimate, clock.stage_ms, len(payload), buffers.coverage(), sampled.n_skipped_points
+            decision, estimate, clock.stage_ms, len(payload), buffers.coverage(), invalid, unknown_because
         )
 
     def _estimate(self, buffers: PositionBuffers, context: EstimateContext) -> LightEstimate:
-        """The light from the persistent cloud. Only a cloud with a set anchor gives a valid one."""
-        cloud, exposure = buffers.persistent, self.reference_exposure or 1.0
-        sh_radiance, expected_error = _estimate_with_error(self.backend, cloud, context)
-        is_valid = bool(cloud.is_set.any())
-        return LightEstimate(sh_radiance, exposure, coverage(cloud), self.backend.name, is_valid, expected_error)
+        """The light from the persistent cloud."""
+        return estimate_light(self.backend, buffers.persistent, context, self.reference_exposure or 1.0)
+
+    def _clamped(self, sent: UnitSphereCloud, used: UnitSphereCloud) -> Counts:
+        """Distances that the wire or the network takes for others."""
+        beyond = used.distance_m > getattr(self.backend, "farthest_m", np.inf)
+        return counted(distance_on_wire=n_clamped_distances(sent), distance_in_network=int(np.count_nonzero(beyond)))
 
     def estimate_at(self, position_m: ArrayLike) -> LightEstimate:
         """The light at `position_m` as far as the last frame shows it, now and whatever the trigger thinks.
@@ -193,16 +199,6 @@ class XiheController:
         """Stop, and return how many frames were kept; 0 if nothing was being recorded."""
         recorder, self._recorder = self._recorder, None
         return recorder.n_frames if recorder else 0
-
-
-def _estimate_with_error(
-    backend: InferenceBackend, cloud: UnitSphereCloud, context: EstimateContext
-) -> tuple[ArrayF64, float | None]:
-    """The error is None from a backend that gives light alone."""
-    if hasattr(backend, "estimate_with_error"):
-        sh_radiance, expected_error = backend.estimate_with_error(cloud, context)
-        return sh_radiance, expected_error
-    return backend.estimate(cloud, context), None
 
 
 @dataclass

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xihenet import exr, openexr_package
-from xihenet.camera import encode_exposed, metered_exposure, sensed_ambient, valid_plane_depth
+from xihenet.camera import encode_exposed, metered_exposure, sensed_ambient, sound_plane_depth
 from xihenet.colour import srgb_to_linear
 from xihenet.records import ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
 
@@ -74,7 +74,8 @@ def read_frame(
 
     Returns
     -------
-    RgbdFrame of the size of the plane depth, at least one pixel of which is valid; pixels without a valid one are 0.
+    RgbdFrame of the size of the plane depth, at least one pixel of which is valid; pixels without a valid one, or with
+    a colour that is NaN, are 0 and counted.
 
     Raises
     ------
@@ -203,22 +204,28 @@ def _intrinsics_for(camera: Intrinsics, width: int, height: int) -> Intrinsics:
 
 
 def _frame(
-    srgb_u8: ArrayU8, plane_depth_m: ArrayF32, camera: FrameCamera, exposure: float, source: Path, fix: str
+    srgb_u8: ArrayU8,
+    measured: tuple[ArrayF32, dict[str, int]],
+    camera: FrameCamera,
+    exposure: float,
+    source: Path,
+    fix: str,
 ) -> RgbdFrame:
-    """The record; ValueError with `fix` in it if no plane depth is valid."""
-    is_valid = valid_plane_depth(plane_depth_m)
-    if not is_valid.any():
+    """The record of what `sound_plane_depth` left; ValueError with `fix` in it if no plane depth is valid."""
+    plane_depth_m, invalid = measured
+    if not plane_depth_m.any():
         raise ValueError(
             f"{source}: no pixel has a valid plane depth (all are 0, negative, not finite or misses): {fix}"
         )
     height, width = plane_depth_m.shape
     return RgbdFrame(
         srgb_u8,
-        np.where(is_valid, plane_depth_m, np.float32(0)),
+        plane_depth_m,
         _intrinsics_for(camera.intrinsics, width, height),
         camera.world_from_camera,
         exposure,
         sensed_ambient(srgb_u8, exposure),
+        invalid=invalid,
     )
 
 
@@ -256,7 +263,8 @@ def _exr_frame(path: Path, camera: FrameCamera, exposure: float | None) -> RgbdF
         is_finite = np.isfinite(radiance).all(axis=2)
         exposure = metered_exposure([radiance[is_finite]]) if is_finite.any() else 1.0
     fix = "save the Z pass too, and let the camera see surfaces"
-    return _frame(encode_exposed(radiance, exposure), plane_depth_m, camera, exposure, path, fix)
+    measured = sound_plane_depth(plane_depth_m, radiance)
+    return _frame(encode_exposed(radiance, exposure), measured, camera, exposure, path, fix)
 
 
 def _frame_channels(channels: dict[str, ArrayF32], path: Path) -> tuple[list[str], str]:
@@ -300,7 +308,7 @@ def _image_frame(
     if (colour_height, colour_width) != (height, width):
         srgb_u8 = encode_exposed(area_averaged(srgb_to_linear(srgb_u8 / np.float32(255)), height, width), 1.0)
     fix = "0 stands for none, check the image"
-    return _frame(srgb_u8, plane_depth_m, camera, exposure, plane_depth_path, fix)
+    return _frame(srgb_u8, sound_plane_depth(plane_depth_m), camera, exposure, plane_depth_path, fix)
 
 
 def area_averaged(image: NDArray[Any], height: int, width: int) -> ArrayF64:

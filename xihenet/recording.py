@@ -1,7 +1,8 @@
 """How is a session kept, so that the same walk can be run again with other settings?
 
 One compressed .npz per frame in a folder, whole or absent: colour, plane depth, intrinsics, pose, exposure, ambient,
-time. Chosen over one big file because a recording that is cut short is still a recording, and a run can resume on it.
+time, and how many pixels were invalid and why. Chosen over one big file because a recording that is cut short is still
+a recording, and a run can resume on it.
 Paper: section 5, `XiheRecorder`; `EnvironmentScanner` is what a phone, a renderer or a recording can stand behind.
 """
 
@@ -19,6 +20,9 @@ from numpy.typing import NDArray
 from xihenet.npz_files import read_npz
 from xihenet.records import Intrinsics, RgbdFrame
 
+INVALID = "invalid_"
+"""Begins the name of the number that belongs to a reason."""
+
 
 class EnvironmentScanner(Protocol):
     """Whatever delivers frames."""
@@ -32,6 +36,7 @@ def save_frame(path: Path, frame: RgbdFrame) -> None:
     fields: dict[str, Any] = {f"intrinsics_{name}": value for name, value in asdict(frame.intrinsics).items()}
     if frame.ambient is not None:
         fields["ambient"] = frame.ambient
+    fields |= {f"{INVALID}{reason}": n for reason, n in frame.invalid.items()}
     for name in ("srgb_u8", "plane_depth_m", "world_from_camera", "exposure", "time_s", "frame"):
         fields[name] = getattr(frame, name)
     try:
@@ -61,6 +66,7 @@ def load_frame(path: Path) -> RgbdFrame:
             _numbers(fields, "ambient", 1) if "ambient" in fields else None,
             float(_number(fields, "time_s")),
             int(_number(fields, "frame")),
+            {name.removeprefix(INVALID): _count(fields, name) for name in fields if name.startswith(INVALID)},
         )
     except (LookupError, ValueError, OverflowError) as error:
         raise ValueError(f"{path}: not a recorded frame ({error})") from None
@@ -72,6 +78,13 @@ def _numbers(fields: Mapping[str, NDArray[Any]], name: str, n_axes: int) -> NDAr
     if array.dtype.kind not in "iuf" or array.ndim != n_axes:
         raise ValueError(f"{name}: expected numbers along {n_axes} axes, got {array.dtype} of {array.shape}")
     return array
+
+
+def _count(fields: Mapping[str, NDArray[Any]], name: str) -> int:
+    number = _number(fields, name)
+    if not isinstance(number, int) or number < 1:
+        raise ValueError(f"{name}: expected a count of 1 or more, got {number}")
+    return number
 
 
 def _number(fields: Mapping[str, NDArray[Any]], name: str) -> Any:

@@ -18,6 +18,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from xihenet.invalid import UNKNOWN, Counts, n_left_out
+
 ArrayF32 = NDArray[np.float32]
 ArrayF64 = NDArray[np.float64]
 ArrayU8 = NDArray[np.uint8]
@@ -88,6 +90,7 @@ class RgbdFrame:
     ambient : (3,) linear scene radiance that the ambient light sensor reports, or None without a sensor
     time_s : seconds since the start of the session
     frame : number of the frame in its source
+    invalid : how many pixels were left out or clamped before, by reason; see `xihenet.camera.invalid_pixels`
     """
 
     srgb_u8: ArrayU8
@@ -98,6 +101,7 @@ class RgbdFrame:
     ambient: ArrayF64 | None = None
     time_s: float = 0.0
     frame: int = 0
+    invalid: Counts = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         colour = np.asarray(self.srgb_u8)
@@ -132,10 +136,12 @@ class PointCloud:
     ----------
     points_m : (P, 3) float32, world, metres; P may be 0
     srgb : (P, 3) float32, sRGB-encoded colour in [0, 1] at the session's reference exposure
+    invalid : how many of the points are not finite, by reason, as far as that is known
     """
 
     points_m: ArrayF32
     srgb: ArrayF32
+    invalid: Counts = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         points = _checked("PointCloud.points_m", self.points_m, np.float32, (None, 3))
@@ -156,13 +162,13 @@ class UnitSphereCloud:
     srgb : (N, 3) float32 in [0, 1], sRGB-encoded; 0 where the anchor is not set
     distance_m : (N,) float32, finite and >= 0; 0 where the anchor is not set
     is_set : (N,) bool; this and nothing else says whether an anchor was seen
-    n_skipped_points : points that sampling could not use (not finite, or at the position itself)
+    invalid : how many points of a frame were left out, by reason (not finite, at the position itself, ...)
     """
 
     srgb: ArrayF32
     distance_m: ArrayF32
     is_set: ArrayBool
-    n_skipped_points: int = 0
+    invalid: Counts = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         is_set = _checked("UnitSphereCloud.is_set", self.is_set, np.bool_, (None,))
@@ -188,6 +194,11 @@ class UnitSphereCloud:
 
     def __len__(self) -> int:
         return len(self.is_set)
+
+    @property
+    def n_invalid_points(self) -> int:
+        """Points of a frame that were left out."""
+        return n_left_out(self.invalid)
 
 
 @functools.lru_cache(maxsize=8)
@@ -229,6 +240,7 @@ class LightEstimate:
     estimator : its registered name
     is_valid : False where the light could not be known; the coefficients are then 0 and must not be used
     expected_error : SHC RMSE that the estimator expects of itself, or None
+    unknown_because : reason of `xihenet.invalid.UNKNOWN` where the light could not be known, else empty
     """
 
     sh_radiance: ArrayF64
@@ -237,6 +249,7 @@ class LightEstimate:
     estimator: str
     is_valid: bool = True
     expected_error: float | None = None
+    unknown_because: str = ""
 
     def __post_init__(self) -> None:
         sh_radiance = _checked("LightEstimate.sh_radiance", self.sh_radiance, np.float64, (9, 3))
@@ -248,6 +261,11 @@ class LightEstimate:
             raise ValueError(f"LightEstimate.coverage: expected a share from 0 to 1, got {self.coverage}")
         if self.expected_error is not None and not 0 <= self.expected_error < np.inf:
             raise ValueError(f"LightEstimate.expected_error: expected a finite error, got {self.expected_error}")
+        if self.unknown_because and (self.is_valid or self.unknown_because not in UNKNOWN):
+            raise ValueError(
+                f"LightEstimate.unknown_because: expected one of {', '.join(UNKNOWN)} and only where the light is not "
+                f"valid, got {self.unknown_because!r}"
+            )
         _set(self, sh_radiance=sh_radiance)
 
 
@@ -262,7 +280,9 @@ class StepReport:
     stage_ms : milliseconds per stage: unproject, sample, merge, trigger, encode, estimate; only stages that ran
     payload_bytes : size of the encoded cloud, 0 if none was encoded
     coverage : share of the anchors set in the temporary buffer
-    n_skipped_points : points of this frame that sampling could not use
+    invalid : points of this frame that were left out and distances that were clamped, by reason
+    unknown_because : reason of `xihenet.invalid.UNKNOWN` why this frame could not tell the light, so that the last one
+        stays; empty where it could, or where the trigger saw no need
     """
 
     decision: TriggerDecision
@@ -270,4 +290,10 @@ class StepReport:
     stage_ms: Mapping[str, float] = field(default_factory=dict)
     payload_bytes: int = 0
     coverage: float = 0.0
-    n_skipped_points: int = 0
+    invalid: Counts = field(default_factory=dict)
+    unknown_because: str = ""
+
+    @property
+    def n_invalid_points(self) -> int:
+        """Points of this frame that were left out."""
+        return n_left_out(self.invalid)

@@ -13,9 +13,12 @@ Uniform random and farthest-point sampling are here as the paper's baselines. No
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 from numpy.typing import ArrayLike
 
+from xihenet.invalid import added, counted
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, PointCloud, UnitSphereCloud
 from xihenet.sphere import AnchorLattice, NearestMethod
 
@@ -38,7 +41,7 @@ def sample_unit_sphere(
     Returns
     -------
     UnitSphereCloud with ray distances from the position. Points that are NaN or infinite, that lie at the position
-    itself, whose distance overflows float32, or whose colour is NaN or infinite are skipped and counted. Of points
+    itself, whose distance overflows float32, or whose colour is NaN or infinite are left out and counted. Of points
     with the same distance in float32 the first one wins. Colours are clipped to [0, 1].
 
     Notes
@@ -52,14 +55,14 @@ def sample_unit_sphere(
     """
     columns = _relative_columns(cloud.points_m, _checked_position(position_m))
     distance_m = _distances(columns)
-    n_skipped = _exclude_unusable(columns, distance_m, cloud)
+    invalid = _exclude_unusable(columns, distance_m, cloud)
     anchors = lattice.nearest_to_columns(columns, method)
     is_set, winners = _nearest_points(anchors, distance_m, lattice.n)
     srgb = np.zeros((lattice.n, 3), np.float32)
     srgb[is_set] = cloud.srgb.take(winners, axis=0).clip(0, 1)
     anchor_distance_m = np.zeros(lattice.n, np.float32)
     anchor_distance_m[is_set] = distance_m[winners]
-    return UnitSphereCloud(srgb, anchor_distance_m, is_set, n_skipped)
+    return UnitSphereCloud(srgb, anchor_distance_m, is_set, invalid)
 
 
 def sample_unit_sphere_reference(cloud: PointCloud, position_m: ArrayLike, lattice: AnchorLattice) -> UnitSphereCloud:
@@ -67,20 +70,23 @@ def sample_unit_sphere_reference(cloud: PointCloud, position_m: ArrayLike, latti
     position = _checked_position(position_m)
     srgb = np.zeros((lattice.n, 3), np.float32)
     nearest_m = np.full(lattice.n, np.inf, np.float32)
-    n_skipped = 0
+    reasons: list[str] = []
     for point, colour in zip(cloud.points_m.astype(np.float64), cloud.srgb, strict=True):
         relative = point - position
-        with np.errstate(over="ignore"):  # A distance beyond float32 is infinite, and is skipped and counted below.
+        with np.errstate(over="ignore"):  # A distance beyond float32 is infinite, and is left out and counted below.
             distance_m = np.float32(np.sqrt((relative * relative).sum()))
         if not (np.isfinite(distance_m) and distance_m > 0 and np.isfinite(colour).all()):
-            n_skipped += 1
+            lost = "too_far" if np.isfinite(point).all() else "not_finite"
+            reasons += [lost if not np.isfinite(distance_m) else "colour_not_finite" if distance_m else "at_probe"]
             continue
         anchor = int(np.argmax(lattice.directions @ relative))
         if distance_m < nearest_m[anchor]:
             nearest_m[anchor] = distance_m
             srgb[anchor] = colour.clip(0, 1)
     is_set = np.isfinite(nearest_m)
-    return UnitSphereCloud(srgb, np.where(is_set, nearest_m, 0), is_set, n_skipped)
+    own = Counter(reasons)
+    own["not_finite"] -= sum(cloud.invalid.values())
+    return UnitSphereCloud(srgb, np.where(is_set, nearest_m, 0), is_set, added([cloud.invalid, +own]))
 
 
 def sample_uniform(cloud: PointCloud, n: int, rng: np.random.Generator) -> PointCloud:
@@ -155,10 +161,10 @@ def _distances(columns: ArrayF32) -> ArrayF32:
     return distances
 
 
-def _exclude_unusable(columns: ArrayF32, distance_m: ArrayF32, cloud: PointCloud) -> int:
-    """Move points that cannot be used to an infinite distance, in place; how many there are."""
+def _exclude_unusable(columns: ArrayF32, distance_m: ArrayF32, cloud: PointCloud) -> dict[str, int]:
+    """Move points that cannot be used to an infinite distance, in place; how many there are, by reason."""
     if not len(distance_m):
-        return 0
+        return {}
     is_usable: ArrayBool | None = None
     # NaN passes through a minimum and makes every comparison False.
     if not (distance_m.min() > 0 and distance_m.max() < np.inf):
@@ -167,11 +173,27 @@ def _exclude_unusable(columns: ArrayF32, distance_m: ArrayF32, cloud: PointCloud
         is_finite = np.isfinite(cloud.srgb).all(axis=1)
         is_usable = is_finite if is_usable is None else is_usable & is_finite
     if is_usable is None:
-        return 0
+        return {}
     unusable = np.flatnonzero(~is_usable)
+    invalid = _why_unusable(distance_m[unusable], unusable, cloud)
     columns[:, unusable] = 1
     distance_m[unusable] = np.inf
-    return len(unusable)
+    return invalid
+
+
+def _why_unusable(distance_m: ArrayF32, unusable: ArrayInt, cloud: PointCloud) -> dict[str, int]:
+    """Reasons of the points of these numbers, as far as the cloud does not name them, and their distances."""
+    n_at_probe = np.count_nonzero(distance_m == 0)
+    n_uncoloured = np.count_nonzero((distance_m > 0) & (distance_m < np.inf))
+    n_left = len(unusable) - n_at_probe - n_uncoloured - sum(cloud.invalid.values())
+    n_too_far = 0
+    if n_left > 0:  # Else all are pixels without a plane depth, and there is no need to look at each.
+        is_lost = ~((distance_m >= 0) & (distance_m < np.inf))
+        n_too_far = np.count_nonzero(np.isfinite(cloud.points_m[unusable[is_lost]]).all(axis=1))
+    own = counted(
+        at_probe=n_at_probe, colour_not_finite=n_uncoloured, too_far=n_too_far, not_finite=max(n_left - n_too_far, 0)
+    )
+    return added([cloud.invalid, own])
 
 
 def _nearest_points(anchors: ArrayInt, distance_m: ArrayF32, n_anchors: int) -> tuple[ArrayBool, ArrayInt]:
@@ -184,6 +206,11 @@ def _nearest_points(anchors: ArrayInt, distance_m: ArrayF32, n_anchors: int) -> 
     np.minimum.at(best, anchors, keys)
     is_set: ArrayBool = best < _INFINITY_KEY
     return is_set, (best[is_set] & np.uint64(2**32 - 1)).astype(np.intp)
+
+
+def has_usable_points(cloud: PointCloud) -> bool:
+    """Whether any point's place and colour are finite."""
+    return len(_finite_points(cloud, 0)) > 0
 
 
 def _finite_points(cloud: PointCloud, n: int) -> ArrayInt:

@@ -5,6 +5,7 @@ import json
 import math
 
 from xihe_blender.effects.overrides import PHONE_EFFECTS
+from xihenet.invalid import CLAMPED, UNKNOWN, in_words
 
 FRAME_TIMES = {"render_s", "work_s", "stage_ms", "comparison_render_s"}
 SUMMARY_TIMES = {"render_s", "pilot_s", "comparison_render_s", "overhead_share", "mean_step_ms"}
@@ -99,11 +100,18 @@ def _check_frame(entry, frames):
         assert entry["render_s"] == 0
     assert isinstance(entry["is_delivered"], bool) and (entry["is_delivered"] or not entry["active"])
     assert all(isinstance(n, int) and n >= 0 for n in entry["n_lost_pixels"].values())
+    _check_counts(entry["invalid"], entry["n_invalid_pixels"])
     for probe in entry["probes"]:
         _check_probe(probe)
         _check_arrival(probe, entry["frame"], frames)
     if "estimate" in entry["stage_ms"]:
         assert any(probe["fired"] for probe in entry["probes"])
+
+
+def _check_counts(counts, n_left_out):
+    """Every reason has words and a count, and those that leave something out add up."""
+    assert all(isinstance(n, int) and n > 0 and in_words(reason) for reason, n in counts.items())
+    assert sum(n for reason, n in counts.items() if reason not in CLAMPED) == n_left_out
 
 
 def _check_rendering(entry):
@@ -127,6 +135,10 @@ def _check_probe(probe):
     assert (probe["change"] is None) == (probe["reason"] == "first")
     assert probe["change"] is None or probe["change"] >= 0
     assert isinstance(probe["payload_bytes"], int)
+    _check_counts(probe["invalid"], probe["n_invalid_points"])
+    assert probe["n_skipped_points"] == probe["n_invalid_points"]
+    assert probe["is_valid"] == (probe["unknown_because"] is None)
+    assert probe["is_valid"] or probe["unknown_because"] in UNKNOWN
     assert probe["fired"] == (probe["payload_bytes"] > 0)
     for name in ("sh", "sh_truth"):
         assert len(probe[name]) == 9 and all(_are_numbers(triple, 3) for triple in probe[name]), name
@@ -137,7 +149,8 @@ def _check_probe(probe):
 
 
 def _check_arrival(probe, frame, frames):
-    latency, arrives = probe["latency_ms"], probe["arrival_frame"]
+    latency, arrives, source = probe["latency_ms"], probe["arrival_frame"], probe["light_frame"]
+    assert source is None or (source in frames and source <= frame)
     assert latency is None or (_is_number(latency) and latency >= 0 and probe["fired"])
     assert arrives is None or (arrives in frames and arrives >= frame and latency is not None)
 
@@ -147,7 +160,7 @@ def _check_comparison(results):
     methods = {results["settings"]["estimator"], "ambient", "truth"} if compared else set()
     assert set(results["comparison"]) == methods
     for entry in compared:
-        assert entry["active"] and set(entry["comparison"]) == methods
+        assert entry["active"] and set(entry["comparison"]) == set(entry["n_hueless_pixels"]) == methods
     for of_one in [results["comparison"], *(entry["comparison"] for entry in compared)]:
         for metrics in of_one.values():
             assert set(metrics) == METRICS
@@ -156,6 +169,12 @@ def _check_comparison(results):
 
 def _check_summary(results):
     summary, frames = results["summary"], results["frames"]
+    probes = [probe for entry in frames for probe in entry["probes"]]
+    _check_counts(summary["invalid"]["pixels"], summary["n_invalid_pixels"])
+    _check_counts(summary["invalid"]["points"], summary["n_invalid_points"])
+    assert summary["n_invalid_points"] == sum(probe["n_invalid_points"] for probe in probes)
+    assert sum(summary["invalid"]["lights"].values()) == summary["n_unknown_lights"]
+    assert summary["n_unknown_lights"] == sum(not probe["is_valid"] for probe in probes)
     assert summary["n_frames"] == len(frames)
     assert summary["n_active_frames"] == sum(entry["active"] for entry in frames)
     assert summary["n_estimates"] == sum(probe["fired"] for entry in frames for probe in entry["probes"])

@@ -106,7 +106,7 @@ def test_nothing_to_see_gives_an_estimate_that_says_it_is_not_valid():
     frame = looking(0.0)
     blind = RgbdFrame(frame.srgb_u8, np.zeros((36, 48)), CAMERA, frame.world_from_camera)
     report = controller.step(blind)["Vase"]
-    assert not report.decision.fire and report.n_skipped_points == 36 * 48
+    assert not report.decision.fire and report.n_invalid_points == 36 * 48
     assert controller.light("Vase") is None
     assert not controller.estimate_at((0, 1.5, 0)).is_valid
 

@@ -122,7 +122,7 @@ def test_the_json_says_all_there_is_to_say(exr, capfd):
     assert [one["position_m"] for one in positions] == [[0, 2, -0.3], [-1, 2, 0]]
     for one in positions:
         assert np.shape(one["sh_radiance"]) == (9, 3) and np.isfinite(one["sh_radiance"]).all()
-        assert 0 < one["coverage"] < 1 and one["n_skipped_points"] == 0
+        assert 0 < one["coverage"] < 1 and one["n_invalid_points"] == 0
         assert (one["in_view"], one["is_valid"], one["expected_error"]) == (True, True, None)
 
 
@@ -258,3 +258,41 @@ def test_a_mistake_gets_one_line_that_names_it_and_leaves_nothing(folder, monkey
     assert told.out == "" and told.err.count("\n") == 1 and told.err.startswith("xihe: ")
     assert said in told.err
     assert sorted(folder.rglob("*")) == before
+
+
+# ------------------------------------------------------------------------------------------------------- invalid data
+
+
+def test_pixels_that_give_no_point_are_counted_by_reason(folder, capfd):
+    radiance, plane_depth_m = RADIANCE.copy(), PLANE_DEPTH_M.copy()
+    radiance[0, :2], radiance[1, 0, 1], radiance[1, 1] = np.nan, -1.0, np.inf
+    plane_depth_m[2, :3], plane_depth_m[3, 0], plane_depth_m[4, :4] = 1e10, np.nan, 0.0
+    broken = write_exr(folder / "broken.exr", radiance, plane_depth_m)
+    asked = [broken, "--camera", folder / "camera.json", "--at", AT]
+    assert estimate(*asked, "--json") == 0
+    (one,) = read_strictly(capfd.readouterr().out)["positions"]
+    assert one["invalid"] == {
+        "not_finite": 1, "no_surface": 3, "no_distance": 4, "colour_not_finite": 2,
+        "negative_colour": 1, "infinite_colour": 1,
+    }  # fmt: skip
+    assert one["n_skipped_points"] == one["n_invalid_points"] == 10 and one["unknown_because"] is None
+    assert estimate(*asked) == 0
+    assert "points left out or clamped: 1 (a plane depth or a place that is NaN" in capfd.readouterr().out
+
+
+def test_a_light_that_cannot_be_known_is_black_and_says_why(folder, capfd):
+    plane_depth_m = np.zeros_like(PLANE_DEPTH_M)
+    plane_depth_m[5, 7] = 2.0
+    alone = write_exr(folder / "alone.exr", RADIANCE, plane_depth_m)
+    frame = read_frame(alone, read_camera(folder / "camera.json"))
+    at = unproject_frame(frame).points_m[5 * RADIANCE.shape[1] + 7].astype(float).tolist()
+    asked = [alone, "--camera", folder / "camera.json", f"--at={','.join(map(repr, at))}"]
+    assert estimate(*asked, "--json") == 0
+    (one,) = read_strictly(capfd.readouterr().out)["positions"]
+    assert (one["is_valid"], one["unknown_because"], one["coverage"]) == (False, "nothing_seen", 0)
+    assert one["invalid"] == {"no_distance": plane_depth_m.size - 1, "at_probe": 1}
+    assert not np.any(one["sh_radiance"]) and one["expected_error"] is None
+    assert estimate(*asked) == 0
+    assert "the light cannot be known: no surface was seen from there" in capfd.readouterr().out
+    assert estimate(*asked, "--json", "--estimator", "ambient") == 0
+    assert read_strictly(capfd.readouterr().out)["positions"][0]["is_valid"]

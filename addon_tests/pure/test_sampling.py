@@ -31,7 +31,7 @@ def assert_same(a, b, rtol=4e-7):
     np.testing.assert_array_equal(a.is_set, b.is_set)
     np.testing.assert_array_equal(a.srgb, b.srgb)
     np.testing.assert_allclose(a.distance_m, b.distance_m, rtol=rtol)
-    assert a.n_skipped_points == b.n_skipped_points
+    assert a.invalid == b.invalid
 
 
 def nasty_cloud(rng):
@@ -60,7 +60,7 @@ def test_sampling_agrees_with_the_reference_on_nasty_points(n, seed):
     cloud, lattice = nasty_cloud(np.random.default_rng(seed)), AnchorLattice(n)
     sampled = sample_unit_sphere(cloud, ORIGIN, lattice)
     assert_same(sampled, sample_unit_sphere_reference(cloud, ORIGIN, lattice))
-    assert sampled.n_skipped_points == 3 + 1 + 2 + 3
+    assert sampled.n_invalid_points == 3 + 1 + 2 + 3
 
 
 def test_sampling_keeps_the_nearer_colour():
@@ -164,7 +164,7 @@ def test_skipped_points_change_nothing_but_the_count():
         np.insert(cloud.points_m, places, bad_points, axis=0), np.insert(cloud.srgb, places, bad_srgb, axis=0)
     )
     clean, sampled = sample_unit_sphere(cloud, ORIGIN, LATTICE), sample_unit_sphere(mixed, ORIGIN, LATTICE)
-    assert (clean.n_skipped_points, sampled.n_skipped_points) == (0, 5)
+    assert (clean.n_invalid_points, sampled.n_invalid_points) == (0, 5)
     np.testing.assert_array_equal(sampled.is_set, clean.is_set)
     np.testing.assert_array_equal(sampled.srgb, clean.srgb)
     np.testing.assert_array_equal(sampled.distance_m, clean.distance_m)
@@ -173,12 +173,12 @@ def test_skipped_points_change_nothing_but_the_count():
 @pytest.mark.parametrize("point", [[np.nan, 0, 0], [2, 3, 4]])
 def test_nothing_but_skipped_points_sets_no_anchor(point):
     sampled = sample_unit_sphere(PointCloud([point] * 9, np.ones((9, 3))), [2, 3, 4], LATTICE)
-    assert not sampled.is_set.any() and sampled.n_skipped_points == 9
+    assert not sampled.is_set.any() and sampled.n_invalid_points == 9
 
 
 def test_cloud_without_points_is_legal():
     sampled = sample_unit_sphere(PointCloud(np.zeros((0, 3)), np.zeros((0, 3))), ORIGIN, LATTICE)
-    assert len(sampled) == 1280 and not sampled.is_set.any() and sampled.n_skipped_points == 0
+    assert len(sampled) == 1280 and not sampled.is_set.any() and sampled.n_invalid_points == 0
 
 
 def test_black_surface_is_set():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from xihenet.backend import LocalBackend, estimate_light
 from xihenet.estimators.base import EstimateContext
 from xihenet.estimators.lattice_format import load_weights
 from xihenet.estimators.pointconv import PointAR, PointConvArchitecture, XiheNet, load_pointconv_weights
@@ -47,6 +48,18 @@ def random_clouds(seed=0, n_clouds=6, n=N):
     is_set = rng.random((n_clouds, n)) < np.linspace(0.1, 1, n_clouds)[:, None]
     srgb = rng.random((n_clouds, n, 3)) * is_set[..., None]
     return srgb.astype(np.float32), (rng.random((n_clouds, n)) * 5 * is_set).astype(np.float32), is_set
+
+
+def test_pointar_knows_no_light_without_a_point_in_the_frame_whatever_was_seen_before(files):
+    estimator, cloud = PointAR(N, weights=files["pointar"][0]), UnitSphereCloud(*(part[5] for part in random_clouds()))
+    seen = PointCloud([[1.0, 2.0, 3.0], [np.nan] * 3], [[0.5] * 3] * 2)
+    blind = PointCloud([[np.nan] * 3, [1.0, 2.0, 3.0]], [[0.5] * 3, [np.inf] * 3])
+    reasons = [
+        estimator.unknown_because(cloud, EstimateContext(points=p, position_m=np.zeros(3))) for p in (seen, blind)
+    ]
+    assert reasons == ["", "no_points"]
+    light = estimate_light(LocalBackend(estimator), cloud, EstimateContext(points=blind, position_m=np.zeros(3)), 1.0)
+    assert not light.is_valid and light.unknown_because == "no_points" and not light.sh_radiance.any()
 
 
 def nasty_clouds(n=N):

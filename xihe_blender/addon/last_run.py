@@ -32,6 +32,8 @@ class LastRun:
     coverage : mean share of the sphere that was seen
     step_ms : mean time of the chain per frame, without rendering
     render_s : time that rendering took, comparisons included
+    n_invalid_points : points that were left out, as every position counts them
+    n_unknown_lights : how often the light at a position could not be known, so that the last one stayed
     coverage_by_position : share of the sphere that was seen, at the end of the run, by name of the estimation position
     """
 
@@ -43,6 +45,8 @@ class LastRun:
     coverage: float | None
     step_ms: float | None
     render_s: float
+    n_invalid_points: int
+    n_unknown_lights: int
     coverage_by_position: Mapping[str, float]
 
 
@@ -79,5 +83,8 @@ def _picked(content: Mapping[str, Any]) -> LastRun:
         coverage=summary["mean_coverage"],
         step_ms=summary["mean_step_ms"],
         render_s=summary["render_s"] + summary["comparison_render_s"],
+        # Runs of before these were counted have none to show.
+        n_invalid_points=summary.get("n_invalid_points", 0),
+        n_unknown_lights=summary.get("n_unknown_lights", 0),
         coverage_by_position={probe["name"]: probe["coverage"] for probe in probes},
     )

@@ -264,7 +264,7 @@ def missing_run(folder: str) -> str:
 
 def result_rows(run: LastRun) -> list[tuple[str, str]]:
     """(label, value) of the last run, both short enough for half the sidebar."""
-    return [
+    rows = [
         ("Triggers", f"{run.n_estimates} in {run.n_frames} frames"),
         ("Light Error", _number(run.shc_rmse, ".3f")),
         ("Ambient Error", _number(run.ambient_shc_rmse, ".3f")),
@@ -272,6 +272,11 @@ def result_rows(run: LastRun) -> list[tuple[str, str]]:
         ("Chain", _number(run.step_ms, ".1f", " ms")),
         ("Rendering", in_words(run.render_s)),
     ]
+    if run.n_invalid_points:
+        rows.append(("Invalid Points", f"{run.n_invalid_points:,}"))
+    if run.n_unknown_lights:
+        rows.append(("Light Kept", f"{run.n_unknown_lights} times"))
+    return rows
 
 
 def _number(value: float | None, form: str, unit: str = "") -> str:

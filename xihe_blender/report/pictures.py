@@ -14,7 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from xihe_blender.outputs import RunOutputs
+from xihe_blender.report.invalid import is_kept, kept_in_words
 from xihe_blender.report.timeline import (
+    KEPT,
     Timeline,
     fired_probes,
     is_active,
@@ -25,7 +27,18 @@ from xihe_blender.report.timeline import (
     reason_in_words,
     reason_of,
 )
-from xihe_blender.report.values import code, counted, escape, finite, listed, mapping, number_runs, percent, significant
+from xihe_blender.report.values import (
+    code,
+    counted,
+    escape,
+    finite,
+    items,
+    listed,
+    mapping,
+    number_runs,
+    percent,
+    significant,
+)
 
 MAX_FRAMES = 16
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -175,6 +188,8 @@ def _what_happened(frame: Frame) -> str:
     for reason in dict.fromkeys(map(reason_of, fired_probes(frame))):
         names = [escape(probe_name(probe)) for probe in fired_probes(frame) if reason_of(probe) == reason]
         sentences.append(f"{reason_icon(reason)} Estimate made for {listed(names)}: {reason_in_words(reason)}.")
+    for probe in filter(is_kept, items(frame, "probes")):
+        sentences.append(f"{reason_icon(KEPT)} {escape(probe_name(probe))}{kept_in_words(probe)}.")
     if not is_active(frame):
         sentences.append("No probe in view.")
     elif not sentences:

@@ -12,8 +12,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from xihe_blender.report.invalid import is_kept, kept_in_words
 from xihe_blender.report.svg import HEIGHT_PX, Axis, axis_up_to, curve, mark, plot, stretched
 from xihe_blender.report.timeline import (
+    KEPT,
     REASONS,
     Timeline,
     fired_probes,
@@ -81,6 +83,8 @@ def _shared_legend(timeline: Timeline) -> str:
     ]
     reasons = sorted({reason_of(p) for f in timeline.frames for p in fired_probes(f)}, key=_reason_order)
     entries += [f"<li>{reason_icon(reason)} estimate made: {reason_in_words(reason)}</li>" for reason in reasons]
+    if any(is_kept(probe) for frame in timeline.frames for probe in items(frame, "probes")):
+        entries.append(f"<li>{reason_icon(KEPT)} light could not be known: the last one stays</li>")
     if timeline.inactive_spans():
         entries.append('<li><span class="shade-icon"></span> no probe in view</li>')
     return f'<ul class="legend">{"".join(entries)}</ul>'
@@ -131,7 +135,8 @@ def _hover(timeline: Timeline, tell: Callable[[Mapping[str, Any]], str | None]) 
 
 
 def _fired_in_words(probe: Mapping[str, Any]) -> str:
-    return f", estimate made: {reason_in_words(reason_of(probe))}" if probe.get("fired") else ""
+    made = f", estimate made: {reason_in_words(reason_of(probe))}" if probe.get("fired") else ""
+    return made + kept_in_words(probe)
 
 
 def _error_plot(timeline: Timeline, results: Mapping[str, Any]) -> str:
@@ -173,7 +178,8 @@ def _change_plot(timeline: Timeline) -> str:
     if probes and limit is not None:
         drawing = _limit_line(axis, limit) + drawing
         legend += _limit_legend("threshold" if is_relative else f"threshold {significant(limit)}")
-    about = f"{_RELATIVE if is_relative else _ABSOLUTE} The rows below tell when and why an estimate was made."
+    rows = "The rows below tell when and why an estimate was made, or could not be."
+    about = f"{_RELATIVE if is_relative else _ABSOLUTE} {rows}"
     title, hover = "Change against the trigger threshold", _hover(timeline, _change_in_words)
     return plot(timeline, axis, drawing, hover, title=title, about=about, legend=legend)
 
@@ -199,8 +205,8 @@ def _change_in_words(probe: Mapping[str, Any]) -> str:
 
 
 def _lanes(timeline: Timeline) -> str:
-    """One row per probe with a mark at each frame for which its estimate was made."""
-    if not any(fired_probes(frame) for frame in timeline.frames):
+    """One row per probe with a mark at each frame for which its estimate was made, or its light could not be known."""
+    if not any(p.get("fired") or is_kept(p) for frame in timeline.frames for p in items(frame, "probes")):
         return ""
     rows = ""
     for place, name in enumerate(timeline.probe_names):
@@ -208,9 +214,15 @@ def _lanes(timeline: Timeline) -> str:
         rows += f'<text class="tick-y" x="-8" y="{y}">{place + 1}</text>'
         rows += f'<line class="grid" x1="0" x2="100%" y1="{y}" y2="{y}"/>'
         for x, frame in zip(timeline.centres_percent, timeline.frames, strict=True):
-            if (probe := probe_in(frame, name)).get("fired"):
-                words = f"{moment_in_words(frame)}\n{escape(name)}: {reason_in_words(reason_of(probe))}"
-                rows += mark(x, y, reason_of(probe), classes=series_class(place), words=words)
+            probe = probe_in(frame, name)
+            if probe.get("fired") or is_kept(probe):
+                told = (reason_in_words(reason_of(probe)) if probe.get("fired") else "no estimate") + kept_in_words(
+                    probe
+                )
+                words = f"{moment_in_words(frame)}\n{escape(name)}: {told}"
+                rows += mark(
+                    x, y, KEPT if is_kept(probe) else reason_of(probe), classes=series_class(place), words=words
+                )
     height = LANE_PX * len(timeline.probe_names)
     return f'<svg class="lanes" role="img" aria-label="Estimates made, a row per probe" height="{height}">{rows}</svg>'
 

@@ -13,6 +13,8 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from xihe_blender.report.invalid import HEAD as INVALID_HEAD
+from xihe_blender.report.invalid import invalid_otherwise, invalid_rows, undefined_in_words
 from xihe_blender.report.phone import phone_caption, phone_in_words, phone_rows
 from xihe_blender.report.pictures import METHOD_MEANINGS
 from xihe_blender.report.timeline import Timeline, probe_in, reason_in_words, reason_of
@@ -43,12 +45,7 @@ METRICS = (
     ("angular_deg", "down", ""),
 )
 _BETTER = {"up": "\N{UPWARDS ARROW} higher is better", "down": "\N{DOWNWARDS ARROW} lower is better"}
-_UNDEFINED = {
-    "psnr": "has no finite value for identical pictures, and none where no pixel of an object is seen",
-    "angular_deg": "is undefined where one of the colours is black",
-}
 MINUS = "\N{MINUS SIGN}"
-_UNDEFINED_OTHERWISE = "is undefined where no pixel of an object is seen"
 
 
 def numbers_section(results: Mapping[str, Any]) -> str:
@@ -59,6 +56,7 @@ def numbers_section(results: Mapping[str, Any]) -> str:
         _block("Probes", _probes(timeline)),
         _block("Effects", _effects(results)),
         _block("Phone", _phone(results)),
+        _block("What was invalid, and why", _invalid(results)),
         _block("Notes", _notes(results)),
         _block("Command", _command(results)),
         _facts(results),
@@ -157,7 +155,7 @@ def _null_reasons(comparison: Mapping[str, Any], methods: Sequence[str]) -> str:
     for name, _, _ in METRICS:
         empty = [code(m) for m in methods if finite(mapping(comparison, m).get(name)) is None]
         if empty:
-            reasons.append(f"{name} of {listed(empty)} {_UNDEFINED.get(name, _UNDEFINED_OTHERWISE)}")
+            reasons.append(f"{name} of {listed(empty)} {undefined_in_words(name)}")
     if any(m != "ambient" and closeness(comparison, m) is None for m in methods):
         reasons.append("a method is measured against <code>ambient</code> only where both have an rmse above 0")
     return f'<p class="quiet">{DASH} means no value: {"; ".join(reasons)}.</p>' if reasons else ""
@@ -262,6 +260,11 @@ def _phone(results: Mapping[str, Any]) -> str:
     rows = phone_rows(results)
     head = ["effect", "SHC RMSE, all on", "without it", "it adds"]
     return phone_in_words(results) + (_table(head, rows) + phone_caption() if rows else "")
+
+
+def _invalid(results: Mapping[str, Any]) -> str:
+    rows, otherwise = invalid_rows(results), invalid_otherwise(results)
+    return (_table(INVALID_HEAD, rows, "words") if rows else "") + (f"<p>{otherwise}</p>" if otherwise else "")
 
 
 def _notes(results: Mapping[str, Any]) -> str:

@@ -23,7 +23,11 @@ _SHAPES = {
     "first": "M0-6.5L6 0L0 6.5L-6 0Z",
     "colour": "M-5 0a5 5 0 1 0 10 0a5 5 0 1 0-10 0Z",
     "coverage": "M0-6L6 5L-6 5Z",
+    "kept": "M-5-3L-3-5L0-2L3-5L5-3L2 0L5 3L3 5L0 2L-3 5L-5 3L-2 0Z",
 }
+KEPT = "kept"
+"""Stands where a reason stands, for a frame whose light could not be known."""
+
 _SQUARE = "M-4.5-4.5h9v9h-9Z"
 N_COLOURS = 6
 

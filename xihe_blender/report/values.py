@@ -112,6 +112,11 @@ def number_runs(numbers: Sequence[int]) -> str:
     return ", ".join(f"{run[0]}{DASH}{run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs)
 
 
+def frames_told(numbers: Sequence[int]) -> str:
+    """Frames by their numbers, ascending: "frame 3", "frames 1, 4-9"."""
+    return f"frame{'' if len(numbers) == 1 else 's'} {number_runs(numbers)}"
+
+
 def closeness(comparison: Mapping[str, Any], method: str) -> float | None:
     """How much closer to the ground truth `method` is than `ambient`: 1 - rmse / rmse of `ambient`.
 

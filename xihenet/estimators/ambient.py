@@ -20,6 +20,10 @@ class Ambient(Estimator):
     name = "ambient"
     needs = frozenset({"frame"})
 
+    def unknown_because(self, cloud: UnitSphereCloud, context: EstimateContext) -> str:
+        """A sensor knows it wherever the camera looks."""
+        return "" if _sensed_radiance(context) is not None else super().unknown_because(cloud, context)
+
     def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> ArrayF64:
         radiance = _sensed_radiance(context)
         if radiance is None:

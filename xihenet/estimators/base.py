@@ -1,7 +1,7 @@
 """What every estimator promises: a cloud goes in, nine finite coefficients per channel come out.
 
 The checks that all estimators share (anchor count, finite output, what a context must hold) live here once; an
-estimator writes `_estimate`. Whether the light could be known at all is the controller's judgement, by coverage.
+estimator writes `_estimate`. Each says by `unknown_because` whether the light can be known at all.
 """
 
 from __future__ import annotations
@@ -38,6 +38,10 @@ class EstimateContext:
     reference_exposure: float | None = None
 
 
+class NotFinite(ValueError):
+    """An estimator's result is not nine finite triples."""
+
+
 class Estimator(ABC):
     """One way to know the light at a position.
 
@@ -50,6 +54,8 @@ class Estimator(ABC):
     name: ClassVar[str]
     needs: ClassVar[frozenset[str]] = frozenset()
     """Fields of `EstimateContext` that this estimator is made for."""
+    farthest_m: ClassVar[float] = np.inf
+    """Distances beyond are taken for this one."""
 
     def __init__(self, n_anchors: int = 1280, target: Target = "ldr") -> None:
         if n_anchors < 1:
@@ -63,7 +69,8 @@ class Estimator(ABC):
         """(9, 3) radiance coefficients carrying the session's exposure.
 
         A cloud without a set anchor is legal; what it gives is the estimator's guess, finite in any case.
-        ValueError for another number of anchors, a missing part of the context, or a result that is not finite.
+        ValueError for another number of anchors or a missing part of the context; `NotFinite`, which is one, for a
+        result that is not finite.
         """
         self._check_size(cloud)
         return self._checked(self._estimate(cloud, context or EstimateContext()))
@@ -73,6 +80,10 @@ class Estimator(ABC):
     ) -> tuple[ArrayF64, float | None]:
         """As `estimate`, and the SHC RMSE the estimator expects of it; None from one that does not know."""
         return self.estimate(cloud, context), None
+
+    def unknown_because(self, cloud: UnitSphereCloud, context: EstimateContext) -> str:
+        """Reason of `xihenet.invalid.UNKNOWN` why the light cannot be known from this; empty where it can."""
+        return "" if cloud.is_set.any() else "nothing_seen"
 
     def estimate_batch(self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike) -> ArrayF64:
         """(B, 9, 3) from srgb (B, N, 3), distance_m (B, N) and is_set (B, N); equals B single estimates. B may be 0."""
@@ -86,7 +97,7 @@ class Estimator(ABC):
 
     def _checked(self, sh_radiance: ArrayF64) -> ArrayF64:
         if sh_radiance.shape != (9, 3) or not np.isfinite(sh_radiance).all():
-            raise ValueError(f"{self.name}: the estimate is not nine finite triples; refusing to pass it on")
+            raise NotFinite(f"{self.name}: the estimate is not nine finite triples; refusing to pass it on")
         return sh_radiance
 
     @abstractmethod

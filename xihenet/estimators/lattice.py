@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xihenet.estimators.ambient import Ambient
-from xihenet.estimators.base import EstimateContext, Estimator, Target
+from xihenet.estimators.base import EstimateContext, Estimator, NotFinite, Target
 from xihenet.estimators.calibration import Calibration
 from xihenet.estimators.lattice_format import LatticeWeights, load_weights
 from xihenet.estimators.lattice_tables import N_SH, anchor_tables, pooling_matrix, quadrature_matrix, slot_order
@@ -70,6 +70,7 @@ class Lattice(Estimator):
     """
 
     name = "lattice"
+    farthest_m = FARTHEST_M
 
     def __init__(self, n_anchors: int = 1280, target: Target = "ldr", *, weights: Path | None = None) -> None:
         super().__init__(n_anchors, target)
@@ -112,7 +113,7 @@ class Lattice(Estimator):
             light, error = self._network.run(colours[block], distances[block], known[block])
             sh_radiance[block], expected_error[block] = light, error
         if not np.isfinite(sh_radiance).all():
-            raise ValueError("lattice: an estimate is not finite; refusing to pass it on")
+            raise NotFinite("lattice: an estimate is not finite; refusing to pass it on")
         return sh_radiance, self._calibration.expected(expected_error, known.mean(axis=1))
 
     def _checked_batch(

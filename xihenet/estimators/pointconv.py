@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihenet.estimators.base import EstimateContext, Estimator, Target
+from xihenet.estimators.base import EstimateContext, Estimator, NotFinite, Target
 from xihenet.estimators.weights_format import WEIGHTS_FOLDER, NetworkWeights, read_weights
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, PointCloud, UnitSphereCloud
-from xihenet.sampling import sample_uniform
+from xihenet.sampling import has_usable_points, sample_uniform
 from xihenet.sphere import AnchorLattice
 
 FARTHEST_M = 65504.0  # As training stores them, in float16.
@@ -87,6 +87,8 @@ class _PointConv(Estimator):
     ValueError : if the file is missing, broken, of another version, or was trained for another estimator or target
     """
 
+    farthest_m = FARTHEST_M
+
     def __init__(self, n_anchors: int = 1280, target: Target = "ldr", *, weights: Path | None = None) -> None:
         super().__init__(n_anchors, target)
         nets = _networks_in_torch(self.name)
@@ -102,7 +104,7 @@ class _PointConv(Estimator):
         """(B, 9, 3) from points (B, N, 3) relative to the position, their colours, and which of them there are."""
         sh_radiance: ArrayF64 = self._run(self._network, points_m, srgb, is_set).astype(np.float64)
         if not np.isfinite(sh_radiance).all():
-            raise ValueError(f"{self.name}: an estimate is not finite; refusing to pass it on")
+            raise NotFinite(f"{self.name}: an estimate is not finite; refusing to pass it on")
         return sh_radiance
 
 
@@ -157,6 +159,11 @@ class PointAR(_PointConv):
             "pointar: draws from the raw points, which clouds of anchors no longer hold; "
             "call estimate with EstimateContext(points=..., position_m=...) for each"
         )
+
+    def unknown_because(self, cloud: UnitSphereCloud, context: EstimateContext) -> str:
+        """Anchors of earlier frames do not help: the points are those of the moment."""
+        points = context.points
+        return "no_points" if points is not None and not has_usable_points(points) else ""
 
     def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> ArrayF64:
         if context.points is None or context.position_m is None:

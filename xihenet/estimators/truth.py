@@ -14,6 +14,10 @@ class Truth(Estimator):
     name = "truth"
     needs = frozenset({"truth_sh"})
 
+    def unknown_because(self, cloud: UnitSphereCloud, context: EstimateContext) -> str:
+        """Known whatever the phone has seen."""
+        return ""
+
     def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> ArrayF64:
         if context.truth_sh is None:
             raise ValueError("truth: needs the rendered light probe; give EstimateContext(truth_sh=...)")

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.camera import valid_plane_depth
+from xihenet.invalid import added, counted
 from xihenet.phone import depth, holes
 from xihenet.phone.exposure import AutoExposure, expose, follow_exposure
 from xihenet.phone.frame_rate import FrameRate
@@ -147,7 +148,11 @@ class PhoneCamera:
             seen = replace(seen, plane_depth_m=plane_depth_m)
         seen = self._exposed(seen, radiance, track)
         seen = drift_pose(seen, self.settings("pose_drift", PoseDrift), [self.seed, SEEDS["pose_drift"]])
-        return self._with_light(seen, track), PixelCounts(n_pixels, n_invalid, n_lost | holes_made)
+        counts = PixelCounts(n_pixels, n_invalid, n_lost | holes_made)
+        if any(counts.n_lost.values()):
+            # Rows read elsewhere may hold fewer invalid pixels than the capture: those it gives up come last.
+            seen = replace(seen, invalid=added([counted(**counts.n_lost), frame.invalid]))
+        return self._with_light(seen, track), counts
 
     def _measured(self, frame: RgbdFrame, facts: SurfaceFacts) -> tuple[ArrayF32, dict[str, int]]:
         """The plane depth that the range sensor gives, and how many pixels each effect took, counted once."""

@@ -22,9 +22,10 @@ from xihenet.records import LightEstimate
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """One estimate: asked for at `asked_s`, there at `arrival_s` (infinite if it was lost), both of the session."""
+    """An estimate asked for in `frame` at `asked_s`, there at `arrival_s` (infinite if it was lost), of the session."""
 
     estimate: LightEstimate
+    frame: int
     asked_s: float
     arrival_s: float
 
@@ -50,14 +51,19 @@ class EstimatesUnderWay:
     def ask(self, name: str, estimate: LightEstimate, *, frame: int, asked_s: float, payload_bytes: int) -> Request:
         """Send for `estimate` of position `name`, made from the frame of number `frame` at `asked_s`."""
         arrival_s = float(arrival_frames([asked_s], payload_bytes, self.link, self._rng(name, frame))[0])
-        request = Request(estimate, asked_s, arrival_s)
+        request = Request(estimate, frame, asked_s, arrival_s)
         self._requests.setdefault(name, []).append(request)
         return request
 
-    def light(self, name: str, time_s: float) -> LightEstimate | None:
-        """The light in force at a position at `time_s`: the valid estimate that was asked for last, of those there."""
+    def in_force(self, name: str, time_s: float) -> Request | None:
+        """What lights a position at `time_s`: the valid estimate that was asked for last, of those there."""
         there = [r for r in self._requests.get(name, ()) if r.estimate.is_valid and r.arrival_s <= time_s]
-        return max(there, key=lambda request: request.asked_s).estimate if there else None
+        return max(there, key=lambda request: request.asked_s) if there else None
+
+    def light(self, name: str, time_s: float) -> LightEstimate | None:
+        """The light in force at a position at `time_s`; None before the first valid estimate is there."""
+        request = self.in_force(name, time_s)
+        return None if request is None else request.estimate
 
     def _rng(self, name: str, frame: int) -> np.random.Generator:
         """By the position's name, so that one position more leaves the others' luck alone."""

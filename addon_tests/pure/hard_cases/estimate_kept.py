@@ -167,7 +167,7 @@ def session(plane_depths: list[float]) -> tuple[bool, int, bool]:
     """After frames of these plane depths: whether a light is in force, skipped points, validity of what is asked."""
     controller = XiheController(LocalBackend(estimator("projection")))
     controller.add_position("ball", AHEAD)
-    skipped = sum(controller.step(frame(value))["ball"].n_skipped_points for value in plane_depths)
+    skipped = sum(controller.step(frame(value))["ball"].n_invalid_points for value in plane_depths)
     return controller.light("ball") is not None, skipped, controller.estimate_at(AHEAD).is_valid
 
 

@@ -207,10 +207,10 @@ CASES = [
     HardCase(
         STAGE,
         "skipped points of a thousand frames are those of the last frame",
-        [UnitSphereCloud(np.zeros((1, 3)), np.zeros(1), np.zeros(1, bool), 7)] * 1000,
-        lambda clouds: reduce(merge, clouds).n_skipped_points,
+        [UnitSphereCloud(np.zeros((1, 3)), np.zeros(1), np.zeros(1, bool), {"at_probe": 7})] * 1000,
+        lambda clouds: reduce(merge, clouds).n_invalid_points,
         equal(7),
-        lambda clouds: sum(cloud.n_skipped_points for cloud in clouds),
+        lambda clouds: sum(cloud.n_invalid_points for cloud in clouds),
     ),
     HardCase(
         STAGE,

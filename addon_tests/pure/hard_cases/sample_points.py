@@ -28,7 +28,7 @@ def sampled(points_m: Any, colours: Any = 0.5, position_m: Any = HERE, n: int = 
 def seen(points_m: Any) -> tuple[int, int, float]:
     """Anchors that are set, points that were skipped, and the largest distance."""
     cloud = sampled(points_m)
-    return int(cloud.is_set.sum()), cloud.n_skipped_points, float(cloud.distance_m.max())
+    return int(cloud.is_set.sum()), cloud.n_invalid_points, float(cloud.distance_m.max())
 
 
 def seen_by_hand(points_m: Any) -> tuple[int, int, float]:
@@ -210,7 +210,7 @@ WINNING = [
         STAGE,
         "a NaN colour is skipped and does not hide the point behind it",
         ([single(1), single(2)], [[np.nan] * 3, [0.5] * 3]),
-        lambda given: (float(sampled(*given).distance_m.max()), sampled(*given).n_skipped_points),
+        lambda given: (float(sampled(*given).distance_m.max()), sampled(*given).n_invalid_points),
         equal((2.0, 1)),
         lambda given: (float(np.linalg.norm(given[0], axis=1).min()), 0),
     ),
@@ -256,7 +256,7 @@ PLACES = [
         [1e39, 0, 0],
         lambda place: (
             int(sampled([single(1)] * 3, position_m=place).is_set.sum()),
-            sampled([single(1)] * 3, position_m=place).n_skipped_points,
+            sampled([single(1)] * 3, position_m=place).n_invalid_points,
         ),
         equal((0, 3)),
         lambda place: (int(np.isfinite(np.float32(place)).all()), 0),

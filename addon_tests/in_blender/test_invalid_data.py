@@ -1,0 +1,116 @@
+"""What a run says of what it could not use: points and pixels by reason, and lights that could not be known."""
+
+import bpy
+import numpy as np
+import pytest
+from previs_runs import run
+from results_schema import check_results, read_strictly
+from tiny_scenes import box, empty_scene, look_at, material, phone, set_world, sphere
+
+from xihe_blender.addon.last_run import last_run
+from xihe_blender.addon.panels import result_rows
+from xihe_blender.capture import open_scanner
+from xihe_blender.cli import said_in_one_line
+from xihe_blender.render import RenderSettings
+from xihe_blender.virtual_objects import virtual_collection
+from xihenet.camera import invalid_pixels
+from xihenet.invalid import counted
+
+BALL = np.array([0.0, 0.0, 1.0])
+AT_THE_WALL, AT_NOTHING = (0.0, -2.0, 1.0), (0.0, 1.2, 1.0)
+
+
+def stage(*looks):
+    """A bright wall behind a ball, nothing all around; the phone looks at the ball from `looks`, one per frame."""
+    scene = empty_scene()
+    scene.frame_end = len(looks)
+    set_world(scene)
+    box(scene, "Wall", (0, 2, 1), (6, 0.1, 4), material("Light", (1.0, 0.8, 0.6), emission=1.0))
+    sphere(scene, "Ball", BALL, 0.12, material("Grey", (0.5, 0.5, 0.5)), virtual_collection(scene, create=True))
+    camera = phone(scene, AT_THE_WALL, BALL)
+    for frame, place in enumerate(looks, start=1):
+        look_at(camera, place, BALL)
+        camera.keyframe_insert("location", frame=frame)
+        camera.keyframe_insert("rotation_euler", frame=frame)
+    return scene
+
+
+@pytest.fixture(scope="module")
+def blinded(tmp_path_factory):
+    """Results and folder of a run whose phone sees no surface in its middle frames."""
+    out = tmp_path_factory.mktemp("blinded") / "out"
+    return run(stage(AT_THE_WALL, AT_NOTHING, AT_NOTHING, AT_THE_WALL), out), out
+
+
+def probes_of(results):
+    return [probe for entry in results["frames"] for probe in entry["probes"]]
+
+
+def test_a_run_goes_on_with_the_last_light_where_none_can_be_known(blinded):
+    results, out = blinded
+    check_results(results)
+    assert read_strictly(out / "results.json") == results
+    probes = probes_of(results)
+    assert [probe["is_valid"] for probe in probes] == [True, False, False, True]
+    assert [probe["unknown_because"] for probe in probes] == [None, "nothing_seen", "nothing_seen", None]
+    assert [probe["light_frame"] for probe in probes] == [1, 1, 1, 1]
+    assert probes[1]["sh"] == probes[2]["sh"] == probes[0]["sh"]
+    assert [change["frame"] for change in results["lights"]["Ball"]] == [1]
+
+
+def test_the_kept_light_is_said_in_words_everywhere(blinded):
+    results, out = blinded
+    note = next(note for note in results["notes"] if "could not be known" in note)
+    assert "Ball" in note and "2" in note and "3" in note and "that of frame 1" in note
+    assert "no surface was seen" in note
+    assert "kept 2 times" in said_in_one_line(results)
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "last light kept: no surface was seen from there" in page
+    assert "the light of frame 1 stayed" in page
+    rows = dict(result_rows(last_run(str(out))))
+    assert rows["Light Kept"] == "2 times"
+    assert rows["Invalid Points"] == f"{results['summary']['n_invalid_points']:,}"
+
+
+def test_every_invalid_point_and_pixel_has_a_reason(blinded):
+    results, _ = blinded
+    width, height = results["settings"]["size"]
+    for entry in results["frames"]:
+        (probe,) = entry["probes"]
+        assert entry["invalid"] == counted(no_surface=entry["n_invalid_pixels"])
+        assert probe["invalid"] == counted(no_surface=probe["n_invalid_points"])
+        assert probe["n_skipped_points"] == probe["n_invalid_points"] == entry["n_invalid_pixels"]
+    assert [entry["n_invalid_pixels"] == width * height for entry in results["frames"]] == [False, True, True, False]
+    summary = results["summary"]
+    assert summary["invalid"]["points"] == {"no_surface": summary["n_invalid_points"]}
+    assert summary["invalid"]["lights"] == {"nothing_seen": 2} and summary["n_unknown_lights"] == 2
+
+
+def test_before_the_first_light_the_ambient_one_stands_in_and_is_named(tmp_path):
+    results = run(stage(AT_NOTHING, AT_THE_WALL), tmp_path / "out")
+    check_results(results)
+    blind, seeing = probes_of(results)
+    assert (blind["is_valid"], blind["light_frame"]) == (False, None)
+    assert (seeing["is_valid"], seeing["light_frame"], seeing["reason"]) == (True, 2, "first")
+    assert not np.any(blind["sh"]) and np.any(seeing["sh"])
+    assert any("the phone's ambient light stood in" in note for note in results["notes"])
+
+
+def test_negative_light_is_counted_where_it_is_taken_for_black():
+    scene = stage(AT_THE_WALL)
+    bpy.data.materials["Light"].node_tree.nodes["Emission"].inputs["Strength"].default_value = -1.0
+    # A denoiser takes it for black before anyone can see it.
+    with open_scanner(scene, RenderSettings((32, 24), 1, denoise=False)) as scanner:
+        scanner.move_to(1)
+        frame = scanner.acquire_environment_scan()
+    assert frame.invalid == {"negative_colour": 32 * 24}
+    assert not frame.srgb_u8.any() and invalid_pixels(frame) == {}
+
+
+def test_a_path_without_light_to_meter_says_so(tmp_path):
+    scene = stage(AT_THE_WALL)
+    bpy.data.materials["Light"].node_tree.nodes["Emission"].inputs["Strength"].default_value = 0.0
+    results = run(scene, tmp_path / "out")
+    check_results(results)
+    assert any("no light that the exposure could be metered by" in note for note in results["notes"])
+    assert results["summary"]["n_unknown_lights"] == 0

@@ -1,0 +1,77 @@
+"""What became of data that cannot be used, and why? Counts by reason, which travel with the records.
+
+Nothing that is left out or clamped goes unnamed: a frame, a cloud and a step each carry how many of their pixels or
+points it befell, by one of these reasons or by the name of the phone's effect that took a pixel. Reasons without a
+count are absent, so an empty mapping says that all was sound. Chosen: a plain mapping, which can be summed up and
+written as JSON. Rejected: warnings where it happens, which nobody adds up, and a mask for each reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+
+Counts = Mapping[str, int]
+"""How many, by reason; none is 0."""
+
+LEFT_OUT: Mapping[str, str] = MappingProxyType(
+    {
+        "no_surface": "no surface there: open sky, a window, or beyond the camera's clip end",
+        "no_distance": "no distance was measured: a plane depth of 0 or less",
+        "not_finite": "a plane depth or a place that is NaN or infinite",
+        "colour_not_finite": "a colour that is NaN or infinite",
+        "at_probe": "the point lies at the estimation position itself and has no direction",
+        "too_far": "farther from the estimation position than 32 bits can say",
+        "colour_without_distance": "a colour without a distance on the wire",
+    }
+)
+"""Why pixels and points are left out; the phone's effects are reasons of their own, by their names."""
+
+CLAMPED: Mapping[str, str] = MappingProxyType(
+    {
+        "negative_colour": "light below 0, as of a negative lamp, taken for black",
+        "infinite_colour": "an infinite colour, taken for white",
+        "distance_on_wire": "a distance that the wire cannot say, taken for the nearest one that it can",
+        "distance_in_network": "a distance beyond what the network was made for, taken for its farthest",
+    }
+)
+"""What is used, but not as it came."""
+
+UNKNOWN: Mapping[str, str] = MappingProxyType(
+    {
+        "nothing_seen": "no surface was seen from there",
+        "no_points": "the frame has no point to draw from",
+        "estimate_not_finite": "the estimate was not finite",
+    }
+)
+"""Why the light at a position could not be known."""
+
+
+def in_words(reason: str) -> str:
+    """Why, in words; a reason that is not listed here is the name of an effect of the phone."""
+    said = {**LEFT_OUT, **CLAMPED, **UNKNOWN}
+    return said.get(reason, f"the phone's {reason.replace('_', ' ')}")
+
+
+def counted(**counts: int) -> dict[str, int]:
+    """Those of `counts` that are not 0."""
+    return {reason: int(n) for reason, n in counts.items() if n}
+
+
+def added(counts: Iterable[Counts]) -> dict[str, int]:
+    """The sum by reason, in the order in which reasons first turn up."""
+    total: dict[str, int] = {}
+    for one in counts:
+        for reason, n in one.items():
+            total[reason] = total.get(reason, 0) + n
+    return total
+
+
+def left_out(counts: Counts) -> dict[str, int]:
+    """Those of `counts` that say how much was left out; what was only clamped is in use."""
+    return {reason: n for reason, n in counts.items() if reason not in CLAMPED}
+
+
+def n_left_out(counts: Counts) -> int:
+    """How much was left out in all."""
+    return sum(left_out(counts).values())
