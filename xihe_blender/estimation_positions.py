@@ -62,7 +62,7 @@ def _check_box(object: bpy.types.Object, low_m: ArrayF64, high_m: ArrayF64, spac
     if n_positions > MAX_POSITIONS:
         size = " x ".join(f"{side:.3g}" for side in high_m - low_m)
         raise UserError(
-            f"virtual object {object.name!r} is {size} m and would be estimated at {n_positions:.3g} positions: "
+            f"virtual object {object.name!r} is {size} m and would be estimated at {n_positions:.4g} positions: "
             "make it smaller, split it, or set the unit scale (Scene > Units) to the metres in a Blender unit"
         )
 

@@ -22,7 +22,7 @@ from xihe_blender.effects.animation import is_animated, is_film
 from xihe_blender.effects.sockets import constant, has_nodes
 from xihe_blender.errors import UserError
 from xihe_blender.units import metres_per_unit
-from xihenet.records import ArrayF64
+from xihenet.records import ArrayF32, ArrayF64
 
 BRIGHTEST = 1e30
 """Watts or strength from which Cycles' single precision overflows within a few bounces (measured: from 1e37 on)."""
@@ -32,6 +32,12 @@ COARSEST_M = 1e-3
 
 NEAREST_M, FARTHEST_M = 0.02, 100.0
 """Of a phone from a virtual object. Beyond it estimators know no rooms, and the unit scale is mostly wrong."""
+
+COUNTED_AT_ONCE = 2**20
+"""Pixels: an HDRI may have a hundred million."""
+
+NEGLIGIBLE_SHARE = 1e-4
+"""Of an image's light: what colours outside Rec.709 take away as negative numbers, in HDRIs from real places."""
 
 EMISSION_INPUTS = {
     "EMISSION": ("Color", "Strength"),
@@ -139,7 +145,7 @@ def _environment_images(world: bpy.types.World | None) -> Iterator[bpy.types.Ima
 
 
 def _broken_and_negative(image: bpy.types.Image) -> tuple[int, int]:
-    """How many pixels of an image have a channel that is not finite, and how many others a negative one."""
+    """How many pixels of an image have a channel that is not finite, and how many others one that takes light away."""
     if not (image.is_float and image.channels and len(image.pixels)):
         return 0, 0
     values = np.empty(len(image.pixels), np.float32)
@@ -148,8 +154,22 @@ def _broken_and_negative(image: bpy.types.Image) -> tuple[int, int]:
     if values.min() >= 0 and values.max() < np.inf:
         return 0, 0
     pixels = values.reshape(-1, image.channels)[:, :3]
+    parts = [_counted(pixels[start : start + COUNTED_AT_ONCE]) for start in range(0, len(pixels), COUNTED_AT_ONCE)]
+    n_broken, n_negative, taken, given = (sum(of_each) for of_each in zip(*parts, strict=True))
+    return int(n_broken), int(n_negative) if taken > NEGLIGIBLE_SHARE * given else 0
+
+
+def _counted(pixels: ArrayF32) -> tuple[int, int, float, float]:
+    """Of (P, 3): pixels that are not finite, others that are negative, the light these take away, all light given."""
     is_finite = np.isfinite(pixels).all(axis=1)
-    return int(np.count_nonzero(~is_finite)), int(np.count_nonzero((pixels[is_finite] < 0).any(axis=1)))
+    known = pixels[is_finite].astype(np.float64)
+    n_negative = np.count_nonzero((known < 0).any(axis=1))
+    return (
+        int(np.count_nonzero(~is_finite)),
+        n_negative,
+        float(-known.clip(max=0).sum()),
+        float(known.clip(min=0).sum()),
+    )
 
 
 def place_faults(scene: bpy.types.Scene, positions_m: dict[str, ArrayF64], cameras_m: ArrayF64) -> list[SceneFault]:

@@ -43,6 +43,9 @@ def check_results(results):
     for part in ("software", "machine"):
         assert all(isinstance(value, str | int) for value in results[part].values()), part
     assert results["settings"]["target"] in ("ldr", "hdr")
+    assert all(
+        fault["name"] and fault["n"] >= 1 and fault["said"] in results["notes"] for fault in results["scene"]["faults"]
+    )
     _check_effects(results)
     assert [entry["frame"] for entry in results["frames"]] == results["settings"]["frames"]
     for entry in results["frames"]:

@@ -88,6 +88,15 @@ def test_positions_that_are_shown_are_those_of_a_run_by_name_and_place():
     np.testing.assert_allclose(next(p.place for p in halved if p.name == ball.name), ball.place, atol=1e-6)
 
 
+def test_an_object_that_a_run_would_refuse_shows_no_positions_and_the_others_do():
+    scene = tiny_scenes.room_with_a_virtual_sphere()
+    for name, scale in (("Planet", 1e4), ("Ghost", float("nan"))):
+        tiny_scenes.box(scene, name, (0, 0, 1), (1, 1, 1), collection=virtual_collection(scene)).scale = (scale,) * 3
+    bpy.context.view_layer.update()
+    shown = overlay.shown_positions(scene, bpy.context.evaluated_depsgraph_get())
+    assert [position.name for position in shown] == ["Ball"]
+
+
 def test_an_overlay_is_never_made_in_background():
     before = [list(handlers) for handlers in overlay.listened_to()]
     overlay.register()

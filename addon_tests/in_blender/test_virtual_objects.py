@@ -8,7 +8,8 @@ import bpy
 import numpy as np
 import pytest
 
-from xihe_blender.estimation_positions import box_cell_centres, estimation_positions
+from xihe_blender.errors import UserError
+from xihe_blender.estimation_positions import MAX_POSITIONS, box_cell_centres, estimation_positions
 from xihe_blender.sphere_rig import add_three_sphere_rig
 from xihe_blender.virtual_objects import COLLECTION_NAME, virtual_collection, virtual_objects
 
@@ -154,6 +155,24 @@ def test_an_object_of_an_excluded_collection_keeps_its_place(scene):
     bpy.context.view_layer.update()
     bpy.context.view_layer.layer_collection.children[COLLECTION_NAME].exclude = True
     np.testing.assert_allclose(positions_of(thing), [[1.0, 2.0, 3.0]], atol=1e-6)
+
+
+def test_an_object_of_as_many_positions_as_there_may_be_is_the_last_that_is_not_refused(scene):
+    largest = add_box("Hall", scene.collection, (MAX_POSITIONS / 2, 2.0, 0.5))
+    assert len(positions_of(largest)) == MAX_POSITIONS
+    largest.location = (1e4, 0.0, 0.0)
+    assert len(positions_of(largest)) == MAX_POSITIONS
+    larger = add_box("Street", scene.collection, (MAX_POSITIONS / 2 + 1, 2.0, 0.5))
+    with pytest.raises(UserError, match=r"'Street' is 501 x 2 x 0.5 m .* 1002 positions: .* unit scale"):
+        positions_of(larger)
+
+
+def test_an_object_without_a_finite_place_is_refused(scene):
+    thing = add_box("Box", scene.collection, (1, 1, 1))
+    # Blender makes the largest float of an infinite one.
+    thing.location = (0.0, math.nan, 0.0)
+    with pytest.raises(UserError, match="'Box' has no finite position"):
+        positions_of(thing)
 
 
 @pytest.mark.parametrize("spacing_m", [0.0, -1.0, math.nan, math.inf])
