@@ -112,12 +112,14 @@ def has_comparison(context: bpy.types.Context) -> str | None:
 
 def has_light(context: bpy.types.Context) -> str | None:
     """Whether there is anything that a run, or Apply, leaves in a file."""
-    from xihe_blender.results_in_blender import has_anything
+    from xihe_blender.left_in_file import has_anything
 
     return None if has_anything(context.scene) else "There is nothing of a run in this file"
 
 
 def has_triggers(context: bpy.types.Context) -> str | None:
-    if any(marker.name.startswith("Xihe trigger") for marker in context.scene.timeline_markers):
+    from xihe_blender.left_in_file import trigger_markers
+
+    if trigger_markers(context.scene):
         return None
     return "There are no triggers on the timeline: run first, or apply the last run"
