@@ -19,13 +19,11 @@ import bpy
 import numpy as np
 from numpy.typing import ArrayLike
 
+from xihe_blender.left_in_file import MARKER_PREFIX, NODE_GROUP_NAME, PREFIX, lights_by_sh, trigger_markers
 from xihe_blender.virtual_objects import virtual_objects
 from xihenet.records import ArrayF64
 
-NODE_GROUP_NAME = "Xihe SH Radiance"
-PREFIX = "Xihe "
 MAX_NAME_BYTES = 63
-MARKER_PREFIX = "Xihe trigger"
 GAIN = "Gain"
 COEFFICIENTS = [
     f"l={level} m={m:+d}" if m else f"l={level} m=0" for level in range(3) for m in range(-level, level + 1)
@@ -118,14 +116,14 @@ def name_within_limit(name: str) -> str:
 def mark_trigger(scene: bpy.types.Scene, frame: int, reasons: Iterable[str]) -> None:
     """A timeline marker at `frame` that says why estimates were made there, once per frame."""
     name = f"{MARKER_PREFIX} ({', '.join(sorted(set(reasons)))})"
-    for marker in [m for m in scene.timeline_markers if m.frame == frame and m.name.startswith(MARKER_PREFIX)]:
+    for marker in [marker for marker in trigger_markers(scene) if marker.frame == frame]:
         scene.timeline_markers.remove(marker)
     scene.timeline_markers.new(name, frame=frame)
 
 
 def remove_trigger_markers(scene: bpy.types.Scene) -> None:
     """Take away the markers of earlier runs; the user's own stay."""
-    for marker in [m for m in scene.timeline_markers if m.name.startswith(MARKER_PREFIX)]:
+    for marker in trigger_markers(scene):
         scene.timeline_markers.remove(marker)
 
 
@@ -147,11 +145,6 @@ def _remove_animation(owner: bpy.types.ID) -> None:
     owner.animation_data_clear()
     if action is not None and action.users == 0:
         bpy.data.actions.remove(action)
-
-
-def lights_by_sh(world: bpy.types.World) -> bool:
-    """Whether `world` is one of ours: named so and lit by our node group."""
-    return world.name.startswith(PREFIX) and world.node_tree is not None and NODE_GROUP_NAME in world.node_tree.nodes
 
 
 def applied_worlds(scene: bpy.types.Scene) -> dict[str, bpy.types.World]:

@@ -18,8 +18,9 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from xihe_blender.apply import PREFIX, apply_sh_to_world, make_sh_world
+from xihe_blender.apply import apply_sh_to_world, make_sh_world
 from xihe_blender.capture import first_layer
+from xihe_blender.left_in_file import PREFIX
 from xihe_blender.render import RenderSettings, render_passes, working_scene
 from xihenet.camera import MISS_PLANE_DEPTH_M, valid_plane_depth
 from xihenet.colour import linear_to_srgb, srgb_to_linear

@@ -11,37 +11,33 @@ objects. `remove_everything` takes away all that this and `apply` leave, and not
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import bpy
 import numpy as np
 
-from xihe_blender.apply import (
-    MARKER_PREFIX,
-    f_curves,
-    lights_by_sh,
-    remove_applied_light,
-    remove_trigger_markers,
-    world_name,
-)
+from xihe_blender.apply import f_curves, remove_applied_light, remove_trigger_markers, world_name
 from xihe_blender.errors import UserError
+from xihe_blender.left_in_file import (
+    COMPARISON_NAME,
+    LIGHT_PREFIX,
+    MADE_BY,
+    image_named,
+    our_images,
+    trigger_markers,
+)
 from xihe_blender.lit_blend import apply_lights
 from xihe_blender.run_results import compared_frames_of, nearest_compared_frame, read_results
 from xihe_blender.virtual_objects import virtual_objects
 from xihenet.panorama import evaluate_panorama
 from xihenet.records import ArrayF32, ArrayF64
 
-COMPARISON_NAME = "Xihe Comparison"
-LIGHT_PREFIX = "Xihe Light "
 ERROR_CURVE, COVERAGE_CURVE = "Xihe SHC RMSE", "Xihe coverage"
 LIGHT_HEIGHT = 64
 """Of the panorama; order 2 has no detail that more pixels would show."""
 
 WIPE_LINE = 1.0
-_MADE_BY = "xihe_image"
-"""Custom property of our images, so that one of the user's of the same name is left alone."""
 
 
 def show_results(scene: bpy.types.Scene, results: dict[str, Any], folder: Path, *, wipe: float = 0.5) -> None:
@@ -178,16 +174,6 @@ def wiped(estimate: ArrayF32, truth: ArrayF32, wipe: float) -> ArrayF32:
     return picture
 
 
-def image_named(name: str) -> bpy.types.Image | None:
-    """Our image of that name, whatever Blender calls it now."""
-    return next((image for image in our_images() if image[_MADE_BY] == name), None)
-
-
-def our_images() -> Iterator[bpy.types.Image]:
-    """All images of the file itself that results were shown in."""
-    return (image for image in bpy.data.images if _MADE_BY in image and image.library is None)
-
-
 def _remove_image(name: str) -> None:
     image = image_named(name)
     if image is not None:
@@ -216,7 +202,7 @@ def _write_image(name: str, picture: ArrayF32, *, is_float: bool) -> bpy.types.I
     image = image_named(name)
     if image is None:
         image = bpy.data.images.new(name, width, height, float_buffer=is_float)
-        image[_MADE_BY] = name
+        image[MADE_BY] = name
         image.use_fake_user = True
     if tuple(image.size) != (width, height):
         image.scale(width, height)
@@ -232,7 +218,7 @@ def _write_image(name: str, picture: ArrayF32, *, is_float: bool) -> bpy.types.I
 
 def go_to_trigger(scene: bpy.types.Scene, direction: str) -> int | None:
     """Go to the trigger before ("PREVIOUS") or after ("NEXT") the current frame; its frame, or None without one."""
-    frames = sorted(marker.frame for marker in scene.timeline_markers if marker.name.startswith(MARKER_PREFIX))
+    frames = sorted(marker.frame for marker in trigger_markers(scene))
     if direction == "PREVIOUS":
         found = max((frame for frame in frames if frame < scene.frame_current), default=None)
     else:
@@ -255,10 +241,3 @@ def remove_everything(scene: bpy.types.Scene) -> None:
         remove_trigger_markers(other)
     for image in list(our_images()):
         bpy.data.images.remove(image)
-
-
-def has_anything(scene: bpy.types.Scene) -> bool:
-    """Whether `remove_everything` would find something."""
-    marked = any(marker.name.startswith(MARKER_PREFIX) for marker in scene.timeline_markers)
-    lit = any(lights_by_sh(world) and world.library is None for world in bpy.data.worlds)
-    return marked or lit or next(our_images(), None) is not None

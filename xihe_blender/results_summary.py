@@ -8,8 +8,8 @@ from typing import Any
 
 import bpy
 
-from xihe_blender.apply import PREFIX
 from xihe_blender.effort import Effort
+from xihe_blender.left_in_file import PREFIX
 from xihe_blender.previs_settings import PrevisSettings
 from xihe_blender.report.values import frames_told
 from xihe_blender.scene_faults import SceneFault

@@ -5,6 +5,9 @@ changes), in a folder that goes again. Then a capture, a light probe and a compa
 that loads the scene: with one sample, and with a few more. A render's time is a straight
 line in its samples; the run's is that of all its frames, plus what preparing took.
 
+Started from the panel, Blender draws its window after each step of a run. `RunTime.in_window_s` adds that: some
+hundredths of a second a step, half a second with OpenGL in software.
+
 Not counted: what a phone's errors and the chain itself take, some hundredths of a second a frame.
 """
 
@@ -33,6 +36,12 @@ from xihenet.camera import in_view
 from xihenet.records import RgbdFrame
 
 FEW_SAMPLES = 4
+FEW_SHARE = 0.25
+"""Of a render's samples: the noise of a time that was taken with few is multiplied with it."""
+
+N_OTHER_STEPS = 3
+"""Of a run, beside its frames: metering, measuring samples, and the end."""
+
 N_RENDERS = 3
 """Of each kind: one that loads the scene, one with a single sample, and one with a few."""
 
@@ -57,11 +66,13 @@ class RunTime:
     Parameters
     ----------
     prepare_s : seconds until the first frame, and to load the scene for the first render of each kind
+    n_steps : points at which the run stops for others
     n_captures, n_probes, n_comparisons : renders of each kind, those left out that an earlier frame has already
     capture, probe, comparison : seconds of each
     """
 
     prepare_s: float
+    n_steps: int
     n_captures: int
     n_probes: int
     n_comparisons: int
@@ -78,6 +89,10 @@ class RunTime:
             + self.n_comparisons * self.comparison.render_s
         )
 
+    def in_window_s(self, pause_s: float) -> float:
+        """With `pause_s` between two steps, in which Blender draws its window."""
+        return self.total_s + self.n_steps * pause_s
+
 
 def predict_run_s(scene: bpy.types.Scene, settings: PrevisSettings) -> float:
     """Seconds that a run on `scene` would take on this machine; UserError as a run would raise it."""
@@ -85,14 +100,14 @@ def predict_run_s(scene: bpy.types.Scene, settings: PrevisSettings) -> float:
 
 
 def said_of_run_time(seconds: float) -> str:
-    """ "about 3 min, measured on this machine": as exact as it is."""
+    """ "about 3 min on this machine": as exact as it is."""
     if seconds < 55:
         amount = f"{max(5, 5 * round(seconds / 5))} s"
     elif seconds < 3300:
         amount = f"{max(1, round(seconds / 60))} min"
     else:
         amount = f"{seconds / 3600:.1f} h"
-    return f"about {amount}, measured on this machine"
+    return f"about {amount} on this machine"
 
 
 def measure_run_time(scene: bpy.types.Scene, settings: PrevisSettings) -> RunTime:
@@ -118,7 +133,7 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
         in_sight = _probes_in_view(run, scanner)
         if not in_sight:
             nothing = RenderTime(0.0, 0.0, 0)
-            return RunTime(prepared_s, 0, 0, 0, nothing, nothing, nothing)
+            return RunTime(prepared_s, len(run.plan.frames) + N_OTHER_STEPS, 0, 0, 0, nothing, nothing, nothing)
         frames = [list(in_sight)[k * len(in_sight) // N_RENDERS] for k in range(N_RENDERS)]
         scanner.exposure = run.exposure
         captured: dict[int, RgbdFrame] = {}
@@ -133,11 +148,13 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
     yield Progress(3, 4, "measuring a comparison")
     comparison_loaded_s, comparison = _timed_comparison(run, frames, captured)
     entries = [{"frame": frame, "active": frame in in_sight} for frame in run.plan.frames]
+    n_comparisons = len(compared_frames(entries, run.settings.effort.comparison_step))
     return RunTime(
         prepared_s + capture_loaded_s + probe_loaded_s + comparison_loaded_s,
+        len(run.plan.frames) + n_comparisons + N_OTHER_STEPS,
         sum(run.kept.capture(frame) == frame for frame in in_sight),
         sum(run.kept.probe(frame, name) == frame for frame, names in in_sight.items() for name in names),
-        len(compared_frames(entries, run.settings.effort.comparison_step)),
+        n_comparisons,
         capture,
         probe,
         comparison,
@@ -183,7 +200,7 @@ def _timed(
 
     Each is of another frame, as in a run: what moves has to be loaded again.
     """
-    few = min(FEW_SAMPLES, samples)
+    few = min(max(FEW_SAMPLES, round(FEW_SHARE * samples)), samples)
     first_s, one_s, few_s = (_seconds(render, *each, scenes) for each in zip(frames, (1, 1, few), strict=True))
     per_sample_s = max(0.0, few_s - one_s) / (few - 1) if few > 1 else 0.0
     return max(0.0, first_s - one_s), RenderTime(max(0.0, one_s - per_sample_s), per_sample_s, samples)

@@ -198,8 +198,9 @@ def test_an_effect_that_nothing_switches_goes_back_to_auto_and_says_why():
 # -------------------------------------------------------------------------------------------------------- what is grey
 
 
-def test_grey_buttons_without_anything_say_what_to_do():
+def test_grey_buttons_without_anything_say_what_to_do(tmp_path):
     empty_scene()
+    enable_preferences().cache_folder = str(tmp_path)
     said = {name: poll_message(getattr(bpy.ops.xihe, name)) for name in dir(bpy.ops.xihe)}
     assert said == {
         "add_sphere_rig": "",
@@ -214,6 +215,7 @@ def test_grey_buttons_without_anything_say_what_to_do():
         "go_to_trigger": "There are no triggers on the timeline: run first, or apply the last run",
         "show_comparison": "There are no results yet: run first",
         "open_report": "There are no results yet: run first",
+        "remove_old_runs": f"There are no runs in {tmp_path}",
     }
 
 
@@ -323,7 +325,7 @@ def test_own_frames_begin_with_the_scenes_range():
 
 
 def test_folders_of_runs_are_new_each_time(tmp_path):
-    from xihe_blender.addon.run_settings import new_run_folder
+    from xihe_blender.addon.runs_folder import new_run_folder
 
     scene = walk_for_the_panel(tmp_path / "deep" / "runs")
     folders = [new_run_folder(scene) for _ in range(4)]
@@ -354,7 +356,7 @@ def test_the_time_of_a_run_grows_with_its_frames_and_leaves_the_scene(tmp_path):
     scene.xihe.frame_end = 5
     many = measure_run_time(scene, previs_settings(scene))
     assert 0 < few.n_captures < many.n_captures and few.n_probes < many.n_probes
-    assert few.n_comparisons < many.n_comparisons
+    assert few.n_comparisons < many.n_comparisons and few.n_steps < many.n_steps
     assert few.total_s > 0 and predict_run_s(scene, previs_settings(scene)) > 0
     scene.xihe.frame_end = 2
     assert differences(before, snapshot()) == ({}, [])
@@ -365,22 +367,24 @@ def test_a_run_of_more_frames_takes_longer_in_proportion():
 
     from xihe_blender.run_time import RenderTime, RunTime
 
-    one = RunTime(2.0, 3, 6, 2, RenderTime(0.1, 0.01, 10), RenderTime(0.0, 0.1, 4), RenderTime(1.0, 0.5, 8))
+    one = RunTime(2.0, 8, 3, 6, 2, RenderTime(0.1, 0.01, 10), RenderTime(0.0, 0.1, 4), RenderTime(1.0, 0.5, 8))
     assert one.total_s == pytest.approx(2 + 3 * 0.2 + 6 * 0.4 + 2 * 5)
     double = replace(one, n_captures=6, n_probes=12, n_comparisons=4)
     assert double.total_s - 2 == pytest.approx(2 * (one.total_s - 2))
+    assert one.in_window_s(0.0) == one.total_s
+    assert one.in_window_s(0.5) == pytest.approx(one.total_s + 4)
 
 
 def test_the_estimate_of_time_is_said_with_how_it_was_made(tmp_path):
     from xihe_blender.run_time import said_of_run_time
 
-    assert said_of_run_time(0.3) == "about 5 s, measured on this machine"
-    assert said_of_run_time(170) == "about 3 min, measured on this machine"
-    assert said_of_run_time(5000) == "about 1.4 h, measured on this machine"
+    assert said_of_run_time(0.3) == "about 5 s on this machine"
+    assert said_of_run_time(170) == "about 3 min on this machine"
+    assert said_of_run_time(5000) == "about 1.4 h on this machine"
     walk_for_the_panel(tmp_path, use_own_frames=True, frame_end=1)
     assert bpy.ops.xihe.measure_run() == {"FINISHED"}
     said = bpy.context.window_manager.xihe.run_estimate
-    assert said.startswith("about ") and said.endswith(", measured on this machine")
+    assert said.startswith("about ") and said.endswith(" on this machine")
 
 
 def test_the_file_of_the_preferences_phone_is_used_where_a_scene_has_none(tmp_path):

@@ -17,14 +17,13 @@ from tiny_scenes import empty_scene
 from xihe_blender.apply import f_curves
 from xihe_blender.capture import first_layer
 from xihe_blender.errors import UserError
+from xihe_blender.left_in_file import COMPARISON_NAME, image_named
 from xihe_blender.render import RenderSettings, render_passes, working_scene
 from xihe_blender.results_in_blender import (
-    COMPARISON_NAME,
     COVERAGE_CURVE,
     ERROR_CURVE,
     apply_results,
     go_to_trigger,
-    image_named,
     light_in_force,
     remove_everything,
     show_comparison,

@@ -8,11 +8,9 @@ from tiny_scenes import empty_scene, material, set_world, sphere
 from xihe_blender.apply import (
     COEFFICIENTS,
     GAIN,
-    NODE_GROUP_NAME,
     apply_sh_to_world,
     f_curves,
     key_sh_on_world,
-    lights_by_sh,
     make_sh_world,
     mark_trigger,
     remove_applied_light,
@@ -20,6 +18,7 @@ from xihe_blender.apply import (
 )
 from xihe_blender.capture import first_layer
 from xihe_blender.compare import open_comparer
+from xihe_blender.left_in_file import NODE_GROUP_NAME, lights_by_sh
 from xihe_blender.render import RenderSettings, render_passes, working_scene
 from xihe_blender.virtual_objects import virtual_collection
 from xihenet import sh

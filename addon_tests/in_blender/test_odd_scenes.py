@@ -12,7 +12,7 @@ from results_schema import check_results, without_times
 from tiny_scenes import empty_scene, room_with_a_virtual_sphere, sphere
 
 import xihenet.nets
-from xihe_blender.apply import lights_by_sh, sh_node_group, world_name
+from xihe_blender.apply import sh_node_group, world_name
 from xihe_blender.blend_file import open_blend
 from xihe_blender.capture import open_scanner
 from xihe_blender.compare import LIT_SCENE
@@ -22,6 +22,7 @@ from xihe_blender.effects.command import report_effects
 from xihe_blender.errors import UserError
 from xihe_blender.estimation_positions import estimation_positions
 from xihe_blender.jobs import run_blocking
+from xihe_blender.left_in_file import lights_by_sh
 from xihe_blender.plan import plan_previs
 from xihe_blender.render import RenderSettings
 from xihe_blender.session import XiheController

@@ -21,6 +21,7 @@ MODULES = (
     "effect_operators",
     "run_operator",
     "result_operators",
+    "old_run_operators",
     "light_operators",
     "panels",
     "overlay",

@@ -52,7 +52,7 @@ class XIHE_OT_measure_run(polls.Conditional, ModalJob, bpy.types.Operator):
     def finish(self, context: bpy.types.Context, result: Any) -> set[str]:
         from xihe_blender.run_time import said_of_run_time
 
-        context.window_manager.xihe.run_estimate = said_of_run_time(result.total_s)
+        context.window_manager.xihe.run_estimate = said_of_run_time(result.in_window_s(self.run.pause_s))
         return {"FINISHED"}
 
 

@@ -24,6 +24,7 @@ N_EFFECTS = 8
 LABEL_SHARE = 0.42
 PIXELS_PER_CHARACTER = 6.6
 FEWEST_CHARACTERS = 16
+RUN_SCALE = 1.5
 
 
 class StagePanel:
@@ -187,21 +188,24 @@ class XIHE_PT_run(StagePanel, bpy.types.Panel):
             self._draw_progress(context, job)
             return
         row = layout.row()
-        row.scale_y = 1.5
+        row.scale_y = RUN_SCALE
         row.operator("xihe.run", text="Run", icon="PLAY")
         row = layout.row(align=True)
         row.operator("xihe.measure_run", text="" if job.run_estimate else "How Long?", icon="TIME")
         if job.run_estimate:
-            sentence(context, row, job.run_estimate, n_columns_used=1)
+            row.label(text=as_sentence(job.run_estimate), translate=False)
         if job.error:
             sentence(context, layout, job.error, icon="ERROR")
 
     def _draw_progress(self, context: bpy.types.Context, job: Any) -> None:
+        # As high as the two buttons it stands for: what is below does not move when a run begins and ends.
         layout = self.layout
         row = layout.row(align=True)
+        row.scale_y = RUN_SCALE
         row.progress(factor=job.progress, type="BAR", text=progress_text(job.progress, job.seconds_left))
         row.operator("xihe.cancel_run", text="", icon="X")
-        sentence(context, layout, "Stopping after this step" if job.is_cancel_wanted else job.doing)
+        doing = "stopping after this step" if job.is_cancel_wanted else job.doing
+        layout.label(text=as_sentence(doing), translate=False)
 
 
 class XIHE_PT_results(StagePanel, bpy.types.Panel):
@@ -255,7 +259,12 @@ def object_icon(item: bpy.types.Object) -> str:
 
 def in_title(name: str) -> str:
     """As Blender writes labels, without touching what is in capitals already: "Fast GI", "Edge Bleeding"."""
-    return " ".join(word[:1].upper() + word[1:] for word in name.replace("_", " ").split(" "))
+    return " ".join(as_sentence(word) for word in name.replace("_", " ").split(" "))
+
+
+def as_sentence(said: str) -> str:
+    """Its first letter in capitals; the others as they are."""
+    return said[:1].upper() + said[1:]
 
 
 def missing_run(folder: str) -> str:
@@ -300,14 +309,11 @@ def in_words(seconds: float) -> str:
     return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
 
 
-def sentence(
-    context: bpy.types.Context, layout: bpy.types.UILayout, text: str, *, icon: str = "NONE", n_columns_used: int = 0
-) -> None:
-    """Labels that hold `text`, wrapped at the sidebar's width; `n_columns_used` are icons beside it in the row."""
-    n_icons = n_columns_used + (icon != "NONE")
+def sentence(context: bpy.types.Context, layout: bpy.types.UILayout, text: str, *, icon: str = "NONE") -> None:
+    """Labels that hold `text`, wrapped at the sidebar's width."""
     column = layout.column(align=True)
     column.scale_y = 0.8
-    for place, line in enumerate(wrapped(text, line_length(context, n_icons))):
+    for place, line in enumerate(wrapped(as_sentence(text), line_length(context, has_icon=icon != "NONE"))):
         column.label(text=line, icon=icon if place == 0 else "BLANK1" if icon != "NONE" else "NONE", translate=False)
 
 
@@ -316,10 +322,10 @@ def wrapped(text: str, length: int) -> list[str]:
     return textwrap.wrap(text, length)
 
 
-def line_length(context: bpy.types.Context, n_icons: int = 0) -> int:
-    """Characters that fit into a line of the sidebar as it is drawn, beside `n_icons` icons."""
+def line_length(context: bpy.types.Context, *, has_icon: bool) -> int:
+    """Characters that fit into a line of the sidebar as it is drawn, beside an icon if it has one."""
     scale = context.preferences.system.ui_scale
-    pixels = context.region.width / scale - 40 - 20 * n_icons
+    pixels = context.region.width / scale - 40 - 20 * has_icon
     return max(FEWEST_CHARACTERS, int(pixels / PIXELS_PER_CHARACTER))
 
 

@@ -100,6 +100,16 @@ def has_last_run(context: bpy.types.Context) -> str | None:
     return "The last run's folder is gone: run again"
 
 
+def has_old_runs(context: bpy.types.Context) -> str | None:
+    from xihe_blender.addon.runs_folder import runs_folder, shown_runs
+    from xihe_blender.old_runs import old_runs, runs_in
+
+    folder = runs_folder()
+    if old_runs(folder, shown_runs()):
+        return None
+    return "All runs are shown in this file" if runs_in(folder) else f"There are no runs in {folder}"
+
+
 def has_report(context: bpy.types.Context) -> str | None:
     has_it = last_run_folder(context.scene).joinpath("report.html").is_file()
     return None if has_it else "The last run's report is gone: run again"
@@ -112,12 +122,14 @@ def has_comparison(context: bpy.types.Context) -> str | None:
 
 def has_light(context: bpy.types.Context) -> str | None:
     """Whether there is anything that a run, or Apply, leaves in a file."""
-    from xihe_blender.results_in_blender import has_anything
+    from xihe_blender.left_in_file import has_anything
 
     return None if has_anything(context.scene) else "There is nothing of a run in this file"
 
 
 def has_triggers(context: bpy.types.Context) -> str | None:
-    if any(marker.name.startswith("Xihe trigger") for marker in context.scene.timeline_markers):
+    from xihe_blender.left_in_file import trigger_markers
+
+    if trigger_markers(context.scene):
         return None
     return "There are no triggers on the timeline: run first, or apply the last run"

@@ -35,7 +35,22 @@ class XihePreferences(bpy.types.AddonPreferences):
         if self.phone == FROM_FILE:
             layout.prop(self, "phone_file")
         layout.prop(self, "cache_folder")
+        self._draw_runs(layout)
         layout.label(text=f"Cycles renders on: {cycles_device_in_preferences(context)}. Change it in System.")
+
+    def _draw_runs(self, layout: bpy.types.UILayout) -> None:
+        """The space that runs take, and how to have it back."""
+        from xihe_blender.addon.runs_folder import runs_folder
+        from xihe_blender.old_runs import runs_in, said_of_runs
+
+        # As properties are laid out: the label on the right of the first part.
+        split = layout.split(factor=0.4)
+        name = split.row()
+        name.alignment = "RIGHT"
+        name.label(text="Kept")
+        row = split.row()
+        row.label(text=said_of_runs(runs_in(runs_folder())), translate=False)
+        row.operator("xihe.remove_old_runs", icon="TRASH")
 
 
 def set_package(package: str) -> None:

@@ -52,7 +52,7 @@ class XIHE_OT_show_comparison(polls.Conditional, bpy.types.Operator):
     conditions = (polls.is_idle, polls.is_own_scene, polls.has_last_run, polls.has_comparison)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from xihe_blender.results_in_blender import COMPARISON_NAME, image_named
+        from xihe_blender.left_in_file import COMPARISON_NAME, image_named
 
         try:
             _show_images(context.scene)

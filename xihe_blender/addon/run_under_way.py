@@ -7,6 +7,7 @@ Blender drops the operator because the add-on is disabled; the second call does 
 from __future__ import annotations
 
 import contextlib
+import statistics
 import time
 from collections.abc import Generator
 from typing import Any
@@ -31,14 +32,24 @@ class RunUnderWay:
         self.job = job
         self.result: Any = None
         self.timer: bpy.types.Timer | None = None
+        self.pauses_s: list[float] = []
+        self.stepped_at: float | None = None
         self.start = time.perf_counter()
         state = self.window_manager.xihe
         state.is_running, state.is_cancel_wanted = True, False
         state.progress, state.seconds_left, state.doing, state.error = 0.0, 0.0, "starting", ""
         self.window_manager.progress_begin(0, 100)
 
+    @property
+    def pause_s(self) -> float:
+        """Seconds from one step to the next, in which Blender draws and listens; the median, which the user's hand on
+        the mouse does not change."""
+        return statistics.median(self.pauses_s) if self.pauses_s else 0.0
+
     def step(self) -> bool:
         """Go on to the next point at which the job can stop; True if it was its end. Raises what the job raises."""
+        if self.stepped_at is not None:
+            self.pauses_s.append(time.perf_counter() - self.stepped_at)
         try:
             progress = next(self.job)
         except StopIteration as finished:
@@ -49,6 +60,7 @@ class RunUnderWay:
             self.end()
             raise
         self.show(progress)
+        self.stepped_at = time.perf_counter()
         return False
 
     def show(self, progress: Any) -> None:

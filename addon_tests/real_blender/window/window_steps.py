@@ -32,6 +32,9 @@ HOVER_S = 0.06
 ROW_PX = 16
 """Less than the height of a button, so that none is missed."""
 TABS_PX = 20
+QUIET_S = 0.15
+N_QUIET = 4
+"""Times in a row that nothing is drawn within QUIET_S: then the window is still."""
 N_SCROLLS = 2
 """Times that the sidebar is looked through, a good part of its height further down each time."""
 
@@ -45,6 +48,13 @@ class Window:
         self.facts: dict[str, Any] = {}
         self.found_at = 0
         self.window = bpy.context.window_manager.windows[0]
+        self.n_drawn = 0
+        for region in ("WINDOW", "UI"):
+            bpy.types.SpaceView3D.draw_handler_add(self._count_drawn, (), region, "POST_PIXEL")
+            bpy.types.SpaceImageEditor.draw_handler_add(self._count_drawn, (), region, "POST_PIXEL")
+
+    def _count_drawn(self) -> None:
+        self.n_drawn += 1
 
     @property
     def area(self) -> bpy.types.Area:
@@ -60,8 +70,23 @@ class Window:
         with bpy.context.temp_override(window=self.window, area=self.area, region=region or self.sidebar):
             yield
 
-    def picture(self, name: str) -> Path:
-        """A picture of the whole screen."""
+    def picture(self, name: str) -> Steps:
+        """A picture of the whole screen as it stays: once nothing was drawn for a while.
+
+        Blender moves panels to their new places over some 0.3 s, and OpenGL in software takes as long for each of the
+        draws in between. Nothing is asked to be drawn here: what the add-on forgets to redraw is old in the picture.
+        """
+        waited, n_quiet = 0.0, 0
+        while n_quiet < N_QUIET:
+            assert waited < 30, f"the window was drawn for 30 s before {name}"
+            n_drawn = self.n_drawn
+            yield QUIET_S
+            waited += QUIET_S
+            n_quiet = n_quiet + 1 if self.n_drawn == n_drawn else 0
+        self.picture_now(name)
+
+    def picture_now(self, name: str) -> Path:
+        """A picture of the whole screen, whatever is moving."""
         path = self.out / f"{name}.png"
         subprocess.run(["import", "-window", "root", str(path)], check=True)
         return path
@@ -176,7 +201,7 @@ def play(scenario: Callable[[Window], Steps], out: Path, run_folder: Path | None
             _end(window, 0)
         except BaseException:
             traceback.print_exc()
-            window.picture("failed")
+            window.picture_now("failed")
             _end(window, 1)
             raise
         return None

@@ -33,7 +33,7 @@ def stopped_with(w, name, stop):
     yield from w.wait_until(lambda: not job.is_running, "the run ends", at_most_s=60)
     yield 0.5
     w.facts[name] = {"same": state() == before, "error": job.error, "before": before, "after": state()}
-    w.picture(name)
+    yield from w.picture(name)
 
 
 def scenario(w):

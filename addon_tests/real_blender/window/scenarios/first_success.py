@@ -27,23 +27,23 @@ def scenario(w):
         # What was set up here is what the first Undo goes back to.
         bpy.ops.ed.undo_push(message="Room")
     w.facts["before"] = left_in_file()
-    w.picture("1_room")
+    yield from w.picture("1_room")
     yield from w.click_on("xihe.add_virtual_objects", across=0.3)
     yield 0.5
     w.facts["virtual"] = [o.name for o in bpy.data.collections["Xihe Virtual"].objects]
-    w.picture("2_virtual")
+    yield from w.picture("2_virtual")
     job = bpy.context.window_manager.xihe
     yield from w.click_on("xihe.run(")
     yield from w.wait_until(lambda: job.is_running or scene.xihe.run_folder, "the run begins", at_most_s=20)
     yield from w.wait_until(lambda: job.progress > 0.3 or not job.is_running, "the run goes on")
     w.facts["under_way"] = {"is_running": job.is_running, "doing": job.doing, "progress": job.progress}
-    w.picture("3_running")
+    w.picture_now("3_running")
     yield from w.wait_until(lambda: not job.is_running, "the run ends")
     yield 1
     w.facts["error"] = job.error
     w.facts["after"] = left_in_file()
     w.facts["folder"] = bpy.context.scene.xihe.run_folder
-    w.picture("4_done")
+    yield from w.picture("4_done")
     yield from see_the_comparison(w)
     yield from undo_and_redo(w)
     bpy.ops.wm.save_as_mainfile(filepath=str(w.out / "saved.blend"), copy=True)
@@ -63,10 +63,10 @@ def see_the_comparison(w):
         if a.type == "IMAGE_EDITOR" and a.spaces.active.image is not None
     ]
     w.facts["n_windows"] = len(bpy.context.window_manager.windows)
-    w.picture("5_comparison")
+    yield from w.picture("5_comparison")
     bpy.context.scene.xihe.wipe = 0.2
     yield 1
-    w.picture("6_wiped")
+    yield from w.picture("6_wiped")
 
 
 def undo_and_redo(w):
@@ -74,10 +74,10 @@ def undo_and_redo(w):
     yield 0.3
     yield from press_until(w, "ctrl+z", lambda: not left_in_file()["worlds"])
     w.facts["undone"] = left_in_file()
-    w.picture("7_undone")
+    yield from w.picture("7_undone")
     yield from press_until(w, "ctrl+shift+z", lambda: left_in_file() == w.facts["after"])
     w.facts["redone"] = left_in_file()
-    w.picture("8_redone")
+    yield from w.picture("8_redone")
 
 
 def press_until(w, key, is_there, at_most=5):
@@ -94,6 +94,6 @@ def remove(w):
     yield from w.click_on("xihe.remove_light")
     yield 0.8
     w.facts["removed"] = left_in_file()
-    w.picture("9_removed")
+    yield from w.picture("9_removed")
     # The run's own folder is the user's to keep; a test's is not.
     shutil.rmtree(bpy.context.scene.xihe.run_folder)

@@ -22,4 +22,4 @@ def scenario(w):
     yield from w.wait_until(lambda: job.run_estimate and not job.is_running, "the time is known")
     yield 0.5
     w.facts["said"], w.facts["error"] = job.run_estimate, job.error
-    w.picture("how_long")
+    yield from w.picture("how_long")

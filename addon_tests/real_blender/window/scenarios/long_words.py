@@ -17,15 +17,15 @@ def scenario(w):
     settings.estimator = longest(choices.estimator_items(None, None))
     settings.use_own_frames = True
     settings.run_folder = str(w.out / "gone")
-    job.run_estimate = "about 1 h 25 min, measured on this machine"
+    job.run_estimate = "about 55 min on this machine"
     job.error = "virtual object 'A Vase with a Long Name' is also in collection 'Furniture': unlink it from there"
     yield from w.open_tab()
     yield 1
-    w.picture("long_words")
+    yield from w.picture("long_words")
     job.is_running, job.progress, job.seconds_left = True, 0.07, 5100.0
     job.doing = "measuring how many samples it takes"
     w.area.tag_redraw()
     yield 2
-    w.picture("long_words_running")
+    yield from w.picture("long_words_running")
     job.is_running = False
     yield 0.1

@@ -7,10 +7,10 @@ def scenario(w):
     if hasattr(bpy.types.Scene, "xihe"):
         yield from w.open_tab()
         w.facts["width"] = w.sidebar.width
-        w.picture("tab")
+        yield from w.picture("tab")
         yield from w.find("xihe.run(")
         yield 1.2
-    w.picture("seen")
+    yield from w.picture("seen")
     w.facts["worlds"] = sorted(world.name for world in bpy.data.worlds)
     undefined = [node.name for tree in bpy.data.node_groups for node in tree.nodes if "Undefined" in node.bl_idname]
     w.facts["n_undefined_nodes"] = len(undefined)

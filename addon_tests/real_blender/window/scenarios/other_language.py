@@ -15,10 +15,10 @@ def scenario(w):
     view.use_translate_interface = view.use_translate_tooltips = view.use_translate_new_dataname = True
     yield from w.open_tab()
     w.facts["language"] = view.language
-    w.picture("tab")
+    yield from w.picture("tab")
     yield from w.click_on("xihe.add_sphere_rig")
     yield 0.5
     w.facts["virtual"] = len(bpy.data.collections["Xihe Virtual"].objects)
     yield from w.find("xihe.run(")
     yield 1.2
-    w.picture("run_hovered")
+    yield from w.picture("run_hovered")

@@ -26,7 +26,7 @@ def scenario(w):
     for area in w.window.screen.areas:
         area.tag_redraw()
     yield 4
-    w.picture("panel")
+    yield from w.picture("panel")
 
 
 def tidy_window(w):

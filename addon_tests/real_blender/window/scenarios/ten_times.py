@@ -29,8 +29,8 @@ def scenario(w):
         yield 0.3
     w.facts["enabled_again"] = registered()
     yield from w.open_tab()
-    w.picture("enabled_again")
+    yield from w.picture("enabled_again")
     addon.unregister()
     w.area.tag_redraw()
     yield 1
-    w.picture("disabled")
+    yield from w.picture("disabled")

@@ -29,4 +29,4 @@ def scenario(w):
         # Panels unfold in steps, some of them only when drawn again.
         w.area.tag_redraw()
         yield 2
-    w.picture("unfolded")
+    yield from w.picture("unfolded")

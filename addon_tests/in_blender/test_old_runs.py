@@ -1,0 +1,86 @@
+"""Runs of the panel on disk: which are counted, which are removed, and what is never touched."""
+
+import os
+import time
+from pathlib import Path
+
+import bpy
+import pytest
+from addon_runs import enable_preferences, poll_message, registered_addon
+from tiny_scenes import empty_scene
+
+from xihe_blender.old_runs import ABANDONED_S, SETTINGS, old_runs, remove_old_runs, runs_in, said_of_runs
+from xihe_blender.outputs import RunOutputs
+
+FIRST, SECOND, THIRD = "room_20260101-101500", "room_20260101-101500_2", "my room_20270101-000000"
+
+
+def make_run(parent, name, *, has_ended=True, n_bytes=1000):
+    folder = parent / name
+    settings = RunOutputs(folder, "room").settings
+    settings.parent.mkdir(parents=True)
+    settings.write_bytes(b" " * n_bytes)
+    if has_ended:
+        RunOutputs(folder, "room").results.write_text("{}")
+    return folder
+
+
+@pytest.fixture
+def runs(tmp_path):
+    return [make_run(tmp_path, name) for name in (THIRD, FIRST, SECOND)]
+
+
+def everything_in(folder):
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+def test_a_run_is_known_by_what_a_run_writes():
+    assert RunOutputs(Path("folder"), "room").settings == Path("folder") / SETTINGS
+
+
+def test_runs_are_found_and_old_are_those_not_shown(tmp_path, runs):
+    assert runs_in(tmp_path) == runs
+    assert old_runs(tmp_path, [tmp_path / "." / FIRST, tmp_path / "gone"]) == [runs[0], runs[2]]
+    assert runs_in(tmp_path / "nowhere") == []
+
+
+def test_what_is_no_run_is_never_touched(tmp_path, runs):
+    make_run(tmp_path, "by_the_command")
+    make_run(tmp_path / "elsewhere", FIRST)
+    (tmp_path / "photos_20260101-101500").mkdir()
+    (tmp_path / "photos_20260101-101500" / "results.json").write_text("{}")
+    (tmp_path / "file_20260101-101500").write_text("mine")
+    (tmp_path / "link_20260101-101500").symlink_to(tmp_path / "elsewhere" / FIRST)
+    kept = make_run(tmp_path, "shown_20260101-101500")
+    before = everything_in(tmp_path)
+    assert remove_old_runs(tmp_path, {kept}) == runs
+    gone = {run.name for run in runs}
+    assert everything_in(tmp_path) == [name for name in before if Path(name).parts[0] not in gone]
+    assert remove_old_runs(tmp_path, {kept}) == []
+
+
+def test_a_run_that_may_be_under_way_is_left_alone_for_a_day(tmp_path):
+    folder = make_run(tmp_path, FIRST, has_ended=False)
+    assert runs_in(tmp_path) == []
+    then = time.time() - 2 * ABANDONED_S
+    os.utime(folder / "work", (then, then))
+    assert runs_in(tmp_path) == [folder]
+
+
+def test_the_space_that_runs_take_is_said(tmp_path):
+    assert said_of_runs([]) == "0 runs, 0.0 MB"
+    one = make_run(tmp_path, FIRST, n_bytes=2_300_000)
+    assert said_of_runs([one]) == "1 run, 2.3 MB"
+    other = make_run(tmp_path, SECOND, n_bytes=20_000_000)
+    assert said_of_runs([one, other]) == "2 runs, 22 MB"
+
+
+def test_the_button_equals_its_function_and_keeps_what_any_scene_shows(tmp_path, runs):
+    with registered_addon():
+        scene, other = empty_scene(), bpy.data.scenes.new("Other")
+        enable_preferences().cache_folder = str(tmp_path)
+        scene.xihe.run_folder, other.xihe.run_folder = str(runs[0]), str(runs[1])
+        assert old_runs(tmp_path, runs[:2]) == [runs[2]]
+        assert bpy.ops.xihe.remove_old_runs() == {"FINISHED"}
+        assert runs_in(tmp_path) == runs[:2]
+        assert poll_message(bpy.ops.xihe.remove_old_runs) == "All runs are shown in this file"

@@ -1,0 +1,63 @@
+"""Where are runs from the panel kept, and which of them does the open file still show?
+
+Nothing heavy is imported: the preferences ask at every redraw.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import bpy
+
+from xihe_blender.addon.preferences import XihePreferences, preferences
+from xihe_blender.addon.properties import last_run_folder
+from xihe_blender.errors import UserError
+
+
+def new_run_folder(scene: bpy.types.Scene) -> Path:
+    """A new, empty folder for a run, named by the file and the time.
+
+    UserError if it cannot be made. A run from the panel always begins anew: the open file may hold changes that are
+    nowhere on disk, and then nothing could tell whether an earlier run was the same.
+    """
+    parent = runs_folder()
+    stem = Path(bpy.data.filepath).stem or "untitled"
+    name = f"{stem}_{time.strftime('%Y%m%d-%H%M%S')}"
+    try:
+        parent.mkdir(parents=True, exist_ok=True)
+        return _made_new(parent, name)
+    except OSError as error:
+        raise UserError(
+            f"cannot write to {parent} ({error.strerror}): choose another Runs Folder in the add-on's preferences"
+        ) from error
+
+
+def _made_new(parent: Path, name: str) -> Path:
+    """`parent / name`, with a number behind it if that is taken."""
+    number = 1
+    while True:
+        folder = parent / (name if number == 1 else f"{name}_{number}")
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            number += 1
+        else:
+            return folder
+
+
+def runs_folder() -> Path:
+    """Where runs from the panel are kept: the user's choice, else the extension's own place for files."""
+    user = preferences(bpy.context)
+    if user is not None and user.cache_folder:
+        return Path(bpy.path.abspath(user.cache_folder))
+    try:
+        return Path(bpy.utils.extension_path_user(XihePreferences.bl_idname, path="runs"))
+    except ValueError:
+        # Not installed as an extension, as where a script registered the add-on.
+        return Path(bpy.utils.user_resource("DATAFILES", path="xihe")) / "runs"
+
+
+def shown_runs() -> set[Path]:
+    """Folders of the runs that scenes of the open file show."""
+    return {last_run_folder(scene) for scene in bpy.data.scenes if scene.xihe.run_folder}
