@@ -32,6 +32,7 @@ class Preset:
     comparison_samples : Cycles samples per pixel, fixed
     truth_width : width of the light probe's panorama in pixels; twice its height
     comparison_step : compare at every n-th frame of the path, and at its last
+    n_anchors : of the unit sphere
     """
 
     noise_target: float
@@ -39,6 +40,7 @@ class Preset:
     truth_width: int
     comparison_samples: int
     comparison_step: int = 1
+    n_anchors: int = 1280
 
 
 PRESETS = {

@@ -103,7 +103,7 @@ class Effort:
     n_seeds : of each render in each of them
     reference_samples : of the exhaustive render
     ladder : samples that are measured
-    n_picture_views : frames whose pictures are compared
+    n_picture_views : frames whose pictures are compared; 0 compares none
     """
 
     n_walk_frames: int
@@ -117,8 +117,8 @@ class Effort:
     n_picture_views: int
 
 
-FULL = Effort(24, 8, 32, 9, 3, 2, 256, (1, 2, 4, 8, 16, 32, 64), 2)
-QUICK = Effort(6, 4, 16, 5, 1, 2, 128, (1, 4, 16), 1)
+FULL = Effort(24, 8, 32, 9, 3, 2, 256, (1, 2, 4, 8, 16, 32, 64), 1)
+QUICK = Effort(6, 4, 16, 7, 1, 2, 128, (1, 4, 16), 0)
 
 
 def compute_choices(*, is_quick: bool) -> list[ComputeChoice]:

@@ -33,7 +33,7 @@ from xihenet.recording import load_frame
 from xihenet.records import ArrayF64, RgbdFrame
 
 METHODS = tuple(ComputeChoice(estimator=name) for name in ("lattice", "projection", "ambient"))
-LADDER = (2, 8, 32, 64)
+LADDER = (2, 8, 64)
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def picture_choices(presets: Mapping[str, RenderChoice]) -> list[PictureChoice]:
     """The presets, and a ladder of samples for the pictures alone."""
     own = [PictureChoice(choice, PRESETS[name].comparison_samples) for name, choice in presets.items()]
     base = replace(presets["balanced"], preset=None)
-    return [*own, *(PictureChoice(base, n) for n in LADDER)]
+    return [*own, *(PictureChoice(base, n) for n in LADDER if n != PRESETS["balanced"].comparison_samples)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +86,8 @@ def measure_pictures(study: PictureStudy, rng: np.random.Generator) -> Steps[tup
             for own, doing in taken:
                 yield (number + own) / len(study.views), doing
         rounds.append(json.loads(study.kept(view).read_text(encoding="utf-8")))
+    if not rounds:
+        return [], {}
     measured = [
         Measured(
             choice.label,

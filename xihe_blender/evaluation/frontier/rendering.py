@@ -24,7 +24,7 @@ from xihe_blender.evaluation.frontier.measured import Measured
 from xihe_blender.evaluation.frontier.steps import Steps
 from xihe_blender.evaluation.frontier.timing import timed
 from xihe_blender.outputs import write_json
-from xihe_blender.previs_settings import MAX_SEED
+from xihe_blender.previs_settings import MAX_SEED, PRESETS
 from xihenet.recording import load_frame, save_frame
 from xihenet.records import ArrayF64, RgbdFrame
 
@@ -74,7 +74,8 @@ def measure_rendering(
     study: RenderStudy, computing_ms: Mapping[ComputeChoice, float], rng: np.random.Generator
 ) -> Steps[tuple[list[Measured], list[Measured]]]:
     """Ways to render alone, and together with ways to compute, whose milliseconds per frame are known."""
-    backends = {choice: ChoiceBackend(choice) for choice in (*COMPUTED_BY, EXHAUSTIVE)}
+    backends = {choice: ChoiceBackend(choice) for choice in COMPUTED_BY}
+    all_backends = {**backends, EXHAUSTIVE: ChoiceBackend(EXHAUSTIVE)}
     rounds: list[dict[str, Any]] = []
     truths: list[dict[ComputeChoice, list[ArrayF64]]] = []
     n_parts = len(study.views) * (1 + study.effort.n_seeds)
@@ -82,7 +83,7 @@ def measure_rendering(
         before = number * (1 + study.effort.n_seeds)
         yield before / n_parts, f"rendering frame {view.frame} exhaustively"
         exhaustive = _kept_reference(study, view)
-        truths += [_lights(backends, exhaustive, view, study.scanner.exposure)] * study.effort.n_seeds
+        truths += [_lights(all_backends, exhaustive, view, study.scanner.exposure)] * study.effort.n_seeds
         for seed in range(study.effort.n_seeds):
             if not study.round(view, seed).exists():
                 taken = _render_round(study, view, seed, backends, rng)
@@ -207,5 +208,5 @@ def _together(
     errors = _square_errors(choice, by, rounds, truths, EXHAUSTIVE)
     times = [taken[key(choice)]["ms"] + computing_ms for taken in rounds]
     words = choice.label if by == COMPUTED_BY[0] else f"{choice.label}, {by.label}"
-    preset = choice.preset if by == COMPUTED_BY[0] else None
-    return Measured(words, choice.as_json() | by.as_json(), errors, times, preset)
+    is_preset = choice.preset is not None and by == ComputeChoice(n_anchors=PRESETS[choice.preset].n_anchors)
+    return Measured(words, choice.as_json() | by.as_json(), errors, times, choice.preset if is_preset else None)
