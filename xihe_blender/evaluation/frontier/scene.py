@@ -22,8 +22,6 @@ from xihe_blender.effort import SMALLEST_SHARE, capture_noise, pilot_views
 from xihe_blender.errors import UserError
 from xihe_blender.evaluation.frontier.chain import Walk
 from xihe_blender.evaluation.frontier.choices import (
-    FULL,
-    QUICK,
     ComputeChoice,
     Effort,
     RenderChoice,
@@ -64,10 +62,7 @@ class SceneStudy:
     folder: Path
     is_quick: bool
     seed: int
-
-    @property
-    def effort(self) -> Effort:
-        return QUICK if self.is_quick else FULL
+    effort: Effort
 
 
 @dataclass(frozen=True)
@@ -231,6 +226,6 @@ def _views(walk: Walk, most: int) -> list[View]:
     return [View(walk.frames[k].frame, [walk.positions[name] for name in walk.active[k]]) for k in numbers]
 
 
-def plan_scene(scene: bpy.types.Scene) -> PrevisPlan:
+def plan_scene(scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> PrevisPlan:
     """What a run on `scene` would do; UserError as a run raises it."""
-    return plan_previs(scene, PrevisSettings())
+    return plan_previs(scene, PrevisSettings(size=size))

@@ -13,7 +13,7 @@ import json
 import os
 import platform
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ import numpy as np
 from xihe_blender.blend_file import open_blend
 from xihe_blender.errors import UserError
 from xihe_blender.evaluation.frontier.answers import answers
+from xihe_blender.evaluation.frontier.choices import FULL, QUICK, Effort
 from xihe_blender.evaluation.frontier.measured import Measured
 from xihe_blender.evaluation.frontier.points import points_of
 from xihe_blender.evaluation.frontier.report import report_page
@@ -39,10 +40,20 @@ MORE_COLUMNS = ("on_front", "front_share", "instead")
 
 @dataclass(frozen=True)
 class FrontierSettings:
-    """What is measured: quick or in full, and the seed of everything that is random."""
+    """What is measured.
+
+    Parameters
+    ----------
+    is_quick : fewer choices
+    seed : of everything that is random
+    size : of the largest frame; None takes that of a run
+    effort : None takes QUICK or FULL
+    """
 
     is_quick: bool = False
     seed: int = 0
+    size: tuple[int, int] | None = None
+    effort: Effort | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.seed <= MAX_SEED:
@@ -60,14 +71,16 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
     if twice:
         raise UserError(f"two scenes are named {twice[0]!r}: results go by name, so rename one")
     for file in files:
-        plan_scene(open_blend(file))
+        plan_scene(open_blend(file), settings.size)
     _claim(out, files, settings)
     kept = []
     for number, file in enumerate(files):
         path = out / "work" / file.stem / "measured.json"
         if not path.exists():
             scene = open_blend(file)
-            study = SceneStudy(scene, file.stem, plan_scene(scene), path.parent, settings.is_quick, settings.seed)
+            effort = settings.effort or (QUICK if settings.is_quick else FULL)
+            plan = plan_scene(scene, settings.size)
+            study = SceneStudy(scene, file.stem, plan, path.parent, settings.is_quick, settings.seed, effort)
             write_json(path, (yield from measure_scene(study, float(number), float(len(files)))))
         kept.append(json.loads(path.read_text(encoding="utf-8")))
     content = assembled(names, kept, settings, command)
@@ -94,7 +107,7 @@ def assembled(
             "command": command,
         },
         "machine": {"platform": platform.platform(), "processor": platform.machine(), "n_cores": os.cpu_count()},
-        "settings": {"is_quick": settings.is_quick, "seed": settings.seed},
+        "settings": _as_json(settings),
         "scenes": [
             {"name": name, **{key: value for key, value in one.items() if key != "fronts"}}
             for name, one in zip(names, kept, strict=True)
@@ -104,13 +117,18 @@ def assembled(
     }
 
 
+def _as_json(settings: FrontierSettings) -> dict[str, Any]:
+    """As it comes back from a file."""
+    same: dict[str, Any] = json.loads(json.dumps(asdict(settings)))
+    return same
+
+
 def _claim(out: Path, files: Sequence[Path], settings: FrontierSettings) -> None:
     identity = {
         "xihe": __version__,
         "blender": bpy.app.version_string,
         "scenes": {file.stem: hashlib.sha256(file.read_bytes()).hexdigest() for file in files},
-        "quick": settings.is_quick,
-        "seed": settings.seed,
+        "settings": _as_json(settings),
     }
     path = out / "work" / "settings.json"
     if out.exists() and not out.is_dir():
