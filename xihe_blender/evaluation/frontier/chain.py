@@ -51,6 +51,15 @@ class Walk:
     def n_places(self) -> int:
         return sum(map(len, self.active))
 
+    def start(self, n_frames: int) -> Walk:
+        """The first frames of it, or all."""
+        return replace(
+            self,
+            frames=self.frames[:n_frames],
+            active=self.active[:n_frames],
+            truths=self.truths[:n_frames],
+        )
+
     def truth_by_place(self) -> list[ArrayF64]:
         return [truths[name] for truths, names in zip(self.truths, self.active, strict=True) for name in names]
 

@@ -117,8 +117,8 @@ class Effort:
     n_picture_views: int
 
 
-FULL = Effort(24, 8, 32, 9, 3, 2, 256, (1, 2, 4, 8, 16, 32, 64), 1)
-QUICK = Effort(6, 4, 16, 7, 1, 2, 128, (1, 4, 16), 0)
+FULL = Effort(24, 8, 32, 25, 3, 2, 256, (1, 2, 4, 8, 16, 32, 64), 1)
+QUICK = Effort(6, 4, 16, 15, 1, 2, 128, (1, 4, 16), 0)
 
 
 def compute_choices(*, is_quick: bool) -> list[ComputeChoice]:
