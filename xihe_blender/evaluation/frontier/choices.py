@@ -118,7 +118,7 @@ class Effort:
 
 
 FULL = Effort(24, 8, 32, 25, 3, 2, 256, (1, 2, 4, 8, 16, 32, 64), 1)
-QUICK = Effort(6, 4, 16, 15, 1, 2, 128, (1, 4, 16), 0)
+QUICK = Effort(6, 4, 16, 15, 1, 2, 96, (1, 4, 16), 0)
 
 
 def compute_choices(*, is_quick: bool) -> list[ComputeChoice]:
@@ -158,7 +158,7 @@ def render_choices(
     presets: Mapping[str, RenderChoice], size: tuple[int, int], effort: Effort, *, is_quick: bool
 ) -> list[RenderChoice]:
     """Ways to render a frame, those of the presets first; `size` is that of a phone's frame."""
-    middle = presets["balanced"].samples
+    middle = presets["draft" if is_quick else "balanced"].samples
     half, quarter = ((size[0] // k, size[1] // k) for k in (2, 4))
     base = RenderChoice(size, middle)
     single = [
