@@ -38,6 +38,8 @@ OVERRIDE: dict[str, Any] = {
     "metavar": "NAME=on|off|auto",
     "help": "an effect, whatever the scene calls for; may be repeated, is not saved",
 }
+PHONE: dict[str, Any] = {"default": "perfect", "metavar": "NAME|FILE.toml", "help": ", ".join(profile_names())}
+NETWORK: dict[str, Any] = {"metavar": "NAME", "help": ", ".join(LINKS) + "; default: estimates arrive at once"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -87,8 +89,8 @@ def _parser() -> argparse.ArgumentParser:
         "--target", choices=("ldr", "hdr"), default="ldr", help="light that coefficients are held against"
     )
     previs.add_argument("--exposure", type=float, metavar="FACTOR", help="of the phone; default: metered")
-    previs.add_argument("--phone", default="perfect", metavar="NAME|FILE.toml", help=", ".join(profile_names()))
-    previs.add_argument("--network", metavar="NAME", help=", ".join(LINKS) + "; default: estimates arrive at once")
+    previs.add_argument("--phone", **PHONE)
+    previs.add_argument("--network", **NETWORK)
     previs.add_argument("--seed", type=int, default=0)
     previs.add_argument("--effect", **OVERRIDE)
     effort = previs.add_mutually_exclusive_group()
@@ -99,7 +101,9 @@ def _parser() -> argparse.ArgumentParser:
     effects.add_argument("scene", type=Path, metavar="SCENE.blend")
     effects.add_argument("--frames", type=frame_range, metavar="A:B[:S]", help="default: the scene's range and step")
     effects.add_argument("--effect", **OVERRIDE)
-    effects.add_argument("--plan-only", action="store_true", help="measure nothing: no costs, no changes")
+    effects.add_argument("--phone", **PHONE)
+    effects.add_argument("--network", **NETWORK)
+    effects.add_argument("--plan-only", action="store_true", help="render nothing: no costs, no changes, no captures")
     effects.add_argument("--json", action="store_true", help="JSON on stdout, and nothing else")
     effects.set_defaults(run=_effects)
     add_frontier(commands)
@@ -257,7 +261,8 @@ def _effects(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
 
     overrides = parsed_overrides(options.overrides)
     scene = open_blend(options.scene)
-    job = report_effects(scene, options.frames, overrides, is_measured=not options.plan_only)
+    session = {"phone": options.phone, "network": options.network}
+    job = report_effects(scene, options.frames, overrides, **session, is_measured=not options.plan_only)
     report = run_blocking(job, when_news(progress_line(stderr)))
     print(json.dumps(report.as_json(), indent=1) if options.json else said_as_table(report), file=stdout)
 

@@ -167,6 +167,24 @@ def test_an_override_is_kept_in_the_file_and_outlasts_another_look():
     assert remembered_overrides(scene) == {"volumes": "on"}
 
 
+def test_the_phone_has_rows_of_its_own_which_go_when_another_is_chosen():
+    scene = walk()
+    scene.xihe.phone, scene.xihe.network = "ipad_pro_lidar", "lte"
+    bpy.ops.xihe.plan_effects()
+    session = {"phone": "ipad_pro_lidar", "network": "lte"}
+    report = run_blocking(report_effects(scene, **session, is_measured=False))
+    assert rows(scene) == {effect.name: (effect.state, effect.origin) for effect in report.effects}
+    switchable = {row.name for row in scene.xihe.effects if row.is_switchable}
+    assert {"edge_bleeding", "network", "volumes"} <= switchable and "quantisation" not in switchable
+    scene.xihe.effects["noise"].override = "OFF"
+    scene.xihe.phone = "iphone_lidar"
+    assert not scene.xihe.effects
+    bpy.ops.xihe.plan_effects()
+    assert rows(scene)["noise"] == ("off", "user") == (remembered_overrides(scene)["noise"], "user")
+    scene.xihe.network = "NONE"
+    assert not scene.xihe.effects
+
+
 def test_an_effect_that_nothing_switches_goes_back_to_auto_and_says_why():
     scene = walk()
     bpy.ops.xihe.plan_effects()

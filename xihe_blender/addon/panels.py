@@ -254,8 +254,8 @@ def object_icon(item: bpy.types.Object) -> str:
 
 
 def in_title(name: str) -> str:
-    """As Blender writes labels, without touching what is in capitals already: "Fast GI", "Light Tree"."""
-    return " ".join(word[:1].upper() + word[1:] for word in name.split(" "))
+    """As Blender writes labels, without touching what is in capitals already: "Fast GI", "Edge Bleeding"."""
+    return " ".join(word[:1].upper() + word[1:] for word in name.replace("_", " ").split(" "))
 
 
 def missing_run(folder: str) -> str:

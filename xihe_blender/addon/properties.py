@@ -57,6 +57,12 @@ def _phone(settings: XiheSceneSettings) -> int:
 
 def _choose_phone(settings: XiheSceneSettings, number: int) -> None:
     settings.phone_name = next(name for name, *_, own in choices.phone_items(None, None) if own == number)
+    _session_changed(settings)
+
+
+def _session_changed(settings: XiheSceneSettings, _context: bpy.types.Context | None = None) -> None:
+    """The effects listed are of another phone now; what the user wants of them stays with the scene."""
+    settings.effects.clear()
 
 
 def _state(row: XiheEffectRow) -> str:
@@ -135,6 +141,7 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         description="Over which network estimates are asked for, which decides when they arrive",
         items=choices.network_items,
         default=choices.number_of(choices.NO_NETWORK),
+        update=_session_changed,
     )
     use_own_size: bpy.props.BoolProperty(
         name="Own Size", description="Capture pictures of another size than 256 by 192 pixels"

@@ -13,10 +13,12 @@ import bpy
 
 from xihe_blender.addon.choices import FROM_FILE, NO_NETWORK
 from xihe_blender.addon.preferences import XihePreferences, preferences
+from xihe_blender.effects import Effect
 from xihe_blender.effects.command import report_effects
 from xihe_blender.effects.overrides import SWITCHED_ELSEWHERE, remembered_overrides
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
+from xihe_blender.phone_capture import PhoneEffect
 from xihe_blender.previs_settings import PrevisSettings
 
 
@@ -106,19 +108,38 @@ def runs_folder() -> Path:
         return Path(bpy.utils.user_resource("DATAFILES", path="xihe")) / "runs"
 
 
+def _is_switchable(effect: Effect | PhoneEffect) -> bool:
+    """Whether a setting of the scene switches an effect of light transport, or the phone has that of a phone."""
+    if effect.name in SWITCHED_ELSEWHERE:
+        return SWITCHED_ELSEWHERE[effect.name] is None
+    return bool(effect.parameters)
+
+
 def planned_rows(scene: bpy.types.Scene) -> list[dict[str, Any]]:
-    """What `scene` calls for, effect by effect, as the properties of XiheEffectRow; nothing is rendered."""
+    """What `scene` calls for, effect by effect, as the properties of XiheEffectRow; nothing is rendered.
+
+    An effect of the phone that only captures could rule out is on; the run rules it out.
+    """
     remembered = remembered_overrides(scene)
     # What the scene itself calls for; the row adds the user's choice.
-    without_any = dict.fromkeys(remembered.keys() & SWITCHED_ELSEWHERE.keys(), "auto")
-    report = run_blocking(report_effects(scene, chosen_frames(scene), without_any, is_measured=False))
+    session = previs_settings(scene)
+    report = run_blocking(
+        report_effects(
+            scene,
+            session.frames,
+            dict.fromkeys(remembered, "auto"),
+            phone=session.phone,
+            network=session.network,
+            is_measured=False,
+        )
+    )
     return [
         {
             "name": effect.name,
             "called_for": effect.state,
             "reason": effect.reason,
-            "is_switchable": SWITCHED_ELSEWHERE[effect.name] is None,
+            "is_switchable": _is_switchable(effect),
             "override": remembered.get(effect.name, "auto").upper(),
         }
-        for effect in report.plan.effects
+        for effect in report.effects
     ]
