@@ -20,7 +20,7 @@ from xihenet.phone import LINKS, profile_names
 ROOT = Path(__file__).resolve().parents[2]
 OPERATORS = {
     "add_virtual_objects", "remove_virtual_objects", "add_sphere_rig", "plan_effects", "measure_run", "run",
-    "cancel_run", "apply_light", "remove_light", "go_to_trigger", "show_comparison", "open_report",
+    "cancel_run", "apply_light", "remove_light", "go_to_trigger", "show_comparison", "open_report", "calibrate",
 }  # fmt: skip
 
 
