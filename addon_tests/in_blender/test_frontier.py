@@ -14,6 +14,7 @@ from tiny_scenes import room_with_a_virtual_sphere
 from xihe_process import xihe
 
 from xihe_blender.errors import UserError
+from xihe_blender.evaluation.frontier.by_choice import family
 from xihe_blender.evaluation.frontier.chain import ChoiceBackend, Walk, lattice_of, walk_through, with_every_pixel
 from xihe_blender.evaluation.frontier.choices import EXHAUSTIVE, ComputeChoice, Effort, compute_choices
 from xihe_blender.evaluation.frontier.light_errors import padded, square_errors
@@ -223,6 +224,15 @@ def test_a_plot_has_a_mark_for_every_choice_and_escapes_its_words():
     assert drawn.count("<title>") == 2 and "<a>" not in drawn and ">draft<" in drawn
     assert "nan" not in drawn and "inf" not in drawn.replace("infinite", "")
     assert "Nothing was measured" in loglog_plot([], "title", "about")
+
+
+def test_a_family_differs_in_one_choice_and_no_other():
+    varied = [measured(f"{n}", 0.1, n, None) for n in (1, 2, 4)]
+    varied = [replace(one, settings={"samples": int(one.label), "size": [8, 6]}) for one in varied]
+    other = replace(measured("other", 0.1, 9), settings={"samples": 8, "size": [4, 3]})
+    points = points_of("room", {"render": [*varied[::-1], other]}, seed=0)
+    assert [p["settings"]["samples"] for p in family(points, ("samples",))] == [1, 2, 4]
+    assert family(points, ("max_bounces",)) == family(points[:1], ("samples",)) == []
 
 
 @given(st.lists(st.floats(1e-6, 1e6), min_size=1, max_size=5))

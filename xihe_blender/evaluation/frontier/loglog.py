@@ -20,6 +20,7 @@ Point = Mapping[str, Any]
 HEIGHT_PX = 360
 FOOT_PX = 26
 """Room below the axis for errors of 0."""
+DIVISIONS = ((1,), (1, 2, 5), (1, 1.5, 2, 3, 5, 7), (1, 1.2, 1.4, 1.6, 1.8, 2, 2.5, 3, 3.5, 4, 4.5, 5, 6, 7, 8, 9))
 ROOM = 1.25
 """Factor that is left free beyond the outermost marks."""
 
@@ -43,11 +44,16 @@ class LogAxis:
         return math.log(value / self.low) / math.log(self.high / self.low)
 
     def ticks(self) -> list[float]:
-        """1, 2 and 5 times powers of ten, or the powers alone where those would be many."""
-        steps = (1, 2, 5) if self.high / self.low < 300 else (1,)
+        """The coarsest of some divisions of a power of ten that gives three ticks; the finest where none does."""
         powers = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
-        ticks = [step * 10.0**power for power in powers for step in steps]
-        return [tick for tick in ticks if self.low <= tick <= self.high]
+        ticks: list[float] = []
+        for steps in DIVISIONS:
+            ticks = [
+                tick for power in powers for step in steps if self.low <= (tick := step * 10.0**power) <= self.high
+            ]
+            if len(ticks) >= 3:
+                break
+        return ticks
 
 
 @dataclass(frozen=True)
@@ -78,7 +84,9 @@ def loglog_plot(points: Sequence[Point], title: str, about: str, across: str = "
     canvas = Canvas(LogAxis.around([p["time_ms"] for p in points]), LogAxis.around(errors))
     # What is nearest to the reader is drawn last.
     ordered = sorted(points, key=lambda p: (p["preset"] is not None, p["on_front"]))
-    body = _grid(canvas, across) + _front_line(canvas, points) + "".join(_mark(canvas, p) for p in ordered)
+    numbers = {p["label"]: place for place, p in enumerate(_unnamed_front(points), start=1)}
+    marks = "".join(_mark(canvas, p, numbers) for p in ordered)
+    body = _grid(canvas, across, has_zero=len(errors) < len(points)) + _front_line(canvas, points) + marks
     height = HEIGHT_PX + FOOT_PX
     return (
         f'<figure class="plot wide"><figcaption><h3>{title}</h3><p>{about}</p></figcaption>'
@@ -87,7 +95,13 @@ def loglog_plot(points: Sequence[Point], title: str, about: str, across: str = "
     )
 
 
-def _grid(canvas: Canvas, across: str) -> str:
+def _unnamed_front(points: Sequence[Point]) -> list[Point]:
+    """Choices on the front that are no presets, by rising time: they go by number."""
+    own = [p for p in points if p["on_front"] and p["preset"] is None]
+    return sorted(own, key=lambda p: p["time_ms"])
+
+
+def _grid(canvas: Canvas, across: str, *, has_zero: bool) -> str:
     lines = "".join(
         f'<line class="grid" x1="0" x2="100%" y1="{canvas.y(tick):.1f}" y2="{canvas.y(tick):.1f}"/>'
         f'<text class="tick-y" x="-8" y="{canvas.y(tick):.1f}">{_percent(tick)}</text>'
@@ -98,6 +112,8 @@ def _grid(canvas: Canvas, across: str) -> str:
         lines += f'<line class="grid" x1="{x}" x2="{x}" y1="0" y2="{HEIGHT_PX + FOOT_PX}"/>'
         lines += f'<text class="tick-x" x="{x}" y="{HEIGHT_PX + FOOT_PX + 18}">{_duration(tick)}</text>'
     foot = HEIGHT_PX + FOOT_PX
+    if has_zero:
+        lines += f'<text class="tick-y" x="-8" y="{canvas.y(0)}">0</text>'
     lines += f'<line class="base" x1="0" x2="100%" y1="{foot}" y2="{foot}"/>'
     return lines + f'<text class="axis-x" x="100%" y="{foot + 35}">{escape(across)}</text>'
 
@@ -114,7 +130,7 @@ def _front_line(canvas: Canvas, points: Sequence[Point]) -> str:
     return f'<svg width="100%" height="{height}" {view}><path class="line s0" d="{path}H1000"/></svg>'
 
 
-def _mark(canvas: Canvas, point: Point) -> str:
+def _mark(canvas: Canvas, point: Point, numbers: Mapping[str, int]) -> str:
     x, y = canvas.x(point["time_ms"]), canvas.y(point["error"])
     kind = "preset" if point["preset"] is not None else "front" if point["on_front"] else "aside"
     shape = "M0-7.5L7.5 0L0 7.5L-7.5 0Z" if kind == "preset" else "M-4 0A4 4 0 1 0 4 0A4 4 0 1 0 -4 0Z"
@@ -123,6 +139,8 @@ def _mark(canvas: Canvas, point: Point) -> str:
     if kind == "preset":
         side, shift = ("end", -11) if x > 88 else ("start", 11)
         name = f'<text class="name" x="{shift}" y="-9" text-anchor="{side}">{escape(point["preset"])}</text>'
+    elif kind == "front":
+        name = f'<text class="number" x="6" y="-7">{numbers[point["label"]]}</text>'
     return (
         _whiskers(canvas, point)
         + f'<svg x="{x:.3f}%" y="{y:.2f}" width="1" height="1">'
@@ -158,6 +176,9 @@ def _legend(points: Sequence[Point]) -> str:
     entries = [f"<li>{icon('front')} on the front</li>", f"<li>{icon('aside')} dominated</li>"]
     if any(p["preset"] is not None for p in points):
         entries.insert(0, f"<li>{icon('preset')} preset</li>")
+    entries += [
+        f'<li><b class="key">{n}</b> {escape(p["label"])}</li>' for n, p in enumerate(_unnamed_front(points), 1)
+    ]
     return f'<ul class="legend">{"".join(entries)}</ul>'
 
 
@@ -178,9 +199,11 @@ LOGLOG_STYLE = """
 .choice.preset { --c: var(--k1); }
 .whisker { stroke: var(--quiet); stroke-opacity: .55; }
 .axes text.name { fill: var(--ink); font-size: 14px; font-weight: 600; }
+.axes text.number { font-size: 11.5px; font-weight: 600; }
 .icon .choice { stroke-width: 1; }
 .loglog { margin-left: 62px; width: calc(100% - 70px); }
 .plots + .block, .block + .plots { margin-top: 20px; }
+.apart { margin: 36px 0 12px; }
 .answers dt { font-weight: 600; margin-top: 12px; }
 .answers dd { margin: 2px 0 0; max-width: 90ch; }
 """

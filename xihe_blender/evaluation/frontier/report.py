@@ -8,10 +8,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from xihe_blender.evaluation.frontier.by_choice import CHOICES, errors_by_kind, family, value_in_words
 from xihe_blender.evaluation.frontier.loglog import LOGLOG_STYLE, loglog_plot
 from xihe_blender.evaluation.frontier.points import dominated_in_words, flickers, group, groups, name_of
 from xihe_blender.report.style import STYLE
-from xihe_blender.report.values import counted, escape, finite, items, listed, mapping, significant, with_unit
+from xihe_blender.report.values import DASH, counted, escape, finite, items, listed, mapping, significant, with_unit
 
 Point = Mapping[str, Any]
 _SAFE = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
@@ -71,8 +72,33 @@ def _scene(content: Mapping[str, Any], points: Sequence[Point], name: str) -> st
     return (
         f'<section id="{escape(name)}"><h2>{escape(name)}</h2><div class="plots">{opening}</div>'
         f'<section class="block"><h3>In words</h3><dl class="answers">{answered}</dl></section>'
-        f'<div class="plots">{"".join(others)}</div>{tables}</section>'
+        f'<div class="plots">{"".join(others)}</div><h3 class="apart">Choice by choice</h3>'
+        f'{_choices(points, name)}<h3 class="apart">All that was measured</h3>{tables}</section>'
     )
+
+
+def _choices(points: Sequence[Point], scene: str) -> str:
+    """A table for each choice that was varied: errors of all kinds, and time."""
+    blocks = ""
+    for title, front, names in CHOICES:
+        first = "picture" if names == ("picture_samples",) else "coefficients"
+        others = [kind for kind in KINDS if kind != first]
+        own = max((family(group(points, scene, front, kind), names) for kind in (first, *others)), key=len)
+        if not own:
+            continue
+        errors = [errors_by_kind(points, scene, front, point["label"]) for point in own]
+        kinds = [kind for kind in KINDS if any(kind in each for each in errors)]
+        rows = [
+            [
+                escape(value_in_words(point["settings"], names)),
+                with_unit(point["time_ms"], "ms"),
+                *(f"{significant(100 * each[kind])} %" if kind in each else DASH for kind in kinds),
+            ]
+            for point, each in zip(own, errors, strict=True)
+        ]
+        heads = [kind.replace("_truth", ", off the truth") for kind in kinds]
+        blocks += f'<section class="block"><h3>{title}</h3>{_table(["", "time", *heads], rows)}</section>'
+    return blocks
 
 
 def _ordered(points: Sequence[Point], name: str) -> list[tuple[str, str]]:
