@@ -161,7 +161,7 @@ def measure_effort(
         replace(wanted, light_transport=light_transport)
         for wanted in (settings.capture(plan.size, n_small), settings.truth(n_small))
     )
-    captures = capture_noise(scene, views, capture, exposure, settings.session_anchors)
+    captures = capture_noise(scene, views, capture, exposure, settings.n_anchors)
     probes = truth_noise(scene, views, truth, exposure, settings)
     target = settings.noise_aim
     # Not below what was measured: with fewer samples the denoiser's bias is another.

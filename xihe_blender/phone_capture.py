@@ -99,7 +99,7 @@ class PhoneCapture:
         exposure: float,
     ) -> None:
         self.scene, self.outputs, self.exposure = scene, outputs, exposure
-        self.frames, self.n_anchors, self.seed = plan.frames, settings.session_anchors, settings.seed
+        self.frames, self.n_anchors, self.seed = plan.frames, settings.n_anchors, settings.seed
         self.positions_m = np.array([probe.position_m for probe in plan.probes]).reshape(-1, 3)
         self.profile, self.link = settings.profile, settings.link
         has = {*self.profile.effects, *([] if self.link is None else [NETWORK])}

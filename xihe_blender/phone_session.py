@@ -51,8 +51,8 @@ class PhoneSession:
             self.controller.add_position(probe.name, probe.position_m)
         self.exposure = exposure
         self.under_way = EstimatesUnderWay(link, settings.seed)
-        self.ambient = estimators.load("ambient", settings.session_anchors, settings.target)
-        self.unseen = UnitSphereCloud.empty(settings.session_anchors)
+        self.ambient = estimators.load("ambient", settings.n_anchors, settings.target)
+        self.unseen = UnitSphereCloud.empty(settings.n_anchors)
         self.ambient_sh = np.zeros((9, 3))
         """Of the last frame."""
 

@@ -32,7 +32,6 @@ class Preset:
     comparison_samples : Cycles samples per pixel, fixed
     truth_width : width of the light probe's panorama in pixels; twice its height
     comparison_step : compare at every n-th frame of the path, and at its last
-    n_anchors : of the unit sphere
     """
 
     noise_target: float
@@ -40,13 +39,12 @@ class Preset:
     truth_width: int
     comparison_samples: int
     comparison_step: int = 1
-    n_anchors: int = 1280
 
 
 PRESETS = {
     "draft": Preset(0.06, 32, 32, 8, comparison_step=2),
-    "balanced": Preset(0.03, 64, 64, 32, n_anchors=2048),
-    "accurate": Preset(0.015, 256, 128, 128, n_anchors=2048),
+    "balanced": Preset(0.03, 64, 64, 32),
+    "accurate": Preset(0.015, 256, 128, 128),
 }
 
 MAX_SEED = 2**31 - 1
@@ -72,7 +70,7 @@ class PrevisSettings:
     seed : of everything that is random
     noise_target : relative error of the light that rendering may cause; None takes the preset's
     samples : of every capture and light probe, whatever the noise; None takes what the noise target calls for
-    n_anchors : of the unit sphere; None takes the preset's
+    n_anchors : of the unit sphere
     phone : name of a profile, or path of a user's TOML file; see docs/phone.md
     network : name of one of LINKS, over which estimates are asked for; None lets them arrive in their own frame
     effect_choices : effect: "auto", "on" or "off"; wins over what the .blend remembers, which wins over the scene
@@ -86,7 +84,7 @@ class PrevisSettings:
     objects: tuple[str, ...] | None = None
     exposure: float | None = None
     seed: int = 0
-    n_anchors: int | None = None
+    n_anchors: int = 1280
     noise_target: float | None = None
     samples: int | None = None
     trigger: TriggerSettings = field(default_factory=lambda: PREVIS_TRIGGER)
@@ -147,11 +145,6 @@ class PrevisSettings:
         """The noise target in force: the user's or the preset's."""
         return self.effort.noise_target if self.noise_target is None else self.noise_target
 
-    @property
-    def session_anchors(self) -> int:
-        """Anchors in force: the user's or the preset's."""
-        return self.effort.n_anchors if self.n_anchors is None else self.n_anchors
-
     def capture(self, size: tuple[int, int], samples: int) -> RenderSettings:
         return RenderSettings(size, samples, self.seed)
 
@@ -167,6 +160,6 @@ class PrevisSettings:
 def load_estimator(settings: PrevisSettings) -> Estimator:
     """The estimator of a run; UserError if a package or a file of weights is missing."""
     try:
-        return estimators.load(settings.estimator, settings.session_anchors, settings.target)
+        return estimators.load(settings.estimator, settings.n_anchors, settings.target)
     except (ImportError, ValueError) as error:
         raise UserError(f"--estimator {settings.estimator}: {error}") from error

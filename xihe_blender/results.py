@@ -210,7 +210,7 @@ def _settings(run: PreparedRun) -> dict[str, Any]:
         "target": settings.target,
         "size": list(run.plan.size),
         "frames": list(run.plan.frames),
-        "n_anchors": settings.session_anchors,
+        "n_anchors": settings.n_anchors,
         "codec": "uint8_float16_stripped",
         "seed": settings.seed,
         "phone": settings.phone,

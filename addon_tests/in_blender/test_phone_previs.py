@@ -90,13 +90,13 @@ def test_a_perfect_phone_gives_what_the_plain_chain_gives(perfect):
     for _, probe in steps(perfect.results):
         if probe["name"] not in chain.positions:
             chain.add_position(probe["name"], probe["position_m"])
-    ambient = estimators.load("ambient", SMALL.session_anchors, SMALL.target)
+    ambient = estimators.load("ambient", SMALL.n_anchors, SMALL.target)
     for entry in perfect.results["frames"]:
         if not entry["active"]:
             continue
         frame = load_frame(perfect.outputs.capture(entry["frame"]))
         reports = chain.step(frame)
-        sensed = ambient.estimate(UnitSphereCloud.empty(SMALL.session_anchors), EstimateContext(frame=frame))
+        sensed = ambient.estimate(UnitSphereCloud.empty(SMALL.n_anchors), EstimateContext(frame=frame))
         for probe in entry["probes"]:
             light = chain.light(probe["name"])
             assert np.array_equal(probe["sh"], sensed if light is None else light.sh_radiance)

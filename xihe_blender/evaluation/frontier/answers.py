@@ -22,7 +22,7 @@ def answers(scenes: Sequence[str], points: Sequence[Point]) -> list[dict[str, st
     found = []
     for scene in scenes:
         for question, answer in (
-            ("How many anchors?", _anchors(group(points, scene, "compute", "coefficients"))),
+            ("How many anchors?", _anchors(group(points, scene, "compute", "coefficients_truth"))),
             ("How often must it run?", _how_often(group(points, scene, "compute", "coefficients"))),
             ("Which estimator?", _estimator(group(points, scene, "compute", "coefficients_truth"))),
             ("How should a point find its anchor?", _nearest(group(points, scene, "compute", "coefficients"))),
@@ -54,10 +54,11 @@ def _anchors(points: Sequence[Point]) -> str:
     if len(own) < 2:
         return ""
     listed = "; ".join(f"{p['settings']['n_anchors']}: {_share(p['error'])} in {_ms(p['time_ms'])}" for p in own)
-    enough = [p for p in own if p["error"] - own[-1]["error"] <= GOOD_ENOUGH]
+    least = min(p["error"] for p in own)
+    fewest = next(p["settings"]["n_anchors"] for p in own if p["error"] - least <= GOOD_ENOUGH)
     return (
-        f"{enough[0]['settings']['n_anchors']} are within {GOOD_ENOUGH:.0%} of the light of what "
-        f"{own[-1]['settings']['n_anchors']} give. Off the exhaustive setting, by anchors: {listed} a frame."
+        f"{fewest}: more come no nearer to the rendered light probe than by {GOOD_ENOUGH:.0%} of the light. Off it, by "
+        f"anchors: {listed} a frame."
     )
 
 

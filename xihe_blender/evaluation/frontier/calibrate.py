@@ -74,7 +74,7 @@ def calibrate(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[Calibrati
         effects = plan_effects(scene, positions=positions, frames=plan.frames, overrides=choices)
         capture = replace(settings.capture(plan.size, PILOT_SAMPLES), light_transport=effects.light_transport)
         yield Progress(1, 3, "measuring the noise of a few samples")
-        noise = capture_noise(scene, [view], capture, exposure, settings.session_anchors)
+        noise = capture_noise(scene, [view], capture, exposure, settings.n_anchors)
         yield Progress(2, 3, "timing a few samples")
         fixed_s, per_sample_s, seen = _timed_render(scene, capture, view[0], exposure)
         step_ms = _timed_step(seen, view[1][0], exposure)

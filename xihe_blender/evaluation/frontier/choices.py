@@ -5,7 +5,9 @@ be better than any of these: few anchors with the fast table, a small frame with
 every combination of everything, some 50,000 for computing alone.
 
 The exhaustive setting is the one that spares nothing: every point to its true nearest anchor by comparing all of them,
-the most anchors, an estimate in every frame, and for renders the most samples and all bounces that the scene calls for.
+an estimate in every frame, and for renders the most samples and all bounces that the scene calls for. It has the base's
+1280 anchors and not the most that are measured: on 1,179 clouds of test rooms 2048 anchors are no nearer to the truth
+(0.607 against 0.603 of the error of `ambient`, see docs/estimators.md), so that distance from them is no error.
 """
 
 from __future__ import annotations
@@ -54,7 +56,7 @@ class ComputeChoice:
         return _plain(asdict(self))
 
 
-EXHAUSTIVE = ComputeChoice(n_anchors=2048, nearest="brute", theta=0.0)
+EXHAUSTIVE = ComputeChoice(nearest="brute", theta=0.0)
 SMALL_TABLE, PAPERS_TABLE, LARGE_TABLE = (256, 128), (1024, 512), (4096, 2048)
 
 
@@ -140,7 +142,7 @@ def compute_choices(*, is_quick: bool) -> list[ComputeChoice]:
         replace(base, n_anchors=2048, theta=0.0),
         replace(base, n_anchors=2048, every_pixel=2),
         replace(base, n_anchors=512, theta=0.6),
-        replace(base, n_anchors=2048, nearest="table", table_size=PAPERS_TABLE, theta=0.0),
+        replace(base, nearest="table", table_size=PAPERS_TABLE, theta=0.0),
     ]
     return list(dict.fromkeys([*single, *combined, *_other_estimators(), EXHAUSTIVE]))
 

@@ -24,7 +24,7 @@ from xihe_blender.evaluation.frontier.measured import Measured
 from xihe_blender.evaluation.frontier.steps import Steps
 from xihe_blender.evaluation.frontier.timing import timed
 from xihe_blender.outputs import write_json
-from xihe_blender.previs_settings import MAX_SEED, PRESETS
+from xihe_blender.previs_settings import MAX_SEED
 from xihenet.recording import load_frame, save_frame
 from xihenet.records import ArrayF64, RgbdFrame
 
@@ -208,5 +208,6 @@ def _together(
     errors = _square_errors(choice, by, rounds, truths, EXHAUSTIVE)
     times = [taken[key(choice)]["ms"] + computing_ms for taken in rounds]
     words = choice.label if by == COMPUTED_BY[0] else f"{choice.label}, {by.label}"
-    is_preset = choice.preset is not None and by == ComputeChoice(n_anchors=PRESETS[choice.preset].n_anchors)
-    return Measured(words, choice.as_json() | by.as_json(), errors, times, choice.preset if is_preset else None)
+    return Measured(
+        words, choice.as_json() | by.as_json(), errors, times, choice.preset if by == COMPUTED_BY[0] else None
+    )

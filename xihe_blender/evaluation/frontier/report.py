@@ -143,7 +143,7 @@ def _how(content: Mapping[str, Any]) -> str:
     missing = sorted({name for scene in items(content, "scenes") for name in items(scene, "missing_estimators")})
     notes = [
         "Errors are shares of the light, root mean square over frames and positions; the exhaustive setting compares "
-        "every point with all of 2048 anchors, estimates in every frame, and renders with the most samples and all "
+        "every point with all anchors, estimates in every frame, and renders with the most samples and all "
         "bounces the scene calls for. Pictures: root mean square of sRGB-encoded colour, 0 to 1.",
         "Times are processor time, median over rounds in which all choices take turns in random order; renders take "
         "one thread. Whiskers reach from quartile to quartile.",

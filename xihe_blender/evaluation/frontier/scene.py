@@ -169,7 +169,7 @@ def preset_samples(
     if not views:
         raise UserError(f"scene {scene.name!r} never has a virtual object in view: move the camera's path, or objects")
     capture = replace(settings.capture(plan.size, n_small), light_transport=effects.light_transport)
-    model = capture_noise(scene, views, capture, exposure, settings.session_anchors)
+    model = capture_noise(scene, views, capture, exposure, settings.n_anchors)
     return model.samples_for(preset.noise_target, n_small, preset.max_samples)
 
 
