@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from xihe_blender.errors import UserError
+from xihe_blender.evaluation.frontier.command import add_frontier
 from xihenet import __version__, estimators
 from xihenet.phone import LINKS, profile_names
 
@@ -105,6 +106,7 @@ def _parser() -> argparse.ArgumentParser:
     effects.add_argument("--plan-only", action="store_true", help="render nothing: no costs, no changes, no captures")
     effects.add_argument("--json", action="store_true", help="JSON on stdout, and nothing else")
     effects.set_defaults(run=_effects)
+    add_frontier(commands)
     _add_estimate(commands)
     scenes = commands.add_parser("scenes", help="the example scenes")
     scenes.add_argument("action", choices=("build",), help="build the .blend files from their scripts")

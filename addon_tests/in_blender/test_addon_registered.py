@@ -21,6 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 OPERATORS = {
     "add_virtual_objects", "remove_virtual_objects", "add_sphere_rig", "plan_effects", "measure_run", "run",
     "cancel_run", "apply_light", "remove_light", "go_to_trigger", "show_comparison", "open_report", "remove_old_runs",
+    "calibrate",
 }  # fmt: skip
 
 

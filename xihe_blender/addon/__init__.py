@@ -19,6 +19,7 @@ MODULES = (
     "leftovers",
     "object_operators",
     "effect_operators",
+    "calibration",
     "run_operator",
     "result_operators",
     "old_run_operators",

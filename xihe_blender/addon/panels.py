@@ -16,6 +16,7 @@ from typing import Any
 
 import bpy
 
+from xihe_blender.addon.calibration import calibration_in_words
 from xihe_blender.addon.last_run import LastRun, last_run
 
 TAB = "Xihe"
@@ -160,6 +161,11 @@ class XIHE_PT_estimator(StagePanel, bpy.types.Panel):
         layout.use_property_decorate = False
         layout.prop(settings, "estimator")
         layout.prop(settings, "preset")
+        costs = calibration_in_words(context)
+        row = layout.row(align=True)
+        row.operator("xihe.calibrate", text="" if costs else "Calibrate", icon="SORTTIME")
+        if costs:
+            sentence(context, row, costs, n_columns_used=1)
         run = last_run(settings.run_folder)
         if run is not None and run.step_ms is not None and run.estimator == settings.estimator:
             layout.label(text=f"{run.step_ms:.1f} ms a frame, last run", icon="TIME")

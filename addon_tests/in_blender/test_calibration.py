@@ -1,0 +1,86 @@
+"""What presets cost on this machine: the function, and the button that calls it."""
+
+from dataclasses import replace
+
+import bpy
+import pytest
+from addon_runs import poll_message, registered_addon, walk_for_the_panel
+from scene_snapshot import differences, snapshot
+from tiny_scenes import look_at, room_with_a_virtual_sphere
+
+from xihe_blender.addon.calibration import calibration_file, calibration_in_words
+from xihe_blender.errors import UserError
+from xihe_blender.evaluation.frontier.calibrate import (
+    Calibration,
+    calibrate,
+    read_calibration,
+    said_of_calibration,
+    save_calibration,
+)
+from xihe_blender.jobs import run_blocking
+from xihe_blender.previs_settings import PRESETS, PrevisSettings
+
+SMALL = PrevisSettings(size=(32, 24))
+KNOWN = Calibration("room", {"draft": 0.41, "balanced": 0.9, "accurate": 3.14}, {"draft": 1}, 1.5)
+
+
+@pytest.fixture(autouse=True)
+def addon():
+    with registered_addon():
+        yield
+
+
+def test_dearer_presets_take_no_fewer_samples_and_no_less_time():
+    found = run_blocking(calibrate(room_with_a_virtual_sphere(), SMALL))
+    assert list(found.frame_s) == list(found.samples) == list(PRESETS)
+    for values in (list(found.frame_s.values()), list(found.samples.values())):
+        assert values == sorted(values) and values[0] > 0
+    assert found.step_ms > 0
+
+
+def test_the_scene_stays_as_it_is():
+    scene = room_with_a_virtual_sphere()
+    bpy.context.view_layer.update()
+    before = snapshot()
+    run_blocking(calibrate(scene, SMALL))
+    assert differences(before, snapshot()) == ({}, [])
+
+
+def test_what_is_remembered_comes_back(tmp_path):
+    save_calibration(tmp_path / "deep" / "calibration.json", KNOWN)
+    assert read_calibration(tmp_path / "deep" / "calibration.json") == KNOWN
+    (tmp_path / "broken.json").write_text("{", encoding="utf-8")
+    assert read_calibration(tmp_path / "broken.json") is None and read_calibration(tmp_path / "none.json") is None
+
+
+def test_costs_are_said_in_one_sentence():
+    said = said_of_calibration(KNOWN)
+    assert said == "draft 0.41 s, balanced 0.9 s, accurate 3.1 s a frame, measured on room"
+
+
+def test_the_button_keeps_what_the_function_measures_and_the_panel_says_it(tmp_path):
+    scene = walk_for_the_panel(tmp_path / "runs")
+    context = bpy.context
+    assert calibration_in_words(context) == ""
+    assert bpy.ops.xihe.calibrate() == {"FINISHED"}
+    kept = read_calibration(calibration_file(context))
+    assert calibration_file(context).parent == tmp_path / "runs"
+    assert calibration_in_words(context) == said_of_calibration(kept)
+    size = tuple(scene.xihe.size)
+    by_function = run_blocking(calibrate(scene, replace(SMALL, size=size, preset="draft")))
+    # Times differ from one measurement to the next, and what follows from the scene alone does not.
+    assert by_function.samples == kept.samples and by_function.scene == kept.scene
+
+
+def test_a_path_that_never_sees_an_object_is_refused():
+    scene = room_with_a_virtual_sphere()
+    scene.camera.animation_data_clear()
+    look_at(scene.camera, (-1.2, -1.5, 1.5), (-1.2, -3.0, 1.5))
+    with pytest.raises(UserError, match="never has a virtual object in view"):
+        run_blocking(calibrate(scene, SMALL))
+
+
+def test_without_a_camera_the_button_says_so(tmp_path):
+    scene = walk_for_the_panel(tmp_path / "runs")
+    scene.camera = None
+    assert poll_message(bpy.ops.xihe.calibrate) == "Add a camera and animate it as the phone's path"

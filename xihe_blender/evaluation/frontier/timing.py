@@ -1,0 +1,63 @@
+"""How long does each of several things take, on a machine that does other things as well?
+
+All candidates take turns: each round measures every one of them once, and each round in another order, so that what
+slows the machine for a while, or what one candidate leaves in the caches, falls on all alike. The first round only
+warms up. Of the rounds the median counts, and the distance between the quartiles says how far it can be trusted.
+
+Time is the processor's, all threads together, not the wall's: it hardly feels what else runs. Rejected: the smallest of
+many, which is steadier but is not what a run takes.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
+from typing import ParamSpec, TypeVar
+
+import numpy as np
+
+Clock = Callable[[], float]
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Median of some measurements, and the distance between their quartiles."""
+
+    median: float
+    spread: float
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Spread:
+        """ValueError for none."""
+        if not len(values):
+            raise ValueError("Spread: expected a measurement at least, got none")
+        low, middle, high = np.percentile(values, (25, 50, 75))
+        return cls(float(middle), float(high - low))
+
+
+def timed(run: Callable[Arguments, Result], *args: Arguments.args, **kwargs: Arguments.kwargs) -> tuple[Result, float]:
+    """What `run` gives, and the milliseconds of processor time it takes."""
+    start = time.process_time()
+    result = run(*args, **kwargs)
+    return result, 1e3 * (time.process_time() - start)
+
+
+def interleaved(
+    candidates: Sequence[Callable[[], float]], n_rounds: int, rng: np.random.Generator
+) -> Generator[int, None, list[list[float]]]:
+    """Measure every candidate in each of `n_rounds` rounds, after one to warm up.
+
+    Each candidate measures itself when it is called, so that it can leave out what does not count. Yields the number
+    of rounds that are done, and returns what each candidate gave, round by round.
+    """
+    measured: list[list[float]] = [[] for _ in candidates]
+    for done in range(n_rounds + 1):
+        for number in rng.permutation(len(candidates)):
+            value = candidates[number]()
+            if done > 0:
+                measured[number].append(value)
+        yield done
+    return measured

@@ -1,0 +1,94 @@
+"""Which choices are worth considering, when each has an error and a cost?
+
+A choice is dominated if another is no worse in both and better in one; those that are not form the front. Ties stay
+together: two choices of equal error and equal cost are both on it, or both off. The front is that of the plain numbers,
+with no tolerance, so that anyone who has them finds the same one. How far it can be trusted is a question of its own:
+`front_share` measures it again and again on resampled measurements, and `flickering` compares whole runs. Rejected: a
+margin within which choices count as equal, which makes being on the front depend on a number that nobody has measured.
+
+Both errors and costs are better the smaller they are. Nothing here knows what they are of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from xihenet.records import ArrayBool, ArrayF64, ArrayInt
+
+
+def on_front(errors: ArrayLike, costs: ArrayLike) -> ArrayBool:
+    """(C,) whether each of C choices is dominated by no other; C may be 0.
+
+    ValueError for shapes that differ, and for NaN. Infinity is legal: no worse than another infinity.
+    """
+    error, cost = _checked(errors, costs)
+    is_on_front = np.zeros(len(error), bool)
+    best_error, its_cost = np.inf, np.inf
+    for place, choice in enumerate(np.lexsort((error, cost))):
+        is_tie = error[choice] == best_error and cost[choice] == its_cost
+        if place == 0 or error[choice] < best_error or is_tie:
+            is_on_front[choice] = True
+            best_error, its_cost = error[choice], cost[choice]
+    return is_on_front
+
+
+def dominators(errors: ArrayLike, costs: ArrayLike) -> ArrayInt:
+    """(C,) for each choice the number of the one to take instead: itself, if it is on the front.
+
+    Of the choices on the front that dominate it, the one of least error, which costs no more than the choice itself.
+    Raises as `on_front`.
+    """
+    error, cost = _checked(errors, costs)
+    front = np.flatnonzero(on_front(error, cost))
+    instead = np.arange(len(error))
+    for choice in np.setdiff1d(instead, front):
+        affordable = front[cost[front] <= cost[choice]]
+        instead[choice] = affordable[np.argmin(error[affordable])]
+    return instead
+
+
+def front_share(
+    square_errors: ArrayLike, costs: ArrayLike, rng: np.random.Generator, n_resamples: int = 200
+) -> ArrayF64:
+    """In what share of resampled measurements each choice is on the front: near 0 or 1 for one that does not flicker.
+
+    Parameters
+    ----------
+    square_errors : (P, C) squared error of each choice at P places; a choice's error is the root of their mean
+    costs : (R, C) cost of each choice in R rounds; a choice's cost is the median
+    rng : rounds and places are drawn with replacement, whole: what disturbs a round disturbs all choices alike
+
+    Returns
+    -------
+    (C,) 0 to 1. ValueError without a place, a round or a resample, and for NaN.
+    """
+    squares, rounds = np.asarray(square_errors, np.float64), np.asarray(costs, np.float64)
+    if squares.ndim != 2 or rounds.ndim != 2 or squares.shape[1] != rounds.shape[1]:
+        raise ValueError(f"front_share: expected (P, C) and (R, C), got {squares.shape} and {rounds.shape}")
+    if not (len(squares) and len(rounds) and n_resamples > 0):
+        raise ValueError("front_share: expected a place, a round and a resample at least, got none")
+    count = np.zeros(squares.shape[1])
+    for _ in range(n_resamples):
+        error = np.sqrt(squares[rng.integers(len(squares), size=len(squares))].mean(axis=0))
+        cost = np.median(rounds[rng.integers(len(rounds), size=len(rounds))], axis=0)
+        count += on_front(error, cost)
+    share: ArrayF64 = count / n_resamples
+    return share
+
+
+def flickering(fronts: Sequence[Collection[str]]) -> list[str]:
+    """Names that are on some of the fronts of several runs but not on all, in alphabetical order."""
+    names: Iterable[str] = {name for front in fronts for name in front}
+    return sorted(name for name in names if not all(name in front for front in fronts))
+
+
+def _checked(errors: ArrayLike, costs: ArrayLike) -> tuple[ArrayF64, ArrayF64]:
+    error, cost = np.asarray(errors, np.float64), np.asarray(costs, np.float64)
+    if error.shape != cost.shape or error.ndim != 1:
+        raise ValueError(f"front: expected an error and a cost for each choice, got {error.shape} and {cost.shape}")
+    if np.isnan(error).any() or np.isnan(cost).any():
+        raise ValueError("front: expected numbers, got NaN")
+    return error, cost
