@@ -162,10 +162,9 @@ class XIHE_PT_estimator(StagePanel, bpy.types.Panel):
         layout.prop(settings, "estimator")
         layout.prop(settings, "preset")
         costs = calibration_in_words(context)
-        row = layout.row(align=True)
-        row.operator("xihe.calibrate", text="" if costs else "Calibrate", icon="SORTTIME")
+        layout.operator("xihe.calibrate", text="Calibrate Again" if costs else "Calibrate", icon="SORTTIME")
         if costs:
-            sentence(context, row, costs, n_columns_used=1)
+            sentence(context, layout, costs)
         run = last_run(settings.run_folder)
         if run is not None and run.step_ms is not None and run.estimator == settings.estimator:
             layout.label(text=f"{run.step_ms:.1f} ms a frame, last run", icon="TIME")

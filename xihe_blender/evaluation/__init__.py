@@ -1,1 +1,1 @@
-"""Over many scenes: batch evaluation of estimators and phones, and the frontier of error against time."""
+"""Many runs at once: batches over scenes, estimators and phones, and the frontier of error against time."""
