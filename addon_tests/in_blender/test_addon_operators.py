@@ -208,6 +208,7 @@ def test_grey_buttons_without_anything_say_what_to_do(tmp_path):
         "add_virtual_objects": "Select the objects that the phone would insert",
         "remove_virtual_objects": "Select virtual objects first",
         "measure_run": "Make an object virtual first: select it, and add it above",
+        "calibrate": "Make an object virtual first: select it, and add it above",
         "run": "Make an object virtual first: select it, and add it above",
         "cancel_run": "No run is under way",
         "apply_light": "There are no results yet: run first",
