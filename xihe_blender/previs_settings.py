@@ -32,6 +32,7 @@ class Preset:
     comparison_samples : Cycles samples per pixel, fixed
     truth_width : width of the light probe's panorama in pixels; twice its height
     comparison_step : compare at every n-th frame of the path, and at its last
+    min_samples : Cycles samples per pixel for captures and light probes, at least
     """
 
     noise_target: float
@@ -39,12 +40,13 @@ class Preset:
     truth_width: int
     comparison_samples: int
     comparison_step: int = 1
+    min_samples: int = 1
 
 
 PRESETS = {
     "draft": Preset(0.06, 32, 32, 8, comparison_step=2),
     "balanced": Preset(0.03, 64, 64, 32),
-    "accurate": Preset(0.015, 256, 128, 128),
+    "accurate": Preset(0.015, 256, 128, 128, min_samples=16),
 }
 
 MAX_SEED = 2**31 - 1
