@@ -3,8 +3,8 @@
 Presets are points on the front of error against time (`xihe frontier`, docs/frontier.md). Their noise targets are what
 `living_room`, the noisiest of the example scenes, has with some 4, 16 and 64 samples per capture at 256x192; the others
 reach them with 1 to 5 samples in draft and balanced. In those accurate would stop at 8, which in `courtyard` is only
-half of draft's error, and takes 16. An estimate is off by some 30 % of the light, to which noise of 6, 3 and 1.5 % adds,
-in quadrature, 2 %, 0.5 % and 0.1 % of that.
+half of draft's error, and takes 16. An estimate is off by some 30 % of the light, to which noise of 6, 3 and 1.5 %
+adds, in quadrature, 2 %, 0.5 % and 0.1 % of that.
 """
 
 from __future__ import annotations
