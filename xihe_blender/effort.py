@@ -38,7 +38,7 @@ from numpy.typing import ArrayLike
 
 from xihe_blender.capture import open_scanner
 from xihe_blender.plan import PrevisPlan
-from xihe_blender.previs_settings import MAX_SEED, PrevisSettings
+from xihe_blender.previs_settings import MAX_SEED, Preset, PrevisSettings
 from xihe_blender.render import RenderSettings
 from xihe_blender.truth import open_light_probe, probe_radiance_sh
 from xihenet.camera import KEY_LUMINANCE, in_view, unproject_frame
@@ -156,7 +156,7 @@ def measure_effort(
     views = pilot_views(scene, plan)
     if not views:
         return Effort(maximum, maximum)
-    n_small = max(1, maximum // SMALLEST_SHARE)
+    n_small = pilot_samples(preset)
     capture, truth = (
         replace(wanted, light_transport=light_transport)
         for wanted in (settings.capture(plan.size, n_small), settings.truth(n_small))
@@ -164,10 +164,20 @@ def measure_effort(
     captures = capture_noise(scene, views, capture, exposure, settings.n_anchors)
     probes = truth_noise(scene, views, truth, exposure, settings)
     target = settings.noise_aim
-    # Not below what was measured: with fewer samples the denoiser's bias is another.
-    n_captures, n_probes = (model.samples_for(target, n_small, maximum) for model in (captures, probes))
+    fewest = fewest_samples(preset)
+    n_captures, n_probes = (model.samples_for(target, fewest, maximum) for model in (captures, probes))
     noises = captures.noise(n_captures), probes.noise(n_probes)
     return Effort(n_captures, n_probes, *noises, time.perf_counter() - start)
+
+
+def pilot_samples(preset: Preset) -> int:
+    """The pilot's smaller number of samples."""
+    return max(1, preset.max_samples // SMALLEST_SHARE)
+
+
+def fewest_samples(preset: Preset) -> int:
+    """What a capture takes at least. Not below what was measured: with fewer, the denoiser's bias is another."""
+    return max(preset.min_samples, pilot_samples(preset))
 
 
 def pilot_views(scene: bpy.types.Scene, plan: PrevisPlan) -> list[tuple[int, list[ArrayF64]]]:

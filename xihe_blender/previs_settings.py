@@ -1,9 +1,10 @@
 """What can a user choose for a previs run, and what do the presets choose for them?
 
-Presets are provisional: they are round numbers until the frontier of error against time picks better ones. Their noise
-targets are what `living_room`, the noisiest of the example scenes, has with some 4, 16 and 64 samples per capture at
-256x192; the others reach them with 2 to 5 samples in balanced. An estimate is off by some 30 % of the light, to which
-noise of 6, 3 and 1.5 % adds, in quadrature, 2 %, 0.5 % and 0.1 % of that.
+Presets are points on the front of error against time (`xihe frontier`, docs/frontier.md). Their noise targets are what
+`living_room`, the noisiest of the example scenes, has with some 4, 16 and 64 samples per capture at 256x192; the others
+reach them with 1 to 5 samples in draft and balanced. In those accurate would stop at 8, which in `courtyard` is only
+half of draft's error, and takes 16. An estimate is off by some 30 % of the light, to which noise of 6, 3 and 1.5 %
+adds, in quadrature, 2 %, 0.5 % and 0.1 % of that.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ class Preset:
     comparison_samples : Cycles samples per pixel, fixed
     truth_width : width of the light probe's panorama in pixels; twice its height
     comparison_step : compare at every n-th frame of the path, and at its last
+    min_samples : Cycles samples per pixel for captures and light probes, at least
     """
 
     noise_target: float
@@ -39,12 +41,13 @@ class Preset:
     truth_width: int
     comparison_samples: int
     comparison_step: int = 1
+    min_samples: int = 1
 
 
 PRESETS = {
     "draft": Preset(0.06, 32, 32, 8, comparison_step=2),
     "balanced": Preset(0.03, 64, 64, 32),
-    "accurate": Preset(0.015, 256, 128, 128),
+    "accurate": Preset(0.015, 256, 128, 128, min_samples=16),
 }
 
 MAX_SEED = 2**31 - 1

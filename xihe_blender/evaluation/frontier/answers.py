@@ -54,11 +54,11 @@ def _anchors(points: Sequence[Point]) -> str:
     if len(own) < 2:
         return ""
     listed = "; ".join(f"{p['settings']['n_anchors']}: {_share(p['error'])} in {_ms(p['time_ms'])}" for p in own)
-    least = min(p["error"] for p in own)
-    fewest = next(p["settings"]["n_anchors"] for p in own if p["error"] - least <= GOOD_ENOUGH)
+    best = min(own, key=lambda p: p["error"])
+    fewest = next(p for p in own if p["error"] - best["error"] <= GOOD_ENOUGH)
     return (
-        f"{fewest}: more come no nearer to the rendered light probe than by {GOOD_ENOUGH:.0%} of the light. Off it, by "
-        f"anchors: {listed} a frame."
+        f"{fewest['settings']['n_anchors']} come within {GOOD_ENOUGH:.0%} of the light of the closest to the rendered "
+        f"light probe. Off it, by anchors: {listed} a frame."
     )
 
 
@@ -132,7 +132,8 @@ def _bounces(points: Sequence[Point]) -> str:
         f"{_ms(p['time_ms'])}"
         for p in sorted(own, key=_fewest_bounces_first)
     )
-    return f"At {cut[-1]['settings']['samples']} samples, by bounces: {listed}."
+    samples = cut[-1]["settings"]["samples"]
+    return f"At {samples} sample{'' if samples == 1 else 's'}, by bounces: {listed}."
 
 
 def _fewest_bounces_first(point: Point) -> float:
@@ -156,10 +157,12 @@ def _last_tenth(points: Sequence[Point], doing: str) -> str:
     cheapest, dearest = front[0], front[-1]
     bound = dearest["error"] + 0.1 * (cheapest["error"] - dearest["error"])
     near = next(p for p in front if p["error"] <= bound)
+    way = f"from {_share(cheapest['error'])} to {_share(dearest['error'])}"
+    if near is dearest:
+        return f"{doing}: nothing but {name_of(dearest)}, in {_ms(dearest['time_ms'])} a frame, goes the way {way}."
     return (
-        f"{doing}: {name_of(near)} goes nine tenths of the way from {_share(cheapest['error'])} to "
-        f"{_share(dearest['error'])} in {_ms(near['time_ms'])} a frame; the rest, {name_of(dearest)}, takes "
-        f"{dearest['time_ms'] / near['time_ms']:.1f} times that."
+        f"{doing}: {name_of(near)} goes nine tenths of the way {way} in {_ms(near['time_ms'])} a frame; the rest, "
+        f"{name_of(dearest)}, takes {dearest['time_ms'] / near['time_ms']:.1f} times that."
     )
 
 

@@ -21,7 +21,7 @@ import bpy
 
 from xihe_blender.capture import CyclesScanner, meter_exposure, open_scanner
 from xihe_blender.effects import plan_effects
-from xihe_blender.effort import SMALLEST_SHARE, NoiseModel, capture_noise, pilot_views
+from xihe_blender.effort import NoiseModel, capture_noise, fewest_samples, pilot_views
 from xihe_blender.errors import UserError
 from xihe_blender.evaluation.frontier.chain import ChoiceBackend, light_of_frame
 from xihe_blender.evaluation.frontier.choices import ComputeChoice
@@ -85,8 +85,7 @@ def calibrate(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[Calibrati
 
 def _samples(noise: NoiseModel, name: str) -> int:
     preset = PRESETS[name]
-    fewest = max(1, preset.max_samples // SMALLEST_SHARE)
-    return noise.samples_for(preset.noise_target, fewest, preset.max_samples)
+    return noise.samples_for(preset.noise_target, fewest_samples(preset), preset.max_samples)
 
 
 def _timed_render(

@@ -18,7 +18,7 @@ import numpy as np
 
 from xihe_blender.capture import CyclesScanner, meter_exposure, open_scanner
 from xihe_blender.effects import EffectPlan, plan_effects
-from xihe_blender.effort import SMALLEST_SHARE, capture_noise, pilot_views
+from xihe_blender.effort import capture_noise, fewest_samples, pilot_samples, pilot_views
 from xihe_blender.errors import UserError
 from xihe_blender.evaluation.frontier.chain import Walk
 from xihe_blender.evaluation.frontier.choices import (
@@ -164,13 +164,12 @@ def preset_samples(
 ) -> int:
     """Samples per pixel of captures that a run of a preset takes on `scene`, measured as the run does it."""
     settings, preset = PrevisSettings(preset=name, seed=seed), PRESETS[name]
-    n_small = max(1, preset.max_samples // SMALLEST_SHARE)
     views = pilot_views(scene, plan)
     if not views:
         raise UserError(f"scene {scene.name!r} never has a virtual object in view: move the camera's path, or objects")
-    capture = replace(settings.capture(plan.size, n_small), light_transport=effects.light_transport)
+    capture = replace(settings.capture(plan.size, pilot_samples(preset)), light_transport=effects.light_transport)
     model = capture_noise(scene, views, capture, exposure, settings.n_anchors)
-    return model.samples_for(preset.noise_target, n_small, preset.max_samples)
+    return model.samples_for(preset.noise_target, fewest_samples(preset), preset.max_samples)
 
 
 def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Steps[Walk]:
