@@ -40,16 +40,18 @@ class LightFollowing:
     agreeing_share : of the anchors that can be asked, as many must have changed in that direction by a quarter of the
         median or more: what moves through the picture changes some, a lamp all
     smallest_share : share of the sphere that has to be seen again and can be asked
+    same_distance : two distances in one direction that differ by no more than this share are those of one surface
     """
 
     smallest_stops: float = 0.5
-    agreeing_share: float = 0.75
+    agreeing_share: float = 0.9
     smallest_share: float = 0.05
+    same_distance: float = 0.02
 
     def __post_init__(self) -> None:
         if not 0 < self.smallest_stops < np.inf:
             raise ValueError(f"LightFollowing.smallest_stops: expected a number above 0, got {self.smallest_stops}")
-        for name in ("agreeing_share", "smallest_share"):
+        for name in ("agreeing_share", "smallest_share", "same_distance"):
             if not 0 < getattr(self, name) <= 1:
                 raise ValueError(f"LightFollowing.{name}: expected a share above 0, got {getattr(self, name)}")
 
@@ -72,7 +74,8 @@ def follow_light(old: UnitSphereCloud, new: UnitSphereCloud, settings: LightFoll
 
 def light_change(old: UnitSphereCloud, new: UnitSphereCloud, settings: LightFollowing) -> ArrayF64 | None:
     """(3,) the factor of each channel's light from `old` to `new`; None if it is the same, or if nobody can say."""
-    seen_again = old.is_set & new.is_set
+    nearness = np.abs(new.distance_m - old.distance_m)
+    seen_again = old.is_set & new.is_set & (nearness <= settings.same_distance * old.distance_m)
     before, after = (srgb_to_linear(cloud.srgb[seen_again].astype(np.float64)) for cloud in (old, new))
     brighter = np.maximum(before, after)
     can_say = (brighter > DARKEST) & (brighter < BRIGHTEST)
