@@ -154,15 +154,16 @@ class XiheController:
         estimate, payload, unknown_because = None, b"", "" if sampled.is_set.any() else "nothing_seen"
         invalid, n_followed = sampled.invalid, 0
         if decision.fire:
+            with clock.stage("merge"):
+                followed, n_followed = self._following(position.buffers, sampled)
             with clock.stage("encode"):
-                payload = encode_cloud(buffers.temporary, settings.codec)
+                payload = encode_cloud(followed.temporary, settings.codec)
             context = EstimateContext(frame, points, position.position_m, truth_sh, self.reference_exposure)
             with clock.stage("estimate"):
-                followed, n_followed = self._following(position.buffers, sampled)
                 fired = followed.fired()
                 estimate = self._estimate(fired, context)
             unknown_because = estimate.unknown_because
-            invalid = {**invalid, **self._clamped(buffers.temporary, fired.persistent)}
+            invalid = {**invalid, **self._clamped(followed.temporary, fired.persistent)}
             if estimate.is_valid:
                 # Else what was seen is still unanswered, and the trigger goes on to ask.
                 buffers, position.light = fired, estimate
