@@ -45,7 +45,7 @@ class PhoneSession:
     def __init__(
         self, plan: PrevisPlan, settings: PrevisSettings, exposure: float, estimator: Estimator, link: Link | None
     ) -> None:
-        chain = ControllerSettings(settings.trigger, reference_exposure=exposure)
+        chain = ControllerSettings(settings.trigger, reference_exposure=exposure, following=settings.following)
         self.controller = XiheController(LocalBackend(estimator), chain)
         for probe in plan.probes:
             self.controller.add_position(probe.name, probe.position_m)

@@ -18,6 +18,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.render import RenderSettings
 from xihenet import estimators
 from xihenet.estimators import Estimator, Target
+from xihenet.light_change import LightFollowing
 from xihenet.phone import LINKS, Link, PhoneProfile, load_profile
 from xihenet.trigger import TriggerSettings
 
@@ -74,6 +75,8 @@ class PrevisSettings:
     noise_target : relative error of the light that rendering may cause; None takes the preset's
     samples : of every capture and light probe, whatever the noise; None takes what the noise target calls for
     n_anchors : of the unit sphere
+    trigger : when a new estimate is worth its cost
+    following : how what is out of view follows a change of the light; None lets it be
     phone : name of a profile, or path of a user's TOML file; see docs/phone.md
     network : name of one of LINKS, over which estimates are asked for; None lets them arrive in their own frame
     effect_choices : effect: "auto", "on" or "off"; wins over what the .blend remembers, which wins over the scene
@@ -91,6 +94,7 @@ class PrevisSettings:
     noise_target: float | None = None
     samples: int | None = None
     trigger: TriggerSettings = field(default_factory=lambda: PREVIS_TRIGGER)
+    following: LightFollowing | None = field(default_factory=LightFollowing)
     phone: str = "perfect"
     network: str | None = None
     effect_choices: Mapping[str, str] = field(default_factory=dict)

@@ -130,6 +130,7 @@ def probe_entry(
         "is_valid": not step.unknown_because,
         "unknown_because": step.unknown_because or None,
         "light_frame": light_frame,
+        "n_followed_anchors": step.n_followed_anchors,
         "payload_bytes": step.payload_bytes,
         "sh": light.tolist(),
         "sh_truth": truth.tolist(),
@@ -245,6 +246,7 @@ def _settings(run: PreparedRun) -> dict[str, Any]:
         "effect_choices": overrides_in_force(run.scene, settings.effect_choices),
         "reference_exposure": run.exposure,
         "trigger": asdict(settings.trigger),
+        "following": None if settings.following is None else asdict(settings.following),
         "samples": {
             "capture": effort.capture_samples,
             "truth": effort.truth_samples,

@@ -53,6 +53,7 @@ def summary(frames: Sequence[dict[str, Any]], comparison: Mapping[str, Mapping[s
         "n_lost": sum(probe["fired"] and probe["latency_ms"] is None for probe in probes),
         "n_invalid_pixels": sum(entry["n_invalid_pixels"] for entry in active),
         "n_invalid_points": sum(probe["n_invalid_points"] for probe in probes),
+        "n_followed_anchors": sum(probe["n_followed_anchors"] for probe in probes),
         "n_unknown_lights": sum(not probe["is_valid"] for probe in probes),
         "invalid": {
             "pixels": added(entry["invalid"] for entry in active),
@@ -100,7 +101,14 @@ def notes(scene: bpy.types.Scene, frames: Sequence[dict[str, Any]]) -> list[str]
     invalid = sum(entry["n_invalid_pixels"] for entry in frames) - lost
     if invalid > 0:
         said.append(f"{invalid} captured pixels had no plane depth (open sky or a window) and gave no point.")
-    return said + said_of_unknown_lights(frames)
+    return said + said_of_unknown_lights(frames) + said_of_following(frames)
+
+
+def said_of_following(frames: Sequence[dict[str, Any]]) -> list[str]:
+    """A sentence where a change of the light was carried on to what was out of view."""
+    when = [entry["frame"] for entry in frames if any(probe["n_followed_anchors"] for probe in entry["probes"])]
+    told = "the light in view changed as a whole; directions out of view were changed alike, which is a guess"
+    return [f"At {frames_told(when)} {told}."] if when else []
 
 
 def said_of_unknown_lights(frames: Sequence[dict[str, Any]]) -> list[str]:

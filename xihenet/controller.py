@@ -12,7 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ from xihenet.camera import in_view, unproject_frame
 from xihenet.codec import EncodingMethod, encode_cloud, n_clamped_distances
 from xihenet.estimators.base import EstimateContext
 from xihenet.invalid import Counts, counted
+from xihenet.light_change import LightFollowing, follow_light
 from xihenet.recording import SessionRecorder
 from xihenet.records import (
     ArrayF64,
@@ -50,12 +51,14 @@ class ControllerSettings:
     codec : wire format by which `payload_bytes` is counted; see `xihenet.codec`
     nearest : how points find their anchor, "exact", "table" or "brute"
     reference_exposure : the exposure that anchors and estimates carry; None takes the first frame's
+    following : how what is out of view follows a change of the light; None lets it be, as the paper does
     """
 
     trigger: TriggerSettings = field(default_factory=TriggerSettings)
     codec: EncodingMethod = "uint8_float16_stripped"
     nearest: NearestMethod = "exact"
     reference_exposure: float | None = None
+    following: LightFollowing | None = field(default_factory=LightFollowing)
 
 
 class XiheController:
@@ -149,23 +152,36 @@ class XiheController:
                 buffers.persistent, buffers.temporary, self.lattice, settings.trigger, last=position.decision
             )
         estimate, payload, unknown_because = None, b"", "" if sampled.is_set.any() else "nothing_seen"
-        invalid = sampled.invalid
+        invalid, n_followed = sampled.invalid, 0
         if decision.fire:
+            with clock.stage("merge"):
+                followed, n_followed = self._following(position.buffers, sampled)
             with clock.stage("encode"):
-                payload = encode_cloud(buffers.temporary, settings.codec)
+                payload = encode_cloud(followed.temporary, settings.codec)
             context = EstimateContext(frame, points, position.position_m, truth_sh, self.reference_exposure)
             with clock.stage("estimate"):
-                fired = buffers.fired()
+                fired = followed.fired()
                 estimate = self._estimate(fired, context)
             unknown_because = estimate.unknown_because
-            invalid = {**invalid, **self._clamped(buffers.temporary, fired.persistent)}
+            invalid = {**invalid, **self._clamped(followed.temporary, fired.persistent)}
             if estimate.is_valid:
                 # Else what was seen is still unanswered, and the trigger goes on to ask.
                 buffers, position.light = fired, estimate
         position.buffers, position.decision = buffers, decision
         return StepReport(
-            decision, estimate, clock.stage_ms, len(payload), buffers.coverage(), invalid, unknown_because
+            decision, estimate, clock.stage_ms, len(payload), buffers.coverage(), invalid, unknown_because, n_followed
         )
+
+    def _following(self, before: PositionBuffers, sampled: UnitSphereCloud) -> tuple[PositionBuffers, int]:
+        """The buffers after this frame, what it does not show changed as the light did; and for how many anchors."""
+        following = self.settings.following
+        if following is None:
+            return before.with_frame(sampled), 0
+        temporary = follow_light(before.temporary, sampled, following)
+        after = replace(before, temporary=temporary).with_frame(sampled)
+        persistent = follow_light(before.persistent, after.temporary, following)
+        changed = (temporary.srgb != before.temporary.srgb) | (persistent.srgb != before.persistent.srgb)
+        return replace(after, persistent=persistent), int(np.count_nonzero(changed.any(axis=1)))
 
     def _estimate(self, buffers: PositionBuffers, context: EstimateContext) -> LightEstimate:
         """The light from the persistent cloud."""

@@ -283,6 +283,7 @@ class StepReport:
     invalid : points of this frame that were left out and distances that were clamped, by reason
     unknown_because : reason of `xihenet.invalid.UNKNOWN` why this frame could not tell the light, so that the last one
         stays; empty where it could, or where the trigger saw no need
+    n_followed_anchors : anchors out of view whose colour was changed as the light in view did, a guess
     """
 
     decision: TriggerDecision
@@ -292,6 +293,7 @@ class StepReport:
     coverage: float = 0.0
     invalid: Counts = field(default_factory=dict)
     unknown_because: str = ""
+    n_followed_anchors: int = 0
 
     @property
     def n_invalid_points(self) -> int:

@@ -142,6 +142,7 @@ def _check_probe(probe):
     assert probe["n_skipped_points"] == probe["n_invalid_points"]
     assert probe["is_valid"] == (probe["unknown_because"] is None)
     assert probe["is_valid"] or probe["unknown_because"] in UNKNOWN
+    assert probe["n_followed_anchors"] >= 0 and (probe["fired"] or not probe["n_followed_anchors"])
     assert probe["fired"] == (probe["payload_bytes"] > 0)
     for name in ("sh", "sh_truth"):
         assert len(probe[name]) == 9 and all(_are_numbers(triple, 3) for triple in probe[name]), name
@@ -177,6 +178,7 @@ def _check_summary(results):
     _check_counts(summary["invalid"]["points"], summary["n_invalid_points"])
     assert summary["n_invalid_points"] == sum(probe["n_invalid_points"] for probe in probes)
     assert sum(summary["invalid"]["lights"].values()) == summary["n_unknown_lights"]
+    assert summary["n_followed_anchors"] == sum(probe["n_followed_anchors"] for probe in probes)
     assert summary["n_unknown_lights"] == sum(not probe["is_valid"] for probe in probes)
     assert summary["n_frames"] == len(frames)
     assert summary["n_active_frames"] == sum(entry["active"] for entry in frames)

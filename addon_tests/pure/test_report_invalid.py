@@ -59,6 +59,13 @@ def test_a_light_that_was_kept_is_named_with_its_frames_and_its_source():
     assert "light could not be known: the last one stays" in plots
 
 
+def test_directions_that_followed_a_change_of_the_light_are_told_as_a_guess():
+    followed = results([frame(1)])
+    followed["summary"]["n_followed_anchors"] = 1234
+    (row,) = invalid_rows(followed)
+    assert row[0] == "directions around probes" and row[1] == "1,234" and "a guess" in row[3]
+
+
 def test_results_of_before_reasons_were_counted_say_so():
     old = {"schema_version": 1, "summary": {"n_invalid_pixels": 12}, "frames": [{"frame": 1, "probes": []}]}
     assert invalid_rows(old) == [] and "Not recorded" in numbers_section(old)

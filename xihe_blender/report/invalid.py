@@ -39,7 +39,12 @@ def invalid_rows(results: Mapping[str, Any]) -> list[list[str]]:
     own = {reason: n for reason, n in points.items() if reason not in pixels}
     rows = [_row("pixels", reason, n, _n_pixels(results), "gave no point") for reason, n in pixels.items()]
     rows += [_row("points", reason, n, None, "left out at that probe") for reason, n in own.items()]
-    return rows + _light_rows(Timeline.of(results)) + _comparison_rows(counts)
+    rows += _light_rows(Timeline.of(results)) + _comparison_rows(counts)
+    n_followed = finite(mapping(results, "summary").get("n_followed_anchors"))
+    if n_followed:
+        why = "out of view while the light in view changed as a whole"
+        rows.append(["directions around probes", _counted(n_followed), why, "changed alike, a guess"])
+    return rows
 
 
 def undefined_in_words(metric: str) -> str:

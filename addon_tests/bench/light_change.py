@@ -1,0 +1,57 @@
+"""What does following a change of the light do to the light in force? A table over the captures of previs runs.
+
+    python addon_tests/bench/light_change.py out/living_room out/lamp_off ...
+
+For each run and estimator: the mean SHC RMSE against the rendered truth from frame FROM on, where what is out of view
+is kept and where it follows, and in how many steps it did. A run under light that does not change must follow in none:
+then the two are the same to the last bit. Nothing is rendered.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from trigger import Recorded, read_run
+
+from xihe_blender.previs_settings import PREVIS_TRIGGER
+from xihenet import estimators
+from xihenet.backend import LocalBackend
+from xihenet.controller import ControllerSettings, XiheController
+from xihenet.light_change import LightFollowing
+from xihenet.metrics import shc_rmse
+
+FROM = 13
+
+
+def walk(recorded: Recorded, estimator: str, following: LightFollowing | None) -> tuple[float, int]:
+    """The mean error from frame FROM on, and the steps in which anchors followed."""
+    chain = ControllerSettings(PREVIS_TRIGGER, reference_exposure=recorded.exposure, following=following)
+    controller = XiheController(LocalBackend(estimators.load(estimator)), chain)
+    for name, position in recorded.positions.items():
+        controller.add_position(name, position)
+    errors, n_followed = [], 0
+    for frame, truth in zip(recorded.frames, recorded.truth, strict=True):
+        for name, step in controller.step(frame, active=list(truth)).items():
+            light = controller.light(name)
+            n_followed += step.n_followed_anchors > 0
+            if light is not None and frame.frame >= FROM:
+                errors.append(shc_rmse(light.sh_radiance, truth[name]))
+    return float(np.mean(errors)), n_followed
+
+
+def main() -> None:
+    if not sys.argv[1:]:
+        sys.exit("give the folders of finished previs runs")
+    print(f"{'run':<28}{'estimator':<12}{'kept':>8}{'followed':>10}{'steps':>7}")
+    for folder in sys.argv[1:]:
+        recorded = read_run(Path(folder))
+        for estimator in ("lattice", "projection"):
+            kept, _ = walk(recorded, estimator, None)
+            followed, n_followed = walk(recorded, estimator, LightFollowing())
+            print(f"{recorded.name:<28}{estimator:<12}{kept:8.4f}{followed:10.4f}{n_followed:7d}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,174 @@
+"""What is out of view follows a change of the light, and nothing but that."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from xihenet import estimators
+from xihenet.backend import LocalBackend
+from xihenet.buffers import merge
+from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.controller import ControllerSettings, XiheController
+from xihenet.light_change import LightFollowing, follow_light, light_change
+from xihenet.metrics import shc_rmse
+from xihenet.records import Intrinsics, RgbdFrame, UnitSphereCloud
+from xihenet.trigger import TriggerSettings
+
+N = 400
+FOLLOWING = LightFollowing()
+seeds = st.integers(0, 2**32 - 1)
+
+
+def cloud(radiance, is_set):
+    """As a phone keeps it: 8 bits, clipped."""
+    codes = np.rint(255 * linear_to_srgb(radiance)) / 255
+    return UnitSphereCloud(codes * is_set[:, None], 2.0 * is_set, is_set)
+
+
+def room(seed, darkest=0.03, brightest=0.12):
+    """Radiance of N anchors, which of them were seen at first, and which later; some at both times."""
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(N)
+    return rng.uniform(darkest, brightest, (N, 3)), order < 0.7 * N, order > rng.uniform(0.2, 0.6) * N
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=seeds, brightest=st.sampled_from([0.002, 0.1, 1.0, 50.0]))
+def test_where_the_light_is_the_same_nothing_is_touched(seed, brightest):
+    radiance, first, later = room(seed, 0.0, brightest)
+    old = cloud(radiance, first)
+    assert follow_light(old, cloud(radiance, later), FOLLOWING) is old
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=seeds)
+def test_noise_is_no_change_of_the_light(seed):
+    radiance, first, later = room(seed, 0.0, 0.5)
+    noisy = radiance * np.random.default_rng(seed + 1).lognormal(0, 0.4, (N, 3))
+    old = cloud(radiance, first)
+    assert follow_light(old, cloud(noisy, later), FOLLOWING) is old
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=seeds, share=st.floats(0, 0.4), light=st.sampled_from([0.0, 0.01, 0.5, 9.0]))
+def test_something_that_moves_into_view_is_no_change_of_the_light(seed, share, light):
+    radiance, first, later = room(seed)
+    moved = radiance.copy()
+    again = np.flatnonzero(first & later)
+    moved[again[: int(share * len(again))]] = light
+    old = cloud(radiance, first)
+    assert follow_light(old, cloud(moved, later), FOLLOWING) is old
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=seeds, factor=st.tuples(*[st.sampled_from([0.2, 0.25, 0.5, 2.0, 5.0])] * 3))
+def test_what_is_out_of_view_follows_a_lamp_by_its_factor_and_its_colour(seed, factor):
+    radiance, first, later = room(seed)
+    old, new = cloud(radiance, first), cloud(radiance * factor, later)
+    followed, stale = follow_light(old, new, FOLLOWING), first & ~later
+    ratio = srgb_to_linear(followed.srgb[stale]) / srgb_to_linear(old.srgb[stale])
+    np.testing.assert_allclose(ratio / factor, 1, atol=0.12)
+    np.testing.assert_array_equal(followed.srgb[~stale], old.srgb[~stale])
+    np.testing.assert_array_equal(followed.distance_m, old.distance_m)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=seeds, factor=st.sampled_from([0.25, 4.0]))
+def test_a_lamp_that_goes_there_and_back_leaves_what_is_out_of_view_as_it_was(seed, factor):
+    radiance, first, later = room(seed)
+    changed = cloud(radiance * factor, later)
+    known = merge(follow_light(cloud(radiance, first), changed, FOLLOWING), changed)
+    last = np.arange(N) % 2 == 0
+    back = follow_light(known, cloud(radiance, last), FOLLOWING)
+    stale = back.is_set & ~last
+    np.testing.assert_allclose(srgb_to_linear(back.srgb[stale]) / radiance[stale], 1, atol=0.25)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=seeds, exposure=st.sampled_from([0.5, 0.8, 2.0, 4.0]))
+def test_the_exposure_has_no_say(seed, exposure):
+    radiance, first, later = room(seed, 0.05, 0.12)
+    once = light_change(cloud(radiance, first), cloud(radiance * 0.5, later), FOLLOWING)
+    exposed = light_change(cloud(exposure * radiance, first), cloud(exposure * radiance * 0.5, later), FOLLOWING)
+    np.testing.assert_allclose(exposed, once, rtol=0.1)
+
+
+nasty_colours = st.sampled_from([0.0, 1 / 255, 0.01, 0.1, 0.5, 0.98, 1.0])
+
+
+@settings(max_examples=100, deadline=None)
+@given(data=st.data(), n=st.integers(1, 12))
+def test_any_two_clouds_give_a_legal_one(data, n):
+    def drawn():
+        is_set = np.array(data.draw(st.lists(st.booleans(), min_size=n, max_size=n)))
+        srgb = np.array(data.draw(st.lists(st.tuples(*[nasty_colours] * 3), min_size=n, max_size=n)))
+        return UnitSphereCloud(srgb * is_set[:, None], 1.0 * is_set, is_set)
+
+    old, new = drawn(), drawn()
+    followed = follow_light(old, new, FOLLOWING)
+    np.testing.assert_array_equal(followed.is_set, old.is_set)
+    np.testing.assert_array_equal(followed.srgb[new.is_set], old.srgb[new.is_set])
+    if not (old.is_set & new.is_set).any():
+        assert followed is old
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"smallest_stops": 0}, {"smallest_stops": np.inf}, {"smallest_stops": np.nan}, {"agreeing_share": 0},
+     {"agreeing_share": 1.1}, {"smallest_share": np.nan}],
+)  # fmt: skip
+def test_settings_without_sense_are_refused(wrong):
+    with pytest.raises(ValueError, match=f"LightFollowing.{next(iter(wrong))}"):
+        LightFollowing(**wrong)
+
+
+# -------------------------------------------------------------------------------------------------------------- session
+
+CAMERA = Intrinsics(48, 36, 24.0, 24.0, 24.0, 18.0)
+POSITION = (0.0, 1.0, 0.0)
+
+
+def looking(yaw, light, number):
+    """The phone at the origin, turned by `yaw` about +Z, in a striped sphere of 3 m that is lit by `light`."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    pose = np.eye(4)
+    pose[:3, :3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    x, y = np.meshgrid((np.arange(48) + 0.5 - 24) / 24, -(np.arange(36) + 0.5 - 18) / 24)
+    rays = np.stack([x, y, -np.ones_like(x)], axis=-1)
+    plane_depth_m = 3 / np.linalg.norm(rays, axis=-1)
+    world = (rays * plane_depth_m[..., None]) @ pose[:3, :3].T
+    albedo = 0.3 + 0.1 * np.sin(2 * world[..., :1] + world[..., 1:2]) * np.ones(3)
+    codes = np.rint(255 * linear_to_srgb(albedo * light)).astype(np.uint8)
+    return RgbdFrame(codes, plane_depth_m, CAMERA, pose, frame=number)
+
+
+def walk(lights, following):
+    """Reports of a session that looks around, one frame per light."""
+    chain = ControllerSettings(TriggerSettings(theta=0.02, ignored_share=0.25), following=following)
+    controller = XiheController(LocalBackend(estimators.load("projection", N)), chain)
+    controller.add_position("Ball", POSITION)
+    yaws = 0.25 * np.sin(np.arange(len(lights)))
+    return [
+        controller.step(looking(yaw, light, i))["Ball"] for i, (yaw, light) in enumerate(zip(yaws, lights, strict=True))
+    ]
+
+
+def test_a_walk_under_the_same_light_is_the_same_to_the_last_bit():
+    on, off = (walk([1.0] * 12, following) for following in (FOLLOWING, None))
+    assert sum(report.decision.fire for report in on) > 1
+    for a, b in zip(on, off, strict=True):
+        assert a.decision == b.decision and a.n_followed_anchors == 0
+        if a.estimate is not None:
+            np.testing.assert_array_equal(a.estimate.sh_radiance, b.estimate.sh_radiance)
+
+
+@pytest.mark.parametrize("light", [0.25, 2.0])
+def test_after_a_lamp_has_changed_the_estimate_is_nearer_to_the_light_for_following(light):
+    before = 1.0
+    on, off = (walk([before] * 6 + [light], following)[-1] for following in (FOLLOWING, None))
+    truth = walk([light] * 7, None)
+    known = next(report.estimate for report in reversed(truth) if report.estimate is not None)
+    errors = [shc_rmse(report.estimate.sh_radiance, known.sh_radiance) for report in (on, off)]
+    assert on.n_followed_anchors > 0 == off.n_followed_anchors
+    assert errors[0] < 0.5 * errors[1]
