@@ -376,6 +376,19 @@ def test_a_run_of_more_frames_takes_longer_in_proportion():
     assert one.in_window_s(0.5) == pytest.approx(one.total_s + 4)
 
 
+def test_the_pause_between_steps_is_that_of_most():
+    from xihe_blender.addon.run_under_way import RunUnderWay
+    from xihe_blender.jobs import Progress
+
+    under_way = RunUnderWay(bpy.context, (Progress(done, 3, "counting") for done in range(3)))
+    assert under_way.pause_s == 0.0
+    while not under_way.step():
+        pass
+    assert len(under_way.pauses_s) == 3 and min(under_way.pauses_s) >= 0
+    under_way.pauses_s = [0.1, 5.0, 0.2]
+    assert under_way.pause_s == 0.2
+
+
 def test_the_estimate_of_time_is_said_with_how_it_was_made(tmp_path):
     from xihe_blender.run_time import said_of_run_time
 

@@ -42,8 +42,10 @@ class RunUnderWay:
 
     @property
     def pause_s(self) -> float:
-        """Seconds from one step to the next, in which Blender draws and listens; the median, which the user's hand on
-        the mouse does not change."""
+        """Seconds from one step to the next, in which Blender draws and listens; 0 before there were two.
+
+        The median: some steps wait for the user's hand on the mouse.
+        """
         return statistics.median(self.pauses_s) if self.pauses_s else 0.0
 
     def step(self) -> bool:

@@ -5,6 +5,8 @@ from pathlib import Path
 import pytest
 from blender_window import run_in_window
 
+from addon_tests.real_blender.whole_blender import MODULE
+
 ROOT = Path(__file__).resolve().parents[3]
 pytestmark = pytest.mark.timeout(1200)
 KINDS = ("worlds", "images", "node_groups", "actions", "scenes", "markers")
@@ -51,6 +53,14 @@ def test_enabling_and_disabling_ten_times_leaves_nothing_behind(tmp_path):
     assert disabled["types"] == disabled["operators"] == []
     assert disabled["properties"] == [False, False]
     assert sum(disabled["handlers"].values()) < sum(enabled["handlers"].values())
+
+
+def test_old_runs_are_removed_from_the_preferences_after_asking(blender, tmp_path, monkeypatch):
+    monkeypatch.setenv("BLENDER_USER_RESOURCES", str(blender.user))
+    seen = run_in_window("preferences", tmp_path, add_on=MODULE)
+    assert (seen.code, seen.complaints) == (0, []), seen.console
+    assert len(seen.facts["kept_while_asking"]) == 3
+    assert seen.facts["kept"] == seen.facts["kept_while_asking"][:1]
 
 
 def test_the_tab_works_in_another_language_where_the_build_has_one(tmp_path):
