@@ -20,6 +20,7 @@ from xihenet.buffers import PositionBuffers
 from xihenet.camera import unproject_frame
 from xihenet.codec import encode_cloud
 from xihenet.controller import ControllerSettings, XiheController
+from xihenet.light_change import LightFollowing, follow_light
 from xihenet.records import Intrinsics, RgbdFrame
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
@@ -59,7 +60,7 @@ def main() -> None:
             controller.add_position(f"probe {k}", position)
         return controller
 
-    one, four = whole(1), whole(4)
+    one, four, following = whole(1), whole(4), LightFollowing()
     turn = iter(range(10**9))
     candidates = {
         "unproject": lambda: unproject_frame(frames[0]),
@@ -68,6 +69,10 @@ def main() -> None:
         "merge": lambda: buffers.with_frame(other),
         "trigger": lambda: decide_trigger(buffers.persistent, other, lattice, settings),
         "encode": lambda: encode_cloud(cloud),
+        "follow the light, at triggers": lambda: (
+            follow_light(buffers.temporary, other, following),
+            follow_light(buffers.persistent, other, following),
+        ),
         "merge + trigger + encode": lambda: (
             buffers.with_frame(other),
             decide_trigger(buffers.persistent, other, lattice, settings),
