@@ -57,7 +57,7 @@ class SceneFault:
 
 
 def faults_at_frame(depsgraph: bpy.types.Depsgraph, *, is_first: bool = True) -> list[SceneFault]:
-    """Light that is negative and objects that are nowhere, at the frame of `depsgraph`.
+    """Light that is negative, objects and vertices that are nowhere, at the frame of `depsgraph`.
 
     Data-blocks without animation are looked at only where `is_first`. UserError for the first lamp or shader with
     a number that is NaN or infinite, or that shines with BRIGHTEST.
@@ -69,7 +69,8 @@ def faults_at_frame(depsgraph: bpy.types.Depsgraph, *, is_first: bool = True) ->
         if found.shines and found.value < 0:
             said = f"The light of {found.where} is negative: it darkens what Cycles renders, and no phone sees it."
             faults.append(SceneFault(found.where, 1, said))
-    return faults + [_nowhere(item) for item in depsgraph.objects if not _is_somewhere(item)]
+    faults += [_nowhere(item) for item in depsgraph.objects if not _is_somewhere(item)]
+    return faults + [fault for block in seen if isinstance(block, bpy.types.Mesh) for fault in _mesh_faults(block)]
 
 
 def _check(found: _Constant, frame: int) -> None:
@@ -120,6 +121,15 @@ def _is_somewhere(item: bpy.types.Object) -> bool:
 def _nowhere(item: bpy.types.Object) -> SceneFault:
     said = f"Object {item.name!r} has no finite place: Cycles leaves it out. Check its scale and its constraints."
     return SceneFault(item.name, 1, said)
+
+
+def _mesh_faults(mesh: bpy.types.Mesh) -> Iterator[SceneFault]:
+    places = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", places)
+    n_broken = int(np.count_nonzero(~np.isfinite(places.reshape(-1, 3)).all(axis=1)))
+    if n_broken:
+        said = f"{n_broken} vertices of mesh {mesh.name!r} are NaN or infinite: Cycles leaves their faces out."
+        yield SceneFault(mesh.name, n_broken, said)
 
 
 def image_faults(world: bpy.types.World | None) -> list[SceneFault]:

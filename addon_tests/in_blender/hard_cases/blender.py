@@ -71,9 +71,13 @@ MESHES = [
         add_mesh(FAN, (), [(0, 1, 2), (0, 1, 3), (0, 1, 4), (1, 0, 4)]),
         lit(),
     ),
-    case("a vertex of NaN in the room", move_vertex("Table", math.nan), lit()),
-    case("an infinite vertex in the room", move_vertex("Table", math.inf), lit()),
-    case("a virtual vertex of NaN", move_vertex("Ball", math.nan), lit()),
+    *(
+        case(
+            f"a vertex of NaN in {where} is named", move_vertex(name, math.nan), says(f"vertices of mesh {name!r}", n=1)
+        )
+        for where, name in (("the room", "Table"), ("a virtual object", "Ball"))
+    ),
+    case("a vertex at the largest float in the room", move_vertex("Table", math.inf), lit()),
     case("an infinite virtual vertex is refused", move_vertex("Ball", math.inf), refused("'Ball' is 3.4e+38 x")),
     case("a virtual vertex 1e30 m away is refused", move_vertex("Ball", 1e30), refused("positions: make it smaller")),
 ]

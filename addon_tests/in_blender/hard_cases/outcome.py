@@ -7,6 +7,7 @@ import math
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,8 @@ def previsualised(changes: Sequence[Change]) -> Came:
         results = run(room(*changes), Path(folder) / "out", TINY)
         check_results(results)
         assert read_strictly(Path(folder) / "out" / "results.json") == results
+        report = (Path(folder) / "out" / "report.html").read_text(encoding="utf-8")
+        assert all(escape(fault["said"]) in report for fault in results["scene"]["faults"])
     probes = [probe for entry in results["frames"] for probe in entry["probes"]]
     lights, truths = (np.array([probe[key] for probe in probes]).reshape(-1, 9, 3) for key in ("sh", "sh_truth"))
     faults = tuple((fault["name"], fault["n"]) for fault in results["scene"]["faults"])
