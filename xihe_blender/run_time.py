@@ -2,8 +2,8 @@
 
 The run is prepared as it would be (exposure, effects, samples for the noise that is wanted, frames in which nothing
 changes), in a folder that goes again. Then a capture, a light probe and a comparison are rendered, after a first one
-that loads the scene: with one sample, and with a few more. A render's time is a straight
-line in its samples; the run's is that of all its frames, plus what preparing took.
+that loads the scene: with one sample, with a few more, and with all if that is quick. A render's time is taken to be a
+straight line in its samples; the run's is that of all its frames, plus what preparing took.
 
 Started from the panel, Blender draws its window after each step of a run. `RunTime.in_window_s` adds that: some
 hundredths of a second a step, half a second with OpenGL in software.
@@ -36,14 +36,14 @@ from xihenet.camera import in_view
 from xihenet.records import RgbdFrame
 
 FEW_SAMPLES = 4
-FEW_SHARE = 0.25
-"""Of a render's samples: the noise of a time that was taken with few is multiplied with it."""
+LONGEST_S = 4.0
+"""A render that seems to take no longer is timed with all of its samples: many take less each than a few do."""
 
 N_OTHER_STEPS = 3
 """Of a run, beside its frames: metering, measuring samples, and the end."""
 
 N_RENDERS = 3
-"""Of each kind: one that loads the scene, one with a single sample, and one with a few."""
+"""Of each kind, in frames of their own: one that loads the scene, one with a single sample, and one with a few."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def run_time_job(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[RunTim
 
 
 def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
-    """The run's time, from three renders of each kind, spread over the frames in which a position is in view."""
+    """The run's time, from a few renders of each kind, spread over the frames in which a position is in view."""
     yield Progress(1, 4, "measuring a capture")
     with open_scanner(run.scene, run.capture) as scanner:
         in_sight = _probes_in_view(run, scanner)
@@ -200,10 +200,17 @@ def _timed(
 
     Each is of another frame, as in a run: what moves has to be loaded again.
     """
-    few = min(max(FEW_SAMPLES, round(FEW_SHARE * samples)), samples)
+    few = min(FEW_SAMPLES, samples)
     first_s, one_s, few_s = (_seconds(render, *each, scenes) for each in zip(frames, (1, 1, few), strict=True))
-    per_sample_s = max(0.0, few_s - one_s) / (few - 1) if few > 1 else 0.0
+    per_sample_s = _slope(one_s, few_s, few)
+    if few < samples and one_s + per_sample_s * (samples - 1) <= LONGEST_S:
+        per_sample_s = _slope(one_s, _seconds(render, frames[0], samples, scenes), samples)
     return max(0.0, first_s - one_s), RenderTime(max(0.0, one_s - per_sample_s), per_sample_s, samples)
+
+
+def _slope(one_s: float, many_s: float, samples: int) -> float:
+    """Seconds per sample, from a render with one and another with `samples`."""
+    return max(0.0, many_s - one_s) / (samples - 1) if samples > 1 else 0.0
 
 
 def _seconds(render: Callable[[int], object], frame: int, samples: int, scenes: Sequence[bpy.types.Scene]) -> float:

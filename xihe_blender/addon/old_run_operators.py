@@ -36,6 +36,11 @@ class XIHE_OT_remove_old_runs(polls.Conditional, bpy.types.Operator):
             removed = remove_old_runs(runs_folder(), shown_runs())
         except FAILURES as error:
             return failed(self, context, error)
+        # Blender draws its preferences anew only when one of them changes.
+        for window in context.window_manager.windows:
+            for area in window.screen.areas:
+                if area.type == "PREFERENCES":
+                    area.tag_redraw()
         self.report({"INFO"}, f"Removed {len(removed)} old run{'' if len(removed) == 1 else 's'}")
         return {"FINISHED"}
 
