@@ -4,4 +4,6 @@ import sys
 
 from xihe_blender.cli import main
 
-sys.exit(main())
+# Processes that Dask starts import this file, under another name.
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,8 +1,8 @@
 """The `xihe` command: what a user types, turned into calls of the functions that do the work.
 
-Exit codes: 0 the job was done; 2 the user can mend it, and one line says how; 130 after Ctrl-C, and the same command
-goes on from there. What Blender prints is kept away from stdout, at the level of file descriptors, since Cycles writes
-there from C++.
+Exit codes: 0 the job was done; 1 a part of it could not be, and each is named; 2 the user can mend it, and one line
+says how; 130 after Ctrl-C, and the same command goes on from there. What Blender prints is kept away from stdout, at
+the level of file descriptors, since Cycles writes there from C++.
 """
 
 from __future__ import annotations
@@ -21,12 +21,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from xihe_blender.errors import UserError
+from xihe_blender.evaluation.batch.command import add_evaluate
 from xihenet import __version__, estimators
 from xihenet.phone import LINKS, profile_names
 
 if TYPE_CHECKING:
     from xihe_blender.jobs import Progress
 
+EXIT_IN_PART = 1
 EXIT_USER_ERROR = 2
 EXIT_INTERRUPTED = 130
 MAX_FRAME = 1048574
@@ -50,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options = _parser().parse_args(with_positions_bound(typed))
         options.command_line = shlex.join(["xihe", *typed])
         with blender_output_aside() as (stdout, stderr):
-            options.run(options, stdout, stderr)
+            code = options.run(options, stdout, stderr)
     except UserError as error:
         return _failed(str(error))
     except OSError as error:
@@ -60,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         start = "\n" if sys.stderr.isatty() else ""
         print(f"{start}xihe: stopped; the same command goes on from here", file=sys.stderr)
         return EXIT_INTERRUPTED
-    return 0
+    return code or 0
 
 
 class _Parser(argparse.ArgumentParser):
@@ -111,6 +113,7 @@ def _parser() -> argparse.ArgumentParser:
     scenes.set_defaults(run=_scenes)
     _add_dataset(commands)
     _add_package(commands)
+    add_evaluate(commands, frame_range, picture_size)
     commands.add_parser("train", help="train estimators and report on them: see xihe train --help")
     return parser
 

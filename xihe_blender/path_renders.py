@@ -10,19 +10,29 @@ import contextlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
 from xihe_blender.capture import CyclesScanner, open_scanner
 from xihe_blender.exr import read_radiance, write_radiance
 from xihe_blender.outputs import write_json, write_picture
-from xihe_blender.phone_capture import PhoneCapture
 from xihe_blender.plan import Probe
 from xihe_blender.prepared_run import PreparedRun
 from xihe_blender.truth import LightProbe, open_light_probe
 from xihenet.camera import in_view
 from xihenet.recording import load_frame, save_frame
 from xihenet.records import ArrayF32, RgbdFrame
+
+
+class KeepsRenders(Protocol):
+    """Whoever looks at the renders: a `PhoneCapture`, or several that share them."""
+
+    delivered: frozenset[int]
+
+    def prepare(self, scanner: CyclesScanner) -> None: ...
+    def keep(self, scanner: CyclesScanner, frame: int) -> None: ...
+    def take_over(self, source: int, frame: int) -> None: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +56,7 @@ class FrameRenders:
 class PathRenders:
     """Renders of one run; made by `open_path_renders`. Asked frame by frame, in order."""
 
-    def __init__(self, run: PreparedRun, phone: PhoneCapture, scanner: CyclesScanner, light_probe: LightProbe) -> None:
+    def __init__(self, run: PreparedRun, phone: KeepsRenders, scanner: CyclesScanner, light_probe: LightProbe) -> None:
         self.run, self.phone, self.scanner, self.light_probe = run, phone, scanner, light_probe
         self.positions_m = np.stack([probe.position_m for probe in run.plan.probes])
 
@@ -109,7 +119,7 @@ class PathRenders:
 
 
 @contextlib.contextmanager
-def open_path_renders(run: PreparedRun, phone: PhoneCapture) -> Iterator[PathRenders]:
+def open_path_renders(run: PreparedRun, phone: KeepsRenders) -> Iterator[PathRenders]:
     """The renders of `run`, with what `phone` needs of them."""
     with (
         open_scanner(run.scene, run.capture) as scanner,

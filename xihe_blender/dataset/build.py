@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import subprocess
 import tempfile
 import time
@@ -20,6 +19,7 @@ from typing import IO, Any
 from xihe_blender.dataset.store import FORMAT_VERSION, stored_indices
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import Job, Progress
+from xihe_blender.one_core import child_environment, cores_of_their_own, n_cores, on_core
 from xihe_blender.outputs import write_json
 from xihe_blender.processes import module_command
 from xihenet import __version__
@@ -87,12 +87,12 @@ def build_dataset(folder: Path, settings: BuildSettings) -> Job[int]:
     claim_folder(folder, settings.made_with)
     wanted = settings.wanted()
     missing = missing_rooms(folder, wanted)
-    n_workers = min(settings.n_workers or _n_cores(), max(1, len(missing)))
+    n_workers = min(settings.n_workers or n_cores(), max(1, len(missing)))
     shares = [missing[i::n_workers] for i in range(n_workers)] if missing else []
     with contextlib.ExitStack() as stack:
         workers = [
             stack.enter_context(_worker(folder, settings, share, core))
-            for share, core in zip(shares, _cores_of_their_own(n_workers), strict=False)
+            for share, core in zip(shares, cores_of_their_own(n_workers), strict=False)
         ]
         try:
             yield from _watch(folder, wanted, len(missing), workers)
@@ -168,47 +168,12 @@ def _worker(folder: Path, settings: BuildSettings, indices: Sequence[int], core:
     command += ["--rooms", numbers, "--settings", *(str(n) for n in settings.render)]
     command += [] if settings.walk is None else ["--walk", str(settings.walk)]
     with tempfile.TemporaryFile() as errors:
-        with _on_core(core):
+        with on_core(core):
             process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors, env=_environment()
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors, env=child_environment()
             )
         try:
             yield _Worker(process, errors)
         finally:
             process.terminate()
             process.wait()
-
-
-def _environment() -> dict[str, str]:
-    """This process' environment, so that the worker finds the same packages as this one."""
-    root = str(Path(__file__).resolve().parents[2])
-    paths = [root, *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}
-
-
-@contextlib.contextmanager
-def _on_core(core: int | None) -> Iterator[None]:
-    """Let processes that are started in the block stay on one core; None leaves it to the system.
-
-    Blender starts threads beside Cycles' one that spin for work: 0.7 s of a second core for each second of rendering.
-    """
-    if core is None:
-        yield
-        return
-    before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {core})
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, before)
-
-
-def _cores_of_their_own(n_workers: int) -> list[int | None]:
-    """A core for each worker, or None for each where there are too few or the system cannot say."""
-    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
-    return list(cores[:n_workers]) if len(cores) >= n_workers else [None] * n_workers
-
-
-def _n_cores() -> int:
-    has_affinity = hasattr(os, "sched_getaffinity")
-    return len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1

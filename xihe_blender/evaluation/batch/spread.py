@@ -1,0 +1,194 @@
+"""Who evaluates the units? Dask hands them to workers: its own on this machine, or those of a scheduler that is there.
+
+Dask does what a batch needs beyond starting processes: it notices workers that die and hands their units to others,
+lets workers come and go, and has a dashboard. A unit whose Blender dies is tried twice more, and one that takes three
+workers with it is given up; both are named in the end.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import logging
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from xihe_blender.errors import UserError
+from xihe_blender.jobs import Progress
+from xihe_blender.one_core import n_cores
+from xihe_blender.report.values import counted
+from xihenet import __version__
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+POLL_S = 0.25
+CONNECT_S = 10.0
+ALONE_S = 30.0
+N_RETRIES = 2
+INSTALL = "pip install 'xihe-blender[evaluate]'"
+
+
+@dataclass
+class Spread:
+    """Units under way; made by `open_spread`.
+
+    Parameters
+    ----------
+    client : of the scheduler
+    is_local : whether its workers are our own; others come and go
+    shares : how far each unit is, 0 to 1, by name
+    failed : why units could not be done, by name
+    """
+
+    client: Client
+    is_local: bool
+    shares: dict[str, float] = field(default_factory=dict)
+    failed: dict[str, str] = field(default_factory=dict)
+
+    def evaluate(self, asked: Sequence[Mapping[str, Any]]) -> Iterator[Progress]:
+        """Have all units evaluated, the first ones first; yields progress. What failed is in `failed` afterwards."""
+        from xihe_blender.evaluation.batch import worker
+
+        self.client.subscribe_topic(worker.TOPIC, self._hear)
+        futures: dict[str, Future[str | None]] = {}
+        for place, unit in enumerate(asked):
+            futures[unit["unit"]] = self.client.submit(
+                worker.evaluate, dict(unit), key=f"{unit['unit']}-{time.time_ns()}", pure=False,
+                priority=-place, retries=N_RETRIES,
+            )  # fmt: skip
+        try:
+            yield from self._watched(futures)
+        finally:
+            self.client.cancel(list(futures.values()))
+
+    def _watched(self, futures: Mapping[str, Future[str | None]]) -> Iterator[Progress]:
+        n_done, alone_since = -1, time.monotonic()
+        while n_done < len(futures):
+            ended = [name for name, future in futures.items() if future.done()]
+            for name in ended:
+                self.shares[name] = 1.0
+            n_done = len(ended)
+            share = sum(self.shares.get(name, 0.0) for name in futures) / len(futures)
+            # By the percent, or a batch of thousands would tell of nothing else.
+            done = len(futures) * math.floor(100 * share) / 100
+            workers = counted(self._n_workers(), "worker")
+            yield Progress(done, len(futures), f"{n_done} of {len(futures)} units, {workers}")
+            alone_since = time.monotonic() if self._n_workers() else alone_since
+            if self.is_local and time.monotonic() - alone_since > ALONE_S:
+                raise UserError("evaluate: no worker is left: run the same command again, it goes on from here")
+            if n_done < len(futures):
+                time.sleep(POLL_S)
+        for name, future in futures.items():
+            reason = _why_it_failed(future)
+            if reason is not None:
+                self.failed[name] = reason
+
+    def _hear(self, event: tuple[Any, Mapping[str, Any]]) -> None:
+        _, told = event
+        # A unit that is tried again starts over, but what it had rendered is there.
+        self.shares[told["unit"]] = float(told["share"])
+
+    def _n_workers(self) -> int:
+        return len(self.client.scheduler_info(n_workers=-1)["workers"])
+
+
+def _why_it_failed(future: Future[str | None]) -> str | None:
+    if future.status == "finished":
+        return future.result()
+    if future.status == "error":
+        error = future.exception()
+        return f"{type(error).__name__}: {' '.join(str(error).split())}"
+    return f"was {future.status}"
+
+
+@contextlib.contextmanager
+def open_spread(n_workers: int | None, address: str | None, paths: tuple[str, list[str]]) -> Iterator[Spread]:
+    """A scheduler with workers: the one at `address`, or one of our own with `n_workers` processes (None: one per core).
+
+    Parameters
+    ----------
+    paths : the batch's folder and its scenes, which every worker must see
+
+    Raises
+    ------
+    UserError where Dask is missing, nobody answers at `address`, or no worker there can help
+    """
+    try:
+        import distributed
+    except ImportError as error:
+        raise UserError(f"evaluate: Dask is not installed; {INSTALL}") from error
+    for name in ("distributed", "tornado.application"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    with contextlib.ExitStack() as stack:
+        if address is None:
+            cluster = stack.enter_context(_local_cluster(n_workers))
+            yield Spread(stack.enter_context(distributed.Client(cluster)), is_local=True)
+        else:
+            client = stack.enter_context(_client_of(address))
+            _check_workers(client, address, paths)
+            yield Spread(client, is_local=False)
+
+
+def dashboard(spread: Spread) -> str:
+    """Where the dashboard is, or how to get one, in a sentence."""
+    if importlib.util.find_spec("bokeh") is None:
+        return "no dashboard: it takes pip install bokeh"
+    return f"dashboard: {spread.client.dashboard_link}"
+
+
+@contextlib.contextmanager
+def _local_cluster(n_workers: int | None) -> Iterator[Any]:
+    from distributed import LocalCluster
+
+    has_dashboard = importlib.util.find_spec("bokeh") is not None
+    # Without a limit Dask would count Blender's memory in, and pause workers for it.
+    with LocalCluster(
+        n_workers=n_workers or n_cores(),
+        threads_per_worker=1,
+        processes=True,
+        host="127.0.0.1",
+        memory_limit=0,
+        dashboard_address="127.0.0.1:0" if has_dashboard else None,
+        silence_logs=logging.CRITICAL,
+    ) as cluster:
+        yield cluster
+
+
+@contextlib.contextmanager
+def _client_of(address: str) -> Iterator[Client]:
+    from distributed import Client
+
+    try:
+        client = Client(address, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise UserError(
+            f"no scheduler answers at {address}: start one with `dask scheduler`, or leave --scheduler out"
+        ) from error
+    try:
+        yield client
+    finally:
+        client.close()
+
+
+def _check_workers(client: Client, address: str, paths: tuple[str, list[str]]) -> None:
+    """UserError if no worker is there, or one of them could not evaluate a unit."""
+    from xihe_blender.evaluation.batch.worker import describe_worker
+
+    try:
+        client.wait_for_workers(1, timeout=CONNECT_S)
+    except TimeoutError as error:
+        raise UserError(
+            f"the scheduler at {address} has no worker: start some with `dask worker {address} --nthreads 1`"
+        ) from error
+    for worker, told in client.run(describe_worker, *paths, on_error="return").items():
+        if isinstance(told, BaseException):
+            raise UserError(f"worker {worker} does not have this project: install xihe-blender there ({told})")
+        if told["xihe"] != __version__:
+            raise UserError(f"worker {worker} has xihe {told['xihe']} and this is {__version__}: install the same")
+        if told["missing"] or not told["is_writable"]:
+            place = (told["missing"] or [paths[0]])[0]
+            raise UserError(f"worker {worker} cannot use {place}: all workers need it under the same path")
