@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from xihe_blender.evaluation.batch.grid import BatchSettings, Unit, check_settings, planned_units
+from xihe_blender.evaluation.batch.report import write_report
 from xihe_blender.evaluation.batch.spread import Spread, dashboard, open_spread
-from xihe_blender.evaluation.batch.store import BatchFolder, claim_folder
+from xihe_blender.evaluation.batch.store import BatchFolder, claim_folder, read_frontier
 from xihe_blender.evaluation.batch.tables import batch_results, write_tables
 from xihe_blender.jobs import Job, Progress
 
@@ -31,6 +32,7 @@ def evaluate_batch(
     *,
     n_workers: int | None = None,
     scheduler: str | None = None,
+    frontier: Path | None = None,
 ) -> Job[Batch]:
     """Evaluate what is not done yet, and write tables and report over all that is.
 
@@ -40,12 +42,14 @@ def evaluate_batch(
     folder : of the batch; one with the same settings goes on, also with more scenes or seeds
     n_workers : processes on this machine; None takes one per core. Of no meaning with `scheduler`
     scheduler : address of a Dask scheduler whose workers do it
+    frontier : a frontier.json, or its folder, for the report; None takes one in `folder`
 
     Raises
     ------
     UserError for settings that make no sense, a folder with another batch, a scheduler that cannot help
     """
     check_settings(settings, seeds)
+    measured = read_frontier(frontier, folder)
     kept = BatchFolder(folder.resolve())
     claim_folder(kept, settings)
     units, broken = planned_units(scenes, seeds)
@@ -58,6 +62,7 @@ def evaluate_batch(
             failed |= {_named(units, name): reason for name, reason in spread.failed.items()}
     results = batch_results(kept, settings, units, failed)
     write_tables(kept, results)
+    write_report(kept, results, measured)
     return Batch(results, failed, sum(kept.result(unit) is not None for unit in missing))
 
 

@@ -27,7 +27,6 @@ from xihe_blender.evaluation.batch.grid import BatchSettings
 from xihe_blender.evaluation.batch.store import result_file
 from xihe_blender.outputs import write_json
 
-
 EXIT_CANNOT_BE_DONE = 2
 EXIT_ABANDONED = 3
 

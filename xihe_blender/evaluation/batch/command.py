@@ -28,6 +28,7 @@ def add_evaluate(commands: Any, frame_range: Any, picture_size: Any) -> None:
     add("--network", metavar="NAME", help=", ".join(LINKS) + "; default: estimates arrive at once")
     add("--workers", type=int, metavar="N", help="processes of one thread on this machine; default: one per core")
     add("--scheduler", metavar="ADDRESS", help="a Dask scheduler whose workers do it, such as tcp://host:8786")
+    add("--frontier", type=Path, metavar="DIR", help="of xihe frontier, for the report; default: one in --out")
     evaluate.set_defaults(run=run_evaluate)
 
 
@@ -68,6 +69,7 @@ def run_evaluate(options: argparse.Namespace, stdout: Any, stderr: Any) -> int:
         options.seeds,
         n_workers=options.workers,
         scheduler=options.scheduler,
+        frontier=options.frontier,
     )
     batch = run_blocking(job, when_news(progress_line(stderr)))
     for what, reason in batch.failed.items():

@@ -11,13 +11,13 @@ import contextlib
 import json
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from xihe_blender.compare import Comparer, display, error_map, measure, open_comparer
 from xihe_blender.compare_path import compared_frames
+from xihe_blender.evaluation.batch.worst_pictures import WORST_KINDS, worst_frame, worst_picture
 from xihe_blender.jobs import Progress
 from xihe_blender.outputs import write_json, write_picture
 from xihe_blender.prepared_run import PreparedRun
@@ -28,8 +28,6 @@ from xihenet.records import ArrayF64
 Light = Mapping[str, ArrayF64]
 """(9, 3) coefficients by virtual object."""
 
-WORST_KINDS = ("ground_truth", "estimate", "error")
-
 
 @dataclass(frozen=True, eq=False)
 class ComparedUnit:
@@ -37,17 +35,6 @@ class ComparedUnit:
 
     by_trial: list[dict[int, dict[str, float | None]]]
     render_s: float
-
-
-def worst_picture(folder: Path, trial: int, kind: str) -> Path:
-    """Where the picture of a trial's worst frame is: one of WORST_KINDS; trials go by number."""
-    return folder / f"worst_{trial}_{kind}.png"
-
-
-def worst_frame(metrics: Mapping[int, Mapping[str, float | None]]) -> int | None:
-    """The frame with the largest rmse, the earliest of equals; None without one."""
-    known = {frame: rmse for frame, of_frame in metrics.items() if (rmse := of_frame["rmse"]) is not None}
-    return max(sorted(known), key=lambda frame: known[frame], default=None)
 
 
 def compare_unit(runs: Sequence[PreparedRun], walks: Sequence[WalkedPath]) -> Generator[Progress, None, ComparedUnit]:

@@ -81,7 +81,8 @@ class BatchSettings:
 
     @staticmethod
     def from_json(content: dict[str, Any]) -> BatchSettings:
-        return BatchSettings(**{key: tuple(v) if isinstance(v, list) else v for key, v in content.items()})
+        known: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in content.items()}
+        return BatchSettings(**known)
 
     @property
     def made_with(self) -> dict[str, Any]:

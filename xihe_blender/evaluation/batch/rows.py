@@ -71,7 +71,7 @@ def estimates_per_minute(walked: WalkedPath, n_fired: int) -> float | None:
     n_steps = sum(len(entry["probes"]) for entry in walked.frames)
     if n_steps == 0 or len(times) < 2:
         return None
-    step_s = (times[-1] - times[0]) / (len(times) - 1)
+    step_s: float = (times[-1] - times[0]) / (len(times) - 1)
     return 60 * n_fired / (n_steps * step_s)
 
 

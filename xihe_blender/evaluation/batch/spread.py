@@ -93,12 +93,13 @@ class Spread:
         self.shares[told["unit"]] = float(told["share"])
 
     def _n_workers(self) -> int:
-        return len(self.client.scheduler_info(n_workers=-1)["workers"])
+        return len(self.client.ncores())
 
 
 def _why_it_failed(future: Future[str | None]) -> str | None:
     if future.status == "finished":
-        return future.result()
+        reason: str | None = future.result()
+        return reason
     if future.status == "error":
         error = future.exception()
         return f"{type(error).__name__}: {' '.join(str(error).split())}"
@@ -107,7 +108,7 @@ def _why_it_failed(future: Future[str | None]) -> str | None:
 
 @contextlib.contextmanager
 def open_spread(n_workers: int | None, address: str | None, paths: tuple[str, list[str]]) -> Iterator[Spread]:
-    """A scheduler with workers: the one at `address`, or one of our own with `n_workers` processes (None: one per core).
+    """A scheduler with workers: the one at `address`, or our own with `n_workers` processes (None: one per core).
 
     Parameters
     ----------

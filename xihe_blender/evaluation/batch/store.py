@@ -91,3 +91,19 @@ def _differences(claim: Path, made_with: dict[str, Any]) -> list[str]:
     settings, of_kept = made_with["settings"], kept.get("settings") or {}
     different = [name.replace("_", " ") for name in settings if of_kept.get(name) != settings[name]]
     return different or (["phone profile"] if kept.get("profiles") != made_with["profiles"] else [])
+
+
+def read_frontier(given: Path | None, folder: Path) -> dict[str, Any] | None:
+    """The content of a frontier.json: the one given, or its folder, or one in the batch's `folder`, if any.
+
+    UserError if the one given cannot be read.
+    """
+    file = folder if given is None else given
+    file = file / "frontier.json" if file.is_dir() or given is None else file
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        if given is None:
+            return None
+        raise UserError(f"--frontier {given}: no frontier can be read there ({error}): run xihe frontier") from error
+    return content if isinstance(content, dict) else None

@@ -1,4 +1,4 @@
-"""How often must the chain estimate? The same walk with a more and a less eager trigger, from the captures that are there.
+"""How often must the chain estimate? The same walk with a more and a less eager trigger, from the captures it has.
 
 Both thresholds of the trigger are scaled by one factor, from 0, which estimates in every frame, to 64. Nothing is
 rendered. Not here: pictures, which would have to be.

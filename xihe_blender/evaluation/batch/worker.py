@@ -24,7 +24,7 @@ from xihenet import __version__
 TOPIC = "xihe-evaluate"
 """Of the events that tell how far a unit is."""
 
-ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 class BlenderDiedError(Exception):

@@ -1,0 +1,76 @@
+"""Paired differences: exact where the answer is known, and sure of themselves as often as they say."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from xihenet.paired import T_975, _t_975, paired_difference
+
+
+def generator(seed=0):
+    return np.random.default_rng(seed)
+
+
+def test_a_constant_difference_is_known_exactly():
+    base = generator(1).uniform(size=12)
+    found = paired_difference(base + 0.5, base, list(range(12)), generator())
+    assert found.mean == pytest.approx(0.5) and found.low == pytest.approx(0.5) and found.high == pytest.approx(0.5)
+    assert found.is_clear and found.share_lower == 0
+
+
+def test_exchanging_the_two_mirrors_the_answer():
+    a, b = generator(2).normal(size=(2, 9))
+    groups = list("aabbccdde")
+    there, back = (paired_difference(*pair, groups, generator()) for pair in ((a, b), (b, a)))
+    assert back.mean == -there.mean and back.share_lower == 1 - there.share_lower
+    assert (back.low, back.high) == (pytest.approx(-there.high), pytest.approx(-there.low))
+
+
+def test_a_shift_of_a_whole_pair_changes_nothing():
+    a, b = generator(3).normal(size=(2, 8))
+    shift, groups = 100 * generator(4).normal(size=8), list(range(8))
+    plain, shifted = (paired_difference(a + s, b + s, groups, generator()) for s in (0, shift))
+    assert shifted.mean == pytest.approx(plain.mean) and shifted.low == pytest.approx(plain.low)
+
+
+def test_more_seeds_of_the_same_scenes_make_nothing_surer():
+    a, b = generator(5).normal(size=(2, 6))
+    once = paired_difference(a, b, range(6), generator())
+    often = paired_difference(np.tile(a, 50), np.tile(b, 50), list(range(6)) * 50, generator())
+    assert (often.low, often.high) == (pytest.approx(once.low), pytest.approx(once.high))
+    assert often.n_groups == 6 and often.n_pairs == 300
+
+
+@pytest.mark.parametrize("n_groups", [7, 20])
+def test_the_interval_holds_the_truth_about_as_often_as_it_says(n_groups):
+    rng, n_trials = generator(6), 300
+    held = 0
+    for _ in range(n_trials):
+        found = paired_difference(rng.normal(0.3, 1.0, n_groups), np.zeros(n_groups), range(n_groups), rng)
+        held += found.low <= 0.3 <= found.high
+    assert 0.9 <= held / n_trials <= 0.99
+
+
+def test_one_scene_alone_is_told_apart():
+    a, b = generator(7).normal(size=(2, 10))
+    found = paired_difference(a, b, ["room"] * 10, generator())
+    assert found.n_groups == 1 and found.low < found.mean < found.high
+
+
+def test_a_single_pair_has_no_interval_and_is_never_clear():
+    found = paired_difference([1.0], [0.0], ["room"], generator())
+    assert (found.mean, found.low, found.high) == (1.0, None, None) and not found.is_clear
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "groups"), [([], [], []), ([1.0], [1.0, 2.0], ["a"]), ([np.nan], [1.0], ["a"])]
+)
+def test_what_is_no_pair_is_refused(first, second, groups):
+    with pytest.raises(ValueError, match="expected"):
+        paired_difference(first, second, groups, generator())
+
+
+def test_students_t_is_that_of_scipy():
+    degrees = range(1, 200)
+    assert [_t_975(d) for d in degrees] == pytest.approx([stats.t.ppf(0.975, d) for d in degrees], rel=1.2e-3)
+    assert len(T_975) == 15

@@ -1,0 +1,168 @@
+"""What do the trials of a batch say together? Pairs, distributions and worst cases, as numbers; words are elsewhere.
+
+Trials are compared only with trials of the same scene, seed and, where estimators are compared, phone. An estimator or
+a phone is judged on the pairs that have both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from xihe_blender.report.values import finite, finite_only
+from xihenet.paired import PairedDifference, paired_difference
+
+NOT_FOR_SHIPPING = ("truth",)
+"""What no phone could compute: it stands in the tables as a bound."""
+
+Trial = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A column of trials and frames that estimators are judged by."""
+
+    key: str
+    title: str
+    is_better_low: bool
+    unit: str = ""
+
+
+MEASURES = (
+    Measure("shc_rmse", "Coefficient error (SHC RMSE)", True),
+    Measure("psnr", "Picture, psnr on the objects", False, "dB"),
+)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """`first` against `second` in one measure."""
+
+    first: str
+    second: str
+    difference: PairedDifference
+
+
+def values_of(trials: Sequence[Trial], measure: Measure, **which: str) -> list[float]:
+    """The measure of every trial with these values, where it is known."""
+    return finite_only(trial.get(measure.key) for trial in chosen(trials, **which))
+
+
+def chosen(trials: Sequence[Trial], **which: str) -> list[Trial]:
+    return [trial for trial in trials if all(trial[key] == value for key, value in which.items())]
+
+
+def ranked(trials: Sequence[Trial], measure: Measure, names: Sequence[str]) -> list[str]:
+    """`names` of estimators by the mean of `measure`, the best first; those without a value are left out."""
+    means = {name: np.mean(values) for name in names if (values := values_of(trials, measure, estimator=name))}
+    return sorted(means, key=lambda name: means[name] if measure.is_better_low else -means[name])
+
+
+def shippable(trials: Sequence[Trial]) -> list[str]:
+    """Estimators that a phone could run, in the order of the batch."""
+    return [name for name in names_of(trials, "estimator") if name not in NOT_FOR_SHIPPING]
+
+
+def names_of(trials: Sequence[Trial], key: str) -> list[str]:
+    """The values of a column, each once, in order."""
+    return list(dict.fromkeys(trial[key] for trial in trials))
+
+
+def compared(trials: Sequence[Trial], measure: Measure, key: str, first: str, second: str) -> Comparison | None:
+    """`first` against `second`, two values of the column `key`, over all else that is the same; None without a pair."""
+    same = [name for name in ("unit", "phone", "estimator") if name != key]
+    found = [
+        {tuple(trial[name] for name in same): trial for trial in chosen(trials, **{key: side})}
+        for side in (first, second)
+    ]
+    pairs = [
+        (a, b, trial["scene"])
+        for place, trial in found[0].items()
+        if place in found[1]
+        and (a := finite(trial.get(measure.key))) is not None
+        and (b := finite(found[1][place].get(measure.key))) is not None
+    ]
+    if not pairs:
+        return None
+    a_values, b_values, scenes = zip(*pairs, strict=True)
+    return Comparison(first, second, paired_difference(a_values, b_values, scenes, np.random.default_rng(0)))
+
+
+def against_the_best(trials: Sequence[Trial], measure: Measure) -> list[Comparison]:
+    """Every other estimator against the best that could be shipped."""
+    best, *_ = [*ranked(trials, measure, shippable(trials)), None]
+    if best is None:
+        return []
+    others = ranked(trials, measure, [name for name in names_of(trials, "estimator") if name != best])
+    found = [compared(trials, measure, "estimator", name, best) for name in others]
+    return [one for one in found if one is not None]
+
+
+@dataclass(frozen=True)
+class ThetaPoint:
+    """What a trigger scaled by `factor` does on average over trials.
+
+    Parameters
+    ----------
+    per_minute : estimates for a position in view
+    error : mean SHC RMSE
+    more : error than with an estimate in every frame; None for that itself
+    """
+
+    factor: float
+    theta: float
+    per_minute: float
+    error: float
+    more: PairedDifference | None
+
+
+def theta_points(trials: Sequence[Trial], estimator: str) -> list[ThetaPoint]:
+    """By rising threshold; empty for an estimator that no trigger matters to."""
+    known = [trial for trial in chosen(trials, estimator=estimator) if trial["thetas"]]
+    known = [trial for trial in known if all(finite(one["per_minute"]) is not None for one in trial["thetas"])]
+    if not known:
+        return []
+    eager = [trial["thetas"][0]["shc_rmse"] for trial in known]
+    scenes = [trial["scene"] for trial in known]
+    points = []
+    for place, one in enumerate(known[0]["thetas"]):
+        errors = [trial["thetas"][place]["shc_rmse"] for trial in known]
+        per_minute = float(np.mean([trial["thetas"][place]["per_minute"] for trial in known]))
+        more = paired_difference(errors, eager, scenes, np.random.default_rng(0)) if place else None
+        points.append(ThetaPoint(one["factor"], one["theta"], per_minute, float(np.mean(errors)), more))
+    return points
+
+
+def laziest_as_good(points: Sequence[ThetaPoint]) -> ThetaPoint:
+    """The trigger with the fewest estimates whose error is not clearly above that of every frame."""
+    as_good = [point for point in points if point.more is None or not (point.more.is_clear and point.more.mean > 0)]
+    return min(as_good, key=lambda point: point.per_minute)
+
+
+@dataclass(frozen=True)
+class WorstCase:
+    """The worst compared frame of one trial."""
+
+    trial: Trial
+    frame: int
+    psnr: float
+    rmse: float | None
+
+
+def worst_cases(trials: Sequence[Trial], n: int) -> list[WorstCase]:
+    """The `n` worst frames of estimators that could be shipped, one per trial, the worst first."""
+    found = []
+    for trial in trials:
+        frames = [frame for frame in trial["frames"] if finite(frame["psnr"]) is not None]
+        if frames and trial["estimator"] not in NOT_FOR_SHIPPING:
+            frame = min(frames, key=lambda frame: (frame["psnr"], frame["frame"]))
+            found.append(WorstCase(trial, frame["frame"], frame["psnr"], finite(frame["rmse"])))
+    return sorted(found, key=lambda case: case.psnr)[:n]
+
+
+def frame_values(trials: Sequence[Trial], measure: Measure, estimator: str) -> list[float]:
+    """The measure of every frame of an estimator's trials."""
+    return finite_only(frame[measure.key] for trial in chosen(trials, estimator=estimator) for frame in trial["frames"])

@@ -1,0 +1,154 @@
+"""What does a batch answer, in words? One sentence or two per question, with the numbers that they rest on.
+
+A difference is called one only where its 95 % interval leaves 0 out. What a batch cannot say, it says how to find out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from xihe_blender.evaluation.batch.analysis import (
+    MEASURES,
+    Comparison,
+    Measure,
+    ThetaPoint,
+    Trial,
+    against_the_best,
+    compared,
+    laziest_as_good,
+    names_of,
+    ranked,
+    shippable,
+    theta_points,
+    values_of,
+)
+from xihe_blender.report.values import DASH, code, counted, escape, items, listed, mean, percent, significant
+
+MINUS = "\N{MINUS SIGN}"
+FRONTIER = "xihe frontier SCENE.blend --out DIR"
+
+
+def signed(value: float | None) -> str:
+    """A difference with its sign, a true minus."""
+    if value is None:
+        return DASH
+    sign = "+" if value > 0 else MINUS if value < 0 else ""
+    return f"{sign}{significant(abs(value), 2)}"
+
+
+def interval_in_words(one: Comparison) -> str:
+    """ "+0.021 (95 %: +0.010 to +0.030)"."""
+    difference = one.difference
+    if difference.low is None:
+        return f"{signed(difference.mean)} (one pair)"
+    return f"{signed(difference.mean)} (95 %: {signed(difference.low)} to {signed(difference.high)})"
+
+
+def what_it_stands_on(trials: Sequence[Trial]) -> str:
+    """Scenes, seeds and phones, and what so few scenes can say."""
+    scenes, seeds, phones = (names_of(trials, key) for key in ("scene", "seed", "phone"))
+    counts = [counted(len(scenes), "scene"), counted(len(seeds), "seed"), counted(len(phones), "phone")]
+    said = f"{listed(counts)}, {counted(len(trials), 'trial')}."
+    if len(scenes) == 1:
+        return f"{said} One scene says nothing about others: intervals are over the trials in it."
+    if len(scenes) < 6:
+        held = 1 - 2 ** (1 - len(scenes))
+        return f"{said} Intervals over {len(scenes)} scenes hold the truth in at most {percent(held)} of all cases."
+    return f"{said} Intervals are over scenes: what another set of such scenes would give."
+
+
+def which_estimator(trials: Sequence[Trial]) -> str:
+    """Which estimator should I ship?"""
+    measure, picture = MEASURES
+    best, *others = [*ranked(trials, measure, shippable(trials)), None]
+    if best is None:
+        return "No trial of an estimator that a phone could run has a light to be judged by."
+    error = significant(mean(values_of(trials, measure, estimator=best)))
+    if others == [None]:
+        return f"Only {code(best)} was tried, with a mean coefficient error of {error}: give more of --estimators."
+    rivals = [one for one in against_the_best(trials, measure) if one.first in others]
+    clear = [one.first for one in rivals if one.difference.is_clear]
+    said = f"Ship {code(best)}: its mean coefficient error, {error}, is the lowest"
+    said += f", clearly below that of {listed([code(name) for name in clear])}" if clear else ""
+    open_ones = [one for one in rivals if not one.difference.is_clear]
+    for one in open_ones:
+        said += f"; against {code(one.first)} the difference, {interval_in_words(one)}, may be chance"
+    return f"{said}. {_in_the_picture(trials, picture, best)}"
+
+
+def _in_the_picture(trials: Sequence[Trial], picture: Measure, best: str) -> str:
+    first, *_ = [*ranked(trials, picture, shippable(trials)), None]
+    if first is None:
+        return "No picture was compared."
+    if first == best:
+        return "It has the best pictures too."
+    one = compared(trials, picture, "estimator", first, best)
+    assert one is not None
+    sure = "and that is clear" if one.difference.is_clear else "which may be chance"
+    return f"In the pictures {code(first)} is ahead by {interval_in_words(one)} dB, {sure}."
+
+
+def is_a_better_phone_worth_it(trials: Sequence[Trial]) -> str:
+    """Is a better phone worth it?"""
+    found = phone_differences(trials, MEASURES[0])
+    if not found:
+        return "One phone was tried. Give two or more, such as <code>--profiles perfect,ipad_pro_lidar</code>."
+    best = ranked(trials, MEASURES[0], shippable(trials))[0]
+    said = []
+    for one in found:
+        own = mean(values_of(trials, MEASURES[0], estimator=best, phone=one.second))
+        share = "" if not own else f", {percent(abs(one.difference.mean) / own)} of its error"
+        words = f"{code(one.first)} against {code(one.second)}: {interval_in_words(one)}{share}"
+        sure = "" if one.difference.is_clear else "; not told from chance"
+        said.append(words + sure)
+    return f"By coefficient error with {code(best)}, {'; '.join(said)}. Below 0 the first one is better."
+
+
+def phone_differences(trials: Sequence[Trial], measure: Measure) -> list[Comparison]:
+    """Every phone against every earlier one, with the estimator that one would ship."""
+    best, *_ = [*ranked(trials, MEASURES[0], shippable(trials)), None]
+    phones = names_of(trials, "phone")
+    own = [trial for trial in trials if trial["estimator"] == best]
+    pairs = [(first, second) for place, first in enumerate(phones) for second in phones[:place]]
+    found = [compared(own, measure, "phone", first, second) for first, second in pairs]
+    return [one for one in found if one is not None]
+
+
+def how_often(trials: Sequence[Trial]) -> str:
+    """How often must it run?"""
+    best, *_ = [*ranked(trials, MEASURES[0], shippable(trials)), None]
+    points = theta_points(trials, best) if best is not None else []
+    if not points:
+        return "No estimator that looks at the room was tried on a path that sees an object."
+    always, own, least = points[0], next(point for point in points if point.factor == 1), laziest_as_good(points)
+    said = (
+        f"With {code(best)}, the trigger as it is asks {_rate(own)} per position in view, for an error of "
+        f"{significant(own.error)}; an estimate in every frame is {_rate(always)}, for {significant(always.error)}. "
+    )
+    if least.factor == own.factor:
+        return said + "Asking less often is clearly worse."
+    if least.factor == 0:
+        return said + "Asking less often than in every frame is clearly worse."
+    times = f"{least.factor:g} times the thresholds (theta {least.theta:g})"
+    return said + (
+        f"{_rate(least).capitalize()} are enough, with {times}, for {significant(least.error)}: what that adds to the "
+        "error cannot be told from chance."
+    )
+
+
+def _rate(point: ThetaPoint) -> str:
+    return f"{significant(point.per_minute, 2)} times a minute"
+
+
+def from_frontier(frontier: Mapping[str, Any] | None, question: str) -> str:
+    """The answer that `xihe frontier` has to a question, scene by scene."""
+    if frontier is None:
+        return (
+            f"That takes measured times: run {code(FRONTIER)} and give its folder as {code('--frontier DIR')} to the "
+            "same command, or put its frontier.json into this folder."
+        )
+    found = [one for one in items(frontier, "answers") if isinstance(one, Mapping) and one.get("question") == question]
+    if not found:
+        return "The frontier that was given has no answer to that."
+    return " ".join(f"<b>{escape(one.get('scene', ''))}</b>: {escape(one.get('answer', ''))}" for one in found)

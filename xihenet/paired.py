@@ -1,0 +1,102 @@
+"""By how much do two methods differ that were tried on the same things, and how sure is that?
+
+Differences are taken pair by pair, so that what makes one scene harder than another falls out. Pairs of one group, such
+as two seeds of one scene, are not independent: whole groups are drawn anew, which answers "what about other scenes?".
+With few groups a plain bootstrap is too sure of itself; its percentiles are moved outwards by what Student's t says for
+that number of groups. Means of what was drawn never leave what was seen, so that G groups hold the truth in at most
+1 - 2^(1 - G) of all cases, whatever is done: 75 % with three, 94 % with five.
+
+Rejected: a t-test, which takes the differences for normal; those of scenes are not.
+
+Source: Hesterberg, "What teachers should know about the bootstrap" (2015), expanded percentile interval.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import numpy as np
+
+from xihenet.records import ArrayF64, ArrayInt
+
+N_DRAWS = 10_000
+T_975 = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131)
+"""Student's t that 2.5 % lie above, for 1, 2, ... degrees of freedom."""
+
+
+@dataclass(frozen=True)
+class PairedDifference:
+    """How much the first of two methods has more than the second.
+
+    Parameters
+    ----------
+    mean : of first - second over pairs
+    low, high : of the 95 % confidence interval of that mean; None for a single pair
+    n_pairs, n_groups : that it stands on; one group says nothing of others
+    share_lower : of the pairs in which the first is lower
+    """
+
+    mean: float
+    low: float | None
+    high: float | None
+    n_pairs: int
+    n_groups: int
+    share_lower: float
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the interval leaves 0 out."""
+        return self.low is not None and self.high is not None and (self.low > 0 or self.high < 0)
+
+
+def paired_difference(
+    first: Sequence[float], second: Sequence[float], groups: Sequence[Hashable], rng: np.random.Generator
+) -> PairedDifference:
+    """The mean difference of `first` and `second`, and its 95 % confidence interval.
+
+    Parameters
+    ----------
+    first, second : (P,) values of the same P things, finite
+    groups : (P,) which of them belong together. With one group alone pairs are drawn instead
+    rng : draws; the same seed gives the same interval
+
+    Raises
+    ------
+    ValueError for lengths that differ, no pair at all, or values that are not finite
+    """
+    a, b = np.asarray(first, np.float64), np.asarray(second, np.float64)
+    if not len(a) == len(b) == len(groups) or not len(a):
+        raise ValueError(
+            f"paired_difference: expected as many of each and one at least, got {len(a)}, {len(b)}, {len(groups)}"
+        )
+    difference = a - b
+    if not np.isfinite(difference).all():
+        raise ValueError("paired_difference: expected finite values")
+    names = {group: place for place, group in enumerate(dict.fromkeys(groups))}
+    drawn = [names[group] for group in groups] if len(names) > 1 else list(range(len(a)))
+    low, high = _interval(difference, np.array(drawn), rng)
+    return PairedDifference(float(difference.mean()), low, high, len(a), len(names), float(np.mean(difference < 0)))
+
+
+def _interval(difference: ArrayF64, groups: ArrayInt, rng: np.random.Generator) -> tuple[float | None, float | None]:
+    """(low, high) of the mean of `difference` when whole `groups`, numbered from 0, are drawn with replacement."""
+    n_groups = int(groups.max()) + 1
+    if n_groups < 2:
+        return None, None
+    sums, counts = np.bincount(groups, difference), np.bincount(groups)
+    draws = rng.integers(n_groups, size=(N_DRAWS, n_groups))
+    means = sums[draws].sum(axis=1) / counts[draws].sum(axis=1)
+    tail = NormalDist().cdf(-math.sqrt(n_groups / (n_groups - 1)) * _t_975(n_groups - 1))
+    low, high = np.quantile(means, [tail, 1 - tail])
+    return float(low), float(high)
+
+
+def _t_975(degrees: int) -> float:
+    """Of the table, and behind it by Cornish and Fisher's series (0.1 % off at its end)."""
+    if degrees <= len(T_975):
+        return T_975[degrees - 1]
+    z = NormalDist().inv_cdf(0.975)
+    return z + (z**3 + z) / (4 * degrees) + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * degrees**2)
