@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from xihe_blender.evaluation.batch.analysis import (
+    AS_GOOD,
     MEASURES,
     Comparison,
     Measure,
@@ -24,6 +25,7 @@ from xihe_blender.evaluation.batch.analysis import (
     values_of,
 )
 from xihe_blender.report.values import DASH, code, counted, escape, items, listed, mean, percent, significant
+from xihenet.paired import PairedDifference
 
 MINUS = "\N{MINUS SIGN}"
 FRONTIER = "xihe frontier SCENE.blend --out DIR"
@@ -37,9 +39,8 @@ def signed(value: float | None) -> str:
     return f"{sign}{significant(abs(value), 2)}"
 
 
-def interval_in_words(one: Comparison) -> str:
+def interval_in_words(difference: PairedDifference) -> str:
     """ "+0.021 (95 %: +0.010 to +0.030)"."""
-    difference = one.difference
     if difference.low is None:
         return f"{signed(difference.mean)} (one pair)"
     return f"{signed(difference.mean)} (95 %: {signed(difference.low)} to {signed(difference.high)})"
@@ -73,7 +74,7 @@ def which_estimator(trials: Sequence[Trial]) -> str:
     said += f", clearly below that of {listed([code(name) for name in clear])}" if clear else ""
     open_ones = [one for one in rivals if not one.difference.is_clear]
     for one in open_ones:
-        said += f"; against {code(one.first)} the difference, {interval_in_words(one)}, may be chance"
+        said += f"; against {code(one.first)} the difference, {interval_in_words(one.difference)}, may be chance"
     return f"{said}. {_in_the_picture(trials, picture, best)}"
 
 
@@ -82,11 +83,13 @@ def _in_the_picture(trials: Sequence[Trial], picture: Measure, best: str) -> str
     if first is None:
         return "No picture was compared."
     if first == best:
-        return "It has the best pictures too."
+        rivals = [one for one in against_the_best(trials, picture) if one.first in shippable(trials)]
+        chance = [code(one.first) for one in rivals if not one.difference.is_clear]
+        return f"It has the best pictures too{f', by what may be chance against {listed(chance)}' if chance else ''}."
     one = compared(trials, picture, "estimator", first, best)
     assert one is not None
     sure = "and that is clear" if one.difference.is_clear else "which may be chance"
-    return f"In the pictures {code(first)} is ahead by {interval_in_words(one)} dB, {sure}."
+    return f"In the pictures {code(first)} is ahead by {interval_in_words(one.difference)} dB, {sure}."
 
 
 def is_a_better_phone_worth_it(trials: Sequence[Trial]) -> str:
@@ -99,7 +102,7 @@ def is_a_better_phone_worth_it(trials: Sequence[Trial]) -> str:
     for one in found:
         own = mean(values_of(trials, MEASURES[0], estimator=best, phone=one.second))
         share = "" if not own else f", {percent(abs(one.difference.mean) / own)} of its error"
-        words = f"{code(one.first)} against {code(one.second)}: {interval_in_words(one)}{share}"
+        words = f"{code(one.first)} against {code(one.second)}: {interval_in_words(one.difference)}{share}"
         sure = "" if one.difference.is_clear else "; not told from chance"
         said.append(words + sure)
     return f"By coefficient error with {code(best)}, {'; '.join(said)}. Below 0 the first one is better."
@@ -126,14 +129,15 @@ def how_often(trials: Sequence[Trial]) -> str:
         f"With {code(best)}, the trigger as it is asks {_rate(own)} per position in view, for an error of "
         f"{significant(own.error)}; an estimate in every frame is {_rate(always)}, for {significant(always.error)}. "
     )
-    if least.factor == own.factor:
-        return said + "Asking less often is clearly worse."
+    limit = f"within {percent(AS_GOOD)} of that"
     if least.factor == 0:
-        return said + "Asking less often than in every frame is clearly worse."
+        return said + f"No lazier trigger stays {limit}."
+    if least.factor == own.factor:
+        return said + f"It is the laziest that stays {limit}."
     times = f"{least.factor:g} times the thresholds (theta {least.theta:g})"
+    sure = "" if least.more is None or least.more.is_clear else ", which cannot be told from chance"
     return said + (
-        f"{_rate(least).capitalize()} are enough, with {times}, for {significant(least.error)}: what that adds to the "
-        "error cannot be told from chance."
+        f"The laziest trigger that stays {limit} has {times}: {_rate(least)}, for {significant(least.error)}{sure}."
     )
 
 

@@ -20,7 +20,7 @@ _DOTS_Y, _SPREAD_PX = 34, 7
 _GOLDEN = 0.618034
 
 STYLE = """
-.rows .name { fill: var(--ink); font-size: 13.5px; }
+.rows .name { fill: var(--ink); font-size: 13.5px; paint-order: stroke; stroke: var(--card); stroke-width: 5px; }
 .rows .value { fill: var(--quiet); text-anchor: end; }
 .box { fill: var(--c); fill-opacity: .18; stroke: var(--c); }
 .median { stroke: var(--c); stroke-width: 2.5; }
@@ -39,9 +39,10 @@ table.left td:nth-child(2) { text-align: left; }
 
 @dataclass(frozen=True)
 class Row:
-    """One row of a strip plot: its name, and (value, words for hovering) of each dot."""
+    """One row of a strip plot: its name, (value, words for hovering) of each dot, and which of the colours it has."""
 
     name: str
+    colour: int
     dots: Sequence[tuple[float, str]]
 
 
@@ -50,6 +51,7 @@ class Interval:
     """One row of a plot of differences."""
 
     name: str
+    colour: int
     mean: float
     low: float | None
     high: float | None
@@ -61,6 +63,7 @@ class Curve:
     """(x, y, words for hovering) of each point, in order."""
 
     name: str
+    colour: int
     points: Sequence[tuple[float, float, str]]
 
 
@@ -93,7 +96,7 @@ def _strip(row: Row, place: int, axis: _Span) -> str:
     )
     name = f'<text class="name" x="0" y="{y - 16}">{escape(row.name)}</text>'
     told = f'<text class="value" x="100%" y="{y - 16}">median {significant(float(middle))}</text>'
-    return f'<g class="s{place % 6}">{box}{median}{dots}{name}{told}</g>'
+    return f'<g class="s{row.colour % 6}">{box}{median}{dots}{name}{told}</g>'
 
 
 def differences(rows: Sequence[Interval], *, title: str, about: str, axis_name: str) -> str:
@@ -115,7 +118,7 @@ def _interval(row: Interval, place: int, axis: _Span) -> str:
         line = f'<line class="span" x1="{axis.x(row.low):.2f}%" x2="{axis.x(row.high):.2f}%" y1="{y}" y2="{y}"/>'
     dot = f'<circle class="dot" cx="{axis.x(row.mean):.2f}%" cy="{y}" r="5"><title>{escape(row.words)}</title></circle>'
     name = f'<text class="name" x="0" y="{y - 16}">{escape(row.name)}</text>'
-    return f'<g class="s{place % 6}">{line}{dot}{name}</g>'
+    return f'<g class="s{row.colour % 6}">{line}{dot}{name}</g>'
 
 
 def curves(lines: Sequence[Curve], *, title: str, about: str, x_name: str, y_name: str, is_joined: bool = True) -> str:
@@ -125,10 +128,8 @@ def curves(lines: Sequence[Curve], *, title: str, about: str, x_name: str, y_nam
         return ""
     across = axis_up_to(max(x for line in known for x, _, _ in line.points))
     up = axis_up_to(max(y for line in known for _, y, _ in line.points))
-    drawn = "".join(_curve(line, place, across, up, is_joined=is_joined) for place, line in enumerate(known))
-    legend = "".join(
-        f'<li><span class="swatch s{place % 6}"></span>{escape(line.name)}</li>' for place, line in enumerate(known)
-    )
+    drawn = "".join(_curve(line, across, up, is_joined=is_joined) for line in known)
+    legend = "".join(f'<li><span class="swatch s{line.colour % 6}"></span>{escape(line.name)}</li>' for line in known)
     body = _grid(across, up, x_name, y_name) + drawn
     return (
         f'<figure class="plot"><figcaption><h3>{title}</h3><p>{about}</p></figcaption>'
@@ -137,13 +138,13 @@ def curves(lines: Sequence[Curve], *, title: str, about: str, x_name: str, y_nam
     )
 
 
-def _curve(line: Curve, place: int, across: Axis, up: Axis, *, is_joined: bool) -> str:
+def _curve(line: Curve, across: Axis, up: Axis, *, is_joined: bool) -> str:
     path = "".join(
         f"{'L' if k else 'M'}{1000 * x / across.top:.2f} {up.y(y):.2f}" for k, (x, y, _) in enumerate(line.points)
     )
-    joined = stretched(f'<path class="line s{place % 6}" d="{path}"/>') if is_joined else ""
+    joined = stretched(f'<path class="line s{line.colour % 6}" d="{path}"/>') if is_joined else ""
     return joined + "".join(
-        f'<circle class="dot s{place % 6}" cx="{100 * x / across.top:.2f}%" cy="{up.y(y):.2f}" r="4">'
+        f'<circle class="dot s{line.colour % 6}" cx="{100 * x / across.top:.2f}%" cy="{up.y(y):.2f}" r="4">'
         f"<title>{escape(words)}</title></circle>"
         for x, y, words in line.points
     )

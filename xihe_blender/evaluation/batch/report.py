@@ -122,8 +122,10 @@ def _estimators(trials: Sequence[Trial]) -> str:
 
 def _distribution(trials: Sequence[Trial], measure: Measure) -> str:
     rows = [
-        drawings.Row(name, [(finite(t[measure.key]) or 0.0, _told(t, measure)) for t in _known(trials, measure, name)])
-        for name in names_of(trials, "estimator")
+        drawings.Row(
+            name, place, [(finite(t[measure.key]) or 0.0, _told(t, measure)) for t in _known(trials, measure, name)]
+        )
+        for place, name in enumerate(names_of(trials, "estimator"))
     ]
     better = "Further left is better." if measure.is_better_low else "Further right is better."
     return drawings.strips(rows, title=measure.title, about=f"{_DOTS} {better}", axis_name=measure.unit or "no unit")
@@ -138,14 +140,15 @@ def _told(trial: Trial, measure: Measure) -> str:
 
 
 def _against_the_best(trials: Sequence[Trial], measure: Measure) -> str:
-    found = against_the_best(trials, measure)
+    found, names = against_the_best(trials, measure), names_of(trials, "estimator")
     rows = [
         drawings.Interval(
             f"{one.first} {answers.MINUS} {one.second}",
+            names.index(one.first),
             one.difference.mean,
             one.difference.low,
             one.difference.high,
-            answers.interval_in_words(one),
+            answers.interval_in_words(one.difference),
         )
         for one in found
     ]
@@ -165,7 +168,7 @@ def _pairs_table(trials: Sequence[Trial]) -> str:
             better = d.share_lower if measure.is_better_low else 1 - d.share_lower
             cells = [
                 escape(measure.title),
-                answers.interval_in_words(one),
+                answers.interval_in_words(one.difference),
                 f"{round(better * d.n_pairs)} of {d.n_pairs}",
             ]
             rows.append((f"{code(one.first)} against {code(one.second)}", *cells))
@@ -179,10 +182,11 @@ def _phones(trials: Sequence[Trial]) -> str:
         rows = [
             drawings.Interval(
                 f"{Path(one.first).stem} {answers.MINUS} {Path(one.second).stem}",
+                phones.index(one.first),
                 one.difference.mean,
                 one.difference.low,
                 one.difference.high,
-                answers.interval_in_words(one),
+                answers.interval_in_words(one.difference),
             )
             for one in answers.phone_differences(trials, MEASURES[0])
         ]
@@ -205,14 +209,14 @@ def _phone_table(trials: Sequence[Trial]) -> str:
 
 def _how_often(trials: Sequence[Trial]) -> str:
     lines, rows = [], []
-    for name in names_of(trials, "estimator"):
+    for place, name in enumerate(names_of(trials, "estimator")):
         points = theta_points(trials, name)
         told = [f"{name}, theta {p.theta:g}: {p.per_minute:.0f} a minute, error {significant(p.error)}" for p in points]
         lines.append(
-            drawings.Curve(name, [(p.per_minute, p.error, words) for p, words in zip(points, told, strict=True)])
+            drawings.Curve(name, place, [(p.per_minute, p.error, words) for p, words in zip(points, told, strict=True)])
         )
         for p in points:
-            more = "" if p.more is None else answers.interval_in_words(_as_comparison(p, name))
+            more = "" if p.more is None else answers.interval_in_words(p.more)
             cells = [f"{p.theta:g}", significant(p.per_minute, 3), significant(p.error), more]
             rows.append((code(name), *cells))
     about = (
@@ -225,12 +229,6 @@ def _how_often(trials: Sequence[Trial]) -> str:
     )  # fmt: skip
     header = ("estimator", "theta", "a minute", "mean error", "more than with every frame")
     return _answer(answers.how_often(trials)) + _plots(plot) + (_table(header, rows) if rows else "")
-
-
-def _as_comparison(point: Any, name: str) -> Any:
-    from xihe_blender.evaluation.batch.analysis import Comparison
-
-    return Comparison(name, name, point.more)
 
 
 def _anchors(frontier: Mapping[str, Any] | None) -> str:
@@ -258,7 +256,10 @@ def _frontier_plot(frontier: Mapping[str, Any] | None, key: str, title: str) -> 
         name = str(point.get("scene")) if key == "scene" else f"{settings.get(key)} anchors"
         words = f"{point.get('scene')}, {point.get('label', '')}: {significant(error)} in {with_unit(time_ms, 'ms')}"
         clouds.setdefault(name, []).append((time_ms, error, words))
-    lines = [drawings.Curve(name, sorted(points)) for name, points in sorted(clouds.items(), key=_by_number)]
+    lines = [
+        drawings.Curve(name, place, sorted(points))
+        for place, (name, points) in enumerate(sorted(clouds.items(), key=_by_number))
+    ]
     about = "From the frontier that was given: error of the coefficients against the exhaustive setting."
     return _plots(
         drawings.curves(lines, title=title, about=about, x_name="ms a frame", y_name="error", is_joined=key == "scene")
@@ -278,7 +279,7 @@ def _worst(folder: BatchFolder, trials: Sequence[Trial]) -> str:
     if not cases:
         return "<p>No picture was compared.</p>"
     about = (
-        "<p>The worst frame of each of the worst trials, by psnr on the objects. Estimators that no phone could run "
+        "<p>The worst frame of an estimator in a scene, by psnr on the objects. Estimators that no phone could run "
         "are left out.</p>"
     )
     return about + f'<div class="cases">{"".join(_case(folder, case) for case in cases)}</div>'
