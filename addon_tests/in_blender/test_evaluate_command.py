@@ -1,0 +1,96 @@
+"""`xihe evaluate` in processes of its own: workers, mistakes, and what is done in spite of them."""
+
+import json
+import shutil
+import socket
+
+import bpy
+import pytest
+from tiny_scenes import room_with_a_virtual_sphere
+from xihe_process import xihe
+
+pytestmark = pytest.mark.wheel_only("a whole Blender's Python has no Dask")
+
+TINY = ("--size", "16x12", "--samples", "1", "--estimators", "projection,ambient")
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory):
+    """Two scenes that are good, and one without a camera."""
+    folder = tmp_path_factory.mktemp("scenes")
+    scene = room_with_a_virtual_sphere(2)
+    for name in ("good", "as_good", "blind"):
+        if name == "blind":
+            bpy.data.objects.remove(scene.camera)
+        bpy.ops.wm.save_as_mainfile(filepath=str(folder / f"{name}.blend"))
+        scene.frame_end = 1
+    return folder
+
+
+@pytest.fixture(scope="module")
+def done(scenes, tmp_path_factory):
+    """A batch with a broken scene and a missing one among good ones, over two workers."""
+    out = tmp_path_factory.mktemp("batch") / "out"
+    files = [scenes / f"{name}.blend" for name in ("good", "blind", "none", "as_good")]
+    return out, files, xihe("evaluate", *files, "--out", out, *TINY, "--workers", "2")
+
+
+def test_a_broken_scene_is_named_and_stops_no_other(done):
+    out, _, told = done
+    assert told.returncode == 1, told.stderr
+    complaints = [line for line in told.stderr.splitlines() if line.startswith("xihe: ")]
+    assert len(complaints) == 2 and "none.blend" in complaints[0] and "camera" in complaints[1]
+    results = json.loads((out / "results.json").read_text())
+    assert [(t["scene"], t["estimator"]) for t in results["trials"]] == [
+        (scene, name) for scene in ("good", "as_good") for name in ("projection", "ambient")
+    ]
+    assert len(results["failed"]) == 2 and (out / "report.html").read_text().count("<svg") > 0
+
+
+def test_one_worker_comes_to_the_same_bytes(done, scenes, tmp_path):
+    out, _, _ = done
+    files = [scenes / f"{name}.blend" for name in ("good", "as_good")]
+    told = xihe("evaluate", *files, "--out", tmp_path / "one", *TINY, "--workers", "1")
+    assert told.returncode == 0, told.stderr
+    for table in ("trials.csv", "frames.csv"):
+        assert (tmp_path / "one" / table).read_bytes() == (out / table).read_bytes()
+
+
+def test_what_is_done_is_not_done_again(done, tmp_path):
+    out, files, _ = done
+    shutil.copytree(out, tmp_path / "copy")
+    told = xihe("evaluate", files[0], files[3], "--out", tmp_path / "copy", *TINY)
+    assert told.returncode == 0 and "0 of them done now" in told.stdout
+    assert (tmp_path / "copy" / "trials.csv").read_bytes() == (out / "trials.csv").read_bytes()
+
+
+def refused(told, words):
+    assert told.returncode == 2 and told.stdout == ""
+    assert len(told.stderr.splitlines()) == 1 and words in told.stderr
+    return True
+
+
+def test_mistakes_are_one_line_and_leave_nothing(scenes, tmp_path):
+    good = scenes / "good.blend"
+    assert refused(xihe("evaluate", good, "--out", tmp_path / "a", "--estimators", "magic"), "choose one of")
+    assert refused(xihe("evaluate", good, "--out", tmp_path / "a", "--profiles", "nokia"), "choose one of")
+    assert refused(xihe("evaluate", good, "--out", tmp_path / "a", "--workers", "0"), "give 1 or more")
+    assert not (tmp_path / "a").exists()
+
+
+def test_a_scheduler_that_does_not_answer_is_one_line(scenes, tmp_path):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
+        told = xihe("evaluate", scenes / "good.blend", "--out", tmp_path / "a", "--scheduler", address)
+    assert refused(told, "no scheduler answers")
+
+
+def test_a_folder_of_another_version_is_one_line_and_stays(done, tmp_path):
+    out, files, _ = done
+    shutil.copytree(out, tmp_path / "copy")
+    claim = tmp_path / "copy" / "batch.json"
+    claim.write_text(json.dumps({**json.loads(claim.read_text()), "xihe": "0.0.1"}))
+    before = (tmp_path / "copy" / "results.json").read_bytes()
+    assert refused(xihe("evaluate", files[0], "--out", tmp_path / "copy", *TINY), "version of xihe")
+    assert (tmp_path / "copy" / "results.json").read_bytes() == before

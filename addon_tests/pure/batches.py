@@ -1,0 +1,89 @@
+"""Made-up results of a batch, in which everyone knows who is better by how much."""
+
+import numpy as np
+
+from xihe_blender.evaluation.batch.store import BatchFolder
+from xihe_blender.evaluation.batch.worst_pictures import WORST_KINDS, worst_picture
+from xihenet.png import write_png
+
+METRICS = ("psnr", "ssim", "rmse", "si_rmse", "angular_deg")
+FACTORS = (0.0, 0.25, 1.0, 4.0)
+
+
+def trial(scene="room", seed=0, phone="perfect", estimator="lattice", error=0.1, psnr=20.0, **more):
+    frames = [
+        {
+            "frame": frame,
+            "time_s": frame / 30,
+            "n_fired": 1,
+            "shc_rmse": error + 0.01 * (frame - 2),
+            "coverage": 0.5,
+            **dict.fromkeys(METRICS, 0.5),
+            "psnr": None if psnr is None else psnr + (2 - frame),
+        }
+        for frame in (1, 2, 3)
+    ]
+    thetas = [
+        {"factor": f, "theta": 0.02 * f, "coverage_theta": 0.05 * f, "per_minute": 60 / (1 + f), "shc_rmse": error}
+        for f in FACTORS
+    ]
+    return {
+        "unit": f"{scene}_{seed}",
+        "scene": scene,
+        "seed": seed,
+        "number": 0,
+        "phone": phone,
+        "estimator": estimator,
+        "n_frames": 3,
+        "n_active_frames": 3,
+        "n_compared_frames": 3,
+        "n_estimates": 3,
+        "estimates_per_minute": 30.0,
+        "shc_rmse": error,
+        "coverage": 0.5,
+        **dict.fromkeys(METRICS, 0.5),
+        "psnr": psnr,
+        "payload_bytes": 1000,
+        "frames": frames,
+        "thetas": thetas,
+        **more,
+    }
+
+
+def batch(n_scenes=8, phones=("perfect", "cheap"), seeds=(0, 1)):
+    """`lattice` beats `projection` by 0.1 and `ambient` by 0.2 everywhere; the cheap phone costs 0.05."""
+    more = {"lattice": 0.0, "projection": 0.1, "ambient": 0.2, "truth": -0.2}
+    return [
+        trial(
+            f"room {scene}", seed, phone, estimator,
+            error=0.25 + 0.03 * scene + more[estimator] + (0.05 if phone != "perfect" else 0.0),
+            psnr=20.0 - scene - 10 * more[estimator],
+        )
+        for scene in range(n_scenes)
+        for seed in seeds
+        for phone in phones
+        for estimator in more
+    ]  # fmt: skip
+
+
+def results(trials, failed=()):
+    units = {t["unit"]: {"unit": t["unit"], "scene": t["scene"], "seed": t["seed"]} for t in trials}
+    cost = {"elapsed_s": 1.0, "processor_s": 1.0, "render_s": 0.5, "peak_memory_mb": 400.0, "written_bytes": 10_000}
+    return {
+        "schema_version": 1,
+        "settings": {},
+        "trials": trials,
+        "units": [{**unit, **cost} for unit in units.values()],
+        "failed": [{"what": what, "reason": reason} for what, reason in failed],
+    }
+
+
+def folder_with_pictures(path, trials):
+    """A batch's folder that holds the worst pictures of `trials`."""
+    folder = BatchFolder(path)
+    for one in trials:
+        for kind in WORST_KINDS:
+            file = worst_picture(path / "units" / one["unit"], one["number"], kind)
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_png(file, np.full((3, 4, 3), 128, np.uint8))
+    return folder

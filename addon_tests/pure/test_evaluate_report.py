@@ -1,0 +1,125 @@
+"""The report of a batch says what the trials say, no more, and in one file."""
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from addon_tests.pure.batches import batch, folder_with_pictures, results, trial
+from xihe_blender.evaluation.batch import answers
+from xihe_blender.evaluation.batch.analysis import (
+    MEASURES,
+    against_the_best,
+    compared,
+    laziest_as_good,
+    ranked,
+    theta_points,
+    worst_cases,
+)
+from xihe_blender.evaluation.batch.report import report_page, write_report
+from xihe_blender.evaluation.batch.store import BatchFolder
+
+ERROR, PICTURE = MEASURES
+
+
+def plain(page):
+    return re.sub(r"<[^>]*>", "", page)
+
+
+def test_pairs_are_of_the_same_scene_seed_and_phone():
+    found = compared(batch(), ERROR, "estimator", "projection", "lattice")
+    assert found.difference.mean == pytest.approx(0.1) and found.difference.n_pairs == 32
+    assert found.difference.n_groups == 8 and found.difference.is_clear
+
+
+def test_a_trial_without_its_partner_is_left_out():
+    trials = [*batch(), trial("room 99", 7, estimator="projection", error=50.0)]
+    assert compared(trials, ERROR, "estimator", "projection", "lattice").difference.mean == pytest.approx(0.1)
+    assert compared([trials[0]], ERROR, "estimator", "lattice", "projection") is None
+
+
+def test_the_truth_is_never_shipped_and_still_told():
+    names = ["truth", "ambient", "lattice", "projection"]
+    assert ranked(batch(), ERROR, names)[0] == "truth"
+    assert "Ship <code>lattice</code>" in answers.which_estimator(batch())
+    assert [one.first for one in against_the_best(batch(), ERROR)] == ["truth", "projection", "ambient"]
+
+
+def test_what_differs_by_chance_is_called_so():
+    trials = [
+        trial(
+            f"room {k}", estimator=name, error=0.3 + (0.1 * (-1) ** k + 0.001) * (name == "projection"), psnr=20.0 + k
+        )
+        for k in range(8)
+        for name in ("lattice", "projection")
+    ]
+    said = answers.which_estimator(trials)
+    assert "Ship <code>lattice</code>" in said and "may be chance" in said
+
+
+def test_a_single_estimator_is_no_comparison():
+    assert "more of --estimators" in answers.which_estimator([trial()])
+
+
+def test_a_worse_phone_costs_what_it_costs():
+    said = plain(answers.is_a_better_phone_worth_it(batch()))
+    assert "cheap against perfect: +0.050" in said and "chance" not in said
+    assert "One phone was tried" in answers.is_a_better_phone_worth_it(batch(phones=("perfect",)))
+
+
+def test_the_trigger_that_is_as_good_asks_least():
+    points = theta_points(batch(), "lattice")
+    assert [point.per_minute for point in points] == [60.0, 48.0, 30.0, 12.0]
+    assert laziest_as_good(points).per_minute == 12.0
+    worse = [*points[:-1], replace(points[-1], error=1.06 * points[0].error)]
+    assert laziest_as_good(worse).per_minute == 30.0
+    assert theta_points([trial(thetas=[])], "lattice") == []
+
+
+def test_so_few_scenes_say_how_little_they_hold():
+    assert "One scene says nothing about others" in answers.what_it_stands_on(batch(1))
+    assert "at most 75" in answers.what_it_stands_on(batch(3))
+    assert "at most" not in answers.what_it_stands_on(batch(8))
+
+
+def test_worst_cases_are_one_per_scene_and_estimator_and_never_the_truth():
+    cases = worst_cases(batch(), 100)
+    assert len(cases) == 8 * 3 and [case.psnr for case in cases] == sorted(case.psnr for case in cases)
+    assert all(case.frame == 3 and case.trial["estimator"] != "truth" for case in cases)
+    assert cases[0].trial["scene"] == "room 7" and cases[0].trial["estimator"] == "ambient"
+
+
+def test_the_page_is_one_file_with_its_pictures(tmp_path):
+    trials = batch()
+    folder = folder_with_pictures(tmp_path, trials)
+    write_report(folder, results(trials), None)
+    page = folder.report.read_text(encoding="utf-8")
+    assert page.count("data:image/png") == 18 and not re.findall(r'(?:src|href)="(?!data:|#)', page)
+    for question in ("Which estimator", "better phone", "How often", "How many anchors", "last 10 %", "Worst cases"):
+        assert question in page
+    assert "nan" not in plain(page) and page == report_page(folder, results(trials), None)
+
+
+def test_names_of_scenes_cannot_break_the_page(tmp_path):
+    trials = [trial("<b>\"'&", estimator=name, psnr=18.0) for name in ("lattice", "projection")]
+    page = report_page(BatchFolder(tmp_path), results(trials, [("a<b", "c<d")]), None)
+    assert "<b>\"'&" not in page and "a&lt;b" in page and "is missing" in page
+
+
+def test_trials_without_any_value_make_a_page_too(tmp_path):
+    empty = trial(psnr=None, shc_rmse=None, frames=[], thetas=[], estimates_per_minute=None)
+    assert "No picture was compared" in plain(report_page(BatchFolder(tmp_path), results([empty]), None))
+    assert "No trial could be done" in report_page(BatchFolder(tmp_path), results([], [("x.blend", "gone")]), None)
+
+
+def test_a_frontier_answers_what_takes_measured_times(tmp_path):
+    point = {
+        "scene": "room", "front": "compute", "settings": {"error_kind": "coefficients", "n_anchors": 512},
+        "error": 0.02, "time_ms": 1.0, "spread_ms": 0.1, "on_front": True, "preset": None,
+    }  # fmt: skip
+    more = {**point, "settings": {"error_kind": "coefficients", "n_anchors": 2048}, "error": 0.01, "time_ms": 4.0}
+    answer = {"scene": "room", "question": "How many anchors?", "answer": "512 are within 1 %."}
+    frontier = {"points": [point, more], "answers": [answer]}
+    page = report_page(BatchFolder(tmp_path), results(batch()), frontier)
+    assert "512 are within 1 %." in page and "2048 anchors" in page and "has no answer to that" in page
+    assert "xihe frontier" in report_page(BatchFolder(tmp_path), results(batch()), None)
