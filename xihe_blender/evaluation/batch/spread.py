@@ -145,15 +145,15 @@ def dashboard(spread: Spread) -> str:
 def _local_cluster(n_workers: int | None) -> Iterator[Any]:
     from distributed import LocalCluster
 
-    has_dashboard = importlib.util.find_spec("bokeh") is not None
-    # Without a limit Dask would count Blender's memory in, and pause workers for it.
+    # A port that is free, or two batches could not run beside each other. No limit: Dask would count in Blender's
+    # memory, and pause workers for it.
     with LocalCluster(
         n_workers=n_workers or n_cores(),
         threads_per_worker=1,
         processes=True,
         host="127.0.0.1",
         memory_limit=0,
-        dashboard_address="127.0.0.1:0" if has_dashboard else None,
+        dashboard_address="127.0.0.1:0",
         silence_logs=logging.CRITICAL,
     ) as cluster:
         yield cluster
