@@ -123,6 +123,7 @@ def test_a_frontier_that_is_given_must_be_there(tmp_path):
     assert read_frontier(None, tmp_path) == read_frontier(tmp_path / "frontier.json", tmp_path) == {"points": []}
 
 
+@pytest.mark.wheel_only("a whole Blender's Python has no Dask")
 def test_a_worker_never_loads_blender():
     code = "import sys, xihe_blender.evaluation.batch.worker; print({'bpy', 'torch'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)

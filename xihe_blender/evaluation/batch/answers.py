@@ -98,14 +98,22 @@ def is_a_better_phone_worth_it(trials: Sequence[Trial]) -> str:
     if not found:
         return "One phone was tried. Give two or more, such as <code>--profiles perfect,ipad_pro_lidar</code>."
     best = ranked(trials, MEASURES[0], shippable(trials))[0]
-    said = []
-    for one in found:
-        own = mean(values_of(trials, MEASURES[0], estimator=best, phone=one.second))
-        share = "" if not own else f", {percent(abs(one.difference.mean) / own)} of its error"
-        words = f"{code(one.first)} against {code(one.second)}: {interval_in_words(one.difference)}{share}"
-        sure = "" if one.difference.is_clear else "; not told from chance"
-        said.append(words + sure)
-    return f"By coefficient error with {code(best)}, {'; '.join(said)}. Below 0 the first one is better."
+    return f"With {code(best)}, {'; '.join(_better_phone(trials, best, one) for one in found)}."
+
+
+def _better_phone(trials: Sequence[Trial], best: str, one: Comparison) -> str:
+    """ "`perfect` has 0.013 less coefficient error than `cheap`, 8 % of it (95 %: ...), which may be chance"."""
+    difference = one.difference
+    better, worse = (one.first, one.second) if difference.mean < 0 else (one.second, one.first)
+    own = mean(values_of(trials, MEASURES[0], estimator=best, phone=worse))
+    share = "" if not own else f", {percent(abs(difference.mean) / own)} of it"
+    interval = interval_in_words(difference)
+    sure = "and that is clear" if difference.is_clear else "which may be chance"
+    less = significant(abs(difference.mean), 2)
+    return (
+        f"{code(better)} has {less} less coefficient error than {code(worse)}{share}, {sure}; "
+        f"{escape(one.first)} {MINUS} {escape(one.second)}: {interval}"
+    )
 
 
 def phone_differences(trials: Sequence[Trial], measure: Measure) -> list[Comparison]:
