@@ -83,7 +83,7 @@ def test_a_scheduler_that_does_not_answer_is_one_line(scenes, tmp_path):
         taken.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
         told = xihe("evaluate", scenes / "good.blend", "--out", tmp_path / "a", "--scheduler", address)
-    assert refused(told, "no scheduler answers")
+    assert refused(told, "no scheduler answers") and not (tmp_path / "a").exists()
 
 
 def test_a_folder_of_another_version_is_one_line_and_stays(done, tmp_path):

@@ -49,6 +49,26 @@ class Spread:
     shares: dict[str, float] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
 
+    def check_workers(self, folder: str, scenes: list[str]) -> None:
+        """UserError if no worker is there, or one does not have this project, the batch's folder or a scene."""
+        from xihe_blender.evaluation.batch.worker import describe_worker
+
+        address = self.client.scheduler.address
+        try:
+            self.client.wait_for_workers(1, timeout=CONNECT_S)
+        except TimeoutError as error:
+            raise UserError(
+                f"the scheduler at {address} has no worker: start some with `dask worker {address} --nthreads 1`"
+            ) from error
+        for worker, told in self.client.run(describe_worker, folder, scenes, on_error="return").items():
+            if isinstance(told, BaseException):
+                raise UserError(f"worker {worker} does not have this project: install xihe-blender there ({told})")
+            if told["xihe"] != __version__:
+                raise UserError(f"worker {worker} has xihe {told['xihe']} and this is {__version__}: install the same")
+            if told["missing"] or not told["is_writable"]:
+                place = (told["missing"] or [folder])[0]
+                raise UserError(f"worker {worker} cannot use {place}: all workers need it under the same path")
+
     def evaluate(self, asked: Sequence[Mapping[str, Any]]) -> Iterator[Progress]:
         """Have all units evaluated, the first ones first; yields progress. What failed is in `failed` afterwards."""
         from xihe_blender.evaluation.batch import worker
@@ -107,16 +127,10 @@ def _why_it_failed(future: Future[str | None]) -> str | None:
 
 
 @contextlib.contextmanager
-def open_spread(n_workers: int | None, address: str | None, paths: tuple[str, list[str]]) -> Iterator[Spread]:
+def open_spread(n_workers: int | None, address: str | None) -> Iterator[Spread]:
     """A scheduler with workers: the one at `address`, or our own with `n_workers` processes (None: one per core).
 
-    Parameters
-    ----------
-    paths : the batch's folder and its scenes, which every worker must see
-
-    Raises
-    ------
-    UserError where Dask is missing, nobody answers at `address`, or no worker there can help
+    UserError where Dask is missing, or nobody answers at `address`.
     """
     try:
         import distributed
@@ -129,9 +143,7 @@ def open_spread(n_workers: int | None, address: str | None, paths: tuple[str, li
             cluster = stack.enter_context(_local_cluster(n_workers))
             yield Spread(stack.enter_context(distributed.Client(cluster)), is_local=True)
         else:
-            client = stack.enter_context(_client_of(address))
-            _check_workers(client, address, paths)
-            yield Spread(client, is_local=False)
+            yield Spread(stack.enter_context(_client_of(address)), is_local=False)
 
 
 def dashboard(spread: Spread) -> str:
@@ -173,23 +185,3 @@ def _client_of(address: str) -> Iterator[Client]:
         yield client
     finally:
         client.close()
-
-
-def _check_workers(client: Client, address: str, paths: tuple[str, list[str]]) -> None:
-    """UserError if no worker is there, or one of them could not evaluate a unit."""
-    from xihe_blender.evaluation.batch.worker import describe_worker
-
-    try:
-        client.wait_for_workers(1, timeout=CONNECT_S)
-    except TimeoutError as error:
-        raise UserError(
-            f"the scheduler at {address} has no worker: start some with `dask worker {address} --nthreads 1`"
-        ) from error
-    for worker, told in client.run(describe_worker, *paths, on_error="return").items():
-        if isinstance(told, BaseException):
-            raise UserError(f"worker {worker} does not have this project: install xihe-blender there ({told})")
-        if told["xihe"] != __version__:
-            raise UserError(f"worker {worker} has xihe {told['xihe']} and this is {__version__}: install the same")
-        if told["missing"] or not told["is_writable"]:
-            place = (told["missing"] or [paths[0]])[0]
-            raise UserError(f"worker {worker} cannot use {place}: all workers need it under the same path")

@@ -55,26 +55,28 @@ class BatchFolder:
         return content if isinstance(content, dict) else None
 
 
-def claim_folder(folder: BatchFolder, settings: BatchSettings) -> None:
-    """Write what the batch is made with, or check that it is what is there. Scenes and seeds may be added later.
-
-    UserError if the folder holds something else, or cannot be written.
-    """
+def check_folder(folder: BatchFolder, settings: BatchSettings) -> None:
+    """UserError if the folder holds anything but such a batch. Scenes and seeds may be others."""
     if folder.path.exists() and not folder.path.is_dir():
         raise UserError(f"{folder.path} is a file: give --out a folder")
-    made_with = settings.made_with
     if folder.claim.exists():
-        different = _differences(folder.claim, made_with)
+        different = _differences(folder.claim, settings.made_with)
         if different:
             raise UserError(
                 f"{folder.path} holds a batch with another {', '.join(different)}: choose another folder for --out, "
                 "or delete that one"
             )
-        return
-    if folder.results.exists():
+    elif folder.results.exists():
         raise UserError(f"{folder.results} is there and not from a batch: choose another folder for --out")
+
+
+def claim_folder(folder: BatchFolder, settings: BatchSettings) -> None:
+    """Check the folder, and write what the batch is made with. UserError also if it cannot be written."""
+    check_folder(folder, settings)
+    if folder.claim.exists():
+        return
     try:
-        write_json(folder.claim, made_with)
+        write_json(folder.claim, settings.made_with)
     except OSError as error:
         raise UserError(f"cannot write to {folder.path} ({error.strerror}): choose another folder for --out") from error
 
