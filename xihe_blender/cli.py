@@ -129,6 +129,7 @@ def _add_dataset(commands: Any) -> None:
     add("--seed", type=int, default=0)
     add("--walk", type=int, metavar="F", help="F frames of a walk through each room; default: free views")
     add("--split", metavar="NAME", help="only the rooms of train, validation or test; default: all")
+    add("--scheduler", metavar="ADDRESS", help="a Dask scheduler whose workers make them; default: processes here")
     build.set_defaults(run=_dataset_build)
     scene = actions.add_parser("scene", help="a scene with a camera path as one more room")
     add = scene.add_argument
@@ -281,7 +282,10 @@ def _dataset_build(options: argparse.Namespace, stdout: Any, stderr: Any) -> Non
     from xihe_blender.dataset.build import BuildSettings, build_dataset
     from xihe_blender.jobs import run_blocking
 
-    settings = BuildSettings(options.rooms, options.seed, options.workers, walk=options.walk, split=options.split)
+    settings = BuildSettings(
+        options.rooms, options.seed, options.workers,
+        walk=options.walk, split=options.split, scheduler=options.scheduler,
+    )  # fmt: skip
     n_made = run_blocking(build_dataset(options.out, settings), when_news(progress_line(stderr)))
     print(f"{len(settings.wanted())} rooms in {options.out}, {n_made} of them made now", file=stdout)
 

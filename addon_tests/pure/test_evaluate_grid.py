@@ -125,7 +125,7 @@ def test_a_frontier_that_is_given_must_be_there(tmp_path):
 
 @pytest.mark.wheel_only("a whole Blender's Python has no Dask")
 def test_a_worker_never_loads_blender():
-    code = "import sys, xihe_blender.evaluation.batch.worker; print({'bpy', 'torch'} & set(sys.modules))"
+    code = "import sys, xihe_blender.spread_worker; print({'bpy', 'torch'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
     assert done.stdout.strip() == "set()"
 
@@ -138,7 +138,7 @@ def test_only_what_spreads_the_work_knows_dask():
         if isinstance(node, ast.Import | ast.ImportFrom)
         and any(name.split(".")[0] in ("dask", "distributed") for name in _names(node))
     ]
-    assert set(knows) == {"spread.py", "worker.py"}
+    assert set(knows) == {"spread.py", "spread_worker.py"}
 
 
 def _names(node):

@@ -22,12 +22,17 @@ from xihe_blender.jobs import Job, Progress
 from xihe_blender.one_core import child_environment, cores_of_their_own, n_cores, on_core
 from xihe_blender.outputs import write_json
 from xihe_blender.processes import module_command
+from xihe_blender.spread import open_spread
 from xihenet import __version__
 from xihenet.training.rooms import SPLITS, Split, split_of
 
 POLL_S = 0.25
 MAX_ROOMS = 1_000_000
 MAX_WALK = 240
+WORKER = "xihe_blender.dataset.worker"
+ROOMS_AT_A_TIME = 8
+"""That a worker of a scheduler is asked for: half a minute of work for a second of loading Blender."""
+
 CLAIM = "dataset.json"
 """What the rooms in a folder are made with."""
 
@@ -44,6 +49,7 @@ class BuildSettings:
     render : sizes (width, height, samples) of views and probes, as `worker` takes them
     walk : frames of a walk in place of the free views; None for free views
     split : make the rooms of this split alone; None for all
+    scheduler : address of a Dask scheduler whose workers make the rooms; None for processes of our own
     """
 
     n_rooms: int
@@ -52,6 +58,7 @@ class BuildSettings:
     render: tuple[int, ...] = field(default=(128, 96, 4, 64, 32, 24))
     walk: int | None = None
     split: Split | None = None
+    scheduler: str | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= self.n_rooms <= MAX_ROOMS:
@@ -87,6 +94,20 @@ def build_dataset(folder: Path, settings: BuildSettings) -> Job[int]:
     claim_folder(folder, settings.made_with)
     wanted = settings.wanted()
     missing = missing_rooms(folder, wanted)
+    if settings.scheduler is None:
+        yield from _in_processes(folder, settings, wanted, missing)
+    else:
+        yield from _over_dask(folder.resolve(), settings, missing)
+    left = missing_rooms(folder, wanted)
+    if left:
+        raise UserError(f"{len(left)} rooms were not made, the first is {left[0]}: run the same command again")
+    return len(missing)
+
+
+def _in_processes(
+    folder: Path, settings: BuildSettings, wanted: Sequence[int], missing: Sequence[int]
+) -> Iterator[Progress]:
+    """Make the `missing` rooms in processes of this machine."""
     n_workers = min(settings.n_workers or n_cores(), max(1, len(missing)))
     shares = [missing[i::n_workers] for i in range(n_workers)] if missing else []
     with contextlib.ExitStack() as stack:
@@ -100,10 +121,22 @@ def build_dataset(folder: Path, settings: BuildSettings) -> Job[int]:
             # All are told before any is waited for: each finishes the room that it is at.
             for worker in workers:
                 worker.process.terminate()
-    left = missing_rooms(folder, wanted)
-    if left:
-        raise UserError(f"{len(left)} rooms were not made, the first is {left[0]}: run the same command again")
-    return len(missing)
+
+
+def _over_dask(folder: Path, settings: BuildSettings, missing: Sequence[int]) -> Iterator[Progress]:
+    """Make the `missing` rooms, some at a time, on the workers of a scheduler. UserError if one fails."""
+    shares = [missing[i : i + ROOMS_AT_A_TIME] for i in range(0, len(missing), ROOMS_AT_A_TIME)]
+    asked = [
+        {"name": f"room {share[0]}", "module": WORKER, "arguments": _arguments(folder, settings, share), "told": None}
+        for share in shares
+    ]
+    if not asked:
+        return
+    with open_spread(None, settings.scheduler) as spread:
+        spread.check_workers(str(folder), [])
+        yield from spread.run(asked, "share of rooms")
+    for reason in spread.failed.values():
+        raise UserError(f"a worker ended: {reason}; the same command goes on from here")
 
 
 def claim_folder(folder: Path, made_with: dict[str, Any]) -> None:
@@ -163,10 +196,7 @@ class _Worker:
 @contextlib.contextmanager
 def _worker(folder: Path, settings: BuildSettings, indices: Sequence[int], core: int | None) -> Iterator[_Worker]:
     """A process that makes the rooms `indices`; it has ended when the block has, whatever happens."""
-    numbers = ",".join(str(i) for i in indices)
-    command = [*module_command("xihe_blender.dataset.worker"), "--out", str(folder), "--seed", str(settings.seed)]
-    command += ["--rooms", numbers, "--settings", *(str(n) for n in settings.render)]
-    command += [] if settings.walk is None else ["--walk", str(settings.walk)]
+    command = [*module_command(WORKER), *_arguments(folder, settings, indices)]
     with tempfile.TemporaryFile() as errors:
         with on_core(core):
             process = subprocess.Popen(
@@ -177,3 +207,10 @@ def _worker(folder: Path, settings: BuildSettings, indices: Sequence[int], core:
         finally:
             process.terminate()
             process.wait()
+
+
+def _arguments(folder: Path, settings: BuildSettings, indices: Sequence[int]) -> list[str]:
+    """What `worker` is told."""
+    arguments = ["--out", str(folder), "--seed", str(settings.seed), "--rooms", ",".join(str(i) for i in indices)]
+    arguments += ["--settings", *(str(n) for n in settings.render)]
+    return arguments if settings.walk is None else [*arguments, "--walk", str(settings.walk)]

@@ -9,10 +9,10 @@ from typing import Any
 
 from xihe_blender.evaluation.batch.grid import BatchSettings, Unit, check_settings, planned_units
 from xihe_blender.evaluation.batch.report import write_report
-from xihe_blender.evaluation.batch.spread import Spread, dashboard, open_spread
 from xihe_blender.evaluation.batch.store import BatchFolder, check_folder, claim_folder, read_frontier
 from xihe_blender.evaluation.batch.tables import batch_results, write_tables
 from xihe_blender.jobs import Job, Progress
+from xihe_blender.spread import Spread, dashboard, open_spread
 
 
 @dataclass(frozen=True)
@@ -76,15 +76,19 @@ def _n_workers(wanted: int | None, missing: Sequence[Unit]) -> int | None:
 def _evaluated(spread: Spread, kept: BatchFolder, settings: BatchSettings, missing: Sequence[Unit]) -> Any:
     asked = [
         {
-            "unit": unit.name,
-            "scene": str(unit.scene),
-            "seed": unit.seed,
-            "folder": str(kept.of_unit(unit)),
-            "settings": settings.as_json(),
+            "name": unit.name,
+            "module": "xihe_blender.evaluation.batch.blender_process",
+            "arguments": [],
+            "told": {
+                "scene": str(unit.scene),
+                "seed": unit.seed,
+                "folder": str(kept.of_unit(unit)),
+                "settings": settings.as_json(),
+            },
         }
         for unit in missing
     ]
-    yield from spread.evaluate(asked)
+    yield from spread.run(asked, "unit")
 
 
 def _named(units: Sequence[Unit], name: str) -> str:

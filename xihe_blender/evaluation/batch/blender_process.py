@@ -28,6 +28,8 @@ from xihe_blender.evaluation.batch.store import result_file
 from xihe_blender.outputs import write_json
 
 EXIT_CANNOT_BE_DONE = 2
+"""As `spread_worker` knows it, which needs Dask and is not loaded here."""
+
 EXIT_ABANDONED = 3
 
 

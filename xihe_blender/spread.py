@@ -1,8 +1,8 @@
-"""Who evaluates the units? Dask hands them to workers: its own on this machine, or those of a scheduler that is there.
+"""Who does the work? Dask hands it to workers: its own on this machine, or those of a scheduler that is there.
 
-Dask does what a batch needs beyond starting processes: it notices workers that die and hands their units to others,
-lets workers come and go, and has a dashboard. A unit whose Blender dies is tried twice more, and one that takes three
-workers with it is given up; both are named in the end.
+Dask does what a batch needs beyond starting processes: it notices workers that die and hands their work to others, lets
+workers come and go, and has a dashboard. A piece of work whose Blender dies is tried twice more, and one that takes
+four workers with it is given up; both are named in the end. Rejected: pools of our own, which end at one machine.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ INSTALL = "pip install 'xihe-blender[evaluate]'"
 
 @dataclass
 class Spread:
-    """Units under way; made by `open_spread`.
+    """Work under way; made by `open_spread`.
 
     Parameters
     ----------
     client : of the scheduler
     is_local : whether its workers are our own; others come and go
-    shares : how far each unit is, 0 to 1, by name
-    failed : why units could not be done, by name
+    shares : how far each piece of work is, 0 to 1, by name
+    failed : why what could not be done, by name
     """
 
     client: Client
@@ -50,8 +50,8 @@ class Spread:
     failed: dict[str, str] = field(default_factory=dict)
 
     def check_workers(self, folder: str, scenes: list[str]) -> None:
-        """UserError if no worker is there, or one does not have this project, the batch's folder or a scene."""
-        from xihe_blender.evaluation.batch.worker import describe_worker
+        """UserError if no worker is there, or one does not have this project, the folder or a scene."""
+        from xihe_blender.spread_worker import describe_worker
 
         address = self.client.scheduler.address
         try:
@@ -69,23 +69,29 @@ class Spread:
                 place = (told["missing"] or [folder])[0]
                 raise UserError(f"worker {worker} cannot use {place}: all workers need it under the same path")
 
-    def evaluate(self, asked: Sequence[Mapping[str, Any]]) -> Iterator[Progress]:
-        """Have all units evaluated, the first ones first; yields progress. What failed is in `failed` afterwards."""
-        from xihe_blender.evaluation.batch import worker
+    def run(self, asked: Sequence[Mapping[str, Any]], noun: str) -> Iterator[Progress]:
+        """Have it all done, the first ones first; yields progress. What failed is in `failed` afterwards.
 
-        self.client.subscribe_topic(worker.TOPIC, self._hear)
+        Parameters
+        ----------
+        asked : as `spread_worker.run_module` takes it
+        noun : what one of them is
+        """
+        from xihe_blender.spread_worker import TOPIC, run_module
+
+        self.client.subscribe_topic(TOPIC, self._hear)
         futures: dict[str, Future[str | None]] = {}
-        for place, unit in enumerate(asked):
-            futures[unit["unit"]] = self.client.submit(
-                worker.evaluate, dict(unit), key=f"{unit['unit']}-{time.time_ns()}", pure=False,
+        for place, one in enumerate(asked):
+            futures[one["name"]] = self.client.submit(
+                run_module, dict(one), key=f"{one['name']}-{time.time_ns()}", pure=False,
                 priority=-place, retries=N_RETRIES,
             )  # fmt: skip
         try:
-            yield from self._watched(futures)
+            yield from self._watched(futures, noun)
         finally:
             self.client.cancel(list(futures.values()))
 
-    def _watched(self, futures: Mapping[str, Future[str | None]]) -> Iterator[Progress]:
+    def _watched(self, futures: Mapping[str, Future[str | None]], noun: str) -> Iterator[Progress]:
         n_done, alone_since = -1, time.monotonic()
         while n_done < len(futures):
             ended = [name for name, future in futures.items() if future.done()]
@@ -96,10 +102,10 @@ class Spread:
             # By the percent, or a batch of thousands would tell of nothing else.
             done = len(futures) * math.floor(100 * share) / 100
             workers = counted(self._n_workers(), "worker")
-            yield Progress(done, len(futures), f"{n_done} of {len(futures)} units, {workers}")
+            yield Progress(done, len(futures), f"{n_done} of {counted(len(futures), noun)}, {workers}")
             alone_since = time.monotonic() if self._n_workers() else alone_since
             if self.is_local and time.monotonic() - alone_since > ALONE_S:
-                raise UserError("evaluate: no worker is left: run the same command again, it goes on from here")
+                raise UserError("no worker is left: run the same command again, it goes on from here")
             if n_done < len(futures):
                 time.sleep(POLL_S)
         for name, future in futures.items():
@@ -109,8 +115,8 @@ class Spread:
 
     def _hear(self, event: tuple[Any, Mapping[str, Any]]) -> None:
         _, told = event
-        # A unit that is tried again starts over, but what it had rendered is there.
-        self.shares[told["unit"]] = float(told["share"])
+        # What is tried again starts over, but what it had rendered is there.
+        self.shares[told["name"]] = float(told["share"])
 
     def _n_workers(self) -> int:
         return len(self.client.ncores())
@@ -135,7 +141,7 @@ def open_spread(n_workers: int | None, address: str | None) -> Iterator[Spread]:
     try:
         import distributed
     except ImportError as error:
-        raise UserError(f"evaluate: Dask is not installed; {INSTALL}") from error
+        raise UserError(f"Dask is not installed: {INSTALL}") from error
     for name in ("distributed", "tornado.application"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with contextlib.ExitStack() as stack:
@@ -155,19 +161,25 @@ def dashboard(spread: Spread) -> str:
 
 @contextlib.contextmanager
 def _local_cluster(n_workers: int | None) -> Iterator[Any]:
+    import dask
     from distributed import LocalCluster
 
     # A port that is free, or two batches could not run beside each other. No limit: Dask would count in Blender's
     # memory, and pause workers for it.
-    with LocalCluster(
-        n_workers=n_workers or n_cores(),
-        threads_per_worker=1,
-        processes=True,
-        host="127.0.0.1",
-        memory_limit=0,
-        dashboard_address="127.0.0.1:0",
-        silence_logs=logging.CRITICAL,
-    ) as cluster:
+    # And no profile of workers that only wait: it grows by the second, for an hour.
+    profile = {"distributed.worker.profile.enabled": False}
+    with (
+        dask.config.set(profile),
+        LocalCluster(
+            n_workers=n_workers or n_cores(),
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            memory_limit=0,
+            dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL,
+        ) as cluster,
+    ):
         yield cluster
 
 

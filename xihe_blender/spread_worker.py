@@ -1,7 +1,8 @@
-"""What does a Dask worker do with a unit? It starts a process with Blender in it, passes on how far that is, and waits.
+"""What does a Dask worker do with a piece of work? It starts a process with Blender in it, and waits.
 
-The worker itself never loads Blender: its memory stays what it is, and neither of the two can take the other with it.
-Runs on whatever machine the worker is on; what goes over the network are names, settings and shares of work.
+The worker itself never loads Blender, whose module does not load beside the thread that Dask works in: its memory stays
+what it is, and neither of the two can take the other with it. Runs on whatever machine the worker is on; what goes over
+the network are names, settings and shares of work.
 """
 
 from __future__ import annotations
@@ -17,12 +18,14 @@ from typing import Any
 
 from distributed import get_worker
 
-from xihe_blender.evaluation.batch.blender_process import EXIT_CANNOT_BE_DONE
 from xihe_blender.one_core import child_environment, free_core, on_core
 from xihenet import __version__
 
-TOPIC = "xihe-evaluate"
-"""Of the events that tell how far a unit is."""
+EXIT_CANNOT_BE_DONE = 2
+"""Of a module that has said on stderr what the user can mend."""
+
+TOPIC = "xihe"
+"""Of the events that tell how far a piece of work is."""
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -31,30 +34,29 @@ class BlenderDiedError(Exception):
     """The process ended without a word of what the user could mend: it was killed, or Blender crashed."""
 
 
-def evaluate(asked: dict[str, Any]) -> str | None:
-    """Evaluate a unit; None, or in one line why it cannot be done.
+def run_module(asked: dict[str, Any]) -> str | None:
+    """Run a module of this project in a process with Blender; None, or in one line why it cannot be done.
 
     Parameters
     ----------
-    asked : {"unit", "scene", "seed", "folder", "settings"}, as `blender_process` takes it
+    asked : {"name", "module", "arguments", "told"}: the command line, and what it gets on stdin as JSON. A module that
+        is told something tells its share of the work on stdout, a number from 0 to 1 a line; None is for one that is
+        not and does not
 
     Raises
     ------
     BlenderDiedError for what may go better next time
     """
-    command = [sys.executable, "-m", "xihe_blender.evaluation.batch.blender_process"]
+    command = [sys.executable, "-m", asked["module"], *asked["arguments"]]
+    piped = subprocess.PIPE if asked["told"] is not None else subprocess.DEVNULL
     with tempfile.TemporaryFile() as errors, free_core() as core:
         with on_core(core):
             process = subprocess.Popen(
-                command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=errors,
-                env={**child_environment(), **ONE_THREAD},
-                text=True,
+                command, stdin=piped, stdout=piped, stderr=errors, env={**child_environment(), **ONE_THREAD}, text=True
             )
         try:
-            _pass_on(process, asked)
+            if asked["told"] is not None:
+                _pass_on(process, asked)
             code = process.wait()
         finally:
             process.kill()
@@ -71,12 +73,12 @@ def _pass_on(process: subprocess.Popen[str], asked: dict[str, Any]) -> None:
     """Tell the process what to do, and everyone who listens how far it is."""
     assert process.stdin is not None and process.stdout is not None
     # One that died at once says why by its exit code.
-    with contextlib.suppress(BrokenPipeError):
-        process.stdin.write(json.dumps(asked))
-        process.stdin.close()
-    worker = get_worker()
-    for line in process.stdout:
-        worker.log_event(TOPIC, {"unit": asked["unit"], "share": float(line), "blender": process.pid})
+    with process.stdout as shares, contextlib.suppress(BrokenPipeError):
+        with process.stdin as stdin:
+            stdin.write(json.dumps(asked["told"]))
+        worker = get_worker()
+        for line in shares:
+            worker.log_event(TOPIC, {"name": asked["name"], "share": float(line), "blender": process.pid})
 
 
 def _last_line(errors: Any) -> str:

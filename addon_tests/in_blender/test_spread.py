@@ -1,0 +1,95 @@
+"""Work over Dask: what dies is tried again, what cannot be done says so, and rooms are the same whoever makes them."""
+
+import pytest
+
+from xihe_blender.dataset.build import BuildSettings, build_dataset
+from xihe_blender.dataset.store import room_path
+from xihe_blender.errors import UserError
+from xihe_blender.jobs import run_blocking
+from xihe_blender.spread import open_spread
+
+pytestmark = pytest.mark.wheel_only("a whole Blender's Python has no Dask")
+
+SMALL_NUMBERS = (32, 24, 1, 16, 8, 4)
+
+
+@pytest.fixture(scope="module")
+def scheduler():
+    """The address of a scheduler with two workers in this process."""
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        processes=False,
+        protocol="tcp",
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
+    ) as cluster:
+        yield cluster.scheduler_address
+
+
+@pytest.fixture
+def scripts(tmp_path, monkeypatch):
+    """A folder whose modules a worker's processes can run."""
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    return tmp_path
+
+
+def asked(name, *arguments):
+    return {"name": f"{name} {arguments}", "module": name, "arguments": list(arguments), "told": None}
+
+
+def run(scheduler, *work):
+    """What failed, and why."""
+    with open_spread(None, scheduler) as spread:
+        assert list(spread.run(work, "piece of work"))[-1].done == len(work)
+        return spread.failed
+
+
+def test_a_process_that_dies_is_tried_again(scheduler, scripts):
+    script = (
+        "import os, sys, pathlib; n = pathlib.Path(sys.argv[1]); n.exists() or (n.touch(), os.kill(os.getpid(), 9))"
+    )
+    (scripts / "dies_once.py").write_text(script)
+    assert run(scheduler, asked("dies_once", str(scripts / "mark"))) == {}
+    assert (scripts / "mark").exists()
+
+
+def test_one_that_always_dies_is_named_and_the_others_are_done(scheduler, scripts):
+    (scripts / "dies.py").write_text("import os; os.abort()")
+    (scripts / "works.py").write_text("import sys, pathlib; pathlib.Path(sys.argv[1]).touch()")
+    work = [asked("dies"), *(asked("works", str(scripts / f"done {k}")) for k in range(3))]
+    failed = run(scheduler, *work)
+    assert list(failed) == ["dies ()"] and "exit code -6" in failed["dies ()"]
+    assert all((scripts / f"done {k}").exists() for k in range(3))
+
+
+def test_what_the_user_can_mend_is_not_tried_again(scheduler, scripts):
+    script = "import sys, pathlib; p = pathlib.Path(sys.argv[1]); p.open('a').write('x'); sys.exit('mend it') "
+    (scripts / "says.py").write_text(
+        script.replace("sys.exit('mend it')", "print('mend it', file=sys.stderr); sys.exit(2)")
+    )
+    assert list(run(scheduler, asked("says", str(scripts / "tries"))).values()) == ["mend it"]
+    assert (scripts / "tries").read_text() == "x"
+
+
+def test_rooms_made_over_a_scheduler_are_those_of_one_process(scheduler, tmp_path):
+    settings = BuildSettings(2, 5, 1, SMALL_NUMBERS)
+    over = BuildSettings(2, 5, 1, SMALL_NUMBERS, scheduler=scheduler)
+    assert run_blocking(build_dataset(tmp_path / "here", settings)) == 2
+    assert run_blocking(build_dataset(tmp_path / "there", over)) == 2
+    assert run_blocking(build_dataset(tmp_path / "there", over)) == 0
+    for index in range(2):
+        assert room_path(tmp_path / "there", index).read_bytes() == room_path(tmp_path / "here", index).read_bytes()
+
+
+def test_a_folder_that_no_worker_sees_is_one_line(scheduler, tmp_path):
+    with open_spread(None, scheduler) as spread, pytest.raises(UserError, match="under the same path"):
+        spread.check_workers(str(tmp_path / "none"), [])
+
+
+def test_an_address_that_is_none_is_one_line():
+    for address in ("nowhere", "tcp://127.0.0.1:1"):
+        with pytest.raises(UserError, match="no scheduler answers"), open_spread(None, address):
+            pass
