@@ -101,9 +101,10 @@ class Spread:
             share = sum(self.shares.get(name, 0.0) for name in futures) / len(futures)
             # By the percent, or a batch of thousands would tell of nothing else.
             done = len(futures) * math.floor(100 * share) / 100
-            workers = counted(self._n_workers(), "worker")
+            n_workers = len(self.client.ncores())
+            workers = counted(n_workers, "worker")
             yield Progress(done, len(futures), f"{n_done} of {counted(len(futures), noun)}, {workers}")
-            alone_since = time.monotonic() if self._n_workers() else alone_since
+            alone_since = time.monotonic() if n_workers else alone_since
             if self.is_local and time.monotonic() - alone_since > ALONE_S:
                 raise UserError("no worker is left: run the same command again, it goes on from here")
             if n_done < len(futures):
@@ -117,9 +118,6 @@ class Spread:
         _, told = event
         # What is tried again starts over, but what it had rendered is there.
         self.shares[told["name"]] = float(told["share"])
-
-    def _n_workers(self) -> int:
-        return len(self.client.ncores())
 
 
 def _why_it_failed(future: Future[str | None]) -> str | None:
