@@ -2,6 +2,9 @@
 
 Resumable by room: a file that exists is whole and is not made again, and a room is the same whoever makes it. So a
 build may be stopped at any time, and may grow later. Rejected: a pool in this process, since Blender holds one scene.
+
+On one machine the processes are started here, which needs nothing installed; with a scheduler's address its workers
+start them, as `xihe evaluate` does, and see the folder under the same path.
 """
 
 from __future__ import annotations

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import shutil
 import signal
 import sys
@@ -73,12 +72,23 @@ def write_result(asked: dict[str, Any], tell: Callable[[float], None]) -> None:
     content["cost"] = {
         "elapsed_s": time.perf_counter() - start,
         "processor_s": time.process_time() - start_processor_s,
-        "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "peak_memory_mb": _peak_memory_mb(),
         "written_bytes": sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()),
     }
     write_json(result_file(folder), content)
     for intermediate in ("work", "radiance", "pictures"):
         shutil.rmtree(folder / intermediate, ignore_errors=True)
+
+
+def _peak_memory_mb() -> float | None:
+    """The most memory that this process had; None on Windows, which does not count it for Python."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    # In kilobytes, but for macOS.
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**20
 
 
 if __name__ == "__main__":
