@@ -9,7 +9,7 @@ import pytest
 from tiny_scenes import room_with_a_virtual_sphere
 from xihe_process import xihe
 
-pytestmark = pytest.mark.wheel_only("a whole Blender's Python has no Dask")
+pytestmark = [pytest.mark.slow, pytest.mark.wheel_only("a whole Blender's Python has no Dask")]
 
 TINY = ("--size", "16x12", "--samples", "1", "--estimators", "projection,ambient")
 

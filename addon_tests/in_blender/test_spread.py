@@ -74,6 +74,7 @@ def test_what_the_user_can_mend_is_not_tried_again(scheduler, scripts):
     assert (scripts / "tries").read_text() == "x"
 
 
+@pytest.mark.slow
 def test_rooms_made_over_a_scheduler_are_those_of_one_process(scheduler, tmp_path):
     settings = BuildSettings(2, 5, 1, SMALL_NUMBERS)
     over = BuildSettings(2, 5, 1, SMALL_NUMBERS, scheduler=scheduler)
