@@ -86,7 +86,8 @@ def _evaluated(spread: Spread, kept: BatchFolder, settings: BatchSettings, missi
                 "settings": settings.as_json(),
             },
         }
-        for unit in missing
+        # A long unit that starts last keeps one worker busy alone; the largest files are often the longest.
+        for unit in sorted(missing, key=lambda unit: -unit.scene.stat().st_size)
     ]
     yield from spread.run(asked, "unit")
 
