@@ -50,7 +50,10 @@ class Spread:
     failed: dict[str, str] = field(default_factory=dict)
 
     def check_workers(self, folder: str, scenes: list[str]) -> None:
-        """UserError if no worker is there, or one does not have this project, the folder or a scene."""
+        """UserError if no worker is there, or one does not have this project, the folder or a scene.
+
+        The scheduler needs the project too: it reads what it passes on.
+        """
         from xihe_blender.spread_worker import describe_worker
 
         address = self.client.scheduler.address
@@ -59,6 +62,12 @@ class Spread:
         except TimeoutError as error:
             raise UserError(
                 f"the scheduler at {address} has no worker: start some with `dask worker {address} --nthreads 1`"
+            ) from error
+        try:
+            self.client.run_on_scheduler(describe_worker, folder, [])
+        except (ImportError, RuntimeError) as error:
+            raise UserError(
+                f"the scheduler at {address} does not have this project: install xihe-blender there ({error})"
             ) from error
         for worker, told in self.client.run(describe_worker, folder, scenes, on_error="return").items():
             if isinstance(told, BaseException):
