@@ -1,1 +1,1 @@
-"""Many runs at once: batches over scenes, estimators and phones, and the frontier of error against time."""
+"""Over many scenes: batch evaluation of estimators and phones, and the frontier of error against time."""
