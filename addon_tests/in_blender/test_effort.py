@@ -11,7 +11,17 @@ from test_unchanged import key, still_room
 from tiny_scenes import look_at, room_with_a_virtual_sphere
 
 from xihe_blender.capture import open_scanner
-from xihe_blender.effort import SMALLEST_LIGHT, Effort, NoiseModel, fit_noise, measure_effort, pilot_views
+from xihe_blender.effort import (
+    LARGE_STEP,
+    SMALLEST_LIGHT,
+    Effort,
+    NoiseModel,
+    fewest_samples,
+    fit_noise,
+    measure_effort,
+    pilot_samples,
+    pilot_views,
+)
 from xihe_blender.errors import UserError
 from xihe_blender.exr import read_radiance
 from xihe_blender.outputs import RunOutputs
@@ -263,3 +273,11 @@ def test_a_lamp_that_changes_has_every_frame_rendered_anew(tmp_path):
     assert results["summary"]["n_reused_captures"] == results["summary"]["n_reused_probes"] == 0
     first, second = (entry["probes"][0]["sh_truth"] for entry in results["frames"])
     assert np.subtract(second, first).max() > 0
+
+
+def test_what_a_preset_takes_at_least_lies_within_what_its_pilot_measures():
+    fewest = [fewest_samples(preset) for preset in PRESETS.values()]
+    assert fewest == sorted(fewest)
+    for preset, samples in zip(PRESETS.values(), fewest, strict=True):
+        assert preset.min_samples <= samples <= preset.max_samples
+        assert pilot_samples(preset) <= samples <= LARGE_STEP * pilot_samples(preset)
