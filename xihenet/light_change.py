@@ -26,7 +26,10 @@ BRIGHTEST, DARKEST = 0.95, 0.01
 """A channel is asked where the brighter of its two values lies between: linear light, 1 is where pictures clip."""
 
 DARK_LIGHT = 1 / 512
-"""Added on both sides of a ratio: a lamp that goes out leaves 8 bits of nearly nothing."""
+"""Added on both sides of a ratio that is judged: dark surfaces, whose ratio is noise, count as little changed."""
+
+FIRST_CODE = 1 / (255 * 12.92)
+"""Added to a ratio that is followed, which `DARK_LIGHT` would draw to 1: a lamp that goes out leaves codes of 0."""
 
 
 @dataclass(frozen=True)
@@ -79,16 +82,21 @@ def light_change(old: UnitSphereCloud, new: UnitSphereCloud, settings: LightFoll
     before, after = (srgb_to_linear(cloud.srgb[seen_again].astype(np.float64)) for cloud in (old, new))
     brighter = np.maximum(before, after)
     can_say = (brighter > DARKEST) & (brighter < BRIGHTEST)
-    stops = np.log2((after + DARK_LIGHT) / (before + DARK_LIGHT))
     n_least = settings.smallest_share * len(old)
-    asked = [stops[can_say[:, c], c] for c in range(3)]
-    medians = np.array([np.median(of_one) if 0 < len(of_one) >= n_least else np.nan for of_one in asked])
-    has_changed = any(_agree(of_one, m, settings) for of_one, m in zip(asked, medians, strict=True) if np.isfinite(m))
-    if not has_changed:
+    asked = [c for c in range(3) if 0 < np.count_nonzero(can_say[:, c]) >= n_least]
+    judged = [_stops(before[can_say[:, c], c], after[can_say[:, c], c], DARK_LIGHT) for c in asked]
+    if not any(_agree(stops, float(np.median(stops)), settings) for stops in judged):
         return None
+    followed = _stops(before, after, FIRST_CODE)
+    medians = np.array([np.median(followed[can_say[:, c], c]) if c in asked else np.nan for c in range(3)])
     # A channel too dark or too bright to say goes with the others.
     factor: ArrayF64 = np.exp2(np.where(np.isfinite(medians), medians, np.nanmean(medians)))
     return factor
+
+
+def _stops(before: ArrayF64, after: ArrayF64, added: float) -> ArrayF64:
+    stops: ArrayF64 = np.log2((after + added) / (before + added))
+    return stops
 
 
 def _agree(stops: ArrayF64, median: float, settings: LightFollowing) -> bool:

@@ -68,7 +68,7 @@ def test_what_is_out_of_view_follows_a_lamp_by_its_factor_and_its_colour(seed, f
     old, new = cloud(radiance, first), cloud(radiance * factor, later)
     followed, stale = follow_light(old, new, FOLLOWING), first & ~later
     ratio = srgb_to_linear(followed.srgb[stale]) / srgb_to_linear(old.srgb[stale])
-    np.testing.assert_allclose(ratio / factor, 1, atol=0.12)
+    np.testing.assert_allclose(ratio / factor, 1, atol=0.05)
     np.testing.assert_array_equal(followed.srgb[~stale], old.srgb[~stale])
     np.testing.assert_array_equal(followed.distance_m, old.distance_m)
 
