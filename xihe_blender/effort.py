@@ -41,7 +41,7 @@ from xihe_blender.plan import PrevisPlan
 from xihe_blender.previs_settings import MAX_SEED, Preset, PrevisSettings
 from xihe_blender.render import RenderSettings
 from xihe_blender.truth import open_light_probe, probe_radiance_sh
-from xihenet.camera import KEY_LUMINANCE, in_view, unproject_frame
+from xihenet.camera import KEY_LUMINANCE, unproject_frame
 from xihenet.records import ArrayF64
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sh import project_anchors
@@ -164,8 +164,7 @@ def measure_effort(
     captures = capture_noise(scene, views, capture, exposure, settings.n_anchors)
     probes = truth_noise(scene, views, truth, exposure, settings)
     target = settings.noise_aim
-    fewest = fewest_samples(preset)
-    n_captures, n_probes = (model.samples_for(target, fewest, maximum) for model in (captures, probes))
+    n_captures, n_probes = (samples_taken(preset, model, target) for model in (captures, probes))
     noises = captures.noise(n_captures), probes.noise(n_probes)
     return Effort(n_captures, n_probes, *noises, time.perf_counter() - start)
 
@@ -180,15 +179,17 @@ def fewest_samples(preset: Preset) -> int:
     return max(preset.min_samples, pilot_samples(preset))
 
 
+def samples_taken(preset: Preset, model: NoiseModel, target: float | None = None) -> int:
+    """What `preset` takes where noise falls as `model` says, for its own target or another."""
+    wanted = preset.noise_target if target is None else target
+    return model.samples_for(wanted, fewest_samples(preset), preset.max_samples)
+
+
 def pilot_views(scene: bpy.types.Scene, plan: PrevisPlan) -> list[tuple[int, list[ArrayF64]]]:
     """A few frames, spread over those in which an estimation position is in view, with the positions (3,) in view."""
-    views = []
-    positions = [probe.position_m for probe in plan.probes]
     with open_scanner(scene, RenderSettings(plan.size, samples=1)) as scanner:
-        for frame in plan.frames:
-            seen = in_view(np.stack(positions), *scanner.move_to(frame))
-            if seen.any():
-                views.append((frame, [p for p, is_seen in zip(positions, seen, strict=True) if is_seen]))
+        in_sight = plan.frames_in_sight(scanner)
+    views = [(frame, [probe.position_m for probe in probes]) for frame, probes in in_sight.items()]
     n_pilots = min(N_PILOT_FRAMES, math.ceil(len(views) / FRAMES_PER_PILOT))
     return [views[(2 * k + 1) * len(views) // (2 * n_pilots)] for k in range(n_pilots)]
 

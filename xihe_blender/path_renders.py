@@ -12,15 +12,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-import numpy as np
-
 from xihe_blender.capture import CyclesScanner, open_scanner
 from xihe_blender.exr import read_radiance, write_radiance
 from xihe_blender.outputs import write_json, write_picture
 from xihe_blender.plan import Probe
 from xihe_blender.prepared_run import PreparedRun
 from xihe_blender.truth import LightProbe, open_light_probe
-from xihenet.camera import in_view
 from xihenet.recording import load_frame, save_frame
 from xihenet.records import ArrayF32, RgbdFrame
 
@@ -58,12 +55,11 @@ class PathRenders:
 
     def __init__(self, run: PreparedRun, phone: KeepsRenders, scanner: CyclesScanner, light_probe: LightProbe) -> None:
         self.run, self.phone, self.scanner, self.light_probe = run, phone, scanner, light_probe
-        self.positions_m = np.stack([probe.position_m for probe in run.plan.probes])
 
     def move_to(self, frame: int) -> tuple[float, list[Probe]]:
         """The time of `frame`, and the probes that its camera sees; none if the phone does not deliver it."""
-        seen = in_view(self.positions_m, *self.scanner.move_to(frame)) & (frame in self.phone.delivered)
-        return self.scanner.time_s, [p for p, is_seen in zip(self.run.plan.probes, seen, strict=True) if is_seen]
+        seen = self.run.plan.probes_in_view(self.scanner, frame)
+        return self.scanner.time_s, seen if frame in self.phone.delivered else []
 
     def at(self, frame: int, probes: Sequence[Probe]) -> FrameRenders:
         """The renders of `frame`, to which `move_to` has moved, and of `probes`, those in view."""

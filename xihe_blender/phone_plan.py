@@ -23,7 +23,6 @@ from xihe_blender.plan import DEFAULT_SIZE, PrevisPlan, Probe, planned_frames
 from xihe_blender.previs_settings import PrevisSettings
 from xihe_blender.render import RenderSettings
 from xihe_blender.scene_state import scene_kept
-from xihenet.camera import in_view
 
 N_SAMPLES = 4
 
@@ -62,10 +61,9 @@ def plan_phone_effects(
 
 def _captured(scanner: CyclesScanner, phone: PhoneCapture, plan: PrevisPlan) -> Job[None]:
     """A job: have `phone` notice every frame that a run would capture."""
-    positions_m = np.array([probe.position_m for probe in plan.probes]).reshape(-1, 3)
     for done, frame in enumerate(plan.frames):
         yield Progress(done, len(plan.frames), f"looking at frame {frame} as the phone does")
-        if frame in phone.delivered and in_view(positions_m, *scanner.move_to(frame)).any():
+        if frame in phone.delivered and plan.probes_in_view(scanner, frame):
             captured = scanner.acquire_environment_scan()
             phone.keep(scanner, frame)
             phone.notice(captured)

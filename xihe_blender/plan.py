@@ -9,13 +9,14 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from xihe_blender.capture import phone_camera, sized_for
+from xihe_blender.capture import CyclesScanner, phone_camera, sized_for
 from xihe_blender.errors import UserError
 from xihe_blender.estimation_positions import estimation_positions
 from xihe_blender.previs_settings import PrevisSettings
 from xihe_blender.render import RenderSettings, working_scene
 from xihe_blender.scene_faults import SceneFault, faults_at_frame, image_faults, place_faults
 from xihe_blender.virtual_objects import COLLECTION_NAME, virtual_collection, virtual_objects
+from xihenet.camera import in_view
 from xihenet.records import ArrayF64
 
 DEFAULT_SIZE = (256, 192)
@@ -45,6 +46,19 @@ class PrevisPlan:
 
     def probes_of(self, object_name: str) -> list[Probe]:
         return [probe for probe in self.probes if probe.object_name == object_name]
+
+    def probes_in_view(self, scanner: CyclesScanner, frame: int) -> list[Probe]:
+        """Move `scanner` to `frame`: the probes that its camera sees."""
+        pose = scanner.move_to(frame)
+        if not self.probes:
+            return []
+        seen = in_view(np.stack([probe.position_m for probe in self.probes]), *pose)
+        return [probe for probe, is_seen in zip(self.probes, seen, strict=True) if is_seen]
+
+    def frames_in_sight(self, scanner: CyclesScanner) -> dict[int, list[Probe]]:
+        """The probes in view, by those frames of the path that have any."""
+        found = {frame: self.probes_in_view(scanner, frame) for frame in self.frames}
+        return {frame: probes for frame, probes in found.items() if probes}
 
 
 def plan_previs(scene: bpy.types.Scene, settings: PrevisSettings) -> PrevisPlan:

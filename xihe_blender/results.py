@@ -6,20 +6,18 @@ Numbers only as JSON can hold them: None where a value is undefined, never NaN o
 from __future__ import annotations
 
 import math
-import os
-import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import bpy
-import numpy as np
 
 from xihe_blender.compare import ERROR_AT_FULL_SCALE
 from xihe_blender.effects.overrides import overrides_in_force
 from xihe_blender.effects.unchanged import KeptRenders
 from xihe_blender.effort import Effort
+from xihe_blender.made_with import machine, software
 from xihe_blender.outputs import finite_or_none
 from xihe_blender.phone_capture import PhoneCapture
 from xihe_blender.plan import Probe
@@ -33,7 +31,6 @@ from xihe_blender.results_summary import (
     notes,
     summary,
 )
-from xihenet import __version__
 from xihenet.camera import invalid_pixels
 from xihenet.invalid import CLAMPED
 from xihenet.metrics import shc_rmse
@@ -175,19 +172,8 @@ def assemble(
     comparison = mean_comparison(frames)
     return {
         "schema_version": SCHEMA_VERSION,
-        "software": {
-            "xihe": __version__,
-            "blender": bpy.app.version_string,
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-            "command": command,
-        },
-        "machine": {
-            "platform": platform.platform(),
-            "processor": platform.machine(),
-            "n_cores": os.cpu_count(),
-            "cycles_device": cycles_device(scene),
-        },
+        "software": software(command),
+        "machine": machine() | {"cycles_device": cycles_device(scene)},
         "settings": _settings(run),
         "scene": {
             "file": file.name,

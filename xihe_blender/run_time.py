@@ -22,7 +22,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from xihe_blender.capture import CyclesScanner, open_scanner
+from xihe_blender.capture import open_scanner
 from xihe_blender.compare import open_comparer
 from xihe_blender.compare_path import compared_frames
 from xihe_blender.jobs import Job, Progress, run_blocking
@@ -32,7 +32,6 @@ from xihe_blender.prepared_run import PreparedRun, prepare_run
 from xihe_blender.previs_settings import PrevisSettings, load_estimator
 from xihe_blender.scene_state import scene_kept
 from xihe_blender.truth import open_light_probe
-from xihenet.camera import in_view
 from xihenet.records import RgbdFrame
 
 FEW_SAMPLES = 4
@@ -130,7 +129,7 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
     """The run's time, from a few renders of each kind, spread over the frames in which a position is in view."""
     yield Progress(1, 4, "measuring a capture")
     with open_scanner(run.scene, run.capture) as scanner:
-        in_sight = _probes_in_view(run, scanner)
+        in_sight = run.plan.frames_in_sight(scanner)
         if not in_sight:
             nothing = RenderTime(0.0, 0.0, 0)
             return RunTime(prepared_s, len(run.plan.frames) + N_OTHER_STEPS, 0, 0, 0, nothing, nothing, nothing)
@@ -142,7 +141,7 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
             scanner.move_to(frame)
             captured[frame] = scanner.acquire_environment_scan()
 
-        capture_loaded_s, capture = _timed(capture_at, frames, run.capture.samples, scanner.scene)
+        capture_loaded_s, capture = time_renders(capture_at, frames, run.capture.samples, scanner.scene)
     yield Progress(2, 4, "measuring a light probe")
     probe_loaded_s, probe = _timed_probe(run, frames)
     yield Progress(3, 4, "measuring a comparison")
@@ -153,7 +152,7 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
         prepared_s + capture_loaded_s + probe_loaded_s + comparison_loaded_s,
         len(run.plan.frames) + n_comparisons + N_OTHER_STEPS,
         sum(run.kept.capture(frame) == frame for frame in in_sight),
-        sum(run.kept.probe(frame, name) == frame for frame, names in in_sight.items() for name in names),
+        sum(run.kept.probe(frame, p.name) == frame for frame, probes in in_sight.items() for p in probes),
         n_comparisons,
         capture,
         probe,
@@ -161,21 +160,12 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
     )
 
 
-def _probes_in_view(run: PreparedRun, scanner: CyclesScanner) -> dict[int, list[str]]:
-    """Names of the positions in view, by those frames of the path that have any."""
-    positions = np.stack([probe.position_m for probe in run.plan.probes])
-    found = {}
-    for frame in run.plan.frames:
-        seen = in_view(positions, *scanner.move_to(frame))
-        if seen.any():
-            found[frame] = [probe.name for probe, is_seen in zip(run.plan.probes, seen, strict=True) if is_seen]
-    return found
-
-
 def _timed_probe(run: PreparedRun, frames: Sequence[int]) -> tuple[float, RenderTime]:
     position = run.plan.probes[0].position_m
     with open_light_probe(run.scene, run.truth) as light_probe:
-        return _timed(lambda frame: light_probe.panorama(position, frame), frames, run.truth.samples, light_probe.scene)
+        return time_renders(
+            lambda frame: light_probe.panorama(position, frame), frames, run.truth.samples, light_probe.scene
+        )
 
 
 def _timed_comparison(
@@ -184,7 +174,7 @@ def _timed_comparison(
     """Under no light at all, which takes Cycles as long as any."""
     dark = {method: {item.name: np.zeros((9, 3)) for item in run.plan.objects} for method in run.methods}
     with open_comparer(run.scene, run.plan.objects, run.methods, run.comparison) as comparer:
-        return _timed(
+        return time_renders(
             lambda frame: comparer.render_comparison(captured[frame], dark),
             frames,
             run.comparison.samples,
@@ -193,7 +183,7 @@ def _timed_comparison(
         )
 
 
-def _timed(
+def time_renders(
     render: Callable[[int], object], frames: Sequence[int], samples: int, *scenes: bpy.types.Scene
 ) -> tuple[float, RenderTime]:
     """Seconds that the first render takes longer than the second, and the time of a render with `samples`.

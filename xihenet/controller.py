@@ -37,7 +37,7 @@ from xihenet.records import (
     UnitSphereCloud,
 )
 from xihenet.sampling import sample_unit_sphere
-from xihenet.sphere import AnchorLattice, NearestMethod
+from xihenet.sphere import TABLE_SIZE, AnchorLattice, NearestMethod
 from xihenet.trigger import TriggerSettings, decide_trigger
 
 
@@ -49,7 +49,7 @@ class ControllerSettings:
     ----------
     trigger : when a new estimate is worth its cost
     codec : wire format by which `payload_bytes` is counted; see `xihenet.codec`
-    nearest : how points find their anchor, "exact", "table" or "brute"
+    nearest, table_size : how points find their anchor; see `AnchorLattice.nearest`
     reference_exposure : the exposure that anchors and estimates carry; None takes the first frame's
     following : how what is out of view follows a change of the light; None lets it be, as the paper does
     """
@@ -57,6 +57,7 @@ class ControllerSettings:
     trigger: TriggerSettings = field(default_factory=TriggerSettings)
     codec: EncodingMethod = "uint8_float16_stripped"
     nearest: NearestMethod = "exact"
+    table_size: tuple[int, int] = TABLE_SIZE
     reference_exposure: float | None = None
     following: LightFollowing | None = field(default_factory=LightFollowing)
 
@@ -76,7 +77,7 @@ class XiheController:
         self.lattice = AnchorLattice(backend.n_anchors)
         self.reference_exposure = self.settings.reference_exposure
         # Tables are built on first use; built here, no frame pays for them.
-        self.lattice.nearest(self.lattice.directions[:1], method=self.settings.nearest)
+        self.lattice.nearest(self.lattice.directions[:1], self.settings.nearest, self.settings.table_size)
         self.lattice.neighbours(min(self.settings.trigger.n_neighbours, len(self.lattice)))
         self._positions: dict[str, _Position] = {}
         self._frame: RgbdFrame | None = None
@@ -144,7 +145,7 @@ class XiheController:
     ) -> StepReport:
         position, settings = self._positions[name], self.settings
         with clock.stage("sample"):
-            sampled = sample_unit_sphere(points, position.position_m, self.lattice, method=settings.nearest)
+            sampled = self._sample(points, position.position_m)
         with clock.stage("merge"):
             buffers = position.buffers.with_frame(sampled)
         with clock.stage("trigger"):
@@ -171,6 +172,10 @@ class XiheController:
         return StepReport(
             decision, estimate, clock.stage_ms, len(payload), buffers.coverage(), invalid, unknown_because, n_followed
         )
+
+    def _sample(self, points: PointCloud, position_m: ArrayLike) -> UnitSphereCloud:
+        how = self.settings
+        return sample_unit_sphere(points, position_m, self.lattice, method=how.nearest, table_size=how.table_size)
 
     def _following(self, before: PositionBuffers, sampled: UnitSphereCloud) -> tuple[PositionBuffers, int]:
         """The buffers after this frame, what it does not show changed as the light did; and for how many anchors."""
@@ -201,7 +206,7 @@ class XiheController:
         if self._frame is None or self.reference_exposure is None:
             raise ValueError("estimate_at: no frame yet; call step(frame) first")
         points = unproject_frame(self._frame, reference_exposure=self.reference_exposure)
-        sampled = sample_unit_sphere(points, position_m, self.lattice, method=self.settings.nearest)
+        sampled = self._sample(points, position_m)
         buffers = PositionBuffers.empty(len(sampled)).with_frame(sampled).fired()
         position = np.asarray(position_m, np.float64)
         context = EstimateContext(self._frame, points, position, None, self.reference_exposure)

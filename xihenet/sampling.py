@@ -20,14 +20,19 @@ from numpy.typing import ArrayLike
 
 from xihenet.invalid import added, counted
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, PointCloud, UnitSphereCloud
-from xihenet.sphere import AnchorLattice, NearestMethod
+from xihenet.sphere import TABLE_SIZE, AnchorLattice, NearestMethod
 
 _NO_POINT = np.uint64(2**64 - 1)
 _INFINITY_KEY = np.uint64(int(np.float32(np.inf).view(np.uint32)) << 32)
 
 
 def sample_unit_sphere(
-    cloud: PointCloud, position_m: ArrayLike, lattice: AnchorLattice, *, method: NearestMethod = "exact"
+    cloud: PointCloud,
+    position_m: ArrayLike,
+    lattice: AnchorLattice,
+    *,
+    method: NearestMethod = "exact",
+    table_size: tuple[int, int] = TABLE_SIZE,
 ) -> UnitSphereCloud:
     """Give each anchor the colour and the distance of the nearest point in its direction.
 
@@ -36,7 +41,7 @@ def sample_unit_sphere(
     cloud : points in the world frame
     position_m : (3,) finite, world frame, metres: where the light is wanted
     lattice : the anchors
-    method : how the nearest anchor is found, see `AnchorLattice.nearest`
+    method, table_size : how the nearest anchor is found, see `AnchorLattice.nearest`
 
     Returns
     -------
@@ -56,7 +61,7 @@ def sample_unit_sphere(
     columns = _relative_columns(cloud.points_m, _checked_position(position_m))
     distance_m = _distances(columns)
     invalid = _exclude_unusable(columns, distance_m, cloud)
-    anchors = lattice.nearest_to_columns(columns, method)
+    anchors = lattice.nearest_to_columns(columns, method, table_size)
     is_set, winners = _nearest_points(anchors, distance_m, lattice.n)
     srgb = np.zeros((lattice.n, 3), np.float32)
     srgb[is_set] = cloud.srgb.take(winners, axis=0).clip(0, 1)

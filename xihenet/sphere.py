@@ -29,6 +29,9 @@ from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt
 
 NearestMethod = Literal["exact", "table", "brute"]
 
+TABLE_SIZE = (1024, 512)
+"""The paper's."""
+
 MAX_ANCHORS = 65_536  # an anchor's index has 16 bits on the wire
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 _BRUTE_BLOCK = 2**18  # cosines at a time: 2 MB, which stays in the cache
@@ -60,7 +63,7 @@ class AnchorLattice:
         return _lattice_directions(self.n)
 
     def nearest(
-        self, directions: ArrayLike, method: NearestMethod = "exact", table_size: tuple[int, int] = (1024, 512)
+        self, directions: ArrayLike, method: NearestMethod = "exact", table_size: tuple[int, int] = TABLE_SIZE
     ) -> ArrayInt:
         """The anchor with the largest cosine to each direction.
 
@@ -88,7 +91,7 @@ class AnchorLattice:
         self,
         columns: ArrayF32 | ArrayF64,
         method: NearestMethod = "exact",
-        table_size: tuple[int, int] = (1024, 512),
+        table_size: tuple[int, int] = TABLE_SIZE,
     ) -> ArrayInt:
         """As `nearest`, for (3, P) contiguous x, y and z: a fifth faster, for those who have them that way."""
         if method not in ("exact", "table", "brute"):

@@ -138,7 +138,7 @@ def test_a_second_call_says_that_the_run_is_done(folder, finished):
 
 def test_other_settings_are_refused_in_the_same_folder(folder, finished):
     before = files_below(finished[1])
-    assert_refused(previs(folder / "walk.blend", finished[1], "--seed", 3), "another settings", "--out")
+    assert_refused(previs(folder / "walk.blend", finished[1], "--seed", 3), "another seed", "--out")
     assert files_below(finished[1]) == before
 
 

@@ -12,7 +12,7 @@ import pytest
 from addon_tests.pure.batches import batch, results
 from xihe_blender.errors import UserError
 from xihe_blender.evaluation.batch.grid import BatchSettings, planned_units
-from xihe_blender.evaluation.batch.store import BatchFolder, claim_folder, read_frontier, result_file
+from xihe_blender.evaluation.batch.store import BatchFolder, claim_of, read_frontier, result_file
 from xihe_blender.evaluation.batch.tables import TRIAL_COLUMNS, batch_results, write_tables
 from xihe_blender.evaluation.batch.worst_pictures import worst_frame
 from xihe_blender.outputs import write_json
@@ -56,26 +56,26 @@ def test_the_same_scene_twice_is_one_unit_and_another_of_its_name_is_not(tmp_pat
 
 def test_a_folder_goes_on_with_the_same_settings_alone(tmp_path):
     folder = BatchFolder(tmp_path / "out")
-    claim_folder(folder, SETTINGS)
-    claim_folder(folder, SETTINGS)
+    claim_of(folder, SETTINGS).take()
+    claim_of(folder, SETTINGS).take()
     with pytest.raises(UserError, match="another size"):
-        claim_folder(folder, replace(SETTINGS, size=(32, 24)))
+        claim_of(folder, replace(SETTINGS, size=(32, 24))).take()
 
 
 @pytest.mark.parametrize("content", ['{"format": 1, "xihe": "0.0.1"}', "[]", "{", "null"])
 def test_a_folder_of_another_version_is_refused(tmp_path, content):
     (tmp_path / "batch.json").write_text(content)
     with pytest.raises(UserError, match="version of xihe"):
-        claim_folder(BatchFolder(tmp_path), SETTINGS)
+        claim_of(BatchFolder(tmp_path), SETTINGS).take()
     assert (tmp_path / "batch.json").read_text() == content
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path):
     (tmp_path / "results.json").write_text("{}")
     with pytest.raises(UserError, match="not from a batch"):
-        claim_folder(BatchFolder(tmp_path), SETTINGS)
+        claim_of(BatchFolder(tmp_path), SETTINGS).take()
     with pytest.raises(UserError, match="is a file"):
-        claim_folder(BatchFolder(tmp_path / "results.json"), SETTINGS)
+        claim_of(BatchFolder(tmp_path / "results.json"), SETTINGS).take()
 
 
 def test_a_result_that_is_damaged_is_none(tmp_path):

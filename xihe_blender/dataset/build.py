@@ -10,7 +10,6 @@ start them, as `xihe evaluate` does, and see the folder under the same path.
 from __future__ import annotations
 
 import contextlib
-import json
 import subprocess
 import tempfile
 import time
@@ -21,9 +20,9 @@ from typing import IO, Any
 
 from xihe_blender.dataset.store import FORMAT_VERSION, stored_indices
 from xihe_blender.errors import UserError
+from xihe_blender.folder_claim import NOT_COMPARED, FolderClaim
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.one_core import child_environment, cores_of_their_own, n_cores, on_core
-from xihe_blender.outputs import write_json
 from xihe_blender.processes import module_command
 from xihe_blender.spread import open_spread
 from xihenet import __version__
@@ -144,13 +143,8 @@ def _over_dask(folder: Path, settings: BuildSettings, missing: Sequence[int]) ->
 
 def claim_folder(folder: Path, made_with: dict[str, Any]) -> None:
     """Write what the data set is made with, or check that it is what is there; clear what killed workers left."""
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / CLAIM
-    if path.exists():
-        if {key: value for key, value in _read_json(path).items() if key != "software"} != made_with:
-            raise UserError(f"{folder} holds rooms made with other settings ({path.name}): choose another folder")
-    else:
-        write_json(path, {**made_with, "software": f"xihe {__version__}"})
+    software = {NOT_COMPARED: f"xihe {__version__}"}
+    FolderClaim(folder, folder / CLAIM, "rooms", {**made_with, **software}).take()
     for part in folder.glob(".room_*.npz"):
         part.unlink(missing_ok=True)
 
@@ -159,14 +153,6 @@ def missing_rooms(folder: Path, wanted: Iterable[int]) -> list[int]:
     """The numbers among `wanted` for which there is no file."""
     there = set(stored_indices(folder))
     return [i for i in wanted if i not in there]
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise UserError(f"{path} is damaged ({error}): delete it to go on") from error
-    return content if isinstance(content, dict) else {}
 
 
 def _watch(folder: Path, wanted: Sequence[int], n_missing: int, workers: list[_Worker]) -> Iterator[Progress]:

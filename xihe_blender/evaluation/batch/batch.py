@@ -9,7 +9,7 @@ from typing import Any
 
 from xihe_blender.evaluation.batch.grid import BatchSettings, Unit, check_settings, planned_units
 from xihe_blender.evaluation.batch.report import write_report
-from xihe_blender.evaluation.batch.store import BatchFolder, check_folder, claim_folder, read_frontier
+from xihe_blender.evaluation.batch.store import BatchFolder, claim_of, read_frontier
 from xihe_blender.evaluation.batch.tables import batch_results, write_tables
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.spread import Spread, dashboard, open_spread
@@ -51,18 +51,19 @@ def evaluate_batch(
     check_settings(settings, seeds)
     measured = read_frontier(frontier, folder)
     kept = BatchFolder(folder.resolve())
-    check_folder(kept, settings)
+    claim = claim_of(kept, settings)
+    claim.check()
     units, broken = planned_units(scenes, seeds)
     failed = {str(scene): reason for scene, reason in broken.items()}
     missing = [unit for unit in units if kept.result(unit) is None]
     if missing:
         with open_spread(_n_workers(n_workers, missing), scheduler) as spread:
-            claim_folder(kept, settings)
+            claim.take()
             spread.check_workers(str(kept.path), sorted({str(unit.scene) for unit in missing}))
             yield Progress(0, len(missing), f"{len(missing)} of {len(units)} units to do; {dashboard(spread)}")
             yield from _evaluated(spread, kept, settings, missing)
             failed |= {_named(units, name): reason for name, reason in spread.failed.items()}
-    claim_folder(kept, settings)
+    claim.take()
     results = batch_results(kept, settings, units, failed)
     write_tables(kept, results)
     write_report(kept, results, measured)

@@ -88,9 +88,7 @@ class BatchSettings:
     def made_with(self) -> dict[str, Any]:
         """What decides the numbers of every unit of a folder, besides its scene and its seed."""
         profiles = {name: asdict(load_profile(name)) for name in self.phones}
-        decides = {"format": FORMAT_VERSION, "xihe": __version__, "settings": self.as_json(), "profiles": profiles}
-        same: dict[str, Any] = json.loads(json.dumps(decides))
-        return same
+        return {"format": FORMAT_VERSION, "xihe": __version__, "settings": self.as_json(), "profiles": profiles}
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import Any
 
 from xihe_blender.errors import UserError
 from xihe_blender.evaluation.batch.grid import BatchSettings, Unit
-from xihe_blender.outputs import write_json
+from xihe_blender.folder_claim import FolderClaim
 
 
 def result_file(unit_folder: Path) -> Path:
@@ -55,44 +55,9 @@ class BatchFolder:
         return content if isinstance(content, dict) else None
 
 
-def check_folder(folder: BatchFolder, settings: BatchSettings) -> None:
-    """UserError if the folder holds anything but such a batch. Scenes and seeds may be others."""
-    if folder.path.exists() and not folder.path.is_dir():
-        raise UserError(f"{folder.path} is a file: give --out a folder")
-    if folder.claim.exists():
-        different = _differences(folder.claim, settings.made_with)
-        if different:
-            raise UserError(
-                f"{folder.path} holds a batch with another {', '.join(different)}: choose another folder for --out, "
-                "or delete that one"
-            )
-    elif folder.results.exists():
-        raise UserError(f"{folder.results} is there and not from a batch: choose another folder for --out")
-
-
-def claim_folder(folder: BatchFolder, settings: BatchSettings) -> None:
-    """Check the folder, and write what the batch is made with. UserError also if it cannot be written."""
-    check_folder(folder, settings)
-    if folder.claim.exists():
-        return
-    try:
-        write_json(folder.claim, settings.made_with)
-    except OSError as error:
-        raise UserError(f"cannot write to {folder.path} ({error.strerror}): choose another folder for --out") from error
-
-
-def _differences(claim: Path, made_with: dict[str, Any]) -> list[str]:
-    """In words: "version of xihe", or the settings that differ."""
-    try:
-        kept = json.loads(claim.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        kept = {}
-    kept = kept if isinstance(kept, dict) else {}
-    if any(kept.get(key) != made_with[key] for key in ("format", "xihe")):
-        return ["version of xihe"]
-    settings, of_kept = made_with["settings"], kept.get("settings") or {}
-    different = [name.replace("_", " ") for name in settings if of_kept.get(name) != settings[name]]
-    return different or (["phone profile"] if kept.get("profiles") != made_with["profiles"] else [])
+def claim_of(folder: BatchFolder, settings: BatchSettings) -> FolderClaim:
+    """That the folder is for such a batch. Scenes and seeds may be others."""
+    return FolderClaim(folder.path, folder.claim, "a batch", settings.made_with, (folder.results,))
 
 
 def read_frontier(given: Path | None, folder: Path) -> dict[str, Any] | None:

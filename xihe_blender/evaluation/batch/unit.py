@@ -22,7 +22,7 @@ from xihe_blender.evaluation.batch.compare_unit import compare_unit
 from xihe_blender.evaluation.batch.grid import BatchSettings
 from xihe_blender.evaluation.batch.rows import trial_record
 from xihe_blender.evaluation.batch.thetas import sweep_theta
-from xihe_blender.jobs import Job, Progress
+from xihe_blender.jobs import Job, Progress, run_blocking
 from xihe_blender.outputs import RunOutputs
 from xihe_blender.path_renders import open_path_renders
 from xihe_blender.phone_capture import PhoneCapture
@@ -55,7 +55,7 @@ def evaluate_unit(scene: bpy.types.Scene, file: Path, folder: Path, settings: Ba
         yield from _capture_all(runs[:: len(settings.estimators)])
         walks = []
         for place, run in enumerate(runs):
-            walks.append(_drained(walk_path(run)))
+            walks.append(run_blocking(walk_path(run)))
             yield _progress(run, len(plan.frames), f"trial {place + 1} of {len(runs)} has walked")
         thetas = [sweep_theta(run, walked) for run, walked in zip(runs, walks, strict=True)]
         compared = yield from compare_unit(runs, walks)
@@ -119,16 +119,6 @@ def _capture_all(runs: Sequence[PreparedRun]) -> Generator[Progress, None, None]
 
 def _progress(run: PreparedRun, done: float, doing: str) -> Progress:
     return Progress(done, run.total, doing)
-
-
-def _drained(job: Generator[Progress, None, WalkedPath]) -> WalkedPath:
-    """The result of a job whose steps are too short to tell of."""
-    while True:
-        try:
-            next(job)
-        except StopIteration as finished:
-            walked: WalkedPath = finished.value
-            return walked
 
 
 def _mean_step_ms(walked: WalkedPath) -> float | None:

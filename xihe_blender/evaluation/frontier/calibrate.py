@@ -19,9 +19,9 @@ from typing import Any
 
 import bpy
 
-from xihe_blender.capture import CyclesScanner, meter_exposure, open_scanner
+from xihe_blender.capture import meter_exposure, open_scanner
 from xihe_blender.effects import plan_effects
-from xihe_blender.effort import NoiseModel, capture_noise, fewest_samples, pilot_views
+from xihe_blender.effort import capture_noise, pilot_views, samples_taken
 from xihe_blender.errors import UserError
 from xihe_blender.evaluation.frontier.chain import ChoiceBackend, light_of_frame
 from xihe_blender.evaluation.frontier.choices import ComputeChoice
@@ -30,11 +30,11 @@ from xihe_blender.outputs import write_json
 from xihe_blender.plan import plan_previs
 from xihe_blender.previs_settings import PRESETS, PrevisSettings
 from xihe_blender.render import RenderSettings
+from xihe_blender.run_time import FEW_SAMPLES, N_RENDERS, RenderTime, time_renders
 from xihe_blender.scene_state import scene_kept
 from xihenet.records import ArrayF64, RgbdFrame
 
 PILOT_SAMPLES = 2
-TIMED_SAMPLES = 5
 N_STEPS = 9
 
 
@@ -76,36 +76,23 @@ def calibrate(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[Calibrati
         yield Progress(1, 3, "measuring the noise of a few samples")
         noise = capture_noise(scene, [view], capture, exposure, settings.n_anchors)
         yield Progress(2, 3, "timing a few samples")
-        fixed_s, per_sample_s, seen = _timed_render(scene, capture, view[0], exposure)
+        capturing, seen = _timed_render(scene, capture, view[0], exposure)
         step_ms = _timed_step(seen, view[1][0], exposure)
-    samples = {name: _samples(noise, name) for name in PRESETS}
-    frame_s = {name: fixed_s + n * per_sample_s for name, n in samples.items()}
+    samples = {name: samples_taken(preset, noise) for name, preset in PRESETS.items()}
+    frame_s = {name: replace(capturing, samples=n).render_s for name, n in samples.items()}
     return Calibration(Path(bpy.data.filepath or "untitled").stem, frame_s, samples, step_ms)
-
-
-def _samples(noise: NoiseModel, name: str) -> int:
-    preset = PRESETS[name]
-    return noise.samples_for(preset.noise_target, fewest_samples(preset), preset.max_samples)
 
 
 def _timed_render(
     scene: bpy.types.Scene, capture: RenderSettings, frame: int, exposure: float
-) -> tuple[float, float, RgbdFrame]:
-    """Seconds of a render without any sample, those of each sample, and what was captured."""
+) -> tuple[RenderTime, RgbdFrame]:
+    """The time of a render by its samples, and what it shows."""
     with open_scanner(scene, capture) as scanner:
         scanner.exposure = exposure
         scanner.move_to(frame)
-        _seconds(scanner, 1)
-        one_s, (few_s, seen) = _seconds(scanner, 1)[0], _seconds(scanner, TIMED_SAMPLES)
-    per_sample_s = max(0.0, few_s - one_s) / (TIMED_SAMPLES - 1)
-    return max(0.0, one_s - per_sample_s), per_sample_s, seen
-
-
-def _seconds(scanner: CyclesScanner, samples: int) -> tuple[float, RgbdFrame]:
-    scanner.scene.cycles.samples = samples
-    start = time.perf_counter()
-    seen = scanner.acquire_environment_scan()
-    return time.perf_counter() - start, seen
+        frames = (frame,) * N_RENDERS
+        _, taken = time_renders(lambda _: scanner.acquire_environment_scan(), frames, FEW_SAMPLES, scanner.scene)
+        return taken, scanner.acquire_environment_scan()
 
 
 def _timed_step(seen: RgbdFrame, position_m: ArrayF64, exposure: float) -> float:

@@ -22,10 +22,10 @@ from xihenet.camera import unproject_frame
 from xihenet.codec import decode_cloud, encode_cloud
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.estimators import EstimateContext, Estimator
-from xihenet.records import ArrayF32, ArrayF64, ArrayInt, Intrinsics, RgbdFrame, UnitSphereCloud
+from xihenet.records import ArrayF64, Intrinsics, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sh import project_anchors
-from xihenet.sphere import AnchorLattice, NearestMethod
+from xihenet.sphere import AnchorLattice
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,37 +95,13 @@ class ChoiceBackend:
         return light if len(light) == 9 else padded(light)[:9]
 
 
-class SizedTableLattice(AnchorLattice):
-    """An anchor lattice whose "table" has another size than the paper's."""
-
-    table_size: tuple[int, int] = (1024, 512)
-
-    def nearest_to_columns(
-        self,
-        columns: ArrayF32 | ArrayF64,
-        method: NearestMethod = "exact",
-        table_size: tuple[int, int] = (1024, 512),
-    ) -> ArrayInt:
-        """As the lattice does it, with its own table."""
-        return super().nearest_to_columns(columns, method, self.table_size)
-
-
-def lattice_of(choice: ComputeChoice) -> AnchorLattice:
-    """The anchors of a choice, with its table built if it has one."""
-    if choice.table_size is None:
-        return AnchorLattice(choice.n_anchors)
-    lattice = SizedTableLattice(choice.n_anchors)
-    object.__setattr__(lattice, "table_size", choice.table_size)
-    lattice.nearest(lattice.directions[:1], method=choice.nearest)
-    return lattice
-
-
 def walk_through(choice: ComputeChoice, backend: ChoiceBackend, walk: Walk, clock: Clock = time.process_time) -> Walked:
     """Run a session over `walk`, with a `backend` made for `choice`."""
     trigger = replace(PREVIS_TRIGGER, theta=choice.theta, coverage_theta=_coverage_theta(choice))
-    settings = ControllerSettings(trigger, nearest=choice.nearest, reference_exposure=walk.exposure)
+    settings = ControllerSettings(
+        trigger, nearest=choice.nearest, table_size=choice.cells, reference_exposure=walk.exposure
+    )
     session = XiheController(backend, settings)
-    session.lattice = lattice_of(choice)
     for name, position in walk.positions.items():
         session.add_position(name, position)
     frames = [with_every_pixel(frame, choice.every_pixel) for frame in walk.frames]
@@ -156,7 +132,8 @@ def light_of_frame(
     """(25, 3) from one frame alone, whatever the trigger thinks of it."""
     seen = with_every_pixel(frame, choice.every_pixel)
     points = unproject_frame(seen, reference_exposure=exposure)
-    cloud = sample_unit_sphere(points, position_m, lattice_of(choice), method=choice.nearest)
+    lattice = AnchorLattice(choice.n_anchors)
+    cloud = sample_unit_sphere(points, position_m, lattice, method=choice.nearest, table_size=choice.cells)
     context = EstimateContext(seen, points, position_m, None, exposure)
     backend.made.clear()
     backend.estimate(cloud, context)

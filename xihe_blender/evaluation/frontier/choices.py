@@ -19,7 +19,7 @@ from typing import Any
 from xihe_blender.previs_settings import PREVIS_TRIGGER
 from xihenet.codec import EncodingMethod
 from xihenet.estimators import DEFAULT
-from xihenet.sphere import NearestMethod
+from xihenet.sphere import TABLE_SIZE, NearestMethod
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class ComputeChoice:
     order : of the coefficients; only `projection` has another than 2
     n_anchors : of the unit sphere
     nearest : how points find their anchor
-    table_size : cells of "table" over azimuth and polar angle
+    table_size : cells of "table" over azimuth and polar angle; None for another way
     every_pixel : of each row and column every n-th pixel is used
     theta : threshold of the trigger for colour; 0 estimates in every frame
     wire : format in which clouds go to the estimator and back; None for one on the same machine
@@ -52,12 +52,17 @@ class ComputeChoice:
         """What differs from the base, in words."""
         return ", ".join(_words(self, ComputeChoice())) or "base"
 
+    @property
+    def cells(self) -> tuple[int, int]:
+        """Of the table, if there is one."""
+        return self.table_size or TABLE_SIZE
+
     def as_json(self) -> dict[str, Any]:
         return _plain(asdict(self))
 
 
 EXHAUSTIVE = ComputeChoice(nearest="brute", theta=0.0)
-SMALL_TABLE, PAPERS_TABLE, LARGE_TABLE = (256, 128), (1024, 512), (4096, 2048)
+SMALL_TABLE, PAPERS_TABLE, LARGE_TABLE = (256, 128), TABLE_SIZE, (4096, 2048)
 
 
 @dataclass(frozen=True)
@@ -119,7 +124,7 @@ class Effort:
     n_picture_views: int
 
 
-FULL = Effort(24, 8, 32, 25, 3, 2, 256, (1, 2, 4, 8, 16, 32, 64), 1)
+FULL = Effort(24, 8, 32, 25, 3, 2, 256, (1, 2, 4, 8, 16, 32, 64), 2)
 QUICK = Effort(6, 4, 16, 15, 1, 2, 96, (1, 4, 16), 0)
 
 

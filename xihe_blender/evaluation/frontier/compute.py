@@ -13,7 +13,7 @@ from xihe_blender.evaluation.frontier.chain import ChoiceBackend, Walk, walk_thr
 from xihe_blender.evaluation.frontier.choices import EXHAUSTIVE, ComputeChoice
 from xihe_blender.evaluation.frontier.light_errors import square_errors
 from xihe_blender.evaluation.frontier.measured import Measured
-from xihe_blender.evaluation.frontier.steps import Steps
+from xihe_blender.evaluation.frontier.steps import Steps, told_as, within
 from xihe_blender.evaluation.frontier.timing import interleaved
 from xihenet.records import ArrayF64
 
@@ -46,14 +46,11 @@ def measure_compute(
         lambda choice=choice, backend=backend: walk_through(choice, backend, _timed_part(choice, walk)).frame_ms
         for choice, backend in backends.items()
     ]
-    rounds = interleaved(candidates, n_rounds, rng)
-    while True:
-        try:
-            done = next(rounds)
-        except StopIteration as finished:
-            times = dict(zip(backends, finished.value, strict=True))
-            break
-        yield 0.2 + 0.8 * (done + 1) / (n_rounds + 1), f"timing {len(candidates)} ways to compute, round {done}"
+    rounds = told_as(
+        interleaved(candidates, n_rounds, rng),
+        lambda done: ((done + 1) / (n_rounds + 1), f"timing {len(candidates)} ways to compute, round {done}"),
+    )
+    times = dict(zip(backends, (yield from within(0.2, 0.8, rounds)), strict=True))
     truth = walk.truth_by_place()
     return [
         Measured(

@@ -10,7 +10,7 @@ square of the displayed, sRGB-encoded colour inside the objects. Estimators are 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from xihe_blender.evaluation.frontier.chain import ChoiceBackend, light_of_frame
 from xihe_blender.evaluation.frontier.choices import ComputeChoice, RenderChoice
 from xihe_blender.evaluation.frontier.measured import Measured
 from xihe_blender.evaluation.frontier.rendering import RenderStudy, View, rendered
-from xihe_blender.evaluation.frontier.steps import Steps
+from xihe_blender.evaluation.frontier.steps import Steps, within
 from xihe_blender.evaluation.frontier.timing import timed
 from xihe_blender.outputs import write_json
 from xihe_blender.plan import PrevisPlan
@@ -82,9 +82,7 @@ def measure_pictures(study: PictureStudy, rng: np.random.Generator) -> Steps[tup
     rounds = []
     for number, view in enumerate(study.views):
         if not study.kept(view).exists():
-            taken = _view_measured(study, view, rng)
-            for own, doing in taken:
-                yield (number + own) / len(study.views), doing
+            yield from within(number / len(study.views), 1 / len(study.views), _view_measured(study, view, rng))
         rounds.append(json.loads(study.kept(view).read_text(encoding="utf-8")))
     if not rounds:
         return [], {}
@@ -101,7 +99,7 @@ def measure_pictures(study: PictureStudy, rng: np.random.Generator) -> Steps[tup
     return measured, {by.label: [taken["estimators"][by.label] for taken in rounds] for by in METHODS}
 
 
-def _view_measured(study: PictureStudy, view: View, rng: np.random.Generator) -> Iterator[tuple[float, str]]:
+def _view_measured(study: PictureStudy, view: View, rng: np.random.Generator) -> Steps[None]:
     renders = study.renders
     yield 0.0, f"comparing frame {view.frame} exhaustively"
     renders.scanner.move_to(view.frame)

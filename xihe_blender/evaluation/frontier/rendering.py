@@ -21,7 +21,7 @@ from xihe_blender.evaluation.frontier.chain import ChoiceBackend, light_of_frame
 from xihe_blender.evaluation.frontier.choices import EXHAUSTIVE, ComputeChoice, Effort, RenderChoice
 from xihe_blender.evaluation.frontier.light_errors import square_errors
 from xihe_blender.evaluation.frontier.measured import Measured
-from xihe_blender.evaluation.frontier.steps import Steps
+from xihe_blender.evaluation.frontier.steps import Steps, within
 from xihe_blender.evaluation.frontier.timing import timed
 from xihe_blender.outputs import write_json
 from xihe_blender.previs_settings import MAX_SEED
@@ -87,7 +87,7 @@ def measure_rendering(
         for seed in range(study.effort.n_seeds):
             if not study.round(view, seed).exists():
                 taken = _render_round(study, view, seed, backends, rng)
-                content = yield from _within(taken, (before + 1 + seed) / n_parts, 1 / n_parts)
+                content = yield from within((before + 1 + seed) / n_parts, 1 / n_parts, taken)
                 write_json(study.round(view, seed), content)
             rounds.append(json.loads(study.round(view, seed).read_text(encoding="utf-8")))
     alone = [_rendered(choice, rounds, truths) for choice in study.choices]
@@ -95,16 +95,6 @@ def measure_rendering(
         _together(choice, by, rounds, truths, computing_ms[by]) for choice in study.choices for by in COMPUTED_BY
     ]
     return alone, together
-
-
-def _within(steps: Steps[dict[str, Any]], start: float, share: float) -> Steps[dict[str, Any]]:
-    while True:
-        try:
-            own, doing = next(steps)
-        except StopIteration as finished:
-            content: dict[str, Any] = finished.value
-            return content
-        yield start + share * own, doing
 
 
 def _kept_reference(study: RenderStudy, view: View) -> RgbdFrame:

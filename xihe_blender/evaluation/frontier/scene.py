@@ -18,7 +18,7 @@ import numpy as np
 
 from xihe_blender.capture import CyclesScanner, meter_exposure, open_scanner
 from xihe_blender.effects import EffectPlan, plan_effects
-from xihe_blender.effort import capture_noise, fewest_samples, pilot_samples, pilot_views
+from xihe_blender.effort import capture_noise, pilot_samples, pilot_views, samples_taken
 from xihe_blender.errors import UserError
 from xihe_blender.evaluation.frontier.chain import Walk
 from xihe_blender.evaluation.frontier.choices import (
@@ -42,7 +42,6 @@ from xihe_blender.previs_settings import PRESETS, PrevisSettings
 from xihe_blender.render import RenderSettings
 from xihe_blender.scene_state import scene_kept
 from xihe_blender.truth import open_light_probe
-from xihenet.camera import in_view
 from xihenet.panorama import project_panorama
 from xihenet.recording import load_frame, save_frame
 from xihenet.records import ArrayF64
@@ -169,14 +168,15 @@ def preset_samples(
         raise UserError(f"scene {scene.name!r} never has a virtual object in view: move the camera's path, or objects")
     capture = replace(settings.capture(plan.size, pilot_samples(preset)), light_transport=effects.light_transport)
     model = capture_noise(scene, views, capture, exposure, settings.n_anchors)
-    return model.samples_for(preset.noise_target, fewest_samples(preset), preset.max_samples)
+    return samples_taken(preset, model)
 
 
 def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Steps[Walk]:
     """Captures, and light probes at the positions in view, of frames spread over the path."""
     plan = study.plan
     positions = {probe.name: probe.position_m for probe in plan.probes}
-    chosen = _spread(_active_frames(plan, scanner), study.effort.n_walk_frames)
+    in_sight = plan.frames_in_sight(scanner).items()
+    chosen = _spread([(frame, [p.name for p in seen]) for frame, seen in in_sight], study.effort.n_walk_frames)
     probes = RenderSettings(
         PROBE_SIZE, study.effort.probe_samples, study.seed, denoise=False, light_transport=prepared.light_transport
     )
@@ -201,17 +201,6 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Step
 def _clipped_sh(panorama: Any, exposure: float) -> ArrayF64:
     """(25, 3) of the light that a phone could see: clipped at white."""
     return project_panorama(np.minimum(np.asarray(panorama, np.float64) * exposure, 1.0), ORDER)
-
-
-def _active_frames(plan: PrevisPlan, scanner: CyclesScanner) -> list[tuple[int, list[str]]]:
-    """Frames of the path in which a position is in view, with the names of these."""
-    places = np.stack([probe.position_m for probe in plan.probes])
-    found = []
-    for frame in plan.frames:
-        seen = in_view(places, *scanner.move_to(frame))
-        if seen.any():
-            found.append((frame, [probe.name for probe, is_seen in zip(plan.probes, seen, strict=True) if is_seen]))
-    return found
 
 
 def _spread(found: list[Any], most: int) -> list[Any]:

@@ -10,15 +10,12 @@ import csv
 import hashlib
 import io
 import json
-import os
-import platform
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import bpy
-import numpy as np
 
 from xihe_blender.blend_file import open_blend
 from xihe_blender.errors import UserError
@@ -28,7 +25,9 @@ from xihe_blender.evaluation.frontier.measured import Measured
 from xihe_blender.evaluation.frontier.points import points_of
 from xihe_blender.evaluation.frontier.report import report_page
 from xihe_blender.evaluation.frontier.scene import SceneStudy, measure_scene, plan_scene
+from xihe_blender.folder_claim import FolderClaim
 from xihe_blender.jobs import Job, Progress
+from xihe_blender.made_with import machine, software
 from xihe_blender.outputs import write_json, written_whole
 from xihe_blender.previs_settings import MAX_SEED
 from xihenet import __version__
@@ -59,6 +58,11 @@ class FrontierSettings:
         if not 0 <= self.seed <= MAX_SEED:
             raise UserError(f"a seed of {self.seed} is out of Cycles' range: give 0 to {MAX_SEED}")
 
+    def as_json(self) -> dict[str, Any]:
+        """As it comes back from a file."""
+        same: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        return same
+
 
 def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, command: str = "") -> Job[dict[str, Any]]:
     """Measure the .blend `files` one after the other and leave frontier.json, frontier.csv and report.html in `out`.
@@ -72,7 +76,7 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
         raise UserError(f"two scenes are named {twice[0]!r}: results go by name, so rename one")
     for file in files:
         plan_scene(open_blend(file), settings.size)
-    _claim(out, files, settings)
+    _claim(out, files, settings).take()
     kept = []
     for number, file in enumerate(files):
         path = out / "work" / file.stem / "measured.json"
@@ -99,15 +103,9 @@ def assembled(
         points += points_of(name, fronts, settings.seed)
     return {
         "schema_version": SCHEMA_VERSION,
-        "software": {
-            "xihe": __version__,
-            "blender": bpy.app.version_string,
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-            "command": command,
-        },
-        "machine": {"platform": platform.platform(), "processor": platform.machine(), "n_cores": os.cpu_count()},
-        "settings": _as_json(settings),
+        "software": software(command),
+        "machine": machine(),
+        "settings": settings.as_json(),
         "scenes": [
             {"name": name, **{key: value for key, value in one.items() if key != "fronts"}}
             for name, one in zip(names, kept, strict=True)
@@ -117,40 +115,14 @@ def assembled(
     }
 
 
-def _as_json(settings: FrontierSettings) -> dict[str, Any]:
-    """As it comes back from a file."""
-    same: dict[str, Any] = json.loads(json.dumps(asdict(settings)))
-    return same
-
-
-def _claim(out: Path, files: Sequence[Path], settings: FrontierSettings) -> None:
-    identity = {
+def _claim(out: Path, files: Sequence[Path], settings: FrontierSettings) -> FolderClaim:
+    made_with = {
         "xihe": __version__,
         "blender": bpy.app.version_string,
         "scenes": {file.stem: hashlib.sha256(file.read_bytes()).hexdigest() for file in files},
-        "settings": _as_json(settings),
+        "settings": settings.as_json(),
     }
-    path = out / "work" / "settings.json"
-    if out.exists() and not out.is_dir():
-        raise UserError(f"{out} is a file: give --out a folder")
-    if path.exists():
-        _check_is_the_same(out, path, identity)
-    elif (out / "frontier.json").exists():
-        raise UserError(f"{out} holds a frontier that cannot be resumed: choose another folder for --out")
-    else:
-        write_json(path, identity)
-
-
-def _check_is_the_same(out: Path, path: Path, identity: dict[str, Any]) -> None:
-    try:
-        kept = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        kept = {}
-    different = [name for name, value in identity.items() if not isinstance(kept, dict) or kept.get(name) != value]
-    if different:
-        raise UserError(
-            f"{out} holds a frontier with another {', '.join(different)}: choose another folder for --out, or delete it"
-        )
+    return FolderClaim(out, out / "work" / "settings.json", "a frontier", made_with, (out / "frontier.json",))
 
 
 def _write(out: Path, content: dict[str, Any]) -> None:
