@@ -85,7 +85,7 @@ def measure_scene(study: SceneStudy, done: float, whole: float) -> Job[dict[str,
         return result
 
     with scene_kept():
-        prepared = yield from share("preparing", _prepare(study))
+        prepared = yield from share("preparing", prepare(study))
         capture = RenderSettings(size, effort.walk_samples, study.seed, light_transport=prepared.light_transport)
         with open_scanner(study.scene, capture) as scanner:
             scanner.exposure = prepared.exposure
@@ -139,7 +139,8 @@ def _with_computing(pictured: list[Measured], computing_ms: Mapping[ComputeChoic
     return [replace(one, times_ms=[ms + added for ms in one.times_ms]) for one in pictured]
 
 
-def _prepare(study: SceneStudy) -> Steps[Prepared]:
+def prepare(study: SceneStudy) -> Steps[Prepared]:
+    """Measure it, or read what a run that was stopped has measured."""
     path = study.folder / "prepared.json"
     if not path.exists():
         yield 0.0, "metering the exposure, looking for effects"
@@ -176,7 +177,7 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Step
     plan = study.plan
     positions = {probe.name: probe.position_m for probe in plan.probes}
     in_sight = plan.frames_in_sight(scanner).items()
-    chosen = _spread([(frame, [p.name for p in seen]) for frame, seen in in_sight], study.effort.n_walk_frames)
+    chosen = spread([(frame, [p.name for p in seen]) for frame, seen in in_sight], study.effort.n_walk_frames)
     probes = RenderSettings(
         PROBE_SIZE, study.effort.probe_samples, study.seed, denoise=False, light_transport=prepared.light_transport
     )
@@ -203,14 +204,14 @@ def _clipped_sh(panorama: Any, exposure: float) -> ArrayF64:
     return project_panorama(np.minimum(np.asarray(panorama, np.float64) * exposure, 1.0), ORDER)
 
 
-def _spread(found: list[Any], most: int) -> list[Any]:
-    """At most so many of them, evenly spread."""
+def spread(found: list[Any], most: int) -> list[Any]:
+    """At most so many of what was found, evenly spread."""
     n = min(most, len(found))
     return [found[(2 * k + 1) * len(found) // (2 * n)] for k in range(n)]
 
 
 def _views(walk: Walk, most: int) -> list[View]:
-    numbers = _spread(list(range(len(walk.frames))), most)
+    numbers = spread(list(range(len(walk.frames))), most)
     return [View(walk.frames[k].frame, [walk.positions[name] for name in walk.active[k]]) for k in numbers]
 
 

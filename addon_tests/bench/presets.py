@@ -1,0 +1,95 @@
+"""Does `accurate` have at most half of `draft`'s error, and does `balanced` lie between, on every scene?
+
+    python addon_tests/bench/presets.py --out DIR SCENE.blend...        about 5 minutes a scene
+
+The presets alone, as `xihe frontier` measures them, but in more views, with more seeds, and against a render with more
+samples than a frontier can afford. What is rendered is kept in DIR, and the same command goes on from there. Printed
+are error of the light and processor time of a frame by preset, and accurate over draft, with the range over views.
+"""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from xihe_blender.blend_file import open_blend
+from xihe_blender.capture import open_scanner
+from xihe_blender.cli import blender_output_aside
+from xihe_blender.evaluation.frontier.choices import FULL, RenderChoice
+from xihe_blender.evaluation.frontier.light_errors import KINDS
+from xihe_blender.evaluation.frontier.rendering import COMPUTED_BY, RenderStudy, View, measure_rendering
+from xihe_blender.evaluation.frontier.scene import SceneStudy, plan_scene, prepare, spread
+from xihe_blender.evaluation.frontier.steps import part_of
+from xihe_blender.evaluation.frontier.timing import Spread
+from xihe_blender.jobs import run_blocking
+from xihe_blender.render import RenderSettings
+from xihe_blender.scene_state import scene_kept
+
+HEAD = """\
+| scene | draft | balanced | accurate | accurate / draft in coefficients (by view) | in irradiance |
+| --- | --- | --- | --- | --- | --- |"""
+
+
+def measured(file, folder, effort, seed):
+    """What `measure_rendering` gives for the presets on one scene, and how many errors belong to one view."""
+    scene, rng = open_blend(file), np.random.default_rng(seed)
+    plan = plan_scene(scene)
+    study = SceneStudy(scene, file.stem, plan, folder / file.stem, False, seed, effort)
+    with scene_kept():
+        prepared = run_blocking(part_of(1, 0, 1, prepare(study)))
+        capture = RenderSettings(plan.size, 1, seed, light_transport=prepared.light_transport)
+        with open_scanner(scene, capture) as scanner:
+            scanner.exposure = prepared.exposure
+            in_sight = list(plan.frames_in_sight(scanner).items())
+            views = [
+                View(frame, [probe.position_m for probe in probes])
+                for frame, probes in spread(in_sight, effort.n_views)
+            ]
+            choices, exhaustive = list(prepared.presets.values()), RenderChoice(plan.size, effort.reference_samples)
+            renders = RenderStudy(scanner, views, choices, exhaustive, effort, seed, study.folder)
+            nothing = dict.fromkeys(COMPUTED_BY, 0.0)
+            alone, _ = run_blocking(part_of(1, 0, 1, measure_rendering(renders, nothing, rng)))
+    return alone, [len(view.positions_m) * effort.n_seeds for view in views]
+
+
+def by_view(one, kind, sizes):
+    """Root mean square error in each view."""
+    squares = np.split(np.array(one.square_errors[kind]), np.cumsum(sizes)[:-1])
+    return np.sqrt([each.mean() for each in squares])
+
+
+def row(file, alone, sizes):
+    """A line of the table."""
+    overall = {kind: [np.sqrt(np.mean(one.square_errors[kind])) for one in alone] for kind in KINDS}
+    times_s = [Spread.of(one.times_ms).median / 1000 for one in alone]
+    samples = ", ".join(str(one.settings["samples"]) for one in alone)
+    cells = [f"{error:.2%} in {time_s:.2g} s" for error, time_s in zip(overall["coefficients"], times_s, strict=True)]
+    for kind in KINDS:
+        draft, balanced, accurate = overall[kind]
+        views = by_view(alone[2], kind, sizes) / by_view(alone[0], kind, sizes)
+        is_right = accurate <= draft / 2 and draft > balanced > accurate and times_s == sorted(times_s)
+        cells.append(f"{accurate / draft:.2f} ({views.min():.2f} to {views.max():.2f}){'' if is_right else ' WRONG'}")
+    return f"| `{file.stem}` ({samples} samples) | {' | '.join(cells)} |"
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", type=Path, nargs="+")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument(
+        "--reference", type=int, default=FULL.reference_samples, help="samples of the exhaustive render"
+    )
+    parser.add_argument("--views", type=int, default=FULL.n_views)
+    parser.add_argument("--seeds", type=int, default=2, help="renders of each preset in each view")
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    effort = replace(FULL, reference_samples=given.reference, n_views=given.views, n_seeds=given.seeds)
+    with blender_output_aside() as (stdout, _):
+        print(HEAD, file=stdout, flush=True)
+        for file in given.scenes:
+            print(row(file, *measured(file, given.out, effort, given.seed)), file=stdout, flush=True)
+
+
+if __name__ == "__main__":
+    main()
