@@ -95,7 +95,7 @@ class ChoiceBackend:
         return light if len(light) == 9 else padded(light)[:9]
 
 
-def walk_through(choice: ComputeChoice, backend: ChoiceBackend, walk: Walk, clock: Clock = time.process_time) -> Walked:
+def walk_through(choice: ComputeChoice, backend: ChoiceBackend, walk: Walk, clock: Clock = time.thread_time) -> Walked:
     """Run a session over `walk`, with a `backend` made for `choice`."""
     trigger = replace(PREVIS_TRIGGER, theta=choice.theta, coverage_theta=_coverage_theta(choice))
     settings = ControllerSettings(

@@ -14,7 +14,7 @@ from xihe_blender.evaluation.frontier.choices import EXHAUSTIVE, ComputeChoice
 from xihe_blender.evaluation.frontier.light_errors import square_errors
 from xihe_blender.evaluation.frontier.measured import Measured
 from xihe_blender.evaluation.frontier.steps import Steps, told_as, within
-from xihe_blender.evaluation.frontier.timing import interleaved
+from xihe_blender.evaluation.frontier.timing import interleaved, torch_on_one_thread
 from xihenet.records import ArrayF64
 
 AGAINST_TRUTH = "_truth"
@@ -38,10 +38,6 @@ def measure_compute(
     """Errors and times of each way to compute; the exhaustive one must be among them."""
     lights: dict[ComputeChoice, list[ArrayF64]] = {}
     estimates: dict[ComputeChoice, int] = {}
-    for number, (choice, backend) in enumerate(backends.items()):
-        yield 0.2 * number / len(backends), f"computing: {choice.label}"
-        walked = walk_through(choice, backend, walk)
-        lights[choice], estimates[choice] = list(walked.lights), walked.n_estimates
     candidates = [
         lambda choice=choice, backend=backend: walk_through(choice, backend, _timed_part(choice, walk)).frame_ms
         for choice, backend in backends.items()
@@ -50,7 +46,12 @@ def measure_compute(
         interleaved(candidates, n_rounds, rng),
         lambda done: ((done + 1) / (n_rounds + 1), f"timing {len(candidates)} ways to compute, round {done}"),
     )
-    times = dict(zip(backends, (yield from within(0.2, 0.8, rounds)), strict=True))
+    with torch_on_one_thread():
+        for number, (choice, backend) in enumerate(backends.items()):
+            yield 0.2 * number / len(backends), f"computing: {choice.label}"
+            walked = walk_through(choice, backend, walk)
+            lights[choice], estimates[choice] = list(walked.lights), walked.n_estimates
+        times = dict(zip(backends, (yield from within(0.2, 0.8, rounds)), strict=True))
     truth = walk.truth_by_place()
     return [
         Measured(

@@ -16,7 +16,7 @@ class Measured:
     label : the choice in words
     settings : the choice as frontier.json names it
     square_errors : squared errors by kind, one for each place; another number of places for another kind
-    times_ms : processor time of a frame, one for each round
+    times_ms : processor time of a frame, one for each round; see `timing`
     preset : whose choice it is, or None
     """
 

@@ -145,8 +145,8 @@ def _how(content: Mapping[str, Any]) -> str:
         "Errors are shares of the light, root mean square over frames and positions; the exhaustive setting compares "
         "every point with all anchors, estimates in every frame, and renders with the most samples and all "
         "bounces the scene calls for. Pictures: root mean square of sRGB-encoded colour, 0 to 1.",
-        "Times are processor time, median over rounds in which all choices take turns in random order; renders take "
-        "one thread. Whiskers reach from quartile to quartile.",
+        "Times are processor time, median over rounds in which all choices take turns in random order; renders and "
+        "torch take one thread. Whiskers reach from quartile to quartile.",
         "A choice is dominated if another has no more error in no more time, and less of one; it flickers if resampled "
         "measurements put it on the front in 5 to 95 % of cases.",
     ]
