@@ -29,8 +29,7 @@ from xihe_blender.evaluation.batch.analysis import (
 )
 from xihe_blender.evaluation.batch.store import BatchFolder
 from xihe_blender.evaluation.batch.worst_pictures import WORST_KINDS, worst_picture
-from xihe_blender.outputs import written_whole
-from xihe_blender.report.style import STYLE
+from xihe_blender.report.document import block, document, section, table, write_document
 from xihe_blender.report.values import (
     byte_size,
     code,
@@ -45,7 +44,6 @@ from xihe_blender.report.values import (
 )
 
 N_WORST = 6
-_SAFE = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 _KIND_WORDS = {
     "ground_truth": "Ground truth",
     "estimate": "Under the estimated light",
@@ -62,9 +60,7 @@ def write_report(folder: BatchFolder, results: Mapping[str, Any], frontier: Mapp
     results : as in results.json
     frontier : content of a frontier.json, if there is one
     """
-    page = report_page(folder, results, frontier)
-    with written_whole(folder.report) as beside:
-        beside.write_bytes(page.encode("utf-8", errors="replace"))
+    write_document(folder.report, report_page(folder, results, frontier))
 
 
 def report_page(folder: BatchFolder, results: Mapping[str, Any], frontier: Mapping[str, Any] | None) -> str:
@@ -81,15 +77,8 @@ def report_page(folder: BatchFolder, results: Mapping[str, Any], frontier: Mappi
             ("worst", "Worst cases", _worst(folder, trials)),
             ("numbers", "Numbers", _numbers(trials) + _costs(results)),
         ]
-    body = "".join(f'<section id="{a}"><h2>{title}</h2>{content}</section>' for a, title, content in sections)
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f'<meta http-equiv="Content-Security-Policy" content="{_SAFE}">'
-        f"<title>Batch evaluation</title><style>{STYLE}{drawings.STYLE}</style></head>"
-        '<body><div class="page"><header><div class="eyebrow"><span>AR lighting previsualisation</span></div>'
-        f"<h1>Batch evaluation</h1>{_lead(trials)}</header><main>{body}</main></div></body></html>\n"
-    )
+    body = "".join(section(*each) for each in sections)
+    return document("Batch evaluation", _lead(trials), body, style=drawings.STYLE)
 
 
 def _lead(trials: Sequence[Trial]) -> str:
@@ -172,7 +161,7 @@ def _pairs_table(trials: Sequence[Trial]) -> str:
                 f"{round(better * d.n_pairs)} of {d.n_pairs}",
             ]
             rows.append((f"{code(one.first)} against {code(one.second)}", *cells))
-    return _table(("pair", "measure", "mean difference", "first is better"), rows, "words stacking")
+    return table(("pair", "measure", "mean difference", "first is better"), rows, "words stacking")
 
 
 def _phones(trials: Sequence[Trial]) -> str:
@@ -204,7 +193,7 @@ def _phone_table(trials: Sequence[Trial]) -> str:
         (code(name), *(significant(mean(values_of(trials, MEASURES[0], estimator=name, phone=p))) for p in phones))
         for name in names
     ]
-    return _table(("mean coefficient error", *(escape(phone) for phone in phones)), rows)
+    return table(("mean coefficient error", *(escape(phone) for phone in phones)), rows)
 
 
 def _how_often(trials: Sequence[Trial]) -> str:
@@ -228,7 +217,7 @@ def _how_often(trials: Sequence[Trial]) -> str:
         x_name="estimates a minute, per position in view", y_name="SHC RMSE",
     )  # fmt: skip
     header = ("estimator", "theta", "a minute", "mean error", "more than with every frame")
-    return _answer(answers.how_often(trials)) + _plots(plot) + (_table(header, rows) if rows else "")
+    return _answer(answers.how_often(trials)) + _plots(plot) + (table(header, rows) if rows else "")
 
 
 def _anchors(frontier: Mapping[str, Any] | None) -> str:
@@ -318,8 +307,7 @@ def _by_scene(trials: Sequence[Trial]) -> str:
     for scene in names_of(trials, "scene"):
         means = [mean(values_of(trials, MEASURES[0], estimator=name, scene=scene)) for name in names]
         rows.append((escape(scene), *(significant(value) for value in means)))
-    title = "<h3>Mean coefficient error by scene</h3>"
-    return f'<div class="block">{title}{_table(("scene", *(code(name) for name in names)), rows)}</div>'
+    return block("Mean coefficient error by scene", table(("scene", *(code(name) for name in names)), rows))
 
 
 def _quantiles(trials: Sequence[Trial], measure: Measure) -> str:
@@ -330,7 +318,7 @@ def _quantiles(trials: Sequence[Trial], measure: Measure) -> str:
             quantiles = np.percentile(values, [0, 10, 50, 90, 100])
             rows.append((code(name), str(len(values)), *(significant(float(value)) for value in quantiles)))
     header = ("frame by frame", "frames", "least", "10 %", "median", "90 %", "most")
-    return f'<div class="block"><h3>{measure.title}, over all frames</h3>{_table(header, rows)}</div>'
+    return block(f"{measure.title}, over all frames", table(header, rows))
 
 
 def _costs(results: Mapping[str, Any]) -> str:
@@ -350,12 +338,4 @@ def _costs(results: Mapping[str, Any]) -> str:
         f"{counted(len(units), 'unit')}: one scene with one seed each, all estimators and phones on the same renders."
     )
     header = ("unit", "elapsed", "processor", "of it rendering", "memory at most", "written")
-    return f'<div class="block"><h3>What it cost</h3><p class="quiet">{said}</p>{_table(header, rows)}</div>'
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]], classes: str = "") -> str:
-    """HTML cells; the first of each row is its name."""
-    head = "".join(f"<th>{cell}</th>" for cell in header)
-    body = "".join(f"<tr><th>{row[0]}</th>{''.join(f'<td>{cell}</td>' for cell in row[1:])}</tr>" for row in rows)
-    table = f'<table class="{classes}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
-    return f'<div class="scroll">{table}</div>'
+    return block("What it cost", f'<p class="quiet">{said}</p>{table(header, rows)}')
