@@ -16,6 +16,7 @@ import numpy as np
 from xihe_blender.evaluation.batch import answers, drawings
 from xihe_blender.evaluation.batch.analysis import (
     MEASURES,
+    Comparison,
     Measure,
     Trial,
     WorstCase,
@@ -129,24 +130,26 @@ def _told(trial: Trial, measure: Measure) -> str:
 
 
 def _against_the_best(trials: Sequence[Trial], measure: Measure) -> str:
-    found, names = against_the_best(trials, measure), names_of(trials, "estimator")
-    rows = [
-        drawings.Interval(
-            f"{one.first} {answers.MINUS} {one.second}",
-            names.index(one.first),
-            one.difference.mean,
-            one.difference.low,
-            one.difference.high,
-            answers.interval_in_words(one.difference),
-        )
-        for one in found
-    ]
+    rows = _intervals(against_the_best(trials, measure), names_of(trials, "estimator"))
     side = (
         "Right of the dashed line the first has more error" if measure.is_better_low else "Right: the first is better"
     )
     about = f"Paired differences of the same scene, seed and phone, with 95 % intervals of their mean. {side}."
     title = f"{measure.title}: differences"
     return drawings.differences(rows, title=title, about=about, axis_name=measure.unit or "no unit")
+
+
+def _intervals(found: Sequence[Comparison], names: Sequence[str]) -> list[drawings.Interval]:
+    """A row for each, coloured by the place of the first in `names`; a phone's own file goes by its stem."""
+    return [
+        drawings.Interval(
+            f"{Path(one.first).stem} {answers.MINUS} {Path(one.second).stem}",
+            names.index(one.first),
+            one.difference,
+            answers.interval_in_words(one.difference),
+        )
+        for one in found
+    ]
 
 
 def _pairs_table(trials: Sequence[Trial]) -> str:
@@ -165,25 +168,10 @@ def _pairs_table(trials: Sequence[Trial]) -> str:
 
 
 def _phones(trials: Sequence[Trial]) -> str:
-    phones = names_of(trials, "phone")
-    drawn = ""
-    if len(phones) > 1:
-        rows = [
-            drawings.Interval(
-                f"{Path(one.first).stem} {answers.MINUS} {Path(one.second).stem}",
-                phones.index(one.first),
-                one.difference.mean,
-                one.difference.low,
-                one.difference.high,
-                answers.interval_in_words(one.difference),
-            )
-            for one in answers.phone_differences(trials, MEASURES[0])
-        ]
-        about = (
-            "The same scene and seed through two phones, with 95 % intervals of the mean. Left: the first is better."
-        )
-        title = "Coefficient error: differences between phones"
-        drawn = _plots(drawings.differences(rows, title=title, about=about, axis_name="no unit"))
+    rows = _intervals(answers.phone_differences(trials, MEASURES[0]), names_of(trials, "phone"))
+    about = "The same scene and seed through two phones, with 95 % intervals of the mean. Left: the first is better."
+    title = "Coefficient error: differences between phones"
+    drawn = _plots(drawings.differences(rows, title=title, about=about, axis_name="no unit"))
     return _answer(answers.is_a_better_phone_worth_it(trials)) + drawn + (_phone_table(trials) if drawn else "")
 
 
