@@ -121,13 +121,22 @@ def _interval(row: Interval, place: int, axis: _Span) -> str:
     return f'<g class="s{row.colour % 6}">{line}{dot}{name}</g>'
 
 
-def curves(lines: Sequence[Curve], *, title: str, about: str, x_name: str, y_name: str, is_joined: bool = True) -> str:
+def curves(
+    lines: Sequence[Curve],
+    *,
+    title: str,
+    about: str,
+    x_name: str,
+    y_name: str,
+    y_label: Callable[[float], str] | None = None,
+    is_joined: bool = True,
+) -> str:
     """Curves, or clouds of dots, over an axis from 0 to the right and one from 0 upwards."""
     known = [line for line in lines if line.points]
     if not known:
         return ""
     across = axis_up_to(max(x for line in known for x, _, _ in line.points))
-    up = axis_up_to(max(y for line in known for _, y, _ in line.points))
+    up = axis_up_to(max(y for line in known for _, y, _ in line.points), y_label)
     drawn = "".join(_curve(line, across, up, is_joined=is_joined) for line in known)
     legend = "".join(f'<li><span class="swatch s{line.colour % 6}"></span>{escape(line.name)}</li>' for line in known)
     below = axis_below((100 * tick / across.top for tick in across.ticks), map(across.label, across.ticks), x_name)

@@ -30,6 +30,7 @@ from xihe_blender.evaluation.batch.analysis import (
 )
 from xihe_blender.evaluation.batch.store import BatchFolder
 from xihe_blender.evaluation.batch.worst_pictures import WORST_KINDS, worst_picture
+from xihe_blender.evaluation.frontier.by_choice import family
 from xihe_blender.report.document import block, document, section, table, write_document
 from xihe_blender.report.values import (
     byte_size,
@@ -209,38 +210,60 @@ def _how_often(trials: Sequence[Trial]) -> str:
 
 
 def _anchors(frontier: Mapping[str, Any] | None) -> str:
-    return _answer(answers.from_frontier(frontier, "How many anchors?")) + _frontier_plot(
-        frontier, "n_anchors", "Computing: error against time, by anchors"
+    """With a dot for each number that the answer gives."""
+    known = _ways_to_compute(frontier, "coefficients_truth")
+    own = [point for scene in names_of(known, "scene") for point in family(chosen(known, scene=scene), ("n_anchors",))]
+    plot = _error_against_time(
+        [(f"{point['settings']['n_anchors']} anchors", point) for point in own],
+        "Computing: error against time, by anchors",
+        "against the rendered light probe, of choices that differ only in their anchors",
+        is_joined=False,
     )
+    return _answer(answers.from_frontier(frontier, "How many anchors?")) + plot
 
 
 def _last_tenth(frontier: Mapping[str, Any] | None) -> str:
-    question = "What does the last 10 % of accuracy cost?"
-    return _answer(answers.from_frontier(frontier, question)) + _frontier_plot(
-        frontier, "scene", "Computing: what lies on the front, by scene"
+    plot = _error_against_time(
+        [(point["scene"], point) for point in _ways_to_compute(frontier, "coefficients") if point["on_front"]],
+        "Computing: what lies on the front, by scene",
+        "against the exhaustive setting",
     )
+    return _answer(answers.from_frontier(frontier, "What does the last 10 % of accuracy cost?")) + plot
 
 
-def _frontier_plot(frontier: Mapping[str, Any] | None, key: str, title: str) -> str:
-    """Ways to compute, as dots by what `key` says; for scenes only those on the front, joined."""
+def _ways_to_compute(frontier: Mapping[str, Any] | None, error_kind: str) -> list[Mapping[str, Any]]:
+    """Points whose error of this kind, and time, are known."""
+    return [
+        point
+        for point in items(frontier or {}, "points")
+        if point.get("front") == "compute" and mapping(point, "settings").get("error_kind") == error_kind
+        if finite(point.get("error")) is not None and finite(point.get("time_ms")) is not None
+    ]
+
+
+def _error_against_time(
+    points: Sequence[tuple[str, Mapping[str, Any]]], title: str, about: str, *, is_joined: bool = True
+) -> str:
+    """Points of the frontier, each with the name of its curve or cloud; `about` ends the sentence on their error."""
     clouds: dict[str, list[tuple[float, float, str]]] = {}
-    for point in items(frontier or {}, "points"):
-        settings, error, time_ms = mapping(point, "settings"), finite(point.get("error")), finite(point.get("time_ms"))
-        if point.get("front") != "compute" or settings.get("error_kind") != "coefficients":
-            continue
-        if error is None or time_ms is None or (key == "scene" and not point.get("on_front")):
-            continue
-        name = str(point.get("scene")) if key == "scene" else f"{settings.get(key)} anchors"
-        words = f"{point.get('scene')}, {point.get('label', '')}: {significant(error)} in {with_unit(time_ms, 'ms')}"
+    for name, point in points:
+        error, time_ms = point["error"], point["time_ms"]
+        words = f"{point['scene']}, {point.get('label', '')}: {_share(error)} in {with_unit(time_ms, 'ms')}"
         clouds.setdefault(name, []).append((time_ms, error, words))
     lines = [
         drawings.Curve(name, place, sorted(points))
         for place, (name, points) in enumerate(sorted(clouds.items(), key=_by_number))
     ]
-    about = "From the frontier that was given: error of the coefficients against the exhaustive setting."
-    return _plots(
-        drawings.curves(lines, title=title, about=about, x_name="ms a frame", y_name="error", is_joined=key == "scene")
+    about = f"From the frontier that was given: error of the coefficients {about}."
+    plot = drawings.curves(
+        lines, title=title, about=about, x_name="ms a frame", y_name="error", y_label=_share, is_joined=is_joined
     )
+    return _plots(plot)
+
+
+def _share(error: float) -> str:
+    """A share of the light as the answers have it: "0.35 %", "41 %"."""
+    return f"{100 * error:.3g} %"
 
 
 def _by_number(item: tuple[str, Any]) -> tuple[float, str]:
