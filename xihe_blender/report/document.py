@@ -6,6 +6,7 @@ run, of a batch and of a frontier; what is particular to one of them is with it.
 
 from __future__ import annotations
 
+import base64
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -61,6 +62,11 @@ def link(anchor: str, title: str) -> str:
 def block(title: str, content: str) -> str:
     """A card with a heading; nothing without content."""
     return f'<section class="block"><h3>{title}</h3>{content}</section>' if content else ""
+
+
+def png_url(content: bytes) -> str:
+    """A picture that is part of the page."""
+    return f"data:image/png;base64,{base64.b64encode(content).decode('ascii')}"
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], classes: str = "") -> str:

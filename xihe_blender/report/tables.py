@@ -21,6 +21,7 @@ from xihe_blender.report.pictures import METHOD_MEANINGS
 from xihe_blender.report.timeline import Timeline, probe_in, reason_in_words, reason_of
 from xihe_blender.report.values import (
     DASH,
+    MINUS,
     byte_size,
     closeness,
     closeness_in_words,
@@ -46,7 +47,6 @@ METRICS = (
     ("angular_deg", "down", ""),
 )
 _BETTER = {"up": "\N{UPWARDS ARROW} higher is better", "down": "\N{DOWNWARDS ARROW} lower is better"}
-MINUS = "\N{MINUS SIGN}"
 
 
 def numbers_section(results: Mapping[str, Any]) -> str:

@@ -32,7 +32,6 @@ STYLE = """
 .cases { display: grid; gap: 28px; }
 .cases .strip { grid-template-columns: repeat(3, minmax(0, 320px)); margin-top: 8px; }
 .answer { font-size: 18px; line-height: 1.5; max-width: 74ch; }
-.quiet + .plots { margin-top: 8px; }
 """
 
 

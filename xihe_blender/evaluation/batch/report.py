@@ -6,7 +6,6 @@ Made from results.json and the pictures of worst frames alone, never from Blende
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -31,8 +30,9 @@ from xihe_blender.evaluation.batch.analysis import (
 from xihe_blender.evaluation.batch.store import BatchFolder
 from xihe_blender.evaluation.batch.worst_pictures import WORST_KINDS, worst_picture
 from xihe_blender.evaluation.frontier.by_choice import family
-from xihe_blender.report.document import block, document, section, table, write_document
+from xihe_blender.report.document import block, document, png_url, section, table, write_document
 from xihe_blender.report.values import (
+    MINUS,
     byte_size,
     code,
     counted,
@@ -144,7 +144,7 @@ def _intervals(found: Sequence[Comparison], names: Sequence[str]) -> list[drawin
     """A row for each, coloured by the place of the first in `names`; a phone's own file goes by its stem."""
     return [
         drawings.Interval(
-            f"{Path(one.first).stem} {answers.MINUS} {Path(one.second).stem}",
+            f"{Path(one.first).stem} {MINUS} {Path(one.second).stem}",
             names.index(one.first),
             one.difference,
             answers.interval_in_words(one.difference),
@@ -299,10 +299,10 @@ def _case(folder: BatchFolder, case: WorstCase) -> str:
 
 def _picture(path: Path) -> str:
     try:
-        pixels = base64.b64encode(path.read_bytes()).decode("ascii")
+        content = path.read_bytes()
     except OSError:
         return f'<div class="missing">{escape(path.name)} is missing</div>'
-    return f'<img alt="" src="data:image/png;base64,{pixels}">'
+    return f'<img alt="" src="{png_url(content)}">'
 
 
 # ----------------------------------------------------------------------------------------------------------- numbers
