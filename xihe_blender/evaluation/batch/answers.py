@@ -5,8 +5,7 @@ A difference is called one only where its 95 % interval leaves 0 out. What a bat
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from xihe_blender.evaluation.batch.analysis import (
     AS_GOOD,
@@ -25,10 +24,8 @@ from xihe_blender.evaluation.batch.analysis import (
     theta_points,
     values_of,
 )
-from xihe_blender.report.values import DASH, MINUS, code, counted, escape, items, listed, mean, percent, significant
+from xihe_blender.report.values import DASH, MINUS, code, counted, escape, listed, mean, percent, significant
 from xihenet.paired import PairedDifference
-
-FRONTIER = "xihe frontier SCENE.blend --out DIR"
 
 
 def signed(value: float | None) -> str:
@@ -153,16 +150,3 @@ def how_often(trials: Sequence[Trial]) -> str:
 
 def _rate(point: ThetaPoint) -> str:
     return f"{significant(point.per_minute, 2)} times a minute"
-
-
-def from_frontier(frontier: Mapping[str, Any] | None, question: str) -> str:
-    """The answer that `xihe frontier` has to a question, scene by scene."""
-    if frontier is None:
-        return (
-            f"That takes measured times: run {code(FRONTIER)} and give its folder as {code('--frontier DIR')} to the "
-            "same command, or put its frontier.json into this folder."
-        )
-    found = [one for one in items(frontier, "answers") if isinstance(one, Mapping) and one.get("question") == question]
-    if not found:
-        return "The frontier that was given has no answer to that."
-    return " ".join(f"<b>{escape(one.get('scene', ''))}</b>: {escape(one.get('answer', ''))}" for one in found)

@@ -1,5 +1,5 @@
 """What did the batch find? One self-contained page: the questions that people come with, answered in words, each with
-its plot and its numbers; then distributions, worst cases with their pictures, and what everything cost.
+its plot and its numbers; then worst cases with their pictures, distributions, and what everything cost.
 
 Made from results.json and the pictures of worst frames alone, never from Blender.
 """
@@ -17,6 +17,7 @@ from xihe_blender.evaluation.batch.analysis import (
     MEASURES,
     Comparison,
     Measure,
+    ThetaPoint,
     Trial,
     WorstCase,
     against_the_best,
@@ -27,9 +28,9 @@ from xihe_blender.evaluation.batch.analysis import (
     values_of,
     worst_cases,
 )
+from xihe_blender.evaluation.batch.from_frontier import how_many_anchors, last_tenth
 from xihe_blender.evaluation.batch.store import BatchFolder
 from xihe_blender.evaluation.batch.worst_pictures import WORST_KINDS, worst_picture
-from xihe_blender.evaluation.frontier.by_choice import family
 from xihe_blender.report.document import block, document, png_url, section, table, write_document
 from xihe_blender.report.values import (
     MINUS,
@@ -39,7 +40,6 @@ from xihe_blender.report.values import (
     escape,
     finite,
     items,
-    mapping,
     mean,
     significant,
     with_unit,
@@ -74,8 +74,8 @@ def report_page(folder: BatchFolder, results: Mapping[str, Any], frontier: Mappi
             ("estimator", "Which estimator should I ship?", _estimators(trials)),
             ("phone", "Is a better phone worth it?", _phones(trials)),
             ("often", "How often must it run?", _how_often(trials)),
-            ("anchors", "How many anchors?", _anchors(frontier)),
-            ("last", "What does the last 10 % of accuracy cost?", _last_tenth(frontier)),
+            ("anchors", "How many anchors?", _answered(*how_many_anchors(frontier))),
+            ("last", "What does the last 10 % of accuracy cost?", _answered(*last_tenth(frontier))),
             ("worst", "Worst cases", _worst(folder, trials)),
             ("numbers", "Numbers", _numbers(trials) + _costs(results)),
         ]
@@ -94,12 +94,9 @@ def _failed(results: Mapping[str, Any]) -> str:
     return f'<div class="block warning"><ul>{rows}</ul></div>'
 
 
-def _answer(words: str) -> str:
-    return f'<p class="answer">{words}</p>'
-
-
-def _plots(*plots: str) -> str:
-    return f'<div class="plots">{"".join(plots)}</div>' if any(plots) else ""
+def _answered(words: str, *plots: str) -> str:
+    """An answer with its plots; one that is empty does not count."""
+    return f'<p class="answer">{words}</p>' + (f'<div class="plots">{"".join(plots)}</div>' if any(plots) else "")
 
 
 # ----------------------------------------------------------------------------------------------------- the questions
@@ -108,7 +105,7 @@ def _plots(*plots: str) -> str:
 def _estimators(trials: Sequence[Trial]) -> str:
     drawn = [_distribution(trials, measure) for measure in MEASURES]
     drawn += [_against_the_best(trials, measure) for measure in MEASURES]
-    return _answer(answers.which_estimator(trials)) + _plots(*drawn) + _pairs_table(trials)
+    return _answered(answers.which_estimator(trials), *drawn) + _pairs_table(trials)
 
 
 def _distribution(trials: Sequence[Trial], measure: Measure) -> str:
@@ -172,8 +169,8 @@ def _phones(trials: Sequence[Trial]) -> str:
     rows = _intervals(answers.phone_differences(trials, MEASURES[0]), names_of(trials, "phone"))
     about = "The same scene and seed through two phones, with 95 % intervals of the mean. Left: the first is better."
     title = "Coefficient error: differences between phones"
-    drawn = _plots(drawings.differences(rows, title=title, about=about, axis_name="no unit"))
-    return _answer(answers.is_a_better_phone_worth_it(trials)) + drawn + (_phone_table(trials) if drawn else "")
+    plot = drawings.differences(rows, title=title, about=about, axis_name="no unit")
+    return _answered(answers.is_a_better_phone_worth_it(trials), plot) + (_phone_table(trials) if rows else "")
 
 
 def _phone_table(trials: Sequence[Trial]) -> str:
@@ -186,17 +183,12 @@ def _phone_table(trials: Sequence[Trial]) -> str:
 
 
 def _how_often(trials: Sequence[Trial]) -> str:
-    lines, rows = [], []
-    for place, name in enumerate(names_of(trials, "estimator")):
-        points = theta_points(trials, name)
-        told = [f"{name}, theta {p.theta:g}: {p.per_minute:.0f} a minute, error {significant(p.error)}" for p in points]
-        lines.append(
-            drawings.Curve(name, place, [(p.per_minute, p.error, words) for p, words in zip(points, told, strict=True)])
-        )
-        for p in points:
-            more = "" if p.more is None else answers.interval_in_words(p.more)
-            cells = [f"{p.theta:g}", significant(p.per_minute, 3), significant(p.error), more]
-            rows.append((code(name), *cells))
+    known = {name: theta_points(trials, name) for name in names_of(trials, "estimator")}
+    lines = [
+        drawings.Curve(name, place, [(p.per_minute, p.error, _theta_told(name, p)) for p in points])
+        for place, (name, points) in enumerate(known.items())
+    ]
+    rows = [_theta_row(name, point) for name, points in known.items() for point in points]
     about = (
         "Mean over trials. Each dot is a trigger: from every frame, right, to 64 times the thresholds, left. The same "
         "captures, nothing rendered again."
@@ -206,69 +198,16 @@ def _how_often(trials: Sequence[Trial]) -> str:
         x_name="estimates a minute, per position in view", y_name="SHC RMSE",
     )  # fmt: skip
     header = ("estimator", "theta", "a minute", "mean error", "more than with every frame")
-    return _answer(answers.how_often(trials)) + _plots(plot) + (table(header, rows) if rows else "")
+    return _answered(answers.how_often(trials), plot) + (table(header, rows) if rows else "")
 
 
-def _anchors(frontier: Mapping[str, Any] | None) -> str:
-    """With a dot for each number that the answer gives."""
-    known = _ways_to_compute(frontier, "coefficients_truth")
-    own = [point for scene in names_of(known, "scene") for point in family(chosen(known, scene=scene), ("n_anchors",))]
-    plot = _error_against_time(
-        [(f"{point['settings']['n_anchors']} anchors", point) for point in own],
-        "Computing: error against time, by anchors",
-        "against the rendered light probe, of choices that differ only in their anchors",
-        is_joined=False,
-    )
-    return _answer(answers.from_frontier(frontier, "How many anchors?")) + plot
+def _theta_told(name: str, point: ThetaPoint) -> str:
+    return f"{name}, theta {point.theta:g}: {point.per_minute:.0f} a minute, error {significant(point.error)}"
 
 
-def _last_tenth(frontier: Mapping[str, Any] | None) -> str:
-    plot = _error_against_time(
-        [(point["scene"], point) for point in _ways_to_compute(frontier, "coefficients") if point["on_front"]],
-        "Computing: what lies on the front, by scene",
-        "against the exhaustive setting",
-    )
-    return _answer(answers.from_frontier(frontier, "What does the last 10 % of accuracy cost?")) + plot
-
-
-def _ways_to_compute(frontier: Mapping[str, Any] | None, error_kind: str) -> list[Mapping[str, Any]]:
-    """Points whose error of this kind, and time, are known."""
-    return [
-        point
-        for point in items(frontier or {}, "points")
-        if point.get("front") == "compute" and mapping(point, "settings").get("error_kind") == error_kind
-        if finite(point.get("error")) is not None and finite(point.get("time_ms")) is not None
-    ]
-
-
-def _error_against_time(
-    points: Sequence[tuple[str, Mapping[str, Any]]], title: str, about: str, *, is_joined: bool = True
-) -> str:
-    """Points of the frontier, each with the name of its curve or cloud; `about` ends the sentence on their error."""
-    clouds: dict[str, list[tuple[float, float, str]]] = {}
-    for name, point in points:
-        error, time_ms = point["error"], point["time_ms"]
-        words = f"{point['scene']}, {point.get('label', '')}: {_share(error)} in {with_unit(time_ms, 'ms')}"
-        clouds.setdefault(name, []).append((time_ms, error, words))
-    lines = [
-        drawings.Curve(name, place, sorted(points))
-        for place, (name, points) in enumerate(sorted(clouds.items(), key=_by_number))
-    ]
-    about = f"From the frontier that was given: error of the coefficients {about}."
-    plot = drawings.curves(
-        lines, title=title, about=about, x_name="ms a frame", y_name="error", y_label=_share, is_joined=is_joined
-    )
-    return _plots(plot)
-
-
-def _share(error: float) -> str:
-    """A share of the light as the answers have it: "0.35 %", "41 %"."""
-    return f"{100 * error:.3g} %"
-
-
-def _by_number(item: tuple[str, Any]) -> tuple[float, str]:
-    first = item[0].split(" ")[0]
-    return (float(first) if first.isdigit() else 0.0, item[0])
+def _theta_row(name: str, point: ThetaPoint) -> list[str]:
+    more = "" if point.more is None else answers.interval_in_words(point.more)
+    return [code(name), f"{point.theta:g}", significant(point.per_minute, 3), significant(point.error), more]
 
 
 # ------------------------------------------------------------------------------------------------------- worst cases
