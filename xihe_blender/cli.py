@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from xihe_blender.arguments import frame_range, names, picture_size
 from xihe_blender.errors import UserError
 from xihe_blender.evaluation.batch.command import add_evaluate
 from xihe_blender.evaluation.frontier.command import add_frontier
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 EXIT_IN_PART = 1
 EXIT_USER_ERROR = 2
 EXIT_INTERRUPTED = 130
-MAX_FRAME = 1048574
 OVERRIDE: dict[str, Any] = {
     "dest": "overrides",
     "action": "append",
@@ -83,7 +83,7 @@ def _parser() -> argparse.ArgumentParser:
         "--out", type=Path, required=True, metavar="DIR", help="folder of the run; resumed if it exists"
     )
     previs.add_argument("--frames", type=frame_range, metavar="A:B[:S]", help="default: the scene's range and step")
-    previs.add_argument("--objects", type=_names, metavar="A,B", help="virtual objects; default: all")
+    previs.add_argument("--objects", type=names, metavar="A,B", help="virtual objects; default: all")
     previs.add_argument("--estimator", default=estimators.DEFAULT, metavar="NAME", help=", ".join(estimators.names()))
     previs.add_argument("--preset", default="balanced", metavar="NAME", help="draft, balanced or accurate")
     previs.add_argument("--size", type=picture_size, metavar="WxH", help="default: 256x192, upright for a portrait")
@@ -115,7 +115,7 @@ def _parser() -> argparse.ArgumentParser:
     scenes.set_defaults(run=_scenes)
     _add_dataset(commands)
     _add_package(commands)
-    add_evaluate(commands, frame_range, picture_size)
+    add_evaluate(commands)
     commands.add_parser("train", help="train estimators and report on them: see xihe train --help")
     return parser
 
@@ -138,7 +138,7 @@ def _add_dataset(commands: Any) -> None:
     add("scene", type=Path, metavar="SCENE.blend")
     add("--out", type=Path, required=True, metavar="DIR", help="a folder of scenes; one of the same name is replaced")
     add("--frames", type=frame_range, metavar="A:B[:S]", help="default: the scene's range and step")
-    add("--at", type=_names, metavar="A,B", help="objects that mark positions; default: the virtual objects")
+    add("--at", type=names, metavar="A,B", help="objects that mark positions; default: the virtual objects")
     scene.set_defaults(run=_dataset_scene)
 
 
@@ -180,32 +180,6 @@ def with_positions_bound(typed: Sequence[str]) -> list[str]:
         else:
             bound.append(word)
     return bound
-
-
-def frame_range(text: str) -> tuple[int, ...]:
-    """Frames of "A:B" or "A:B:S", both ends included, or of "A" alone."""
-    match = re.fullmatch(r"(-?\d+)(?::(-?\d+)(?::(\d+))?)?", text)
-    if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is no range of frames: give A:B or A:B:S, such as 1:24:2")
-    first, last, step = (None if part is None else int(part) for part in match.groups())
-    assert first is not None
-    if step == 0:
-        raise argparse.ArgumentTypeError(f"{text!r} has a step of 0: give 1 or more")
-    if max(abs(first), abs(last or 0)) > MAX_FRAME:
-        raise argparse.ArgumentTypeError(f"{text!r} goes beyond Blender's last frame, {MAX_FRAME}")
-    return tuple(range(first, (first if last is None else last) + 1, step or 1))
-
-
-def picture_size(text: str) -> tuple[int, int]:
-    """(width, height) of "WxH"."""
-    match = re.fullmatch(r"(\d+)x(\d+)", text)
-    if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is no picture size: give WxH, such as 256x192")
-    return int(match[1]), int(match[2])
-
-
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
 def _previs(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:

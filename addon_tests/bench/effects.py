@@ -21,9 +21,10 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from xihe_blender.arguments import picture_size
 from xihe_blender.blend_file import open_blend
 from xihe_blender.capture import first_layer, open_scanner
-from xihe_blender.cli import blender_output_aside, picture_size
+from xihe_blender.cli import blender_output_aside
 from xihe_blender.effects.command import positions_in
 from xihe_blender.effects.plan import everything_on, judge_effects, planned
 from xihe_blender.render import RenderSettings, render_passes

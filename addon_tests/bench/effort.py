@@ -27,9 +27,10 @@ from typing import NamedTuple
 
 import bpy
 
+from xihe_blender.arguments import picture_size
 from xihe_blender.blend_file import open_blend
 from xihe_blender.capture import meter_exposure, open_scanner
-from xihe_blender.cli import blender_output_aside, picture_size
+from xihe_blender.cli import blender_output_aside
 from xihe_blender.compare import open_comparer
 from xihe_blender.effects import plan_effects
 from xihe_blender.effects.unchanged import KeptRenders, SceneState, scene_states

@@ -38,30 +38,25 @@ Row = tuple[str, str, float, float]
 
 def rows() -> Iterator[Row]:
     known = see()
-    yield from compared("another seed of Cycles", ((Placing(), see(seed=seed)) for seed in SEEDS), known, NOISE)
+    yield from compared("another seed of Cycles", (see(seed=seed) for seed in SEEDS), known, NOISE)
     for placing in NOT_TURNED:
-        yield from compared(placing.name, [(placing, see(placing))], known, NOISE)
+        yield from compared(placing.name, [see(placing)], known, NOISE)
     for name in ESTIMATORS:
         by_hand = max(apart(turned_by_hand(known, yaw, name), known.lights[name]) for yaw in YAWS_BY_HAND)
         yield name, f"poses alone turned, {len(YAWS_BY_HAND)} yaws: only the anchors differ", by_hand, TOLERANCE[name]
     turned = [Placing(yaw_deg=yaw) for yaw in YAWS]
-    yield from compared(f"room turned, {len(YAWS)} yaws", ((p, see(p)) for p in turned), known, TOLERANCE)
-    yield from compared("moved, turned and scaled, its unit told", ((p, see(p)) for p in ALL_THREE), known, TOLERANCE)
+    yield from compared(f"room turned, {len(YAWS)} yaws", map(see, turned), known, TOLERANCE)
+    yield from compared("moved, turned and scaled, its unit told", map(see, ALL_THREE), known, TOLERANCE)
     # A learned estimator takes a hall of 4 km for one.
     in_metres = TOLERANCE | {"lattice": np.inf}
-    yield from compared("really 1000 times as large", ((p, see(p)) for p in IN_METRES), known, in_metres)
+    yield from compared("really 1000 times as large", map(see, IN_METRES), known, in_metres)
 
 
-def compared(
-    what: str, seen: Iterable[tuple[Placing, SeenLight]], known: SeenLight, bounds: dict[str, float]
-) -> Iterator[Row]:
+def compared(what: str, seen: Iterable[SeenLight], known: SeenLight, bounds: dict[str, float]) -> Iterator[Row]:
     """The largest difference of each kind of light over all that was seen."""
-    worst = dict.fromkeys(bounds, 0.0)
-    for placing, one in seen:
-        for name in worst:
-            worst[name] = max(worst[name], apart(placing.turned_back(one.lights[name]), known.lights[name]))
-    for name, error in worst.items():
-        yield name, what, error, bounds[name]
+    errors = [one.apart_from(known) for one in seen]
+    for name, bound in bounds.items():
+        yield name, what, max(error[name] for error in errors), bound
 
 
 def main() -> int:

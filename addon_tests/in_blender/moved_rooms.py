@@ -155,8 +155,14 @@ def _walk(scene: bpy.types.Scene, placing: Placing) -> None:
 class SeenLight:
     """What was seen of a room: the frames, and (9, 3) coefficients of scene radiance by estimator and for `truth`."""
 
+    placing: Placing
     frames: list[RgbdFrame]
     lights: Mapping[str, ArrayF64]
+
+    def apart_from(self, known: SeenLight) -> dict[str, float]:
+        """How far each light, turned back, is from that of the room as it is."""
+        turned = {name: self.placing.turned_back(light) for name, light in self.lights.items()}
+        return {name: apart(light, known.lights[name]) for name, light in turned.items()}
 
 
 def see(
@@ -179,7 +185,7 @@ def see(
     with open_light_probe(scene, RenderSettings(PANORAMA, SAMPLES, seed, denoise=False)) as light_probe:
         truth = probe_radiance_sh(light_probe.panorama(position_m, len(EYES)), exposure, "ldr") / exposure
     lights = {name: estimated(frames, position_m, name) for name in estimators}
-    return SeenLight(frames, lights | {"truth": truth})
+    return SeenLight(placing, frames, lights | {"truth": truth})
 
 
 def estimated(frames: Sequence[RgbdFrame], position_m: ArrayF64, estimator: str) -> ArrayF64:

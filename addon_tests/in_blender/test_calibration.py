@@ -60,12 +60,11 @@ def test_costs_are_said_in_one_sentence():
 
 def test_the_button_keeps_what_the_function_measures_and_the_panel_says_it(tmp_path):
     scene = walk_for_the_panel(tmp_path / "runs")
-    context = bpy.context
-    assert calibration_in_words(context) == ""
+    assert calibration_in_words() == ""
     assert bpy.ops.xihe.calibrate() == {"FINISHED"}
-    kept = read_calibration(calibration_file(context))
-    assert calibration_file(context).parent == tmp_path / "runs"
-    assert calibration_in_words(context) == said_of_calibration(kept)
+    kept = read_calibration(calibration_file())
+    assert calibration_file().parent == tmp_path / "runs"
+    assert calibration_in_words() == said_of_calibration(kept)
     size = tuple(scene.xihe.size)
     by_function = run_blocking(calibrate(scene, replace(SMALL, size=size, preset="draft")))
     # Times differ from one measurement to the next, and what follows from the scene alone does not.
@@ -84,3 +83,13 @@ def test_without_a_camera_the_button_says_so(tmp_path):
     scene = walk_for_the_panel(tmp_path / "runs")
     scene.camera = None
     assert poll_message(bpy.ops.xihe.calibrate) == "Add a camera and animate it as the phone's path"
+
+
+def test_costs_that_cannot_be_kept_are_a_line_that_names_the_place(tmp_path):
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    walk_for_the_panel(tmp_path / "file")
+    with pytest.raises(RuntimeError, match=r"file.*: File exists"):
+        bpy.ops.xihe.calibrate()
+    window_manager = bpy.context.window_manager.xihe
+    assert "File exists" in window_manager.error and not window_manager.is_running
+    assert calibration_in_words() == ""

@@ -112,14 +112,36 @@ def test_trials_without_any_value_make_a_page_too(tmp_path):
     assert "No trial could be done" in report_page(BatchFolder(tmp_path), results([], [("x.blend", "gone")]), None)
 
 
-def test_a_frontier_answers_what_takes_measured_times(tmp_path):
-    point = {
-        "scene": "room", "front": "compute", "settings": {"error_kind": "coefficients", "n_anchors": 512},
-        "error": 0.02, "time_ms": 1.0, "spread_ms": 0.1, "on_front": True, "preset": None,
+def measured(error, n_anchors, *, kind="coefficients_truth", scene="room", theta=0.01):
+    """A point of frontier.json."""
+    settings = {"error_kind": kind, "n_anchors": n_anchors, "theta": theta}
+    return {
+        "scene": scene, "front": "compute", "settings": settings, "label": f"{n_anchors} anchors, theta {theta}",
+        "error": error, "time_ms": 1.0, "spread_ms": 0.1, "on_front": True, "preset": None,
     }  # fmt: skip
-    more = {**point, "settings": {"error_kind": "coefficients", "n_anchors": 2048}, "error": 0.01, "time_ms": 4.0}
+
+
+def part(page, name):
+    return page.split(f'<section id="{name}">')[1].split("</section>")[0]
+
+
+def test_a_frontier_answers_what_takes_measured_times(tmp_path):
     answer = {"scene": "room", "question": "How many anchors?", "answer": "512 are within 1 %."}
-    frontier = {"points": [point, more], "answers": [answer]}
+    frontier = {"points": [measured(0.02, 512), measured(0.01, 2048)], "answers": [answer]}
     page = report_page(BatchFolder(tmp_path), results(batch()), frontier)
     assert "512 are within 1 %." in page and "2048 anchors" in page and "has no answer to that" in page
     assert "xihe frontier" in report_page(BatchFolder(tmp_path), results(batch()), None)
+
+
+def test_anchors_are_plotted_by_what_their_answer_speaks_of(tmp_path):
+    """Off the rendered light probe, scene by scene, and nothing but the anchors differs."""
+    told = [(0.31, 512, "room"), (0.32, 2048, "room"), (0.33, 512, "hall"), (0.34, 2048, "hall")]
+    points = [measured(error, n_anchors, scene=scene) for error, n_anchors, scene in told]
+    points += [measured(0.07, n_anchors, kind="coefficients") for n_anchors in (512, 2048)]
+    points += [measured(0.39, 512, theta=0.6), measured(0.36, 512, scene="alone")]
+    page = report_page(BatchFolder(tmp_path), results(batch()), {"points": points, "answers": []})
+    anchors, last = part(page, "anchors"), part(page, "last")
+    dots = re.findall(r"<title>(\w+), (\d+) anchors.*?: (\d+) %", anchors)
+    assert sorted((int(error) / 100, int(n_anchors), scene) for scene, n_anchors, error in dots) == sorted(told)
+    assert "against the rendered light probe" in anchors and "exhaustive" not in anchors
+    assert "against the exhaustive setting" in last and last.count(": 7 % in") == 2 and ": 31 % in" not in last

@@ -12,6 +12,7 @@ import pytest
 
 import xihe_blender.report.page as report
 from xihe_blender.outputs import RunOutputs
+from xihe_blender.report.document import document
 from xihe_blender.report.pictures import MAX_FRAMES, choose_frames, picture_kinds
 from xihe_blender.report.style import STYLE
 from xihe_blender.report.svg import axis_up_to
@@ -26,12 +27,21 @@ def test_another_schema_version_is_refused_by_name(tmp_path: Path) -> None:
 
 
 def test_the_report_never_asks_for_blender() -> None:
-    for path in Path(report.__file__).parent.glob("report*.py"):
+    own = ("xihe_blender.report", "xihe_blender.outputs", "xihenet.invalid")
+    files = sorted(Path(report.__file__).parent.glob("*.py"))
+    assert "page.py" in [path.name for path in files]
+    for path in files:
         nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
         named = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
-        named |= {f"{node.level}{node.module}" for node in nodes if isinstance(node, ast.ImportFrom)}
-        assert not any(re.match(r"0?(bpy|mathutils|numpy)\b", name) for name in named), path.name
-        assert all(name[1:].startswith(("report", "outputs")) for name in named if name[0] == "1"), path.name
+        named |= {str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)}
+        assert not any(re.match(r"(bpy|mathutils|numpy)\b", name) for name in named), path.name
+        assert all(name.startswith(own) for name in named if name.startswith("xihe")), path.name
+
+
+def test_a_page_runs_no_script_but_its_own() -> None:
+    without, own = document("heading", "", ""), document("heading", "", "", title="title", script="run()")
+    assert "default-src 'none'" in without and "script" not in without and "<title>heading</title>" in without
+    assert "script-src 'unsafe-inline'" in own and "<script>run()</script>" in own and "<title>title</title>" in own
 
 
 @pytest.mark.parametrize("n_frames", [1, 15, 16, 17, 100, 301])

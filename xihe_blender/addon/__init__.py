@@ -19,7 +19,7 @@ MODULES = (
     "leftovers",
     "object_operators",
     "effect_operators",
-    "calibration",
+    "measuring_operators",
     "run_operator",
     "result_operators",
     "old_run_operators",

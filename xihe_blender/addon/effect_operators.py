@@ -1,15 +1,11 @@
-"""What does the scene call for, and how long would a run take?"""
+"""What does the scene call for? The answer goes to the panel's list."""
 
 from __future__ import annotations
-
-from collections.abc import Generator
-from typing import Any
 
 import bpy
 
 from xihe_blender.addon import polls
 from xihe_blender.addon.failures import FAILURES, failed
-from xihe_blender.addon.modal_job import ModalJob
 
 
 class XIHE_OT_plan_effects(polls.Conditional, bpy.types.Operator):
@@ -35,25 +31,4 @@ class XIHE_OT_plan_effects(polls.Conditional, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class XIHE_OT_measure_run(polls.Conditional, ModalJob, bpy.types.Operator):
-    bl_idname = "xihe.measure_run"
-    bl_label = "Estimate Time"
-    bl_description = "Render a few small pictures to find out how long a run would take on this machine"
-    bl_options = {"REGISTER"}
-    cancelled = "Nothing was measured"
-    conditions = (polls.is_idle, polls.has_cycles, polls.has_virtual_objects, polls.has_camera)
-
-    def start_job(self, context: bpy.types.Context) -> Generator[Any, None, Any]:
-        from xihe_blender.addon.run_settings import previs_settings
-        from xihe_blender.run_time import run_time_job
-
-        return run_time_job(context.scene, previs_settings(context.scene))
-
-    def finish(self, context: bpy.types.Context, result: Any) -> set[str]:
-        from xihe_blender.run_time import said_of_run_time
-
-        context.window_manager.xihe.run_estimate = said_of_run_time(result.in_window_s(self.run.pause_s))
-        return {"FINISHED"}
-
-
-register, unregister = bpy.utils.register_classes_factory((XIHE_OT_plan_effects, XIHE_OT_measure_run))
+register, unregister = bpy.utils.register_classes_factory((XIHE_OT_plan_effects,))

@@ -39,7 +39,7 @@ class ModalJob:
         raise NotImplementedError
 
     def finish(self, context: bpy.types.Context, result: Any) -> set[str]:
-        """Say and keep what the job brought; what the operator returns."""
+        """Say and keep what the job brought; what the operator returns. One of FAILURES for what cannot be kept."""
         raise NotImplementedError
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -79,9 +79,9 @@ class ModalJob:
             self.run = RunUnderWay(context, self.start_job(context))
             while not self.run.step():
                 pass
+            return self.finish(context, self.run.result)
         except FAILURES as error:
             return failed(self, context, error)
-        return self.finish(context, self.run.result)
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Blender itself ends the operator: another file is loaded, or the window is closed."""
@@ -97,7 +97,7 @@ class ModalJob:
     def _step(self, context: bpy.types.Context) -> set[str]:
         try:
             is_done = self.run.step()
+            self.stepped_at = time.perf_counter()
+            return self.finish(context, self.run.result) if is_done else {"RUNNING_MODAL"}
         except FAILURES as error:
             return failed(self, context, error)
-        self.stepped_at = time.perf_counter()
-        return self.finish(context, self.run.result) if is_done else {"RUNNING_MODAL"}

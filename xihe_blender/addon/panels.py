@@ -161,7 +161,7 @@ class XIHE_PT_estimator(StagePanel, bpy.types.Panel):
         layout.use_property_decorate = False
         layout.prop(settings, "estimator")
         layout.prop(settings, "preset")
-        costs = calibration_in_words(context)
+        costs = calibration_in_words()
         layout.operator("xihe.calibrate", text="Calibrate Again" if costs else "Calibrate", icon="SORTTIME")
         if costs:
             sentence(context, layout, costs)

@@ -11,11 +11,11 @@ from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from xihe_blender.outputs import RunOutputs, written_whole
+from xihe_blender.outputs import RunOutputs
+from xihe_blender.report.document import document, link, section, write_document
 from xihe_blender.report.pictures import pictures_section
 from xihe_blender.report.plots import plots_section
 from xihe_blender.report.script import SCRIPT
-from xihe_blender.report.style import STYLE
 from xihe_blender.report.tables import numbers_section
 from xihe_blender.report.timeline import Timeline, fired_probes, is_active
 from xihe_blender.report.values import (
@@ -36,7 +36,6 @@ from xihe_blender.report.values import (
 )
 
 SCHEMA_VERSION = 1
-_SAFE = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 
 
 def write_report(results: Mapping[str, Any], outputs: RunOutputs) -> Path:
@@ -58,10 +57,7 @@ def write_report(results: Mapping[str, Any], outputs: RunOutputs) -> Path:
     """
     if results.get("schema_version") != SCHEMA_VERSION:
         raise ValueError(f"results: expected schema_version {SCHEMA_VERSION}, got {results.get('schema_version')}")
-    page = report_page(results, outputs)
-    with written_whole(outputs.report) as beside:
-        # Blender's names may hold bytes that are no text; they must not cost the user the report.
-        beside.write_bytes(page.encode("utf-8", errors="replace"))
+    write_document(outputs.report, report_page(results, outputs))
     return outputs.report
 
 
@@ -73,17 +69,13 @@ def report_page(results: Mapping[str, Any], outputs: RunOutputs) -> str:
         ("plots", "Frame by frame", plots_section(results)),
         ("numbers", "Numbers", numbers_section(results)),
     ]
-    links = "".join(f'<a href="#{anchor}">{title}</a>' for anchor, title, _ in sections)
-    body = "".join(f'<section id="{a}"><h2>{title}</h2>{content}</section>' for a, title, content in sections)
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f'<meta http-equiv="Content-Security-Policy" content="{_SAFE}">'
-        f"<title>{escape(name)}: lighting previsualisation</title><style>{STYLE}</style></head>"
-        '<body><div class="page"><header><div class="eyebrow"><span>AR lighting previsualisation</span>'
-        f"<nav>{links}</nav></div><h1>{escape(name)}</h1>"
-        f'<p class="lead">{result_in_words(results)}</p>{_key_figures(results)}</header>'
-        f"<main>{body}</main></div><script>{SCRIPT}</script></body></html>\n"
+    return document(
+        escape(name),
+        f'<p class="lead">{result_in_words(results)}</p>{_key_figures(results)}',
+        "".join(section(*each) for each in sections),
+        title=f"{escape(name)}: lighting previsualisation",
+        links="".join(link(anchor, title) for anchor, title, _ in sections),
+        script=SCRIPT,
     )
 
 

@@ -8,9 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from xihe_blender.report.values import DASH, code, escape, finite, mapping, percent, with_unit
-
-MINUS = "\N{MINUS SIGN}"
+from xihe_blender.report.values import DASH, MINUS, code, escape, finite, mapping, percent, with_unit
 
 
 def phone_rows(results: Mapping[str, Any]) -> list[list[str]]:

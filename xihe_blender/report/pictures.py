@@ -7,13 +7,13 @@ Embedding is the price of one self-contained file, so at most `MAX_FRAMES` frame
 
 from __future__ import annotations
 
-import base64
 import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from xihe_blender.outputs import RunOutputs
+from xihe_blender.report.document import png_url
 from xihe_blender.report.invalid import is_kept, kept_in_words
 from xihe_blender.report.timeline import (
     KEPT,
@@ -220,11 +220,8 @@ def _embedded(frame: Frame, kind: str, outputs: RunOutputs) -> str:
         return f'<div class="missing"><span>No picture here. Expected {code(_shown_path(path, outputs))}</span></div>'
     width, height = struct.unpack(">II", content[16:24])
     words = escape(f"{kind_label(kind)}, frame {number(frame)}")
-    data = base64.b64encode(content).decode("ascii")
-    return (
-        f'<img data-kind="{escape(kind)}" width="{width}" height="{height}" alt="{words}"'
-        f' src="data:image/png;base64,{data}">'
-    )
+    size = f'width="{width}" height="{height}"'
+    return f'<img data-kind="{escape(kind)}" {size} alt="{words}" src="{png_url(content)}">'
 
 
 def _picture_path(frame: Frame, kind: str, outputs: RunOutputs) -> Path:

@@ -8,7 +8,7 @@ that are not. Rejected: one picture that is scaled, whose text cannot be read on
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from xihe_blender.report.timeline import Timeline, is_active, moment_in_words, number, reason_shape
@@ -43,10 +43,10 @@ def axis_up_to(largest: float, label: Callable[[float], str] | None = None) -> A
     largest = largest if largest > _AS_GOOD_AS_ZERO else 1.0
     step = nice_step(largest, 4)
     n_ticks = math.ceil(largest / step - 1e-9)
-    return Axis(n_ticks * step, tuple(i * step for i in range(n_ticks + 1)), label or _tick_label(step))
+    return Axis(n_ticks * step, tuple(i * step for i in range(n_ticks + 1)), label or tick_label(step))
 
 
-def _tick_label(step: float) -> Callable[[float], str]:
+def tick_label(step: float) -> Callable[[float], str]:
     """As many decimals as the step has; an exponent where those would not fit beside the plot."""
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
     return (lambda v: f"{v:,.{decimals}f}") if decimals < 5 and step < 1e5 else (lambda v: f"{v:.3g}")
@@ -60,10 +60,24 @@ def plot(
     `title`, `about` and `legend` are HTML; `hover` holds escaped text, one entry per frame.
     """
     empty = "" if drawing else f'<text class="empty" x="50%" y="{HEIGHT_PX / 2}">{_why_empty(timeline)}</text>'
-    body = _shading(timeline) + _grid(axis) + _frame_axis(timeline) + drawing + empty + _columns(timeline, hover)
+    body = _shading(timeline) + grid(axis) + _frame_axis(timeline) + drawing + empty + _columns(timeline, hover)
+    return figure(body, title=title, about=about, label=f"{title}, per frame", legend=legend)
+
+
+def figure(
+    body: str,
+    *,
+    title: str,
+    about: str,
+    label: str = "",
+    legend: str = "",
+    classes: str = "axes",
+    height_px: int = HEIGHT_PX,
+) -> str:
+    """A drawing below its heading and explanation; all is HTML, and `label`, or else the title, is for who listens."""
     return (
         f'<figure class="plot"><figcaption><h3>{title}</h3><p>{about}</p></figcaption>'
-        f'<svg class="axes" role="img" aria-label="{title}, per frame" height="{HEIGHT_PX}">{body}</svg>'
+        f'<svg class="{classes}" role="img" aria-label="{label or title}" height="{height_px}">{body}</svg>'
         f"{legend}</figure>"
     )
 
@@ -79,7 +93,8 @@ def _shading(timeline: Timeline) -> str:
     )
 
 
-def _grid(axis: Axis) -> str:
+def grid(axis: Axis) -> str:
+    """A line across for each tick, and its words to the left."""
     return "".join(
         f'<line class="{"grid" if tick else "base"}" x1="0" x2="100%" y1="{axis.y(tick):.1f}" y2="{axis.y(tick):.1f}"/>'
         f'<text class="tick-y" x="-8" y="{axis.y(tick):.1f}">{escape(axis.label(tick))}</text>'
@@ -93,14 +108,18 @@ def _frame_axis(timeline: Timeline) -> str:
     step = max(1, round(nice_step(max(1, last - first), 6)))
     ticks = [first] if first == last else list(range(math.ceil(first / step) * step, last + 1, step))
     half = timeline.bar_percent / 2
-    marks = []
-    for tick in ticks:
-        x = 50.0 if first == last else half + (100 - 2 * half) * (tick - first) / (last - first)
-        marks.append(
-            f'<line class="base" x1="{x:.3f}%" x2="{x:.3f}%" y1="{HEIGHT_PX}" y2="{HEIGHT_PX + 4}"/>'
-            f'<text class="tick-x" x="{x:.3f}%" y="{HEIGHT_PX + 18}">{tick}</text>'
-        )
-    return "".join(marks) + f'<text class="axis-x" x="100%" y="{HEIGHT_PX + 35}">frame</text>'
+    places = [50.0 if first == last else half + (100 - 2 * half) * (t - first) / (last - first) for t in ticks]
+    return axis_below(places, map(str, ticks), "frame")
+
+
+def axis_below(places_percent: Iterable[float], words: Iterable[str], name: str) -> str:
+    """Ticks below the plot, their words, and the axis' name."""
+    marks = "".join(
+        f'<line class="base" x1="{x:.3f}%" x2="{x:.3f}%" y1="{HEIGHT_PX}" y2="{HEIGHT_PX + 4}"/>'
+        f'<text class="tick-x" x="{x:.3f}%" y="{HEIGHT_PX + 18}">{escape(word)}</text>'
+        for x, word in zip(places_percent, words, strict=True)
+    )
+    return f'{marks}<text class="axis-x" x="100%" y="{HEIGHT_PX + 35}">{name}</text>'
 
 
 def _columns(timeline: Timeline, hover: Sequence[str]) -> str:

@@ -13,6 +13,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from xihe_blender.report.document import block, table
 from xihe_blender.report.invalid import HEAD as INVALID_HEAD
 from xihe_blender.report.invalid import invalid_otherwise, invalid_rows, undefined_in_words
 from xihe_blender.report.phone import phone_caption, phone_in_words, phone_rows
@@ -20,6 +21,7 @@ from xihe_blender.report.pictures import METHOD_MEANINGS
 from xihe_blender.report.timeline import Timeline, probe_in, reason_in_words, reason_of
 from xihe_blender.report.values import (
     DASH,
+    MINUS,
     byte_size,
     closeness,
     closeness_in_words,
@@ -45,7 +47,6 @@ METRICS = (
     ("angular_deg", "down", ""),
 )
 _BETTER = {"up": "\N{UPWARDS ARROW} higher is better", "down": "\N{DOWNWARDS ARROW} lower is better"}
-MINUS = "\N{MINUS SIGN}"
 
 
 def numbers_section(results: Mapping[str, Any]) -> str:
@@ -53,37 +54,15 @@ def numbers_section(results: Mapping[str, Any]) -> str:
     timeline = Timeline.of(results)
     parts = [
         _comparison(results),
-        _block("Probes", _probes(timeline)),
-        _block("Effects", _effects(results)),
-        _block("Phone", _phone(results)),
-        _block("What was invalid, and why", _invalid(results)),
-        _block("Notes", _notes(results)),
-        _block("Command", _command(results)),
+        block("Probes", _probes(timeline)),
+        block("Effects", _effects(results)),
+        block("Phone", _phone(results)),
+        block("What was invalid, and why", _invalid(results)),
+        block("Notes", _notes(results)),
+        block("Command", _command(results)),
         _facts(results),
     ]
     return "".join(parts)
-
-
-def _block(title: str, content: str) -> str:
-    return f'<section class="block"><h3>{title}</h3>{content}</section>' if content else ""
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]], classes: str = "") -> str:
-    """A table that scrolls on its own where it is too wide; all cells are HTML, the first of a row is its heading.
-
-    Each cell carries its column's name, so that the style can stack wide tables on a narrow screen.
-    """
-    names = [re.sub("<[^>]*>", " ", cell).strip() for cell in head]
-    heads = "".join(f'<th scope="col">{cell}</th>' for cell in head)
-    body = "".join(f'<tr><th scope="row">{row[0]}</th>{"".join(map(_cell, names[1:], row[1:]))}</tr>' for row in rows)
-    return (
-        f'<div class="scroll" tabindex="0"><table class="{classes}"><thead><tr>{heads}</tr></thead>'
-        f"<tbody>{body}</tbody></table></div>"
-    )
-
-
-def _cell(name: str, content: str) -> str:
-    return f'<td data-column="{name}"><span>{content}</span></td>'
 
 
 # ----------------------------------------------------------------------------------------------------- comparison
@@ -92,7 +71,7 @@ def _cell(name: str, content: str) -> str:
 def _comparison(results: Mapping[str, Any]) -> str:
     comparison = mapping(results, "comparison")
     if not comparison:
-        return _block("Comparison with the ground truth", "<p>No frame was compared with the ground truth.</p>")
+        return block("Comparison with the ground truth", "<p>No frame was compared with the ground truth.</p>")
     methods = sorted(comparison, key=lambda m: (m == "truth", m == "ambient"))
     columns = [_metric_column(comparison, methods, name, way) for name, way, _ in METRICS]
     rows = [
@@ -107,9 +86,7 @@ def _comparison(results: Mapping[str, Any]) -> str:
     star = "\N{BLACK STAR} marks the best method that a phone could run; <code>truth</code> is not one."
     honest = "No image metric tracks human preference: look at the pictures before you trust a ranking."
     notes = f'<p class="quiet">{star} {honest}</p>{_null_reasons(comparison, methods)}'
-    return _block(
-        "Comparison with the ground truth", f"<p>{about}</p>{_table(head, rows, 'stacking comparison')}{notes}"
-    )
+    return block("Comparison with the ground truth", f"<p>{about}</p>{table(head, rows, 'stacking comparison')}{notes}")
 
 
 def _metric_head(name: str, way: str, unit: str) -> str:
@@ -173,7 +150,7 @@ def _probes(timeline: Timeline) -> str:
     ]  # fmt: skip
     rows = [_probe_row(timeline, place, name) for place, name in enumerate(timeline.probe_names)]
     details = "".join(_coefficients(timeline, name) for name in timeline.probe_names)
-    return _table(head, rows, "stacking probes") + details
+    return table(head, rows, "stacking probes") + details
 
 
 def _probe_row(timeline: Timeline, place: int, name: str) -> list[str]:
@@ -215,7 +192,7 @@ def _coefficients(timeline: Timeline, name: str) -> str:
     ]
     head = ["", *(f"{what} {rgb}" for what in ("estimate", "truth") for rgb in ("R", "G", "B"))]
     summary = f"Last spherical harmonics of {escape(name)}: radiance, real orthonormal basis, at the session's exposure"
-    return f"<details><summary>{summary}</summary>{_table(head, rows, 'coefficients')}</details>"
+    return f"<details><summary>{summary}</summary>{table(head, rows, 'coefficients')}</details>"
 
 
 def _coefficient(probe: Mapping[str, Any], key: str, index: int, rgb: int) -> str:
@@ -238,7 +215,7 @@ def _effects(results: Mapping[str, Any]) -> str:
         ]
         for effect in items(results, "effects")
     ]
-    return _table(["effect", "state", "why", "set to"], rows, "words") if rows else ""
+    return table(["effect", "state", "why", "set to"], rows, "words") if rows else ""
 
 
 def _set_to(effect: Mapping[str, Any]) -> str:
@@ -259,12 +236,12 @@ def _number(value: Any) -> str:
 def _phone(results: Mapping[str, Any]) -> str:
     rows = phone_rows(results)
     head = ["effect", "SHC RMSE, all on", "without it", "it adds"]
-    return phone_in_words(results) + (_table(head, rows) + phone_caption() if rows else "")
+    return phone_in_words(results) + (table(head, rows) + phone_caption() if rows else "")
 
 
 def _invalid(results: Mapping[str, Any]) -> str:
     rows, otherwise = invalid_rows(results), invalid_otherwise(results)
-    return (_table(INVALID_HEAD, rows, "words") if rows else "") + (f"<p>{otherwise}</p>" if otherwise else "")
+    return (table(INVALID_HEAD, rows, "words") if rows else "") + (f"<p>{otherwise}</p>" if otherwise else "")
 
 
 def _notes(results: Mapping[str, Any]) -> str:
@@ -296,7 +273,7 @@ def _facts(results: Mapping[str, Any]) -> str:
         "software": software
     }
     order = ("settings", "scene", "summary", "software", "machine")
-    blocks = [_block(name.capitalize(), _fact_table(groups[name])) for name in order if groups[name]]
+    blocks = [block(name.capitalize(), _fact_table(groups[name])) for name in order if groups[name]]
     return f'<div class="facts">{"".join(blocks)}</div>'
 
 

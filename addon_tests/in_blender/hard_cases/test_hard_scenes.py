@@ -4,21 +4,19 @@ import pytest
 
 from addon_tests.in_blender.hard_cases.blender import CASES, STAGE
 from addon_tests.pure.hard_cases import catalogue
-from addon_tests.pure.hard_cases.hard_case import tried
+from addon_tests.pure.hard_cases.hard_case import assert_can_fail, assert_right
 
 EVERY_CASE = pytest.mark.parametrize("case", CASES, ids=str)
 
 
 @EVERY_CASE
 def test_hard_scene(case):
-    outcome = tried(case, case.ask)
-    assert outcome.is_ok, f"expected {case.must.says}, got {outcome.came}"
+    assert_right(case)
 
 
 @EVERY_CASE
 def test_the_naive_version_fails(case):
-    outcome = tried(case, case.naive)
-    assert not outcome.is_ok, f"this case cannot fail: the naive version gives {outcome.came} as well"
+    assert_can_fail(case)
 
 
 def test_scenes_are_a_stage_of_their_own_with_names_of_their_own():

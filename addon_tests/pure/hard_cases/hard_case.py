@@ -87,6 +87,18 @@ def tried(case: HardCase, ask: Callable[[Any], Any]) -> Outcome:
     return Outcome(shown(came), not case.must.is_refusal and bool(case.must.holds(came)))
 
 
+def assert_right(case: HardCase) -> None:
+    """What comes out is what must."""
+    outcome = tried(case, case.ask)
+    assert outcome.is_ok, f"expected {case.must.says}, got {outcome.came}"
+
+
+def assert_can_fail(case: HardCase) -> None:
+    """Its naive version does fail."""
+    outcome = tried(case, case.naive)
+    assert not outcome.is_ok, f"this case cannot fail: the naive version gives {outcome.came} as well"
+
+
 def equal(value: Any) -> Must:
     """Exactly `value`, of its shape."""
     return Must(

@@ -7,7 +7,7 @@ import pytest
 
 from addon_tests.pure.hard_cases.__main__ import main
 from addon_tests.pure.hard_cases.catalogue import CASES
-from addon_tests.pure.hard_cases.hard_case import tried
+from addon_tests.pure.hard_cases.hard_case import assert_can_fail, assert_right
 
 ROOT = Path(__file__).resolve().parents[3]
 FOLDERS = ("xihenet", "xihe_blender", "addon_tests", "blend_scenes", "docs")
@@ -17,14 +17,12 @@ EVERY_CASE = pytest.mark.parametrize("case", CASES, ids=str)
 
 @EVERY_CASE
 def test_hard_case(case):
-    outcome = tried(case, case.ask)
-    assert outcome.is_ok, f"expected {case.must.says}, got {outcome.came}"
+    assert_right(case)
 
 
 @EVERY_CASE
 def test_the_naive_version_fails(case):
-    outcome = tried(case, case.naive)
-    assert not outcome.is_ok, f"this case cannot fail: the naive version gives {outcome.came} as well"
+    assert_can_fail(case)
 
 
 def test_there_are_150_cases_and_each_has_a_name_of_its_own():

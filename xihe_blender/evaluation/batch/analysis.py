@@ -64,6 +64,11 @@ def ranked(trials: Sequence[Trial], measure: Measure, names: Sequence[str]) -> l
     return sorted(means, key=lambda name: means[name] if measure.is_better_low else -means[name])
 
 
+def best_of(trials: Sequence[Trial], measure: Measure) -> str | None:
+    """The best estimator that could be shipped; None where no trial of one has a value."""
+    return next(iter(ranked(trials, measure, shippable(trials))), None)
+
+
 def shippable(trials: Sequence[Trial]) -> list[str]:
     """Estimators that a phone could run, in the order of the batch."""
     return [name for name in names_of(trials, "estimator") if name not in NOT_FOR_SHIPPING]
@@ -96,7 +101,7 @@ def compared(trials: Sequence[Trial], measure: Measure, key: str, first: str, se
 
 def against_the_best(trials: Sequence[Trial], measure: Measure) -> list[Comparison]:
     """Every other estimator against the best that could be shipped."""
-    best, *_ = [*ranked(trials, measure, shippable(trials)), None]
+    best = best_of(trials, measure)
     if best is None:
         return []
     others = ranked(trials, measure, [name for name in names_of(trials, "estimator") if name != best])

@@ -5,8 +5,7 @@ A difference is called one only where its 95 % interval leaves 0 out. What a bat
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from xihe_blender.evaluation.batch.analysis import (
     AS_GOOD,
@@ -16,6 +15,7 @@ from xihe_blender.evaluation.batch.analysis import (
     ThetaPoint,
     Trial,
     against_the_best,
+    best_of,
     compared,
     laziest_as_good,
     names_of,
@@ -24,11 +24,8 @@ from xihe_blender.evaluation.batch.analysis import (
     theta_points,
     values_of,
 )
-from xihe_blender.report.values import DASH, code, counted, escape, items, listed, mean, percent, significant
+from xihe_blender.report.values import DASH, MINUS, code, counted, escape, listed, mean, percent, significant
 from xihenet.paired import PairedDifference
-
-MINUS = "\N{MINUS SIGN}"
-FRONTIER = "xihe frontier SCENE.blend --out DIR"
 
 
 def signed(value: float | None) -> str:
@@ -62,11 +59,12 @@ def what_it_stands_on(trials: Sequence[Trial]) -> str:
 def which_estimator(trials: Sequence[Trial]) -> str:
     """Which estimator should I ship?"""
     measure, picture = MEASURES
-    best, *others = [*ranked(trials, measure, shippable(trials)), None]
-    if best is None:
+    names = ranked(trials, measure, shippable(trials))
+    if not names:
         return "No trial of an estimator that a phone could run has a light to be judged by."
+    best, *others = names
     error = significant(mean(values_of(trials, measure, estimator=best)))
-    if others == [None]:
+    if not others:
         return f"Only {code(best)} was tried, with a mean coefficient error of {error}: give more of --estimators."
     rivals = [one for one in against_the_best(trials, measure) if one.first in others]
     clear = [one.first for one in rivals if one.difference.is_clear]
@@ -79,7 +77,7 @@ def which_estimator(trials: Sequence[Trial]) -> str:
 
 
 def _in_the_picture(trials: Sequence[Trial], picture: Measure, best: str) -> str:
-    first, *_ = [*ranked(trials, picture, shippable(trials)), None]
+    first = best_of(trials, picture)
     if first is None:
         return "No picture was compared."
     if first == best:
@@ -97,7 +95,8 @@ def is_a_better_phone_worth_it(trials: Sequence[Trial]) -> str:
     found = phone_differences(trials, MEASURES[0])
     if not found:
         return "One phone was tried. Give two or more, such as <code>--profiles perfect,ipad_pro_lidar</code>."
-    best = ranked(trials, MEASURES[0], shippable(trials))[0]
+    best = best_of(trials, MEASURES[0])
+    assert best is not None
     return f"With {code(best)}, {'; '.join(_better_phone(trials, best, one) for one in found)}."
 
 
@@ -118,7 +117,7 @@ def _better_phone(trials: Sequence[Trial], best: str, one: Comparison) -> str:
 
 def phone_differences(trials: Sequence[Trial], measure: Measure) -> list[Comparison]:
     """Every phone against every earlier one, with the estimator that one would ship."""
-    best, *_ = [*ranked(trials, MEASURES[0], shippable(trials)), None]
+    best = best_of(trials, MEASURES[0])
     phones = names_of(trials, "phone")
     own = [trial for trial in trials if trial["estimator"] == best]
     pairs = [(first, second) for place, first in enumerate(phones) for second in phones[:place]]
@@ -128,7 +127,7 @@ def phone_differences(trials: Sequence[Trial], measure: Measure) -> list[Compari
 
 def how_often(trials: Sequence[Trial]) -> str:
     """How often must it run?"""
-    best, *_ = [*ranked(trials, MEASURES[0], shippable(trials)), None]
+    best = best_of(trials, MEASURES[0])
     points = theta_points(trials, best) if best is not None else []
     if not points:
         return "No estimator that looks at the room was tried on a path that sees an object."
@@ -151,16 +150,3 @@ def how_often(trials: Sequence[Trial]) -> str:
 
 def _rate(point: ThetaPoint) -> str:
     return f"{significant(point.per_minute, 2)} times a minute"
-
-
-def from_frontier(frontier: Mapping[str, Any] | None, question: str) -> str:
-    """The answer that `xihe frontier` has to a question, scene by scene."""
-    if frontier is None:
-        return (
-            f"That takes measured times: run {code(FRONTIER)} and give its folder as {code('--frontier DIR')} to the "
-            "same command, or put its frontier.json into this folder."
-        )
-    found = [one for one in items(frontier, "answers") if isinstance(one, Mapping) and one.get("question") == question]
-    if not found:
-        return "The frontier that was given has no answer to that."
-    return " ".join(f"<b>{escape(one.get('scene', ''))}</b>: {escape(one.get('answer', ''))}" for one in found)

@@ -6,20 +6,21 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from xihe_blender.arguments import frame_range, names, picture_size, whole_numbers
 from xihe_blender.errors import UserError
 from xihenet import estimators
 from xihenet.phone import LINKS, profile_names
 
 
-def add_evaluate(commands: Any, frame_range: Any, picture_size: Any) -> None:
-    """Add the sub-command to the parsers of `xihe`; the last two turn text into frames and sizes."""
+def add_evaluate(commands: Any) -> None:
+    """The sub-command, on the parser of `xihe`."""
     evaluate = commands.add_parser("evaluate", help="many runs: scenes, estimators, phones and seeds, over workers")
     add = evaluate.add_argument
     add("scenes", type=Path, nargs="+", metavar="SCENE.blend")
     add("--out", type=Path, required=True, metavar="DIR", help="folder of the batch; the same batch goes on there")
-    add("--estimators", type=_names, metavar="A,B", help=", ".join(estimators.names()))
-    add("--profiles", type=_names, metavar="A,B", help="phones: " + ", ".join(profile_names()) + ", or FILE.toml")
-    add("--seeds", type=_numbers, default=(0,), metavar="N,M", help="each renders the room anew; default: 0")
+    add("--estimators", type=names, metavar="A,B", help=", ".join(estimators.names()))
+    add("--profiles", type=names, metavar="A,B", help="phones: " + ", ".join(profile_names()) + ", or FILE.toml")
+    add("--seeds", type=whole_numbers, default=(0,), metavar="N,M", help="each renders the room anew; default: 0")
     add("--preset", default="draft", metavar="NAME", help="draft (default), balanced or accurate")
     add("--frames", type=frame_range, metavar="A:B[:S]", help="default: each scene's range and step")
     add("--size", type=picture_size, metavar="WxH", help="default: 256x192, upright for a portrait")
@@ -30,17 +31,6 @@ def add_evaluate(commands: Any, frame_range: Any, picture_size: Any) -> None:
     add("--scheduler", metavar="ADDRESS", help="a Dask scheduler whose workers do it, such as tcp://host:8786")
     add("--frontier", type=Path, metavar="DIR", help="of xihe frontier, for the report; default: one in --out")
     evaluate.set_defaults(run=run_evaluate)
-
-
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())
-
-
-def _numbers(text: str) -> tuple[int, ...]:
-    try:
-        return tuple(int(number) for number in _names(text))
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r}: give whole numbers with commas between them") from error
 
 
 def run_evaluate(options: argparse.Namespace, stdout: Any, stderr: Any) -> int:

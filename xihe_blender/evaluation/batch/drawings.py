@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from xihe_blender.report.svg import HEIGHT_PX, Axis, axis_up_to, nice_step, stretched
+from xihe_blender.report.svg import Axis, axis_below, axis_up_to, figure, grid, nice_step, stretched, tick_label
 from xihe_blender.report.values import escape, significant
+from xihenet.paired import PairedDifference
 
 ROW_PX = 54
 _DOTS_Y, _SPREAD_PX = 34, 7
@@ -30,10 +31,7 @@ STYLE = """
 .axes .axis-y { text-anchor: start; }
 .cases { display: grid; gap: 28px; }
 .cases .strip { grid-template-columns: repeat(3, minmax(0, 320px)); margin-top: 8px; }
-.cases img { image-rendering: auto; }
 .answer { font-size: 18px; line-height: 1.5; max-width: 74ch; }
-.quiet + .plots { margin-top: 8px; }
-table.left td:nth-child(2) { text-align: left; }
 """
 
 
@@ -52,9 +50,7 @@ class Interval:
 
     name: str
     colour: int
-    mean: float
-    low: float | None
-    high: float | None
+    difference: PairedDifference
     words: str
 
 
@@ -74,7 +70,7 @@ def strips(rows: Sequence[Row], *, title: str, about: str, axis_name: str) -> st
         return ""
     axis = _axis([value for row in known for value, _ in row.dots])
     drawn = "".join(_strip(row, place, axis) for place, row in enumerate(known))
-    return _figure(_x_axis(axis, len(known), axis_name) + drawn, len(known), title, about)
+    return _rows(drawn, len(known), axis, axis_name, title=title, about=about)
 
 
 def _strip(row: Row, place: int, axis: _Span) -> str:
@@ -103,39 +99,48 @@ def differences(rows: Sequence[Interval], *, title: str, about: str, axis_name: 
     """A row per difference: its mean as a dot, its interval as a line, and 0."""
     if not rows:
         return ""
-    ends = [end for row in rows for end in (row.mean, row.low, row.high) if end is not None]
+    spans = [row.difference for row in rows]
+    ends = [end for span in spans for end in (span.mean, span.low, span.high) if end is not None]
     axis = _axis([*ends, 0.0])
     drawn = "".join(_interval(row, place, axis) for place, row in enumerate(rows))
     height = len(rows) * ROW_PX
     zero = f'<line class="zero" x1="{axis.x(0):.2f}%" x2="{axis.x(0):.2f}%" y1="0" y2="{height}"/>'
-    return _figure(_x_axis(axis, len(rows), axis_name) + zero + drawn, len(rows), title, about)
+    return _rows(zero + drawn, len(rows), axis, axis_name, title=title, about=about)
 
 
 def _interval(row: Interval, place: int, axis: _Span) -> str:
-    y = place * ROW_PX + _DOTS_Y
+    y, span = place * ROW_PX + _DOTS_Y, row.difference
     line = ""
-    if row.low is not None and row.high is not None:
-        line = f'<line class="span" x1="{axis.x(row.low):.2f}%" x2="{axis.x(row.high):.2f}%" y1="{y}" y2="{y}"/>'
-    dot = f'<circle class="dot" cx="{axis.x(row.mean):.2f}%" cy="{y}" r="5"><title>{escape(row.words)}</title></circle>'
+    if span.low is not None and span.high is not None:
+        line = f'<line class="span" x1="{axis.x(span.low):.2f}%" x2="{axis.x(span.high):.2f}%" y1="{y}" y2="{y}"/>'
+    dot = (
+        f'<circle class="dot" cx="{axis.x(span.mean):.2f}%" cy="{y}" r="5"><title>{escape(row.words)}</title></circle>'
+    )
     name = f'<text class="name" x="0" y="{y - 16}">{escape(row.name)}</text>'
     return f'<g class="s{row.colour % 6}">{line}{dot}{name}</g>'
 
 
-def curves(lines: Sequence[Curve], *, title: str, about: str, x_name: str, y_name: str, is_joined: bool = True) -> str:
+def curves(
+    lines: Sequence[Curve],
+    *,
+    title: str,
+    about: str,
+    x_name: str,
+    y_name: str,
+    y_label: Callable[[float], str] | None = None,
+    is_joined: bool = True,
+) -> str:
     """Curves, or clouds of dots, over an axis from 0 to the right and one from 0 upwards."""
     known = [line for line in lines if line.points]
     if not known:
         return ""
     across = axis_up_to(max(x for line in known for x, _, _ in line.points))
-    up = axis_up_to(max(y for line in known for _, y, _ in line.points))
+    up = axis_up_to(max(y for line in known for _, y, _ in line.points), y_label)
     drawn = "".join(_curve(line, across, up, is_joined=is_joined) for line in known)
     legend = "".join(f'<li><span class="swatch s{line.colour % 6}"></span>{escape(line.name)}</li>' for line in known)
-    body = _grid(across, up, x_name, y_name) + drawn
-    return (
-        f'<figure class="plot"><figcaption><h3>{title}</h3><p>{about}</p></figcaption>'
-        f'<svg class="axes" role="img" aria-label="{title}" height="{HEIGHT_PX}">{body}</svg>'
-        f'<ul class="legend">{legend}</ul></figure>'
-    )
+    below = axis_below((100 * tick / across.top for tick in across.ticks), map(across.label, across.ticks), x_name)
+    body = f'{grid(up)}{below}<text class="axis-y" x="4" y="-6">{y_name}</text>{drawn}'
+    return figure(body, title=title, about=about, legend=f'<ul class="legend">{legend}</ul>')
 
 
 def _curve(line: Curve, across: Axis, up: Axis, *, is_joined: bool) -> str:
@@ -148,22 +153,6 @@ def _curve(line: Curve, across: Axis, up: Axis, *, is_joined: bool) -> str:
         f"<title>{escape(words)}</title></circle>"
         for x, y, words in line.points
     )
-
-
-def _grid(across: Axis, up: Axis, x_name: str, y_name: str) -> str:
-    lines = "".join(
-        f'<line class="{"grid" if tick else "base"}" x1="0" x2="100%" y1="{up.y(tick):.1f}" y2="{up.y(tick):.1f}"/>'
-        f'<text class="tick-y" x="-8" y="{up.y(tick):.1f}">{escape(up.label(tick))}</text>'
-        for tick in up.ticks
-    )
-    ticks = "".join(
-        f'<line class="base" x1="{100 * t / across.top:.2f}%" x2="{100 * t / across.top:.2f}%" y1="{HEIGHT_PX}" '
-        f'y2="{HEIGHT_PX + 4}"/>'
-        f'<text class="tick-x" x="{100 * t / across.top:.2f}%" y="{HEIGHT_PX + 18}">{escape(across.label(t))}</text>'
-        for t in across.ticks
-    )
-    names = f'<text class="axis-x" x="100%" y="{HEIGHT_PX + 36}">{x_name}</text>'
-    return lines + ticks + names + f'<text class="axis-y" x="4" y="-6">{y_name}</text>'
 
 
 @dataclass(frozen=True)
@@ -189,9 +178,8 @@ def _axis(values: Sequence[float]) -> _Span:
     step = nice_step(span, 5)
     first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
     last = max(last, first + 1)
-    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
     ticks = tuple(k * step for k in range(first, last + 1))
-    return _Span(first * step, last * step, ticks, lambda value: f"{value:,.{decimals}f}")
+    return _Span(first * step, last * step, ticks, tick_label(step))
 
 
 def _x_axis(axis: _Span, n_rows: int, name: str) -> str:
@@ -204,8 +192,6 @@ def _x_axis(axis: _Span, n_rows: int, name: str) -> str:
     return ticks + f'<text class="axis-x" x="100%" y="{height + 34}">{name}</text>'
 
 
-def _figure(body: str, n_rows: int, title: str, about: str) -> str:
-    return (
-        f'<figure class="plot"><figcaption><h3>{title}</h3><p>{about}</p></figcaption>'
-        f'<svg class="axes rows" role="img" aria-label="{title}" height="{n_rows * ROW_PX}">{body}</svg></figure>'
-    )
+def _rows(body: str, n_rows: int, axis: _Span, axis_name: str, *, title: str, about: str) -> str:
+    drawn = _x_axis(axis, n_rows, axis_name) + body
+    return figure(drawn, title=title, about=about, classes="axes rows", height_px=n_rows * ROW_PX)

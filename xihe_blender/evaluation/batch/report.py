@@ -1,12 +1,11 @@
 """What did the batch find? One self-contained page: the questions that people come with, answered in words, each with
-its plot and its numbers; then distributions, worst cases with their pictures, and what everything cost.
+its plot and its numbers; then worst cases with their pictures, distributions, and what everything cost.
 
 Made from results.json and the pictures of worst frames alone, never from Blender.
 """
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,9 @@ import numpy as np
 from xihe_blender.evaluation.batch import answers, drawings
 from xihe_blender.evaluation.batch.analysis import (
     MEASURES,
+    Comparison,
     Measure,
+    ThetaPoint,
     Trial,
     WorstCase,
     against_the_best,
@@ -27,25 +28,24 @@ from xihe_blender.evaluation.batch.analysis import (
     values_of,
     worst_cases,
 )
+from xihe_blender.evaluation.batch.from_frontier import how_many_anchors, last_tenth
 from xihe_blender.evaluation.batch.store import BatchFolder
 from xihe_blender.evaluation.batch.worst_pictures import WORST_KINDS, worst_picture
-from xihe_blender.outputs import written_whole
-from xihe_blender.report.style import STYLE
+from xihe_blender.report.document import block, document, png_url, section, table, write_document
 from xihe_blender.report.values import (
+    MINUS,
     byte_size,
     code,
     counted,
     escape,
     finite,
     items,
-    mapping,
     mean,
     significant,
     with_unit,
 )
 
 N_WORST = 6
-_SAFE = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 _KIND_WORDS = {
     "ground_truth": "Ground truth",
     "estimate": "Under the estimated light",
@@ -62,9 +62,7 @@ def write_report(folder: BatchFolder, results: Mapping[str, Any], frontier: Mapp
     results : as in results.json
     frontier : content of a frontier.json, if there is one
     """
-    page = report_page(folder, results, frontier)
-    with written_whole(folder.report) as beside:
-        beside.write_bytes(page.encode("utf-8", errors="replace"))
+    write_document(folder.report, report_page(folder, results, frontier))
 
 
 def report_page(folder: BatchFolder, results: Mapping[str, Any], frontier: Mapping[str, Any] | None) -> str:
@@ -76,20 +74,13 @@ def report_page(folder: BatchFolder, results: Mapping[str, Any], frontier: Mappi
             ("estimator", "Which estimator should I ship?", _estimators(trials)),
             ("phone", "Is a better phone worth it?", _phones(trials)),
             ("often", "How often must it run?", _how_often(trials)),
-            ("anchors", "How many anchors?", _anchors(frontier)),
-            ("last", "What does the last 10 % of accuracy cost?", _last_tenth(frontier)),
+            ("anchors", "How many anchors?", _answered(*how_many_anchors(frontier))),
+            ("last", "What does the last 10 % of accuracy cost?", _answered(*last_tenth(frontier))),
             ("worst", "Worst cases", _worst(folder, trials)),
             ("numbers", "Numbers", _numbers(trials) + _costs(results)),
         ]
-    body = "".join(f'<section id="{a}"><h2>{title}</h2>{content}</section>' for a, title, content in sections)
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f'<meta http-equiv="Content-Security-Policy" content="{_SAFE}">'
-        f"<title>Batch evaluation</title><style>{STYLE}{drawings.STYLE}</style></head>"
-        '<body><div class="page"><header><div class="eyebrow"><span>AR lighting previsualisation</span></div>'
-        f"<h1>Batch evaluation</h1>{_lead(trials)}</header><main>{body}</main></div></body></html>\n"
-    )
+    body = "".join(section(*each) for each in sections)
+    return document("Batch evaluation", _lead(trials), body, style=drawings.STYLE)
 
 
 def _lead(trials: Sequence[Trial]) -> str:
@@ -103,12 +94,9 @@ def _failed(results: Mapping[str, Any]) -> str:
     return f'<div class="block warning"><ul>{rows}</ul></div>'
 
 
-def _answer(words: str) -> str:
-    return f'<p class="answer">{words}</p>'
-
-
-def _plots(*plots: str) -> str:
-    return f'<div class="plots">{"".join(plots)}</div>' if any(plots) else ""
+def _answered(words: str, *plots: str) -> str:
+    """An answer with its plots; one that is empty does not count."""
+    return f'<p class="answer">{words}</p>' + (f'<div class="plots">{"".join(plots)}</div>' if any(plots) else "")
 
 
 # ----------------------------------------------------------------------------------------------------- the questions
@@ -117,7 +105,7 @@ def _plots(*plots: str) -> str:
 def _estimators(trials: Sequence[Trial]) -> str:
     drawn = [_distribution(trials, measure) for measure in MEASURES]
     drawn += [_against_the_best(trials, measure) for measure in MEASURES]
-    return _answer(answers.which_estimator(trials)) + _plots(*drawn) + _pairs_table(trials)
+    return _answered(answers.which_estimator(trials), *drawn) + _pairs_table(trials)
 
 
 def _distribution(trials: Sequence[Trial], measure: Measure) -> str:
@@ -140,24 +128,26 @@ def _told(trial: Trial, measure: Measure) -> str:
 
 
 def _against_the_best(trials: Sequence[Trial], measure: Measure) -> str:
-    found, names = against_the_best(trials, measure), names_of(trials, "estimator")
-    rows = [
-        drawings.Interval(
-            f"{one.first} {answers.MINUS} {one.second}",
-            names.index(one.first),
-            one.difference.mean,
-            one.difference.low,
-            one.difference.high,
-            answers.interval_in_words(one.difference),
-        )
-        for one in found
-    ]
+    rows = _intervals(against_the_best(trials, measure), names_of(trials, "estimator"))
     side = (
         "Right of the dashed line the first has more error" if measure.is_better_low else "Right: the first is better"
     )
     about = f"Paired differences of the same scene, seed and phone, with 95 % intervals of their mean. {side}."
     title = f"{measure.title}: differences"
     return drawings.differences(rows, title=title, about=about, axis_name=measure.unit or "no unit")
+
+
+def _intervals(found: Sequence[Comparison], names: Sequence[str]) -> list[drawings.Interval]:
+    """A row for each, coloured by the place of the first in `names`; a phone's own file goes by its stem."""
+    return [
+        drawings.Interval(
+            f"{Path(one.first).stem} {MINUS} {Path(one.second).stem}",
+            names.index(one.first),
+            one.difference,
+            answers.interval_in_words(one.difference),
+        )
+        for one in found
+    ]
 
 
 def _pairs_table(trials: Sequence[Trial]) -> str:
@@ -172,30 +162,15 @@ def _pairs_table(trials: Sequence[Trial]) -> str:
                 f"{round(better * d.n_pairs)} of {d.n_pairs}",
             ]
             rows.append((f"{code(one.first)} against {code(one.second)}", *cells))
-    return _table(("pair", "measure", "mean difference", "first is better"), rows, "words stacking")
+    return table(("pair", "measure", "mean difference", "first is better"), rows, "words stacking")
 
 
 def _phones(trials: Sequence[Trial]) -> str:
-    phones = names_of(trials, "phone")
-    drawn = ""
-    if len(phones) > 1:
-        rows = [
-            drawings.Interval(
-                f"{Path(one.first).stem} {answers.MINUS} {Path(one.second).stem}",
-                phones.index(one.first),
-                one.difference.mean,
-                one.difference.low,
-                one.difference.high,
-                answers.interval_in_words(one.difference),
-            )
-            for one in answers.phone_differences(trials, MEASURES[0])
-        ]
-        about = (
-            "The same scene and seed through two phones, with 95 % intervals of the mean. Left: the first is better."
-        )
-        title = "Coefficient error: differences between phones"
-        drawn = _plots(drawings.differences(rows, title=title, about=about, axis_name="no unit"))
-    return _answer(answers.is_a_better_phone_worth_it(trials)) + drawn + (_phone_table(trials) if drawn else "")
+    rows = _intervals(answers.phone_differences(trials, MEASURES[0]), names_of(trials, "phone"))
+    about = "The same scene and seed through two phones, with 95 % intervals of the mean. Left: the first is better."
+    title = "Coefficient error: differences between phones"
+    plot = drawings.differences(rows, title=title, about=about, axis_name="no unit")
+    return _answered(answers.is_a_better_phone_worth_it(trials), plot) + (_phone_table(trials) if rows else "")
 
 
 def _phone_table(trials: Sequence[Trial]) -> str:
@@ -204,21 +179,16 @@ def _phone_table(trials: Sequence[Trial]) -> str:
         (code(name), *(significant(mean(values_of(trials, MEASURES[0], estimator=name, phone=p))) for p in phones))
         for name in names
     ]
-    return _table(("mean coefficient error", *(escape(phone) for phone in phones)), rows)
+    return table(("mean coefficient error", *(escape(phone) for phone in phones)), rows)
 
 
 def _how_often(trials: Sequence[Trial]) -> str:
-    lines, rows = [], []
-    for place, name in enumerate(names_of(trials, "estimator")):
-        points = theta_points(trials, name)
-        told = [f"{name}, theta {p.theta:g}: {p.per_minute:.0f} a minute, error {significant(p.error)}" for p in points]
-        lines.append(
-            drawings.Curve(name, place, [(p.per_minute, p.error, words) for p, words in zip(points, told, strict=True)])
-        )
-        for p in points:
-            more = "" if p.more is None else answers.interval_in_words(p.more)
-            cells = [f"{p.theta:g}", significant(p.per_minute, 3), significant(p.error), more]
-            rows.append((code(name), *cells))
+    known = {name: theta_points(trials, name) for name in names_of(trials, "estimator")}
+    lines = [
+        drawings.Curve(name, place, [(p.per_minute, p.error, _theta_told(name, p)) for p in points])
+        for place, (name, points) in enumerate(known.items())
+    ]
+    rows = [_theta_row(name, point) for name, points in known.items() for point in points]
     about = (
         "Mean over trials. Each dot is a trigger: from every frame, right, to 64 times the thresholds, left. The same "
         "captures, nothing rendered again."
@@ -228,47 +198,16 @@ def _how_often(trials: Sequence[Trial]) -> str:
         x_name="estimates a minute, per position in view", y_name="SHC RMSE",
     )  # fmt: skip
     header = ("estimator", "theta", "a minute", "mean error", "more than with every frame")
-    return _answer(answers.how_often(trials)) + _plots(plot) + (_table(header, rows) if rows else "")
+    return _answered(answers.how_often(trials), plot) + (table(header, rows) if rows else "")
 
 
-def _anchors(frontier: Mapping[str, Any] | None) -> str:
-    return _answer(answers.from_frontier(frontier, "How many anchors?")) + _frontier_plot(
-        frontier, "n_anchors", "Computing: error against time, by anchors"
-    )
+def _theta_told(name: str, point: ThetaPoint) -> str:
+    return f"{name}, theta {point.theta:g}: {point.per_minute:.0f} a minute, error {significant(point.error)}"
 
 
-def _last_tenth(frontier: Mapping[str, Any] | None) -> str:
-    question = "What does the last 10 % of accuracy cost?"
-    return _answer(answers.from_frontier(frontier, question)) + _frontier_plot(
-        frontier, "scene", "Computing: what lies on the front, by scene"
-    )
-
-
-def _frontier_plot(frontier: Mapping[str, Any] | None, key: str, title: str) -> str:
-    """Ways to compute, as dots by what `key` says; for scenes only those on the front, joined."""
-    clouds: dict[str, list[tuple[float, float, str]]] = {}
-    for point in items(frontier or {}, "points"):
-        settings, error, time_ms = mapping(point, "settings"), finite(point.get("error")), finite(point.get("time_ms"))
-        if point.get("front") != "compute" or settings.get("error_kind") != "coefficients":
-            continue
-        if error is None or time_ms is None or (key == "scene" and not point.get("on_front")):
-            continue
-        name = str(point.get("scene")) if key == "scene" else f"{settings.get(key)} anchors"
-        words = f"{point.get('scene')}, {point.get('label', '')}: {significant(error)} in {with_unit(time_ms, 'ms')}"
-        clouds.setdefault(name, []).append((time_ms, error, words))
-    lines = [
-        drawings.Curve(name, place, sorted(points))
-        for place, (name, points) in enumerate(sorted(clouds.items(), key=_by_number))
-    ]
-    about = "From the frontier that was given: error of the coefficients against the exhaustive setting."
-    return _plots(
-        drawings.curves(lines, title=title, about=about, x_name="ms a frame", y_name="error", is_joined=key == "scene")
-    )
-
-
-def _by_number(item: tuple[str, Any]) -> tuple[float, str]:
-    first = item[0].split(" ")[0]
-    return (float(first) if first.isdigit() else 0.0, item[0])
+def _theta_row(name: str, point: ThetaPoint) -> list[str]:
+    more = "" if point.more is None else answers.interval_in_words(point.more)
+    return [code(name), f"{point.theta:g}", significant(point.per_minute, 3), significant(point.error), more]
 
 
 # ------------------------------------------------------------------------------------------------------- worst cases
@@ -299,10 +238,10 @@ def _case(folder: BatchFolder, case: WorstCase) -> str:
 
 def _picture(path: Path) -> str:
     try:
-        pixels = base64.b64encode(path.read_bytes()).decode("ascii")
+        content = path.read_bytes()
     except OSError:
         return f'<div class="missing">{escape(path.name)} is missing</div>'
-    return f'<img alt="" src="data:image/png;base64,{pixels}">'
+    return f'<img alt="" src="{png_url(content)}">'
 
 
 # ----------------------------------------------------------------------------------------------------------- numbers
@@ -318,8 +257,7 @@ def _by_scene(trials: Sequence[Trial]) -> str:
     for scene in names_of(trials, "scene"):
         means = [mean(values_of(trials, MEASURES[0], estimator=name, scene=scene)) for name in names]
         rows.append((escape(scene), *(significant(value) for value in means)))
-    title = "<h3>Mean coefficient error by scene</h3>"
-    return f'<div class="block">{title}{_table(("scene", *(code(name) for name in names)), rows)}</div>'
+    return block("Mean coefficient error by scene", table(("scene", *(code(name) for name in names)), rows))
 
 
 def _quantiles(trials: Sequence[Trial], measure: Measure) -> str:
@@ -330,7 +268,7 @@ def _quantiles(trials: Sequence[Trial], measure: Measure) -> str:
             quantiles = np.percentile(values, [0, 10, 50, 90, 100])
             rows.append((code(name), str(len(values)), *(significant(float(value)) for value in quantiles)))
     header = ("frame by frame", "frames", "least", "10 %", "median", "90 %", "most")
-    return f'<div class="block"><h3>{measure.title}, over all frames</h3>{_table(header, rows)}</div>'
+    return block(f"{measure.title}, over all frames", table(header, rows))
 
 
 def _costs(results: Mapping[str, Any]) -> str:
@@ -350,12 +288,4 @@ def _costs(results: Mapping[str, Any]) -> str:
         f"{counted(len(units), 'unit')}: one scene with one seed each, all estimators and phones on the same renders."
     )
     header = ("unit", "elapsed", "processor", "of it rendering", "memory at most", "written")
-    return f'<div class="block"><h3>What it cost</h3><p class="quiet">{said}</p>{_table(header, rows)}</div>'
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]], classes: str = "") -> str:
-    """HTML cells; the first of each row is its name."""
-    head = "".join(f"<th>{cell}</th>" for cell in header)
-    body = "".join(f"<tr><th>{row[0]}</th>{''.join(f'<td>{cell}</td>' for cell in row[1:])}</tr>" for row in rows)
-    table = f'<table class="{classes}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
-    return f'<div class="scroll">{table}</div>'
+    return block("What it cost", f'<p class="quiet">{said}</p>{table(header, rows)}')

@@ -11,11 +11,10 @@ from typing import Any
 from xihe_blender.evaluation.frontier.by_choice import CHOICES, errors_by_kind, family, value_in_words
 from xihe_blender.evaluation.frontier.loglog import LOGLOG_STYLE, loglog_plot
 from xihe_blender.evaluation.frontier.points import dominated_in_words, flickers, group, groups, name_of
-from xihe_blender.report.style import STYLE
+from xihe_blender.report.document import block, document, link, section, table
 from xihe_blender.report.values import DASH, counted, escape, finite, items, listed, mapping, significant, with_unit
 
 Point = Mapping[str, Any]
-_SAFE = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 FRONTS = {
     "total": ("Rendering and computing together", "What a frame of a run takes: its capture, and the chain on it."),
     "render": ("Rendering", "The capture of a frame, and for pictures the comparison as well."),
@@ -35,16 +34,12 @@ def report_page(content: Mapping[str, Any]) -> str:
     """The page as text."""
     points: Sequence[Point] = items(content, "points")
     names = [str(scene["name"]) for scene in items(content, "scenes")]
-    body = "".join(_scene(content, points, name) for name in names)
-    links = "".join(f'<a href="#{escape(name)}">{escape(name)}</a>' for name in names)
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f'<meta http-equiv="Content-Security-Policy" content="{_SAFE}">'
-        f"<title>What accuracy costs in time</title><style>{STYLE}{LOGLOG_STYLE}</style></head>"
-        '<body><div class="page"><header><div class="eyebrow"><span>AR lighting previsualisation</span>'
-        f"<nav>{links}</nav></div><h1>What accuracy costs in time</h1>"
-        f'<p class="lead">{_lead(content, points)}</p></header><main>{body}{_how(content)}</main></div></body></html>\n'
+    return document(
+        "What accuracy costs in time",
+        f'<p class="lead">{_lead(content, points)}</p>',
+        "".join(_scene(content, points, name) for name in names) + _how(content),
+        links="".join(link(escape(name), escape(name)) for name in names),
+        style=LOGLOG_STYLE,
     )
 
 
@@ -69,12 +64,13 @@ def _scene(content: Mapping[str, Any], points: Sequence[Point], name: str) -> st
         if one["scene"] == name
     )
     tables = "".join(_numbers(group(points, name, front, kind), front, kind) for front, kind in _ordered(points, name))
-    return (
-        f'<section id="{escape(name)}"><h2>{escape(name)}</h2><div class="plots">{opening}</div>'
-        f'<section class="block"><h3>In words</h3><dl class="answers">{answered}</dl></section>'
-        f'<div class="plots">{"".join(others)}</div><h3 class="apart">Choice by choice</h3>'
-        f'{_choices(points, name)}<h3 class="apart">All that was measured</h3>{tables}</section>'
+    shown = (
+        f'<div class="plots">{opening}</div>'
+        + block("In words", f'<dl class="answers">{answered}</dl>')
+        + f'<div class="plots">{"".join(others)}</div><h3 class="apart">Choice by choice</h3>'
+        f'{_choices(points, name)}<h3 class="apart">All that was measured</h3>{tables}'
     )
+    return section(escape(name), escape(name), shown)
 
 
 def _choices(points: Sequence[Point], scene: str) -> str:
@@ -97,7 +93,7 @@ def _choices(points: Sequence[Point], scene: str) -> str:
             for point, each in zip(own, errors, strict=True)
         ]
         heads = [kind.replace("_truth", ", off the truth") for kind in kinds]
-        blocks += f'<section class="block"><h3>{title}</h3>{_table(["", "time", *heads], rows)}</section>'
+        blocks += block(title, table(["", "time", *heads], rows))
     return blocks
 
 
@@ -126,16 +122,8 @@ def _numbers(points: Sequence[Point], front: str, kind: str) -> str:
     title = f"{FRONTS[front][0]}: {KINDS[kind]}"
     return (
         f'<section class="block"><details><summary><b>{title}</b>, {counted(len(points), "choice")}</summary>'
-        f"{_table(head, rows)}{told}{chance}</details></section>"
+        f"{table(head, rows)}{told}{chance}</details></section>"
     )
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    heads = "".join(f'<th scope="col">{cell}</th>' for cell in head)
-    body = "".join(
-        f'<tr><th scope="row">{row[0]}</th>{"".join(f"<td>{cell}</td>" for cell in row[1:])}</tr>' for row in rows
-    )
-    return f'<div class="scroll"><table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 def _how(content: Mapping[str, Any]) -> str:
