@@ -5,7 +5,6 @@ Numbers only as JSON can hold them: None where a value is undefined, never NaN o
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -22,15 +21,8 @@ from xihe_blender.outputs import finite_or_none
 from xihe_blender.phone_capture import PhoneCapture
 from xihe_blender.plan import Probe
 from xihe_blender.prepared_run import PreparedRun
-from xihe_blender.results_summary import (
-    dim_notes,
-    exposure_notes,
-    faults_seen,
-    mean_comparison,
-    noise_notes,
-    notes,
-    summary,
-)
+from xihe_blender.results_notes import notes
+from xihe_blender.results_summary import mean_comparison, summary
 from xihenet.camera import invalid_pixels
 from xihenet.invalid import CLAMPED
 from xihenet.metrics import shc_rmse
@@ -192,14 +184,7 @@ def assemble(
         },
         "comparison": comparison,
         "summary": summary(frames, comparison) | {"pilot_s": run.effort.pilot_s},
-        "notes": [
-            *notes(scene, frames),
-            *faults_seen(run.plan.faults, frames, math.prod(run.plan.size)),
-            *dim_notes(scene, run.exposure),
-            *phone.notes(),
-            *exposure_notes(run.settings, run.exposure),
-            *noise_notes(run.settings, run.effort),
-        ],
+        "notes": notes(run, frames, phone),
     }
 
 
