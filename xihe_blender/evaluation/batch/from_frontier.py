@@ -7,6 +7,7 @@ from typing import Any
 
 from xihe_blender.evaluation.batch import drawings
 from xihe_blender.evaluation.batch.analysis import chosen, names_of
+from xihe_blender.evaluation.frontier import questions
 from xihe_blender.evaluation.frontier.by_choice import family
 from xihe_blender.report.values import code, escape, finite, items, mapping, with_unit
 
@@ -18,7 +19,7 @@ COMMAND = "xihe frontier SCENE.blend --out DIR"
 
 def how_many_anchors(frontier: Frontier | None) -> tuple[str, str]:
     """The answer in words, and a plot with a dot for each number in it."""
-    known = _ways_to_compute(frontier, "coefficients_truth")
+    known = _points(frontier, "compute", "coefficients_truth")
     own = [point for scene in names_of(known, "scene") for point in family(chosen(known, scene=scene), ("n_anchors",))]
     by_anchors = sorted(own, key=lambda point: point["settings"]["n_anchors"])
     plot = _error_against_time(
@@ -27,18 +28,20 @@ def how_many_anchors(frontier: Frontier | None) -> tuple[str, str]:
         "against the rendered light probe, of choices that differ only in their anchors",
         is_joined=False,
     )
-    return _answer(frontier, "How many anchors?"), plot
+    return _answer(frontier, questions.HOW_MANY_ANCHORS), plot
 
 
 def last_tenth(frontier: Frontier | None) -> tuple[str, str]:
-    """The answer in words, and a plot of the front."""
-    front = [point for point in _ways_to_compute(frontier, "coefficients") if point["on_front"]]
-    plot = _error_against_time(
-        sorted(((point["scene"], point) for point in front), key=lambda named: named[0]),
-        "Computing: what lies on the front, by scene",
-        "against the exhaustive setting",
-    )
-    return _answer(frontier, "What does the last 10 % of accuracy cost?"), plot
+    """The answer in words, and a plot of each of the two fronts."""
+    plots = ""
+    for front, doing in (("render", "Rendering"), ("compute", "Computing")):
+        on_front = [point for point in _points(frontier, front, "coefficients") if point["on_front"]]
+        plots += _error_against_time(
+            sorted(((point["scene"], point) for point in on_front), key=lambda named: named[0]),
+            f"{doing}: what lies on the front, by scene",
+            "against the exhaustive setting",
+        )
+    return _answer(frontier, questions.LAST_TENTH), plots
 
 
 def _answer(frontier: Frontier | None, question: str) -> str:
@@ -54,12 +57,12 @@ def _answer(frontier: Frontier | None, question: str) -> str:
     return " ".join(f"<b>{escape(one.get('scene', ''))}</b>: {escape(one.get('answer', ''))}" for one in found)
 
 
-def _ways_to_compute(frontier: Frontier | None, error_kind: str) -> list[Mapping[str, Any]]:
-    """Points whose error of this kind, and time, are known."""
+def _points(frontier: Frontier | None, front: str, error_kind: str) -> list[Mapping[str, Any]]:
+    """Points of `front` whose error of this kind, and time, are known."""
     return [
         point
         for point in items(frontier or {}, "points")
-        if point.get("front") == "compute" and mapping(point, "settings").get("error_kind") == error_kind
+        if point.get("front") == front and mapping(point, "settings").get("error_kind") == error_kind
         if finite(point.get("error")) is not None and finite(point.get("time_ms")) is not None
     ]
 

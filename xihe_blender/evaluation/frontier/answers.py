@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from xihe_blender.evaluation.frontier import questions
 from xihe_blender.evaluation.frontier.choices import ComputeChoice
 from xihe_blender.evaluation.frontier.points import group, name_of
 
@@ -22,15 +23,15 @@ def answers(scenes: Sequence[str], points: Sequence[Point]) -> list[dict[str, st
     found = []
     for scene in scenes:
         for question, answer in (
-            ("How many anchors?", _anchors(group(points, scene, "compute", "coefficients_truth"))),
-            ("How often must it run?", _how_often(group(points, scene, "compute", "coefficients"))),
-            ("Which estimator?", _estimator(group(points, scene, "compute", "coefficients_truth"))),
-            ("How should a point find its anchor?", _nearest(group(points, scene, "compute", "coefficients"))),
-            ("How large a frame?", _frame_size(group(points, scene, "render", "coefficients"))),
-            ("How many bounces?", _bounces(group(points, scene, "render", "coefficients"))),
-            ("What do the presets cost?", _presets(group(points, scene, "total", "coefficients"))),
+            (questions.HOW_MANY_ANCHORS, _anchors(group(points, scene, "compute", "coefficients_truth"))),
+            (questions.HOW_OFTEN, _how_often(group(points, scene, "compute", "coefficients"))),
+            (questions.WHICH_ESTIMATOR, _estimator(group(points, scene, "compute", "coefficients_truth"))),
+            (questions.NEAREST_ANCHOR, _nearest(group(points, scene, "compute", "coefficients"))),
+            (questions.FRAME_SIZE, _frame_size(group(points, scene, "render", "coefficients"))),
+            (questions.HOW_MANY_BOUNCES, _bounces(group(points, scene, "render", "coefficients"))),
+            (questions.PRESETS, _presets(group(points, scene, "total", "coefficients"))),
             (
-                "What does the last 10 % of accuracy cost?",
+                questions.LAST_TENTH,
                 " ".join(
                     _last_tenth(group(points, scene, front, "coefficients"), doing)
                     for front, doing in (("render", "Rendering"), ("compute", "Computing"))

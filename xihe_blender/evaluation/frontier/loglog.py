@@ -140,7 +140,7 @@ def _mark(canvas: Canvas, point: Point, numbers: Mapping[str, int]) -> str:
         side, shift = ("end", -11) if x > 88 else ("start", 11)
         name = f'<text class="name" x="{shift}" y="-9" text-anchor="{side}">{escape(point["preset"])}</text>'
     elif kind == "front":
-        name = f'<text class="number" x="6" y="-7">{numbers[point["label"]]}</text>'
+        name = f'<text class="number" x="-6" y="14" text-anchor="end">{numbers[point["label"]]}</text>'
     return (
         _whiskers(canvas, point)
         + f'<svg x="{x:.3f}%" y="{y:.2f}" width="1" height="1">'

@@ -30,6 +30,7 @@ from xihe_blender.jobs import Job, Progress
 from xihe_blender.made_with import machine, software
 from xihe_blender.outputs import write_json, written_whole
 from xihe_blender.previs_settings import MAX_SEED
+from xihe_blender.report.document import write_document
 from xihenet import __version__
 
 SCHEMA_VERSION = 1
@@ -127,8 +128,7 @@ def _claim(out: Path, files: Sequence[Path], settings: FrontierSettings) -> Fold
 
 def _write(out: Path, content: dict[str, Any]) -> None:
     """The report and the table first: frontier.json says that all is there."""
-    with written_whole(out / "report.html") as beside:
-        beside.write_bytes(report_page(content).encode("utf-8", errors="replace"))
+    write_document(out / "report.html", report_page(content))
     with written_whole(out / "frontier.csv") as beside:
         beside.write_text(table(content["points"]), encoding="utf-8")
     write_json(out / "frontier.json", content)

@@ -1,0 +1,10 @@
+"""What people come with, in the words under which a frontier answers it and a batch asks for the answer."""
+
+HOW_MANY_ANCHORS = "How many anchors?"
+HOW_OFTEN = "How often must it run?"
+WHICH_ESTIMATOR = "Which estimator?"
+NEAREST_ANCHOR = "How should a point find its anchor?"
+FRAME_SIZE = "How large a frame?"
+HOW_MANY_BOUNCES = "How many bounces?"
+PRESETS = "What do the presets cost?"
+LAST_TENTH = "What does the last 10 % of accuracy cost?"
