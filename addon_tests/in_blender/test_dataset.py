@@ -240,10 +240,13 @@ def test_what_a_failing_worker_said_is_passed_on(tmp_path):
         run_blocking(build_dataset(tmp_path, BuildSettings(1, 5, 1, SMALL_NUMBERS[:5])))
 
 
-def test_a_folder_that_cannot_be_made_is_an_error_of_the_disk(tmp_path):
+@pytest.mark.parametrize(
+    ("folder", "words"), [("rooms", "rooms is a file: give --out a folder"), ("rooms/more", "cannot write to .*rooms")]
+)
+def test_a_folder_that_cannot_be_made_names_the_fix(tmp_path, folder, words):
     (tmp_path / "rooms").write_text("a file where a folder belongs")
-    with pytest.raises(OSError, match="rooms"):
-        run_blocking(build_dataset(tmp_path / "rooms", BuildSettings(1, 5, 1, SMALL_NUMBERS)))
+    with pytest.raises(UserError, match=words):
+        run_blocking(build_dataset(tmp_path / folder, BuildSettings(1, 5, 1, SMALL_NUMBERS)))
 
 
 def test_a_contact_sheet_shows_every_room(room):

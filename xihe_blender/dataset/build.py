@@ -91,7 +91,7 @@ class BuildSettings:
 def build_dataset(folder: Path, settings: BuildSettings) -> Job[int]:
     """Build the rooms that are missing in `folder`; returns how many were made now.
 
-    UserError if the folder holds another data set or a worker fails; OSError if it cannot be written.
+    UserError if the folder holds another data set or cannot be written, or a worker fails.
     """
     claim_folder(folder, settings.made_with)
     wanted = settings.wanted()

@@ -77,7 +77,7 @@ def add_scene(
 
     Raises
     ------
-    UserError if the scene cannot be used so, or the folder holds something else; OSError if it cannot be written
+    UserError if the scene cannot be used so, or the folder holds something else or cannot be written
     """
     if metres_per_unit(scene) != 1:
         raise UserError(f"scene {scene.name!r} has a unit scale other than 1: set it to 1, rooms are in metres")

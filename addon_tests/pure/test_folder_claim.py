@@ -1,0 +1,75 @@
+"""Whose folder is it? Nothing is taken up that was made otherwise, and nothing is overwritten."""
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from xihe_blender.errors import UserError
+from xihe_blender.folder_claim import FolderClaim, differences
+
+MADE_WITH = {"xihe": "1.0", "settings": {"seed": 0, "size": (32, 24)}, "frames": (1, 2)}
+VALUES = st.one_of(st.integers(), st.none(), st.text(max_size=3), st.lists(st.integers(), max_size=2))
+SETTINGS = st.dictionaries(st.sampled_from(["seed", "size", "noise_target"]), VALUES)
+
+
+def claim_in(folder, **changed):
+    return FolderClaim(folder, folder / "work" / "claim.json", "a run", MADE_WITH | changed, (folder / "results.json",))
+
+
+def test_a_folder_is_taken_once_and_known_again(tmp_path):
+    claim = claim_in(tmp_path / "out")
+    assert (claim.check(), claim.take(), claim.take(), claim.check()) == (False, False, True, True)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"settings": {"seed": 1, "size": (32, 24)}}, "a run with another seed:"),
+        ({"settings": {"seed": 1, "size": (32, 20)}}, "another seed, size:"),
+        ({"settings": {"seed": 0, "size": (32, 24), "noise_target": 0.1}}, "another noise target:"),
+        ({"frames": (1,)}, "another frames:"),
+        ({"xihe": "2.0", "frames": (1,)}, "another version of xihe:"),
+        ({"blender": "5.2"}, "another version of Blender:"),
+    ],
+)
+def test_what_differs_is_named_and_the_claim_stays(tmp_path, changed, words):
+    claim_in(tmp_path).take()
+    before = claim_in(tmp_path).file.read_bytes()
+    with pytest.raises(UserError, match=words):
+        claim_in(tmp_path, **changed).take()
+    assert claim_in(tmp_path).file.read_bytes() == before
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"null", b"\xff\xfe", b'{"settings": []}'])
+def test_a_claim_that_is_damaged_is_another_one(tmp_path, content):
+    claim = claim_in(tmp_path)
+    claim.file.parent.mkdir()
+    claim.file.write_bytes(content)
+    with pytest.raises(UserError, match="version of xihe"):
+        claim.take()
+    assert claim.file.read_bytes() == content
+
+
+def test_results_of_somebody_else_are_left_alone(tmp_path):
+    (tmp_path / "results.json").write_text("mine")
+    with pytest.raises(UserError, match="not from a run"):
+        claim_in(tmp_path).take()
+    with pytest.raises(UserError, match="is a file: give --out a folder"):
+        claim_in(tmp_path / "results.json").take()
+    with pytest.raises(UserError, match=r"cannot write to .*: choose another folder for --out"):
+        claim_in(tmp_path / "results.json" / "below").take()
+    assert [path.name for path in tmp_path.iterdir()] == ["results.json"]
+
+
+def test_what_is_written_for_the_reader_alone_may_differ(tmp_path):
+    claim_in(tmp_path, software="made on a Monday").take()
+    assert claim_in(tmp_path, software="or a Tuesday").take()
+
+
+@given(SETTINGS, SETTINGS)
+def test_settings_differ_exactly_where_they_do(kept, wanted):
+    wanted = json.loads(json.dumps(wanted))
+    named = differences({"settings": kept}, {"settings": wanted})
+    assert set(named) == {name.replace("_", " ") for name in {*kept, *wanted} if kept.get(name) != wanted.get(name)}
