@@ -7,12 +7,13 @@ four workers with it is given up; both are named in the end. Rejected: pools of 
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
-import importlib.util
 import logging
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -160,10 +161,16 @@ def open_spread(n_workers: int | None, address: str | None) -> Iterator[Spread]:
 
 
 def dashboard(spread: Spread) -> str:
-    """Where the dashboard is, or how to get one, in a sentence."""
-    if importlib.util.find_spec("bokeh") is None:
-        return "no dashboard: it takes pip install bokeh"
-    return f"dashboard: {spread.client.dashboard_link}"
+    """Where the dashboard is, or how to get one, in a sentence.
+
+    The scheduler is asked: what is installed here says nothing of another machine. Call it after `check_workers`, for
+    the scheduler needs the project to answer.
+    """
+    from xihe_blender.spread_worker import has_dashboard
+
+    if spread.client.run_on_scheduler(has_dashboard):
+        return f"dashboard: {spread.client.dashboard_link}"
+    return f"no dashboard: it takes {'pip install bokeh' if spread.is_local else 'a scheduler with bokeh installed'}"
 
 
 @contextlib.contextmanager
@@ -195,12 +202,27 @@ def _client_of(address: str) -> Iterator[Client]:
     from distributed import Client
 
     try:
+        with ThreadPoolExecutor(1) as thread:
+            thread.submit(asyncio.run, _reach(address)).result()
         client = Client(address, timeout=CONNECT_S, set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
+    except (OSError, ValueError, TypeError, ImportError, RuntimeError) as error:
         raise UserError(
-            f"no scheduler answers at {address}: start one with `dask scheduler`, or leave --scheduler out"
+            f"no scheduler answers at {address!r}: start one with `dask scheduler` and give its address, "
+            "such as tcp://host:8786, or leave --scheduler out"
         ) from error
     try:
         yield client
     finally:
         client.close()
+
+
+async def _reach(address: str) -> None:
+    """Raises what is wrong with the address, or the way there.
+
+    A client for which that is anything but an OSError is never finished, and Python's end waits 20 s for it.
+    """
+    from distributed.comm import connect
+    from distributed.security import Security
+
+    comm = await connect(address, timeout=CONNECT_S, **Security().get_connection_args("client"))
+    comm.abort()

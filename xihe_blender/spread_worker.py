@@ -91,3 +91,11 @@ def describe_worker(folder: str, scenes: list[str]) -> dict[str, Any]:
     """What decides whether a worker can help: its version, and which of the paths it does not see."""
     seen = [path for path in (folder, *scenes) if not Path(path).exists()]
     return {"xihe": __version__, "missing": seen, "is_writable": os.access(folder, os.W_OK)}
+
+
+def has_dashboard(dask_scheduler: Any) -> bool:
+    """Whether a scheduler has one: Bokeh's application among those of its web server.
+
+    Its address is no sign: the web server is there in any case, and without bokeh it says how to get that.
+    """
+    return any("Bokeh" in type(one).__name__ for one in dask_scheduler.http_application.applications)

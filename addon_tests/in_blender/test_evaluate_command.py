@@ -82,8 +82,9 @@ def test_a_scheduler_that_does_not_answer_is_one_line(scenes, tmp_path):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
-        told = xihe("evaluate", scenes / "good.blend", "--out", tmp_path / "a", "--scheduler", address)
-    assert refused(told, "no scheduler answers") and not (tmp_path / "a").exists()
+        for place in (address, "nowhere"):
+            told = xihe("evaluate", scenes / "good.blend", "--out", tmp_path / "a", "--scheduler", place)
+            assert refused(told, "no scheduler answers") and not (tmp_path / "a").exists()
 
 
 def test_a_folder_of_another_version_is_one_line_and_stays(done, tmp_path):

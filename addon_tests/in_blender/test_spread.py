@@ -1,12 +1,14 @@
 """Work over Dask: what dies is tried again, what cannot be done says so, and rooms are the same whoever makes them."""
 
+from urllib.request import urlopen
+
 import pytest
 
 from xihe_blender.dataset.build import BuildSettings, build_dataset
 from xihe_blender.dataset.store import room_path
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihe_blender.spread import open_spread
+from xihe_blender.spread import dashboard, open_spread
 
 pytestmark = pytest.mark.wheel_only("a whole Blender's Python has no Dask")
 
@@ -85,12 +87,32 @@ def test_rooms_made_over_a_scheduler_are_those_of_one_process(scheduler, tmp_pat
         assert room_path(tmp_path / "there", index).read_bytes() == room_path(tmp_path / "here", index).read_bytes()
 
 
+def test_a_dashboard_is_named_where_there_is_one(scheduler):
+    # With bokeh there is one, and without it Dask answers with how to get it.
+    with open_spread(None, scheduler) as spread:
+        said = dashboard(spread)
+        with urlopen(spread.client.dashboard_link, timeout=20) as page:
+            is_there = b"Dask needs bokeh" not in page.read()
+        assert said == (
+            f"dashboard: {page.url}" if is_there else "no dashboard: it takes a scheduler with bokeh installed"
+        )
+    assert page.url.startswith("http://127.0.0.1:") and page.url.endswith("/status")
+
+
+def test_a_scheduler_that_was_started_without_a_dashboard_has_none():
+    from distributed import LocalCluster
+
+    bare = {"processes": False, "protocol": "tcp", "host": "127.0.0.1", "dashboard_address": None}
+    with LocalCluster(n_workers=1, **bare) as cluster, open_spread(None, cluster.scheduler_address) as spread:
+        assert dashboard(spread).startswith("no dashboard")
+
+
 def test_a_folder_that_no_worker_sees_is_one_line(scheduler, tmp_path):
     with open_spread(None, scheduler) as spread, pytest.raises(UserError, match="under the same path"):
         spread.check_workers(str(tmp_path / "none"), [])
 
 
 def test_an_address_that_is_none_is_one_line():
-    for address in ("nowhere", "tcp://127.0.0.1:1"):
+    for address in ("nowhere", "", "foo://127.0.0.1:1", "tls://127.0.0.1:1", "tcp://127.0.0.1:1"):
         with pytest.raises(UserError, match="no scheduler answers"), open_spread(None, address):
             pass

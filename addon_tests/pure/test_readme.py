@@ -59,3 +59,17 @@ def test_every_command_of_the_readme_is_of_a_kind_that_is_tested_here():
 def test_files_that_the_readme_links_to_exist():
     for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", README):
         assert (ROOT / target).exists(), target
+
+
+def test_the_readme_says_why_tests_are_skipped():
+    marks = [
+        mark
+        for file in sorted((ROOT / "addon_tests").rglob("test_*.py"))
+        if file != Path(__file__)
+        for mark in re.findall(
+            r"mark\.(?:skip|xfail).*|\bimportorskip.*|pytest\.skip.*", file.read_text(encoding="utf-8")
+        )
+    ]
+    for mark in marks:
+        reason = re.search(r'reason="([^"]+)"', mark)
+        assert reason is not None and reason[1] in README, mark

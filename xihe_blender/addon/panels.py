@@ -161,13 +161,23 @@ class XIHE_PT_estimator(StagePanel, bpy.types.Panel):
         layout.use_property_decorate = False
         layout.prop(settings, "estimator")
         layout.prop(settings, "preset")
-        costs = calibration_in_words()
-        layout.operator("xihe.calibrate", text="Calibrate Again" if costs else "Calibrate", icon="SORTTIME")
-        if costs:
-            sentence(context, layout, costs)
+        self._draw_costs(context, layout)
         run = last_run(settings.run_folder)
         if run is not None and run.step_ms is not None and run.estimator == settings.estimator:
             layout.label(text=f"{run.step_ms:.1f} ms a frame, last run", icon="TIME")
+
+    def _draw_costs(self, context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
+        costs = calibration_in_words()
+        text = "Calibrate Again" if costs else "Calibrate"
+        if context.window_manager.xihe.is_running:
+            # A button that turns grey under the mouse stays grey for Blender until the mouse leaves it.
+            row = layout.row()
+            row.active, row.alignment = False, "CENTER"
+            row.label(text=text, icon="SORTTIME")
+        else:
+            layout.operator("xihe.calibrate", text=text, icon="SORTTIME")
+        if costs:
+            sentence(context, layout, costs)
 
 
 class XIHE_PT_estimator_details(StagePanel, bpy.types.Panel):

@@ -1,5 +1,6 @@
 """What an artist does, in a real Blender with a window: each scenario once, then what it saw and left."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,15 @@ def first_success(tmp_path_factory):
 @pytest.fixture(scope="module")
 def cancel(tmp_path_factory):
     return run_in_window("cancel", tmp_path_factory.mktemp("cancel"))
+
+
+@pytest.fixture(scope="module")
+def calibrate(tmp_path_factory):
+    """Of a user who has a folder of their own, which the next Blender finds again."""
+    folder = tmp_path_factory.mktemp("calibrate")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("BLENDER_USER_RESOURCES", str(folder / "user"))
+        yield run_in_window("calibrate", folder)
 
 
 def test_the_tab_draws_without_an_error_in_a_fresh_scene(tmp_path):
@@ -109,3 +119,32 @@ def test_a_file_that_was_saved_with_results_opens(first_success, tmp_path, add_o
 def test_a_run_that_is_cancelled_leaves_nothing(cancel, way):
     assert (cancel.code, cancel.complaints) == (0, []), cancel.console
     assert cancel.facts[way]["same"], cancel.facts[way]
+
+
+@pytest.mark.parametrize("way", ["stopped_with_escape", "stopped_with_button"])
+def test_calibration_that_is_stopped_leaves_no_answer_and_the_scene_as_it_was(calibrate, way):
+    assert (calibrate.code, calibrate.complaints) == (0, []), calibrate.console
+    facts = calibrate.facts[way]
+    assert (facts["changed"], facts["new"], facts["error"]) == ({}, [], "")
+    assert not facts["is_remembered"]
+
+
+def test_calibration_shows_how_far_it_is_and_leaves_the_scene_as_it_was(calibrate):
+    facts = calibrate.facts["left_alone"]
+    assert (facts["changed"], facts["new"], facts["error"]) == ({}, [], "")
+    shares, doing = zip(*facts["steps"], strict=True)
+    assert len(shares) >= 2 and list(shares) == sorted(shares) and 0 < shares[-1] < 1
+    assert "timing a few samples" in doing
+
+
+def test_the_panel_says_what_the_presets_cost(calibrate):
+    assert calibrate.facts["left_alone"]["is_remembered"]
+    said = calibrate.facts["said"]
+    assert re.fullmatch(r"draft \S+ s, balanced \S+ s, accurate \S+ s a frame, measured on small_room", said), said
+    assert said in calibrate.facts["drawn"]
+
+
+def test_the_next_blender_still_knows_what_the_presets_cost(calibrate, tmp_path):
+    seen = run_in_window("calibrated_before", tmp_path, blend=calibrate.out / "small_room.blend")
+    assert (seen.code, seen.complaints) == (0, []), seen.console
+    assert seen.facts["said"] == calibrate.facts["said"] in seen.facts["drawn"]

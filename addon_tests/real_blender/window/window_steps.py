@@ -95,6 +95,10 @@ class Window:
         """The mouse, to a place in Blender's window, whose origin is its lower left corner."""
         _xdotool("mousemove", str(round(x)), str(round(self.window.height - 1 - y)))
 
+    def sidebar_x(self, across: float) -> float:
+        """Where in the window `across` of the sidebar's width is, its tabs left out."""
+        return self.sidebar.x + across * (self.sidebar.width - TABS_PX)
+
     def click(self) -> None:
         _xdotool("click", "1")
 
@@ -135,7 +139,7 @@ class Window:
             r = self.sidebar
             rows = range(r.y + r.height - 8, r.y, -ROW_PX)
             for y in sorted(rows, key=lambda y: abs(y - self.found_at)) if self.found_at else rows:
-                self.move(r.x + across * (r.width - TABS_PX), y)
+                self.move(self.sidebar_x(across), y)
                 yield HOVER_S
                 here = self.under_mouse()
                 if wanted in here:
