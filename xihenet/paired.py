@@ -23,6 +23,7 @@ import numpy as np
 from xihenet.records import ArrayF64, ArrayInt
 
 N_DRAWS = 10_000
+CONFIDENCE = 0.95
 T_975 = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131)
 """Student's t that 2.5 % lie above, for 1, 2, ... degrees of freedom."""
 
@@ -48,8 +49,16 @@ class PairedDifference:
 
     @property
     def is_clear(self) -> bool:
-        """Whether the interval leaves 0 out."""
-        return self.low is not None and self.high is not None and (self.low > 0 or self.high < 0)
+        """Whether the interval leaves 0 out, and stands on enough to be one of 95 %: six groups, or pairs of one."""
+        n_drawn = self.n_groups if self.n_groups > 1 else self.n_pairs
+        if self.low is None or self.high is None or held_at_most(n_drawn) < CONFIDENCE:
+            return False
+        return self.low > 0 or self.high < 0
+
+
+def held_at_most(n_groups: int) -> float:
+    """In how many of all cases an interval over so many groups can hold the truth, whatever is done."""
+    return 1 - 2.0 ** (1 - n_groups)
 
 
 def paired_difference(

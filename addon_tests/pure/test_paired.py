@@ -57,6 +57,14 @@ def test_one_scene_alone_is_told_apart():
     assert found.n_groups == 1 and found.low < found.mean < found.high
 
 
+@pytest.mark.parametrize("n_groups", [2, 3, 5, 6, 7])
+def test_nothing_is_clear_on_so_few_groups_that_no_interval_could_be_one_of_95_percent(n_groups):
+    ones = np.ones(3 * n_groups)
+    over_scenes = paired_difference(ones, 0 * ones, [k // 3 for k in range(3 * n_groups)], generator())
+    over_seeds = paired_difference(ones[:n_groups], 0 * ones[:n_groups], ["room"] * n_groups, generator())
+    assert over_scenes.is_clear == over_seeds.is_clear == (n_groups >= 6)
+
+
 def test_a_single_pair_has_no_interval_and_is_never_clear():
     found = paired_difference([1.0], [0.0], ["room"], generator())
     assert (found.mean, found.low, found.high) == (1.0, None, None) and not found.is_clear

@@ -211,6 +211,7 @@ td:last-child, th:last-child { padding-right: 0; }
 .pairs th, .pairs td { overflow-wrap: anywhere; padding-top: 5px; padding-bottom: 5px; }
 .state { font-weight: 600; }
 th code { overflow-wrap: break-word; }
+.answer code { white-space: nowrap; }
 .probes td:nth-child(2) { white-space: nowrap; }
 .chain { margin-top: 18px; }
 .chain ol { margin: 8px 0 0; padding-left: 28px; }

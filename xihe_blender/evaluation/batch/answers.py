@@ -25,7 +25,7 @@ from xihe_blender.evaluation.batch.analysis import (
     values_of,
 )
 from xihe_blender.report.values import DASH, MINUS, code, counted, escape, listed, mean, percent, significant
-from xihenet.paired import PairedDifference
+from xihenet.paired import CONFIDENCE, PairedDifference, held_at_most
 
 
 def signed(value: float | None) -> str:
@@ -50,9 +50,11 @@ def what_it_stands_on(trials: Sequence[Trial]) -> str:
     said = f"{listed(counts)}, {counted(len(trials), 'trial')}."
     if len(scenes) == 1:
         return f"{said} One scene says nothing about others: intervals are over the trials in it."
-    if len(scenes) < 6:
-        held = 1 - 2 ** (1 - len(scenes))
-        return f"{said} Intervals over {len(scenes)} scenes hold the truth in at most {percent(held)} of all cases."
+    if (held := held_at_most(len(scenes))) < CONFIDENCE:
+        return (
+            f"{said} Intervals over {len(scenes)} scenes hold the truth in at most {percent(held)} of all cases, so no "
+            "difference is called clear: give more scenes."
+        )
     return f"{said} Intervals are over scenes: what another set of such scenes would give."
 
 
@@ -136,7 +138,7 @@ def how_often(trials: Sequence[Trial]) -> str:
         f"With {code(best)}, the trigger as it is asks {_rate(own)} per position in view, for an error of "
         f"{significant(own.error)}; an estimate in every frame is {_rate(always)}, for {significant(always.error)}. "
     )
-    limit = f"within {percent(AS_GOOD)} of that"
+    limit = f"within {significant(100 * AS_GOOD, 1)} % of that"
     if least.factor == 0:
         return said + f"No lazier trigger stays {limit}."
     if least.factor == own.factor:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from xihe_blender.report.svg import Axis, axis_below, axis_up_to, figure, grid, nice_step, stretched, tick_label
-from xihe_blender.report.values import escape, significant
+from xihe_blender.report.values import MINUS, escape, significant
 from xihenet.paired import PairedDifference
 
 ROW_PX = 54
@@ -186,7 +186,7 @@ def _x_axis(axis: _Span, n_rows: int, name: str) -> str:
     height = n_rows * ROW_PX
     ticks = "".join(
         f'<line class="grid" x1="{axis.x(t):.2f}%" x2="{axis.x(t):.2f}%" y1="0" y2="{height}"/>'
-        f'<text class="tick-x" x="{axis.x(t):.2f}%" y="{height + 16}">{escape(axis.label(t))}</text>'
+        f'<text class="tick-x" x="{axis.x(t):.2f}%" y="{height + 16}">{axis.label(t).replace("-", MINUS)}</text>'
         for t in axis.ticks
     )
     return ticks + f'<text class="axis-x" x="100%" y="{height + 34}">{name}</text>'

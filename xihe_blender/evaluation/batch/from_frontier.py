@@ -14,10 +14,13 @@ from xihe_blender.report.values import code, escape, finite, items, mapping, wit
 Frontier = Mapping[str, Any]
 """Content of a frontier.json."""
 
-COMMAND = "xihe frontier SCENE.blend --out DIR"
+WITHOUT_FRONTIER = (
+    f"That takes measured times: run {code('xihe frontier SCENE.blend --out DIR')} and give its folder as "
+    f"{code('--frontier DIR')} to the same command, or put its frontier.json into this folder."
+)
 
 
-def how_many_anchors(frontier: Frontier | None) -> tuple[str, str]:
+def how_many_anchors(frontier: Frontier) -> tuple[str, str]:
     """The answer in words, and a plot with a dot for each number in it."""
     known = _points(frontier, "compute", "coefficients_truth")
     own = [point for scene in names_of(known, "scene") for point in family(chosen(known, scene=scene), ("n_anchors",))]
@@ -31,7 +34,7 @@ def how_many_anchors(frontier: Frontier | None) -> tuple[str, str]:
     return _answer(frontier, questions.HOW_MANY_ANCHORS), plot
 
 
-def last_tenth(frontier: Frontier | None) -> tuple[str, str]:
+def last_tenth(frontier: Frontier) -> tuple[str, str]:
     """The answer in words, and a plot of each of the two fronts."""
     plots = ""
     for front, doing in (("render", "Rendering"), ("compute", "Computing")):
@@ -44,24 +47,19 @@ def last_tenth(frontier: Frontier | None) -> tuple[str, str]:
     return _answer(frontier, questions.LAST_TENTH), plots
 
 
-def _answer(frontier: Frontier | None, question: str) -> str:
+def _answer(frontier: Frontier, question: str) -> str:
     """What `xihe frontier` says to a question, scene by scene."""
-    if frontier is None:
-        return (
-            f"That takes measured times: run {code(COMMAND)} and give its folder as {code('--frontier DIR')} to the "
-            "same command, or put its frontier.json into this folder."
-        )
     found = [one for one in items(frontier, "answers") if isinstance(one, Mapping) and one.get("question") == question]
     if not found:
         return "The frontier that was given has no answer to that."
     return " ".join(f"<b>{escape(one.get('scene', ''))}</b>: {escape(one.get('answer', ''))}" for one in found)
 
 
-def _points(frontier: Frontier | None, front: str, error_kind: str) -> list[Mapping[str, Any]]:
+def _points(frontier: Frontier, front: str, error_kind: str) -> list[Mapping[str, Any]]:
     """Points of `front` whose error of this kind, and time, are known."""
     return [
         point
-        for point in items(frontier or {}, "points")
+        for point in items(frontier, "points")
         if point.get("front") == front and mapping(point, "settings").get("error_kind") == error_kind
         if finite(point.get("error")) is not None and finite(point.get("time_ms")) is not None
     ]

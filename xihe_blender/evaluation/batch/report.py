@@ -28,9 +28,10 @@ from xihe_blender.evaluation.batch.analysis import (
     values_of,
     worst_cases,
 )
-from xihe_blender.evaluation.batch.from_frontier import how_many_anchors, last_tenth
+from xihe_blender.evaluation.batch.from_frontier import WITHOUT_FRONTIER, how_many_anchors, last_tenth
 from xihe_blender.evaluation.batch.store import BatchFolder
 from xihe_blender.evaluation.batch.worst_pictures import WORST_KINDS, worst_picture
+from xihe_blender.evaluation.frontier.questions import HOW_MANY_ANCHORS, LAST_TENTH
 from xihe_blender.report.document import block, document, png_url, section, table, write_document
 from xihe_blender.report.values import (
     MINUS,
@@ -74,8 +75,7 @@ def report_page(folder: BatchFolder, results: Mapping[str, Any], frontier: Mappi
             ("estimator", "Which estimator should I ship?", _estimators(trials)),
             ("phone", "Is a better phone worth it?", _phones(trials)),
             ("often", "How often must it run?", _how_often(trials)),
-            ("anchors", "How many anchors?", _answered(*how_many_anchors(frontier))),
-            ("last", "What does the last 10 % of accuracy cost?", _answered(*last_tenth(frontier))),
+            *_from_frontier(frontier),
             ("worst", "Worst cases", _worst(folder, trials)),
             ("numbers", "Numbers", _numbers(trials) + _costs(results)),
         ]
@@ -83,10 +83,20 @@ def report_page(folder: BatchFolder, results: Mapping[str, Any], frontier: Mappi
     return document("Batch evaluation", _lead(trials), body, style=drawings.STYLE)
 
 
+def _from_frontier(frontier: Mapping[str, Any] | None) -> list[tuple[str, str, str]]:
+    """Sections on what takes measured times; one for both where there are none."""
+    if frontier is None:
+        return [("anchors", f"{HOW_MANY_ANCHORS} {LAST_TENTH}", _answered(WITHOUT_FRONTIER))]
+    return [
+        ("anchors", HOW_MANY_ANCHORS, _answered(*how_many_anchors(frontier))),
+        ("last", LAST_TENTH, _answered(*last_tenth(frontier))),
+    ]
+
+
 def _lead(trials: Sequence[Trial]) -> str:
     if not trials:
         return '<p class="lead">No trial could be done.</p>'
-    return f'<p class="lead">{answers.which_estimator(trials)}</p><p>{answers.what_it_stands_on(trials)}</p>'
+    return f'<p class="lead">{answers.what_it_stands_on(trials)}</p>'
 
 
 def _failed(results: Mapping[str, Any]) -> str:
@@ -257,7 +267,7 @@ def _by_scene(trials: Sequence[Trial]) -> str:
     for scene in names_of(trials, "scene"):
         means = [mean(values_of(trials, MEASURES[0], estimator=name, scene=scene)) for name in names]
         rows.append((escape(scene), *(significant(value) for value in means)))
-    return block("Mean coefficient error by scene", table(("scene", *(code(name) for name in names)), rows))
+    return block("Mean coefficient error by scene", table(("scene", *(code(name) for name in names)), rows, "stacking"))
 
 
 def _quantiles(trials: Sequence[Trial], measure: Measure) -> str:
@@ -267,8 +277,8 @@ def _quantiles(trials: Sequence[Trial], measure: Measure) -> str:
         if values:
             quantiles = np.percentile(values, [0, 10, 50, 90, 100])
             rows.append((code(name), str(len(values)), *(significant(float(value)) for value in quantiles)))
-    header = ("frame by frame", "frames", "least", "10 %", "median", "90 %", "most")
-    return block(f"{measure.title}, over all frames", table(header, rows))
+    header = ("estimator", "frames", "least", "10 %", "median", "90 %", "most")
+    return block(f"{measure.title}, over all frames", table(header, rows, "stacking"))
 
 
 def _costs(results: Mapping[str, Any]) -> str:
@@ -288,4 +298,4 @@ def _costs(results: Mapping[str, Any]) -> str:
         f"{counted(len(units), 'unit')}: one scene with one seed each, all estimators and phones on the same renders."
     )
     header = ("unit", "elapsed", "processor", "of it rendering", "memory at most", "written")
-    return block("What it cost", f'<p class="quiet">{said}</p>{table(header, rows)}')
+    return block("What it cost", f'<p class="quiet">{said}</p>{table(header, rows, "stacking")}')
