@@ -53,7 +53,8 @@ def flickering_table(runs):
 
 def main(folders):
     runs = [json.loads((Path(f) / "frontier.json").read_text(encoding="utf-8"))["points"] for f in folders]
-    presets_table([point for points in runs for point in points])
+    for points in runs:
+        presets_table(points)
     flickering_table(runs)
 
 
