@@ -51,10 +51,10 @@ def scenario(w):
             "steps": steps,
             "changed": changed,
             "new": new,
-            "is_remembered": calibration_file(bpy.context).exists(),
+            "is_remembered": calibration_file().exists(),
             "error": bpy.context.window_manager.xihe.error,
         }
-    w.facts["said"] = calibration_in_words(bpy.context)
+    w.facts["said"] = calibration_in_words()
     w.facts["drawn"] = yield from sentences_drawn(w)
 
 

@@ -1,6 +1,5 @@
 """A Blender whose user has calibrated before: what the tab says of it in a file that is opened now."""
 
-import bpy
 from calibrate import sentences_drawn
 
 from xihe_blender.addon.calibration import calibration_in_words
@@ -8,7 +7,7 @@ from xihe_blender.addon.calibration import calibration_in_words
 
 def scenario(w):
     yield from w.open_tab()
-    w.facts["said"] = calibration_in_words(bpy.context)
+    w.facts["said"] = calibration_in_words()
     w.facts["drawn"] = yield from sentences_drawn(w)
     yield from w.picture("calibrated_before")
     yield from w.find("xihe.calibrate(")
