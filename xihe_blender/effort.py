@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihe_blender.capture import open_scanner
-from xihe_blender.plan import PrevisPlan
+from xihe_blender.plan import PrevisPlan, evenly_chosen
 from xihe_blender.previs_settings import MAX_SEED, Preset, PrevisSettings
 from xihe_blender.render import RenderSettings
 from xihe_blender.truth import open_light_probe, probe_radiance_sh
@@ -190,8 +190,7 @@ def pilot_views(scene: bpy.types.Scene, plan: PrevisPlan) -> list[tuple[int, lis
     with open_scanner(scene, RenderSettings(plan.size, samples=1)) as scanner:
         in_sight = plan.frames_in_sight(scanner)
     views = [(frame, [probe.position_m for probe in probes]) for frame, probes in in_sight.items()]
-    n_pilots = min(N_PILOT_FRAMES, math.ceil(len(views) / FRAMES_PER_PILOT))
-    return [views[(2 * k + 1) * len(views) // (2 * n_pilots)] for k in range(n_pilots)]
+    return evenly_chosen(views, min(N_PILOT_FRAMES, math.ceil(len(views) / FRAMES_PER_PILOT)))
 
 
 def capture_noise(

@@ -13,7 +13,7 @@ import math
 import os
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +101,12 @@ class RunOutputs:
     def relative(self, path: Path) -> str:
         """`path` as results.json names it: relative to the run's folder, with forward slashes."""
         return path.relative_to(self.folder).as_posix()
+
+
+def as_json(record: Any) -> dict[str, Any]:
+    """A dataclass as it comes back from a file."""
+    same: dict[str, Any] = json.loads(json.dumps(asdict(record)))
+    return same
 
 
 def _file_stem(name: str) -> str:

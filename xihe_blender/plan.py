@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import bpy
 import numpy as np
@@ -19,6 +20,7 @@ from xihe_blender.virtual_objects import COLLECTION_NAME, virtual_collection, vi
 from xihenet.camera import in_view
 from xihenet.records import ArrayF64
 
+Item = TypeVar("Item")
 DEFAULT_SIZE = (256, 192)
 
 
@@ -59,6 +61,12 @@ class PrevisPlan:
         """The probes in view, by those frames of the path that have any."""
         found = {frame: self.probes_in_view(scanner, frame) for frame in self.frames}
         return {frame: probes for frame, probes in found.items() if probes}
+
+
+def evenly_chosen(found: Sequence[Item], most: int) -> list[Item]:
+    """At most so many of what was found, evenly spread."""
+    n = min(most, len(found))
+    return [found[(2 * k + 1) * len(found) // (2 * n)] for k in range(n)]
 
 
 def plan_previs(scene: bpy.types.Scene, settings: PrevisSettings) -> PrevisPlan:

@@ -19,10 +19,11 @@ from xihe_blender.cli import blender_output_aside
 from xihe_blender.evaluation.frontier.choices import FULL, RenderChoice
 from xihe_blender.evaluation.frontier.light_errors import KINDS
 from xihe_blender.evaluation.frontier.rendering import COMPUTED_BY, RenderStudy, View, measure_rendering
-from xihe_blender.evaluation.frontier.scene import SceneStudy, plan_scene, prepare, spread
+from xihe_blender.evaluation.frontier.scene import SceneStudy, plan_scene, prepare
 from xihe_blender.evaluation.frontier.steps import part_of
 from xihe_blender.evaluation.frontier.timing import Spread
 from xihe_blender.jobs import run_blocking
+from xihe_blender.plan import evenly_chosen
 from xihe_blender.render import RenderSettings
 from xihe_blender.scene_state import scene_kept
 
@@ -44,7 +45,7 @@ def measured(file, folder, effort, seed):
             in_sight = list(plan.frames_in_sight(scanner).items())
             views = [
                 View(frame, [probe.position_m for probe in probes])
-                for frame, probes in spread(in_sight, effort.n_views)
+                for frame, probes in evenly_chosen(in_sight, effort.n_views)
             ]
             choices, exhaustive = list(prepared.presets.values()), RenderChoice(plan.size, effort.reference_samples)
             renders = RenderStudy(scanner, views, choices, exhaustive, effort, seed, study.folder)

@@ -9,13 +9,13 @@ which would wait for others' renders.
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xihe_blender.errors import UserError
+from xihe_blender.outputs import as_json
 from xihenet import __version__, estimators
 from xihenet.estimators import Target
 from xihenet.phone import load_profile
@@ -76,8 +76,7 @@ class BatchSettings:
 
     def as_json(self) -> dict[str, Any]:
         """As the batch's folder keeps it, and `from_json` reads it."""
-        same: dict[str, Any] = json.loads(json.dumps(asdict(self)))
-        return same
+        return as_json(self)
 
     @staticmethod
     def from_json(content: dict[str, Any]) -> BatchSettings:

@@ -90,9 +90,12 @@ def _timed_render(
     with open_scanner(scene, capture) as scanner:
         scanner.exposure = exposure
         scanner.move_to(frame)
+        seen: list[RgbdFrame] = []
         frames = (frame,) * N_RENDERS
-        _, taken = time_renders(lambda _: scanner.acquire_environment_scan(), frames, FEW_SAMPLES, scanner.scene)
-        return taken, scanner.acquire_environment_scan()
+        _, taken = time_renders(
+            lambda _: seen.append(scanner.acquire_environment_scan()), frames, FEW_SAMPLES, scanner.scene
+        )
+        return taken, seen[-1]
 
 
 def _timed_step(seen: RgbdFrame, position_m: ArrayF64, exposure: float) -> float:

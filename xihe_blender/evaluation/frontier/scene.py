@@ -37,7 +37,7 @@ from xihe_blender.evaluation.frontier.steps import Steps, part_of
 from xihe_blender.evaluation.frontier.timing import Spread
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.outputs import write_json
-from xihe_blender.plan import PrevisPlan, plan_previs
+from xihe_blender.plan import PrevisPlan, evenly_chosen, plan_previs
 from xihe_blender.previs_settings import PRESETS, PrevisSettings
 from xihe_blender.render import RenderSettings
 from xihe_blender.scene_state import scene_kept
@@ -177,7 +177,7 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Step
     plan = study.plan
     positions = {probe.name: probe.position_m for probe in plan.probes}
     in_sight = plan.frames_in_sight(scanner).items()
-    chosen = spread([(frame, [p.name for p in seen]) for frame, seen in in_sight], study.effort.n_walk_frames)
+    chosen = evenly_chosen([(frame, [p.name for p in seen]) for frame, seen in in_sight], study.effort.n_walk_frames)
     probes = RenderSettings(
         PROBE_SIZE, study.effort.probe_samples, study.seed, denoise=False, light_transport=prepared.light_transport
     )
@@ -204,14 +204,8 @@ def _clipped_sh(panorama: Any, exposure: float) -> ArrayF64:
     return project_panorama(np.minimum(np.asarray(panorama, np.float64) * exposure, 1.0), ORDER)
 
 
-def spread(found: list[Any], most: int) -> list[Any]:
-    """At most so many of what was found, evenly spread."""
-    n = min(most, len(found))
-    return [found[(2 * k + 1) * len(found) // (2 * n)] for k in range(n)]
-
-
 def _views(walk: Walk, most: int) -> list[View]:
-    numbers = spread(list(range(len(walk.frames))), most)
+    numbers = evenly_chosen(list(range(len(walk.frames))), most)
     return [View(walk.frames[k].frame, [walk.positions[name] for name in walk.active[k]]) for k in numbers]
 
 

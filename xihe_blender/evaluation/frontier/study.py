@@ -28,7 +28,7 @@ from xihe_blender.evaluation.frontier.scene import SceneStudy, measure_scene, pl
 from xihe_blender.folder_claim import FolderClaim
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.made_with import machine, software
-from xihe_blender.outputs import write_json, written_whole
+from xihe_blender.outputs import as_json, write_json, written_whole
 from xihe_blender.previs_settings import MAX_SEED
 from xihe_blender.report.document import write_document
 from xihenet import __version__
@@ -58,11 +58,6 @@ class FrontierSettings:
     def __post_init__(self) -> None:
         if not 0 <= self.seed <= MAX_SEED:
             raise UserError(f"a seed of {self.seed} is out of Cycles' range: give 0 to {MAX_SEED}")
-
-    def as_json(self) -> dict[str, Any]:
-        """As it comes back from a file."""
-        same: dict[str, Any] = json.loads(json.dumps(asdict(self)))
-        return same
 
 
 def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, command: str = "") -> Job[dict[str, Any]]:
@@ -106,7 +101,7 @@ def assembled(
         "schema_version": SCHEMA_VERSION,
         "software": software(command),
         "machine": machine(),
-        "settings": settings.as_json(),
+        "settings": as_json(settings),
         "scenes": [
             {"name": name, **{key: value for key, value in one.items() if key != "fronts"}}
             for name, one in zip(names, kept, strict=True)
@@ -121,7 +116,7 @@ def _claim(out: Path, files: Sequence[Path], settings: FrontierSettings) -> Fold
         "xihe": __version__,
         "blender": bpy.app.version_string,
         "scenes": {file.stem: hashlib.sha256(file.read_bytes()).hexdigest() for file in files},
-        "settings": settings.as_json(),
+        "settings": asdict(settings),
     }
     return FolderClaim(out, out / "work" / "settings.json", "a frontier", made_with, (out / "frontier.json",))
 
