@@ -91,6 +91,7 @@ def _parser() -> argparse.ArgumentParser:
         "--target", choices=("ldr", "hdr"), default="ldr", help="light that coefficients are held against"
     )
     previs.add_argument("--exposure", type=float, metavar="FACTOR", help="of the phone; default: metered")
+    previs.add_argument("--metering", metavar="NAME", help="highlights or key; default: the phone's own")
     previs.add_argument("--phone", **PHONE)
     previs.add_argument("--network", **NETWORK)
     previs.add_argument("--seed", type=int, default=0)
@@ -197,6 +198,7 @@ def _previs(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         frames=options.frames,
         objects=options.objects,
         exposure=options.exposure,
+        metering=options.metering,
         seed=options.seed,
         phone=options.phone,
         network=options.network,

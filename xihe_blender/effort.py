@@ -4,12 +4,12 @@ The quantity that matters is the light at the estimation positions as nine SH co
 renders a few frames of it at two small numbers of samples with seeds of their own, fits how the error of these
 coefficients falls, and takes the smallest number that reaches the target, up to a maximum. The error of a capture is
 that of `projection` on the points sampled from it: linear, cheap, and as exposed to the renderer's noise as any
-estimator. The error of a light probe is that of its panorama's own coefficients.
+estimator. The reference probe tells its own noise, position by position; see `reference_probe`.
 
 The error has two parts, and both are in the target. Noise, whose square falls as 1/samples, is how far two renders
 with different seeds lie apart. Bias is how far renders with few samples lie off those with more: light that is clipped
-at white pixel by pixel before the noise is averaged out loses energy (falls as 1/samples; there is no denoiser in a
-probe), and the denoiser smears what it takes for noise (falls about as its root). In `bedroom_night` the denoiser's
+at white pixel by pixel before the noise is averaged out loses energy (falls as 1/samples; without a denoiser it is all
+there is), and the denoiser smears what it takes for noise (falls about as its root). In `bedroom_night` the denoiser's
 bias is 2.7 % at 4 samples, where noise is 1.1 %.
 
 Rejected: rendering each frame in batches until their spread is small enough. Denoised one by one, batches keep the bias
@@ -38,14 +38,15 @@ from numpy.typing import ArrayLike
 
 from xihe_blender.capture import open_scanner
 from xihe_blender.plan import PrevisPlan, evenly_chosen
-from xihe_blender.previs_settings import MAX_SEED, Preset, PrevisSettings
-from xihe_blender.render import RenderSettings
-from xihe_blender.truth import open_light_probe, probe_radiance_sh
+from xihe_blender.previs_settings import Preset, PrevisSettings
+from xihe_blender.render import MAX_SEED, RenderSettings
 from xihenet.camera import KEY_LUMINANCE, unproject_frame
-from xihenet.records import ArrayF64
+from xihenet.metering import MOST_STOPS
+from xihenet.records import ArrayF64, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sh import project_anchors
 from xihenet.sphere import AnchorLattice
+from xihenet.trigger import TriggerSettings, colour_change
 
 LARGE_STEP = 4
 """The pilot's larger number of samples over its smaller one."""
@@ -56,8 +57,9 @@ SMALLEST_SHARE = 32
 N_PILOT_FRAMES, FRAMES_PER_PILOT = 3, 8
 DENOISED_BIAS_RATE, CLIPPED_BIAS_RATE = 0.5, 1.0
 
-SMALLEST_LIGHT = KEY_LUMINANCE * math.sqrt(4 * math.pi * 3)
-"""Norm of the coefficients of grey light at the key. Darker light is held against this: nobody sees its noise."""
+SMALLEST_LIGHT = KEY_LUMINANCE / 2**MOST_STOPS * math.sqrt(4 * math.pi * 3)
+"""Norm of the coefficients of grey light at the darkest key that metering chooses. Darker light is held against this:
+nobody sees its noise."""
 
 Render = Callable[[int, int], ArrayF64]
 """(K, 9, 3) coefficients at K positions, of a render with so many samples and this seed."""
@@ -123,13 +125,20 @@ def fit_noise(
 
 @dataclass(frozen=True)
 class Effort:
-    """Samples of captures and light probes, and the relative error expected at them; None where none was measured."""
+    """Samples of captures, and what noise does at them; None where none was measured.
+
+    Parameters
+    ----------
+    capture_samples : per pixel
+    capture_noise : relative error of the light that is expected
+    pilot_s : seconds that measuring took
+    capture_change : what the trigger would take for a change of colour between two captures that differ in noise alone
+    """
 
     capture_samples: int
-    truth_samples: int
     capture_noise: float | None = None
-    truth_noise: float | None = None
     pilot_s: float = 0.0
+    capture_change: float | None = None
 
     def as_json(self) -> dict[str, Any]:
         """As the run's folder keeps it, for `Effort(**...)`."""
@@ -143,30 +152,25 @@ def measure_effort(
     exposure: float,
     light_transport: tuple[tuple[str, bool | int], ...] = (),
 ) -> Effort:
-    """The samples that reach `settings.noise_target` in captures and light probes of a run on `scene`.
+    """The samples that reach `settings.noise_target` in captures of a run on `scene`.
 
     With `settings.samples` these, and nothing is rendered. The same goes for a path that never sees a position: it
     gets the maximum. The same seed gives the same numbers.
     """
     preset = settings.effort
     if settings.samples is not None:
-        return Effort(settings.samples, settings.samples)
+        return Effort(settings.samples)
     start = time.perf_counter()
     maximum = preset.max_samples
     views = pilot_views(scene, plan)
     if not views:
-        return Effort(maximum, maximum)
+        return Effort(maximum)
     n_small = pilot_samples(preset)
-    capture, truth = (
-        replace(wanted, light_transport=light_transport)
-        for wanted in (settings.capture(plan.size, n_small), settings.truth(n_small))
-    )
-    captures = capture_noise(scene, views, capture, exposure, settings.n_anchors)
-    probes = truth_noise(scene, views, truth, exposure, settings)
-    target = settings.noise_aim
-    n_captures, n_probes = (samples_taken(preset, model, target) for model in (captures, probes))
-    noises = captures.noise(n_captures), probes.noise(n_probes)
-    return Effort(n_captures, n_probes, *noises, time.perf_counter() - start)
+    capture = replace(settings.capture(plan.size, n_small), light_transport=light_transport)
+    noise, change = measure_captures(scene, views, capture, exposure, settings.n_anchors, settings.trigger)
+    n_samples = samples_taken(preset, noise, settings.noise_aim)
+    elapsed_s = time.perf_counter() - start
+    return Effort(n_samples, noise.noise(n_samples), elapsed_s, change * min(1.0, n_small / n_samples))
 
 
 def pilot_samples(preset: Preset) -> int:
@@ -201,42 +205,40 @@ def capture_noise(
     n_anchors: int,
 ) -> NoiseModel:
     """The noise model of captures, measured at `views` from `settings.samples` samples upwards."""
-    lattice = AnchorLattice(n_anchors)
+    return measure_captures(scene, views, settings, exposure, n_anchors, TriggerSettings())[0]
+
+
+def measure_captures(
+    scene: bpy.types.Scene,
+    views: Sequence[tuple[int, list[ArrayF64]]],
+    settings: RenderSettings,
+    exposure: float,
+    n_anchors: int,
+    trigger: TriggerSettings,
+) -> tuple[NoiseModel, float]:
+    """The noise model of captures, and the colour change that `trigger` sees in noise with `settings.samples` samples.
+
+    That change is the largest, over views and positions, of what two renders of one view with different seeds have. It
+    is a square of differences, so it falls as the variance does, as 1/samples.
+    """
+    lattice, changes = AnchorLattice(n_anchors), []
     pilots: list[list[ArrayF64]] = []
     with open_scanner(scene, settings) as scanner:
         scanner.exposure = exposure
         for frame, positions in views:
             scanner.move_to(frame)
+            seen: list[list[UnitSphereCloud]] = []
 
-            def light(n_samples: int, seed: int, positions: list[ArrayF64] = positions) -> ArrayF64:
+            def light(n_samples: int, seed: int, positions: list[ArrayF64] = positions, seen: Any = seen) -> ArrayF64:
                 scanner.scene.cycles.samples, scanner.scene.cycles.seed = n_samples, seed
                 cloud = unproject_frame(scanner.acquire_environment_scan())
-                return np.stack([project_anchors(sample_unit_sphere(cloud, p, lattice), lattice) for p in positions])
+                seen.append([sample_unit_sphere(cloud, p, lattice) for p in positions])
+                return np.stack([project_anchors(sphere, lattice) for sphere in seen[-1]])
 
             pilots.append(_pilot(light, settings, len(pilots)))
+            changes += [colour_change(a, b, lattice, trigger) for a, b in zip(*seen[:2], strict=True)]
         is_denoised = scanner.scene.cycles.use_denoising
-    return _fit_pilots(pilots, settings, is_denoised=is_denoised)
-
-
-def truth_noise(
-    scene: bpy.types.Scene,
-    views: Sequence[tuple[int, list[ArrayF64]]],
-    settings: RenderSettings,
-    exposure: float,
-    run: PrevisSettings,
-) -> NoiseModel:
-    """The noise model of the light probes at `views`, measured from `settings.samples` samples upwards."""
-    pilots: list[list[ArrayF64]] = []
-    with open_light_probe(scene, settings) as light_probe:
-        for frame, positions in views:
-
-            def light(n_samples: int, seed: int, frame: int = frame, positions: Any = positions) -> ArrayF64:
-                light_probe.scene.cycles.samples, light_probe.scene.cycles.seed = n_samples, seed
-                panoramas = [light_probe.panorama(position, frame) for position in positions]
-                return np.stack([probe_radiance_sh(panorama, exposure, run.target) for panorama in panoramas])
-
-            pilots.append(_pilot(light, settings, len(pilots)))
-    return _fit_pilots(pilots, settings, is_denoised=False)
+    return _fit_pilots(pilots, settings, is_denoised=is_denoised), max(changes)
 
 
 def _pilot(light: Render, settings: RenderSettings, number: int) -> list[ArrayF64]:

@@ -90,6 +90,10 @@ class RunOutputs:
         """Radiance panorama of the light probe at one estimation position, the `place`-th of the run."""
         return self.folder / "radiance" / f"probe_{place}_{_file_stem(name)}_{frame:04d}.exr"
 
+    def reference(self, place: int, name: str, frame: int) -> Path:
+        """Coefficients of the reference light at one estimation position, the `place`-th of the run."""
+        return self.folder / "work" / f"reference_{place}_{_file_stem(name)}_{frame:04d}.json"
+
     def radiance(self, method: str, frame: int) -> Path:
         """Linear picture of one method, of "ground_truth", or "captured" for phones that expose by themselves."""
         return self.folder / "radiance" / f"{method}_{frame:04d}.exr"

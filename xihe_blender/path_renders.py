@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from xihe_blender.capture import CyclesScanner, open_scanner
-from xihe_blender.exr import read_radiance, write_radiance
-from xihe_blender.outputs import write_json, write_picture
+from xihe_blender.exr import write_radiance
+from xihe_blender.outputs import copy_whole, write_json, write_picture
 from xihe_blender.plan import Probe
 from xihe_blender.prepared_run import PreparedRun
-from xihe_blender.truth import LightProbe, open_light_probe
+from xihe_blender.reference_probe import MeasuredLight, ReferenceProbe, open_reference_probe
 from xihenet.recording import load_frame, save_frame
-from xihenet.records import ArrayF32, RgbdFrame
+from xihenet.records import RgbdFrame
 
 
 class KeepsRenders(Protocol):
@@ -39,13 +39,13 @@ class FrameRenders:
     Parameters
     ----------
     captured : before the phone has a hand in it
-    panoramas : (H, W, 3) scene radiance by name of the probe
+    references : the reference light by name of the probe
     render_s : seconds that rendering took, in whichever part of the run
     rendered_now_s : seconds of these in this process
     """
 
     captured: RgbdFrame
-    panoramas: Mapping[str, ArrayF32]
+    references: Mapping[str, MeasuredLight]
     render_s: float
     rendered_now_s: float
 
@@ -53,8 +53,8 @@ class FrameRenders:
 class PathRenders:
     """Renders of one run; made by `open_path_renders`. Asked frame by frame, in order."""
 
-    def __init__(self, run: PreparedRun, phone: KeepsRenders, scanner: CyclesScanner, light_probe: LightProbe) -> None:
-        self.run, self.phone, self.scanner, self.light_probe = run, phone, scanner, light_probe
+    def __init__(self, run: PreparedRun, phone: KeepsRenders, scanner: CyclesScanner, probe: ReferenceProbe) -> None:
+        self.run, self.phone, self.scanner, self.reference_probe = run, phone, scanner, probe
 
     def move_to(self, frame: int) -> tuple[float, list[Probe]]:
         """The time of `frame`, and the probes that its camera sees; none if the phone does not deliver it."""
@@ -69,19 +69,19 @@ class PathRenders:
         if self.run.outputs.times(frame).exists():
             return self._kept(frame, probes)
         captured, capture_s = self._captured(frame, source)
-        panoramas, probes_s = self._panoramas(frame, probes, sources)
+        references, probes_s = self._measured(frame, probes, sources)
         render_s = capture_s + probes_s
         outputs = self.run.outputs
         save_frame(outputs.capture(frame), captured)
         write_picture(outputs.picture("captured", frame), captured.srgb_u8)
         write_json(outputs.times(frame), {"render_s": render_s})
-        return FrameRenders(captured, panoramas, render_s, render_s)
+        return FrameRenders(captured, references, render_s, render_s)
 
     def _kept(self, frame: int, probes: Sequence[Probe]) -> FrameRenders:
         outputs = self.run.outputs
         render_s = float(json.loads(outputs.times(frame).read_text(encoding="utf-8"))["render_s"])
-        panoramas = {probe.name: self._read_panorama(probe, frame) for probe in probes}
-        return FrameRenders(load_frame(outputs.capture(frame)), panoramas, render_s, 0.0)
+        references = {probe.name: self._read_reference(probe, frame) for probe in probes}
+        return FrameRenders(load_frame(outputs.capture(frame)), references, render_s, 0.0)
 
     def _captured(self, frame: int, source: int) -> tuple[RgbdFrame, float]:
         """The capture, and the seconds that rendering it took."""
@@ -93,22 +93,35 @@ class PathRenders:
         captured = load_frame(self.run.outputs.capture(source))
         return replace(captured, time_s=self.scanner.time_s, frame=frame), 0.0
 
-    def _panoramas(
+    def _measured(
         self, frame: int, probes: Sequence[Probe], sources: Mapping[str, int]
-    ) -> tuple[dict[str, ArrayF32], float]:
-        """The panorama of each probe, kept, and the seconds that rendering them took."""
-        panoramas, render_s = {}, 0.0
+    ) -> tuple[dict[str, MeasuredLight], float]:
+        """The reference light of each probe, kept, and the seconds that rendering took."""
+        references, render_s = {}, 0.0
         for probe in probes:
-            if sources[probe.name] == frame:
-                panoramas[probe.name] = self.light_probe.panorama(probe.position_m, frame)
-                render_s += self.light_probe.render_s
+            source = sources[probe.name]
+            if source == frame:
+                render_s += self._measure(probe, frame)
             else:
-                panoramas[probe.name] = self._read_panorama(probe, sources[probe.name])
-            write_radiance(self.run.outputs.probe(self._place(probe), probe.name, frame), panoramas[probe.name])
-        return panoramas, render_s
+                self._take_over(probe, source, frame)
+            references[probe.name] = self._read_reference(probe, frame)
+        return references, render_s
 
-    def _read_panorama(self, probe: Probe, frame: int) -> ArrayF32:
-        return read_radiance(self.run.outputs.probe(self._place(probe), probe.name, frame))
+    def _measure(self, probe: Probe, frame: int) -> float:
+        outputs, place = self.run.outputs, self._place(probe)
+        light = self.reference_probe.light_at(place, frame, self.run.exposure)
+        write_radiance(outputs.probe(place, probe.name, frame), light.panorama)
+        write_json(outputs.reference(place, probe.name, frame), light.measured.as_json())
+        return light.render_s
+
+    def _take_over(self, probe: Probe, source: int, frame: int) -> None:
+        outputs, place = self.run.outputs, self._place(probe)
+        for kind in (outputs.probe, outputs.reference):
+            copy_whole(kind(place, probe.name, source), kind(place, probe.name, frame))
+
+    def _read_reference(self, probe: Probe, frame: int) -> MeasuredLight:
+        path = self.run.outputs.reference(self._place(probe), probe.name, frame)
+        return MeasuredLight.from_json(json.loads(path.read_text(encoding="utf-8")))
 
     def _place(self, probe: Probe) -> int:
         return self.run.plan.probes.index(probe)
@@ -117,10 +130,12 @@ class PathRenders:
 @contextlib.contextmanager
 def open_path_renders(run: PreparedRun, phone: KeepsRenders) -> Iterator[PathRenders]:
     """The renders of `run`, with what `phone` needs of them."""
+    probes, items = run.plan.probes, {item.name: item for item in run.plan.objects}
+    positions_m, objects = [p.position_m for p in probes], [items[p.object_name] for p in probes]
     with (
         open_scanner(run.scene, run.capture) as scanner,
-        open_light_probe(run.scene, run.truth) as light_probe,
+        open_reference_probe(run.scene, positions_m, run.reference, objects) as reference_probe,
     ):
         scanner.exposure = run.exposure
         phone.prepare(scanner)
-        yield PathRenders(run, phone, scanner, light_probe)
+        yield PathRenders(run, phone, scanner, reference_probe)

@@ -34,7 +34,8 @@ from xihe_blender.phone_surfaces import (
 )
 from xihe_blender.plan import PrevisPlan
 from xihe_blender.previs_settings import PrevisSettings
-from xihenet.camera import metered_exposure, valid_plane_depth
+from xihenet.camera import valid_plane_depth
+from xihenet.metering import metered_exposure
 from xihenet.phone import (
     CameraMotion,
     EffectState,
@@ -102,6 +103,7 @@ class PhoneCapture:
         self.frames, self.n_anchors, self.seed = plan.frames, settings.n_anchors, settings.seed
         self.positions_m = np.array([probe.position_m for probe in plan.probes]).reshape(-1, 3)
         self.profile, self.link = settings.profile, settings.link
+        self.metering = settings.metering_in_force
         has = {*self.profile.effects, *([] if self.link is None else [NETWORK])}
         in_force = overrides_in_force(scene, settings.effect_choices)
         self.choices = cast("dict[str, Choice]", {name: state for name, state in in_force.items() if name in has})
@@ -173,7 +175,8 @@ class PhoneCapture:
             transmission = float(surfaces.transmission[valid].max(initial=0.0))
         metered = self.exposure
         if self._wants_radiance:
-            metered = metered_exposure([read_radiance(self.outputs.radiance("captured", captured.frame))])
+            radiance = read_radiance(self.outputs.radiance("captured", captured.frame))
+            metered = metered_exposure([radiance], self.metering)
             facts = replace(facts, stops=float(np.log2(metered)))
         ambient = np.zeros(3) if captured.ambient is None else captured.ambient
         self._noticed[captured.frame] = _Noticed(facts, roughness, transmission, metered, ambient)

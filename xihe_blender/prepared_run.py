@@ -22,8 +22,14 @@ from xihe_blender.jobs import Progress
 from xihe_blender.outputs import RunOutputs, write_json
 from xihe_blender.plan import PrevisPlan
 from xihe_blender.previs_settings import PrevisSettings
+from xihe_blender.reference_probe import ProbeSettings
 from xihe_blender.render import RenderSettings
 from xihenet.estimators import Estimator
+from xihenet.trigger import TriggerSettings
+
+NOISE_MARGIN = 1.5
+"""By so much the change of a frame may exceed what the pilot saw: in a room of 48x36 pixels it did by 1.3, as colour is
+encoded and the variance falls a little slower than 1/samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,11 +41,11 @@ class PreparedRun:
     scene : the user's
     plan : frames, virtual objects, estimation positions
     outputs : files of the run
-    settings : the user's
+    settings : the user's, with the trigger's theta above the noise of captures
     estimator : of the run
     exposure : of the session
     effects : which effects of light transport are simulated
-    effort : samples of captures and light probes
+    effort : samples of captures
     kept : in which earlier frame a render would come out the same
     """
 
@@ -68,8 +74,8 @@ class PreparedRun:
         return self._simulated(self.settings.capture(self.plan.size, self.effort.capture_samples))
 
     @property
-    def truth(self) -> RenderSettings:
-        return self._simulated(self.settings.truth(self.effort.truth_samples))
+    def reference(self) -> ProbeSettings:
+        return replace(self.settings.reference, light_transport=self.effects.light_transport)
 
     @property
     def comparison(self) -> RenderSettings:
@@ -91,7 +97,16 @@ def prepare_run(
     transport = effects.light_transport
     effort = _once(outputs.effort, lambda: measure_effort(scene, plan, settings, exposure, transport).as_json())
     kept = KeptRenders(plan.frames, _scene_states(scene, plan, outputs, effects))
-    return PreparedRun(scene, plan, outputs, settings, estimator, exposure, effects, Effort(**effort), kept)
+    measured = Effort(**effort)
+    settings = replace(settings, trigger=above_noise(settings.trigger, measured.capture_change))
+    return PreparedRun(scene, plan, outputs, settings, estimator, exposure, effects, measured, kept)
+
+
+def above_noise(trigger: TriggerSettings, capture_change: float | None) -> TriggerSettings:
+    """`trigger` with its theta above what noise alone changes, where that was measured: variances add up."""
+    if capture_change is None:
+        return trigger
+    return replace(trigger, theta=trigger.theta + NOISE_MARGIN * capture_change)
 
 
 def _once(path: Path, work_out: Callable[[], Any]) -> Any:
@@ -105,7 +120,10 @@ def _session_exposure(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutp
     """The exposure that the user gave, or that is metered."""
     if settings.exposure is not None:
         return settings.exposure
-    kept = _once(outputs.exposure, lambda: {"exposure": meter_exposure(scene, plan.frames, settings.seed)})
+    metering = settings.metering_in_force
+    kept = _once(
+        outputs.exposure, lambda: {"exposure": meter_exposure(scene, plan.frames, settings.seed, metering=metering)}
+    )
     return float(kept["exposure"])
 
 

@@ -15,10 +15,12 @@ from dataclasses import dataclass, field
 
 from xihe_blender.effects.overrides import NETWORK, PHONE_EFFECTS, checked
 from xihe_blender.errors import UserError
-from xihe_blender.render import RenderSettings
+from xihe_blender.reference_probe import ProbeSettings
+from xihe_blender.render import MAX_SEED, RenderSettings
 from xihenet import estimators
 from xihenet.estimators import Estimator, Target
 from xihenet.light_change import LightFollowing
+from xihenet.metering import METERINGS, Metering
 from xihenet.phone import LINKS, Link, PhoneProfile, load_profile
 from xihenet.trigger import TriggerSettings
 
@@ -29,32 +31,34 @@ class Preset:
 
     Parameters
     ----------
-    noise_target : relative error of the nine SH coefficients that rendering may cause in captures and light probes
-    max_samples : Cycles samples per pixel for them, at most; see `effort` for how many are taken
+    noise_target : relative error of the nine SH coefficients that rendering may cause in captures
+    max_samples : Cycles samples per pixel for captures, at most; see `effort` for how many are taken
     comparison_samples : Cycles samples per pixel, fixed
-    truth_width : width of the light probe's panorama in pixels; twice its height
+    probe_samples : pictures that the reference probe takes, at most; see `reference_probe`
     comparison_step : compare at every n-th frame of the path, and at its last
-    min_samples : Cycles samples per pixel for captures and light probes, at least
+    min_samples : Cycles samples per pixel for captures, at least
     """
 
     noise_target: float
     max_samples: int
-    truth_width: int
+    probe_samples: int
     comparison_samples: int
     comparison_step: int = 1
     min_samples: int = 1
 
 
 PRESETS = {
-    "draft": Preset(0.06, 32, 32, 8, comparison_step=2),
-    "balanced": Preset(0.03, 64, 64, 32, min_samples=4),
-    "accurate": Preset(0.015, 256, 128, 128, min_samples=24),
+    "draft": Preset(0.06, 32, 12, 8, comparison_step=2),
+    "balanced": Preset(0.03, 64, 32, 32, min_samples=4),
+    "accurate": Preset(0.015, 256, 96, 128, min_samples=24),
 }
 
-MAX_SEED = 2**31 - 1
+RULER_SHARE = 0.5
+"""Noise of the reference over that of captures, at most."""
+
 MAX_SAMPLES = 65536
 
-PREVIS_TRIGGER = TriggerSettings(theta=0.02, ignored_share=0.25, coverage_theta=0.05)
+PREVIS_TRIGGER = TriggerSettings(theta=0.001, ignored_share=0.25, coverage_theta=0.05)
 """The paper's theta of 0.6 sleeps through a lamp that changes; see docs/trigger.md for how these were chosen."""
 
 
@@ -71,6 +75,7 @@ class PrevisSettings:
     frames : frame numbers along the path; None takes the scene's range and step
     objects : names of virtual objects to estimate for; None takes all
     exposure : of the phone, locked for the session; None meters it
+    metering : one of METERINGS, of the session and of a phone that exposes by itself; None takes the phone's own
     seed : of everything that is random
     noise_target : relative error of the light that rendering may cause; None takes the preset's
     samples : of every capture and light probe, whatever the noise; None takes what the noise target calls for
@@ -89,6 +94,7 @@ class PrevisSettings:
     frames: tuple[int, ...] | None = None
     objects: tuple[str, ...] | None = None
     exposure: float | None = None
+    metering: Metering | None = None
     seed: int = 0
     n_anchors: int = 1280
     noise_target: float | None = None
@@ -111,6 +117,8 @@ class PrevisSettings:
             )
         if self.exposure is not None and not (math.isfinite(self.exposure) and self.exposure > 0):
             raise UserError(f"an exposure of {self.exposure:g} makes no picture: give a positive factor, or none")
+        if self.metering is not None and self.metering not in METERINGS:
+            raise UserError(f"there is no metering {self.metering!r}: choose one of {', '.join(METERINGS)}")
         if not 0 <= self.seed <= MAX_SEED:
             raise UserError(f"a seed of {self.seed} is out of Cycles' range: give 0 to {MAX_SEED}")
         if self.network is not None and self.network not in LINKS:
@@ -144,6 +152,11 @@ class PrevisSettings:
             raise UserError(f"--phone {self.phone}: {error}") from error
 
     @property
+    def metering_in_force(self) -> Metering:
+        """The user's or the phone's."""
+        return self.profile.metering if self.metering is None else self.metering
+
+    @property
     def link(self) -> Link | None:
         return None if self.network is None else LINKS[self.network]
 
@@ -155,10 +168,14 @@ class PrevisSettings:
     def capture(self, size: tuple[int, int], samples: int) -> RenderSettings:
         return RenderSettings(size, samples, self.seed)
 
-    def truth(self, samples: int) -> RenderSettings:
-        width = self.effort.truth_width
-        # A denoiser would smear the few texels of a probe, and their noise averages out in nine coefficients.
-        return RenderSettings((width, width // 2), samples, self.seed, denoise=False)
+    @property
+    def reference(self) -> ProbeSettings:
+        """Of the light that estimates are held against: better by `RULER_SHARE` than what is measured by it."""
+        if self.samples is not None:
+            return ProbeSettings(max_samples=self.samples, noise_target=None, seed=self.seed)
+        return ProbeSettings(
+            max_samples=self.effort.probe_samples, noise_target=RULER_SHARE * self.noise_aim, seed=self.seed
+        )
 
     def comparison(self, size: tuple[int, int]) -> RenderSettings:
         return RenderSettings(size, self.effort.comparison_samples, self.seed)

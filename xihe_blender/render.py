@@ -28,6 +28,9 @@ from xihenet.exr import read_exr
 from xihenet.records import ArrayF32
 
 MEMORY_FOLDER = Path("/dev/shm")
+MAX_SEED = 2**31 - 1
+"""Of Cycles."""
+
 WORKING = "xihe_working"
 """Custom property of working scenes, by which those are found that an Undo or a saved file brought back."""
 

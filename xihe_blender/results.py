@@ -14,13 +14,12 @@ import bpy
 
 from xihe_blender.compare import ERROR_AT_FULL_SCALE
 from xihe_blender.effects.overrides import overrides_in_force
-from xihe_blender.effects.unchanged import KeptRenders
-from xihe_blender.effort import Effort
 from xihe_blender.made_with import machine, software
 from xihe_blender.outputs import finite_or_none
 from xihe_blender.phone_capture import PhoneCapture
 from xihe_blender.plan import Probe
 from xihe_blender.prepared_run import PreparedRun
+from xihe_blender.reference_probe import MeasuredLight, ProbeSettings
 from xihe_blender.results_notes import notes
 from xihe_blender.results_summary import mean_comparison, summary
 from xihenet.camera import invalid_pixels
@@ -86,11 +85,21 @@ def active_frame(
     }
 
 
-def rendering(frame: int, names: Sequence[str], effort: Effort, kept: KeptRenders) -> dict[str, Any]:
+def rendering(frame: int, references: Mapping[str, MeasuredLight], run: PreparedRun) -> dict[str, Any]:
     """What was rendered for `frame`, with how many samples and what noise, and what an earlier frame had already."""
+    kept, effort, target = run.kept, run.effort, run.settings.target
     capture = _render(frame, kept.capture(frame), effort.capture_samples, effort.capture_noise)
-    probes = {name: _render(frame, kept.probe(frame, name), effort.truth_samples, effort.truth_noise) for name in names}
+    probes = {
+        name: _render(frame, kept.probe(frame, name), light.samples(target), light.noise(target))
+        | {"is_capped": is_capped(light.noise(target), run.reference)}
+        for name, light in references.items()
+    }
     return {"rendering": {"capture": capture, "probes": probes}}
+
+
+def is_capped(noise: float | None, settings: ProbeSettings) -> bool:
+    """Whether a reference has the most samples and is still noisier than it should be."""
+    return settings.noise_target is not None and noise is not None and noise > settings.noise_target
 
 
 def _render(frame: int, source: int, samples: int, noise: float | None) -> dict[str, Any]:
@@ -216,16 +225,21 @@ def _settings(run: PreparedRun) -> dict[str, Any]:
         "network": settings.network,
         "effect_choices": overrides_in_force(run.scene, settings.effect_choices),
         "reference_exposure": run.exposure,
+        "metering": None if settings.exposure is not None else settings.metering_in_force,
         "trigger": asdict(settings.trigger),
         "following": None if settings.following is None else asdict(settings.following),
         "samples": {
             "capture": effort.capture_samples,
-            "truth": effort.truth_samples,
+            "truth": run.reference.max_samples,
             "comparison": preset.comparison_samples,
         },
         "noise_target": None if settings.samples is not None else settings.noise_aim,
-        "noise": {"capture": effort.capture_noise, "truth": effort.truth_noise},
-        "truth_size": [preset.truth_width, preset.truth_width // 2],
+        "noise": {
+            "capture": effort.capture_noise,
+            "truth": run.reference.noise_target,
+            "trigger": effort.capture_change,
+        },
+        "truth_size": [run.reference.size, run.reference.size],
         "comparison_step": preset.comparison_step,
         "comparison_view_transform": "Standard",
         "error_map_full_scale": ERROR_AT_FULL_SCALE,

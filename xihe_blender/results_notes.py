@@ -18,6 +18,9 @@ from xihe_blender.scene_faults import SceneFault
 from xihe_blender.units import said_of_units
 from xihenet.invalid import in_words
 
+WORTH_TELLING = 0.1
+"""Share of the light above white from which on a reader is told."""
+
 FAINTEST = 1e-3
 """Light of less than this, at the session's exposure, is none: the first code above black is 3e-4."""
 
@@ -30,7 +33,8 @@ def notes(run: PreparedRun, frames: Sequence[dict[str, Any]], phone: PhoneCaptur
         *dim_notes(run.scene, run.exposure),
         *phone.notes(),
         *exposure_notes(run.settings, run.exposure),
-        *noise_notes(run.settings, run.effort),
+        *noise_notes(run.settings, run.effort, frames),
+        *white_notes(frames),
     ]
 
 
@@ -144,13 +148,33 @@ def exposure_notes(settings: PrevisSettings, exposure: float) -> list[str]:
     return ["The path shows no light that the exposure could be metered by; it is 1. Give one by --exposure."]
 
 
-def noise_notes(settings: PrevisSettings, effort: Effort) -> list[str]:
+def white_notes(frames: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A sentence where much of the light is lost to a picture that ends at white."""
+    shares = [probe["share_above_white"] for entry in frames for probe in entry["probes"]]
+    known = [share for share in shares if share is not None]
+    if not known or max(known) < WORTH_TELLING:
+        return []
+    return [
+        f"Of the light at the objects {min(known):.0%} to {max(known):.0%} is above white at this exposure, or comes "
+        "from lamps that cameras do not see: no estimate from clipped pictures can know it."
+    ]
+
+
+def noise_notes(settings: PrevisSettings, effort: Effort, frames: Sequence[Mapping[str, Any]]) -> list[str]:
     """A sentence for each kind of render whose noise is above the target at the most samples the preset allows."""
     target, most = settings.noise_aim, settings.effort.max_samples
-    missed = [("captures", effort.capture_noise), ("light probes", effort.truth_noise)]
-    return [
-        f"The noise of {name} is {noise:.1%} of the light, above the target of {target:.1%}: the preset stops at "
-        f"{most} samples."
-        for name, noise in missed
-        if noise is not None and noise > target
-    ]
+    notes = []
+    if effort.capture_noise is not None and effort.capture_noise > target:
+        notes.append(
+            f"The noise of captures is {effort.capture_noise:.1%} of the light, above the target of {target:.1%}: the "
+            f"preset stops at {most} samples."
+        )
+    probes = [probe for entry in frames for probe in entry.get("rendering", {}).get("probes", {}).values()]
+    capped = [probe["noise"] for probe in probes if probe["is_capped"]]
+    if capped:
+        notes.append(
+            f"{len(capped)} of {len(probes)} reference lights are noisier than they should be "
+            f"({settings.reference.noise_target:.2%} of the light), up to {max(capped):.1%}: the preset stops at "
+            f"{settings.reference.max_samples} pictures."
+        )
+    return notes

@@ -35,6 +35,8 @@ def summary(frames: Sequence[dict[str, Any]], comparison: Mapping[str, Mapping[s
         "fired_share": _mean(float(probe["fired"]) for probe in probes),
         "mean_shc_rmse": _mean(probe["shc_rmse"] for probe in probes),
         "ambient_shc_rmse": _mean(probe["ambient_shc_rmse"] for probe in probes),
+        "share_above_white": _mean(probe["share_above_white"] for probe in probes),
+        "n_capped_probes": sum(p["is_capped"] for e in active for p in e["rendering"]["probes"].values()),
         "mean_coverage": _mean(probe["coverage"] for probe in probes),
         "mean_step_ms": _mean(sum(entry["stage_ms"].values()) for entry in active),
         "payload_bytes": sum(probe["payload_bytes"] for probe in probes),

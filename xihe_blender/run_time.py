@@ -30,8 +30,8 @@ from xihe_blender.outputs import RunOutputs
 from xihe_blender.plan import plan_previs
 from xihe_blender.prepared_run import PreparedRun, prepare_run
 from xihe_blender.previs_settings import PrevisSettings, load_estimator
+from xihe_blender.reference_probe import open_reference_probe
 from xihe_blender.scene_state import scene_kept
-from xihe_blender.truth import open_light_probe
 from xihenet.records import RgbdFrame
 
 FEW_SAMPLES = 4
@@ -161,11 +161,14 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
 
 
 def _timed_probe(run: PreparedRun, frames: Sequence[int]) -> tuple[float, RenderTime]:
-    position = run.plan.probes[0].position_m
-    with open_light_probe(run.scene, run.truth) as light_probe:
-        return time_renders(
-            lambda frame: light_probe.panorama(position, frame), frames, run.truth.samples, light_probe.scene
-        )
+    """Of one reference light as a run measures it, with as many pictures as its noise asks for."""
+    positions_m = [run.plan.probes[0].position_m]
+    with open_reference_probe(run.scene, positions_m, run.reference) as probe:
+        start = time.perf_counter()
+        probe.view(0, 0)
+        loaded_s = time.perf_counter() - start
+        light = probe.light_at(0, frames[0], run.exposure)
+    return loaded_s, RenderTime(light.render_s, 0.0, light.measured.samples(run.settings.target))
 
 
 def _timed_comparison(

@@ -47,7 +47,7 @@ def add_three_sphere_rig(
     radius = radius_m / metres_per_unit(scene)
     spheres = []
     for step, (name, look) in zip((-1, 0, 1), RIG_LOOKS.items(), strict=True):
-        sphere = bpy.data.objects.new(name, _sphere_mesh(name, radius))
+        sphere = bpy.data.objects.new(name, sphere_mesh(name, radius))
         sphere.data.materials.append(_rig_material(name, look))
         sphere.location = (x + 2.3 * radius * step, y, z + radius)
         collection.objects.link(sphere)
@@ -55,7 +55,7 @@ def add_three_sphere_rig(
     return spheres
 
 
-def _sphere_mesh(name: str, radius: float, n_around: int = 64, n_up: int = 32) -> bpy.types.Mesh:
+def sphere_mesh(name: str, radius: float, n_around: int = 64, n_up: int = 32) -> bpy.types.Mesh:
     """A smooth UV sphere around the origin; bmesh's own orders its vertices differently from version to version."""
     polar = np.pi * np.arange(1, n_up) / n_up
     azimuth = 2 * np.pi * np.arange(n_around) / n_around

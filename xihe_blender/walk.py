@@ -25,8 +25,8 @@ from xihe_blender.phone_capture import PhoneCapture
 from xihe_blender.phone_session import PhoneSession, SessionStep
 from xihe_blender.plan import Probe
 from xihe_blender.prepared_run import PreparedRun
-from xihe_blender.truth import probe_radiance_sh
-from xihenet.metrics import shc_rmse
+from xihe_blender.reference_probe import MeasuredLight
+from xihenet.metrics import share_above_white, shc_rmse
 from xihenet.records import ArrayF64, RgbdFrame
 
 Lights = dict[str, dict[str, ArrayF64]]
@@ -93,8 +93,8 @@ class _Walk:
         self.run, self.phone, self.renders, self.captured_s = run, phone, renders, captured_s
         self.session = PhoneSession(run.plan, run.settings, run.exposure, run.estimator, phone.link_in_use)
         self.walked = WalkedPath(phone)
-        self.truths: dict[str, dict[str, ArrayF64]] = {}
-        """The last rendered truth of each probe, by target."""
+        self.references: dict[str, MeasuredLight] = {}
+        """The last reference light of each probe."""
 
     def step(self, frame: int) -> None:
         """Go on to `frame`."""
@@ -118,13 +118,12 @@ class _Walk:
         entries = [self._probe_entry(probe, step, seen) for probe in probes]
         work_s = time.perf_counter() - start - rendered.rendered_now_s + self.captured_s.get(seen.frame, 0.0)
         entry = results.active_frame(seen, step.reports, entries, rendered.render_s, work_s, n_lost=n_lost)
-        return entry | results.rendering(seen.frame, list(truth), run.effort, run.kept)
+        return entry | results.rendering(seen.frame, rendered.references, run)
 
     def _truth(self, rendered: FrameRenders) -> dict[str, ArrayF64]:
         """(9, 3) coefficients of the run's target by probe in view."""
-        for name, panorama in rendered.panoramas.items():
-            self.truths[name] = {t: probe_radiance_sh(panorama, self.run.exposure, t) for t in ("ldr", "hdr")}
-        return {name: self.truths[name][self.run.settings.target] for name in rendered.panoramas}
+        self.references |= rendered.references
+        return {name: light.of(self.run.settings.target) for name, light in rendered.references.items()}
 
     def _lights_in_force(self, time_s: float) -> Lights:
         """Light of every method on every virtual object: the mean over the object's estimation positions.
@@ -136,13 +135,16 @@ class _Walk:
         for item in self.run.plan.objects:
             names = [probe.name for probe in self.run.plan.probes_of(item.name)]
             estimated[item.name] = np.mean([self.session.light(name, time_s) for name in names], axis=0)
-            truth[item.name] = np.mean([self.truths.get(n, {}).get("hdr", ambient_sh) for n in names], axis=0)
+            whole = [self.references[n].hdr if n in self.references else ambient_sh for n in names]
+            truth[item.name] = np.mean(whole, axis=0)
         ambient = {item.name: ambient_sh for item in self.run.plan.objects}
         return {self.run.settings.estimator: estimated, "ambient": ambient, "truth": truth}
 
     def _probe_entry(self, probe: Probe, step: SessionStep, seen: RgbdFrame) -> dict[str, Any]:
-        light, truth = self.session.light(probe.name, seen.time_s), self.truths[probe.name][self.run.settings.target]
+        reference = self.references[probe.name]
+        light, truth = self.session.light(probe.name, seen.time_s), reference.of(self.run.settings.target)
         light_frame = self.session.light_frame(probe.name, seen.time_s)
         entry = results.probe_entry(probe, step.reports[probe.name], light, truth, light_frame=light_frame)
         entry |= results.arrival(step.requests.get(probe.name), self.run.plan.frames, self.phone.times_s)
-        return entry | {"ambient_shc_rmse": shc_rmse(step.ambient_sh, truth)}
+        above_white = share_above_white(reference.ldr, reference.hdr)
+        return entry | {"ambient_shc_rmse": shc_rmse(step.ambient_sh, truth), "share_above_white": above_white}

@@ -13,13 +13,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from xihenet.records import UnitSphereCloud
+from xihenet.records import AnchorSurfaces, UnitSphereCloud
 
 
 def merge(old: UnitSphereCloud, new: UnitSphereCloud) -> UnitSphereCloud:
-    """`old` with every anchor that `new` sets replaced by `new`'s colour and distance; nothing is averaged.
+    """`old` with every anchor that `new` sets replaced by `new`'s colour, distance and surface; nothing is averaged.
 
-    Both have N anchors (ValueError otherwise). What is invalid is that of `new`: it belongs to a frame.
+    Where one of them has no surfaces, those of its anchors are unknown (0). Both have N anchors (ValueError otherwise).
+    What is invalid is that of `new`: it belongs to a frame.
     """
     if len(old) != len(new):
         raise ValueError(f"merge: expected clouds with as many anchors, got {len(old)} and {len(new)}")
@@ -29,6 +30,21 @@ def merge(old: UnitSphereCloud, new: UnitSphereCloud) -> UnitSphereCloud:
         np.where(seen, new.distance_m, old.distance_m),
         old.is_set | seen,
         new.invalid,
+        _merged_surfaces(old, new),
+    )
+
+
+def _merged_surfaces(old: UnitSphereCloud, new: UnitSphereCloud) -> AnchorSurfaces | None:
+    if old.surfaces is None and new.surfaces is None:
+        return None
+    unknown = AnchorSurfaces.of_facing(np.zeros(len(old), np.float32))
+    before, after, seen = old.surfaces or unknown, new.surfaces or unknown, new.is_set
+    return AnchorSurfaces(
+        np.where(seen, after.facing, before.facing),
+        np.where(seen, after.incidence, before.incidence),
+        np.where(seen, after.camera_distance_m, before.camera_distance_m),
+        np.where(seen[:, None], after.view_direction, before.view_direction),
+        np.where(seen, after.is_edge, before.is_edge),
     )
 
 
@@ -52,6 +68,15 @@ class PositionBuffers:
     def fired(self) -> PositionBuffers:
         """After the trigger fired: the temporary cloud moves into the persistent one and starts anew."""
         return PositionBuffers(UnitSphereCloud.empty(len(self.temporary)), merge(self.persistent, self.temporary))
+
+    def last_seen(self) -> UnitSphereCloud:
+        """Every anchor as it was last seen, whether or not the light in force was made from it; without surfaces."""
+        old, new = self.persistent, self.temporary
+        return UnitSphereCloud(
+            np.where(new.is_set[:, None], new.srgb, old.srgb),
+            np.where(new.is_set, new.distance_m, old.distance_m),
+            old.is_set | new.is_set,
+        )
 
     def coverage(self) -> float:
         """Share of the anchors that are known, whether or not the light in force was made from them."""

@@ -38,7 +38,7 @@ from xihenet.records import (
 )
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import TABLE_SIZE, AnchorLattice, NearestMethod
-from xihenet.trigger import TriggerSettings, decide_trigger
+from xihenet.trigger import LastSeen, TriggerSettings, decide_trigger
 
 
 @dataclass(frozen=True)
@@ -149,8 +149,14 @@ class XiheController:
         with clock.stage("merge"):
             buffers = position.buffers.with_frame(sampled)
         with clock.stage("trigger"):
+            last_seen = LastSeen(position.buffers.last_seen(), sampled)
             decision = decide_trigger(
-                buffers.persistent, buffers.temporary, self.lattice, settings.trigger, last=position.decision
+                buffers.persistent,
+                buffers.temporary,
+                self.lattice,
+                settings.trigger,
+                last=position.decision,
+                last_seen=last_seen,
             )
         estimate, payload, unknown_because = None, b"", "" if sampled.is_set.any() else "nothing_seen"
         invalid, n_followed = sampled.invalid, 0

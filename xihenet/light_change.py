@@ -15,21 +15,33 @@ channels know no ratio and dark ones only noise: neither is asked. Not in the pa
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from xihenet.colour import linear_to_srgb, srgb_to_linear
-from xihenet.records import ArrayF64, UnitSphereCloud
+from xihenet.records import ArrayF32, ArrayF64, UnitSphereCloud
 
 BRIGHTEST, DARKEST = 0.95, 0.01
 """A channel is asked where the brighter of its two values lies between: linear light, 1 is where pictures clip."""
+
+ENCODED_BRIGHTEST, ENCODED_DARKEST = (float(linear_to_srgb(np.array(light))) for light in (BRIGHTEST, DARKEST))
 
 DARK_LIGHT = 1 / 512
 """Added on both sides of a ratio that is judged: dark surfaces, whose ratio is noise, count as little changed."""
 
 FIRST_CODE = 1 / (255 * 12.92)
 """Added to a ratio that is followed, which `DARK_LIGHT` would draw to 1: a lamp that goes out leaves codes of 0."""
+
+
+UNCHANGED_STOPS = 0.25
+"""A surface that changed by less may as well have kept its light."""
+
+SURELY_UNCHANGED = 0.05
+"""Share of its encoded colour by which what changes by less is unchanged: a quarter of a stop is 7 % or more."""
+
+ROUNDED_UP = 1 + 1e-12
+"""Shares that are just enough are so in whatever order they are worked out."""
 
 
 @dataclass(frozen=True)
@@ -44,17 +56,19 @@ class LightFollowing:
         median or more: what moves through the picture changes some, a lamp all
     smallest_share : share of the sphere that has to be seen again and can be asked
     same_distance : two distances in one direction that differ by no more than this share are those of one surface
+    most_unchanged : no larger share may have changed by less than UNCHANGED_STOPS; 1 does not ask
     """
 
     smallest_stops: float = 0.5
     agreeing_share: float = 0.9
     smallest_share: float = 0.05
     same_distance: float = 0.02
+    most_unchanged: float = 1.0
 
     def __post_init__(self) -> None:
         if not 0 < self.smallest_stops < np.inf:
             raise ValueError(f"LightFollowing.smallest_stops: expected a number above 0, got {self.smallest_stops}")
-        for name in ("agreeing_share", "smallest_share", "same_distance"):
+        for name in ("agreeing_share", "smallest_share", "same_distance", "most_unchanged"):
             if not 0 < getattr(self, name) <= 1:
                 raise ValueError(f"LightFollowing.{name}: expected a share above 0, got {getattr(self, name)}")
 
@@ -62,8 +76,8 @@ class LightFollowing:
 def follow_light(old: UnitSphereCloud, new: UnitSphereCloud, settings: LightFollowing) -> UnitSphereCloud:
     """`old` with the anchors that `new` does not set changed as those that it does; itself if the light is the same.
 
-    Both have N anchors. Colours stay within [0, 1]; distances stay. Anchors that `new` sets are left alone: merging
-    replaces them.
+    Both have N anchors. Colours stay within [0, 1]; distances and surfaces stay. Anchors that `new` sets are left
+    alone: merging replaces them.
     """
     factor = light_change(old, new, settings)
     stale = old.is_set & ~new.is_set
@@ -72,14 +86,18 @@ def follow_light(old: UnitSphereCloud, new: UnitSphereCloud, settings: LightFoll
     followed = np.minimum(srgb_to_linear(old.srgb[stale].astype(np.float64)) * factor, 1.0)
     srgb = old.srgb.copy()
     srgb[stale] = linear_to_srgb(followed)
-    return UnitSphereCloud(srgb, old.distance_m, old.is_set, old.invalid)
+    return replace(old, srgb=srgb)
 
 
 def light_change(old: UnitSphereCloud, new: UnitSphereCloud, settings: LightFollowing) -> ArrayF64 | None:
     """(3,) the factor of each channel's light from `old` to `new`; None if it is the same, or if nobody can say."""
     nearness = np.abs(new.distance_m - old.distance_m)
     seen_again = old.is_set & new.is_set & (nearness <= settings.same_distance * old.distance_m)
-    before, after = (srgb_to_linear(cloud.srgb[seen_again].astype(np.float64)) for cloud in (old, new))
+    index = np.flatnonzero(seen_again)
+    encoded = old.srgb.take(index, axis=0), new.srgb.take(index, axis=0)
+    if _cannot_agree(*encoded, settings):
+        return None
+    before, after = (srgb_to_linear(colours.astype(np.float64)) for colours in encoded)
     brighter = np.maximum(before, after)
     can_say = (brighter > DARKEST) & (brighter < BRIGHTEST)
     n_least = settings.smallest_share * len(old)
@@ -94,11 +112,31 @@ def light_change(old: UnitSphereCloud, new: UnitSphereCloud, settings: LightFoll
     return factor
 
 
+def _cannot_agree(before: ArrayF32, after: ArrayF32, settings: LightFollowing) -> bool:
+    """Whether in each channel of these encoded colours (K, 3) too many are unchanged, or too few change in one way.
+
+    A fraction of the time that `_agree` takes, which says the same in the end: most frames of a walk end here.
+    """
+    brighter, change = np.maximum(before, after), after - before
+    can_say = (brighter > ENCODED_DARKEST) & (brighter < ENCODED_BRIGHTEST)
+    n_asked = np.count_nonzero(can_say, axis=0)
+    unchanged = np.count_nonzero(can_say & (np.abs(change) < SURELY_UNCHANGED * brighter), axis=0)
+    is_same = unchanged > settings.most_unchanged * n_asked * ROUNDED_UP
+    if is_same.all():
+        return True
+    up, down = (np.count_nonzero(can_say & changed, axis=0) for changed in (change > 0, change < 0))
+    disagree = np.maximum(up, down) * ROUNDED_UP < settings.agreeing_share * n_asked
+    return bool((is_same | disagree).all())
+
+
 def _stops(before: ArrayF64, after: ArrayF64, added: float) -> ArrayF64:
     stops: ArrayF64 = np.log2((after + added) / (before + added))
     return stops
 
 
 def _agree(stops: ArrayF64, median: float, settings: LightFollowing) -> bool:
+    if abs(median) < settings.smallest_stops:
+        return False
     is_alike = np.sign(median) * stops >= abs(median) / 4
-    return bool(abs(median) >= settings.smallest_stops and is_alike.mean() >= settings.agreeing_share)
+    is_unchanged = np.abs(stops) < UNCHANGED_STOPS
+    return bool(is_alike.mean() >= settings.agreeing_share and is_unchanged.mean() <= settings.most_unchanged)

@@ -72,6 +72,32 @@ def shc_rmse(a: ArrayLike, b: ArrayLike) -> float:
     return _root_mean_square(first - second, np.ones(first.shape))
 
 
+def share_above_white(ldr_sh: ArrayLike, hdr_sh: ArrayLike) -> float | None:
+    """The share of the light around a position that lies above white, which no estimator of clipped light can know.
+
+    Parameters
+    ----------
+    ldr_sh, hdr_sh : ((order + 1)^2, 3) radiance coefficients of the same light at one exposure, clipped at white and
+        whole
+
+    Returns
+    -------
+    1 - clipped / whole of the mean radiance, L00 summed over the channels, in [0, 1]; None where there is no light.
+    ValueError for other shapes, NaN or infinity. L00 is linear in the light, so nothing rings here.
+    """
+    clipped, whole = np.asarray(ldr_sh, dtype=np.float64), np.asarray(hdr_sh, dtype=np.float64)
+    if clipped.shape != whole.shape or clipped.ndim != 2 or not len(clipped) or clipped.shape[1] != 3:
+        raise ValueError(
+            f"share_above_white: expected two equal shapes ((order + 1)^2, 3), got {clipped.shape}, {whole.shape}"
+        )
+    if not (np.isfinite(clipped).all() and np.isfinite(whole).all()):
+        raise ValueError("share_above_white: expected finite coefficients, got NaN or infinity")
+    mean = float(whole[0].sum())
+    if mean <= 0:
+        return None
+    return min(1.0, max(0.0, 1.0 - float(clipped[0].sum()) / mean))
+
+
 def _checked_weights(mask: ArrayLike, size: tuple[int, ...]) -> ArrayF64:
     weights = np.asarray(mask, dtype=np.float64)
     if weights.shape != size:

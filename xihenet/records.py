@@ -31,8 +31,11 @@ TriggerReason = Literal["first", "colour", "coverage", "none"]
 
 def _checked(name: str, values: ArrayLike, dtype: Any, shape: tuple[int | None, ...]) -> NDArray[Any]:
     """A read-only view of `values` as `dtype`; None in `shape` stands for any length."""
-    with np.errstate(over="ignore"):  # What float32 cannot hold becomes infinite, which each record judges.
-        array = np.asarray(values, dtype=dtype)
+    if isinstance(values, np.ndarray) and values.dtype == dtype:
+        array = values
+    else:
+        with np.errstate(over="ignore"):  # What float32 cannot hold becomes infinite, which each record judges.
+            array = np.asarray(values, dtype=dtype)
     if array.ndim != len(shape) or any(
         want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
     ):
@@ -129,6 +132,26 @@ class RgbdFrame:
 
 
 @dataclass(frozen=True, eq=False)
+class PixelGrid:
+    """How the points of a frame lie in its picture: point `row * width + column` is that of a pixel.
+
+    Parameters
+    ----------
+    height, width : of the picture in pixels, each at least 1
+    camera_m : (3,) float64, world, metres: from where the points were seen
+    """
+
+    height: int
+    width: int
+    camera_m: ArrayF64
+
+    def __post_init__(self) -> None:
+        if self.height < 1 or self.width < 1:
+            raise ValueError(f"PixelGrid: expected at least one pixel, got {self.width} x {self.height}")
+        _set(self, camera_m=_checked("PixelGrid.camera_m", self.camera_m, np.float64, (3,)))
+
+
+@dataclass(frozen=True, eq=False)
 class PointCloud:
     """Coloured points of one frame in the world. Points may be NaN or infinite: sampling skips and counts them.
 
@@ -137,20 +160,70 @@ class PointCloud:
     points_m : (P, 3) float32, world, metres; P may be 0
     srgb : (P, 3) float32, sRGB-encoded colour in [0, 1] at the session's reference exposure
     invalid : how many of the points are not finite, by reason, as far as that is known
+    grid : how the points lie in the picture; None for points without a picture, which then are points and no surfaces
     """
 
     points_m: ArrayF32
     srgb: ArrayF32
     invalid: Counts = field(default_factory=dict)
+    grid: PixelGrid | None = None
 
     def __post_init__(self) -> None:
         points = _checked("PointCloud.points_m", self.points_m, np.float32, (None, 3))
+        if self.grid is not None and len(points) != self.grid.height * self.grid.width:
+            raise ValueError(
+                f"PointCloud.grid: expected {len(points)} pixels, got {self.grid.width} x {self.grid.height}"
+            )
         _set(self, points_m=points, srgb=_checked("PointCloud.srgb", self.srgb, np.float32, (len(points), 3)))
 
     @functools.cached_property
     def has_finite_colours(self) -> bool:
         """Whether no colour is NaN or infinite; found out once, however many positions sample the cloud."""
         return not len(self.srgb) or bool(np.isfinite(self.srgb.min()) and np.isfinite(self.srgb.max()))
+
+
+@dataclass(frozen=True, eq=False)
+class AnchorSurfaces:
+    """What surface each anchor of a cloud shows, as far as one frame's depth can tell. All 0 where nothing is known.
+
+    Parameters
+    ----------
+    facing : (N,) float32, cosine between the surface's normal, on the side that the camera saw, and the direction from
+        the surface to the position, against the anchor's own: 1 faces the position, below 0 it would see the other side
+    incidence : (N,) float32, cosine between that normal and the direction to the camera, 0 to 1: small is grazing
+    camera_distance_m : (N,) float32, from the camera to the surface
+    view_direction : (N, 3) float32, unit, from the surface to the camera: under which angle its colour was seen
+    is_edge : (N,) bool, on some side the surface ends at this pixel, or at the picture's border or a pixel without
+        plane depth: its colour may be mixed with another's. Facing and incidence are known where a neighbour along each
+        axis of the picture is of the same surface, elsewhere 0
+    """
+
+    facing: ArrayF32
+    incidence: ArrayF32
+    camera_distance_m: ArrayF32
+    view_direction: ArrayF32
+    is_edge: ArrayBool
+
+    def __post_init__(self) -> None:
+        is_edge = _checked("AnchorSurfaces.is_edge", self.is_edge, np.bool_, (None,))
+        n = len(is_edge)
+        _set(
+            self,
+            is_edge=is_edge,
+            facing=_checked("AnchorSurfaces.facing", self.facing, np.float32, (n,)),
+            incidence=_checked("AnchorSurfaces.incidence", self.incidence, np.float32, (n,)),
+            camera_distance_m=_checked("AnchorSurfaces.camera_distance_m", self.camera_distance_m, np.float32, (n,)),
+            view_direction=_checked("AnchorSurfaces.view_direction", self.view_direction, np.float32, (n, 3)),
+        )
+
+    def __len__(self) -> int:
+        return len(self.is_edge)
+
+    @classmethod
+    def of_facing(cls, facing: ArrayLike) -> AnchorSurfaces:
+        """Surfaces of which only `facing` (N,) is known."""
+        zeros = np.zeros(len(np.asarray(facing)), np.float32)
+        return cls(np.asarray(facing), zeros, zeros, np.zeros((len(zeros), 3), np.float32), zeros > 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,12 +236,14 @@ class UnitSphereCloud:
     distance_m : (N,) float32, finite and >= 0; 0 where the anchor is not set
     is_set : (N,) bool; this and nothing else says whether an anchor was seen
     invalid : how many points of a frame were left out, by reason (not finite, at the position itself, ...)
+    surfaces : what surface each anchor shows, for estimators and the trigger; None where nobody looked
     """
 
     srgb: ArrayF32
     distance_m: ArrayF32
     is_set: ArrayBool
     invalid: Counts = field(default_factory=dict)
+    surfaces: AnchorSurfaces | None = None
 
     def __post_init__(self) -> None:
         is_set = _checked("UnitSphereCloud.is_set", self.is_set, np.bool_, (None,))
@@ -185,6 +260,8 @@ class UnitSphereCloud:
         unset = ~is_set
         if np.einsum("nc,n->", srgb, unset) + np.einsum("n,n->", distance_m, unset) > 0:
             raise ValueError("UnitSphereCloud: an anchor that is not set must have colour and distance 0")
+        if self.surfaces is not None and len(self.surfaces) != n:
+            raise ValueError(f"UnitSphereCloud.surfaces: expected {n} anchors, got {len(self.surfaces)}")
         _set(self, srgb=srgb, distance_m=distance_m, is_set=is_set)
 
     @classmethod

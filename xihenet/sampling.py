@@ -4,6 +4,9 @@ Unit-sphere sampling, the paper's choice: every point is projected to the unit s
 nearest anchor, and the nearest point wins the anchor, since it hides what lies behind it. Distance and colour of an
 anchor always come from one and the same point. `sample_unit_sphere_reference` is the same in a readable loop.
 
+Where points are the pixels of a picture and lie sparser than the anchors, as on a table at a flat angle, the patches
+of surface that they show compete as well, cut into points: see `patches`. All else is sampled as if there were none.
+
 Distance and point number are packed into one 64-bit key, so that a single minimum per anchor yields the winner, and
 points that are equally near are told apart by their number. Sorting by distance was rejected: it takes longer than
 all the rest.
@@ -14,12 +17,24 @@ Uniform random and farthest-point sampling are here as the paper's baselines. No
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.invalid import added, counted
-from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, PointCloud, UnitSphereCloud
+from xihenet.patches import (
+    FARTHEST_M,
+    SeenGrid,
+    cut_patches,
+    describe_surfaces,
+    fit_patches,
+    lines_through,
+    sparse_pixels,
+)
+from xihenet.patches_reference import PlainPicture
+from xihenet.records import AnchorSurfaces, ArrayBool, ArrayF32, ArrayF64, ArrayInt, PointCloud, UnitSphereCloud
 from xihenet.sphere import TABLE_SIZE, AnchorLattice, NearestMethod
 
 _NO_POINT = np.uint64(2**64 - 1)
@@ -45,9 +60,10 @@ def sample_unit_sphere(
 
     Returns
     -------
-    UnitSphereCloud with ray distances from the position. Points that are NaN or infinite, that lie at the position
-    itself, whose distance overflows float32, or whose colour is NaN or infinite are left out and counted. Of points
-    with the same distance in float32 the first one wins. Colours are clipped to [0, 1].
+    UnitSphereCloud with ray distances from the position, and with `surfaces` if the cloud has a grid. Points that are
+    NaN or infinite, that lie at the position itself, whose distance overflows float32, or whose colour is NaN or
+    infinite are left out and counted. Of points with the same distance in float32 the first one wins. Colours are
+    clipped to [0, 1].
 
     Notes
     -----
@@ -58,40 +74,94 @@ def sample_unit_sphere(
     ------
     ValueError : if the position is not three finite numbers
     """
-    columns = _relative_columns(cloud.points_m, _checked_position(position_m))
+    position = _checked_position(position_m)
+    columns = _relative_columns(cloud.points_m, position)
     distance_m = _distances(columns)
     invalid = _exclude_unusable(columns, distance_m, cloud)
     anchors = lattice.nearest_to_columns(columns, method, table_size)
     is_set, winners = _nearest_points(anchors, distance_m, lattice.n)
+    nearest_m = np.full(lattice.n, np.inf, np.float32)
+    nearest_m[is_set] = distance_m[winners]
+    surfaces = None
+    if cloud.grid is not None:
+        with np.errstate(over="ignore"):  # A camera that float32 cannot hold has no points that count.
+            camera = (cloud.grid.camera_m - position).astype(np.float32)
+        seen = SeenGrid(cloud.grid, columns, distance_m, camera, not distance_m.max() < FARTHEST_M)
+        nearest = partial(lattice.nearest_to_columns, method=method, table_size=table_size)
+        is_set, winners, surfaces = _with_patches(seen, anchors, winners, nearest_m, lattice, nearest)
+    nearest_m[~is_set] = 0
     srgb = np.zeros((lattice.n, 3), np.float32)
     srgb[is_set] = cloud.srgb.take(winners, axis=0).clip(0, 1)
-    anchor_distance_m = np.zeros(lattice.n, np.float32)
-    anchor_distance_m[is_set] = distance_m[winners]
-    return UnitSphereCloud(srgb, anchor_distance_m, is_set, invalid)
+    return UnitSphereCloud(srgb, nearest_m, is_set, invalid, surfaces)
+
+
+def _with_patches(
+    seen: SeenGrid, anchors: ArrayInt, winners: ArrayInt, nearest_m: ArrayF32, lattice: AnchorLattice,
+    nearest: Callable[[ArrayF32], ArrayInt],
+) -> tuple[ArrayBool, ArrayInt, AnchorSurfaces]:  # fmt: skip
+    """After patches have competed as well: which anchors are set, the pixel that won each of those, and what it shows.
+
+    `nearest_m` (N,) is changed in place; `winners` are the pixels of its finite ones, in order.
+    """
+    lines = lines_through(seen.grid, winners)
+    patches = fit_patches(seen, lines)
+    patch_of_anchor = np.full(len(nearest_m), -1)
+    patch_of_anchor[nearest_m < np.inf] = np.arange(len(winners))
+    sparse = sparse_pixels(seen, lines, anchors)
+    cut, points = cut_patches(patches.chosen(sparse), len(nearest_m))
+    if len(cut):
+        cut_m = _distances(points)
+        is_reached, nearest_cut = _nearest_points(nearest(points), cut_m, len(nearest_m))
+        reached = np.flatnonzero(is_reached)
+        is_nearer = cut_m[nearest_cut] < nearest_m[reached]
+        reached, nearest_cut = reached[is_nearer], nearest_cut[is_nearer]
+        nearest_m[reached], patch_of_anchor[reached] = cut_m[nearest_cut], sparse[cut[nearest_cut]]
+    is_set = patch_of_anchor >= 0
+    shown = patch_of_anchor[is_set]
+    return is_set, winners[shown], describe_surfaces(seen, patches, shown, is_set, lattice.directions)
 
 
 def sample_unit_sphere_reference(cloud: PointCloud, position_m: ArrayLike, lattice: AnchorLattice) -> UnitSphereCloud:
     """As `sample_unit_sphere`, point after point in float64: slow, and meant to be read and compared with."""
     position = _checked_position(position_m)
+    relative = cloud.points_m.astype(np.float64) - position
+    with np.errstate(over="ignore", invalid="ignore"):  # A distance beyond float32 is left out and counted below.
+        distance_m = np.sqrt((relative * relative).sum(axis=1)).astype(np.float32)
+    is_usable = np.isfinite(distance_m) & (distance_m > 0) & np.isfinite(cloud.srgb).all(axis=1)
+    nearest_m, winner = np.full(lattice.n, np.inf, np.float32), np.full(lattice.n, -1)
+
+    def compete(pixel: int, point: ArrayF64) -> None:
+        point_m = np.float32(np.sqrt((point * point).sum()))
+        anchor = int(np.argmax(lattice.directions @ point))
+        if point_m < nearest_m[anchor]:
+            nearest_m[anchor], winner[anchor] = point_m, pixel
+
+    for pixel in np.flatnonzero(is_usable):
+        compete(pixel, relative[pixel])
+    picture = None
+    if cloud.grid is not None:
+        anchors = lattice.nearest(np.where(is_usable[:, None], relative, 1.0), "brute")
+        picture = PlainPicture(cloud.grid, relative, is_usable, anchors, cloud.grid.camera_m - position)
+        for pixel, point in picture.patch_points(winner.copy()):
+            compete(pixel, point)
+    is_set = winner >= 0
     srgb = np.zeros((lattice.n, 3), np.float32)
-    nearest_m = np.full(lattice.n, np.inf, np.float32)
-    reasons: list[str] = []
-    for point, colour in zip(cloud.points_m.astype(np.float64), cloud.srgb, strict=True):
-        relative = point - position
-        with np.errstate(over="ignore"):  # A distance beyond float32 is infinite, and is left out and counted below.
-            distance_m = np.float32(np.sqrt((relative * relative).sum()))
-        if not (np.isfinite(distance_m) and distance_m > 0 and np.isfinite(colour).all()):
-            lost = "too_far" if np.isfinite(point).all() else "not_finite"
-            reasons += [lost if not np.isfinite(distance_m) else "colour_not_finite" if distance_m else "at_probe"]
-            continue
-        anchor = int(np.argmax(lattice.directions @ relative))
-        if distance_m < nearest_m[anchor]:
-            nearest_m[anchor] = distance_m
-            srgb[anchor] = colour.clip(0, 1)
-    is_set = np.isfinite(nearest_m)
-    own = Counter(reasons)
-    own["not_finite"] -= sum(cloud.invalid.values())
-    return UnitSphereCloud(srgb, np.where(is_set, nearest_m, 0), is_set, added([cloud.invalid, +own]))
+    srgb[is_set] = cloud.srgb[winner[is_set]].clip(0, 1)
+    surfaces = picture.surfaces(winner, lattice.directions) if picture else None
+    invalid = added([cloud.invalid, _reasons(cloud, distance_m)])
+    return UnitSphereCloud(srgb, np.where(is_set, nearest_m, 0), is_set, invalid, surfaces)
+
+
+def _reasons(cloud: PointCloud, distance_m: ArrayF32) -> Counter[str]:
+    """Why points are left out, one after the other, as far as the cloud does not name it."""
+    reasons: Counter[str] = Counter()
+    for point, colour, point_m in zip(cloud.points_m, cloud.srgb, distance_m, strict=True):
+        if not np.isfinite(point_m):
+            reasons["too_far" if np.isfinite(point).all() else "not_finite"] += 1
+        elif not (point_m > 0 and np.isfinite(colour).all()):
+            reasons["colour_not_finite" if point_m else "at_probe"] += 1
+    reasons["not_finite"] -= sum(cloud.invalid.values())
+    return +reasons
 
 
 def sample_uniform(cloud: PointCloud, n: int, rng: np.random.Generator) -> PointCloud:

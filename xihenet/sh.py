@@ -27,6 +27,7 @@ __all__ = [
     "dering",
     "dering_with_strength",
     "evaluate_panorama",
+    "facing_weights",
     "irradiance",
     "panorama_directions",
     "project_anchors",
@@ -44,6 +45,11 @@ L1_VARIANCE = 0.021
 RESIDUAL_NOISE = 0.001
 # Bends a fit of full coverage by a billionth, and makes lattices of fewer anchors than coefficients solvable.
 SMALLEST_PENALTY = 1e-9
+
+# A surface that faces away shows a side that the position would not see, and one that is seen flat little of itself. Of
+# 18 weights over seven rooms not trained on this lost nowhere more than 6 %, for 5 % (one view) to 7 % (merged) less
+# error in the mean; weights of 0 lose more, since what faces away is often all that is known of a direction.
+FACING_OFFSET, LEAST_WEIGHT = 0.3, 0.2
 
 ROTATION_TOLERANCE = 1e-5  # float32 matrices, as Blender has them, stay within 1e-6.
 
@@ -75,6 +81,12 @@ def _band_of_coefficient(order: int) -> ArrayF64:
     return np.repeat(np.arange(order + 1.0), 2 * np.arange(order + 1) + 1)
 
 
+def facing_weights(facing: ArrayLike) -> ArrayF64:
+    """(...) how much anchors count that face the position by these cosines: 0.2 to 1, and 0.3 for an unknown 0."""
+    weights: ArrayF64 = np.clip(np.asarray(facing, np.float64) + FACING_OFFSET, LEAST_WEIGHT, 1.0)
+    return weights
+
+
 def project_anchors(cloud: UnitSphereCloud, lattice: AnchorDirections, order: int = 2) -> ArrayF64:
     """Coefficients of the light that the set anchors saw, by regularised least squares.
 
@@ -83,7 +95,8 @@ def project_anchors(cloud: UnitSphereCloud, lattice: AnchorDirections, order: in
     variance of what order `order` cannot fit over the variance expected of band l (`RESIDUAL_NOISE`, `L1_VARIANCE` /
     l^2), times the share of the sphere that is not seen, because that residual is orthogonal to the basis on the whole
     sphere and leaks into the fit only through the hole. So at full coverage the fit is plain least squares; plain
-    least squares at 5 % coverage is wrong by tens of times the light. Nothing here knows up from down: a rotated
+    least squares at 5 % coverage is wrong by tens of times the light. Where the cloud has surfaces, an anchor counts by
+    `facing_weights`, and as much less of the sphere as seen. Nothing here knows up from down: a rotated
     room gives rotated coefficients.
 
     Parameters
@@ -104,15 +117,21 @@ def project_anchors(cloud: UnitSphereCloud, lattice: AnchorDirections, order: in
     if n_set == 0:
         return np.zeros((n_coefficients(order), 3))
     seen = table[cloud.is_set]
+    n_seen: float = n_set
+    weighted = seen
+    weights = None
+    if cloud.surfaces is not None:
+        weights = facing_weights(cloud.surfaces.facing[cloud.is_set])
+        n_seen, weighted = float(weights.sum()), seen * weights[:, None]
     radiance = srgb_to_linear(cloud.srgb[cloud.is_set].astype(np.float64))
     # The mean goes straight into the free constant band: constant light is then exact however ill-conditioned the fit.
-    mean = radiance.mean(axis=0)
-    penalty = (1 - n_set / len(cloud)) * RESIDUAL_NOISE / L1_VARIANCE + SMALLEST_PENALTY
+    mean = radiance.mean(axis=0) if weights is None else weights @ radiance / n_seen
+    penalty = (1 - n_seen / len(cloud)) * RESIDUAL_NOISE / L1_VARIANCE + SMALLEST_PENALTY
     per_anchor = 4 * np.pi / len(cloud)
     # einsum and not a matrix product: threaded BLAS wakes all cores for this little and stalls beside a busy renderer.
-    gram = np.einsum("ni,nj->ij", seen, seen) * per_anchor
+    gram = np.einsum("ni,nj->ij", weighted, seen) * per_anchor
     normal_matrix = gram + np.diag(penalty * _band_of_coefficient(order) ** 2)
-    right_side = np.einsum("ni,nc->ic", seen, radiance - mean) * per_anchor
+    right_side = np.einsum("ni,nc->ic", weighted, radiance - mean) * per_anchor
     # By eigenvectors, since solve() is threaded too, whatever the size: 0.01 ms here against 8 ms on a busy machine.
     values, vectors = np.linalg.eigh(normal_matrix)
     coefficients: ArrayF64 = vectors @ ((vectors.T @ right_side) / values[:, None])

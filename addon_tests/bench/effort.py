@@ -22,6 +22,7 @@ import argparse
 import itertools
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,9 +38,9 @@ from xihe_blender.effects.unchanged import KeptRenders, SceneState, scene_states
 from xihe_blender.effort import Effort, measure_effort
 from xihe_blender.plan import PrevisPlan, plan_previs
 from xihe_blender.previs_settings import PrevisSettings
+from xihe_blender.reference_probe import open_reference_probe
 from xihe_blender.render import RenderSettings
 from xihe_blender.scene_state import scene_kept
-from xihe_blender.truth import open_light_probe, probe_radiance_sh
 from xihenet.camera import in_view
 
 SCENES = Path(__file__).resolve().parents[2] / "blend_scenes"
@@ -106,11 +107,13 @@ def walk(stage: Stage, effort: Effort, kept: KeptRenders) -> Walked:
     """Render what `kept` does not have already."""
     scene, plan, settings, exposure, _ = stage
     start = time.process_time()
-    capture, truth = settings.capture(plan.size, effort.capture_samples), settings.truth(effort.truth_samples)
+    capture = settings.capture(plan.size, effort.capture_samples)
+    reference = replace(settings.reference, light_transport=stage.light_transport)
+    places = {probe.name: place for place, probe in enumerate(plan.probes)}
     captured, lights, compared, n_probes = {}, {}, {}, 0
     with (
         open_scanner(scene, simulated(stage, capture)) as scanner,
-        open_light_probe(scene, simulated(stage, truth)) as light_probe,
+        open_reference_probe(scene, [probe.position_m for probe in plan.probes], reference) as reference_probe,
     ):
         scanner.exposure = exposure
         for frame in plan.frames:
@@ -122,8 +125,8 @@ def walk(stage: Stage, effort: Effort, kept: KeptRenders) -> Walked:
                 captured[frame] = scanner.acquire_environment_scan()
             for probe in seen:
                 if kept.probe(frame, probe.name) == frame:
-                    panorama = light_probe.panorama(probe.position_m, frame)
-                    lights[probe.object_name] = probe_radiance_sh(panorama, exposure, "hdr")
+                    light = reference_probe.light_at(places[probe.name], frame, exposure)
+                    lights[probe.object_name] = light.measured.hdr
                     n_probes += 1
             compared[frame] = kept.capture(frame), dict(lights)
     walk_s, start, n_comparisons = time.process_time() - start, time.process_time(), 0
@@ -168,10 +171,7 @@ def still_table(settings: PrevisSettings) -> Iterator[str]:
 
 
 def said(effort: Effort) -> str:
-    return (
-        f"captures {effort.capture_samples} samples ({effort.capture_noise:.1%} noise), "
-        f"probes {effort.truth_samples} ({effort.truth_noise:.1%})"
-    )
+    return f"captures {effort.capture_samples} samples ({effort.capture_noise:.1%} noise)"
 
 
 def kept_counts(name: str, settings: PrevisSettings) -> str:
@@ -197,8 +197,8 @@ def scene_table(size: tuple[int, int], preset: str, step: int) -> Iterator[str]:
     for name in names:
         _, plan, _, exposure, transport = stage = open_stage(name, settings)
         efforts[name] = measure_effort(stage.scene, plan, settings, exposure, transport)
-    most = Effort(max(e.capture_samples for e in efforts.values()), max(e.truth_samples for e in efforts.values()))
-    yield f"own walks, {preset}, fixed: captures {most.capture_samples} samples, probes {most.truth_samples}"
+    most = Effort(max(effort.capture_samples for effort in efforts.values()))
+    yield f"own walks, {preset}, fixed: captures {most.capture_samples} samples"
     yield f"{'':<20}{'captures':>10}{'probes':>12}{'fixed s':>10}{'now s':>8}{'':>8}  samples now"
     for name in names:
         stage = open_stage(name, settings)

@@ -33,6 +33,7 @@ from xihenet.estimators.lattice_format import LatticeWeights, load_weights
 from xihenet.estimators.lattice_tables import pooling_matrix, quadrature_matrix
 from xihenet.estimators.weights_format import WEIGHTS_FOLDER
 from xihenet.metrics import shc_rmse
+from xihenet.mirror_ball import panorama_of_ball
 from xihenet.panorama import panorama_directions, project_panorama, solid_angles
 from xihenet.records import ArrayF64, Intrinsics, PointCloud, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
@@ -291,7 +292,7 @@ def light_in_float64(weights: LatticeWeights, cloud: UnitSphereCloud) -> ArrayF6
 
 def panoramas() -> list[ArrayF64]:
     files = sorted(ROOMS.glob("room_*.npz"))
-    return [panorama.astype(float) for file in files for panorama in np.load(file)["panoramas"]]
+    return [panorama_of_ball(ball, 32).astype(float) for file in files for ball in np.load(file)["balls"]]
 
 
 def brute_irradiance(panorama: ArrayF64) -> ArrayF64:

@@ -2,19 +2,23 @@
 
     python addon_tests/bench/trigger.py out/living_room out/light_temperature ...
 
-For each setting and run: the share of steps that made an estimate, the mean SHC RMSE of the light in force against the
-rendered truth, and its RMSE against making an estimate in every frame. Nothing is rendered.
+For each setting and run: the share of steps that made an estimate, for which reasons, and the mean SHC RMSE of the
+light in force against the rendered truth. Theta lies above the noise of the captures, as in the run itself. With a
+view angle of 180 degrees the trigger asks a surface whatever the angle it is seen from. Nothing is rendered.
 """
 
 from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from xihe_blender.prepared_run import above_noise
+from xihe_blender.previs_settings import PREVIS_TRIGGER
 from xihenet import estimators
 from xihenet.backend import LocalBackend
 from xihenet.controller import ControllerSettings, XiheController
@@ -23,14 +27,14 @@ from xihenet.recording import load_frame
 from xihenet.records import RgbdFrame
 from xihenet.trigger import TriggerSettings
 
+FIRED = ("first", "colour", "coverage")
 EVERY_FRAME = TriggerSettings(theta=0.0, coverage_theta=0.0)
 CANDIDATES = [
     TriggerSettings(policy="reference"),
-    TriggerSettings(),
     *(
-        TriggerSettings(theta=theta, ignored_share=ignored)
-        for theta in (0.01, 0.02, 0.05)
-        for ignored in (0.0, 0.1, 0.25, 0.4)
+        replace(PREVIS_TRIGGER, theta=theta, view_angle_deg=angle_deg)
+        for angle_deg in (180.0, 3.0, 6.0)
+        for theta in (0.001, 0.002, 0.005, 0.01, 0.02)
     ),
 ]
 
@@ -44,6 +48,7 @@ class Recorded:
     positions: dict[str, list[float]]
     truth: list[dict[str, np.ndarray]]
     exposure: float
+    capture_change: float | None
 
 
 def read_run(folder: Path) -> Recorded:
@@ -55,42 +60,45 @@ def read_run(folder: Path) -> Recorded:
         {probe["name"]: probe["position_m"] for entry in active for probe in entry["probes"]},
         [{probe["name"]: np.array(probe["sh_truth"]) for probe in entry["probes"]} for entry in active],
         results["settings"]["reference_exposure"],
+        results["settings"]["noise"]["trigger"],
     )
 
 
-def walk(recorded: Recorded, settings: TriggerSettings) -> tuple[np.ndarray, float, float]:
-    """The lights in force, the share of steps that fired, and the mean error against truth."""
+def walk(recorded: Recorded, settings: TriggerSettings) -> tuple[Counter[str], int, float]:
+    """How many steps fired, by reason, of how many, and the mean error against truth of the light in force."""
     chain = ControllerSettings(settings, reference_exposure=recorded.exposure)
     controller = XiheController(LocalBackend(estimators.load("projection")), chain)
     for name, position in recorded.positions.items():
         controller.add_position(name, position)
-    lights, fired, errors = [], [], []
+    reasons: Counter[str] = Counter()
+    errors = []
     for frame, truth in zip(recorded.frames, recorded.truth, strict=True):
         for name, step in controller.step(frame).items():
             light = controller.light(name)
             if light is None:
                 continue
-            lights.append(light.sh_radiance)
-            fired.append(step.decision.fire)
+            reasons[step.decision.reason] += 1
             errors.append(shc_rmse(light.sh_radiance, truth[name]))
-    return np.array(lights), float(np.mean(fired)), float(np.mean(errors))
+    return reasons, len(errors), float(np.mean(errors))
+
+
+def cell(recorded: Recorded, settings: TriggerSettings) -> str:
+    """A walk as the table tells it."""
+    reasons, n_steps, error = walk(recorded, above_noise(settings, recorded.capture_change))
+    counts = [reasons[reason] for reason in FIRED]
+    return f"{sum(counts) / n_steps:.2f} ({'+'.join(map(str, counts))} of {n_steps}) / {error:.3f}"
 
 
 def main() -> None:
     runs = [read_run(Path(folder)) for folder in sys.argv[1:]]
     if not runs:
         sys.exit("give the folders of finished previs runs")
-    every = {run.name: walk(run, EVERY_FRAME) for run in runs}
-    print("share of steps that fire / error against truth / error against estimating in every frame")
-    print(f"{'policy':<11}{'theta':>6}{'aside':>7}  " + "".join(f"{run.name:>24}" for run in runs))
-    print(f"{'every frame':<24}  " + "".join(f"{f'1.00 / {every[run.name][2]:.3f} / 0.000':>24}" for run in runs))
-    for settings in CANDIDATES:
-        row = f"{settings.policy:<11}{settings.theta:>6}{settings.ignored_share:>7}  "
-        for run in runs:
-            lights, fired, error = walk(run, settings)
-            drift = shc_rmse(lights, every[run.name][0])
-            row += f"{f'{fired:.2f} / {error:.3f} / {drift:.3f}':>24}"
-        print(row)
+    headings = [f"{c.policy}, {c.theta}, {c.view_angle_deg:g} degrees" for c in CANDIDATES]
+    print("share of steps that fire (first+colour+coverage of all) / error against truth")
+    print("| scene | every frame | " + " | ".join(headings) + " |\n| --- |" + " --- |" * (1 + len(CANDIDATES)))
+    for run in runs:
+        cells = [f"{walk(run, EVERY_FRAME)[2]:.3f}", *(cell(run, settings) for settings in CANDIDATES)]
+        print(f"| `{run.name}` | " + " | ".join(cells) + " |", flush=True)
 
 
 if __name__ == "__main__":

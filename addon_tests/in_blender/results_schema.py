@@ -43,6 +43,7 @@ def check_results(results):
     for part in ("software", "machine"):
         assert all(isinstance(value, str | int) for value in results[part].values()), part
     assert results["settings"]["target"] in ("ldr", "hdr")
+    assert results["settings"]["metering"] in ("highlights", "key", None)
     assert all(
         fault["name"] and fault["n"] >= 1 and fault["said"] in results["notes"] for fault in results["scene"]["faults"]
     )
@@ -121,6 +122,7 @@ def _check_rendering(entry):
     capture, probes = entry["rendering"]["capture"], entry["rendering"]["probes"]
     assert set(probes) == {probe["name"] for probe in entry["probes"]}
     renders = [capture, *probes.values()]
+    assert all(isinstance(probe["is_capped"], bool) for probe in probes.values())
     for render in renders:
         assert isinstance(render["samples"], int) and render["samples"] >= 1
         assert render["noise"] is None or 0 <= render["noise"] < math.inf
@@ -144,6 +146,8 @@ def _check_probe(probe):
     assert probe["is_valid"] or probe["unknown_because"] in UNKNOWN
     assert probe["n_followed_anchors"] >= 0 and (probe["fired"] or not probe["n_followed_anchors"])
     assert probe["fired"] == (probe["payload_bytes"] > 0)
+    above = probe["share_above_white"]
+    assert above is None or (_is_number(above) and 0 <= above <= 1)
     for name in ("sh", "sh_truth"):
         assert len(probe[name]) == 9 and all(_are_numbers(triple, 3) for triple in probe[name]), name
     assert _is_number(probe["shc_rmse"]) and probe["shc_rmse"] >= 0

@@ -292,11 +292,11 @@ def test_every_setting_of_the_panel_reaches_the_run(tmp_path):
     scene = walk_for_the_panel(
         tmp_path, estimator="projection", target="hdr", use_own_frames=True, frame_start=2, frame_end=5, frame_step=2,
         phone="FILE", phone_file=str(tmp_path / "mine.toml"), network="lte", use_own_exposure=True, exposure=0.5,
-        seed=7,
+        metering="key", seed=7,
     )  # fmt: skip
     assert previs_settings(scene) == PrevisSettings(
-        estimator="projection", preset="draft", target="hdr", size=(32, 24), frames=(2, 4), exposure=0.5, seed=7,
-        phone=str(tmp_path / "mine.toml"), network="lte",
+        estimator="projection", preset="draft", target="hdr", size=(32, 24), frames=(2, 4), exposure=0.5,
+        metering="key", seed=7, phone=str(tmp_path / "mine.toml"), network="lte",
     )  # fmt: skip
 
 

@@ -118,7 +118,7 @@ def test_an_object_that_is_deleted_meanwhile_ends_the_run_with_one_line(tmp_path
     walk_for_the_panel(tmp_path)
 
     def delete(scene, *_):
-        if scene.name == "Xihe Truth" and "Ball" in bpy.data.objects:
+        if scene.name == "Xihe Reference Probe" and "Ball" in bpy.data.objects:
             bpy.data.objects.remove(bpy.data.objects["Ball"])
 
     bpy.app.handlers.render_post.append(delete)

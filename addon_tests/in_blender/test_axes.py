@@ -5,14 +5,15 @@ import pytest
 from tiny_scenes import box, empty_scene, material, phone, set_world
 
 from xihe_blender.capture import open_scanner
+from xihe_blender.reference_probe import ProbeSettings, open_reference_probe
 from xihe_blender.render import RenderSettings
-from xihe_blender.truth import open_light_probe, probe_radiance_sh
 from xihenet import sh
 from xihenet.camera import unproject_frame
 from xihenet.colour import srgb_to_linear
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 
+PROBE = ProbeSettings(max_samples=4, noise_target=None)
 AXES = [(axis, sign) for axis in range(3) for sign in (1, -1)]
 POSITION = (0.3, -0.2, 0.1)
 
@@ -28,17 +29,22 @@ def room_with_one_glowing_side(axis, sign):
     return scene
 
 
+def light_at(scene, position, exposure=1.0):
+    """What the reference probe measures there."""
+    with open_reference_probe(scene, [position], PROBE) as probe:
+        return probe.light_at(0, 1, exposure)
+
+
 def dominant_direction(sh_radiance):
     """Where most light comes from: the l = 1 coefficients as (x, y, z)."""
     return sh_radiance[[3, 1, 2]].sum(axis=1)
 
 
+@pytest.mark.parametrize("target", ["ldr", "hdr"])
 @pytest.mark.parametrize(("axis", "sign"), AXES)
-def test_the_probe_knows_the_side(axis, sign):
+def test_the_probe_knows_the_side(axis, sign, target):
     scene = room_with_one_glowing_side(axis, sign)
-    with open_light_probe(scene, RenderSettings((32, 16), 16, denoise=False)) as probe:
-        panorama = probe.panorama(POSITION, 1)
-    direction = dominant_direction(probe_radiance_sh(panorama, 1.0, "hdr"))
+    direction = dominant_direction(light_at(scene, POSITION).measured.of(target))
     # The panel's centre as the probe sees it: a swapped or mirrored axis would be far off.
     expected = -np.array(POSITION)
     expected[axis] += sign * 1.95
@@ -71,38 +77,39 @@ def test_anchors_know_the_side_from_a_rolled_and_tilted_phone(axis, sign):
 @pytest.mark.parametrize(("axis", "sign"), AXES)
 def test_the_panorama_can_be_read_at_the_direction_it_says(axis, sign):
     scene = room_with_one_glowing_side(axis, sign)
-    with open_light_probe(scene, RenderSettings((64, 32), 4, denoise=False)) as probe:
-        panorama = probe.panorama((0, 0, 0), 1)
-    directions = sh.panorama_directions(32, 64)
+    panorama = light_at(scene, (0, 0, 0)).panorama
+    directions = sh.panorama_directions(*panorama.shape[:2])
     along = directions[..., axis] * sign
-    assert panorama[along > 0.98].min() > 0.7
-    assert panorama[along < 0.5].max() == 0.0
+    # Straight down is the rim of the mirror ball, where pixels are long and narrow.
+    is_down = (axis, sign) == (2, -1)
+    assert panorama[along > 0.98].min() > (0.1 if is_down else 0.7)
+    assert panorama[along < (0.1 if is_down else 0.5)].max() < 0.01
 
 
 def test_under_constant_light_truth_gives_that_light():
     scene = empty_scene()
     set_world(scene, (0.25, 0.5, 0.75))
-    with open_light_probe(scene, RenderSettings((32, 16), 4, denoise=False)) as probe:
-        panorama = probe.panorama(POSITION, 1)
+    light = light_at(scene, POSITION, exposure=1.2)
     expected = np.zeros((9, 3))
     expected[0] = 2 * np.sqrt(np.pi) * np.array([0.25, 0.5, 0.75]) * 1.2
-    np.testing.assert_allclose(probe_radiance_sh(panorama, 1.2, "ldr"), expected, atol=2e-6)
+    # Rays on the rim of the mirror ball meet it or not: some thousandths of the light.
+    for target in ("ldr", "hdr"):
+        np.testing.assert_allclose(light.measured.of(target), expected, atol=2e-2)
+    np.testing.assert_allclose(light.panorama, np.broadcast_to([0.25, 0.5, 0.75], light.panorama.shape), rtol=0.3)
 
 
 def test_a_probe_close_above_a_surface_sees_it():
     scene = empty_scene()
     set_world(scene)
     box(scene, "Glowing floor", (0, 0, -0.5), (10, 10, 1), material("Glow", (1, 1, 1), emission=1.0))
-    with open_light_probe(scene, RenderSettings((32, 16), 4, denoise=False)) as probe:
-        panorama = probe.panorama((0, 0, 0.03), 1)
-    assert panorama[9:].min() > 0.99 and panorama[:7].max() == 0
+    panorama = light_at(scene, (0, 0, 0.03)).panorama
+    middle = len(panorama) // 2
+    assert panorama[middle + 3 :].min() > 0.7 and panorama[: middle - 3].max() < 0.05
 
 
 def test_the_targets_differ_only_where_light_is_brighter_than_white():
     scene = room_with_one_glowing_side(0, 1)
-    with open_light_probe(scene, RenderSettings((32, 16), 16, denoise=False)) as probe:
-        panorama = probe.panorama(POSITION, 1)
-    ldr, hdr = (probe_radiance_sh(panorama, 1.0, target) for target in ("ldr", "hdr"))
-    np.testing.assert_allclose(ldr, hdr, atol=1e-6)
-    ldr, hdr = (probe_radiance_sh(panorama, 5.0, target) for target in ("ldr", "hdr"))
-    assert hdr[0, 0] > 2.5 * ldr[0, 0]
+    dim, bright = (light_at(scene, POSITION, exposure).measured for exposure in (1.0, 5.0))
+    np.testing.assert_allclose(dim.ldr, dim.hdr, atol=0.02 * np.linalg.norm(dim.hdr))
+    assert bright.hdr[0, 0] > 2.5 * bright.ldr[0, 0]
+    np.testing.assert_allclose(bright.hdr, 5 * dim.hdr, rtol=1e-5, atol=1e-5)

@@ -359,6 +359,7 @@ def test_a_file_that_cannot_be_used_is_refused(folder, tmp_path, name, words):
         (("--preset", "hasty"), "draft, balanced, accurate"),
         (("--target", "sdr"), "ldr"),
         (("--exposure", "-1"), "positive"),
+        (("--metering", "spot"), "highlights, key"),
         (("--exposure", "nan"), "positive"),
         (("--seed", "-1"), "0 to"),
     ],

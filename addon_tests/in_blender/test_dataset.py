@@ -32,8 +32,8 @@ from xihe_blender.processes import module_command
 from xihenet.camera import metered_exposure, project_points, unproject_frame
 from xihenet.sphere import AnchorLattice
 
-SMALL = RoomRenderSettings((32, 24), 1, (16, 8), 4)
-SMALL_NUMBERS = (32, 24, 1, 16, 8, 4)
+SMALL = RoomRenderSettings((32, 24), 1, 16, 4)
+SMALL_NUMBERS = SMALL.numbers
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -86,18 +86,20 @@ def test_a_room_whose_bytes_changed_is_refused_or_read_and_nothing_else(room, tm
     assert n_refused > 100
 
 
-def test_a_room_holds_its_views_and_panoramas(room):
+def test_a_room_holds_its_views_and_its_light(room):
     assert room.srgb_u8.shape == (N_VIEWS, 24, 32, 3)
     assert room.radiance.shape == (N_VIEWS, 24, 32, 3)
     assert room.plane_depth_m.shape == (N_VIEWS, 24, 32)
-    assert room.panoramas.shape == (N_POSITIONS, 8, 16, 3)
-    assert np.isfinite(room.panoramas).all()
+    assert room.balls.shape == (N_POSITIONS, 16, 16, 3)
+    assert np.isfinite(room.balls).all()
+    assert room.sh_ldr.shape == room.sh_hdr.shape == (N_POSITIONS, 9, 3)
+    assert (room.sh_ldr[:, 0] > 0).all() and (room.sh_noise < 0.5).all()
     assert np.isfinite(room.radiance).all()
     assert panorama_faults(room) == []
 
 
 def test_a_black_panorama_is_a_fault(room):
-    black = StoredRoom(**{**room.__dict__, "panoramas": np.zeros_like(room.panoramas)})
+    black = StoredRoom(**{**room.__dict__, "balls": np.zeros_like(room.balls)})
     assert len(panorama_faults(black)) == N_POSITIONS
 
 
@@ -236,8 +238,8 @@ def test_a_closed_build_ends_its_workers_and_leaves_whole_files(tmp_path):
 
 
 def test_what_a_failing_worker_said_is_passed_on(tmp_path):
-    with pytest.raises(UserError, match="expected 6 arguments"):
-        run_blocking(build_dataset(tmp_path, BuildSettings(1, 5, 1, SMALL_NUMBERS[:5])))
+    with pytest.raises(UserError, match="expected 5 arguments"):
+        run_blocking(build_dataset(tmp_path, BuildSettings(1, 5, 1, SMALL_NUMBERS[:4])))
 
 
 @pytest.mark.parametrize(
@@ -256,8 +258,9 @@ def test_a_contact_sheet_shows_every_room(room):
 
 
 def test_the_statistics_of_constant_light_are_known(room):
-    grey = np.full_like(room.panoramas, 0.25 / room.exposure)
-    statistics = light_statistics([StoredRoom(**{**room.__dict__, "panoramas": grey})], n_anchors=64)
+    grey = np.zeros_like(room.sh_ldr)
+    grey[:, 0] = 0.25 * np.sqrt(4 * np.pi)
+    statistics = light_statistics([StoredRoom(**{**room.__dict__, "sh_ldr": grey})], n_anchors=64)
     np.testing.assert_allclose(statistics.mean_l00, 0.25 * np.sqrt(4 * np.pi), rtol=2e-3)
     assert max(spread.max() for spread in statistics.spread.values()) < 1e-3
     assert statistics.n_pairs == room.is_in_view.sum()

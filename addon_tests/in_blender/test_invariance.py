@@ -68,5 +68,8 @@ def test_the_anchors_take_the_rest_of_what_a_yaw_may_change(known):
 
 
 def test_a_light_that_is_not_turned_back_is_told_apart(known):
-    for name, light in see(YAWS[2]).lights.items():
-        assert apart(light, known.lights[name]) > 2 * TOLERANCE[name]
+    lights = see(YAWS[3]).lights
+    for name in ("projection", "truth"):
+        assert apart(lights[name], known.lights[name]) > 4 * TOLERANCE[name]
+    # Its light is that of any room more than of this one: a wrong yaw changes it by 0.24, its anchors alone by 0.15.
+    assert apart(lights["lattice"], known.lights["lattice"]) > 1.2 * TOLERANCE["lattice"]

@@ -172,6 +172,7 @@ def test_a_file_of_the_users_is_not_written_over(tmp_path, name):
     "change",
     [
         {"exposure": -1.0},
+        {"metering": "spot"},
         {"exposure": 0.0},
         {"exposure": float("nan")},
         {"exposure": float("inf")},

@@ -12,7 +12,7 @@ from xihe_blender.spread import dashboard, open_spread
 
 pytestmark = pytest.mark.wheel_only("a whole Blender's Python has no Dask")
 
-SMALL_NUMBERS = (32, 24, 1, 16, 8, 4)
+SMALL_NUMBERS = (32, 24, 1, 16, 4)
 
 
 @pytest.fixture(scope="module")

@@ -33,9 +33,9 @@ from xihenet.records import Intrinsics
 from xihenet.sphere import AnchorLattice
 from xihenet.training.rooms import SPLITS, split_of
 
-SMALL = RoomRenderSettings((32, 24), 1, (16, 8), 4)
-SMALL_NUMBERS = (32, 24, 1, 16, 8, 4)
-FIRST_DATASET = {"format": 1, "seed": 5, "render": list(SMALL_NUMBERS), "software": "xihe 0.1.0"}
+SMALL = RoomRenderSettings((32, 24), 1, 16, 4)
+SMALL_NUMBERS = SMALL.numbers
+FREE_VIEWS = {"format": 2, "seed": 5, "render": list(SMALL_NUMBERS), "metering": "highlights", "software": "xihe 0.1.0"}
 """What the first version wrote into its folders."""
 
 N_FRAMES = 24
@@ -161,8 +161,10 @@ def test_where_there_is_no_floor_to_walk_on_one_stands_and_looks_around():
 @pytest.mark.parametrize("index", range(2))
 def test_a_walked_room_is_the_room_of_the_free_views(index):
     free, walk = make_room(5, index, SMALL), make_room(5, index, SMALL, walk=7)
-    for name in ("positions_m", "panoramas", "seed"):
+    for name in ("positions_m", "seed"):
         assert getattr(free, name).tobytes() == getattr(walk, name).tobytes(), name
+    np.testing.assert_allclose(free.sh_hdr / free.exposure, walk.sh_hdr / walk.exposure, rtol=1e-6)
+    np.testing.assert_allclose(free.balls.astype(float), walk.balls.astype(float), rtol=2e-3, atol=1e-6)
     assert (free.kind, free.regime) == (walk.kind, walk.regime)
     np.testing.assert_array_equal(free.intrinsics, walk.intrinsics)
     assert walk.srgb_u8.shape == (7, 24, 32, 3)
@@ -203,20 +205,27 @@ def test_a_folder_of_walks_holds_nothing_else(walked_folder):
             run_blocking(build_dataset(folder, replace(settings, walk=other)))
 
 
-def test_folders_of_the_first_version_go_on_as_free_views(tmp_path):
-    (tmp_path / "dataset.json").write_text(json.dumps(FIRST_DATASET))
+def test_folders_without_a_walk_go_on_as_free_views(tmp_path):
+    (tmp_path / "dataset.json").write_text(json.dumps(FREE_VIEWS))
     settings = BuildSettings(3, 5, 1, SMALL_NUMBERS)
     claim_folder(tmp_path, settings.made_with)
-    assert json.loads((tmp_path / "dataset.json").read_text()) == FIRST_DATASET
+    assert json.loads((tmp_path / "dataset.json").read_text()) == FREE_VIEWS
     with pytest.raises(UserError, match="another folder"):
         claim_folder(tmp_path, replace(settings, walk=24).made_with)
 
 
-def test_free_views_are_recorded_as_the_first_version_did(tmp_path):
+def test_folders_that_were_metered_in_the_old_way_are_not_gone_on_with(tmp_path):
+    old = {key: value for key, value in FREE_VIEWS.items() if key != "metering"}
+    (tmp_path / "dataset.json").write_text(json.dumps(old))
+    with pytest.raises(UserError, match="another folder"):
+        claim_folder(tmp_path, BuildSettings(3, 5, 1, SMALL_NUMBERS).made_with)
+
+
+def test_free_views_are_recorded_without_a_walk(tmp_path):
     claim_folder(tmp_path, BuildSettings(3, 5, 1, SMALL_NUMBERS).made_with)
     written = json.loads((tmp_path / "dataset.json").read_text())
-    assert list(written) == list(FIRST_DATASET)
-    assert {**written, "software": ""} == {**FIRST_DATASET, "software": ""}
+    assert list(written) == list(FREE_VIEWS)
+    assert {**written, "software": ""} == {**FREE_VIEWS, "software": ""}
 
 
 @pytest.mark.parametrize(
@@ -263,7 +272,7 @@ def test_a_scene_is_stored_as_its_camera_path_saw_it(tmp_path):
     assert room.seed.tolist() == [SCENE_SEED, zlib.crc32(b"tiny")]
     assert room.exposure == meter_exposure(scene, [1, 2, 3])
     np.testing.assert_allclose(room.positions_m, [[0, 0, 0.85]], atol=1e-6)
-    assert room.panoramas.shape == (1, 8, 16, 3)
+    assert room.balls.shape == (1, 16, 16, 3)
     for frame, pose in enumerate(room.world_from_camera, start=1):
         scene.frame_set(frame)
         np.testing.assert_allclose(pose, phone_camera(scene)[1], atol=1e-6)
@@ -278,7 +287,8 @@ def test_virtual_objects_are_in_no_picture_of_a_scene(tmp_path):
     mark(scene, "Mark", (0, 0, 0.85))
     _, without = added(scene, "without", tmp_path, at=["Mark"])
     np.testing.assert_array_equal(with_ball.radiance, without.radiance)
-    np.testing.assert_array_equal(with_ball.panoramas, without.panoramas)
+    np.testing.assert_array_equal(with_ball.balls, without.balls)
+    np.testing.assert_array_equal(with_ball.sh_hdr, without.sh_hdr)
 
 
 def test_positions_of_a_scene_are_where_the_named_objects_are(tmp_path):
@@ -357,7 +367,7 @@ def test_the_command_adds_a_scene_and_says_where(tmp_path, capfd):
     room = load_room(room_path(tmp_path / "scenes", 0))
     assert room.kind == "tiny"
     assert room.srgb_u8.shape == (2, 96, 128, 3)
-    assert room.panoramas.shape == (1, 32, 64, 3)
+    assert room.balls.shape == (1, 80, 80, 3)
 
 
 def _without_camera(scene):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from xihenet.buffers import PositionBuffers, merge
-from xihenet.records import UnitSphereCloud
+from xihenet.records import AnchorSurfaces, UnitSphereCloud
 
 N = 64
 
@@ -69,3 +69,34 @@ def test_firing_moves_what_was_seen_into_the_persistent_cloud_and_starts_anew():
 def test_clouds_of_different_lattices_are_refused():
     with pytest.raises(ValueError, match="64 and 3"):
         merge(UnitSphereCloud.empty(N), UnitSphereCloud.empty(3))
+
+
+def with_surfaces(cloud, rng):
+    n, known = len(cloud), cloud.is_set
+    numbers = rng.random((6, n)) * known
+    surfaces = AnchorSurfaces(numbers[0], numbers[1], numbers[2], numbers[3:].T, (rng.random(n) < 0.5) & known)
+    return UnitSphereCloud(cloud.srgb, cloud.distance_m, cloud.is_set, surfaces=surfaces)
+
+
+@pytest.mark.parametrize("has_old", [False, True])
+@pytest.mark.parametrize("has_new", [False, True])
+def test_surfaces_go_with_their_anchors_and_are_unknown_where_nobody_looked(has_old, has_new):
+    rng = np.random.default_rng(7)
+    old, new = random_cloud(rng), random_cloud(rng)
+    old, new = (with_surfaces(cloud, rng) if has else cloud for cloud, has in ((old, has_old), (new, has_new)))
+    merged = merge(old, new)
+    if not (has_old or has_new):
+        assert merged.surfaces is None
+        return
+    for name in ("facing", "incidence", "camera_distance_m", "view_direction", "is_edge"):
+        for anchor in range(N):
+            source = (new if new.is_set[anchor] else old).surfaces
+            expected = 0 if source is None else getattr(source, name)[anchor]
+            assert (getattr(merged.surfaces, name)[anchor] == expected).all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_was_last_seen_is_both_clouds_merged(seed):
+    rng = np.random.default_rng(seed)
+    old, new = random_cloud(rng), random_cloud(rng)
+    assert same(PositionBuffers(temporary=new, persistent=old).last_seen(), merge(old, new))

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from xihenet.camera import (
     encode_exposed,
     in_view,
-    metered_exposure,
     plane_depth_from_ray_distance,
     project_points,
     ray_distance_from_plane_depth,
@@ -137,33 +136,3 @@ def test_encoding_clips_and_never_wraps():
 def test_exposure_is_applied_before_clipping():
     assert encode_exposed(np.array([0.25]), 4.0).tolist() == [255]
     assert encode_exposed(np.array([4.0]), 0.05).tolist() == encode_exposed(np.array([0.2]), 1.0).tolist()
-
-
-# ------------------------------------------------------------------------------------------------------------- metering
-
-
-def picture(seed):
-    """Lit everywhere, over eight decades."""
-    return 10 ** np.random.default_rng(seed).uniform(-4, 4, (12, 16, 3))
-
-
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("gain", [1e-12, 0.3, 7.0, 1e12])
-def test_the_meter_goes_with_the_light(seed, gain):
-    assert metered_exposure([gain * picture(seed)]) == pytest.approx(metered_exposure([picture(seed)]) / gain, rel=1e-9)
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_more_light_in_any_pixel_never_asks_for_more_exposure(seed):
-    before, rng = picture(seed), np.random.default_rng(seed)
-    brighter = before * 10 ** np.where(rng.random((12, 16, 1)) < 0.2, rng.uniform(0, 6, (12, 16, 1)), 0)
-    assert metered_exposure([brighter]) <= metered_exposure([before]) * (1 + 1e-9)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_how_far_beyond_white_or_black_light_is_does_not_matter_to_the_meter(seed):
-    seen = picture(seed)
-    exposed = seen @ [0.2126, 0.7152, 0.0722] * metered_exposure([seen])
-    beyond = np.where(exposed[..., None] > 1, 1e6 * seen, np.where(exposed[..., None] < 0.005, 1e-6 * seen, seen))
-    assert not np.array_equal(beyond, seen)
-    assert metered_exposure([beyond]) == pytest.approx(metered_exposure([seen]), rel=1e-9)

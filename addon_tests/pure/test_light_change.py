@@ -10,7 +10,7 @@ from xihenet.backend import LocalBackend
 from xihenet.buffers import merge
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.controller import ControllerSettings, XiheController
-from xihenet.light_change import LightFollowing, follow_light, light_change
+from xihenet.light_change import LightFollowing, _cannot_agree, follow_light, light_change
 from xihenet.metrics import shc_rmse
 from xihenet.records import Intrinsics, RgbdFrame, UnitSphereCloud
 from xihenet.trigger import TriggerSettings
@@ -172,3 +172,30 @@ def test_after_a_lamp_has_changed_the_estimate_is_nearer_to_the_light_for_follow
     errors = [shc_rmse(report.estimate.sh_radiance, known.sh_radiance) for report in (on, off)]
     assert on.n_followed_anchors > 0 == off.n_followed_anchors
     assert errors[0] < 0.5 * errors[1]
+
+
+ALL_CHANGED = LightFollowing(smallest_stops=0.25, agreeing_share=0.5, most_unchanged=0.1)
+
+
+@pytest.mark.parametrize(("unchanged", "is_change"), [(0.0, True), (0.05, True), (0.2, False), (0.4, False)])
+def test_where_too_many_surfaces_kept_their_light_it_is_no_change(unchanged, is_change):
+    radiance = np.random.default_rng(0).uniform(0.1, 0.4, (N, 3))
+    after = np.where(np.arange(N)[:, None] < unchanged * N, radiance, radiance / 4)
+    everything = np.ones(N, bool)
+    found = light_change(cloud(radiance, everything), cloud(after, everything), ALL_CHANGED)
+    assert (found is not None) == is_change
+
+
+@settings(max_examples=200, deadline=None)
+@given(seed=seeds, factor=st.floats(0.1, 8.0), kept=st.floats(0, 0.3), jitter=st.floats(0, 0.5))
+@pytest.mark.parametrize("asked", [ALL_CHANGED, FOLLOWING])
+def test_asking_encoded_colours_first_gives_no_other_answer(asked, seed, factor, kept, jitter):
+    rng = np.random.default_rng(seed)
+    radiance = rng.uniform(0.0, 0.6, (N, 3))
+    changed = radiance * factor * rng.lognormal(0, jitter, (N, 1))
+    after = np.where(rng.random((N, 1)) < kept, radiance, changed)
+    old, new = (cloud(light, np.ones(N, bool)) for light in (radiance, after))
+    if _cannot_agree(old.srgb, new.srgb, asked):
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr("xihenet.light_change._cannot_agree", lambda *_: False)
+            assert light_change(old, new, asked) is None

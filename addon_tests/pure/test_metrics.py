@@ -11,7 +11,18 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from xihenet.metrics import _local_ssim, angular_error, angular_error_deg, image_rmse, psnr, shc_rmse, si_rmse, ssim
+from xihenet.metrics import (
+    _local_ssim,
+    angular_error,
+    angular_error_deg,
+    image_rmse,
+    psnr,
+    share_above_white,
+    shc_rmse,
+    si_rmse,
+    ssim,
+)
+from xihenet.sh import project_panorama
 
 Metric = Callable[..., float | None]
 Image = NDArray[np.float64]
@@ -295,3 +306,40 @@ def test_ssim_falls_with_noise_and_is_negative_for_the_negative_picture() -> Non
 def test_ssim_works_on_an_image_smaller_than_its_window() -> None:
     a, b = images(6, (1, 1))
     assert ssim(a, b, [[True]]) == pytest.approx(ssim_by_loops(a, b, np.ones((1, 1))), rel=1e-12)
+
+
+# --------------------------------------------------------------------------------------------- light above white
+
+
+def test_half_of_the_light_above_white_is_half():
+    whole = np.random.default_rng(0).normal(size=(9, 3))
+    whole[0] = [1.0, 2.0, 3.0]
+    assert share_above_white(0.5 * whole, whole) == pytest.approx(0.5)
+    assert share_above_white(whole, whole) == 0.0
+    assert share_above_white(np.zeros((9, 3)), whole) == 1.0
+
+
+def test_the_share_above_white_is_that_of_the_panorama():
+    panorama = 10 ** np.random.default_rng(1).uniform(-2, 1, (32, 64, 3))
+    clipped, whole = (project_panorama(light) for light in (np.minimum(panorama, 1.0), panorama))
+    edges = np.sin(np.linspace(np.pi / 2, -np.pi / 2, 33))
+    texel = (edges[:-1] - edges[1:])[:, None, None]
+    expected = 1 - (np.minimum(panorama, 1.0) * texel).sum() / (panorama * texel).sum()
+    assert share_above_white(clipped, whole) == pytest.approx(expected, rel=1e-9)
+
+
+def test_without_light_there_is_no_share_above_white():
+    assert share_above_white(np.zeros((9, 3)), np.zeros((9, 3))) is None
+
+
+@pytest.mark.parametrize(
+    ("ldr", "hdr", "says"),
+    [
+        (np.zeros((9, 3)), np.zeros((4, 3)), "two equal shapes"),
+        (np.zeros(9), np.zeros(9), "two equal shapes"),
+        (np.full((9, 3), np.nan), np.ones((9, 3)), "finite coefficients"),
+    ],
+)
+def test_what_is_no_light_has_no_share_above_white(ldr, hdr, says):
+    with pytest.raises(ValueError, match=says):
+        share_above_white(ldr, hdr)

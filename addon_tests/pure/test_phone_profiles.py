@@ -19,7 +19,7 @@ def written(tmp_path, text):
 
 
 def as_toml(profile):
-    lines = [f'name = "{profile.name}"', f'summary = "{profile.summary}"']
+    lines = [f'name = "{profile.name}"', f'summary = "{profile.summary}"', f'metering = "{profile.metering}"']
     for effect, section in profile.sections.items():
         lines.append(f"[{effect}]")
         for part in dataclasses.fields(section):
@@ -53,6 +53,17 @@ def test_a_profile_written_and_read_again_is_the_same(name, tmp_path):
 def test_a_profile_can_be_sent_to_another_process(name):
     profile = load_profile(name)
     assert pickle.loads(pickle.dumps(profile)) == profile
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_every_shipped_phone_protects_highlights(name):
+    assert 'metering = "highlights"' in (PROFILES_FOLDER / f"{name}.toml").read_text(encoding="utf-8")
+    assert load_profile(name).metering == "highlights"
+
+
+def test_a_profile_that_says_nothing_of_metering_protects_highlights(tmp_path):
+    assert load_profile(written(tmp_path, HEAD)).metering == "highlights"
+    assert load_profile(written(tmp_path, HEAD + 'metering = "key"')).metering == "key"
 
 
 def test_the_perfect_phone_has_no_effect():
@@ -95,6 +106,8 @@ def test_effects_come_in_one_order_however_the_file_has_them(tmp_path):
         (HEAD + RANGE.replace("[range]", "[rang]"), r"\[rang\]: there is no such effect"),
         (HEAD + "range = 3", r"\[range\] expected a table"),
         (HEAD + "range = [[", "this is no TOML file"),
+        (HEAD + 'metering = "spot"', "metering: expected one of highlights, key, got 'spot'"),
+        (HEAD + "metering = [1]", r"metering: expected one of highlights, key, got \[1\]"),
         (HEAD.replace('"A phone"', "7"), "summary: expected some text, got 7"),
     ],
 )

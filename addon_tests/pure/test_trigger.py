@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xihenet.records import TriggerDecision, UnitSphereCloud
+from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.records import AnchorSurfaces, TriggerDecision, UnitSphereCloud
 from xihenet.sphere import AnchorLattice
-from xihenet.trigger import TriggerSettings, decide_trigger
+from xihenet.trigger import LastSeen, TriggerSettings, colour_change, decide_trigger
 
 N = 320
 LATTICE = AnchorLattice(N)
@@ -158,8 +159,133 @@ def test_clouds_of_different_lattices_are_refused():
         {"policy": "best"},
         {"coverage_theta": -1},
         {"ignored_share": 1},
+        {"view_angle_deg": 181},
+        {"view_angle_deg": np.nan},
+        {"same_distance": 0},
+        {"agreeing_share": 1.1},
     ],
 )
 def test_settings_out_of_range_are_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         TriggerSettings(**wrong)
+
+
+# --------------------------------------------------------------------------------------- seen again from another angle
+
+ROOM_M = 2.0
+"""Every surface of the room that follows is so far from the position."""
+NEAR, FAR = np.array([0.0, -1.5, 0.2]), np.array([1.2, -0.9, 0.2])
+"""Two places of the phone: from all surfaces they lie more than 5 degrees apart."""
+WALK = TriggerSettings(theta=0.007, ignored_share=0.25, coverage_theta=1.0)
+
+
+def seen_from(camera_m, srgb, distance_m=ROOM_M):
+    """The whole room around the position, of colours (N, 3) or (3,), as a camera there sees it."""
+    distance = np.broadcast_to(np.float32(distance_m), N)
+    to_camera = camera_m - LATTICE.directions * distance[:, None]
+    lengths = np.linalg.norm(to_camera, axis=1)
+    zeros = np.zeros(N, np.float32)
+    surfaces = AnchorSurfaces(zeros, zeros, lengths, to_camera / lengths[:, None], zeros > 0)
+    return UnitSphereCloud(np.broadcast_to(srgb, (N, 3)), distance, np.ones(N, bool), surfaces=surfaces)
+
+
+def without_surfaces(cloud):
+    return UnitSphereCloud(cloud.srgb, cloud.distance_m, cloud.is_set)
+
+
+def textured(seed=0):
+    return np.random.default_rng(seed).uniform(0.25, 0.6, (N, 3)).astype(np.float32)
+
+
+def with_reflections(srgb, seed, share=0.4):
+    """A glossy table in the lowest `share` of the sphere, whose colour depends on where it is seen from."""
+    table = LATTICE.directions[:, 2] < 2 * share - 1
+    reflected = np.random.default_rng(seed).uniform(0.0, 1.0, (N, 3)).astype(np.float32)
+    return np.where(table[:, None], reflected, srgb)
+
+
+def lit_by(factor, srgb):
+    return linear_to_srgb(np.minimum(srgb_to_linear(srgb.astype(np.float64)) * factor, 1.0))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_reflections_that_moved_with_the_phone_are_no_change_of_the_light(seed):
+    before = seen_from(NEAR, with_reflections(textured(), seed))
+    after = seen_from(FAR, with_reflections(textured(), 100 + seed))
+    assert decide_trigger(before, after, LATTICE, WALK).reason == "none"
+    assert decide_trigger(without_surfaces(before), without_surfaces(after), LATTICE, WALK).reason == "colour"
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("factor", [0.25, 4.0, (0.2, 0.35, 0.9)])
+def test_a_lamp_that_changes_while_the_phone_walks_is_noticed(seed, factor):
+    before = seen_from(NEAR, with_reflections(textured(seed), seed, share=0.08))
+    after = seen_from(FAR, with_reflections(lit_by(factor, textured(seed)), 100 + seed, share=0.08))
+    assert decide_trigger(before, after, LATTICE, WALK).reason == "colour"
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("factor", [0.25, 0.5, 3.0])
+def test_a_lamp_that_changes_at_once_is_noticed_over_a_table_that_reflects(seed, factor):
+    mirrored, before = (with_reflections(textured(seed), k) for k in (seed, 100 + seed))
+    first, now = seen_from(NEAR, mirrored), seen_from(FAR, lit_by(factor, before))
+    assert decide_trigger(first, now, LATTICE, WALK).reason == "none"
+    dimmed = LastSeen(seen_from(FAR, before), now)
+    assert decide_trigger(first, now, LATTICE, WALK, last_seen=dimmed).reason == "colour"
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_table_that_mirrors_something_else_at_once_is_no_lamp(seed):
+    first, before, now = (seen_from(FAR, with_reflections(textured(), k)) for k in (seed, 100 + seed, 200 + seed))
+    first = seen_from(NEAR, first.srgb)
+    assert decide_trigger(first, now, LATTICE, WALK, last_seen=LastSeen(before, now)).reason == "none"
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_phone_that_stands_still_asks_every_surface(seed):
+    before, after = (seen_from(NEAR, with_reflections(textured(), k)) for k in (seed, 100 + seed))
+    decision = decide_trigger(before, after, LATTICE, WALK)
+    assert decision.reason == "colour"
+    assert decision == decide_trigger(without_surfaces(before), without_surfaces(after), LATTICE, WALK)
+
+
+def test_another_point_of_a_cell_is_no_move_of_the_phone():
+    before, after = seen_from(NEAR, textured(0)), seen_from(NEAR + 0.004, textured(1), 1.05 * ROOM_M)
+    assert decide_trigger(before, after, LATTICE, WALK).reason == "colour"
+
+
+def test_another_surface_behind_an_edge_is_not_asked():
+    behind = np.where(LATTICE.directions[:, 0] > 0, 3 * ROOM_M, ROOM_M)
+    colour = np.where(LATTICE.directions[:, :1] > 0, np.float32(1.0), textured())
+    before, after = seen_from(NEAR, textured()), seen_from(FAR, colour, behind)
+    assert decide_trigger(before, after, LATTICE, WALK).reason == "none"
+    assert decide_trigger(without_surfaces(before), without_surfaces(after), LATTICE, WALK).reason == "colour"
+
+
+def test_surfaces_of_which_nothing_is_known_are_asked_as_ever():
+    before, after = seen_from(NEAR, textured(0)), seen_from(FAR, textured(1))
+    zeros = np.zeros(N, np.float32)
+    nothing = AnchorSurfaces(zeros, zeros, zeros, np.zeros((N, 3)), zeros > 0)
+    unknown = UnitSphereCloud(after.srgb, after.distance_m, after.is_set, surfaces=nothing)
+    decision = decide_trigger(before, unknown, LATTICE, WALK)
+    assert decision == decide_trigger(without_surfaces(before), without_surfaces(after), LATTICE, WALK)
+
+
+def test_an_angle_of_180_degrees_takes_no_surface_for_seen_from_another_angle():
+    before, after = seen_from(NEAR, textured(0)), seen_from(FAR, textured(1))
+    ever = TriggerSettings(theta=0.007, ignored_share=0.25, coverage_theta=1.0, view_angle_deg=180.0)
+    decision = decide_trigger(before, after, LATTICE, ever)
+    assert decision == decide_trigger(without_surfaces(before), without_surfaces(after), LATTICE, ever)
+
+
+def test_a_theta_of_zero_fires_at_any_change_reflections_included():
+    before, after = (seen_from(place, with_reflections(textured(), k)) for k, place in enumerate((NEAR, FAR)))
+    assert decide_trigger(before, after, LATTICE, TriggerSettings(theta=0.0, coverage_theta=0.0)).reason == "colour"
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_change_in_colour_is_what_the_decision_says(seed):
+    rng = np.random.default_rng(seed)
+    before, after = random_cloud(rng, 0.9), random_cloud(rng, 0.9)
+    settings_ = TriggerSettings(theta=1.0, ignored_share=0.25, coverage_theta=1.0)
+    assert colour_change(before, after, LATTICE, settings_) == decide_trigger(before, after, LATTICE, settings_).change

@@ -16,7 +16,7 @@ from xihenet.sphere import AnchorLattice
 from xihenet.training import __main__ as command_line
 from xihenet.training.baselines import BASELINES, MEAN, fit_baselines, fit_linear, projected
 from xihenet.training.calibration import fit_calibration
-from xihenet.training.dataset import CloudSet, open_split
+from xihenet.training.dataset import CACHE_VERSION, CloudSet, open_split
 from xihenet.training.groups import Group, open_group, training_clouds
 from xihenet.training.networks import TrainedNetwork, make_network, save_network
 from xihenet.training.plots import Series, axis_over, line_chart, report_plots, series_look
@@ -55,6 +55,7 @@ def random_clouds(rng, rooms, n_pairs, n_merged, n_anchors=N, coverage=(0.2, 0.6
         radiance.mean(axis=1).astype(np.float32),
         room.astype(np.int64),
         n_views.astype(np.int64),
+        np.zeros((n, n_anchors), np.int8),
     )
 
 
@@ -76,6 +77,7 @@ def write_cache(
         for field in dataclasses.fields(CloudSet):
             np.save(folder / split / f"{field.name}.npy", getattr(clouds, field.name))
     settings = {
+        "version": CACHE_VERSION,
         "sampling": sampling,
         "n_anchors": n_anchors,
         "changes_per_pair": N_COPIES,

@@ -1,7 +1,9 @@
 """From rooms to weights: the clouds, the splits, and a training that can be stopped and gives the same each time."""
 
 import csv
+import dataclasses
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -10,13 +12,14 @@ import torch
 from xihenet.camera import encode_exposed
 from xihenet.colour import linear_to_srgb
 from xihenet.estimators.lattice import Lattice
-from xihenet.panorama import evaluate_panorama
+from xihenet.mirror_ball import ball_coverage, ball_directions, project_mirror_ball
 from xihenet.records import PointCloud, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sh import project_anchors, rotate
 from xihenet.sh_basis import basis
 from xihenet.sphere import AnchorLattice
 from xihenet.training import __main__ as command_line
+from xihenet.training.baselines import projected
 from xihenet.training.dataset import (
     SAMPLINGS,
     CacheSettings,
@@ -32,6 +35,14 @@ from xihenet.training.rooms import pairs_that_count, read_room, split_of
 
 N = 96
 TINY_POINTCONV = {"centroids": (16, 4), "n_neighbours": 4}
+
+
+def lights_of_room(balls):
+    """What a room at an exposure of 2 keeps of mirror balls (P, n, n, 3) of scene radiance."""
+    share = ball_coverage(balls.shape[1])[..., None]
+    clipped = np.stack([project_mirror_ball(np.minimum(2.0 * ball, 1.0) * share) for ball in balls])
+    whole = np.stack([project_mirror_ball(2.0 * ball * share) for ball in balls])
+    return {"balls": balls.astype(np.float16), "sh_ldr": clipped, "sh_hdr": whole}
 
 
 def write_room(path, index):
@@ -50,10 +61,20 @@ def write_room(path, index):
         intrinsics=np.array([16, 12, 10, 10, 8, 6.0]),
         exposure=np.array(2.0),
         positions_m=rng.normal(size=(2, 3)) * 0.1 + [0, 1.5, 0],
-        panoramas=(rng.random((2, 8, 16, 3)) * tint).astype(np.float16),
+        **lights_of_room(rng.random((2, 16, 16, 3)) * tint),
         is_in_view=np.array([[True, True], [False, True]]),
         seed=np.array([7, index]),
     )
+
+
+def write_smooth_room(path, index):
+    """As `write_room`, with a wall at 2.5 m instead of noise, so that its pixels are of one surface."""
+    write_room(path, index)
+    file = path / f"room_{index:06d}.npz"
+    with np.load(file) as stored:
+        content = dict(stored)
+    np.savez_compressed(file, **content | {"plane_depth_m": np.full((2, 12, 16), 2.5, np.float16)})
+    return file
 
 
 def indices(split, n):
@@ -139,6 +160,54 @@ def test_a_brighter_room_is_clipped_as_its_picture_would_be(rooms):
     assert (ldr[0] <= hdr[0] + 1e-12).all() and ldr[0, 0] < 2 * unchanged_ldr[0, 0]
 
 
+def test_patches_and_facing_are_those_of_the_room_as_it_stands(tmp_path):
+    """Moved, mirrored and turned together with the camera, pixels show the same patches of surface."""
+    room = read_room(write_smooth_room(tmp_path, 0))
+    cloud, position, lattice = room.views[0], room.positions_m[0], AnchorLattice(N)
+    plain = sample_unit_sphere(cloud, position, lattice)
+    assert (plain.surfaces.facing > 0.5).sum() > 10
+    same = sample_unit_sphere(RoomChange().of_cloud(cloud, position, None), np.zeros(3), lattice)
+    np.testing.assert_array_equal(same.is_set, plain.is_set)
+    np.testing.assert_allclose(same.surfaces.facing, plain.surfaces.facing, atol=1e-3)
+    np.testing.assert_allclose(same.surfaces.camera_distance_m, plain.surfaces.camera_distance_m, rtol=1e-4)
+    change = RoomChange(2.0, True)
+    moved = change.of_cloud(cloud, position, None)
+    expected = rotation_about_vertical(2.0) @ ((cloud.grid.camera_m - position) * [-1, 1, 1])
+    np.testing.assert_allclose(moved.grid.camera_m, expected, atol=1e-12)
+    before, after = (
+        np.linalg.norm(points - camera, axis=1)
+        for points, camera in ((cloud.points_m, cloud.grid.camera_m), (moved.points_m, moved.grid.camera_m))
+    )
+    np.testing.assert_allclose(after, before, rtol=1e-5)
+
+
+def test_clouds_keep_how_their_surfaces_face_and_projection_asks_it(caches, tmp_path):
+    room = read_room(write_smooth_room(tmp_path, 0))
+    settings = CacheSettings(N, is_test_only=True, only=("test",))
+    for name, has_patches in (("patches", True), ("points", False)):
+        build_cache(tmp_path, tmp_path / name, dataclasses.replace(settings, has_patches=has_patches))
+    patches, points = (open_split(tmp_path / name, "test") for name in ("patches", "points"))
+    assert patches.facing_i8[patches.is_set].any() and not patches.facing_i8[~patches.is_set].any()
+    assert not points.facing_i8.any() and not open_split(caches["uniform"], "test").facing_i8.any()
+    moved = RoomChange().of_cloud(room.views[0], room.positions_m[0], None)
+    seen = sample_unit_sphere(moved, np.zeros(3), AnchorLattice(N))
+    assert np.abs(patches.facing_i8[0] / 127 - seen.surfaces.facing).max() <= 0.5 / 127 + 1e-6
+    np.testing.assert_allclose(projected(patches)[0], project_anchors(seen, AnchorLattice(N)), atol=0.02)
+    unasked = dataclasses.replace(patches, facing_i8=np.zeros_like(patches.facing_i8))
+    assert np.abs(projected(unasked) - projected(patches)).max() > 1e-3
+
+
+def test_a_cache_of_another_version_is_refused_in_one_line(caches, tmp_path, capsys):
+    shutil.copytree(caches["sphere"], tmp_path / "old")
+    found = json.loads((tmp_path / "old" / "settings.json").read_text())
+    (tmp_path / "old" / "settings.json").write_text(json.dumps({**found, "version": 2}))
+    with pytest.raises(ValueError, match="expected sampled clouds of version 3, got 2"):
+        open_split(tmp_path / "old", "test")
+    assert command_line.main(["report", "--clouds", str(tmp_path / "old")]) == 2
+    said = capsys.readouterr().err
+    assert said.splitlines()[-1].startswith("xihe train: ") and "version 3, got 2" in said.splitlines()[-1]
+
+
 def test_other_colours_need_the_linear_ones(rooms):
     room = read_room(next(iter(sorted(rooms.glob("*.npz")))))
     with pytest.raises(ValueError, match="radiance"):
@@ -170,8 +239,8 @@ def test_truth_is_clipped_for_ldr_and_carries_the_exposure(caches, rooms):
     room = read_room(rooms / f"room_{index:06d}.npz")
     np.testing.assert_allclose(clouds.truth_ldr[0], room.truth(0, np.ones(3))[0], atol=1e-6)
     with np.load(rooms / f"room_{index:06d}.npz") as stored:
-        mean = 2.0 * stored["panoramas"][0].astype(float)
-    assert (clouds.truth_hdr[0, 0] <= mean.max() * 4).all() and (clouds.truth_ldr[:, 0] <= clouds.truth_hdr[:, 0]).all()
+        brightest = 2.0 * stored["balls"][0].astype(float).max()
+    assert (clouds.truth_hdr[0, 0] <= brightest * 4).all() and (clouds.truth_ldr[:, 0] <= clouds.truth_hdr[:, 0]).all()
     assert (clouds.truth_ldr[:, 0] < 2 * np.sqrt(np.pi)).all() and clouds.truth_hdr[:, 0].max() > 0
 
 
@@ -181,7 +250,8 @@ def test_the_whole_sphere_shows_the_probe_itself(tmp_path):
         content = dict(stored)
     light = np.random.default_rng(0).normal(size=(9, 3)) * 0.03
     light[0] = 1.5
-    content["panoramas"] = np.stack([evaluate_panorama(light, 64, 128) / 2.0] * 2).astype(np.float16)
+    ball = (basis(ball_directions(128)[0].reshape(-1, 3)) @ light).reshape(128, 128, 3)
+    content |= lights_of_room(np.stack([ball / 2.0] * 2))
     np.savez_compressed(tmp_path / "room_000000.npz", **content)
     build_cache(tmp_path, tmp_path / "cache", CacheSettings(1280, is_test_only=True, is_whole_sphere=True))
     clouds = open_split(tmp_path / "cache", "test")

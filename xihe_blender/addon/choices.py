@@ -28,6 +28,12 @@ TARGETS = (
     ("ldr", "Clipped Light", "Coefficients are held against light clipped at white, as a phone's picture has it"),
     ("hdr", "All Light", "Coefficients are held against all of the light"),
 )
+PHONES_METERING = "PHONE"
+METERINGS = (
+    (PHONES_METERING, "As the Phone", "As the phone's profile says"),
+    ("highlights", "Highlights", "Darker until hardly anything is clipped at white, as phones do"),
+    ("key", "Key", "Brings the picture to a middle grey, whatever is lost above white"),
+)
 OVERRIDES = (
     ("AUTO", "Auto", "On where the scene calls for it"),
     ("ON", "On", "Simulated, whatever the scene calls for"),

@@ -112,6 +112,9 @@ class XIHE_PT_picture(StagePanel, bpy.types.Panel):
         row = layout.row()
         row.active = settings.use_own_exposure
         row.prop(settings, "exposure")
+        row = layout.row()
+        row.active = not settings.use_own_exposure
+        row.prop(settings, "metering")
 
 
 class XIHE_UL_effects(bpy.types.UIList):

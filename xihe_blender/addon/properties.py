@@ -166,6 +166,12 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         soft_min=0.01,
         soft_max=100.0,
     )
+    metering: bpy.props.EnumProperty(
+        name="Metering",
+        description="How the phone finds its exposure",
+        items=choices.METERINGS,
+        default=choices.PHONES_METERING,
+    )
     seed: bpy.props.IntProperty(
         name="Seed", description="Of everything that is random; the same seed gives the same numbers", min=0
     )

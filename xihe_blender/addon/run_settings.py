@@ -9,7 +9,7 @@ from typing import Any
 
 import bpy
 
-from xihe_blender.addon.choices import FROM_FILE, NO_NETWORK
+from xihe_blender.addon.choices import FROM_FILE, NO_NETWORK, PHONES_METERING
 from xihe_blender.addon.preferences import preferences
 from xihe_blender.effects import Effect
 from xihe_blender.effects.command import report_effects
@@ -30,6 +30,7 @@ def previs_settings(scene: bpy.types.Scene) -> PrevisSettings:
         size=tuple(chosen.size) if chosen.use_own_size else None,
         frames=chosen_frames(scene),
         exposure=chosen.exposure if chosen.use_own_exposure else None,
+        metering=None if chosen.metering == PHONES_METERING else chosen.metering,
         seed=chosen.seed,
         phone=_phone(scene),
         network=None if chosen.network == NO_NETWORK else chosen.network,

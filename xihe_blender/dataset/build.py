@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
-from xihe_blender.dataset.store import FORMAT_VERSION, stored_indices
+from xihe_blender.dataset.store import FORMAT_VERSION, METERING, stored_indices
 from xihe_blender.errors import UserError
 from xihe_blender.folder_claim import NOT_COMPARED, FolderClaim
 from xihe_blender.jobs import Job, Progress
@@ -48,7 +48,7 @@ class BuildSettings:
     n_rooms : room numbers are below this; more may be added later with the same seed
     seed : of the whole data set, at least 0
     n_workers : processes, one thread each; None for one per core of this process
-    render : sizes (width, height, samples) of views and probes, as `worker` takes them
+    render : sizes and samples of views and probes, as `RoomRenderSettings.numbers` has them
     walk : frames of a walk in place of the free views; None for free views
     split : make the rooms of this split alone; None for all
     scheduler : address of a Dask scheduler whose workers make the rooms; None for processes of our own
@@ -57,7 +57,7 @@ class BuildSettings:
     n_rooms: int
     seed: int = 0
     n_workers: int | None = None
-    render: tuple[int, ...] = field(default=(128, 96, 4, 64, 32, 24))
+    render: tuple[int, ...] = field(default=(128, 96, 4, 80, 2))
     walk: int | None = None
     split: Split | None = None
     scheduler: str | None = None
@@ -84,7 +84,7 @@ class BuildSettings:
     @property
     def made_with(self) -> dict[str, Any]:
         """What all rooms of a folder share. Free views are not named: the first data sets did not."""
-        shared = {"format": FORMAT_VERSION, "seed": self.seed, "render": list(self.render)}
+        shared = {"format": FORMAT_VERSION, "seed": self.seed, "render": list(self.render), "metering": METERING}
         return shared if self.walk is None else {**shared, "walk": self.walk}
 
 

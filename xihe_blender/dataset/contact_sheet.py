@@ -47,7 +47,7 @@ def _tile(room: StoredRoom) -> ArrayU8:
     view = int(seen.sum(axis=1).argmax())
     position = int(seen[view].argmax())
     picture = room.srgb_u8[view]
-    panorama = encode_exposed(room.panoramas[position].astype(np.float32), room.exposure)
+    panorama = encode_exposed(room.panorama(position, picture.shape[1] // 4), room.exposure)
     factor = picture.shape[1] // panorama.shape[1]
     enlarged = panorama.repeat(factor, axis=0).repeat(factor, axis=1)
     below = np.zeros((enlarged.shape[0], picture.shape[1], 3), np.uint8)

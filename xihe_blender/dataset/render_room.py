@@ -6,7 +6,9 @@ The phone's exposure is metered on the views themselves, as a capture meters it 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
 import numpy as np
@@ -16,14 +18,15 @@ from xihe_blender.capture import first_layer, open_scanner, phone_camera
 from xihe_blender.dataset.build_room import build_room
 from xihe_blender.dataset.room_data import Room
 from xihe_blender.dataset.rooms import room_generator, sample_room, walk_generator
-from xihe_blender.dataset.store import FORMAT_VERSION, StoredRoom, as_float16
+from xihe_blender.dataset.store import FORMAT_VERSION, METERING, StoredRoom, as_float16
 from xihe_blender.dataset.views import PhoneView, RoomRays, RoomTooFull, lines_of_sight, sample_positions, sample_views
 from xihe_blender.dataset.walk import sample_walk
 from xihe_blender.errors import UserError
+from xihe_blender.reference_probe import ProbeSettings, ReferenceLight, open_reference_probe
 from xihe_blender.render import RenderSettings, render_passes
-from xihe_blender.truth import open_light_probe
 from xihenet import __version__
-from xihenet.camera import encode_exposed, in_view, metered_exposure, valid_plane_depth
+from xihenet.camera import encode_exposed, in_view, valid_plane_depth
+from xihenet.metering import metered_exposure
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, Intrinsics
 
 MAX_REDRAWS = 20
@@ -31,26 +34,40 @@ MAX_REDRAWS = 20
 
 @dataclass(frozen=True)
 class RoomRenderSettings:
-    """Sizes in pixels and samples per pixel. The seed of Cycles is fixed: noise differs by room anyway."""
+    """Sizes in pixels and samples per pixel. The seed of Cycles is fixed: noise differs by room anyway.
+
+    The reference probe takes `probe_samples` pictures, of `probe_size` pixels along a side of the mirror ball.
+    """
 
     view_size: tuple[int, int] = (128, 96)
     view_samples: int = 4
-    probe_size: tuple[int, int] = (64, 32)
-    probe_samples: int = 24
+    probe_size: int = 80
+    probe_samples: int = 2
 
     @property
     def view(self) -> RenderSettings:
         return RenderSettings(self.view_size, self.view_samples)
 
     @property
-    def probe(self) -> RenderSettings:
-        return RenderSettings(self.probe_size, self.probe_samples)
+    def probe(self) -> ProbeSettings:
+        return ProbeSettings(self.probe_size, self.probe_samples, noise_target=None)
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """All of them, as a worker is told."""
+        return *self.view_size, self.view_samples, self.probe_size, self.probe_samples
+
+    @classmethod
+    def of(cls, numbers: Sequence[int]) -> RoomRenderSettings:
+        """What `numbers` told. ValueError for another count."""
+        width, height, samples, probe_size, probe_samples = numbers
+        return cls((width, height), samples, probe_size, probe_samples)
 
 
 def make_room(seed: int, index: int, settings: RoomRenderSettings, *, walk: int | None = None) -> StoredRoom:
     """Sample, build and render room `index` of the data set with `seed`; the open file is replaced.
 
-    With `walk` the views are so many frames of a walk, and room, positions and panoramas are the same as without: the
+    With `walk` the views are so many frames of a walk, and room, positions and their light are the same as without: the
     free views are drawn all the same. A room that offers too few places is drawn again from the same generator.
     UserError if Cycles cannot render.
     """
@@ -68,8 +85,9 @@ def make_room(seed: int, index: int, settings: RoomRenderSettings, *, walk: int 
             views = sample_walk(walk_generator(seed, index), room, rays, positions_m, views, walk)
         is_unhidden = lines_of_sight(rays, views, positions_m)
         pictures = render_views(scene, views, settings.view)
-        panoramas = render_probes(scene, positions_m, settings.probe)
-        return _as_stored(room, (seed, index), views, pictures, positions_m, panoramas, is_unhidden)
+        exposure = metered_exposure(pictures.radiance, METERING) * room.exposure_gain
+        lights = render_probes(scene, positions_m, settings.probe, exposure)
+        return _as_stored(room, (seed, index), views, pictures, exposure, positions_m, lights, is_unhidden)
     raise UserError(f"room {index} of seed {seed}: no place for phone and objects in {MAX_REDRAWS} draws")
 
 
@@ -100,18 +118,29 @@ def render_views(scene: bpy.types.Scene, views: list[PhoneView], settings: Rende
     return Pictures(np.stack(radiance), np.stack(plane_depth_m), intrinsics)
 
 
-def render_probes(scene: bpy.types.Scene, positions_m: ArrayF64, settings: RenderSettings) -> ArrayF32:
-    """(P, h, w, 3) scene radiance around each position."""
-    with open_light_probe(scene, settings) as probe:
-        return np.stack([probe.panorama(position, scene.frame_current) for position in positions_m])
+def render_probes(
+    scene: bpy.types.Scene, positions_m: ArrayF64, settings: ProbeSettings, exposure: float
+) -> list[ReferenceLight]:
+    """The reference light at each position."""
+    with open_reference_probe(scene, positions_m, settings) as probe:
+        return [probe.light_at(place, scene.frame_current, exposure) for place in range(len(positions_m))]
+
+
+def stored_lights(lights: Sequence[ReferenceLight]) -> dict[str, Any]:
+    """What a `StoredRoom` keeps of them."""
+    return {
+        "balls": as_float16(np.stack([light.ball for light in lights])),
+        "sh_ldr": np.stack([light.measured.ldr for light in lights]),
+        "sh_hdr": np.stack([light.measured.hdr for light in lights]),
+        "sh_noise": np.array([[light.measured.ldr_noise or 0.0, light.measured.hdr_noise or 0.0] for light in lights]),
+    }
 
 
 def _as_stored(
-    room: Room, seed: tuple[int, int], views: list[PhoneView], pictures: Pictures, positions_m: ArrayF64,
-    panoramas: ArrayF32, is_unhidden: ArrayBool,
+    room: Room, seed: tuple[int, int], views: list[PhoneView], pictures: Pictures, exposure: float,
+    positions_m: ArrayF64, lights: Sequence[ReferenceLight], is_unhidden: ArrayBool,
 ) -> StoredRoom:  # fmt: skip
     poses = np.stack([view.world_from_camera for view in views])
-    exposure = metered_exposure(pictures.radiance) * room.exposure_gain
     camera = pictures.intrinsics
     return StoredRoom(
         srgb_u8=encode_exposed(pictures.radiance, exposure),
@@ -121,7 +150,7 @@ def _as_stored(
         intrinsics=np.array([camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy], np.float64),
         exposure=exposure,
         positions_m=positions_m,
-        panoramas=as_float16(panoramas),
+        **stored_lights(lights),
         is_in_view=np.stack([in_view(positions_m, camera, pose) for pose in poses]),
         is_unhidden=is_unhidden,
         seed=np.array(seed, np.int64),

@@ -18,10 +18,11 @@ import numpy as np
 
 from xihe_blender.capture import first_layer, meter_exposure, open_scanner, phone_camera, sized_for
 from xihe_blender.dataset.build import claim_folder
-from xihe_blender.dataset.render_room import RoomRenderSettings
+from xihe_blender.dataset.render_room import RoomRenderSettings, stored_lights
 from xihe_blender.dataset.store import (
     FORMAT_VERSION,
     MAX_FLOAT16,
+    METERING,
     ArrayF16,
     StoredRoom,
     as_float16,
@@ -35,10 +36,10 @@ from xihe_blender.errors import UserError
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.plan import plan_previs, planned_frames
 from xihe_blender.previs_settings import PrevisSettings
+from xihe_blender.reference_probe import ReferenceLight, open_reference_probe
 from xihe_blender.render import RenderSettings, render_passes, working_scene
 from xihe_blender.scene_faults import faults_at_frame
 from xihe_blender.scene_state import scene_kept
-from xihe_blender.truth import open_light_probe
 from xihe_blender.units import metres_per_unit
 from xihe_blender.virtual_objects import virtual_objects
 from xihenet import __version__
@@ -84,22 +85,25 @@ def add_scene(
     chosen = planned_frames(scene, frames)
     size = sized_for(scene, settings.view).size
     positions_m = scene_positions(scene, chosen, at)
-    claim_folder(folder, {"format": FORMAT_VERSION, "scenes": True, "render": _numbers(settings)})
+    claim_folder(
+        folder, {"format": FORMAT_VERSION, "scenes": True, "render": list(settings.numbers), "metering": METERING}
+    )
     path = room_path(folder, _place_for(folder, name))
     total = len(chosen) + len(positions_m) + 1
     with scene_kept():
         yield Progress(0, total, "metering")
-        exposure = meter_exposure(scene, chosen)
+        exposure = meter_exposure(scene, chosen, metering=METERING)
         _check_can_be_stored(scene, exposure)
         pictures = []
         for picture in _pictures(scene, chosen, RenderSettings(size, settings.view_samples), positions_m):
             pictures.append(picture)
             yield Progress(len(pictures), total, f"{len(pictures)} of {len(chosen)} frames")
-        panoramas = []
-        for panorama in _panoramas(scene, chosen[-1], settings.probe, positions_m):
-            panoramas.append(panorama)
-            yield Progress(len(pictures) + len(panoramas), total, f"{len(panoramas)} of {len(positions_m)} positions")
-        save_room(path, _as_stored(name, pictures, exposure, positions_m, np.stack(panoramas)))
+        lights = []
+        with open_reference_probe(scene, positions_m, settings.probe) as probe:
+            for place in range(len(positions_m)):
+                lights.append(probe.light_at(place, chosen[-1], exposure))
+                yield Progress(len(pictures) + len(lights), total, f"{len(lights)} of {len(positions_m)} positions")
+        save_room(path, _as_stored(name, pictures, exposure, positions_m, lights))
     yield Progress(total, total, f"{path.name} written")
     return path
 
@@ -169,16 +173,8 @@ def _pictures(
             yield _Picture(radiance, as_float16(seen), intrinsics, pose, is_unhidden)
 
 
-def _panoramas(
-    scene: bpy.types.Scene, frame: int, settings: RenderSettings, positions_m: ArrayF64
-) -> Iterator[ArrayF32]:
-    with open_light_probe(scene, settings) as probe:
-        for position in positions_m:
-            yield probe.panorama(position, frame)
-
-
 def _as_stored(
-    name: str, pictures: Sequence[_Picture], exposure: float, positions_m: ArrayF64, panoramas: ArrayF32
+    name: str, pictures: Sequence[_Picture], exposure: float, positions_m: ArrayF64, lights: Sequence[ReferenceLight]
 ) -> StoredRoom:
     radiance = np.stack([picture.radiance for picture in pictures])
     camera = pictures[0].intrinsics
@@ -190,7 +186,7 @@ def _as_stored(
         intrinsics=np.array([camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy], np.float64),
         exposure=exposure,
         positions_m=positions_m,
-        panoramas=as_float16(panoramas),
+        **stored_lights(lights),
         is_in_view=np.stack([in_view(positions_m, p.intrinsics, p.world_from_camera) for p in pictures]),
         is_unhidden=np.stack([picture.is_unhidden for picture in pictures]),
         seed=np.array(scene_seed(name), np.int64),
@@ -208,8 +204,3 @@ def _place_for(folder: Path, name: str) -> int:
     except ValueError as error:
         raise UserError(f"{error}: delete it to go on") from error
     return of_that_name[0] if of_that_name else max(there, default=-1) + 1
-
-
-def _numbers(settings: RoomRenderSettings) -> list[int]:
-    """The settings as `BuildSettings.render` has them."""
-    return [*settings.view_size, settings.view_samples, *settings.probe_size, settings.probe_samples]

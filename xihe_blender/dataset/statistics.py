@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 
 from xihe_blender.dataset.store import StoredRoom, load_room, room_path, stored_indices
-from xihe_blender.truth import probe_radiance_sh
 from xihenet.camera import unproject_frame
 from xihenet.completeness import coverage
 from xihenet.records import ArrayF32, ArrayF64
@@ -58,11 +57,10 @@ def light_statistics(rooms: Iterable[StoredRoom], n_anchors: int = 1280) -> Ligh
     n_rooms = 0
     for room in rooms:
         n_rooms += 1
-        room_lights = [probe_radiance_sh(p.astype(np.float32), room.exposure, "ldr") for p in room.panoramas]
         for view in range(len(room.srgb_u8)):
             points = unproject_frame(room.frame(view))
             for place in np.flatnonzero(room.is_in_view[view]):
-                lights.append(room_lights[place])
+                lights.append(room.sh_ldr[place])
                 shares.append(coverage(sample_unit_sphere(points, room.positions_m[place], lattice)))
     if not lights:
         raise ValueError("light_statistics: expected rooms with positions in view, got none")
@@ -96,7 +94,8 @@ def panorama_faults(room: StoredRoom) -> list[str]:
     A light that is not finite, that is black, or whose lower half is black in a room that is not.
     """
     faults = []
-    for i, panorama in enumerate(room.panoramas.astype(np.float32)):
+    for i in range(len(room.balls)):
+        panorama = room.panorama(i)
         level, below = float(panorama.mean()), float(panorama[len(panorama) // 2 :].mean())
         if not np.isfinite(panorama).all():
             faults.append(f"position {i}: not finite")

@@ -16,11 +16,17 @@ from numpy.typing import NDArray
 
 from xihe_blender.outputs import written_whole
 from xihenet.camera import sensed_ambient
+from xihenet.metering import Metering
+from xihenet.mirror_ball import panorama_of_ball
 from xihenet.npz_files import read_npz
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
 
 ArrayF16 = NDArray[np.float16]
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+
+METERING: Metering = "highlights"
+"""Of every room; a folder that was begun with another is not gone on with."""
+
 MAX_FLOAT16 = 65504.0
 
 
@@ -37,7 +43,10 @@ class StoredRoom:
     intrinsics : (6,) float64: width, height, fx, fy, cx, cy, the same for all views
     exposure : the phone's, one for the room
     positions_m : (P, 3) float64, world
-    panoramas : (P, h, 2h, 3) float16, scene radiance around each position; row 0 up, middle column +Y
+    balls : (P, n, n, 3) float16, scene radiance around each position that camera rays see, as mirror balls
+    sh_ldr, sh_hdr : (P, 9, 3) float64, the reference light at each position: clipped at white, and all of it, lamps
+        that are hidden from cameras among it; both carry the exposure
+    sh_noise : (P, 2) float64, expected relative error of the two; 0 where it is not known
     is_in_view : (V, P) bool, the position projects into the picture: the pair counts
     is_unhidden : (V, P) bool, nothing stands between the phone and the position
     seed : (2,) int64, of the data set and the room's number; of a scene see `scene_seed`
@@ -52,7 +61,10 @@ class StoredRoom:
     intrinsics: ArrayF64
     exposure: float
     positions_m: ArrayF64
-    panoramas: ArrayF16
+    balls: ArrayF16
+    sh_ldr: ArrayF64
+    sh_hdr: ArrayF64
+    sh_noise: ArrayF64
     is_in_view: ArrayBool
     is_unhidden: ArrayBool
     seed: NDArray[np.int64]
@@ -65,6 +77,10 @@ class StoredRoom:
         """The intrinsics as a record."""
         width, height, *rest = self.intrinsics.tolist()
         return Intrinsics(int(width), int(height), *rest)
+
+    def panorama(self, place: int, height: int = 32) -> ArrayF32:
+        """(height, 2 height, 3) scene radiance around a position that camera rays see, for pictures."""
+        return panorama_of_ball(self.balls[place], height)
 
     def frame(self, view: int) -> RgbdFrame:
         """One view as the chain takes it; the sensed ambient light is the picture's mean, as in a capture."""
@@ -92,6 +108,8 @@ def load_room(path: Path) -> StoredRoom:
     """Read what `save_room` wrote. ValueError naming the file if it is no such file, OSError if it cannot be read."""
     try:
         stored = read_npz(path)
+        if "panoramas" in stored:
+            raise ValueError("its format is that of an older version: build the data set again")
         content: dict[str, Any] = {f.name: stored[f.name] for f in fields(StoredRoom)}
         for name in ("exposure", "kind", "regime", "versions"):
             content[name] = content[name].item()

@@ -24,13 +24,14 @@ from numpy.typing import ArrayLike
 from xihe_blender.capture import first_layer, open_scanner, sized_for
 from xihe_blender.effects.plan import EffectPlan, Verdict, planned
 from xihe_blender.jobs import Job, Progress
+from xihe_blender.reference_probe import ProbeSettings, light_of_cones, open_reference_probe
 from xihe_blender.render import RenderSettings, render_passes
 from xihe_blender.scene_state import scene_kept
-from xihe_blender.truth import open_light_probe
 from xihenet.records import ArrayF64
-from xihenet.sh import project_panorama
 
-PROBE = RenderSettings((32, 16), samples=8, denoise=False)
+PROBE_SAMPLES = 2
+"""Rays in each pixel of the reference probe's picture of all light."""
+
 PICTURE = RenderSettings((48, 36), samples=8, denoise=False)
 N_SEEDS = 6
 BASELINE = "the plan"
@@ -181,11 +182,11 @@ def _standard_error(values: ArrayF64) -> float:
 
 @contextlib.contextmanager
 def _probe(scene: bpy.types.Scene, variant: _Variant, position_m: ArrayLike, frame: int) -> Iterator[_View]:
-    with open_light_probe(scene, _planned(PROBE, variant)) as probe:
-        probe.stand_at(position_m)
+    settings = ProbeSettings(denoise=False, light_transport=variant.plan.light_transport)
+    with open_reference_probe(scene, np.array([position_m]), settings) as probe:
         probe.scene.frame_set(frame)
-        # The coefficient of l = 0 is the mean over all directions, whatever the panorama's texels cover.
-        yield _View(probe.scene, lambda panorama: float(project_panorama(panorama, order=0).mean()), [], [])
+        probe.look_at_cones(0, PROBE_SAMPLES)
+        yield _View(probe.scene, lambda cones: float(light_of_cones(cones.astype(np.float32))[0].mean()), [], [])
 
 
 @contextlib.contextmanager

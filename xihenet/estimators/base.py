@@ -13,7 +13,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihenet.records import ArrayF64, PointCloud, RgbdFrame, UnitSphereCloud
+from xihenet.records import AnchorSurfaces, ArrayF64, PointCloud, RgbdFrame, UnitSphereCloud
 
 Target = Literal["ldr", "hdr"]
 
@@ -85,10 +85,17 @@ class Estimator(ABC):
         """Reason of `xihenet.invalid.UNKNOWN` why the light cannot be known from this; empty where it can."""
         return "" if cloud.is_set.any() else "nothing_seen"
 
-    def estimate_batch(self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike) -> ArrayF64:
-        """(B, 9, 3) from srgb (B, N, 3), distance_m (B, N) and is_set (B, N); equals B single estimates. B may be 0."""
+    def estimate_batch(
+        self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike, *, facing: ArrayLike | None = None
+    ) -> ArrayF64:
+        """(B, 9, 3) from srgb (B, N, 3), distance_m (B, N) and is_set (B, N); equals B single estimates. B may be 0.
+
+        `facing` (B, N) as in `AnchorSurfaces`, for estimators that ask it; None where nobody looked.
+        """
         colours, distances, known = np.asarray(srgb), np.asarray(distance_m), np.asarray(is_set, bool)
-        clouds = (UnitSphereCloud(*parts) for parts in zip(colours, distances, known, strict=True))
+        turned = [None] * len(known) if facing is None else [AnchorSurfaces.of_facing(f) for f in np.asarray(facing)]
+        parts = zip(colours, distances, known, turned, strict=True)
+        clouds = (UnitSphereCloud(c, d, k, surfaces=s) for c, d, k, s in parts)
         return np.array([self.estimate(cloud) for cloud in clouds]).reshape(-1, 9, 3)
 
     def _check_size(self, cloud: UnitSphereCloud) -> None:

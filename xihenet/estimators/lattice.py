@@ -98,8 +98,10 @@ class Lattice(Estimator):
         coverage = cloud.is_set.mean(keepdims=True)
         return self._checked(light[0]), float(self._calibration.expected(raw_error, coverage)[0])
 
-    def estimate_batch(self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike) -> ArrayF64:
-        """(B, 9, 3) of B clouds; ValueError for shapes that do not fit and for colours or distances out of range."""
+    def estimate_batch(
+        self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike, *, facing: ArrayLike | None = None
+    ) -> ArrayF64:
+        """(B, 9, 3) of B clouds; ValueError for wrong shapes, colours or distances. `facing` is not asked."""
         return self.estimate_batch_with_error(srgb, distance_m, is_set)[0]
 
     def estimate_batch_with_error(

@@ -113,10 +113,12 @@ class XiheNet(_PointConv):
 
     name = "xihenet"
 
-    def estimate_batch(self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike) -> ArrayF64:
+    def estimate_batch(
+        self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike, *, facing: ArrayLike | None = None
+    ) -> ArrayF64:
         """(B, 9, 3) of B clouds, some at a time; ValueError for shapes or values that do not fit.
 
-        What stands at anchors that are not set does not matter.
+        What stands at anchors that are not set does not matter, and `facing` is not asked.
         """
         known = np.asarray(is_set, bool)
         n_clouds = len(known) if known.ndim else 0
@@ -153,7 +155,9 @@ class PointAR(_PointConv):
     name = "pointar"
     needs = frozenset({"points"})
 
-    def estimate_batch(self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike) -> ArrayF64:
+    def estimate_batch(
+        self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike, *, facing: ArrayLike | None = None
+    ) -> ArrayF64:
         """ValueError: clouds of anchors no longer hold the raw points."""
         raise ValueError(
             "pointar: draws from the raw points, which clouds of anchors no longer hold; "

@@ -1,6 +1,7 @@
 """The light that was seen, projected: regularised least squares on the set anchors, no learning.
 
-What was not seen is filled by the smoothest light that fits. See `xihenet.sh.project_anchors`.
+What was not seen is filled by the smoothest light that fits. Surfaces that face away from the position, which it would
+see from their other side, count less where the cloud says so. See `xihenet.sh.project_anchors`.
 """
 
 from __future__ import annotations

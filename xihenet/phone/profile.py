@@ -1,7 +1,8 @@
 """Which phone is it? Profiles as data files: what each sensor does, with the source of every number.
 
-A profile is a TOML file with a name, a summary and one table for each effect that the device has; a table that is
-missing means that the device does not have the effect. Users add their own file and pass its path.
+A profile is a TOML file with a name, a summary, its metering (highlights where it says none) and one table for each
+effect that the device has; a table that is missing means that the device does not have the effect. Users add their own
+file and pass its path.
 Chosen: tables named as the effects are, so that a plan, a profile and a report use one vocabulary.
 Rejected: profiles in Python, which users could not add without touching the package.
 """
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
+from xihenet.metering import Metering, checked_metering
 from xihenet.phone.depth import DistanceNoise, EdgeBleeding, Quantisation, RangeLimits
 from xihenet.phone.exposure import AutoExposure
 from xihenet.phone.frame_rate import FrameRate
@@ -54,16 +56,22 @@ class PhoneProfile:
     name : as people call the device
     summary : one line
     sections : settings by the names of EFFECTS
+    metering : how it finds its exposure, locked for the session or, with `auto_exposure`, frame by frame
     """
 
     name: str
     summary: str
     sections: Mapping[str, Section]
+    metering: Metering = "highlights"
 
     def __post_init__(self) -> None:
         for key, text in (("name", self.name), ("summary", self.summary)):
             if not isinstance(text, str) or not text.strip():
                 raise ValueError(f"{key}: expected some text, got {text!r}")
+        try:
+            checked_metering(self.metering)
+        except ValueError as error:
+            raise ValueError(f"metering: {error}") from None
         for effect, section in self.sections.items():
             if effect not in EFFECTS:
                 raise ValueError(f"{effect}: there is no such effect; choose from {', '.join(EFFECTS)}")
@@ -112,6 +120,7 @@ def _read_profile(path: Path) -> PhoneProfile:
 
 def _profile_from_tables(tables: dict[str, object]) -> PhoneProfile:
     texts = {key: tables.pop(key, None) for key in ("name", "summary")}
+    metering = tables.pop("metering", "highlights")
     sections = {}
     for effect, table in tables.items():
         if effect not in EFFECTS:
@@ -120,4 +129,4 @@ def _profile_from_tables(tables: dict[str, object]) -> PhoneProfile:
             sections[effect] = section_from_table(EFFECTS[effect], table)
         except ValueError as error:
             raise ValueError(f"[{effect}] {error}") from None
-    return PhoneProfile(sections=sections, **texts)  # type: ignore[arg-type]
+    return PhoneProfile(sections=sections, metering=metering, **texts)  # type: ignore[arg-type]

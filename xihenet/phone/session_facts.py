@@ -118,7 +118,7 @@ def facts_of_frame(frame: RgbdFrame, positions_m: ArrayLike) -> FrameFacts:
         widest_step_m=float(window_span_m(frame.plane_depth_m, 1).max()),
         steepest_deg=float(np.degrees(np.arccos(facing.min()))) if seen.size else 0.0,
         darkest_grey=float(frame.srgb_u8.mean(axis=2)[valid].min()) / 255 if seen.size else 1.0,
-        stops=float(np.log2(metered_exposure([radiance]))),
+        stops=float(np.log2(metered_exposure([radiance], "key"))),
     )
 
 

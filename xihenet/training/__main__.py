@@ -96,6 +96,11 @@ def _add_test_options(parser: argparse.ArgumentParser) -> None:
     add("--all-rooms", action="store_true", help="every room as a test room: walks, scenes of no data set")
     add("--whole-sphere", action="store_true", help="every anchor set, coloured by the light probe")
     add("--upright", action="store_true", help="as a phone turned by 90 degrees sees the rooms")
+    add(
+        "--points",
+        action="store_true",
+        help="points alone, without patches of surface, to compare",
+    )
 
 
 def _add_train_options(parser: argparse.ArgumentParser) -> None:
@@ -128,6 +133,8 @@ def _run_cache(options: argparse.Namespace) -> Path:
         )  # fmt: skip
         kinds = {"test": True, "whole": options.whole_sphere, "upright": options.upright}
         name = "_".join([name, *(kind for kind, is_on in kinds.items() if is_on)])
+    if getattr(options, "points", False):
+        settings, name = replace(settings, has_patches=False), f"{name}_points"
     folder: Path = options.out / name
     folder.parent.mkdir(parents=True, exist_ok=True)
     build_cache(options.data, folder, settings, _say)

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from xihenet.codec import facing_of_codes
 from xihenet.estimators.ambient import constant_light
 from xihenet.estimators.base import Target
-from xihenet.records import ArrayF64, UnitSphereCloud
+from xihenet.records import AnchorSurfaces, ArrayF64, UnitSphereCloud
 from xihenet.sh import project_anchors
 from xihenet.sphere import AnchorLattice
 from xihenet.training.dataset import CloudSet
@@ -81,13 +82,17 @@ def fit_baselines(clouds: CloudSet, target: Target) -> Baselines:
 
 
 def projected(clouds: CloudSet) -> ArrayF64:
-    """(M, 9, 3) what `projection` says of every cloud."""
+    """(M, 9, 3) what `projection` says of every cloud, by how its surfaces face where that is known."""
     lattice = AnchorLattice(clouds.is_set.shape[1])
-    lights = [
-        project_anchors(UnitSphereCloud(srgb / np.float32(255), np.zeros(len(known), np.float32), known), lattice)
-        for srgb, known in zip(clouds.srgb_u8, clouds.is_set, strict=True)
-    ]
+    parts = zip(clouds.srgb_u8, clouds.is_set, clouds.facing_i8, strict=True)
+    lights = [project_anchors(_cloud(srgb_u8, is_set, facing_i8), lattice) for srgb_u8, is_set, facing_i8 in parts]
     return np.array(lights).reshape(-1, 9, 3)
+
+
+def _cloud(srgb_u8: NDArray[Any], is_set: NDArray[np.bool_], facing_i8: NDArray[np.int8]) -> UnitSphereCloud:
+    """Without distances, which `projection` does not ask, and without surfaces where nothing is known of any."""
+    surfaces = AnchorSurfaces.of_facing(facing_of_codes(facing_i8)) if facing_i8.any() else None
+    return UnitSphereCloud(srgb_u8 / np.float32(255), np.zeros(len(is_set), np.float32), is_set, surfaces=surfaces)
 
 
 def sensed_lights(ambient: ArrayLike, target: Target) -> ArrayF64:

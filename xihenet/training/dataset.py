@@ -24,7 +24,9 @@ from numpy.typing import NDArray
 
 from xihenet.buffers import merge
 from xihenet.camera import encode_exposed
+from xihenet.codec import facing_codes
 from xihenet.colour import srgb_to_linear
+from xihenet.mirror_ball import seen_in_ball
 from xihenet.records import ArrayF64, PointCloud, UnitSphereCloud
 from xihenet.sampling import sample_farthest, sample_uniform, sample_unit_sphere
 from xihenet.sh import rotate
@@ -42,7 +44,7 @@ from xihenet.training.rooms import (
 
 Sampling = Literal["sphere", "uniform", "farthest"]
 SAMPLINGS: tuple[Sampling, ...] = ("sphere", "uniform", "farthest")
-CACHE_VERSION = 2
+CACHE_VERSION = 3
 ODD_IN_X = np.array([1, 1, 1, -1, -1, 1, 1, -1, 1.0])
 """(9,) -1 for the spherical harmonics that change their sign with x."""
 
@@ -64,6 +66,8 @@ class CacheSettings:
     is_whole_sphere : one cloud per position of which every anchor is set, coloured by the light probe: the floor that
         sampling and the network leave; distances that no view knows are the others' median
     is_upright : pictures cut to the upright middle part that a phone turned by 90 degrees sees
+    has_patches : pixels are patches of surface and anchors know how these face; False samples points alone, as before
+        2026-11, to compare
     only : splits whose clouds are made; the others stay empty
     seed : of the changes, the choice of views and the random points
     """
@@ -77,6 +81,7 @@ class CacheSettings:
     is_test_only: bool = False
     is_whole_sphere: bool = False
     is_upright: bool = False
+    has_patches: bool = True
     only: tuple[Split, ...] = SPLITS
     seed: int = 0
 
@@ -122,15 +127,27 @@ class RoomChange:
         return bool((self.gains == 1).all())
 
     def of_cloud(self, cloud: PointCloud, position_m: ArrayF64, radiance: NDArray[Any] | None) -> PointCloud:
-        """Points relative to the position; `radiance` (P, 3) of the same points is needed where colours change."""
-        relative = cloud.points_m.astype(np.float64) - position_m
-        relative[:, 0] *= -1.0 if self.is_mirrored else 1.0
-        points = (relative @ rotation_about_vertical(self.angle).T).astype(np.float32)
+        """Points and camera relative to the position; `radiance` (P, 3) of the same points is needed for other colours.
+
+        ValueError without it.
+        """
+        points = self._moved(cloud.points_m, position_m).astype(np.float32)
+        grid = cloud.grid
+        if grid is not None:
+            grid = replace(grid, camera_m=self._moved(grid.camera_m[None], position_m)[0])
         if self.is_geometric_only:
-            return PointCloud(points, cloud.srgb)
+            return PointCloud(points, cloud.srgb, grid=grid)
         if radiance is None:
             raise ValueError("training rooms: expected linear colours of the views (`radiance`), got a room without")
-        return PointCloud(points, encode_exposed(radiance * self.gains, 1.0).astype(np.float32) / np.float32(255))
+        srgb = encode_exposed(radiance * self.gains, 1.0).astype(np.float32) / np.float32(255)
+        return PointCloud(points, srgb, grid=grid)
+
+    def _moved(self, points_m: NDArray[Any], position_m: ArrayF64) -> ArrayF64:
+        """(P, 3) relative to the position, mirrored and turned."""
+        relative = points_m.astype(np.float64) - position_m
+        relative[:, 0] *= -1.0 if self.is_mirrored else 1.0
+        moved: ArrayF64 = relative @ rotation_about_vertical(self.angle).T
+        return moved
 
     def of_light(self, sh_radiance: ArrayF64) -> ArrayF64:
         """Coefficients (9, 3) mirrored and turned; the gains are in them already."""
@@ -151,6 +168,8 @@ class CloudSet:
     ambient : (M, 3) float32, the sensor's at the session's exposure, the views' mean for merged clouds
     room : (M,) int64 number of the room within its data set
     n_views : (M,) int64 views that were merged
+    facing_i8 : (M, N) int8 `facing_codes` of how surfaces face the position, see `AnchorSurfaces`; 0 where nothing
+        is known of them
     """
 
     srgb_u8: NDArray[np.uint8]
@@ -161,6 +180,7 @@ class CloudSet:
     ambient: NDArray[np.float32]
     room: NDArray[np.int64]
     n_views: NDArray[np.int64]
+    facing_i8: NDArray[np.int8]
 
     def __len__(self) -> int:
         return len(self.room)
@@ -205,11 +225,17 @@ def build_cache(
 
 
 def open_split(cache: Path, split: Split) -> CloudSet:
-    """The clouds of one split, memory-mapped; ValueError if the cache is not there."""
+    """The clouds of one split, memory-mapped; ValueError if the cache is not there, or of another version."""
     folder = cache / split
     if not (cache / "settings.json").exists():
         raise ValueError(
             f"{cache}: expected sampled clouds, got none; make them with `python -m xihenet.training cache`"
+        )
+    version = json.loads((cache / "settings.json").read_text()).get("version")
+    if version != CACHE_VERSION:
+        raise ValueError(
+            f"{cache}: expected sampled clouds of version {CACHE_VERSION}, got {version}; make them anew with "
+            "`python -m xihenet.training cache`"
         )
     names = CloudSet.__dataclass_fields__
     return CloudSet(**{name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in names})
@@ -251,6 +277,8 @@ def _sample(
         change.of_cloud(room.views[view], place, None if room.radiance is None else room.radiance[view])
         for view in views
     ]
+    if not settings.has_patches:
+        clouds = [replace(cloud, grid=None) for cloud in clouds]
     ldr, hdr = room.truth(position, change.gains)
     # What the phone's sensor says: the mean of its pictures.
     ambient = np.mean([srgb_to_linear(cloud.srgb).mean(axis=0) for cloud in clouds], axis=0)
@@ -260,12 +288,8 @@ def _sample(
 def _whole_sphere(room: TrainingRoom, position: int, settings: CacheSettings, rng: np.random.Generator) -> _Sample:
     merged = _sample(room, range(len(room.views)), position, RoomChange(), settings, rng)
     assert isinstance(merged.cloud, UnitSphereCloud)
-    panorama = room.panoramas[position]
-    x, y, z = AnchorLattice(settings.n_anchors).directions.T
-    height, width = panorama.shape[:2]
-    row = np.minimum((np.arccos(np.clip(z, -1, 1)) / np.pi * height).astype(int), height - 1)
-    column = ((0.5 + np.arctan2(x, y) / (2 * np.pi)) * width).astype(int) % width
-    srgb = encode_exposed(panorama[row, column], 1.0).astype(np.float32) / np.float32(255)
+    colours = seen_in_ball(room.balls[position], AnchorLattice(settings.n_anchors).directions)
+    srgb = encode_exposed(colours, 1.0).astype(np.float32) / np.float32(255)
     known = merged.cloud.is_set
     median_m = float(np.median(merged.cloud.distance_m[known])) if known.any() else 1.0
     distance_m = np.where(known, merged.cloud.distance_m, np.float32(median_m))
@@ -328,6 +352,7 @@ def _open_arrays(folder: Path, n: int, settings: CacheSettings) -> dict[str, NDA
         "ambient": (np.float32, (3,)),
         "room": (np.int64, ()),
         "n_views": (np.int64, ()),
+        "facing_i8": (np.int8, (size,)),
     }
     arrays: dict[str, NDArray[Any]] = {}
     for name, (dtype, shape) in layouts.items():
@@ -344,6 +369,8 @@ def _store(arrays: dict[str, NDArray[Any]], row: int, sample: _Sample, settings:
     cloud, size = sample.cloud, settings.n_anchors
     if isinstance(cloud, UnitSphereCloud):
         n, is_set = size, cloud.is_set
+        if cloud.surfaces is not None:
+            arrays["facing_i8"][row] = facing_codes(cloud.surfaces.facing)
         points = AnchorLattice(size).directions * np.minimum(cloud.distance_m, _MAX_DISTANCE_M)[:, None]
     else:
         n, is_set, points = len(cloud.points_m), np.ones(len(cloud.points_m), bool), cloud.points_m

@@ -14,8 +14,8 @@ from typing import Literal
 import numpy as np
 
 from xihenet.camera import in_view, unproject_frame
+from xihenet.mirror_ball import ball_coverage, project_mirror_ball
 from xihenet.npz_files import read_npz
-from xihenet.panorama import project_panorama
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, Intrinsics, PointCloud, RgbdFrame
 
 Split = Literal["train", "validation", "test"]
@@ -35,20 +35,32 @@ class TrainingRoom:
     radiance : (V, points, 3) linear colour of the same points at the room's exposure, not clipped; None where the
         room's file does not keep it
     positions_m : (P, 3) world
-    panoramas : (P, h, 2h, 3) linear light around each position at that exposure, not clipped
+    balls : (P, n, n, 3) linear light around each position that camera rays see, at that exposure, not clipped
+    sh_ldr, sh_hdr : (P, 9, 3) the reference light at each position: clipped at 1, and whole
     is_in_view : (V, P) the pair counts
     """
 
     views: list[PointCloud]
     radiance: ArrayF32 | None
     positions_m: ArrayF64
-    panoramas: ArrayF64
+    balls: ArrayF64
+    sh_ldr: ArrayF64
+    sh_hdr: ArrayF64
     is_in_view: ArrayBool
 
     def truth(self, position: int, gains: ArrayF64) -> tuple[ArrayF64, ArrayF64]:
-        """(9, 3) of the light at a position times `gains` (3,): clipped at 1, and whole."""
-        light = self.panoramas[position] * gains
-        return project_panorama(np.minimum(light, 1.0)), project_panorama(light)
+        """(9, 3) of the light at a position times `gains` (3,): clipped at 1, and whole.
+
+        The mirror ball says what gains do to clipped light. It is smoothed, and pixels hold more than one ray: what it
+        is off from the reference without gains is added.
+        """
+        clipped, whole = self.sh_ldr[position], self.sh_hdr[position] * gains
+        if (gains == 1).all():
+            return clipped, whole
+        ball = self.balls[position]
+        share = ball_coverage(len(ball))[..., None]
+        off = clipped - project_mirror_ball(np.minimum(ball, 1.0) * share)
+        return project_mirror_ball(np.minimum(ball * gains, 1.0) * share) + off * np.minimum(gains, 1.0), whole
 
 
 def room_files(folder: Path) -> list[Path]:
@@ -83,8 +95,8 @@ def pairs_that_count(path: Path, *, is_upright: bool = False) -> ArrayBool:
 
 def read_room(path: Path, *, is_upright: bool = False) -> TrainingRoom:
     """All of a room, or what an upright phone sees of it. ValueError naming the file if it is no room."""
-    names = ("srgb_u8", "plane_depth_m", "world_from_camera", "intrinsics", "exposure", "positions_m", "panoramas")
-    stored = _read(path, *names, "is_in_view", optional=TRAINING_ONLY)
+    names = ("srgb_u8", "plane_depth_m", "world_from_camera", "intrinsics", "exposure", "positions_m", "is_in_view")
+    stored = _read(path, *names, "balls", "sh_ldr", "sh_hdr", optional=TRAINING_ONLY)
     intrinsics, columns = _phone(stored, is_upright)
     exposure = float(stored["exposure"])
     pictures = zip(stored["srgb_u8"], stored["plane_depth_m"], stored["world_from_camera"], strict=True)
@@ -100,7 +112,9 @@ def read_room(path: Path, *, is_upright: bool = False) -> TrainingRoom:
         [unproject_frame(frame) for frame in frames],
         radiance,
         stored["positions_m"],
-        stored["panoramas"].astype(np.float64) * exposure,
+        stored["balls"].astype(np.float64) * exposure,
+        stored["sh_ldr"],
+        stored["sh_hdr"],
         _pairs_that_count(stored, intrinsics, is_upright),
     )
 

@@ -85,7 +85,8 @@ DISTURBANCES: dict[str, Disturbance] = {
 def _only(clouds: CloudSet, is_set: NDArray[np.bool_]) -> CloudSet:
     """The sensor's reading stays the frame's own."""
     known = is_set[..., None]
-    return replace(clouds, srgb_u8=clouds.srgb_u8 * known, points_m=clouds.points_m * known, is_set=is_set)
+    parts = {name: getattr(clouds, name) * known for name in ("srgb_u8", "points_m")}
+    return replace(clouds, **parts, facing_i8=clouds.facing_i8 * is_set, is_set=is_set)
 
 
 def _coloured(clouds: CloudSet, srgb_u8: NDArray[np.uint8]) -> CloudSet:

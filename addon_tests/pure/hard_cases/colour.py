@@ -189,18 +189,29 @@ def metered_by_logarithm(pictures: list[np.ndarray]) -> float:
     return float(0.12 / np.mean(keys))
 
 
+def by_key(pictures: list[np.ndarray]) -> float:
+    return metered_exposure(pictures, "key")
+
+
+def by_highlights(pictures: list[np.ndarray]) -> float:
+    return metered_exposure(pictures, "highlights")
+
+
+def by_hand_down(pictures: list[np.ndarray]) -> float:
+    """Naive: nothing may be brighter than white."""
+    return float(1.0 / max(np.max(picture) for picture in pictures))
+
+
 NEAR_1 = near(1.0, 0.3)
 METERING = [
-    HardCase(STAGE, "a black frame is metered as 1", [GREY * 0], metered_exposure, equal(1.0), metered_by_hand),
-    HardCase(STAGE, "no frame is metered as 1", [], metered_exposure, equal(1.0), metered_by_hand),
-    HardCase(
-        STAGE, "a frame without pixels is metered as 1", [GREY[:0]], metered_exposure, equal(1.0), metered_by_hand
-    ),
+    HardCase(STAGE, "a black frame is metered as 1", [GREY * 0], by_key, equal(1.0), metered_by_hand),
+    HardCase(STAGE, "no frame is metered as 1", [], by_key, equal(1.0), metered_by_hand),
+    HardCase(STAGE, "a frame without pixels is metered as 1", [GREY[:0]], by_key, equal(1.0), metered_by_hand),
     HardCase(
         STAGE,
         "one NaN pixel does not decide the exposure",
         with_pixel(np.nan),
-        metered_exposure,
+        by_key,
         NEAR_1,
         metered_by_hand,
     ),
@@ -208,7 +219,7 @@ METERING = [
         STAGE,
         "one infinite pixel does not decide the exposure",
         with_pixel(np.inf),
-        metered_exposure,
+        by_key,
         NEAR_1,
         metered_by_hand,
     ),
@@ -216,7 +227,7 @@ METERING = [
         STAGE,
         "one pixel of both infinities does not decide the exposure",
         with_pixel([np.inf, -np.inf, 0]),
-        metered_exposure,
+        by_key,
         NEAR_1,
         metered_by_hand,
     ),
@@ -224,7 +235,7 @@ METERING = [
         STAGE,
         "a sun of 2e5 in four pixels does not black out the room",
         [with_sun()],
-        metered_exposure,
+        by_key,
         near(1.0, 0.01),
         metered_by_hand,
     ),
@@ -233,7 +244,7 @@ METERING = [
             STAGE,
             f"a sun of 2e5 that fills {share:.0%} of a room does not black it out",
             [part_of_a_room(share, SUN)],
-            metered_exposure,
+            by_key,
             near(1.0, within),
             metered_by_logarithm,
         )
@@ -244,7 +255,7 @@ METERING = [
             STAGE,
             f"darkness that fills {share:.0%} of a room does not blow out the rest",
             [part_of_a_room(share, 0.0)],
-            metered_exposure,
+            by_key,
             that("at least 1, and half of the room below white", lambda exposure: 1 <= exposure <= 1 / 0.12 + 1e-9),
             metered_by_logarithm,
         )
@@ -254,7 +265,7 @@ METERING = [
         STAGE,
         "one negative pixel does not decide the exposure",
         with_pixel(-10.0),
-        metered_exposure,
+        by_key,
         near(1.1, 0.2),
         metered_by_hand,
     ),
@@ -262,7 +273,7 @@ METERING = [
         STAGE,
         "a frame of the smallest float32 has a finite exposure",
         [np.full((6, 8, 3), 1e-45, np.float32)],
-        metered_exposure,
+        by_key,
         near(8.56e43, 1e41),
         lambda pictures: float(np.float32(0.12) / np.mean(pictures[0])),
     ),
@@ -270,9 +281,56 @@ METERING = [
         STAGE,
         "light too dim for any exposure is metered as 1",
         [np.full((6, 8, 3), 1e-320)],
-        metered_exposure,
+        by_key,
         equal(1.0),
         metered_by_hand,
+    ),
+]
+METERING += [
+    HardCase(STAGE, "a black frame is metered as 1 by highlights", [GREY * 0], by_highlights, equal(1.0), by_hand_down),
+    HardCase(STAGE, "no frame is metered as 1 by highlights", [], by_highlights, equal(1.0), by_hand_down),
+    HardCase(
+        STAGE,
+        "one NaN pixel does not lower the exposure",
+        with_pixel(np.nan),
+        by_highlights,
+        NEAR_1,
+        by_hand_down,
+    ),
+    HardCase(
+        STAGE,
+        "one infinite pixel does not lower the exposure",
+        with_pixel(np.inf),
+        by_highlights,
+        NEAR_1,
+        by_hand_down,
+    ),
+    HardCase(
+        STAGE,
+        "a lamp of 1 % of the picture may clip",
+        [part_of_a_room(0.01, 50.0)],
+        by_highlights,
+        that("at most a stop below key", lambda exposure: 0.45 < exposure < 1.05),
+        by_hand_down,
+    ),
+    HardCase(
+        STAGE,
+        "a window of a fifth of the picture that is four times white does not clip",
+        [part_of_a_room(0.2, 4.0)],
+        by_highlights,
+        near(0.8 / 4.0, 1e-9),
+        metered_by_hand,
+    ),
+    *(
+        HardCase(
+            STAGE,
+            f"a sun of 2e5 that fills {share:.0%} of a room darkens it by two stops and no more",
+            [part_of_a_room(share, SUN)],
+            by_highlights,
+            that("two stops below key", lambda exposure: 0.1 < exposure < 0.26),
+            by_hand_down,
+        )
+        for share in (0.05, 0.2)
     ),
 ]
 

@@ -64,7 +64,8 @@ def calibrate(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[Calibrati
     plan = plan_previs(scene, settings)
     with scene_kept():
         yield Progress(0, 3, "metering the exposure")
-        exposure = settings.exposure or meter_exposure(scene, plan.frames, settings.seed)
+        metering = settings.metering_in_force
+        exposure = settings.exposure or meter_exposure(scene, plan.frames, settings.seed, metering=metering)
         views = pilot_views(scene, plan)
         if not views:
             raise UserError(f"scene {scene.name!r} never has a virtual object in view: move the camera's path, or it")

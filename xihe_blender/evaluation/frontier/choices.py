@@ -104,7 +104,7 @@ class Effort:
     ----------
     n_walk_frames : of the path, at most, over which computing is measured
     walk_samples : of their captures; what noise they have is the same for all choices
-    probe_samples : of the light probes that estimates are held against, 64 x 32 pixels
+    probe_samples : pictures of the reference probe that estimates are held against, at most
     n_rounds : in which each way to compute is timed
     n_views : frames in which each way to render is measured
     n_seeds : of each render in each of them

@@ -26,8 +26,8 @@ from xihe_blender.evaluation.frontier.steps import Steps, within
 from xihe_blender.evaluation.frontier.timing import timed
 from xihe_blender.outputs import write_json
 from xihe_blender.plan import PrevisPlan
-from xihe_blender.previs_settings import MAX_SEED, PRESETS
-from xihe_blender.render import RenderSettings
+from xihe_blender.previs_settings import PRESETS
+from xihe_blender.render import MAX_SEED, RenderSettings
 from xihenet.metrics import image_rmse
 from xihenet.recording import load_frame
 from xihenet.records import ArrayF64, RgbdFrame

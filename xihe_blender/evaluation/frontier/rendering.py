@@ -24,7 +24,7 @@ from xihe_blender.evaluation.frontier.measured import Measured
 from xihe_blender.evaluation.frontier.steps import Steps, within
 from xihe_blender.evaluation.frontier.timing import timed
 from xihe_blender.outputs import write_json
-from xihe_blender.previs_settings import MAX_SEED
+from xihe_blender.render import MAX_SEED
 from xihenet.recording import load_frame, save_frame
 from xihenet.records import ArrayF64, RgbdFrame
 

@@ -39,14 +39,14 @@ from xihe_blender.jobs import Job, Progress
 from xihe_blender.outputs import write_json
 from xihe_blender.plan import PrevisPlan, evenly_chosen, plan_previs
 from xihe_blender.previs_settings import PRESETS, PrevisSettings
+from xihe_blender.reference_probe import ProbeSettings, open_reference_probe
 from xihe_blender.render import RenderSettings
 from xihe_blender.scene_state import scene_kept
-from xihe_blender.truth import open_light_probe
-from xihenet.panorama import project_panorama
 from xihenet.recording import load_frame, save_frame
-from xihenet.records import ArrayF64
 
-PROBE_SIZE = (64, 32)
+PROBE_NOISE = 0.02
+"""Of the reference lights that estimates are held against, which are off by ten times as much."""
+
 SHARES = {"preparing": 0.10, "walking": 0.15, "computing": 0.15, "rendering": 0.4, "pictures": 0.2}
 """About how long each part takes, for the time left."""
 
@@ -178,11 +178,13 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Step
     positions = {probe.name: probe.position_m for probe in plan.probes}
     in_sight = plan.frames_in_sight(scanner).items()
     chosen = evenly_chosen([(frame, [p.name for p in seen]) for frame, seen in in_sight], study.effort.n_walk_frames)
-    probes = RenderSettings(
-        PROBE_SIZE, study.effort.probe_samples, study.seed, denoise=False, light_transport=prepared.light_transport
-    )
+    probes = ProbeSettings(
+        max_samples=study.effort.probe_samples, noise_target=PROBE_NOISE, seed=study.seed,
+        light_transport=prepared.light_transport, order=ORDER,
+    )  # fmt: skip
+    places = {name: place for place, name in enumerate(positions)}
     frames, truths = [], []
-    with open_light_probe(study.scene, probes) as light_probe:
+    with open_reference_probe(study.scene, list(positions.values()), probes) as probe:
         for place, (frame, active) in enumerate(chosen):
             yield place / len(chosen), f"capturing frame {frame} and its light probes"
             captured, lights = study.folder / f"walk_{frame:04d}.npz", study.folder / f"probes_{frame:04d}.json"
@@ -191,17 +193,12 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Step
                 captured.parent.mkdir(parents=True, exist_ok=True)
                 save_frame(captured, scanner.acquire_environment_scan())
             if not lights.exists():
-                panoramas = {name: light_probe.panorama(positions[name], frame) for name in active}
-                write_json(lights, {n: _clipped_sh(p, prepared.exposure).tolist() for n, p in panoramas.items()})
+                measured = {n: probe.light_at(places[n], frame, prepared.exposure).measured for n in active}
+                write_json(lights, {name: light.ldr.tolist() for name, light in measured.items()})
             frames.append(load_frame(captured))
             kept = json.loads(lights.read_text(encoding="utf-8"))
             truths.append({name: np.array(kept[name]) for name in active})
     return Walk(frames, [active for _, active in chosen], positions, truths, prepared.exposure)
-
-
-def _clipped_sh(panorama: Any, exposure: float) -> ArrayF64:
-    """(25, 3) of the light that a phone could see: clipped at white."""
-    return project_panorama(np.minimum(np.asarray(panorama, np.float64) * exposure, 1.0), ORDER)
 
 
 def _views(walk: Walk, most: int) -> list[View]:

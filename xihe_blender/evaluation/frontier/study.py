@@ -29,7 +29,7 @@ from xihe_blender.folder_claim import FolderClaim
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.made_with import machine, software
 from xihe_blender.outputs import as_json, write_json, written_whole
-from xihe_blender.previs_settings import MAX_SEED
+from xihe_blender.render import MAX_SEED
 from xihe_blender.report.document import write_document
 from xihenet import __version__
 

@@ -1,0 +1,199 @@
+"""The reference probe holds all the light: lamps that cameras cannot see, from anywhere, linked or not, of any size."""
+
+import math
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Vector
+from scene_snapshot import snapshot
+from tiny_scenes import box, empty_scene, material, room_with_a_virtual_sphere, set_world, sphere
+
+from xihe_blender.reference_probe import (
+    MeasuredLight,
+    ProbeSettings,
+    cone_factors,
+    light_of_cones,
+    open_reference_probe,
+)
+from xihe_blender.virtual_objects import virtual_collection
+from xihenet.mirror_ball import ball_coverage
+from xihenet.sh import basis, irradiance
+
+POSITION = np.array([0.3, -0.2, 1.0])
+FEW = ProbeSettings(max_samples=4, noise_target=None)
+DISTANCE_M = 2.0
+TOWARDS = [np.array(d) / np.linalg.norm(d) for d in [(0, 0, 1), (0, 0, -1), (1, 0, 0), (-1, 1, 0), (1, -1, 1)]]
+
+
+def add_lamp(scene, kind, direction, distance_m=DISTANCE_M, **values):
+    """A lamp as Blender makes it, hidden from camera rays, at POSITION + direction, shining back."""
+    data = bpy.data.lights.new(kind, kind)
+    for name, value in values.items():
+        setattr(data, name, value)
+    lamp = bpy.data.objects.new(kind, data)
+    lamp.location = POSITION + distance_m * direction
+    lamp.rotation_euler = Vector(-direction).to_track_quat("-Z", "Y").to_euler()
+    scene.collection.objects.link(lamp)
+    return lamp
+
+
+def dark_scene():
+    scene = empty_scene()
+    set_world(scene)
+    return scene
+
+
+def measured(scene, settings=FEW, objects=None, position_m=POSITION):
+    with open_reference_probe(scene, [position_m], settings, objects) as probe:
+        return probe.light_at(0, 1).measured
+
+
+def of_a_disc(irradiance_of_it, direction, half_angle):
+    """(9, 3) coefficients of a disc of even radiance, by its irradiance on a surface that faces it, if it is small."""
+    c = math.cos(half_angle)
+    bands = np.repeat([1.0, (1 + c) / 2, c * (1 + c) / 2], [1, 3, 5])
+    return np.repeat((irradiance_of_it * bands * basis(direction[None])[0])[:, None], 3, axis=1)
+
+
+POINT = 100 / (4 * math.pi * DISTANCE_M**2)
+LAMPS = {
+    "sun": ({"kind": "SUN", "energy": 3.0, "angle": 0.0}, 3.0, 0.0),
+    "wide sun": ({"kind": "SUN", "energy": 3.0, "angle": math.radians(10)}, 3.0, math.radians(5)),
+    "point of a millimetre": ({"kind": "POINT", "energy": 100.0, "shadow_soft_size": 0.001}, POINT, 0.0),
+    "spot": ({"kind": "SPOT", "energy": 100.0, "shadow_soft_size": 0.01, "spot_size": 1.0}, POINT, 0.0),
+    "small disc": ({"kind": "AREA", "energy": 100.0, "shape": "DISK", "size": 0.02}, 4 * POINT, 0.0),
+}
+
+
+@pytest.mark.parametrize("direction", TOWARDS, ids=str)
+@pytest.mark.parametrize("name", LAMPS)
+def test_a_lamp_that_cameras_cannot_see_is_held_whole(name, direction):
+    values, at_position, half_angle = LAMPS[name]
+    scene = dark_scene()
+    add_lamp(scene, values["kind"], direction, **{k: v for k, v in values.items() if k != "kind"})
+    light, expected = measured(scene), of_a_disc(at_position, direction, half_angle)
+    assert np.linalg.norm(light.hdr - expected) < 0.02 * np.linalg.norm(expected)
+    assert np.abs(light.ldr).max() < 1e-3, "camera rays do not see it"
+
+
+def test_a_lamp_of_ten_metres_fills_half_of_the_sphere():
+    scene = dark_scene()
+    add_lamp(scene, "AREA", TOWARDS[0], 0.05, energy=1000.0, size=10.0)
+    level = 1000 / 100 / math.pi
+    light = measured(scene).hdr
+    assert light[0, 0] == pytest.approx(level * 2 * np.pi / np.sqrt(4 * np.pi), rel=0.02)
+    facing = irradiance(light, np.array([[0.0, 0.0, 1.0]]))[0, 0]
+    assert facing == pytest.approx(level * np.pi, rel=0.03)
+
+
+@pytest.mark.parametrize("radius_m", [0.1, 0.6])
+def test_a_glowing_disc_above_counts_once(radius_m):
+    scene = dark_scene()
+    turns = 2 * math.pi * np.arange(64) / 64
+    mesh = bpy.data.meshes.new("Disc")
+    mesh.from_pydata([(radius_m * math.cos(a), radius_m * math.sin(a), 0) for a in turns], [], [tuple(range(64))])
+    mesh.materials.append(material("Glow", (1, 1, 1), emission=50.0))
+    disc = bpy.data.objects.new("Disc", mesh)
+    disc.location = POSITION + (0, 0, DISTANCE_M)
+    scene.collection.objects.link(disc)
+    solid_angle = 2 * math.pi * (1 - math.cos(math.atan(radius_m / DISTANCE_M)))
+    light = measured(scene, ProbeSettings(max_samples=16, noise_target=None))
+    assert light.hdr[0, 0] * np.sqrt(4 * np.pi) == pytest.approx(50 * solid_angle, rel=0.03)
+    # Some 130 rays of 16 pictures meet the small disc.
+    assert light.ldr[0, 0] * np.sqrt(4 * np.pi) == pytest.approx(solid_angle, rel=0.2 if radius_m < 0.2 else 0.03)
+
+
+def with_a_linked_lamp(state):
+    """A lamp above whose receivers are the virtual ball, alone ("INCLUDE") or not at all ("EXCLUDE")."""
+    scene = dark_scene()
+    ball = sphere(scene, "Ball", POSITION, 0.1, None, virtual_collection(scene, create=True))
+    lamp = add_lamp(scene, "POINT", TOWARDS[0], energy=100.0)
+    receivers = bpy.data.collections.new("Receivers")
+    receivers.objects.link(ball)
+    receivers.collection_objects[0].light_linking.link_state = state
+    lamp.light_linking.receiver_collection = receivers
+    return scene, ball, receivers
+
+
+@pytest.mark.parametrize(("state", "is_lit"), [("INCLUDE", True), ("EXCLUDE", False)])
+def test_the_probe_joins_the_light_links_of_the_virtual_object(state, is_lit):
+    scene, ball, receivers = with_a_linked_lamp(state)
+    light = measured(scene, objects=[ball]).hdr[0, 0]
+    other = measured(scene, objects=[None]).hdr[0, 0]
+    expected = POINT / np.sqrt(4 * np.pi)
+    assert light == pytest.approx(expected if is_lit else 0.0, rel=0.02, abs=1e-6)
+    assert other == pytest.approx(0.0 if is_lit else expected, rel=0.02, abs=1e-6)
+    assert list(receivers.objects) == [ball]
+
+
+def test_a_probe_neither_shades_nor_lights_the_room_and_leaves_nothing():
+    scene = room_with_a_virtual_sphere()
+    scene.frame_set(1)
+    before = snapshot()
+    with open_reference_probe(scene, [(0, 0, 0.85), (0.3, 0, 0.85)], FEW) as probe:
+        together = probe.light_at(0, 1).measured
+    with open_reference_probe(scene, [(0, 0, 0.85)], FEW) as probe:
+        alone = probe.light_at(0, 1).measured
+    np.testing.assert_allclose(together.ldr, alone.ldr, atol=2e-3)
+    np.testing.assert_allclose(together.hdr, alone.hdr, atol=2e-2)
+    after = {name: value for name, value in snapshot().items() if "Render Result" not in name}
+    assert after == before
+
+
+def test_irradiance_is_that_of_a_white_patch():
+    """Against another renderer's path: a small white square, baked, which knows nothing of cones."""
+    scene = room_with_a_virtual_sphere()
+    bpy.data.objects.remove(bpy.data.objects["Ball"])
+    add_lamp(scene, "AREA", np.array([0.0, 0.6, 0.8]), 1.0, energy=10.0, size=0.3)
+    place = (0.1, -0.1, 1.2)
+    light = measured(scene, ProbeSettings(max_samples=12, noise_target=None), position_m=place).hdr
+    normals = np.array([(0, 0, 1), (0, 0, -1), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)], float)
+    patched = np.array([_baked(scene, place, normal) for normal in normals])
+    found = irradiance(light, normals)
+    assert np.abs(found - patched).max() < 0.1 * patched.max()
+    assert np.abs(found.mean(axis=0) / patched.mean(axis=0) - 1).max() < 0.02
+
+
+def _baked(scene, place, normal):
+    """(3,) irradiance that Blender bakes onto a square of a millimetre."""
+    square = box(scene, "Patch", place, (1e-3, 1e-3, 1e-6), material("White", (1.0, 1.0, 1.0)))
+    square.rotation_euler = Vector(normal).to_track_quat("Z", "Y").to_euler()
+    for ray in ("diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
+        setattr(square, f"visible_{ray}", False)
+    attribute = square.data.color_attributes.new("Bake", "FLOAT_COLOR", "CORNER")
+    square.data.color_attributes.active_color = attribute
+    scene.cycles.samples = 512
+    for item in bpy.context.view_layer.objects:
+        item.select_set(item == square)
+    bpy.context.view_layer.objects.active = square
+    bpy.ops.object.bake(type="DIFFUSE", pass_filter={"DIRECT", "INDIRECT"}, target="VERTEX_COLORS")
+    top = max(square.data.polygons, key=lambda face: face.normal.z)
+    colours = [square.data.attributes["Bake"].data[i].color[:3] for i in top.loop_indices]
+    bpy.data.objects.remove(square)
+    return np.mean(colours, axis=0) * np.pi
+
+
+def test_constant_cones_are_constant_light():
+    light = light_of_cones(np.ones((32, 32, 3), np.float32) * ball_coverage(32)[..., None])
+    np.testing.assert_allclose(light[0], np.sqrt(4 * np.pi), rtol=5e-3)
+    assert (np.sign(cone_factors()) == [1, -1, -1, -1, 1, 1, 1, 1, 1]).all() and abs(cone_factors()).min() > 0.5
+
+
+def test_what_was_measured_comes_back_from_json():
+    rng = np.random.default_rng(0)
+    light = MeasuredLight(rng.normal(size=(9, 3)), rng.normal(size=(9, 3)), 0.1, None, 4, 16)
+    again = MeasuredLight.from_json(light.as_json())
+    assert again.ldr.tobytes() == light.ldr.tobytes() and again.hdr.tobytes() == light.hdr.tobytes()
+    assert (again.ldr_noise, again.hdr_noise, again.ldr_samples, again.hdr_samples) == (0.1, None, 4, 16)
+
+
+def test_a_tighter_target_takes_more_pictures_and_ends_at_the_most():
+    scene = room_with_a_virtual_sphere()
+    samples = []
+    for target in (0.5, 0.006, 1e-6):
+        with open_reference_probe(scene, [(0, 0, 0.85)], ProbeSettings(64, 20, target)) as probe:
+            light = probe.light_at(0, 1).measured
+        samples.append(light.ldr_samples)
+        assert light.ldr_noise <= target or light.ldr_samples == 20
+    assert samples[0] == 4 < samples[1] <= samples[2] == 20

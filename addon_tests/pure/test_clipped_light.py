@@ -1,0 +1,122 @@
+"""Clipped light from noisy pictures: the mean of min(light, 1), whatever the noise, and lamps smaller than a pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from xihenet.clipped_light import clipped_sh, relative_noise
+from xihenet.mirror_ball import ball_coverage, ball_directions, project_mirror_ball
+
+SIZE, SAMPLES = 64, 8
+DIRECTIONS, ON_BALL = ball_directions(SIZE)
+SHARE = ball_coverage(SIZE)[..., None]
+
+
+def a_room(bright=4.0, dim=0.3):
+    """(N, N, 3) true light: a bright upper part, a dim rest."""
+    light = np.where(DIRECTIONS[..., 2] > 0.6, bright, dim)
+    return np.repeat(light[..., None], 3, axis=-1)
+
+
+def noisy(light, rng, n=SAMPLES):
+    """Samples of `light` by rays that mostly find nothing and sometimes five times as much, as path tracing does."""
+    hits = rng.random((n, SIZE, SIZE, 1)) < 0.2
+    return [(light * 5 * hit * SHARE).astype(np.float32) for hit in hits]
+
+
+def clipped(light):
+    return project_mirror_ball(np.minimum(light, 1.0) * SHARE)
+
+
+NOTHING = [np.zeros((SIZE, SIZE, 3), np.float32)] * SAMPLES
+
+
+def test_noise_does_not_bias_clipped_light():
+    rng = np.random.default_rng(3)
+    light = a_room()
+    smooth = [(light * SHARE * (1 + 0.2 * rng.normal(size=light.shape))).astype(np.float32) for _ in range(SAMPLES)]
+    runs = [clipped_sh(noisy(light, rng), NOTHING, smooth).mean(axis=0) for _ in range(12)]
+    expected = clipped(light)
+    assert np.mean(runs, axis=0)[0, 0] == pytest.approx(expected[0, 0], rel=0.01)
+    # Clipping the pictures themselves loses more than half of what is below white.
+    naive = np.mean([project_mirror_ball(np.minimum(picture, 1.0)) for picture in noisy(light, rng)], axis=0)
+    assert naive[0, 0] < 0.6 * expected[0, 0]
+
+
+def test_without_a_denoiser_the_bias_is_small():
+    rng = np.random.default_rng(4)
+    light = a_room()
+    runs = [clipped_sh(noisy(light, rng), NOTHING, None).mean(axis=0) for _ in range(12)]
+    assert np.mean(runs, axis=0)[0, 0] == pytest.approx(clipped(light)[0, 0], rel=0.06)
+
+
+@pytest.mark.parametrize(("radius_deg", "n_rays", "tolerance"), [(3.0, 160, 0.12), (10.0, 20, 0.05)])
+def test_a_lamp_counts_for_its_own_size_however_bright(radius_deg, n_rays, tolerance):
+    rng = np.random.default_rng(5)
+    cosine = np.cos(np.radians(radius_deg))
+    exact = (1 - cosine) * np.sqrt(np.pi)
+    fine = ball_directions(SIZE * 16)[0].reshape(SIZE, 16, SIZE, 16, 3)
+    lights = []
+    for _ in range(n_rays):
+        # A ray through a random place of each pixel.
+        i, j = rng.integers(16, size=(2, SIZE, SIZE))
+        rays = fine[np.arange(SIZE)[:, None], i, np.arange(SIZE)[None], j]
+        lamp = np.where(rays @ np.array([0.6, 0, 0.8]) > cosine, 500.0, 0.0)
+        met = np.repeat(lamp[..., None], 3, axis=-1).astype(np.float32)
+        # What a denoiser makes of it: spread over the pixels around.
+        lights.append(met)
+    spread = [np.mean(lights, axis=0).astype(np.float32)] * len(lights)
+    found = clipped_sh(lights, lights, spread).mean(axis=0)[0, 0]
+    assert found == pytest.approx(exact, rel=tolerance)
+
+
+def test_sky_below_white_stays_what_it_is():
+    sky = [np.full((SIZE, SIZE, 3), 0.7, np.float32) * SHARE] * 2
+    np.testing.assert_allclose(clipped_sh(sky, sky, sky).mean(axis=0)[0], 0.7 * np.sqrt(4 * np.pi), rtol=3e-3)
+
+
+@pytest.mark.parametrize("is_denoised", [False, True])
+@pytest.mark.parametrize("sky", [0.05, 0.5, 3.0])
+def test_a_large_lamp_or_sky_counts_for_what_it_is_and_white_at_most(sky, is_denoised):
+    """Amid it there is nothing else near: it must not pass for white where it is dim."""
+    coverage = ball_coverage(64)[..., None].astype(np.float32) * np.ones(3, np.float32)
+    is_met = (np.arange(64) >= 32)[:, None]
+    met = coverage * np.float32(sky) * is_met
+    picture = met + np.float32(0.02) * coverage * ~is_met
+    smooth = [picture] * 4 if is_denoised else None
+    expected = project_mirror_ball(coverage * np.where(is_met, np.float32(min(sky, 1)), np.float32(0.02)))
+    for light in clipped_sh([picture] * 4, [met] * 4, smooth):
+        np.testing.assert_allclose(light, expected, atol=0.02)
+
+
+def test_light_that_is_all_below_or_all_above_white_is_exact():
+    rng = np.random.default_rng(6)
+    for level, expected in ((0.2, 0.2), (50.0, 1.0)):
+        light = np.full((SIZE, SIZE, 3), level)
+        smooth = [(light * SHARE).astype(np.float32)] * SAMPLES
+        found = clipped_sh(noisy(light, rng, SAMPLES), NOTHING, smooth).mean(axis=0)[0, 0]
+        assert found == pytest.approx(expected * np.sqrt(4 * np.pi), rel=0.03)
+
+
+def test_a_single_sample_judges_itself_and_knows_no_noise():
+    rng = np.random.default_rng(7)
+    light = a_room()
+    one = clipped_sh(noisy(light, rng, 1), NOTHING[:1], [(light * SHARE).astype(np.float32)])
+    assert one.shape == (1, 9, 3) and relative_noise(one, 1e-3) is None
+
+
+def test_the_noise_that_is_told_is_the_noise():
+    rng = np.random.default_rng(8)
+    light = a_room()
+    smooth = [(light * SHARE).astype(np.float32)] * SAMPLES
+    runs = [clipped_sh(noisy(light, rng), NOTHING, smooth) for _ in range(40)]
+    told = np.sqrt(np.mean([relative_noise(run, 1e-3) ** 2 for run in runs]))
+    means = np.array([run.mean(axis=0) for run in runs])
+    real = np.sqrt(((means - means.mean(axis=0)) ** 2).sum(axis=(1, 2)).mean()) / np.linalg.norm(means.mean(axis=0))
+    assert told == pytest.approx(real, rel=0.2)
+
+
+def test_no_sample_is_refused():
+    with pytest.raises(ValueError, match="at least one picture"):
+        clipped_sh([], [], None)

@@ -1,0 +1,182 @@
+"""The patches of surface that pixels show: against the plain reference, and where they must and must not be."""
+
+import numpy as np
+import pytest
+
+from xihenet.camera import unproject_frame
+from xihenet.records import Intrinsics, PixelGrid, PointCloud, RgbdFrame
+from xihenet.sampling import sample_unit_sphere, sample_unit_sphere_reference
+from xihenet.sphere import AnchorLattice
+
+LATTICE = AnchorLattice(1280)
+BELOW = LATTICE.directions[:, 2] < 0
+TABLE_M, CAMERA_M = 0.7, 1.4
+ABOVE_TABLE = np.array([0.0, 2.0, TABLE_M + 0.08])
+RED, BLUE = np.uint8([255, 0, 0]), np.uint8([0, 0, 255])
+
+
+def frame_of_a_table(width=64, height=48, pitch=0.3, has_table=True, seed=None):
+    """A red table of 1.2 x 1 m at 0.7 m on a blue floor, before a blue wall at 6 m; `seed` drops pixels and colours."""
+    camera = Intrinsics(width, height, 0.9 * width, 0.9 * width, width / 2, height / 2)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([[1, 0, 0], [0, np.sin(pitch), np.cos(pitch)], [0, -np.cos(pitch), np.sin(pitch)]], axis=1)
+    pose[2, 3] = CAMERA_M
+    x = (np.arange(width) + 0.5 - camera.cx) / camera.fx
+    y = -(np.arange(height) + 0.5 - camera.cy) / camera.fy
+    rays = np.stack(np.broadcast_arrays(x, y[:, None], -1.0), axis=-1) @ pose[:3, :3].T
+    with np.errstate(divide="ignore"):  # A ray along the floor never meets it.
+        wall, floor, table = 6 / rays[..., 1], -CAMERA_M / rays[..., 2], (TABLE_M - CAMERA_M) / rays[..., 2]
+    depth = np.minimum(np.where(wall > 0, wall, np.inf), np.where(floor > 0, floor, np.inf))
+    at = table[..., None] * rays
+    on_table = (table > 0) & (np.abs(at[..., 0]) < 0.6) & (np.abs(at[..., 1] - 2) < 0.5) & has_table
+    colours = np.where(on_table[..., None], RED, BLUE)
+    depth = np.where(on_table, table, depth)
+    if seed is not None:
+        rng = np.random.default_rng(seed)
+        depth[rng.random(depth.shape) < 0.05] = np.nan
+        colours = rng.integers(0, 256, colours.shape, np.uint8)
+    return RgbdFrame(colours, depth, camera, pose)
+
+
+def without_grid(cloud):
+    return PointCloud(cloud.points_m, cloud.srgb, cloud.invalid)
+
+
+def assert_same(a, b):
+    np.testing.assert_array_equal(a.is_set, b.is_set)
+    np.testing.assert_array_equal(a.srgb, b.srgb)
+    np.testing.assert_allclose(a.distance_m, b.distance_m, rtol=1e-6)
+    assert a.invalid == b.invalid
+
+
+def table_range_m():
+    """(N,) distance of the table top in each anchor's direction; NaN beside it."""
+    directions = LATTICE.directions
+    with np.errstate(divide="ignore", invalid="ignore"):  # As do directions along the table.
+        reach = -0.08 / directions[:, 2]
+        at = ABOVE_TABLE + reach[:, None] * directions
+    on_table = BELOW & (np.abs(at[:, 0]) < 0.5) & (np.abs(at[:, 1] - 2) < 0.4)
+    return np.where(on_table, reach, np.nan)
+
+
+@pytest.mark.parametrize("seed", [None, 0, 1])
+@pytest.mark.parametrize("n", [7, 320, 1280])
+def test_sampling_pictures_agrees_with_the_reference(n, seed):
+    cloud, lattice = unproject_frame(frame_of_a_table(40, 30, seed=seed)), AnchorLattice(n)
+    for position in (ABOVE_TABLE, [0.2, 3.0, 0.05], [0, 0, CAMERA_M]):
+        fast = sample_unit_sphere(cloud, position, lattice)
+        slow = sample_unit_sphere_reference(cloud, position, lattice)
+        assert_same(fast, slow)
+        np.testing.assert_array_equal(fast.surfaces.is_edge, slow.surfaces.is_edge)
+        for name in ("facing", "incidence", "view_direction", "camera_distance_m"):
+            np.testing.assert_allclose(getattr(fast.surfaces, name), getattr(slow.surfaces, name), atol=2e-5)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (1, 9), (7, 1), (2, 2), (3, 5), (40, 30)])
+@pytest.mark.parametrize("seed", range(3))
+def test_sampling_pictures_agrees_with_the_reference_on_nasty_points(width, height, seed):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(width * height, 3)) * 10.0 ** rng.uniform(-30, 30, (width * height, 1))
+    points[:: 2 + seed] = rng.normal(size=points[:: 2 + seed].shape)
+    points[rng.random(len(points)) < 0.1] = [np.nan, np.inf, 0][seed]
+    cloud = PointCloud(points, rng.random(points.shape), grid=PixelGrid(height, width, [0.1, 0.2, 0.3]))
+    fast = sample_unit_sphere(cloud, np.zeros(3), LATTICE)
+    assert_same(fast, sample_unit_sphere_reference(cloud, np.zeros(3), LATTICE))
+    assert np.isfinite(fast.surfaces.facing).all() and (np.abs(fast.surfaces.facing) <= 1 + 1e-6).all()
+
+
+@pytest.mark.parametrize("size", [(64, 48), (128, 96)])
+def test_the_floor_does_not_show_through_a_table_at_a_flat_angle(size):
+    cloud, expected = unproject_frame(frame_of_a_table(*size)), table_range_m()
+    on_table = ~np.isnan(expected)
+
+    def leaks(sampled):
+        """Share of the anchors over the table that show the floor."""
+        return (sampled.is_set & on_table & (sampled.distance_m > 1.5 * expected)).sum() / on_table.sum()
+
+    before = sample_unit_sphere(without_grid(cloud), ABOVE_TABLE, LATTICE)
+    after = sample_unit_sphere(cloud, ABOVE_TABLE, LATTICE)
+
+    assert leaks(before) > 0.1 and leaks(after) < 0.01
+    assert after.is_set[on_table].mean() > 0.95 > before.is_set[on_table].mean()
+    assert (after.srgb[on_table & after.is_set] == [1, 0, 0]).mean() > 0.99
+
+
+def test_patches_lie_on_their_surface():
+    sampled = sample_unit_sphere(unproject_frame(frame_of_a_table()), ABOVE_TABLE, LATTICE)
+    is_red = sampled.srgb[:, 0] > 0.5
+    # A point of a patch stands for the whole cell of its anchor, so its height is asked by the nearest one alone.
+    assert is_red.sum() > 300
+    assert sampled.distance_m[is_red].min() == pytest.approx(0.08, abs=2e-3)
+
+
+def test_nothing_lies_between_a_table_and_the_wall_behind_it():
+    position = np.array([0.0, 3.6, TABLE_M])
+    sampled = sample_unit_sphere(unproject_frame(frame_of_a_table()), position, LATTICE)
+    points = position + sampled.distance_m[:, None] * LATTICE.directions
+    between = sampled.is_set & (points[:, 1] > 2.8) & (points[:, 1] < 5.5) & (points[:, 2] > 0.3)
+    assert not between.any()
+
+
+def test_where_pixels_are_dense_nothing_changes():
+    cloud = unproject_frame(frame_of_a_table(256, 192))
+    position = [0.0, 1.0, CAMERA_M]
+    plain, patched = (sample_unit_sphere(c, position, AnchorLattice(64)) for c in (without_grid(cloud), cloud))
+    np.testing.assert_array_equal(plain.distance_m, patched.distance_m)
+    np.testing.assert_array_equal(plain.srgb, patched.srgb)
+    assert plain.surfaces is None and patched.surfaces is not None
+
+
+@pytest.mark.parametrize("behind_m", [1.2, 2, 5, 20])
+@pytest.mark.parametrize("is_stepped_along_rows", [False, True])
+def test_a_step_from_one_surface_to_another_is_never_bridged(behind_m, is_stepped_along_rows):
+    frame = frame_of_a_table(40, 30, pitch=0)
+    depth_m = np.ones((30, 40))
+    depth_m[(np.s_[:15], np.s_[:, :20])[is_stepped_along_rows]] = behind_m
+    cloud = unproject_frame(RgbdFrame(frame.srgb_u8, depth_m, frame.intrinsics, frame.world_from_camera))
+    position = np.array([0.01, (1 + behind_m) / 2, CAMERA_M + 0.01])
+    sampled = sample_unit_sphere(cloud, position, LATTICE)
+    assert sampled.is_set.any()
+    along = (position + sampled.distance_m[:, None] * LATTICE.directions)[sampled.is_set, 1]
+    # Beside its surface by no more than the cell of an anchor.
+    near = np.minimum(np.abs(along - 1), np.abs(along - behind_m))
+    assert (near <= 0.08 * sampled.distance_m[sampled.is_set]).all()
+
+
+def test_the_table_faces_the_position_above_it_and_the_side_that_was_seen_is_known():
+    cloud = unproject_frame(frame_of_a_table())
+    above = sample_unit_sphere(cloud, ABOVE_TABLE, LATTICE)
+    directions, is_red = LATTICE.directions, above.srgb[:, 0] > 0.5
+    known = is_red & (above.surfaces.incidence > 0)
+    assert known.sum() > 0.9 * is_red.sum()
+    np.testing.assert_allclose(above.surfaces.facing[known], -directions[known, 2], atol=1e-4)
+    below = sample_unit_sphere(cloud, ABOVE_TABLE - [0, 0, 0.3], LATTICE)
+    is_red = (below.srgb[:, 0] > 0.5) & (below.surfaces.incidence > 0)
+    assert is_red.sum() > 50 and (below.surfaces.facing[is_red] < 0).all()
+    camera = np.array([0, 0, CAMERA_M])
+    points = ABOVE_TABLE + above.distance_m[:, None] * directions
+    far = above.is_set & (above.distance_m > 1)
+    # Within what the cell of an anchor and the half pixel of a patch allow.
+    np.testing.assert_allclose(
+        above.surfaces.camera_distance_m[far], np.linalg.norm(points - camera, axis=1)[far], rtol=0.15
+    )
+    np.testing.assert_allclose(np.linalg.norm(above.surfaces.view_direction[above.is_set], axis=1), 1, rtol=1e-5)
+
+
+def test_the_edge_of_the_table_is_an_edge_and_its_middle_is_not():
+    sampled = sample_unit_sphere(unproject_frame(frame_of_a_table(256, 192)), ABOVE_TABLE + [0, 0, 0.3], LATTICE)
+    points = ABOVE_TABLE + [0, 0, 0.3] + sampled.distance_m[:, None] * LATTICE.directions
+    is_red = sampled.srgb[:, 0] > 0.5
+    inner = is_red & (np.abs(points[:, 0]) < 0.4) & (np.abs(points[:, 1] - 2) < 0.3)
+    assert inner.sum() > 20 and not sampled.surfaces.is_edge[inner].any()
+    assert sampled.surfaces.is_edge[is_red & ~inner].any()
+
+
+def test_turning_room_and_position_about_the_vertical_turns_patches_with_it():
+    frame = frame_of_a_table(40, 30)
+    quarter = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    turned = RgbdFrame(frame.srgb_u8, frame.plane_depth_m, frame.intrinsics, quarter @ frame.world_from_camera)
+    here = sample_unit_sphere(unproject_frame(frame), ABOVE_TABLE, LATTICE)
+    there = sample_unit_sphere(unproject_frame(turned), quarter[:3, :3] @ ABOVE_TABLE, LATTICE)
+    assert abs(int(here.is_set.sum()) - int(there.is_set.sum())) < 20
+    assert here.distance_m[here.is_set].min() == pytest.approx(there.distance_m[there.is_set].min(), rel=0.01)
