@@ -40,7 +40,7 @@ from xihe_blender.units import metres_per_unit
 from xihenet.camera import KEY_LUMINANCE
 from xihenet.clipped_light import clipped_sh, relative_noise
 from xihenet.estimators.base import Target
-from xihenet.mirror_ball import panorama_of_ball, project_mirror_ball, whole_pixels
+from xihenet.mirror_ball import panorama_of_ball, project_mirror_ball
 from xihenet.records import ArrayF32, ArrayF64
 
 NAME = "Xihe Reference Probe"
@@ -68,9 +68,6 @@ SMALLEST_CLIP = 1e-6
 FEWEST_SAMPLES = 4
 """By fewer nobody could tell the noise."""
 
-RAYS = 4
-"""In each pixel of a picture."""
-
 
 @dataclass(frozen=True)
 class ProbeSettings:
@@ -78,7 +75,7 @@ class ProbeSettings:
 
     Parameters
     ----------
-    size : pixels along a side of each picture; with 64 the edges of a cone cost 0.5 % under a single lamp
+    size : pixels along a side of each picture, one ray in each
     max_samples : pictures of each, at most
     noise_target : relative error of the coefficients that is aimed at; None takes `max_samples`, whatever the noise
     seed : of the run
@@ -87,7 +84,7 @@ class ProbeSettings:
     order : highest band of `ldr`
     """
 
-    size: int = 128
+    size: int = 256
     max_samples: int = 32
     noise_target: float | None = 0.06
     seed: int = 0
@@ -145,7 +142,7 @@ class ReferenceLight:
     ----------
     measured : its coefficients
     panorama : (H, 2H, 3) float32 scene radiance that camera rays see, for pictures
-    ball : (N, N, 3) float32 the same as a mirror ball of whole pixels
+    ball : (N, N, 3) float32 the same as a mirror ball
     render_s : seconds that rendering took
     """
 
@@ -171,7 +168,7 @@ class ReferenceProbe:
         ldr, ldr_noise = self._measure(views, lambda number: self.view(place, number))
         hdr, hdr_noise = self._measure(cones, lambda number: self.cones(place, number))
         measured, ball = MeasuredLight(ldr, hdr, ldr_noise, hdr_noise, views.n, cones.n), views.ball
-        panorama = panorama_of_ball(ball, max(8, self.settings.size // 2))
+        panorama = panorama_of_ball(ball, max(8, self.settings.size // 4))
         return ReferenceLight(measured, panorama, ball, views.render_s + cones.render_s)
 
     def _measure(self, pictures: _Pictures, render: Callable[[int], Rendered]) -> tuple[ArrayF64, float | None]:
@@ -201,13 +198,13 @@ class ReferenceProbe:
         self._next_seed(number)
         return render_passes(self.scene)
 
-    def look_at_cones(self, place: int, samples: int = RAYS) -> None:
+    def look_at_cones(self, place: int, samples: int = 1) -> None:
         """Set the scene up to render them, with so many rays in each pixel."""
         radius = _ball_radius(self.positions_m[place], metres_per_unit(self.scene))
         self.scene.cycles.use_denoising = False
         self._look(place, (radius / 4, 2 * radius), samples)
 
-    def _look(self, place: int, clip_m: tuple[float, float], samples: int = RAYS) -> None:
+    def _look(self, place: int, clip_m: tuple[float, float], samples: int = 1) -> None:
         scene, metres = self.scene, metres_per_unit(self.scene)
         scene.camera.location = tuple(self.positions_m[place] / metres)
         scene.camera.data.clip_start, scene.camera.data.clip_end = (distance / metres for distance in clip_m)
@@ -262,8 +259,8 @@ class _Views(_Pictures):
     @property
     def ball(self) -> ArrayF32:
         """Scene radiance, for pictures."""
-        noisy, smooth = (np.mean(some, axis=0) for some in (self.radiance, self.smooth or self.radiance))
-        return whole_pixels(noisy / self.exposure, smooth / self.exposure)
+        ball: ArrayF32 = np.mean(self.smooth or self.radiance, axis=0) / self.exposure
+        return ball
 
 
 class _Cones(_Pictures):

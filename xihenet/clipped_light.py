@@ -6,24 +6,29 @@ is cut and noise below it is not: 9 to 31 % less in dim rooms. Denoising first l
 
 Chosen: a smooth picture only decides whether a direction is white; where it is not, the noisy picture itself counts,
 whose mean is right. A direction is judged by all pictures but the one that counts, so that its own noise has no say. A
-wrong verdict costs little: it happens where the light is near white, and there both answers are near each other. A
-picture has a few rays in each pixel: denoised from one ray, what lies close to a small lamp came out a third too dark.
+wrong verdict costs little: it happens where the light is near white, and there both answers are near each other.
 
-Light that rays meet directly, lamps and sky, is free of noise. A pixel that they fill in part has the share of the
-brightest next to it, and white times that share counts: so the edge of a lamp does not count as a whole pixel.
+Lamps and sky that a ray meets directly are free of noise. Each pixel has one ray, so that what it meets is clipped for
+itself, whatever lies next to it: with four rays a pixel in which the bars of a window and the sky share was white as a
+whole, and such a room had 5 % too much light. Next to lamps a denoiser runs over; there, what was reflected decides.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from xihenet.mirror_ball import ball_coverage, neighbours, project_mirror_ball
+from xihenet.mirror_ball import neighbours, project_mirror_ball
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64
 
-NEIGHBOURHOOD = 5
-"""Pixels along a side over which light beside lamps, and all light where there is no denoiser, is smoothed."""
+NEIGHBOURHOOD = 3
+"""Pixels along a side over which light beside lamps is smoothed."""
+
+MEDIANS = 5
+"""The same for all light where there is no denoiser: the median of such means, which keeps the edges of what is white.
+Of all pictures together, since a few rays say little."""
 
 
 def clipped_sh(
@@ -33,7 +38,7 @@ def clipped_sh(
 
     Parameters
     ----------
-    radiance : S mirror balls (N, N, 3), carrying the exposure; white is 1
+    radiance : S mirror balls (N, N, 3) of one ray in each pixel, carrying the exposure; white is 1
     emission : the part of them that rays met directly, lamps and sky, which has no noise
     smooth : the same pictures denoised; None where no denoiser is to be had, at the cost of some bias
     order : highest band
@@ -46,46 +51,13 @@ def clipped_sh(
         raise ValueError("clipped_sh: expected at least one picture, got none")
     # Light below black is none to a picture.
     radiance, emission = ([np.maximum(picture, 0) for picture in some] for some in (radiance, emission))
-    pictures = smoothed(radiance, emission) if smooth is None else smooth
-    together, n = np.sum(pictures, axis=0), len(radiance)
-    brightest = neighbours(np.mean(emission, axis=0), 3).max(axis=0)
-    is_lamp = np.any([met.max(axis=-1) > 0 for met in emission], axis=0)
-    reflected = np.sum(radiance, axis=0) - np.sum(emission, axis=0)
-    is_beside = _is_beside(is_lamp)
+    reflections = _Reflections(radiance, emission)
     lights = []
-    for noisy, met, own in zip(radiance, emission, pictures, strict=True):
-        others = (together - own) / (n - 1) if n > 1 else together
-        if is_lamp.any():
-            beside = (reflected - (noisy - met)) / (n - 1) if n > 1 else reflected
-            others = np.where(is_beside, _spread(beside, is_lamp), others)
-        is_amid = is_lamp[..., None] & ~is_beside
-        lights.append(project_mirror_ball(_clipped(noisy, met, others, brightest, is_amid), order))
+    for number, (seen, met, others) in enumerate(zip(radiance, emission, _judges(reflections, smooth), strict=False)):
+        usual = np.where(reflections.is_near_lamp, reflections.without(number), others)
+        is_white = np.where(reflections.is_lamp[number], met, usual) >= 1
+        lights.append(project_mirror_ball(np.where(is_white, np.float32(1), seen), order))
     return np.array(lights)
-
-
-def _clipped(noisy: ArrayF32, met: ArrayF32, smooth: ArrayF32, brightest: ArrayF32, is_amid: ArrayBool) -> ArrayF32:
-    """One picture clipped, by the verdict of a smooth one and the brightest that rays met next to each pixel."""
-    white = ball_coverage(len(noisy))[..., None]
-    share = np.minimum(met / np.maximum(brightest, 1e-12), white)
-    is_white = smooth >= 1
-    beside = share * np.minimum(brightest, 1) + np.where(is_white, white - share, noisy - met)
-    # Amid a lamp or the sky nothing else has a share, and what is painted there counts as it is.
-    amid = np.where((met >= white) | (smooth >= 1), white, noisy)
-    clipped: ArrayF32 = np.where(is_amid, amid, beside)
-    return clipped
-
-
-def smoothed(radiance: Sequence[ArrayF32], emission: Sequence[ArrayF32]) -> list[ArrayF32]:
-    """Pictures smoothed without a denoiser: medians over a neighbourhood of means over pixels nearby.
-
-    Of all pictures together, since a few rays say little. A pixel that is white in most pictures stays so, however
-    small it is.
-    """
-    reflected = np.array([noisy - met for noisy, met in zip(radiance, emission, strict=True)])
-    spread = np.median(neighbours(neighbours(reflected.mean(axis=0), 3).mean(axis=0), NEIGHBOURHOOD), axis=0)
-    usual = np.median(reflected, axis=0) if len(reflected) > 2 else np.zeros_like(spread)
-    picture = np.maximum(spread, usual).astype(np.float32)
-    return [picture] * len(reflected)
 
 
 def relative_noise(lights: ArrayF64, smallest: float) -> float | None:
@@ -99,17 +71,41 @@ def relative_noise(lights: ArrayF64, smallest: float) -> float | None:
     return float(np.sqrt(variance) / max(float(np.linalg.norm(lights.mean(axis=0))), smallest))
 
 
-def _is_beside(is_lamp: ArrayBool) -> ArrayBool:
-    """(N, N, 1) the pixels at the edges of lamps, on either side, into which a denoiser runs over."""
-    nearby = neighbours(is_lamp[..., None].astype(np.float32), 3)
-    beside: ArrayBool = nearby.any(axis=0) & ~nearby.all(axis=0)
-    return beside
+def _judges(reflections: _Reflections, smooth: Sequence[ArrayF32] | None) -> Iterator[ArrayF32]:
+    """For each picture the mean of all other ones, denoised; of a single one, itself."""
+    if smooth is None:
+        yield from itertools.repeat(np.median(neighbours(reflections.mean(), MEDIANS), axis=0))
+        return
+    together: ArrayF32 = np.sum(smooth, axis=0)
+    for own in smooth:
+        yield own if len(smooth) == 1 else (together - own) / np.float32(len(smooth) - 1)
 
 
-def _spread(reflected: ArrayF32, is_lamp: ArrayBool) -> ArrayF32:
-    """The mean of each pixel's neighbours that are no lamps; its own where all are."""
-    counts = (~is_lamp[..., None]).astype(np.float32)
+class _Reflections:
+    """What the rays of S pictures met that is neither lamp nor sky.
+
+    `is_lamp` says of each picture (N, N, 1) where its ray met one, `is_near_lamp` (N, N, 1) where any did nearby.
+    """
+
+    def __init__(self, radiance: Sequence[ArrayF32], emission: Sequence[ArrayF32]) -> None:
+        self.is_lamp: list[ArrayBool] = [met.max(axis=-1, keepdims=True) > 0 for met in emission]
+        self._seen = [np.where(lamp, np.float32(0), own) for lamp, own in zip(self.is_lamp, radiance, strict=True)]
+        self._total: ArrayF32 = np.sum(self._seen, axis=0)
+        self._counts: ArrayF32 = np.sum(np.logical_not(self.is_lamp), axis=0, dtype=np.float32)
+        self.is_near_lamp: ArrayBool = neighbours(np.any(self.is_lamp, axis=0), NEIGHBOURHOOD).any(axis=0)
+
+    def without(self, number: int) -> ArrayF32:
+        """(N, N, 3) their mean over the pixels around, of all pictures but one; 0 where there is none."""
+        if len(self._seen) == 1:
+            return self.mean()
+        return _mean_around(self._total - self._seen[number], self._counts - ~self.is_lamp[number])
+
+    def mean(self) -> ArrayF32:
+        """(N, N, 3) the same of all pictures."""
+        return _mean_around(self._total, self._counts)
+
+
+def _mean_around(total: ArrayF32, counts: ArrayF32) -> ArrayF32:
     n = neighbours(counts, NEIGHBOURHOOD).sum(axis=0)
-    total = neighbours(reflected * counts, NEIGHBOURHOOD).sum(axis=0)
-    spread: ArrayF32 = np.where(n > 0, total / np.maximum(n, 1), reflected)
-    return spread
+    mean: ArrayF32 = neighbours(total, NEIGHBOURHOOD).sum(axis=0) / np.maximum(n, 1)
+    return mean

@@ -3,9 +3,12 @@
     python addon_tests/bench/reference.py SCENE.blend... [--presets draft] [--places 2] [--frames 1] [--seeds N]
 
 `hdr` against a fit of bands 0, 1, 2, 4, 6 and 8 to irradiance that Blender bakes onto 200 small white triangles around
-the position; `ldr` against the clipped mean of a panorama of 128x64 texels with 1,024 samples. A grey sphere's
-brightness under `hdr` is its mean irradiance over the baked one. Positions are those of the virtual objects, or of
-empties named `placement_*`. The yardstick's own noise is the difference of two bakes.
+the position; `ldr` against two cubes of 10,000 directions, each path-traced alone with 512 samples and clipped then. A
+grey sphere's brightness under `hdr` is its mean irradiance over the baked one. Positions are those of the virtual
+objects, or of empties named `placement_*`. A yardstick's own noise is half the difference of two bakes or cubes.
+
+At the end, for each preset: how many probes are off by at most what they tell, and by at most twice that, where the
+yardstick's noise is added to what is told as a square; and the mean signed error of L00 in percent.
 """
 
 from __future__ import annotations
@@ -14,11 +17,12 @@ import argparse
 import math
 import sys
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
@@ -30,13 +34,17 @@ from xihe_blender.previs_settings import PrevisSettings
 from xihe_blender.reference_probe import open_reference_probe
 from xihe_blender.render import RenderSettings, exclude_collection, render_passes, working_scene
 from xihe_blender.virtual_objects import virtual_collection, virtual_objects
-from xihenet.panorama import project_panorama
 from xihenet.sh import basis, cosine_lobe, irradiance
 from xihenet.sphere import AnchorLattice
 
 NORMALS = AnchorLattice(200).directions
 BANDS = (0, 1, 2, 4, 6, 8)
-BAKED_SAMPLES, PANORAMA_SAMPLES = 1024, 1024
+BAKED_SAMPLES = 1024
+ACROSS, VIEW_SAMPLES = 42, 512
+"""Pixels along an edge of a cube; and rays in each of them."""
+
+CUBE_TURNS = (0.3, 0.9)
+"""Radians: no face lies level, so that edges of the room do not run along rows."""
 
 
 def positions_of(scene):
@@ -99,19 +107,35 @@ def fitted(baked):
     return coefficients[:9] / np.repeat(cosine_lobe(2), [1, 3, 5])[:, None]
 
 
-def clipped_panorama(scene, place, frame, exposure):
-    """(9, 3) of the light that camera rays see, clipped: a panorama with many samples."""
-    with working_scene(scene, "Panorama", RenderSettings((128, 64), PANORAMA_SAMPLES, 77, denoise=False)) as working:
+def clipped_light(scene, place, frame, exposure, turn):
+    """(9, 3) of what camera rays see, clipped: the faces of a cube turned by `turn` about two axes, in radians.
+
+    Each pixel is path-traced alone with VIEW_SAMPLES and a hundredth of it is looked at, so that what is clipped is the
+    light of one direction and not the mean of many.
+    """
+    total, whole = np.zeros((9, 3)), 0.0
+    with working_scene(scene, "Cube", RenderSettings((ACROSS, ACROSS), VIEW_SAMPLES, 77, denoise=False)) as working:
         leave_out_virtual_objects(working, scene)
         working.timeline_markers.clear()
-        camera = bpy.data.objects.new("Panorama", bpy.data.cameras.new("Panorama"))
-        camera.data.type, camera.data.panorama_type = "PANO", "EQUIRECTANGULAR"
-        camera.data.clip_start, camera.data.clip_end = 0.001, 1e5
-        camera.location, camera.rotation_euler = tuple(place), (math.pi / 2, 0, 0)
+        working.cycles.pixel_filter_type, working.cycles.filter_width = "BLACKMAN_HARRIS", 0.01
+        camera = bpy.data.objects.new("Cube", bpy.data.cameras.new("Cube"))
+        camera.data.angle, camera.data.clip_start, camera.data.clip_end = math.pi / 2, 0.001, 1e5
         working.camera = camera
         working.frame_set(frame)
-        radiance = first_layer(render_passes(working))[0].astype(float)
-    return project_panorama(np.clip(radiance * exposure, 0, 1))
+        for around, up in ((0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (3, 1)):
+            face = Matrix.Rotation(around * math.pi / 2, 3, "Z") @ Matrix.Rotation(up * math.pi / 2, 3, "X")
+            turned = Matrix.Rotation(turn, 3, "X") @ Matrix.Rotation(turn, 3, "Z") @ face
+            camera.matrix_world = Matrix.Translation(place) @ turned.to_4x4()
+            seen = np.clip(np.nan_to_num(first_layer(render_passes(working))[0].astype(float)) * exposure, 0, 1)
+            # Rows run from the top.
+            x, y = np.meshgrid(*2 * [(np.arange(ACROSS) + 0.5) / ACROSS * 2 - 1])
+            rays = np.stack([x, -y, -np.ones_like(x)], axis=-1).reshape(-1, 3)
+            solid_angle = np.linalg.norm(rays, axis=1) ** -3
+            directions = rays / np.linalg.norm(rays, axis=1, keepdims=True) @ np.array(turned).T
+            total += basis(directions, 2).T @ (seen.reshape(-1, 3) * solid_angle[:, None])
+            whole += solid_angle.sum()
+    bpy.data.cameras.remove(camera.data)
+    return total * (4 * np.pi / whole)
 
 
 def apart(light, reference):
@@ -119,32 +143,90 @@ def apart(light, reference):
 
 
 def measure(path, options):
-    """Print a line for each preset, place and frame of a scene."""
+    """Print a line for each preset, place, frame and seed of a scene, and return what was found."""
     open_blend(path)
     scene = bpy.context.scene
     places = positions_of(scene)[: options.places]
     exposure = meter_exposure(scene, range(scene.frame_start, scene.frame_end + 1))
     chosen = np.linspace(scene.frame_start, scene.frame_end, options.frames).round().astype(int).tolist()
+    found = []
     for frame in chosen:
         for number, place in enumerate(places):
-            probe_lines = [_of_preset(scene, name, place, frame, exposure, options.seeds) for name in options.presets]
-            ldr = clipped_panorama(scene, place, frame, exposure)
+            measured = [_of_preset(scene, name, place, frame, exposure, options.seeds) for name in options.presets]
+            cubes = [clipped_light(scene, place, frame, exposure, turn) for turn in CUBE_TURNS]
             scene.frame_set(frame)
             bakes = [baked_irradiance(scene, place, seed) * exposure for seed in (5, 6)]
-            baked, between = np.mean(bakes, axis=0), apart(fitted(bakes[0]), fitted(bakes[1])) / 2
             open_blend(path)
             scene = bpy.context.scene
-            for name, lights, seconds in probe_lines:
+            yardsticks = Yardsticks(np.mean(cubes, axis=0), apart(*cubes) / 2, bakes)
+            for name, lights, seconds in measured:
                 for light in lights:
-                    ball = irradiance(light.hdr, NORMALS).mean() / baked.mean()
+                    found.append(yardsticks.hold(name, light))
                     print(
-                        f"{path.stem} {name} frame {frame} place {number}: hdr {apart(light.hdr, fitted(baked)):.3f} "
-                        f"(said {light.hdr_noise or 0:.3f}, yardstick {between:.3f}), grey sphere {ball:.3f}; "
-                        f"ldr {apart(light.ldr, ldr):.3f} (said {light.ldr_noise or 0:.3f}), "
-                        f"L00 {light.ldr[0].sum() / ldr[0].sum() - 1:+.3f}; "
-                        f"pictures {light.ldr_samples} + {light.hdr_samples}, {seconds:.1f} s",
-                        flush=True,
+                        f"{path.stem} frame {frame} place {number} {found[-1].told(light)}, {seconds:.1f} s", flush=True
                     )
+    return found
+
+
+class Yardsticks:
+    """What the light at a place is, by other ways, and how far off these are themselves."""
+
+    def __init__(self, ldr, ldr_noise, bakes):
+        self.ldr, self.ldr_noise, self.mean_irradiance = ldr, ldr_noise, np.mean(bakes)
+        fits = [fitted(baked) for baked in bakes]
+        self.hdr, self.hdr_noise = np.mean(fits, axis=0), apart(*fits) / 2
+
+    def hold(self, preset, light):
+        """One probe's light against them."""
+        return Found(
+            preset,
+            apart(light.hdr, self.hdr), light.hdr_noise or 0, self.hdr_noise,
+            irradiance(light.hdr, NORMALS).mean() / self.mean_irradiance,
+            apart(light.ldr, self.ldr), light.ldr_noise or 0, self.ldr_noise,
+            light.ldr[0].sum() / self.ldr[0].sum() - 1,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Found:
+    """How far one probe is off, what it tells of itself, and the yardstick's own noise: relative norms."""
+
+    preset: str
+    hdr: float
+    hdr_told: float
+    hdr_yardstick: float
+    grey_sphere: float
+    ldr: float
+    ldr_told: float
+    ldr_yardstick: float
+    ldr_l00: float
+
+    def told(self, light):
+        return (
+            f"{self.preset}: hdr {self.hdr:.3f} (told {self.hdr_told:.3f}, yardstick {self.hdr_yardstick:.3f}), "
+            f"grey sphere {self.grey_sphere:.3f}; ldr {self.ldr:.3f} (told {self.ldr_told:.3f}, yardstick "
+            f"{self.ldr_yardstick:.3f}), L00 {self.ldr_l00:+.3f}; pictures {light.ldr_samples} + {light.hdr_samples}"
+        )
+
+    def times_told(self, target):
+        """How many times what it tells it is off."""
+        off, told, own = (getattr(self, target + part) for part in ("", "_told", "_yardstick"))
+        return off / max(math.hypot(told, own), 1e-9)
+
+
+def summary(found):
+    """A line for each preset and target."""
+    for preset in dict.fromkeys(one.preset for one in found):
+        of_preset = [one for one in found if one.preset == preset]
+        for target in ("ldr", "hdr"):
+            times = np.array([one.times_told(target) for one in of_preset])
+            off = np.array([getattr(one, target) for one in of_preset])
+            print(
+                f"{preset} {target}: {len(off)} probes, off by {np.median(off):.3f} (median), {off.max():.3f} (most); "
+                f"within what they tell {np.mean(times <= 1):.2f}, within twice that {np.mean(times <= 2):.2f}"
+            )
+        l00, spheres = (np.array([getattr(one, name) for one in of_preset]) for name in ("ldr_l00", "grey_sphere"))
+        print(f"{preset}: L00 of ldr {100 * l00.mean():+.2f} %, grey sphere {spheres.min():.3f} to {spheres.max():.3f}")
 
 
 def _of_preset(scene, name, place, frame, exposure, n_seeds):
@@ -163,8 +245,7 @@ def main():
     parser.add_argument("--frames", type=int, default=3)
     parser.add_argument("--seeds", type=int, default=1)
     options = parser.parse_args()
-    for path in options.scenes:
-        measure(path, options)
+    summary([one for path in options.scenes for one in measure(path, options)])
 
 
 if __name__ == "__main__":

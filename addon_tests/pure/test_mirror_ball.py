@@ -7,13 +7,12 @@ import pytest
 
 from addon_tests.pure.sh_samples import CONSTANT, random_light
 from xihenet.mirror_ball import (
-    ball_coverage,
+    RIM,
     ball_directions,
     ball_pixels,
     panorama_of_ball,
     project_mirror_ball,
     seen_in_ball,
-    whole_pixels,
 )
 from xihenet.panorama import panorama_directions, project_panorama
 from xihenet.sh import basis, rotate
@@ -27,24 +26,26 @@ def rendered(light, size, cells=8):
     return radiance.reshape(size, cells, size, cells, 3).mean(axis=(1, 3))
 
 
-@pytest.mark.parametrize("size", [64, 128])
-def test_light_of_any_low_order_comes_out_as_it_went_in(size):
+@pytest.mark.parametrize(("size", "tolerance"), [(64, 0.12), (160, 0.04), (256, 0.02)])
+def test_light_of_any_low_order_comes_out_as_it_went_in(size, tolerance):
     light = random_light(4)
-    np.testing.assert_allclose(project_mirror_ball(rendered(light, size), 4), light, atol=0.03 * np.abs(light).max())
+    off = project_mirror_ball(rendered(light, size), 4) - light
+    assert np.abs(off).max() < tolerance * np.abs(light).max()
+    assert np.linalg.norm(off[:9]) < tolerance * np.linalg.norm(light)
 
 
 def test_constant_light_is_the_mean_of_the_pixels_on_the_ball():
-    constant = project_mirror_ball(np.ones((64, 64, 3)) * ball_coverage(64)[..., None])
+    constant = project_mirror_ball(np.ones((64, 64, 3)))
     np.testing.assert_allclose(constant[0], CONSTANT, rtol=2e-3)
     assert np.abs(constant[1:]).max() < 2e-3 * CONSTANT
 
 
-@pytest.mark.parametrize("towards", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -1, 0), (0.5, 0.5, -0.7)])
+@pytest.mark.parametrize("towards", [(0, 0, 1), (0.5, 0.2, -0.6), (1, 0, 0), (0, -1, 0), (-0.5, 0.5, -0.5)])
 def test_a_disc_has_its_solid_angle_wherever_it_stands(towards):
     cosine = np.cos(0.3)
-    directions, on_ball = ball_directions(512)
+    directions, on_ball = ball_directions(1024)
     inside = (directions @ (np.array(towards) / np.linalg.norm(towards)) > cosine) & on_ball
-    disc = inside.reshape(128, 4, 128, 4).mean(axis=(1, 3))
+    disc = inside.reshape(256, 4, 256, 4).mean(axis=(1, 3))
     light = project_mirror_ball(np.repeat(disc[..., None], 3, axis=-1))
     assert light[0, 0] * np.sqrt(4 * np.pi) == pytest.approx(2 * np.pi * (1 - cosine), rel=0.01)
 
@@ -55,31 +56,32 @@ def test_a_picture_looks_up_in_the_middle_and_has_x_on_the_right():
     assert directions[100, 150] @ (1, 0, 0) > 0.8 and directions[50, 100] @ (0, -1, 0) > 0.8
     np.testing.assert_allclose(np.linalg.norm(directions[on_ball], axis=-1), 1.0, atol=1e-12)
     rows, columns = ball_pixels(directions, 201)
-    where = np.argwhere(on_ball)
-    np.testing.assert_array_equal(np.stack([rows[on_ball], columns[on_ball]], axis=-1), where)
+    is_inside = directions[..., 2] > -0.9
+    np.testing.assert_array_equal(np.stack([rows[is_inside], columns[is_inside]], axis=-1), np.argwhere(is_inside))
 
 
 def test_a_panorama_of_a_ball_shows_the_same_light():
     light = random_light(2)
     ball = rendered(light, 128)
-    whole = whole_pixels(ball, ball)
     expected = basis(panorama_directions(32, 64).reshape(-1, 3)) @ light
-    panorama = panorama_of_ball(whole, 32)
+    panorama = panorama_of_ball(ball, 32)
     np.testing.assert_allclose(panorama.reshape(-1, 3)[: 64 * 26], expected[: 64 * 26], atol=0.08 * np.abs(light).max())
     np.testing.assert_allclose(project_panorama(panorama), light, atol=0.05 * np.abs(light).max())
-    np.testing.assert_array_equal(seen_in_ball(whole, np.array([[0.0, 0.0, 1.0]]))[0], whole[64, 64])
+    np.testing.assert_array_equal(seen_in_ball(ball, np.array([[0.0, 0.0, 1.0]]))[0], ball[64, 64].astype(np.float32))
 
 
-def test_a_rim_that_is_noisy_and_black_outside_is_whole_in_pictures():
-    ball = np.ones((64, 64, 3)) * ball_coverage(64)[..., None]
-    darkened = ball * 0.5
-    whole = whole_pixels(ball, np.where(ball == 1, 1.0, darkened))
-    _, on_ball = ball_directions(64)
-    np.testing.assert_allclose(whole[on_ball], 1.0, atol=1e-6)
+def test_pixels_on_the_rim_do_not_count_and_straight_down_is_told_by_those_inside():
+    place = np.arange(64) + 0.5 - 32
+    is_rim = np.hypot(place[:, None], place) > 32 - RIM + np.sqrt(0.5)
+    ball = np.where(is_rim[..., None], 1e6, 0.25) * np.ones(3)
+    np.testing.assert_allclose(project_mirror_ball(ball)[0], 0.25 * CONSTANT, rtol=2e-3)
+    down = np.array([[0.0, 0.0, -1.0], [1e-9, 0.0, -1.0], [0.0, -1e-14, -1.0]])
+    np.testing.assert_array_equal(seen_in_ball(ball, down), 0.25)
+    assert panorama_of_ball(ball, 16).max() == 0.25
 
 
 def test_a_quarter_turn_of_the_picture_is_a_quarter_turn_of_the_light():
-    ball = np.random.default_rng(1).random((48, 48, 3)) * ball_coverage(48)[..., None]
+    ball = np.random.default_rng(1).random((48, 48, 3))
     # Rows go along +Y and columns along +X, so this turns +X into +Y.
     turned = project_mirror_ball(np.rot90(ball, k=-1))
     quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

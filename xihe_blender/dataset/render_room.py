@@ -36,12 +36,13 @@ MAX_REDRAWS = 20
 class RoomRenderSettings:
     """Sizes in pixels and samples per pixel. The seed of Cycles is fixed: noise differs by room anyway.
 
-    The reference probe takes `probe_samples` pictures, of `probe_size` pixels along a side of the mirror ball.
+    The reference probe takes `probe_samples` pictures, of `probe_size` pixels along a side of the mirror ball, an even
+    number; they are stored at half that size.
     """
 
     view_size: tuple[int, int] = (128, 96)
     view_samples: int = 4
-    probe_size: int = 80
+    probe_size: int = 160
     probe_samples: int = 2
 
     @property
@@ -129,11 +130,17 @@ def render_probes(
 def stored_lights(lights: Sequence[ReferenceLight]) -> dict[str, Any]:
     """What a `StoredRoom` keeps of them."""
     return {
-        "balls": as_float16(np.stack([light.ball for light in lights])),
+        "balls": as_float16(np.stack([_at_half_size(light.ball) for light in lights])),
         "sh_ldr": np.stack([light.measured.ldr for light in lights]),
         "sh_hdr": np.stack([light.measured.hdr for light in lights]),
         "sh_noise": np.array([[light.measured.ldr_noise or 0.0, light.measured.hdr_noise or 0.0] for light in lights]),
     }
+
+
+def _at_half_size(picture: ArrayF32) -> ArrayF32:
+    n = len(picture) // 2
+    half: ArrayF32 = picture.reshape(n, 2, n, 2, 3).mean(axis=(1, 3))
+    return half
 
 
 def _as_stored(

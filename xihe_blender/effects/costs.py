@@ -182,7 +182,7 @@ def _standard_error(values: ArrayF64) -> float:
 
 @contextlib.contextmanager
 def _probe(scene: bpy.types.Scene, variant: _Variant, position_m: ArrayLike, frame: int) -> Iterator[_View]:
-    settings = ProbeSettings(denoise=False, light_transport=variant.plan.light_transport)
+    settings = ProbeSettings(128, denoise=False, light_transport=variant.plan.light_transport)
     with open_reference_probe(scene, np.array([position_m]), settings) as probe:
         probe.scene.frame_set(frame)
         probe.look_at_cones(0, PROBE_SAMPLES)

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from xihenet.camera import in_view, unproject_frame
-from xihenet.mirror_ball import ball_coverage, project_mirror_ball
+from xihenet.mirror_ball import project_mirror_ball
 from xihenet.npz_files import read_npz
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, Intrinsics, PointCloud, RgbdFrame
 
@@ -58,9 +58,8 @@ class TrainingRoom:
         if (gains == 1).all():
             return clipped, whole
         ball = self.balls[position]
-        share = ball_coverage(len(ball))[..., None]
-        off = clipped - project_mirror_ball(np.minimum(ball, 1.0) * share)
-        return project_mirror_ball(np.minimum(ball * gains, 1.0) * share) + off * np.minimum(gains, 1.0), whole
+        off = clipped - project_mirror_ball(np.minimum(ball, 1.0))
+        return project_mirror_ball(np.minimum(ball * gains, 1.0)) + off * np.minimum(gains, 1.0), whole
 
 
 def room_files(folder: Path) -> list[Path]:
