@@ -1,9 +1,12 @@
-"""What does each way of metering clip? A table over scenes.
+"""What does each way of metering clip? A table over scenes, and a line over a folder of training rooms.
 
-    python addon_tests/bench/exposure.py blend_scenes/*.blend
+    python addon_tests/bench/exposure.py blend_scenes/*.blend [ROOMS_FOLDER]
 
-For each scene: the exposure by `key` and by `highlights`, and the share of pixels of the phone's pictures that have a
-channel at 255, in the first, middle and last frame of the camera path. Captures are 256x192 with 8 samples, denoised.
+For each scene, by `key` and by `highlights`: the exposure; the share of pixels of the phone's pictures that have a
+channel at 255, in the first, middle and last frame of the camera path; and of the light around the virtual objects the
+share of the sphere that has a channel above white, and the share of the energy that lies above white or comes from
+lamps that cameras do not see. Captures are 256x192 with 8 samples, denoised; the light is that of the preset Draft in
+the first frame. Of a folder of rooms the means over the first 100: of pixels, sphere and energy.
 """
 
 from __future__ import annotations
@@ -11,14 +14,24 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import bpy
 import numpy as np
 
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from addon_tests.bench.reference import positions_of
 from xihe_blender.blend_file import open_blend
 from xihe_blender.capture import first_layer, meter_exposure, metered_frames, open_scanner, sized_for
+from xihe_blender.dataset.store import load_room, room_path, stored_indices
 from xihe_blender.plan import planned_frames
+from xihe_blender.previs_settings import PrevisSettings
+from xihe_blender.reference_probe import open_reference_probe
 from xihe_blender.render import RenderSettings, render_passes
 from xihenet.camera import encode_exposed
-from xihenet.metering import METERINGS
+from xihenet.metering import METERINGS, metered_exposure
+from xihenet.metrics import share_above_white
+from xihenet.mirror_ball import project_mirror_ball
 from xihenet.records import ArrayF32
 
 
@@ -27,10 +40,27 @@ def clipped_share(radiance: ArrayF32, exposure: float) -> float:
     return float((encode_exposed(radiance, exposure) == 255).any(axis=-1).mean())
 
 
+def sphere_above_white(ball: ArrayF32) -> float:
+    """Of the sphere around a position (N, N, 3), the share that has a channel above white."""
+    above = np.repeat((ball >= 1).any(axis=-1)[..., None], 3, axis=-1)
+    return float(project_mirror_ball(above)[0, 0] / np.sqrt(4 * np.pi))
+
+
+def light_above_white(scene: bpy.types.Scene, exposure: float) -> tuple[float, float]:
+    """Means over the virtual objects, or empties named `placement*`: shares of sphere and of energy."""
+    places, shares = positions_of(scene), []
+    with open_reference_probe(scene, places, PrevisSettings(preset="draft").reference) as probe:
+        for place in range(len(places)):
+            light = probe.light_at(place, scene.frame_start, exposure)
+            energy = share_above_white(light.measured.ldr, light.measured.hdr)
+            shares.append((sphere_above_white(light.ball * np.float32(exposure)), energy or 0.0))
+    sphere, energy = np.mean(shares, axis=0)
+    return float(sphere), float(energy)
+
+
 def row(file: Path) -> str:
     scene = open_blend(file)
     frames = planned_frames(scene, None)
-    exposures = {metering: meter_exposure(scene, frames, metering=metering) for metering in METERINGS}
     pictures = []
     with open_scanner(scene, sized_for(scene, RenderSettings((256, 192), 8))) as scanner:
         for frame in metered_frames(frames):
@@ -38,19 +68,40 @@ def row(file: Path) -> str:
             pictures.append(first_layer(render_passes(scanner.scene))[0])
     cells = [file.stem]
     for metering in reversed(METERINGS):
-        exposure = exposures[metering]
-        shares = " ".join(f"{100 * clipped_share(picture, exposure):.1f}" for picture in pictures)
-        cells += [f"{exposure:.3g}", shares]
+        exposure = meter_exposure(scene, frames, metering=metering)
+        clipped = " ".join(f"{100 * clipped_share(picture, exposure):.1f}" for picture in pictures)
+        sphere, energy = light_above_white(scene, exposure)
+        cells += [f"{exposure:.3g}", clipped, f"{100 * sphere:.1f}", f"{100 * energy:.0f}"]
+    return "| " + " | ".join(cells) + " |"
+
+
+def row_of_rooms(folder: Path) -> str:
+    """Means over the first 100 rooms, at the exposures that their own views give by each metering."""
+    rooms = [load_room(room_path(folder, index)) for index in list(stored_indices(folder))[:100]]
+    cells = [f"{len(rooms)} rooms"]
+    for metering in reversed(METERINGS):
+        shares, exposures = [], []
+        for room in rooms:
+            radiance = room.radiance.astype(np.float32)
+            exposure = room.exposure * metered_exposure(radiance, metering) / metered_exposure(radiance)
+            exposures.append(exposure)
+            for place, ball in enumerate(room.balls.astype(np.float32) * np.float32(exposure)):
+                ldr = project_mirror_ball(np.minimum(ball, 1))
+                energy = share_above_white(ldr, room.sh_hdr[place] * exposure / room.exposure) or 0.0
+                shares.append((clipped_share(radiance, exposure), sphere_above_white(ball), energy))
+        pixels, sphere, energy = 100 * np.mean(shares, axis=0)
+        cells += [f"{np.median(exposures):.3g}", f"{pixels:.1f}", f"{sphere:.1f}", f"{energy:.0f}"]
     return "| " + " | ".join(cells) + " |"
 
 
 def main() -> None:
     files = [Path(name) for name in sys.argv[1:]]
     if not files:
-        sys.exit("give .blend files")
-    print("| scene | key | % clipped | highlights | % clipped |\n| --- | --- | --- | --- | --- |")
+        sys.exit("give .blend files or folders of rooms")
+    ways = [f"{name} | % clipped | % of sphere | % of energy" for name in reversed(METERINGS)]
+    print("| scene | " + " | ".join(ways) + " |\n" + "| --- " * 9 + "|")
     for file in files:
-        print(row(file), flush=True)
+        print(row_of_rooms(file) if file.is_dir() else row(file), flush=True)
 
 
 if __name__ == "__main__":
