@@ -279,7 +279,8 @@ class _Cones(_Pictures):
 
 def light_of_cones(radiance: ArrayF32) -> ArrayF64:
     """(9, 3) radiance coefficients of the light that a picture of cones (N, N, 3) was made of."""
-    return project_mirror_ball(radiance) / cone_factors()[:, None]
+    # Their surface has no texture, so that the rim is as good as the rest, and the edge of a cone may cross it.
+    return project_mirror_ball(radiance, rim=0) / cone_factors()[:, None]
 
 
 @cache

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from xihenet.panorama import panorama_directions
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt
-from xihenet.sh_basis import basis, n_coefficients
+from xihenet.sh_basis import basis
 
 FINEST = 2048
 """Cells along a side, at the most, in which a pixel's mean of a basis function is taken."""
@@ -49,12 +49,12 @@ def ball_directions(size: int) -> tuple[ArrayF64, ArrayBool]:
     return np.stack([across * right, across * down, up], axis=-1), on_ball
 
 
-def ball_pixels(directions: ArrayLike, size: int) -> tuple[ArrayInt, ArrayInt]:
-    """Row and column of the pixel that tells of each unit direction (..., 3): on the rim, the one just inside."""
+def ball_pixels(directions: ArrayLike, size: int, rim: float = RIM) -> tuple[ArrayInt, ArrayInt]:
+    """Row and column of the pixel that tells of each unit direction (..., 3): within `rim`, the one just inside."""
     x, y, z = np.moveaxis(np.asarray(directions, np.float64), -1, 0)
     level = np.hypot(x, y)
     # Of a direction in the disc: sin(polar angle / 2). Straight down is all of the rim.
-    radius = np.minimum(np.sqrt(np.maximum((1 - z) / 2, 0.0)), max(0.0, 1 - 2 * RIM / size))
+    radius = np.minimum(np.sqrt(np.maximum((1 - z) / 2, 0.0)), max(0.0, 1 - 2 * rim / size))
     is_upright = level < 1e-12
     per_side = radius / np.where(is_upright, 1.0, level)
     return _pixel((y * per_side + 1) / 2, size), _pixel((np.where(is_upright, radius, x * per_side) + 1) / 2, size)
@@ -66,27 +66,30 @@ def _pixel(place: ArrayF64, size: int) -> ArrayInt:
 
 
 @lru_cache(maxsize=16)
-def _pixel_integrals(size: int, order: int) -> ArrayF64:
+def _pixel_integrals(size: int, order: int, rim: float) -> ArrayF64:
     """((order + 1)^2, size * size) each basis function's integral over what a pixel tells of. Read-only."""
     cells = max(1, min(CELLS, FINEST // size))
     directions, on_ball = ball_directions(size * cells)
     seen = directions[on_ball]
-    rows, columns = ball_pixels(seen, size)
+    rows, columns = ball_pixels(seen, size, rim)
     values = basis(seen, order) * (4 * np.pi / len(seen))
     pixels = rows * size + columns
-    sums = [np.bincount(pixels, values[:, k], size * size) for k in range(n_coefficients(order))]
-    integrals: ArrayF64 = np.array(sums, np.float64)
+    integrals = np.array([np.bincount(pixels, of_one, size * size) for of_one in values.T], np.float64)
+    if not rim:
+        integrals *= cells**2 / np.maximum(np.bincount(pixels, minlength=size * size), 1)
     integrals.flags.writeable = False
     return integrals
 
 
-def project_mirror_ball(radiance: ArrayLike, order: int = 2) -> ArrayF64:
+def project_mirror_ball(radiance: ArrayLike, order: int = 2, *, rim: float = RIM) -> ArrayF64:
     """Spherical-harmonic coefficients of a mirror ball.
 
     Parameters
     ----------
-    radiance : (N, N, 3) linear; negative values are taken as they are, pixels beside and on the rim do not count
+    radiance : (N, N, 3) linear; negative values are taken as they are, pixels beside the ball do not count
     order : highest band
+    rim : pixels as far from the rim do not count, see `RIM`; with 0 all do, where those on the rim hold their radiance
+        times the share of their rays that met the ball, as renderers write it
 
     Returns
     -------
@@ -101,7 +104,7 @@ def project_mirror_ball(radiance: ArrayLike, order: int = 2) -> ArrayF64:
     if not np.isfinite(image).all():
         n_bad = np.count_nonzero(~np.isfinite(image).all(axis=2))
         raise ValueError(f"mirror ball: expected finite radiance, got {n_bad} pixels with NaN or infinity")
-    projected: ArrayF64 = _pixel_integrals(len(image), order) @ image.reshape(-1, 3)
+    projected: ArrayF64 = _pixel_integrals(len(image), order, rim) @ image.reshape(-1, 3)
     return projected
 
 
