@@ -65,8 +65,8 @@ ROUNDING = 1e-6
 SMALLEST_CLIP = 1e-6
 """Blender units: cameras have no nearer clip start, whatever a unit is."""
 
-FEWEST_SAMPLES = 4
-"""By fewer nobody could tell the noise."""
+FEWEST_SAMPLES = 6
+"""By fewer nobody could tell the noise: with 4 a disc was off by up to 2.4 times what it told, in 20 seeds."""
 
 
 @dataclass(frozen=True)
