@@ -79,7 +79,7 @@ class ProbeSettings:
     max_samples : pictures of each, at most
     noise_target : relative error of the coefficients that is aimed at; None takes `max_samples`, whatever the noise
     seed : of the run
-    denoise : with OpenImageDenoise, where the build has it: for what is white, never for what counts
+    denoise : with OpenImageDenoise, where the build has it: one more picture, for what is white, never for what counts
     light_transport : as in RenderSettings
     order : highest band of `ldr`
     """
@@ -166,6 +166,9 @@ class ReferenceProbe:
         self.scene.frame_set(frame)
         views, cones = _Views(exposure, self.settings.order), _Cones(exposure)
         ldr, ldr_noise = self._measure(views, lambda number: self.view(place, number))
+        if self.is_denoised:
+            views.take_judge(self.judge(place, views.n))
+            ldr, ldr_noise = _mean_and_noise(views.lights())
         hdr, hdr_noise = self._measure(cones, lambda number: self.cones(place, number))
         measured, ball = MeasuredLight(ldr, hdr, ldr_noise, hdr_noise, views.n, cones.n), views.ball
         panorama = panorama_of_ball(ball, max(8, self.settings.size // 4))
@@ -179,18 +182,27 @@ class ReferenceProbe:
             enough_to_judge = max(min(FEWEST_SAMPLES, most), pictures.n + pictures.n // 5, pictures.n + 1)
             for number in range(pictures.n, min(enough_to_judge, most)):
                 pictures.add(render(number))
-            lights = pictures.lights()
-            noise = relative_noise(lights, DARKEST_LIGHT)
+            light, noise = _mean_and_noise(pictures.lights())
             if pictures.n >= most or (target is not None and noise is not None and noise <= target):
-                return lights.mean(axis=0), noise
+                return light, noise
 
     def view(self, place: int, number: int) -> Rendered:
         """What camera rays see in a mirror ball, from just outside of the ball of the cones."""
-        start = max(CLIP_START_M, 2 * _ball_radius(self.positions_m[place], metres_per_unit(self.scene)))
-        self.scene.cycles.use_denoising = self.is_denoised
-        self._look(place, (start, CLIP_END_M))
+        self._look_around(place)
         self._next_seed(number)
         return render_passes(self.scene)
+
+    def judge(self, place: int, n_pictures: int) -> Rendered:
+        """The same once more, denoised, with half as many rays in each pixel as that many pictures have."""
+        self._look_around(place, max(2, n_pictures // 2))
+        self.scene.cycles.use_denoising = True
+        self._next_seed(-1)
+        return render_passes(self.scene)
+
+    def _look_around(self, place: int, samples: int = 1) -> None:
+        start = max(CLIP_START_M, 2 * _ball_radius(self.positions_m[place], metres_per_unit(self.scene)))
+        self.scene.cycles.use_denoising = False
+        self._look(place, (start, CLIP_END_M), samples)
 
     def cones(self, place: int, number: int) -> Rendered:
         """All light: in each pixel of a mirror ball the mean over the cone around the opposite direction."""
@@ -212,6 +224,10 @@ class ReferenceProbe:
 
     def _next_seed(self, number: int) -> None:
         self.scene.cycles.seed = (self.settings.seed * SEED_STEP + number) % MAX_SEED
+
+
+def _mean_and_noise(lights: ArrayF64) -> tuple[ArrayF64, float | None]:
+    return lights.mean(axis=0), relative_noise(lights, DARKEST_LIGHT)
 
 
 class _Pictures(ABC):
@@ -242,25 +258,27 @@ class _Views(_Pictures):
         self.order = order
         self.radiance: list[ArrayF32] = []
         self.emission: list[ArrayF32] = []
-        self.smooth: list[ArrayF32] = []
+        self.smooth: ArrayF32 | None = None
+
+    def take_judge(self, rendered: Rendered) -> None:
+        """From now on a denoised picture says what is white."""
+        self.smooth = _rgb(next(iter(rendered.layers.values())), "Combined") * self.exposure
+        self.render_s += rendered.render_s
 
     def _keep(self, passes: dict[str, ArrayF32]) -> None:
-        is_denoised = "Noisy Image.R" in passes
-        self.radiance.append(_rgb(passes, "Noisy Image" if is_denoised else "Combined") * self.exposure)
+        self.radiance.append(_rgb(passes, "Combined") * self.exposure)
         # From Blender 5 on their names are whole words.
         lamps, sky = ("Emission", "Environment") if "Emission.R" in passes else ("Emit", "Env")
         self.emission.append((_rgb(passes, lamps) + _rgb(passes, sky)) * self.exposure)
-        if is_denoised:
-            self.smooth.append(_rgb(passes, "Combined") * self.exposure)
 
     def lights(self) -> ArrayF64:
-        return clipped_sh(self.radiance, self.emission, self.smooth or None, self.order)
+        return clipped_sh(self.radiance, self.emission, self.smooth, self.order)
 
     @property
     def ball(self) -> ArrayF32:
         """Scene radiance, for pictures."""
-        ball: ArrayF32 = np.mean(self.smooth or self.radiance, axis=0) / self.exposure
-        return ball
+        seen: ArrayF32 = np.mean(self.radiance, axis=0) if self.smooth is None else self.smooth
+        return seen / self.exposure
 
 
 class _Cones(_Pictures):
@@ -340,7 +358,6 @@ def _take_samples(scene: bpy.types.Scene, n: int) -> None:
 def _ask_for_passes(scene: bpy.types.Scene) -> None:
     layer = scene.view_layers[0]
     layer.use_pass_emit = layer.use_pass_environment = True
-    layer.cycles.denoising_store_passes = scene.cycles.use_denoising
     # A box: with any wider filter pixels on the rim look past the ball more often than they should.
     scene.cycles.pixel_filter_type = "BOX"
 
