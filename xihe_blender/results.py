@@ -91,15 +91,17 @@ def rendering(frame: int, references: Mapping[str, MeasuredLight], run: Prepared
     capture = _render(frame, kept.capture(frame), effort.capture_samples, effort.capture_noise)
     probes = {
         name: _render(frame, kept.probe(frame, name), light.samples(target), light.noise(target))
-        | {"is_capped": is_capped(light.noise(target), run.reference)}
+        | {"is_capped": is_capped(light.samples(target), light.noise(target), run.reference)}
         for name, light in references.items()
     }
     return {"rendering": {"capture": capture, "probes": probes}}
 
 
-def is_capped(noise: float | None, settings: ProbeSettings) -> bool:
+def is_capped(samples: int, noise: float | None, settings: ProbeSettings) -> bool:
     """Whether a reference has the most samples and is still noisier than it should be."""
-    return settings.noise_target is not None and noise is not None and noise > settings.noise_target
+    if settings.noise_target is None or noise is None:
+        return False
+    return samples >= settings.max_samples and noise > settings.noise_target
 
 
 def _render(frame: int, source: int, samples: int, noise: float | None) -> dict[str, Any]:

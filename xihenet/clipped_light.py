@@ -8,7 +8,7 @@ Chosen: a smooth picture only decides whether a direction is white; where it is 
 count, whose mean is right. It is one of its own, so that their noise has no say. A wrong verdict costs little: it
 happens where the light is near white, and there both answers are near each other. Rejected: the mean of the other
 pictures, each denoised. From one ray in each pixel a denoiser flattens what is sharp: a ring of light on a chair, 1.5
-times white, came out below it, and the clipped light was 3.5 % too bright; with four rays and more half of that is left.
+times white, came out below it, and the clipped light was 3.5 % too bright; from four rays half of that is left.
 
 Lamps and sky that a ray meets directly are free of noise. Each pixel has one ray, so that what it meets is clipped for
 itself, whatever lies next to it: with four rays a pixel in which the bars of a window and the sky share was white as a
