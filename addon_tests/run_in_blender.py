@@ -19,7 +19,7 @@ import bpy
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from xihe_blender.processes import EXIT_CRASHED, leave_blender  # noqa: E402
+from xihe_blender.lab.workers.processes import EXIT_CRASHED, leave_blender  # noqa: E402
 
 FOLDERS = ("addon_tests/pure", "addon_tests/in_blender")
 PYTHON = ".".join(str(number) for number in sys.version_info[:2])
@@ -37,7 +37,7 @@ def why_left_out(item):
     if mark is not None:
         return mark.args[0]
     if item.get_closest_marker("needs_denoiser"):
-        from xihe_blender.render import can_denoise
+        from xihe_blender.capture.render import can_denoise
 
         return None if can_denoise(bpy.context.scene) else "this Blender has no OpenImageDenoise"
     return None

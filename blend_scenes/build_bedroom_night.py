@@ -13,8 +13,8 @@ import bpy
 import numpy as np
 from staging import N_FRAMES, add_virtual, main, open_stage, walk_phone
 
-from xihe_blender.props.bedding import add_bed, add_bench
-from xihe_blender.props.furniture import (
+from xihe_blender.lab.props.bedding import add_bed, add_bench
+from xihe_blender.lab.props.furniture import (
     add_cabinet,
     add_chair,
     add_curtain,
@@ -23,10 +23,10 @@ from xihe_blender.props.furniture import (
     add_plant,
     at,
 )
-from xihe_blender.props.lighting import add_table_lamp, set_sky
-from xihe_blender.props.room_shell import Opening, Room, add_door, add_shell, add_skirting, add_window
-from xihe_blender.props.shapes import add_solid, ball, box, box_between, joined, revolved
-from xihe_blender.props.surfaces import carpet, curtain_cloth, fabric, foliage, paint, painting, plain, planks, wood
+from xihe_blender.lab.props.lighting import add_table_lamp, set_sky
+from xihe_blender.lab.props.room_shell import Opening, Room, add_door, add_shell, add_skirting, add_window
+from xihe_blender.lab.props.shapes import add_solid, ball, box, box_between, joined, revolved
+from xihe_blender.lab.props.surfaces import carpet, curtain_cloth, fabric, foliage, paint, painting, plain, planks, wood
 
 WINDOW = Opening("+x", -0.9, 0.5, 0.85, 2.15)
 DOOR = Opening("-y", 0.9, 1.75, 0.0, 2.02, is_door=True)

@@ -18,9 +18,9 @@ import bpy
 import numpy as np
 from staging import add_three_sphere_rig, arc, main, open_stage, walk_phone
 
-from xihe_blender.props.lighting import set_sky
-from xihe_blender.props.shapes import Solid, add_solid, box_between
-from xihe_blender.props.surfaces import glowing_evenly, plain
+from xihe_blender.lab.props.lighting import set_sky
+from xihe_blender.lab.props.shapes import Solid, add_solid, box_between
+from xihe_blender.lab.props.surfaces import glowing_evenly, plain
 
 LIGHT_RADIANCE, OUTSIDE_RADIANCE = 14.0, 0.05
 SHORT_BOX_MIDDLE, TALL_BOX_MIDDLE = (0.35, -0.3), (-0.35, 0.35)

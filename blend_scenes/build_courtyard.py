@@ -14,12 +14,12 @@ import bpy
 import numpy as np
 from staging import add_three_sphere_rig, arc, main, open_stage, walk_phone
 
-from xihe_blender.props.furniture import add_chair, add_plant, add_round_table, at
-from xihe_blender.props.lighting import set_panorama
-from xihe_blender.props.outdoors import add_bench, add_planter, low_wall
-from xihe_blender.props.room_shell import Opening, Room, add_door, add_window, wall_solid
-from xihe_blender.props.shapes import add_solid, box_between, joined, tube
-from xihe_blender.props.surfaces import fabric, foliage, masonry, paint, plain, wood
+from xihe_blender.lab.props.furniture import add_chair, add_plant, add_round_table, at
+from xihe_blender.lab.props.lighting import set_panorama
+from xihe_blender.lab.props.outdoors import add_bench, add_planter, low_wall
+from xihe_blender.lab.props.room_shell import Opening, Room, add_door, add_window, wall_solid
+from xihe_blender.lab.props.shapes import add_solid, box_between, joined, tube
+from xihe_blender.lab.props.surfaces import fabric, foliage, masonry, paint, plain, wood
 
 DOOR = Opening("+y", -0.55, 0.55, 0.0, 2.25, is_door=True)
 WINDOWS = (

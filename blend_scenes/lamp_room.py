@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 from staging import add_virtual, hold_phone, open_stage
 
-from xihe_blender.props.furniture import (
+from xihe_blender.lab.props.furniture import (
     add_bookcase,
     add_cabinet,
     add_chair,
@@ -26,10 +26,10 @@ from xihe_blender.props.furniture import (
     add_table,
     at,
 )
-from xihe_blender.props.lighting import add_table_lamp, set_sky
-from xihe_blender.props.room_shell import Opening, Room, add_door, add_shell, add_skirting, add_window
-from xihe_blender.props.shapes import add_solid, ball, box, box_between, cylinder, joined
-from xihe_blender.props.surfaces import (
+from xihe_blender.lab.props.lighting import add_table_lamp, set_sky
+from xihe_blender.lab.props.room_shell import Opening, Room, add_door, add_shell, add_skirting, add_window
+from xihe_blender.lab.props.shapes import add_solid, ball, box, box_between, cylinder, joined
+from xihe_blender.lab.props.surfaces import (
     carpet,
     coloured_by_face,
     curtain_cloth,

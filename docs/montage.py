@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from xihe_blender.exr import read_radiance
-from xihe_blender.outputs import RunOutputs
+from xihe_blender.io.exr import read_radiance
+from xihe_blender.io.outputs import RunOutputs
 from xihenet.camera import encode_exposed
 from xihenet.png import write_png
 

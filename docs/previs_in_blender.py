@@ -9,8 +9,8 @@ from pathlib import Path
 import bpy
 
 from xihe_blender.jobs import run_blocking
-from xihe_blender.previs import previs
-from xihe_blender.previs_settings import PrevisSettings
+from xihe_blender.previs.previs import previs
+from xihe_blender.previs.settings import PrevisSettings
 
 out = Path(sys.argv[sys.argv.index("--") + 1])
 settings = PrevisSettings(preset="draft", size=(32, 24), frames=(1, 7, 13))

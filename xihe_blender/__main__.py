@@ -2,7 +2,7 @@
 
 import sys
 
-from xihe_blender.cli import main
+from xihe_blender.cli.main import main
 
 # Processes that Dask starts import this file, under another name.
 if __name__ == "__main__":

@@ -21,13 +21,13 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from xihe_blender.arguments import picture_size
-from xihe_blender.blend_file import open_blend
-from xihe_blender.capture import first_layer, open_scanner
-from xihe_blender.cli import blender_output_aside
-from xihe_blender.effects.command import positions_in
-from xihe_blender.effects.plan import everything_on, judge_effects, planned
-from xihe_blender.render import RenderSettings, render_passes
+from xihe_blender.capture.render import RenderSettings, render_passes
+from xihe_blender.capture.scanner import first_layer, open_scanner
+from xihe_blender.cli.arguments import picture_size
+from xihe_blender.io.blender_output import blender_output_aside
+from xihe_blender.light_transport.plan import everything_on, judge_effects, planned
+from xihe_blender.previs.effects_report import positions_in
+from xihe_blender.scene.blend_file import open_blend
 from xihenet.agreement import agreement
 from xihenet.records import ArrayF32
 

@@ -28,19 +28,19 @@ from typing import NamedTuple
 
 import bpy
 
-from xihe_blender.arguments import picture_size
-from xihe_blender.blend_file import open_blend
-from xihe_blender.capture import meter_exposure, open_scanner
-from xihe_blender.cli import blender_output_aside
-from xihe_blender.compare import open_comparer
-from xihe_blender.effects import plan_effects
-from xihe_blender.effects.unchanged import KeptRenders, SceneState, scene_states
-from xihe_blender.effort import Effort, measure_effort
-from xihe_blender.plan import PrevisPlan, plan_previs
-from xihe_blender.previs_settings import PrevisSettings
-from xihe_blender.reference_probe import open_reference_probe
-from xihe_blender.render import RenderSettings
-from xihe_blender.scene_state import scene_kept
+from xihe_blender.capture.reference_probe import open_reference_probe
+from xihe_blender.capture.render import RenderSettings
+from xihe_blender.capture.scanner import meter_exposure, open_scanner
+from xihe_blender.cli.arguments import picture_size
+from xihe_blender.compare.methods import open_comparer
+from xihe_blender.io.blender_output import blender_output_aside
+from xihe_blender.light_transport import plan_effects
+from xihe_blender.light_transport.render_reuse import KeptRenders, SceneState, scene_states
+from xihe_blender.previs.plan import PrevisPlan, plan_previs
+from xihe_blender.previs.sample_count import Effort, measure_effort
+from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.scene.blend_file import open_blend
+from xihe_blender.scene.state import scene_kept
 from xihenet.camera import in_view
 
 SCENES = Path(__file__).resolve().parents[2] / "blend_scenes"

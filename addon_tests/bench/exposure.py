@@ -21,13 +21,13 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from addon_tests.bench.reference import positions_of
-from xihe_blender.blend_file import open_blend
-from xihe_blender.capture import first_layer, meter_exposure, metered_frames, open_scanner, sized_for
-from xihe_blender.dataset.store import load_room, room_path, stored_indices
-from xihe_blender.plan import planned_frames
-from xihe_blender.previs_settings import PrevisSettings
-from xihe_blender.reference_probe import open_reference_probe
-from xihe_blender.render import RenderSettings, render_passes
+from xihe_blender.capture.reference_probe import open_reference_probe
+from xihe_blender.capture.render import RenderSettings, render_passes
+from xihe_blender.capture.scanner import first_layer, meter_exposure, metered_frames, open_scanner, sized_for
+from xihe_blender.lab.rooms.store import load_room, room_path, stored_indices
+from xihe_blender.previs.plan import planned_frames
+from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.scene.blend_file import open_blend
 from xihenet.camera import encode_exposed
 from xihenet.metering import METERINGS, metered_exposure
 from xihenet.metrics import share_above_white

@@ -10,7 +10,7 @@ import json
 import sys
 from pathlib import Path
 
-from xihe_blender.evaluation.frontier.points import group, groups
+from xihe_blender.lab.frontier.points import group, groups
 from xihenet.pareto import flickering
 
 KINDS = ("coefficients", "irradiance", "picture")

@@ -25,7 +25,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "addon_tests" / "in_blender")]
 from test_reference_probe import DISTANCE_M, LAMPS, POSITION, add_lamp, dark_scene, measured, of_a_disc  # noqa: E402
 from tiny_scenes import material  # noqa: E402
 
-from xihe_blender.previs_settings import PRESETS, PrevisSettings  # noqa: E402
+from xihe_blender.previs.settings import PRESETS, PrevisSettings  # noqa: E402
 from xihenet.sh import basis  # noqa: E402
 
 DIRECTIONS = [np.array(d) / np.linalg.norm(d) for d in itertools.product((-1, 0, 1), repeat=3) if any(d)]

@@ -24,12 +24,12 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 
-from xihe_blender.blend_file import open_blend
-from xihe_blender.capture import meter_exposure, open_scanner
-from xihe_blender.estimation_positions import estimation_positions
-from xihe_blender.reference_probe import ProbeSettings, open_reference_probe
-from xihe_blender.render import RenderSettings
-from xihe_blender.virtual_objects import virtual_objects
+from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
+from xihe_blender.capture.render import RenderSettings
+from xihe_blender.capture.scanner import meter_exposure, open_scanner
+from xihe_blender.scene.blend_file import open_blend
+from xihe_blender.scene.estimation_positions import estimation_positions
+from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet import estimators
 from xihenet.buffers import merge
 from xihenet.camera import in_view, project_points, unproject_frame

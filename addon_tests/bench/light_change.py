@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from trigger import Recorded, read_run
 
-from xihe_blender.previs_settings import PREVIS_TRIGGER
+from xihe_blender.previs.settings import PREVIS_TRIGGER
 from xihenet import estimators
 from xihenet.backend import LocalBackend
 from xihenet.controller import ControllerSettings, XiheController

@@ -13,19 +13,19 @@ from pathlib import Path
 
 import numpy as np
 
-from xihe_blender.blend_file import open_blend
-from xihe_blender.capture import open_scanner
-from xihe_blender.cli import blender_output_aside
-from xihe_blender.evaluation.frontier.choices import FULL, RenderChoice
-from xihe_blender.evaluation.frontier.light_errors import KINDS
-from xihe_blender.evaluation.frontier.rendering import COMPUTED_BY, RenderStudy, View, measure_rendering
-from xihe_blender.evaluation.frontier.scene import SceneStudy, plan_scene, prepare
-from xihe_blender.evaluation.frontier.steps import part_of
-from xihe_blender.evaluation.frontier.timing import Spread
+from xihe_blender.capture.render import RenderSettings
+from xihe_blender.capture.scanner import open_scanner
+from xihe_blender.io.blender_output import blender_output_aside
 from xihe_blender.jobs import run_blocking
-from xihe_blender.plan import evenly_chosen
-from xihe_blender.render import RenderSettings
-from xihe_blender.scene_state import scene_kept
+from xihe_blender.lab.frontier.choices import FULL, RenderChoice
+from xihe_blender.lab.frontier.light_errors import KINDS
+from xihe_blender.lab.frontier.rendering import COMPUTED_BY, RenderStudy, View, measure_rendering
+from xihe_blender.lab.frontier.scene import SceneStudy, plan_scene, prepare
+from xihe_blender.lab.frontier.steps import part_of
+from xihe_blender.lab.frontier.timing import Spread
+from xihe_blender.previs.plan import evenly_chosen
+from xihe_blender.scene.blend_file import open_blend
+from xihe_blender.scene.state import scene_kept
 
 HEAD = """\
 | scene | draft | balanced | accurate | accurate / draft in coefficients (by view) | in irradiance |

@@ -27,13 +27,13 @@ from mathutils import Matrix
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from xihe_blender.blend_file import open_blend
-from xihe_blender.capture import first_layer, leave_out_virtual_objects, meter_exposure
-from xihe_blender.plan import plan_previs
-from xihe_blender.previs_settings import PrevisSettings
-from xihe_blender.reference_probe import open_reference_probe
-from xihe_blender.render import RenderSettings, exclude_collection, render_passes, working_scene
-from xihe_blender.virtual_objects import virtual_collection, virtual_objects
+from xihe_blender.capture.reference_probe import open_reference_probe
+from xihe_blender.capture.render import RenderSettings, exclude_collection, render_passes, working_scene
+from xihe_blender.capture.scanner import first_layer, leave_out_virtual_objects, meter_exposure
+from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.scene.blend_file import open_blend
+from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
 from xihenet.sh import basis, cosine_lobe, irradiance
 from xihenet.sphere import AnchorLattice
 

@@ -19,12 +19,12 @@ from pathlib import Path
 
 import bpy
 
-from xihe_blender.blend_file import open_blend
-from xihe_blender.capture import open_scanner
-from xihe_blender.cli import blender_output_aside
-from xihe_blender.plan import plan_previs
-from xihe_blender.previs_settings import PrevisSettings
-from xihe_blender.render import RenderSettings, working_scene
+from xihe_blender.capture.render import RenderSettings, working_scene
+from xihe_blender.capture.scanner import open_scanner
+from xihe_blender.io.blender_output import blender_output_aside
+from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.scene.blend_file import open_blend
 from xihenet import estimators
 from xihenet.backend import LocalBackend
 from xihenet.controller import XiheController

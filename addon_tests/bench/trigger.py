@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from xihe_blender.prepared_run import above_noise
-from xihe_blender.previs_settings import PREVIS_TRIGGER
+from xihe_blender.previs.prepare import above_noise
+from xihe_blender.previs.settings import PREVIS_TRIGGER
 from xihenet import estimators
 from xihenet.backend import LocalBackend
 from xihenet.controller import ControllerSettings, XiheController

@@ -5,7 +5,7 @@ import math
 import bpy
 from tiny_scenes import box, empty_scene, material, phone, set_world, sphere
 
-from xihe_blender.effects import plan_effects
+from xihe_blender.light_transport import plan_effects
 
 
 def stage(make_look=None, lamp=True):

@@ -13,10 +13,10 @@ import bpy
 import numpy as np
 from tiny_scenes import box, empty_scene, look_at, material, phone, set_world, sphere
 
-from xihe_blender.capture import meter_exposure, open_scanner
-from xihe_blender.reference_probe import ProbeSettings, open_reference_probe
-from xihe_blender.render import RenderSettings
-from xihe_blender.virtual_objects import virtual_collection
+from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
+from xihe_blender.capture.render import RenderSettings
+from xihe_blender.capture.scanner import meter_exposure, open_scanner
+from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.backend import LocalBackend
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.estimators import load

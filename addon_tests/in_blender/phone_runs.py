@@ -6,11 +6,11 @@ import bpy
 from previs_runs import SMALL
 from tiny_scenes import box
 
-from xihe_blender.capture import open_scanner
-from xihe_blender.outputs import RunOutputs
-from xihe_blender.phone_capture import PhoneCapture
-from xihe_blender.plan import plan_previs
-from xihe_blender.render import RenderSettings
+from xihe_blender.capture.render import RenderSettings
+from xihe_blender.capture.scanner import open_scanner
+from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.previs.phone_capture import PhoneCapture
+from xihe_blender.previs.plan import plan_previs
 
 IPAD = replace(SMALL, phone="ipad_pro_lidar")
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 import bpy
 from tiny_scenes import box, look_at, material, room_with_a_virtual_sphere
 
+from xihe_blender.capture.render import can_denoise
 from xihe_blender.jobs import run_blocking
-from xihe_blender.previs import previs
-from xihe_blender.previs_settings import PrevisSettings
-from xihe_blender.render import can_denoise
-from xihe_blender.virtual_objects import virtual_collection
+from xihe_blender.previs.previs import previs
+from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.scene.virtual_objects import virtual_collection
 
 SMALL = PrevisSettings(preset="draft", size=(32, 24))
 if not can_denoise(bpy.context.scene):

@@ -4,7 +4,7 @@ import itertools
 import json
 import math
 
-from xihe_blender.effects.overrides import PHONE_EFFECTS
+from xihe_blender.light_transport.overrides import PHONE_EFFECTS
 from xihenet.invalid import CLAMPED, UNKNOWN, in_words
 
 FRAME_TIMES = {"render_s", "work_s", "stage_ms", "comparison_render_s"}

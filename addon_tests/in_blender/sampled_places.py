@@ -1,8 +1,8 @@
 """Rooms of the data set with the places in them, as plans: nothing is rendered."""
 
-from xihe_blender.dataset.build_room import build_room
-from xihe_blender.dataset.rooms import room_generator, sample_room
-from xihe_blender.dataset.views import RoomRays, RoomTooFull, sample_positions, sample_views
+from xihe_blender.lab.rooms.build_room import build_room
+from xihe_blender.lab.rooms.rooms import room_generator, sample_room
+from xihe_blender.lab.rooms.views import RoomRays, RoomTooFull, sample_positions, sample_views
 
 
 def places_of(index):

@@ -8,12 +8,12 @@ from previs_runs import walk
 from scene_snapshot import differences, snapshot
 from tiny_scenes import box, empty_scene, phone, room_with_a_virtual_sphere
 
-from xihe_blender.effects.command import report_effects
-from xihe_blender.effects.overrides import remembered_overrides
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihe_blender.previs_settings import PrevisSettings
-from xihe_blender.virtual_objects import COLLECTION_NAME, make_room, make_virtual, virtual_objects
+from xihe_blender.light_transport.overrides import remembered_overrides
+from xihe_blender.previs.effects_report import report_effects
+from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.scene.virtual_objects import COLLECTION_NAME, make_room, make_virtual, virtual_objects
 
 
 @pytest.fixture(autouse=True)
@@ -348,7 +348,7 @@ def test_a_runs_folder_that_cannot_be_made_names_the_preference(tmp_path):
 
 def test_the_time_of_a_run_grows_with_its_frames_and_leaves_the_scene(tmp_path):
     from xihe_blender.addon.run_settings import previs_settings
-    from xihe_blender.run_time import measure_run_time, predict_run_s
+    from xihe_blender.previs.run_time import measure_run_time, predict_run_s
 
     scene = walk_for_the_panel(tmp_path, use_own_frames=True, frame_end=2)
     bpy.context.view_layer.update()
@@ -366,7 +366,7 @@ def test_the_time_of_a_run_grows_with_its_frames_and_leaves_the_scene(tmp_path):
 def test_a_run_of_more_frames_takes_longer_in_proportion():
     from dataclasses import replace
 
-    from xihe_blender.run_time import RenderTime, RunTime
+    from xihe_blender.previs.run_time import RenderTime, RunTime
 
     one = RunTime(2.0, 8, 3, 6, 2, RenderTime(0.1, 0.01, 10), RenderTime(0.0, 0.1, 4), RenderTime(1.0, 0.5, 8))
     assert one.total_s == pytest.approx(2 + 3 * 0.2 + 6 * 0.4 + 2 * 5)
@@ -390,7 +390,7 @@ def test_the_pause_between_steps_is_that_of_most():
 
 
 def test_the_estimate_of_time_is_said_with_how_it_was_made(tmp_path):
-    from xihe_blender.run_time import said_of_run_time
+    from xihe_blender.previs.run_time import said_of_run_time
 
     assert said_of_run_time(0.3) == "about 5 s on this machine"
     assert said_of_run_time(170) == "about 3 min on this machine"

@@ -12,8 +12,8 @@ from tiny_scenes import empty_scene
 from xihe_blender import addon
 from xihe_blender.addon import choices, leftovers
 from xihe_blender.addon.preferences import preferences
-from xihe_blender.previs_settings import PRESETS
-from xihe_blender.render import WORKING
+from xihe_blender.capture.render import WORKING
+from xihe_blender.previs.settings import PRESETS
 from xihenet import estimators
 from xihenet.phone import LINKS, profile_names
 

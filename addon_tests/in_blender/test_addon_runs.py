@@ -14,12 +14,7 @@ from scene_snapshot import data_blocks, differences, snapshot
 from test_lit_blend import keyed
 from tiny_scenes import empty_scene
 
-from xihe_blender.apply import f_curves
-from xihe_blender.capture import first_layer
-from xihe_blender.errors import UserError
-from xihe_blender.left_in_file import COMPARISON_NAME, image_named
-from xihe_blender.render import RenderSettings, render_passes, working_scene
-from xihe_blender.results_in_blender import (
+from xihe_blender.addon.results_in_blender import (
     COVERAGE_CURVE,
     ERROR_CURVE,
     apply_results,
@@ -30,8 +25,13 @@ from xihe_blender.results_in_blender import (
     show_light,
     wiped,
 )
-from xihe_blender.run_results import nearest_compared_frame, read_results, trigger_frames
-from xihe_blender.shown_run import run_and_show
+from xihe_blender.addon.shown_run import run_and_show
+from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
+from xihe_blender.apply.sh_worlds import f_curves
+from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
+from xihe_blender.capture.scanner import first_layer
+from xihe_blender.errors import UserError
+from xihe_blender.io.run_results import nearest_compared_frame, read_results, trigger_frames
 from xihenet.panorama import evaluate_panorama
 
 IN_THE_PANEL = replace(SMALL, noise_target=None)

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from tiny_scenes import empty_scene, material, set_world, sphere
 
-from xihe_blender.apply import (
+from xihe_blender.apply.datablocks import NODE_GROUP_NAME, lights_by_sh
+from xihe_blender.apply.sh_worlds import (
     COEFFICIENTS,
     GAIN,
     apply_sh_to_world,
@@ -16,11 +17,10 @@ from xihe_blender.apply import (
     remove_applied_light,
     world_name,
 )
-from xihe_blender.capture import first_layer
-from xihe_blender.compare import open_comparer
-from xihe_blender.left_in_file import NODE_GROUP_NAME, lights_by_sh
-from xihe_blender.render import RenderSettings, render_passes, working_scene
-from xihe_blender.virtual_objects import virtual_collection
+from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
+from xihe_blender.capture.scanner import first_layer
+from xihe_blender.compare.methods import open_comparer
+from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet import sh
 
 SIDE = 64

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from tiny_scenes import box, empty_scene, material, phone, set_world
 
-from xihe_blender.capture import open_scanner
-from xihe_blender.reference_probe import ProbeSettings, open_reference_probe
-from xihe_blender.render import RenderSettings
+from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
+from xihe_blender.capture.render import RenderSettings
+from xihe_blender.capture.scanner import open_scanner
 from xihenet import sh
 from xihenet.camera import unproject_frame
 from xihenet.colour import srgb_to_linear

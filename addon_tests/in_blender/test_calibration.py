@@ -10,15 +10,15 @@ from tiny_scenes import look_at, room_with_a_virtual_sphere
 
 from xihe_blender.addon.calibration import calibration_file, calibration_in_words
 from xihe_blender.errors import UserError
-from xihe_blender.evaluation.frontier.calibrate import (
+from xihe_blender.jobs import run_blocking
+from xihe_blender.lab.frontier.calibrate import (
     Calibration,
     calibrate,
     read_calibration,
     said_of_calibration,
     save_calibration,
 )
-from xihe_blender.jobs import run_blocking
-from xihe_blender.previs_settings import PRESETS, PrevisSettings
+from xihe_blender.previs.settings import PRESETS, PrevisSettings
 
 SMALL = PrevisSettings(size=(32, 24))
 KNOWN = Calibration("room", {"draft": 0.41, "balanced": 0.9, "accurate": 3.14}, {"draft": 1}, 1.5)

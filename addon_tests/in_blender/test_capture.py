@@ -10,9 +10,9 @@ import pytest
 from mathutils import Vector
 from tiny_scenes import box, empty_scene, look_at, material, phone, room_with_a_virtual_sphere, set_world
 
-from xihe_blender.capture import meter_exposure, open_scanner, phone_camera, sized_for
+from xihe_blender.capture.render import RenderSettings
+from xihe_blender.capture.scanner import meter_exposure, open_scanner, phone_camera, sized_for
 from xihe_blender.errors import UserError
-from xihe_blender.render import RenderSettings
 from xihenet.camera import KEY_LUMINANCE, ray_distance_from_plane_depth, unproject_frame
 
 SMALL = RenderSettings((64, 48), samples=1, denoise=False)

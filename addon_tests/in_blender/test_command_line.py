@@ -14,7 +14,7 @@ from previs_runs import N_FRAMES, files_below, unfinished_files, walk
 from results_schema import check_results, read_strictly, without_times
 from xihe_process import ROOT, said, typed, xihe
 
-from xihe_blender.virtual_objects import virtual_collection
+from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet import __version__
 
 DRAFT = ("--preset", "draft", "--size", "32x24")

@@ -13,22 +13,22 @@ import numpy as np
 import pytest
 from sampled_places import places_of
 
-from xihe_blender.cli import main
-from xihe_blender.dataset.build import BuildSettings, build_dataset, missing_rooms
-from xihe_blender.dataset.build_room import build_room
-from xihe_blender.dataset.contact_sheet import contact_sheet
-from xihe_blender.dataset.render_room import RoomRenderSettings, make_room
-from xihe_blender.dataset.rooms import room_generator, sample_room
-from xihe_blender.dataset.statistics import light_statistics, panorama_faults, statistics_table
-from xihe_blender.dataset.store import StoredRoom, load_room, room_path, save_room, stored_indices
-from xihe_blender.dataset.views import (
+from xihe_blender.cli.main import main
+from xihe_blender.errors import UserError
+from xihe_blender.jobs import run_blocking
+from xihe_blender.lab.rooms.build import BuildSettings, build_dataset, missing_rooms
+from xihe_blender.lab.rooms.build_room import build_room
+from xihe_blender.lab.rooms.contact_sheet import contact_sheet
+from xihe_blender.lab.rooms.render_room import RoomRenderSettings, make_room
+from xihe_blender.lab.rooms.rooms import room_generator, sample_room
+from xihe_blender.lab.rooms.statistics import light_statistics, panorama_faults, statistics_table
+from xihe_blender.lab.rooms.store import StoredRoom, load_room, room_path, save_room, stored_indices
+from xihe_blender.lab.rooms.views import (
     MIN_CLEARANCE_M,
     N_POSITIONS,
     N_VIEWS,
 )
-from xihe_blender.errors import UserError
-from xihe_blender.jobs import run_blocking
-from xihe_blender.processes import module_command
+from xihe_blender.lab.workers.processes import module_command
 from xihenet.camera import metered_exposure, project_points, unproject_frame
 from xihenet.sphere import AnchorLattice
 
@@ -90,7 +90,7 @@ def test_a_room_holds_its_views_and_its_light(room):
     assert room.srgb_u8.shape == (N_VIEWS, 24, 32, 3)
     assert room.radiance.shape == (N_VIEWS, 24, 32, 3)
     assert room.plane_depth_m.shape == (N_VIEWS, 24, 32)
-    assert room.balls.shape == (N_POSITIONS, 16, 16, 3)
+    assert room.balls.shape == (N_POSITIONS, 8, 8, 3)
     assert np.isfinite(room.balls).all()
     assert room.sh_ldr.shape == room.sh_hdr.shape == (N_POSITIONS, 9, 3)
     assert (room.sh_ldr[:, 0] > 0).all() and (room.sh_noise < 0.5).all()
@@ -210,7 +210,7 @@ def test_the_command_refuses_what_makes_no_sense_in_one_line(wrong, tmp_path, ca
 
 
 def test_a_killed_worker_leaves_whole_files_alone(tmp_path):
-    command = [*module_command("xihe_blender.dataset.worker"), "--out", str(tmp_path), "--seed", "5"]
+    command = [*module_command("xihe_blender.lab.rooms.worker"), "--out", str(tmp_path), "--seed", "5"]
     command += ["--rooms", ",".join(map(str, range(50))), "--settings", *map(str, SMALL_NUMBERS)]
     worker = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 60

@@ -13,14 +13,14 @@ from scene_snapshot import differences, snapshot
 from tiny_scenes import room_with_a_virtual_sphere
 from xihe_process import xihe
 
-from xihe_blender.blend_file import open_blend
-from xihe_blender.effects import plan_effects, remember_overrides, remembered_overrides
-from xihe_blender.effects.command import report_effects, said_as_table
-from xihe_blender.effects.overrides import PROPERTY, SWITCHED_ELSEWHERE, parsed_overrides
-from xihe_blender.effects.plan import RULES
+from xihe_blender.capture.render import can_denoise
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihe_blender.render import can_denoise
+from xihe_blender.light_transport import plan_effects, remember_overrides, remembered_overrides
+from xihe_blender.light_transport.overrides import PROPERTY, SWITCHED_ELSEWHERE, parsed_overrides
+from xihe_blender.light_transport.plan import RULES
+from xihe_blender.previs.effects_report import report_effects, said_as_table
+from xihe_blender.scene.blend_file import open_blend
 
 COSTLESS = {"subsurface", "hair", "displacement", "depth of field", "environment sampling"}
 

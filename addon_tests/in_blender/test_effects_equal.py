@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 from effect_scenes import PAIRS, bright_room, open_field
 
-from xihe_blender.capture import first_layer
-from xihe_blender.effects import plan_effects
-from xihe_blender.effects.plan import everything_on, judge_effects, planned
-from xihe_blender.render import RenderSettings, render_passes, working_scene
+from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
+from xihe_blender.capture.scanner import first_layer
+from xihe_blender.light_transport import plan_effects
+from xihe_blender.light_transport.plan import everything_on, judge_effects, planned
 from xihenet.agreement import agreement
 
 N_SEEDS = 16

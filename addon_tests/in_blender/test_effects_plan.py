@@ -17,10 +17,10 @@ from effect_scenes import (
 from scene_snapshot import differences, snapshot
 from tiny_scenes import box, material, phone, room_with_a_virtual_sphere, set_world
 
-from xihe_blender.effects import plan_effects
-from xihe_blender.effects.enclosure import LEFT_OUT, MAX_BOUNCES, N_SURFACES, bounces_needed
-from xihe_blender.effects.plan import RULES, everything_on, judge_effects
-from xihe_blender.render import RenderSettings, can_denoise, working_scene
+from xihe_blender.capture.render import RenderSettings, can_denoise, working_scene
+from xihe_blender.light_transport import plan_effects
+from xihe_blender.light_transport.enclosure import LEFT_OUT, MAX_BOUNCES, N_SURFACES, bounces_needed
+from xihe_blender.light_transport.plan import RULES, everything_on, judge_effects
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from effect_scenes import (
 )
 from tiny_scenes import material
 
-from xihe_blender.effects import plan_effects
+from xihe_blender.light_transport import plan_effects
 
 
 def test_an_emission_driven_at_frame_100_counts_only_if_frame_100_is_rendered():

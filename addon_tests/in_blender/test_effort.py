@@ -10,8 +10,14 @@ from results_schema import check_results, without_times
 from test_unchanged import key, still_room
 from tiny_scenes import look_at, room_with_a_virtual_sphere
 
-from xihe_blender.capture import open_scanner
-from xihe_blender.effort import (
+from xihe_blender.capture.render import RenderSettings
+from xihe_blender.capture.scanner import open_scanner
+from xihe_blender.errors import UserError
+from xihe_blender.io.exr import read_radiance
+from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.prepare import NOISE_MARGIN, above_noise
+from xihe_blender.previs.sample_count import (
     LARGE_STEP,
     SMALLEST_LIGHT,
     Effort,
@@ -23,13 +29,7 @@ from xihe_blender.effort import (
     pilot_samples,
     pilot_views,
 )
-from xihe_blender.errors import UserError
-from xihe_blender.exr import read_radiance
-from xihe_blender.outputs import RunOutputs
-from xihe_blender.plan import plan_previs
-from xihe_blender.prepared_run import NOISE_MARGIN, above_noise
-from xihe_blender.previs_settings import PRESETS, PREVIS_TRIGGER, PrevisSettings
-from xihe_blender.render import RenderSettings
+from xihe_blender.previs.settings import PRESETS, PREVIS_TRIGGER, PrevisSettings
 from xihenet.camera import unproject_frame
 from xihenet.recording import load_frame
 from xihenet.sampling import sample_unit_sphere

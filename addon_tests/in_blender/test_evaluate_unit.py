@@ -9,11 +9,11 @@ import pytest
 from previs_runs import N_FRAMES, counted_renders, files_below, run, walk
 from tiny_scenes import room_with_a_virtual_sphere
 
-from xihe_blender.compare import LIT_SCENE
+from xihe_blender.compare.methods import LIT_SCENE
 from xihe_blender.errors import UserError
-from xihe_blender.evaluation.batch.grid import BatchSettings
-from xihe_blender.evaluation.batch.unit import evaluate_unit
 from xihe_blender.jobs import run_blocking
+from xihe_blender.lab.batch.grid import BatchSettings
+from xihe_blender.lab.batch.unit import evaluate_unit
 
 SMALL = BatchSettings(
     estimators=("projection", "ambient", "truth"), phones=("perfect", "ipad_pro_lidar"), size=(24, 18), samples=1

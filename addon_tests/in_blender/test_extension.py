@@ -8,9 +8,9 @@ import bpy
 import pytest
 
 from addon_tests.pure.made_up_wheels import made_up_wheels
-from xihe_blender.archive import packed
-from xihe_blender.bundled_wheels import pinned_wheels
-from xihe_blender.package import build_extension
+from xihe_blender.packaging.archive import packed
+from xihe_blender.packaging.bundled_wheels import pinned_wheels
+from xihe_blender.packaging.extension import build_extension
 
 VALIDATOR = Path(bpy.utils.system_resource("SCRIPTS")) / "addons_core/bl_pkg/cli/blender_ext.py"
 

@@ -14,16 +14,16 @@ from tiny_scenes import room_with_a_virtual_sphere
 from xihe_process import xihe
 
 from xihe_blender.errors import UserError
-from xihe_blender.evaluation.frontier.by_choice import family
-from xihe_blender.evaluation.frontier.chain import ChoiceBackend, Walk, walk_through, with_every_pixel
-from xihe_blender.evaluation.frontier.choices import EXHAUSTIVE, ComputeChoice, Effort, compute_choices
-from xihe_blender.evaluation.frontier.light_errors import padded, square_errors
-from xihe_blender.evaluation.frontier.loglog import LogAxis, loglog_plot
-from xihe_blender.evaluation.frontier.measured import Measured
-from xihe_blender.evaluation.frontier.points import group, groups, points_of
-from xihe_blender.evaluation.frontier.study import FrontierSettings, frontier
-from xihe_blender.evaluation.frontier.timing import Spread, interleaved
 from xihe_blender.jobs import run_blocking
+from xihe_blender.lab.frontier.by_choice import family
+from xihe_blender.lab.frontier.chain import ChoiceBackend, Walk, walk_through, with_every_pixel
+from xihe_blender.lab.frontier.choices import EXHAUSTIVE, ComputeChoice, Effort, compute_choices
+from xihe_blender.lab.frontier.light_errors import padded, square_errors
+from xihe_blender.lab.frontier.loglog import LogAxis, loglog_plot
+from xihe_blender.lab.frontier.measured import Measured
+from xihe_blender.lab.frontier.points import group, groups, points_of
+from xihe_blender.lab.frontier.study import FrontierSettings, frontier
+from xihe_blender.lab.frontier.timing import Spread, interleaved
 from xihenet.camera import unproject_frame
 from xihenet.pareto import on_front
 from xihenet.records import Intrinsics, RgbdFrame

@@ -9,10 +9,10 @@ from tiny_scenes import box, empty_scene, look_at, material, phone, set_world, s
 
 from xihe_blender.addon.last_run import last_run
 from xihe_blender.addon.panels import result_rows
-from xihe_blender.capture import open_scanner
-from xihe_blender.cli import said_in_one_line
-from xihe_blender.render import RenderSettings
-from xihe_blender.virtual_objects import virtual_collection
+from xihe_blender.capture.render import RenderSettings
+from xihe_blender.capture.scanner import open_scanner
+from xihe_blender.cli.previs import said_in_one_line
+from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.camera import invalid_pixels
 from xihenet.invalid import counted
 

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from tiny_scenes import empty_scene, material, sphere
 
-from xihe_blender.apply import apply_sh_to_world, make_sh_world
-from xihe_blender.capture import first_layer
-from xihe_blender.render import RenderSettings, render_passes, working_scene
+from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world
+from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
+from xihe_blender.capture.scanner import first_layer
 from xihenet.light_picture import SILVER_ROUGHNESS, sphere_mask, three_spheres
 
 SIDE = 48

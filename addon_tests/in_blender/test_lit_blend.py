@@ -9,12 +9,12 @@ from previs_runs import N_FRAMES, SMALL, run, walk
 from scene_snapshot import differences, snapshot
 from tiny_scenes import sphere
 
-from xihe_blender.apply import COEFFICIENTS, GAIN, f_curves
-from xihe_blender.compare import LIT_SCENE
-from xihe_blender.left_in_file import NODE_GROUP_NAME
-from xihe_blender.outputs import RunOutputs
-from xihe_blender.render import render_passes, set_up_memory_exr
-from xihe_blender.virtual_objects import virtual_collection
+from xihe_blender.apply.datablocks import NODE_GROUP_NAME
+from xihe_blender.apply.sh_worlds import COEFFICIENTS, GAIN, f_curves
+from xihe_blender.capture.render import render_passes, set_up_memory_exr
+from xihe_blender.compare.methods import LIT_SCENE
+from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.scene.virtual_objects import virtual_collection
 
 DIMMING = replace(SMALL, estimator="projection")
 """An estimator that follows the lamp of `walk` far enough down for pictures to tell."""

@@ -12,23 +12,23 @@ from results_schema import check_results, without_times
 from tiny_scenes import empty_scene, room_with_a_virtual_sphere, sphere
 
 import xihenet.nets
-from xihe_blender.apply import sh_node_group, world_name
-from xihe_blender.blend_file import open_blend
-from xihe_blender.capture import open_scanner
-from xihe_blender.compare import LIT_SCENE
-from xihe_blender.dataset.render_room import RoomRenderSettings
-from xihe_blender.dataset.scene import add_scene
-from xihe_blender.effects.command import report_effects
+from xihe_blender.apply.datablocks import lights_by_sh
+from xihe_blender.apply.session import XiheController
+from xihe_blender.apply.sh_worlds import sh_node_group, world_name
+from xihe_blender.capture.render import RenderSettings
+from xihe_blender.capture.scanner import open_scanner
+from xihe_blender.compare.methods import LIT_SCENE
 from xihe_blender.errors import UserError
-from xihe_blender.estimation_positions import estimation_positions
 from xihe_blender.jobs import run_blocking
-from xihe_blender.left_in_file import lights_by_sh
-from xihe_blender.plan import plan_previs
-from xihe_blender.render import RenderSettings
-from xihe_blender.session import XiheController
-from xihe_blender.sphere_rig import add_three_sphere_rig
-from xihe_blender.units import metres_per_unit
-from xihe_blender.virtual_objects import virtual_collection, virtual_objects
+from xihe_blender.lab.rooms.render_room import RoomRenderSettings
+from xihe_blender.lab.rooms.scene import add_scene
+from xihe_blender.previs.effects_report import report_effects
+from xihe_blender.previs.plan import plan_previs
+from xihe_blender.scene.blend_file import open_blend
+from xihe_blender.scene.estimation_positions import estimation_positions
+from xihe_blender.scene.sphere_rig import add_three_sphere_rig
+from xihe_blender.scene.units import metres_per_unit
+from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
 from xihenet.controller import ControllerSettings
 from xihenet.estimators import load
 

@@ -9,8 +9,8 @@ import pytest
 from addon_runs import enable_preferences, poll_message, registered_addon
 from tiny_scenes import empty_scene
 
-from xihe_blender.old_runs import ABANDONED_S, SETTINGS, old_runs, remove_old_runs, runs_in, said_of_runs
-from xihe_blender.outputs import RunOutputs
+from xihe_blender.io.old_runs import ABANDONED_S, SETTINGS, old_runs, remove_old_runs, runs_in, said_of_runs
+from xihe_blender.io.outputs import RunOutputs
 
 FIRST, SECOND, THIRD = "room_20260101-101500", "room_20260101-101500_2", "my room_20270101-000000"
 

@@ -13,9 +13,9 @@ import tiny_scenes
 
 from xihe_blender.addon import last_run as reader
 from xihe_blender.addon import overlay, panels
-from xihe_blender.plan import plan_previs
-from xihe_blender.previs_settings import PrevisSettings
-from xihe_blender.virtual_objects import virtual_collection, virtual_objects
+from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
 
 CONTENT = {
     "schema_version": 1,
@@ -201,7 +201,7 @@ def test_what_is_asked_at_every_redraw_needs_nothing_heavy():
     code = (
         f"import sys, bpy; sys.modules.update(dict.fromkeys({heavy}));"
         "from xihe_blender.addon import panels, overlay, last_run;"
-        "from xihe_blender.virtual_objects import virtual_objects;"
+        "from xihe_blender.scene.virtual_objects import virtual_objects;"
         "virtual_objects(bpy.context.scene); last_run.last_run('/nowhere');"
         "from xihe_blender import addon; from xihe_blender.addon import polls; addon.register('xihe_test');"
         "conditions = [value for name, value in vars(polls).items() if name.startswith(('is_', 'has_'))];"

@@ -9,10 +9,10 @@ from phone_runs import IPAD, pane, planned, principled, state
 from previs_runs import SMALL
 from tiny_scenes import material, room_with_a_virtual_sphere
 
-from xihe_blender.effects import remember_overrides
-from xihe_blender.phone_surfaces import load_surfaces
-from xihe_blender.previs_settings import PrevisSettings
-from xihe_blender.virtual_objects import virtual_collection
+from xihe_blender.capture.phone_surfaces import load_surfaces
+from xihe_blender.light_transport import remember_overrides
+from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.scene.virtual_objects import virtual_collection
 
 
 def test_range_is_cut_in_a_large_room_and_not_in_a_small_one(tmp_path):

@@ -10,12 +10,12 @@ from results_schema import read_strictly
 from scene_snapshot import differences, snapshot
 from tiny_scenes import empty_scene, room_with_a_virtual_sphere
 
-from xihe_blender.effects.command import EffectsReport, positions_in, report_effects, said_as_table
-from xihe_blender.effects.overrides import PHONE_EFFECTS
-from xihe_blender.effects.plan import judge_effects, planned
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihe_blender.phone_plan import plan_phone_effects
+from xihe_blender.light_transport.overrides import PHONE_EFFECTS
+from xihe_blender.light_transport.plan import judge_effects, planned
+from xihe_blender.previs.effects_report import EffectsReport, positions_in, report_effects, said_as_table
+from xihe_blender.previs.phone_plan import plan_phone_effects
 
 SESSION = replace(SMALL, phone="ipad_pro_lidar", network="lte")
 

@@ -11,14 +11,14 @@ from previs_runs import SMALL, counted_renders, files_below, run, run_some_steps
 from results_schema import check_results, without_times
 from tiny_scenes import room_with_a_virtual_sphere
 
-from xihe_blender.apply import f_curves
-from xihe_blender.cli import main
+from xihe_blender.apply.sh_worlds import f_curves
+from xihe_blender.cli.main import main
 from xihe_blender.errors import UserError
-from xihe_blender.outputs import RunOutputs
-from xihe_blender.phone_capture import PhoneCapture
-from xihe_blender.phone_session import PhoneSession
-from xihe_blender.plan import plan_previs
-from xihe_blender.previs_settings import load_estimator
+from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.previs.phone_capture import PhoneCapture
+from xihe_blender.previs.phone_session import PhoneSession
+from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.settings import load_estimator
 from xihenet import estimators
 from xihenet.backend import LocalBackend
 from xihenet.controller import ControllerSettings, XiheController

@@ -21,8 +21,8 @@ from results_schema import check_results, read_strictly, without_times
 from tiny_scenes import phone, room_with_a_virtual_sphere, sphere
 
 from xihe_blender.errors import UserError
-from xihe_blender.outputs import RunOutputs
-from xihe_blender.virtual_objects import virtual_collection
+from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.recording import load_frame
 
 

@@ -9,14 +9,14 @@ from mathutils import Vector
 from scene_snapshot import snapshot
 from tiny_scenes import box, empty_scene, material, room_with_a_virtual_sphere, set_world, sphere
 
-from xihe_blender.reference_probe import (
+from xihe_blender.capture.reference_probe import (
     MeasuredLight,
     ProbeSettings,
     cone_factors,
     light_of_cones,
     open_reference_probe,
 )
-from xihe_blender.virtual_objects import virtual_collection
+from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.mirror_ball import ball_directions
 from xihenet.sh import basis, irradiance
 

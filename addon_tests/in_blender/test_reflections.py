@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from tiny_scenes import box, empty_scene, look_at, material, phone, set_world
 
-from xihe_blender.capture import meter_exposure, open_scanner
-from xihe_blender.previs_settings import PREVIS_TRIGGER
-from xihe_blender.render import RenderSettings
+from xihe_blender.capture.render import RenderSettings
+from xihe_blender.capture.scanner import meter_exposure, open_scanner
+from xihe_blender.previs.settings import PREVIS_TRIGGER
 from xihenet import estimators
 from xihenet.backend import LocalBackend
 from xihenet.controller import ControllerSettings, XiheController

@@ -10,11 +10,11 @@ from previs_runs import SMALL, run, run_some_steps, walk
 from scene_snapshot import data_blocks, differences, snapshot
 from tiny_scenes import box
 
-from xihe_blender.apply import remove_applied_light
+from xihe_blender.apply.sh_worlds import remove_applied_light
+from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
 from xihe_blender.jobs import run_blocking
-from xihe_blender.previs import previs
-from xihe_blender.render import RenderSettings, render_passes, working_scene
-from xihe_blender.scene_state import scene_kept
+from xihe_blender.previs.previs import previs
+from xihe_blender.scene.state import scene_kept
 
 
 def lived_in_scene():

@@ -14,8 +14,8 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 
-from xihe_blender.estimation_positions import estimation_positions
-from xihe_blender.virtual_objects import virtual_collection, virtual_objects
+from xihe_blender.scene.estimation_positions import estimation_positions
+from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
 
 FOLDER = Path(__file__).resolve().parents[2] / "blend_scenes"
 N_VIRTUAL = {

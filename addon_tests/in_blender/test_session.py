@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from tiny_scenes import box, room_with_a_virtual_sphere
 
-from xihe_blender.apply import COEFFICIENTS, GAIN
-from xihe_blender.capture import open_scanner
-from xihe_blender.left_in_file import NODE_GROUP_NAME
-from xihe_blender.render import RenderSettings
-from xihe_blender.session import XiheController
-from xihe_blender.virtual_objects import virtual_objects
+from xihe_blender.apply.datablocks import NODE_GROUP_NAME
+from xihe_blender.apply.session import XiheController
+from xihe_blender.apply.sh_worlds import COEFFICIENTS, GAIN
+from xihe_blender.capture.render import RenderSettings
+from xihe_blender.capture.scanner import open_scanner
+from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet import estimators
 from xihenet.backend import LocalBackend
 

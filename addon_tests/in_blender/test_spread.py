@@ -4,11 +4,11 @@ from urllib.request import urlopen
 
 import pytest
 
-from xihe_blender.dataset.build import BuildSettings, build_dataset
-from xihe_blender.dataset.store import room_path
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihe_blender.spread import dashboard, open_spread
+from xihe_blender.lab.rooms.build import BuildSettings, build_dataset
+from xihe_blender.lab.rooms.store import room_path
+from xihe_blender.lab.workers.dask_workers import dashboard, open_spread
 
 pytestmark = pytest.mark.wheel_only("a whole Blender's Python has no Dask")
 

@@ -6,8 +6,8 @@ import pytest
 from tiny_scenes import box, look_at, material, room_with_a_virtual_sphere, sphere
 
 from xihe_blender.addon.overlay import forget_positions
-from xihe_blender.effects.unchanged import KeptRenders, SceneState, scene_states
-from xihe_blender.virtual_objects import virtual_collection
+from xihe_blender.light_transport.render_reuse import KeptRenders, SceneState, scene_states
+from xihe_blender.scene.virtual_objects import virtual_collection
 
 FRAMES = (1, 2)
 

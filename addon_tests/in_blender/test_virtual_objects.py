@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from xihe_blender.errors import UserError
-from xihe_blender.estimation_positions import MAX_POSITIONS, box_cell_centres, estimation_positions
-from xihe_blender.sphere_rig import add_three_sphere_rig
-from xihe_blender.virtual_objects import COLLECTION_NAME, virtual_collection, virtual_objects
+from xihe_blender.scene.estimation_positions import MAX_POSITIONS, box_cell_centres, estimation_positions
+from xihe_blender.scene.sphere_rig import add_three_sphere_rig
+from xihe_blender.scene.virtual_objects import COLLECTION_NAME, virtual_collection, virtual_objects
 
 CUBE_CORNERS = [(x, y, z) for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)]
 CUBE_FACES = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]

@@ -14,20 +14,20 @@ from sampled_places import places_of
 from scipy import ndimage, sparse
 from tiny_scenes import look_at, room_with_a_virtual_sphere
 
-from xihe_blender.capture import meter_exposure, phone_camera
-from xihe_blender.cli import main
-from xihe_blender.dataset.build import BuildSettings, build_dataset, claim_folder
-from xihe_blender.dataset.free_floor import CELL_M, FreeFloor, Route
-from xihe_blender.dataset.outline import Rect
-from xihe_blender.dataset.render_room import RoomRenderSettings, make_room
-from xihe_blender.dataset.room_data import Piece
-from xihe_blender.dataset.rooms import walk_generator
-from xihe_blender.dataset.scene import SCENE_REGIME, SCENE_SEED, add_scene
-from xihe_blender.dataset.store import StoredRoom, load_room, room_path, stored_indices
-from xihe_blender.dataset.views import PHONE_CLEARANCE_M
-from xihe_blender.dataset.walk import HIGHEST_M, LOWEST_M, SPEED_M_S, sample_walk
+from xihe_blender.capture.scanner import meter_exposure, phone_camera
+from xihe_blender.cli.main import main
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
+from xihe_blender.lab.rooms.build import BuildSettings, build_dataset, claim_folder
+from xihe_blender.lab.rooms.free_floor import CELL_M, FreeFloor, Route
+from xihe_blender.lab.rooms.outline import Rect
+from xihe_blender.lab.rooms.render_room import RoomRenderSettings, make_room
+from xihe_blender.lab.rooms.room_data import Piece
+from xihe_blender.lab.rooms.rooms import walk_generator
+from xihe_blender.lab.rooms.scene import SCENE_REGIME, SCENE_SEED, add_scene
+from xihe_blender.lab.rooms.store import StoredRoom, load_room, room_path, stored_indices
+from xihe_blender.lab.rooms.views import PHONE_CLEARANCE_M
+from xihe_blender.lab.rooms.walk import HIGHEST_M, LOWEST_M, SPEED_M_S, sample_walk
 from xihenet.camera import project_points
 from xihenet.records import Intrinsics
 from xihenet.sphere import AnchorLattice
@@ -272,7 +272,7 @@ def test_a_scene_is_stored_as_its_camera_path_saw_it(tmp_path):
     assert room.seed.tolist() == [SCENE_SEED, zlib.crc32(b"tiny")]
     assert room.exposure == meter_exposure(scene, [1, 2, 3])
     np.testing.assert_allclose(room.positions_m, [[0, 0, 0.85]], atol=1e-6)
-    assert room.balls.shape == (1, 16, 16, 3)
+    assert room.balls.shape == (1, 8, 8, 3)
     for frame, pose in enumerate(room.world_from_camera, start=1):
         scene.frame_set(frame)
         np.testing.assert_allclose(pose, phone_camera(scene)[1], atol=1e-6)

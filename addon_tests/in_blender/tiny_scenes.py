@@ -5,7 +5,7 @@ import math
 import bpy
 import numpy as np
 
-from xihe_blender.virtual_objects import virtual_collection
+from xihe_blender.scene.virtual_objects import virtual_collection
 
 
 def empty_scene():

@@ -8,8 +8,8 @@ import sys
 import warnings
 from pathlib import Path
 
-from xihe_blender.cli import main
-from xihe_blender.processes import is_whole_blender, module_command
+from xihe_blender.cli.main import main
+from xihe_blender.lab.workers.processes import is_whole_blender, module_command
 
 ROOT = Path(__file__).resolve().parents[2]
 BEGINS = "---- the command begins ----\n"

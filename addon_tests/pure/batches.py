@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from xihe_blender.evaluation.batch.store import BatchFolder
-from xihe_blender.evaluation.batch.worst_pictures import WORST_KINDS, worst_picture
+from xihe_blender.lab.batch.store import BatchFolder
+from xihe_blender.lab.batch.worst_pictures import WORST_KINDS, worst_picture
 from xihenet.png import write_png
 
 METRICS = ("psnr", "ssim", "rmse", "si_rmse", "angular_deg")

@@ -2,7 +2,7 @@
 
 import hashlib
 
-from xihe_blender.archive import packed
+from xihe_blender.packaging.archive import packed
 
 NAMES = (
     "light-1.2.3-cp311-cp311-macosx_11_0_arm64.whl",

@@ -5,9 +5,9 @@ import tomllib
 import pytest
 
 from addon_tests.pure.made_up_wheels import NAMES, hash_of, made_up_wheels, tiny_wheel
-from xihe_blender.bundled_wheels import pinned_wheels, wheel_files
 from xihe_blender.errors import UserError
-from xihe_blender.package import MANIFEST
+from xihe_blender.packaging.bundled_wheels import pinned_wheels, wheel_files
+from xihe_blender.packaging.extension import MANIFEST
 
 PLATFORMS = {"manylinux": "linux", "macosx": "macos", "win": "windows"}
 MACHINES = {"x86_64": "x64", "amd64": "x64", "arm64": "arm64"}

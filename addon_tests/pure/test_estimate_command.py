@@ -14,7 +14,7 @@ from addon_tests.pure.frame_makers import (
     write_exr,
     write_image,
 )
-from xihe_blender.cli import main
+from xihe_blender.cli.main import main
 from xihenet import __version__, estimators, sh
 from xihenet.camera import encode_exposed, unproject_frame
 from xihenet.frame_files import read_camera, read_frame
@@ -30,7 +30,7 @@ AT = "0,2,-0.3"
 WITHOUT_BLENDER = (
     "import sys\n"
     "for name in ('bpy', 'bmesh', 'mathutils', 'bpy_extras', 'torch', 'scipy'): sys.modules[name] = None\n"
-    "from xihe_blender.cli import main\n"
+    "from xihe_blender.cli.main import main\n"
     "sys.exit(main(sys.argv[1:]))"
 )
 

@@ -11,11 +11,11 @@ import pytest
 
 from addon_tests.pure.batches import batch, results
 from xihe_blender.errors import UserError
-from xihe_blender.evaluation.batch.grid import BatchSettings, planned_units
-from xihe_blender.evaluation.batch.store import BatchFolder, claim_of, read_frontier, result_file
-from xihe_blender.evaluation.batch.tables import TRIAL_COLUMNS, batch_results, write_tables
-from xihe_blender.evaluation.batch.worst_pictures import worst_frame
-from xihe_blender.outputs import write_json
+from xihe_blender.io.outputs import write_json
+from xihe_blender.lab.batch.grid import BatchSettings, planned_units
+from xihe_blender.lab.batch.store import BatchFolder, claim_of, read_frontier, result_file
+from xihe_blender.lab.batch.tables import TRIAL_COLUMNS, batch_results, write_tables
+from xihe_blender.lab.batch.worst_pictures import worst_frame
 
 ROOT = Path(__file__).resolve().parents[2]
 SETTINGS = BatchSettings(estimators=("lattice", "ambient"), phones=("perfect", "ipad_pro_lidar"), frames=(1, 2))
@@ -125,7 +125,7 @@ def test_a_frontier_that_is_given_must_be_there(tmp_path):
 
 @pytest.mark.wheel_only("a whole Blender's Python has no Dask")
 def test_a_worker_never_loads_blender():
-    code = "import sys, xihe_blender.spread_worker; print({'bpy', 'torch'} & set(sys.modules))"
+    code = "import sys, xihe_blender.lab.workers.dask_worker; print({'bpy', 'torch'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
     assert done.stdout.strip() == "set()"
 
@@ -138,7 +138,7 @@ def test_only_what_spreads_the_work_knows_dask():
         if isinstance(node, ast.Import | ast.ImportFrom)
         and any(name.split(".")[0] in ("dask", "distributed") for name in _names(node))
     ]
-    assert set(knows) == {"spread.py", "spread_worker.py"}
+    assert set(knows) == {"dask_workers.py", "dask_worker.py"}
 
 
 def _names(node):

@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 
 from addon_tests.pure.batches import batch, folder_with_pictures, results, trial
-from xihe_blender.evaluation.batch import answers
-from xihe_blender.evaluation.batch.analysis import (
+from xihe_blender.lab.batch import answers
+from xihe_blender.lab.batch.analysis import (
     MEASURES,
     against_the_best,
     compared,
@@ -16,8 +16,8 @@ from xihe_blender.evaluation.batch.analysis import (
     theta_points,
     worst_cases,
 )
-from xihe_blender.evaluation.batch.report import report_page, write_report
-from xihe_blender.evaluation.batch.store import BatchFolder
+from xihe_blender.lab.batch.report import report_page, write_report
+from xihe_blender.lab.batch.store import BatchFolder
 
 ERROR, PICTURE = MEASURES
 

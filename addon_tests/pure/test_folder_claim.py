@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from xihe_blender.errors import UserError
-from xihe_blender.folder_claim import FolderClaim, differences
+from xihe_blender.io.folder_claim import FolderClaim, differences
 
 MADE_WITH = {"xihe": "1.0", "settings": {"seed": 0, "size": (32, 24)}, "frames": (1, 2)}
 VALUES = st.one_of(st.integers(), st.none(), st.text(max_size=3), st.lists(st.integers(), max_size=2))

@@ -17,8 +17,8 @@ import pytest
 
 from addon_tests.pure.made_up_wheels import NAMES, made_up_wheels
 from xihe_blender.errors import UserError
-from xihe_blender.package import build_extension
-from xihe_blender.project_wheel import project_wheel
+from xihe_blender.packaging.extension import build_extension
+from xihe_blender.packaging.project_wheel import project_wheel
 from xihenet import __version__
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -139,7 +139,7 @@ def test_pip_installs_the_wheel_and_it_estimates_light_without_the_checkout(whee
     (tmp_path / name).write_bytes(content)
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps", "--no-compile"]
     subprocess.run([*pip, "--target", tmp_path / "site", tmp_path / name], check=True, timeout=100)
-    code = "import xihenet.estimators as e, xihe_blender.cli; print(xihe_blender.__file__, e.load('lattice').name)"
+    code = "import xihenet.estimators as e, xihe_blender.cli.main; print(xihe_blender.__file__, e.load('lattice').name)"
     environment = {**os.environ, "PYTHONPATH": str(tmp_path / "site")}
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=100
@@ -168,7 +168,7 @@ def test_a_zip_that_cannot_be_written_leaves_the_one_before(tmp_path):
     before.write_bytes(b"the one before")
     made_up_wheels(tmp_path / "wheels")
     code = (
-        "import sys, pathlib as p; from xihe_blender.package import build_extension;"
+        "import sys, pathlib as p; from xihe_blender.packaging.extension import build_extension;"
         "build_extension(p.Path(sys.argv[1]), p.Path(sys.argv[1]) / 'wheels', pinned={})"
     )
     limit = 1 << 16
@@ -192,7 +192,7 @@ def test_a_file_in_place_of_the_folder_is_refused(tmp_path):
 
 
 def test_the_command_refuses_a_wheel_that_is_not_the_pinned_one(tmp_path):
-    from xihe_blender.bundled_wheels import pinned_wheels
+    from xihe_blender.packaging.bundled_wheels import pinned_wheels
 
     made_up_wheels(tmp_path / "wheels", tuple(pinned_wheels()))
     done = xihe("package", "--out", tmp_path / "out", "--wheels", tmp_path / "wheels")

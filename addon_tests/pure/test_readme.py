@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from xihe_blender.cli import _parser
+from xihe_blender.cli.main import _parser
 from xihenet import __version__
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import xihe_blender.report.page as report
-from xihe_blender.outputs import RunOutputs
+from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.report.pictures import MAX_FRAMES
 from xihe_blender.report.values import number_runs, significant
 from xihenet.png import write_png

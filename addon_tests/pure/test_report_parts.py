@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import xihe_blender.report.page as report
-from xihe_blender.outputs import RunOutputs
+from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.report.document import document
 from xihe_blender.report.pictures import MAX_FRAMES, choose_frames, picture_kinds
 from xihe_blender.report.style import STYLE
@@ -27,7 +27,7 @@ def test_another_schema_version_is_refused_by_name(tmp_path: Path) -> None:
 
 
 def test_the_report_never_asks_for_blender() -> None:
-    own = ("xihe_blender.report", "xihe_blender.outputs", "xihenet.invalid")
+    own = ("xihe_blender.report", "xihe_blender.io.outputs", "xihenet.invalid")
     files = sorted(Path(report.__file__).parent.glob("*.py"))
     assert "page.py" in [path.name for path in files]
     for path in files:

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from xihe_blender.dataset.arrange import FLAT_M, blocks_hole, collide
-from xihe_blender.dataset.outline import Outline, Rect, alcove_plan, box_plan, l_plan, turned
-from xihe_blender.dataset.room_data import Room
-from xihe_blender.dataset.rooms import room_generator, sample_room
+from xihe_blender.lab.rooms.arrange import FLAT_M, blocks_hole, collide
+from xihe_blender.lab.rooms.outline import Outline, Rect, alcove_plan, box_plan, l_plan, turned
+from xihe_blender.lab.rooms.room_data import Room
+from xihe_blender.lab.rooms.rooms import room_generator, sample_room
 
 N_SEEDS = 200
 ROOMS = [sample_room(room_generator(7, i)) for i in range(N_SEEDS)]

@@ -6,7 +6,15 @@ import pytest
 
 from addon_tests.real_blender.whole_blender import MODULE, WholeBlender
 
-HEAVY = {"numpy", "torch", "OpenEXR", "scipy", "xihenet.estimators", "xihe_blender.previs", "xihe_blender.cli"}
+HEAVY = {
+    "numpy",
+    "torch",
+    "OpenEXR",
+    "scipy",
+    "xihenet.estimators",
+    "xihe_blender.previs.previs",
+    "xihe_blender.cli.main",
+}
 OURS = ("xihenet", "xihe_blender", "bl_ext")
 
 

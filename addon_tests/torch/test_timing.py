@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from xihe_blender.evaluation.frontier.timing import torch_on_one_thread
+from xihe_blender.lab.frontier.timing import torch_on_one_thread
 
 
 def test_torch_has_one_thread_while_computing_is_timed_and_then_as_many_as_before():

@@ -10,7 +10,7 @@ import functools
 import json
 from pathlib import Path
 
-from xihe_blender.addon.runs_folder import chosen_folder, own_folder
+from xihe_blender.addon.preferences import chosen_folder, own_folder
 
 FILE_NAME = "calibration.json"
 

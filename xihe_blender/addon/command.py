@@ -1,6 +1,6 @@
 """`blender --command xihe ...`: the `xihe` command inside Blender, with the same sub-commands and exit codes.
 
-Nothing is decided here: `xihe_blender.cli` does the work, imported when a command is run, not when Blender starts.
+Nothing is decided here: `xihe_blender.cli.main` does the work, imported when a command is run, not when Blender starts.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ _handles: list[Any] = []
 
 def run_command(arguments: list[str]) -> int:
     """Run `xihe` with `arguments`; its exit code becomes Blender's."""
-    from xihe_blender.cli import close_stdout, main
+    from xihe_blender.cli.main import main
+    from xihe_blender.io.blender_output import close_stdout
 
     # Blender takes Ctrl-C for itself, as a wish to break off a render; here it means what it means in `xihe`.
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -63,7 +63,7 @@ def last_run(folder: str) -> LastRun | None:
 
 @functools.lru_cache(maxsize=4)
 def _read(folder: Path, _changed: int) -> LastRun | None:
-    from xihe_blender.run_results import read_results
+    from xihe_blender.io.run_results import read_results
 
     try:
         return _picked(read_results(folder))

@@ -17,8 +17,8 @@ class XIHE_OT_apply_light(polls.Conditional, bpy.types.Operator):
     conditions = (polls.is_idle, polls.is_own_scene, polls.has_cycles, polls.has_last_run)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from xihe_blender.results_in_blender import apply_results
-        from xihe_blender.run_results import read_results
+        from xihe_blender.addon.results_in_blender import apply_results
+        from xihe_blender.io.run_results import read_results
 
         folder = last_run_folder(context.scene)
         try:
@@ -36,7 +36,7 @@ class XIHE_OT_remove_light(polls.Conditional, bpy.types.Operator):
     conditions = (polls.is_idle, polls.is_own_scene, polls.has_light)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from xihe_blender.results_in_blender import remove_everything
+        from xihe_blender.addon.results_in_blender import remove_everything
 
         remove_everything(context.scene)
         return {"FINISHED"}

@@ -27,12 +27,12 @@ class XIHE_OT_measure_run(Measuring, bpy.types.Operator):
 
     def start_job(self, context: bpy.types.Context) -> Generator[Any, None, Any]:
         from xihe_blender.addon.run_settings import previs_settings
-        from xihe_blender.run_time import run_time_job
+        from xihe_blender.previs.run_time import run_time_job
 
         return run_time_job(context.scene, previs_settings(context.scene))
 
     def finish(self, context: bpy.types.Context, result: Any) -> set[str]:
-        from xihe_blender.run_time import said_of_run_time
+        from xihe_blender.previs.run_time import said_of_run_time
 
         context.window_manager.xihe.run_estimate = said_of_run_time(result.in_window_s(self.run.pause_s))
         return {"FINISHED"}
@@ -45,12 +45,12 @@ class XIHE_OT_calibrate(Measuring, bpy.types.Operator):
 
     def start_job(self, context: bpy.types.Context) -> Generator[Any, None, Any]:
         from xihe_blender.addon.run_settings import previs_settings
-        from xihe_blender.evaluation.frontier.calibrate import calibrate
+        from xihe_blender.lab.frontier.calibrate import calibrate
 
         return calibrate(context.scene, previs_settings(context.scene))
 
     def finish(self, context: bpy.types.Context, result: Any) -> set[str]:
-        from xihe_blender.evaluation.frontier.calibrate import said_of_calibration, save_calibration
+        from xihe_blender.lab.frontier.calibrate import said_of_calibration, save_calibration
 
         save_calibration(calibration_file(), result)
         self.report({"INFO"}, said_of_calibration(result))

@@ -16,7 +16,7 @@ class XIHE_OT_add_virtual_objects(polls.Conditional, bpy.types.Operator):
     conditions = (polls.is_idle, polls.is_own_scene, polls.is_in_object_mode, polls.has_selected_room_objects)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from xihe_blender.virtual_objects import make_virtual
+        from xihe_blender.scene.virtual_objects import make_virtual
 
         try:
             made = make_virtual(context.scene, context.selected_objects)
@@ -34,7 +34,7 @@ class XIHE_OT_remove_virtual_objects(polls.Conditional, bpy.types.Operator):
     conditions = (polls.is_idle, polls.is_own_scene, polls.is_in_object_mode, polls.has_selected_virtual_objects)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from xihe_blender.virtual_objects import make_room
+        from xihe_blender.scene.virtual_objects import make_room
 
         try:
             made = make_room(context.scene, context.selected_objects)
@@ -61,7 +61,7 @@ class XIHE_OT_add_sphere_rig(polls.Conditional, bpy.types.Operator):
     )
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from xihe_blender.sphere_rig import add_three_sphere_rig
+        from xihe_blender.scene.sphere_rig import add_three_sphere_rig
 
         add_three_sphere_rig(context.scene, tuple(context.scene.cursor.location), self.radius_m)
         return {"FINISHED"}

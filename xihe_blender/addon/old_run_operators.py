@@ -19,8 +19,9 @@ class XIHE_OT_remove_old_runs(polls.Conditional, bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask first: what is deleted does not come back by Undo."""
-        from xihe_blender.addon.runs_folder import runs_folder, shown_runs
-        from xihe_blender.old_runs import old_runs, said_of_runs
+        from xihe_blender.addon.preferences import runs_folder
+        from xihe_blender.addon.runs_folder import shown_runs
+        from xihe_blender.io.old_runs import old_runs, said_of_runs
 
         said = said_of_runs(old_runs(runs_folder(), shown_runs()))
         answer: set[str] = context.window_manager.invoke_confirm(
@@ -29,8 +30,9 @@ class XIHE_OT_remove_old_runs(polls.Conditional, bpy.types.Operator):
         return answer
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from xihe_blender.addon.runs_folder import runs_folder, shown_runs
-        from xihe_blender.old_runs import remove_old_runs
+        from xihe_blender.addon.preferences import runs_folder
+        from xihe_blender.addon.runs_folder import shown_runs
+        from xihe_blender.io.old_runs import remove_old_runs
 
         try:
             removed = remove_old_runs(runs_folder(), shown_runs())

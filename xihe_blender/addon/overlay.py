@@ -75,9 +75,9 @@ def shown_positions(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> l
     """
     # NumPy comes with it, which must wait until something is shown.
     from xihe_blender.errors import UserError
-    from xihe_blender.estimation_positions import estimation_positions
-    from xihe_blender.units import metres_per_unit
-    from xihe_blender.virtual_objects import virtual_objects
+    from xihe_blender.scene.estimation_positions import estimation_positions
+    from xihe_blender.scene.units import metres_per_unit
+    from xihe_blender.scene.virtual_objects import virtual_objects
 
     metres = metres_per_unit(scene)
     found = []

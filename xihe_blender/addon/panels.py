@@ -41,7 +41,7 @@ class XIHE_PT_virtual_objects(StagePanel, bpy.types.Panel):
     bl_order = 0
 
     def draw(self, context: bpy.types.Context) -> None:
-        from xihe_blender.virtual_objects import virtual_objects
+        from xihe_blender.scene.virtual_objects import virtual_objects
 
         layout = self.layout
         objects = virtual_objects(context.scene)

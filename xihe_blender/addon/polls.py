@@ -65,7 +65,7 @@ def has_camera(context: bpy.types.Context) -> str | None:
 
 
 def has_virtual_objects(context: bpy.types.Context) -> str | None:
-    from xihe_blender.virtual_objects import virtual_objects
+    from xihe_blender.scene.virtual_objects import virtual_objects
 
     if virtual_objects(context.scene):
         return None
@@ -73,7 +73,7 @@ def has_virtual_objects(context: bpy.types.Context) -> str | None:
 
 
 def has_selected_room_objects(context: bpy.types.Context) -> str | None:
-    from xihe_blender.virtual_objects import has_renderable_geometry, virtual_objects
+    from xihe_blender.scene.virtual_objects import has_renderable_geometry, virtual_objects
 
     if not context.selected_objects:
         return "Select the objects that the phone would insert"
@@ -84,7 +84,7 @@ def has_selected_room_objects(context: bpy.types.Context) -> str | None:
 
 
 def has_selected_virtual_objects(context: bpy.types.Context) -> str | None:
-    from xihe_blender.virtual_objects import virtual_objects
+    from xihe_blender.scene.virtual_objects import virtual_objects
 
     if set(context.selected_objects) & set(virtual_objects(context.scene)):
         return None
@@ -101,8 +101,9 @@ def has_last_run(context: bpy.types.Context) -> str | None:
 
 
 def has_old_runs(context: bpy.types.Context) -> str | None:
-    from xihe_blender.addon.runs_folder import runs_folder, shown_runs
-    from xihe_blender.old_runs import old_runs, runs_in
+    from xihe_blender.addon.preferences import runs_folder
+    from xihe_blender.addon.runs_folder import shown_runs
+    from xihe_blender.io.old_runs import old_runs, runs_in
 
     folder = runs_folder()
     if old_runs(folder, shown_runs()):
@@ -122,13 +123,13 @@ def has_comparison(context: bpy.types.Context) -> str | None:
 
 def has_light(context: bpy.types.Context) -> str | None:
     """Whether there is anything that a run, or Apply, leaves in a file."""
-    from xihe_blender.left_in_file import has_anything
+    from xihe_blender.apply.datablocks import has_anything
 
     return None if has_anything(context.scene) else "There is nothing of a run in this file"
 
 
 def has_triggers(context: bpy.types.Context) -> str | None:
-    from xihe_blender.left_in_file import trigger_markers
+    from xihe_blender.apply.datablocks import trigger_markers
 
     if trigger_markers(context.scene):
         return None

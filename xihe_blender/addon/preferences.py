@@ -5,6 +5,8 @@ The device that Cycles renders on is Blender's own preference, and is shown here
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
 
 from xihe_blender.addon.choices import DEFAULT_PHONE, FROM_FILE, number_of, phone_items
@@ -40,8 +42,7 @@ class XihePreferences(bpy.types.AddonPreferences):
 
     def _draw_runs(self, layout: bpy.types.UILayout) -> None:
         """The space that runs take, and how to have it back."""
-        from xihe_blender.addon.runs_folder import runs_folder
-        from xihe_blender.old_runs import runs_in, said_of_runs
+        from xihe_blender.io.old_runs import runs_in, said_of_runs
 
         # As properties are laid out: the label on the right of the first part.
         split = layout.split(factor=0.4)
@@ -62,6 +63,26 @@ def preferences(context: bpy.types.Context) -> XihePreferences | None:
     """The user's preferences; None where the add-on is not enabled, as in a script that registered it by itself."""
     addon = context.preferences.addons.get(XihePreferences.bl_idname)
     return None if addon is None else addon.preferences
+
+
+def runs_folder() -> Path:
+    """Where runs from the panel are kept: the user's choice, else the extension's own place for files."""
+    return chosen_folder() or own_folder() / "runs"
+
+
+def chosen_folder() -> Path | None:
+    """The Runs Folder of the user's preferences; None where none was chosen."""
+    user = preferences(bpy.context)
+    return Path(bpy.path.abspath(user.cache_folder)) if user is not None and user.cache_folder else None
+
+
+def own_folder() -> Path:
+    """The extension's own place for files."""
+    try:
+        return Path(bpy.utils.extension_path_user(XihePreferences.bl_idname))
+    except ValueError:
+        # Not installed as an extension, as where a script registered the add-on.
+        return Path(bpy.utils.user_resource("DATAFILES", path="xihe"))
 
 
 def cycles_device_in_preferences(context: bpy.types.Context) -> str:

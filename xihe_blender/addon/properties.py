@@ -14,8 +14,8 @@ LAST_FRAME = 1048574
 
 def _override_changed(row: XiheEffectRow, context: bpy.types.Context) -> None:
     """Write the user's choice into the scene, where a run finds it; one that cannot be kept goes back to Auto."""
-    from xihe_blender.effects.overrides import remember_overrides
     from xihe_blender.errors import UserError
+    from xihe_blender.light_transport.overrides import remember_overrides
 
     try:
         remember_overrides(row.id_data, {row.name: row.override.lower()})
@@ -25,8 +25,8 @@ def _override_changed(row: XiheEffectRow, context: bpy.types.Context) -> None:
 
 
 def _wipe_changed(settings: XiheSceneSettings, context: bpy.types.Context) -> None:
+    from xihe_blender.addon.results_in_blender import show_comparison_at
     from xihe_blender.errors import UserError
-    from xihe_blender.results_in_blender import show_comparison_at
 
     try:
         show_comparison_at(settings.id_data, last_run_folder(settings.id_data), settings.wipe)

@@ -27,7 +27,7 @@ class XIHE_OT_go_to_trigger(polls.Conditional, bpy.types.Operator):
     )
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from xihe_blender.results_in_blender import go_to_trigger
+        from xihe_blender.addon.results_in_blender import go_to_trigger
 
         scene = context.scene
         found = go_to_trigger(scene, self.direction)
@@ -52,7 +52,7 @@ class XIHE_OT_show_comparison(polls.Conditional, bpy.types.Operator):
     conditions = (polls.is_idle, polls.is_own_scene, polls.has_last_run, polls.has_comparison)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from xihe_blender.left_in_file import COMPARISON_NAME, image_named
+        from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
 
         try:
             _show_images(context.scene)
@@ -76,8 +76,8 @@ class XIHE_OT_open_report(polls.Conditional, bpy.types.Operator):
 
 def _show_images(scene: bpy.types.Scene) -> None:
     """Make the images of the last run show the scene's current frame."""
-    from xihe_blender.results_in_blender import show_images
-    from xihe_blender.run_results import read_results
+    from xihe_blender.addon.results_in_blender import show_images
+    from xihe_blender.io.run_results import read_results
 
     folder = last_run_folder(scene)
     show_images(scene, read_results(folder), folder, wipe=scene.xihe.wipe)

@@ -30,7 +30,7 @@ class XIHE_OT_run(polls.Conditional, ModalJob, bpy.types.Operator):
     def start_job(self, context: bpy.types.Context) -> Generator[Any, None, dict[str, Any]]:
         from xihe_blender.addon.run_settings import previs_settings
         from xihe_blender.addon.runs_folder import new_run_folder
-        from xihe_blender.shown_run import run_and_show
+        from xihe_blender.addon.shown_run import run_and_show
 
         settings = previs_settings(context.scene)
         self.scene, self.folder = context.scene, new_run_folder(context.scene)

@@ -11,13 +11,13 @@ import bpy
 
 from xihe_blender.addon.choices import FROM_FILE, NO_NETWORK, PHONES_METERING
 from xihe_blender.addon.preferences import preferences
-from xihe_blender.effects import Effect
-from xihe_blender.effects.command import report_effects
-from xihe_blender.effects.overrides import SWITCHED_ELSEWHERE, remembered_overrides
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihe_blender.phone_capture import PhoneEffect
-from xihe_blender.previs_settings import PrevisSettings
+from xihe_blender.light_transport import Effect
+from xihe_blender.light_transport.overrides import SWITCHED_ELSEWHERE, remembered_overrides
+from xihe_blender.previs.effects_report import report_effects
+from xihe_blender.previs.phone_capture import PhoneEffect
+from xihe_blender.previs.settings import PrevisSettings
 
 
 def previs_settings(scene: bpy.types.Scene) -> PrevisSettings:

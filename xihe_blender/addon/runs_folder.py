@@ -10,7 +10,7 @@ from pathlib import Path
 
 import bpy
 
-from xihe_blender.addon.preferences import XihePreferences, preferences
+from xihe_blender.addon.preferences import runs_folder
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.errors import UserError
 
@@ -44,26 +44,6 @@ def _made_new(parent: Path, name: str) -> Path:
             number += 1
         else:
             return folder
-
-
-def runs_folder() -> Path:
-    """Where runs from the panel are kept: the user's choice, else the extension's own place for files."""
-    return chosen_folder() or own_folder() / "runs"
-
-
-def chosen_folder() -> Path | None:
-    """The Runs Folder of the user's preferences; None where none was chosen."""
-    user = preferences(bpy.context)
-    return Path(bpy.path.abspath(user.cache_folder)) if user is not None and user.cache_folder else None
-
-
-def own_folder() -> Path:
-    """The extension's own place for files."""
-    try:
-        return Path(bpy.utils.extension_path_user(XihePreferences.bl_idname))
-    except ValueError:
-        # Not installed as an extension, as where a script registered the add-on.
-        return Path(bpy.utils.user_resource("DATAFILES", path="xihe"))
 
 
 def shown_runs() -> set[Path]:

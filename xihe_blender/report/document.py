@@ -11,7 +11,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from xihe_blender.outputs import written_whole
+from xihe_blender.io.outputs import written_whole
 from xihe_blender.report.style import STYLE
 
 _SAFE = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from xihe_blender.outputs import RunOutputs
+from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.report.document import document, link, section, write_document
 from xihe_blender.report.pictures import pictures_section
 from xihe_blender.report.plots import plots_section

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from xihe_blender.outputs import RunOutputs
+from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.report.document import png_url
 from xihe_blender.report.invalid import is_kept, kept_in_words
 from xihe_blender.report.timeline import (

@@ -7,7 +7,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from addon_tests.in_blender.hard_cases.blender import CASES
 from addon_tests.pure.hard_cases.__main__ import print_cases
-from xihe_blender.cli import blender_output_aside
+from xihe_blender.io.blender_output import blender_output_aside
 
 if __name__ == "__main__":
     with blender_output_aside() as (stdout, _):

@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 from tiny_scenes import box, room_with_a_virtual_sphere, sphere
 
-from xihe_blender.virtual_objects import virtual_collection
+from xihe_blender.scene.virtual_objects import virtual_collection
 
 Change = Callable[[bpy.types.Scene], None]
 PLACE = (0.2, 0.0, 0.85)

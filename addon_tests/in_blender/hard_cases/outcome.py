@@ -17,10 +17,10 @@ from results_schema import check_results, read_strictly
 
 from addon_tests.in_blender.hard_cases.broken_scenes import Change, room
 from addon_tests.pure.hard_cases.hard_case import Must
-from xihe_blender.capture import first_layer, open_scanner
+from xihe_blender.capture.render import RenderSettings, render_passes
+from xihe_blender.capture.scanner import first_layer, open_scanner
 from xihe_blender.errors import UserError
-from xihe_blender.previs_settings import PrevisSettings
-from xihe_blender.render import RenderSettings, render_passes
+from xihe_blender.previs.settings import PrevisSettings
 
 TINY = PrevisSettings(preset="draft", size=(16, 12), samples=1, estimator="projection")
 STANDING_NOTES = 4

@@ -6,7 +6,7 @@ from rooms import look_through_camera, make_runs_short, room_to_light
 
 def prepare():
     """Long enough that it cannot be over before Esc comes."""
-    from xihe_blender.virtual_objects import virtual_collection
+    from xihe_blender.scene.virtual_objects import virtual_collection
 
     scene = room_to_light()
     scene.frame_end = 200

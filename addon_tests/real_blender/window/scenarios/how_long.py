@@ -5,7 +5,7 @@ from rooms import look_through_camera, make_runs_short, room_to_light
 
 
 def prepare():
-    from xihe_blender.virtual_objects import virtual_collection
+    from xihe_blender.scene.virtual_objects import virtual_collection
 
     scene = room_to_light()
     ball = bpy.data.objects["Ball"]

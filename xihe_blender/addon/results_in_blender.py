@@ -1,0 +1,243 @@
+"""How do a run's results show up in Blender itself? As curves, as pictures, and on the timeline.
+
+The worlds that light the virtual objects carry their error and coverage as keyed custom properties, so that the Graph
+Editor shows them above the light's own curves. Two kinds of images show one frame: the estimated light of each object,
+and estimate against ground truth with a wipe between them. They are packed, so that a saved file keeps them without the
+run's folder and without the add-on.
+
+Everything is made from results.json and the pictures beside it: a run can be shown again in any file with the same
+objects. `remove_everything` takes away all that this and `apply` leave, and nothing else.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from xihe_blender.apply.datablocks import (
+    COMPARISON_NAME,
+    LIGHT_PREFIX,
+    MADE_BY,
+    image_named,
+    our_images,
+    trigger_markers,
+)
+from xihe_blender.apply.sh_worlds import f_curves, remove_applied_light, remove_trigger_markers, world_name
+from xihe_blender.errors import UserError
+from xihe_blender.io.run_results import compared_frames_of, nearest_compared_frame, read_results
+from xihe_blender.previs.lit_blend import apply_lights
+from xihe_blender.scene.virtual_objects import virtual_objects
+from xihenet.panorama import evaluate_panorama
+from xihenet.records import ArrayF32, ArrayF64
+
+ERROR_CURVE, COVERAGE_CURVE = "Xihe SHC RMSE", "Xihe coverage"
+LIGHT_HEIGHT = 64
+"""Of the panorama; order 2 has no detail that more pixels would show."""
+
+WIPE_LINE = 1.0
+
+
+def show_results(scene: bpy.types.Scene, results: dict[str, Any], folder: Path, *, wipe: float = 0.5) -> None:
+    """Show a run whose light is on the timeline of `scene` already: curves and pictures.
+
+    Parameters
+    ----------
+    results : content of results.json
+    folder : of the run, for its pictures
+    wipe : 0 to 1, see `wiped`
+    """
+    for name in results["lights"]:
+        # The file's own world: one of a linked library may have the same name.
+        _key_curves(bpy.data.worlds[world_name(name), None], results, name)
+    show_images(scene, results, folder, wipe=wipe)
+
+
+def apply_results(scene: bpy.types.Scene, results: dict[str, Any], folder: Path, *, wipe: float = 0.5) -> None:
+    """Put the light of a run onto the timeline of `scene` and show the run, from its folder alone.
+
+    UserError if a virtual object of the run is not in the scene.
+    """
+    here = {item.name for item in virtual_objects(scene)}
+    missing = [name for name in results["lights"] if name not in here]
+    if missing:
+        raise UserError(f"virtual object {missing[0]!r} of the last run is not in this scene any more: run again")
+    changes = {
+        name: [(change["frame"], np.array(change["sh"])) for change in of_one]
+        for name, of_one in results["lights"].items()
+    }
+    apply_lights(scene, changes, results["frames"], results["settings"]["reference_exposure"])
+    show_results(scene, results, folder, wipe=wipe)
+
+
+def light_in_force(results: dict[str, Any], name: str, frame: int) -> ArrayF64:
+    """(9, 3) the light of virtual object `name` at `frame`, carrying the run's exposure; before the first, the first.
+
+    ValueError for an object that the run did not light: another one, or where no position was ever in view.
+    """
+    changes = results["lights"].get(name)
+    if not changes:
+        lit = ", ".join(other for other, of_one in results["lights"].items() if of_one)
+        raise ValueError(f"expected one of the objects that the run lit ({lit or 'none'}), got {name!r}")
+    reached = [change for change in changes if change["frame"] <= frame]
+    return np.array((reached or changes)[-1 if reached else 0]["sh"], np.float64)
+
+
+# ------------------------------------------------------------------------------------------------------------- curves
+
+
+def _key_curves(world: bpy.types.World, results: dict[str, Any], name: str) -> None:
+    """Error and coverage of an object at each frame in which it was in view: the mean over its positions."""
+    for entry in results["frames"]:
+        probes = [probe for probe in entry["probes"] if probe["object"] == name]
+        if probes:
+            _key(world, ERROR_CURVE, entry["frame"], [probe["shc_rmse"] for probe in probes])
+            _key(world, COVERAGE_CURVE, entry["frame"], [probe["coverage"] for probe in probes])
+    for curve in f_curves(world):
+        for point in curve.keyframe_points:
+            point.interpolation = "CONSTANT"
+
+
+def _key(world: bpy.types.World, curve: str, frame: int, values: list[float]) -> None:
+    world[curve] = float(np.mean(values))
+    world.keyframe_insert(f'["{curve}"]', frame=frame)
+
+
+# ------------------------------------------------------------------------------------------------------------- images
+
+
+def show_images(
+    scene: bpy.types.Scene, results: dict[str, Any], folder: Path, *, wipe: float = 0.5, frame: int | None = None
+) -> None:
+    """Make the images of `results` show `frame`; None takes the scene's current one."""
+    shown = scene.frame_current if frame is None else frame
+    for name, changes in results["lights"].items():
+        if changes:
+            show_light(results, name, shown)
+        else:
+            # Nothing was ever in view, and a picture of an earlier run would say otherwise.
+            _remove_image(f"{LIGHT_PREFIX}{name}")
+    if show_comparison(results, folder, shown, wipe) is None:
+        _remove_image(COMPARISON_NAME)
+
+
+def show_light(results: dict[str, Any], name: str, frame: int) -> bpy.types.Image:
+    """The image of the light of virtual object `name` at `frame`: 32-bit scene radiance.
+
+    Laid out as Blender's Environment Texture reads it, so that it lights a world as it lit the object.
+    """
+    light = light_in_force(results, name, frame) / results["settings"]["reference_exposure"]
+    panorama = evaluate_panorama(light, LIGHT_HEIGHT, 2 * LIGHT_HEIGHT)
+    # The panorama has +Y in its middle and +X a quarter to the right, an Environment Texture +X and -Y.
+    pixels = np.roll(panorama, -LIGHT_HEIGHT // 2, axis=1).astype(np.float32)
+    return _write_image(f"{LIGHT_PREFIX}{name}", pixels, is_float=True)
+
+
+def show_comparison(results: dict[str, Any], folder: Path, frame: int, wipe: float = 0.5) -> bpy.types.Image | None:
+    """The image of estimate against ground truth at the compared frame next to `frame`; None if none was compared.
+
+    UserError if its pictures are gone.
+    """
+    nearest = nearest_compared_frame(results, frame)
+    if nearest is None:
+        return None
+    pictures = compared_frames_of(results)[nearest]
+    estimate, truth = (
+        _read_picture(folder / pictures[kind]) for kind in (results["settings"]["estimator"], "ground_truth")
+    )
+    return _write_image(COMPARISON_NAME, wiped(estimate, truth, wipe), is_float=False)
+
+
+def show_comparison_at(scene: bpy.types.Scene, folder: Path, wipe: float) -> None:
+    """Compose the comparison anew, if there is one in the file: for a wipe that moves. Nothing if the run is gone."""
+    if image_named(COMPARISON_NAME) is None or not (folder / "results.json").is_file():
+        return
+    show_comparison(read_results(folder), folder, scene.frame_current, wipe)
+
+
+def wiped(estimate: ArrayF32, truth: ArrayF32, wipe: float) -> ArrayF32:
+    """(H, W, 3) `estimate` on the left, `truth` on the right, and a white line of one pixel between them.
+
+    `wipe` is the line's place, 0 at the left edge, where all is truth, and 1 at the right; neither has a line.
+    ValueError for pictures of different shapes.
+    """
+    if estimate.shape != truth.shape:
+        raise ValueError(f"expected two pictures of one shape, got {estimate.shape} and {truth.shape}")
+    width = truth.shape[1]
+    place = round(min(max(wipe, 0.0), 1.0) * width)
+    picture: ArrayF32 = truth.copy()
+    picture[:, :place] = estimate[:, :place]
+    if 0 < place < width:
+        picture[:, place] = WIPE_LINE
+    return picture
+
+
+def _remove_image(name: str) -> None:
+    image = image_named(name)
+    if image is not None:
+        bpy.data.images.remove(image)
+
+
+def _read_picture(path: Path) -> ArrayF32:
+    """(H, W, 3) of a PNG of the run, sRGB-encoded in [0, 1], row 0 at the top."""
+    try:
+        image = bpy.data.images.load(str(path))
+    except RuntimeError as error:
+        raise UserError(f"{path} cannot be read: run again") from error
+    try:
+        width, height = image.size
+        pixels = np.empty(width * height * image.channels, np.float32)
+        image.pixels.foreach_get(pixels)
+        picture: ArrayF32 = pixels.reshape(height, width, -1)[::-1, :, :3]
+        return picture
+    finally:
+        bpy.data.images.remove(image)
+
+
+def _write_image(name: str, picture: ArrayF32, *, is_float: bool) -> bpy.types.Image:
+    """Put (H, W, 3), row 0 at the top, into our image `name`, and pack it: what is only generated is not saved."""
+    height, width, _ = picture.shape
+    image = image_named(name)
+    if image is None:
+        image = bpy.data.images.new(name, width, height, float_buffer=is_float)
+        image[MADE_BY] = name
+        image.use_fake_user = True
+    if tuple(image.size) != (width, height):
+        image.scale(width, height)
+    opaque = np.concatenate([picture, np.ones((height, width, 1), np.float32)], axis=-1)
+    image.pixels.foreach_set(np.ascontiguousarray(opaque[::-1], np.float32).ravel())
+    image.update()
+    image.pack()
+    return image
+
+
+# ----------------------------------------------------------------------------------------------------------- timeline
+
+
+def go_to_trigger(scene: bpy.types.Scene, direction: str) -> int | None:
+    """Go to the trigger before ("PREVIOUS") or after ("NEXT") the current frame; its frame, or None without one."""
+    frames = sorted(marker.frame for marker in trigger_markers(scene))
+    if direction == "PREVIOUS":
+        found = max((frame for frame in frames if frame < scene.frame_current), default=None)
+    else:
+        found = min((frame for frame in frames if frame > scene.frame_current), default=None)
+    if found is not None:
+        scene.frame_set(found)
+    return found
+
+
+# ------------------------------------------------------------------------------------------------------------ removal
+
+
+def remove_everything(scene: bpy.types.Scene) -> None:
+    """Take everything away that a run or `apply_results` left in the file: worlds, node group, markers, images.
+
+    Of the other scenes as well: without their worlds their markers would say what is not so.
+    """
+    remove_applied_light(scene)
+    for other in [other for other in bpy.data.scenes if other.library is None]:
+        remove_trigger_markers(other)
+    for image in list(our_images()):
+        bpy.data.images.remove(image)

@@ -1,0 +1,1 @@
+"""Estimated light in Blender: worlds of spherical harmonics, and a live session."""

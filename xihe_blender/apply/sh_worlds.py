@@ -1,0 +1,269 @@
+"""How does an estimate become light in Blender? A World per virtual object, whose background is the SH itself.
+
+The node group `Xihe SH Radiance` evaluates nine vector coefficients in the direction that Cycles looks into a world and
+multiplies the sum by a gain. Nothing is clamped: Cycles takes negative radiance as it is, and a clamp at 0 would add
+light (24 % for one distant lamp at order 2). Coefficients carry the session's exposure, as estimates do; the gain takes
+it out, once.
+
+Inputs are keyed, with constant interpolation, at the frames at which estimates arrive, so that the timeline plays the
+lighting back and the Graph Editor shows it; timeline markers show the triggers. All that is left in a file is named
+`Xihe ...`, and `remove_applied_light` takes it away.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable, Sequence
+
+import bpy
+import numpy as np
+from numpy.typing import ArrayLike
+
+from xihe_blender.apply.datablocks import MARKER_PREFIX, NODE_GROUP_NAME, PREFIX, lights_by_sh, trigger_markers
+from xihe_blender.scene.virtual_objects import virtual_objects
+from xihenet.records import ArrayF64
+
+MAX_NAME_BYTES = 63
+GAIN = "Gain"
+COEFFICIENTS = [
+    f"l={level} m={m:+d}" if m else f"l={level} m=0" for level in range(3) for m in range(-level, level + 1)
+]
+
+# Real orthonormal basis of order 2: factor and the product of direction components it multiplies; see xihenet.sh.
+_Y0, _Y1, _Y2 = 0.5 / np.sqrt(np.pi), np.sqrt(3 / (4 * np.pi)), np.sqrt(15 / (4 * np.pi))
+
+
+def sh_node_group() -> bpy.types.NodeTree:
+    """The node group `Xihe SH Radiance`, made on first use.
+
+    Inputs: nine vectors (R, G, B of each coefficient, in the order l*l + l + m) and a gain. Output: radiance.
+    """
+    group = _local(bpy.data.node_groups, NODE_GROUP_NAME)
+    return group if group is not None else _make_node_group()
+
+
+def make_sh_world(name: str) -> bpy.types.World:
+    """A world named `name` that is lit by the node group; an older one of that name is set up anew.
+
+    The importance map is small and fixed: choosing its size automatically costs Cycles seconds per change, and must be
+    decided before the first render.
+    """
+    world = _local(bpy.data.worlds, name) or bpy.data.worlds.new(name)
+    _remove_animation(world)
+    if bpy.app.version < (5, 0, 0):
+        # From 5.0 on a world always has nodes, and the switch is deprecated.
+        world.use_nodes = True
+    tree = world.node_tree
+    _remove_animation(tree)
+    tree.nodes.clear()
+    group = tree.nodes.new("ShaderNodeGroup")
+    group.name = group.label = NODE_GROUP_NAME
+    group.node_tree = sh_node_group()
+    background = tree.nodes.new("ShaderNodeBackground")
+    background.location = (250, 0)
+    output = tree.nodes.new("ShaderNodeOutputWorld")
+    output.location = (450, 0)
+    tree.links.new(group.outputs[0], background.inputs["Color"])
+    tree.links.new(background.outputs[0], output.inputs["Surface"])
+    world.cycles.sampling_method = "MANUAL"
+    world.cycles.sample_map_resolution = 64
+    return world
+
+
+def apply_sh_to_world(world: bpy.types.World, sh_radiance: ArrayLike, exposure: float = 1.0) -> None:
+    """Light `world`, made by `make_sh_world`, with (9, 3) radiance coefficients that carry `exposure`.
+
+    ValueError for another shape, numbers that are not finite, or an exposure that is not positive.
+    """
+    coefficients = _checked(sh_radiance, exposure)
+    inputs = _inputs(world)
+    for name, coefficient in zip(COEFFICIENTS, coefficients, strict=True):
+        inputs[name].default_value = coefficient
+    inputs[GAIN].default_value = 1.0 / exposure
+
+
+def key_sh_on_world(world: bpy.types.World, frame: int, sh_radiance: ArrayLike, exposure: float = 1.0) -> None:
+    """Like `apply_sh_to_world`, from `frame` on: keyed with constant interpolation, as estimates arrive."""
+    apply_sh_to_world(world, sh_radiance, exposure)
+    animation = world.node_tree.animation_data_create()
+    if animation.action is None:
+        # Blender 4.3 names an action after the node tree, "Shader Nodetree": nobody would know whose it is.
+        animation.action = bpy.data.actions.new(world.name)
+    inputs = _inputs(world)
+    for name in (*COEFFICIENTS, GAIN):
+        inputs[name].keyframe_insert("default_value", frame=frame)
+    for curve in f_curves(world.node_tree):
+        for point in curve.keyframe_points:
+            point.interpolation = "CONSTANT"
+
+
+def world_name(virtual_object: str) -> str:
+    """Name of the world that lights a virtual object; see `name_within_limit`."""
+    return name_within_limit(f"{PREFIX}{virtual_object}")
+
+
+def name_within_limit(name: str) -> str:
+    """`name` in the 63 bytes that every Blender keeps of one.
+
+    A longer one is cut, and ends with a checksum of all of it: objects whose long names begin alike stay apart.
+    """
+    whole = name.encode()
+    if len(whole) <= MAX_NAME_BYTES:
+        return name
+    return f"{whole[: MAX_NAME_BYTES - 9].decode(errors='ignore')} {zlib.crc32(whole):08x}"
+
+
+def mark_trigger(scene: bpy.types.Scene, frame: int, reasons: Iterable[str]) -> None:
+    """A timeline marker at `frame` that says why estimates were made there, once per frame."""
+    name = f"{MARKER_PREFIX} ({', '.join(sorted(set(reasons)))})"
+    for marker in [marker for marker in trigger_markers(scene) if marker.frame == frame]:
+        scene.timeline_markers.remove(marker)
+    scene.timeline_markers.new(name, frame=frame)
+
+
+def remove_trigger_markers(scene: bpy.types.Scene) -> None:
+    """Take away the markers of earlier runs; the user's own stay."""
+    for marker in trigger_markers(scene):
+        scene.timeline_markers.remove(marker)
+
+
+def remove_applied_light(scene: bpy.types.Scene) -> None:
+    """Take everything away that applying left in the file: worlds, node group, markers."""
+    remove_trigger_markers(scene)
+    for world in [w for w in bpy.data.worlds if lights_by_sh(w) and w.library is None]:
+        _remove_animation(world)
+        _remove_animation(world.node_tree)
+        bpy.data.worlds.remove(world)
+    group = _local(bpy.data.node_groups, NODE_GROUP_NAME)
+    if group is not None:
+        bpy.data.node_groups.remove(group)
+
+
+def _remove_animation(owner: bpy.types.ID) -> None:
+    """Take away the keys of `owner`, and their action if nothing else uses it."""
+    action = owner.animation_data.action if owner.animation_data else None
+    owner.animation_data_clear()
+    if action is not None and action.users == 0:
+        bpy.data.actions.remove(action)
+
+
+def applied_worlds(scene: bpy.types.Scene) -> dict[str, bpy.types.World]:
+    """The world that lights each virtual object of `scene`, for those that have one."""
+    found = {item.name: _local(bpy.data.worlds, world_name(item.name)) for item in virtual_objects(scene)}
+    return {name: world for name, world in found.items() if world is not None}
+
+
+def f_curves(owner: bpy.types.ID) -> Sequence[bpy.types.FCurve]:
+    """The F-curves that key `owner`, a world or a node tree.
+
+    Blender 4.4 moved them into layers and slots, 5.0 left only those.
+    """
+    animation = owner.animation_data
+    if animation is None or animation.action is None:
+        return []
+    action = animation.action
+    # From 4.4 to 4.5 an action also lists the curves of its first slot, which may be another owner's.
+    if not hasattr(action, "layers"):
+        return list(action.fcurves)
+    bags = (strip.channelbag(animation.action_slot) for layer in action.layers for strip in layer.strips)
+    return [curve for bag in bags if bag is not None for curve in bag.fcurves]
+
+
+def _local(blocks: bpy.types.bpy_prop_collection, name: str) -> bpy.types.ID | None:
+    """The data-block of the file itself that has this name: one of a linked library may have it as well."""
+    return blocks.get((name, None))
+
+
+def _checked(sh_radiance: ArrayLike, exposure: float) -> ArrayF64:
+    coefficients = np.asarray(sh_radiance, np.float64)
+    if coefficients.shape != (9, 3) or not np.isfinite(coefficients).all():
+        raise ValueError(f"expected finite coefficients of shape (9, 3), got shape {coefficients.shape}")
+    if not (np.isfinite(exposure) and exposure > 0):
+        raise ValueError(f"expected a positive exposure, got {exposure}")
+    return coefficients
+
+
+def _inputs(world: bpy.types.World) -> bpy.types.NodeInputs:
+    node = world.node_tree.nodes.get(NODE_GROUP_NAME) if world.node_tree else None
+    if node is None:
+        raise ValueError(f"world {world.name!r} has no node {NODE_GROUP_NAME!r}: make it with make_sh_world")
+    return node.inputs
+
+
+def _make_node_group() -> bpy.types.NodeTree:
+    group = bpy.data.node_groups.new(NODE_GROUP_NAME, "ShaderNodeTree")
+    group.interface.new_socket("Radiance", in_out="OUTPUT", socket_type="NodeSocketColor")
+    for name in COEFFICIENTS:
+        group.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketVector")
+    gain = group.interface.new_socket(GAIN, in_out="INPUT", socket_type="NodeSocketFloat")
+    gain.default_value = 1.0
+    _GroupBuilder(group).build()
+    return group
+
+
+class _GroupBuilder:
+    """Writes the basis as math nodes: sum over i of coefficient_i x Y_i(direction), times the gain."""
+
+    def __init__(self, group: bpy.types.NodeTree) -> None:
+        self.nodes, self.links = group.nodes, group.links
+
+    def build(self) -> None:
+        inputs = self.nodes.new("NodeGroupInput")
+        # In a world, Generated is the direction that light comes from, as seen from the shaded point.
+        direction = self.nodes.new("ShaderNodeTexCoord").outputs["Generated"]
+        separate = self.nodes.new("ShaderNodeSeparateXYZ")
+        self.links.new(direction, separate.inputs[0])
+        x, y, z = separate.outputs
+        total = None
+        for name, basis in zip(COEFFICIENTS, self._basis(x, y, z), strict=True):
+            scaled = self._vector("SCALE", inputs.outputs[name], scale=basis)
+            total = scaled if total is None else self._vector("ADD", total, scaled)
+        radiance = self._vector("SCALE", total, scale=inputs.outputs[GAIN])
+        self.links.new(radiance, self.nodes.new("NodeGroupOutput").inputs[0])
+        for place, node in enumerate(self.nodes):
+            node.location = (180 * (place // 8), -160 * (place % 8))
+
+    def _basis(self, x: object, y: object, z: object) -> list[object]:
+        """The nine basis functions; numbers and sockets alike are what `_scalar` takes."""
+        zonal = self._scalar("SUBTRACT", self._product(3.0, z, z), 1.0)
+        xx_minus_yy = self._scalar("SUBTRACT", self._product(x, x), self._product(y, y))
+        return [
+            _Y0,
+            self._product(_Y1, y),
+            self._product(_Y1, z),
+            self._product(_Y1, x),
+            self._product(_Y2, x, y),
+            self._product(_Y2, y, z),
+            self._product(_Y2 / np.sqrt(12), zonal),
+            self._product(_Y2, x, z),
+            self._product(_Y2 / 2, xx_minus_yy),
+        ]
+
+    def _product(self, *factors: object) -> object:
+        result = factors[0]
+        for factor in factors[1:]:
+            result = self._scalar("MULTIPLY", result, factor)
+        return result
+
+    def _scalar(self, operation: str, first: object, second: object) -> object:
+        node = self.nodes.new("ShaderNodeMath")
+        node.operation = operation
+        self._feed(node.inputs[0], first)
+        self._feed(node.inputs[1], second)
+        return node.outputs[0]
+
+    def _vector(self, operation: str, first: object, second: object = None, *, scale: object = None) -> object:
+        node = self.nodes.new("ShaderNodeVectorMath")
+        node.operation = operation
+        self._feed(node.inputs[0], first)
+        if second is not None:
+            self._feed(node.inputs[1], second)
+        if scale is not None:
+            self._feed(node.inputs["Scale"], scale)
+        return node.outputs["Vector"]
+
+    def _feed(self, socket: bpy.types.NodeSocket, source: object) -> None:
+        if isinstance(source, bpy.types.NodeSocket):
+            self.links.new(source, socket)
+        else:
+            socket.default_value = float(source)  # type: ignore[arg-type]

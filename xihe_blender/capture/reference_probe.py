@@ -1,0 +1,429 @@
+"""The reference probe: what light really arrives at a position, rendered, within a noise that is told.
+
+Two lights are asked for, and one picture cannot give both.
+
+`hdr` is all the light that arrives. Lamps are hidden from cameras unless the user says otherwise, so a panorama misses
+them; made visible, they would be single texels of enormous value. What sees every lamp is a surface, towards which
+Cycles samples lamps by themselves. So the camera stands inside a ball of a millimetre that no other ray can see. Its
+surface scatters as a cone: a `Toon` closure (diffuse, even within CONE) turns each pixel into the mean of the light in
+the cone around the opposite direction, which dims each band of the coefficients by a known factor. It holds sun, point,
+spot, area, mesh lights, portals, light groups and, since the ball joins the virtual object's light links, light
+linking. A white ball, which scatters as a cosine and leaves a quarter of l = 2, needs some ten times the samples.
+
+`ldr` is what camera rays would see, clipped at white. It comes from pictures of a mirror ball, whose pixels all have
+the same solid angle; see `xihenet.clipped_light` for how they are clipped without bias.
+
+Both are rendered picture by picture, each with a seed of its own, until their spread says that the noise is within the
+target or the most pictures are reached. Light transport is the capture's, clamps are the scene's: what is held against
+the reference is rendered in the same way.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import ArrayLike
+
+from xihe_blender.capture.light_links import joined_light_links
+from xihe_blender.capture.render import MAX_SEED, Rendered, RenderSettings, render_passes, working_scene
+from xihe_blender.capture.scanner import leave_out_virtual_objects
+from xihe_blender.scene.sphere_rig import sphere_mesh
+from xihe_blender.scene.units import metres_per_unit
+from xihenet.camera import KEY_LUMINANCE
+from xihenet.clipped_light import clipped_sh, relative_noise
+from xihenet.estimators.base import Target
+from xihenet.mirror_ball import panorama_of_ball, project_mirror_ball
+from xihenet.records import ArrayF32, ArrayF64
+
+NAME = "Xihe Reference Probe"
+CLIP_START_M, CLIP_END_M = 0.001, 1e5
+DARKEST_LIGHT = 0.01 * KEY_LUMINANCE * math.sqrt(4 * math.pi * 3)
+"""Norm of the coefficients of light at a hundredth of the key. Darker light is held against this."""
+
+CONE = 0.4
+"""Size of the `Toon` closure, half the cone's angle over a right angle: 36 degrees, of which l = 2 keeps 0.73. A wider
+cone catches a lamp in more pixels, a narrower one keeps more of l = 2 where indirect light is noisy."""
+
+CONE_SEGMENTS = 128
+"""Of the ball around the camera: with 64 its normals cost 0.4 %."""
+
+SEED_STEP = 7919
+"""Between the seeds of two runs' first pictures: more than a run ever takes."""
+
+BALL_RADIUS_M = 0.0005
+ROUNDING = 1e-6
+"""Of its distance from the origin the ball is this large at least: float32 has 8 steps in its radius."""
+
+SMALLEST_CLIP = 1e-6
+"""Blender units: cameras have no nearer clip start, whatever a unit is."""
+
+FEWEST_SAMPLES = 6
+"""By fewer nobody could tell the noise: with 4 a disc was off by up to 2.4 times what it told, in 20 seeds."""
+
+
+@dataclass(frozen=True)
+class ProbeSettings:
+    """How well a reference is rendered.
+
+    Parameters
+    ----------
+    size : pixels along a side of each picture, one ray in each
+    max_samples : pictures of each, at most
+    noise_target : relative error of the coefficients that is aimed at; None takes `max_samples`, whatever the noise
+    seed : of the run
+    denoise : with OpenImageDenoise, where the build has it: one more picture, for what is white, never for what counts
+    light_transport : as in RenderSettings
+    order : highest band of `ldr`
+    """
+
+    size: int = 192
+    max_samples: int = 32
+    noise_target: float | None = 0.06
+    seed: int = 0
+    denoise: bool = True
+    light_transport: tuple[tuple[str, bool | int], ...] = ()
+    order: int = 2
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredLight:
+    """What was measured of the light at one position, without its pictures.
+
+    Parameters
+    ----------
+    ldr : ((order + 1)^2, 3) radiance coefficients of what camera rays see, clipped at white
+    hdr : (9, 3) of all light that arrives; both carry the exposure
+    ldr_noise, hdr_noise : their expected relative error; None where it could not be told
+    ldr_samples, hdr_samples : pictures that were taken of each
+    """
+
+    ldr: ArrayF64
+    hdr: ArrayF64
+    ldr_noise: float | None
+    hdr_noise: float | None
+    ldr_samples: int
+    hdr_samples: int
+
+    def of(self, target: Target) -> ArrayF64:
+        """The coefficients of one target."""
+        return self.ldr if target == "ldr" else self.hdr
+
+    def noise(self, target: Target) -> float | None:
+        """The noise of one target."""
+        return self.ldr_noise if target == "ldr" else self.hdr_noise
+
+    def samples(self, target: Target) -> int:
+        """The pictures taken of one target."""
+        return self.ldr_samples if target == "ldr" else self.hdr_samples
+
+    def as_json(self) -> dict[str, Any]:
+        """For `from_json`, to the last bit."""
+        return {**self.__dict__, "ldr": self.ldr.tolist(), "hdr": self.hdr.tolist()}
+
+    @classmethod
+    def from_json(cls, content: dict[str, Any]) -> MeasuredLight:
+        """What `as_json` gave."""
+        return cls(**{**content, "ldr": np.array(content["ldr"]), "hdr": np.array(content["hdr"])})
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceLight:
+    """The light at one position.
+
+    Parameters
+    ----------
+    measured : its coefficients
+    panorama : (H, 2H, 3) float32 scene radiance that camera rays see, for pictures
+    ball : (N, N, 3) float32 the same as a mirror ball
+    render_s : seconds that rendering took
+    """
+
+    measured: MeasuredLight
+    panorama: ArrayF32
+    ball: ArrayF32
+    render_s: float
+
+
+@dataclass
+class ReferenceProbe:
+    """Measures light at places that are known beforehand; made by `open_reference_probe`."""
+
+    scene: bpy.types.Scene
+    positions_m: ArrayF64
+    settings: ProbeSettings
+    is_denoised: bool
+
+    def light_at(self, place: int, frame: int, exposure: float = 1.0) -> ReferenceLight:
+        """The light at the `place`-th position in `frame`; `exposure` says where white is."""
+        self.scene.frame_set(frame)
+        views, cones = _Views(exposure, self.settings.order), _Cones(exposure)
+        ldr, ldr_noise = self._measure(views, lambda number: self.view(place, number))
+        if self.is_denoised:
+            views.take_judge(self.judge(place, views.n))
+            ldr, ldr_noise = _mean_and_noise(views.lights())
+        hdr, hdr_noise = self._measure(cones, lambda number: self.cones(place, number))
+        measured, ball = MeasuredLight(ldr, hdr, ldr_noise, hdr_noise, views.n, cones.n), views.ball
+        panorama = panorama_of_ball(ball, max(8, self.settings.size // 4))
+        return ReferenceLight(measured, panorama, ball, views.render_s + cones.render_s)
+
+    def _measure(self, pictures: _Pictures, render: Callable[[int], Rendered]) -> tuple[ArrayF64, float | None]:
+        """Picture after picture, until their mean is good enough or as many as may be: that and its noise."""
+        target, most = self.settings.noise_target, self.settings.max_samples
+        while True:
+            # A fifth more at a time: clipping looks at all of them anew.
+            enough_to_judge = max(min(FEWEST_SAMPLES, most), pictures.n + pictures.n // 5, pictures.n + 1)
+            for number in range(pictures.n, min(enough_to_judge, most)):
+                pictures.add(render(number))
+            light, noise = _mean_and_noise(pictures.lights())
+            if pictures.n >= most or (target is not None and noise is not None and noise <= target):
+                return light, noise
+
+    def view(self, place: int, number: int) -> Rendered:
+        """What camera rays see in a mirror ball, from just outside of the ball of the cones."""
+        self._look_around(place)
+        self._next_seed(number)
+        return render_passes(self.scene)
+
+    def judge(self, place: int, n_pictures: int) -> Rendered:
+        """The same once more, denoised, with half as many rays in each pixel as that many pictures have."""
+        self._look_around(place, max(2, n_pictures // 2))
+        self.scene.cycles.use_denoising = True
+        self._next_seed(-1)
+        return render_passes(self.scene)
+
+    def _look_around(self, place: int, samples: int = 1) -> None:
+        start = max(CLIP_START_M, 2 * _ball_radius(self.positions_m[place], metres_per_unit(self.scene)))
+        self.scene.cycles.use_denoising = False
+        self._look(place, (start, CLIP_END_M), samples)
+
+    def cones(self, place: int, number: int) -> Rendered:
+        """All light: in each pixel of a mirror ball the mean over the cone around the opposite direction."""
+        self.look_at_cones(place)
+        self._next_seed(number)
+        return render_passes(self.scene)
+
+    def look_at_cones(self, place: int, samples: int = 1) -> None:
+        """Set the scene up to render them, with so many rays in each pixel."""
+        radius = _ball_radius(self.positions_m[place], metres_per_unit(self.scene))
+        self.scene.cycles.use_denoising = False
+        self._look(place, (radius / 4, 2 * radius), samples)
+
+    def _look(self, place: int, clip_m: tuple[float, float], samples: int = 1) -> None:
+        scene, metres = self.scene, metres_per_unit(self.scene)
+        scene.camera.location = tuple(self.positions_m[place] / metres)
+        scene.camera.data.clip_start, scene.camera.data.clip_end = (distance / metres for distance in clip_m)
+        _take_samples(scene, samples)
+
+    def _next_seed(self, number: int) -> None:
+        self.scene.cycles.seed = (self.settings.seed * SEED_STEP + number) % MAX_SEED
+
+
+def _mean_and_noise(lights: ArrayF64) -> tuple[ArrayF64, float | None]:
+    return lights.mean(axis=0), relative_noise(lights, DARKEST_LIGHT)
+
+
+class _Pictures(ABC):
+    """Pictures of one place so far, and the light that each of them has."""
+
+    def __init__(self, exposure: float) -> None:
+        self.exposure, self.n, self.render_s = np.float32(exposure), 0, 0.0
+
+    def add(self, rendered: Rendered) -> None:
+        self._keep(next(iter(rendered.layers.values())))
+        self.n += 1
+        self.render_s += rendered.render_s
+
+    @abstractmethod
+    def _keep(self, passes: dict[str, ArrayF32]) -> None:
+        """Keep what matters of one more picture."""
+
+    @abstractmethod
+    def lights(self) -> ArrayF64:
+        """(n, coefficients, 3) of each picture."""
+
+
+class _Views(_Pictures):
+    """What camera rays see."""
+
+    def __init__(self, exposure: float, order: int) -> None:
+        super().__init__(exposure)
+        self.order = order
+        self.radiance: list[ArrayF32] = []
+        self.emission: list[ArrayF32] = []
+        self.smooth: ArrayF32 | None = None
+
+    def take_judge(self, rendered: Rendered) -> None:
+        """From now on a denoised picture says what is white."""
+        self.smooth = _rgb(next(iter(rendered.layers.values())), "Combined") * self.exposure
+        self.render_s += rendered.render_s
+
+    def _keep(self, passes: dict[str, ArrayF32]) -> None:
+        self.radiance.append(_rgb(passes, "Combined") * self.exposure)
+        # From Blender 5 on their names are whole words.
+        lamps, sky = ("Emission", "Environment") if "Emission.R" in passes else ("Emit", "Env")
+        self.emission.append((_rgb(passes, lamps) + _rgb(passes, sky)) * self.exposure)
+
+    def lights(self) -> ArrayF64:
+        return clipped_sh(self.radiance, self.emission, self.smooth, self.order)
+
+    @property
+    def ball(self) -> ArrayF32:
+        """Scene radiance, for pictures."""
+        seen: ArrayF32 = np.mean(self.radiance, axis=0) if self.smooth is None else self.smooth
+        return seen / self.exposure
+
+
+class _Cones(_Pictures):
+    """All light."""
+
+    def __init__(self, exposure: float) -> None:
+        super().__init__(exposure)
+        self.of_each: list[ArrayF64] = []
+
+    def _keep(self, passes: dict[str, ArrayF32]) -> None:
+        self.of_each.append(light_of_cones(_rgb(passes, "Combined")) * self.exposure)
+
+    def lights(self) -> ArrayF64:
+        return np.array(self.of_each)
+
+
+def light_of_cones(radiance: ArrayF32) -> ArrayF64:
+    """(9, 3) radiance coefficients of the light that a picture of cones (N, N, 3) was made of."""
+    # Their surface has no texture, so that the rim is as good as the rest, and the edge of a cone may cross it.
+    return project_mirror_ball(radiance, rim=0) / cone_factors()[:, None]
+
+
+@cache
+def cone_factors() -> ArrayF64:
+    """(9,) what the cone leaves of each coefficient; odd bands turn their sign, since it lies opposite.
+
+    The mean of Legendre's polynomial P_l over [cos(half angle), 1]: 1, (1 + c) / 2 and c (1 + c) / 2.
+    """
+    c = math.cos(CONE * math.pi / 2)
+    return np.repeat([1.0, -(1 + c) / 2, c * (1 + c) / 2], [1, 3, 5])
+
+
+@contextlib.contextmanager
+def open_reference_probe(
+    scene: bpy.types.Scene,
+    positions_m: ArrayLike,
+    settings: ProbeSettings,
+    objects: Sequence[bpy.types.Object | None] | None = None,
+) -> Iterator[ReferenceProbe]:
+    """A reference probe in the room of `scene`, virtual objects left out.
+
+    Parameters
+    ----------
+    positions_m : (K, 3) world, metres
+    objects : the virtual object that stands at each of them, whose light links the probe takes; None for none
+    """
+    places = np.asarray(positions_m, np.float64).reshape(-1, 3)
+    rendering = RenderSettings(
+        (settings.size, settings.size), 1, settings.seed, settings.denoise, settings.light_transport
+    )
+    with working_scene(scene, NAME, rendering) as working, contextlib.ExitStack() as stack:
+        leave_out_virtual_objects(working, scene)
+        # Markers that switch the camera would take the probe's place.
+        working.timeline_markers.clear()
+        _ask_for_passes(working)
+        working.camera = stack.enter_context(_mirror_ball_camera())
+        balls = stack.enter_context(_balls(working, places))
+        for ball, item in zip(balls, objects or (), strict=False):
+            if item is not None:
+                stack.enter_context(joined_light_links(scene, ball, item))
+        yield ReferenceProbe(working, places, settings, working.cycles.use_denoising)
+
+
+def _take_samples(scene: bpy.types.Scene, n: int) -> None:
+    """Render so many rays in each pixel: not the first of Cycles' sequence, which always goes through a pixel's middle.
+
+    Each picture has a seed of its own. Those that follow in one sequence resemble each other: their spread said 5 %
+    where the error was 8 %.
+    """
+    cycles = scene.cycles
+    cycles.sample_offset, cycles.samples = 1, n
+    if hasattr(cycles, "use_sample_subset"):  # from 4.4 on
+        cycles.use_sample_subset, cycles.sample_subset_length = True, n
+        cycles.samples = 1 + n
+
+
+def _ask_for_passes(scene: bpy.types.Scene) -> None:
+    layer = scene.view_layers[0]
+    layer.use_pass_emit = layer.use_pass_environment = True
+    # A box: with any wider filter pixels on the rim look past the ball more often than they should.
+    scene.cycles.pixel_filter_type = "BOX"
+
+
+@contextlib.contextmanager
+def _mirror_ball_camera() -> Iterator[bpy.types.Object]:
+    """A camera that sees the whole sphere, the middle of its picture straight up."""
+    data = bpy.data.cameras.new(NAME)
+    camera = bpy.data.objects.new(NAME, data)
+    try:
+        data.type = "PANO"
+        panorama: Any = data if hasattr(data, "panorama_type") else data.cycles
+        panorama.panorama_type = "MIRRORBALL"
+        camera.rotation_euler = (math.pi, 0.0, 0.0)
+        # Not linked to a collection: those are the user's. Cycles needs only the scene to point at it.
+        yield camera
+    finally:
+        bpy.data.objects.remove(camera)
+        bpy.data.cameras.remove(data)
+
+
+@contextlib.contextmanager
+def _balls(scene: bpy.types.Scene, positions_m: ArrayF64) -> Iterator[list[bpy.types.Object]]:
+    """A ball at each position that camera rays alone can see, so that it neither shades nor lights anything."""
+    metres = metres_per_unit(scene)
+    material = _cone_material()
+    balls: list[bpy.types.Object] = []
+    try:
+        for position in positions_m:
+            mesh = sphere_mesh(NAME, _ball_radius(position, metres) / metres, CONE_SEGMENTS, CONE_SEGMENTS // 2)
+            mesh.materials.append(material)
+            ball = bpy.data.objects.new(NAME, mesh)
+            balls.append(ball)
+            ball.location = tuple(position / metres)
+            for ray in ("diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
+                setattr(ball, f"visible_{ray}", False)
+            scene.collection.objects.link(ball)
+        yield balls
+    finally:
+        for ball in balls:
+            mesh = ball.data
+            bpy.data.objects.remove(ball)
+            bpy.data.meshes.remove(mesh)
+        bpy.data.materials.remove(material)
+
+
+def _ball_radius(position_m: ArrayF64, metres: float) -> float:
+    """In metres, of which a Blender unit has `metres`."""
+    return max(BALL_RADIUS_M, ROUNDING * float(np.abs(position_m).max()), 8 * SMALLEST_CLIP * metres)
+
+
+def _cone_material() -> bpy.types.Material:
+    material = bpy.data.materials.new(NAME)
+    if material.node_tree is None:  # from 5.0 on a new material has its nodes, and asking for them warns
+        material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    cone = tree.nodes.new("ShaderNodeBsdfToon")
+    cone.component = "DIFFUSE"
+    cone.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+    cone.inputs["Size"].default_value, cone.inputs["Smooth"].default_value = CONE, 0.0
+    tree.links.new(cone.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
+    return material
+
+
+def _rgb(passes: dict[str, ArrayF32], name: str) -> ArrayF32:
+    """A pass as a picture; a renderer's broken pixels are black, as they are on a screen."""
+    picture = np.stack([passes[f"{name}.{c}"] for c in "RGB"], axis=-1)
+    return np.nan_to_num(picture, copy=False, nan=0.0, posinf=0.0, neginf=0.0)

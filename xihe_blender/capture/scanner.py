@@ -1,0 +1,178 @@
+"""What would the phone see? One Cycles render gives its colour and its plane depth.
+
+The room without the virtual objects is rendered from the scene's camera at the frame in question. Colour is exposed,
+clipped and encoded to 8 bits as a phone delivers it; plane depth is Cycles' Z pass, taken through the pixel centres.
+
+Chosen: one exposure for the whole session, metered over a few frames of the path before it starts (a locked exposure,
+as AR toolkits recommend for estimation). What a real sensor adds (noise, range, holes, exposure that lags) is added to
+it in `phone_capture`.
+Paper: section 5, `EnvironmentScanner`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import bpy
+import numpy as np
+
+from xihe_blender.capture.render import Rendered, RenderSettings, exclude_collection, render_passes, working_scene
+from xihe_blender.errors import UserError
+from xihe_blender.scene.units import metres_per_unit
+from xihe_blender.scene.virtual_objects import virtual_collection
+from xihenet.camera import encode_exposed, sensed_ambient, sound_plane_depth
+from xihenet.invalid import n_left_out
+from xihenet.metering import Metering, metered_exposure
+from xihenet.records import ArrayF32, ArrayF64, Intrinsics, RgbdFrame
+
+SCENE_NAME = "Xihe Capture"
+
+
+@dataclass
+class CyclesScanner:
+    """An `EnvironmentScanner` that renders; made by `open_scanner`.
+
+    Parameters
+    ----------
+    scene : the working scene
+    exposure : factor of the session
+    start_frame : frame at which the session's time is 0
+    n_invalid_pixels, render_s : of the last scan
+    rendered : all passes of the last scan
+    """
+
+    scene: bpy.types.Scene
+    exposure: float = 1.0
+    start_frame: int = 0
+    n_invalid_pixels: int = 0
+    render_s: float = 0.0
+    rendered: Rendered = field(default_factory=lambda: Rendered({}, 0.0))
+
+    @property
+    def time_s(self) -> float:
+        """Seconds of the session at the current frame."""
+        render = self.scene.render
+        return float((self.scene.frame_current - self.start_frame) * render.fps_base / render.fps)
+
+    def move_to(self, frame: int) -> tuple[Intrinsics, ArrayF64]:
+        """Go to `frame` of the path; what the camera there is, without rendering."""
+        self.scene.frame_set(frame)
+        return phone_camera(self.scene)
+
+    def acquire_environment_scan(self) -> RgbdFrame:
+        """Render the current frame."""
+        intrinsics, world_from_camera = phone_camera(self.scene)
+        self.rendered = rendered = render_passes(self.scene)
+        radiance, plane_depth_m = first_layer(rendered)
+        colour = encode_exposed(radiance, self.exposure)
+        self.render_s = rendered.render_s
+        sound_m, invalid = sound_plane_depth(plane_depth_m, radiance)
+        self.n_invalid_pixels = n_left_out(invalid)
+        return RgbdFrame(
+            colour,
+            sound_m,
+            intrinsics,
+            world_from_camera,
+            self.exposure,
+            sensed_ambient(colour, self.exposure),
+            time_s=self.time_s,
+            frame=self.scene.frame_current,
+            invalid=invalid,
+        )
+
+
+@contextlib.contextmanager
+def open_scanner(scene: bpy.types.Scene, settings: RenderSettings) -> Iterator[CyclesScanner]:
+    """A scanner of the room in `scene` as the phone sees it: virtual objects are left out."""
+    with working_scene(scene, SCENE_NAME, settings) as working:
+        leave_out_virtual_objects(working, scene)
+        yield CyclesScanner(working, start_frame=scene.frame_start)
+
+
+def leave_out_virtual_objects(working: bpy.types.Scene, scene: bpy.types.Scene) -> None:
+    """Render only the room in `working`, a copy of `scene`."""
+    collection = virtual_collection(scene)
+    if collection is not None:
+        exclude_collection(working.view_layers[0].layer_collection, collection)
+
+
+def first_layer(rendered: Rendered) -> tuple[ArrayF32, ArrayF32]:
+    """Radiance (H, W, 3) and plane depth (H, W) of a render with one view layer."""
+    passes = next(iter(rendered.layers.values()))
+    return np.stack([passes[f"Combined.{c}"] for c in "RGB"], axis=-1), passes["Depth.Z"]
+
+
+def phone_camera(scene: bpy.types.Scene) -> tuple[Intrinsics, ArrayF64]:
+    """Intrinsics and (4, 4) world_from_camera, in metres, of the scene's camera at its current frame.
+
+    Constraints, parents, drivers and markers that switch the camera are followed; the object's scale is left out, as
+    Cycles leaves it out. UserError without a camera, for one that is not perspective, or one whose scale is 0.
+    """
+    camera = scene.camera
+    if camera is None:
+        raise UserError(f"scene {scene.name!r} has no camera: add one and animate it as the phone's path")
+    if camera.type != "CAMERA" or camera.data.type != "PERSP":
+        kind = camera.data.type.lower() if camera.type == "CAMERA" else camera.type.lower()
+        raise UserError(f"camera {camera.name!r} is {kind}: a phone's camera must be perspective (camera data > Type)")
+    depsgraph = scene.view_layers[0].depsgraph
+    depsgraph.update()
+    evaluated = camera.evaluated_get(depsgraph)
+    pose = np.array(evaluated.matrix_world, np.float64)
+    if not np.isfinite(pose).all():
+        raise UserError(
+            f"camera {camera.name!r} is nowhere at frame {scene.frame_current}: "
+            "check its location, its rotation and its constraints"
+        )
+    lengths = np.linalg.norm(pose[:3, :3], axis=0)
+    if lengths.min() <= 1e-12:
+        raise UserError(f"camera {camera.name!r} has a scale of 0 at frame {scene.frame_current}: set its scale to 1")
+    pose[:3, :3] /= lengths
+    pose[:3, 3] *= metres_per_unit(scene)
+    return _intrinsics(evaluated, depsgraph, scene.render), pose
+
+
+def _intrinsics(
+    camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph, render: bpy.types.RenderSettings
+) -> Intrinsics:
+    """From Blender's own projection matrix, so that sensor fit, lens shift and pixel aspect are Blender's."""
+    width, height = render.resolution_x, render.resolution_y
+    projection = camera.calc_matrix_camera(
+        depsgraph, x=width, y=height, scale_x=render.pixel_aspect_x, scale_y=render.pixel_aspect_y
+    )
+    return Intrinsics(
+        width,
+        height,
+        fx=projection[0][0] * width / 2,
+        fy=projection[1][1] * height / 2,
+        cx=(1 - projection[0][2]) * width / 2,
+        cy=(1 + projection[1][2]) * height / 2,
+    )
+
+
+def meter_exposure(
+    scene: bpy.types.Scene, frames: Sequence[int], seed: int = 0, *, metering: Metering = "highlights"
+) -> float:
+    """The session's exposure, metered over `metered_frames` of the path; see `metered_exposure`."""
+    # Noise looks like highlights, and like darkness: `living_room` has a key exposure of 1.44 at 8 samples, 0.96 at 32
+    # and 0.87 denoised.
+    settings = RenderSettings((64, 48), samples=32, seed=seed, denoise=False)
+    pictures = []
+    with open_scanner(scene, settings) as scanner:
+        for frame in metered_frames(frames):
+            scanner.move_to(frame)
+            pictures.append(first_layer(render_passes(scanner.scene))[0])
+    return metered_exposure(pictures, metering)
+
+
+def metered_frames(frames: Sequence[int]) -> list[int]:
+    """The first, the middle and the last frame of the path."""
+    return sorted({frames[0], frames[len(frames) // 2], frames[-1]})
+
+
+def sized_for(scene: bpy.types.Scene, settings: RenderSettings) -> RenderSettings:
+    """`settings` turned upright if the scene's own picture is a portrait."""
+    if scene.render.resolution_y > scene.render.resolution_x:
+        return replace(settings, size=(min(settings.size), max(settings.size)))
+    return settings

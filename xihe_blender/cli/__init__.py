@@ -1,0 +1,1 @@
+"""The `xihe` command: one file per sub-command."""

@@ -1,0 +1,59 @@
+"""`xihe dataset`: rooms to train estimators on, procedural or of one's own."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from xihe_blender.cli.arguments import frame_range, names
+from xihe_blender.cli.progress import progress_line, when_news
+from xihe_blender.jobs import run_blocking
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What can be typed: one of two actions, each with its own options."""
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    build = actions.add_parser("build", help="make and render procedural rooms; resumes what is there")
+    add = build.add_argument
+    add("--rooms", type=int, required=True, metavar="N", help="rooms in all")
+    add("--out", type=Path, required=True, metavar="DIR", help="one .npz per room")
+    add("--workers", type=int, metavar="K", help="processes of one thread; default: one per core")
+    add("--seed", type=int, default=0)
+    add("--walk", type=int, metavar="F", help="F frames of a walk through each room; default: free views")
+    add("--split", metavar="NAME", help="only the rooms of train, validation or test; default: all")
+    add("--scheduler", metavar="ADDRESS", help="a Dask scheduler whose workers make them; default: processes here")
+    build.set_defaults(act=_build)
+    scene = actions.add_parser("scene", help="a scene with a camera path as one more room")
+    add = scene.add_argument
+    add("scene", type=Path, metavar="SCENE.blend")
+    add("--out", type=Path, required=True, metavar="DIR", help="a folder of scenes; one of the same name is replaced")
+    add("--frames", type=frame_range, metavar="A:B[:S]", help="default: the scene's range and step")
+    add("--at", type=names, metavar="A,B", help="objects that mark positions; default: the virtual objects")
+    scene.set_defaults(act=_scene)
+
+
+def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
+    """Do the action that was typed."""
+    options.act(options, stdout, stderr)
+
+
+def _build(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
+    from xihe_blender.lab.rooms.build import BuildSettings, build_dataset
+
+    settings = BuildSettings(
+        options.rooms, options.seed, options.workers,
+        walk=options.walk, split=options.split, scheduler=options.scheduler,
+    )  # fmt: skip
+    n_made = run_blocking(build_dataset(options.out, settings), when_news(progress_line(stderr)))
+    print(f"{len(settings.wanted())} rooms in {options.out}, {n_made} of them made now", file=stdout)
+
+
+def _scene(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
+    from xihe_blender.lab.rooms.render_room import RoomRenderSettings
+    from xihe_blender.lab.rooms.scene import add_scene
+    from xihe_blender.scene.blend_file import open_blend
+
+    scene = open_blend(options.scene)
+    job = add_scene(scene, options.scene.stem, options.out, RoomRenderSettings(), frames=options.frames, at=options.at)
+    print(run_blocking(job, progress_line(stderr)), file=stdout)

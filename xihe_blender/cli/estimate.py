@@ -1,0 +1,260 @@
+"""`xihe estimate`: the light at places in one RGB-D frame from anywhere, without Blender.
+
+Runs where bpy is not installed, so nothing here may import it. Positions are given and told in the world of the camera
+file, as the user knows them; coefficients are in the project's own axes, +Z up, whatever that file's are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from xihe_blender.errors import UserError
+from xihe_blender.io.outputs import finite_or_none, written_whole
+from xihenet import __version__, estimators
+from xihenet.backend import LocalBackend, estimate_light
+from xihenet.camera import in_view, unproject_frame
+from xihenet.estimators import EstimateContext, Estimator, Target
+from xihenet.frame_files import FrameCamera, read_camera, read_frame
+from xihenet.invalid import CLAMPED, Counts, counted, in_words, n_left_out
+from xihenet.light_picture import light_picture
+from xihenet.png import write_png
+from xihenet.records import LightEstimate, PointCloud, RgbdFrame
+from xihenet.sampling import sample_unit_sphere
+from xihenet.sphere import AnchorLattice
+
+SCHEMA_VERSION = 1
+MAX_ANCHORS = 65536
+SH_AXES = "right-handed, +Z up"
+
+Position = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class EstimateSettings:
+    """What to estimate, and how.
+
+    Parameters
+    ----------
+    positions_m : where, in the world of the camera file, metres; at least one
+    estimator : registered name, any but "truth"
+    target : light that is estimated, clipped at white ("ldr") or not ("hdr")
+    n_anchors : directions that light is gathered in
+    exposure, depth_scale : see `xihenet.frame_files.read_frame`
+    """
+
+    positions_m: tuple[Position, ...]
+    estimator: str = estimators.DEFAULT
+    target: Target = "ldr"
+    n_anchors: int = 1280
+    exposure: float | None = None
+    depth_scale: float = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedEstimate:
+    """The light at one position, and how well the frame shows it."""
+
+    position_m: Position
+    light: LightEstimate
+    is_in_view: bool
+    invalid: Counts
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What can be typed."""
+    add = parser.add_argument
+    add("frame", type=Path, metavar="FRAME", help="OpenEXR with colour and Z, or a colour image with --plane-depth")
+    add("--camera", type=Path, required=True, metavar="FILE.json", help="intrinsics and pose")
+    add("--at", type=position, action="append", required=True, metavar="X,Y,Z", help="metres; may be repeated")
+    add("--plane-depth", type=Path, metavar="FILE", help="16-bit image of distances along the optical axis")
+    add("--depth-scale", type=float, default=1e-3, metavar="METRES", help="metres per unit of that; default: 0.001")
+    add("--exposure", type=float, metavar="FACTOR", help="default: metered for OpenEXR, 1 for images")
+    add("--estimator", default=estimators.DEFAULT, metavar="NAME", help=", ".join(estimators.names()))
+    add("--target", choices=("ldr", "hdr"), default="ldr", help="light clipped at white, or all of it")
+    add("--anchors", type=int, default=1280, metavar="N", help="directions that light is gathered in")
+    add("--json", action="store_true", help="JSON on stdout, and nothing else")
+    add("--out", type=Path, metavar="DIR", help="folder for estimate.json and a picture of each light")
+
+
+def position(text: str) -> Position:
+    """Three finite numbers of "X,Y,Z"."""
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        x = y = z = math.nan
+    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+        raise argparse.ArgumentTypeError(f"{text!r} is no position: give X,Y,Z in metres, such as 0.5,1.2,0.8")
+    return x, y, z
+
+
+def estimate_from_files(
+    frame_path: Path, camera_path: Path, plane_depth_path: Path | None, settings: EstimateSettings
+) -> tuple[RgbdFrame, list[PlacedEstimate]]:
+    """The frame, and the light at every position. UserError, naming the fix, for files or settings that will not do."""
+    with _mistakes_as_user_errors():
+        estimator = _loaded(settings)
+        camera = read_camera(camera_path)
+        frame = read_frame(
+            frame_path,
+            camera,
+            plane_depth=plane_depth_path,
+            depth_scale=settings.depth_scale,
+            exposure=settings.exposure,
+        )
+    points, lattice = unproject_frame(frame), AnchorLattice(settings.n_anchors)
+    return frame, [_estimate_at(p, frame, camera, points, estimator, lattice) for p in settings.positions_m]
+
+
+def _loaded(settings: EstimateSettings) -> Estimator:
+    if settings.estimator == "truth":
+        raise UserError("truth is a light probe rendered in Blender, and a frame has none: choose another --estimator")
+    if not 1 <= settings.n_anchors <= MAX_ANCHORS:
+        raise UserError(f"--anchors: expected 1 to {MAX_ANCHORS}, got {settings.n_anchors}")
+    return estimators.load(settings.estimator, settings.n_anchors, settings.target)
+
+
+@contextlib.contextmanager
+def _mistakes_as_user_errors() -> Iterator[None]:
+    """What the science says of bad input, as one line for the user."""
+    try:
+        yield
+    except (ValueError, ImportError) as error:
+        raise UserError(str(error)) from error
+    except OSError as error:
+        raise UserError(f"cannot read {error.filename} ({error.strerror}): give a file that can be read") from error
+
+
+def _estimate_at(
+    position_m: Position,
+    frame: RgbdFrame,
+    camera: FrameCamera,
+    points: PointCloud,
+    estimator: Estimator,
+    lattice: AnchorLattice,
+) -> PlacedEstimate:
+    in_blender_m = camera.blender_from_file @ position_m
+    cloud = sample_unit_sphere(points, in_blender_m, lattice)
+    context = EstimateContext(frame, points, in_blender_m, None, frame.exposure)
+    light = estimate_light(LocalBackend(estimator), cloud, context, frame.exposure)
+    is_in_view = bool(in_view([in_blender_m], frame.intrinsics, frame.world_from_camera)[0])
+    clamped = {reason: n for reason, n in frame.invalid.items() if reason in CLAMPED}
+    beyond = counted(distance_in_network=int(np.count_nonzero(cloud.distance_m > estimator.farthest_m)))
+    return PlacedEstimate(position_m, light, is_in_view, {**cloud.invalid, **clamped, **beyond})
+
+
+def as_json(settings: EstimateSettings, exposure: float, placed: list[PlacedEstimate]) -> dict[str, Any]:
+    """What `estimate.json` holds; every number is finite."""
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "software": {"xihe": __version__, "numpy": np.__version__},
+        "estimator": settings.estimator,
+        "target": settings.target,
+        "exposure": exposure,
+        "n_anchors": settings.n_anchors,
+        "sh_axes": SH_AXES,
+        "positions": [
+            {
+                "position_m": list(one.position_m),
+                "coverage": one.light.coverage,
+                "n_skipped_points": n_left_out(one.invalid),
+                "n_invalid_points": n_left_out(one.invalid),
+                "invalid": dict(one.invalid),
+                "in_view": one.is_in_view,
+                "is_valid": one.light.is_valid,
+                "unknown_because": one.light.unknown_because or None,
+                "expected_error": finite_or_none(one.light.expected_error),
+                "sh_radiance": one.light.sh_radiance.tolist(),
+            }
+            for one in placed
+        ],
+    }
+
+
+def as_table(placed: list[PlacedEstimate]) -> str:
+    """The same for a reader: a line on how far to trust each position, then its coefficients."""
+    return "\n\n".join(_position_table(one) for one in placed)
+
+
+def _position_table(one: PlacedEstimate) -> str:
+    light = one.light
+    facts = ["in view" if one.is_in_view else "not in view", f"{light.coverage:.0%} of the sphere seen"]
+    if light.expected_error is not None:
+        facts.append(f"expected error {light.expected_error:.3f}")
+    if not light.is_valid:
+        facts.append(f"the light cannot be known: {in_words(light.unknown_because)}")
+    head = f"{_told(one.position_m)}: {', '.join(facts)}"
+    rows = [_said_of_invalid(one.invalid)] if one.invalid else []
+    rows.append(" l  m      red    green     blue")
+    bands = [(band, m) for band in range(3) for m in range(-band, band + 1)]
+    for (band, m), (red, green, blue) in zip(bands, light.sh_radiance, strict=True):
+        rows.append(f"{band:2d} {m:2d} {red:8.4f} {green:8.4f} {blue:8.4f}")
+    return "\n".join([head, *rows])
+
+
+def _said_of_invalid(invalid: Counts) -> str:
+    """Such as "points left out or clamped: 12 (no distance was measured: ...)"."""
+    return "points left out or clamped: " + "; ".join(f"{n} ({in_words(reason)})" for reason, n in invalid.items())
+
+
+def warnings_about(placed: list[PlacedEstimate]) -> list[str]:
+    """A line for each position whose light is a guess."""
+    return [
+        f"{_told(one.position_m)} is not in the frame's view: its light is estimated from surfaces elsewhere"
+        for one in placed
+        if not one.is_in_view
+    ]
+
+
+def _told(position_m: Position) -> str:
+    return ",".join(f"{coordinate:g}" for coordinate in position_m)
+
+
+def write_estimates(folder: Path, content: dict[str, Any], placed: list[PlacedEstimate]) -> list[Path]:
+    """Write `light_<i>.png` of every position and `estimate.json`: all of them, or none if one cannot be written.
+
+    Their paths, the JSON's first. UserError if they cannot be written; files of an earlier estimate are replaced.
+    """
+    pictures = [folder / f"light_{place}.png" for place in range(len(placed))]
+    summary = folder / "estimate.json"
+    try:
+        # Files get their names as the stack unwinds, the JSON last: where it is, the pictures are.
+        with contextlib.ExitStack() as stack:
+            json_beside = stack.enter_context(written_whole(summary))
+            json_beside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+            for path, one in zip(pictures, placed, strict=True):
+                write_png(stack.enter_context(written_whole(path)), light_picture(one.light.sh_radiance))
+    except OSError as error:
+        raise UserError(f"cannot write to {folder} ({error.strerror}): choose another folder for --out") from error
+    return [summary, *pictures]
+
+
+def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
+    """The command: options in, files and text out."""
+    settings = EstimateSettings(
+        positions_m=tuple(options.at),
+        estimator=options.estimator,
+        target=options.target,
+        n_anchors=options.anchors,
+        exposure=options.exposure,
+        depth_scale=options.depth_scale,
+    )
+    frame, placed = estimate_from_files(options.frame, options.camera, options.plane_depth, settings)
+    content = as_json(settings, frame.exposure, placed)
+    written = [] if options.out is None else write_estimates(options.out, content, placed)
+    for line in warnings_about(placed):
+        print(f"xihe: warning: {line}", file=stderr)
+    if options.json:
+        print(json.dumps(content, indent=1, allow_nan=False), file=stdout)
+        return
+    print(as_table(placed), file=stdout)
+    for path in written:
+        print(path, file=stdout)

@@ -1,0 +1,31 @@
+"""What does `xihe frontier` take and print?"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from xihe_blender.cli.progress import progress_line
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What can be typed."""
+    add = parser.add_argument
+    add("scenes", type=Path, nargs="+", metavar="SCENE.blend")
+    add("--out", type=Path, required=True, metavar="DIR", help="folder of the results; resumed if it exists")
+    add("--quick", action="store_true", help="fewer choices, one frame: some 2 minutes a scene instead of 15")
+    add("--seed", type=int, default=0)
+
+
+def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
+    """Measure, and print what the presets cost and where the report is."""
+    from xihe_blender.jobs import run_blocking
+    from xihe_blender.lab.frontier.study import FrontierSettings, frontier
+
+    settings = FrontierSettings(options.quick, options.seed)
+    job = frontier(options.scenes, options.out, settings, options.command_line)
+    content = run_blocking(job, progress_line(stderr))
+    for answer in content["answers"]:
+        print(f"{answer['scene']}: {answer['question']} {answer['answer']}", file=stdout)
+    print(options.out / "report.html", file=stdout)

@@ -1,0 +1,105 @@
+"""The `xihe` command: what a user types, turned into calls of the functions that do the work.
+
+Each sub-command is a file of this folder, found by its name and imported when it is typed: `add_arguments` says what it
+takes, `run` does it. Exit codes: 0 the job was done; 1 a part of it could not be, and each is named; 2 the user can
+mend it, and one line says how; 130 after Ctrl-C, and the same command goes on from there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import errno
+import importlib
+import re
+import shlex
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+from xihe_blender.cli.progress import EXIT_INTERRUPTED, EXIT_USER_ERROR
+from xihe_blender.errors import UserError
+from xihe_blender.io.blender_output import blender_output_aside
+from xihenet import __version__
+
+COMMANDS = {
+    "previs": "what a phone on the scene's camera path believes about the light",
+    "effects": "which effects of light transport the scene calls for, and why",
+    "frontier": "what accuracy costs in time, by every choice that trades them",
+    "estimate": "the light in one RGB-D frame from anywhere; needs no Blender",
+    "scenes": "the example scenes",
+    "dataset": "rooms to train estimators on",
+    "package": "the Blender extension as a zip, from a checkout; needs no Blender",
+    "evaluate": "many runs: scenes, estimators, phones and seeds, over workers",
+    "train": "train estimators and report on them: see xihe train --help",
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code."""
+    typed = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        if typed[:1] == ["train"]:
+            from xihe_blender.cli.train import train
+
+            return train(typed[1:])
+        options = _parser(typed[0] if typed else "").parse_args(with_positions_bound(typed))
+        options.command_line = shlex.join(["xihe", *typed])
+        with blender_output_aside() as (stdout, stderr):
+            code = options.run(options, stdout, stderr)
+    except UserError as error:
+        return _failed(str(error))
+    except OSError as error:
+        return _failed(_said_of_the_disk(error))
+    except KeyboardInterrupt:
+        # On a terminal the line of progress, with "^C" at its end, stands there unfinished.
+        start = "\n" if sys.stderr.isatty() else ""
+        print(f"{start}xihe: stopped; the same command goes on from here", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    return code or 0
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, without the usage that hides it."""
+
+    def error(self, message: str) -> NoReturn:
+        raise UserError(f"{message}; see {self.prog} --help")
+
+
+def _parser(command: str | None = None) -> argparse.ArgumentParser:
+    """The parser of `xihe`, with the options of one sub-command or, without its name, of all."""
+    parser = _Parser(prog="xihe", description="AR lighting previsualisation in Blender.")
+    parser.add_argument("--version", action="version", version=f"xihe {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, summary in COMMANDS.items():
+        of_command = commands.add_parser(name, help=summary)
+        if name != "train" and command in (None, name):
+            module = importlib.import_module(f"{__package__}.{name}")
+            module.add_arguments(of_command)
+            of_command.set_defaults(run=module.run)
+    return parser
+
+
+def with_positions_bound(typed: Sequence[str]) -> list[str]:
+    """`typed` with "--at", "-1,0,2" as one word: on its own, what begins with a minus looks like an option."""
+    bound: list[str] = []
+    for word in typed:
+        if bound and bound[-1] == "--at" and re.match(r"-[\d.]", word):
+            bound[-1] = f"--at={word}"
+        else:
+            bound.append(word)
+    return bound
+
+
+def _failed(message: str) -> int:
+    """Say in one line what the user can mend, and return the exit code for it."""
+    print(f"xihe: {' '.join(message.split())}", file=sys.stderr)
+    return EXIT_USER_ERROR
+
+
+def _said_of_the_disk(error: OSError) -> str:
+    if error.errno is None:
+        # Raised by ourselves, with the fix in it.
+        return f"{error}; then the same command goes on from here"
+    place = "" if error.filename is None else f"{error.filename}: "
+    fix = "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "mend that"
+    return f"{place}{error.strerror or error}; {fix}, and the same command goes on from here"

@@ -1,0 +1,39 @@
+"""Progress of a command on stderr, and the exit codes that all commands share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from xihe_blender.jobs import Progress
+
+EXIT_IN_PART = 1
+EXIT_USER_ERROR = 2
+EXIT_INTERRUPTED = 130
+
+
+def when_news(show: Callable[[Progress, float], None]) -> Callable[[Progress, float], None]:
+    """`show`, called only when more is done than before: for jobs that yield while they wait."""
+    last = -1.0
+
+    def show_news(progress: Progress, elapsed_s: float) -> None:
+        nonlocal last
+        if progress.done > last:
+            last = progress.done
+            show(progress, elapsed_s)
+
+    return show_news
+
+
+def progress_line(stream: Any) -> Callable[[Progress, float], None]:
+    """Shows progress on `stream`: on one line that is rewritten on a terminal, line by line elsewhere."""
+
+    def show(progress: Progress, elapsed_s: float) -> None:
+        left = progress.seconds_left(elapsed_s)
+        remaining = "" if left is None or progress.done >= progress.total else f", {left:.0f} s left"
+        line = f"{progress.done / progress.total:4.0%}  {progress.doing}{remaining}"
+        end = "\n" if not stream.isatty() or progress.done >= progress.total else ""
+        print(f"\r\033[K{line}" if stream.isatty() else line, file=stream, end=end, flush=True)
+
+    return show

@@ -1,0 +1,1 @@
+"""The methods' pictures beside the ground truth."""

@@ -1,0 +1,219 @@
+"""How close does an estimated light come to the real one, in the picture?
+
+Ground truth is the room and the virtual objects path-traced together. A method's picture is each virtual object under
+its own estimated light, over the captured frame: a view layer per method and object with a world override, the other
+objects as holdouts, film transparent. The room is not in that scene at all, so these layers cost next to nothing. What
+stands in front of an object in the room hides it, by the captured plane depth, as an AR toolkit does it.
+
+Both sides share samples, bounces, clamps and denoising. Pictures are linear and carry the session's exposure; the
+metrics are weighted by how much of a pixel the objects cover. Not simulated: the shadow an object casts on the room.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from xihe_blender.apply.datablocks import PREFIX
+from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world
+from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
+from xihe_blender.capture.scanner import first_layer
+from xihenet.camera import MISS_PLANE_DEPTH_M, valid_plane_depth
+from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.metrics import angular_error, angular_error_deg, image_rmse, psnr, si_rmse, ssim
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, RgbdFrame
+
+LIT_SCENE = "Xihe Lit"
+GROUND_TRUTH_SCENE = "Xihe Ground Truth"
+OCCLUSION_TOLERANCE = 2e-3
+"""An object this much (relative, and in metres) behind the room's surface still counts as in front of it."""
+
+ERROR_AT_FULL_SCALE = 0.25
+"""Difference of sRGB-encoded colour at which the error map reaches its brightest colour."""
+
+_ERROR_STOPS = np.array([[0, 0, 4], [87, 16, 110], [188, 55, 84], [249, 142, 9], [252, 255, 164]]) / 255.0
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Pictures of one frame, (H, W, 3) linear at the session's exposure.
+
+    Parameters
+    ----------
+    ground_truth : path-traced
+    methods : by name, objects under the method's light over the captured frame
+    weights : (H, W) share of each pixel that virtual objects cover, 0 to 1
+    render_s : seconds Cycles took for all of them
+    """
+
+    ground_truth: ArrayF64
+    methods: Mapping[str, ArrayF64]
+    weights: ArrayF64
+    render_s: float
+
+
+@dataclass
+class Comparer:
+    """Renders comparisons; made by `open_comparer`. Worlds and view layers are found by (method, object)."""
+
+    ground_truth: bpy.types.Scene
+    lit: bpy.types.Scene
+    worlds: Mapping[tuple[str, str], bpy.types.World]
+    layers: Mapping[tuple[str, str], str]
+
+    def render_comparison(self, captured: RgbdFrame, lights: Mapping[str, Mapping[str, ArrayF64]]) -> Comparison:
+        """Ground truth and every method at the frame of `captured`.
+
+        Parameters
+        ----------
+        captured : the phone's picture of the room; its exposure is used, its plane depth hides what lies behind
+        lights : (9, 3) radiance coefficients carrying `captured.exposure`, by method and virtual object
+        """
+        for (method, name), world in self.worlds.items():
+            apply_sh_to_world(world, lights[method][name], captured.exposure)
+        for scene in (self.ground_truth, self.lit):
+            scene.frame_set(captured.frame)
+        truth, lit = render_passes(self.ground_truth), render_passes(self.lit)
+        background = srgb_to_linear(captured.srgb_u8 / 255.0)
+        methods, weights = {}, np.zeros(background.shape[:2])
+        for method in lights:
+            layers = [lit.layers[self.layers[key]] for key in self.worlds if key[0] == method]
+            methods[method], weights = composite(background, layers, captured)
+        exposed = first_layer(truth)[0].astype(np.float64) * captured.exposure
+        return Comparison(exposed, methods, weights, truth.render_s + lit.render_s)
+
+
+@contextlib.contextmanager
+def open_comparer(
+    scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], methods: Sequence[str], settings: RenderSettings
+) -> Iterator[Comparer]:
+    """Everything needed to compare `methods` on the virtual `objects` of `scene`; all of it is gone afterwards."""
+    keys = [(method, item.name) for method in methods for item in objects]
+    # View layer names are cut at 63 bytes, so objects go by number.
+    layers = {key: f"{key[0]} {place}" for place, key in enumerate(keys)}
+    with contextlib.ExitStack() as stack:
+        worlds = {key: stack.enter_context(_temporary_world(f"{PREFIX}{layers[key]}")) for key in keys}
+        truth = stack.enter_context(working_scene(scene, GROUND_TRUTH_SCENE, settings))
+        lit = stack.enter_context(_lit_scene(scene, settings))
+        set_up_lit_scene(lit, objects, {layers[key]: (key[1], worlds[key]) for key in keys})
+        yield Comparer(truth, lit, worlds, layers)
+
+
+@contextlib.contextmanager
+def _lit_scene(scene: bpy.types.Scene, settings: RenderSettings) -> Iterator[bpy.types.Scene]:
+    try:
+        with working_scene(scene, LIT_SCENE, settings) as lit:
+            yield lit
+    finally:
+        remove_lit_collections()
+
+
+def set_up_lit_scene(
+    lit: bpy.types.Scene, objects: Sequence[bpy.types.Object], layers: Mapping[str, tuple[str, bpy.types.World]]
+) -> None:
+    """Leave only `objects` in `lit`, each in a collection of its own, and give it one view layer per entry of `layers`.
+
+    `layers` maps the layer's name to the object it shows and the world that lights it; the other objects hold out.
+    """
+    root = lit.collection
+    for child in list(root.children):
+        root.children.unlink(child)
+    for item in list(root.objects):
+        root.objects.unlink(item)
+    for item in objects:
+        collection = bpy.data.collections.new(f"{LIT_SCENE} {item.name}")
+        collection.objects.link(item)
+        root.children.link(collection)
+    lit.render.film_transparent = True
+    placeholder = lit.view_layers[0]
+    for name, (shown, world) in layers.items():
+        layer = lit.view_layers.new(name)
+        layer.use_pass_z = True
+        layer.world_override = world
+        for item, child in zip(objects, layer.layer_collection.children, strict=True):
+            child.holdout = item.name != shown
+    lit.view_layers.remove(placeholder)
+
+
+def remove_lit_collections() -> None:
+    """Remove the collections that `set_up_lit_scene` made and no scene uses any more."""
+    for collection in [c for c in bpy.data.collections if c.name.startswith(f"{LIT_SCENE} ") and c.users == 0]:
+        bpy.data.collections.remove(collection)
+
+
+def composite(
+    background: ArrayF64, layers: Sequence[Mapping[str, ArrayF32]], captured: RgbdFrame
+) -> tuple[ArrayF64, ArrayF64]:
+    """Objects over the captured frame.
+
+    Parameters
+    ----------
+    background : (H, W, 3) linear, exposed
+    layers : passes of each object's view layer, scene radiance with premultiplied alpha
+    captured : for its exposure and plane depth
+
+    Returns
+    -------
+    picture : (H, W, 3) linear, exposed
+    weights : (H, W) share of each pixel that the objects cover
+    """
+    picture, weights = background.copy(), np.zeros(background.shape[:2])
+    for passes in layers:
+        visible = in_front_of_room(passes["Depth.Z"], captured.plane_depth_m)
+        alpha = np.where(visible, passes["Combined.A"], 0.0)
+        colour = np.stack([passes[f"Combined.{c}"] for c in "RGB"], axis=-1).astype(np.float64)
+        picture += np.where(visible[..., None], colour * captured.exposure, 0.0) - alpha[..., None] * background
+        weights += alpha
+    return picture, np.clip(weights, 0.0, 1.0)
+
+
+def in_front_of_room(object_plane_depth_m: ArrayF32, room_plane_depth_m: ArrayF32) -> ArrayBool:
+    """(H, W): where an object is nearer than the room, or either is unknown (at a soft edge, through a window)."""
+    reach = room_plane_depth_m * (1 + OCCLUSION_TOLERANCE) + OCCLUSION_TOLERANCE
+    unknown = ~valid_plane_depth(room_plane_depth_m) | (object_plane_depth_m >= MISS_PLANE_DEPTH_M)
+    result: ArrayBool = unknown | (object_plane_depth_m <= reach)
+    return result
+
+
+def measure(prediction: ArrayF64, ground_truth: ArrayF64, weights: ArrayF64) -> dict[str, float | None]:
+    """The metrics of results.json for one picture, inside the objects' alpha; None where one is undefined."""
+    shown, true = display(prediction), display(ground_truth)
+    return {
+        "psnr": psnr(shown, true, weights),
+        "ssim": ssim(shown, true, weights),
+        "rmse": image_rmse(prediction, ground_truth, weights),
+        "si_rmse": si_rmse(prediction, ground_truth, weights),
+        "angular_deg": angular_error_deg(prediction, ground_truth, weights),
+    }
+
+
+def hueless_pixels(prediction: ArrayF64, ground_truth: ArrayF64, weights: ArrayF64) -> int:
+    """Pixels inside the objects that `angular_deg` leaves out: black on either side."""
+    angle = angular_error(prediction, ground_truth, weights)
+    return angle.n_black_prediction + angle.n_black_truth
+
+
+def display(picture: ArrayF64) -> ArrayF64:
+    """Linear, exposed light as the Standard view transform shows it: clipped to [0, 1] and sRGB-encoded."""
+    encoded: ArrayF64 = linear_to_srgb(np.clip(picture, 0.0, 1.0))
+    return encoded
+
+
+def error_map(prediction: ArrayF64, ground_truth: ArrayF64, weights: ArrayF64) -> ArrayF64:
+    """(H, W, 3) in [0, 1]: the mean absolute difference of the displayed colours inside the objects, black outside."""
+    difference = np.abs(display(prediction) - display(ground_truth)).mean(axis=-1) * (weights > 0)
+    place = np.clip(difference / ERROR_AT_FULL_SCALE, 0.0, 1.0) * (len(_ERROR_STOPS) - 1)
+    return np.stack([np.interp(place, range(len(_ERROR_STOPS)), _ERROR_STOPS[:, c]) for c in range(3)], axis=-1)
+
+
+@contextlib.contextmanager
+def _temporary_world(name: str) -> Iterator[bpy.types.World]:
+    world = make_sh_world(name)
+    try:
+        yield world
+    finally:
+        bpy.data.worlds.remove(world)

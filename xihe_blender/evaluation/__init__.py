@@ -1,1 +1,0 @@
-"""Many runs at once: batches over scenes, estimators and phones, and the frontier of error against time."""

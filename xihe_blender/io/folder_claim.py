@@ -1,0 +1,95 @@
+"""Whose is this folder? Work is taken up only where the same work was left.
+
+All that decides its numbers (settings, versions, content of files) is written down before anything else. A folder that
+holds something else is refused, not mixed and not overwritten.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from xihe_blender.errors import UserError
+from xihe_blender.io.outputs import write_json
+
+NOT_COMPARED = "software"
+"""Written down for the reader alone."""
+
+
+@dataclass(frozen=True)
+class FolderClaim:
+    """A folder, and what is to be done in it.
+
+    Parameters
+    ----------
+    folder : of the results
+    file : in the folder; holds `made_with`, and belongs to nothing but this kind of work
+    what : the kind of work, as in "holds a run with another seed"
+    made_with : all that decides the numbers, as JSON holds it; what stands under "settings" is compared one by one
+    results : files that say that the folder is somebody else's, where they are there and `file` is not
+    """
+
+    folder: Path
+    file: Path
+    what: str
+    made_with: dict[str, Any]
+    results: Sequence[Path] = ()
+
+    def check(self) -> bool:
+        """Whether the folder is claimed already, for the same; UserError if it holds anything else."""
+        if self.folder.exists() and not self.folder.is_dir():
+            raise UserError(f"{self.folder} is a file: give --out a folder")
+        if self.file.exists():
+            self._check_is_the_same()
+            return True
+        for file in self.results:
+            if file.exists():
+                raise UserError(
+                    f"{file} is there and not from {self.what} that can be resumed: choose another folder for --out"
+                )
+        return False
+
+    def take(self) -> bool:
+        """Check, and write down what it is for; whether that was so before. UserError also if it cannot be written."""
+        if self.check():
+            return True
+        try:
+            write_json(self.file, self.made_with)
+        except OSError as error:
+            raise UserError(
+                f"cannot write to {self.folder} ({error.strerror}): choose another folder for --out"
+            ) from error
+        return False
+
+    def _check_is_the_same(self) -> None:
+        try:
+            kept = json.loads(self.file.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            kept = {}
+        different = differences(kept if isinstance(kept, dict) else {}, json.loads(json.dumps(self.made_with)))
+        if different:
+            raise UserError(
+                f"{self.folder} holds {self.what} with another {', '.join(different)}: choose another folder for "
+                "--out, or delete that one"
+            )
+
+
+def differences(kept: dict[str, Any], wanted: dict[str, Any]) -> list[str]:
+    """In words: the versions if one differs, since settings have other names then; else the names of what differs."""
+    versions = [said for name, said in VERSIONS.items() if kept.get(name) != wanted.get(name)]
+    if versions:
+        return list(dict.fromkeys(versions))
+    of_kept = kept.get("settings")
+    settings = _other_names(of_kept if isinstance(of_kept, dict) else {}, wanted.get("settings", {}))
+    others = _other_names({**kept, "settings": None}, {**wanted, "settings": None})
+    return [name.replace("_", " ") for name in (*settings, *others)]
+
+
+VERSIONS = {"xihe": "version of xihe", "format": "version of xihe", "blender": "version of Blender"}
+
+
+def _other_names(kept: dict[str, Any], wanted: dict[str, Any]) -> list[str]:
+    return [name for name in {**wanted, **kept} if name != NOT_COMPARED and kept.get(name) != wanted.get(name)]

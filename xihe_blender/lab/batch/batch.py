@@ -1,0 +1,98 @@
+"""A batch from its settings to its tables and its report; see `evaluate_batch`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from xihe_blender.jobs import Job, Progress
+from xihe_blender.lab.batch.grid import BatchSettings, Unit, check_settings, planned_units
+from xihe_blender.lab.batch.report import write_report
+from xihe_blender.lab.batch.store import BatchFolder, claim_of, read_frontier
+from xihe_blender.lab.batch.tables import batch_results, write_tables
+from xihe_blender.lab.workers.dask_workers import Spread, dashboard, open_spread
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What came of a batch: its results, and what is wrong with the scenes and units that could not be done."""
+
+    results: dict[str, Any]
+    failed: Mapping[str, str]
+    n_done_now: int
+
+
+def evaluate_batch(
+    scenes: Sequence[Path],
+    folder: Path,
+    settings: BatchSettings,
+    seeds: Sequence[int] = (0,),
+    *,
+    n_workers: int | None = None,
+    scheduler: str | None = None,
+    frontier: Path | None = None,
+) -> Job[Batch]:
+    """Evaluate what is not done yet, and write tables and report over all that is.
+
+    Parameters
+    ----------
+    scenes : .blend files; one that is broken does not stop the others
+    folder : of the batch; one with the same settings goes on, also with more scenes or seeds
+    n_workers : processes on this machine; None takes one per core. Of no meaning with `scheduler`
+    scheduler : address of a Dask scheduler whose workers do it
+    frontier : a frontier.json, or its folder, for the report; None takes one in `folder`
+
+    Raises
+    ------
+    UserError for settings that make no sense, a folder with another batch, a scheduler that cannot help
+    """
+    check_settings(settings, seeds)
+    measured = read_frontier(frontier, folder)
+    kept = BatchFolder(folder.resolve())
+    claim = claim_of(kept, settings)
+    claim.check()
+    units, broken = planned_units(scenes, seeds)
+    failed = {str(scene): reason for scene, reason in broken.items()}
+    missing = [unit for unit in units if kept.result(unit) is None]
+    if missing:
+        with open_spread(_n_workers(n_workers, missing), scheduler) as spread:
+            claim.take()
+            spread.check_workers(str(kept.path), sorted({str(unit.scene) for unit in missing}))
+            yield Progress(0, len(missing), f"{len(missing)} of {len(units)} units to do; {dashboard(spread)}")
+            yield from _evaluated(spread, kept, settings, missing)
+            failed |= {_named(units, name): reason for name, reason in spread.failed.items()}
+    claim.take()
+    results = batch_results(kept, settings, units, failed)
+    write_tables(kept, results)
+    write_report(kept, results, measured)
+    return Batch(results, failed, sum(kept.result(unit) is not None for unit in missing))
+
+
+def _n_workers(wanted: int | None, missing: Sequence[Unit]) -> int | None:
+    return None if wanted is None else min(wanted, len(missing))
+
+
+def _evaluated(spread: Spread, kept: BatchFolder, settings: BatchSettings, missing: Sequence[Unit]) -> Any:
+    asked = [
+        {
+            "name": unit.name,
+            "module": "xihe_blender.lab.batch.blender_process",
+            "arguments": [],
+            "told": {
+                "scene": str(unit.scene),
+                "seed": unit.seed,
+                "folder": str(kept.of_unit(unit)),
+                "settings": settings.as_json(),
+            },
+        }
+        # A long unit that starts last keeps one worker busy alone; the largest files are often the longest.
+        for unit in sorted(missing, key=lambda unit: -unit.scene.stat().st_size)
+    ]
+    yield from spread.run(asked, "unit")
+
+
+def _named(units: Sequence[Unit], name: str) -> str:
+    unit = next(unit for unit in units if unit.name == name)
+    return f"{unit.scene} (seed {unit.seed})"

@@ -1,0 +1,95 @@
+"""The process with Blender in it, which evaluates one unit and ends.
+
+Started by a worker as `python -m xihe_blender.lab.batch.blender_process`. It is told what to do by one JSON
+object on stdin, and tells its share of the work on stdout, a number from 0 to 1 a line. The result is a file. A process
+for each unit: loading Blender takes a second of the minute that a unit takes, memory is always given back, and a crash
+of Blender costs one unit, which is handed out again.
+
+Exit codes: 0 done, 2 the unit cannot be done, and the last line on stderr says why; anything else is a crash.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from xihe_blender.errors import UserError
+from xihe_blender.io.blender_output import blender_output_aside
+from xihe_blender.io.outputs import write_json
+from xihe_blender.lab.batch.grid import BatchSettings
+from xihe_blender.lab.batch.store import result_file
+
+EXIT_CANNOT_BE_DONE = 2
+"""As `spread_worker` knows it, which needs Dask and is not loaded here."""
+
+EXIT_ABANDONED = 3
+
+
+class AbandonedError(Exception):
+    """The worker that started this process is gone."""
+
+
+def main() -> int:
+    """Do what stdin says."""
+    # Ctrl-C reaches the whole group of processes; the batch decides what it means.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    asked = json.load(sys.stdin)
+    with blender_output_aside() as (stdout, stderr):
+        try:
+            write_result(asked, lambda share: print(f"{share:.4f}", file=stdout, flush=True))
+        except (UserError, OSError) as error:
+            print(" ".join(str(error).split()), file=stderr)
+            return EXIT_CANNOT_BE_DONE
+        except (AbandonedError, BrokenPipeError):
+            return EXIT_ABANDONED
+    return 0
+
+
+def write_result(asked: dict[str, Any], tell: Callable[[float], None]) -> None:
+    """Evaluate the unit and leave its result, and the pictures of worst frames, in its folder."""
+    from xihe_blender.jobs import Progress, run_blocking
+    from xihe_blender.lab.batch.unit import evaluate_unit
+    from xihe_blender.scene.blend_file import open_blend
+
+    start, start_processor_s, parent = time.perf_counter(), time.process_time(), os.getppid()
+
+    def tell_share(progress: Progress, _elapsed_s: float) -> None:
+        if os.getppid() != parent:
+            raise AbandonedError
+        tell(progress.done / progress.total)
+
+    file, folder = Path(asked["scene"]), Path(asked["folder"])
+    settings = BatchSettings.from_json(asked["settings"])
+    job = evaluate_unit(open_blend(file), file, folder, settings, asked["seed"])
+    content = run_blocking(job, tell_share)
+    content["cost"] = {
+        "elapsed_s": time.perf_counter() - start,
+        "processor_s": time.process_time() - start_processor_s,
+        "peak_memory_mb": _peak_memory_mb(),
+        "written_bytes": sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()),
+    }
+    write_json(result_file(folder), content)
+    for intermediate in ("work", "radiance", "pictures"):
+        shutil.rmtree(folder / intermediate, ignore_errors=True)
+
+
+def _peak_memory_mb() -> float | None:
+    """The most memory that this process had; None on Windows, which does not count it for Python."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    # In kilobytes, but for macOS.
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**20
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,142 @@
+"""Which runs make up a batch, and what do they share?
+
+A trial is one run: a scene, a seed, a phone, an estimator. All trials of one scene and seed see the same room, so its
+captures, light probes and path-traced pictures are rendered once for all of them: that is a unit, the piece of work
+that is handed out. Rejected: a unit per phone, which would render the same room for each of them, and a unit per trial,
+which would wait for others' renders.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from xihe_blender.errors import UserError
+from xihe_blender.io.outputs import as_json
+from xihenet import __version__, estimators
+from xihenet.estimators import Target
+from xihenet.phone import load_profile
+
+if TYPE_CHECKING:
+    from xihe_blender.previs.settings import PrevisSettings
+
+FORMAT_VERSION = 1
+DEFAULT_ESTIMATORS = ("lattice", "projection", "ambient", "truth")
+
+
+@dataclass(frozen=True)
+class BatchSettings:
+    """What all units of a batch share.
+
+    Parameters
+    ----------
+    estimators, phones : names, at least one of each, none twice; every phone runs with every estimator
+    preset, target, size, frames, noise_target, samples, network : as in PrevisSettings
+    """
+
+    estimators: tuple[str, ...] = DEFAULT_ESTIMATORS
+    phones: tuple[str, ...] = ("perfect",)
+    preset: str = "draft"
+    target: Target = "ldr"
+    size: tuple[int, int] | None = None
+    frames: tuple[int, ...] | None = None
+    noise_target: float | None = None
+    samples: int | None = None
+    network: str | None = None
+
+    def __post_init__(self) -> None:
+        for option, names in (("--estimators", self.estimators), ("--profiles", self.phones)):
+            if not names or len(set(names)) < len(names):
+                raise UserError(f"{option} {','.join(names)}: give each name once, with commas between them")
+
+    def trials(self) -> list[tuple[str, str]]:
+        """(phone, estimator) of every trial of a unit, in the order in which results list them."""
+        return [(phone, estimator) for phone in self.phones for estimator in self.estimators]
+
+    def of_trial(self, phone: str, estimator: str, seed: int) -> PrevisSettings:
+        """The settings that `xihe previs` would have; UserError, in its words, where they make no sense."""
+        # Workers know of units, and must not load Blender: it does not work beside the thread that they work in.
+        from xihe_blender.previs.settings import PrevisSettings
+
+        return PrevisSettings(
+            estimator=estimator,
+            phone=phone,
+            seed=seed,
+            preset=self.preset,
+            target=self.target,
+            size=self.size,
+            frames=self.frames,
+            noise_target=self.noise_target,
+            samples=self.samples,
+            network=self.network,
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """As the batch's folder keeps it, and `from_json` reads it."""
+        return as_json(self)
+
+    @staticmethod
+    def from_json(content: dict[str, Any]) -> BatchSettings:
+        known: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in content.items()}
+        return BatchSettings(**known)
+
+    @property
+    def made_with(self) -> dict[str, Any]:
+        """What decides the numbers of every unit of a folder, besides its scene and its seed."""
+        profiles = {name: asdict(load_profile(name)) for name in self.phones}
+        return {"format": FORMAT_VERSION, "xihe": __version__, "settings": self.as_json(), "profiles": profiles}
+
+
+@dataclass(frozen=True)
+class Unit:
+    """One scene with one seed.
+
+    Parameters
+    ----------
+    scene : the .blend
+    seed : of everything that is random
+    digest : of the .blend's content
+    """
+
+    scene: Path
+    seed: int
+    digest: str
+
+    @property
+    def name(self) -> str:
+        """Of its folder, and in what is said of it."""
+        return f"{self.scene.stem}_{self.digest[:8]}_seed{self.seed}"
+
+
+def planned_units(scenes: Sequence[Path], seeds: Sequence[int]) -> tuple[list[Unit], dict[Path, str]]:
+    """Every scene with every seed, each once, and what is wrong with files that cannot be read."""
+    units: dict[str, Unit] = {}
+    broken = {}
+    for scene in scenes:
+        try:
+            digest = hashlib.sha256(scene.read_bytes()).hexdigest()
+        except OSError as error:
+            broken[scene] = error.strerror or str(error)
+            continue
+        for seed in seeds:
+            unit = Unit(scene.resolve(), seed, digest)
+            units.setdefault(unit.name, unit)
+    return list(units.values()), broken
+
+
+def check_settings(settings: BatchSettings, seeds: Sequence[int]) -> None:
+    """UserError for an unknown estimator, phone or preset, a seed out of range, or a package that is missing."""
+    if not seeds or len(set(seeds)) < len(seeds):
+        raise UserError("--seeds: give each number once, with commas between them, such as 0,1,2")
+    for seed in seeds:
+        for phone, estimator in settings.trials():
+            # Asking for the profile reads it.
+            assert settings.of_trial(phone, estimator, seed).profile is not None
+    for name in settings.estimators:
+        try:
+            estimators.load(name, target=settings.target)
+        except (ImportError, ValueError) as error:
+            raise UserError(f"--estimators {name}: {error}") from error

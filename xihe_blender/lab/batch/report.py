@@ -1,0 +1,301 @@
+"""What did the batch find? One self-contained page: the questions that people come with, answered in words, each with
+its plot and its numbers; then worst cases with their pictures, distributions, and what everything cost.
+
+Made from results.json and the pictures of worst frames alone, never from Blender.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from xihe_blender.lab.batch import answers, drawings
+from xihe_blender.lab.batch.analysis import (
+    MEASURES,
+    Comparison,
+    Measure,
+    ThetaPoint,
+    Trial,
+    WorstCase,
+    against_the_best,
+    chosen,
+    frame_values,
+    names_of,
+    theta_points,
+    values_of,
+    worst_cases,
+)
+from xihe_blender.lab.batch.from_frontier import WITHOUT_FRONTIER, how_many_anchors, last_tenth
+from xihe_blender.lab.batch.store import BatchFolder
+from xihe_blender.lab.batch.worst_pictures import WORST_KINDS, worst_picture
+from xihe_blender.lab.frontier.questions import HOW_MANY_ANCHORS, LAST_TENTH
+from xihe_blender.report.document import block, document, png_url, section, table, write_document
+from xihe_blender.report.values import (
+    MINUS,
+    byte_size,
+    code,
+    counted,
+    escape,
+    finite,
+    items,
+    mean,
+    significant,
+    with_unit,
+)
+
+N_WORST = 6
+_KIND_WORDS = {
+    "ground_truth": "Ground truth",
+    "estimate": "Under the estimated light",
+    "error": "Error (black: none)",
+}
+_DOTS = "A dot is a trial: one scene with one seed and one phone. The box holds the middle half of them."
+
+
+def write_report(folder: BatchFolder, results: Mapping[str, Any], frontier: Mapping[str, Any] | None) -> None:
+    """Write the page, whole or not at all.
+
+    Parameters
+    ----------
+    results : as in results.json
+    frontier : content of a frontier.json, if there is one
+    """
+    write_document(folder.report, report_page(folder, results, frontier))
+
+
+def report_page(folder: BatchFolder, results: Mapping[str, Any], frontier: Mapping[str, Any] | None) -> str:
+    """The page as text."""
+    trials = items(results, "trials")
+    sections = [("failed", "What could not be done", _failed(results))] if items(results, "failed") else []
+    if trials:
+        sections += [
+            ("estimator", "Which estimator should I ship?", _estimators(trials)),
+            ("phone", "Is a better phone worth it?", _phones(trials)),
+            ("often", "How often must it run?", _how_often(trials)),
+            *_from_frontier(frontier),
+            ("worst", "Worst cases", _worst(folder, trials)),
+            ("numbers", "Numbers", _numbers(trials) + _costs(results)),
+        ]
+    body = "".join(section(*each) for each in sections)
+    return document("Batch evaluation", _lead(trials), body, style=drawings.STYLE)
+
+
+def _from_frontier(frontier: Mapping[str, Any] | None) -> list[tuple[str, str, str]]:
+    """Sections on what takes measured times; one for both where there are none."""
+    if frontier is None:
+        return [("anchors", f"{HOW_MANY_ANCHORS} {LAST_TENTH}", _answered(WITHOUT_FRONTIER))]
+    return [
+        ("anchors", HOW_MANY_ANCHORS, _answered(*how_many_anchors(frontier))),
+        ("last", LAST_TENTH, _answered(*last_tenth(frontier))),
+    ]
+
+
+def _lead(trials: Sequence[Trial]) -> str:
+    if not trials:
+        return '<p class="lead">No trial could be done.</p>'
+    return f'<p class="lead">{answers.what_it_stands_on(trials)}</p>'
+
+
+def _failed(results: Mapping[str, Any]) -> str:
+    rows = "".join(f"<li>{code(one['what'])}: {escape(one['reason'])}</li>" for one in items(results, "failed"))
+    return f'<div class="block warning"><ul>{rows}</ul></div>'
+
+
+def _answered(words: str, *plots: str) -> str:
+    """An answer with its plots; one that is empty does not count."""
+    return f'<p class="answer">{words}</p>' + (f'<div class="plots">{"".join(plots)}</div>' if any(plots) else "")
+
+
+# ----------------------------------------------------------------------------------------------------- the questions
+
+
+def _estimators(trials: Sequence[Trial]) -> str:
+    drawn = [_distribution(trials, measure) for measure in MEASURES]
+    drawn += [_against_the_best(trials, measure) for measure in MEASURES]
+    return _answered(answers.which_estimator(trials), *drawn) + _pairs_table(trials)
+
+
+def _distribution(trials: Sequence[Trial], measure: Measure) -> str:
+    rows = [
+        drawings.Row(
+            name, place, [(finite(t[measure.key]) or 0.0, _told(t, measure)) for t in _known(trials, measure, name)]
+        )
+        for place, name in enumerate(names_of(trials, "estimator"))
+    ]
+    better = "Further left is better." if measure.is_better_low else "Further right is better."
+    return drawings.strips(rows, title=measure.title, about=f"{_DOTS} {better}", axis_name=measure.unit or "no unit")
+
+
+def _known(trials: Sequence[Trial], measure: Measure, estimator: str) -> list[Trial]:
+    return [trial for trial in chosen(trials, estimator=estimator) if finite(trial.get(measure.key)) is not None]
+
+
+def _told(trial: Trial, measure: Measure) -> str:
+    return f"{trial['scene']}, seed {trial['seed']}, {trial['phone']}: {significant(finite(trial[measure.key]))}"
+
+
+def _against_the_best(trials: Sequence[Trial], measure: Measure) -> str:
+    rows = _intervals(against_the_best(trials, measure), names_of(trials, "estimator"))
+    side = (
+        "Right of the dashed line the first has more error" if measure.is_better_low else "Right: the first is better"
+    )
+    about = f"Paired differences of the same scene, seed and phone, with 95 % intervals of their mean. {side}."
+    title = f"{measure.title}: differences"
+    return drawings.differences(rows, title=title, about=about, axis_name=measure.unit or "no unit")
+
+
+def _intervals(found: Sequence[Comparison], names: Sequence[str]) -> list[drawings.Interval]:
+    """A row for each, coloured by the place of the first in `names`; a phone's own file goes by its stem."""
+    return [
+        drawings.Interval(
+            f"{Path(one.first).stem} {MINUS} {Path(one.second).stem}",
+            names.index(one.first),
+            one.difference,
+            answers.interval_in_words(one.difference),
+        )
+        for one in found
+    ]
+
+
+def _pairs_table(trials: Sequence[Trial]) -> str:
+    rows = []
+    for measure in MEASURES:
+        for one in against_the_best(trials, measure):
+            d = one.difference
+            better = d.share_lower if measure.is_better_low else 1 - d.share_lower
+            cells = [
+                escape(measure.title),
+                answers.interval_in_words(one.difference),
+                f"{round(better * d.n_pairs)} of {d.n_pairs}",
+            ]
+            rows.append((f"{code(one.first)} against {code(one.second)}", *cells))
+    return table(("pair", "measure", "mean difference", "first is better"), rows, "words stacking")
+
+
+def _phones(trials: Sequence[Trial]) -> str:
+    rows = _intervals(answers.phone_differences(trials, MEASURES[0]), names_of(trials, "phone"))
+    about = "The same scene and seed through two phones, with 95 % intervals of the mean. Left: the first is better."
+    title = "Coefficient error: differences between phones"
+    plot = drawings.differences(rows, title=title, about=about, axis_name="no unit")
+    return _answered(answers.is_a_better_phone_worth_it(trials), plot) + (_phone_table(trials) if rows else "")
+
+
+def _phone_table(trials: Sequence[Trial]) -> str:
+    phones, names = names_of(trials, "phone"), names_of(trials, "estimator")
+    rows = [
+        (code(name), *(significant(mean(values_of(trials, MEASURES[0], estimator=name, phone=p))) for p in phones))
+        for name in names
+    ]
+    return table(("mean coefficient error", *(escape(phone) for phone in phones)), rows)
+
+
+def _how_often(trials: Sequence[Trial]) -> str:
+    known = {name: theta_points(trials, name) for name in names_of(trials, "estimator")}
+    lines = [
+        drawings.Curve(name, place, [(p.per_minute, p.error, _theta_told(name, p)) for p in points])
+        for place, (name, points) in enumerate(known.items())
+    ]
+    rows = [_theta_row(name, point) for name, points in known.items() for point in points]
+    about = (
+        "Mean over trials. Each dot is a trigger: from every frame, right, to 64 times the thresholds, left. The same "
+        "captures, nothing rendered again."
+    )
+    plot = drawings.curves(
+        lines, title="Error against how often it runs", about=about,
+        x_name="estimates a minute, per position in view", y_name="SHC RMSE",
+    )  # fmt: skip
+    header = ("estimator", "theta", "a minute", "mean error", "more than with every frame")
+    return _answered(answers.how_often(trials), plot) + (table(header, rows) if rows else "")
+
+
+def _theta_told(name: str, point: ThetaPoint) -> str:
+    return f"{name}, theta {point.theta:g}: {point.per_minute:.0f} a minute, error {significant(point.error)}"
+
+
+def _theta_row(name: str, point: ThetaPoint) -> list[str]:
+    more = "" if point.more is None else answers.interval_in_words(point.more)
+    return [code(name), f"{point.theta:g}", significant(point.per_minute, 3), significant(point.error), more]
+
+
+# ------------------------------------------------------------------------------------------------------- worst cases
+
+
+def _worst(folder: BatchFolder, trials: Sequence[Trial]) -> str:
+    cases = worst_cases(trials, N_WORST)
+    if not cases:
+        return "<p>No picture was compared.</p>"
+    about = (
+        "<p>The worst frame of an estimator in a scene, by psnr on the objects. Estimators that no phone could run "
+        "are left out.</p>"
+    )
+    return about + f'<div class="cases">{"".join(_case(folder, case) for case in cases)}</div>'
+
+
+def _case(folder: BatchFolder, case: WorstCase) -> str:
+    trial = case.trial
+    figures = "".join(
+        f"<figure>{_picture(worst_picture(folder.path / 'units' / trial['unit'], trial['number'], kind))}"
+        f"<figcaption><strong>{_KIND_WORDS[kind]}</strong></figcaption></figure>"
+        for kind in WORST_KINDS
+    )
+    where = f"{escape(trial['scene'])}, frame {case.frame}, {code(trial['estimator'])}, {escape(trial['phone'])}"
+    numbers = f"psnr {with_unit(case.psnr, 'dB')}, rmse {significant(case.rmse)}, seed {trial['seed']}"
+    return f'<div><h3>{where}</h3><p class="quiet">{numbers}</p><div class="strip">{figures}</div></div>'
+
+
+def _picture(path: Path) -> str:
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return f'<div class="missing">{escape(path.name)} is missing</div>'
+    return f'<img alt="" src="{png_url(content)}">'
+
+
+# ----------------------------------------------------------------------------------------------------------- numbers
+
+
+def _numbers(trials: Sequence[Trial]) -> str:
+    return _by_scene(trials) + "".join(_quantiles(trials, measure) for measure in MEASURES)
+
+
+def _by_scene(trials: Sequence[Trial]) -> str:
+    names = names_of(trials, "estimator")
+    rows = []
+    for scene in names_of(trials, "scene"):
+        means = [mean(values_of(trials, MEASURES[0], estimator=name, scene=scene)) for name in names]
+        rows.append((escape(scene), *(significant(value) for value in means)))
+    return block("Mean coefficient error by scene", table(("scene", *(code(name) for name in names)), rows, "stacking"))
+
+
+def _quantiles(trials: Sequence[Trial], measure: Measure) -> str:
+    rows = []
+    for name in names_of(trials, "estimator"):
+        values = frame_values(trials, measure, name)
+        if values:
+            quantiles = np.percentile(values, [0, 10, 50, 90, 100])
+            rows.append((code(name), str(len(values)), *(significant(float(value)) for value in quantiles)))
+    header = ("estimator", "frames", "least", "10 %", "median", "90 %", "most")
+    return block(f"{measure.title}, over all frames", table(header, rows, "stacking"))
+
+
+def _costs(results: Mapping[str, Any]) -> str:
+    units = items(results, "units")
+    rows = [
+        (
+            f"{escape(unit['scene'])}, seed {unit['seed']}",
+            with_unit(finite(unit["elapsed_s"]), "s"),
+            with_unit(finite(unit["processor_s"]), "s"),
+            with_unit(finite(unit["render_s"]), "s"),
+            with_unit(finite(unit["peak_memory_mb"]), "MB"),
+            byte_size(finite(unit["written_bytes"])),
+        )
+        for unit in units
+    ]
+    said = (
+        f"{counted(len(units), 'unit')}: one scene with one seed each, all estimators and phones on the same renders."
+    )
+    header = ("unit", "elapsed", "processor", "of it rendering", "memory at most", "written")
+    return block("What it cost", f'<p class="quiet">{said}</p>{table(header, rows, "stacking")}')

@@ -1,0 +1,133 @@
+"""What does each preset cost on this machine, with the scene at hand? Known in under a minute, not measured in full.
+
+One view of the path is rendered with few samples: twice to load the scene and to time a sample, three times for the
+noise that a sample leaves (see `xihe_blender.previs.sample_count`). A render's time is a straight line in its samples,
+and each preset's number of samples follows from its noise target. Wall time on all cores, since that is what a run
+takes.
+
+Rejected: the pilots that a run makes for its preset, in three views and with up to 48 samples each, which take minutes.
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from xihe_blender.capture.render import RenderSettings
+from xihe_blender.capture.scanner import meter_exposure, open_scanner
+from xihe_blender.errors import UserError
+from xihe_blender.io.outputs import write_json
+from xihe_blender.jobs import Job, Progress
+from xihe_blender.lab.frontier.chain import ChoiceBackend, light_of_frame
+from xihe_blender.lab.frontier.choices import ComputeChoice
+from xihe_blender.light_transport import plan_effects
+from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.run_time import FEW_SAMPLES, N_RENDERS, RenderTime, time_renders
+from xihe_blender.previs.sample_count import capture_noise, pilot_views, samples_taken
+from xihe_blender.previs.settings import PRESETS, PrevisSettings
+from xihe_blender.scene.state import scene_kept
+from xihenet.records import ArrayF64, RgbdFrame
+
+PILOT_SAMPLES = 2
+N_STEPS = 9
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What presets cost here.
+
+    Parameters
+    ----------
+    scene : stem of the file it was measured on
+    frame_s : seconds that the capture of one frame takes, by preset
+    samples : per pixel of it, by preset
+    step_ms : milliseconds that the chain takes for one position
+    """
+
+    scene: str
+    frame_s: Mapping[str, float]
+    samples: Mapping[str, int]
+    step_ms: float
+
+
+def calibrate(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[Calibration]:
+    """Measure; the scene stays as it is. The settings' own preset and samples do not matter.
+
+    UserError as a run raises it, and where no virtual object is ever in view.
+    """
+    plan = plan_previs(scene, settings)
+    with scene_kept():
+        yield Progress(0, 3, "metering the exposure")
+        metering = settings.metering_in_force
+        exposure = settings.exposure or meter_exposure(scene, plan.frames, settings.seed, metering=metering)
+        views = pilot_views(scene, plan)
+        if not views:
+            raise UserError(f"scene {scene.name!r} never has a virtual object in view: move the camera's path, or it")
+        view = views[len(views) // 2]
+        positions = [probe.position_m.tolist() for probe in plan.probes]
+        choices = settings.effect_choices
+        effects = plan_effects(scene, positions=positions, frames=plan.frames, overrides=choices)
+        capture = replace(settings.capture(plan.size, PILOT_SAMPLES), light_transport=effects.light_transport)
+        yield Progress(1, 3, "measuring the noise of a few samples")
+        noise = capture_noise(scene, [view], capture, exposure, settings.n_anchors)
+        yield Progress(2, 3, "timing a few samples")
+        capturing, seen = _timed_render(scene, capture, view[0], exposure)
+        step_ms = _timed_step(seen, view[1][0], exposure)
+    samples = {name: samples_taken(preset, noise) for name, preset in PRESETS.items()}
+    frame_s = {name: replace(capturing, samples=n).render_s for name, n in samples.items()}
+    return Calibration(Path(bpy.data.filepath or "untitled").stem, frame_s, samples, step_ms)
+
+
+def _timed_render(
+    scene: bpy.types.Scene, capture: RenderSettings, frame: int, exposure: float
+) -> tuple[RenderTime, RgbdFrame]:
+    """The time of a render by its samples, and what it shows."""
+    with open_scanner(scene, capture) as scanner:
+        scanner.exposure = exposure
+        scanner.move_to(frame)
+        seen: list[RgbdFrame] = []
+        frames = (frame,) * N_RENDERS
+        _, taken = time_renders(
+            lambda _: seen.append(scanner.acquire_environment_scan()), frames, FEW_SAMPLES, scanner.scene
+        )
+        return taken, seen[-1]
+
+
+def _timed_step(seen: RgbdFrame, position_m: ArrayF64, exposure: float) -> float:
+    """Milliseconds from a capture to the light at one position; the median of a few, after one to warm up."""
+    choice = ComputeChoice()
+    backend = ChoiceBackend(choice)
+    times = []
+    for _ in range(1 + N_STEPS):
+        start = time.perf_counter()
+        light_of_frame(choice, backend, seen, position_m, exposure)
+        times.append(1e3 * (time.perf_counter() - start))
+    return statistics.median(times[1:])
+
+
+def said_of_calibration(calibration: Calibration) -> str:
+    """ "draft 0.4 s, balanced 0.9 s, accurate 3.1 s a frame, measured on living_room"."""
+    costs = ", ".join(f"{name} {seconds:.2g} s" for name, seconds in calibration.frame_s.items())
+    return f"{costs} a frame, measured on {calibration.scene}"
+
+
+def save_calibration(path: Path, calibration: Calibration) -> None:
+    """Remember it; OSError if the file cannot be written."""
+    content: dict[str, Any] = asdict(calibration) | {"said": said_of_calibration(calibration)}
+    write_json(path, content)
+
+
+def read_calibration(path: Path) -> Calibration | None:
+    """What was remembered; None for nothing, or for what cannot be read."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return Calibration(content["scene"], content["frame_s"], content["samples"], content["step_ms"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None

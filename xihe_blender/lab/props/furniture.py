@@ -1,0 +1,299 @@
+"""What stands in a room: tables, chairs, sofas, shelves, lamps' bodies, plants, curtains, pictures, radiators.
+
+Each function puts one piece into a collection, standing on `location` with its front towards -Y before the turn, and
+takes its materials as arguments, so that a scene chooses its own palette. Pieces are a few objects of one material
+each. Randomness (books, leaves) comes from a generator argument.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any, TypeAlias
+
+import bpy
+import numpy as np
+
+from xihe_blender.lab.props.shapes import (
+    Solid,
+    Vector,
+    add_solid,
+    box,
+    box_between,
+    cylinder,
+    joined,
+    revolved,
+    sheet,
+    tube,
+)
+
+Material: TypeAlias = bpy.types.Material
+Collection: TypeAlias = bpy.types.Collection
+Place = dict[str, Any]
+
+
+def at(x: float, y: float, z: float = 0.0, turn_deg: float = 0.0) -> Place:
+    """Where a piece stands and how it is turned, as keyword arguments."""
+    return {"location": (x, y, z), "turn_deg": turn_deg}
+
+
+def add_table(
+    room: Collection, name: str, size: Vector, top: Material, legs: Material, *, place: Place, leg_m: float = 0.06
+) -> None:
+    """A table of full extents `size` with four legs and an apron."""
+    x, y, z = size
+    board = box_between((-x / 2, -y / 2, z - 0.035), (x / 2, y / 2, z))
+    add_solid(room, f"{name} top", board, top, bevel_m=0.008, **place)
+    reach = (x / 2 - leg_m, y / 2 - leg_m)
+    posts = [
+        box((leg_m, leg_m, z - 0.035), (a, b, (z - 0.035) / 2))
+        for a in (-reach[0], reach[0])
+        for b in (-reach[1], reach[1])
+    ]
+    rails = [box((2 * reach[0], 0.022, 0.08), (0, s * reach[1], z - 0.075)) for s in (-1, 1)]
+    rails += [box((0.022, 2 * reach[1], 0.08), (s * reach[0], 0, z - 0.075)) for s in (-1, 1)]
+    add_solid(room, f"{name} legs", joined(posts + rails), legs, bevel_m=0.006, **place)
+
+
+def add_round_table(
+    room: Collection, name: str, radius: float, height: float, top: Material, foot: Material, *, place: Place
+) -> None:
+    """A round side table on three slanted legs."""
+    edge = [
+        (0, height - 0.03),
+        (radius - 0.01, height - 0.03),
+        (radius, height - 0.02),
+        (radius, height - 0.005),
+        (radius - 0.005, height),
+        (0, height),
+    ]
+    add_solid(room, f"{name} top", revolved(edge, 48), top, smooth=True, **place)
+    angles = np.radians([90, 210, 330])
+    legs = [
+        tube((0.95 * radius * c, 0.95 * radius * s, 0), (0.5 * radius * c, 0.5 * radius * s, height - 0.03), 0.016)
+        for c, s in zip(np.cos(angles).tolist(), np.sin(angles).tolist(), strict=True)
+    ]
+    add_solid(room, f"{name} legs", joined(legs), foot, smooth=True, **place)
+
+
+def add_chair(room: Collection, name: str, frame: Material, seat: Material, *, place: Place) -> None:
+    """A dining chair that looks towards -Y."""
+    legs = [tube((x * 1.12, -0.2, 0), (x, -0.18, 0.43), 0.017) for x in (-0.18, 0.18)]
+    legs += [tube((x * 1.12, 0.24, 0), (x, 0.19, 0.44), 0.017) for x in (-0.18, 0.18)]
+    legs += [tube((x, 0.19, 0.44), (x * 0.95, 0.26, 0.84), 0.016) for x in (-0.18, 0.18)]
+    legs += [tube((-0.175, 0.25, z), (0.175, 0.25, z), 0.011) for z in (0.55, 0.62)]
+    add_solid(room, f"{name} frame", joined(legs), frame, smooth=True, **place)
+    add_solid(room, f"{name} back", curved_board(0.4, 0.16, 0.03).moved((0, 0.255, 0.78)), frame, smooth=True, **place)
+    add_solid(room, f"{name} seat", cushion(0.44, 0.43, 0.06).moved((0, 0, 0.455)), seat, subdivisions=2, **place)
+
+
+def curved_board(width: float, height: float, bulge: float) -> Solid:
+    """A chair's back rest: a board bent backwards in the middle."""
+    u = np.linspace(-1, 1, 9)
+    front = [(width / 2 * a, bulge * (1 - a * a), s * height / 2) for s in (-1, 1) for a in u.tolist()]
+    grid = np.array(front + [(x, y + 0.02, -z) for x, y, z in front] + front[:9]).reshape(5, 9, 3)
+    return sheet(grid)
+
+
+def cushion(width: float, length: float, height: float) -> Solid:
+    """A coarse pillow; two levels of subdivision make it soft. The inner loops keep its seams."""
+    u = np.array([-0.5, -0.42, 0.0, 0.42, 0.5])
+    x, y = np.meshgrid(u, u)
+    puff = np.where(np.maximum(abs(x), abs(y)) > 0.45, 0.32, 0.5) + 0.12 * (np.maximum(abs(x), abs(y)) < 0.1)
+    faces = [np.stack([x * width, y * length, s * puff * height], -1) for s in (1, -1)]
+    top, bottom = sheet(faces[0]), sheet(faces[1][:, ::-1])
+    rim = (
+        [(0, i) for i in range(4)]
+        + [(i, 4) for i in range(4)]
+        + [(4, 4 - i) for i in range(4)]
+        + [(4 - i, 0) for i in range(4)]
+    )
+    upper = [r * 5 + c for r, c in rim]
+    lower = [25 + r * 5 + (4 - c) for r, c in rim]
+    sides = [(lower[i], lower[(i + 1) % 16], upper[(i + 1) % 16], upper[i]) for i in range(16)]
+    return Solid(top.vertices + bottom.vertices, joined([top, bottom]).faces + tuple(sides))
+
+
+def add_sofa(
+    room: Collection,
+    name: str,
+    width: float,
+    cloth: Material,
+    feet: Material,
+    cushions: list[Material],
+    *,
+    place: Place,
+) -> None:
+    """A sofa with arms, one seat and one back cushion per 0.7 m, and throw cushions of the given materials."""
+    half, body = width / 2, []
+    body.append(box_between((-half + 0.05, -0.4, 0.12), (half - 0.05, 0.4, 0.3)))
+    body += [
+        box_between((s * half - 0.18 * (s > 0), -0.42, 0.12), (s * half + 0.18 * (s < 0), 0.42, 0.58)) for s in (-1, 1)
+    ]
+    body.append(box_between((-half + 0.1, 0.26, 0.12), (half - 0.1, 0.44, 0.78)))
+    add_solid(room, f"{name} body", joined(body), cloth, bevel_m=0.045, smooth=True, **place)
+    n = max(1, round((width - 0.36) / 0.7))
+    seat = (width - 0.38) / n
+    for i in range(n):
+        x = -half + 0.19 + seat * (i + 0.5)
+        add_solid(
+            room,
+            f"{name} seat {i + 1}",
+            cushion(seat, 0.72, 0.19).moved((x, -0.09, 0.39)),
+            cloth,
+            subdivisions=2,
+            **place,
+        )
+        back = cushion(seat, 0.44, 0.18).turned(78, "X").moved((x, 0.2, 0.66))
+        add_solid(room, f"{name} back {i + 1}", back, cloth, subdivisions=2, **place)
+    for i, material in enumerate(cushions):
+        x = (-1) ** i * (half - 0.42 - 0.2 * (i // 2))
+        throw = cushion(0.42, 0.42, 0.15).turned(64, "X").turned(-18 * (-1) ** i).moved((x, -0.02, 0.66))
+        add_solid(room, f"{name} throw cushion {i + 1}", throw, material, subdivisions=2, **place)
+    stubs = [cylinder(0.025, 0.12).moved((x, y, 0)) for x in (-half + 0.1, half - 0.1) for y in (-0.34, 0.36)]
+    add_solid(room, f"{name} feet", joined(stubs), feet, smooth=True, **place)
+
+
+def add_bookcase(
+    room: Collection, name: str, size: Vector, body: Material, books: Material, rng: np.random.Generator,
+    *, place: Place, n_shelves: int = 5,
+) -> None:  # fmt: skip
+    """An open bookcase, its back at +Y, filled with rows of books that leave gaps. `books` reads a face colour."""
+    x, y, z = size
+    boards = [
+        box_between((s * x / 2 - 0.025 * (s > 0), -y / 2, 0), (s * x / 2 + 0.025 * (s < 0), y / 2, z)) for s in (-1, 1)
+    ]
+    boards.append(box_between((-x / 2, y / 2 - 0.012, 0), (x / 2, y / 2, z)))
+    levels = np.linspace(0.06, z - 0.025, n_shelves + 1).tolist()
+    boards += [box_between((-x / 2 + 0.025, -y / 2, h), (x / 2 - 0.025, y / 2, h + 0.025)) for h in levels]
+    add_solid(room, f"{name} body", joined(boards), body, bevel_m=0.003, **place)
+    spines = []
+    for low, high in pairwise(levels):
+        spines += book_row(x - 0.08, high - low - 0.03, y, rng, (-x / 2 + 0.04, 0.0, low + 0.026))
+    shelf = add_solid(room, f"{name} books", joined(spines), books, **place)
+    colour_boxes(shelf, rng)
+
+
+def book_row(width: float, height: float, row_y: float, rng: np.random.Generator, corner: Vector) -> list[Solid]:
+    """Upright books from the left up to some 60 to 100 % of the shelf, then one that leans."""
+    row, x, end = [], 0.0, width * rng.uniform(0.6, 1.0)
+    while x < end - 0.05:
+        thick, tall, wide = rng.uniform(0.014, 0.045), height * rng.uniform(0.62, 0.95), row_y * rng.uniform(0.55, 0.8)
+        row.append(box((thick - 0.001, wide, tall), (x + thick / 2, 0.02, tall / 2)).moved(corner))
+        x += thick
+    if width - x > 0.14:
+        tall = height * 0.75
+        row.append(
+            box((0.03, row_y * 0.65, tall)).turned(-14, "Y").moved((corner[0] + x + 0.09, 0.02, corner[2] + tall / 2))
+        )
+    return row
+
+
+BOOK_COLOURS = np.array([
+    (0.45, 0.06, 0.04), (0.05, 0.12, 0.28), (0.06, 0.2, 0.12), (0.6, 0.5, 0.33), (0.7, 0.66, 0.58), (0.03, 0.03, 0.035),
+    (0.5, 0.22, 0.05), (0.22, 0.05, 0.1), (0.1, 0.25, 0.3), (0.62, 0.4, 0.08), (0.3, 0.28, 0.26),
+])  # fmt: skip
+
+
+def colour_boxes(thing: bpy.types.Object, rng: np.random.Generator) -> None:
+    """Give each box of a joined mesh one of the book colours, in the face-corner attribute `Colour`."""
+    n_boxes = len(thing.data.polygons) // 6
+    tones = BOOK_COLOURS[rng.integers(len(BOOK_COLOURS), size=n_boxes)] * rng.uniform(0.7, 1.2, (n_boxes, 1))
+    colours = np.concatenate([np.repeat(tones.clip(0, 0.8), 24, axis=0), np.ones((24 * n_boxes, 1))], axis=1)
+    layer = thing.data.color_attributes.new("Colour", "FLOAT_COLOR", "CORNER")
+    layer.data.foreach_set("color", colours.astype(np.float32).ravel())
+
+
+def add_cabinet(
+    room: Collection, name: str, size: Vector, body: Material, knobs: Material, *, place: Place, doors: int = 3
+) -> None:
+    """A sideboard, wardrobe or bedside chest: a body on short feet, doors towards -Y, knobs."""
+    x, y, z = size
+    carcass = [
+        box_between((-x / 2, -y / 2 + 0.02, 0.08), (x / 2, y / 2, z)),
+        box_between((-x / 2 + 0.04, -y / 2 + 0.06, 0), (x / 2 - 0.04, y / 2 - 0.04, 0.08)),
+    ]
+    leaf = (x - 0.02) / doors
+    for i in range(doors):
+        low = -x / 2 + 0.01 + leaf * i
+        carcass.append(box_between((low + 0.004, -y / 2, 0.1), (low + leaf - 0.004, -y / 2 + 0.02, z - 0.03)))
+    add_solid(room, name, joined(carcass), body, bevel_m=0.004, **place)
+    grips = []
+    for i in range(doors):
+        side = leaf - 0.05 if i % 2 == 0 else 0.05
+        grips.append(box((0.014, 0.03, 0.12), (-x / 2 + 0.01 + leaf * i + side, -y / 2 - 0.015, 0.55 * z)))
+    add_solid(room, f"{name} handles", joined(grips), knobs, bevel_m=0.004, **place)
+
+
+def add_picture(
+    room: Collection,
+    name: str,
+    size: tuple[float, float],
+    picture: Material,
+    frame: Material,
+    mount: Material,
+    *,
+    place: Place,
+) -> None:
+    """A framed picture with a mount; its back is at y = 0, its centre at the place's height."""
+    x, z = size
+    bars = [box((x + 0.06, 0.03, 0.03), (0, -0.015, s * (z / 2 + 0.015))) for s in (-1, 1)]
+    bars += [box((0.03, 0.03, z), (s * (x / 2 + 0.015), -0.015, 0)) for s in (-1, 1)]
+    add_solid(room, f"{name} frame", joined(bars), frame, bevel_m=0.003, **place)
+    add_solid(room, f"{name} mount", box((x, 0.01, z), (0, -0.006, 0)), mount, **place)
+    add_solid(room, f"{name} picture", box((x * 0.74, 0.004, z * 0.74), (0, -0.0125, 0)), picture, **place)
+
+
+def add_radiator(room: Collection, name: str, width: float, height: float, enamel: Material, *, place: Place) -> None:
+    """A ribbed radiator whose back is at y = 0."""
+    n = round(width / 0.05)
+    ribs = [box((0.034, 0.07, height), (width * ((i + 0.5) / n - 0.5), -0.07, height / 2 + 0.12)) for i in range(n)]
+    ribs += [box((width, 0.03, 0.04), (0, -0.07, z)) for z in (0.16, height + 0.08)]
+    ribs += [tube((s * width * 0.46, -0.07, 0), (s * width * 0.46, -0.07, 0.16), 0.01) for s in (-1, 1)]
+    add_solid(room, name, joined(ribs), enamel, bevel_m=0.01, smooth=True, **place)
+
+
+def add_curtain(
+    room: Collection, name: str, width: float, height: float, cloth: Material, *, place: Place, seed: int
+) -> None:
+    """A hanging curtain in folds, its top at the place's height."""
+    rng = np.random.default_rng(seed)
+    phase = rng.uniform(0, 2 * np.pi, 3)
+    u, v = np.meshgrid(np.linspace(0, 1, 15 * round(width / 0.11)), np.linspace(0, 1, 7))
+    folds = 2 * np.pi * u * round(width / 0.11)
+    sway = 0.045 * np.sin(folds + phase[0] + 0.5 * np.sin(2 * v + phase[1])) * (0.75 + 0.35 * v)
+    spread = (u - 0.5) * width * (1 + 0.08 * v * v) + 0.012 * np.sin(2 * folds + phase[2])
+    add_solid(room, name, sheet(np.stack([spread, sway, -v * height], -1)), cloth, smooth=True, **place)
+
+
+def add_curtain_rod(room: Collection, name: str, width: float, metal: Material, *, place: Place) -> None:
+    """A rod along X with knobs at its ends."""
+    knob = [(0, -0.03), (0.02, -0.018), (0.028, 0), (0.02, 0.018), (0, 0.03)]
+    parts = [tube((-width / 2, 0, 0), (width / 2, 0, 0), 0.012)]
+    parts += [revolved(knob, 16).moved((s * width / 2, 0, 0)) for s in (-1, 1)]
+    add_solid(room, name, joined(parts), metal, smooth=True, **place)
+
+
+def add_plant(
+    room: Collection, name: str, leaves: Material, pot: Material, soil: Material, rng: np.random.Generator,
+    *, place: Place, n_leaves: int = 26, height: float = 0.9, spread: float = 0.4, pot_radius: float = 0.17,
+) -> None:  # fmt: skip
+    """A potted plant: arching leaves that start at the pot."""
+    r, h = pot_radius, 1.9 * pot_radius
+    vessel = [(0, 0), (0.7 * r, 0), (r, h), (0.9 * r, h), (0.86 * r, h - 0.03)]
+    add_solid(room, f"{name} pot", revolved(vessel, 32), pot, smooth=True, **place)
+    add_solid(room, f"{name} soil", cylinder(0.87 * r, 0.02).moved((0, 0, h - 0.05)), soil, **place)
+    blades = []
+    for i in range(n_leaves):
+        reach, rise = spread * rng.uniform(0.4, 1.1), (height - h) * rng.uniform(0.45, 1.0)
+        blade = arching_leaf(reach, rise, width=rng.uniform(0.05, 0.09) * height / 0.9)
+        blades.append(blade.turned(137.5 * i + rng.uniform(-15, 15)).moved((0, 0, h - 0.04)))
+    add_solid(room, f"{name} leaves", joined(blades), leaves, smooth=True, **place)
+
+
+def arching_leaf(reach: float, rise: float, width: float) -> Solid:
+    """A leaf that rises from the origin, bends over towards +X and ends in a point."""
+    t = np.linspace(0, 1, 8)
+    x, z = reach * t**1.4, rise * np.sin(2.1 * t) / np.sin(2.1) * (1.1 - 0.1 * t) * 0.9
+    half = width * np.clip(np.sin(np.pi * t**0.8), 0.0, None) ** 0.8 * 0.5 + 0.003
+    rows = [np.stack([x, s * half, z + abs(s) * half * 0.35], -1) for s in (-1.0, 0.0, 1.0)]
+    return sheet(np.stack(rows))

@@ -1,0 +1,205 @@
+"""How is a data set of rooms built? A job that shares the missing rooms out to processes and watches their files.
+
+Resumable by room: a file that exists is whole and is not made again, and a room is the same whoever makes it. So a
+build may be stopped at any time, and may grow later. Rejected: a pool in this process, since Blender holds one scene.
+
+On one machine the processes are started here, which needs nothing installed; with a scheduler's address its workers
+start them, as `xihe evaluate` does, and see the folder under the same path.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+from xihe_blender.errors import UserError
+from xihe_blender.io.folder_claim import NOT_COMPARED, FolderClaim
+from xihe_blender.jobs import Job, Progress
+from xihe_blender.lab.rooms.store import FORMAT_VERSION, METERING, stored_indices
+from xihe_blender.lab.workers.dask_workers import open_spread
+from xihe_blender.lab.workers.one_core import child_environment, cores_of_their_own, n_cores, on_core
+from xihe_blender.lab.workers.processes import module_command
+from xihenet import __version__
+from xihenet.training.rooms import SPLITS, Split, split_of
+
+POLL_S = 0.25
+MAX_ROOMS = 1_000_000
+MAX_WALK = 240
+WORKER = "xihe_blender.lab.rooms.worker"
+ROOMS_AT_A_TIME = 8
+"""That a worker of a scheduler is asked for: half a minute of work for a second of loading Blender."""
+
+CLAIM = "dataset.json"
+"""What the rooms in a folder are made with."""
+
+
+@dataclass(frozen=True)
+class BuildSettings:
+    """What to build.
+
+    Parameters
+    ----------
+    n_rooms : room numbers are below this; more may be added later with the same seed
+    seed : of the whole data set, at least 0
+    n_workers : processes, one thread each; None for one per core of this process
+    render : sizes and samples of views and probes, as `RoomRenderSettings.numbers` has them
+    walk : frames of a walk in place of the free views; None for free views
+    split : make the rooms of this split alone; None for all
+    scheduler : address of a Dask scheduler whose workers make the rooms; None for processes of our own
+    """
+
+    n_rooms: int
+    seed: int = 0
+    n_workers: int | None = None
+    render: tuple[int, ...] = field(default=(128, 96, 4, 160, 2))
+    walk: int | None = None
+    split: Split | None = None
+    scheduler: str | None = None
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.n_rooms <= MAX_ROOMS:
+            raise UserError(f"--rooms {self.n_rooms}: give 1 to {MAX_ROOMS}")
+        if self.seed < 0:
+            raise UserError(f"--seed {self.seed}: give 0 or more")
+        if self.n_workers is not None and self.n_workers < 1:
+            raise UserError(f"--workers {self.n_workers}: give 1 or more")
+        if self.walk is not None and not 2 <= self.walk <= MAX_WALK:
+            raise UserError(f"--walk {self.walk}: give 2 to {MAX_WALK} frames")
+        if self.split is not None and self.split not in SPLITS:
+            raise UserError(f"--split {self.split}: choose one of {', '.join(SPLITS)}")
+        if not self.wanted():
+            raise UserError(f"--rooms {self.n_rooms}: none of these rooms is in the split {self.split}, give more")
+
+    def wanted(self) -> list[int]:
+        """The numbers of the rooms to make."""
+        everything = range(self.n_rooms)
+        return [i for i in everything if self.split is None or split_of((self.seed, i)) == self.split]
+
+    @property
+    def made_with(self) -> dict[str, Any]:
+        """What all rooms of a folder share. Free views are not named: the first data sets did not."""
+        shared = {"format": FORMAT_VERSION, "seed": self.seed, "render": list(self.render), "metering": METERING}
+        return shared if self.walk is None else {**shared, "walk": self.walk}
+
+
+def build_dataset(folder: Path, settings: BuildSettings) -> Job[int]:
+    """Build the rooms that are missing in `folder`; returns how many were made now.
+
+    UserError if the folder holds another data set or cannot be written, or a worker fails.
+    """
+    claim_folder(folder, settings.made_with)
+    wanted = settings.wanted()
+    missing = missing_rooms(folder, wanted)
+    if settings.scheduler is None:
+        yield from _in_processes(folder, settings, wanted, missing)
+    else:
+        yield from _over_dask(folder.resolve(), settings, missing)
+    left = missing_rooms(folder, wanted)
+    if left:
+        raise UserError(f"{len(left)} rooms were not made, the first is {left[0]}: run the same command again")
+    return len(missing)
+
+
+def _in_processes(
+    folder: Path, settings: BuildSettings, wanted: Sequence[int], missing: Sequence[int]
+) -> Iterator[Progress]:
+    """Make the `missing` rooms in processes of this machine."""
+    n_workers = min(settings.n_workers or n_cores(), max(1, len(missing)))
+    shares = [missing[i::n_workers] for i in range(n_workers)] if missing else []
+    with contextlib.ExitStack() as stack:
+        workers = [
+            stack.enter_context(_worker(folder, settings, share, core))
+            for share, core in zip(shares, cores_of_their_own(n_workers), strict=False)
+        ]
+        try:
+            yield from _watch(folder, wanted, len(missing), workers)
+        finally:
+            # All are told before any is waited for: each finishes the room that it is at.
+            for worker in workers:
+                worker.process.terminate()
+
+
+def _over_dask(folder: Path, settings: BuildSettings, missing: Sequence[int]) -> Iterator[Progress]:
+    """Make the `missing` rooms, some at a time, on the workers of a scheduler. UserError if one fails."""
+    shares = [missing[i : i + ROOMS_AT_A_TIME] for i in range(0, len(missing), ROOMS_AT_A_TIME)]
+    asked = [
+        {"name": f"room {share[0]}", "module": WORKER, "arguments": _arguments(folder, settings, share), "told": None}
+        for share in shares
+    ]
+    if not asked:
+        return
+    with open_spread(None, settings.scheduler) as spread:
+        spread.check_workers(str(folder), [])
+        yield from spread.run(asked, "share of rooms")
+    for reason in spread.failed.values():
+        raise UserError(f"a worker ended: {reason}; the same command goes on from here")
+
+
+def claim_folder(folder: Path, made_with: dict[str, Any]) -> None:
+    """Write what the data set is made with, or check that it is what is there; clear what killed workers left."""
+    software = {NOT_COMPARED: f"xihe {__version__}"}
+    FolderClaim(folder, folder / CLAIM, "rooms", {**made_with, **software}).take()
+    for part in folder.glob(".room_*.npz"):
+        part.unlink(missing_ok=True)
+
+
+def missing_rooms(folder: Path, wanted: Iterable[int]) -> list[int]:
+    """The numbers among `wanted` for which there is no file."""
+    there = set(stored_indices(folder))
+    return [i for i in wanted if i not in there]
+
+
+def _watch(folder: Path, wanted: Sequence[int], n_missing: int, workers: list[_Worker]) -> Iterator[Progress]:
+    """Yield progress until all workers have ended. UserError, in its own words, if one failed."""
+    while True:
+        has_ended = all(worker.process.poll() is not None for worker in workers)
+        done = n_missing - len(missing_rooms(folder, wanted))
+        yield Progress(done, max(n_missing, 1), f"{len(wanted) - n_missing + done} of {len(wanted)} rooms")
+        for worker in workers:
+            if worker.process.poll() not in (None, 0):
+                raise UserError(f"a worker ended: {worker.last_words()}; the same command goes on from here")
+        if has_ended:
+            return
+        time.sleep(POLL_S)
+
+
+@dataclass(frozen=True, eq=False)
+class _Worker:
+    process: subprocess.Popen[bytes]
+    errors: IO[bytes]
+
+    def last_words(self) -> str:
+        """The last line that it wrote to stderr."""
+        self.errors.seek(0)
+        lines = self.errors.read().decode(errors="replace").strip().splitlines()
+        code = self.process.returncode
+        return lines[-1] if lines and code > 0 else f"exit code {code}"
+
+
+@contextlib.contextmanager
+def _worker(folder: Path, settings: BuildSettings, indices: Sequence[int], core: int | None) -> Iterator[_Worker]:
+    """A process that makes the rooms `indices`; it has ended when the block has, whatever happens."""
+    command = [*module_command(WORKER), *_arguments(folder, settings, indices)]
+    with tempfile.TemporaryFile() as errors:
+        with on_core(core):
+            process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors, env=child_environment()
+            )
+        try:
+            yield _Worker(process, errors)
+        finally:
+            process.terminate()
+            process.wait()
+
+
+def _arguments(folder: Path, settings: BuildSettings, indices: Sequence[int]) -> list[str]:
+    """What `worker` is told."""
+    arguments = ["--out", str(folder), "--seed", str(settings.seed), "--rooms", ",".join(str(i) for i in indices)]
+    arguments += ["--settings", *(str(n) for n in settings.render)]
+    return arguments if settings.walk is None else [*arguments, "--walk", str(settings.walk)]

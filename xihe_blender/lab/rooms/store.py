@@ -1,0 +1,128 @@
+"""How is a room kept? One compressed .npz per room, whole or absent, raw: whatever is sampled from it is derived later.
+
+The same room gives the same bytes: nothing stored tells the time or the machine. float16 where it is harmless: plane
+depth (a step of 4 mm at 5 m, less than a sensor's noise) and radiance (11 bits; brighter than 65504 is cut there).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xihe_blender.io.outputs import written_whole
+from xihenet.camera import sensed_ambient
+from xihenet.metering import Metering
+from xihenet.mirror_ball import panorama_of_ball
+from xihenet.npz_files import read_npz
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
+
+ArrayF16 = NDArray[np.float16]
+FORMAT_VERSION = 2
+
+METERING: Metering = "highlights"
+"""Of every room; a folder that was begun with another is not gone on with."""
+
+MAX_FLOAT16 = 65504.0
+
+
+@dataclass(frozen=True, eq=False)
+class StoredRoom:
+    """What one room gives: V views and P placement positions. The views of a walk are its frames, in order.
+
+    Parameters
+    ----------
+    srgb_u8 : (V, H, W, 3) uint8, what the phone delivers at `exposure`
+    radiance : (V, H, W, 3) float16, the same pictures as linear scene radiance, neither exposed nor clipped
+    plane_depth_m : (V, H, W) float16, 0 where no surface was seen
+    world_from_camera : (V, 4, 4) float64
+    intrinsics : (6,) float64: width, height, fx, fy, cx, cy, the same for all views
+    exposure : the phone's, one for the room
+    positions_m : (P, 3) float64, world
+    balls : (P, n, n, 3) float16, scene radiance around each position that camera rays see, as mirror balls
+    sh_ldr, sh_hdr : (P, 9, 3) float64, the reference light at each position: clipped at white, and all of it, lamps
+        that are hidden from cameras among it; both carry the exposure
+    sh_noise : (P, 2) float64, expected relative error of the two; 0 where it is not known
+    is_in_view : (V, P) bool, the position projects into the picture: the pair counts
+    is_unhidden : (V, P) bool, nothing stands between the phone and the position
+    seed : (2,) int64, of the data set and the room's number; of a scene see `scene_seed`
+    kind, regime : of the room and its light, in words; of a scene its name and SCENE_REGIME
+    versions : of the format, this software and Blender
+    """
+
+    srgb_u8: ArrayU8
+    radiance: ArrayF16
+    plane_depth_m: ArrayF16
+    world_from_camera: ArrayF64
+    intrinsics: ArrayF64
+    exposure: float
+    positions_m: ArrayF64
+    balls: ArrayF16
+    sh_ldr: ArrayF64
+    sh_hdr: ArrayF64
+    sh_noise: ArrayF64
+    is_in_view: ArrayBool
+    is_unhidden: ArrayBool
+    seed: NDArray[np.int64]
+    kind: str
+    regime: str
+    versions: str
+
+    @property
+    def pinhole(self) -> Intrinsics:
+        """The intrinsics as a record."""
+        width, height, *rest = self.intrinsics.tolist()
+        return Intrinsics(int(width), int(height), *rest)
+
+    def panorama(self, place: int, height: int = 32) -> ArrayF32:
+        """(height, 2 height, 3) scene radiance around a position that camera rays see, for pictures."""
+        return panorama_of_ball(self.balls[place], height)
+
+    def frame(self, view: int) -> RgbdFrame:
+        """One view as the chain takes it; the sensed ambient light is the picture's mean, as in a capture."""
+        colour = self.srgb_u8[view]
+        plane_depth_m: ArrayF32 = self.plane_depth_m[view].astype(np.float32)
+        ambient = sensed_ambient(colour, self.exposure)
+        return RgbdFrame(colour, plane_depth_m, self.pinhole, self.world_from_camera[view], self.exposure, ambient,
+                         frame=view)  # fmt: skip
+
+
+def as_float16(values: NDArray[Any]) -> ArrayF16:
+    """Values cut to what float16 can hold; NaN becomes 0."""
+    finite = np.nan_to_num(values, nan=0.0, posinf=MAX_FLOAT16, neginf=0.0)
+    return np.clip(finite, -MAX_FLOAT16, MAX_FLOAT16).astype(np.float16)
+
+
+def save_room(path: Path, room: StoredRoom) -> None:
+    """Write `room` whole or not at all. OSError if it cannot be written."""
+    content: dict[str, Any] = {f.name: getattr(room, f.name) for f in fields(room)}
+    with written_whole(path) as beside:
+        np.savez_compressed(beside, **content)
+
+
+def load_room(path: Path) -> StoredRoom:
+    """Read what `save_room` wrote. ValueError naming the file if it is no such file, OSError if it cannot be read."""
+    try:
+        stored = read_npz(path)
+        if "panoramas" in stored:
+            raise ValueError("its format is that of an older version: build the data set again")
+        content: dict[str, Any] = {f.name: stored[f.name] for f in fields(StoredRoom)}
+        for name in ("exposure", "kind", "regime", "versions"):
+            content[name] = content[name].item()
+    except (KeyError, ValueError) as error:
+        raise ValueError(f"{path}: not a room of a data set ({error})") from None
+    return StoredRoom(**content)
+
+
+def room_path(folder: Path, index: int) -> Path:
+    """The file of room `index`."""
+    return folder / f"room_{index:06d}.npz"
+
+
+def stored_indices(folder: Path) -> Iterator[int]:
+    """The numbers of the rooms that are there, in order."""
+    return (int(path.stem.removeprefix("room_")) for path in sorted(folder.glob("room_[0-9]*.npz")))

@@ -1,0 +1,193 @@
+"""Where does the phone stand, and where are virtual objects placed? Both by trial, judged by rays cast in the room.
+
+A phone is held 1.0 to 1.8 m high, yaw free, pitch and roll like a hand's, most often pointed at a place where an object
+stands. A placement position floats 5 to 10 cm above a surface that faces up. Neither may be inside a thing: no ray from
+it may end soon, and few may meet a surface from behind.
+
+Frames: world, metres. Rejected: testing the inside by parity of crossings, since curtains, leaves and shades are open.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from xihe_blender.lab.rooms.arrange import Rng
+from xihe_blender.lab.rooms.outline import Rect
+from xihe_blender.lab.rooms.room_data import Room
+from xihenet.records import ArrayBool, ArrayF64
+from xihenet.sphere import AnchorLattice
+
+N_VIEWS, N_POSITIONS = 5, 4
+VIEW_TRIES, POSITION_TRIES = 300, 300
+MIN_CLEARANCE_M = 0.035
+"""Nearer than this nothing may be to a position: the surface below is 5 cm away at least."""
+
+PHONE_CLEARANCE_M = 0.25
+MAX_BEHIND_SHARE = 0.12
+POSITION_SPACING_M = 0.35
+N_CLEARANCE_RAYS, N_PHONE_RAYS = 128, 48
+
+
+class RoomTooFull(ValueError):
+    """A room offers too few places for the phone or for virtual objects."""
+
+
+@dataclass(frozen=True)
+class RoomRays:
+    """Casts rays in a scene that stays as it is."""
+
+    scene: bpy.types.Scene
+    depsgraph: bpy.types.Depsgraph
+
+    @classmethod
+    def of(cls, scene: bpy.types.Scene) -> RoomRays:
+        layer = scene.view_layers[0]
+        layer.update()
+        return cls(scene, layer.depsgraph)
+
+    def cast(self, origin: ArrayF64, directions: ArrayF64) -> tuple[ArrayF64, ArrayBool]:
+        """Distances (D,) along unit directions (D, 3), infinite for none, and whether a surface was met from behind."""
+        distances = np.full(len(directions), np.inf)
+        from_behind = np.zeros(len(directions), bool)
+        start = Vector(origin.tolist())
+        for i, direction in enumerate(directions.tolist()):
+            hit, place, normal, *_ = self.scene.ray_cast(self.depsgraph, start, direction)
+            if hit:
+                distances[i] = (place - start).length
+                from_behind[i] = normal.dot(direction) > 0
+        return distances, from_behind
+
+    def floor_below(self, x: float, y: float, from_z: float) -> float | None:
+        """Height of the surface below a point, or None if it does not face up."""
+        hit, place, normal, *_ = self.scene.ray_cast(self.depsgraph, (x, y, from_z), (0.0, 0.0, -1.0))
+        return float(place.z) if hit and normal.z > 0.92 else None
+
+
+def sample_positions(rng: Rng, room: Room, rays: RoomRays) -> ArrayF64:
+    """(N_POSITIONS, 3) placement positions, half of them over furniture. RoomTooFull if there are not as many."""
+    found: list[ArrayF64] = []
+    pieces = [p for p in room.pieces if p.z < 0.1 and 0.2 < p.top_m < 1.25]
+    for _ in range(POSITION_TRIES):
+        over = pieces[int(rng.integers(len(pieces)))].footprint if pieces and rng.random() < 0.6 else None
+        position = _draw_position(rng, room, rays, over)
+        if position is None or any(np.linalg.norm(position - other) < POSITION_SPACING_M for other in found):
+            continue
+        if is_clear(rays, position):
+            found.append(position)
+        if len(found) == N_POSITIONS:
+            return np.array(found)
+    raise RoomTooFull(f"only {len(found)} of {N_POSITIONS} placement positions found")
+
+
+def _draw_position(rng: Rng, room: Room, rays: RoomRays, over: Rect | None) -> ArrayF64 | None:
+    """A point 5 to 10 cm above whatever is highest below 1.4 m at a random place, or None."""
+    area = room.outline.bounds.grown(-0.1) if over is None else over
+    x, y = float(rng.uniform(area.x0, area.x1)), float(rng.uniform(area.y0, area.y1))
+    lift = float(rng.uniform(0.05, 0.1))
+    if not room.outline.holds_rect(Rect.around((x, y), (0.12, 0.12))):
+        return None
+    surface = rays.floor_below(x, y, min(1.4, room.ceiling_at((x, y)) - 0.1))
+    return None if surface is None else np.array([x, y, surface + lift])
+
+
+def is_clear(rays: RoomRays, position: ArrayF64) -> bool:
+    """Whether a position is outside of everything and nothing is nearer than MIN_CLEARANCE_M."""
+    distances, from_behind = rays.cast(position, AnchorLattice(N_CLEARANCE_RAYS).directions.astype(np.float64))
+    return bool(distances.min() > MIN_CLEARANCE_M and from_behind.mean() < MAX_BEHIND_SHARE)
+
+
+@dataclass(frozen=True, eq=False)
+class PhoneView:
+    """A pose (4, 4) world_from_camera and the field of view across the picture."""
+
+    world_from_camera: ArrayF64
+    fov_deg: float
+
+
+def sample_views(rng: Rng, room: Room, rays: RoomRays, positions_m: ArrayF64) -> list[PhoneView]:
+    """N_VIEWS views of which all but the last are pointed at a position. RoomTooFull if there are not as many."""
+    fov_deg = float(rng.uniform(60, 72))
+    views: list[PhoneView] = []
+    for attempt in range(VIEW_TRIES):
+        is_aimed = len(views) < N_VIEWS - 1
+        target = positions_m[len(views) % len(positions_m)] if is_aimed else None
+        view = _draw_view(rng, room, target, fov_deg)
+        # A small room has no place from which all is far away: ask for less as the tries go on.
+        if view is not None and sees_something(rays, view, 1.1 - 0.6 * attempt / VIEW_TRIES):
+            views.append(view)
+        if len(views) == N_VIEWS:
+            return views
+    raise RoomTooFull(f"only {len(views)} of {N_VIEWS} views found")
+
+
+def _draw_view(rng: Rng, room: Room, target: ArrayF64 | None, fov_deg: float) -> PhoneView | None:
+    """A hand-held pose somewhere in the room, or None where there is no room for it."""
+    area = room.outline.bounds.grown(-PHONE_CLEARANCE_M)
+    if area.x1 <= area.x0 or area.y1 <= area.y0:
+        return None
+    x, y = float(rng.uniform(area.x0, area.x1)), float(rng.uniform(area.y0, area.y1))
+    height = float(rng.uniform(1.0, 1.8))
+    yaw, pitch = float(rng.uniform(0, 2 * math.pi)), math.radians(float(rng.normal(-18, 12)))
+    roll = math.radians(float(rng.normal(0, 4)))
+    if target is not None:
+        ahead, below = target[:2] - (x, y), target[2] - height
+        if not 0.5 < float(np.hypot(*ahead)) < 4.5:
+            return None
+        yaw = math.atan2(-ahead[0], ahead[1]) + math.radians(float(rng.normal(0, 11)))
+        pitch = math.atan2(below, float(np.hypot(*ahead))) + math.radians(float(rng.normal(6, 8)))
+    if not room.outline.holds((x, y)) or height > room.ceiling_at((x, y)) - 0.15:
+        return None
+    if any(_is_in_box(room, i, (x, y, height)) for i in range(len(room.pieces))):
+        return None
+    return PhoneView(hand_held_pose((x, y, height), yaw, min(max(pitch, -1.1), 0.5), roll), fov_deg)
+
+
+def _is_in_box(room: Room, i: int, place: tuple[float, float, float]) -> bool:
+    piece = room.pieces[i]
+    rect = piece.footprint.grown(0.08)
+    is_over = rect.x0 < place[0] < rect.x1 and rect.y0 < place[1] < rect.y1
+    return is_over and piece.z - 0.1 < place[2] < piece.top_m + 0.2
+
+
+def hand_held_pose(place: tuple[float, float, float], yaw: float, pitch: float, roll: float) -> ArrayF64:
+    """(4, 4) world_from_camera. Radians: yaw anticlockwise from +Y, pitch up from the horizon, roll about the view."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    c, s = math.cos(math.pi / 2 + pitch), math.sin(math.pi / 2 + pitch)
+    tilt = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+    c, s = math.cos(roll), math.sin(roll)
+    pose = np.eye(4)
+    pose[:3, :3] = turn @ tilt @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    pose[:3, 3] = place
+    return pose
+
+
+def sees_something(rays: RoomRays, view: PhoneView, median_m: float) -> bool:
+    """Whether the phone is free of things and its picture is not filled by something close."""
+    place = view.world_from_camera[:3, 3]
+    around, behind = rays.cast(place, AnchorLattice(N_PHONE_RAYS).directions.astype(np.float64))
+    if around.min() < PHONE_CLEARANCE_M or behind.mean() > MAX_BEHIND_SHARE:
+        return False
+    slope = math.tan(math.radians(view.fov_deg) / 2)
+    u, v = np.meshgrid(np.linspace(-1, 1, 7) * slope, np.linspace(-0.75, 0.75, 5) * slope)
+    directions = np.stack([u.ravel(), v.ravel(), np.full(u.size, -1.0)], -1)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    distances, _ = rays.cast(place, directions @ view.world_from_camera[:3, :3].T)
+    return bool(np.median(distances) > median_m and (distances < 0.4).mean() < 0.1)
+
+
+def lines_of_sight(rays: RoomRays, views: list[PhoneView], positions_m: ArrayF64) -> ArrayBool:
+    """(V, P) bool: nothing stands between the phone and the position."""
+    free = np.zeros((len(views), len(positions_m)), bool)
+    for i, view in enumerate(views):
+        gap = positions_m - view.world_from_camera[:3, 3]
+        distance = np.linalg.norm(gap, axis=1)
+        for j in range(len(positions_m)):
+            hit, _ = rays.cast(view.world_from_camera[:3, 3], gap[j : j + 1] / distance[j])
+            free[i, j] = hit[0] > distance[j]
+    return free

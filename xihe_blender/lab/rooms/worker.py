@@ -1,0 +1,61 @@
+"""One process of a data set's build: makes the rooms it is told, one file after the other.
+
+Started by `build`, as `python -m xihe_blender.lab.rooms.worker`. It talks through the files it leaves: a room that is
+there is whole. Rendering uses one thread: two processes with one thread each beat one with two.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from xihe_blender.errors import UserError
+from xihe_blender.lab.rooms.render_room import RoomRenderSettings, make_room
+from xihe_blender.lab.rooms.store import room_path, save_room
+
+
+def make_rooms(
+    folder: Path, seed: int, indices: Sequence[int], settings: RoomRenderSettings, walk: int | None,
+    is_stopped: Callable[[], bool],
+) -> None:  # fmt: skip
+    """Make the rooms that are not there yet; stops between rooms when told to, or when its parent process is gone."""
+    parent = os.getppid()
+    for index in indices:
+        if is_stopped() or os.getppid() != parent:
+            return
+        path = room_path(folder, index)
+        if not path.exists():
+            save_room(path, make_room(seed, index, settings, walk=walk))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; what went wrong is the last line on stderr."""
+    parser = argparse.ArgumentParser(prog="python -m xihe_blender.lab.rooms.worker", description="Make rooms.")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--rooms", required=True, help="numbers, separated by commas")
+    parser.add_argument("--settings", type=int, nargs=5, required=True, metavar="N", help="sizes and samples")
+    parser.add_argument("--walk", type=int, metavar="F", help="frames of a walk in place of free views")
+    options = parser.parse_args(arguments)
+    # Ctrl-C reaches the whole group of processes; the build decides what it means. Told to end, finish the room:
+    # a process that dies while Cycles renders leaves its temporary files behind.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    stop = threading.Event()
+    signal.signal(signal.SIGTERM, lambda _signal, _frame: stop.set())
+    settings = RoomRenderSettings.of(options.settings)
+    indices = [int(i) for i in options.rooms.split(",")]
+    try:
+        make_rooms(options.out, options.seed, indices, settings, options.walk, stop.is_set)
+    except (UserError, OSError) as error:
+        print(" ".join(str(error).split()), file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

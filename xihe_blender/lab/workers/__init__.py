@@ -1,0 +1,1 @@
+"""Other processes that have Blender: on this machine, or a Dask scheduler's."""

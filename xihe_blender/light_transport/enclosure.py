@@ -1,0 +1,118 @@
+"""How often does light bounce before it is lost, in this room? The number of diffuse bounces follows from that.
+
+A walk of light: rays leave through the phone's picture, or from an estimation position in all directions, and at each
+surface go on in a diffuse direction, weaker by the surface's albedo. What they carry to the k-th surface says how much
+of the picture the k-th bounce can make. In a closed room of albedo 0.7 that is 0.7^k; over bare ground nothing after
+the first. No light is sampled: a lamp shows at every bounce alike. Glass and transparent surfaces are passed. To walk
+from within a virtual object, leave it out of the graph: its inside is no room.
+
+Chosen: as many rays leave each surface as came to the first, drawn from those that arrived, by what they carry.
+Rejected: to follow each ray until it is lost, by which few are left for a corner in an open place, and none for its
+third bounce.
+
+Source: a closed room whose walls of albedo a all glow alike leaves out a^(n + 1) of its light with n bounces, which is
+what the walk says. A lamp sampled directly leaves out less: measured in a closed room of albedo 0.7, against 12 bounces
+a picture is 24 % (n = 2), 11 % (4) and 2 % (8) too dark, and the walk says 34, 17 and 4 %, on the careful side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from xihe_blender.light_transport.solids import Solids
+from xihe_blender.scene.units import metres_per_unit
+from xihenet.records import ArrayF64
+from xihenet.sphere import AnchorLattice
+
+N_RAYS = 100
+MAX_BOUNCES = 32
+"""Of any kind, as in Blender's own preset "Full Global Illumination"."""
+
+N_SURFACES = MAX_BOUNCES + 2
+MAX_PASSED = 8
+OFFSET_M = 1e-4
+LEFT_OUT = 2e-4
+"""Share of the light that may be cut. The mean of a small picture over 16 seeds is known to some 3e-4, where a cut of
+1e-3 was seen. Late bounces are nearly free, since Cycles ends weak paths by chance: 32 in place of 8 cost 0 to 5 %."""
+
+Ray = tuple[Vector, Vector]
+"""Where it starts, and its direction, in the world, metres."""
+
+
+def rays_all_round(origins: Sequence[Sequence[float]]) -> list[Ray]:
+    """Rays in all directions from `origins` (world, metres), some N_RAYS in all; empty without an origin."""
+    directions = AnchorLattice(max(16, N_RAYS // max(1, len(origins)))).directions
+    return [(Vector(origin), Vector(direction)) for origin in origins for direction in directions]
+
+
+def rays_through_picture(camera: bpy.types.Object, scene: bpy.types.Scene) -> list[Ray]:
+    """Rays through an even grid of the picture of an evaluated `camera`; all round for one that is not perspective."""
+    place = camera.matrix_world.translation * metres_per_unit(scene)
+    if camera.type != "CAMERA" or camera.data.type != "PERSP":
+        return rays_all_round([tuple(place)])
+    right_top, right_bottom, left_bottom, left_top = camera.data.view_frame(scene=scene)
+    world_from_camera = camera.matrix_world.to_3x3().normalized()
+    along = (np.arange(round(N_RAYS**0.5)) + 0.5) / round(N_RAYS**0.5)
+    grid = [left_bottom.lerp(right_bottom, x).lerp(left_top.lerp(right_top, x), y) for y in along for x in along]
+    return [(place.copy(), (world_from_camera @ direction).normalized()) for direction in grid]
+
+
+def carried(solids: Solids, rays: Sequence[Ray], rng: np.random.Generator) -> ArrayF64:
+    """(N_SURFACES,) share of `rays` that reach a k-th surface, weakened on the way; all 0 without rays."""
+    weights = np.zeros(N_SURFACES)
+    weight = 1.0
+    for surface in range(N_SURFACES):
+        hits = [hit for ray in rays if (hit := _next_surface(solids, ray)) is not None]
+        albedos = np.array([share for _, _, share in hits])
+        if albedos.sum() <= 0:
+            weights[surface] = weight * len(hits) / max(1, len(rays))
+            break
+        weight *= len(hits) / len(rays)
+        weights[surface] = weight
+        weight *= albedos.mean()
+        if weight < 0.1 * LEFT_OUT * weights.sum():
+            break
+        drawn = rng.choice(len(hits), N_RAYS, p=albedos / albedos.sum())
+        rays = [(hits[k][0], _diffuse_direction(hits[k][1], rng)) for k in drawn]
+    return weights
+
+
+def _next_surface(solids: Solids, ray: Ray) -> tuple[Vector, Vector, float] | None:
+    """Where a ray ends, the normal on its side, and the albedo there; None where it is lost."""
+    place, direction = ray
+    for _ in range(MAX_PASSED):
+        hit = solids.nearest(place + direction * OFFSET_M, direction)
+        if hit is None:
+            return None
+        place, normal, albedo = hit
+        if albedo is not None:
+            return place, normal if normal.dot(direction) < 0 else -normal, albedo
+    return None
+
+
+def _diffuse_direction(normal: Vector, rng: np.random.Generator) -> Vector:
+    """Cosine-distributed about `normal`: a point on the unit sphere that touches the surface."""
+    direction = normal + Vector(rng.normal(size=3)).normalized()
+    return direction.normalized() if direction.length > 1e-6 else normal
+
+
+def bounces_needed(weights: ArrayF64, *, at_least: int = 2, at_most: int = MAX_BOUNCES) -> int:
+    """Diffuse bounces after which no more than LEFT_OUT of what `carried` gives is left out.
+
+    With n bounces light of the first n + 1 surfaces is seen.
+    """
+    total = _whole(weights)
+    left_out = 1.0 - np.cumsum(weights) / total if total > 0 else np.zeros(len(weights))
+    enough = np.flatnonzero(left_out <= LEFT_OUT)
+    return int(np.clip(enough[0] if len(enough) else at_most, at_least, at_most))
+
+
+def _whole(weights: ArrayF64) -> float:
+    """What all surfaces together would carry: those walked to, and the rest as it goes on from the last ones."""
+    before, last = weights[-2], weights[-1]
+    kept = min(last / before, 0.99) if before > 0 else 0.0
+    return float(weights.sum() + last * kept / (1 - kept))

@@ -1,0 +1,267 @@
+"""What can a shader node tree do to light? Read backwards from its active output, as Cycles reads it.
+
+Only what reaches the output counts. Links are followed through reroutes, groups and muted nodes; a mix whose factor is
+a constant 0 or 1 has one side only; a Principled shader does what its weights let it. A value that is linked to a
+texture or to arithmetic may be anything, and a node that this file does not know may do anything: the answer errs
+towards "it may". Values are read as they stand, so animation and drivers are the business of whoever evaluates the
+tree at each frame (see `reach`). Rejected: searching the tree for node types, which finds what nothing is linked to.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+
+from xihe_blender.light_transport.sockets import (
+    Groups,
+    constant,
+    has_nodes,
+    is_whole,
+    largest,
+    may_be_positive,
+    origin,
+    sides,
+)
+
+UNKNOWN_ALBEDO = 0.8
+"""Of a colour that cannot be read off: a bright wall paint. Guessing too dark would cut bounces that are needed."""
+
+
+class Ability(enum.Flag):
+    """One way in which a surface, a volume or a world takes part in light transport."""
+
+    NOTHING = 0
+    DIFFUSE = enum.auto()
+    GLOSSY = enum.auto()
+    REFRACTION = enum.auto()
+    TRANSLUCENT = enum.auto()
+    TRANSPARENT = enum.auto()
+    SUBSURFACE = enum.auto()
+    HAIR = enum.auto()
+    EMISSION = enum.auto()
+    VARYING_EMISSION = enum.auto()
+    VOLUME = enum.auto()
+    DISPLACEMENT = enum.auto()
+
+
+A = Ability
+ANYTHING = ~Ability.NOTHING & ~Ability.DISPLACEMENT & ~Ability.HAIR
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a material may do, and the largest share of light (0 to 1, its brightest channel) it can send on."""
+
+    abilities: Ability = Ability.NOTHING
+    albedo: float = 0.0
+
+    def __or__(self, other: Look) -> Look:
+        return Look(self.abilities | other.abilities, max(self.albedo, other.albedo))
+
+
+NOTHING = Look()
+
+SIMPLE = {
+    "BSDF_DIFFUSE": A.DIFFUSE,
+    "BSDF_SHEEN": A.DIFFUSE,
+    "BSDF_TOON": A.DIFFUSE | A.GLOSSY,
+    "BSDF_TRANSLUCENT": A.DIFFUSE | A.TRANSLUCENT,
+    "BSDF_GLOSSY": A.GLOSSY,
+    "BSDF_METALLIC": A.GLOSSY,
+    "BSDF_GLASS": A.GLOSSY | A.REFRACTION,
+    "BSDF_REFRACTION": A.REFRACTION,
+    "BSDF_TRANSPARENT": A.TRANSPARENT,
+    "BSDF_RAY_PORTAL": A.TRANSPARENT,
+    "SUBSURFACE_SCATTERING": A.DIFFUSE | A.SUBSURFACE,
+    # Cycles counts light through a strand among the transmission bounces.
+    "BSDF_HAIR": A.HAIR | A.GLOSSY | A.TRANSLUCENT,
+    "BSDF_HAIR_PRINCIPLED": A.HAIR | A.GLOSSY | A.TRANSLUCENT,
+    "HOLDOUT": A.NOTHING,
+}
+
+
+def material_look(material: bpy.types.Material | None) -> Look:
+    """What `material` may do; None is Blender's default grey."""
+    if material is None:
+        return Look(A.DIFFUSE, UNKNOWN_ALBEDO)
+    if not has_nodes(material):
+        return Look(A.DIFFUSE, max(material.diffuse_color[:3]))
+    output = material.node_tree.get_output_node("CYCLES")
+    if output is None:
+        return NOTHING
+    look = _shader(output.inputs["Surface"], ()) | _volume(output.inputs["Volume"])
+    if material.displacement_method != "BUMP" and _displaces(output.inputs["Displacement"]):
+        look |= Look(A.DISPLACEMENT)
+    return look
+
+
+def world_look(world: bpy.types.World | None) -> Look:
+    """What `world` may do: emit, emit differently by direction, fill space with a volume."""
+    if world is None:
+        return NOTHING
+    if not has_nodes(world):
+        return Look(A.EMISSION) if any(world.color) else NOTHING
+    output = world.node_tree.get_output_node("CYCLES")
+    return NOTHING if output is None else _shader(output.inputs["Surface"], ()) | _volume(output.inputs["Volume"])
+
+
+def light_emits(light: bpy.types.Light) -> bool:
+    """Whether a lamp gives any light: it has power, a colour, and nodes (if any) that let it through."""
+    if light.energy == 0 or not any(light.color):
+        return False
+    if not has_nodes(light):
+        return True
+    output = light.node_tree.get_output_node("CYCLES")
+    return output is not None and bool(_shader(output.inputs["Surface"], ()).abilities & A.EMISSION)
+
+
+# ------------------------------------------------------------------------------------------------------------- colours
+
+
+def _albedo(node: Any, name: str, groups: Groups) -> float:
+    value = _brightest(node.inputs[name], groups) if name in node.inputs else UNKNOWN_ALBEDO
+    return min(max(value, 0.0), 1.0)
+
+
+def _brightest(socket: Any, groups: Groups) -> float:
+    """The largest channel that a colour can have: of a constant, a colour ramp, or a mix of these; else a guess."""
+    value = constant(socket, groups)
+    if value is not None:
+        return float(max(value) if isinstance(value, tuple) else value)
+    out, groups = origin(socket, groups)
+    node = out.node
+    if node.type == "VALTORGB":
+        return float(max(max(element.color[:3]) for element in node.color_ramp.elements))
+    if node.type == "MIX" and node.data_type == "RGBA" and node.blend_type in ("MIX", "MULTIPLY"):
+        sides = [side for side in node.inputs if side.identifier in ("A_Color", "B_Color")]
+        return max(_brightest(side, groups) for side in sides)
+    return UNKNOWN_ALBEDO
+
+
+# ------------------------------------------------------------------------------------------------------------- shaders
+
+
+def _shader(socket: Any, groups: Groups) -> Look:
+    """What arrives at a shader input."""
+    out, groups = origin(socket, groups)
+    if not out.is_output:
+        return NOTHING
+    if out.type != "SHADER":
+        return Look(A.EMISSION | A.VARYING_EMISSION)  # Cycles shows a bare colour as emission
+    node = out.node
+    if node.type in SIMPLE:
+        return _simple(node, groups)
+    special = {
+        "MIX_SHADER": _mix,
+        "ADD_SHADER": _add,
+        "BSDF_PRINCIPLED": _principled,
+        "EMISSION": _emission,
+        "BACKGROUND": _emission,
+    }
+    read = special.get(node.type)
+    return Look(ANYTHING, UNKNOWN_ALBEDO) if read is None else read(node, groups)
+
+
+def _simple(node: Any, groups: Groups) -> Look:
+    colour = "Base Color" if "Base Color" in node.inputs else "Color"
+    # The hair shaders have other ways to be coloured than by their colour.
+    if not SIMPLE[node.type] & A.HAIR and not may_be_positive(node, colour, groups):
+        return NOTHING
+    is_passed_through = SIMPLE[node.type] in (A.TRANSPARENT, A.NOTHING)
+    return Look(SIMPLE[node.type], 0.0 if is_passed_through else _albedo(node, colour, groups))
+
+
+def _mix(node: Any, groups: Groups) -> Look:
+    mixed = NOTHING
+    for side in sides(node, groups):
+        mixed |= _shader(side, groups)
+    if constant(node.inputs[0], groups) is None and mixed.abilities & A.EMISSION:
+        mixed |= Look(A.VARYING_EMISSION)
+    return mixed
+
+
+def _add(node: Any, groups: Groups) -> Look:
+    return _shader(node.inputs[0], groups) | _shader(node.inputs[1], groups)
+
+
+def _emission(node: Any, groups: Groups) -> Look:
+    return Look(_emitted(node, "Color", "Strength", groups))
+
+
+def _emitted(node: Any, colour: str, strength: str, groups: Groups) -> Ability:
+    values = largest(node, colour, groups), largest(node, strength, groups)
+    if 0.0 in values:
+        return A.NOTHING
+    return A.EMISSION | A.VARYING_EMISSION if None in values else A.EMISSION
+
+
+def _principled(node: Any, groups: Groups) -> Look:
+    """The layers of the Principled shader, from the top; each hides what is below it only where its weight is 1."""
+
+    def may(name: str) -> bool:
+        return may_be_positive(node, name, groups)
+
+    abilities = A.NOTHING if is_whole(node, "Alpha", groups) else A.TRANSPARENT
+    if not may("Alpha"):
+        return Look(abilities)
+    abilities |= A.DIFFUSE if may("Sheen Weight") else A.NOTHING
+    abilities |= A.GLOSSY if may("Coat Weight") or may("Metallic") else A.NOTHING
+    abilities |= _emitted(node, "Emission Color", "Emission Strength", groups)
+    if not is_whole(node, "Metallic", groups):
+        abilities |= A.GLOSSY | A.REFRACTION if may("Transmission Weight") else A.NOTHING
+        if not is_whole(node, "Transmission Weight", groups):
+            abilities |= _principled_base(node, groups)
+    return Look(abilities, _albedo(node, "Base Color", groups))
+
+
+def _principled_base(node: Any, groups: Groups) -> Ability:
+    """Diffuse below a dielectric coat, with light that spreads below the surface or passes a thin wall."""
+    abilities = A.DIFFUSE
+    if may_be_positive(node, "Specular IOR Level", groups):
+        abilities |= A.GLOSSY
+    if may_be_positive(node, "Subsurface Weight", groups):
+        abilities |= A.SUBSURFACE
+        if may_be_positive(node, "Thin Wall", groups):
+            abilities |= A.TRANSLUCENT
+    return abilities
+
+
+# ---------------------------------------------------------------------------------------------- volume, displacement
+
+
+def _volume(socket: Any, groups: Groups = ()) -> Look:
+    """VOLUME where something is linked that can absorb, scatter or glow."""
+    out, groups = origin(socket, groups)
+    if not out.is_output:
+        return NOTHING
+    node = out.node
+    if node.type in ("MIX_SHADER", "ADD_SHADER"):
+        look = NOTHING
+        for side in sides(node, groups):
+            look |= _volume(side, groups)
+        return look
+    weights = {
+        "VOLUME_ABSORPTION": ("Density",),
+        "VOLUME_SCATTER": ("Density",),
+        "PRINCIPLED_VOLUME": ("Density", "Emission Strength", "Blackbody Intensity"),
+        "EMISSION": ("Strength",),
+    }.get(node.type)
+    fills = weights is None or any(may_be_positive(node, name, groups) for name in weights)
+    return Look(A.VOLUME) if fills else NOTHING
+
+
+def _displaces(socket: Any) -> bool:
+    """Whether what is linked to a Displacement input can move the surface."""
+    out, groups = origin(socket, ())
+    if not out.is_output:
+        return False
+    node = out.node
+    if node.type not in ("DISPLACEMENT", "VECTOR_DISPLACEMENT"):
+        return True
+    if largest(node, "Scale", groups) == 0:
+        return False
+    values = [largest(node, name, groups) for name in ("Height", "Midlevel")]
+    return node.type == "VECTOR_DISPLACEMENT" or None in values or values[0] != values[1]

@@ -1,0 +1,219 @@
+"""What of the scene can light reach, over the frames of a run: which abilities, on which objects, and how many lights?
+
+Everything that Cycles would be given counts, wherever it stands: a glass vase behind the camera is in a mirror, and
+lights the wall that the camera sees. So nothing is left out by the camera's view. What Cycles is not given (hidden in
+renders, excluded, no ray type left by the visibility switches) does not count. Holdout and indirect-only objects do:
+other surfaces still see them. An object that only casts shadows counts for transparency alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import bpy
+import numpy as np
+
+from xihe_blender.light_transport.animation import is_animated, placement
+from xihe_blender.light_transport.enclosure import Ray, carried, rays_all_round, rays_through_picture
+from xihe_blender.light_transport.inspection import look_at_frames
+from xihe_blender.light_transport.nodes import Ability, Look, light_emits, material_look, world_look
+from xihe_blender.light_transport.solids import Solids, undivided_mesh
+from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES
+from xihenet.records import ArrayF64
+
+RAYS = ("camera", "diffuse", "glossy", "transmission", "volume_scatter")
+PASSED = Ability.TRANSPARENT | Ability.REFRACTION
+
+
+@dataclass
+class Reach:
+    """What light can reach over the inspected frames.
+
+    Parameters
+    ----------
+    surfaces : for each ability, what has it, in words ("material 'Glass' on 'Vase'"), in the order it was found
+    strands : objects with hair
+    n_lights : the most lamps, emitting objects and emitting worlds at any one frame
+    has_lamps : whether there are lamps, switched on at any frame
+    emitters : names of the emitting objects
+    world : what the world may do
+    defocused : cameras with depth of field
+    is_moving : something stands otherwise in one frame than in another
+    carried : (N_SURFACES,) of each walk of light; see `enclosure`
+    """
+
+    surfaces: dict[Ability, list[str]] = field(default_factory=dict)
+    strands: list[str] = field(default_factory=list)
+    n_lights: int = 0
+    has_lamps: bool = False
+    emitters: list[str] = field(default_factory=list)
+    world: Ability = Ability.NOTHING
+    defocused: list[str] = field(default_factory=list)
+    is_moving: bool = False
+    carried: list[ArrayF64] = field(default_factory=list)
+
+    def which(self, *abilities: Ability) -> list[str]:
+        """What has any of `abilities`, in words."""
+        return list(dict.fromkeys(words for ability in abilities for words in self.surfaces.get(ability, ())))
+
+
+def reach_of(
+    scene: bpy.types.Scene, frames: Sequence[int], camera: bpy.types.Object | None, positions: Sequence[Sequence[float]]
+) -> Reach:
+    """Look at `scene` at each of `frames`; see `Reach`.
+
+    Parameters
+    ----------
+    camera : one whose view counts; None takes the scene's at each frame, markers that switch it included
+    positions : (K, 3) world, metres: where light probes stand. Empty is legal
+    """
+    middle = {frames[0], frames[len(frames) // 2], frames[-1]}
+    inspection = _Inspection(camera, positions, middle)
+    look_at_frames(scene, frames, inspection.look_at)
+    look_at_frames(scene, sorted(middle), inspection.walk_room, is_room_only=True)
+    if len(frames) == 1 and scene.render.use_motion_blur:
+        look_at_frames(scene, [frames[0] + 1], inspection.look_for_movement)
+    inspection.reach.is_moving = len(inspection.placements) > 1
+    return inspection.reach
+
+
+class _Inspection:
+    """Gathers a `Reach`, one evaluated frame after the other."""
+
+    def __init__(
+        self, camera: bpy.types.Object | None, positions: Sequence[Sequence[float]], walked: Collection[int]
+    ) -> None:
+        self.camera, self.positions, self.walked = camera, positions, walked
+        self.reach = Reach()
+        self.placements: set[int] = set()
+        self.still: dict[Any, Look] = {}
+        """Looks of what no animation changes, by original data-block."""
+        self.solids: dict[int, Solids] = {}
+        """By how all stands: where only the phone moves, two are made, with the virtual objects and without."""
+
+    def look_at(self, depsgraph: bpy.types.Depsgraph) -> None:
+        layer = depsgraph.view_layer_eval
+        n_lights = self._world(getattr(layer, "world_override", None) or depsgraph.scene_eval.world)
+        for instance in depsgraph.object_instances:
+            n_lights += self._instance(instance)
+        self.reach.n_lights = max(self.reach.n_lights, n_lights)
+        camera = self._evaluated_camera(depsgraph)
+        if camera.type == "CAMERA" and camera.data.dof.use_dof:
+            self._note(self.reach.defocused, camera.name)
+        if depsgraph.scene.frame_current in self.walked:
+            self._walk(depsgraph, rays_through_picture(camera, depsgraph.scene))
+        self.look_for_movement(depsgraph)
+
+    def walk_room(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """Walk light through a graph without virtual objects, as captures and light probes show it."""
+        picture = rays_through_picture(self._evaluated_camera(depsgraph), depsgraph.scene)
+        self._walk(depsgraph, rays_all_round(self.positions), picture)
+
+    def _evaluated_camera(self, depsgraph: bpy.types.Depsgraph) -> bpy.types.Object:
+        return (self.camera or depsgraph.scene.camera).evaluated_get(depsgraph)
+
+    def look_for_movement(self, depsgraph: bpy.types.Depsgraph) -> None:
+        self.placements.add(placement(depsgraph.object_instances))
+
+    def _world(self, world: bpy.types.World | None) -> int:
+        look = self._look(world, world_look)
+        self.reach.world |= look.abilities
+        if world is not None and look.abilities & Ability.VOLUME:
+            self._note(self.reach.surfaces.setdefault(Ability.VOLUME, []), f"world {world.name!r}")
+        return int(bool(look.abilities & Ability.EMISSION))
+
+    def _instance(self, instance: Any) -> int:
+        """Note what an object or instance can do to light; 1 if it emits."""
+        item = instance.object
+        is_seen, casts_shadow = _is_visible(instance, RAYS), _is_visible(instance, ("shadow",))
+        if not (is_seen or casts_shadow):
+            return 0
+        if item.type == "LIGHT":
+            is_lit = instance.show_self and light_emits(item.data)
+            self.reach.has_lamps |= is_lit
+            return int(is_lit)
+        emits = 0
+        if instance.show_self and item.type in GEOMETRY_TYPES:
+            if item.type == "CURVES" and is_seen:
+                self._note(self.reach.strands, item.name)
+            for material in _used_materials(item):
+                emits |= self._surface(item, material, is_seen)
+        if instance.show_particles and is_seen:
+            for settings in _hair_settings(item):
+                self._note(self.reach.strands, item.name)
+                self._surface(item, _slot_material(item, settings.material - 1), is_seen)
+        return emits
+
+    def _surface(self, item: bpy.types.Object, material: bpy.types.Material | None, is_seen: bool) -> int:
+        look = self._look(material, material_look)
+        if material is None and item.type == "VOLUME":
+            look = Look(Ability.VOLUME)
+        words = f"material {material.name!r} on {item.name!r}" if material is not None else f"{item.name!r}"
+        for ability in look.abilities if is_seen else look.abilities & Ability.TRANSPARENT:
+            self._note(self.reach.surfaces.setdefault(ability, []), words)
+        emits = is_seen and bool(look.abilities & Ability.EMISSION)
+        if emits:
+            self._note(self.reach.emitters, item.name)
+        return int(emits)
+
+    def _look(self, block: Any, read: Any) -> Look:
+        """What `block`, as evaluated at this frame, may do; read once if nothing in it is animated."""
+        if block is None:
+            return read(None)  # type: ignore[no-any-return]
+        original = block.original
+        if original not in self.still:
+            look: Look = read(block)
+            if is_animated(original):
+                return look
+            self.still[original] = look
+        return self.still[original]
+
+    def _walk(self, depsgraph: bpy.types.Depsgraph, *bundles: Sequence[Ray]) -> None:
+        def albedo(item: bpy.types.Object, slot: int) -> float | None:
+            look = self._look(_slot_material(item, slot), material_look)
+            return None if look.abilities & PASSED else look.albedo
+
+        key = placement(i for i in depsgraph.object_instances if i.object.type != "CAMERA")
+        if key not in self.solids:
+            self.solids[key] = Solids(depsgraph, lambda i: i.show_self and _is_visible(i, RAYS), albedo)
+        solids = self.solids[key]
+        for rays in bundles:
+            self.reach.carried.append(carried(solids, rays, np.random.default_rng(0)))
+
+    @staticmethod
+    def _note(words: list[str], word: str) -> None:
+        if word not in words:
+            words.append(word)
+
+
+def _is_visible(instance: Any, rays: Sequence[str]) -> bool:
+    """Whether any of `rays` meets the instance: the object's switches and those of what instances it, as in Cycles."""
+    items = [instance.object] if instance.parent is None else [instance.object, instance.parent]
+    return any(all(getattr(item, f"visible_{ray}") for item in items) for ray in rays)
+
+
+def _used_materials(item: bpy.types.Object) -> list[bpy.types.Material | None]:
+    """Materials that faces of an evaluated object really have; [None] for one without slots, [] without faces."""
+    if item.type != "MESH":
+        return [slot.material for slot in item.material_slots] or [None]
+    polygons = undivided_mesh(item).polygons
+    if len(polygons) == 0:
+        return []
+    if len(item.material_slots) < 2:
+        return [_slot_material(item, 0)]
+    indices = np.empty(len(polygons), np.int32)
+    polygons.foreach_get("material_index", indices)
+    return [_slot_material(item, int(index)) for index in np.unique(indices)]
+
+
+def _slot_material(item: bpy.types.Object, slot: int) -> bpy.types.Material | None:
+    """The material of a slot; an index beyond the last means the last, as in Cycles."""
+    slots = item.material_slots
+    return slots[min(max(slot, 0), len(slots) - 1)].material if len(slots) else None
+
+
+def _hair_settings(item: bpy.types.Object) -> list[bpy.types.ParticleSettings]:
+    settings = [system.settings for system in item.particle_systems]
+    return [one for one in settings if one.type == "HAIR" and one.render_type == "PATH"]

@@ -1,0 +1,241 @@
+"""In which frames is everything that Cycles would be given the same, so that a render need not be made again?
+
+The scene is evaluated at each frame, as Cycles would be given it, and what could differ becomes a digest: where
+everything stands, visibility, the shape of what can deform, the values of what is animated or driven. Two frames with
+equal digests give the same pixels, because the seed of Cycles is fixed for a run. Rejected: to compare F-curves, which
+says nothing of drivers, constraints, simulations and Python; and Blender's own list of what it evaluated anew, which
+names whatever is animated, also where no value changes.
+
+When unsure, a frame counts as changed: with particles, smoke, image sequences, movies and volumes that come in frames,
+with motion blur, which looks beyond the frame, and wherever an add-on has a hand in every frame (handlers).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+
+from xihe_blender.light_transport.animation import is_animated, is_film
+from xihe_blender.light_transport.inspection import look_at_frames
+from xihe_blender.light_transport.values import UnreadableError, shape_of, values_of
+from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, virtual_collection
+
+HANDLERS = ("frame_change_pre", "frame_change_post", "depsgraph_update_pre", "depsgraph_update_post", "render_pre")
+RAYS = ("camera", "diffuse", "glossy", "transmission", "volume_scatter", "shadow")
+FIXED = {"ARRAY", "BEVEL", "DECIMATE", "EDGE_SPLIT", "MIRROR", "MULTIRES", "REMESH", "SCREW", "SMOOTH", "SOLIDIFY",
+         "SUBSURF", "TRIANGULATE", "WEIGHTED_NORMAL", "WELD", "WIREFRAME"}  # fmt: skip
+"""Modifiers that give the same shape in every frame, where nothing is animated and they follow no other object."""
+
+SHADERS = {"MATERIAL", "NODETREE", "WORLD", "LIGHT", "TEXTURE"}
+
+
+@dataclass(frozen=True)
+class SceneState:
+    """Digests of one frame; equal where a render would be equal, different where it may differ.
+
+    Parameters
+    ----------
+    room : of all that lights the room: everything but the camera and the virtual objects
+    virtual : of the virtual objects
+    camera : of the scene's camera: where it is, its lens, its focus
+    """
+
+    room: str
+    virtual: str
+    camera: str
+
+
+def scene_states(scene: bpy.types.Scene, frames: Sequence[int], *, has_motion_blur: bool = False) -> list[SceneState]:
+    """The state of `scene` at each of `frames`; the scene stays as it is.
+
+    With `has_motion_blur` every frame is a state of its own.
+    """
+    meddlers = [handler for name in HANDLERS for handler in getattr(bpy.app.handlers, name) if not _is_ours(handler)]
+    inspection = _Inspection(scene, is_sure=not (has_motion_blur or meddlers))
+    look_at_frames(scene, frames, inspection.look_at)
+    return inspection.states
+
+
+def _is_ours(handler: object) -> bool:
+    """The panel's own handlers only take notice."""
+    return str(getattr(handler, "__module__", "")).startswith("xihe_blender.")
+
+
+class _Inspection:
+    def __init__(self, scene: bpy.types.Scene, *, is_sure: bool) -> None:
+        collection = virtual_collection(scene)
+        self.virtual = set(collection.all_objects) if collection is not None else set()
+        users = bpy.data.user_map(key_types={"OBJECT"}, value_types=SHADERS)
+        self.in_shaders = {item for item, of_item in users.items() if of_item}
+        """Objects whose place a texture follows."""
+        self.is_sure = is_sure
+        self.states: list[SceneState] = []
+
+    def look_at(self, depsgraph: bpy.types.Depsgraph) -> None:
+        with warnings.catch_warnings():
+            # Every property is read, those that a later Blender will not have any more included.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            self._look_at(depsgraph)
+
+    def _look_at(self, depsgraph: bpy.types.Depsgraph) -> None:
+        room, virtual = _Digest(depsgraph.scene.frame_current), _Digest(depsgraph.scene.frame_current)
+        if not self.is_sure:
+            room.never_the_same()
+        camera = depsgraph.scene.camera
+        for block in depsgraph.ids:
+            if isinstance(block, bpy.types.Object):
+                is_apart = block.original in self.virtual or block.type == "CAMERA"
+                if not is_apart or block.original in self.in_shaders:
+                    room.add(block.name_full, _matrix(block))
+                self._object_values(virtual if block.original in self.virtual else room, block)
+            elif not isinstance(block, bpy.types.Camera):
+                _add_block(room, block)
+        self._instances(depsgraph, room, virtual)
+        self.states.append(SceneState(room.hex(), virtual.hex(), _camera_digest(camera, depsgraph)))
+
+    def _object_values(self, digest: _Digest, item: bpy.types.Object) -> None:
+        """Visibility, colour and custom properties. A camera's own are none of the room's, nor is its place."""
+        if item.type != "CAMERA" and is_animated(item.original):
+            moved = {"matrix_world", "matrix_local", "matrix_basis", "matrix_parent_inverse"}
+            digest.add(item.name_full, *(entry for entry in values_of(item) if entry[0] not in moved))
+
+    def _instances(self, depsgraph: bpy.types.Depsgraph, room: _Digest, virtual: _Digest) -> None:
+        read: set[tuple[int, int]] = set()
+        for instance in depsgraph.object_instances:
+            item = instance.object
+            owner = instance.parent.original if instance.is_instance else item.original
+            digest = virtual if owner in self.virtual else room
+            if item.type == "CAMERA":
+                continue
+            visible = tuple(getattr(item, f"visible_{ray}") for ray in RAYS)
+            shown = (instance.show_self, instance.show_particles, instance.random_id, *instance.persistent_id)
+            digest.add(item.name_full, _matrix(instance), *visible, *shown)
+            if instance.particle_system is not None or (instance.show_particles and len(item.particle_systems)):
+                digest.never_the_same()
+            if item.type in GEOMETRY_TYPES:
+                _add_shape(digest, item, read)
+
+
+class _Digest:
+    def __init__(self, frame: int) -> None:
+        self.frame = frame
+        self.hash = hashlib.blake2b(digest_size=16)
+
+    def add(self, *values: Any) -> None:
+        self.hash.update(repr(values).encode())
+
+    def never_the_same(self) -> None:
+        self.add("frame", self.frame)
+
+    def hex(self) -> str:
+        return self.hash.hexdigest()
+
+
+def _matrix(item: Any) -> tuple[float, ...]:
+    """Rounded to a micrometre: an F-curve between two equal keys gives their value to the last bit but one."""
+    return tuple(round(value, 6) for row in item.matrix_world for value in row)
+
+
+def _add_block(digest: _Digest, block: bpy.types.ID) -> None:
+    """What a data-block other than an object may change from frame to frame."""
+    if isinstance(block, bpy.types.Image):
+        is_moving = is_film(block)
+    elif isinstance(block, bpy.types.Volume):
+        is_moving = block.is_sequence
+    else:
+        is_moving = False
+    if is_moving:
+        digest.never_the_same()
+    elif isinstance(block, bpy.types.Scene):
+        if is_animated(block.original):
+            parts = [block, block.cycles, block.render, block.view_layers[0]]
+            digest.add(*(entry for part in parts for entry in _scene_values(part)))
+    elif is_animated(block.original):
+        digest.add(block.name_full, *values_of(block))
+
+
+def _scene_values(part: Any) -> Iterator[tuple[Any, ...]]:
+    """Numbers and switches only: what a scene holds is looked at one by one, and its frame always differs."""
+    for described in part.bl_rna.properties:
+        if described.type in ("BOOLEAN", "INT", "FLOAT", "ENUM") and not described.identifier.startswith("frame_"):
+            value: Any = getattr(part, described.identifier, None)
+            yield described.identifier, tuple(value) if hasattr(value, "__len__") else value
+    if isinstance(part, bpy.types.Scene | bpy.types.ViewLayer):
+        yield from ((key, str(part[key])) for key in part.keys() if key != "cycles")  # noqa: SIM118 - not a dict
+
+
+def _add_shape(digest: _Digest, item: bpy.types.Object, read: set[tuple[int, int]]) -> None:
+    """What an evaluated object is made of; `read` gathers the shapes that are in a digest already."""
+    digest.add(*(slot.material.name_full for slot in item.material_slots if slot.material is not None))
+    if not _may_deform(item.original):
+        return
+    if any(modifier.type == "FLUID" for modifier in item.modifiers):
+        digest.never_the_same()
+    # A shape that the room and a virtual object share belongs to both.
+    key = (item.data.as_pointer(), id(digest))
+    if key in read:
+        return
+    read.add(key)
+    try:
+        for part in shape_of(item):
+            digest.hash.update(part)
+    except UnreadableError:
+        digest.never_the_same()
+
+
+def _may_deform(item: bpy.types.Object) -> bool:
+    """Whether the shape of `item` can be another one in another frame. Not by reading it: that would subdivide it."""
+    if item.type == "VOLUME":
+        return bool(item.modifiers)
+    if item.type != "MESH" or item.data.shape_keys is not None or is_animated(item.data):
+        return True
+    return any(modifier.type not in FIXED or _follows_an_object(modifier) for modifier in item.modifiers) or (
+        bool(item.modifiers) and is_animated(item)
+    )
+
+
+def _follows_an_object(modifier: bpy.types.Modifier) -> bool:
+    pointers = (described.identifier for described in modifier.bl_rna.properties if described.type == "POINTER")
+    return any(isinstance(getattr(modifier, name), bpy.types.Object) for name in pointers)
+
+
+def _camera_digest(camera: bpy.types.Object | None, depsgraph: bpy.types.Depsgraph) -> str:
+    digest = _Digest(depsgraph.scene.frame_current)
+    if camera is not None:
+        evaluated = camera.evaluated_get(depsgraph)
+        digest.add(camera.name_full, _matrix(evaluated), *values_of(evaluated.data))
+        focus = evaluated.data.dof.focus_object
+        if focus is not None:
+            digest.add(_matrix(focus.evaluated_get(depsgraph)))
+    return digest.hex()
+
+
+class KeptRenders:
+    """Which earlier frame of a run holds a render that would come out the same? Asked frame by frame, in order."""
+
+    def __init__(self, frames: Sequence[int], states: Sequence[SceneState]) -> None:
+        self.states = dict(zip(frames, states, strict=True))
+        self.first: dict[tuple[Any, ...], int] = {}
+
+    def capture(self, frame: int) -> int:
+        """The frame that holds the capture of `frame`: an earlier one, or itself."""
+        state = self.states[frame]
+        return self.first.setdefault(("capture", state.room, state.camera), frame)
+
+    def probe(self, frame: int, name: str) -> int:
+        """The frame that holds the panorama of the light probe `name`, which does not depend on the camera."""
+        return self.first.setdefault(("probe", name, self.states[frame].room), frame)
+
+    def comparison(self, frame: int, *made_from: bytes) -> int:
+        """The frame that holds the comparison of `frame`, which is made from its capture and the lights as well."""
+        state = self.states[frame]
+        return self.first.setdefault(("comparison", state, *map(_digest_of, made_from)), frame)
+
+
+def _digest_of(content: bytes) -> str:
+    return hashlib.blake2b(content, digest_size=16).hexdigest()

@@ -1,0 +1,88 @@
+"""This project as one wheel, for Blender's own Python.
+
+Written here rather than by setuptools: a wheel of plain Python is a zip with three small files added, and written so it
+needs neither the network nor a build folder that may hold old files, and is the same to the last byte every time. What
+belongs into it is read from pyproject.toml, where setuptools reads it too. It asks for no other packages: bpy and NumPy
+are Blender's own.
+
+Its version ends in a hash of its contents, as in 0.1.0+4f1d0c9a. Blender does not unpack a wheel of a version that it
+has unpacked already, so that otherwise two builds of one version would be taken for the same.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import tomllib
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any
+
+from xihe_blender.errors import UserError
+from xihe_blender.packaging.archive import Contents, packed
+from xihenet import __version__
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+
+
+def project_wheel(checkout: Path = CHECKOUT) -> tuple[str, bytes]:
+    """File name and content of the wheel. UserError where `checkout` is none."""
+    if not (checkout / "pyproject.toml").exists() or not (checkout / "LICENSE").exists():
+        raise UserError(f"{checkout} is no checkout of the project: package it from one")
+    settings = tomllib.loads((checkout / "pyproject.toml").read_text(encoding="utf-8"))
+    project = settings["project"]
+    contents = _packages(checkout, settings["tool"]["setuptools"])
+    version = f"{__version__}+{_digest(contents)[:8]}"
+    stem = f"{project['name'].replace('-', '_')}-{version}"
+    info = f"{stem}.dist-info"
+    contents[f"{info}/METADATA"] = _metadata(project, version)
+    contents[f"{info}/WHEEL"] = (
+        b"Wheel-Version: 1.0\nGenerator: xihe package\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+    )
+    contents[f"{info}/licenses/LICENSE"] = (checkout / "LICENSE").read_bytes()
+    contents[f"{info}/RECORD"] = _record(contents, f"{info}/RECORD")
+    return f"{stem}-py3-none-any.whl", packed(contents)
+
+
+def _packages(checkout: Path, setuptools: dict[str, Any]) -> Contents:
+    """Modules and data files of all packages, as setuptools would choose them."""
+    included: list[str] = setuptools["packages"]["find"]["include"]
+    data: dict[str, list[str]] = setuptools["package-data"]
+    files: set[Path] = set()
+    for init in checkout.glob("*/**/__init__.py"):
+        package = init.parent
+        name = ".".join(package.relative_to(checkout).parts)
+        if any(fnmatch(name, pattern) for pattern in included):
+            files.update(package.glob("*.py"))
+            files.update(file for pattern in data.get(name, ()) for file in package.glob(pattern))
+    return {file.relative_to(checkout).as_posix(): file.read_bytes() for file in files}
+
+
+def _digest(contents: Contents) -> str:
+    """One hash of all names and contents."""
+    digest = hashlib.sha256()
+    for name, content in sorted(contents.items()):
+        digest.update(f"{name}\0{len(content)}\0".encode() + content)
+    return digest.hexdigest()
+
+
+def _metadata(project: dict[str, Any], version: str) -> bytes:
+    lines = [
+        "Metadata-Version: 2.4",
+        f"Name: {project['name']}",
+        f"Version: {version}",
+        f"Summary: {project['description']}",
+        f"License-Expression: {project['license']}",
+        "License-File: LICENSE",
+        f"Requires-Python: {project['requires-python']}",
+    ]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _record(contents: Contents, own_name: str) -> bytes:
+    """Every file with its hash and size, as installers check them; the record itself without."""
+    lines = []
+    for name, content in sorted(contents.items()):
+        digest = base64.urlsafe_b64encode(hashlib.sha256(content).digest()).rstrip(b"=").decode()
+        lines.append(f"{name},sha256={digest},{len(content)}")
+    return ("\n".join([*lines, f"{own_name},,"]) + "\n").encode()

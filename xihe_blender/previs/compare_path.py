@@ -1,0 +1,110 @@
+"""Which frames of the path are compared with the ground truth, and what is left of each comparison?
+
+Every n-th frame in which the chain ran, by the preset, and the last. A comparison is read where an earlier part of the
+run kept it, taken over from an earlier frame where scene, camera, capture and lights are the same, else rendered; see
+`compare`. Comparisons are set up only when the first one has to be rendered.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Generator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from xihe_blender.compare.methods import (
+    Comparer,
+    Comparison,
+    display,
+    error_map,
+    hueless_pixels,
+    measure,
+    open_comparer,
+)
+from xihe_blender.io.exr import write_radiance
+from xihe_blender.io.outputs import RunOutputs, copy_whole, write_json, write_picture
+from xihe_blender.jobs import Progress
+from xihe_blender.previs.prepare import PreparedRun
+from xihe_blender.previs.run_chain import Lights, WalkedPath
+from xihenet.recording import load_frame
+
+
+def compare_path(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, None, dict[int, dict[str, Any]]]:
+    """A job: what results.json says about the comparison of each compared frame; pictures are written on the way."""
+    compared = {}
+    done = len(run.plan.frames)
+    with contextlib.ExitStack() as stack:
+        comparer = None
+        for frame in compared_frames(walked.frames, run.settings.effort.comparison_step):
+            yield Progress(done, max(run.total, done + 3), f"comparing frame {frame}")
+            lights = walked.lights[frame]
+            source = _source(run, frame, lights)
+            if not run.outputs.compared(frame).exists():
+                if source != frame:
+                    _take_over(run.outputs, source, frame)
+                else:
+                    if comparer is None:
+                        opened = open_comparer(run.scene, run.plan.objects, run.methods, run.comparison)
+                        comparer = stack.enter_context(opened)
+                    _compare_frame(run, frame, lights, comparer)
+            compared[frame] = json.loads(run.outputs.compared(frame).read_text(encoding="utf-8"))
+            done += 3
+    return compared
+
+
+def compared_frames(entries: Sequence[Mapping[str, Any]], step: int) -> list[int]:
+    """Every `step`-th of the active frames among `entries` of results.json, and the last of them; may be empty."""
+    active = [entry["frame"] for entry in entries if entry["active"]]
+    return sorted({*active[::step], *active[-1:]})
+
+
+def _source(run: PreparedRun, frame: int, lights: Lights) -> int:
+    """The frame whose comparison is that of `frame`: scene, camera, capture and lights are the same."""
+    captured = load_frame(run.outputs.capture(frame))
+    of_all = [light.tobytes() for of_method in lights.values() for light in of_method.values()]
+    return run.kept.comparison(frame, captured.srgb_u8.tobytes(), captured.plane_depth_m.tobytes(), *of_all)
+
+
+def _take_over(outputs: RunOutputs, source: int, frame: int) -> None:
+    content = json.loads(outputs.compared(source).read_text(encoding="utf-8"))
+    for method in ("ground_truth", *content["comparison"]):
+        copy_whole(outputs.radiance(method, source), outputs.radiance(method, frame))
+    # What the phone saw has been written before; its exposure may differ.
+    for kind in content["pictures"].keys() - {"captured"}:
+        copy_whole(outputs.picture(kind, source), outputs.picture(kind, frame))
+    pictures = {kind: outputs.relative(outputs.picture(kind, frame)) for kind in content["pictures"]}
+    taken_over = {"pictures": pictures, "comparison_render_s": 0.0, "comparison_same_as": source}
+    write_json(outputs.compared(frame), content | taken_over)
+
+
+def _compare_frame(run: PreparedRun, frame: int, lights: Lights, comparer: Comparer) -> None:
+    compared = comparer.render_comparison(load_frame(run.outputs.capture(frame)), lights)
+    content = {
+        "pictures": _write_pictures(run, frame, compared),
+        "comparison": {
+            name: measure(picture, compared.ground_truth, compared.weights)
+            for name, picture in compared.methods.items()
+        },
+        "n_hueless_pixels": {
+            name: hueless_pixels(picture, compared.ground_truth, compared.weights)
+            for name, picture in compared.methods.items()
+        },
+        "comparison_render_s": compared.render_s,
+        "comparison_same_as": None,
+    }
+    write_json(run.outputs.compared(frame), content)
+
+
+def _write_pictures(run: PreparedRun, frame: int, compared: Comparison) -> dict[str, str]:
+    """Paths by kind of picture, as results name them."""
+    shown = {"ground_truth": compared.ground_truth, **compared.methods}
+    pictures = {kind: display(picture) for kind, picture in shown.items()}
+    for method, picture in compared.methods.items():
+        pictures[f"error_{method}"] = error_map(picture, compared.ground_truth, compared.weights)
+    for kind, picture in shown.items():
+        write_radiance(run.outputs.radiance(kind, frame), (picture / run.exposure).astype(np.float32))
+    for kind, picture in pictures.items():
+        write_picture(run.outputs.picture(kind, frame), picture)
+    return {kind: run.outputs.relative(run.outputs.picture(kind, frame)) for kind in ("captured", *pictures)}

@@ -1,0 +1,103 @@
+"""How does the artist get the estimated light? As worlds keyed on the timeline, and as a .blend that shows them.
+
+The saved copy of the user's file has a second scene, `Xihe Lit`: only the virtual objects, each in a view layer under
+its own keyed world, film transparent, ready to be put over the captured frames.
+"""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import ArrayLike
+
+from xihe_blender.apply.sh_worlds import (
+    key_sh_on_world,
+    make_sh_world,
+    mark_trigger,
+    remove_trigger_markers,
+    world_name,
+)
+from xihe_blender.capture.render import can_denoise
+from xihe_blender.compare.methods import LIT_SCENE, remove_lit_collections, set_up_lit_scene
+from xihe_blender.io.outputs import written_whole
+from xihe_blender.previs.plan import PrevisPlan
+from xihenet.records import ArrayF64
+
+
+def light_changes(
+    plan: PrevisPlan, lights: Mapping[int, Mapping[str, ArrayF64]]
+) -> dict[str, list[tuple[int, ArrayF64]]]:
+    """(frame, (9, 3) coefficients) of each virtual object, for the frames at which its light changes.
+
+    `lights` are the coefficients in force by frame and virtual object.
+    """
+    changes: dict[str, list[tuple[int, ArrayF64]]] = {item.name: [] for item in plan.objects}
+    for frame, light in lights.items():
+        for name, of_one in changes.items():
+            if not of_one or not np.array_equal(light[name], of_one[-1][1]):
+                of_one.append((frame, light[name]))
+    return changes
+
+
+def apply_lights(
+    scene: bpy.types.Scene,
+    changes: Mapping[str, Sequence[tuple[int, ArrayLike]]],
+    frames: Sequence[dict[str, Any]],
+    exposure: float,
+) -> None:
+    """Key a world per virtual object at every frame at which its light changes; mark the triggers.
+
+    Parameters
+    ----------
+    changes : as of `light_changes`, carrying `exposure`; the pictures of the comparison are made with the same. Worlds
+        of earlier runs are keyed anew.
+    frames : as in results.json, for the triggers
+    """
+    remove_trigger_markers(scene)
+    for name, of_one in changes.items():
+        world = make_sh_world(world_name(name))
+        world.use_fake_user = True
+        for frame, light in of_one:
+            key_sh_on_world(world, frame, light, exposure)
+    for entry in frames:
+        reasons = [probe["reason"] for probe in entry["probes"] if probe["fired"]]
+        if reasons:
+            mark_trigger(scene, entry["frame"], reasons)
+
+
+def save_lit_blend(scene: bpy.types.Scene, plan: PrevisPlan, path: Path) -> None:
+    """Save a copy of the open file to `path`, whole or not at all, with the scene `Xihe Lit` in it; OSError if not."""
+    lit = scene.copy()
+    try:
+        lit.name = LIT_SCENE
+        # A copied scene has no user, and what has none is not saved.
+        lit.use_extra_user = True
+        for layer in list(lit.view_layers)[1:]:
+            lit.view_layers.remove(layer)
+        worlds = {world_name(item.name): (item.name, bpy.data.worlds[world_name(item.name)]) for item in plan.objects}
+        set_up_lit_scene(lit, plan.objects, worlds)
+        lit.render.engine = "CYCLES"
+        # Denoised as the report's pictures are. A build without the denoiser would refuse to render with it.
+        lit.cycles.use_denoising = can_denoise(lit) and lit.cycles.use_denoising
+        with written_whole(path) as beside:
+            bpy.ops.wm.save_as_mainfile(filepath=str(beside), copy=True, compress=True)
+            _check_is_whole(beside, lit.name)
+    finally:
+        bpy.data.scenes.remove(lit)
+        remove_lit_collections()
+
+
+def _check_is_whole(path: Path, scene_name: str) -> None:
+    """OSError if Blender cannot read back what it saved: it does not say so when the end of a file did not fit."""
+    try:
+        with bpy.data.libraries.load(str(path)) as (saved, _):
+            is_whole = scene_name in saved.scenes
+    except OSError:
+        is_whole = False
+    if not is_whole:
+        raise OSError(errno.ENOSPC, "Blender could save only a part of it", str(path))

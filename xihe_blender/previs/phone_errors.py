@@ -1,0 +1,74 @@
+"""What does each effect of the phone do to the estimated light? The same session again, with that one left out.
+
+Nothing is rendered: the perfect captures of the run are read again, the phone sees them without one of its effects, and
+the whole chain runs on what it saw, triggers and network included. So the difference is what a user would gain by a
+phone without that flaw; since triggers may fire in other frames then, a small difference is chance. Rejected: errors
+of effects alone on a perfect phone, which say nothing of how they add up.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Generator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from xihe_blender.jobs import Progress
+from xihe_blender.light_transport.overrides import NETWORK
+from xihe_blender.previs.phone_capture import PhoneCapture
+from xihe_blender.previs.phone_session import PhoneSession
+from xihe_blender.previs.prepare import PreparedRun
+from xihe_blender.previs.run_chain import WalkedPath
+from xihenet.metrics import shc_rmse
+from xihenet.phone import Link
+from xihenet.recording import load_frame
+
+NOT_REPEATED = "frame_rate"
+"""Frames that the phone did not deliver were never captured."""
+
+
+def measure_phone(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, None, dict[str, Any] | None]:
+    """A job: the errors of a walk with the phone's effects, without each of them, and with a perfect phone.
+
+    {"all_on": error, "perfect": error, "without": {effect: error}}: each the mean SHC RMSE over probes and frames; null
+    without an active frame, and without the frame rate. None for a phone without any effect.
+    """
+    phone = walked.phone
+    if not phone.on:
+        return None
+    active = [entry for entry in walked.frames if entry["active"]]
+    all_on = _mean([probe["shc_rmse"] for entry in active for probe in entry["probes"]])
+    without: dict[str, float | None] = {}
+    for effect in [effect.name for effect in phone.effects if effect.name in phone.on]:
+        yield Progress(run.total, run.total, f"measuring the light without {effect}")
+        link = None if effect == NETWORK else phone.link_in_use
+        effects = phone.on - {effect}
+        without[effect] = None if effect == NOT_REPEATED else _mean_error(run, phone, active, effects, link)
+    yield Progress(run.total, run.total, "measuring the light with a perfect phone")
+    perfect = _mean_error(run, phone, active, frozenset(), None)
+    return {"all_on": all_on, "perfect": perfect, "without": without}
+
+
+def _mean_error(
+    run: PreparedRun,
+    phone: PhoneCapture,
+    active: Sequence[Mapping[str, Any]],
+    effects: frozenset[str],
+    link: Link | None,
+) -> float | None:
+    """Mean SHC RMSE over probes and frames of a session with `effects` over `link`; None without a frame."""
+    camera = phone.camera_with(effects - {NETWORK})
+    track = phone.follow(camera)
+    session = PhoneSession(run.plan, run.settings, run.exposure, run.estimator, link)
+    errors = []
+    for entry in active:
+        seen, _ = phone.see(load_frame(run.outputs.capture(entry["frame"])), camera, track)
+        truth = {probe["name"]: np.array(probe["sh_truth"]) for probe in entry["probes"]}
+        session.step(seen, truth, list(truth))
+        errors += [shc_rmse(session.light(name, seen.time_s), light) for name, light in truth.items()]
+    return _mean(errors)
+
+
+def _mean(errors: Sequence[float]) -> float | None:
+    return statistics.fmean(errors) if errors else None

@@ -1,0 +1,107 @@
+"""What must a phone know of the room besides its pictures: does any light change, and how smooth are the materials?
+
+Both are read off the scene as Cycles is given it, frame by frame, without rendering. Virtual objects do not count: a
+capture shows neither them nor their light.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import bpy
+
+from xihe_blender.light_transport.animation import is_animated, shows_a_film
+from xihe_blender.light_transport.inspection import look_at_frames
+from xihe_blender.light_transport.nodes import Ability, light_emits, material_look, world_look
+from xihe_blender.light_transport.roughness import smoothest_roughness
+from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, virtual_collection
+
+
+@dataclass
+class RoomLook:
+    """What the node trees and lights of a room say over some frames.
+
+    Parameters
+    ----------
+    light_changes : whether a lamp, a glowing object or the world is not the same in all of them
+    roughness : smoothest roughness by material name, for each frame; None where it is not known
+    """
+
+    light_changes: bool = False
+    roughness: dict[int, dict[str, float | None]] = field(default_factory=dict)
+
+
+def look_at_room(scene: bpy.types.Scene, frames: Sequence[int]) -> RoomLook:
+    """Evaluate the room of `scene` at each of `frames`, without rendering; virtual objects do not count."""
+    virtual = virtual_collection(scene)
+    inspection = _Inspection({item.name for item in virtual.all_objects} if virtual is not None else set())
+    look_at_frames(scene, frames, inspection.look_at)
+    return RoomLook(len(inspection.lights) > 1 or inspection.is_driven, inspection.roughness)
+
+
+class _Inspection:
+    """Gathers a `RoomLook`, one evaluated frame after the other."""
+
+    def __init__(self, virtual: set[str]) -> None:
+        self.virtual = virtual
+        self.lights: set[frozenset[Any]] = set()
+        """What each frame's lights are and where; one entry as long as none of it changes."""
+        self.is_driven = False
+        self.roughness: dict[int, dict[str, float | None]] = {}
+        self._still: dict[Any, tuple[float | None, bool]] = {}
+        """Roughness and glow of materials in which nothing is animated, by original data-block."""
+
+    def look_at(self, depsgraph: bpy.types.Depsgraph) -> None:
+        lights: set[Any] = set()
+        found: dict[str, float | None] = {}
+        for instance in depsgraph.object_instances:
+            parents = {instance.object.name, instance.parent.name if instance.parent else ""}
+            if instance.show_self and not parents & self.virtual:
+                lights |= self._lights_of(instance, found)
+        world = depsgraph.scene_eval.world
+        if world is not None and world_look(world).abilities & Ability.EMISSION:
+            lights.add(world.name)
+            self.is_driven |= _may_change(world.original)
+        self.lights.add(frozenset(lights))
+        self.roughness[depsgraph.scene.frame_current] = found
+
+    def _lights_of(self, instance: Any, found: dict[str, float | None]) -> set[Any]:
+        """What glows about an instance, as something that differs where the light does; notes its materials."""
+        item = instance.object
+        place = tuple(map(tuple, instance.matrix_world))
+        if item.type == "LIGHT":
+            if not light_emits(item.data):
+                return set()
+            self.is_driven |= item.data.node_tree is not None and is_animated(item.data.node_tree.original)
+            return {(item.name, place, item.data.energy, tuple(item.data.color), *_size(item.data))}
+        glowing = set()
+        for slot in item.material_slots if item.type in GEOMETRY_TYPES else ():
+            if slot.material is not None and self._material(slot.material, found):
+                self.is_driven |= _may_change(slot.material.original)
+                glowing.add((item.name, slot.material.name, place))
+        return glowing
+
+    def _material(self, material: bpy.types.Material, found: dict[str, float | None]) -> bool:
+        """Note the roughness of a material; whether it glows."""
+        original = material.original
+        if original not in self._still:
+            roughness = smoothest_roughness(material), bool(material_look(material).abilities & Ability.EMISSION)
+            if is_animated(original):
+                found[material.name] = roughness[0]
+                return roughness[1]
+            self._still[original] = roughness
+        found[material.name], glows = self._still[original]
+        return glows
+
+
+def _size(light: bpy.types.Light) -> tuple[float, ...]:
+    """What shapes a lamp, besides its power."""
+    names = ("shadow_soft_size", "size", "size_y", "angle", "spot_size", "spot_blend")
+    return tuple(float(getattr(light, name, 0.0)) for name in names)
+
+
+def _may_change(block: bpy.types.ID) -> bool:
+    """Whether what glows is animated, or shows a film."""
+    return is_animated(block) or shows_a_film(block.node_tree)

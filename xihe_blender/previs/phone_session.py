@@ -1,0 +1,86 @@
+"""One session as the app on the phone lives it: its frames go into the chain, estimates come back when they arrive.
+
+The chain is the controller's and stays as it is; the delay between an estimate and the light in force is added behind
+it, here alone. A run has one session; the report makes more of them, from the same captures, with one effect left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from xihe_blender.previs.plan import PrevisPlan
+from xihe_blender.previs.settings import PrevisSettings
+from xihenet import estimators
+from xihenet.backend import LocalBackend
+from xihenet.controller import ControllerSettings, XiheController
+from xihenet.estimators import EstimateContext, Estimator
+from xihenet.phone import EstimatesUnderWay, Link, Request
+from xihenet.records import ArrayF64, RgbdFrame, StepReport, UnitSphereCloud
+
+
+@dataclass(frozen=True, eq=False)
+class SessionStep:
+    """What one frame brought: reports and requests by position, and the (9, 3) ambient light of the frame."""
+
+    reports: dict[str, StepReport]
+    requests: dict[str, Request]
+    ambient_sh: ArrayF64
+
+
+class PhoneSession:
+    """State of one session: the controller, and the estimates under way.
+
+    Parameters
+    ----------
+    plan : its estimation positions
+    settings : of the run
+    exposure : of the session; anchors and estimates carry it
+    estimator : of the run
+    link : over which estimates are asked for; None lets them arrive in their own frame
+    """
+
+    def __init__(
+        self, plan: PrevisPlan, settings: PrevisSettings, exposure: float, estimator: Estimator, link: Link | None
+    ) -> None:
+        chain = ControllerSettings(settings.trigger, reference_exposure=exposure, following=settings.following)
+        self.controller = XiheController(LocalBackend(estimator), chain)
+        for probe in plan.probes:
+            self.controller.add_position(probe.name, probe.position_m)
+        self.exposure = exposure
+        self.under_way = EstimatesUnderWay(link, settings.seed)
+        self.ambient = estimators.load("ambient", settings.n_anchors, settings.target)
+        self.unseen = UnitSphereCloud.empty(settings.n_anchors)
+        self.ambient_sh = np.zeros((9, 3))
+        """Of the last frame."""
+
+    def step(self, seen: RgbdFrame, truth: dict[str, ArrayF64], active: Sequence[str]) -> SessionStep:
+        """Run the chain on a frame of the phone, and send for the estimates that it makes.
+
+        Parameters
+        ----------
+        truth : (9, 3) coefficients of the rendered probe by position
+        active : positions in view of the true camera, whatever pose the phone believes in
+        """
+        reports = self.controller.step(seen, truth, active=active)
+        requests = {}
+        for name, report in reports.items():
+            if report.estimate is not None:
+                requests[name] = self.under_way.ask(
+                    name, report.estimate, frame=seen.frame, asked_s=seen.time_s, payload_bytes=report.payload_bytes
+                )
+        context = EstimateContext(frame=seen, reference_exposure=self.exposure)
+        self.ambient_sh = self.ambient.estimate(self.unseen, context)
+        return SessionStep(reports, requests, self.ambient_sh)
+
+    def light(self, name: str, time_s: float) -> ArrayF64:
+        """(9, 3) the light in force at a position: its last valid estimate that arrived, until then the ambient one."""
+        estimate = self.under_way.light(name, time_s)
+        return self.ambient_sh if estimate is None else estimate.sh_radiance
+
+    def light_frame(self, name: str, time_s: float) -> int | None:
+        """The frame from which the light in force comes; None for the ambient one."""
+        request = self.under_way.in_force(name, time_s)
+        return None if request is None else request.frame

@@ -1,0 +1,158 @@
+"""What will a previs run do? Everything that can be wrong with the scene is found here, before anything is rendered."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import bpy
+import numpy as np
+
+from xihe_blender.capture.render import RenderSettings, working_scene
+from xihe_blender.capture.scanner import CyclesScanner, phone_camera, sized_for
+from xihe_blender.errors import UserError
+from xihe_blender.previs.scene_faults import SceneFault, faults_at_frame, image_faults, place_faults
+from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.scene.estimation_positions import estimation_positions
+from xihe_blender.scene.virtual_objects import COLLECTION_NAME, virtual_collection, virtual_objects
+from xihenet.camera import in_view
+from xihenet.records import ArrayF64
+
+Item = TypeVar("Item")
+DEFAULT_SIZE = (256, 192)
+
+
+@dataclass(frozen=True, eq=False)
+class Probe:
+    """One estimation position: its name in results, the virtual object it lights, and where it is in the world."""
+
+    name: str
+    object_name: str
+    position_m: ArrayF64
+
+
+@dataclass(frozen=True, eq=False)
+class PrevisPlan:
+    """The frames of the camera path, the size of its pictures, the virtual objects and their estimation positions.
+
+    `faults` is what is wrong with the scene and yet no reason to stop.
+    """
+
+    frames: tuple[int, ...]
+    size: tuple[int, int]
+    objects: tuple[bpy.types.Object, ...]
+    probes: tuple[Probe, ...]
+    faults: tuple[SceneFault, ...] = ()
+
+    def probes_of(self, object_name: str) -> list[Probe]:
+        return [probe for probe in self.probes if probe.object_name == object_name]
+
+    def probes_in_view(self, scanner: CyclesScanner, frame: int) -> list[Probe]:
+        """Move `scanner` to `frame`: the probes that its camera sees."""
+        pose = scanner.move_to(frame)
+        if not self.probes:
+            return []
+        seen = in_view(np.stack([probe.position_m for probe in self.probes]), *pose)
+        return [probe for probe, is_seen in zip(self.probes, seen, strict=True) if is_seen]
+
+    def frames_in_sight(self, scanner: CyclesScanner) -> dict[int, list[Probe]]:
+        """The probes in view, by those frames of the path that have any."""
+        found = {frame: self.probes_in_view(scanner, frame) for frame in self.frames}
+        return {frame: probes for frame, probes in found.items() if probes}
+
+
+def evenly_chosen(found: Sequence[Item], most: int) -> list[Item]:
+    """At most so many of what was found, evenly spread."""
+    n = min(most, len(found))
+    return [found[(2 * k + 1) * len(found) // (2 * n)] for k in range(n)]
+
+
+def plan_previs(scene: bpy.types.Scene, settings: PrevisSettings) -> PrevisPlan:
+    """Check `scene` against `settings`: what would a run do? UserError names the fix; the scene stays as it is."""
+    check_nothing_is_missing(scene)
+    frames = planned_frames(scene, settings.frames)
+    objects = planned_objects(scene, settings.objects)
+    sized = sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1))
+    size = settings.size or sized.size
+    with working_scene(scene, "Xihe Plan", RenderSettings(size, samples=1)) as working:
+        cameras_m, faults = [], image_faults(scene.world)
+        depsgraph = working.view_layers[0].depsgraph
+        for frame in reversed(frames):
+            working.frame_set(frame)
+            cameras_m.append(phone_camera(working)[1][:3, 3])
+            faults += faults_at_frame(depsgraph, is_first=frame == frames[-1])
+        probes = [probe for item in objects for probe in _probes(item, depsgraph)]
+        faults += place_faults(scene, {probe.name: probe.position_m for probe in probes}, np.stack(cameras_m))
+    return PrevisPlan(tuple(frames), size, tuple(objects), tuple(probes), tuple(dict.fromkeys(faults)))
+
+
+def check_nothing_is_missing(scene: bpy.types.Scene) -> None:
+    """UserError if a part of `scene` is linked from a library that is not there: Blender would render without it."""
+    missing = [block for block in (*scene.collection.children_recursive, *scene.objects) if block.is_missing]
+    if missing:
+        raise UserError(
+            f"{missing[0].name!r} is missing, its library {missing[0].library.filepath} was not found: "
+            "put it back, or relocate it in Blender's outliner"
+        )
+
+
+def planned_frames(scene: bpy.types.Scene, wanted: Sequence[int] | None) -> list[int]:
+    """The frames of the camera path. UserError for frames outside the scene's range, or none at all."""
+    first, last = scene.frame_start, scene.frame_end
+    frames = sorted(set(range(first, last + 1, scene.frame_step) if wanted is None else wanted))
+    if not frames:
+        raise UserError("no frames are left to capture: give --frames A:B with A not after B")
+    outside = [frame for frame in frames if not first <= frame <= last]
+    if outside:
+        raise UserError(f"frame {outside[0]} is outside the scene's range {first} to {last}: choose frames within it")
+    return frames
+
+
+def planned_objects(scene: bpy.types.Scene, wanted: Sequence[str] | None) -> list[bpy.types.Object]:
+    """The virtual objects of the run. UserError if there is none, a name is unknown, or one is part of the room too."""
+    found = {item.name: item for item in virtual_objects(scene)}
+    if not found:
+        raise UserError(
+            f"scene {scene.name!r} has no virtual object: put what the phone would insert into a collection "
+            f"named {COLLECTION_NAME!r}"
+        )
+    if wanted is not None and not wanted:
+        raise UserError(f"no virtual object is chosen: choose among {', '.join(found)}, or leave --objects out for all")
+    _check_names_differ(virtual_objects(scene))
+    unknown = [name for name in wanted or () if name not in found]
+    if unknown:
+        raise UserError(f"there is no virtual object {unknown[0]!r}: choose among {', '.join(found)}")
+    chosen = [item for name, item in found.items() if wanted is None or name in wanted]
+    for item in chosen:
+        _check_is_not_in_the_room(scene, item)
+    return chosen
+
+
+def _check_names_differ(items: Sequence[bpy.types.Object]) -> None:
+    """Results go by name, and an object of a linked library may have the name of another."""
+    for item, other in itertools.pairwise(items):
+        if item.name == other.name:
+            linked = item if item.library is not None else other
+            raise UserError(
+                f"two virtual objects are named {item.name!r}, one of them linked from {linked.library.filepath}: "
+                "rename one of them"
+            )
+
+
+def _check_is_not_in_the_room(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
+    """An object that is linked into the room as well would be captured, and would light itself."""
+    virtual = virtual_collection(scene)
+    inside = {virtual, *virtual.children_recursive} if virtual is not None else set()
+    in_scene = {scene.collection, *scene.collection.children_recursive}
+    room = [home for home in item.users_collection if home in in_scene and home not in inside]
+    if room:
+        raise UserError(f"virtual object {item.name!r} is also in collection {room[0].name!r}: unlink it from there")
+
+
+def _probes(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[Probe]:
+    positions = estimation_positions(item, depsgraph)
+    if len(positions) == 1:
+        return [Probe(item.name, item.name, positions[0])]
+    return [Probe(f"{item.name} {k}", item.name, position) for k, position in enumerate(positions, start=1)]

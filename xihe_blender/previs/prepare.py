@@ -1,0 +1,151 @@
+"""What is settled before the first frame of a run is captured, and stays as it is when the run is resumed?
+
+The exposure, the plan of effects, the numbers of samples, and what changes from frame to frame. Each is worked out once
+and kept in the run's folder, so that a resumed run does the same without looking at the scene again.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Generator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from xihe_blender.capture.reference_probe import ProbeSettings
+from xihe_blender.capture.render import RenderSettings
+from xihe_blender.capture.scanner import meter_exposure
+from xihe_blender.io.outputs import RunOutputs, write_json
+from xihe_blender.jobs import Progress
+from xihe_blender.light_transport import EffectPlan, plan_effects
+from xihe_blender.light_transport.render_reuse import KeptRenders, SceneState, scene_states
+from xihe_blender.previs.plan import PrevisPlan
+from xihe_blender.previs.sample_count import Effort, measure_effort
+from xihe_blender.previs.settings import PrevisSettings
+from xihenet.estimators import Estimator
+from xihenet.trigger import TriggerSettings
+
+NOISE_MARGIN = 1.5
+"""By so much the change of a frame may exceed what the pilot saw: in a room of 48x36 pixels it did by 1.3, as colour is
+encoded and the variance falls a little slower than 1/samples."""
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedRun:
+    """All that is known of a run before its walk; the stages behind share it.
+
+    Parameters
+    ----------
+    scene : the user's
+    plan : frames, virtual objects, estimation positions
+    outputs : files of the run
+    settings : the user's, with the trigger's theta above the noise of captures
+    estimator : of the run
+    exposure : of the session
+    effects : which effects of light transport are simulated
+    effort : samples of captures
+    kept : in which earlier frame a render would come out the same
+    """
+
+    scene: bpy.types.Scene
+    plan: PrevisPlan
+    outputs: RunOutputs
+    settings: PrevisSettings
+    estimator: Estimator
+    exposure: float
+    effects: EffectPlan
+    effort: Effort
+    kept: KeptRenders
+
+    @property
+    def methods(self) -> list[str]:
+        """Names of the lights that are compared."""
+        return list(dict.fromkeys([self.settings.estimator, "ambient", "truth"]))
+
+    @property
+    def total(self) -> int:
+        """Units of work for the progress: a frame to capture is one, a frame to compare three."""
+        return len(self.plan.frames) + 3 * len(range(0, len(self.plan.frames), self.settings.effort.comparison_step))
+
+    @property
+    def capture(self) -> RenderSettings:
+        return self._simulated(self.settings.capture(self.plan.size, self.effort.capture_samples))
+
+    @property
+    def reference(self) -> ProbeSettings:
+        return replace(self.settings.reference, light_transport=self.effects.light_transport)
+
+    @property
+    def comparison(self) -> RenderSettings:
+        return self._simulated(self.settings.comparison(self.plan.size))
+
+    def _simulated(self, settings: RenderSettings) -> RenderSettings:
+        """`settings` with the run's light transport, one for capture, truth and comparison."""
+        return replace(settings, light_transport=self.effects.light_transport)
+
+
+def prepare_run(
+    scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs, settings: PrevisSettings, estimator: Estimator
+) -> Generator[Progress, None, PreparedRun]:
+    """A job: work out what an earlier part of this run has not left in `outputs`."""
+    yield Progress(0, 1, "metering the exposure")
+    exposure = _session_exposure(scene, plan, outputs, settings)
+    effects = _effects(scene, plan, outputs, settings)
+    yield Progress(0, 1, "measuring how many samples it takes")
+    transport = effects.light_transport
+    effort = _once(outputs.effort, lambda: measure_effort(scene, plan, settings, exposure, transport).as_json())
+    kept = KeptRenders(plan.frames, _scene_states(scene, plan, outputs, effects))
+    measured = Effort(**effort)
+    settings = replace(settings, trigger=above_noise(settings.trigger, measured.capture_change))
+    return PreparedRun(scene, plan, outputs, settings, estimator, exposure, effects, measured, kept)
+
+
+def above_noise(trigger: TriggerSettings, capture_change: float | None) -> TriggerSettings:
+    """`trigger` with its theta above what noise alone changes, where that was measured: variances add up."""
+    if capture_change is None:
+        return trigger
+    return replace(trigger, theta=trigger.theta + NOISE_MARGIN * capture_change)
+
+
+def _once(path: Path, work_out: Callable[[], Any]) -> Any:
+    """What `work_out` gave when it was first asked, as JSON keeps it."""
+    if not path.exists():
+        write_json(path, work_out())
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def _session_exposure(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs, settings: PrevisSettings) -> float:
+    """The exposure that the user gave, or that is metered."""
+    if settings.exposure is not None:
+        return settings.exposure
+    metering = settings.metering_in_force
+    kept = _once(
+        outputs.exposure, lambda: {"exposure": meter_exposure(scene, plan.frames, settings.seed, metering=metering)}
+    )
+    return float(kept["exposure"])
+
+
+def _effects(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs, settings: PrevisSettings) -> EffectPlan:
+    """The effects of light transport that the scene calls for, or the user."""
+    positions = [probe.position_m.tolist() for probe in plan.probes]
+    choices = settings.effect_choices
+    return EffectPlan.from_json(
+        _once(
+            outputs.effects,
+            lambda: plan_effects(scene, positions=positions, frames=plan.frames, overrides=choices).as_json(),
+        )
+    )
+
+
+def _scene_states(
+    scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs, effects: EffectPlan
+) -> list[SceneState]:
+    """The state of the scene at each frame of the path."""
+    has_motion_blur = bool(dict(effects.light_transport).get("use_motion_blur"))
+    states = _once(
+        outputs.states,
+        lambda: [asdict(state) for state in scene_states(scene, plan.frames, has_motion_blur=has_motion_blur)],
+    )
+    return [SceneState(**state) for state in states]

@@ -1,0 +1,76 @@
+"""The main job: what would a phone on this camera path believe about the light, and how would its objects look?
+
+    camera path -> capture -> unproject -> sample -> merge -> trigger -> encode -> estimate -> apply -> compare
+
+`previs` is a generator that yields progress and returns the results; see `jobs`. It prepares the run, walks the path,
+compares pictures, applies the light to the scene's timeline, and writes results and report.
+
+What was rendered is kept in the run's folder, file by file. A run that was stopped goes on from there; the cheap stages
+are simply done again, so a resumed run has the numbers of an undisturbed one.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from xihe_blender.io.outputs import RunOutputs, write_json
+from xihe_blender.jobs import Job, Progress
+from xihe_blender.previs import results
+from xihe_blender.previs.compare_path import compare_path
+from xihe_blender.previs.lit_blend import apply_lights, light_changes, save_lit_blend
+from xihe_blender.previs.phone_errors import measure_phone
+from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.prepare import prepare_run
+from xihe_blender.previs.run_chain import walk_path
+from xihe_blender.previs.run_folder import claim_folder
+from xihe_blender.previs.settings import PrevisSettings, load_estimator
+from xihe_blender.report import write_report
+from xihe_blender.scene.state import scene_kept
+
+
+def previs(
+    scene: bpy.types.Scene, out: Path, settings: PrevisSettings, *, blend_file: Path | None = None, command: str = ""
+) -> Job[dict[str, Any]]:
+    """Run the chain on `scene` and leave results.json, report.html, pictures and a lit .blend in the folder `out`.
+
+    Parameters
+    ----------
+    scene : with a camera path and virtual objects; stays as it is, but for worlds and markers named "Xihe ..."
+    out : folder of the run, made if needed. The same run is resumed; ValueError-like mistakes are UserError
+    settings : what to do
+    blend_file : where the scene comes from, for the results; None takes the open file
+    command : what the user typed, for the report
+
+    Returns
+    -------
+    the content of results.json
+    """
+    plan = plan_previs(scene, settings)
+    estimator = load_estimator(settings)
+    file = blend_file or Path(bpy.data.filepath or "untitled.blend")
+    outputs = RunOutputs(out, file.stem)
+    finished = claim_folder(outputs, scene, file, settings, plan)
+    if finished is not None:
+        yield Progress(1, 1, f"this run is already done; delete {out} to do it again")
+        return finished
+    with scene_kept():
+        run = yield from prepare_run(scene, plan, outputs, settings, estimator)
+        walked = yield from walk_path(run)
+        compared = yield from compare_path(run, walked)
+        errors = yield from measure_phone(run, walked)
+    yield Progress(run.total, run.total, "applying the light and writing the report")
+    estimated = {frame: methods[settings.estimator] for frame, methods in walked.lights.items()}
+    changes = light_changes(plan, estimated)
+    apply_lights(scene, changes, walked.frames, run.exposure)
+    save_lit_blend(scene, plan, outputs.lit_blend)
+    frames = [entry | compared.get(entry["frame"], {}) for entry in walked.frames]
+    content = results.assemble(
+        run, frames, lights=changes, phone=walked.phone, errors=errors, file=file, command=command
+    )
+    # The results come last: their presence says that the run is done.
+    write_report(content, outputs)
+    write_json(outputs.results, content)
+    return content

@@ -1,0 +1,150 @@
+"""What does the phone believe about the light at each frame of the camera path?
+
+    capture -> unproject -> sample -> merge -> trigger -> encode -> estimate
+
+Each frame in which an estimation position is visible is captured, gets its light probes rendered and goes through the
+controller. A phone that is not perfect gets the whole path captured first, since the captures say what the session can
+show; its frames are then derived from them, and estimates come back over its network; see `phone_capture`,
+`phone_session`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Generator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from xihe_blender.capture.reference_probe import MeasuredLight
+from xihe_blender.io.outputs import write_picture
+from xihe_blender.jobs import Progress
+from xihe_blender.previs import results
+from xihe_blender.previs.path_renders import FrameRenders, PathRenders, open_path_renders
+from xihe_blender.previs.phone_capture import PhoneCapture
+from xihe_blender.previs.phone_session import PhoneSession, SessionStep
+from xihe_blender.previs.plan import Probe
+from xihe_blender.previs.prepare import PreparedRun
+from xihenet.metrics import share_above_white, shc_rmse
+from xihenet.records import ArrayF64, RgbdFrame
+
+Lights = dict[str, dict[str, ArrayF64]]
+"""(9, 3) coefficients by method and virtual object."""
+
+
+@dataclass(frozen=True, eq=False)
+class WalkedPath:
+    """What a walk brought.
+
+    Parameters
+    ----------
+    phone : of the run, with the effects that were simulated
+    frames : as results.json lists them
+    lights : light in force by frame, from the first that was captured on
+    """
+
+    phone: PhoneCapture
+    frames: list[dict[str, Any]] = field(default_factory=list)
+    lights: dict[int, Lights] = field(default_factory=dict)
+
+
+def walk_path(run: PreparedRun) -> Generator[Progress, None, WalkedPath]:
+    """A job: capture the path of `run` and run the chain on it."""
+    phone = PhoneCapture(run.scene, run.plan, run.outputs, run.settings, run.exposure)
+    with open_path_renders(run, phone) as renders:
+        captured_s = (yield from _capture_path(run, phone, renders)) if phone.sees else {}
+        phone.plan()
+        walk = _Walk(run, phone, renders, captured_s)
+        for done, frame in enumerate(run.plan.frames):
+            if not phone.sees:
+                yield Progress(done, run.total, f"capturing frame {frame}")
+            walk.step(frame)
+    return walk.walked
+
+
+def _capture_path(
+    run: PreparedRun, phone: PhoneCapture, renders: PathRenders
+) -> Generator[Progress, None, dict[int, float]]:
+    """Render and keep what the phone will be derived from; seconds of work on each frame, without rendering."""
+    work_s = {}
+    for done, frame in enumerate(run.plan.frames):
+        yield Progress(done, run.total, f"capturing frame {frame}")
+        start = time.perf_counter()
+        _, probes = renders.move_to(frame)
+        if probes:
+            rendered = renders.at(frame, probes)
+            phone.notice(rendered.captured)
+            work_s[frame] = time.perf_counter() - start - rendered.rendered_now_s
+    return work_s
+
+
+class _Walk:
+    """The state of one walk while it is under way.
+
+    Parameters
+    ----------
+    captured_s : seconds of work on each frame that was captured before the walk
+    """
+
+    def __init__(
+        self, run: PreparedRun, phone: PhoneCapture, renders: PathRenders, captured_s: dict[int, float]
+    ) -> None:
+        self.run, self.phone, self.renders, self.captured_s = run, phone, renders, captured_s
+        self.session = PhoneSession(run.plan, run.settings, run.exposure, run.estimator, phone.link_in_use)
+        self.walked = WalkedPath(phone)
+        self.references: dict[str, MeasuredLight] = {}
+        """The last reference light of each probe."""
+
+    def step(self, frame: int) -> None:
+        """Go on to `frame`."""
+        start = time.perf_counter()
+        time_s, probes = self.renders.move_to(frame)
+        if probes:
+            entry = self._active_frame(self.renders.at(frame, probes), probes, start)
+        else:
+            entry = results.inactive_frame(frame, time_s, is_delivered=frame in self.phone.delivered)
+            if self.walked.lights:
+                self.walked.lights[frame] = self._lights_in_force(time_s)
+        self.walked.frames.append(entry)
+
+    def _active_frame(self, rendered: FrameRenders, probes: list[Probe], start: float) -> dict[str, Any]:
+        run, truth = self.run, self._truth(rendered)
+        seen, n_lost = self.phone.see(rendered.captured)
+        if not np.array_equal(seen.srgb_u8, rendered.captured.srgb_u8):
+            write_picture(run.outputs.picture("captured", seen.frame), seen.srgb_u8)
+        step = self.session.step(seen, truth, list(truth))
+        self.walked.lights[seen.frame] = self._lights_in_force(seen.time_s)
+        entries = [self._probe_entry(probe, step, seen) for probe in probes]
+        work_s = time.perf_counter() - start - rendered.rendered_now_s + self.captured_s.get(seen.frame, 0.0)
+        entry = results.active_frame(seen, step.reports, entries, rendered.render_s, work_s, n_lost=n_lost)
+        return entry | results.rendering(seen.frame, rendered.references, run)
+
+    def _truth(self, rendered: FrameRenders) -> dict[str, ArrayF64]:
+        """(9, 3) coefficients of the run's target by probe in view."""
+        self.references |= rendered.references
+        return {name: light.of(self.run.settings.target) for name, light in rendered.references.items()}
+
+    def _lights_in_force(self, time_s: float) -> Lights:
+        """Light of every method on every virtual object: the mean over the object's estimation positions.
+
+        Truth here is the whole light, not clipped, whatever the target: it shows what order 2 can do in the picture.
+        A position that was never in view has no light of its own yet and gets the ambient one.
+        """
+        estimated, truth, ambient_sh = {}, {}, self.session.ambient_sh
+        for item in self.run.plan.objects:
+            names = [probe.name for probe in self.run.plan.probes_of(item.name)]
+            estimated[item.name] = np.mean([self.session.light(name, time_s) for name in names], axis=0)
+            whole = [self.references[n].hdr if n in self.references else ambient_sh for n in names]
+            truth[item.name] = np.mean(whole, axis=0)
+        ambient = {item.name: ambient_sh for item in self.run.plan.objects}
+        return {self.run.settings.estimator: estimated, "ambient": ambient, "truth": truth}
+
+    def _probe_entry(self, probe: Probe, step: SessionStep, seen: RgbdFrame) -> dict[str, Any]:
+        reference = self.references[probe.name]
+        light, truth = self.session.light(probe.name, seen.time_s), reference.of(self.run.settings.target)
+        light_frame = self.session.light_frame(probe.name, seen.time_s)
+        entry = results.probe_entry(probe, step.reports[probe.name], light, truth, light_frame=light_frame)
+        entry |= results.arrival(step.requests.get(probe.name), self.run.plan.frames, self.phone.times_s)
+        above_white = share_above_white(reference.ldr, reference.hdr)
+        return entry | {"ambient_shc_rmse": shc_rmse(step.ambient_sh, truth), "share_above_white": above_white}

@@ -1,0 +1,55 @@
+"""What decides a run's numbers, and is a run in this folder done, to be gone on with, or another's?"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from xihe_blender.io.folder_claim import FolderClaim
+from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.previs.plan import PrevisPlan
+from xihe_blender.previs.settings import PrevisSettings
+from xihenet import __version__
+
+
+def claim_folder(
+    outputs: RunOutputs, scene: bpy.types.Scene, file: Path, settings: PrevisSettings, plan: PrevisPlan
+) -> dict[str, Any] | None:
+    """Make the run's folder, or take it up where the same run stopped.
+
+    Returns the results if that run is already done, else None. UserError if the folder cannot be written, or holds
+    something else.
+    """
+    made_with = run_identity(scene, file, settings, plan)
+    leaves = (outputs.results, outputs.report, outputs.lit_blend)
+    is_begun = FolderClaim(outputs.folder, outputs.settings, "a run", made_with, leaves).take()
+    return _finished(outputs) if is_begun else None
+
+
+def run_identity(scene: bpy.types.Scene, file: Path, settings: PrevisSettings, plan: PrevisPlan) -> dict[str, Any]:
+    """All that decides a run's numbers."""
+    return {
+        "xihe": __version__,
+        "blender": bpy.app.version_string,
+        "blend_sha256": hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else None,
+        "scene": scene.name,
+        "settings": asdict(settings),
+        # A file of the user's may have changed since.
+        "phone": asdict(settings.profile),
+        "effort": asdict(settings.effort),
+        "frames": plan.frames,
+        "size": plan.size,
+        "objects": [item.name for item in plan.objects],
+    }
+
+
+def _finished(outputs: RunOutputs) -> dict[str, Any] | None:
+    if not (outputs.results.exists() and outputs.report.exists() and outputs.lit_blend.exists()):
+        return None
+    content: dict[str, Any] = json.loads(outputs.results.read_text(encoding="utf-8"))
+    return content

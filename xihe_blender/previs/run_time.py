@@ -1,0 +1,214 @@
+"""How long would a run take on this machine? Measured on a few renders of the scene itself, not guessed from its size.
+
+The run is prepared as it would be (exposure, effects, samples for the noise that is wanted, frames in which nothing
+changes), in a folder that goes again. Then a capture, a light probe and a comparison are rendered, after a first one
+that loads the scene: with one sample, with a few more, and with all if that is quick. A render's time is taken to be a
+straight line in its samples; the run's is that of all its frames, plus what preparing took.
+
+Started from the panel, Blender draws its window after each step of a run. `RunTime.in_window_s` adds that: some
+hundredths of a second a step, half a second with OpenGL in software.
+
+Not counted: what a phone's errors and the chain itself take, some hundredths of a second a frame.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from xihe_blender.capture.reference_probe import open_reference_probe
+from xihe_blender.capture.scanner import open_scanner
+from xihe_blender.compare.methods import open_comparer
+from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.jobs import Job, Progress, run_blocking
+from xihe_blender.previs.compare_path import compared_frames
+from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.prepare import PreparedRun, prepare_run
+from xihe_blender.previs.settings import PrevisSettings, load_estimator
+from xihe_blender.scene.state import scene_kept
+from xihenet.records import RgbdFrame
+
+FEW_SAMPLES = 4
+LONGEST_S = 4.0
+"""A render that seems to take no longer is timed with all of its samples: many take less each than a few do."""
+
+N_OTHER_STEPS = 3
+"""Of a run, beside its frames: metering, measuring samples, and the end."""
+
+N_RENDERS = 3
+"""Of each kind, in frames of their own: one that loads the scene, one with a single sample, and one with a few."""
+
+
+@dataclass(frozen=True)
+class RenderTime:
+    """Seconds of one render: `fixed_s` whatever the samples, and `per_sample_s` for each of `samples`."""
+
+    fixed_s: float
+    per_sample_s: float
+    samples: int
+
+    @property
+    def render_s(self) -> float:
+        return self.fixed_s + self.per_sample_s * self.samples
+
+
+@dataclass(frozen=True)
+class RunTime:
+    """What a run consists of, and how long each part takes.
+
+    Parameters
+    ----------
+    prepare_s : seconds until the first frame, and to load the scene for the first render of each kind
+    n_steps : points at which the run stops for others
+    n_captures, n_probes, n_comparisons : renders of each kind, those left out that an earlier frame has already
+    capture, probe, comparison : seconds of each
+    """
+
+    prepare_s: float
+    n_steps: int
+    n_captures: int
+    n_probes: int
+    n_comparisons: int
+    capture: RenderTime
+    probe: RenderTime
+    comparison: RenderTime
+
+    @property
+    def total_s(self) -> float:
+        return (
+            self.prepare_s
+            + self.n_captures * self.capture.render_s
+            + self.n_probes * self.probe.render_s
+            + self.n_comparisons * self.comparison.render_s
+        )
+
+    def in_window_s(self, pause_s: float) -> float:
+        """With `pause_s` between two steps, in which Blender draws its window."""
+        return self.total_s + self.n_steps * pause_s
+
+
+def predict_run_s(scene: bpy.types.Scene, settings: PrevisSettings) -> float:
+    """Seconds that a run on `scene` would take on this machine; UserError as a run would raise it."""
+    return measure_run_time(scene, settings).total_s
+
+
+def said_of_run_time(seconds: float) -> str:
+    """ "about 3 min on this machine": as exact as it is."""
+    if seconds < 55:
+        amount = f"{max(5, 5 * round(seconds / 5))} s"
+    elif seconds < 3300:
+        amount = f"{max(1, round(seconds / 60))} min"
+    else:
+        amount = f"{seconds / 3600:.1f} h"
+    return f"about {amount} on this machine"
+
+
+def measure_run_time(scene: bpy.types.Scene, settings: PrevisSettings) -> RunTime:
+    """Drive `run_time_job` to its end."""
+    return run_blocking(run_time_job(scene, settings))
+
+
+def run_time_job(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[RunTime]:
+    """Prepare a run on `scene` and render a little of it; the scene stays as it is. UserError as a run raises it."""
+    plan = plan_previs(scene, settings)
+    estimator = load_estimator(settings)
+    start = time.perf_counter()
+    with tempfile.TemporaryDirectory(prefix="xihe_") as folder, scene_kept():
+        run = yield from prepare_run(scene, plan, RunOutputs(Path(folder), "scene"), settings, estimator)
+        prepared_s = time.perf_counter() - start
+        return (yield from _measured(run, prepared_s))
+
+
+def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
+    """The run's time, from a few renders of each kind, spread over the frames in which a position is in view."""
+    yield Progress(1, 4, "measuring a capture")
+    with open_scanner(run.scene, run.capture) as scanner:
+        in_sight = run.plan.frames_in_sight(scanner)
+        if not in_sight:
+            nothing = RenderTime(0.0, 0.0, 0)
+            return RunTime(prepared_s, len(run.plan.frames) + N_OTHER_STEPS, 0, 0, 0, nothing, nothing, nothing)
+        frames = [list(in_sight)[k * len(in_sight) // N_RENDERS] for k in range(N_RENDERS)]
+        scanner.exposure = run.exposure
+        captured: dict[int, RgbdFrame] = {}
+
+        def capture_at(frame: int) -> None:
+            scanner.move_to(frame)
+            captured[frame] = scanner.acquire_environment_scan()
+
+        capture_loaded_s, capture = time_renders(capture_at, frames, run.capture.samples, scanner.scene)
+    yield Progress(2, 4, "measuring a light probe")
+    probe_loaded_s, probe = _timed_probe(run, frames)
+    yield Progress(3, 4, "measuring a comparison")
+    comparison_loaded_s, comparison = _timed_comparison(run, frames, captured)
+    entries = [{"frame": frame, "active": frame in in_sight} for frame in run.plan.frames]
+    n_comparisons = len(compared_frames(entries, run.settings.effort.comparison_step))
+    return RunTime(
+        prepared_s + capture_loaded_s + probe_loaded_s + comparison_loaded_s,
+        len(run.plan.frames) + n_comparisons + N_OTHER_STEPS,
+        sum(run.kept.capture(frame) == frame for frame in in_sight),
+        sum(run.kept.probe(frame, p.name) == frame for frame, probes in in_sight.items() for p in probes),
+        n_comparisons,
+        capture,
+        probe,
+        comparison,
+    )
+
+
+def _timed_probe(run: PreparedRun, frames: Sequence[int]) -> tuple[float, RenderTime]:
+    """Of one reference light as a run measures it, with as many pictures as its noise asks for."""
+    positions_m = [run.plan.probes[0].position_m]
+    with open_reference_probe(run.scene, positions_m, run.reference) as probe:
+        start = time.perf_counter()
+        probe.view(0, 0)
+        loaded_s = time.perf_counter() - start
+        light = probe.light_at(0, frames[0], run.exposure)
+    return loaded_s, RenderTime(light.render_s, 0.0, light.measured.samples(run.settings.target))
+
+
+def _timed_comparison(
+    run: PreparedRun, frames: Sequence[int], captured: Mapping[int, RgbdFrame]
+) -> tuple[float, RenderTime]:
+    """Under no light at all, which takes Cycles as long as any."""
+    dark = {method: {item.name: np.zeros((9, 3)) for item in run.plan.objects} for method in run.methods}
+    with open_comparer(run.scene, run.plan.objects, run.methods, run.comparison) as comparer:
+        return time_renders(
+            lambda frame: comparer.render_comparison(captured[frame], dark),
+            frames,
+            run.comparison.samples,
+            comparer.ground_truth,
+            comparer.lit,
+        )
+
+
+def time_renders(
+    render: Callable[[int], object], frames: Sequence[int], samples: int, *scenes: bpy.types.Scene
+) -> tuple[float, RenderTime]:
+    """Seconds that the first render takes longer than the second, and the time of a render with `samples`.
+
+    Each is of another frame, as in a run: what moves has to be loaded again.
+    """
+    few = min(FEW_SAMPLES, samples)
+    first_s, one_s, few_s = (_seconds(render, *each, scenes) for each in zip(frames, (1, 1, few), strict=True))
+    per_sample_s = _slope(one_s, few_s, few)
+    if few < samples and one_s + per_sample_s * (samples - 1) <= LONGEST_S:
+        per_sample_s = _slope(one_s, _seconds(render, frames[0], samples, scenes), samples)
+    return max(0.0, first_s - one_s), RenderTime(max(0.0, one_s - per_sample_s), per_sample_s, samples)
+
+
+def _slope(one_s: float, many_s: float, samples: int) -> float:
+    """Seconds per sample, from a render with one and another with `samples`."""
+    return max(0.0, many_s - one_s) / (samples - 1) if samples > 1 else 0.0
+
+
+def _seconds(render: Callable[[int], object], frame: int, samples: int, scenes: Sequence[bpy.types.Scene]) -> float:
+    for scene in scenes:
+        scene.cycles.samples = samples
+    start = time.perf_counter()
+    render(frame)
+    return time.perf_counter() - start

@@ -1,0 +1,189 @@
+"""What can a user choose for a previs run, and what do the presets choose for them?
+
+Presets are points on the front of error against time (`xihe frontier`, docs/frontier.md). Their noise targets are what
+`living_room`, the noisiest of the example scenes, has with some 4, 16 and 64 samples per capture at 256x192. The others
+would reach them with 1, 2 and 8. In `courtyard`, where the denoiser errs more than the noise, these lie too close
+together: so balanced takes 4 samples at least and accurate 24. An estimate is off by some 30 % of the light, to which
+noise of 6, 3 and 1.5 % adds, in quadrature, 2 %, 0.5 % and 0.1 % of that.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from xihe_blender.capture.reference_probe import ProbeSettings
+from xihe_blender.capture.render import MAX_SEED, RenderSettings
+from xihe_blender.errors import UserError
+from xihe_blender.light_transport.overrides import NETWORK, PHONE_EFFECTS, checked
+from xihenet import estimators
+from xihenet.estimators import Estimator, Target
+from xihenet.light_change import LightFollowing
+from xihenet.metering import METERINGS, Metering
+from xihenet.phone import LINKS, Link, PhoneProfile, load_profile
+from xihenet.trigger import TriggerSettings
+
+
+@dataclass(frozen=True)
+class Preset:
+    """How much rendering effort a run spends.
+
+    Parameters
+    ----------
+    noise_target : relative error of the nine SH coefficients that rendering may cause in captures
+    max_samples : Cycles samples per pixel for captures, at most; see `effort` for how many are taken
+    comparison_samples : Cycles samples per pixel, fixed
+    probe_samples : pictures that the reference probe takes, at most; see `reference_probe`
+    comparison_step : compare at every n-th frame of the path, and at its last
+    min_samples : Cycles samples per pixel for captures, at least
+    """
+
+    noise_target: float
+    max_samples: int
+    probe_samples: int
+    comparison_samples: int
+    comparison_step: int = 1
+    min_samples: int = 1
+
+
+PRESETS = {
+    "draft": Preset(0.06, 32, 24, 8, comparison_step=2),
+    "balanced": Preset(0.03, 64, 56, 32, min_samples=4),
+    "accurate": Preset(0.015, 256, 168, 128, min_samples=24),
+}
+
+RULER_SHARE = 0.4
+"""Noise of the reference over that of captures, at most; of 20 seeds one is 2.5 times as far off."""
+
+MAX_SAMPLES = 65536
+
+PREVIS_TRIGGER = TriggerSettings(theta=0.001, ignored_share=0.25, coverage_theta=0.05)
+"""The paper's theta of 0.6 sleeps through a lamp that changes; see docs/trigger.md for how these were chosen."""
+
+
+@dataclass(frozen=True)
+class PrevisSettings:
+    """One previs run.
+
+    Parameters
+    ----------
+    estimator : its registered name
+    preset : name of one of PRESETS
+    target : "ldr" compares coefficients with light clipped at 1, as the paper does, "hdr" with all of it
+    size : of captures and comparisons; None takes 256x192, upright where the scene's picture is
+    frames : frame numbers along the path; None takes the scene's range and step
+    objects : names of virtual objects to estimate for; None takes all
+    exposure : of the phone, locked for the session; None meters it
+    metering : one of METERINGS, of the session and of a phone that exposes by itself; None takes the phone's own
+    seed : of everything that is random
+    noise_target : relative error of the light that rendering may cause; None takes the preset's
+    samples : of every capture and light probe, whatever the noise; None takes what the noise target calls for
+    n_anchors : of the unit sphere
+    trigger : when a new estimate is worth its cost
+    following : how what is out of view follows a change of the light; None lets it be
+    phone : name of a profile, or path of a user's TOML file; see docs/phone.md
+    network : name of one of LINKS, over which estimates are asked for; None lets them arrive in their own frame
+    effect_choices : effect: "auto", "on" or "off"; wins over what the .blend remembers, which wins over the scene
+    """
+
+    estimator: str = estimators.DEFAULT
+    preset: str = "balanced"
+    target: Target = "ldr"
+    size: tuple[int, int] | None = None
+    frames: tuple[int, ...] | None = None
+    objects: tuple[str, ...] | None = None
+    exposure: float | None = None
+    metering: Metering | None = None
+    seed: int = 0
+    n_anchors: int = 1280
+    noise_target: float | None = None
+    samples: int | None = None
+    trigger: TriggerSettings = field(default_factory=lambda: PREVIS_TRIGGER)
+    following: LightFollowing | None = field(default_factory=LightFollowing)
+    phone: str = "perfect"
+    network: str | None = None
+    effect_choices: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.estimator not in estimators.names():
+            known = ", ".join(estimators.names())
+            raise UserError(f"there is no estimator {self.estimator!r}: choose one of {known}")
+        if self.preset not in PRESETS:
+            raise UserError(f"there is no preset {self.preset!r}: choose one of {', '.join(PRESETS)}")
+        if self.size is not None and not all(4 <= side <= 8192 for side in self.size):
+            raise UserError(
+                f"a picture of {self.size[0]}x{self.size[1]} pixels cannot be captured: use 4 to 8192 a side"
+            )
+        if self.exposure is not None and not (math.isfinite(self.exposure) and self.exposure > 0):
+            raise UserError(f"an exposure of {self.exposure:g} makes no picture: give a positive factor, or none")
+        if self.metering is not None and self.metering not in METERINGS:
+            raise UserError(f"there is no metering {self.metering!r}: choose one of {', '.join(METERINGS)}")
+        if not 0 <= self.seed <= MAX_SEED:
+            raise UserError(f"a seed of {self.seed} is out of Cycles' range: give 0 to {MAX_SEED}")
+        if self.network is not None and self.network not in LINKS:
+            raise UserError(f"there is no network {self.network!r}: choose one of {', '.join(LINKS)}, or leave it out")
+        self._check_choices()
+        if self.noise_target is not None and not 0 < self.noise_target < 1:
+            raise UserError(f"a noise target of {self.noise_target:g} is none: give a share of the light, such as 0.03")
+        if self.samples is not None and not 1 <= self.samples <= MAX_SAMPLES:
+            raise UserError(f"{self.samples} samples cannot be rendered: give 1 to {MAX_SAMPLES}, or none")
+
+    def _check_choices(self) -> None:
+        profile = self.profile
+        for name, state in checked(self.effect_choices).items():
+            if name == NETWORK and state == "on" and self.link is None:
+                raise UserError("effect 'network' cannot be on without a network: choose one with --network")
+            if name in PHONE_EFFECTS and name not in (NETWORK, *profile.effects) and state == "on":
+                raise UserError(
+                    f"effect {name!r} cannot be on: {profile.name} does not have it; choose another --phone"
+                )
+
+    @property
+    def effort(self) -> Preset:
+        return PRESETS[self.preset]
+
+    @property
+    def profile(self) -> PhoneProfile:
+        """The phone; UserError if there is none of that name, or its file is wrong."""
+        try:
+            return load_profile(self.phone)
+        except ValueError as error:
+            raise UserError(f"--phone {self.phone}: {error}") from error
+
+    @property
+    def metering_in_force(self) -> Metering:
+        """The user's or the phone's."""
+        return self.profile.metering if self.metering is None else self.metering
+
+    @property
+    def link(self) -> Link | None:
+        return None if self.network is None else LINKS[self.network]
+
+    @property
+    def noise_aim(self) -> float:
+        """The noise target in force: the user's or the preset's."""
+        return self.effort.noise_target if self.noise_target is None else self.noise_target
+
+    def capture(self, size: tuple[int, int], samples: int) -> RenderSettings:
+        return RenderSettings(size, samples, self.seed)
+
+    @property
+    def reference(self) -> ProbeSettings:
+        """Of the light that estimates are held against: better by `RULER_SHARE` than what is measured by it."""
+        if self.samples is not None:
+            return ProbeSettings(max_samples=self.samples, noise_target=None, seed=self.seed)
+        return ProbeSettings(
+            max_samples=self.effort.probe_samples, noise_target=RULER_SHARE * self.noise_aim, seed=self.seed
+        )
+
+    def comparison(self, size: tuple[int, int]) -> RenderSettings:
+        return RenderSettings(size, self.effort.comparison_samples, self.seed)
+
+
+def load_estimator(settings: PrevisSettings) -> Estimator:
+    """The estimator of a run; UserError if a package or a file of weights is missing."""
+    try:
+        return estimators.load(settings.estimator, settings.n_anchors, settings.target)
+    except (ImportError, ValueError) as error:
+        raise UserError(f"--estimator {settings.estimator}: {error}") from error

@@ -1,0 +1,96 @@
+"""The three spheres of the field's comparisons, as virtual objects."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+
+from xihe_blender.scene.units import metres_per_unit
+from xihe_blender.scene.virtual_objects import virtual_collection
+
+RIG_LOOKS: dict[str, dict[str, Any]] = {
+    "Xihe Mirror Sphere": {"Base Color": (1.0, 1.0, 1.0, 1.0), "Metallic": 1.0, "Roughness": 0.0},
+    "Xihe Matte Silver Sphere": {"Base Color": (0.9, 0.9, 0.9, 1.0), "Metallic": 1.0, "Roughness": 0.3271},
+    "Xihe Diffuse Sphere": {"Base Color": (0.5, 0.5, 0.5, 1.0), "Roughness": 1.0, "Specular IOR Level": 0.0},
+}
+
+
+def add_three_sphere_rig(
+    scene: bpy.types.Scene, location: tuple[float, float, float], radius_m: float = 0.06
+) -> list[bpy.types.Object]:
+    """Put the usual three comparison spheres side by side along X, resting on `location`.
+
+    Mirror, matte silver (roughness 0.3271) and grey diffuse (albedo 0.5, no specular) are what the field's
+    comparisons render: together they show sharp reflections, the main light's direction and the irradiance.
+
+    Parameters
+    ----------
+    scene : gets the virtual collection if it has none
+    location : world point under the middle sphere, Blender units, as the 3D cursor has it
+    radius_m : of each sphere, positive
+
+    Returns
+    -------
+    three objects, each a virtual object of its own: mirror, matte silver, diffuse
+
+    Raises
+    ------
+    ValueError : if `radius_m` is not positive and finite
+    """
+    if not (np.isfinite(radius_m) and radius_m > 0):
+        raise ValueError(f"add_three_sphere_rig: radius_m must be positive and finite, got {radius_m}")
+    collection = virtual_collection(scene, create=True)
+    assert collection is not None
+    x, y, z = location
+    radius = radius_m / metres_per_unit(scene)
+    spheres = []
+    for step, (name, look) in zip((-1, 0, 1), RIG_LOOKS.items(), strict=True):
+        sphere = bpy.data.objects.new(name, sphere_mesh(name, radius))
+        sphere.data.materials.append(_rig_material(name, look))
+        sphere.location = (x + 2.3 * radius * step, y, z + radius)
+        collection.objects.link(sphere)
+        spheres.append(sphere)
+    return spheres
+
+
+def sphere_mesh(name: str, radius: float, n_around: int = 64, n_up: int = 32) -> bpy.types.Mesh:
+    """A smooth UV sphere around the origin; bmesh's own orders its vertices differently from version to version."""
+    polar = np.pi * np.arange(1, n_up) / n_up
+    azimuth = 2 * np.pi * np.arange(n_around) / n_around
+    across, along = np.sin(polar)[:, None], np.cos(polar)[:, None] * np.ones(n_around)
+    rings = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), along], axis=-1).reshape(-1, 3)
+    vertices = np.concatenate([rings, [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]]) * radius
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata(vertices.tolist(), [], _sphere_faces(n_around, n_up - 1))
+    mesh.shade_smooth()
+    return mesh
+
+
+def _sphere_faces(n_around: int, n_rings: int) -> list[tuple[int, ...]]:
+    """Faces of rings from the top down, followed by the top and the bottom pole; they turn outwards."""
+    ring = np.arange(n_around)
+    after = np.roll(ring, -1)
+    top, last = n_rings * n_around, (n_rings - 1) * n_around
+    faces: list[tuple[int, ...]] = [(top, a, b) for a, b in zip(ring.tolist(), after.tolist(), strict=True)]
+    faces += [(top + 1, last + b, last + a) for a, b in zip(ring.tolist(), after.tolist(), strict=True)]
+    for upper in range(0, last, n_around):
+        lower = upper + n_around
+        quads = np.stack([upper + ring, lower + ring, lower + after, upper + after], axis=-1)
+        faces += map(tuple, quads.tolist())
+    return faces
+
+
+def _rig_material(name: str, look: dict[str, Any]) -> bpy.types.Material:
+    """The rig's material `name`, the existing one if a rig was added before."""
+    known = bpy.data.materials.get(name)
+    if known is not None:
+        return known
+    material = bpy.data.materials.new(name)
+    if material.node_tree is None:  # from 5.0 on a new material has its nodes, and asking for them warns
+        material.use_nodes = True
+    shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    for socket, value in look.items():
+        shader.inputs[socket].default_value = value
+    return material
