@@ -12,7 +12,7 @@ import torch
 from xihenet.camera import encode_exposed
 from xihenet.colour import linear_to_srgb
 from xihenet.estimators.lattice import Lattice
-from xihenet.mirror_ball import ball_coverage, ball_directions, project_mirror_ball
+from xihenet.mirror_ball import ball_directions, project_mirror_ball
 from xihenet.records import PointCloud, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sh import project_anchors, rotate
@@ -39,9 +39,8 @@ TINY_POINTCONV = {"centroids": (16, 4), "n_neighbours": 4}
 
 def lights_of_room(balls):
     """What a room at an exposure of 2 keeps of mirror balls (P, n, n, 3) of scene radiance."""
-    share = ball_coverage(balls.shape[1])[..., None]
-    clipped = np.stack([project_mirror_ball(np.minimum(2.0 * ball, 1.0) * share) for ball in balls])
-    whole = np.stack([project_mirror_ball(2.0 * ball * share) for ball in balls])
+    clipped = np.stack([project_mirror_ball(np.minimum(2.0 * ball, 1.0)) for ball in balls])
+    whole = np.stack([project_mirror_ball(2.0 * ball) for ball in balls])
     return {"balls": balls.astype(np.float16), "sh_ldr": clipped, "sh_hdr": whole}
 
 
