@@ -16,30 +16,43 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import bpy
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "addon_tests" / "in_blender")]
 
-from test_reference_probe import DISTANCE_M, LAMPS, POSITION, add_lamp, dark_scene, measured, of_a_disc  # noqa: E402
-from tiny_scenes import material  # noqa: E402
+from test_reference_probe import (  # noqa: E402
+    DISTANCE_M,
+    GLOW,
+    LAMPS,
+    POSITION,
+    add_lamp,
+    dark_scene,
+    measured,
+    of_a_disc,
+    scene_with_a_glowing_disc,
+)
 
 from xihe_blender.previs.settings import PRESETS, PrevisSettings  # noqa: E402
 from xihenet.sh import basis  # noqa: E402
 
 DIRECTIONS = [np.array(d) / np.linalg.norm(d) for d in itertools.product((-1, 0, 1), repeat=3) if any(d)]
 AREAS_M, PIECES = (0.5, 10.0), 200
-GLOW = 50.0
+
+
+def axes_of_an_area(direction):
+    """(3, 3) the axes of a square lamp that faces the position from `direction`, as columns."""
+    across = np.cross(direction, (0, 0, 1) if abs(direction[2]) < 0.9 else (1, 0, 0))
+    across /= np.linalg.norm(across)
+    return np.stack([across, np.cross(direction, across), direction], axis=1)
 
 
 def of_an_area(power, size_m, direction):
     """(9, 3) coefficients of a square lamp that faces the position: a sum over pieces of it."""
-    across = np.cross(direction, (0, 0, 1) if abs(direction[2]) < 0.9 else (1, 0, 0))
-    across /= np.linalg.norm(across)
+    across, along, _ = axes_of_an_area(direction).T
     steps = ((np.arange(PIECES) + 0.5) / PIECES - 0.5) * size_m
     u, v = np.meshgrid(steps, steps)
-    points = DISTANCE_M * direction + u[..., None] * across + v[..., None] * np.cross(direction, across)
+    points = DISTANCE_M * direction + u[..., None] * across + v[..., None] * along
     points = points.reshape(-1, 3)
     far = np.linalg.norm(points, axis=1)
     solid_angles = (size_m / PIECES) ** 2 * (DISTANCE_M / far) / far**2
@@ -59,12 +72,8 @@ def lamps(settings):
         for size in AREAS_M:
             scene = dark_scene()
             lamp = add_lamp(scene, "AREA", direction, energy=100.0, size=size)
-            # Aligned with the pieces of the sum, whichever way up it stands.
-            across = np.cross(direction, (0, 0, 1) if abs(direction[2]) < 0.9 else (1, 0, 0))
-            axes = np.stack([across / np.linalg.norm(across), np.cross(direction, across), direction], axis=1)
-            axes[:, 1] /= np.linalg.norm(axes[:, 1])
             matrix = np.eye(4)
-            matrix[:3, :3], matrix[:3, 3] = axes, POSITION + DISTANCE_M * direction
+            matrix[:3, :3], matrix[:3, 3] = axes_of_an_area(direction), POSITION + DISTANCE_M * direction
             lamp.matrix_world = matrix.T.tolist()
             off[f"area of {size} m"].append((measured(scene, settings).hdr, of_an_area(100.0, size, direction)))
     for name, pairs in off.items():
@@ -75,14 +84,7 @@ def lamps(settings):
 def discs(preset, n_seeds):
     """Print how far whole and clipped light of a glowing disc above are off, over the seeds."""
     for radius_m in (0.1, 0.25, 0.6):
-        scene = dark_scene()
-        turns = 2 * math.pi * np.arange(64) / 64
-        mesh = bpy.data.meshes.new("Disc")
-        mesh.from_pydata([(radius_m * math.cos(a), radius_m * math.sin(a), 0) for a in turns], [], [tuple(range(64))])
-        mesh.materials.append(material("Glow", (1, 1, 1), emission=GLOW))
-        disc = bpy.data.objects.new("Disc", mesh)
-        disc.location = POSITION + (0, 0, DISTANCE_M)
-        scene.collection.objects.link(disc)
+        scene = scene_with_a_glowing_disc(radius_m)
         # A polygon of 64 corners has 0.9984 of its circle's area.
         solid_angle = 2 * math.pi * (1 - math.cos(math.atan(radius_m / DISTANCE_M))) * 0.9984
         settings = PrevisSettings(preset=preset).reference

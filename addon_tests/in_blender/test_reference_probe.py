@@ -23,6 +23,7 @@ from xihenet.sh import basis, irradiance
 POSITION = np.array([0.3, -0.2, 1.0])
 FEW = ProbeSettings(max_samples=4, noise_target=None)
 DISTANCE_M = 2.0
+GLOW = 50.0
 TOWARDS = [np.array(d) / np.linalg.norm(d) for d in [(0, 0, 1), (0, 0, -1), (1, 0, 1), (-1, 1, 0), (1, -1, 1)]]
 
 
@@ -87,19 +88,24 @@ def test_a_lamp_of_ten_metres_fills_half_of_the_sphere():
     assert facing == pytest.approx(level * np.pi, rel=0.03)
 
 
-@pytest.mark.parametrize("radius_m", [0.1, 0.6])
-def test_a_glowing_disc_above_counts_once(radius_m):
+def scene_with_a_glowing_disc(radius_m):
+    """A disc of radiance GLOW straight above the position, in the dark."""
     scene = dark_scene()
     turns = 2 * math.pi * np.arange(64) / 64
     mesh = bpy.data.meshes.new("Disc")
     mesh.from_pydata([(radius_m * math.cos(a), radius_m * math.sin(a), 0) for a in turns], [], [tuple(range(64))])
-    mesh.materials.append(material("Glow", (1, 1, 1), emission=50.0))
+    mesh.materials.append(material("Glow", (1, 1, 1), emission=GLOW))
     disc = bpy.data.objects.new("Disc", mesh)
     disc.location = POSITION + (0, 0, DISTANCE_M)
     scene.collection.objects.link(disc)
+    return scene
+
+
+@pytest.mark.parametrize("radius_m", [0.1, 0.6])
+def test_a_glowing_disc_above_counts_once(radius_m):
     solid_angle = 2 * math.pi * (1 - math.cos(math.atan(radius_m / DISTANCE_M)))
-    light = measured(scene, ProbeSettings(max_samples=16, noise_target=None))
-    assert light.hdr[0, 0] * np.sqrt(4 * np.pi) == pytest.approx(50 * solid_angle, rel=0.03)
+    light = measured(scene_with_a_glowing_disc(radius_m), ProbeSettings(max_samples=16, noise_target=None))
+    assert light.hdr[0, 0] * np.sqrt(4 * np.pi) == pytest.approx(GLOW * solid_angle, rel=0.03)
     # Some 130 rays of 16 pictures meet the small disc.
     assert light.ldr[0, 0] * np.sqrt(4 * np.pi) == pytest.approx(solid_angle, rel=0.2 if radius_m < 0.2 else 0.03)
 

@@ -6,7 +6,7 @@ and estimate against ground truth with a wipe between them. They are packed, so 
 run's folder and without the add-on.
 
 Everything is made from results.json and the pictures beside it: a run can be shown again in any file with the same
-objects. `remove_everything` takes away all that this and `apply` leave, and nothing else.
+objects. `remove_everything` takes away all that this and `apply.sh_worlds` leave, and nothing else.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Chosen: a working scene, a copy that shares the objects and owns its settings, its frame and its view layers. The user's
 settings are never changed, so there are none to restore after an error, a cancel or a crash. What rendering writes into
-the shared objects, their animated values, `scene_state` puts back. Rejected: changing settings in place.
+the shared objects, their animated values, `scene.state` puts back. Rejected: changing settings in place.
 
 Pixels come back through a 32-bit EXR file in memory, since Blender cannot hand out a render result in background mode.
 Light transport (bounces, caustics) is what the settings say, or what the user's scene has where they say nothing: the

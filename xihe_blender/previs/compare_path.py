@@ -2,7 +2,7 @@
 
 Every n-th frame in which the chain ran, by the preset, and the last. A comparison is read where an earlier part of the
 run kept it, taken over from an earlier frame where scene, camera, capture and lights are the same, else rendered; see
-`compare`. Comparisons are set up only when the first one has to be rendered.
+`compare.methods`. Comparisons are set up only when the first one has to be rendered.
 """
 
 from __future__ import annotations

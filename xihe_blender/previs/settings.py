@@ -32,7 +32,7 @@ class Preset:
     Parameters
     ----------
     noise_target : relative error of the nine SH coefficients that rendering may cause in captures
-    max_samples : Cycles samples per pixel for captures, at most; see `effort` for how many are taken
+    max_samples : Cycles samples per pixel for captures, at most; see `sample_count` for how many are taken
     comparison_samples : Cycles samples per pixel, fixed
     probe_samples : pictures that the reference probe takes, at most; see `reference_probe`
     comparison_step : compare at every n-th frame of the path, and at its last

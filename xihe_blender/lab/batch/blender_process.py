@@ -27,7 +27,7 @@ from xihe_blender.lab.batch.grid import BatchSettings
 from xihe_blender.lab.batch.store import result_file
 
 EXIT_CANNOT_BE_DONE = 2
-"""As `spread_worker` knows it, which needs Dask and is not loaded here."""
+"""As `dask_worker` knows it, which needs Dask and is not loaded here."""
 
 EXIT_ABANDONED = 3
 
