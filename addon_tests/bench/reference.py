@@ -180,9 +180,9 @@ class Yardsticks:
         """One probe's light against them."""
         return Found(
             preset,
-            apart(light.hdr, self.hdr), light.hdr_noise or 0, self.hdr_noise,
+            apart(light.hdr, self.hdr), light.expected_error("hdr") or 0, self.hdr_noise,
             irradiance(light.hdr, NORMALS).mean() / self.mean_irradiance,
-            apart(light.ldr, self.ldr), light.ldr_noise or 0, self.ldr_noise,
+            apart(light.ldr, self.ldr), light.expected_error("ldr") or 0, self.ldr_noise,
             light.ldr[0].sum() / self.ldr[0].sum() - 1,
         )  # fmt: skip
 

@@ -122,7 +122,9 @@ def _check_rendering(entry):
     capture, probes = entry["rendering"]["capture"], entry["rendering"]["probes"]
     assert set(probes) == {probe["name"] for probe in entry["probes"]}
     renders = [capture, *probes.values()]
-    assert all(isinstance(probe["is_capped"], bool) for probe in probes.values())
+    for probe in probes.values():
+        assert isinstance(probe["is_capped"], bool) and (probe["expected_error"] is None) == (probe["noise"] is None)
+        assert probe["noise"] is None or probe["noise"] < probe["expected_error"] < probe["noise"] + 0.02
     for render in renders:
         assert isinstance(render["samples"], int) and render["samples"] >= 1
         assert render["noise"] is None or 0 <= render["noise"] < math.inf

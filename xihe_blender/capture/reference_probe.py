@@ -68,6 +68,10 @@ SMALLEST_CLIP = 1e-6
 FEWEST_SAMPLES = 6
 """By fewer nobody could tell the noise: with 4 a disc was off by up to 2.4 times what it told, in 20 seeds."""
 
+ERROR_BESIDE_NOISE = 0.012
+"""Relative, of a reference light without noise: what eleven rooms were off by against path-traced directions and baked
+irradiance, beyond the noise of both (docs/reference_light.md)."""
+
 
 @dataclass(frozen=True)
 class ProbeSettings:
@@ -101,7 +105,7 @@ class MeasuredLight:
     ----------
     ldr : ((order + 1)^2, 3) radiance coefficients of what camera rays see, clipped at white
     hdr : (9, 3) of all light that arrives; both carry the exposure
-    ldr_noise, hdr_noise : their expected relative error; None where it could not be told
+    ldr_noise, hdr_noise : their relative noise, which is not all of their error; None where it could not be told
     ldr_samples, hdr_samples : pictures that were taken of each
     """
 
@@ -119,6 +123,11 @@ class MeasuredLight:
     def noise(self, target: Target) -> float | None:
         """The noise of one target."""
         return self.ldr_noise if target == "ldr" else self.hdr_noise
+
+    def expected_error(self, target: Target) -> float | None:
+        """How far off one target is, relative: by noise and by what is not noise, as squares."""
+        noise = self.noise(target)
+        return None if noise is None else math.hypot(noise, ERROR_BESIDE_NOISE)
 
     def samples(self, target: Target) -> int:
         """The pictures taken of one target."""

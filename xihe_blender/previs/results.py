@@ -91,7 +91,10 @@ def rendering(frame: int, references: Mapping[str, MeasuredLight], run: Prepared
     capture = _render(frame, kept.capture(frame), effort.capture_samples, effort.capture_noise)
     probes = {
         name: _render(frame, kept.probe(frame, name), light.samples(target), light.noise(target))
-        | {"is_capped": is_capped(light.samples(target), light.noise(target), run.reference)}
+        | {
+            "expected_error": finite_or_none(light.expected_error(target)),
+            "is_capped": is_capped(light.samples(target), light.noise(target), run.reference),
+        }
         for name, light in references.items()
     }
     return {"rendering": {"capture": capture, "probes": probes}}
