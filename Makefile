@@ -80,7 +80,7 @@ $(VENV)/installed: pyproject.toml
 # NumPy is Blender's own: what depends on it is installed alone.
 $(TEST_PACKAGES)/installed:
 	$(PYTHON) -m pip install --quiet --target $(TEST_PACKAGES) --python-version $(BLENDER_PYTHON) \
-		--only-binary=:all: "pytest>=8" "pytest-timeout>=2.3" "hypothesis>=6.100" "pillow>=10"
+		--only-binary=:all: "pytest>=8" "pytest-timeout>=2.3" "hypothesis>=6.100" "pillow>=10" "jsonschema>=4.20"
 	$(PYTHON) -m pip install --quiet --target $(TEST_PACKAGES) --python-version $(BLENDER_PYTHON) \
 		--only-binary=:all: --no-deps "scipy>=1.11"
 	@touch $@

@@ -31,7 +31,7 @@ from xihe_blender.apply.sh_worlds import f_curves
 from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
 from xihe_blender.capture.scanner import first_layer
 from xihe_blender.errors import UserError
-from xihe_blender.io.run_results import nearest_compared_frame, read_results, trigger_frames
+from xihe_blender.io.run_results import read_results
 from xihenet.panorama import evaluate_panorama
 
 IN_THE_PANEL = replace(SMALL, noise_target=None)
@@ -143,20 +143,20 @@ def test_the_light_of_the_results_is_the_one_that_the_run_put_on_the_timeline(sh
     for name in ("Ball", "Board"):
         coefficients, interpolations = keyed(bpy.data.worlds[f"Xihe {name}"])
         assert interpolations == {"CONSTANT"} and len(coefficients) > 1
-        for frame in results["settings"]["frames"]:
+        for frame in results.settings.frames:
             on_timeline = coefficients[max(known for known in coefficients if known <= frame)]
             np.testing.assert_allclose(light_in_force(results, name, frame), on_timeline, rtol=1e-6, atol=1e-7)
 
 
 def test_light_in_force_is_that_of_the_positions_in_view(shown):
     results = read_results(shown)
-    for entry in results["frames"]:
-        in_view = {probe["name"]: probe["sh"] for probe in entry["probes"]}
+    for entry in results.frames:
+        in_view = {probe.name: probe.sh for probe in entry.probes}
         if "Ball" in in_view:
-            np.testing.assert_array_equal(light_in_force(results, "Ball", entry["frame"]), in_view["Ball"])
+            np.testing.assert_array_equal(light_in_force(results, "Ball", entry.frame), in_view["Ball"])
         if {"Board 1", "Board 2"} <= in_view.keys():
             mean = np.mean([in_view["Board 1"], in_view["Board 2"]], axis=0)
-            np.testing.assert_allclose(light_in_force(results, "Board", entry["frame"]), mean, rtol=1e-12)
+            np.testing.assert_allclose(light_in_force(results, "Board", entry.frame), mean, rtol=1e-12)
     with pytest.raises(ValueError, match=r"that the run lit \(Ball, Board\), got 'Chair'"):
         light_in_force(results, "Chair", 1)
 
@@ -226,9 +226,9 @@ def test_error_and_coverage_are_curves_of_the_worlds(shown):
         for curve, key in ((ERROR_CURVE, "shc_rmse"), (COVERAGE_CURVE, "coverage")):
             points = curves[f'["{curve}"]'].keyframe_points
             expected = {
-                entry["frame"]: np.mean([probe[key] for probe in entry["probes"] if probe["object"] == name])
-                for entry in results["frames"]
-                if any(probe["object"] == name for probe in entry["probes"])
+                entry.frame: np.mean([getattr(probe, key) for probe in entry.probes if probe.object == name])
+                for entry in results.frames
+                if any(probe.object == name for probe in entry.probes)
             }
             assert {round(p.co[0]): p.co[1] for p in points} == pytest.approx(expected, rel=1e-6)
             assert {point.interpolation for point in points} == {"CONSTANT"}
@@ -241,16 +241,14 @@ def test_a_saved_file_keeps_its_images_without_the_run(shown):
     expected = {name: pixels(image_named(name)) for name in (COMPARISON_NAME, "Xihe Light Ball", "Xihe Light Board")}
     assert all(image_named(name).packed_file is not None for name in expected)
     results = read_results(shown)
-    panorama = (
-        evaluate_panorama(light_in_force(results, "Ball", 1), 64, 128) / results["settings"]["reference_exposure"]
-    )
+    panorama = evaluate_panorama(light_in_force(results, "Ball", 1), 64, 128) / results.settings.reference_exposure
     np.testing.assert_allclose(np.sort(expected["Xihe Light Ball"], axis=None), np.sort(panorama, axis=None), rtol=1e-4)
     assert np.ptp(expected[COMPARISON_NAME]) > 0.3
 
 
 def test_the_comparison_is_the_estimate_up_to_the_wipe_and_the_truth_behind(shown):
     results = read_results(shown)
-    nearest = nearest_compared_frame(results, 2)
+    nearest = results.nearest_compared_frame(2)
     sides = {}
     for kind in ("lattice", "ground_truth"):
         image = bpy.data.images.load(str(shown / "pictures" / f"{kind}_{nearest:04d}.png"))
@@ -293,8 +291,7 @@ def test_the_image_of_a_light_is_the_environment_it_stands_for():
     scene = empty_scene()
     sh = np.random.default_rng(3).normal(size=(9, 3)) * 0.1
     sh[0] += 2
-    results = {"lights": {"Ball": [{"frame": 1, "sh": sh.tolist()}]}, "settings": {"reference_exposure": 0.5}}
-    image = show_light(results, "Ball", 1)
+    image = show_light("Ball", sh)
     world = bpy.data.worlds.new("World")
     if world.node_tree is None:
         world.use_nodes = True
@@ -311,7 +308,7 @@ def test_the_image_of_a_light_is_the_environment_it_stands_for():
     scene.camera.rotation_euler = (np.pi / 2, 0, 0)
     with working_scene(scene, "Test", RenderSettings((64, 32), 4, denoise=False)) as working:
         seen, _ = first_layer(render_passes(working))
-    expected = evaluate_panorama(sh / 0.5, 32, 64)
+    expected = evaluate_panorama(sh, 32, 64)
     error = np.abs(seen - expected) / np.ptp(expected)
     assert np.median(error) < 0.005
     # Cycles' interpolation ends at the picture's edge, so that a seam of one texel is left.
@@ -323,9 +320,9 @@ def test_the_image_of_a_light_is_the_environment_it_stands_for():
 
 def test_going_from_trigger_to_trigger_shows_the_light_of_each(shown):
     scene, results = bpy.context.scene, read_results(shown)
-    frames = trigger_frames(results)
+    frames = [entry.frame for entry in results.frames if any(probe.fired for probe in entry.probes)]
     scene.frame_set(0)
-    exposure = results["settings"]["reference_exposure"]
+    exposure = results.settings.reference_exposure
     for frame in frames:
         assert bpy.ops.xihe.go_to_trigger(direction="NEXT") == {"FINISHED"} and scene.frame_current == frame
         mean = evaluate_panorama(light_in_force(results, "Ball", frame), 64, 128).mean() / exposure
@@ -343,10 +340,12 @@ def test_triggers_can_be_walked_without_the_runs_folder(shown):
     assert bpy.ops.xihe.go_to_trigger() == {"FINISHED"}
 
 
-def test_the_nearest_compared_frame_is_the_earlier_of_two():
-    entries = [{"frame": f, "comparison": {}, "pictures": {}} for f in (1, 5)] + [{"frame": 3}]
-    assert [nearest_compared_frame({"frames": entries}, f) for f in (-9, 2, 3, 4, 99)] == [1, 1, 1, 5, 5]
-    assert nearest_compared_frame({"frames": entries[2:]}, 3) is None
+def test_the_nearest_compared_frame_is_the_earlier_of_two(shown):
+    results = read_results(shown)
+    seen = replace(results.frames[0], frame=3, compared=None)
+    frames = (*(replace(results.frames[0], frame=frame) for frame in (1, 5)), seen)
+    assert [replace(results, frames=frames).nearest_compared_frame(f) for f in (-9, 2, 3, 4, 99)] == [1, 1, 1, 5, 5]
+    assert replace(results, frames=(seen,)).nearest_compared_frame(3) is None
 
 
 def test_results_of_a_run_under_way_or_of_another_program_are_refused(tmp_path):
@@ -366,5 +365,5 @@ def test_a_run_that_saw_no_position_shows_no_picture(tmp_path):
     with contextlib.closing(run_and_show(scene, tmp_path / "run", replace(SMALL, frames=(1, 2)))) as job:
         for _ in job:
             pass
-    assert nearest_compared_frame(read_results(tmp_path / "run"), 1) is None
+    assert read_results(tmp_path / "run").nearest_compared_frame(1) is None
     assert image_named(COMPARISON_NAME) is None and image_named("Xihe Light Ball") is None

@@ -13,11 +13,11 @@ import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import bpy
 
 from xihe_blender.errors import UserError
+from xihe_blender.io.run_results import RunResults, read_results
 
 
 @dataclass(frozen=True)
@@ -63,28 +63,24 @@ def last_run(folder: str) -> LastRun | None:
 
 @functools.lru_cache(maxsize=4)
 def _read(folder: Path, _changed: int) -> LastRun | None:
-    from xihe_blender.io.run_results import read_results
-
     try:
         return _picked(read_results(folder))
-    except (KeyError, TypeError, UserError):
+    except UserError:
         return None
 
 
-def _picked(content: Mapping[str, Any]) -> LastRun:
-    summary, frames = content["summary"], content["frames"]
-    probes = [probe for entry in frames for probe in entry["probes"]]
+def _picked(content: RunResults) -> LastRun:
+    summary = content.summary
     return LastRun(
-        estimator=content["settings"]["estimator"],
-        n_frames=summary["n_frames"],
-        n_estimates=summary["n_estimates"],
-        shc_rmse=summary["mean_shc_rmse"],
-        ambient_shc_rmse=summary["ambient_shc_rmse"],
-        coverage=summary["mean_coverage"],
-        step_ms=summary["mean_step_ms"],
-        render_s=summary["render_s"] + summary["comparison_render_s"],
-        # Runs of before these were counted have none to show.
-        n_invalid_points=summary.get("n_invalid_points", 0),
-        n_unknown_lights=summary.get("n_unknown_lights", 0),
-        coverage_by_position={probe["name"]: probe["coverage"] for probe in probes},
+        estimator=content.settings.estimator,
+        n_frames=summary.n_frames,
+        n_estimates=summary.n_estimates,
+        shc_rmse=summary.mean_shc_rmse,
+        ambient_shc_rmse=summary.ambient_shc_rmse,
+        coverage=summary.mean_coverage,
+        step_ms=summary.mean_step_ms,
+        render_s=summary.render_s + summary.comparison_render_s,
+        n_invalid_points=summary.n_invalid_points,
+        n_unknown_lights=summary.n_unknown_lights,
+        coverage_by_position={probe.name: probe.coverage for probe in content.probes},
     )

@@ -12,7 +12,6 @@ objects. `remove_everything` takes away all that this and `apply.sh_worlds` leav
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import bpy
 import numpy as np
@@ -27,7 +26,7 @@ from xihe_blender.apply.datablocks import (
 )
 from xihe_blender.apply.sh_worlds import f_curves, remove_applied_light, remove_trigger_markers, world_name
 from xihe_blender.errors import UserError
-from xihe_blender.io.run_results import compared_frames_of, nearest_compared_frame, read_results
+from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.previs.lit_blend import apply_lights
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.panorama import evaluate_panorama
@@ -40,61 +39,60 @@ LIGHT_HEIGHT = 64
 WIPE_LINE = 1.0
 
 
-def show_results(scene: bpy.types.Scene, results: dict[str, Any], folder: Path, *, wipe: float = 0.5) -> None:
+def show_results(scene: bpy.types.Scene, results: RunResults, folder: Path, *, wipe: float = 0.5) -> None:
     """Show a run whose light is on the timeline of `scene` already: curves and pictures.
 
     Parameters
     ----------
-    results : content of results.json
+    results : of the run
     folder : of the run, for its pictures
     wipe : 0 to 1, see `wiped`
     """
-    for name in results["lights"]:
+    for name in results.lights:
         # The file's own world: one of a linked library may have the same name.
         _key_curves(bpy.data.worlds[world_name(name), None], results, name)
     show_images(scene, results, folder, wipe=wipe)
 
 
-def apply_results(scene: bpy.types.Scene, results: dict[str, Any], folder: Path, *, wipe: float = 0.5) -> None:
+def apply_results(scene: bpy.types.Scene, results: RunResults, folder: Path, *, wipe: float = 0.5) -> None:
     """Put the light of a run onto the timeline of `scene` and show the run, from its folder alone.
 
     UserError if a virtual object of the run is not in the scene.
     """
     here = {item.name for item in virtual_objects(scene)}
-    missing = [name for name in results["lights"] if name not in here]
+    missing = [name for name in results.lights if name not in here]
     if missing:
         raise UserError(f"virtual object {missing[0]!r} of the last run is not in this scene any more: run again")
     changes = {
-        name: [(change["frame"], np.array(change["sh"])) for change in of_one]
-        for name, of_one in results["lights"].items()
+        name: [(change.frame, np.array(change.sh)) for change in of_one] for name, of_one in results.lights.items()
     }
-    apply_lights(scene, changes, results["frames"], results["settings"]["reference_exposure"])
+    apply_lights(scene, changes, results.frames, results.settings.reference_exposure)
     show_results(scene, results, folder, wipe=wipe)
 
 
-def light_in_force(results: dict[str, Any], name: str, frame: int) -> ArrayF64:
+def light_in_force(results: RunResults, name: str, frame: int) -> ArrayF64:
     """(9, 3) the light of virtual object `name` at `frame`, carrying the run's exposure; before the first, the first.
 
     ValueError for an object that the run did not light: another one, or where no position was ever in view.
     """
-    changes = results["lights"].get(name)
+    changes = results.lights.get(name)
     if not changes:
-        lit = ", ".join(other for other, of_one in results["lights"].items() if of_one)
+        lit = ", ".join(other for other, of_one in results.lights.items() if of_one)
         raise ValueError(f"expected one of the objects that the run lit ({lit or 'none'}), got {name!r}")
-    reached = [change for change in changes if change["frame"] <= frame]
-    return np.array((reached or changes)[-1 if reached else 0]["sh"], np.float64)
+    reached = [change for change in changes if change.frame <= frame]
+    return np.array((reached or changes)[-1 if reached else 0].sh, np.float64)
 
 
 # ------------------------------------------------------------------------------------------------------------- curves
 
 
-def _key_curves(world: bpy.types.World, results: dict[str, Any], name: str) -> None:
+def _key_curves(world: bpy.types.World, results: RunResults, name: str) -> None:
     """Error and coverage of an object at each frame in which it was in view: the mean over its positions."""
-    for entry in results["frames"]:
-        probes = [probe for probe in entry["probes"] if probe["object"] == name]
+    for entry in results.frames:
+        probes = [probe for probe in entry.probes if probe.object == name]
         if probes:
-            _key(world, ERROR_CURVE, entry["frame"], [probe["shc_rmse"] for probe in probes])
-            _key(world, COVERAGE_CURVE, entry["frame"], [probe["coverage"] for probe in probes])
+            _key(world, ERROR_CURVE, entry.frame, [probe.shc_rmse for probe in probes])
+            _key(world, COVERAGE_CURVE, entry.frame, [probe.coverage for probe in probes])
     for curve in f_curves(world):
         for point in curve.keyframe_points:
             point.interpolation = "CONSTANT"
@@ -109,13 +107,13 @@ def _key(world: bpy.types.World, curve: str, frame: int, values: list[float]) ->
 
 
 def show_images(
-    scene: bpy.types.Scene, results: dict[str, Any], folder: Path, *, wipe: float = 0.5, frame: int | None = None
+    scene: bpy.types.Scene, results: RunResults, folder: Path, *, wipe: float = 0.5, frame: int | None = None
 ) -> None:
     """Make the images of `results` show `frame`; None takes the scene's current one."""
     shown = scene.frame_current if frame is None else frame
-    for name, changes in results["lights"].items():
+    for name, changes in results.lights.items():
         if changes:
-            show_light(results, name, shown)
+            show_light(name, light_in_force(results, name, shown) / results.settings.reference_exposure)
         else:
             # Nothing was ever in view, and a picture of an earlier run would say otherwise.
             _remove_image(f"{LIGHT_PREFIX}{name}")
@@ -123,30 +121,27 @@ def show_images(
         _remove_image(COMPARISON_NAME)
 
 
-def show_light(results: dict[str, Any], name: str, frame: int) -> bpy.types.Image:
-    """The image of the light of virtual object `name` at `frame`: 32-bit scene radiance.
+def show_light(name: str, sh_radiance: ArrayF64) -> bpy.types.Image:
+    """The image of the light of virtual object `name`, (9, 3) in scene radiance: 32-bit.
 
     Laid out as Blender's Environment Texture reads it, so that it lights a world as it lit the object.
     """
-    light = light_in_force(results, name, frame) / results["settings"]["reference_exposure"]
-    panorama = evaluate_panorama(light, LIGHT_HEIGHT, 2 * LIGHT_HEIGHT)
+    panorama = evaluate_panorama(sh_radiance, LIGHT_HEIGHT, 2 * LIGHT_HEIGHT)
     # The panorama has +Y in its middle and +X a quarter to the right, an Environment Texture +X and -Y.
     pixels = np.roll(panorama, -LIGHT_HEIGHT // 2, axis=1).astype(np.float32)
     return _write_image(f"{LIGHT_PREFIX}{name}", pixels, is_float=True)
 
 
-def show_comparison(results: dict[str, Any], folder: Path, frame: int, wipe: float = 0.5) -> bpy.types.Image | None:
+def show_comparison(results: RunResults, folder: Path, frame: int, wipe: float = 0.5) -> bpy.types.Image | None:
     """The image of estimate against ground truth at the compared frame next to `frame`; None if none was compared.
 
     UserError if its pictures are gone.
     """
-    nearest = nearest_compared_frame(results, frame)
+    nearest = results.nearest_compared_frame(frame)
     if nearest is None:
         return None
-    pictures = compared_frames_of(results)[nearest]
-    estimate, truth = (
-        _read_picture(folder / pictures[kind]) for kind in (results["settings"]["estimator"], "ground_truth")
-    )
+    pictures = results.compared_frames[nearest].pictures
+    estimate, truth = (_read_picture(folder / pictures[kind]) for kind in (results.settings.estimator, "ground_truth"))
     return _write_image(COMPARISON_NAME, wiped(estimate, truth, wipe), is_float=False)
 
 

@@ -27,7 +27,7 @@ class XIHE_OT_run(polls.Conditional, ModalJob, bpy.types.Operator):
         polls.has_camera,
     )
 
-    def start_job(self, context: bpy.types.Context) -> Generator[Any, None, dict[str, Any]]:
+    def start_job(self, context: bpy.types.Context) -> Generator[Any, None, None]:
         from xihe_blender.addon.run_settings import previs_settings
         from xihe_blender.addon.runs_folder import new_run_folder
         from xihe_blender.addon.shown_run import run_and_show
@@ -36,7 +36,7 @@ class XIHE_OT_run(polls.Conditional, ModalJob, bpy.types.Operator):
         self.scene, self.folder = context.scene, new_run_folder(context.scene)
         return run_and_show(context.scene, self.folder, settings, wipe=context.scene.xihe.wipe)
 
-    def finish(self, context: bpy.types.Context, result: dict[str, Any]) -> set[str]:
+    def finish(self, context: bpy.types.Context, result: None) -> set[str]:
         self.scene.xihe.run_folder = str(self.folder)
         self.report({"INFO"}, f"The run is done: {self.folder}")
         return {"FINISHED"}

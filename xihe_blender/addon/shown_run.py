@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import Any
 
 import bpy
 
 from xihe_blender.addon.results_in_blender import show_results
 from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.io.run_results import read_results
 from xihe_blender.jobs import Job
 from xihe_blender.previs.previs import previs
 from xihe_blender.previs.settings import PrevisSettings
@@ -21,10 +21,8 @@ from xihe_blender.previs.settings import PrevisSettings
 COMMAND = "Run in Blender's panel"
 
 
-def run_and_show(
-    scene: bpy.types.Scene, folder: Path, settings: PrevisSettings, *, wipe: float = 0.5
-) -> Job[dict[str, Any]]:
-    """`previs` into `folder`, then its results in the open file; the content of results.json.
+def run_and_show(scene: bpy.types.Scene, folder: Path, settings: PrevisSettings, *, wipe: float = 0.5) -> Job[None]:
+    """`previs` into `folder`, then its results in the open file.
 
     Parameters
     ----------
@@ -32,9 +30,9 @@ def run_and_show(
     wipe : of the comparison image, see `wiped`
     """
     try:
-        results = yield from previs(scene, folder, settings, command=COMMAND)
+        yield from previs(scene, folder, settings, command=COMMAND)
     finally:
         if not RunOutputs(folder, "").results.exists():
             shutil.rmtree(folder, ignore_errors=True)
+    results = read_results(folder)
     show_results(scene, results, folder, wipe=wipe)
-    return results

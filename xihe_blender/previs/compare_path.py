@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Generator, Mapping, Sequence
-from typing import Any
+from collections.abc import Generator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,20 +24,23 @@ from xihe_blender.compare.methods import (
     open_comparer,
 )
 from xihe_blender.io.exr import write_radiance
+from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.outputs import RunOutputs, copy_whole, write_json, write_picture
+from xihe_blender.io.run_results import ComparedFrame, Metrics
 from xihe_blender.jobs import Progress
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.run_chain import Lights, WalkedPath
 from xihenet.recording import load_frame
 
 
-def compare_path(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, None, dict[int, dict[str, Any]]]:
-    """A job: what results.json says about the comparison of each compared frame; pictures are written on the way."""
+def compare_path(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, None, dict[int, ComparedFrame]]:
+    """A job: the comparison of each compared frame, by its number; pictures are written on the way."""
     compared = {}
     done = len(run.plan.frames)
+    active = [frame.frame for frame in walked.frames if frame.active]
     with contextlib.ExitStack() as stack:
         comparer = None
-        for frame in compared_frames(walked.frames, run.settings.effort.comparison_step):
+        for frame in compared_frames(active, run.settings.effort.comparison_step):
             yield Progress(done, max(run.total, done + 3), f"comparing frame {frame}")
             lights = walked.lights[frame]
             source = _source(run, frame, lights)
@@ -49,14 +52,13 @@ def compare_path(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, No
                         opened = open_comparer(run.scene, run.plan.objects, run.methods, run.comparison)
                         comparer = stack.enter_context(opened)
                     _compare_frame(run, frame, lights, comparer)
-            compared[frame] = json.loads(run.outputs.compared(frame).read_text(encoding="utf-8"))
+            compared[frame] = _read(run.outputs, frame)
             done += 3
     return compared
 
 
-def compared_frames(entries: Sequence[Mapping[str, Any]], step: int) -> list[int]:
-    """Every `step`-th of the active frames among `entries` of results.json, and the last of them; may be empty."""
-    active = [entry["frame"] for entry in entries if entry["active"]]
+def compared_frames(active: Sequence[int], step: int) -> list[int]:
+    """Every `step`-th of the active frames, and the last of them; may be empty."""
     return sorted({*active[::step], *active[-1:]})
 
 
@@ -68,33 +70,37 @@ def _source(run: PreparedRun, frame: int, lights: Lights) -> int:
 
 
 def _take_over(outputs: RunOutputs, source: int, frame: int) -> None:
-    content = json.loads(outputs.compared(source).read_text(encoding="utf-8"))
-    for method in ("ground_truth", *content["comparison"]):
+    compared = _read(outputs, source)
+    for method in ("ground_truth", *compared.comparison):
         copy_whole(outputs.radiance(method, source), outputs.radiance(method, frame))
     # What the phone saw has been written before; its exposure may differ.
-    for kind in content["pictures"].keys() - {"captured"}:
+    for kind in compared.pictures.keys() - {"captured"}:
         copy_whole(outputs.picture(kind, source), outputs.picture(kind, frame))
-    pictures = {kind: outputs.relative(outputs.picture(kind, frame)) for kind in content["pictures"]}
-    taken_over = {"pictures": pictures, "comparison_render_s": 0.0, "comparison_same_as": source}
-    write_json(outputs.compared(frame), content | taken_over)
+    pictures = {kind: outputs.relative(outputs.picture(kind, frame)) for kind in compared.pictures}
+    taken_over = replace(compared, pictures=pictures, comparison_render_s=0.0, comparison_same_as=source)
+    write_json(outputs.compared(frame), as_json(taken_over))
+
+
+def _read(outputs: RunOutputs, frame: int) -> ComparedFrame:
+    return from_json(ComparedFrame, json.loads(outputs.compared(frame).read_text(encoding="utf-8")))
 
 
 def _compare_frame(run: PreparedRun, frame: int, lights: Lights, comparer: Comparer) -> None:
     compared = comparer.render_comparison(load_frame(run.outputs.capture(frame)), lights)
-    content = {
-        "pictures": _write_pictures(run, frame, compared),
-        "comparison": {
-            name: measure(picture, compared.ground_truth, compared.weights)
+    content = ComparedFrame(
+        pictures=_write_pictures(run, frame, compared),
+        comparison={
+            name: Metrics(**measure(picture, compared.ground_truth, compared.weights))
             for name, picture in compared.methods.items()
         },
-        "n_hueless_pixels": {
+        n_hueless_pixels={
             name: hueless_pixels(picture, compared.ground_truth, compared.weights)
             for name, picture in compared.methods.items()
         },
-        "comparison_render_s": compared.render_s,
-        "comparison_same_as": None,
-    }
-    write_json(run.outputs.compared(frame), content)
+        comparison_render_s=compared.render_s,
+        comparison_same_as=None,
+    )
+    write_json(run.outputs.compared(frame), as_json(content))
 
 
 def _write_pictures(run: PreparedRun, frame: int, compared: Comparison) -> dict[str, str]:

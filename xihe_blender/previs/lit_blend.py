@@ -9,7 +9,6 @@ from __future__ import annotations
 import errno
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import bpy
 import numpy as np
@@ -25,6 +24,7 @@ from xihe_blender.apply.sh_worlds import (
 from xihe_blender.capture.render import can_denoise
 from xihe_blender.compare.methods import LIT_SCENE, remove_lit_collections, set_up_lit_scene
 from xihe_blender.io.outputs import written_whole
+from xihe_blender.io.run_results import FrameResult
 from xihe_blender.previs.plan import PrevisPlan
 from xihenet.records import ArrayF64
 
@@ -47,7 +47,7 @@ def light_changes(
 def apply_lights(
     scene: bpy.types.Scene,
     changes: Mapping[str, Sequence[tuple[int, ArrayLike]]],
-    frames: Sequence[dict[str, Any]],
+    frames: Sequence[FrameResult],
     exposure: float,
 ) -> None:
     """Key a world per virtual object at every frame at which its light changes; mark the triggers.
@@ -65,9 +65,9 @@ def apply_lights(
         for frame, light in of_one:
             key_sh_on_world(world, frame, light, exposure)
     for entry in frames:
-        reasons = [probe["reason"] for probe in entry["probes"] if probe["fired"]]
+        reasons = [probe.reason for probe in entry.probes if probe.fired]
         if reasons:
-            mark_trigger(scene, entry["frame"], reasons)
+            mark_trigger(scene, entry.frame, reasons)
 
 
 def save_lit_blend(scene: bpy.types.Scene, plan: PrevisPlan, path: Path) -> None:

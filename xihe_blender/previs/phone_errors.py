@@ -9,11 +9,11 @@ of effects alone on a perfect phone, which say nothing of how they add up.
 from __future__ import annotations
 
 import statistics
-from collections.abc import Generator, Mapping, Sequence
-from typing import Any
+from collections.abc import Generator, Sequence
 
 import numpy as np
 
+from xihe_blender.io.run_results import FrameResult, PhoneErrors
 from xihe_blender.jobs import Progress
 from xihe_blender.light_transport.overrides import NETWORK
 from xihe_blender.previs.phone_capture import PhoneCapture
@@ -28,17 +28,16 @@ NOT_REPEATED = "frame_rate"
 """Frames that the phone did not deliver were never captured."""
 
 
-def measure_phone(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, None, dict[str, Any] | None]:
+def measure_phone(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, None, PhoneErrors | None]:
     """A job: the errors of a walk with the phone's effects, without each of them, and with a perfect phone.
 
-    {"all_on": error, "perfect": error, "without": {effect: error}}: each the mean SHC RMSE over probes and frames; null
-    without an active frame, and without the frame rate. None for a phone without any effect.
+    None for a phone without any effect; an error is None without an active frame.
     """
     phone = walked.phone
     if not phone.on:
         return None
-    active = [entry for entry in walked.frames if entry["active"]]
-    all_on = _mean([probe["shc_rmse"] for entry in active for probe in entry["probes"]])
+    active = [entry for entry in walked.frames if entry.active]
+    all_on = _mean([probe.shc_rmse for entry in active for probe in entry.probes])
     without: dict[str, float | None] = {}
     for effect in [effect.name for effect in phone.effects if effect.name in phone.on]:
         yield Progress(run.total, run.total, f"measuring the light without {effect}")
@@ -47,13 +46,13 @@ def measure_phone(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, N
         without[effect] = None if effect == NOT_REPEATED else _mean_error(run, phone, active, effects, link)
     yield Progress(run.total, run.total, "measuring the light with a perfect phone")
     perfect = _mean_error(run, phone, active, frozenset(), None)
-    return {"all_on": all_on, "perfect": perfect, "without": without}
+    return PhoneErrors(all_on=all_on, perfect=perfect, without=without)
 
 
 def _mean_error(
     run: PreparedRun,
     phone: PhoneCapture,
-    active: Sequence[Mapping[str, Any]],
+    active: Sequence[FrameResult],
     effects: frozenset[str],
     link: Link | None,
 ) -> float | None:
@@ -63,8 +62,8 @@ def _mean_error(
     session = PhoneSession(run.plan, run.settings, run.exposure, run.estimator, link)
     errors = []
     for entry in active:
-        seen, _ = phone.see(load_frame(run.outputs.capture(entry["frame"])), camera, track)
-        truth = {probe["name"]: np.array(probe["sh_truth"]) for probe in entry["probes"]}
+        seen, _ = phone.see(load_frame(run.outputs.capture(entry.frame)), camera, track)
+        truth = {probe.name: np.array(probe.sh_truth) for probe in entry.probes}
         session.step(seen, truth, list(truth))
         errors += [shc_rmse(session.light(name, seen.time_s), light) for name, light in truth.items()]
     return _mean(errors)

@@ -11,11 +11,12 @@ are simply done again, so a resumed run has the numbers of an undisturbed one.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import bpy
 
+from xihe_blender.io.json_records import Json, as_json
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs import results
@@ -33,7 +34,7 @@ from xihe_blender.scene.state import scene_kept
 
 def previs(
     scene: bpy.types.Scene, out: Path, settings: PrevisSettings, *, blend_file: Path | None = None, command: str = ""
-) -> Job[dict[str, Any]]:
+) -> Job[Json]:
     """Run the chain on `scene` and leave results.json, report.html, pictures and a lit .blend in the folder `out`.
 
     Parameters
@@ -66,11 +67,10 @@ def previs(
     changes = light_changes(plan, estimated)
     apply_lights(scene, changes, walked.frames, run.exposure)
     save_lit_blend(scene, plan, outputs.lit_blend)
-    frames = [entry | compared.get(entry["frame"], {}) for entry in walked.frames]
-    content = results.assemble(
-        run, frames, lights=changes, phone=walked.phone, errors=errors, file=file, command=command
-    )
+    frames = [replace(frame, compared=compared.get(frame.frame)) for frame in walked.frames]
+    found = results.assemble(run, frames, lights=changes, phone=walked.phone, errors=errors, file=file, command=command)
     # The results come last: their presence says that the run is done.
-    write_report(content, outputs)
+    write_report(as_json(found), outputs)
+    content = as_json(found)
     write_json(outputs.results, content)
     return content

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import bpy
 
 from xihe_blender.apply.datablocks import PREFIX
+from xihe_blender.io.run_results import FrameResult, ProbeResult
 from xihe_blender.previs.phone_capture import PhoneCapture
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.sample_count import Effort
@@ -25,7 +25,7 @@ FAINTEST = 1e-3
 """Light of less than this, at the session's exposure, is none: the first code above black is 3e-4."""
 
 
-def notes(run: PreparedRun, frames: Sequence[dict[str, Any]], phone: PhoneCapture) -> list[str]:
+def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: PhoneCapture) -> list[str]:
     """All of them."""
     return [
         *frame_notes(run.scene, frames),
@@ -38,7 +38,7 @@ def notes(run: PreparedRun, frames: Sequence[dict[str, Any]], phone: PhoneCaptur
     ]
 
 
-def frame_notes(scene: bpy.types.Scene, frames: Sequence[dict[str, Any]]) -> list[str]:
+def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult]) -> list[str]:
     """How the numbers came about, and which frames have none."""
     own = scene.view_settings.view_transform
     aside = "as the scene has it" if own == "Standard" else f"the scene's own, {own}, would bend the comparison"
@@ -50,37 +50,37 @@ def frame_notes(scene: bpy.types.Scene, frames: Sequence[dict[str, Any]]) -> lis
         "In the pictures `truth` is the whole light of the rendered probe as order-2 SH, not clipped.",
     ]
     said += [note for note in (said_of_units(scene), said_of_scenes(scene)) if note is not None]
-    undelivered = sum(not entry["is_delivered"] for entry in frames)
+    undelivered = sum(not entry.is_delivered for entry in frames)
     if undelivered:
         said.append(f"{undelivered} of {len(frames)} frames of the path came too soon after another for the phone.")
-    inactive = [entry["frame"] for entry in frames if not entry["active"] and entry["is_delivered"]]
+    inactive = [entry.frame for entry in frames if not entry.active and entry.is_delivered]
     if inactive:
         frames_were = ("1 frame", "was") if len(inactive) == 1 else (f"{len(inactive)} frames", "were")
         said.append("{} had no estimation position in view and {} not captured.".format(*frames_were))
-    lost = sum(n for entry in frames for n in entry["n_lost_pixels"].values())
+    lost = sum(n for entry in frames for n in entry.n_lost_pixels.values())
     if lost:
         said.append(f"The phone's range sensor had no answer in {lost} captured pixels; they gave no point.")
-    invalid = sum(entry["n_invalid_pixels"] for entry in frames) - lost
+    invalid = sum(entry.n_invalid_pixels for entry in frames) - lost
     if invalid > 0:
         said.append(f"{invalid} captured pixels had no plane depth (open sky or a window) and gave no point.")
     return said + said_of_unknown_lights(frames) + said_of_following(frames)
 
 
-def said_of_following(frames: Sequence[dict[str, Any]]) -> list[str]:
+def said_of_following(frames: Sequence[FrameResult]) -> list[str]:
     """A sentence where a change of the light was carried on to what was out of view."""
-    when = [entry["frame"] for entry in frames if any(probe["n_followed_anchors"] for probe in entry["probes"])]
+    when = [entry.frame for entry in frames if any(probe.n_followed_anchors for probe in entry.probes)]
     told = "the light in view changed as a whole; directions out of view were changed alike, which is a guess"
     return [f"At {frames_told(when)} {told}."] if when else []
 
 
-def said_of_unknown_lights(frames: Sequence[dict[str, Any]]) -> list[str]:
+def said_of_unknown_lights(frames: Sequence[FrameResult]) -> list[str]:
     """A sentence for each position and reason why its light could not be known, and which light it kept."""
     kept: dict[tuple[str, str, int | None], list[int]] = {}
     for entry in frames:
-        for probe in entry["probes"]:
-            if not probe["is_valid"]:
-                key = probe["name"], probe["unknown_because"], probe["light_frame"]
-                kept.setdefault(key, []).append(entry["frame"])
+        for probe in entry.probes:
+            if not probe.is_valid:
+                key = probe.name, probe.unknown_because or "", probe.light_frame
+                kept.setdefault(key, []).append(entry.frame)
     return [
         f"The light at {name} could not be known in {frames_told(numbers)}, because {in_words(reason)}: "
         + (
@@ -92,15 +92,15 @@ def said_of_unknown_lights(frames: Sequence[dict[str, Any]]) -> list[str]:
     ]
 
 
-def faults_seen(faults: Sequence[SceneFault], frames: Sequence[dict[str, Any]], n_pixels: int) -> list[str]:
+def faults_seen(faults: Sequence[SceneFault], frames: Sequence[FrameResult], n_pixels: int) -> list[str]:
     """What is wrong with the scene: as its plan found it, and as frames of `n_pixels` that are dark or empty show."""
-    active = [entry for entry in frames if entry["active"]]
-    blind = [e for e in active if e["n_invalid_pixels"] - sum(e["n_lost_pixels"].values()) == n_pixels]
-    unlit = [e for e in active if e not in blind and not _is_lit(e) and any(map(_is_probe_lit, e["probes"]))]
-    dark = {p["name"]: None for e in active if _is_lit(e) for p in e["probes"] if not _is_probe_lit(p)}
-    unseen = [e for e in frames if e.get("comparison") and all(m["rmse"] is None for m in e["comparison"].values())]
+    active = [entry for entry in frames if entry.active]
+    blind = [e for e in active if e.n_invalid_pixels - sum(e.n_lost_pixels.values()) == n_pixels]
+    unlit = [e for e in active if e not in blind and not _is_lit(e) and any(map(_is_probe_lit, e.probes))]
+    dark = {p.name: None for e in active if _is_lit(e) for p in e.probes if not _is_probe_lit(p)}
+    unseen = [e for e in frames if e.compared and all(m.rmse is None for m in e.compared.comparison.values())]
     said = [fault.said for fault in faults]
-    if active and not any(_is_lit(e) or any(map(_is_probe_lit, e["probes"])) for e in active):
+    if active and not any(_is_lit(e) or any(map(_is_probe_lit, e.probes)) for e in active):
         said.append("Neither the phone nor a light probe saw any light: is every lamp off, or hidden in renders?")
     said += [f"The light probe of {name!r} saw no light where the phone did: is it inside an object?" for name in dark]
     for entries, words in (
@@ -109,7 +109,7 @@ def faults_seen(faults: Sequence[SceneFault], frames: Sequence[dict[str, Any]], 
         (unseen, "showed nothing of a virtual object: the metrics are undefined there"),
     ):
         if entries:
-            which = f"Frame {entries[0]['frame']}" if len(entries) == 1 else f"{len(entries)} frames"
+            which = f"Frame {entries[0].frame}" if len(entries) == 1 else f"{len(entries)} frames"
             said.append(f"{which} {words}" + ("" if words.endswith("?") else "."))
     return said
 
@@ -125,13 +125,13 @@ def dim_notes(scene: bpy.types.Scene, exposure: float) -> list[str]:
     ]
 
 
-def _is_lit(entry: Mapping[str, Any]) -> bool:
+def _is_lit(entry: FrameResult) -> bool:
     """Whether the phone's picture shows light."""
-    return any(channel * entry["exposure"] > FAINTEST for channel in entry["ambient_radiance"] or ())
+    return any(channel * (entry.exposure or 0) > FAINTEST for channel in entry.ambient_radiance or ())
 
 
-def _is_probe_lit(probe: Mapping[str, Any]) -> bool:
-    return any(abs(channel) > FAINTEST for coefficient in probe["sh_truth"] for channel in coefficient)
+def _is_probe_lit(probe: ProbeResult) -> bool:
+    return any(abs(channel) > FAINTEST for coefficient in probe.sh_truth for channel in coefficient)
 
 
 def said_of_scenes(scene: bpy.types.Scene) -> str | None:
@@ -148,9 +148,9 @@ def exposure_notes(settings: PrevisSettings, exposure: float) -> list[str]:
     return ["The path shows no light that the exposure could be metered by; it is 1. Give one by --exposure."]
 
 
-def white_notes(frames: Sequence[Mapping[str, Any]]) -> list[str]:
+def white_notes(frames: Sequence[FrameResult]) -> list[str]:
     """A sentence where much of the light is lost to a picture that ends at white."""
-    shares = [probe["share_above_white"] for entry in frames for probe in entry["probes"]]
+    shares = [probe.share_above_white for entry in frames for probe in entry.probes]
     known = [share for share in shares if share is not None]
     if not known or max(known) < WORTH_TELLING:
         return []
@@ -160,7 +160,7 @@ def white_notes(frames: Sequence[Mapping[str, Any]]) -> list[str]:
     ]
 
 
-def noise_notes(settings: PrevisSettings, effort: Effort, frames: Sequence[Mapping[str, Any]]) -> list[str]:
+def noise_notes(settings: PrevisSettings, effort: Effort, frames: Sequence[FrameResult]) -> list[str]:
     """A sentence for each kind of render whose noise is above the target at the most samples the preset allows."""
     target, most = settings.noise_aim, settings.effort.max_samples
     notes = []
@@ -169,8 +169,8 @@ def noise_notes(settings: PrevisSettings, effort: Effort, frames: Sequence[Mappi
             f"The noise of captures is {effort.capture_noise:.1%} of the light, above the target of {target:.1%}: the "
             f"preset stops at {most} samples."
         )
-    probes = [probe for entry in frames for probe in entry.get("rendering", {}).get("probes", {}).values()]
-    capped = [probe["noise"] for probe in probes if probe["is_capped"]]
+    probes = [probe for entry in frames if entry.rendering for probe in entry.rendering.probes.values()]
+    capped = [probe.noise for probe in probes if probe.is_capped and probe.noise is not None]
     if capped:
         notes.append(
             f"{len(capped)} of {len(probes)} reference lights are noisier than they should be "

@@ -1,73 +1,80 @@
-"""What do the frames of a run come to? Means and sums; what is said of them is in results_notes.py."""
+"""The summary of a run: means and sums over its frames; what a reader is told of them is in results_notes.py."""
 
 from __future__ import annotations
 
 import statistics
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 
+from xihe_blender.io.run_results import FrameResult, InvalidCounts, Metrics, Summary
 from xihenet.invalid import added, counted
 
-METRICS = ("psnr", "ssim", "rmse", "si_rmse", "angular_deg")
+METRICS = tuple(field.name for field in fields(Metrics))
 
 
-def mean_comparison(frames: Sequence[dict[str, Any]]) -> dict[str, dict[str, float | None]]:
+def mean_comparison(frames: Sequence[FrameResult]) -> dict[str, Metrics]:
     """Every metric of every method, averaged over the compared frames in which it is defined."""
-    compared = [entry["comparison"] for entry in frames if "comparison" in entry]
+    compared = [frame.compared.comparison for frame in frames if frame.compared is not None]
     methods = list(compared[0]) if compared else []
-    return {name: {metric: _mean(entry[name][metric] for entry in compared) for metric in METRICS} for name in methods}
-
-
-def summary(frames: Sequence[dict[str, Any]], comparison: Mapping[str, Mapping[str, float | None]]) -> dict[str, Any]:
-    """The run in a few numbers."""
-    active = [entry for entry in frames if entry["active"]]
-    probes = [probe for entry in active for probe in entry["probes"]]
-    compared = [entry for entry in frames if "comparison" in entry]
-    render_s, work_s = sum(e["render_s"] for e in active), sum(e["work_s"] for e in active)
     return {
-        "n_frames": len(frames),
-        "n_active_frames": len(active),
-        "n_compared_frames": len(compared),
-        "n_reused_captures": sum(not e["rendering"]["capture"]["rendered"] for e in active),
-        "n_reused_probes": sum(not p["rendered"] for e in active for p in e["rendering"]["probes"].values()),
-        "n_reused_comparisons": sum(entry.get("comparison_same_as") is not None for entry in frames),
-        "n_estimates": sum(probe["fired"] for probe in probes),
-        "fired_share": _mean(float(probe["fired"]) for probe in probes),
-        "mean_shc_rmse": _mean(probe["shc_rmse"] for probe in probes),
-        "ambient_shc_rmse": _mean(probe["ambient_shc_rmse"] for probe in probes),
-        "share_above_white": _mean(probe["share_above_white"] for probe in probes),
-        "n_capped_probes": sum(p["is_capped"] for e in active for p in e["rendering"]["probes"].values()),
-        "mean_coverage": _mean(probe["coverage"] for probe in probes),
-        "mean_step_ms": _mean(sum(entry["stage_ms"].values()) for entry in active),
-        "payload_bytes": sum(probe["payload_bytes"] for probe in probes),
-        "mean_latency_ms": _mean(probe["latency_ms"] for probe in probes if probe["fired"]),
-        "n_lost": sum(probe["fired"] and probe["latency_ms"] is None for probe in probes),
-        "n_invalid_pixels": sum(entry["n_invalid_pixels"] for entry in active),
-        "n_invalid_points": sum(probe["n_invalid_points"] for probe in probes),
-        "n_followed_anchors": sum(probe["n_followed_anchors"] for probe in probes),
-        "n_unknown_lights": sum(not probe["is_valid"] for probe in probes),
-        "invalid": {
-            "pixels": added(entry["invalid"] for entry in active),
-            "points": added(probe["invalid"] for probe in probes),
-            "lights": added({p["unknown_because"]: 1} for p in probes if not p["is_valid"]),
-            "metrics": added(undefined for entry in compared for undefined in _undefined(entry["comparison"])),
-            "hues": added(counted(**entry["n_hueless_pixels"]) for entry in compared),
-        },
-        "render_s": render_s,
-        "comparison_render_s": sum(entry.get("comparison_render_s", 0.0) for entry in frames),
-        "overhead_share": work_s / render_s if render_s else None,
-        "rmse_against_ambient": {
-            name: _ratio(metrics["rmse"], comparison["ambient"]["rmse"]) for name, metrics in comparison.items()
-        },
+        name: Metrics(**{metric: _mean(getattr(of_frame[name], metric) for of_frame in compared) for metric in METRICS})
+        for name in methods
     }
 
 
-def _undefined(comparison: Mapping[str, Mapping[str, float | None]]) -> list[dict[str, int]]:
+def summary(frames: Sequence[FrameResult], comparison: Mapping[str, Metrics], pilot_s: float) -> Summary:
+    """The run in a few numbers."""
+    active = [frame for frame in frames if frame.active]
+    probes = [probe for frame in active for probe in frame.probes]
+    compared = [frame.compared for frame in frames if frame.compared is not None]
+    renderings = [frame.rendering for frame in active if frame.rendering is not None]
+    lights = [light for rendering in renderings for light in rendering.probes.values()]
+    render_s, work_s = sum(frame.render_s for frame in active), sum(frame.work_s for frame in active)
+    return Summary(
+        n_frames=len(frames),
+        n_active_frames=len(active),
+        n_compared_frames=len(compared),
+        n_reused_captures=sum(not rendering.capture.rendered for rendering in renderings),
+        n_reused_probes=sum(not light.rendered for light in lights),
+        n_reused_comparisons=sum(of_frame.comparison_same_as is not None for of_frame in compared),
+        n_estimates=sum(probe.fired for probe in probes),
+        fired_share=_mean(float(probe.fired) for probe in probes),
+        mean_shc_rmse=_mean(probe.shc_rmse for probe in probes),
+        ambient_shc_rmse=_mean(probe.ambient_shc_rmse for probe in probes),
+        share_above_white=_mean(probe.share_above_white for probe in probes),
+        n_capped_probes=sum(light.is_capped for light in lights),
+        mean_coverage=_mean(probe.coverage for probe in probes),
+        mean_step_ms=_mean(sum(frame.stage_ms.values()) for frame in active),
+        payload_bytes=sum(probe.payload_bytes for probe in probes),
+        mean_latency_ms=_mean(probe.latency_ms for probe in probes if probe.fired),
+        n_lost=sum(probe.fired and probe.latency_ms is None for probe in probes),
+        n_invalid_pixels=sum(frame.n_invalid_pixels for frame in active),
+        n_invalid_points=sum(probe.n_invalid_points for probe in probes),
+        n_followed_anchors=sum(probe.n_followed_anchors for probe in probes),
+        n_unknown_lights=sum(not probe.is_valid for probe in probes),
+        invalid=InvalidCounts(
+            pixels=added(frame.invalid for frame in active),
+            points=added(probe.invalid for probe in probes),
+            lights=added({probe.unknown_because: 1} for probe in probes if probe.unknown_because is not None),
+            metrics=added(undefined for of_frame in compared for undefined in _undefined(of_frame.comparison)),
+            hues=added(counted(**of_frame.n_hueless_pixels) for of_frame in compared),
+        ),
+        render_s=render_s,
+        comparison_render_s=sum(of_frame.comparison_render_s for of_frame in compared),
+        overhead_share=work_s / render_s if render_s else None,
+        rmse_against_ambient={
+            name: _ratio(metrics.rmse, comparison["ambient"].rmse) for name, metrics in comparison.items()
+        },
+        pilot_s=pilot_s,
+    )
+
+
+def _undefined(comparison: Mapping[str, Metrics]) -> list[dict[str, int]]:
     """Once for each method's metric that has no value."""
-    return [{name: 1} for metrics in comparison.values() for name, value in metrics.items() if value is None]
+    return [{name: 1} for metrics in comparison.values() for name in METRICS if getattr(metrics, name) is None]
 
 
-def _mean(values: Any) -> float | None:
+def _mean(values: Iterable[float | None]) -> float | None:
     """Mean of the values that are not None; None without any."""
     known = [value for value in values if value is not None]
     return statistics.fmean(known) if known else None

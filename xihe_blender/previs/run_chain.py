@@ -13,12 +13,12 @@ from __future__ import annotations
 import time
 from collections.abc import Generator
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from xihe_blender.capture.reference_probe import MeasuredLight
 from xihe_blender.io.outputs import write_picture
+from xihe_blender.io.run_results import FrameResult, ProbeResult
 from xihe_blender.jobs import Progress
 from xihe_blender.previs import results
 from xihe_blender.previs.path_renders import FrameRenders, PathRenders, open_path_renders
@@ -26,7 +26,7 @@ from xihe_blender.previs.phone_capture import PhoneCapture
 from xihe_blender.previs.phone_session import PhoneSession, SessionStep
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
-from xihenet.metrics import share_above_white, shc_rmse
+from xihenet.metrics import share_above_white
 from xihenet.records import ArrayF64, RgbdFrame
 
 Lights = dict[str, dict[str, ArrayF64]]
@@ -40,12 +40,12 @@ class WalkedPath:
     Parameters
     ----------
     phone : of the run, with the effects that were simulated
-    frames : as results.json lists them
+    frames : with what was rendered and estimated, not yet compared
     lights : light in force by frame, from the first that was captured on
     """
 
     phone: PhoneCapture
-    frames: list[dict[str, Any]] = field(default_factory=list)
+    frames: list[FrameResult] = field(default_factory=list)
     lights: dict[int, Lights] = field(default_factory=dict)
 
 
@@ -108,17 +108,18 @@ class _Walk:
                 self.walked.lights[frame] = self._lights_in_force(time_s)
         self.walked.frames.append(entry)
 
-    def _active_frame(self, rendered: FrameRenders, probes: list[Probe], start: float) -> dict[str, Any]:
+    def _active_frame(self, rendered: FrameRenders, probes: list[Probe], start: float) -> FrameResult:
         run, truth = self.run, self._truth(rendered)
         seen, n_lost = self.phone.see(rendered.captured)
         if not np.array_equal(seen.srgb_u8, rendered.captured.srgb_u8):
             write_picture(run.outputs.picture("captured", seen.frame), seen.srgb_u8)
         step = self.session.step(seen, truth, list(truth))
         self.walked.lights[seen.frame] = self._lights_in_force(seen.time_s)
-        entries = [self._probe_entry(probe, step, seen) for probe in probes]
+        of_probes = [self._probe_result(probe, step, seen) for probe in probes]
         work_s = time.perf_counter() - start - rendered.rendered_now_s + self.captured_s.get(seen.frame, 0.0)
-        entry = results.active_frame(seen, step.reports, entries, rendered.render_s, work_s, n_lost=n_lost)
-        return entry | results.rendering(seen.frame, rendered.references, run)
+        rendering = results.rendering(seen.frame, rendered.references, run)
+        times_s = rendered.render_s, work_s
+        return results.active_frame(seen, step.reports, of_probes, rendering, times_s, n_lost=n_lost)
 
     def _truth(self, rendered: FrameRenders) -> dict[str, ArrayF64]:
         """(9, 3) coefficients of the run's target by probe in view."""
@@ -140,11 +141,14 @@ class _Walk:
         ambient = {item.name: ambient_sh for item in self.run.plan.objects}
         return {self.run.settings.estimator: estimated, "ambient": ambient, "truth": truth}
 
-    def _probe_entry(self, probe: Probe, step: SessionStep, seen: RgbdFrame) -> dict[str, Any]:
+    def _probe_result(self, probe: Probe, step: SessionStep, seen: RgbdFrame) -> ProbeResult:
         reference = self.references[probe.name]
         light, truth = self.session.light(probe.name, seen.time_s), reference.of(self.run.settings.target)
-        light_frame = self.session.light_frame(probe.name, seen.time_s)
-        entry = results.probe_entry(probe, step.reports[probe.name], light, truth, light_frame=light_frame)
-        entry |= results.arrival(step.requests.get(probe.name), self.run.plan.frames, self.phone.times_s)
-        above_white = share_above_white(reference.ldr, reference.hdr)
-        return entry | {"ambient_shc_rmse": shc_rmse(step.ambient_sh, truth), "share_above_white": above_white}
+        return results.probe_result(
+            probe,
+            step.reports[probe.name],
+            results.arrival(step.requests.get(probe.name), self.run.plan.frames, self.phone.times_s),
+            lights=(light, truth, step.ambient_sh),
+            light_frame=self.session.light_frame(probe.name, seen.time_s),
+            share_above_white=share_above_white(reference.ldr, reference.hdr),
+        )

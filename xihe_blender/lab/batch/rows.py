@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from xihe_blender.io.outputs import written_whole
 
 if TYPE_CHECKING:
+    from xihe_blender.io.run_results import FrameResult
     from xihe_blender.previs.prepare import PreparedRun
     from xihe_blender.previs.run_chain import WalkedPath
 
@@ -32,10 +33,10 @@ def trial_record(
 
     Means are over positions and frames, of image metrics over compared frames; None without any.
     """
-    active = [entry for entry in walked.frames if entry["active"]]
-    probes = [probe for entry in active for probe in entry["probes"]]
-    n_fired = sum(probe["fired"] for probe in probes)
-    frames = [_frame_row(entry, compared.get(entry["frame"], {})) for entry in active]
+    active = [entry for entry in walked.frames if entry.active]
+    probes = [probe for entry in active for probe in entry.probes]
+    n_fired = sum(probe.fired for probe in probes)
+    frames = [_frame_row(entry, compared.get(entry.frame, {})) for entry in active]
     return {
         "phone": run.settings.phone,
         "estimator": run.settings.estimator,
@@ -44,31 +45,31 @@ def trial_record(
         "n_compared_frames": len(compared),
         "n_estimates": n_fired,
         "estimates_per_minute": estimates_per_minute(walked, n_fired),
-        "shc_rmse": mean(probe["shc_rmse"] for probe in probes),
-        "coverage": mean(probe["coverage"] for probe in probes),
+        "shc_rmse": mean(probe.shc_rmse for probe in probes),
+        "coverage": mean(probe.coverage for probe in probes),
         **{metric: mean(row[metric] for row in frames) for metric in METRICS},
-        "payload_bytes": sum(probe["payload_bytes"] for probe in probes),
+        "payload_bytes": sum(probe.payload_bytes for probe in probes),
         "frames": frames,
         "thetas": list(at_thetas),
     }
 
 
-def _frame_row(entry: Mapping[str, Any], compared: Mapping[str, float | None]) -> dict[str, Any]:
-    probes = entry["probes"]
+def _frame_row(entry: FrameResult, compared: Mapping[str, float | None]) -> dict[str, Any]:
+    probes = entry.probes
     return {
-        "frame": entry["frame"],
-        "time_s": entry["time_s"],
-        "n_fired": sum(probe["fired"] for probe in probes),
-        "shc_rmse": mean(probe["shc_rmse"] for probe in probes),
-        "coverage": mean(probe["coverage"] for probe in probes),
+        "frame": entry.frame,
+        "time_s": entry.time_s,
+        "n_fired": sum(probe.fired for probe in probes),
+        "shc_rmse": mean(probe.shc_rmse for probe in probes),
+        "coverage": mean(probe.coverage for probe in probes),
         **{metric: compared.get(metric) for metric in METRICS},
     }
 
 
 def estimates_per_minute(walked: WalkedPath, n_fired: int) -> float | None:
     """Estimates per minute in which a position is in view, at the path's own frame rate; None without one in view."""
-    times = [entry["time_s"] for entry in walked.frames]
-    n_steps = sum(len(entry["probes"]) for entry in walked.frames)
+    times = [entry.time_s for entry in walked.frames]
+    n_steps = sum(len(entry.probes) for entry in walked.frames)
     if n_steps == 0 or len(times) < 2:
         return None
     step_s: float = (times[-1] - times[0]) / (len(times) - 1)

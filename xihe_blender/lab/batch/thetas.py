@@ -29,15 +29,15 @@ def sweep_theta(run: PreparedRun, walked: WalkedPath) -> list[dict[str, Any]]:
 
     Empty for estimators that do not look at the anchors, and for a path that sees no position.
     """
-    active = [entry for entry in walked.frames if entry["active"]]
+    active = [entry for entry in walked.frames if entry.active]
     if run.settings.estimator in WITHOUT_ANCHORS or not active:
         return []
     sessions = [_session(run, walked, factor) for factor in FACTORS]
     errors: list[list[float]] = [[] for _ in FACTORS]
     n_fired = [0] * len(FACTORS)
     for entry in active:
-        seen, _ = walked.phone.see(load_frame(run.outputs.capture(entry["frame"])))
-        truth = {probe["name"]: np.array(probe["sh_truth"]) for probe in entry["probes"]}
+        seen, _ = walked.phone.see(load_frame(run.outputs.capture(entry.frame)))
+        truth = {probe.name: np.array(probe.sh_truth) for probe in entry.probes}
         for place, session in enumerate(sessions):
             step = session.step(seen, truth, list(truth))
             n_fired[place] += sum(report.decision.fire for report in step.reports.values())

@@ -66,7 +66,7 @@ def evaluate_unit(scene: bpy.types.Scene, file: Path, folder: Path, settings: Ba
     return {
         "trials": records,
         "step_ms": [_mean_step_ms(walked) for walked in walks],
-        "render_s": sum(entry["render_s"] for entry in walks[0].frames) + compared.render_s,
+        "render_s": sum(entry.render_s for entry in walks[0].frames) + compared.render_s,
     }
 
 
@@ -122,5 +122,5 @@ def _progress(run: PreparedRun, done: float, doing: str) -> Progress:
 
 
 def _mean_step_ms(walked: WalkedPath) -> float | None:
-    steps = [sum(entry["stage_ms"].values()) / len(entry["probes"]) for entry in walked.frames if entry["active"]]
+    steps = [sum(entry.stage_ms.values()) / len(entry.probes) for entry in walked.frames if entry.active]
     return float(np.mean(steps)) if steps else None

@@ -1,0 +1,139 @@
+"""Records as JSON: written and read back as they were, refused by name, and described by a schema that is right."""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
+
+from xihe_blender.io.json_records import ABSENT, INLINE, as_json, from_json, json_schema
+from xihe_blender.io.run_results import RunResults
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """A picture.
+
+    Parameters
+    ----------
+    file, title : where it is,
+        and its name
+    error : of it
+    """
+
+    file: str
+    title: str | None
+    error: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """A frame of a path.
+
+    Parameters
+    ----------
+    number : of the frame
+    """
+
+    number: int
+    is_active: bool
+    reason: Literal["first", "none"] = "none"
+    light: tuple[tuple[float, float], ...] = ()
+    place: tuple[int, int] = (0, 0)
+    counts: dict[str, int | None] = field(default_factory=dict)
+    parameters: dict[str, str | int | float | bool | None] = field(default_factory=dict)
+    exposure: float | None = field(default=None, metadata=ABSENT)
+    picture: Picture | None = field(default=None, metadata=INLINE)
+
+
+NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
+PICTURES = st.builds(Picture, file=st.text(), title=st.none() | st.text(), error=NUMBERS)
+FRAMES = st.builds(
+    Frame,
+    number=st.integers(),
+    is_active=st.booleans(),
+    reason=st.sampled_from(["first", "none"]),
+    light=st.lists(st.tuples(NUMBERS, NUMBERS)).map(tuple),
+    place=st.tuples(st.integers(), st.integers()),
+    counts=st.dictionaries(st.text(), st.none() | st.integers()),
+    parameters=st.dictionaries(st.text(), st.none() | st.text() | st.integers() | NUMBERS | st.booleans()),
+    exposure=st.none() | NUMBERS,
+    picture=st.none() | PICTURES,
+)
+FRAME = Frame(number=1, is_active=True)
+
+
+@given(FRAMES)
+def test_a_record_comes_back_as_it_was_and_fits_its_schema(frame):
+    written = json.loads(json.dumps(as_json(frame), allow_nan=False))
+    assert from_json(Frame, written) == frame
+    assert ("exposure" in written) == (frame.exposure is not None)
+    assert ("file" in written) == (frame.picture is not None)
+    Draft202012Validator(json_schema(Frame)).validate(written)
+
+
+@pytest.mark.parametrize(
+    ("change", "where"),
+    [
+        ({"number": "1"}, "Frame.number"),
+        ({"number": True}, "Frame.number"),
+        ({"number": 1.0}, "Frame.number"),
+        ({"is_active": 1}, "Frame.is_active"),
+        ({"reason": "last"}, "Frame.reason"),
+        ({"light": [[1.0]]}, r"Frame.light\[0\]"),
+        ({"light": 3}, "Frame.light"),
+        ({"light": [[1.0, None]]}, r"Frame.light\[0\]\[1\]"),
+        ({"place": [1, 2, 3]}, "Frame.place"),
+        ({"counts": {"a": "b"}}, "Frame.counts.a"),
+        ({"counts": []}, "Frame.counts"),
+        ({"parameters": {"a": []}}, "Frame.parameters.a"),
+        ({"exposure": "bright"}, "Frame.exposure"),
+        ({"file": "a.png", "title": None, "error": "none"}, "Frame.error"),
+    ],
+)
+def test_what_does_not_belong_is_refused_by_its_name_and_by_the_schema(change, where):
+    content = as_json(FRAME) | change
+    with pytest.raises(ValueError, match=f"^{where}: .* does not belong there"):
+        from_json(Frame, content)
+    # For a schema 1.0 is an integer.
+    assert change == {"number": 1.0} or not Draft202012Validator(json_schema(Frame)).is_valid(content)
+
+
+def test_a_missing_field_is_refused_and_one_with_a_default_is_not():
+    assert from_json(Frame, {"number": 1, "is_active": True}) == FRAME
+    with pytest.raises(TypeError, match="is_active"):
+        from_json(Frame, {"number": 1})
+    with pytest.raises(TypeError, match="title"):
+        from_json(Frame, as_json(FRAME) | {"file": "a.png"})
+    for content in (None, [], 3, "frame"):
+        with pytest.raises(ValueError, match=r"^Frame: "):
+            from_json(Frame, content)
+
+
+def test_what_a_newer_version_adds_is_left_out():
+    assert from_json(Frame, as_json(FRAME) | {"weather": "fine"}) == FRAME
+
+
+def test_the_schema_says_what_the_docstring_says():
+    schema = json_schema(Frame)
+    assert schema["properties"]["number"] == {"type": "integer", "description": "of the frame"}
+    assert schema["properties"]["title"]["description"] == "where it is, and its name"
+    assert schema["description"] == "A frame of a path."
+
+
+def test_the_schema_in_the_docs_is_that_of_the_records():
+    shipped = Path(__file__).parents[2] / "docs" / "results.schema.json"
+    assert json.loads(shipped.read_text()) == json_schema(RunResults), (
+        "run: python -m xihe_blender.io.run_results > docs/results.schema.json"
+    )
+
+
+def test_every_field_of_the_results_is_described():
+    schema = json_schema(RunResults)
+    for name, record in {"RunResults": schema, **schema["$defs"]}.items():
+        bare = [field for field, of_field in record["properties"].items() if "description" not in of_field]
+        assert not bare, (name, bare)

@@ -1,0 +1,176 @@
+"""Records as JSON: a frozen dataclass says once what a file holds, and is written, read and described by it.
+
+Dataclasses, tuples, dicts with names as keys, `Literal`, `X | None` and plain values, nested as one likes. A reader
+takes what is missing from the defaults and leaves out what it does not know, so that older and newer files can be read.
+A field marked ABSENT stays out of the JSON while it is None; the fields of a record marked INLINE stand among those of
+the record around it, which is None if none of them does. Not for NaN or Infinity, which JSON does not have.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import re
+import types
+import typing
+from collections.abc import Mapping
+from typing import Any, Literal, TypeVar, Union
+
+Json = Any
+"""What `json.loads` gives."""
+
+Record = TypeVar("Record")
+ABSENT = {"json": "absent"}
+INLINE = {"json": "inline"}
+PLAIN = {bool: "boolean", int: "integer", float: "number", str: "string"}
+
+
+def as_json(value: object) -> Json:
+    """`value`, of records, tuples, lists, dicts and plain values, as `json.dumps` takes it."""
+    if dataclasses.is_dataclass(value):
+        content: dict[str, Json] = {}
+        for field in dataclasses.fields(value):
+            of_field = getattr(value, field.name)
+            if of_field is None and field.metadata:
+                continue
+            content.update(as_json(of_field) if field.metadata == INLINE else {field.name: as_json(of_field)})
+        return content
+    if isinstance(value, Mapping):
+        return {name: as_json(of_one) for name, of_one in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_json(of_one) for of_one in value]
+    return value
+
+
+def from_json(kind: type[Record], content: Json) -> Record:
+    """The record that `content` is. TypeError or ValueError where it is not one, with the name of the field."""
+    return typing.cast(Record, _read(kind, content, kind.__name__))
+
+
+def json_schema(kind: type) -> dict[str, Json]:
+    """A JSON schema (draft 2020-12) of a record; descriptions are those of its docstring."""
+    found: dict[str, Json] = {}
+    _describe(kind, found)
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": kind.__name__,
+        **found.pop(kind.__name__),
+        "$defs": found,
+    }
+
+
+def _read(kind: Any, content: Json, where: str) -> Any:
+    origin, of = typing.get_origin(kind), typing.get_args(kind)
+    if dataclasses.is_dataclass(kind):
+        return _read_record(kind, content, where)
+    if origin in (Union, types.UnionType):
+        return _read_one_of(of, content, where)
+    if origin is Literal:
+        return _checked(content in of, content, where)
+    if origin is tuple:
+        _checked(isinstance(content, list | tuple), content, where)
+        kinds = of[:1] * len(content) if of[1:] == (...,) else of
+        _checked(len(kinds) == len(content), content, where)
+        return tuple(_read(k, v, f"{where}[{i}]") for i, (k, v) in enumerate(zip(kinds, content, strict=True)))
+    if origin is dict:
+        _checked(isinstance(content, Mapping), content, where)
+        return {name: _read(of[1], of_one, f"{where}.{name}") for name, of_one in content.items()}
+    if kind is float:
+        return float(_checked(isinstance(content, int | float) and not isinstance(content, bool), content, where))
+    return _checked(type(content) is kind, content, where)
+
+
+def _read_record(kind: Any, content: Json, where: str) -> Any:
+    _checked(isinstance(content, Mapping), content, where)
+    given = {}
+    for field in dataclasses.fields(kind):
+        of_field = _types_of(kind)[field.name]
+        if field.metadata == INLINE:
+            inner = _record_in(of_field)
+            if any(name in content for name in _types_of(inner)):
+                given[field.name] = _read_record(inner, content, where)
+        elif field.name in content:
+            given[field.name] = _read(of_field, content[field.name], f"{where}.{field.name}")
+    return kind(**given)
+
+
+def _record_in(optional: Any) -> Any:
+    """The record of `Record | None`."""
+    return next(kind for kind in typing.get_args(optional) if dataclasses.is_dataclass(kind))
+
+
+def _read_one_of(kinds: tuple[Any, ...], content: Json, where: str) -> Any:
+    if content is None and type(None) in kinds:
+        return None
+    # True is no number, and 1 stays one where a float would do as well.
+    exact = [kind for kind in kinds if type(content) is kind]
+    for kind in exact or [kind for kind in kinds if kind is not type(None)]:
+        try:
+            return _read(kind, content, where)
+        except (TypeError, ValueError) as error:
+            refusal = error
+    raise refusal
+
+
+def _checked(is_right: bool, content: Json, where: str) -> Any:
+    if not is_right:
+        raise ValueError(f"{where}: {str(content)[:80]!r} does not belong there")
+    return content
+
+
+@functools.cache
+def _types_of(kind: type) -> dict[str, Any]:
+    return typing.get_type_hints(kind)
+
+
+def _describe(kind: Any, found: dict[str, Json]) -> dict[str, Json]:
+    """A schema of `kind`; records are put into `found`, by name."""
+    origin, of = typing.get_origin(kind), typing.get_args(kind)
+    if dataclasses.is_dataclass(kind):
+        name = str(getattr(kind, "__name__", kind))
+        if name not in found:
+            found[name] = {}
+            found[name] = _describe_record(kind, found)
+        return {"$ref": f"#/$defs/{name}"}
+    if origin in (Union, types.UnionType):
+        return {"anyOf": [_describe(one, found) for one in of]}
+    if origin is Literal:
+        return {"enum": list(of)}
+    if origin is tuple and of[1:] == (...,):
+        return {"type": "array", "items": _describe(of[0], found)}
+    if origin is tuple:
+        items = [_describe(one, found) for one in of]
+        return {"type": "array", "prefixItems": items, "items": False, "minItems": len(of)}
+    if origin is dict:
+        return {"type": "object", "additionalProperties": _describe(of[1], found)}
+    return {"type": "null" if kind is type(None) else PLAIN[kind]}
+
+
+def _describe_record(kind: Any, found: dict[str, Json]) -> dict[str, Json]:
+    texts = _texts_of_fields(kind.__doc__)
+    fields = dataclasses.fields(kind)
+    properties: dict[str, Json] = {}
+    for field in fields:
+        of_field = _types_of(kind)[field.name]
+        if field.metadata == INLINE:
+            properties |= _describe_record(_record_in(of_field), found)["properties"]
+        else:
+            text = {"description": texts[field.name]} if field.name in texts else {}
+            properties[field.name] = _describe(of_field, found) | text
+    return {
+        "description": " ".join(kind.__doc__.split("\n\n")[0].split()),
+        "type": "object",
+        "properties": properties,
+        "required": [field.name for field in fields if not field.metadata],
+        "additionalProperties": False,
+    }
+
+
+def _texts_of_fields(docstring: str) -> dict[str, str]:
+    """What a NumPy docstring says of each parameter; names that share a line share its text."""
+    _, _, parameters = docstring.partition("----------\n")
+    texts = {}
+    for entry in re.split(r"\n    (?=\S)", "\n" + parameters):
+        names, _, text = entry.partition(" : ")
+        texts.update({name.strip(): " ".join(text.split()) for name in names.split(",")})
+    return texts
