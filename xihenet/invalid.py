@@ -47,7 +47,7 @@ UNKNOWN: Mapping[str, str] = MappingProxyType(
 """Why the light at a position could not be known."""
 
 
-def in_words(reason: str) -> str:
+def format_reason(reason: str) -> str:
     """Why, in words; a reason that is not listed here is the name of an effect of the phone."""
     said = {**LEFT_OUT, **CLAMPED, **UNKNOWN}
     return said.get(reason, f"the phone's {reason.replace('_', ' ')}")

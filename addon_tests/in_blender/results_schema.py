@@ -9,7 +9,7 @@ from jsonschema import Draft202012Validator
 from xihe_blender.io.json_records import as_json, from_json, json_schema
 from xihe_blender.io.run_results import RunResults
 from xihe_blender.light_transport.overrides import PHONE_EFFECTS
-from xihenet.invalid import CLAMPED, UNKNOWN, in_words
+from xihenet.invalid import CLAMPED, UNKNOWN, format_reason
 
 FRAME_TIMES = {"render_s", "work_s", "stage_ms", "comparison_render_s"}
 SUMMARY_TIMES = {"render_s", "pilot_s", "comparison_render_s", "overhead_share", "mean_step_ms"}
@@ -103,7 +103,7 @@ def _check_frame(entry, frames):
 
 def _check_counts(counts, n_left_out):
     """Every reason has words and a count, and those that leave something out add up."""
-    assert all(n > 0 and in_words(reason) for reason, n in counts.items())
+    assert all(n > 0 and format_reason(reason) for reason, n in counts.items())
     assert sum(n for reason, n in counts.items() if reason not in CLAMPED) == n_left_out
 
 

@@ -390,11 +390,11 @@ def test_the_pause_between_steps_is_that_of_most():
 
 
 def test_the_estimate_of_time_is_said_with_how_it_was_made(tmp_path):
-    from xihe_blender.previs.run_time import said_of_run_time
+    from xihe_blender.previs.run_time import format_run_time
 
-    assert said_of_run_time(0.3) == "about 5 s on this machine"
-    assert said_of_run_time(170) == "about 3 min on this machine"
-    assert said_of_run_time(5000) == "about 1.4 h on this machine"
+    assert format_run_time(0.3) == "about 5 s on this machine"
+    assert format_run_time(170) == "about 3 min on this machine"
+    assert format_run_time(5000) == "about 1 h 20 min on this machine"
     walk_for_the_panel(tmp_path, use_own_frames=True, frame_end=1)
     assert bpy.ops.xihe.measure_run() == {"FINISHED"}
     said = bpy.context.window_manager.xihe.run_estimate

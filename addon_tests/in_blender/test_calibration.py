@@ -1,6 +1,7 @@
 """What presets cost on this machine: the function, and the button that calls it."""
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 
 import bpy
 import pytest
@@ -8,14 +9,13 @@ from addon_runs import poll_message, registered_addon, walk_for_the_panel
 from scene_snapshot import differences, snapshot
 from tiny_scenes import look_at, room_with_a_virtual_sphere
 
-from xihe_blender.addon.calibration import calibration_file, calibration_in_words
+from xihe_blender.addon.calibration import calibration_file, calibration_line
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.frontier.calibrate import (
     Calibration,
     calibrate,
-    read_calibration,
-    said_of_calibration,
+    format_calibration,
     save_calibration,
 )
 from xihe_blender.previs.settings import PRESETS, PrevisSettings
@@ -46,29 +46,32 @@ def test_the_scene_stays_as_it_is():
     assert differences(before, snapshot()) == ({}, [])
 
 
-def test_what_is_remembered_comes_back(tmp_path):
+def test_what_is_remembered_is_whole_and_says_its_sentence(tmp_path):
     save_calibration(tmp_path / "deep" / "calibration.json", KNOWN)
-    assert read_calibration(tmp_path / "deep" / "calibration.json") == KNOWN
-    (tmp_path / "broken.json").write_text("{", encoding="utf-8")
-    assert read_calibration(tmp_path / "broken.json") is None and read_calibration(tmp_path / "none.json") is None
+    kept = json.loads((tmp_path / "deep" / "calibration.json").read_text(encoding="utf-8"))
+    assert kept == {**asdict(KNOWN), "said": format_calibration(KNOWN)}
 
 
 def test_costs_are_said_in_one_sentence():
-    said = said_of_calibration(KNOWN)
-    assert said == "draft 0.41 s, balanced 0.9 s, accurate 3.1 s a frame, measured on room"
+    said = format_calibration(KNOWN)
+    assert said == "draft 0.41 s, balanced 0.90 s, accurate 3.1 s a frame, measured on room"
 
 
 def test_the_button_keeps_what_the_function_measures_and_the_panel_says_it(tmp_path):
     scene = walk_for_the_panel(tmp_path / "runs")
-    assert calibration_in_words() == ""
+    assert calibration_line() == ""
     assert bpy.ops.xihe.calibrate() == {"FINISHED"}
-    kept = read_calibration(calibration_file())
+    kept = json.loads(calibration_file().read_text(encoding="utf-8"))
     assert calibration_file().parent == tmp_path / "runs"
-    assert calibration_in_words() == said_of_calibration(kept)
+    assert (
+        calibration_line()
+        == kept["said"]
+        == format_calibration(Calibration(**{k: v for k, v in kept.items() if k != "said"}))
+    )
     size = tuple(scene.xihe.size)
     by_function = run_blocking(calibrate(scene, replace(SMALL, size=size, preset="draft")))
     # Times differ from one measurement to the next, and what follows from the scene alone does not.
-    assert by_function.samples == kept.samples and by_function.scene == kept.scene
+    assert by_function.samples == kept["samples"] and by_function.scene == kept["scene"]
 
 
 def test_a_path_that_never_sees_an_object_is_refused():
@@ -92,4 +95,4 @@ def test_costs_that_cannot_be_kept_are_a_line_that_names_the_place(tmp_path):
         bpy.ops.xihe.calibrate()
     window_manager = bpy.context.window_manager.xihe
     assert "File exists" in window_manager.error and not window_manager.is_running
-    assert calibration_in_words() == ""
+    assert calibration_line() == ""

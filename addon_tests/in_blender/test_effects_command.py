@@ -19,7 +19,7 @@ from xihe_blender.jobs import run_blocking
 from xihe_blender.light_transport import plan_effects, remember_overrides, remembered_overrides
 from xihe_blender.light_transport.overrides import PROPERTY, SWITCHED_ELSEWHERE, parsed_overrides
 from xihe_blender.light_transport.plan import RULES
-from xihe_blender.previs.effects_report import report_effects, said_as_table
+from xihe_blender.previs.effects_report import format_effects, report_effects
 from xihe_blender.scene.blend_file import open_blend
 
 COSTLESS = {"subsurface", "hair", "displacement", "depth of field", "environment sampling"}
@@ -152,7 +152,7 @@ def test_leaving_out_what_the_scene_does_not_call_for_changes_nothing(measured):
 
 @pytest.mark.slow
 def test_the_table_shows_every_effect_with_what_it_costs(measured):
-    table = said_as_table(measured[0])
+    table = format_effects(measured[0])
     for effect in measured[0].plan.effects:
         line = next(line for line in table.splitlines() if line.startswith(effect.name))
         assert effect.state in line and effect.reason[:30] in line

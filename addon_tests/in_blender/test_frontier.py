@@ -15,19 +15,18 @@ from xihe_process import xihe
 
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihe_blender.lab.frontier.by_choice import family
 from xihe_blender.lab.frontier.chain import ChoiceBackend, Walk, walk_through, with_every_pixel
 from xihe_blender.lab.frontier.choices import EXHAUSTIVE, ComputeChoice, Effort, compute_choices
 from xihe_blender.lab.frontier.light_errors import padded, square_errors
-from xihe_blender.lab.frontier.loglog import LogAxis, loglog_plot
-from xihe_blender.lab.frontier.measured import Measured
-from xihe_blender.lab.frontier.points import group, groups, points_of
+from xihe_blender.lab.frontier.pareto_plot import pareto_plot
+from xihe_blender.lab.frontier.points import Measured, family, group, groups, points_of
 from xihe_blender.lab.frontier.study import FrontierSettings, frontier
 from xihe_blender.lab.frontier.timing import Spread, interleaved
 from xihenet.camera import unproject_frame
 from xihenet.pareto import on_front
 from xihenet.records import Intrinsics, RgbdFrame
 from xihenet.sh import project_anchors
+from xihenet.svg import log_axis
 
 TINY = Effort(2, 1, 1, 2, 1, 2, 4, (1, 2), 1)
 SMALL = FrontierSettings(is_quick=True, size=(32, 24), effort=TINY)
@@ -212,10 +211,10 @@ KINDS = ("coefficients", "irradiance")
 
 def test_a_plot_has_a_mark_for_every_choice_and_escapes_its_words():
     points = points_of("room", {"render": [measured("<a>", 0.1, 10, "draft"), measured("zero", 0, 30)]}, seed=0)
-    drawn = loglog_plot(points, "title", "about")
+    drawn = pareto_plot(points, "title", "about")
     assert drawn.count("<title>") == 2 and "<a>" not in drawn and ">draft<" in drawn
     assert "nan" not in drawn and "inf" not in drawn.replace("infinite", "")
-    assert "Nothing was measured" in loglog_plot([], "title", "about")
+    assert "Nothing was measured" in pareto_plot([], "title", "about")
 
 
 def test_a_family_differs_in_one_choice_and_no_other():
@@ -229,9 +228,9 @@ def test_a_family_differs_in_one_choice_and_no_other():
 
 @given(st.lists(st.floats(1e-6, 1e6), min_size=1, max_size=5))
 def test_an_axis_holds_its_values_and_has_ticks_in_order(values):
-    axis = LogAxis.around(values)
-    assert all(0 < axis.place(value) < 1 for value in values)
-    places = [axis.place(tick) for tick in axis.ticks()]
+    axis = log_axis(values, str)
+    assert all(0 < axis.share(value) < 1 for value in values)
+    places = [axis.share(tick) for tick in axis.ticks]
     assert places == sorted(places) and len(set(places)) == len(places) > 0
 
 

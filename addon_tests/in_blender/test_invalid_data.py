@@ -11,7 +11,7 @@ from xihe_blender.addon.last_run import last_run
 from xihe_blender.addon.panels import result_rows
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import open_scanner
-from xihe_blender.cli.previs import said_in_one_line
+from xihe_blender.cli.previs import format_summary
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.camera import invalid_pixels
 from xihenet.invalid import counted
@@ -63,7 +63,7 @@ def test_the_kept_light_is_said_in_words_everywhere(blinded):
     note = next(note for note in results["notes"] if "could not be known" in note)
     assert "Ball" in note and "2" in note and "3" in note and "that of frame 1" in note
     assert "no surface was seen" in note
-    assert "kept 2 times" in said_in_one_line(results)
+    assert "kept 2 times" in format_summary(results)
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "last light kept: no surface was seen from there" in page
     assert "the light of frame 1 stayed" in page

@@ -9,7 +9,7 @@ import pytest
 from addon_runs import enable_preferences, poll_message, registered_addon
 from tiny_scenes import empty_scene
 
-from xihe_blender.io.old_runs import ABANDONED_S, SETTINGS, old_runs, remove_old_runs, runs_in, said_of_runs
+from xihe_blender.io.old_runs import ABANDONED_S, SETTINGS, format_old_runs, old_runs, remove_old_runs, runs_in
 from xihe_blender.io.outputs import RunOutputs
 
 FIRST, SECOND, THIRD = "room_20260101-101500", "room_20260101-101500_2", "my room_20270101-000000"
@@ -68,11 +68,11 @@ def test_a_run_that_may_be_under_way_is_left_alone_for_a_day(tmp_path):
 
 
 def test_the_space_that_runs_take_is_said(tmp_path):
-    assert said_of_runs([]) == "0 runs, 0.0 MB"
+    assert format_old_runs([]) == "no runs, 0 bytes"
     one = make_run(tmp_path, FIRST, n_bytes=2_300_000)
-    assert said_of_runs([one]) == "1 run, 2.3 MB"
+    assert format_old_runs([one]) == "1 run, 2.3 MB"
     other = make_run(tmp_path, SECOND, n_bytes=20_000_000)
-    assert said_of_runs([one, other]) == "2 runs, 22 MB"
+    assert format_old_runs([one, other]) == "2 runs, 22 MB"
 
 
 def test_the_button_equals_its_function_and_keeps_what_any_scene_shows(tmp_path, runs):

@@ -16,6 +16,7 @@ from xihe_blender.addon import overlay, panels
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
+from xihenet.formats import format_duration
 
 CONTENT = {
     "schema_version": 1,
@@ -143,17 +144,17 @@ def test_a_run_whose_folder_is_gone_is_no_run(tmp_path):
         (59.6, "1 min"),
         (83, "1 min 23 s"),
         (600, "10 min"),
-        (3599, "1 h 0 min"),
+        (3599, "1 h"),
         (7500, "2 h 5 min"),
     ],
 )
 def test_a_time_is_told_in_words(seconds, words):
-    assert panels.in_words(seconds) == words
+    assert format_duration(seconds) == words
 
 
 def test_progress_tells_the_time_left_once_there_is_a_pace():
-    assert panels.progress_text(0.0, 0.0) == "0%"
-    assert panels.progress_text(0.43, 83) == "43%, 1 min 23 s left"
+    assert panels.format_progress(0.0, 0.0) == "0%"
+    assert panels.format_progress(0.43, 83) == "43%, 1 min 23 s left"
 
 
 def test_sentences_are_wrapped_and_lose_no_word():

@@ -14,7 +14,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.light_transport.overrides import PHONE_EFFECTS
 from xihe_blender.light_transport.plan import judge_effects, planned
-from xihe_blender.previs.effects_report import EffectsReport, positions_in, report_effects, said_as_table
+from xihe_blender.previs.effects_report import EffectsReport, format_effects, positions_in, report_effects
 from xihe_blender.previs.phone_plan import plan_phone_effects
 
 SESSION = replace(SMALL, phone="ipad_pro_lidar", network="lte")
@@ -84,6 +84,6 @@ def test_the_report_has_light_transport_first_and_the_phone_behind_it():
     rows = json.loads(json.dumps(report.as_json(), allow_nan=False))
     assert [row["name"] for row in rows] == [effect.name for effect in report.effects]
     assert set(rows[-1]) == {"name", "state", "reason", "parameters", "origin", "cost"}
-    table = said_as_table(EffectsReport(report.plan, {}, report.phone))
+    table = format_effects(EffectsReport(report.plan, {}, report.phone))
     line = next(line for line in table.splitlines() if line.startswith("edge_bleeding"))
     assert " on " in line and "radius_px 2" in line

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from xihe_blender.lab.batch.store import BatchFolder
-from xihe_blender.lab.batch.worst_pictures import WORST_KINDS, worst_picture
+from xihe_blender.lab.batch.results import WORST_KINDS, BatchFolder, worst_picture
 from xihenet.png import write_png
 
 METRICS = ("psnr", "ssim", "rmse", "si_rmse", "angular_deg")

@@ -13,9 +13,16 @@ from addon_tests.pure.batches import batch, results
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import write_json
 from xihe_blender.lab.batch.grid import BatchSettings, planned_units
-from xihe_blender.lab.batch.store import BatchFolder, claim_of, read_frontier, result_file
-from xihe_blender.lab.batch.tables import TRIAL_COLUMNS, batch_results, write_tables
-from xihe_blender.lab.batch.worst_pictures import worst_frame
+from xihe_blender.lab.batch.results import (
+    TRIAL_COLUMNS,
+    BatchFolder,
+    batch_results,
+    claim_of,
+    read_frontier,
+    result_file,
+    worst_frame,
+    write_tables,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 SETTINGS = BatchSettings(estimators=("lattice", "ambient"), phones=("perfect", "ipad_pro_lidar"), frames=(1, 2))

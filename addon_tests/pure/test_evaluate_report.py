@@ -13,11 +13,11 @@ from xihe_blender.lab.batch.analysis import (
     compared,
     laziest_as_good,
     ranked,
-    theta_points,
+    trigger_points,
     worst_cases,
 )
 from xihe_blender.lab.batch.report import report_page, write_report
-from xihe_blender.lab.batch.store import BatchFolder
+from xihe_blender.lab.batch.results import BatchFolder
 
 ERROR, PICTURE = MEASURES
 
@@ -68,12 +68,12 @@ def test_a_worse_phone_costs_what_it_costs():
 
 
 def test_the_trigger_that_is_as_good_asks_least():
-    points = theta_points(batch(), "lattice")
+    points = trigger_points(batch(), "lattice")
     assert [point.per_minute for point in points] == [60.0, 48.0, 30.0, 12.0]
     assert laziest_as_good(points).per_minute == 12.0
     worse = [*points[:-1], replace(points[-1], error=1.06 * points[0].error)]
     assert laziest_as_good(worse).per_minute == 30.0
-    assert theta_points([trial(thetas=[])], "lattice") == []
+    assert trigger_points([trial(thetas=[])], "lattice") == []
 
 
 def test_so_few_scenes_say_how_little_they_hold():
@@ -95,7 +95,14 @@ def test_the_page_is_one_file_with_its_pictures(tmp_path):
     write_report(folder, results(trials), None)
     page = folder.report.read_text(encoding="utf-8")
     assert page.count("data:image/png") == 18 and not re.findall(r'(?:src|href)="(?!data:|#)', page)
-    for question in ("Which estimator", "better phone", "How often", "How many anchors", "last 10 %", "Worst cases"):
+    for question in (
+        "Which estimator",
+        "better phone",
+        "How often",
+        "How many anchors",
+        "last 10\u202f%",
+        "Worst cases",
+    ):
         assert question in page
     assert not re.search(r"\bnan\b", plain(page)) and page == report_page(folder, results(trials), None)
 
@@ -129,7 +136,7 @@ def test_a_frontier_answers_what_takes_measured_times(tmp_path):
     answer = {"scene": "room", "question": "How many anchors?", "answer": "512 are within 1 %."}
     frontier = {"points": [measured(0.02, 512), measured(0.01, 2048)], "answers": [answer]}
     page = report_page(BatchFolder(tmp_path), results(batch()), frontier)
-    assert "512 are within 1 %." in page and "2048 anchors" in page and "has no answer to that" in page
+    assert "512 are within 1\u202f%." in page and "2048 anchors" in page and "has no answer to that" in page
     assert "xihe frontier" in report_page(BatchFolder(tmp_path), results(batch()), None)
 
 
@@ -141,7 +148,11 @@ def test_anchors_are_plotted_by_what_their_answer_speaks_of(tmp_path):
     points += [measured(0.39, 512, theta=0.6), measured(0.36, 512, scene="alone")]
     page = report_page(BatchFolder(tmp_path), results(batch()), {"points": points, "answers": []})
     anchors, last = part(page, "anchors"), part(page, "last")
-    dots = re.findall(r"<title>(\w+), (\d+) anchors.*?: (\d+) %", anchors)
-    assert sorted((int(error) / 100, int(n_anchors), scene) for scene, n_anchors, error in dots) == sorted(told)
+    dots = re.findall(r"<title>(\w+), (\d+) anchors.*?: ([\d.]+)\s%", anchors)
+    assert sorted((float(error) / 100, int(n_anchors), scene) for scene, n_anchors, error in dots) == sorted(told)
     assert "against the rendered light probe" in anchors and "exhaustive" not in anchors
-    assert "against the exhaustive setting" in last and last.count(": 7 % in") == 2 and ": 31 % in" not in last
+    assert (
+        "against the exhaustive setting" in last
+        and last.count(": 7.00\u202f% in") == 2
+        and ": 31.0\u202f% in" not in last
+    )

@@ -24,7 +24,7 @@ MAY_IMPORT = {
     "report": {"io"},
     "previs": JOB,
     "packaging": {"errors", "io"},
-    "lab.workers": {"errors", "io", "jobs", "report"},
+    "lab.workers": {"errors", "io", "jobs"},
     "lab.props": set(),
     "lab.rooms": {*JOB, "previs", "lab.workers", "lab.props"},
     "lab.frontier": {*JOB, "previs"},

@@ -15,7 +15,7 @@ from xihenet.camera import invalid_pixels, sound_plane_depth, unproject_frame, v
 from xihenet.codec import METHODS, decode_cloud, encode_cloud, n_clamped_distances
 from xihenet.controller import XiheController
 from xihenet.estimators import EstimateContext, Estimator
-from xihenet.invalid import CLAMPED, LEFT_OUT, UNKNOWN, added, counted, in_words, left_out
+from xihenet.invalid import CLAMPED, LEFT_OUT, UNKNOWN, added, counted, format_reason, left_out
 from xihenet.phone import PhoneCamera, load_profile
 from xihenet.recording import load_frame, save_frame
 from xihenet.records import Intrinsics, LightEstimate, PointCloud, RgbdFrame, UnitSphereCloud
@@ -249,8 +249,8 @@ def test_counts_add_up_like_those_of_the_standard_library(counts):
 
 def test_every_reason_has_words_and_an_effect_of_the_phone_its_name():
     reasons = [*LEFT_OUT, *CLAMPED, *UNKNOWN]
-    assert len(set(reasons)) == len(reasons) == len({in_words(reason) for reason in reasons})
-    assert in_words("dark_holes") == "the phone's dark holes"
+    assert len(set(reasons)) == len(reasons) == len({format_reason(reason) for reason in reasons})
+    assert format_reason("dark_holes") == "the phone's dark holes"
     assert not set(reasons) & {
         effect for name in ("ipad_pro_lidar", "azure_kinect") for effect in load_profile(name).effects
     }

@@ -17,7 +17,7 @@ import pytest
 import xihe_blender.report.page as report
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.report.pictures import MAX_FRAMES
-from xihe_blender.report.values import number_runs, significant
+from xihenet.formats import format_number, format_runs
 from xihenet.png import write_png
 
 VOID = {"meta", "img", "input", "wbr"}
@@ -319,7 +319,7 @@ def test_frames_left_out_are_named_and_every_estimate_is_kept(tmp_path: Path) ->
     assert len(shown) == MAX_FRAMES and shown == sorted(shown)
     assert set(fired) <= set(shown)
     assert f"Pictures of {60 - MAX_FRAMES} more frames are files beside this page" in page.text
-    assert str(number_runs(sorted(set(range(1, 61)) - set(shown)))) in page.text
+    assert str(format_runs(sorted(set(range(1, 61)) - set(shown)))) in page.text
 
 
 # --------------------------------------------------------------------------------------------------------- tables
@@ -401,8 +401,8 @@ def test_hovering_a_frame_tells_each_probes_value(tmp_path: Path) -> None:
     whole = page_of(results, outputs)
     for frame in results["frames"]:
         for probe in frame["probes"]:
-            assert f"{probe['name']}: {significant(probe['shc_rmse'])}" in whole
-    assert whole.count("frame 3 (0.07 s)\nno probe in view") == 5
+            assert f"{probe['name']}: {format_number(probe['shc_rmse'])}" in whole
+    assert whole.count("frame 3 (0.07\u202fs)\nno probe in view") == 5
 
 
 def test_a_null_value_is_a_gap_in_the_curve(tmp_path: Path) -> None:
@@ -425,5 +425,5 @@ def test_one_slow_frame_does_not_flatten_the_others(tmp_path: Path) -> None:
     totals = [sum(frame["stage_ms"].values()) for frame in results["frames"]]
     page = Page(page_of(results, outputs))
     assert totals[0] > 5 * max(totals[1:])
-    assert f" {significant(totals[0])} ms " in page.text
+    assert f" {format_number(totals[0])} ms " in page.text
     assert not [word for word in page.words if word.strip() in ("20", "40", "60")]

@@ -12,12 +12,13 @@ import pytest
 
 import xihe_blender.report.page as report
 from xihe_blender.io.outputs import RunOutputs
-from xihe_blender.report.document import document
+from xihe_blender.report.document import SCRIPT, STYLE, document
 from xihe_blender.report.pictures import MAX_FRAMES, choose_frames, picture_kinds
-from xihe_blender.report.style import STYLE
-from xihe_blender.report.svg import axis_up_to
 from xihe_blender.report.timeline import Timeline
-from xihe_blender.report.values import closeness, closeness_in_words, number_runs, percent, significant
+from xihe_blender.report.values import closeness, format_closeness
+from xihenet import formats, svg
+from xihenet.formats import format_number, format_percent, format_runs
+from xihenet.svg import linear_axis
 
 
 def test_another_schema_version_is_refused_by_name(tmp_path: Path) -> None:
@@ -27,21 +28,28 @@ def test_another_schema_version_is_refused_by_name(tmp_path: Path) -> None:
 
 
 def test_the_report_never_asks_for_blender() -> None:
-    own = ("xihe_blender.report", "xihe_blender.io.outputs", "xihenet.invalid")
-    files = sorted(Path(report.__file__).parent.glob("*.py"))
+    own = ("xihe_blender.report", "xihe_blender.io.outputs", "xihenet.formats", "xihenet.invalid", "xihenet.svg")
+    files = [*sorted(Path(report.__file__).parent.glob("*.py")), *(Path(m.__file__) for m in (formats, svg))]
     assert "page.py" in [path.name for path in files]
     for path in files:
         nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
         named = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
-        named |= {str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)}
+        from_ones = [node for node in nodes if isinstance(node, ast.ImportFrom)]
+        named |= {f"{node.module}.{alias.name}" for node in from_ones for alias in node.names}
         assert not any(re.match(r"(bpy|mathutils|numpy)\b", name) for name in named), path.name
         assert all(name.startswith(own) for name in named if name.startswith("xihe")), path.name
 
 
 def test_a_page_runs_no_script_but_its_own() -> None:
-    without, own = document("heading", "", ""), document("heading", "", "", title="title", script="run()")
+    without, own = document("heading", "", []), document("heading", "", [], title="title", script=SCRIPT)
     assert "default-src 'none'" in without and "script" not in without and "<title>heading</title>" in without
-    assert "script-src 'unsafe-inline'" in own and "<script>run()</script>" in own and "<title>title</title>" in own
+    assert "script-src 'unsafe-inline'" in own and "<title>title</title>" in own
+    assert f"<script>{SCRIPT.read_text()}</script>" in own and STYLE.read_text() in own
+
+
+def test_a_number_stays_beside_its_unit_and_a_command_as_it_was_typed() -> None:
+    page = document("heading", "<p>31 % in 4.12 ms</p>", [("a", "A", "<pre>xihe --out '3 s'</pre><p>3 seeds, 1 s</p>")])
+    assert "31\u202f% in 4.12\u202fms" in page and "'3 s'" in page and "3 seeds, 1\u202fs" in page
 
 
 @pytest.mark.parametrize("n_frames", [1, 15, 16, 17, 100, 301])
@@ -72,11 +80,11 @@ def test_pictures_come_in_the_order_of_the_story() -> None:
 @pytest.mark.parametrize(
     ("own", "ambient", "expected"),
     [
-        (0.69, 1.0, "are 31\u202f% closer to the ground truth than with ambient"),
-        (1.12, 1.0, "are 12\u202f% further from the ground truth than with ambient"),
+        (0.69, 1.0, "are 31 % closer to the ground truth than with ambient"),
+        (1.12, 1.0, "are 12 % further from the ground truth than with ambient"),
         (3.1, 1.0, "are 3.1 times as far from the ground truth as with ambient"),
         (1.0, 1.0, "are as close to the ground truth as with ambient"),
-        (0.0, 1.0, "are 100\u202f% closer to the ground truth than with ambient"),
+        (0.0, 1.0, "are 100 % closer to the ground truth than with ambient"),
         (0.0, 0.0, "match the ground truth exactly, as they do with ambient"),
         (0.1, 0.0, "miss the ground truth, which they match with ambient"),
         (None, 1.0, "could not be measured"),
@@ -90,7 +98,7 @@ def test_the_sentence_tells_better_worse_and_undefined_apart(
         "settings": {"estimator": "projection"},
         "comparison": {"projection": {"rmse": own}, "ambient": {"rmse": ambient}},
     }
-    words = re.sub("<[^>]*>", "", report.result_in_words(results))
+    words = re.sub("<[^>]*>", "", report.format_result(results))
     assert expected in words
 
 
@@ -98,7 +106,7 @@ def test_closeness_is_one_for_a_match_and_undefined_without_a_yardstick() -> Non
     comparison = {"a": {"rmse": 0.0}, "ambient": {"rmse": 0.5}, "b": {"rmse": 1.0}, "c": None}
     assert [closeness(comparison, m) for m in ("a", "ambient", "b", "c", "d")] == [1.0, 0.0, -1.0, None, None]
     assert closeness({"a": {"rmse": 0.1}, "ambient": {"rmse": 0.0}}, "a") is None
-    assert closeness_in_words(-1.0) == f"{percent(1.0)} further"
+    assert format_closeness(-1.0) == f"{format_percent(1.0)} further"
 
 
 def test_columns_of_frames_cover_the_axis_and_hold_their_centres() -> None:
@@ -114,20 +122,20 @@ def test_columns_of_frames_cover_the_axis_and_hold_their_centres() -> None:
 
 def test_an_axis_covers_its_values_in_a_few_round_steps() -> None:
     for largest in [0.0, 5e-324, 1e-9, 0.049, 0.1, 0.2, 0.3, 1, 7, 8, 1234.5, 9.99e8]:
-        axis = axis_up_to(largest)
-        assert axis.ticks[0] == 0 and axis.ticks[-1] == axis.top
-        assert axis.top >= largest * (1 - 1e-9) and 2 <= len(axis.ticks) <= 6
-        assert axis.y(0) > axis.y(axis.top) == 0
+        axis = linear_axis(0, largest)
+        assert axis.ticks[0] == 0 and axis.ticks[-1] == axis.high
+        assert axis.high >= largest * (1 - 1e-9) and 2 <= len(axis.ticks) <= 6
+        assert axis.y(0) > axis.y(axis.high) == 0
         assert len({axis.label(tick) for tick in axis.ticks}) == len(axis.ticks)
 
 
 def test_numbers_keep_their_value_when_they_become_text() -> None:
     rng = np.random.default_rng(7)
     for value in [*(10.0 ** rng.uniform(-12, 12, 200)), *(-(10.0 ** rng.uniform(-3, 3, 50))), 0.09996, 99.96, 0.0]:
-        assert float(significant(value).replace(",", "")) == pytest.approx(value, rel=6e-3)
-    assert (significant(None), percent(None)) == ("\N{EN DASH}", "\N{EN DASH}")
-    assert percent(0.31) == "31\u202f%" and percent(0.004) == "0.4\u202f%"
-    assert number_runs([1, 2, 4, 5, 6, 9]) == "1, 2, 4\N{EN DASH}6, 9"
+        assert float(format_number(value).replace(",", "")) == pytest.approx(value, rel=6e-3)
+    assert (format_number(None), format_percent(None)) == ("\N{EN DASH}", "\N{EN DASH}")
+    assert format_percent(0.31) == "31 %" and format_percent(0.004) == "0.4 %"
+    assert format_runs([1, 2, 4, 5, 6, 9]) == "1, 2, 4\N{EN DASH}6, 9"
 
 
 def luminance(colour: str) -> float:
@@ -143,7 +151,10 @@ def contrast(first: str, second: str) -> float:
 
 
 def test_text_and_lines_stand_out_in_light_and_dark() -> None:
-    themes = [dict(re.findall(r"(--\w+): (#\w{6})", block)) for block in re.findall(r":root \{(.*?)\}", STYLE, re.S)]
+    themes = [
+        dict(re.findall(r"(--\w+): (#\w{6})", block))
+        for block in re.findall(r":root \{(.*?)\}", STYLE.read_text(), re.S)
+    ]
     assert len(themes) == 2
     for theme in themes:
         for ground in ("--paper", "--card"):

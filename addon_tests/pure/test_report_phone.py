@@ -2,8 +2,8 @@
 
 import pytest
 
-from xihe_blender.report.phone import MINUS, phone_in_words, phone_rows
-from xihe_blender.report.tables import numbers_section
+from xihe_blender.report.tables import format_phone, numbers_section, phone_rows
+from xihenet.formats import MINUS
 
 
 def results(**changes):
@@ -31,7 +31,7 @@ def test_each_effect_that_is_on_has_a_row_with_what_it_adds():
 
 
 def test_the_session_is_told_in_words_and_escaped():
-    words = phone_in_words(results())
+    words = format_phone(results())
     assert "A &lt;phone&gt;" in words and "<code>lte</code>" in words and "81.0" in words and "2 were lost" in words
 
 
@@ -53,4 +53,4 @@ def test_what_is_not_known_is_no_error(changes):
 def test_results_of_before_there_were_phones_have_no_such_table():
     old = results(settings={}, summary={})
     del old["phone"]
-    assert phone_rows(old) == [] and phone_in_words(old) == "" and ">Phone<" not in numbers_section(old)
+    assert phone_rows(old) == [] and format_phone(old) == "" and ">Phone<" not in numbers_section(old)

@@ -20,7 +20,7 @@ def calibration_file() -> Path:
     return (chosen_folder() or own_folder()) / FILE_NAME
 
 
-def calibration_in_words() -> str:
+def calibration_line() -> str:
     """The costs in one sentence; empty before they were measured."""
     path = calibration_file()
     try:

@@ -21,7 +21,7 @@ IN_THE_PANEL = {
 """What the panel calls an option of the command line, in whose words the work speaks."""
 
 
-def said_of(error: BaseException) -> str:
+def format_error(error: BaseException) -> str:
     """`error` in one line."""
     if isinstance(error, ReferenceError):
         return "The scene, or an object of it, was deleted meanwhile: start again"
@@ -34,7 +34,7 @@ def said_of(error: BaseException) -> str:
 
 def failed(operator: bpy.types.Operator, context: bpy.types.Context, error: BaseException) -> set[str]:
     """Report `error` and give what the operator returns."""
-    line = said_of(error)
+    line = format_error(error)
     context.window_manager.xihe.error = line
     operator.report({"ERROR"}, line)
     return {"CANCELLED"}

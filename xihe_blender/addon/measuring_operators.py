@@ -32,9 +32,9 @@ class XIHE_OT_measure_run(Measuring, bpy.types.Operator):
         return run_time_job(context.scene, previs_settings(context.scene))
 
     def finish(self, context: bpy.types.Context, result: Any) -> set[str]:
-        from xihe_blender.previs.run_time import said_of_run_time
+        from xihe_blender.previs.run_time import format_run_time
 
-        context.window_manager.xihe.run_estimate = said_of_run_time(result.in_window_s(self.run.pause_s))
+        context.window_manager.xihe.run_estimate = format_run_time(result.in_window_s(self.run.pause_s))
         return {"FINISHED"}
 
 
@@ -50,10 +50,10 @@ class XIHE_OT_calibrate(Measuring, bpy.types.Operator):
         return calibrate(context.scene, previs_settings(context.scene))
 
     def finish(self, context: bpy.types.Context, result: Any) -> set[str]:
-        from xihe_blender.lab.frontier.calibrate import said_of_calibration, save_calibration
+        from xihe_blender.lab.frontier.calibrate import format_calibration, save_calibration
 
         save_calibration(calibration_file(), result)
-        self.report({"INFO"}, said_of_calibration(result))
+        self.report({"INFO"}, format_calibration(result))
         return {"FINISHED"}
 
 

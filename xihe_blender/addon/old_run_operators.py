@@ -6,6 +6,7 @@ import bpy
 
 from xihe_blender.addon import polls
 from xihe_blender.addon.failures import FAILURES, failed
+from xihenet.formats import format_count
 
 
 class XIHE_OT_remove_old_runs(polls.Conditional, bpy.types.Operator):
@@ -21,9 +22,9 @@ class XIHE_OT_remove_old_runs(polls.Conditional, bpy.types.Operator):
         """Ask first: what is deleted does not come back by Undo."""
         from xihe_blender.addon.preferences import runs_folder
         from xihe_blender.addon.runs_folder import shown_runs
-        from xihe_blender.io.old_runs import old_runs, said_of_runs
+        from xihe_blender.io.old_runs import format_old_runs, old_runs
 
-        said = said_of_runs(old_runs(runs_folder(), shown_runs()))
+        said = format_old_runs(old_runs(runs_folder(), shown_runs()))
         answer: set[str] = context.window_manager.invoke_confirm(
             self, event, title=f"Delete {said}?", message="This cannot be undone", confirm_text="Delete", icon="WARNING"
         )
@@ -43,7 +44,7 @@ class XIHE_OT_remove_old_runs(polls.Conditional, bpy.types.Operator):
             for area in window.screen.areas:
                 if area.type == "PREFERENCES":
                     area.tag_redraw()
-        self.report({"INFO"}, f"Removed {len(removed)} old run{'' if len(removed) == 1 else 's'}")
+        self.report({"INFO"}, f"Removed {format_count(len(removed), 'old run')}")
         return {"FINISHED"}
 
 

@@ -16,8 +16,9 @@ from typing import Any
 
 import bpy
 
-from xihe_blender.addon.calibration import calibration_in_words
+from xihe_blender.addon.calibration import calibration_line
 from xihe_blender.addon.last_run import LastRun, last_run
+from xihenet.formats import format_duration
 
 TAB = "Xihe"
 N_NAMED = 6
@@ -170,7 +171,7 @@ class XIHE_PT_estimator(StagePanel, bpy.types.Panel):
             layout.label(text=f"{run.step_ms:.1f} ms a frame, last run", icon="TIME")
 
     def _draw_costs(self, context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
-        costs = calibration_in_words()
+        costs = calibration_line()
         text = "Calibrate Again" if costs else "Calibrate"
         if context.window_manager.xihe.is_running:
             # A button that turns grey under the mouse stays grey for Blender until the mouse leaves it.
@@ -220,7 +221,7 @@ class XIHE_PT_run(StagePanel, bpy.types.Panel):
         layout = self.layout
         row = layout.row(align=True)
         row.scale_y = RUN_SCALE
-        row.progress(factor=job.progress, type="BAR", text=progress_text(job.progress, job.seconds_left))
+        row.progress(factor=job.progress, type="BAR", text=format_progress(job.progress, job.seconds_left))
         row.operator("xihe.cancel_run", text="", icon="X")
         doing = "stopping after this step" if job.is_cancel_wanted else job.doing
         layout.label(text=as_sentence(doing), translate=False)
@@ -297,7 +298,7 @@ def result_rows(run: LastRun) -> list[tuple[str, str]]:
         ("Ambient Error", _number(run.ambient_shc_rmse, ".3f")),
         ("Coverage", _number(run.coverage, ".0%")),
         ("Chain", _number(run.step_ms, ".1f", " ms")),
-        ("Rendering", in_words(run.render_s)),
+        ("Rendering", format_duration(run.render_s)),
     ]
     if run.n_invalid_points:
         rows.append(("Invalid Points", f"{run.n_invalid_points:,}"))
@@ -310,21 +311,10 @@ def _number(value: float | None, form: str, unit: str = "") -> str:
     return "none" if value is None else f"{value:{form}}{unit}"
 
 
-def progress_text(progress: float, seconds_left: float) -> str:
+def format_progress(progress: float, seconds_left: float) -> str:
     """Such as "45 %, 2 min left"; the time only once there is a pace."""
     share = f"{progress:.0%}"
-    return f"{share}, {in_words(seconds_left)} left" if seconds_left > 0 else share
-
-
-def in_words(seconds: float) -> str:
-    """A time to wait, rounded: "8 s", "1 min 20 s", "12 min", "2 h 5 min"."""
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 600:
-        return f"{whole // 60} min {whole % 60} s" if whole % 60 else f"{whole // 60} min"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+    return f"{share}, {format_duration(seconds_left)} left" if seconds_left > 0 else share
 
 
 def sentence(context: bpy.types.Context, layout: bpy.types.UILayout, text: str, *, icon: str = "NONE") -> None:

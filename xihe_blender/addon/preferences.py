@@ -42,7 +42,7 @@ class XihePreferences(bpy.types.AddonPreferences):
 
     def _draw_runs(self, layout: bpy.types.UILayout) -> None:
         """The space that runs take, and how to have it back."""
-        from xihe_blender.io.old_runs import runs_in, said_of_runs
+        from xihe_blender.io.old_runs import format_old_runs, runs_in
 
         # As properties are laid out: the label on the right of the first part.
         split = layout.split(factor=0.4)
@@ -50,7 +50,7 @@ class XihePreferences(bpy.types.AddonPreferences):
         name.alignment = "RIGHT"
         name.label(text="Kept")
         row = split.row()
-        row.label(text=said_of_runs(runs_in(runs_folder())), translate=False)
+        row.label(text=format_old_runs(runs_in(runs_folder())), translate=False)
         row.operator("xihe.remove_old_runs", icon="TRASH")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from xihe_blender.addon import polls
-from xihe_blender.addon.failures import FAILURES, failed, said_of
+from xihe_blender.addon.failures import FAILURES, failed, format_error
 from xihe_blender.addon.properties import last_run_folder
 
 
@@ -40,7 +40,7 @@ class XIHE_OT_go_to_trigger(polls.Conditional, bpy.types.Operator):
                 _show_images(scene)
         except FAILURES as error:
             # The light on the timeline is there without the run's pictures.
-            self.report({"WARNING"}, said_of(error))
+            self.report({"WARNING"}, format_error(error))
         return {"FINISHED"}
 
 

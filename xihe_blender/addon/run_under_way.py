@@ -15,6 +15,7 @@ from typing import Any
 import bpy
 
 from xihe_blender.addon.leftovers import remove_working_scenes
+from xihenet.formats import format_duration
 
 
 class RunUnderWay:
@@ -75,7 +76,7 @@ class RunUnderWay:
         state = self.window_manager.xihe
         state.progress, state.doing, state.seconds_left = share, progress.doing, left_s or 0.0
         self.window_manager.progress_update(round(100 * share))
-        left = "" if left_s is None else f", {said_of_seconds(left_s)} left"
+        left = "" if left_s is None else f", {format_duration(left_s)} left"
         self._say(f"Xihe: {share:.0%}, {progress.doing}{left}     Esc: cancel")
         redraw(self.window_manager)
 
@@ -117,10 +118,3 @@ def redraw(window_manager: bpy.types.WindowManager) -> None:
         for area in window.screen.areas:
             if area.type == "VIEW_3D":
                 area.tag_redraw()
-
-
-def said_of_seconds(seconds: float) -> str:
-    """Time left as one reads it at a glance: "40 s", "3 min", "1.5 h"."""
-    if seconds < 99.5:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     """Plan, measure if asked to, and print a table or JSON."""
     from xihe_blender.light_transport.overrides import parsed_overrides
-    from xihe_blender.previs.effects_report import report_effects, said_as_table
+    from xihe_blender.previs.effects_report import format_effects, report_effects
     from xihe_blender.scene.blend_file import open_blend
 
     overrides = parsed_overrides(options.overrides)
@@ -35,4 +35,4 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     session = {"phone": options.phone, "network": options.network}
     job = report_effects(scene, options.frames, overrides, **session, is_measured=not options.plan_only)
     report = run_blocking(job, when_news(progress_line(stderr)))
-    print(json.dumps(report.as_json(), indent=1) if options.json else said_as_table(report), file=stdout)
+    print(json.dumps(report.as_json(), indent=1) if options.json else format_effects(report), file=stdout)

@@ -24,7 +24,7 @@ from xihenet.backend import LocalBackend, estimate_light
 from xihenet.camera import in_view, unproject_frame
 from xihenet.estimators import EstimateContext, Estimator, Target
 from xihenet.frame_files import FrameCamera, read_camera, read_frame
-from xihenet.invalid import CLAMPED, Counts, counted, in_words, n_left_out
+from xihenet.invalid import CLAMPED, Counts, counted, format_reason, n_left_out
 from xihenet.light_picture import light_picture
 from xihenet.png import write_png
 from xihenet.records import LightEstimate, PointCloud, RgbdFrame
@@ -190,9 +190,9 @@ def _position_table(one: PlacedEstimate) -> str:
     if light.expected_error is not None:
         facts.append(f"expected error {light.expected_error:.3f}")
     if not light.is_valid:
-        facts.append(f"the light cannot be known: {in_words(light.unknown_because)}")
+        facts.append(f"the light cannot be known: {format_reason(light.unknown_because)}")
     head = f"{_told(one.position_m)}: {', '.join(facts)}"
-    rows = [_said_of_invalid(one.invalid)] if one.invalid else []
+    rows = [_format_invalid(one.invalid)] if one.invalid else []
     rows.append(" l  m      red    green     blue")
     bands = [(band, m) for band in range(3) for m in range(-band, band + 1)]
     for (band, m), (red, green, blue) in zip(bands, light.sh_radiance, strict=True):
@@ -200,9 +200,9 @@ def _position_table(one: PlacedEstimate) -> str:
     return "\n".join([head, *rows])
 
 
-def _said_of_invalid(invalid: Counts) -> str:
+def _format_invalid(invalid: Counts) -> str:
     """Such as "points left out or clamped: 12 (no distance was measured: ...)"."""
-    return "points left out or clamped: " + "; ".join(f"{n} ({in_words(reason)})" for reason, n in invalid.items())
+    return "points left out or clamped: " + "; ".join(f"{n} ({format_reason(reason)})" for reason, n in invalid.items())
 
 
 def warnings_about(placed: list[PlacedEstimate]) -> list[str]:

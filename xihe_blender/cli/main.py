@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except UserError as error:
         return _failed(str(error))
     except OSError as error:
-        return _failed(_said_of_the_disk(error))
+        return _failed(_format_disk_error(error))
     except KeyboardInterrupt:
         # On a terminal the line of progress, with "^C" at its end, stands there unfinished.
         start = "\n" if sys.stderr.isatty() else ""
@@ -96,7 +96,7 @@ def _failed(message: str) -> int:
     return EXIT_USER_ERROR
 
 
-def _said_of_the_disk(error: OSError) -> str:
+def _format_disk_error(error: OSError) -> str:
     if error.errno is None:
         # Raised by ourselves, with the fix in it.
         return f"{error}; then the same command goes on from here"

@@ -8,6 +8,7 @@ from typing import Any
 
 from xihe_blender.errors import UserError
 from xihe_blender.packaging.extension import build_extension, default_wheels_folder
+from xihenet.formats import format_bytes
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,4 +25,4 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         if folder.exists() and not folder.is_dir():
             raise UserError(f"{folder} is a file: give a folder with {option}")
     path = build_extension(options.out, wheels)
-    print(f"{path} ({path.stat().st_size / 1e6:.1f} MB)", file=stdout)
+    print(f"{path} ({format_bytes(path.stat().st_size)})", file=stdout)

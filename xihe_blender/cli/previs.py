@@ -64,17 +64,17 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     scene = open_blend(options.scene)
     job = previs(scene, options.out, settings, blend_file=options.scene, command=options.command_line)
     results = run_blocking(job, progress_line(stderr))
-    print(said_in_one_line(results), file=stdout)
+    print(format_summary(results), file=stdout)
     print(options.out / "report.html", file=stdout)
 
 
-def said_in_one_line(results: dict[str, Any]) -> str:
+def format_summary(results: dict[str, Any]) -> str:
     """The result of a previs run for someone who reads only one line."""
     summary, estimator = results["summary"], results["settings"]["estimator"]
     ratio = (summary["rmse_against_ambient"] or {}).get(estimator)
     line = f"{summary['n_active_frames']} of {summary['n_frames']} frames, {summary['n_estimates']} estimates"
     if results["settings"]["network"] is not None:
-        line += f", {said_of_the_network(summary)}"
+        line += f", {format_network(summary)}"
     if summary["n_unknown_lights"]:
         line += f", the light was kept {summary['n_unknown_lights']} times where it could not be known"
     if ratio is None or estimator == "ambient":
@@ -83,7 +83,7 @@ def said_in_one_line(results: dict[str, Any]) -> str:
     return f"{line}; {estimator} is {abs(1 - ratio):.0%} {word} the ground truth than ambient (RMSE)"
 
 
-def said_of_the_network(summary: dict[str, Any]) -> str:
+def format_network(summary: dict[str, Any]) -> str:
     """How long estimates took, and how many never came: "84 ms on their way, none lost"."""
     latency_ms = summary["mean_latency_ms"]
     took = "none arrived" if latency_ms is None else f"{latency_ms:.0f} ms on their way"

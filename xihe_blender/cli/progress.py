@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from xihenet.formats import format_duration
+
 if TYPE_CHECKING:
     from xihe_blender.jobs import Progress
 
@@ -31,7 +33,7 @@ def progress_line(stream: Any) -> Callable[[Progress, float], None]:
 
     def show(progress: Progress, elapsed_s: float) -> None:
         left = progress.seconds_left(elapsed_s)
-        remaining = "" if left is None or progress.done >= progress.total else f", {left:.0f} s left"
+        remaining = "" if left is None or progress.done >= progress.total else f", {format_duration(left)} left"
         line = f"{progress.done / progress.total:4.0%}  {progress.doing}{remaining}"
         end = "\n" if not stream.isatty() or progress.done >= progress.total else ""
         print(f"\r\033[K{line}" if stream.isatty() else line, file=stream, end=end, flush=True)

@@ -16,12 +16,13 @@ import time
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
+from xihenet.formats import format_bytes, format_count
+
 NAME = re.compile(r".+_\d{8}-\d{6}(_\d+)?")
 SETTINGS = Path("work", "settings.json")
 """As in `outputs`, which is not imported here: it needs NumPy."""
 
 ABANDONED_S = 24 * 3600.0
-MEGA = 1_000_000
 
 
 def runs_in(parent: Path) -> list[Path]:
@@ -46,11 +47,10 @@ def remove_old_runs(parent: Path, shown: Collection[Path]) -> list[Path]:
     return old
 
 
-def said_of_runs(runs: Sequence[Path]) -> str:
+def format_old_runs(runs: Sequence[Path]) -> str:
     """ "1 run, 0.3 MB"."""
-    size = sum(_bytes_of(run, run.stat().st_mtime_ns) for run in runs) / MEGA
-    amount = f"{size:.1f} MB" if size < 10 else f"{size:.0f} MB" if size < 1000 else f"{size / 1000:.1f} GB"
-    return f"{len(runs)} run{'' if len(runs) == 1 else 's'}, {amount}"
+    n_bytes = sum(_bytes_of(run, run.stat().st_mtime_ns) for run in runs)
+    return f"{format_count(len(runs), 'run')}, {format_bytes(n_bytes, 2)}"
 
 
 def _is_run(path: Path) -> bool:

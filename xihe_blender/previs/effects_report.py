@@ -20,6 +20,7 @@ from xihe_blender.previs.plan import planned_frames
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.estimation_positions import estimation_positions
 from xihe_blender.scene.virtual_objects import virtual_objects
+from xihenet.formats import format_setting
 
 REASON_WIDTH = 60
 DASH = "-"
@@ -96,7 +97,7 @@ def positions_in(scene: bpy.types.Scene, frame: int) -> list[list[float]]:
         return [place.tolist() for item in virtual_objects(scene) for place in estimation_positions(item, depsgraph)]
 
 
-def said_as_table(report: EffectsReport) -> str:
+def format_effects(report: EffectsReport) -> str:
     """A line or more per effect: name, state (with * for a user's override), cost, change, reason, settings.
 
     Cost is the render time that the effect adds. Light and picture are what leaving it out changes, in mean radiance.
@@ -121,7 +122,7 @@ def _rows(effect: Effect | PhoneEffect, cost: EffectCost | None) -> list[tuple[s
     """The reason over as many lines as it takes, all else on the first of them."""
     first, *more = textwrap.wrap(effect.reason, REASON_WIDTH)
     state = effect.state + ("*" if effect.origin == "user" else "")
-    settings = ", ".join(f"{name} {_said(value)}" for name, value in effect.parameters.items())
+    settings = ", ".join(f"{name} {format_setting(value)}" for name, value in effect.parameters.items())
     costs = (DASH,) * 3
     if cost is not None:
         time = f"{cost.time_share:+.0%} ± {cost.time_standard_error:.0%}"
@@ -131,7 +132,3 @@ def _rows(effect: Effect | PhoneEffect, cost: EffectCost | None) -> list[tuple[s
 
 def _changed(change: Change | None) -> str:
     return DASH if change is None else f"{change.relative:+.1%} ± {change.standard_error:.1%}"
-
-
-def _said(value: bool | float) -> str:
-    return {True: "on", False: "off"}[value] if isinstance(value, bool) else f"{value:g}"

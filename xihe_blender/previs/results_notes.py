@@ -14,9 +14,9 @@ from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.sample_count import Effort
 from xihe_blender.previs.scene_faults import SceneFault
 from xihe_blender.previs.settings import PrevisSettings
-from xihe_blender.report.values import frames_told
-from xihe_blender.scene.units import said_of_units
-from xihenet.invalid import in_words
+from xihe_blender.scene.units import format_units
+from xihenet.formats import format_frames
+from xihenet.invalid import format_reason
 
 WORTH_TELLING = 0.1
 """Share of the light above white from which on a reader is told."""
@@ -49,7 +49,7 @@ def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult]) -> list[s
         "The shadow that a virtual object casts on the room is in the ground truth but not in the methods' pictures.",
         "In the pictures `truth` is the whole light of the rendered probe as order-2 SH, not clipped.",
     ]
-    said += [note for note in (said_of_units(scene), said_of_scenes(scene)) if note is not None]
+    said += [note for note in (format_units(scene), said_of_scenes(scene)) if note is not None]
     undelivered = sum(not entry.is_delivered for entry in frames)
     if undelivered:
         said.append(f"{undelivered} of {len(frames)} frames of the path came too soon after another for the phone.")
@@ -70,7 +70,7 @@ def said_of_following(frames: Sequence[FrameResult]) -> list[str]:
     """A sentence where a change of the light was carried on to what was out of view."""
     when = [entry.frame for entry in frames if any(probe.n_followed_anchors for probe in entry.probes)]
     told = "the light in view changed as a whole; directions out of view were changed alike, which is a guess"
-    return [f"At {frames_told(when)} {told}."] if when else []
+    return [f"At {format_frames(when)} {told}."] if when else []
 
 
 def said_of_unknown_lights(frames: Sequence[FrameResult]) -> list[str]:
@@ -82,7 +82,7 @@ def said_of_unknown_lights(frames: Sequence[FrameResult]) -> list[str]:
                 key = probe.name, probe.unknown_because or "", probe.light_frame
                 kept.setdefault(key, []).append(entry.frame)
     return [
-        f"The light at {name} could not be known in {frames_told(numbers)}, because {in_words(reason)}: "
+        f"The light at {name} could not be known in {format_frames(numbers)}, because {format_reason(reason)}: "
         + (
             "the phone's ambient light stood in."
             if source is None

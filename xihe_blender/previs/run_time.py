@@ -32,6 +32,7 @@ from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run
 from xihe_blender.previs.settings import PrevisSettings, load_estimator
 from xihe_blender.scene.state import scene_kept
+from xihenet.formats import format_duration
 from xihenet.records import RgbdFrame
 
 FEW_SAMPLES = 4
@@ -98,15 +99,10 @@ def predict_run_s(scene: bpy.types.Scene, settings: PrevisSettings) -> float:
     return measure_run_time(scene, settings).total_s
 
 
-def said_of_run_time(seconds: float) -> str:
+def format_run_time(seconds: float) -> str:
     """ "about 3 min on this machine": as exact as it is."""
-    if seconds < 55:
-        amount = f"{max(5, 5 * round(seconds / 5))} s"
-    elif seconds < 3300:
-        amount = f"{max(1, round(seconds / 60))} min"
-    else:
-        amount = f"{seconds / 3600:.1f} h"
-    return f"about {amount} on this machine"
+    step_s = 5 if seconds < 55 else 60 if seconds < 3300 else 600
+    return f"about {format_duration(step_s * max(1, round(seconds / step_s)))} on this machine"
 
 
 def measure_run_time(scene: bpy.types.Scene, settings: PrevisSettings) -> RunTime:

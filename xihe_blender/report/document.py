@@ -1,7 +1,7 @@
-"""What has every report in common? One self-contained file, its headings, blocks and tables.
+"""One self-contained HTML file: what the reports of a run, a batch and a frontier have in common.
 
-The page loads nothing, and has the browser forbid it, so that no name in a scene can make it. Used by the reports of a
-run, of a batch and of a frontier; what is particular to one of them is with it.
+page.html, page.css and page.js are put into it. The page loads nothing, and has the browser forbid it, so that no name
+in a scene can make it.
 """
 
 from __future__ import annotations
@@ -10,37 +10,53 @@ import base64
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from string import Template
 
 from xihe_blender.io.outputs import written_whole
-from xihe_blender.report.style import STYLE
 
-_SAFE = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-_SAFE_WITH_SCRIPT = f"{_SAFE}; script-src 'unsafe-inline'"
+_TEMPLATE = Path(__file__).with_name("page.html")
+STYLE, SCRIPT = _TEMPLATE.with_suffix(".css"), _TEMPLATE.with_suffix(".js")
+_BEFORE_UNIT = re.compile(r"(<pre.*?</pre>)|(?<=\d) (?=%|(?:ms|s|kB|MB|GB|dB|bytes)\b)", re.DOTALL)
 
 
 def document(
-    heading: str, opening: str, body: str, *, title: str = "", links: str = "", style: str = "", script: str = ""
+    heading: str,
+    opening: str,
+    sections: Sequence[tuple[str, str, str]],
+    *,
+    title: str = "",
+    has_links: bool = True,
+    style: Path | None = None,
+    script: Path | None = None,
 ) -> str:
     """The page as text; all arguments are HTML.
 
     Parameters
     ----------
     heading, opening : what stands above everything else
+    sections : anchor, title and content of each
     title : of the browser's window; none takes the heading
-    links : to places in the page, right of its top line; none leaves them out
-    style : on top of what every report has
-    script : run when the page is there; none forbids all scripts
+    has_links : whether the page's top line has a link to each section
+    style : a file on top of what every report has
+    script : a file that is run when the page is there; none forbids all scripts
     """
-    nav = f"<nav>{links}</nav>" if links else ""
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f'<meta http-equiv="Content-Security-Policy" content="{_SAFE_WITH_SCRIPT if script else _SAFE}">'
-        f"<title>{title or heading}</title><style>{STYLE}{style}</style></head>"
-        f'<body><div class="page"><header><div class="eyebrow"><span>AR lighting previsualisation</span>{nav}</div>'
-        f"<h1>{heading}</h1>{opening}</header><main>{body}</main></div>"
-        f"{f'<script>{script}</script>' if script else ''}</body></html>\n"
+    body = "".join(f'<section id="{anchor}"><h2>{name}</h2>{content}</section>' for anchor, name, content in sections)
+    links = "".join(f'<a href="#{anchor}">{name}</a>' for anchor, name, _ in sections)
+    return Template(_TEMPLATE.read_text(encoding="utf-8")).substitute(
+        heading=heading,
+        opening=with_units_kept(opening),
+        body=with_units_kept(body),
+        title=title or heading,
+        nav=f"<nav>{links}</nav>" if has_links else "",
+        style="".join(file.read_text(encoding="utf-8") for file in (STYLE, style) if file is not None),
+        script="" if script is None else f"<script>{script.read_text(encoding='utf-8')}</script>",
+        policy="" if script is None else "; script-src 'unsafe-inline'",
     )
+
+
+def with_units_kept(words: str) -> str:
+    """HTML in which no line ends between a number and its unit; what can be copied as code stays as it is."""
+    return _BEFORE_UNIT.sub(lambda found: found[1] or "\N{NARROW NO-BREAK SPACE}", words)
 
 
 def write_document(path: Path, page: str) -> None:
@@ -48,15 +64,6 @@ def write_document(path: Path, page: str) -> None:
     with written_whole(path) as beside:
         # Blender's names may hold bytes that are no text; they must not cost the user the report.
         beside.write_bytes(page.encode("utf-8", errors="replace"))
-
-
-def section(anchor: str, title: str, content: str) -> str:
-    """A part of the page that links can go to."""
-    return f'<section id="{anchor}"><h2>{title}</h2>{content}</section>'
-
-
-def link(anchor: str, title: str) -> str:
-    return f'<a href="#{anchor}">{title}</a>'
 
 
 def block(title: str, content: str) -> str:

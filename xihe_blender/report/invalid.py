@@ -1,4 +1,4 @@
-"""What was invalid in the run, and why? One short table that is always there, and what it does not list in one line.
+"""Invalid data of a run, and why: one short table that is always there, and what it does not list in one line.
 
 Pixels are those of the phone's frames, points those that a probe samples: a pixel without a plane depth is left out at
 every probe, so reasons that pixels have are told once, as pixels.
@@ -10,19 +10,9 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from xihe_blender.report.timeline import Timeline, is_active, number, probe_name
-from xihe_blender.report.values import (
-    DASH,
-    code,
-    escape,
-    finite,
-    finite_only,
-    frames_told,
-    items,
-    listed,
-    mapping,
-    percent,
-)
-from xihenet.invalid import CLAMPED, LEFT_OUT, UNKNOWN, in_words
+from xihe_blender.report.values import code, escape, finite, finite_only, items, mapping
+from xihenet.formats import DASH, format_frames, format_list, format_percent
+from xihenet.invalid import CLAMPED, LEFT_OUT, UNKNOWN, format_reason
 
 HEAD = ("what", "how many", "why", "what became of it")
 _UNDEFINED = {
@@ -47,7 +37,7 @@ def invalid_rows(results: Mapping[str, Any]) -> list[list[str]]:
     return rows
 
 
-def undefined_in_words(metric: str) -> str:
+def format_undefined(metric: str) -> str:
     """When a metric of the comparison has no value: "is undefined where ..."."""
     return _UNDEFINED.get(metric, "is undefined where no pixel of an object is seen")
 
@@ -55,7 +45,7 @@ def undefined_in_words(metric: str) -> str:
 def _comparison_rows(counts: Mapping[str, Any]) -> list[list[str]]:
     """Metrics without a value in a frame, and pixels without a hue."""
     rows = [
-        [code(name), _counted(n, "time"), f"it {undefined_in_words(name)}", "left out of the mean over frames"]
+        [code(name), _counted(n, "time"), f"it {format_undefined(name)}", "left out of the mean over frames"]
         for name, n in mapping(counts, "metrics").items()
     ]
     hue = "black in its picture or in the ground truth, so there is no hue"
@@ -67,12 +57,12 @@ def _comparison_rows(counts: Mapping[str, Any]) -> list[list[str]]:
 
 def _counted(n: Any, noun: str = "") -> str:
     many = finite(n)
-    told = DASH if many is None else f"{many:,.0f}"
-    return f"{told} {noun}{'' if many == 1 else 's'}" if noun else told
+    number = DASH if many is None else f"{many:,.0f}"
+    return f"{number} {noun}{'' if many == 1 else 's'}" if noun else number
 
 
 def _row(what: str, reason: str, n: Any, of_all: float | None, became: str) -> list[str]:
-    share = f" ({percent((finite(n) or 0.0) / of_all)})" if of_all else ""
+    share = f" ({format_percent((finite(n) or 0.0) / of_all)})" if of_all else ""
     if reason in CLAMPED:
         became = "used, but not as it came"
     return ["distances" if reason.startswith("distance_") else what, f"{_counted(n)}{share}", _why(reason), became]
@@ -81,7 +71,11 @@ def _row(what: str, reason: str, n: Any, of_all: float | None, became: str) -> l
 def _why(reason: str) -> str:
     if not reason:
         return "reason not recorded"
-    return escape(in_words(reason)) if reason in {**LEFT_OUT, **CLAMPED, **UNKNOWN} else f"{code(reason)} of the phone"
+    return (
+        escape(format_reason(reason))
+        if reason in {**LEFT_OUT, **CLAMPED, **UNKNOWN}
+        else f"{code(reason)} of the phone"
+    )
 
 
 def _n_pixels(results: Mapping[str, Any]) -> float | None:
@@ -100,15 +94,16 @@ def _light_rows(timeline: Timeline) -> list[list[str]]:
                 reason = str(probe.get("unknown_because") or "")
                 kept.setdefault((probe_name(probe), reason), []).append((number(frame), probe.get("light_frame")))
     return [
-        [f"light at {escape(name)}", escape(frames_told([n for n, _ in of_one])), _why(reason), _stayed(of_one)]
+        [f"light at {escape(name)}", escape(format_frames([n for n, _ in of_one])), _why(reason), _stayed(of_one)]
         for (name, reason), of_one in kept.items()
     ]
 
 
 def _stayed(frames_and_sources: Iterable[tuple[int, Any]]) -> str:
     sources = dict.fromkeys(source for _, source in frames_and_sources)
-    told = ["the ambient light stood in" if s is None else f"the light of frame {escape(s)} stayed" for s in sources]
-    return listed(told)
+    return format_list(
+        ["the ambient light stood in" if s is None else f"the light of frame {escape(s)} stayed" for s in sources]
+    )
 
 
 def is_kept(probe: Mapping[str, Any]) -> bool:
@@ -116,7 +111,7 @@ def is_kept(probe: Mapping[str, Any]) -> bool:
     return probe.get("is_valid") is False
 
 
-def kept_in_words(probe: Mapping[str, Any]) -> str:
+def format_kept(probe: Mapping[str, Any]) -> str:
     """Why the last light was kept: ", last light kept: no surface was seen from there"; empty where it was not."""
     return f", last light kept: {_why(str(probe.get('unknown_because') or ''))}" if is_kept(probe) else ""
 
@@ -137,6 +132,6 @@ def invalid_otherwise(results: Mapping[str, Any]) -> str:
             not {**mapping(counts, "metrics"), **mapping(counts, "hues")},
         ),
     ]
-    told = [words for words, is_so in sound if is_so]
-    all_is = " Nothing was invalid." if len(told) == len(sound) else ""
-    return f"{listed(told).capitalize()}.{all_is}" if told else ""
+    true = [words for words, is_so in sound if is_so]
+    all_is = " Nothing was invalid." if len(true) == len(sound) else ""
+    return f"{format_list(true).capitalize()}.{all_is}" if true else ""

@@ -1,4 +1,4 @@
-"""What did the run show? One self-contained HTML page: pictures first, then plots, then numbers.
+"""Report of a run: one self-contained HTML page, pictures first, then plots, then numbers.
 
 It works from results.json and the pictures beside it alone, never from Blender, so that a report can be written again
 on another machine. The same results and pictures give the same bytes. Rejected: a page that loads its pictures from
@@ -12,28 +12,13 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from xihe_blender.io.outputs import RunOutputs
-from xihe_blender.report.document import document, link, section, write_document
+from xihe_blender.report.document import SCRIPT, document, write_document
 from xihe_blender.report.pictures import pictures_section
 from xihe_blender.report.plots import plots_section
-from xihe_blender.report.script import SCRIPT
 from xihe_blender.report.tables import numbers_section
 from xihe_blender.report.timeline import Timeline, fired_probes, is_active
-from xihe_blender.report.values import (
-    DASH,
-    byte_size,
-    closeness,
-    closeness_in_words,
-    code,
-    counted,
-    escape,
-    finite,
-    finite_only,
-    items,
-    mapping,
-    percent,
-    significant,
-    with_unit,
-)
+from xihe_blender.report.values import closeness, code, escape, finite, finite_only, format_closeness, items, mapping
+from xihenet.formats import DASH, format_bytes, format_count, format_number, format_percent, format_quantity
 
 SCHEMA_VERSION = 1
 
@@ -71,10 +56,9 @@ def report_page(results: Mapping[str, Any], outputs: RunOutputs) -> str:
     ]
     return document(
         escape(name),
-        f'<p class="lead">{result_in_words(results)}</p>{_key_figures(results)}',
-        "".join(section(*each) for each in sections),
+        f'<p class="lead">{format_result(results)}</p>{_key_figures(results)}',
+        sections,
         title=f"{escape(name)}: lighting previsualisation",
-        links="".join(link(anchor, title) for anchor, title, _ in sections),
         script=SCRIPT,
     )
 
@@ -87,20 +71,22 @@ def _scene_name(results: Mapping[str, Any], outputs: RunOutputs) -> str:
 # ------------------------------------------------------------------------------------------- the result in words
 
 
-def result_in_words(results: Mapping[str, Any]) -> str:
+def format_result(results: Mapping[str, Any]) -> str:
     """What the run showed, in two or three plain sentences of HTML."""
     return " ".join(filter(None, [_what_was_done(results), _how_close(results), _how_close_truth(results)]))
 
 
 def _what_was_done(results: Mapping[str, Any]) -> str:
     frames = Timeline.of(results).frames
-    told = finite(mapping(results, "summary").get("n_estimates"))
-    n_estimates = sum(len(fired_probes(frame)) for frame in frames) if told is None else round(told)
-    sentence = f"Over {counted(len(frames), 'frame')} the phone made {counted(n_estimates, 'estimate')}"
+    known = finite(mapping(results, "summary").get("n_estimates"))
+    n_estimates = sum(len(fired_probes(frame)) for frame in frames) if known is None else round(known)
+    sentence = f"Over {format_count(len(frames), 'frame')} the phone made {format_count(n_estimates, 'estimate')}"
     if n_estimates == 0 and not any(map(is_active, frames)):
         return f"{sentence}: no probe was in view."
     n_objects = len(items(mapping(results, "scene"), "virtual_objects"))
-    return f"{sentence} of the light around {counted(n_objects, 'virtual object')}." if n_objects else f"{sentence}."
+    return (
+        f"{sentence} of the light around {format_count(n_objects, 'virtual object')}." if n_objects else f"{sentence}."
+    )
 
 
 def _how_close(results: Mapping[str, Any]) -> str:
@@ -112,12 +98,12 @@ def _how_close(results: Mapping[str, Any]) -> str:
     if own is None:
         return f"{lit} could not be measured against the ground truth."
     if estimator == "ambient" or ambient is None:
-        return f"{lit} differ from the ground truth by an rmse of {significant(own)}."
+        return f"{lit} differ from the ground truth by an rmse of {format_number(own)}."
     if ambient == 0:
         ending = "match the ground truth exactly, as they do" if own == 0 else "miss the ground truth, which they match"
         return f"{lit} {ending} with <code>ambient</code>."
-    words = closeness_in_words(1.0 - own / ambient)
-    numbers = f"rmse {significant(own)} against {significant(ambient)}"
+    words = format_closeness(1.0 - own / ambient)
+    numbers = f"rmse {format_number(own)} against {format_number(ambient)}"
     return f"{lit} are {words} {_joint(words)} with <code>ambient</code> ({numbers})."
 
 
@@ -134,20 +120,20 @@ def _how_close_truth(results: Mapping[str, Any]) -> str:
     closer = closeness(mapping(results, "comparison"), "truth")
     if closer is None or mapping(results, "settings").get("estimator") == "truth":
         return ""
-    return f"The rendered light probe itself, {code('truth')}, is {closeness_in_words(closer)}."
+    return f"The rendered light probe itself, {code('truth')}, is {format_closeness(closer)}."
 
 
 def _key_figures(results: Mapping[str, Any]) -> str:
     summary, frames = mapping(results, "summary"), Timeline.of(results).frames
     n_estimates = finite(summary.get("n_estimates"))
     payload = sum(finite_only(p.get("payload_bytes") for f in frames for p in items(f, "probes")))
-    estimates = f"estimate{'' if n_estimates == 1 else 's'} in {counted(len(frames), 'frame')}"
+    estimates = f"estimate{'' if n_estimates == 1 else 's'} in {format_count(len(frames), 'frame')}"
     figures = [
         (DASH if n_estimates is None else f"{n_estimates:.0f}", estimates),
         _error_figure(summary),
         _closeness_figure(results),
-        (with_unit(finite(summary.get("mean_step_ms")), "ms"), "mean time of one step, without rendering"),
-        (byte_size(payload), "sent to the estimator in all"),
+        (format_quantity(finite(summary.get("mean_step_ms")), "ms"), "mean time of one step, without rendering"),
+        (format_bytes(payload), "sent to the estimator in all"),
         _render_figure(summary),
     ]
     shown = "".join(f"<div><dt>{label}</dt><dd>{value}</dd></div>" for value, label in figures)
@@ -156,19 +142,19 @@ def _key_figures(results: Mapping[str, Any]) -> str:
 
 def _error_figure(summary: Mapping[str, Any]) -> tuple[str, str]:
     ambient = finite(summary.get("ambient_shc_rmse"))
-    against = "" if ambient is None else f"; {significant(ambient)} with <code>ambient</code>"
-    return significant(finite(summary.get("mean_shc_rmse"))), f"mean coefficient error (SHC RMSE){against}"
+    against = "" if ambient is None else f"; {format_number(ambient)} with <code>ambient</code>"
+    return format_number(finite(summary.get("mean_shc_rmse"))), f"mean coefficient error (SHC RMSE){against}"
 
 
 def _closeness_figure(results: Mapping[str, Any]) -> tuple[str, str]:
     closer = closeness(mapping(results, "comparison"), str(mapping(results, "settings").get("estimator")))
     rounded = round(closer or 0.0, 3)
     direction = "further from" if rounded < 0 else "closer to"
-    value = DASH if closer is None else percent(abs(rounded))
+    value = DASH if closer is None else format_percent(abs(rounded))
     return value, f"{direction} the ground truth than <code>ambient</code> (rmse)"
 
 
 def _render_figure(summary: Mapping[str, Any]) -> tuple[str, str]:
     overhead = finite(summary.get("overhead_share"))
-    around = "" if overhead is None else f", and {percent(overhead)} of work around it"
-    return with_unit(finite(summary.get("render_s")), "s"), f"of rendering{around}"
+    around = "" if overhead is None else f", and {format_percent(overhead)} of work around it"
+    return format_quantity(finite(summary.get("render_s")), "s"), f"of rendering{around}"

@@ -1,4 +1,4 @@
-"""Which pictures does the report show, and how can two of them be compared?
+"""Pictures of the report: which frames are shown, and how two pictures of one are compared.
 
 Each chosen frame is a strip of pictures; radio buttons before the strips choose one, so that it works without
 JavaScript and with the arrow keys. The wipe borrows the strips' pictures and appears only where JavaScript runs.
@@ -14,31 +14,22 @@ from typing import Any
 
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.report.document import png_url
-from xihe_blender.report.invalid import is_kept, kept_in_words
+from xihe_blender.report.invalid import format_kept, is_kept
 from xihe_blender.report.timeline import (
     KEPT,
     Timeline,
     fired_probes,
+    format_moment,
+    format_trigger,
     is_active,
-    moment_in_words,
     number,
     probe_name,
-    reason_icon,
-    reason_in_words,
     reason_of,
+    reason_shape,
 )
-from xihe_blender.report.values import (
-    code,
-    counted,
-    escape,
-    finite,
-    items,
-    listed,
-    mapping,
-    number_runs,
-    percent,
-    significant,
-)
+from xihe_blender.report.values import code, escape, finite, items, mapping
+from xihenet.formats import format_count, format_list, format_number, format_percent, format_runs
+from xihenet.svg import icon
 
 MAX_FRAMES = 16
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -133,7 +124,9 @@ def kind_label(kind: str) -> str:
 def _kind_meaning(kind: str, error_full_scale: float | None) -> str:
     if _is_error(kind):
         scale = (
-            "" if error_full_scale is None else f": black is none, the brightest {percent(error_full_scale)} or more"
+            ""
+            if error_full_scale is None
+            else f": black is none, the brightest {format_percent(error_full_scale)} or more"
         )
         return f"Difference between {code(kind.removeprefix('error_'))} and the ground truth, in sRGB{scale}."
     if kind == "captured":
@@ -165,7 +158,7 @@ def _scrubber(chosen: Sequence[Frame]) -> str:
     labels = ""
     for index, frame in enumerate(chosen):
         reasons = dict.fromkeys(map(reason_of, fired_probes(frame)))
-        icons = "".join(map(reason_icon, reasons))
+        icons = "".join(icon(reason_shape(reason)) for reason in reasons)
         labels += f'<label for="f{index}"><span class="icons">{icons}</span>{number(frame)}</label>'
     return f'<div class="scrubber"><span class="scrubber-name">Frame</span>{labels}</div>'
 
@@ -176,7 +169,7 @@ def _scrubber(chosen: Sequence[Frame]) -> str:
 def _strip(index: int, frame: Frame, meanings: Mapping[str, str], outputs: RunOutputs) -> str:
     shown = [kind for kind in meanings if is_compared(frame) or kind in mapping(frame, "pictures")]
     figures = "".join(_figure(frame, kind, meanings[kind], outputs) for kind in shown)
-    heading = moment_in_words(frame)
+    heading = format_moment(frame)
     return (
         f'<article class="moment" id="m{index}"><h3>{heading[0].upper()}{heading[1:]}</h3>'
         f'<p class="quiet">{_what_happened(frame)}</p><div class="strip">{figures}</div></article>'
@@ -187,9 +180,11 @@ def _what_happened(frame: Frame) -> str:
     sentences = []
     for reason in dict.fromkeys(map(reason_of, fired_probes(frame))):
         names = [escape(probe_name(probe)) for probe in fired_probes(frame) if reason_of(probe) == reason]
-        sentences.append(f"{reason_icon(reason)} Estimate made for {listed(names)}: {reason_in_words(reason)}.")
+        sentences.append(
+            f"{icon(reason_shape(reason))} Estimate made for {format_list(names)}: {format_trigger(reason)}."
+        )
     for probe in filter(is_kept, items(frame, "probes")):
-        sentences.append(f"{reason_icon(KEPT)} {escape(probe_name(probe))}{kept_in_words(probe)}.")
+        sentences.append(f"{icon(reason_shape(KEPT))} {escape(probe_name(probe))}{format_kept(probe)}.")
     if not is_active(frame):
         sentences.append("No probe in view.")
     elif not sentences:
@@ -205,7 +200,7 @@ def _figure(frame: Frame, kind: str, meaning: str, outputs: RunOutputs) -> str:
         escape(name[0].upper() + name[1:]) if kind in ("captured", "ground_truth") or _is_error(kind) else code(name)
     )
     rmse = finite(mapping(mapping(frame, "comparison"), kind).get("rmse"))
-    figure = "" if rmse is None else f' <span class="figure-number">rmse {significant(rmse)}</span>'
+    figure = "" if rmse is None else f' <span class="figure-number">rmse {format_number(rmse)}</span>'
     picture = _embedded(frame, kind, outputs)
     return (
         f"<figure>{picture}<figcaption><strong>{title}</strong>{figure}"
@@ -276,8 +271,9 @@ def _left_out(frames: Sequence[Frame], chosen: Sequence[Frame]) -> str:
     if not others:
         return ""
     return (
-        f'<p class="quiet">{counted(len(chosen), "frame")} shown here. Pictures of {counted(len(others), "more frame")}'
-        f" are files beside this page, in {code('pictures/')}: {number_runs(others)}.</p>"
+        f'<p class="quiet">{format_count(len(chosen), "frame")} shown here. Pictures of '
+        f"{format_count(len(others), 'more frame')} are files beside this page, in {code('pictures/')}: "
+        f"{format_runs(others)}.</p>"
     )
 
 
@@ -294,4 +290,4 @@ def _missing(frames: Sequence[Frame], outputs: RunOutputs) -> str:
     named = [code(path) for path in missing[:_SHOWN_MISSING]]
     if len(missing) > _SHOWN_MISSING:
         named.append(f"{len(missing) - _SHOWN_MISSING} more")
-    return f'<p class="warning">{counted(len(missing), "picture").capitalize()} missing: {listed(named)}.</p>'
+    return f'<p class="warning">{format_count(len(missing), "picture").capitalize()} missing: {format_list(named)}.</p>'

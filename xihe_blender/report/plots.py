@@ -1,4 +1,4 @@
-"""What happened frame by frame? Five plots: coefficient error, change, coverage, milliseconds, payload.
+"""Plots of what happened frame by frame: coefficient error, change, coverage, milliseconds, payload.
 
 Null values are gaps, a value between two gaps is a dot, frames without a probe in view are shaded. Each mark has one
 shape per reason for which an estimate was made. Hovering a frame's column names its values.
@@ -12,36 +12,31 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from xihe_blender.report.invalid import is_kept, kept_in_words
-from xihe_blender.report.svg import HEIGHT_PX, Axis, axis_up_to, curve, mark, plot, stretched
+from xihe_blender.report.invalid import format_kept, is_kept
 from xihe_blender.report.timeline import (
     KEPT,
     REASONS,
     Timeline,
     fired_probes,
-    moment_in_words,
+    format_moment,
+    format_trigger,
+    is_active,
+    number,
     probe_in,
     probe_name,
-    reason_icon,
-    reason_in_words,
     reason_of,
+    reason_shape,
     series_class,
 )
-from xihe_blender.report.values import (
-    byte_size,
-    escape,
-    finite,
-    finite_only,
-    items,
-    mapping,
-    percent,
-    significant,
-    with_unit,
-)
+from xihe_blender.report.values import escape, finite, finite_only, items, mapping
+from xihenet import svg
+from xihenet.formats import format_bytes, format_number, format_percent, format_quantity
+from xihenet.svg import HEIGHT_PX, Axis, linear_axis
 
 STAGES = ("unproject", "sample", "merge", "trigger", "encode", "estimate")
 LANE_PX = 15
 _WIDEST_BAR_PERCENT = 10.0
+_MANY_FRAMES = 80
 _ABSOLUTE = "Mean squared difference of sRGB colour."
 _RELATIVE = (
     "Divided by the threshold that decided. The change is the mean squared difference of sRGB colour or, where coverage"
@@ -59,9 +54,9 @@ CHAIN = {
     "apply": "the virtual objects are lit by them",
     "compare": "and set beside the path-traced ground truth",
 }
-_CHAIN_TOLD = (
+_CHAIN_LISTED = (
     '<details class="chain"><summary>The stages of the chain, in order</summary><ol>'
-    + "".join(f"<li><b>{stage}</b>: {told}</li>" for stage, told in CHAIN.items())
+    + "".join(f"<li><b>{stage}</b>: {words}</li>" for stage, words in CHAIN.items())
     + "</ol></details>"
 )
 
@@ -73,21 +68,21 @@ def plots_section(results: Mapping[str, Any]) -> str:
         return "<p>The results hold no frame, so there is nothing to plot.</p>"
     plots = [_error_plot(timeline, results), _change_plot(timeline), _coverage_plot(timeline)]
     plots += [_stage_plot(timeline), _payload_plot(timeline)]
-    return f'{_shared_legend(timeline)}<div class="plots">{"".join(plots)}</div>{_CHAIN_TOLD}'
+    return f'{_shared_legend(timeline)}<div class="plots">{"".join(plots)}</div>{_CHAIN_LISTED}'
 
 
 def _shared_legend(timeline: Timeline) -> str:
     entries = [
-        f'<li>{_line_icon(series_class(i))}<b class="key">{i + 1}</b> {escape(name)}</li>'
+        f'{_line_icon(f"line {series_class(i)}")}<b class="key">{i + 1}</b> {escape(name)}'
         for i, name in enumerate(timeline.probe_names)
     ]
     reasons = sorted({reason_of(p) for f in timeline.frames for p in fired_probes(f)}, key=_reason_order)
-    entries += [f"<li>{reason_icon(reason)} estimate made: {reason_in_words(reason)}</li>" for reason in reasons]
+    entries += [f"{svg.icon(reason_shape(reason))} estimate made: {format_trigger(reason)}" for reason in reasons]
     if any(is_kept(probe) for frame in timeline.frames for probe in items(frame, "probes")):
-        entries.append(f"<li>{reason_icon(KEPT)} light could not be known: the last one stays</li>")
+        entries.append(f"{svg.icon(reason_shape(KEPT))} light could not be known: the last one stays")
     if timeline.inactive_spans():
-        entries.append('<li><span class="shade-icon"></span> no probe in view</li>')
-    return f'<ul class="legend">{"".join(entries)}</ul>'
+        entries.append('<span class="shade-icon"></span> no probe in view')
+    return svg.legend(entries)
 
 
 def _reason_order(reason: str) -> tuple[int, str]:
@@ -96,72 +91,122 @@ def _reason_order(reason: str) -> tuple[int, str]:
 
 
 def _line_icon(classes: str) -> str:
-    line = f'<line class="line {classes}" x1="1" y1="6" x2="33" y2="6"/>'
+    line = f'<line class="{classes}" x1="1" y1="6" x2="33" y2="6"/>'
     return f'<svg class="line-icon" viewBox="0 0 34 12" aria-hidden="true">{line}</svg>'
 
 
+# ------------------------------------------------------------------------------------------- what all plots have
+
+
+def plot(
+    timeline: Timeline, axis: Axis, drawing: str, hover: Sequence[str], *, title: str, about: str, below: str = ""
+) -> str:
+    """One plot: heading, explanation, drawing with axes, and a column per frame that tells its values.
+
+    `title`, `about` and `below` are HTML; `hover` holds escaped text, one entry per frame.
+    """
+    shades = "".join(
+        f'<rect class="shade" x="{left:.3f}%" y="0" width="{right - left:.3f}%" height="{HEIGHT_PX}"/>'
+        for left, right in timeline.inactive_spans()
+    )
+    why_empty = "no value in any frame" if any(map(is_active, timeline.frames)) else "no probe in view in any frame"
+    empty = "" if drawing else f'<text class="empty" x="50%" y="{HEIGHT_PX / 2}">{why_empty}</text>'
+    body = shades + svg.grid_across(axis) + _frame_axis(timeline) + drawing + empty + _columns(timeline, hover)
+    return svg.figure(body, title=title, about=about, label=f"{title}, per frame", below=below)
+
+
+def _frame_axis(timeline: Timeline) -> str:
+    """Round frame numbers below the plot, and the axis' name."""
+    first, last = number(timeline.frames[0]), number(timeline.frames[-1])
+    step = max(1, round(svg.nice_step(max(1, last - first), 6)))
+    ticks = [first] if first == last else list(range(math.ceil(first / step) * step, last + 1, step))
+    half = timeline.bar_percent / 2
+    places = [50.0 if first == last else half + (100 - 2 * half) * (t - first) / (last - first) for t in ticks]
+    return svg.axis_below(places, map(str, ticks), "frame")
+
+
+def _columns(timeline: Timeline, hover: Sequence[str]) -> str:
+    columns = []
+    for index, (frame, words) in enumerate(zip(timeline.frames, hover, strict=True)):
+        left, right = timeline.edges_percent[index : index + 2]
+        words = words if is_active(frame) or words else "no probe in view"
+        columns.append(
+            f'<rect class="column" x="{left:.3f}%" y="0" width="{right - left:.3f}%" height="{HEIGHT_PX}">'
+            f"<title>{format_moment(frame)}\n{words}</title></rect>"
+        )
+    return '<line class="now" y1="0" y2="100%"/>' + "".join(columns)
+
+
 def _curves(timeline: Timeline, axis: Axis, key: str) -> str:
-    return "".join(
-        curve(timeline, axis, timeline.values(name, key), series_class(i))
+    """A line per probe, dots where they help, and marks where an estimate was made."""
+    lines = "".join(
+        _curve(timeline, [None if v is None else axis.y(v) for v in timeline.values(name, key)], series_class(i))
         for i, name in enumerate(timeline.probe_names)
+    )
+    marks = "".join(
+        _mark(timeline, x, axis.y(value), probe)
+        for x, frame in zip(timeline.centres_percent, timeline.frames, strict=True)
+        for probe in fired_probes(frame)
+        if (value := finite(probe.get(key))) is not None
+    )
+    return lines + marks
+
+
+def _curve(timeline: Timeline, heights: Sequence[float | None], classes: str) -> str:
+    """With gaps at None, and dots where frames are few or a value lies between two gaps."""
+    points = [None if y is None else (x, y) for x, y in zip(timeline.centres_percent, heights, strict=True)]
+    dots = ""
+    for before, point, after in zip([None, *points], points, [*points[1:], None], strict=False):
+        is_alone = before is None and after is None
+        if point is not None and (is_alone or len(points) <= _MANY_FRAMES):
+            dots += svg.dot(*point, f"dot {classes}", radius=3 if is_alone else 2.2)
+    return svg.line(points, classes) + dots
+
+
+def _mark(timeline: Timeline, x: float, y: float, probe: Mapping[str, Any], reason: str = "", words: str = "") -> str:
+    """In the probe's colour, in the shape of why its estimate was made."""
+    index = timeline.probe_names.index(probe_name(probe))
+    return svg.mark(x, y, reason_shape(reason or reason_of(probe)), f"mark {series_class(index)}", words)
+
+
+def _hover(timeline: Timeline, describe: Callable[[Mapping[str, Any]], str]) -> list[str]:
+    """Per frame one line for each probe in view: its key, its name, what `describe` says, whether one was made."""
+    return [
+        "\n".join(
+            f"{index + 1} {escape(name)}: {describe(probe)}{_format_fired(probe)}"
+            for index, name in enumerate(timeline.probe_names)
+            if (probe := probe_in(frame, name))
+        )
+        for frame in timeline.frames
+    ]
+
+
+def _format_fired(probe: Mapping[str, Any]) -> str:
+    made = f", estimate made: {format_trigger(reason_of(probe))}" if probe.get("fired") else ""
+    return made + format_kept(probe)
+
+
+def _limit(axis: Axis, value: float, words: str) -> tuple[str, str]:
+    """A dashed line across at `value`, and its legend."""
+    return svg.straight(0, axis.y(value), 100, axis.y(value), "limit"), svg.legend(
+        [f"{_line_icon('limit')}<span>{words}</span>"]
     )
 
 
-def _fired_marks(timeline: Timeline, axis: Axis, key: str) -> str:
-    """Marks on the curves where an estimate was made."""
-    marks = ""
-    for index, frame in enumerate(timeline.frames):
-        for probe in fired_probes(frame):
-            value = finite(probe.get(key))
-            if value is not None:
-                place = timeline.probe_names.index(probe_name(probe))
-                marks += mark(
-                    timeline.centres_percent[index], axis.y(value), reason_of(probe), classes=series_class(place)
-                )
-    return marks
-
-
-def _hover(timeline: Timeline, tell: Callable[[Mapping[str, Any]], str | None]) -> list[str]:
-    """Per frame one line for each probe in view: its key, its name and what `tell` says of it."""
-    words = []
-    for frame in timeline.frames:
-        lines = [
-            f"{place + 1} {escape(name)}: {told}"
-            for place, name in enumerate(timeline.probe_names)
-            if (probe := probe_in(frame, name)) and (told := tell(probe)) is not None
-        ]
-        words.append("\n".join(lines))
-    return words
-
-
-def _fired_in_words(probe: Mapping[str, Any]) -> str:
-    made = f", estimate made: {reason_in_words(reason_of(probe))}" if probe.get("fired") else ""
-    return made + kept_in_words(probe)
+# ------------------------------------------------------------------------------------------------------ the plots
 
 
 def _error_plot(timeline: Timeline, results: Mapping[str, Any]) -> str:
     ambient = finite(mapping(results, "summary").get("ambient_shc_rmse"))
     known = [v for name in timeline.probe_names for v in finite_only(timeline.values(name, "shc_rmse"))]
-    axis = axis_up_to(max([*known, ambient or 0.0]))
-    drawing = _curves(timeline, axis, "shc_rmse") + _fired_marks(timeline, axis, "shc_rmse")
-    legend = ""
+    axis = linear_axis(0, max([*known, ambient or 0.0]))
+    drawing, below = _curves(timeline, axis, "shc_rmse"), ""
     if drawing and ambient is not None:
-        drawing = _limit_line(axis, ambient) + drawing
-        legend = _limit_legend(f"<code>ambient</code>, mean over the run: {significant(ambient)}")
-    hover = _hover(timeline, lambda p: significant(finite(p.get("shc_rmse"))) + _fired_in_words(p))
+        limit, below = _limit(axis, ambient, f"<code>ambient</code>, mean over the run: {format_number(ambient)}")
+        drawing = limit + drawing
+    hover = _hover(timeline, lambda p: format_number(finite(p.get("shc_rmse"))))
     about = "SHC RMSE between the coefficients in force and the rendered light probe. No unit; 0 is a perfect estimate."
-    return plot(timeline, axis, drawing, hover, title="Coefficient error", about=about, legend=legend)
-
-
-def _limit_line(axis: Axis, value: float) -> str:
-    y = f"{axis.y(value):.2f}"
-    return f'<line class="limit" x1="0" x2="100%" y1="{y}" y2="{y}"/>'
-
-
-def _limit_legend(words: str) -> str:
-    line = '<line class="limit" x1="1" y1="6" x2="33" y2="6"/>'
-    icon = f'<svg class="line-icon" viewBox="0 0 34 12" aria-hidden="true">{line}</svg>'
-    return f'<ul class="legend"><li>{icon}<span>{words}</span></li></ul>'
+    return plot(timeline, axis, drawing, hover, title="Coefficient error", about=about, below=below)
 
 
 def _change_plot(timeline: Timeline) -> str:
@@ -169,19 +214,19 @@ def _change_plot(timeline: Timeline) -> str:
     probes = [probe for frame in timeline.frames for probe in items(frame, "probes")]
     thresholds = sorted(set(finite_only(probe.get("threshold") for probe in probes)))
     is_relative = len(thresholds) > 1
-    limit = 1.0 if is_relative else next(iter(thresholds), None)
+    threshold = 1.0 if is_relative else next(iter(thresholds), None)
     shown = _with_shown_change(timeline, is_relative=is_relative)
     known = [v for name in shown.probe_names for v in finite_only(shown.values(name, "shown_change"))]
-    axis = axis_up_to(max([*known, 1.05 * (limit or 0.0)]))
-    drawing = _curves(shown, axis, "shown_change") + _fired_marks(shown, axis, "shown_change")
-    legend = _lanes(timeline)
-    if probes and limit is not None:
-        drawing = _limit_line(axis, limit) + drawing
-        legend += _limit_legend("threshold" if is_relative else f"threshold {significant(limit)}")
+    axis = linear_axis(0, max([*known, 1.05 * (threshold or 0.0)]))
+    drawing, below = _curves(shown, axis, "shown_change"), _lanes(timeline)
+    if probes and threshold is not None:
+        words = "threshold" if is_relative else f"threshold {format_number(threshold)}"
+        limit, legend = _limit(axis, threshold, words)
+        drawing, below = limit + drawing, below + legend
     rows = "The rows below tell when and why an estimate was made, or could not be."
     about = f"{_RELATIVE if is_relative else _ABSOLUTE} {rows}"
-    title, hover = "Change against the trigger threshold", _hover(timeline, _change_in_words)
-    return plot(timeline, axis, drawing, hover, title=title, about=about, legend=legend)
+    title = "Change against the trigger threshold"
+    return plot(timeline, axis, drawing, _hover(timeline, _format_change), title=title, about=about, below=below)
 
 
 def _with_shown_change(timeline: Timeline, *, is_relative: bool) -> Timeline:
@@ -198,10 +243,10 @@ def _with_shown_change(timeline: Timeline, *, is_relative: bool) -> Timeline:
     return replace(timeline, frames=frames)
 
 
-def _change_in_words(probe: Mapping[str, Any]) -> str:
+def _format_change(probe: Mapping[str, Any]) -> str:
     change, threshold = finite(probe.get("change")), finite(probe.get("threshold"))
-    words = "no change to compare" if change is None else f"change {significant(change)}"
-    return words + ("" if threshold is None else f", threshold {significant(threshold)}") + _fired_in_words(probe)
+    words = "no change to compare" if change is None else f"change {format_number(change)}"
+    return words + ("" if threshold is None else f", threshold {format_number(threshold)}")
 
 
 def _lanes(timeline: Timeline) -> str:
@@ -209,42 +254,36 @@ def _lanes(timeline: Timeline) -> str:
     if not any(p.get("fired") or is_kept(p) for frame in timeline.frames for p in items(frame, "probes")):
         return ""
     rows = ""
-    for place, name in enumerate(timeline.probe_names):
-        y = LANE_PX * (place + 0.5)
-        rows += f'<text class="tick-y" x="-8" y="{y}">{place + 1}</text>'
-        rows += f'<line class="grid" x1="0" x2="100%" y1="{y}" y2="{y}"/>'
+    for index, name in enumerate(timeline.probe_names):
+        y = LANE_PX * (index + 0.5)
+        rows += f'<text class="tick-y" x="-8" y="{y}">{index + 1}</text>{svg.straight(0, y, 100, y, "grid")}'
         for x, frame in zip(timeline.centres_percent, timeline.frames, strict=True):
             probe = probe_in(frame, name)
             if probe.get("fired") or is_kept(probe):
-                told = (reason_in_words(reason_of(probe)) if probe.get("fired") else "no estimate") + kept_in_words(
-                    probe
-                )
-                words = f"{moment_in_words(frame)}\n{escape(name)}: {told}"
-                rows += mark(
-                    x, y, KEPT if is_kept(probe) else reason_of(probe), classes=series_class(place), words=words
-                )
+                made = format_trigger(reason_of(probe)) if probe.get("fired") else "no estimate"
+                words = f"{format_moment(frame)}\n{escape(name)}: {made}{format_kept(probe)}"
+                rows += _mark(timeline, x, y, probe, KEPT if is_kept(probe) else "", words)
     height = LANE_PX * len(timeline.probe_names)
     return f'<svg class="lanes" role="img" aria-label="Estimates made, a row per probe" height="{height}">{rows}</svg>'
 
 
 def _coverage_plot(timeline: Timeline) -> str:
-    axis = Axis(1.0, (0.0, 0.25, 0.5, 0.75, 1.0), percent)
-    drawing = _curves(timeline, axis, "coverage") + _fired_marks(timeline, axis, "coverage")
-    hover = _hover(timeline, lambda p: percent(finite(p.get("coverage"))) + _fired_in_words(p))
+    axis = Axis(0.0, 1.0, (0.0, 0.25, 0.5, 0.75, 1.0), format_percent)
+    hover = _hover(timeline, lambda p: format_percent(finite(p.get("coverage"))))
     about = "Share of the directions around the probe that the camera has seen. The rest has to be guessed."
-    return plot(timeline, axis, drawing, hover, title="Coverage", about=about)
+    return plot(timeline, axis, _curves(timeline, axis, "coverage"), hover, title="Coverage", about=about)
 
 
 def _stage_plot(timeline: Timeline) -> str:
     """Stacked bars. A frame that towers over the others is cut off, marked and named, or it would flatten them all."""
     stages = [[finite(mapping(f, "stage_ms").get(stage)) or 0.0 for stage in STAGES] for f in timeline.frames]
     totals = [sum(values) for values in stages]
-    axis = axis_up_to(_shown_up_to(totals))
+    axis = linear_axis(0, _shown_up_to(totals))
     bars = _stacked_bars(timeline, axis, stages)
-    drawing = stretched(bars) + _cut_off_marks(timeline, axis, totals) if bars else ""
+    drawing = svg.stretched(bars) + _cut_off_marks(timeline, axis, totals) if bars else ""
     about = "Milliseconds of the chain without rendering, all probes together; stacked as listed, from the bottom up."
-    hover, legend = _stage_hover(timeline), _stage_legend(timeline)
-    return plot(timeline, axis, drawing, hover, title="Time per stage", about=about, legend=legend)
+    hover, below = _stage_hover(timeline), _stage_legend(timeline)
+    return plot(timeline, axis, drawing, hover, title="Time per stage", about=about, below=below)
 
 
 def _stacked_bars(timeline: Timeline, axis: Axis, stages: Sequence[Sequence[float]]) -> str:
@@ -253,13 +292,13 @@ def _stacked_bars(timeline: Timeline, axis: Axis, stages: Sequence[Sequence[floa
     half = 10 * min(0.4 * timeline.bar_percent, _WIDEST_BAR_PERCENT / 2)
     for x, values in zip(timeline.centres_percent, stages, strict=True):
         below = 0.0
-        for place, value in enumerate(values):
-            low, high = min(below, axis.top), min(below + value, axis.top)
+        for index, value in enumerate(values):
+            low, high = min(below, axis.high), min(below + value, axis.high)
             below += value
             if high > low:
                 height = axis.y(low) - axis.y(high)
-                paths[place] += f"M{10 * x - half:.2f} {axis.y(high):.2f}h{2 * half:.2f}v{height:.2f}h{-2 * half:.2f}Z"
-    return "".join(f'<path class="bar b{place}" d="{path}"/>' for place, path in enumerate(paths) if path)
+                paths[index] += f"M{10 * x - half:.2f} {axis.y(high):.2f}h{2 * half:.2f}v{height:.2f}h{-2 * half:.2f}Z"
+    return "".join(f'<path class="bar b{index}" d="{path}"/>' for index, path in enumerate(paths) if path)
 
 
 def _shown_up_to(totals: Sequence[float]) -> float:
@@ -274,9 +313,9 @@ def _shown_up_to(totals: Sequence[float]) -> float:
 def _cut_off_marks(timeline: Timeline, axis: Axis, totals: Sequence[float]) -> str:
     marks = ""
     for x, total in zip(timeline.centres_percent, totals, strict=True):
-        if total > axis.top:
+        if total > axis.high:
             side, shift = ("start", 8) if x < 50 else ("end", -8)
-            words = f'<text class="cut" x="{shift}" y="0" text-anchor="{side}">{with_unit(total, "ms")}</text>'
+            words = f'<text class="cut" x="{shift}" y="0" text-anchor="{side}">{format_quantity(total, "ms")}</text>'
             marks += (
                 f'<svg x="{x:.3f}%" y="-9" width="1" height="1"><path class="cut" d="M0-5L5 4L-5 4Z"/>{words}</svg>'
             )
@@ -287,46 +326,38 @@ def _stage_hover(timeline: Timeline) -> list[str]:
     words = []
     for frame in timeline.frames:
         known = [(stage, finite(mapping(frame, "stage_ms").get(stage))) for stage in STAGES]
-        lines = [f"{stage}: {with_unit(value, 'ms')}" for stage, value in known if value is not None]
-        total = with_unit(math.fsum(finite_only(value for _, value in known)), "ms")
+        lines = [f"{stage}: {format_quantity(value, 'ms')}" for stage, value in known if value is not None]
+        total = format_quantity(math.fsum(finite_only(value for _, value in known)), "ms")
         words.append("\n".join([*reversed(lines), f"together: {total}"]) if lines else "")
     return words
 
 
 def _stage_legend(timeline: Timeline) -> str:
-    entries = ""
-    for place, stage in enumerate(STAGES):
+    entries = []
+    for index, stage in enumerate(STAGES):
         known = finite_only(mapping(frame, "stage_ms").get(stage) for frame in timeline.frames)
-        told = f"median {with_unit(statistics.median(known), 'ms', 2)}" if known else "not measured"
-        entries += f'<li><span class="swatch b{place}"></span>{stage} <span class="quiet">{told}</span></li>'
-    return f'<ul class="legend">{entries}</ul>'
+        median = f"median {format_quantity(statistics.median(known), 'ms', 2)}" if known else "not measured"
+        entries.append(f'<span class="swatch b{index}"></span>{stage} <span class="quiet">{median}</span>')
+    return svg.legend(entries)
 
 
 def _payload_plot(timeline: Timeline) -> str:
     """A dot on a stem for each encoded cloud; nothing where none was sent."""
     sent = [
-        (x, place, size, probe)
+        (x, size, probe)
         for x, frame in zip(timeline.centres_percent, timeline.frames, strict=True)
-        for place, name in enumerate(timeline.probe_names)
+        for name in timeline.probe_names
         if (size := finite((probe := probe_in(frame, name)).get("payload_bytes")))
     ]
-    axis = _payload_axis(max((size for _, _, size, _ in sent), default=0.0))
-    drawing = "".join(
-        f'<line class="stem" x1="{x:.3f}%" x2="{x:.3f}%" y1="{HEIGHT_PX}" y2="{axis.y(size):.2f}"/>'
-        for x, _, size, _ in sent
-    ) + "".join(mark(x, axis.y(size), reason_of(probe), classes=series_class(place)) for x, place, size, probe in sent)
-    hover = _hover(timeline, _payload_in_words)
-    total = f"{byte_size(sum(size for _, _, size, _ in sent))} in all" if sent else "Nothing was sent"
+    largest = max((size for _, size, _ in sent), default=1000.0)
+    axis = linear_axis(0, largest, label=lambda size: f"{size:g} B" if largest < 1000 else f"{size / 1000:g} kB")
+    drawing = "".join(svg.straight(x, HEIGHT_PX, x, axis.y(size), "stem") for x, size, _ in sent)
+    drawing += "".join(_mark(timeline, x, axis.y(size), probe) for x, size, probe in sent)
+    total = f"{format_bytes(sum(size for _, size, _ in sent))} in all" if sent else "Nothing was sent"
     about = f"Size of each encoded cloud, as it would be sent to the estimator. {total}."
-    return plot(timeline, axis, drawing, hover, title="Payload", about=about)
+    return plot(timeline, axis, drawing, _hover(timeline, _format_payload), title="Payload", about=about)
 
 
-def _payload_axis(largest: float) -> Axis:
-    if 0 < largest < 1000:
-        return axis_up_to(largest, lambda size: f"{size:g} B")
-    return axis_up_to(largest or 1000.0, lambda size: f"{size / 1000:g} kB")
-
-
-def _payload_in_words(probe: Mapping[str, Any]) -> str:
+def _format_payload(probe: Mapping[str, Any]) -> str:
     size = finite(probe.get("payload_bytes"))
-    return (byte_size(size) if size else "nothing sent") + _fired_in_words(probe)
+    return format_bytes(size) if size else "nothing sent"

@@ -1,4 +1,4 @@
-"""What are the numbers behind the pictures, and what made them?
+"""Tables of the numbers behind the pictures, and of what made them.
 
 Tables hold what results.json holds: a number in the comparison keeps its full value in a `data` element, a null is a
 dash with its reason below the table. `truth` is no competitor, since no phone has it, so the best is marked among the
@@ -15,27 +15,30 @@ from typing import Any
 
 from xihe_blender.report.document import block, table
 from xihe_blender.report.invalid import HEAD as INVALID_HEAD
-from xihe_blender.report.invalid import invalid_otherwise, invalid_rows, undefined_in_words
-from xihe_blender.report.phone import phone_caption, phone_in_words, phone_rows
+from xihe_blender.report.invalid import format_undefined, invalid_otherwise, invalid_rows
 from xihe_blender.report.pictures import METHOD_MEANINGS
-from xihe_blender.report.timeline import Timeline, probe_in, reason_in_words, reason_of
+from xihe_blender.report.timeline import Timeline, format_trigger, probe_in, reason_of
 from xihe_blender.report.values import (
-    DASH,
-    MINUS,
-    byte_size,
     closeness,
-    closeness_in_words,
     code,
     escape,
     finite,
     finite_only,
+    format_closeness,
     items,
-    listed,
     mapping,
     mean,
-    number_runs,
-    percent,
-    significant,
+)
+from xihenet.formats import (
+    DASH,
+    MINUS,
+    format_bytes,
+    format_list,
+    format_number,
+    format_percent,
+    format_quantity,
+    format_runs,
+    format_setting,
 )
 
 # name, direction that is better, unit
@@ -115,7 +118,7 @@ def _metric_column(comparison: Mapping[str, Any], methods: Sequence[str], name: 
 
 
 def _column_decimals(values: Sequence[float]) -> int:
-    """Decimals that show the smallest value that is not 0 with three significant digits: 2 to 8."""
+    """Decimals that show the smallest value that is not 0 with three format_number digits: 2 to 8."""
     smallest = min((abs(value) for value in values if value), default=1.0)
     return min(8, max(2, 2 - math.floor(math.log10(smallest))))
 
@@ -124,7 +127,7 @@ def _closer_cell(comparison: Mapping[str, Any], method: str) -> str:
     if method == "ambient":
         return "the yardstick"
     closer = closeness(comparison, method)
-    return DASH if closer is None else closeness_in_words(closer)
+    return DASH if closer is None else format_closeness(closer)
 
 
 def _null_reasons(comparison: Mapping[str, Any], methods: Sequence[str]) -> str:
@@ -132,7 +135,7 @@ def _null_reasons(comparison: Mapping[str, Any], methods: Sequence[str]) -> str:
     for name, _, _ in METRICS:
         empty = [code(m) for m in methods if finite(mapping(comparison, m).get(name)) is None]
         if empty:
-            reasons.append(f"{name} of {listed(empty)} {undefined_in_words(name)}")
+            reasons.append(f"{name} of {format_list(empty)} {format_undefined(name)}")
     if any(m != "ambient" and closeness(comparison, m) is None for m in methods):
         reasons.append("a method is measured against <code>ambient</code> only where both have an rmse above 0")
     return f'<p class="quiet">{DASH} means no value: {"; ".join(reasons)}.</p>' if reasons else ""
@@ -148,25 +151,25 @@ def _probes(timeline: Timeline) -> str:
         "probe", "position x, y, z (m)", "frames in view", "coverage, mean", "coverage, last", "estimates made",
         "SHC RMSE, mean", "payload",
     ]  # fmt: skip
-    rows = [_probe_row(timeline, place, name) for place, name in enumerate(timeline.probe_names)]
+    rows = [_probe_row(timeline, index, name) for index, name in enumerate(timeline.probe_names)]
     details = "".join(_coefficients(timeline, name) for name in timeline.probe_names)
     return table(head, rows, "stacking probes") + details
 
 
-def _probe_row(timeline: Timeline, place: int, name: str) -> list[str]:
+def _probe_row(timeline: Timeline, index: int, name: str) -> list[str]:
     seen = [probe for frame in timeline.frames if (probe := probe_in(frame, name))]
     coverages = finite_only(probe.get("coverage") for probe in seen)
-    reasons = [reason_in_words(reason_of(probe)) for probe in seen if probe.get("fired")]
-    told = ", ".join(f"{reasons.count(reason)} {reason}" for reason in dict.fromkeys(reasons))
+    reasons = [format_trigger(reason_of(probe)) for probe in seen if probe.get("fired")]
+    by_reason = ", ".join(f"{reasons.count(reason)} {reason}" for reason in dict.fromkeys(reasons))
     return [
-        f'<b class="key">{place + 1}</b> {escape(name)}',
+        f'<b class="key">{index + 1}</b> {escape(name)}',
         _position(seen[-1]),
         str(len(seen)),
-        percent(mean(coverages)),
-        percent(coverages[-1] if coverages else None),
-        f'{len(reasons)}<span class="way">{told}</span>',
-        significant(mean(probe.get("shc_rmse") for probe in seen)),
-        byte_size(sum(finite_only(probe.get("payload_bytes") for probe in seen))),
+        format_percent(mean(coverages)),
+        format_percent(coverages[-1] if coverages else None),
+        f'{len(reasons)}<span class="way">{by_reason}</span>',
+        format_number(mean(probe.get("shc_rmse") for probe in seen)),
+        format_bytes(sum(finite_only(probe.get("payload_bytes") for probe in seen))),
     ]
 
 
@@ -220,23 +223,64 @@ def _effects(results: Mapping[str, Any]) -> str:
 
 def _set_to(effect: Mapping[str, Any]) -> str:
     """What an effect was set to: "diffuse_bounces 17", "farthest_m 5"; a dash where nothing sets it."""
-    said = {True: "on", False: "off"}
     settings = mapping(effect, "parameters").items()
-    words = [f"{name} {said[value] if isinstance(value, bool) else _number(value)}" for name, value in settings]
-    return ", ".join(code(word) for word in words) or DASH
-
-
-def _number(value: Any) -> str:
-    """8000000.0 as "8,000,000", 0.0019 as it is; what is no number in its own words."""
-    if not isinstance(value, int | float):
-        return str(value)
-    return f"{value:,.0f}" if float(value).is_integer() else f"{value:,.6g}"
+    return ", ".join(code(f"{name} {format_setting(value)}") for name, value in settings) or DASH
 
 
 def _phone(results: Mapping[str, Any]) -> str:
     rows = phone_rows(results)
+    if not rows:
+        return format_phone(results)
+    caption = (
+        "Mean SHC RMSE over probes and frames of the light in force. Each row runs the whole session again from the "
+        "recorded captures, with that effect left out; triggers may then fire in other frames, so small differences "
+        "are chance."
+    )
     head = ["effect", "SHC RMSE, all on", "without it", "it adds"]
-    return phone_in_words(results) + (table(head, rows) + phone_caption() if rows else "")
+    return f'{format_phone(results)}{table(head, rows)}<p class="quiet">{caption}</p>'
+
+
+def phone_rows(results: Mapping[str, Any]) -> list[list[str]]:
+    """HTML cells of each effect that is on: its name, the error with all that are on, without it, what it costs."""
+    measured = mapping(mapping(results, "phone"), "shc_rmse")
+    all_on = finite(measured.get("all_on"))
+    without = {name: finite(error) for name, error in mapping(measured, "without").items()}
+    rows = [[code(name), _error(all_on), _error(error), _change(all_on, error)] for name, error in without.items()]
+    if rows:
+        perfect = finite(measured.get("perfect"))
+        rows.append(["all of them", _error(all_on), _error(perfect), _change(all_on, perfect)])
+    return rows
+
+
+def _change(with_it: float | None, without_it: float | None) -> str:
+    """What an effect adds to the error: "+0.0120 (8.1 % more)", or "nothing"."""
+    if with_it is None or without_it is None:
+        return DASH
+    added = with_it - without_it
+    if abs(added) < 0.00005:
+        return "nothing"
+    sign, word = (MINUS, "less") if added < 0 else ("+", "more")
+    share = f" ({format_percent(abs(added) / without_it)} {word})" if without_it else ""
+    return f"{sign}{_error(abs(added))}{share}"
+
+
+def _error(value: float | None) -> str:
+    """All with the same decimals, so that they can be compared down a column."""
+    return DASH if value is None else f"{value:.4f}"
+
+
+def format_phone(results: Mapping[str, Any]) -> str:
+    """Which phone it was and how its estimates travelled, as a paragraph; empty for older results."""
+    name = mapping(results, "phone").get("name")
+    about = mapping(results, "phone").get("summary") or DASH
+    sentences = [f"{escape(name)}: {escape(about)}."] if name else []
+    network, summary = mapping(results, "settings").get("network"), mapping(results, "summary")
+    n_lost = finite(summary.get("n_lost"))
+    if network is not None and n_lost is not None:
+        latency = format_quantity(finite(summary.get("mean_latency_ms")), "ms")
+        lost = {0: "none was lost", 1: "1 was lost"}.get(round(n_lost), f"{n_lost:.0f} were lost")
+        sentences.append(f"Over {code(network)} an estimate took {latency} on average; {lost}.")
+    return f"<p>{' '.join(sentences)}</p>" if sentences else ""
 
 
 def _invalid(results: Mapping[str, Any]) -> str:
@@ -302,7 +346,7 @@ def _fact(key: str, value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if key == "frames" and isinstance(value, list) and all(isinstance(v, int) for v in value):
-        return f"{number_runs(value)} ({len(value)})"
+        return f"{format_runs(value)} ({len(value)})"
     if key == "size" and isinstance(value, list | tuple):
         return " x ".join(_fact("", length) for length in value)
     if isinstance(value, list | tuple):

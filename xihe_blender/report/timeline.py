@@ -1,4 +1,4 @@
-"""Where does a frame lie on the report's common time axis, and what happened in it?
+"""Timeline of a run: where each frame lies on the report's common time axis, and what happened in it.
 
 All plots and the picture scrubber share one `Timeline`: frames sorted by number, each with a column of the plot's
 width in percent. Percent instead of pixels lets one SVG fit a telephone and a wide screen with text of the same size.
@@ -18,33 +18,21 @@ REASONS = {
     "colour": "light changed",
     "coverage": "more of the surroundings seen",
 }
-# One shape per reason, around the origin, so that reasons are told apart without colour.
-_SHAPES = {
-    "first": "M0-6.5L6 0L0 6.5L-6 0Z",
-    "colour": "M-5 0a5 5 0 1 0 10 0a5 5 0 1 0-10 0Z",
-    "coverage": "M0-6L6 5L-6 5Z",
-    "kept": "M-5-3L-3-5L0-2L3-5L5-3L2 0L5 3L3 5L0 2L-3 5L-5 3L-2 0Z",
-}
 KEPT = "kept"
 """Stands where a reason stands, for a frame whose light could not be known."""
 
-_SQUARE = "M-4.5-4.5h9v9h-9Z"
+_SHAPES = {"first": "diamond", "colour": "circle", "coverage": "triangle", KEPT: "cross"}
 N_COLOURS = 6
 
 
-def reason_in_words(reason: str) -> str:
+def format_trigger(reason: str) -> str:
     """Why an estimate was made, escaped."""
     return escape(REASONS.get(reason, reason or "reason not recorded"))
 
 
 def reason_shape(reason: str) -> str:
-    """SVG path of the mark for `reason`, some 12 pixels wide, around the origin."""
-    return _SHAPES.get(reason, _SQUARE)
-
-
-def reason_icon(reason: str) -> str:
-    """The mark for `reason` as a picture within a line of text."""
-    return f'<svg class="icon" viewBox="-8 -8 16 16" aria-hidden="true"><path d="{reason_shape(reason)}"/></svg>'
+    """Which of the shapes marks `reason`: one each, so that reasons are told apart without colour."""
+    return _SHAPES.get(reason, "square")
 
 
 def series_class(index: int) -> str:
@@ -139,7 +127,7 @@ def reason_of(probe: Mapping[str, Any]) -> str:
     return str(probe.get("reason") or "")
 
 
-def moment_in_words(frame: Mapping[str, Any]) -> str:
+def format_moment(frame: Mapping[str, Any]) -> str:
     """The frame's number and time, escaped: "frame 12 (0.37 s)"."""
     time_s = finite(frame.get("time_s"))
     return f"frame {number(frame)}" + ("" if time_s is None else f" ({time_s:.2f} s)")

@@ -20,7 +20,7 @@ def metres_per_unit(scene: bpy.types.Scene) -> float:
     return 1.0 if units.system == "NONE" else float(units.scale_length)
 
 
-def said_of_units(scene: bpy.types.Scene) -> str | None:
+def format_units(scene: bpy.types.Scene) -> str | None:
     """A sentence for a reader of results where a Blender unit is no metre; None where it is one."""
     metres = metres_per_unit(scene)
     if metres == 1:

@@ -26,6 +26,7 @@ import torch
 from torch import Tensor, nn
 
 from xihenet.estimators.base import Target
+from xihenet.formats import format_duration
 from xihenet.records import ArrayInt
 from xihenet.sh import cosine_lobe
 from xihenet.sh_basis import basis
@@ -289,5 +290,5 @@ def _progress_line(run: _Run, settings: TrainSettings, left_s: float) -> str:
     now = run.history[-1]
     return (
         f"epoch {run.epoch}/{settings.epochs}  loss {now['loss']:.4f}  validation {now['validation_ratio']:.3f} of the "
-        f"mean predictor's (best in epoch {run.best_epoch})  {left_s / 60:.1f} min left"
+        f"mean predictor's (best in epoch {run.best_epoch})  {format_duration(left_s)} left"
     )

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from xihenet.formats import format_bytes
 from xihenet.npz_files import read_npz
 from xihenet.training.rooms import TRAINING_ONLY, room_files, room_seed, split_of
 
@@ -47,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
-    print(f"{len(written)} rooms, {sum(path.stat().st_size for path in written) / 1e6:.1f} MB in {options.out}")
+    print(f"{len(written)} rooms, {format_bytes(sum(path.stat().st_size for path in written))} in {options.out}")
     return 0
 
 

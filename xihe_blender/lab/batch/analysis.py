@@ -1,4 +1,4 @@
-"""What do the trials of a batch say together? Pairs, distributions and worst cases, as numbers; words are elsewhere.
+"""Analysis of the trials of a batch: pairs, distributions and worst cases, as numbers; words are elsewhere.
 
 Trials are compared only with trials of the same scene, seed and, where estimators are compared, phone. An estimator or
 a phone is judged on the pairs that have both.
@@ -88,10 +88,10 @@ def compared(trials: Sequence[Trial], measure: Measure, key: str, first: str, se
     ]
     pairs = [
         (a, b, trial["scene"])
-        for place, trial in found[0].items()
-        if place in found[1]
+        for which, trial in found[0].items()
+        if which in found[1]
         and (a := finite(trial.get(measure.key))) is not None
-        and (b := finite(found[1][place].get(measure.key))) is not None
+        and (b := finite(found[1][which].get(measure.key))) is not None
     ]
     if not pairs:
         return None
@@ -110,7 +110,7 @@ def against_the_best(trials: Sequence[Trial], measure: Measure) -> list[Comparis
 
 
 @dataclass(frozen=True)
-class ThetaPoint:
+class TriggerPoint:
     """What a trigger scaled by `factor` does on average over trials.
 
     Parameters
@@ -127,7 +127,7 @@ class ThetaPoint:
     more: PairedDifference | None
 
 
-def theta_points(trials: Sequence[Trial], estimator: str) -> list[ThetaPoint]:
+def trigger_points(trials: Sequence[Trial], estimator: str) -> list[TriggerPoint]:
     """By rising threshold; empty for an estimator that no trigger matters to."""
     known = [trial for trial in chosen(trials, estimator=estimator) if trial["thetas"]]
     known = [trial for trial in known if all(finite(one["per_minute"]) is not None for one in trial["thetas"])]
@@ -136,15 +136,15 @@ def theta_points(trials: Sequence[Trial], estimator: str) -> list[ThetaPoint]:
     eager = [trial["thetas"][0]["shc_rmse"] for trial in known]
     scenes = [trial["scene"] for trial in known]
     points = []
-    for place, one in enumerate(known[0]["thetas"]):
-        errors = [trial["thetas"][place]["shc_rmse"] for trial in known]
-        per_minute = float(np.mean([trial["thetas"][place]["per_minute"] for trial in known]))
-        more = paired_difference(errors, eager, scenes, np.random.default_rng(0)) if place else None
-        points.append(ThetaPoint(one["factor"], one["theta"], per_minute, float(np.mean(errors)), more))
+    for index, one in enumerate(known[0]["thetas"]):
+        errors = [trial["thetas"][index]["shc_rmse"] for trial in known]
+        per_minute = float(np.mean([trial["thetas"][index]["per_minute"] for trial in known]))
+        more = paired_difference(errors, eager, scenes, np.random.default_rng(0)) if index else None
+        points.append(TriggerPoint(one["factor"], one["theta"], per_minute, float(np.mean(errors)), more))
     return points
 
 
-def laziest_as_good(points: Sequence[ThetaPoint]) -> ThetaPoint:
+def laziest_as_good(points: Sequence[TriggerPoint]) -> TriggerPoint:
     """The trigger with the fewest estimates whose mean error is within AS_GOOD of that of every frame."""
     as_good = [point for point in points if point.error <= (1 + AS_GOOD) * points[0].error]
     return min(as_good, key=lambda point: point.per_minute)

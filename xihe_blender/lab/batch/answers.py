@@ -1,4 +1,4 @@
-"""What does a batch answer, in words? One sentence or two per question, with the numbers that they rest on.
+"""Answers of a batch, in words: one sentence or two per question, with the numbers that they rest on.
 
 A difference is called one only where its 95 % interval leaves 0 out. What a batch cannot say, it says how to find out.
 """
@@ -12,8 +12,8 @@ from xihe_blender.lab.batch.analysis import (
     MEASURES,
     Comparison,
     Measure,
-    ThetaPoint,
     Trial,
+    TriggerPoint,
     against_the_best,
     best_of,
     compared,
@@ -21,41 +21,36 @@ from xihe_blender.lab.batch.analysis import (
     names_of,
     ranked,
     shippable,
-    theta_points,
+    trigger_points,
     values_of,
 )
-from xihe_blender.report.values import DASH, MINUS, code, counted, escape, listed, mean, percent, significant
+from xihe_blender.report.values import code, escape, mean
+from xihenet.formats import MINUS, format_count, format_list, format_number, format_percent, format_signed
 from xihenet.paired import CONFIDENCE, PairedDifference, held_at_most
 
 
-def signed(value: float | None) -> str:
-    """A difference with its sign, a true minus."""
-    if value is None:
-        return DASH
-    sign = "+" if value > 0 else MINUS if value < 0 else ""
-    return f"{sign}{significant(abs(value), 2)}"
-
-
-def interval_in_words(difference: PairedDifference) -> str:
+def format_interval(difference: PairedDifference) -> str:
     """ "+0.021 (95 %: +0.010 to +0.030)"."""
     if difference.low is None:
-        return f"{signed(difference.mean)} (one pair)"
-    return f"{signed(difference.mean)} (95 %: {signed(difference.low)} to {signed(difference.high)})"
+        return f"{format_signed(difference.mean)} (one pair)"
+    return (
+        f"{format_signed(difference.mean)} (95 %: {format_signed(difference.low)} to {format_signed(difference.high)})"
+    )
 
 
 def what_it_stands_on(trials: Sequence[Trial]) -> str:
     """Scenes, seeds and phones, and what so few scenes can say."""
     scenes, seeds, phones = (names_of(trials, key) for key in ("scene", "seed", "phone"))
-    counts = [counted(len(scenes), "scene"), counted(len(seeds), "seed"), counted(len(phones), "phone")]
-    said = f"{listed(counts)}, {counted(len(trials), 'trial')}."
+    counts = [format_count(len(scenes), "scene"), format_count(len(seeds), "seed"), format_count(len(phones), "phone")]
+    words = f"{format_list(counts)}, {format_count(len(trials), 'trial')}."
     if len(scenes) == 1:
-        return f"{said} One scene says nothing about others: intervals are over the trials in it."
+        return f"{words} One scene says nothing about others: intervals are over the trials in it."
     if (held := held_at_most(len(scenes))) < CONFIDENCE:
         return (
-            f"{said} Intervals over {len(scenes)} scenes hold the truth in at most {percent(held)} of all cases, so no "
-            "difference is called clear: give more scenes."
+            f"{words} Intervals over {len(scenes)} scenes hold the truth in at most {format_percent(held)} of all "
+            "cases, so no difference is called clear: give more scenes."
         )
-    return f"{said} Intervals are over scenes: what another set of such scenes would give."
+    return f"{words} Intervals are over scenes: what another set of such scenes would give."
 
 
 def which_estimator(trials: Sequence[Trial]) -> str:
@@ -65,17 +60,17 @@ def which_estimator(trials: Sequence[Trial]) -> str:
     if not names:
         return "No trial of an estimator that a phone could run has a light to be judged by."
     best, *others = names
-    error = significant(mean(values_of(trials, measure, estimator=best)))
+    error = format_number(mean(values_of(trials, measure, estimator=best)))
     if not others:
         return f"Only {code(best)} was tried, with a mean coefficient error of {error}: give more of --estimators."
     rivals = [one for one in against_the_best(trials, measure) if one.first in others]
     clear = [one.first for one in rivals if one.difference.is_clear]
-    said = f"Ship {code(best)}: its mean coefficient error, {error}, is the lowest"
-    said += f", clearly below that of {listed([code(name) for name in clear])}" if clear else ""
+    words = f"Ship {code(best)}: its mean coefficient error, {error}, is the lowest"
+    words += f", clearly below that of {format_list([code(name) for name in clear])}" if clear else ""
     open_ones = [one for one in rivals if not one.difference.is_clear]
     for one in open_ones:
-        said += f"; against {code(one.first)} the difference, {interval_in_words(one.difference)}, may be chance"
-    return f"{said}. {_in_the_picture(trials, picture, best)}"
+        words += f"; against {code(one.first)} the difference, {format_interval(one.difference)}, may be chance"
+    return f"{words}. {_in_the_picture(trials, picture, best)}"
 
 
 def _in_the_picture(trials: Sequence[Trial], picture: Measure, best: str) -> str:
@@ -85,11 +80,13 @@ def _in_the_picture(trials: Sequence[Trial], picture: Measure, best: str) -> str
     if first == best:
         rivals = [one for one in against_the_best(trials, picture) if one.first in shippable(trials)]
         chance = [code(one.first) for one in rivals if not one.difference.is_clear]
-        return f"It has the best pictures too{f', by what may be chance against {listed(chance)}' if chance else ''}."
+        return (
+            f"It has the best pictures too{f', by what may be chance against {format_list(chance)}' if chance else ''}."
+        )
     one = compared(trials, picture, "estimator", first, best)
     assert one is not None
     sure = "and that is clear" if one.difference.is_clear else "which may be chance"
-    return f"In the pictures {code(first)} is ahead by {interval_in_words(one.difference)} dB, {sure}."
+    return f"In the pictures {code(first)} is ahead by {format_interval(one.difference)} dB, {sure}."
 
 
 def is_a_better_phone_worth_it(trials: Sequence[Trial]) -> str:
@@ -107,10 +104,10 @@ def _better_phone(trials: Sequence[Trial], best: str, one: Comparison) -> str:
     difference = one.difference
     better, worse = (one.first, one.second) if difference.mean < 0 else (one.second, one.first)
     own = mean(values_of(trials, MEASURES[0], estimator=best, phone=worse))
-    share = "" if not own else f", {percent(abs(difference.mean) / own)} of it"
-    interval = interval_in_words(difference)
+    share = "" if not own else f", {format_percent(abs(difference.mean) / own)} of it"
+    interval = format_interval(difference)
     sure = "and that is clear" if difference.is_clear else "which may be chance"
-    less = significant(abs(difference.mean), 2)
+    less = format_number(abs(difference.mean), 2)
     return (
         f"{code(better)} has {less} less coefficient error than {code(worse)}{share}, {sure}; "
         f"{escape(one.first)} {MINUS} {escape(one.second)}: {interval}"
@@ -122,7 +119,7 @@ def phone_differences(trials: Sequence[Trial], measure: Measure) -> list[Compari
     best = best_of(trials, MEASURES[0])
     phones = names_of(trials, "phone")
     own = [trial for trial in trials if trial["estimator"] == best]
-    pairs = [(first, second) for place, first in enumerate(phones) for second in phones[:place]]
+    pairs = [(first, second) for index, first in enumerate(phones) for second in phones[:index]]
     found = [compared(own, measure, "phone", first, second) for first, second in pairs]
     return [one for one in found if one is not None]
 
@@ -130,25 +127,26 @@ def phone_differences(trials: Sequence[Trial], measure: Measure) -> list[Compari
 def how_often(trials: Sequence[Trial]) -> str:
     """How often must it run?"""
     best = best_of(trials, MEASURES[0])
-    points = theta_points(trials, best) if best is not None else []
+    points = trigger_points(trials, best) if best is not None else []
     if not points:
         return "No estimator that looks at the room was tried on a path that sees an object."
     always, own, least = points[0], next(point for point in points if point.factor == 1), laziest_as_good(points)
-    said = (
+    words = (
         f"With {code(best)}, the trigger as it is asks {_rate(own)} per position in view, for an error of "
-        f"{significant(own.error)}; an estimate in every frame is {_rate(always)}, for {significant(always.error)}. "
+        f"{format_number(own.error)}; an estimate in every frame is {_rate(always)}, for "
+        f"{format_number(always.error)}. "
     )
-    limit = f"within {significant(100 * AS_GOOD, 1)} % of that"
+    limit = f"within {format_number(100 * AS_GOOD, 1)} % of that"
     if least.factor == 0:
-        return said + f"No lazier trigger stays {limit}."
+        return words + f"No lazier trigger stays {limit}."
     if least.factor == own.factor:
-        return said + f"It is the laziest that stays {limit}."
+        return words + f"It is the laziest that stays {limit}."
     times = f"{least.factor:g} times the thresholds (theta {least.theta:g})"
     sure = "" if least.more is None or least.more.is_clear else ", which cannot be told from chance"
-    return said + (
-        f"The laziest trigger that stays {limit} has {times}: {_rate(least)}, for {significant(least.error)}{sure}."
+    return words + (
+        f"The laziest trigger that stays {limit} has {times}: {_rate(least)}, for {format_number(least.error)}{sure}."
     )
 
 
-def _rate(point: ThetaPoint) -> str:
-    return f"{significant(point.per_minute, 2)} times a minute"
+def _rate(point: TriggerPoint) -> str:
+    return f"{format_number(point.per_minute, 2)} times a minute"

@@ -10,9 +10,8 @@ from typing import Any
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.lab.batch.grid import BatchSettings, Unit, check_settings, planned_units
 from xihe_blender.lab.batch.report import write_report
-from xihe_blender.lab.batch.store import BatchFolder, claim_of, read_frontier
-from xihe_blender.lab.batch.tables import batch_results, write_tables
-from xihe_blender.lab.workers.dask_workers import Spread, dashboard, open_spread
+from xihe_blender.lab.batch.results import BatchFolder, batch_results, claim_of, read_frontier, write_tables
+from xihe_blender.lab.workers.dask_workers import DaskWorkers, dashboard, open_dask_workers
 
 
 @dataclass(frozen=True)
@@ -57,12 +56,13 @@ def evaluate_batch(
     failed = {str(scene): reason for scene, reason in broken.items()}
     missing = [unit for unit in units if kept.result(unit) is None]
     if missing:
-        with open_spread(_n_workers(n_workers, missing), scheduler) as spread:
+        with open_dask_workers(None if n_workers is None else min(n_workers, len(missing)), scheduler) as workers:
             claim.take()
-            spread.check_workers(str(kept.path), sorted({str(unit.scene) for unit in missing}))
-            yield Progress(0, len(missing), f"{len(missing)} of {len(units)} units to do; {dashboard(spread)}")
-            yield from _evaluated(spread, kept, settings, missing)
-            failed |= {_named(units, name): reason for name, reason in spread.failed.items()}
+            workers.check_workers(str(kept.path), sorted({str(unit.scene) for unit in missing}))
+            yield Progress(0, len(missing), f"{len(missing)} of {len(units)} units to do; {dashboard(workers)}")
+            yield from _evaluated(workers, kept, settings, missing)
+            names = {unit.name: f"{unit.scene} (seed {unit.seed})" for unit in units}
+            failed |= {names[name]: reason for name, reason in workers.failed.items()}
     claim.take()
     results = batch_results(kept, settings, units, failed)
     write_tables(kept, results)
@@ -70,11 +70,7 @@ def evaluate_batch(
     return Batch(results, failed, sum(kept.result(unit) is not None for unit in missing))
 
 
-def _n_workers(wanted: int | None, missing: Sequence[Unit]) -> int | None:
-    return None if wanted is None else min(wanted, len(missing))
-
-
-def _evaluated(spread: Spread, kept: BatchFolder, settings: BatchSettings, missing: Sequence[Unit]) -> Any:
+def _evaluated(workers: DaskWorkers, kept: BatchFolder, settings: BatchSettings, missing: Sequence[Unit]) -> Any:
     asked = [
         {
             "name": unit.name,
@@ -90,9 +86,4 @@ def _evaluated(spread: Spread, kept: BatchFolder, settings: BatchSettings, missi
         # A long unit that starts last keeps one worker busy alone; the largest files are often the longest.
         for unit in sorted(missing, key=lambda unit: -unit.scene.stat().st_size)
     ]
-    yield from spread.run(asked, "unit")
-
-
-def _named(units: Sequence[Unit], name: str) -> str:
-    unit = next(unit for unit in units if unit.name == name)
-    return f"{unit.scene} (seed {unit.seed})"
+    yield from workers.run(asked, "unit")

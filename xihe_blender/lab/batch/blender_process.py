@@ -24,7 +24,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.blender_output import blender_output_aside
 from xihe_blender.io.outputs import write_json
 from xihe_blender.lab.batch.grid import BatchSettings
-from xihe_blender.lab.batch.store import result_file
+from xihe_blender.lab.batch.results import result_file
 
 EXIT_CANNOT_BE_DONE = 2
 """As `dask_worker` knows it, which needs Dask and is not loaded here."""

@@ -1,4 +1,4 @@
-"""How close does every trial's light come in the picture? One path-traced picture per frame, for all trials of a unit.
+"""Comparison of every trial's light in the picture: one path-traced picture per frame, for all trials of a unit.
 
 Each trial is a method of the comparison: a view layer per virtual object, which costs little beside the picture that
 they are all held against. Pictures are kept of the worst frame of each trial only: a batch would otherwise leave
@@ -18,7 +18,7 @@ import numpy as np
 from xihe_blender.compare.methods import Comparer, display, error_map, measure, open_comparer
 from xihe_blender.io.outputs import write_json, write_picture
 from xihe_blender.jobs import Progress
-from xihe_blender.lab.batch.worst_pictures import WORST_KINDS, worst_frame, worst_picture
+from xihe_blender.lab.batch.results import WORST_KINDS, worst_frame, worst_picture
 from xihe_blender.previs.compare_path import compared_frames
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.run_chain import WalkedPath

@@ -1,4 +1,4 @@
-"""What does a frontier that was given add to a batch? The answers that take measured times, each with its plot."""
+"""Answers that a given frontier adds to a batch: those that take measured times, each with its plot."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Any
 
 from xihe_blender.lab.batch import drawings
 from xihe_blender.lab.batch.analysis import chosen, names_of
-from xihe_blender.lab.frontier import questions
-from xihe_blender.lab.frontier.by_choice import family
-from xihe_blender.report.values import code, escape, finite, items, mapping, with_unit
+from xihe_blender.lab.frontier.points import HOW_MANY_ANCHORS, LAST_TENTH, family
+from xihe_blender.report.values import code, escape, finite, items, mapping
+from xihenet.formats import format_milliseconds, format_percent
 
 Frontier = Mapping[str, Any]
 """Content of a frontier.json."""
@@ -31,20 +31,19 @@ def how_many_anchors(frontier: Frontier) -> tuple[str, str]:
         "against the rendered light probe, of choices that differ only in their anchors",
         is_joined=False,
     )
-    return _answer(frontier, questions.HOW_MANY_ANCHORS), plot
+    return _answer(frontier, HOW_MANY_ANCHORS), plot
 
 
 def last_tenth(frontier: Frontier) -> tuple[str, str]:
     """The answer in words, and a plot of each of the two fronts."""
     plots = ""
     for front, doing in (("render", "Rendering"), ("compute", "Computing")):
-        on_front = [point for point in _points(frontier, front, "coefficients") if point["on_front"]]
+        on_front = [(p["scene"], p) for p in _points(frontier, front, "coefficients") if p["on_front"]]
+        title = f"{doing}: what lies on the front, by scene"
         plots += _error_against_time(
-            sorted(((point["scene"], point) for point in on_front), key=lambda named: named[0]),
-            f"{doing}: what lies on the front, by scene",
-            "against the exhaustive setting",
+            sorted(on_front, key=lambda named: named[0]), title, "against the exhaustive setting"
         )
-    return _answer(frontier, questions.LAST_TENTH), plots
+    return _answer(frontier, LAST_TENTH), plots
 
 
 def _answer(frontier: Frontier, question: str) -> str:
@@ -72,19 +71,14 @@ def _error_against_time(
     clouds: dict[str, list[tuple[float, float, str]]] = {}
     for name, point in points:
         error, time_ms = point["error"], point["time_ms"]
-        words = f"{point['scene']}, {point.get('label', '')}: {_share(error)} in {with_unit(time_ms, 'ms')}"
-        clouds.setdefault(name, []).append((time_ms, error, words))
+        amounts = f"{format_percent(error, 3)} in {format_milliseconds(time_ms)}"
+        clouds.setdefault(name, []).append((time_ms, error, f"{point['scene']}, {point.get('label', '')}: {amounts}"))
     return drawings.curves(
-        [drawings.Curve(name, place, sorted(cloud)) for place, (name, cloud) in enumerate(clouds.items())],
+        [(name, index, sorted(cloud)) for index, (name, cloud) in enumerate(clouds.items())],
         title=title,
         about=f"From the frontier that was given: error of the coefficients {about}.",
         x_name="ms a frame",
         y_name="error",
-        y_label=_share,
+        y_label=lambda share: f"{100 * share:.3g} %",
         is_joined=is_joined,
     )
-
-
-def _share(error: float) -> str:
-    """A share of the light: "0.35 %", "41.2 %"."""
-    return f"{100 * error:.3g} %"

@@ -1,5 +1,5 @@
-"""What did the batch find? One self-contained page: the questions that people come with, answered in words, each with
-its plot and its numbers; then worst cases with their pictures, distributions, and what everything cost.
+"""Report of a batch: the questions that people come with, answered in words, each with its plot and its numbers; then
+worst cases with their pictures, distributions, and what everything cost. One self-contained page.
 
 Made from results.json and the pictures of worst frames alone, never from Blender.
 """
@@ -12,40 +12,38 @@ from typing import Any
 
 import numpy as np
 
-from xihe_blender.lab.batch import answers, drawings
+from xihe_blender.lab.batch import drawings
 from xihe_blender.lab.batch.analysis import (
     MEASURES,
     Comparison,
     Measure,
-    ThetaPoint,
     Trial,
+    TriggerPoint,
     WorstCase,
     against_the_best,
     chosen,
     frame_values,
     names_of,
-    theta_points,
+    trigger_points,
     values_of,
     worst_cases,
 )
-from xihe_blender.lab.batch.from_frontier import WITHOUT_FRONTIER, how_many_anchors, last_tenth
-from xihe_blender.lab.batch.store import BatchFolder
-from xihe_blender.lab.batch.worst_pictures import WORST_KINDS, worst_picture
-from xihe_blender.lab.frontier.questions import HOW_MANY_ANCHORS, LAST_TENTH
-from xihe_blender.report.document import block, document, png_url, section, table, write_document
-from xihe_blender.report.values import (
-    MINUS,
-    byte_size,
-    code,
-    counted,
-    escape,
-    finite,
-    items,
-    mean,
-    significant,
-    with_unit,
+from xihe_blender.lab.batch.answers import (
+    format_interval,
+    how_often,
+    is_a_better_phone_worth_it,
+    phone_differences,
+    what_it_stands_on,
+    which_estimator,
 )
+from xihe_blender.lab.batch.from_frontier import WITHOUT_FRONTIER, how_many_anchors, last_tenth
+from xihe_blender.lab.batch.results import WORST_KINDS, BatchFolder, worst_picture
+from xihe_blender.lab.frontier.points import HOW_MANY_ANCHORS, LAST_TENTH
+from xihe_blender.report.document import block, document, png_url, table, write_document
+from xihe_blender.report.values import code, escape, finite, items, mean
+from xihenet.formats import MINUS, format_bytes, format_count, format_number, format_quantity
 
+LAB_STYLE = Path(__file__).parents[1] / "lab.css"
 N_WORST = 6
 _KIND_WORDS = {
     "ground_truth": "Ground truth",
@@ -79,8 +77,9 @@ def report_page(folder: BatchFolder, results: Mapping[str, Any], frontier: Mappi
             ("worst", "Worst cases", _worst(folder, trials)),
             ("numbers", "Numbers", _numbers(trials) + _costs(results)),
         ]
-    body = "".join(section(*each) for each in sections)
-    return document("Batch evaluation", _lead(trials), body, style=drawings.STYLE)
+    lead = what_it_stands_on(trials) if trials else "No trial could be done."
+    opening = f'<p class="lead">{lead}</p>'
+    return document("Batch evaluation", opening, sections, has_links=False, style=LAB_STYLE)
 
 
 def _from_frontier(frontier: Mapping[str, Any] | None) -> list[tuple[str, str, str]]:
@@ -91,12 +90,6 @@ def _from_frontier(frontier: Mapping[str, Any] | None) -> list[tuple[str, str, s
         ("anchors", HOW_MANY_ANCHORS, _answered(*how_many_anchors(frontier))),
         ("last", LAST_TENTH, _answered(*last_tenth(frontier))),
     ]
-
-
-def _lead(trials: Sequence[Trial]) -> str:
-    if not trials:
-        return '<p class="lead">No trial could be done.</p>'
-    return f'<p class="lead">{answers.what_it_stands_on(trials)}</p>'
 
 
 def _failed(results: Mapping[str, Any]) -> str:
@@ -115,26 +108,20 @@ def _answered(words: str, *plots: str) -> str:
 def _estimators(trials: Sequence[Trial]) -> str:
     drawn = [_distribution(trials, measure) for measure in MEASURES]
     drawn += [_against_the_best(trials, measure) for measure in MEASURES]
-    return _answered(answers.which_estimator(trials), *drawn) + _pairs_table(trials)
+    return _answered(which_estimator(trials), *drawn) + _pairs_table(trials)
 
 
 def _distribution(trials: Sequence[Trial], measure: Measure) -> str:
-    rows = [
-        drawings.Row(
-            name, place, [(finite(t[measure.key]) or 0.0, _told(t, measure)) for t in _known(trials, measure, name)]
-        )
-        for place, name in enumerate(names_of(trials, "estimator"))
-    ]
+    rows = []
+    for index, name in enumerate(names_of(trials, "estimator")):
+        known = [(finite(t.get(measure.key)), t) for t in chosen(trials, estimator=name)]
+        rows.append((name, index, [(value, _hover(t, value)) for value, t in known if value is not None]))
     better = "Further left is better." if measure.is_better_low else "Further right is better."
     return drawings.strips(rows, title=measure.title, about=f"{_DOTS} {better}", axis_name=measure.unit or "no unit")
 
 
-def _known(trials: Sequence[Trial], measure: Measure, estimator: str) -> list[Trial]:
-    return [trial for trial in chosen(trials, estimator=estimator) if finite(trial.get(measure.key)) is not None]
-
-
-def _told(trial: Trial, measure: Measure) -> str:
-    return f"{trial['scene']}, seed {trial['seed']}, {trial['phone']}: {significant(finite(trial[measure.key]))}"
+def _hover(trial: Trial, value: float) -> str:
+    return f"{trial['scene']}, seed {trial['seed']}, {trial['phone']}: {format_number(value)}"
 
 
 def _against_the_best(trials: Sequence[Trial], measure: Measure) -> str:
@@ -149,14 +136,10 @@ def _against_the_best(trials: Sequence[Trial], measure: Measure) -> str:
 
 def _intervals(found: Sequence[Comparison], names: Sequence[str]) -> list[drawings.Interval]:
     """A row for each, coloured by the place of the first in `names`; a phone's own file goes by its stem."""
+    titles = (f"{Path(one.first).stem} {MINUS} {Path(one.second).stem}" for one in found)
     return [
-        drawings.Interval(
-            f"{Path(one.first).stem} {MINUS} {Path(one.second).stem}",
-            names.index(one.first),
-            one.difference,
-            answers.interval_in_words(one.difference),
-        )
-        for one in found
+        (title, names.index(one.first), one.difference, format_interval(one.difference))
+        for title, one in zip(titles, found, strict=True)
     ]
 
 
@@ -166,39 +149,35 @@ def _pairs_table(trials: Sequence[Trial]) -> str:
         for one in against_the_best(trials, measure):
             d = one.difference
             better = d.share_lower if measure.is_better_low else 1 - d.share_lower
-            cells = [
-                escape(measure.title),
-                answers.interval_in_words(one.difference),
-                f"{round(better * d.n_pairs)} of {d.n_pairs}",
-            ]
+            cells = [escape(measure.title), format_interval(d), f"{round(better * d.n_pairs)} of {d.n_pairs}"]
             rows.append((f"{code(one.first)} against {code(one.second)}", *cells))
     return table(("pair", "measure", "mean difference", "first is better"), rows, "words stacking")
 
 
 def _phones(trials: Sequence[Trial]) -> str:
-    rows = _intervals(answers.phone_differences(trials, MEASURES[0]), names_of(trials, "phone"))
+    rows = _intervals(phone_differences(trials, MEASURES[0]), names_of(trials, "phone"))
     about = "The same scene and seed through two phones, with 95 % intervals of the mean. Left: the first is better."
     title = "Coefficient error: differences between phones"
     plot = drawings.differences(rows, title=title, about=about, axis_name="no unit")
-    return _answered(answers.is_a_better_phone_worth_it(trials), plot) + (_phone_table(trials) if rows else "")
+    return _answered(is_a_better_phone_worth_it(trials), plot) + (_phone_table(trials) if rows else "")
 
 
 def _phone_table(trials: Sequence[Trial]) -> str:
     phones, names = names_of(trials, "phone"), names_of(trials, "estimator")
     rows = [
-        (code(name), *(significant(mean(values_of(trials, MEASURES[0], estimator=name, phone=p))) for p in phones))
+        (code(name), *(format_number(mean(values_of(trials, MEASURES[0], estimator=name, phone=p))) for p in phones))
         for name in names
     ]
     return table(("mean coefficient error", *(escape(phone) for phone in phones)), rows)
 
 
 def _how_often(trials: Sequence[Trial]) -> str:
-    known = {name: theta_points(trials, name) for name in names_of(trials, "estimator")}
+    known = {name: trigger_points(trials, name) for name in names_of(trials, "estimator")}
     lines = [
-        drawings.Curve(name, place, [(p.per_minute, p.error, _theta_told(name, p)) for p in points])
-        for place, (name, points) in enumerate(known.items())
+        (name, index, [(p.per_minute, p.error, _hover_trigger(name, p)) for p in points])
+        for index, (name, points) in enumerate(known.items())
     ]
-    rows = [_theta_row(name, point) for name, points in known.items() for point in points]
+    rows = [_trigger_row(name, point) for name, points in known.items() for point in points]
     about = (
         "Mean over trials. Each dot is a trigger: from every frame, right, to 64 times the thresholds, left. The same "
         "captures, nothing rendered again."
@@ -208,16 +187,16 @@ def _how_often(trials: Sequence[Trial]) -> str:
         x_name="estimates a minute, per position in view", y_name="SHC RMSE",
     )  # fmt: skip
     header = ("estimator", "theta", "a minute", "mean error", "more than with every frame")
-    return _answered(answers.how_often(trials), plot) + (table(header, rows) if rows else "")
+    return _answered(how_often(trials), plot) + (table(header, rows) if rows else "")
 
 
-def _theta_told(name: str, point: ThetaPoint) -> str:
-    return f"{name}, theta {point.theta:g}: {point.per_minute:.0f} a minute, error {significant(point.error)}"
+def _hover_trigger(name: str, point: TriggerPoint) -> str:
+    return f"{name}, theta {point.theta:g}: {point.per_minute:.0f} a minute, error {format_number(point.error)}"
 
 
-def _theta_row(name: str, point: ThetaPoint) -> list[str]:
-    more = "" if point.more is None else answers.interval_in_words(point.more)
-    return [code(name), f"{point.theta:g}", significant(point.per_minute, 3), significant(point.error), more]
+def _trigger_row(name: str, point: TriggerPoint) -> list[str]:
+    more = "" if point.more is None else format_interval(point.more)
+    return [code(name), f"{point.theta:g}", format_number(point.per_minute), format_number(point.error), more]
 
 
 # ------------------------------------------------------------------------------------------------------- worst cases
@@ -242,7 +221,7 @@ def _case(folder: BatchFolder, case: WorstCase) -> str:
         for kind in WORST_KINDS
     )
     where = f"{escape(trial['scene'])}, frame {case.frame}, {code(trial['estimator'])}, {escape(trial['phone'])}"
-    numbers = f"psnr {with_unit(case.psnr, 'dB')}, rmse {significant(case.rmse)}, seed {trial['seed']}"
+    numbers = f"psnr {format_quantity(case.psnr, 'dB')}, rmse {format_number(case.rmse)}, seed {trial['seed']}"
     return f'<div><h3>{where}</h3><p class="quiet">{numbers}</p><div class="strip">{figures}</div></div>'
 
 
@@ -266,7 +245,7 @@ def _by_scene(trials: Sequence[Trial]) -> str:
     rows = []
     for scene in names_of(trials, "scene"):
         means = [mean(values_of(trials, MEASURES[0], estimator=name, scene=scene)) for name in names]
-        rows.append((escape(scene), *(significant(value) for value in means)))
+        rows.append((escape(scene), *(format_number(value) for value in means)))
     return block("Mean coefficient error by scene", table(("scene", *(code(name) for name in names)), rows, "stacking"))
 
 
@@ -276,7 +255,7 @@ def _quantiles(trials: Sequence[Trial], measure: Measure) -> str:
         values = frame_values(trials, measure, name)
         if values:
             quantiles = np.percentile(values, [0, 10, 50, 90, 100])
-            rows.append((code(name), str(len(values)), *(significant(float(value)) for value in quantiles)))
+            rows.append((code(name), str(len(values)), *(format_number(float(value)) for value in quantiles)))
     header = ("estimator", "frames", "least", "10 %", "median", "90 %", "most")
     return block(f"{measure.title}, over all frames", table(header, rows, "stacking"))
 
@@ -286,16 +265,13 @@ def _costs(results: Mapping[str, Any]) -> str:
     rows = [
         (
             f"{escape(unit['scene'])}, seed {unit['seed']}",
-            with_unit(finite(unit["elapsed_s"]), "s"),
-            with_unit(finite(unit["processor_s"]), "s"),
-            with_unit(finite(unit["render_s"]), "s"),
-            with_unit(finite(unit["peak_memory_mb"]), "MB"),
-            byte_size(finite(unit["written_bytes"])),
+            *(format_quantity(finite(unit[key]), "s") for key in ("elapsed_s", "processor_s", "render_s")),
+            format_quantity(finite(unit["peak_memory_mb"]), "MB"),
+            format_bytes(finite(unit["written_bytes"])),
         )
         for unit in units
     ]
-    said = (
-        f"{counted(len(units), 'unit')}: one scene with one seed each, all estimators and phones on the same renders."
-    )
+    about = "one scene with one seed each, all estimators and phones on the same renders."
     header = ("unit", "elapsed", "processor", "of it rendering", "memory at most", "written")
-    return block("What it cost", f'<p class="quiet">{said}</p>{table(header, rows, "stacking")}')
+    costs = table(header, rows, "stacking")
+    return block("What it cost", f'<p class="quiet">{format_count(len(units), "unit")}: {about}</p>{costs}')

@@ -1,6 +1,6 @@
-"""What is done in Blender for one scene and one seed: everything is rendered once, and every trial runs on it.
+"""Unit of a batch, one scene with one seed, in Blender: everything is rendered once, and every trial runs on it.
 
-    prepare -> captures and light probes -> each trial's walk -> thetas -> comparisons
+    prepare -> captures and light probes -> each trial's walk -> trigger sweeps -> comparisons
 
 Captures hold what any of the phones needs. A trial's walk is that of `xihe previs`, on renders that are all there, so
 that its numbers are those of a previs run. All trials' lights are compared in one go per frame; see `compare_unit`.
@@ -21,12 +21,11 @@ from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import Job, Progress, run_blocking
 from xihe_blender.lab.batch.compare_unit import compare_unit
 from xihe_blender.lab.batch.grid import BatchSettings
-from xihe_blender.lab.batch.rows import trial_record
-from xihe_blender.lab.batch.thetas import sweep_theta
+from xihe_blender.lab.batch.trials import trial_record, trigger_sweep
 from xihe_blender.light_transport.render_reuse import KeptRenders
 from xihe_blender.previs.path_renders import open_path_renders
 from xihe_blender.previs.phone_capture import PhoneCapture
-from xihe_blender.previs.plan import PrevisPlan, plan_previs
+from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run
 from xihe_blender.previs.run_chain import WalkedPath, walk_path
 from xihe_blender.previs.settings import load_estimator
@@ -38,7 +37,7 @@ def evaluate_unit(scene: bpy.types.Scene, file: Path, folder: Path, settings: Ba
 
     Returns
     -------
-    {"trials": one record each (see `rows`), "step_ms": the chain's mean time by trial, "render_s": of everything}
+    {"trials": one record each (see `trials`), "step_ms": the chain's mean time by trial, "render_s": of everything}
 
     Raises
     ------
@@ -51,37 +50,25 @@ def evaluate_unit(scene: bpy.types.Scene, file: Path, folder: Path, settings: Ba
     with scene_kept():
         runs = []
         for phone, estimator in trials:
-            runs.append((yield from _prepared(scene, plan, outputs, settings, phone, estimator, seed)))
+            # The first trial measures, and the others read what it left.
+            wanted = settings.of_trial(phone, estimator, seed)
+            runs.append((yield from prepare_run(scene, plan, outputs, wanted, load_estimator(wanted))))
         yield from _capture_all(runs[:: len(settings.estimators)])
         walks = []
-        for place, run in enumerate(runs):
+        for index, run in enumerate(runs):
             walks.append(run_blocking(walk_path(run)))
-            yield _progress(run, len(plan.frames), f"trial {place + 1} of {len(runs)} has walked")
-        thetas = [sweep_theta(run, walked) for run, walked in zip(runs, walks, strict=True)]
+            yield _progress(run, len(plan.frames), f"trial {index + 1} of {len(runs)} has walked")
+        swept = [trigger_sweep(run, walked) for run, walked in zip(runs, walks, strict=True)]
         compared = yield from compare_unit(runs, walks)
     records = [
-        trial_record(run, walked, of_trial, at_thetas)
-        for run, walked, of_trial, at_thetas in zip(runs, walks, compared.by_trial, thetas, strict=True)
+        trial_record(run, walked, of_trial, of_sweep)
+        for run, walked, of_trial, of_sweep in zip(runs, walks, compared.by_trial, swept, strict=True)
     ]
     return {
         "trials": records,
         "step_ms": [_mean_step_ms(walked) for walked in walks],
         "render_s": sum(entry.render_s for entry in walks[0].frames) + compared.render_s,
     }
-
-
-def _prepared(
-    scene: bpy.types.Scene,
-    plan: PrevisPlan,
-    outputs: RunOutputs,
-    settings: BatchSettings,
-    phone: str,
-    estimator: str,
-    seed: int,
-) -> Job[PreparedRun]:
-    """The first trial measures, and the others read what it left."""
-    wanted = settings.of_trial(phone, estimator, seed)
-    return (yield from prepare_run(scene, plan, outputs, wanted, load_estimator(wanted)))
 
 
 class _Phones:

@@ -1,4 +1,4 @@
-"""What do the fronts say to someone who asks: how many anchors, how often, what does the last bit of accuracy cost?
+"""Answers of the fronts to someone who asks: how many anchors, how often, what does the last bit of accuracy cost?
 
 Sentences with their numbers, made from the points alone. A sentence says nothing that the points do not: where a scene
 has no answer there is none.
@@ -6,14 +6,13 @@ has no answer there is none.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
-from xihe_blender.lab.frontier import questions
+from xihe_blender.lab.frontier import points as asked
 from xihe_blender.lab.frontier.choices import ComputeChoice
-from xihe_blender.lab.frontier.points import group, name_of
+from xihe_blender.lab.frontier.points import Point, group, name_of
+from xihenet.formats import format_count, format_milliseconds, format_share
 
-Point = Mapping[str, Any]
 GOOD_ENOUGH = 0.01
 """A difference of a hundredth of the light is hard to see."""
 
@@ -22,24 +21,25 @@ def answers(scenes: Sequence[str], points: Sequence[Point]) -> list[dict[str, st
     """[{scene, question, answer}]."""
     found = []
     for scene in scenes:
-        for question, answer in (
-            (questions.HOW_MANY_ANCHORS, _anchors(group(points, scene, "compute", "coefficients_truth"))),
-            (questions.HOW_OFTEN, _how_often(group(points, scene, "compute", "coefficients"))),
-            (questions.WHICH_ESTIMATOR, _estimator(group(points, scene, "compute", "coefficients_truth"))),
-            (questions.NEAREST_ANCHOR, _nearest(group(points, scene, "compute", "coefficients"))),
-            (questions.FRAME_SIZE, _frame_size(group(points, scene, "render", "coefficients"))),
-            (questions.HOW_MANY_BOUNCES, _bounces(group(points, scene, "render", "coefficients"))),
-            (questions.PRESETS, _presets(group(points, scene, "total", "coefficients"))),
-            (
-                questions.LAST_TENTH,
-                " ".join(
-                    _last_tenth(group(points, scene, front, "coefficients"), doing)
-                    for front, doing in (("render", "Rendering"), ("compute", "Computing"))
-                ),
-            ),
-        ):
-            if answer:
-                found.append({"scene": scene, "question": question, "answer": answer})
+        truth = group(points, scene, "compute", "coefficients_truth")
+        compute, render, total = (
+            group(points, scene, front, "coefficients") for front in ("compute", "render", "total")
+        )
+        by_question = {
+            asked.HOW_MANY_ANCHORS: _anchors(truth),
+            asked.HOW_OFTEN: _how_often(compute),
+            asked.WHICH_ESTIMATOR: _estimator(truth),
+            asked.NEAREST_ANCHOR: _nearest(compute),
+            asked.FRAME_SIZE: _frame_size(render),
+            asked.HOW_MANY_BOUNCES: _bounces(render),
+            asked.PRESETS: _presets(total),
+            asked.LAST_TENTH: f"{_last_tenth(render, 'Rendering')} {_last_tenth(compute, 'Computing')}",
+        }
+        found += [
+            {"scene": scene, "question": question, "answer": answer}
+            for question, answer in by_question.items()
+            if answer.strip()
+        ]
     return found
 
 
@@ -54,7 +54,7 @@ def _anchors(points: Sequence[Point]) -> str:
     own = sorted(varied(points, "n_anchors"), key=lambda p: p["settings"]["n_anchors"])
     if len(own) < 2:
         return ""
-    listed = "; ".join(f"{p['settings']['n_anchors']}: {_share(p['error'])} in {_ms(p['time_ms'])}" for p in own)
+    listed = "; ".join(f"{p['settings']['n_anchors']}: {_light_and_time(p)}" for p in own)
     best = min(own, key=lambda p: p["error"])
     fewest = next(p for p in own if p["error"] - best["error"] <= GOOD_ENOUGH)
     return (
@@ -67,12 +67,12 @@ def _how_often(points: Sequence[Point]) -> str:
     own = sorted(varied(points, "theta"), key=lambda p: p["settings"]["theta"])
     if len(own) < 2:
         return ""
-    said = [
+    words = [
         f"with theta {p['settings']['theta']:g} in {p['settings']['estimates']} of {p['settings']['steps']} steps, "
-        f"which is {_share(p['error'])} off in {_ms(p['time_ms'])} a frame"
+        f"which is {_light_and_time(p, 'off in')} a frame"
         for p in own
     ]
-    return f"An estimate is made {'; '.join(said)}."
+    return f"An estimate is made {'; '.join(words)}."
 
 
 def _estimator(points: Sequence[Point]) -> str:
@@ -80,8 +80,7 @@ def _estimator(points: Sequence[Point]) -> str:
     if len(own) < 2:
         return ""
     listed = "; ".join(
-        f"{p['settings']['estimator']} {_share(p['error'])} in {_ms(p['time_ms'])}"
-        for p in sorted(own, key=lambda p: p["error"])
+        f"{p['settings']['estimator']} {_light_and_time(p)}" for p in sorted(own, key=lambda p: p["error"])
     )
     best = min(own, key=lambda p: p["error"])["settings"]["estimator"]
     return f"{best} is closest to the rendered light probe on this walk. Off it, by estimator: {listed} a frame."
@@ -93,12 +92,12 @@ def _nearest(points: Sequence[Point]) -> str:
     if base is None or len(own) < 2:
         return ""
     others = "; ".join(
-        f"{p['label']} {_share(abs(p['error'] - base['error']))} {'more' if p['error'] > base['error'] else 'less'} "
-        f"error at {p['time_ms'] / base['time_ms']:.2f} of the time"
+        f"{p['label']} {format_share(abs(p['error'] - base['error']))} "
+        f"{'more' if p['error'] > base['error'] else 'less'} error at {p['time_ms'] / base['time_ms']:.2f} of the time"
         for p in own
         if p is not base
     )
-    return f"Exactly: {_share(base['error'])} off in {_ms(base['time_ms'])} a frame. Against that, {others}."
+    return f"Exactly: {_light_and_time(base, 'off in')} a frame. Against that, {others}."
 
 
 def _frame_size(points: Sequence[Point]) -> str:
@@ -111,7 +110,8 @@ def _frame_size(points: Sequence[Point]) -> str:
     if len(best) < 2:
         return ""
     listed = "; ".join(
-        f"{size[0]}x{size[1]} comes to {_share(p['error'])} at best" for size, p in sorted(best.items(), reverse=True)
+        f"{size[0]}x{size[1]} comes to {format_share(p['error'])} at best"
+        for size, p in sorted(best.items(), reverse=True)
     )
     return f"Whatever the samples, {listed}: in a small frame a pixel stands for more anchors than one."
 
@@ -129,12 +129,10 @@ def _bounces(points: Sequence[Point]) -> str:
         and p["settings"].get("preset") is None
     ]
     listed = "; ".join(
-        f"{'all' if p['settings']['max_bounces'] is None else p['settings']['max_bounces']}: {_share(p['error'])} in "
-        f"{_ms(p['time_ms'])}"
+        f"{'all' if p['settings']['max_bounces'] is None else p['settings']['max_bounces']}: {_light_and_time(p)}"
         for p in sorted(own, key=_fewest_bounces_first)
     )
-    samples = cut[-1]["settings"]["samples"]
-    return f"At {samples} sample{'' if samples == 1 else 's'}, by bounces: {listed}."
+    return f"At {format_count(cut[-1]['settings']['samples'], 'sample')}, by bounces: {listed}."
 
 
 def _fewest_bounces_first(point: Point) -> float:
@@ -146,8 +144,8 @@ def _presets(points: Sequence[Point]) -> str:
     own = [p for p in points if p["preset"] is not None]
     if not own:
         return ""
-    said = [f"{p['preset']} ({p['label']}) is {_share(p['error'])} off in {_ms(p['time_ms'])} a frame" for p in own]
-    return f"{'; '.join(said)}."
+    words = [f"{p['preset']} ({p['label']}) is {_light_and_time(p, 'off in')} a frame" for p in own]
+    return f"{'; '.join(words)}."
 
 
 def _last_tenth(points: Sequence[Point], doing: str) -> str:
@@ -158,18 +156,17 @@ def _last_tenth(points: Sequence[Point], doing: str) -> str:
     cheapest, dearest = front[0], front[-1]
     bound = dearest["error"] + 0.1 * (cheapest["error"] - dearest["error"])
     near = next(p for p in front if p["error"] <= bound)
-    way = f"from {_share(cheapest['error'])} to {_share(dearest['error'])}"
+    way = f"from {format_share(cheapest['error'])} to {format_share(dearest['error'])}"
     if near is dearest:
-        return f"{doing}: nothing but {name_of(dearest)}, in {_ms(dearest['time_ms'])} a frame, goes the way {way}."
+        time = format_milliseconds(dearest["time_ms"])
+        return f"{doing}: nothing but {name_of(dearest)}, in {time} a frame, goes the way {way}."
+    time = format_milliseconds(near["time_ms"])
     return (
-        f"{doing}: {name_of(near)} goes nine tenths of the way {way} in {_ms(near['time_ms'])} a frame; the rest, "
-        f"{name_of(dearest)}, takes {dearest['time_ms'] / near['time_ms']:.1f} times that."
+        f"{doing}: {name_of(near)} goes nine tenths of the way {way} in {time} a frame; the rest, {name_of(dearest)}, "
+        f"takes {dearest['time_ms'] / near['time_ms']:.1f} times that."
     )
 
 
-def _share(error: float) -> str:
-    return f"{error:.2%}" if error < 0.0995 else f"{error:.0%}"
-
-
-def _ms(time_ms: float) -> str:
-    return f"{time_ms / 1000:.2g} s" if time_ms >= 1000 else f"{time_ms:.3g} ms"
+def _light_and_time(point: Point, between: str = "in") -> str:
+    """ "1.23% in 4.12 ms"."""
+    return f"{format_share(point['error'])} {between} {format_milliseconds(point['time_ms'])}"

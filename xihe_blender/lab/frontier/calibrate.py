@@ -10,7 +10,6 @@ Rejected: the pilots that a run makes for its preset, in three views and with up
 
 from __future__ import annotations
 
-import json
 import statistics
 import time
 from collections.abc import Mapping
@@ -33,6 +32,7 @@ from xihe_blender.previs.run_time import FEW_SAMPLES, N_RENDERS, RenderTime, tim
 from xihe_blender.previs.sample_count import capture_noise, pilot_views, samples_taken
 from xihe_blender.previs.settings import PRESETS, PrevisSettings
 from xihe_blender.scene.state import scene_kept
+from xihenet.formats import format_quantity
 from xihenet.records import ArrayF64, RgbdFrame
 
 PILOT_SAMPLES = 2
@@ -112,22 +112,13 @@ def _timed_step(seen: RgbdFrame, position_m: ArrayF64, exposure: float) -> float
     return statistics.median(times[1:])
 
 
-def said_of_calibration(calibration: Calibration) -> str:
+def format_calibration(calibration: Calibration) -> str:
     """ "draft 0.4 s, balanced 0.9 s, accurate 3.1 s a frame, measured on living_room"."""
-    costs = ", ".join(f"{name} {seconds:.2g} s" for name, seconds in calibration.frame_s.items())
+    costs = ", ".join(f"{name} {format_quantity(seconds, 's', 2)}" for name, seconds in calibration.frame_s.items())
     return f"{costs} a frame, measured on {calibration.scene}"
 
 
 def save_calibration(path: Path, calibration: Calibration) -> None:
     """Remember it; OSError if the file cannot be written."""
-    content: dict[str, Any] = asdict(calibration) | {"said": said_of_calibration(calibration)}
+    content: dict[str, Any] = asdict(calibration) | {"said": format_calibration(calibration)}
     write_json(path, content)
-
-
-def read_calibration(path: Path) -> Calibration | None:
-    """What was remembered; None for nothing, or for what cannot be read."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        return Calibration(content["scene"], content["frame_s"], content["samples"], content["step_ms"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return None

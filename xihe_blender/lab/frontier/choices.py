@@ -1,4 +1,4 @@
-"""Which choices trade accuracy for time, and which of them are measured?
+"""Choices that trade accuracy for time, and which of them are measured.
 
 Around the base, which is what a run takes by default, one choice is varied at a time; then come combinations that could
 be better than any of these: few anchors with the fast table, a small frame with many samples, and the like. Rejected:
@@ -19,6 +19,7 @@ from typing import Any
 from xihe_blender.previs.settings import PREVIS_TRIGGER
 from xihenet.codec import EncodingMethod
 from xihenet.estimators import DEFAULT
+from xihenet.formats import format_count
 from xihenet.sphere import TABLE_SIZE, NearestMethod
 
 
@@ -87,7 +88,7 @@ class RenderChoice:
     @property
     def label(self) -> str:
         """In words: "128x96, 16 samples, 4 bounces"."""
-        words = [f"{self.size[0]}x{self.size[1]}", f"{self.samples} sample{'' if self.samples == 1 else 's'}"]
+        words = [f"{self.size[0]}x{self.size[1]}", format_count(self.samples, "sample")]
         if self.max_bounces is not None:
             words.append(f"{self.max_bounces} bounce{'' if self.max_bounces == 1 else 's'}")
         return ", ".join([*words, *([] if self.is_denoised else ["not denoised"])])

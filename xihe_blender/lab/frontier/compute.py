@@ -12,7 +12,7 @@ import numpy as np
 from xihe_blender.lab.frontier.chain import ChoiceBackend, Walk, walk_through
 from xihe_blender.lab.frontier.choices import EXHAUSTIVE, ComputeChoice
 from xihe_blender.lab.frontier.light_errors import square_errors
-from xihe_blender.lab.frontier.measured import Measured
+from xihe_blender.lab.frontier.points import Measured
 from xihe_blender.lab.frontier.steps import Steps, told_as, within
 from xihe_blender.lab.frontier.timing import interleaved, torch_on_one_thread
 from xihenet.records import ArrayF64

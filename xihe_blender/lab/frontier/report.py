@@ -1,4 +1,4 @@
-"""What did the frontier find? One self-contained page: the picture, the answers in words, then every number.
+"""Report of a frontier, one self-contained page: the picture, the answers in words, then every number.
 
 Made from frontier.json alone. First picture: rendering and computing together, since that is what a user waits for.
 """
@@ -6,15 +6,27 @@ Made from frontier.json alone. First picture: rendering and computing together, 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-from xihe_blender.lab.frontier.by_choice import CHOICES, errors_by_kind, family, value_in_words
-from xihe_blender.lab.frontier.loglog import LOGLOG_STYLE, loglog_plot
-from xihe_blender.lab.frontier.points import dominated_in_words, flickers, group, groups, name_of
-from xihe_blender.report.document import block, document, link, section, table
-from xihe_blender.report.values import DASH, counted, escape, finite, items, listed, mapping, significant, with_unit
+from xihe_blender.lab.frontier.pareto_plot import pareto_plot
+from xihe_blender.lab.frontier.points import (
+    CHOICES,
+    Point,
+    errors_by_kind,
+    family,
+    flickers,
+    format_choice,
+    format_dominated,
+    group,
+    groups,
+    name_of,
+)
+from xihe_blender.report.document import block, document, table
+from xihe_blender.report.values import escape, finite, items, mapping
+from xihenet.formats import format_count, format_list, format_percent, format_quantity
 
-Point = Mapping[str, Any]
+LAB_STYLE = Path(__file__).parents[1] / "lab.css"
 FRONTS = {
     "total": ("Rendering and computing together", "What a frame of a run takes: its capture, and the chain on it."),
     "render": ("Rendering", "The capture of a frame, and for pictures the comparison as well."),
@@ -37,9 +49,9 @@ def report_page(content: Mapping[str, Any]) -> str:
     return document(
         "What accuracy costs in time",
         f'<p class="lead">{_lead(content, points)}</p>',
-        "".join(_scene(content, points, name) for name in names) + _how(content),
-        links="".join(link(escape(name), escape(name)) for name in names),
-        style=LOGLOG_STYLE,
+        [(escape(name), escape(name), _scene(content, points, name)) for name in names]
+        + [("how", "How it was measured", _how(content))],
+        style=LAB_STYLE,
     )
 
 
@@ -48,14 +60,14 @@ def _lead(content: Mapping[str, Any], points: Sequence[Point]) -> str:
     presets = [p for p in points if p["preset"] is not None]
     on_front = sum(p["on_front"] for p in presets)
     return (
-        f"{counted(n_choices, 'choice')} measured on {counted(len(items(content, 'scenes')), 'scene')}. The presets "
-        f"are on the front in {on_front} of {len(presets)} cases, by scene, front and kind of error."
+        f"{format_count(n_choices, 'choice')} measured on {format_count(len(items(content, 'scenes')), 'scene')}. The "
+        f"presets are on the front in {on_front} of {len(presets)} cases, by scene, front and kind of error."
     )
 
 
 def _scene(content: Mapping[str, Any], points: Sequence[Point], name: str) -> str:
     opening, *others = (
-        loglog_plot(group(points, name, front, kind), f"{FRONTS[front][0]}: {KINDS[kind]}", FRONTS[front][1])
+        pareto_plot(group(points, name, front, kind), f"{FRONTS[front][0]}: {KINDS[kind]}", FRONTS[front][1])
         for front, kind in _ordered(points, name)
     )
     answered = "".join(
@@ -64,13 +76,12 @@ def _scene(content: Mapping[str, Any], points: Sequence[Point], name: str) -> st
         if one["scene"] == name
     )
     tables = "".join(_numbers(group(points, name, front, kind), front, kind) for front, kind in _ordered(points, name))
-    shown = (
+    return (
         f'<div class="plots">{opening}</div>'
         + block("In words", f'<dl class="answers">{answered}</dl>')
         + f'<div class="plots">{"".join(others)}</div><h3 class="apart">Choice by choice</h3>'
         f'{_choices(points, name)}<h3 class="apart">All that was measured</h3>{tables}'
     )
-    return section(escape(name), escape(name), shown)
 
 
 def _choices(points: Sequence[Point], scene: str) -> str:
@@ -86,9 +97,9 @@ def _choices(points: Sequence[Point], scene: str) -> str:
         kinds = [kind for kind in KINDS if any(kind in each for each in errors)]
         rows = [
             [
-                escape(value_in_words(point["settings"], names)),
-                with_unit(point["time_ms"], "ms"),
-                *(f"{significant(100 * each[kind])} %" if kind in each else DASH for kind in kinds),
+                escape(format_choice(point["settings"], names)),
+                format_quantity(point["time_ms"], "ms"),
+                *(format_percent(each.get(kind), 3) for kind in kinds),
             ]
             for point, each in zip(own, errors, strict=True)
         ]
@@ -107,22 +118,22 @@ def _numbers(points: Sequence[Point], front: str, kind: str) -> str:
     rows = [
         [
             escape(name_of(p)),
-            f"{significant(100 * p['error'])} %",
-            with_unit(p["time_ms"], "ms"),
-            with_unit(p["spread_ms"], "ms", 2),
+            format_percent(p["error"], 3),
+            format_quantity(p["time_ms"], "ms"),
+            format_quantity(p["spread_ms"], "ms", 2),
             "flickers" if flickers(p) else "on the front" if p["on_front"] else "dominated",
         ]
         for p in points
     ]
     head = ["choice", "error", "time", "spread of time", "judged"]
-    dominated = "".join(f"<li>{escape(words)}</li>" for words in dominated_in_words(points))
-    told = f"<p>Never worth taking here:</p><ul>{dominated}</ul>" if dominated else ""
+    items_of = "".join(f"<li>{escape(words)}</li>" for words in format_dominated(points))
+    dominated = f"<p>Never worth taking here:</p><ul>{items_of}</ul>" if items_of else ""
     flickering = [name_of(p) for p in points if flickers(p)]
-    chance = f"<p>On the front or off it by chance: {escape(listed(flickering))}.</p>" if flickering else ""
+    chance = f"<p>On the front or off it by chance: {escape(format_list(flickering))}.</p>" if flickering else ""
     title = f"{FRONTS[front][0]}: {KINDS[kind]}"
     return (
-        f'<section class="block"><details><summary><b>{title}</b>, {counted(len(points), "choice")}</summary>'
-        f"{table(head, rows)}{told}{chance}</details></section>"
+        f'<section class="block"><details><summary><b>{title}</b>, {format_count(len(points), "choice")}</summary>'
+        f"{table(head, rows)}{dominated}{chance}</details></section>"
     )
 
 
@@ -139,12 +150,12 @@ def _how(content: Mapping[str, Any]) -> str:
         "measurements put it on the front in 5 to 95 % of cases.",
     ]
     if missing:
-        notes.append(f"Not measured, since what they need is not installed: {listed(missing)}.")
+        notes.append(f"Not measured, since what they need is not installed: {format_list(missing)}.")
     facts = f"Blender {software.get('blender')}, Python {software.get('python')}, {machine.get('platform')}"
     cores = finite(machine.get("n_cores"))
     facts += f", {cores:.0f} cores" if cores is not None else ""
     listed_notes = "".join(f"<li>{escape(note)}</li>" for note in notes)
     return (
-        f'<section><h2>How it was measured</h2><section class="block"><ul>{listed_notes}</ul>'
-        f"<p>{escape(facts)}.</p><pre>{escape(software.get('command') or '')}</pre></section></section>"
+        f'<section class="block"><ul>{listed_notes}</ul>'
+        f"<p>{escape(facts)}.</p><pre>{escape(software.get('command') or '')}</pre></section>"
     )

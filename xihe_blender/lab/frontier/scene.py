@@ -32,8 +32,8 @@ from xihe_blender.lab.frontier.choices import (
 )
 from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, loaded, measure_compute
 from xihe_blender.lab.frontier.light_errors import ORDER
-from xihe_blender.lab.frontier.measured import Measured
 from xihe_blender.lab.frontier.pictures import PictureStudy, measure_pictures, picture_choices
+from xihe_blender.lab.frontier.points import Measured
 from xihe_blender.lab.frontier.rendering import RenderStudy, View, measure_rendering
 from xihe_blender.lab.frontier.steps import Steps, part_of
 from xihe_blender.lab.frontier.timing import Spread

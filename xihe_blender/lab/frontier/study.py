@@ -25,8 +25,7 @@ from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.lab.frontier.answers import answers
 from xihe_blender.lab.frontier.choices import FULL, QUICK, Effort
-from xihe_blender.lab.frontier.measured import Measured
-from xihe_blender.lab.frontier.points import points_of
+from xihe_blender.lab.frontier.points import Measured, points_of
 from xihe_blender.lab.frontier.report import report_page
 from xihe_blender.lab.frontier.scene import SceneStudy, measure_scene, plan_scene
 from xihe_blender.report.document import write_document

@@ -22,7 +22,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.folder_claim import NOT_COMPARED, FolderClaim
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.lab.rooms.store import FORMAT_VERSION, METERING, stored_indices
-from xihe_blender.lab.workers.dask_workers import open_spread
+from xihe_blender.lab.workers.dask_workers import open_dask_workers
 from xihe_blender.lab.workers.one_core import child_environment, cores_of_their_own, n_cores, on_core
 from xihe_blender.lab.workers.processes import module_command
 from xihenet import __version__
@@ -134,10 +134,10 @@ def _over_dask(folder: Path, settings: BuildSettings, missing: Sequence[int]) ->
     ]
     if not asked:
         return
-    with open_spread(None, settings.scheduler) as spread:
-        spread.check_workers(str(folder), [])
-        yield from spread.run(asked, "share of rooms")
-    for reason in spread.failed.values():
+    with open_dask_workers(None, settings.scheduler) as workers:
+        workers.check_workers(str(folder), [])
+        yield from workers.run(asked, "share of rooms")
+    for reason in workers.failed.values():
         raise UserError(f"a worker ended: {reason}; the same command goes on from here")
 
 

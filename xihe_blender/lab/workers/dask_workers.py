@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import Progress
 from xihe_blender.lab.workers.one_core import n_cores
-from xihe_blender.report.values import counted
 from xihenet import __version__
+from xihenet.formats import format_count
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -34,8 +34,8 @@ INSTALL = "pip install 'xihe-blender[evaluate]'"
 
 
 @dataclass
-class Spread:
-    """Work under way; made by `open_spread`.
+class DaskWorkers:
+    """Work under way; made by `open_dask_workers`.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class Spread:
 
         Parameters
         ----------
-        asked : as `spread_worker.run_module` takes it
+        asked : as `dask_worker.run_module` takes it
         noun : what one of them is
         """
         from xihe_blender.lab.workers.dask_worker import TOPIC, run_module
@@ -112,8 +112,8 @@ class Spread:
             # By the percent, or a batch of thousands would tell of nothing else.
             done = len(futures) * math.floor(100 * share) / 100
             n_workers = len(self.client.ncores())
-            workers = counted(n_workers, "worker")
-            yield Progress(done, len(futures), f"{n_done} of {counted(len(futures), noun)}, {workers}")
+            workers = format_count(n_workers, "worker")
+            yield Progress(done, len(futures), f"{n_done} of {format_count(len(futures), noun)}, {workers}")
             alone_since = time.monotonic() if n_workers else alone_since
             if self.is_local and time.monotonic() - alone_since > ALONE_S:
                 raise UserError("no worker is left: run the same command again, it goes on from here")
@@ -141,7 +141,7 @@ def _why_it_failed(future: Future[str | None]) -> str | None:
 
 
 @contextlib.contextmanager
-def open_spread(n_workers: int | None, address: str | None) -> Iterator[Spread]:
+def open_dask_workers(n_workers: int | None, address: str | None) -> Iterator[DaskWorkers]:
     """A scheduler with workers: the one at `address`, or our own with `n_workers` processes (None: one per core).
 
     UserError where Dask is missing, or nobody answers at `address`.
@@ -155,12 +155,12 @@ def open_spread(n_workers: int | None, address: str | None) -> Iterator[Spread]:
     with contextlib.ExitStack() as stack:
         if address is None:
             cluster = stack.enter_context(_local_cluster(n_workers))
-            yield Spread(stack.enter_context(distributed.Client(cluster)), is_local=True)
+            yield DaskWorkers(stack.enter_context(distributed.Client(cluster)), is_local=True)
         else:
-            yield Spread(stack.enter_context(_client_of(address)), is_local=False)
+            yield DaskWorkers(stack.enter_context(_client_of(address)), is_local=False)
 
 
-def dashboard(spread: Spread) -> str:
+def dashboard(workers: DaskWorkers) -> str:
     """Where the dashboard is, or how to get one, in a sentence.
 
     The scheduler is asked: what is installed here says nothing of another machine. Call it after `check_workers`, for
@@ -168,9 +168,9 @@ def dashboard(spread: Spread) -> str:
     """
     from xihe_blender.lab.workers.dask_worker import has_dashboard
 
-    if spread.client.run_on_scheduler(has_dashboard):
-        return f"dashboard: {spread.client.dashboard_link}"
-    return f"no dashboard: it takes {'pip install bokeh' if spread.is_local else 'a scheduler with bokeh installed'}"
+    if workers.client.run_on_scheduler(has_dashboard):
+        return f"dashboard: {workers.client.dashboard_link}"
+    return f"no dashboard: it takes {'pip install bokeh' if workers.is_local else 'a scheduler with bokeh installed'}"
 
 
 @contextlib.contextmanager

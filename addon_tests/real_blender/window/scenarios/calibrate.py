@@ -5,7 +5,7 @@ from rooms import look_through_camera, make_runs_short
 from scene_snapshot import differences, snapshot
 
 from xihe_blender.addon import panels
-from xihe_blender.addon.calibration import calibration_file, calibration_in_words
+from xihe_blender.addon.calibration import calibration_file, calibration_line
 
 
 def prepare():
@@ -54,7 +54,7 @@ def scenario(w):
             "is_remembered": calibration_file().exists(),
             "error": bpy.context.window_manager.xihe.error,
         }
-    w.facts["said"] = calibration_in_words()
+    w.facts["said"] = calibration_line()
     w.facts["drawn"] = yield from sentences_drawn(w)
 
 

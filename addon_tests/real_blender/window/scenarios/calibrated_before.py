@@ -2,12 +2,12 @@
 
 from calibrate import sentences_drawn
 
-from xihe_blender.addon.calibration import calibration_in_words
+from xihe_blender.addon.calibration import calibration_line
 
 
 def scenario(w):
     yield from w.open_tab()
-    w.facts["said"] = calibration_in_words()
+    w.facts["said"] = calibration_line()
     w.facts["drawn"] = yield from sentences_drawn(w)
     yield from w.picture("calibrated_before")
     yield from w.find("xihe.calibrate(")

@@ -1,9 +1,4 @@
-"""What moves in the report? Dragging along the frames, the wipe, the marker of the shown frame, the copy button.
-
-Plain JavaScript without libraries. Everything else works without it: the frames are chosen by radio buttons and CSS.
-"""
-
-SCRIPT = """
+// Dragging along the frames, the wipe, the marker of the shown frame, the copy button. All else works without it.
 (function () {
   'use strict';
   var all = function (query) { return Array.prototype.slice.call(document.querySelectorAll(query)); };
@@ -88,4 +83,3 @@ SCRIPT = """
     });
   }
 })();
-"""

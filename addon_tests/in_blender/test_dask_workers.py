@@ -8,7 +8,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.rooms.build import BuildSettings, build_dataset
 from xihe_blender.lab.rooms.store import room_path
-from xihe_blender.lab.workers.dask_workers import dashboard, open_spread
+from xihe_blender.lab.workers.dask_workers import dashboard, open_dask_workers
 
 pytestmark = pytest.mark.wheel_only("a whole Blender's Python has no Dask")
 
@@ -44,9 +44,9 @@ def asked(name, *arguments):
 
 def run(scheduler, *work):
     """What failed, and why."""
-    with open_spread(None, scheduler) as spread:
-        assert list(spread.run(work, "piece of work"))[-1].done == len(work)
-        return spread.failed
+    with open_dask_workers(None, scheduler) as workers:
+        assert list(workers.run(work, "piece of work"))[-1].done == len(work)
+        return workers.failed
 
 
 def test_a_process_that_dies_is_tried_again(scheduler, scripts):
@@ -89,9 +89,9 @@ def test_rooms_made_over_a_scheduler_are_those_of_one_process(scheduler, tmp_pat
 
 def test_a_dashboard_is_named_where_there_is_one(scheduler):
     # With bokeh there is one, and without it Dask answers with how to get it.
-    with open_spread(None, scheduler) as spread:
-        said = dashboard(spread)
-        with urlopen(spread.client.dashboard_link, timeout=20) as page:
+    with open_dask_workers(None, scheduler) as workers:
+        said = dashboard(workers)
+        with urlopen(workers.client.dashboard_link, timeout=20) as page:
             is_there = b"Dask needs bokeh" not in page.read()
         assert said == (
             f"dashboard: {page.url}" if is_there else "no dashboard: it takes a scheduler with bokeh installed"
@@ -103,16 +103,16 @@ def test_a_scheduler_that_was_started_without_a_dashboard_has_none():
     from distributed import LocalCluster
 
     bare = {"processes": False, "protocol": "tcp", "host": "127.0.0.1", "dashboard_address": None}
-    with LocalCluster(n_workers=1, **bare) as cluster, open_spread(None, cluster.scheduler_address) as spread:
-        assert dashboard(spread).startswith("no dashboard")
+    with LocalCluster(n_workers=1, **bare) as cluster, open_dask_workers(None, cluster.scheduler_address) as workers:
+        assert dashboard(workers).startswith("no dashboard")
 
 
 def test_a_folder_that_no_worker_sees_is_one_line(scheduler, tmp_path):
-    with open_spread(None, scheduler) as spread, pytest.raises(UserError, match="under the same path"):
-        spread.check_workers(str(tmp_path / "none"), [])
+    with open_dask_workers(None, scheduler) as workers, pytest.raises(UserError, match="under the same path"):
+        workers.check_workers(str(tmp_path / "none"), [])
 
 
 def test_an_address_that_is_none_is_one_line():
     for address in ("nowhere", "", "foo://127.0.0.1:1", "tls://127.0.0.1:1", "tcp://127.0.0.1:1"):
-        with pytest.raises(UserError, match="no scheduler answers"), open_spread(None, address):
+        with pytest.raises(UserError, match="no scheduler answers"), open_dask_workers(None, address):
             pass
