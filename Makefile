@@ -28,8 +28,7 @@ test-fast: $(VENV)/installed
 	$(BIN)/python -m pytest -m "not slow"
 
 hard-cases: $(VENV)/installed
-	$(BIN)/python -m addon_tests.pure.hard_cases
-	$(BIN)/python -m addon_tests.in_blender.hard_cases
+	$(BIN)/python -m pytest --quiet --catalogue addon_tests/pure/hard_cases addon_tests/in_blender/hard_cases
 
 fuzz: $(VENV)/installed
 	$(BIN)/python addon_tests/fuzz.py --minutes $(MINUTES)

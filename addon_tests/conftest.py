@@ -1,6 +1,23 @@
-"""What all tests share: hypothesis does not judge by the clock, since a busy machine is no defect."""
+"""What all tests share. Hypothesis does not judge by the clock, since a busy machine is no defect."""
 
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
+
+from addon_tests.hard_case import comes_out, table
+
+__all__ = ["comes_out"]
 
 settings.register_profile("any_machine", deadline=None)
+settings.register_profile("search", max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
 settings.load_profile("any_machine")
+
+
+def pytest_addoption(parser):
+    parser.addoption("--catalogue", action="store_true", help="print the hard cases that ran, and what came of them")
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    if config.getoption("catalogue"):
+        reports = [report for outcome in ("passed", "failed") for report in terminalreporter.stats.get(outcome, [])]
+        cases = [dict(report.user_properties)["hard_case"] for report in reports if report.user_properties]
+        for line in table(cases):
+            terminalreporter.write_line(line)

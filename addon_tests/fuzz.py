@@ -26,7 +26,7 @@ if __name__ == "__main__":
 
 from addon_tests.fuzz_readers import readers
 from addon_tests.fuzz_stages import STAGES
-from addon_tests.pure.hard_cases.encode_random import taken_for_something_else
+from addon_tests.pure.hard_cases.random_payloads import taken_for_something_else
 from xihenet.codec import METHODS
 
 CORPUS = Path(__file__).with_name("data") / "corpus"

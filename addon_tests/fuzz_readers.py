@@ -18,7 +18,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from addon_tests.pure.frame_makers import box_radiance_and_plane_depth, write_exr
-from addon_tests.pure.hard_cases.encode_random import is_taken_for_something_else
+from addon_tests.pure.hard_cases.random_payloads import is_taken_for_something_else
 from xihenet.codec import METHODS, encode_cloud
 from xihenet.estimators.lattice import Lattice
 from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights, load_weights

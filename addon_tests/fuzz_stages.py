@@ -9,7 +9,7 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as nps
 
-from addon_tests.pure.hard_cases.estimate import estimator
+from addon_tests.pure.hard_cases.hard_clouds import estimator
 from xihenet.buffers import merge
 from xihenet.camera import encode_exposed, metered_exposure, project_points, unproject_frame
 from xihenet.codec import METHODS, decode_cloud, encode_cloud

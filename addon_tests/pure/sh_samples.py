@@ -48,6 +48,21 @@ def random_light(order: int = 2, seed: int = 1) -> F64:
     return np.random.default_rng(seed).normal(size=((order + 1) ** 2, 3))
 
 
+def light(order: int = 2, **coefficients: float) -> F64:
+    """((order + 1)^2, 3) grey; coefficients by index: c0=1 is the constant one."""
+    sh = np.zeros(((order + 1) ** 2, 3))
+    for name, value in coefficients.items():
+        sh[int(name[1:])] = value
+    return sh
+
+
+def sunny(value: float, height: int = 64, width: int = 128, sky: float = 0.2) -> F64:
+    """One texel of sun in a constant sky."""
+    radiance = np.full((height, width, 3), sky)
+    radiance[height // 4, width // 3] = value
+    return radiance
+
+
 def random_rotation(seed: int) -> F64:
     turned, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     return np.asarray(turned * np.linalg.det(turned))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from addon_tests.pure.hard_cases.estimate import CLOUDS, NOTHING, ONE_WHITE, WHITE_ABOVE, WHITE_LIGHT
+from addon_tests.pure.hard_cases.hard_clouds import CLOUDS, NOTHING, ONE_WHITE, WHITE_ABOVE, WHITE_LIGHT
 from xihenet.estimators import load
 
 HARD = CLOUDS | {"nothing seen": NOTHING, "one white anchor alone": ONE_WHITE, "white above": WHITE_ABOVE}

@@ -15,8 +15,8 @@ import numpy as np
 from previs_runs import run
 from results_schema import check_results, read_strictly
 
+from addon_tests.hard_case import Must
 from addon_tests.in_blender.hard_cases.broken_scenes import Change, room
-from addon_tests.pure.hard_cases.hard_case import Must
 from xihe_blender.capture.render import RenderSettings, render_passes
 from xihe_blender.capture.scanner import first_layer, open_scanner
 from xihe_blender.errors import UserError
@@ -51,10 +51,10 @@ class Came:
         return "; ".join([means or "no light", *self.said[STANDING_NOTES:]])
 
 
-def previsualised(changes: Sequence[Change]) -> Came:
+def previsualised(changes: Change | Sequence[Change]) -> Came:
     """The whole chain, to results.json on disk, whose promises are checked."""
     with tempfile.TemporaryDirectory() as folder:
-        results = run(room(*changes), Path(folder) / "out", TINY)
+        results = run(room(*several(changes)), Path(folder) / "out", TINY)
         check_results(results)
         assert read_strictly(Path(folder) / "out" / "results.json") == results
         report = (Path(folder) / "out" / "report.html").read_text(encoding="utf-8")
@@ -65,9 +65,13 @@ def previsualised(changes: Sequence[Change]) -> Came:
     return Came(lights, truths, faults, tuple(results["notes"]))
 
 
-def believed(changes: Sequence[Change]) -> Came:
+def several(changes: Change | Sequence[Change]) -> Sequence[Change]:
+    return changes if isinstance(changes, Sequence) else (changes,)
+
+
+def believed(changes: Change | Sequence[Change]) -> Came:
     """Naive: one render, whose mean is the light; the scene is not looked at, and nothing is clipped or said."""
-    scene = room(*changes)
+    scene = room(*several(changes))
     with open_scanner(scene, RenderSettings((16, 12), samples=1)) as scanner:
         mean = first_layer(render_passes(scanner.scene))[0].astype(np.float64).mean(axis=(0, 1))
     light = np.zeros((1, 9, 3))

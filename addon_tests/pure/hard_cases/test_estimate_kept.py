@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
-from addon_tests.pure.hard_cases.estimate import CLOUDS, NOTHING, STAGE, WHITE_LIGHT, N, estimator
-from addon_tests.pure.hard_cases.hard_case import HardCase, at_most, equal, near, refused
+from addon_tests.hard_case import at_most, case, equal, near, refused
+from addon_tests.pure.hard_cases.hard_clouds import CLOUDS, NOTHING, WHITE_LIGHT, N, estimator
 from xihenet.backend import LocalBackend
 from xihenet.controller import XiheController
 from xihenet.estimators import EstimateContext, load
@@ -20,10 +21,10 @@ from xihenet.estimators.lattice import Lattice
 from xihenet.estimators.lattice_format import LatticeWeights, load_weights
 from xihenet.estimators.weights_format import WEIGHTS_FOLDER, save_weights
 from xihenet.records import Intrinsics, LightEstimate, RgbdFrame, UnitSphereCloud
-from xihenet.sphere import AnchorLattice
 
 # ------------------------------------------------------------------------------------------------ batches and weights
 
+STAGE = "estimate"
 BATCH = list(CLOUDS.values())
 
 
@@ -106,52 +107,33 @@ def half_of_weight(value: float) -> float:
     return float(np.abs(light_after_saving(replace(weights, arrays=arrays), True)).max())
 
 
-NETWORKS = [
-    HardCase(
-        STAGE,
-        "a batch of extremes is its clouds one by one",
-        BATCH,
-        batch_against_single,
-        at_most(1e-4),
-        batch_normalised_together,
-    ),
-    HardCase(STAGE, "the order of a batch makes no difference", BATCH, shuffled, at_most(1e-4), running_mean),
-    HardCase(
-        STAGE,
-        "weights in half floats give the light of those in float32",
-        3,
-        half_against_float,
-        at_most(0.02),
-        in_8_bits,
-    ),
-    *(
-        HardCase(
-            STAGE,
-            f"saved and loaded weights give the same light ({target})",
-            target,
-            saved_and_loaded,
-            equal(0.0),
-            saved_as_text,
-        )
-        for target in ("ldr", "hdr")
-    ),
-    HardCase(
-        STAGE,
-        "a weight beyond half floats is refused",
-        1e6,
-        half_of_weight,
-        refused("gate.bias does not fit into float16"),
-        lambda value: float(np.float32(value).astype(np.float16)),
-    ),
-    HardCase(
-        STAGE,
-        "a weight of NaN is refused",
-        np.nan,
-        half_of_weight,
-        refused("gate.bias: expected finite weights"),
-        lambda value: float(np.float32(value).astype(np.float16)),
-    ),
-]
+def test_a_batch_of_extremes_is_its_clouds_one_by_one(comes_out):
+    comes_out(BATCH, batch_against_single, at_most(1e-4), batch_normalised_together)
+
+
+def test_the_order_of_a_batch_makes_no_difference(comes_out):
+    comes_out(BATCH, shuffled, at_most(1e-4), running_mean)
+
+
+def test_weights_in_half_floats_give_the_light_of_those_in_float32(comes_out):
+    comes_out(3, half_against_float, at_most(0.02), in_8_bits)
+
+
+SAVED = [case(f"saved and loaded weights give the same light ({target})", target) for target in ("ldr", "hdr")]
+
+
+@pytest.mark.parametrize("given", SAVED)
+def test_saved_weights_are_the_same_weights(given, comes_out):
+    comes_out(given, saved_and_loaded, equal(0.0), saved_as_text)
+
+
+def test_a_weight_beyond_half_floats_is_refused(comes_out):
+    comes_out(1e6, half_of_weight, refused("gate.bias does not fit into float16"))
+
+
+def test_a_weight_of_nan_is_refused(comes_out):
+    comes_out(np.nan, half_of_weight, refused("gate.bias: expected finite weights"))
+
 
 # ----------------------------------------------------------------------------------------- sessions, and what is known
 
@@ -181,11 +163,6 @@ def made(changes: dict[str, Any]) -> LightEstimate:
     return LightEstimate(**(fields | changes))
 
 
-def scene_light(changes: dict[str, Any]) -> float:
-    """Naive: divides by whatever exposure comes."""
-    return 1.0 / float(changes.get("exposure", 1.0) or 1e-300)
-
-
 def sensed(ambient: list[float]) -> float:
     """What the sensor's light of a frame with nothing known is, clipped at white."""
     seen = replace(frame(np.nan), ambient=np.array(ambient))
@@ -193,60 +170,56 @@ def sensed(ambient: list[float]) -> float:
 
 
 SESSIONS = [
-    HardCase(
-        STAGE,
+    case(
         "a session of frames without plane depth has no light and says so",
         [np.nan, 0.0, 1e10],
-        session,
         equal((False, 576, False)),
         session_by_hand,
     ),
-    HardCase(
-        STAGE,
+    case(
         "a session keeps its light through frames without plane depth",
         [2.0, np.nan, np.inf],
-        session,
         equal((True, 384, False)),
         session_by_hand,
     ),
-    HardCase(
-        STAGE,
+    case(
         "a session that sees a wall has a valid light",
         [2.0],
-        session,
         equal((True, 0, True)),
         lambda depths: session_by_hand(depths[1:]),
     ),
-    HardCase(
-        STAGE,
-        "a sun of 2e5 on the sensor is white to clipped light",
-        [2e5] * 3,
-        sensed,
-        near(WHITE_LIGHT, 1e-12),
-        lambda ambient: ambient[0] * WHITE_LIGHT,
-    ),
-    *(
-        HardCase(STAGE, f"an estimate with {name} is refused", changes, made, refused(words), scene_light)
-        for name, changes, words in (
-            ("an exposure of 0", {"exposure": 0.0}, "LightEstimate.exposure"),
-            ("an exposure of NaN", {"exposure": np.nan}, "LightEstimate.exposure"),
-            ("a coverage above 1", {"coverage": 1.5}, "LightEstimate.coverage"),
-            ("an expected error of infinity", {"expected_error": np.inf}, "LightEstimate.expected_error"),
-            (
-                "one NaN among its coefficients",
-                {"sh_radiance": np.where(np.arange(27).reshape(9, 3) == 13, np.nan, 0)},
-                "LightEstimate.sh_radiance",
-            ),
-        )
-    ),
-    HardCase(
-        STAGE,
-        "an estimator without anchors is refused",
-        0,
-        partial(load, "lattice"),
-        refused("expected at least one anchor"),
-        lambda n: AnchorLattice(max(n, 1)).n,
-    ),
 ]
 
-CASES = [*NETWORKS, *SESSIONS]
+
+@pytest.mark.parametrize("given, must, naive", SESSIONS)
+def test_a_session_says_whether_it_knows_the_light(given, must, naive, comes_out):
+    comes_out(given, session, must, naive)
+
+
+def test_a_sun_of_2e5_on_the_sensor_is_white_to_clipped_light(comes_out):
+    comes_out([2e5] * 3, sensed, near(WHITE_LIGHT, 1e-12), lambda ambient: ambient[0] * WHITE_LIGHT)
+
+
+WRONG_ESTIMATES = [
+    case(f"an estimate with {name} is refused", changes, refused(words))
+    for name, changes, words in (
+        ("an exposure of 0", {"exposure": 0.0}, "LightEstimate.exposure"),
+        ("an exposure of NaN", {"exposure": np.nan}, "LightEstimate.exposure"),
+        ("a coverage above 1", {"coverage": 1.5}, "LightEstimate.coverage"),
+        ("an expected error of infinity", {"expected_error": np.inf}, "LightEstimate.expected_error"),
+        (
+            "one NaN among its coefficients",
+            {"sh_radiance": np.where(np.arange(27).reshape(9, 3) == 13, np.nan, 0)},
+            "LightEstimate.sh_radiance",
+        ),
+    )
+]
+
+
+@pytest.mark.parametrize("given, must", WRONG_ESTIMATES)
+def test_an_estimate_that_is_none_is_refused(given, must, comes_out):
+    comes_out(given, made, must)
+
+
+def test_an_estimator_without_anchors_is_refused(comes_out):
+    comes_out(0, partial(load, "lattice"), refused("expected at least one anchor"))

@@ -5,17 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 
-from addon_tests.pure.hard_cases.hard_case import HardCase, at_most, equal, near, refused, that
-from addon_tests.pure.hard_cases.harmonics import CONSTANT, STAGE, UNIT_NORMALS, light, random_light, sunny
-from xihenet.sh import (
-    basis,
-    dering,
-    dering_with_strength,
-    irradiance,
-    project_panorama,
-    rotate,
-)
+from addon_tests.hard_case import at_most, case, equal, near, refused, that
+from addon_tests.pure.sh_samples import CONSTANT, light, random_directions, random_light, sunny
+from xihenet.sh import basis, dering, dering_with_strength, irradiance, project_panorama, rotate
+
+STAGE = "harmonics"
+UNIT_NORMALS = random_directions(2000)
 
 # --------------------------------------------------------------------------------------------------------- rotation
 
@@ -60,11 +57,6 @@ def rotated(matrix: Any) -> np.ndarray:
     return rotate(light(c2=1), matrix)
 
 
-def rotated_by_hand(matrix: Any) -> np.ndarray:
-    """Naive: the band of l = 1 turns like a vector, whatever the matrix."""
-    return np.asarray(matrix) @ np.ones(3)
-
-
 NO_ROTATION = {
     "scaled by 1.001": (np.eye(3) * 1.001, "expected orthonormal rows"),
     "scaled by 1e200": (np.eye(3) * 1e200, "expected orthonormal rows"),
@@ -74,64 +66,65 @@ NO_ROTATION = {
     "that mirrors": (np.diag([1.0, 1.0, -1.0]), "got a mirroring"),
     "with NaN": (np.full((3, 3), np.nan), "expected a finite (3, 3) matrix"),
 }
-ROTATION = [
+TURNS = [
     *(
-        HardCase(
-            STAGE,
-            f"light of order {order} turns with the room",
-            (about(0, 1.1) @ about(2, 0.4), order),
-            turn_error,
-            at_most(1e-12),
-            turn_error_by_euler,
-        )
+        case(f"light of order {order} turns with the room", (about(0, 1.1) @ about(2, 0.4), order), turn_error_by_euler)
         for order in (1, 2, 3, 10)
     ),
-    HardCase(
-        STAGE,
-        "a turn by 180 degrees about X turns the light over",
-        (about(0, np.pi), 2),
-        turn_error,
-        at_most(1e-12),
-        turn_error_by_euler,
-    ),
-    HardCase(
-        STAGE,
+    case("a turn by 180 degrees about X turns the light over", (about(0, np.pi), 2), turn_error_by_euler),
+    case(
         "a pitch of 90 degrees, where Euler angles lock, turns the light",
         (about(1, np.pi / 2) @ about(0, 0.3), 2),
-        turn_error,
-        at_most(1e-12),
         turn_error_by_euler,
     ),
-    HardCase(
-        STAGE,
+    case(
         "no turn leaves light of order 10 as it is",
         (np.eye(3), 10),
-        turn_error,
-        at_most(1e-12),
         lambda given: turn_error_by_euler((about(1, 1e-9), given[1])),
     ),
-    HardCase(STAGE, "a turn by 1e-9 moves the light by 1e-9", 1e-9, tiny_turn, near(-1.0, 1e-5), tiny_turn_in_float32),
-    HardCase(
-        STAGE,
+]
+
+
+@pytest.mark.parametrize("given, naive", TURNS)
+def test_light_turns_with_the_room(given, naive, comes_out):
+    comes_out(given, turn_error, at_most(1e-12), naive)
+
+
+def test_a_turn_by_1e_9_moves_the_light_by_1e_9(comes_out):
+    comes_out(1e-9, tiny_turn, near(-1.0, 1e-5), tiny_turn_in_float32)
+
+
+def test_constant_light_of_order_0_can_be_turned(comes_out):
+    comes_out(
+        np.ones((1, 3)), lambda sh: rotate(sh, about(0, 1.0)), near(np.ones((1, 3)), 1e-14), lambda sh: sh[[1, 2, 3]]
+    )
+
+
+SMALL_TURNS = [
+    case(
         "a matrix in float32, as Blender has it, is a rotation",
         about(0, 1.1).astype(np.float32),
         lambda matrix: float(np.abs(rotate(random_light(2), matrix) - rotate(random_light(2), about(0, 1.1))).max()),
         at_most(1e-6),
         lambda matrix: float(np.abs(matrix.astype(np.float16) - about(0, 1.1)).max()),
-    ),
-    HardCase(
-        STAGE,
-        "constant light of order 0 can be turned",
-        np.ones((1, 3)),
-        lambda sh: rotate(sh, about(0, 1.0)),
-        near(np.ones((1, 3)), 1e-14),
-        lambda sh: sh[[1, 2, 3]],
-    ),
-    *(
-        HardCase(STAGE, f"a matrix {name} is refused", matrix, rotated, refused(words), rotated_by_hand)
-        for name, (matrix, words) in NO_ROTATION.items()
-    ),
+    )
 ]
+
+
+@pytest.mark.parametrize("given, ask, must, naive", SMALL_TURNS)
+def test_light_is_turned_exactly(given, ask, must, naive, comes_out):
+    comes_out(given, ask, must, naive)
+
+
+NO_ROTATIONS = [
+    case(f"a matrix {name} is refused", matrix, refused(words)) for name, (matrix, words) in NO_ROTATION.items()
+]
+
+
+@pytest.mark.parametrize("given, must", NO_ROTATIONS)
+def test_a_matrix_that_is_no_rotation_is_refused(given, must, comes_out):
+    comes_out(given, rotated, must)
+
 
 # ---------------------------------------------------------------------------------------------- ringing and irradiance
 
@@ -168,107 +161,93 @@ def window_too_weak(sh: np.ndarray) -> float:
     return lowest(sh * ((1 - strength) ** (bands * (bands + 1) / 2))[:, None])
 
 
+def test_a_sun_in_one_texel_lights_no_surface_negatively(comes_out):
+    comes_out(SUN, lowest_deringed, NOT_NEGATIVE, lambda sh: lowest(lanczos(sh)))
+
+
+def test_a_sun_in_a_sky_lights_no_surface_negatively(comes_out):
+    comes_out(SUN_IN_SKY, lowest_deringed, NOT_NEGATIVE, lowest)
+
+
 RINGING = [
-    HardCase(
-        STAGE,
-        "a sun in one texel lights no surface negatively",
-        SUN,
-        lowest_deringed,
-        NOT_NEGATIVE,
-        lambda sh: lowest(lanczos(sh)),
-    ),
-    HardCase(STAGE, "a sun in a sky lights no surface negatively", SUN_IN_SKY, lowest_deringed, NOT_NEGATIVE, lowest),
-    HardCase(
-        STAGE,
-        "the window for a sun costs 17 % of the bands of l = 1",
-        SUN,
-        window_of,
-        near(0.1698, 5e-4),
-        lambda sh: float(1 - np.sinc(1 / 3)),
-    ),
-    HardCase(
-        STAGE,
+    case(
         "a window 1 % weaker would ring",
         SUN,
         window_too_weak,
         that("negative", lambda came: came < 0),
         lambda sh: lowest(dering(sh) * np.repeat([1, 0.9, 0.7], [1, 3, 5])[:, None]),
     ),
-    HardCase(
-        STAGE,
+    case(
         "light that does not ring is left alone",
         light(c0=1, c2=0.2),
         lambda sh: float(np.abs(dering(sh) - sh).max()),
         equal(0.0),
         lambda sh: float(np.abs(lanczos(sh) - sh).max()),
     ),
-    HardCase(
-        STAGE,
+    case(
         "light of odd bands alone becomes black",
         light(c1=1, c2=-2, c3=0.5),
         lambda sh: float(np.abs(dering(sh)).max()),
         at_most(1e-8),
         lambda sh: float(np.abs(lanczos(sh)).max()),
     ),
-    HardCase(
-        STAGE,
+    case(
         "no light stays none",
         light(),
         lambda sh: (float(np.abs(dering(sh)).max()), window_of(sh)),
         equal((0.0, 0.0)),
         lambda sh: (float((sh / sh[0]).max()), 0.0),
     ),
-    HardCase(
-        STAGE,
+    case(
         "a channel of negative light is black and the others stay",
         light(c0=1) * [1, -1, 1],
         lambda sh: dering(sh)[0].tolist(),
         equal([1.0, 0.0, 1.0]),
         lambda sh: lanczos(sh)[0].tolist(),
     ),
-    *(
-        HardCase(
-            STAGE,
-            f"the window of light times {factor:g} is the same",
-            SUN * factor,
-            window_of,
-            near(0.1698, 5e-4),
-            lambda sh: float(np.clip(-irradiance(sh, UNIT_NORMALS).min(), 0, 1)),
-        )
-        for factor in (1e-300, 1e-12, 1e250)
-    ),
-    HardCase(
-        STAGE,
+    case(
         "constant light of order 10 irradiates pi times itself",
         light(10, c0=CONSTANT),
         lambda sh: irradiance(sh, UNIT_NORMALS),
         near(np.pi, 1e-12),
         lambda sh: basis(UNIT_NORMALS, 10) @ sh,
     ),
-    HardCase(
-        STAGE,
+    case(
         "light of odd bands above 1 irradiates nothing",
         light(5, c12=1, c30=1),
         lambda sh: float(np.abs(irradiance(sh, UNIT_NORMALS)).max()),
         at_most(1e-14),
         lambda sh: float(np.abs(basis(UNIT_NORMALS, 5) @ sh).max()),
     ),
-    HardCase(
-        STAGE,
-        "coefficients with NaN are refused with their number",
-        light(c3=np.nan),
-        lambda sh: irradiance(sh, UNIT_NORMALS),
-        refused("got 3 NaN or infinite"),
-        lambda sh: basis(UNIT_NORMALS) @ sh,
-    ),
-    HardCase(
-        STAGE,
-        "five coefficients are refused",
-        np.ones((5, 3)),
-        dering,
-        refused("expected shape ((order + 1)^2, 3), got (5, 3)"),
-        lambda sh: sh * np.ones((5, 1)),
+]
+
+
+@pytest.mark.parametrize("given, ask, must, naive", RINGING)
+def test_ringing_is_removed_and_nothing_else(given, ask, must, naive, comes_out):
+    comes_out(given, ask, must, naive)
+
+
+WINDOWS = [
+    case("the window for a sun costs 17 % of the bands of l = 1", SUN, lambda sh: float(1 - np.sinc(1 / 3))),
+    *(
+        case(
+            f"the window of light times {factor:g} is the same",
+            SUN * factor,
+            lambda sh: float(np.clip(-irradiance(sh, UNIT_NORMALS).min(), 0, 1)),
+        )
+        for factor in (1e-300, 1e-12, 1e250)
     ),
 ]
 
-CASES = [*ROTATION, *RINGING]
+
+@pytest.mark.parametrize("given, naive", WINDOWS)
+def test_the_window_is_no_wider_than_it_must_be(given, naive, comes_out):
+    comes_out(given, window_of, near(0.1698, 5e-4), naive)
+
+
+def test_coefficients_with_nan_are_refused_with_their_number(comes_out):
+    comes_out(light(c3=np.nan), lambda sh: irradiance(sh, UNIT_NORMALS), refused("got 3 NaN or infinite"))
+
+
+def test_five_coefficients_are_refused(comes_out):
+    comes_out(np.ones((5, 3)), dering, refused("expected shape ((order + 1)^2, 3), got (5, 3)"))

@@ -6,33 +6,14 @@ from math import factorial
 from typing import Any
 
 import numpy as np
+import pytest
 
-from addon_tests.pure.hard_cases.hard_case import HardCase, at_most, near, refused, that
-from xihenet.sh import (
-    basis,
-    cosine_lobe,
-    evaluate_panorama,
-    panorama_directions,
-    project_panorama,
-    solid_angles,
-)
+from addon_tests.hard_case import at_most, case, near, refused, that
+from addon_tests.pure.sh_samples import CONSTANT, light, random_directions, random_light, sunny
+from xihenet.sh import basis, cosine_lobe, evaluate_panorama, panorama_directions, project_panorama, solid_angles
 
 STAGE = "harmonics"
-CONSTANT = np.sqrt(4 * np.pi)
-NORMALS = np.random.default_rng(0).normal(size=(2000, 3))
-UNIT_NORMALS = NORMALS / np.linalg.norm(NORMALS, axis=1, keepdims=True)
-
-
-def light(order: int = 2, **coefficients: float) -> np.ndarray:
-    """((order + 1)^2, 3) grey; coefficients by place: c0=1 is the constant one."""
-    sh = np.zeros(((order + 1) ** 2, 3))
-    for name, value in coefficients.items():
-        sh[int(name[1:])] = value
-    return sh
-
-
-def random_light(order: int, seed: int = 1) -> np.ndarray:
-    return np.random.default_rng(seed).normal(size=((order + 1) ** 2, 3))
+UNIT_NORMALS = random_directions(2000)
 
 
 # -------------------------------------------------------------------------------------------------------- the basis
@@ -81,68 +62,23 @@ def any_basis(directions: Any) -> int:
     return len(basis(directions))
 
 
-def any_basis_by_hand(directions: Any) -> int:
-    """Naive: by angles, which any numbers have."""
-    x, y, z = np.nan_to_num(np.array(directions, float)).T
-    return len(np.sin(np.arctan2(y, x)) * np.cos(np.arctan2(np.hypot(x, y), z)))
+POWERS = [case(f"bands to order {order} keep their power at poles and seam", order) for order in (1, 2, 5, 10, 100)]
 
 
-BASIS = [
-    *(
-        HardCase(
-            STAGE,
-            f"bands to order {order} keep their power at poles and seam",
-            order,
-            power,
-            at_most(1e-11),
-            power_by_hand,
-        )
-        for order in (1, 2, 5, 10, 100)
-    ),
-    HardCase(
-        STAGE,
+@pytest.mark.parametrize("given", POWERS)
+def test_bands_keep_their_power(given, comes_out):
+    comes_out(given, power, at_most(1e-11), power_by_hand)
+
+
+ORDERS = [
+    case(
         "order 0 is constant",
         0,
         lambda order: basis(UNIT_NORMALS[:4], order)[:, 0],
         near([1 / CONSTANT] * 4, 1e-16),
         lambda order: basis(UNIT_NORMALS[:4], order + 1)[:, 1],
     ),
-    *(
-        HardCase(
-            STAGE,
-            f"directions {length:g} long have the same basis",
-            length,
-            basis_of_length,
-            at_most(1e-12),
-            basis_by_norm,
-        )
-        for length in (1e-200, 1e200)
-    ),
-    *(
-        HardCase(
-            STAGE,
-            f"a direction {name} is refused",
-            [[0, 0, 1.0], direction],
-            any_basis,
-            refused("got 1 that are zero, NaN or infinite"),
-            any_basis_by_hand,
-        )
-        for name, direction in (
-            ("of length 0", [0.0, 0, 0]),
-            ("with NaN", [np.nan, 0, 1]),
-            ("with infinity", [np.inf, 0, 1]),
-        )
-    ),
-    HardCase(
-        STAGE,
-        "an order below 0 is refused",
-        -1,
-        lambda order: basis(UNIT_NORMALS, order),
-        refused("at least 0"),
-        lambda order: (order + 1) ** 2,
-    ),
-    HardCase(
-        STAGE,
+    case(
         "the cosine lobe of order 2000 is finite and falls",
         2000,
         lambda order: float(abs(cosine_lobe(order)[order])),
@@ -150,6 +86,39 @@ BASIS = [
         lambda order: float(factorial(order)) / (2.0**order * float(factorial(order // 2)) ** 2),
     ),
 ]
+
+
+@pytest.mark.parametrize("given, ask, must, naive", ORDERS)
+def test_any_order_has_its_basis(given, ask, must, naive, comes_out):
+    comes_out(given, ask, must, naive)
+
+
+LENGTHS = [case(f"directions {length:g} long have the same basis", length) for length in (1e-200, 1e200)]
+
+
+@pytest.mark.parametrize("given", LENGTHS)
+def test_a_direction_of_any_length_has_the_same_basis(given, comes_out):
+    comes_out(given, basis_of_length, at_most(1e-12), basis_by_norm)
+
+
+NO_DIRECTIONS = [
+    case(f"a direction {name} is refused", [[0, 0, 1.0], direction])
+    for name, direction in (
+        ("of length 0", [0.0, 0, 0]),
+        ("with NaN", [np.nan, 0, 1]),
+        ("with infinity", [np.inf, 0, 1]),
+    )
+]
+
+
+@pytest.mark.parametrize("given", NO_DIRECTIONS)
+def test_a_direction_that_is_none_is_refused(given, comes_out):
+    comes_out(given, any_basis, refused("got 1 that are zero, NaN or infinite"))
+
+
+def test_an_order_below_0_is_refused(comes_out):
+    comes_out(-1, lambda order: basis(UNIT_NORMALS, order), refused("at least 0"))
+
 
 # -------------------------------------------------------------------------------------------------------- panoramas
 
@@ -163,13 +132,6 @@ def panorama_by_samples(radiance: np.ndarray, order: int = 2) -> np.ndarray:
 
 def ones(height: int, width: int) -> np.ndarray:
     return np.broadcast_to(np.float32(1), (height, width, 3))
-
-
-def sunny(value: float, height: int = 64, width: int = 128, sky: float = 0.2) -> np.ndarray:
-    """One texel of sun in a constant sky."""
-    radiance = np.full((height, width, 3), sky)
-    radiance[height // 4, width // 3] = value
-    return radiance
 
 
 def leak(given: tuple[int, int]) -> float:
@@ -202,41 +164,41 @@ def pole_power_by_hand(row: int) -> float:
     return float(np.abs(edges[row] - edges[row + 1]) * (2 * np.pi / 1024) / solid_angles(512, 1024)[row, 0]) ** 2
 
 
+CONSTANT_PANORAMAS = [
+    case(f"constant light in {width} x {height} texels is constant", (height, width), naive)
+    for (height, width), naive in (
+        ((1, 1), leak_by_samples),
+        ((1, 2), leak_by_samples),
+        ((2, 1), leak_by_samples),
+        ((3, 5), leak_by_samples),
+        ((8, 16), leak_by_samples),
+        ((2048, 4096), small_leak),
+    )
+]
+
+
+@pytest.mark.parametrize("given, naive", CONSTANT_PANORAMAS)
+def test_constant_light_is_constant_in_a_panorama_of_any_size(given, naive, comes_out):
+    comes_out(given, leak, at_most(1e-12), naive)
+
+
+def test_a_lit_texel_at_the_upper_pole_has_its_whole_power(comes_out):
+    comes_out(0, pole_power, near(1.0, 1e-4), pole_power_by_hand)
+
+
+def test_a_lit_texel_at_the_lower_pole_has_its_whole_power(comes_out):
+    comes_out(511, pole_power, near(1.0, 1e-4), pole_power_by_hand)
+
+
 PANORAMAS = [
-    *(
-        HardCase(
-            STAGE,
-            f"constant light in {width} x {height} texels is constant",
-            (height, width),
-            leak,
-            at_most(1e-12),
-            naive,
-        )
-        for (height, width), naive in (
-            ((1, 1), leak_by_samples),
-            ((1, 2), leak_by_samples),
-            ((2, 1), leak_by_samples),
-            ((3, 5), leak_by_samples),
-            ((8, 16), leak_by_samples),
-            ((2048, 4096), small_leak),
-        )
-    ),
-    HardCase(
-        STAGE, "a lit texel at the upper pole has its whole power", 0, pole_power, near(1.0, 1e-4), pole_power_by_hand
-    ),
-    HardCase(
-        STAGE, "a lit texel at the lower pole has its whole power", 511, pole_power, near(1.0, 1e-4), pole_power_by_hand
-    ),
-    HardCase(
-        STAGE,
+    case(
         "a sun of 2e5 in one texel is kept whole",
         sunny(2e5),
         lambda sky: float(project_panorama(sky)[0, 0] / CONSTANT),
         near(float((sunny(2e5)[..., 0] * solid_angles(64, 128)).sum() / (4 * np.pi)), 1e-10),
         lambda sky: float((sky[..., 0].astype(np.float16) * solid_angles(64, 128)).sum() / (4 * np.pi)),
     ),
-    HardCase(
-        STAGE,
+    case(
         "light of 1e6 beside light of 1e-6 does not lose the dim side",
         1e-6,
         lambda dim: (
@@ -249,24 +211,7 @@ PANORAMAS = [
         near(1e-6, 2e-9),
         lambda dim: float((np.float32(1e6) + np.float32(dim)) / 2 - 5e5) * 2,
     ),
-    HardCase(
-        STAGE,
-        "a panorama without texels is refused",
-        np.zeros((0, 4, 3)),
-        project_panorama,
-        refused("at least one texel"),
-        lambda image: image.sum(),
-    ),
-    HardCase(
-        STAGE,
-        "a panorama with one NaN is refused with its number",
-        sunny(np.nan),
-        project_panorama,
-        refused("got 1 pixels with NaN"),
-        panorama_by_samples,
-    ),
-    HardCase(
-        STAGE,
+    case(
         "a panorama of coefficients gives them back",
         random_light(2),
         lambda sh: project_panorama(evaluate_panorama(sh, 256, 512)),
@@ -275,4 +220,15 @@ PANORAMAS = [
     ),
 ]
 
-CASES = [*BASIS, *PANORAMAS]
+
+@pytest.mark.parametrize("given, ask, must, naive", PANORAMAS)
+def test_a_panorama_keeps_all_its_light(given, ask, must, naive, comes_out):
+    comes_out(given, ask, must, naive)
+
+
+def test_a_panorama_without_texels_is_refused(comes_out):
+    comes_out(np.zeros((0, 4, 3)), project_panorama, refused("at least one texel"))
+
+
+def test_a_panorama_with_one_nan_is_refused_with_its_number(comes_out):
+    comes_out(sunny(np.nan), project_panorama, refused("got 1 pixels with NaN"))

@@ -1,67 +1,34 @@
-"""Hard cases of the estimators: light at both ends of its range, next to nothing seen, half-float weights, sessions."""
+"""Hard cases of the estimators: light at both ends of its range, and next to nothing seen."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache, partial
-from typing import Any
+from functools import partial
 
 import numpy as np
+import pytest
 
-from addon_tests.pure.hard_cases.hard_case import HardCase, at_most, equal, near, refused
+from addon_tests.hard_case import at_most, case, equal, near, refused
+from addon_tests.pure.hard_cases.hard_clouds import (
+    DARK,
+    DISTANCES,
+    NOTHING,
+    ONE_WHITE,
+    PATTERNS,
+    WHITE_ABOVE,
+    WHITE_LIGHT,
+    N,
+    cloud_of,
+    estimator,
+)
 from xihenet.colour import srgb_to_linear
-from xihenet.estimators import Estimator, load
 from xihenet.records import UnitSphereCloud
 from xihenet.sh_basis import basis
 from xihenet.sphere import AnchorLattice
 
 STAGE = "estimate"
-N = 1280
-WHITE_LIGHT = float(np.sqrt(4 * np.pi))
-"""The coefficient of white light from everywhere; clipped light has no larger one."""
-
 HDR_BOUND = 4 * WHITE_LIGHT
 """Light that was clipped at white may have been brighter; four times white from everywhere is beyond any room."""
-
-
-@cache
-def estimator(name: str = "lattice", n: int = N, target: Any = "ldr") -> Estimator:
-    return load(name, n, target)
-
-
-def cloud_of(srgb: Any, distance_m: Any = 2.0, is_set: Any = True, n: int = N) -> UnitSphereCloud:
-    known = np.broadcast_to(is_set, n)
-    colours = np.broadcast_to(np.asarray(srgb, float), (n, 3)) * known[:, None]
-    return UnitSphereCloud(colours, np.broadcast_to(distance_m, n) * known, known)
-
-
-RNG = np.random.default_rng(0)
-NOISE = RNG.random((N, 3))
-ANCHORS = np.arange(N)
-ONE, HALF, EVEN = ANCHORS == 400, ANCHORS < N // 2, ANCHORS % 2 == 0
-DARK = {
-    "all black": cloud_of(0.0),
-    "denormal colours": cloud_of(NOISE * 1e-40),
-    "colours of 1e-30": cloud_of(NOISE * 1e-30),
-    "colours of a single code": cloud_of((NOISE > 0.5) / 255),
-}
-PATTERNS = {
-    "one white anchor in black": cloud_of(ONE[:, None] * 1.0),
-    "one black anchor in white": cloud_of(~ONE[:, None] * 1.0),
-    "a white half beside a black one": cloud_of(HALF[:, None] * 1.0),
-    "black and white by turns": cloud_of(EVEN[:, None] * 1.0),
-    "one white anchor in a black half": cloud_of(ONE[:, None] * 1.0, 2.0, HALF),
-    "saturated colours by turns": cloud_of(np.eye(3)[ANCHORS % 3]),
-}
-DISTANCES = {
-    "noise at no distance": cloud_of(NOISE, 0.0),
-    "noise at 1e-45 m": cloud_of(NOISE, 1e-45),
-    "noise at 65,504 m": cloud_of(NOISE, 65504.0),
-    "noise at 1e10 m": cloud_of(NOISE, 1e10),
-    "noise at 3e38 m": cloud_of(NOISE, 3e38),
-    "noise at 1e-30 m and 3e38 m": cloud_of(NOISE, np.where(HALF, 1e-30, 3e38)),
-}
-CLOUDS = DARK | PATTERNS | DISTANCES
 
 
 def largest(cloud: UnitSphereCloud, target: str) -> float:
@@ -89,13 +56,8 @@ def by_log_distance(cloud: UnitSphereCloud) -> float:
 
 
 EXTREMES = [
-    HardCase(
-        STAGE,
-        f"the light from {name} is plausible ({target})",
-        cloud,
-        partial(largest, target=target),
-        at_most(bound),
-        naive,
+    case(
+        f"the light from {name} is plausible ({target})", cloud, partial(largest, target=target), at_most(bound), naive
     )
     for group, naive, of_ldr, of_hdr in (
         (DARK, relative_in_half, 0.01, 0.01),
@@ -105,6 +67,12 @@ EXTREMES = [
     for name, cloud in group.items()
     for target, bound in (("ldr", of_ldr), ("hdr", of_hdr))
 ]
+
+
+@pytest.mark.parametrize("given, ask, must, naive", EXTREMES)
+def test_light_of_extreme_clouds_is_plausible(given, ask, must, naive, comes_out):
+    comes_out(given, ask, must, naive)
+
 
 # ------------------------------------------------------------------------------------------------- what must come out
 
@@ -133,12 +101,9 @@ def summed_over_set(cloud: UnitSphereCloud) -> np.ndarray:
     return seen.T @ cloud.srgb[cloud.is_set] * (4 * np.pi / cloud.is_set.sum())
 
 
-NOTHING = UnitSphereCloud.empty(N)
-WHITE_ABOVE, ONE_WHITE = cloud_of(1.0, 2.0, HALF), cloud_of(1.0, 2.0, ONE)
 KNOWN = [
     *(
-        HardCase(
-            STAGE,
+        case(
             f"white above and nothing known of below is white to {name}",
             WHITE_ABOVE,
             light_of(name),
@@ -148,14 +113,11 @@ KNOWN = [
         for name in ("lattice", "projection", "ambient")
     ),
     *(
-        HardCase(
-            STAGE, f"nothing seen is black to {name}", NOTHING, light_of(name), equal(np.zeros((9, 3))), mean_of_set
-        )
+        case(f"nothing seen is black to {name}", NOTHING, light_of(name), equal(np.zeros((9, 3))), mean_of_set)
         for name in ("lattice", "projection", "ambient")
     ),
     *(
-        HardCase(
-            STAGE,
+        case(
             f"white seen in one anchor is white from everywhere to {name}",
             ONE_WHITE,
             light_of(name),
@@ -164,40 +126,46 @@ KNOWN = [
         )
         for name in ("lattice", "projection", "ambient")
     ),
+]
+
+
+@pytest.mark.parametrize("given, ask, must, naive", KNOWN)
+def test_what_is_known_decides_the_light(given, ask, must, naive, comes_out):
+    comes_out(given, ask, must, naive)
+
+
+WHITES = [
     *(
-        HardCase(
-            STAGE,
-            f"a lattice of {n:,} anchors sees white as white",
-            cloud_of(1.0, 2.0, np.arange(n) % 2 == 0, n),
-            light_of("lattice"),
-            near(constant(1.0), 1e-5),
-            mean_of_all,
+        case(
+            f"a lattice of {n:,} anchors sees white as white", cloud_of(1.0, 2.0, np.arange(n) % 2 == 0, n), mean_of_all
         )
         for n in (2, 3, 512, 65_535)
     ),
-    HardCase(
-        STAGE,
-        "a lattice of one anchor sees white as white",
-        cloud_of(1.0, n=1),
-        light_of("lattice"),
-        near(constant(1.0), 1e-5),
-        lambda cloud: light_by_formula(cloud),
-    ),
-    HardCase(
-        STAGE,
+    case("a lattice of one anchor sees white as white", cloud_of(1.0, n=1), lambda cloud: light_by_formula(cloud)),
+]
+
+
+@pytest.mark.parametrize("given, naive", WHITES)
+def test_white_is_white_on_any_lattice(given, naive, comes_out):
+    comes_out(given, light_of("lattice"), near(constant(1.0), 1e-5), naive)
+
+
+OTHERS = [
+    case(
         "a cloud of another size is refused",
         UnitSphereCloud.empty(640),
         lambda cloud: estimator().estimate(cloud),
         refused("made for 1280 anchors, got a cloud of 640"),
-        lambda cloud: cloud.srgb.sum(),
-    ),
+    )
 ]
+
+
+@pytest.mark.parametrize("given, ask, must", OTHERS)
+def test_a_cloud_of_another_lattice_is_refused(given, ask, must, comes_out):
+    comes_out(given, ask, must)
 
 
 def light_by_formula(cloud: UnitSphereCloud) -> np.ndarray:
     """Naive: anchors by the lattice's formula, which divides by the number of anchors less one."""
     z = 1 - 2 * np.arange(len(cloud)) / np.float64(len(cloud) - 1)
     return constant(float(z.mean()))
-
-
-CASES = [*EXTREMES, *KNOWN]

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pytest
 
-from addon_tests.pure.hard_cases.hard_case import HardCase, at_most, equal, near, refused
+from addon_tests.hard_case import at_most, case, equal, near, refused
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.records import UnitSphereCloud
 from xihenet.sh import basis, project_anchors
@@ -102,16 +103,23 @@ PLACES = {
     "a lattice of one anchor": Given(FLAT, True, AnchorLattice(1)),
     "a lattice of three anchors": Given(FLAT, True, AnchorLattice(3)),
 }
-CASES = [
-    HardCase(STAGE, "no anchor gives black", Given(FLAT, False), fitted, equal(np.zeros((9, 3))), fitted_plainly),
+CONSTANTS = [
+    case("no anchor gives black", Given(FLAT, False), equal(np.zeros((9, 3))), fitted_plainly),
     *(
-        HardCase(
-            STAGE, f"constant light seen from {name} is constant", given, fitted, near(FLAT_SH, 1e-9), summed_plainly
-        )
+        case(f"constant light seen from {name} is constant", given, near(FLAT_SH, 1e-9), summed_plainly)
         for name, given in PLACES.items()
     ),
+]
+
+
+@pytest.mark.parametrize("given, must, naive", CONSTANTS)
+def test_constant_light_is_constant_from_anywhere(given, must, naive, comes_out):
+    comes_out(given, fitted, must, naive)
+
+
+BOUNDED = [
     *(
-        HardCase(STAGE, f"noise on {name} stays bounded", given, size, at_most(BOUND), size_plainly)
+        case(f"noise on {name} stays bounded", given, at_most(BOUND), size_plainly)
         for name, given in {
             "a cap of 1.5 % of the sphere": Given(NOISE, CAP),
             "nine anchors": Given(NOISE, only(*range(600, 609))),
@@ -120,79 +128,78 @@ CASES = [
             "the equator": Given(NOISE, EQUATOR),
         }.items()
     ),
-    HardCase(
-        STAGE,
+    case(
+        "a white half beside a black one is bounded by white",
+        Given(UPPER[:, None] * 1.0, True),
+        at_most(CONSTANT),
+        lambda given: float(np.abs(summed_plainly(Given(given.radiance, UPPER))).max()),
+    ),
+    case(
+        "one white anchor in a black half is bounded by white",
+        Given(only(3)[:, None] * 1.0, UPPER),
+        at_most(CONSTANT * 0.1),
+        lambda given: float(np.abs(summed_plainly(Given(1.0, only(3)))).max()),
+    ),
+]
+
+
+@pytest.mark.parametrize("given, must, naive", BOUNDED)
+def test_a_fit_stays_bounded(given, must, naive, comes_out):
+    comes_out(given, size, must, naive)
+
+
+def test_65535_anchors_give_back_the_light_they_were_lit_by(comes_out):
+    comes_out(65_535, lambda n: given_back(n), at_most(1e-5), lambda n: float(np.abs(summed_in_half(n)).max()))
+
+
+FITS = [
+    case(
         "black and white in one place are their mean",
         Given(AT_ODDS, True, ONE_PLACE),
         lambda given: fitted(given)[0],
         near([0.5 * CONSTANT] * 3, 1e-6),
         lambda given: fitted_plainly(given)[0],
     ),
-    HardCase(
-        STAGE,
+    case(
         "black and white in one place leave the error that they have",
         Given(AT_ODDS, True, ONE_PLACE),
         miss,
         near(0.5, 1e-9),
         lambda given: float(np.abs(fitted_plainly(given)).max()),
     ),
-    HardCase(
-        STAGE,
-        "a white half beside a black one is bounded by white",
-        Given(UPPER[:, None] * 1.0, True),
-        size,
-        at_most(CONSTANT),
-        lambda given: float(np.abs(summed_plainly(Given(given.radiance, UPPER))).max()),
-    ),
-    HardCase(
-        STAGE,
-        "one white anchor in a black half is bounded by white",
-        Given(only(3)[:, None] * 1.0, UPPER),
-        size,
-        at_most(CONSTANT * 0.1),
-        lambda given: float(np.abs(summed_plainly(Given(1.0, only(3)))).max()),
-    ),
-    HardCase(
-        STAGE,
+    case(
         "order 10 on a cap stays bounded",
         Given(NOISE, CAP),
         lambda given: float(np.abs(fitted(given, 10)).max()),
         at_most(BOUND),
         lambda given: float(np.abs(fitted_plainly(given, 10)).max()),
     ),
-    HardCase(
-        STAGE,
+    case(
         "order 10 on five anchors stays bounded",
         Given(NOISE[:5], True, AnchorLattice(5)),
         lambda given: float(np.abs(fitted(given, 10)).max()),
         at_most(BOUND),
         lambda given: float(np.abs(fitted_plainly(given, 10)).max()),
     ),
-    HardCase(
-        STAGE,
+    case(
         "the darkest code on the whole sphere is not lost",
         Given(srgb_to_linear(1 / 255), True),
         lambda given: float(fitted(given)[0, 0] / CONSTANT),
         near(float(srgb_to_linear(1 / 255)), 1e-10),
         lambda given: float(fitted_plainly(given)[0, 0].astype(np.float16) / CONSTANT),
     ),
-    HardCase(
-        STAGE,
-        "65,535 anchors give back the light they were lit by",
-        65_535,
-        lambda n: given_back(n),
-        at_most(1e-5),
-        lambda n: float(np.abs(summed_in_half(n)).max()),
-    ),
-    HardCase(
-        STAGE,
-        "a cloud of another lattice is refused",
-        (UnitSphereCloud.empty(640), LATTICE),
-        lambda given: project_anchors(*given),
-        refused("1280 anchors, got 640"),
-        lambda given: given[1].directions[np.flatnonzero(given[0].is_set)],
-    ),
 ]
+
+
+@pytest.mark.parametrize("given, ask, must, naive", FITS)
+def test_a_fit_is_what_the_anchors_say(given, ask, must, naive, comes_out):
+    comes_out(given, ask, must, naive)
+
+
+def test_a_cloud_of_another_lattice_is_refused(comes_out):
+    comes_out(
+        (UnitSphereCloud.empty(640), LATTICE), lambda given: project_anchors(*given), refused("1280 anchors, got 640")
+    )
 
 
 def linear_light(n: int) -> np.ndarray:

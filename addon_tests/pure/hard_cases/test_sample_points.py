@@ -5,14 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 
-from addon_tests.pure.hard_cases.hard_case import HardCase, at_most, equal, near, refused, that
-from addon_tests.pure.hard_cases.sample import STAGE, random_directions
+from addon_tests.hard_case import at_most, case, equal, near, refused, that
+from addon_tests.pure.sh_samples import random_directions
 from xihenet.completeness import joint_entropy
 from xihenet.records import PointCloud
 from xihenet.sampling import sample_uniform, sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 
+STAGE = "sample"
 HERE = np.zeros(3)
 
 # ------------------------------------------------------------------------------------------- points and their clouds
@@ -61,45 +63,38 @@ def set_at(distance_m: float, share: float = 2e-7) -> Any:
 
 SMALLEST = float(np.float32(1e-45))
 POINTS = [
-    HardCase(STAGE, "a point at the probe itself is skipped and counted", [0, 0, 0], seen, SKIPPED, seen_by_hand),
-    HardCase(STAGE, "a point 1e-30 m away sets its anchor", single(1e-30), seen, set_at(1e-30), seen_by_hand),
-    HardCase(
-        STAGE,
-        "a point as near as float32 can be sets its anchor",
-        [0, 0, SMALLEST],
-        seen,
-        set_at(SMALLEST),
-        seen_by_hand,
-    ),
-    HardCase(STAGE, "a point 1e30 m away sets its anchor", single(1e30), seen, set_at(1e30), seen_by_hand),
-    HardCase(STAGE, "a point 3e38 m away sets its anchor", [0, 0, 3e38], seen, set_at(3e38), seen_by_hand),
-    HardCase(
-        STAGE, "a point whose distance float32 cannot hold is skipped", [3e38, 3e38, 3e38], seen, SKIPPED, seen_by_hand
-    ),
-    HardCase(STAGE, "a point that float32 cannot hold is skipped", [1e39, 0, 0], seen, SKIPPED, seen_by_hand),
-    HardCase(STAGE, "a NaN point is skipped", [np.nan, 0, 0], seen, SKIPPED, seen_by_hand),
-    HardCase(STAGE, "an infinite point is skipped", [np.inf, 0, 1], seen, SKIPPED, seen_by_hand),
-    HardCase(STAGE, "a point 65,535 m away keeps its distance", single(65535), seen, set_at(65535), seen_in_half),
-    HardCase(STAGE, "a point 1e10 m away keeps its distance", single(1e10), seen, set_at(1e10), seen_in_half),
-    HardCase(STAGE, "an empty cloud sets nothing", [], seen, equal((0, 0, 0.0)), seen_by_hand),
-    HardCase(STAGE, "a cloud of NaN alone sets nothing", [[np.nan] * 3] * 5, seen, equal((0, 5, 0.0)), seen_by_hand),
-    HardCase(
-        STAGE,
+    case("a point at the probe itself is skipped and counted", [0, 0, 0], SKIPPED, seen_by_hand),
+    case("a point 1e-30 m away sets its anchor", single(1e-30), set_at(1e-30), seen_by_hand),
+    case("a point as near as float32 can be sets its anchor", [0, 0, SMALLEST], set_at(SMALLEST), seen_by_hand),
+    case("a point 1e30 m away sets its anchor", single(1e30), set_at(1e30), seen_by_hand),
+    case("a point 3e38 m away sets its anchor", [0, 0, 3e38], set_at(3e38), seen_by_hand),
+    case("a point whose distance float32 cannot hold is skipped", [3e38, 3e38, 3e38], SKIPPED, seen_by_hand),
+    case("a point that float32 cannot hold is skipped", [1e39, 0, 0], SKIPPED, seen_by_hand),
+    case("a NaN point is skipped", [np.nan, 0, 0], SKIPPED, seen_by_hand),
+    case("an infinite point is skipped", [np.inf, 0, 1], SKIPPED, seen_by_hand),
+    case("a point 65,535 m away keeps its distance", single(65535), set_at(65535), seen_in_half),
+    case("a point 1e10 m away keeps its distance", single(1e10), set_at(1e10), seen_in_half),
+    case("an empty cloud sets nothing", [], equal((0, 0, 0.0)), seen_by_hand),
+    case("a cloud of NaN alone sets nothing", [[np.nan] * 3] * 5, equal((0, 5, 0.0)), seen_by_hand),
+    case(
         "one good point among broken ones is found",
         [[np.nan] * 3, [0, 0, 2], [np.inf] * 3, [0, 0, 0]],
-        seen,
         equal((1, 3, 2.0)),
         seen_by_hand,
     ),
-    HardCase(
-        STAGE,
+    case(
         "points at 1e-30 m and 1e30 m do not disturb each other",
         [single(1e-30), (-ALONG * 1e30).tolist()],
-        seen,
         that("two anchors set", lambda came: came[:2] == (2, 0)),
         seen_by_hand,
     ),
 ]
+
+
+@pytest.mark.parametrize("given, must, naive", POINTS)
+def test_a_point_sets_its_anchor_or_is_counted(given, must, naive, comes_out):
+    comes_out(given, seen, must, naive)
+
 
 # ------------------------------------------------------------------------------------------- which point wins
 
@@ -141,73 +136,63 @@ def tie(_: object) -> float:
 
 SHUFFLED = np.random.default_rng(5).permutation(4096)
 SPREAD = random_directions(4096, 6) * np.random.default_rng(7).uniform(1, 9, (4096, 1))
+
+
+def test_of_equally_near_points_the_first_one_gives_the_colour(comes_out):
+    comes_out(None, tie, equal(0.25), lambda _: dict(zip([0, 0, 0], [0.25, 0.75, 1.0], strict=True))[0])
+
+
 WINNING = [
-    HardCase(
-        STAGE,
+    case(
         "10,000 points in one anchor give the nearest one",
         crowd(10_000),
         lambda points: sampled(points).distance_m.max(),
         near(np.linalg.norm(crowd(10_000), axis=1).min(), 1e-6),
         lambda points: last_wins(points).max(),
     ),
-    HardCase(
-        STAGE,
+    case(
         "4 million points give each anchor its nearest one",
         4_000_000,
         metres_from_the_nearest,
         at_most(2e-6),
         lambda n: float(np.abs(last_wins(millions(n)) - least_distances(millions(n))).max()),
     ),
-    HardCase(
-        STAGE,
-        "of equally near points the first one gives the colour",
-        None,
-        tie,
-        equal(0.25),
-        lambda _: dict(zip([0, 0, 0], [0.25, 0.75, 1.0], strict=True))[0],
-    ),
-    HardCase(
-        STAGE,
+    case(
         "shuffled points give the same cloud",
         SHUFFLED,
         lambda order: float(np.abs(sampled(SPREAD).distance_m - sampled(SPREAD[order]).distance_m).max()),
         equal(0.0),
         lambda order: float(np.abs(last_wins(SPREAD) - last_wins(SPREAD[order])).max()),
     ),
-    HardCase(
-        STAGE,
+    case(
         "a lattice of one anchor takes the nearest of all points",
         SPREAD,
         lambda points: sampled(points, n=1).distance_m.tolist(),
         near([np.linalg.norm(SPREAD, axis=1).min()], 1e-6),
         lambda points: last_wins(points, 1).tolist(),
     ),
-    HardCase(
-        STAGE,
+    case(
         "azimuth pi and minus pi are one direction",
         [[-1, 0.0, 0.1], [-1, -0.0, 0.1]],
         lambda points: int(sampled(points).is_set.sum()),
         equal(1),
         lambda points: len({int((np.arctan2(y, x) + np.pi) / (2 * np.pi) * 1024) for x, y, _ in points}),
     ),
-    HardCase(
-        STAGE,
+    case(
         "points on both poles set the first and the last anchor",
         [[0, 0, 3], [0, 0, -4]],
         lambda points: np.flatnonzero(sampled(points).is_set).tolist(),
         equal([0, 63]),
         lambda points: [int(np.arctan2(y, x) * 1024) for x, y, _ in points],
     ),
-    HardCase(
-        STAGE,
+    case(
         "colours beyond white and below black are clipped",
         ([single(1), single(-1)], [[1.5] * 3, [-0.5] * 3]),
         lambda given: sorted(sampled(*given).srgb.max(axis=1)[sampled(*given).is_set].tolist()),
         equal([0.0, 1.0]),
         lambda given: sorted(colour[0] for colour in given[1]),
     ),
-    HardCase(
-        STAGE,
+    case(
         "a NaN colour is skipped and does not hide the point behind it",
         ([single(1), single(2)], [[np.nan] * 3, [0.5] * 3]),
         lambda given: (float(sampled(*given).distance_m.max()), sampled(*given).n_invalid_points),
@@ -215,6 +200,12 @@ WINNING = [
         lambda given: (float(np.linalg.norm(given[0], axis=1).min()), 0),
     ),
 ]
+
+
+@pytest.mark.parametrize("given, ask, must, naive", WINNING)
+def test_the_nearest_point_wins(given, ask, must, naive, comes_out):
+    comes_out(given, ask, must, naive)
+
 
 # ---------------------------------------------------------------------------------------------- where the probe is
 
@@ -233,25 +224,16 @@ def metres_off_by_hand(position_m: np.ndarray) -> float:
     return abs(float(distance) - float(np.linalg.norm(point.astype(float) - position_m)))
 
 
+def test_10_km_from_the_origin_distances_are_right_to_0_1_micrometres(comes_out):
+    comes_out(np.array([10000.0003, -10000.0003, 10000.0003]), metres_off_at, at_most(1e-7), metres_off_by_hand)
+
+
+def test_1000_km_from_the_origin_distances_are_right_to_0_1_micrometres(comes_out):
+    comes_out(np.array([1e6 + 0.01, 0, 1e6 - 0.02]), metres_off_at, at_most(1e-7), metres_off_by_hand)
+
+
 PLACES = [
-    HardCase(
-        STAGE,
-        "10 km from the origin distances are right to 0.1 micrometres",
-        np.array([10000.0003, -10000.0003, 10000.0003]),
-        metres_off_at,
-        at_most(1e-7),
-        metres_off_by_hand,
-    ),
-    HardCase(
-        STAGE,
-        "1000 km from the origin distances are right to 0.1 micrometres",
-        np.array([1e6 + 0.01, 0, 1e6 - 0.02]),
-        metres_off_at,
-        at_most(1e-7),
-        metres_off_by_hand,
-    ),
-    HardCase(
-        STAGE,
+    case(
         "a probe where float32 ends sees nothing and counts it",
         [1e39, 0, 0],
         lambda place: (
@@ -260,16 +242,20 @@ PLACES = [
         ),
         equal((0, 3)),
         lambda place: (int(np.isfinite(np.float32(place)).all()), 0),
-    ),
-    HardCase(
-        STAGE,
-        "a NaN position is refused",
-        [np.nan, 0, 0],
-        lambda place: sampled([single(1)], position_m=place),
-        refused("expected three finite numbers"),
-        lambda place: sampled([np.array(single(1)) - place]),
-    ),
+    )
 ]
+
+
+@pytest.mark.parametrize("given, ask, must, naive", PLACES)
+def test_distances_are_right_far_from_the_origin(given, ask, must, naive, comes_out):
+    comes_out(given, ask, must, naive)
+
+
+def test_a_nan_position_is_refused(comes_out):
+    comes_out(
+        [np.nan, 0, 0], lambda place: sampled([single(1)], position_m=place), refused("expected three finite numbers")
+    )
+
 
 # -------------------------------------------------------------------------------------------------- entropy, baselines
 
@@ -286,8 +272,7 @@ def entropy_by_hand(points_m: np.ndarray) -> float:
 
 
 ENTROPY = [
-    HardCase(
-        STAGE,
+    case(
         f"the joint entropy of {name} is 0",
         points,
         lambda points: joint_entropy(points, HERE),
@@ -301,9 +286,15 @@ ENTROPY = [
         ("broken points", np.full((3, 3), np.nan)),
     )
 ]
+
+
+@pytest.mark.parametrize("given, ask, must, naive", ENTROPY)
+def test_the_joint_entropy_of_nothing_is_0(given, ask, must, naive, comes_out):
+    comes_out(given, ask, must, naive)
+
+
 BASELINES = [
-    HardCase(
-        STAGE,
+    case(
         "drawing from broken points alone draws none",
         np.full((5, 3), np.nan),
         lambda points: len(sample_uniform(PointCloud(points, np.zeros((5, 3))), 3, np.random.default_rng(0)).points_m),
@@ -312,4 +303,7 @@ BASELINES = [
     )
 ]
 
-CASES = [*POINTS, *WINNING, *PLACES, *ENTROPY, *BASELINES]
+
+@pytest.mark.parametrize("given, ask, must, naive", BASELINES)
+def test_nothing_is_drawn_from_broken_points(given, ask, must, naive, comes_out):
+    comes_out(given, ask, must, naive)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 
-from addon_tests.pure.hard_cases.hard_case import HardCase, Must, at_most, equal, near, refused, that
+from addon_tests.hard_case import Must, at_most, case, equal, near, refused, that
 from xihenet.metrics import angular_error, angular_error_deg, image_rmse, psnr, shc_rmse, si_rmse, ssim
 
 STAGE = "compare"
@@ -63,10 +64,11 @@ METRICS = {
 }
 
 
-def case(metric: str, name: str, given: Given, must: Must, naive: Any = None) -> HardCase:
+def score(metric: str, name: str, given: Given, must: Must, naive: Any = None) -> Any:
     function, by_hand = METRICS[metric]
     sentence = f"the {metric} of {name}" + ("" if " is " in name else " is right")
-    return HardCase(STAGE, sentence, given, lambda given: function(*given), must, naive or by_hand)
+    naive = None if must.is_refusal else naive or by_hand
+    return case(sentence, given, lambda given: function(*given), must, naive)
 
 
 def nan_outside(image: np.ndarray) -> np.ndarray:
@@ -83,15 +85,10 @@ TEXTURE = 1e-9 * PICTURE
 NONE_AT_ALL = np.zeros((0, 0, 3)), np.zeros((0, 0, 3)), np.zeros((0, 0))
 
 PICTURES = [
+    *(score(metric, "pictures under an empty mask is undefined", EMPTY, UNDEFINED) for metric in METRICS),
+    *(score(metric, "pictures without pixels is undefined", NONE_AT_ALL, UNDEFINED) for metric in ("RMSE", "SSIM")),
     *(
-        case(metric, "pictures under an empty mask is undefined", EMPTY, UNDEFINED)
-        for metric in ("RMSE", "angular error", "PSNR")
-    ),
-    case("scale-invariant RMSE", "pictures under an empty mask is undefined", EMPTY, UNDEFINED),
-    case("SSIM", "pictures under an empty mask is undefined", EMPTY, UNDEFINED),
-    *(case(metric, "pictures without pixels is undefined", NONE_AT_ALL, UNDEFINED) for metric in ("RMSE", "SSIM")),
-    *(
-        case(
+        score(
             metric,
             "pictures that are NaN outside the mask",
             (nan_outside(GREY), nan_outside(GREY / 2), RIGHT_HALF),
@@ -100,7 +97,7 @@ PICTURES = [
         for metric, value in (("RMSE", 0.25), ("PSNR", 12.0412))
     ),
     *(
-        case(
+        score(
             metric,
             "pictures that are NaN inside the mask is refused with their number",
             (nan_outside(PICTURE), PICTURE, MASK),
@@ -108,93 +105,99 @@ PICTURES = [
         )
         for metric in METRICS
     ),
-    case("RMSE", "one pixel", ONE, equal(0.5), lambda given: float(np.std(given[0] - given[1], ddof=1))),
-    case("SSIM", "one pixel is that of its luminance alone", ONE, near(0.6001, 1e-3)),
-    case("PSNR", "equal pictures is undefined", (PICTURE, PICTURE, MASK), UNDEFINED),
-    case(
+    score("RMSE", "one pixel", ONE, equal(0.5), lambda given: float(np.std(given[0] - given[1], ddof=1))),
+    score("SSIM", "one pixel is that of its luminance alone", ONE, near(0.6001, 1e-3)),
+    score("PSNR", "equal pictures is undefined", (PICTURE, PICTURE, MASK), UNDEFINED),
+    score(
         "SSIM",
         "equal pictures is exactly 1",
         (PICTURE, PICTURE, MASK),
         equal(1.0),
         lambda given: float(np.float32(ssim_by_hand(given)) * np.float32(0.999999)),
     ),
-    case("SSIM", "equal constant pictures is exactly 1", (GREY, GREY, MASK), equal(1.0)),
-    case("SSIM", "black pictures is exactly 1", (BLACK, BLACK, MASK), equal(1.0)),
-    case("angular error", "equal pictures is exactly 0", (PICTURE, PICTURE, MASK), equal(0.0)),
-    case("angular error", "a picture and its double is 0", (PICTURE, PICTURE * 2, MASK), at_most(1e-13)),
-    case(
+    score("SSIM", "equal constant pictures is exactly 1", (GREY, GREY, MASK), equal(1.0)),
+    score("SSIM", "black pictures is exactly 1", (BLACK, BLACK, MASK), equal(1.0)),
+    score("angular error", "equal pictures is exactly 0", (PICTURE, PICTURE, MASK), equal(0.0)),
+    score("angular error", "a picture and its double is 0", (PICTURE, PICTURE * 2, MASK), at_most(1e-13)),
+    score(
         "angular error",
         "hues that differ by 1e-9",
         (GREY, GREY + [1e-9, 0, 0], MASK),
         near(np.degrees(1e-9 / 0.5 * np.sqrt(2) / 3), 1e-12),
     ),
-    case("angular error", "a black prediction is undefined and not perfect", (BLACK, PICTURE, MASK), UNDEFINED),
-    case("angular error", "a black truth is undefined", (PICTURE, BLACK, MASK), UNDEFINED),
-    case(
+    score("angular error", "a black prediction is undefined and not perfect", (BLACK, PICTURE, MASK), UNDEFINED),
+    score("angular error", "a black truth is undefined", (PICTURE, BLACK, MASK), UNDEFINED),
+    score(
         "angular error",
         "opposite colours",
         (GREY, -GREY, MASK),
         equal(180.0),
         lambda given: angle_by_hand((given[0] + 1e-3, given[1] * [1, 1, 0.99], given[2])),
     ),
-    case(
+    score(
         "angular error",
         "denormal colours",
         (GREY * 1e-320, GREY * [1, 1, 0], MASK),
         near(np.degrees(np.arctan2(1, np.sqrt(2))), 0.1),
     ),
-    case(
+    score(
         "angular error",
         "colours of 1e200",
         (GREY * 1e200, GREY * [1, 1, 0], MASK),
         near(np.degrees(np.arctan2(1, np.sqrt(2))), 1e-9),
     ),
-    case("scale-invariant RMSE", "an exactly scaled picture is 0", (PICTURE * 3, PICTURE, MASK), at_most(1e-15)),
-    case("scale-invariant RMSE", "a picture scaled to 1e-200 is 0", (PICTURE * 1e-200, PICTURE, MASK), at_most(1e-15)),
-    case("scale-invariant RMSE", "a picture scaled to 1e200 is 0", (PICTURE * 1e200, PICTURE, MASK), at_most(1e-15)),
-    case("scale-invariant RMSE", "a black prediction is the truth's own size", (BLACK, GREY, MASK), equal(0.5)),
-    case("scale-invariant RMSE", "black pictures is 0", (BLACK, BLACK, MASK), equal(0.0)),
-    case("RMSE", "pictures that differ by 1e200", (GREY * 2e200, BLACK, MASK), near(1.0e200, 1e186)),
-    case(
+    score("scale-invariant RMSE", "an exactly scaled picture is 0", (PICTURE * 3, PICTURE, MASK), at_most(1e-15)),
+    score("scale-invariant RMSE", "a picture scaled to 1e-200 is 0", (PICTURE * 1e-200, PICTURE, MASK), at_most(1e-15)),
+    score("scale-invariant RMSE", "a picture scaled to 1e200 is 0", (PICTURE * 1e200, PICTURE, MASK), at_most(1e-15)),
+    score("scale-invariant RMSE", "a black prediction is the truth's own size", (BLACK, GREY, MASK), equal(0.5)),
+    score("scale-invariant RMSE", "black pictures is 0", (BLACK, BLACK, MASK), equal(0.0)),
+    score("RMSE", "pictures that differ by 1e200", (GREY * 2e200, BLACK, MASK), near(1.0e200, 1e186)),
+    score(
         "RMSE",
         "pictures that differ by 1e-200 is not 0",
         (GREY * 2e-200, BLACK, MASK),
         near(1.0e-200, 1e-214),
         lambda given: rmse_by_hand(given) or 1.0,
     ),
-    case(
+    score(
         "RMSE",
         "a million pixels of a tenth is a tenth",
         (np.full((1000, 1000, 3), 0.1), np.zeros((1000, 1000, 3)), np.ones((1000, 1000))),
         near(0.1, 1e-12),
         lambda given: float(np.sqrt(np.cumsum(given[0].astype(np.float32) ** 2, dtype=np.float32)[-1] / given[0].size)),
     ),
-    case("PSNR", "pictures that differ by 1e-200 is finite", (GREY * 2e-200, BLACK, MASK), near(4000.0, 1e-6)),
-    case(
+    score("PSNR", "pictures that differ by 1e-200 is finite", (GREY * 2e-200, BLACK, MASK), near(4000.0, 1e-6)),
+    score(
         "PSNR",
         "linear light above 1 is refused",
         (GREY * 4, GREY, MASK),
         refused("expected sRGB-encoded colour in [0, 1], got 64 pixels"),
     ),
-    case("SSIM", "flat pictures with a texture of 1e-9", (GREY + TEXTURE, GREY - TEXTURE, MASK), near(1.0, 1e-6)),
-    case("SSIM", "black and white", (BLACK, BLACK + 1, MASK), near(1e-4, 1e-6)),
+    score("SSIM", "flat pictures with a texture of 1e-9", (GREY + TEXTURE, GREY - TEXTURE, MASK), near(1.0, 1e-6)),
+    score("SSIM", "black and white", (BLACK, BLACK + 1, MASK), near(1e-4, 1e-6)),
     *(
-        case(metric, "grey and black under a mask of 5e-324", (GREY, BLACK, MASK * 5e-324), near(value, 1e-3), naive)
+        score(metric, "grey and black under a mask of 5e-324", (GREY, BLACK, MASK * 5e-324), near(value, 1e-3), naive)
         for metric, value, naive in (("RMSE", 0.5, None), ("PSNR", 6.0206, None), ("SSIM", 4e-4, None))
     ),
-    case(
+    score(
         "RMSE",
         "a mask with NaN is refused",
         (GREY, BLACK, MASK * np.nan),
         refused("mask: expected bool or weights in [0, 1]"),
     ),
-    case(
+    score(
         "RMSE",
         "a mask of 255 is refused",
         (GREY, BLACK, MASK * 255),
         refused("mask: expected bool or weights in [0, 1]"),
     ),
 ]
+
+
+@pytest.mark.parametrize("given, ask, must, naive", PICTURES)
+def test_a_score_of_pictures_is_right_or_undefined(given, ask, must, naive, comes_out):
+    comes_out(given, ask, must, naive)
+
 
 # --------------------------------------------------------------------------------------------- counts, coefficients
 
@@ -220,56 +223,38 @@ def shc_by_hand(given: tuple[Any, Any]) -> float:
 
 SH = np.ones((9, 3))
 HALF_BLACK = np.where(RIGHT_HALF[..., None] > 0, GREY, BLACK)
-COUNTS = [
-    HardCase(
-        STAGE,
-        "black pixels of a prediction are counted",
-        (HALF_BLACK, GREY, MASK),
-        blacks,
-        equal((64, 32, 0)),
-        blacks_by_hand,
-    ),
-    HardCase(
-        STAGE,
-        "black pixels of the truth are counted, whatever the prediction",
-        (HALF_BLACK, BLACK, MASK),
-        blacks,
-        equal((64, 0, 64)),
-        blacks_by_hand,
-    ),
-    HardCase(
-        STAGE,
-        "coefficients that differ by 1e200 have that error",
-        (SH * 1e200, SH * 0),
-        shc,
-        near(1e200, 1e186),
-        shc_by_hand,
-    ),
-    HardCase(
-        STAGE,
-        "coefficients that differ by 1e-200 are not equal",
-        (SH * 1e-200, SH * 0),
-        shc,
-        near(1e-200, 1e-214),
-        lambda given: shc_by_hand(given) or 1.0,
-    ),
-    HardCase(
-        STAGE,
-        "coefficients with NaN are refused with their number",
-        (SH * np.nan, SH),
-        shc,
-        refused("got 27 NaN or infinite"),
-        shc_by_hand,
-    ),
-    HardCase(
-        STAGE,
-        "coefficients of another order are not stretched",
-        (SH[:1], SH),
-        shc,
-        refused("expected two equal shapes"),
-        shc_by_hand,
-    ),
-    HardCase(STAGE, "no coefficients are refused", (SH[:0], SH[:0]), shc, refused("not empty"), shc_by_hand),
-]
 
-CASES = [*PICTURES, *COUNTS]
+
+@pytest.mark.parametrize(
+    "given, must",
+    [
+        case("black pixels of a prediction are counted", (HALF_BLACK, GREY, MASK), equal((64, 32, 0))),
+        case(
+            "black pixels of the truth are counted, whatever the prediction",
+            (HALF_BLACK, BLACK, MASK),
+            equal((64, 0, 64)),
+        ),
+    ],
+)
+def test_black_pixels_are_counted(given, must, comes_out):
+    comes_out(given, blacks, must, blacks_by_hand)
+
+
+def test_coefficients_that_differ_by_1e200_have_that_error(comes_out):
+    comes_out((SH * 1e200, SH * 0), shc, near(1e200, 1e186), shc_by_hand)
+
+
+def test_coefficients_that_differ_by_1e_200_are_not_equal(comes_out):
+    comes_out((SH * 1e-200, SH * 0), shc, near(1e-200, 1e-214), lambda given: shc_by_hand(given) or 1.0)
+
+
+@pytest.mark.parametrize(
+    "given, words",
+    [
+        case("coefficients with NaN are refused with their number", (SH * np.nan, SH), "got 27 NaN or infinite"),
+        case("coefficients of another order are not stretched", (SH[:1], SH), "expected two equal shapes"),
+        case("no coefficients are refused", (SH[:0], SH[:0]), "not empty"),
+    ],
+)
+def test_coefficients_that_are_none_are_refused(given, words, comes_out):
+    comes_out(given, shc, refused(words))

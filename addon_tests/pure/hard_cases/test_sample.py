@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from addon_tests.pure.hard_cases.hard_case import HardCase, at_most, equal, refused
+from addon_tests.hard_case import at_most, case, equal, refused
+from addon_tests.pure.sh_samples import random_directions
 from xihenet.sphere import AnchorLattice
 
 STAGE = "sample"
-HERE = np.zeros(3)
-
-
-def random_directions(n: int, seed: int = 0) -> np.ndarray:
-    vectors = np.random.default_rng(seed).normal(size=(n, 3))
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 # ------------------------------------------------------------------ the nearest anchor: cosine lost against the best
@@ -92,29 +88,25 @@ DIRECTIONS = {
     "65,535 anchors, in float32": (65_535, random_directions(200).astype(np.float32), lost_by_the_table),
 }
 NEAREST = [
-    *(
-        HardCase(STAGE, f"the anchor is the nearest one for {name}", (n, directions), lost_exactly, BEST, naive)
-        for name, (n, directions, naive) in DIRECTIONS.items()
-    ),
-    HardCase(
-        STAGE,
+    case(f"the anchor is the nearest one for {name}", (n, directions), naive)
+    for name, (n, directions, naive) in DIRECTIONS.items()
+]
+
+
+@pytest.mark.parametrize("given, naive", NEAREST)
+def test_the_anchor_is_the_nearest_one(given, naive, comes_out):
+    comes_out(given, lost_exactly, BEST, naive)
+
+
+LATTICES = [
+    case(
         "a single anchor points up, where the lattice's formula divides by 0",
         1,
         lambda n: AnchorLattice(n).directions,
         equal(np.array([[0.0, 0.0, 1.0]])),
         lambda n: 1 - 2 * np.arange(n) / np.float64(n - 1),
     ),
-    HardCase(
-        STAGE,
-        "65,537 anchors are refused, since an index has 16 bits",
-        65_537,
-        AnchorLattice,
-        refused("expected 1 to 65536"),
-        lambda n: np.arange(n).astype(np.uint16)[-1],
-    ),
-    HardCase(STAGE, "no anchor is refused", 0, AnchorLattice, refused("expected 1 to 65536"), np.arange),
-    HardCase(
-        STAGE,
+    case(
         "directions of any length find the same anchor",
         random_directions(50),
         lambda units: max(
@@ -126,4 +118,15 @@ NEAREST = [
     ),
 ]
 
-CASES = NEAREST
+
+@pytest.mark.parametrize("given, ask, must, naive", LATTICES)
+def test_a_lattice_has_directions_for_any_length(given, ask, must, naive, comes_out):
+    comes_out(given, ask, must, naive)
+
+
+def test_65537_anchors_are_refused_since_an_index_has_16_bits(comes_out):
+    comes_out(65_537, AnchorLattice, refused("expected 1 to 65536"))
+
+
+def test_no_anchor_is_refused(comes_out):
+    comes_out(0, AnchorLattice, refused("expected 1 to 65536"))

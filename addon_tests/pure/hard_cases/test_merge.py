@@ -7,8 +7,9 @@ from itertools import permutations
 from typing import Any
 
 import numpy as np
+import pytest
 
-from addon_tests.pure.hard_cases.hard_case import HardCase, equal, refused
+from addon_tests.hard_case import case, equal, refused
 from xihenet.buffers import PositionBuffers, merge
 from xihenet.records import UnitSphereCloud
 
@@ -60,7 +61,7 @@ def distance_says_set(clouds: Any) -> np.ndarray:
 
 
 ALL = np.ones(N, bool)
-EVEN, NOBODY = ANCHORS % 2 == 0, np.zeros(N, bool)
+EVEN = ANCHORS % 2 == 0
 THIRDS = [random_cloud(seed, seed == ANCHORS % 3) for seed in range(3)]
 FIRST, SECOND = random_cloud(10), random_cloud(11)
 BY_TURNS = [FIRST, SECOND] * 500
@@ -96,128 +97,116 @@ def after_fires_forgetting(n: int) -> np.ndarray:
 
 
 NOTHING = UnitSphereCloud.empty(N)
-CASES = [
-    HardCase(
-        STAGE, "clouds that share no anchor merge alike in any order", THIRDS, all_orders, equal(1), all_orders_averaged
-    ),
-    HardCase(
-        STAGE,
-        "where clouds share anchors the last one wins",
-        [FIRST, SECOND, FIRST],
-        merged,
-        equal(np.where(FIRST.is_set[:, None], parts(FIRST), parts(SECOND))),
-        averaged,
-    ),
-    HardCase(
-        STAGE,
-        "a thousand merges of the same two clouds do not drift",
-        BY_TURNS,
-        merged,
-        equal(merged([FIRST, SECOND])),
-        averaged,
-    ),
-    HardCase(
-        STAGE,
-        "a cloud merged with itself a thousand times is itself",
-        [FIRST] * 1000,
-        merged,
-        equal(parts(FIRST)),
-        lambda clouds: parts(clouds[0]) * np.float32(1.0000001) ** len(clouds),
-    ),
-    HardCase(
-        STAGE,
-        "a ball that moves away shows the wall behind it",
-        [cloud_of(ALL, 0.2, 1.0), cloud_of(ALL, 0.8, 5.0)],
-        merged,
-        equal(parts(cloud_of(ALL, 0.8, 5.0))),
-        nearest_kept,
-    ),
-    HardCase(
-        STAGE,
-        "a ball that moves in hides the wall behind it",
-        [cloud_of(ALL, 0.8, 5.0), cloud_of(ALL, 0.2, 1.0)],
-        merged,
-        equal(parts(cloud_of(ALL, 0.2, 1.0))),
-        averaged,
-    ),
-    HardCase(
-        STAGE,
-        "a lamp that goes out goes out",
-        [cloud_of(ALL, 1.0), cloud_of(ALL, 0.0)],
-        merged,
-        equal(parts(cloud_of(ALL, 0.0))),
-        brighter_kept,
-    ),
-    HardCase(
-        STAGE,
-        "what was seen once is there after a thousand frames of other things",
-        [cloud_of(EVEN), *[cloud_of(~EVEN)] * 1000],
-        merged,
-        equal(parts(cloud_of(ALL))),
-        averaged,
-    ),
-    HardCase(
-        STAGE,
-        "frames that see nothing change nothing",
-        [FIRST, *[NOTHING] * 1000],
-        merged,
-        equal(parts(FIRST)),
-        averaged,
-    ),
-    HardCase(
-        STAGE,
+
+
+def test_clouds_that_share_no_anchor_merge_alike_in_any_order(comes_out):
+    comes_out(THIRDS, all_orders, equal(1), all_orders_averaged)
+
+
+def test_what_was_seen_once_outlives_a_thousand_fires(comes_out):
+    comes_out(1000, after_fires, equal(parts(FIRST)), after_fires_forgetting)
+
+
+MERGING = [
+    case(
         "nothing merged with nothing is nothing",
         [NOTHING, NOTHING],
         lambda clouds: merged(clouds).sum(),
         equal(0.0),
         lambda clouds: float(np.divide(parts(clouds[0]).sum(axis=0), parts(clouds[0])[:, 4].sum()).sum()),
     ),
-    HardCase(
-        STAGE,
-        "a surface at distance 0 is seen",
-        [cloud_of(ALL, 0.8, 5.0), cloud_of(ALL, 0.2, 0.0)],
-        merged,
-        equal(parts(cloud_of(ALL, 0.2, 0.0))),
-        distance_says_set,
-    ),
-    HardCase(
-        STAGE,
+    case(
         "1e-45 m and 3e38 m stand side by side",
         (1e-45, 3e38),
         lambda distances: merged(wide(distances))[:, 3],
         equal(np.where(EVEN, np.float32(1e-45), np.float32(3e38))),
         lambda distances: np.where(EVEN, *np.float32(distances).astype(np.float16)),
     ),
-    HardCase(
-        STAGE,
-        "a cloud of one anchor is not stretched over another lattice",
-        (1, N),
-        lambda sizes: merge(UnitSphereCloud.empty(sizes[0]), UnitSphereCloud.empty(sizes[1])),
-        refused("as many anchors, got 1 and 64"),
-        lambda sizes: np.where(np.zeros(sizes[1], bool), np.zeros(sizes[1]), np.zeros(sizes[0])),
-    ),
-    HardCase(
-        STAGE,
+    case(
         "65,536 anchors merge anchor by anchor",
         65_536,
         lambda n: int(merge(cloud_of(np.arange(n) == 0), cloud_of(np.arange(n) == n - 1)).is_set.sum()),
         equal(2),
         lambda n: len({np.arange(2 * n).astype(np.uint16)[i] for i in (0, n)}),
     ),
-    HardCase(
-        STAGE,
+    case(
         "skipped points of a thousand frames are those of the last frame",
         [UnitSphereCloud(np.zeros((1, 3)), np.zeros(1), np.zeros(1, bool), {"at_probe": 7})] * 1000,
         lambda clouds: reduce(merge, clouds).n_invalid_points,
         equal(7),
         lambda clouds: sum(cloud.n_invalid_points for cloud in clouds),
     ),
-    HardCase(
-        STAGE,
-        "what was seen once outlives a thousand fires",
-        1000,
-        after_fires,
+]
+
+
+@pytest.mark.parametrize("given, ask, must, naive", MERGING)
+def test_merging_keeps_what_was_seen(given, ask, must, naive, comes_out):
+    comes_out(given, ask, must, naive)
+
+
+MERGED = [
+    case(
+        "where clouds share anchors the last one wins",
+        [FIRST, SECOND, FIRST],
+        equal(np.where(FIRST.is_set[:, None], parts(FIRST), parts(SECOND))),
+        averaged,
+    ),
+    case("a thousand merges of the same two clouds do not drift", BY_TURNS, equal(merged([FIRST, SECOND])), averaged),
+    case(
+        "a cloud merged with itself a thousand times is itself",
+        [FIRST] * 1000,
         equal(parts(FIRST)),
-        after_fires_forgetting,
+        lambda clouds: parts(clouds[0]) * np.float32(1.0000001) ** len(clouds),
+    ),
+    case(
+        "a ball that moves away shows the wall behind it",
+        [cloud_of(ALL, 0.2, 1.0), cloud_of(ALL, 0.8, 5.0)],
+        equal(parts(cloud_of(ALL, 0.8, 5.0))),
+        nearest_kept,
+    ),
+    case(
+        "a ball that moves in hides the wall behind it",
+        [cloud_of(ALL, 0.8, 5.0), cloud_of(ALL, 0.2, 1.0)],
+        equal(parts(cloud_of(ALL, 0.2, 1.0))),
+        averaged,
+    ),
+    case(
+        "a lamp that goes out goes out",
+        [cloud_of(ALL, 1.0), cloud_of(ALL, 0.0)],
+        equal(parts(cloud_of(ALL, 0.0))),
+        brighter_kept,
+    ),
+    case(
+        "what was seen once is there after a thousand frames of other things",
+        [cloud_of(EVEN), *[cloud_of(~EVEN)] * 1000],
+        equal(parts(cloud_of(ALL))),
+        averaged,
+    ),
+    case("frames that see nothing change nothing", [FIRST, *[NOTHING] * 1000], equal(parts(FIRST)), averaged),
+    case(
+        "a surface at distance 0 is seen",
+        [cloud_of(ALL, 0.8, 5.0), cloud_of(ALL, 0.2, 0.0)],
+        equal(parts(cloud_of(ALL, 0.2, 0.0))),
+        distance_says_set,
     ),
 ]
+
+
+@pytest.mark.parametrize("given, must, naive", MERGED)
+def test_the_last_cloud_wins_where_it_saw_something(given, must, naive, comes_out):
+    comes_out(given, merged, must, naive)
+
+
+OTHERS = [
+    case(
+        "a cloud of one anchor is not stretched over another lattice",
+        (1, N),
+        lambda sizes: merge(UnitSphereCloud.empty(sizes[0]), UnitSphereCloud.empty(sizes[1])),
+        refused("as many anchors, got 1 and 64"),
+    )
+]
+
+
+@pytest.mark.parametrize("given, ask, must", OTHERS)
+def test_a_cloud_of_another_lattice_is_refused(given, ask, must, comes_out):
+    comes_out(given, ask, must)

@@ -6,10 +6,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 
-from addon_tests.pure.hard_cases.hard_case import HardCase, equal, refused, that
+from addon_tests.hard_case import case, equal, refused, that
+from xihenet.camera import encode_exposed, unproject_frame
 from xihenet.codec import decode_cloud, encode_cloud
-from xihenet.records import UnitSphereCloud
+from xihenet.records import Intrinsics, PointCloud, RgbdFrame, TriggerDecision, UnitSphereCloud
+from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 from xihenet.trigger import TriggerSettings, decide_trigger
 
@@ -58,43 +61,28 @@ def on_the_wire(cloud: UnitSphereCloud) -> UnitSphereCloud:
 
 
 FIRING = [
-    HardCase(
-        STAGE,
-        "an identical cloud does not fire at theta 0",
-        (ROOM, ROOM, TriggerSettings(theta=0)),
-        decided,
-        NONE,
-        decided_by_hand,
-    ),
-    HardCase(
-        STAGE,
+    case("an identical cloud does not fire at theta 0", (ROOM, ROOM, TriggerSettings(theta=0)), NONE, decided_by_hand),
+    case(
         "an identical cloud does not fire at theta 0 by the paper's rule",
         (ROOM, ROOM, replace(REFERENCE, theta=0)),
-        decided,
         NONE,
         decided_by_hand,
     ),
-    HardCase(
-        STAGE,
+    case(
         "an identical cloud does not fire at theta 0 after the wire",
         (on_the_wire(ROOM), on_the_wire(on_the_wire(ROOM)), TriggerSettings(theta=0)),
-        decided,
         NONE,
         decided_by_hand,
     ),
-    HardCase(
-        STAGE,
+    case(
         "a cloud against itself after the wire stays below theta 1e-5",
         (ROOM, on_the_wire(ROOM), TriggerSettings(theta=1e-5)),
-        decided,
         NONE,
         lambda given: "none" if np.array_equal(given[0].srgb, given[1].srgb) else "colour",
     ),
-    HardCase(
-        STAGE,
+    case(
         "one code of change fires at theta 0",
         (cloud_of(128 / 255), cloud_of(129 / 255), TriggerSettings(theta=0)),
-        decided,
         COLOUR,
         lambda given: (
             "colour"
@@ -102,27 +90,21 @@ FIRING = [
             else "none"
         ),
     ),
-    HardCase(
-        STAGE,
+    case(
         "black to white does not fire at an infinite theta",
         (BLACK, WHITE, TriggerSettings(theta=np.inf)),
-        decided,
         NONE,
         excess_by_hand,
     ),
-    HardCase(
-        STAGE,
+    case(
         "black to white does not fire at theta 1, of which it is no more",
         (BLACK, WHITE, TriggerSettings(theta=1)),
-        decided,
         NONE,
         decided_by_hand,
     ),
-    HardCase(
-        STAGE,
+    case(
         "black to white fires at theta just below 1",
         (BLACK, WHITE, TriggerSettings(theta=0.9999)),
-        decided,
         COLOUR,
         lambda given: (
             "colour"
@@ -130,95 +112,86 @@ FIRING = [
             else "none"
         ),
     ),
-    HardCase(
-        STAGE,
+    case(
         "a newly seen bright wall is coverage, not colour",
         (DIM_HALF, DIM_ALL, DEFAULT),
-        decided,
         equal("coverage"),
         decided_by_hand,
     ),
-    HardCase(
-        STAGE,
+    case(
         "a newly seen bright wall is colour by the paper's rule",
         (DIM_HALF, DIM_ALL, REFERENCE),
-        decided,
         COLOUR,
         lambda given: decided((*given[:2], DEFAULT)),
     ),
-    HardCase(
-        STAGE,
+    case(
         "no cloud before this one fires for being first",
         (None, BLACK, DEFAULT),
-        decided,
         equal("first"),
         lambda given: decided_by_hand((BLACK, *given[1:])),
     ),
-    HardCase(
-        STAGE,
+    case(
         "nothing seen does not fire for being first",
         (None, UnitSphereCloud.empty(N), TriggerSettings(theta=0)),
-        decided,
         NONE,
         lambda given: "first" if given[0] is None else "none",
     ),
-    HardCase(
-        STAGE,
+    case(
         "nothing seen against a full cloud does not fire by the paper's rule",
         (WHITE, UnitSphereCloud.empty(N), replace(REFERENCE, theta=0)),
-        decided,
         NONE,
         decided_by_hand,
     ),
-    HardCase(
-        STAGE,
+    case(
+        "a lattice of one anchor fires when it changes",
+        (cloud_of(0, n=1), cloud_of(1, n=1), DEFAULT),
+        COLOUR,
+        lambda given: str(((given[1].srgb - given[0].srgb) ** 2)[LATTICE.neighbours(4)[0]].mean()),
+    ),
+    case(
+        "a window wider than the sphere is the sphere",
+        (BLACK, cloud_of(0.9), replace(DEFAULT, n_neighbours=10_000)),
+        COLOUR,
+        lambda given: decided_by_hand(given) + str(LATTICE.neighbours(given[2].n_neighbours).shape),
+    ),
+    case(
+        "a lamp in one anchor is averaged over its window", (BLACK, cloud_of(ONE_LAMP), DEFAULT), NONE, decided_by_hand
+    ),
+    case(
+        "clouds that share no anchor do not change colour",
+        (cloud_of(1.0, HALF), cloud_of(0.1, ~HALF), replace(DEFAULT, theta=0, coverage_theta=1)),
+        NONE,
+        decided_by_hand,
+    ),
+    case(
+        "the whole sphere newly seen does not fire at a coverage threshold of 1",
+        (cloud_of(1.0, np.arange(N) == 0), WHITE, replace(DEFAULT, coverage_theta=1)),
+        NONE,
+        decided_by_hand,
+    ),
+]
+
+
+@pytest.mark.parametrize("given, must, naive", FIRING)
+def test_the_trigger_fires_for_its_reason(given, must, naive, comes_out):
+    comes_out(given, decided, must, naive)
+
+
+NO_ANCHORS = [
+    case(
         "clouds without anchors do not fire",
         (UnitSphereCloud.empty(0), UnitSphereCloud.empty(0), DEFAULT),
         lambda given: decide_trigger(*given[:2], LATTICE, given[2]).reason,
         NONE,
         decided_by_hand,
-    ),
-    HardCase(
-        STAGE,
-        "a lattice of one anchor fires when it changes",
-        (cloud_of(0, n=1), cloud_of(1, n=1), DEFAULT),
-        decided,
-        COLOUR,
-        lambda given: str(((given[1].srgb - given[0].srgb) ** 2)[LATTICE.neighbours(4)[0]].mean()),
-    ),
-    HardCase(
-        STAGE,
-        "a window wider than the sphere is the sphere",
-        (BLACK, cloud_of(0.9), replace(DEFAULT, n_neighbours=10_000)),
-        decided,
-        COLOUR,
-        lambda given: decided_by_hand(given) + str(LATTICE.neighbours(given[2].n_neighbours).shape),
-    ),
-    HardCase(
-        STAGE,
-        "a lamp in one anchor is averaged over its window",
-        (BLACK, cloud_of(ONE_LAMP), DEFAULT),
-        decided,
-        NONE,
-        decided_by_hand,
-    ),
-    HardCase(
-        STAGE,
-        "clouds that share no anchor do not change colour",
-        (cloud_of(1.0, HALF), cloud_of(0.1, ~HALF), replace(DEFAULT, theta=0, coverage_theta=1)),
-        decided,
-        NONE,
-        decided_by_hand,
-    ),
-    HardCase(
-        STAGE,
-        "the whole sphere newly seen does not fire at a coverage threshold of 1",
-        (cloud_of(1.0, np.arange(N) == 0), WHITE, replace(DEFAULT, coverage_theta=1)),
-        decided,
-        NONE,
-        decided_by_hand,
-    ),
+    )
 ]
+
+
+@pytest.mark.parametrize("given, ask, must, naive", NO_ANCHORS)
+def test_nothing_does_not_fire(given, ask, must, naive, comes_out):
+    comes_out(given, ask, must, naive)
+
 
 # ------------------------------------------------------------------------------------------- flicker and thresholds
 
@@ -262,56 +235,145 @@ FALLS_ONCE = that(
     "fires below its change, never above it", lambda came: came == sorted(came, reverse=True) and len(set(came)) == 2
 )
 STEADY = TriggerSettings(theta=0.2, hysteresis=0.5)
+
+
+def test_firing_falls_once_as_theta_rises(comes_out):
+    comes_out("split", fires_over_theta, FALLS_ONCE, fires_over_dithered_theta)
+
+
+def test_firing_falls_once_as_theta_rises_by_the_papers_rule(comes_out):
+    comes_out("reference", fires_over_theta, FALLS_ONCE, fires_over_dithered_theta)
+
+
 THRESHOLDS = [
-    HardCase(
-        STAGE,
+    case(
         "light that flickers around the threshold fires every other frame at most",
         STEADY,
         fires_for_flicker,
         that("at most 50 of 100", lambda came: 0 < came <= 50),
         lambda settings: fires_for_flicker(replace(settings, hysteresis=0.0)),
     ),
-    HardCase(
-        STAGE,
+    case(
         "light far above the threshold fires in every frame in spite of hysteresis",
         STEADY,
         lambda settings: flickering(settings, 0.6),
         equal([True] * 10),
         lambda settings: flickering(replace(settings, hysteresis=1.0), 0.6),
     ),
-    HardCase(
-        STAGE,
-        "firing falls once as theta rises",
-        "split",
-        fires_over_theta,
-        FALLS_ONCE,
-        fires_over_dithered_theta,
-    ),
-    HardCase(
-        STAGE,
-        "firing falls once as theta rises by the paper's rule",
-        "reference",
-        fires_over_theta,
-        FALLS_ONCE,
-        fires_over_dithered_theta,
-    ),
-    *(
-        HardCase(
-            STAGE,
-            f"{field} of {value} is refused",
-            {field: value},
-            lambda wrong: TriggerSettings(**wrong),
-            refused(field),
-            dict,
-        )
-        for field, value in (
-            ("theta", np.nan),
-            ("theta", -1.0),
-            ("hysteresis", np.inf),
-            ("ignored_share", 1.0),
-            ("n_neighbours", 0),
-        )
-    ),
 ]
 
-CASES = [*FIRING, *THRESHOLDS]
+
+@pytest.mark.parametrize("given, ask, must, naive", THRESHOLDS)
+def test_the_threshold_is_one(given, ask, must, naive, comes_out):
+    comes_out(given, ask, must, naive)
+
+
+WRONG_SETTINGS = [
+    case(f"{field} of {value} is refused", {field: value}, lambda wrong: TriggerSettings(**wrong), refused(field))
+    for field, value in (
+        ("theta", np.nan),
+        ("theta", -1.0),
+        ("hysteresis", np.inf),
+        ("ignored_share", 1.0),
+        ("n_neighbours", 0),
+    )
+]
+
+
+@pytest.mark.parametrize("given, ask, must", WRONG_SETTINGS)
+def test_settings_that_are_none_are_refused(given, ask, must, comes_out):
+    comes_out(given, ask, must)
+
+
+# ------------------------------------------------------------------------------------------------- NaN and mistakes
+
+
+def turned_nan(policy: Any) -> str:
+    """A change everywhere, one anchor of which turns NaN in the caller's array after the record checked it."""
+    srgb = np.full((N, 3), 0.9, np.float32)
+    current = UnitSphereCloud(srgb, np.ones(N), np.ones(N, bool))
+    srgb[7] = np.nan
+    return decided((BLACK, current, TriggerSettings(policy=policy)))
+
+
+def turned_nan_by_hand(policy: Any) -> str:
+    change = np.full(N, 0.81)
+    change[7] = np.nan
+    return "colour" if change[LATTICE.neighbours(4)].mean(axis=1).max() > 0.6 else "none"
+
+
+def nan_pixel(value: float) -> str:
+    """A wall that turns white but for one broken point."""
+    points = LATTICE.directions * 2.0
+    colours = np.full((N, 3), 0.95)
+    colours[5] = value
+    return decided((BLACK, sample_unit_sphere(PointCloud(points, colours), np.zeros(3), LATTICE), DEFAULT))
+
+
+def nan_pixel_by_hand(value: float) -> str:
+    colours = np.full((N, 3), 0.95)
+    colours[5] = value
+    return "colour" if (colours**2).max() > 0.6 else "none"
+
+
+def reason_with_lattice(n: int) -> str:
+    return decide_trigger(BLACK, WHITE, AnchorLattice(n), DEFAULT).reason
+
+
+def test_one_anchor_that_turned_nan_does_not_keep_the_others_from_firing(comes_out):
+    comes_out("split", turned_nan, COLOUR, turned_nan_by_hand)
+
+
+def test_one_anchor_that_turned_nan_does_not_stop_the_papers_rule(comes_out):
+    comes_out("reference", turned_nan, COLOUR, turned_nan_by_hand)
+
+
+def test_one_nan_point_does_not_keep_a_changed_wall_from_firing(comes_out):
+    comes_out(np.nan, nan_pixel, COLOUR, nan_pixel_by_hand)
+
+
+def test_a_lattice_of_more_anchors_than_the_clouds_is_refused(comes_out):
+    comes_out(2 * N, reason_with_lattice, refused("the lattice has 512 anchors and the clouds 256"))
+
+
+def test_a_lattice_of_fewer_anchors_than_the_clouds_is_refused(comes_out):
+    comes_out(N // 2, reason_with_lattice, refused("the lattice has 128 anchors and the clouds 256"))
+
+
+def test_clouds_of_different_sizes_are_refused(comes_out):
+    comes_out((cloud_of(0.5, n=1), GREY, DEFAULT), decided, refused("1 and 256 anchors"))
+
+
+# ---------------------------------------------------------------------------------------------- exposure alone
+
+CAMERA = Intrinsics(48, 32, 24.0, 24.0, 24.0, 16.0)
+PICTURE = np.random.default_rng(8).uniform(0.02, 0.2, (4, 6, 3)).repeat(8, axis=0).repeat(8, axis=1)
+
+
+def exposed_cloud(exposure: float, reference: float | None) -> UnitSphereCloud:
+    frame = RgbdFrame(encode_exposed(PICTURE, exposure), np.full((32, 48), 2.0), CAMERA, np.eye(4), exposure)
+    points = unproject_frame(frame, reference_exposure=reference)
+    return sample_unit_sphere(points, np.array([0.0, 0.0, -0.5]), LATTICE)
+
+
+def reason_for_exposure(exposure: float) -> TriggerDecision:
+    """The same room at two exposures, both brought to the session's."""
+    return decide_trigger(exposed_cloud(1.0, 1.0), exposed_cloud(exposure, 1.0), LATTICE, TriggerSettings(theta=0.001))
+
+
+def reason_for_raw_exposure(exposure: float) -> TriggerDecision:
+    """Naive: colours as they came."""
+    return decide_trigger(
+        exposed_cloud(1.0, None), exposed_cloud(exposure, None), LATTICE, TriggerSettings(theta=0.001)
+    )
+
+
+EXPOSURES = [
+    case(f"an exposure {name} does not fire by itself", exposure)
+    for name, exposure in (("four times as long", 4.0), ("a quarter as long", 0.25), ("twice as long", 2.0))
+]
+
+
+@pytest.mark.parametrize("given", EXPOSURES)
+def test_an_exposure_does_not_fire_by_itself(given, comes_out):
+    comes_out(given, reason_for_exposure, that("does not fire", lambda came: not came.fire), reason_for_raw_exposure)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
+import pytest
 
-from addon_tests.pure.hard_cases.hard_case import HardCase, at_most, equal, near, refused, that
+from addon_tests.hard_case import at_most, case, equal, near, refused, that
 from xihenet.camera import in_view, project_points, ray_distance_from_plane_depth, unproject_frame
 from xihenet.records import Intrinsics, RgbdFrame
 
@@ -87,57 +87,47 @@ def pixels_off_from_corners(frame: RgbdFrame) -> float:
     return float(np.abs(there - centres(camera, number)).max())
 
 
-UP, DOWN = turned("x", 180), np.eye(3)
 LEVEL = turned("x", 90)
+SHEAR, OTHER_SHEAR = np.array([[1, 0.4, 0.1], [0, 1, -0.3], [0, 0, 1]]), np.array([[1, 0, 0], [0.7, 1, 0], [0, 0.2, 1]])
 POSES = {
     "a camera upside down": LEVEL @ turned("z", 180),
     "a camera rolled by 37 degrees": LEVEL @ turned("z", 37),
-    "a camera that looks straight up, where Euler angles lock": UP @ turned("z", 30),
-    "a camera that looks straight down": DOWN @ turned("z", -70),
+    "a camera that looks straight up, where Euler angles lock": turned("x", 180) @ turned("z", 30),
+    "a camera that looks straight down": turned("z", -70),
     "a camera with another scale on each axis": LEVEL @ np.diag([1.0, 2.0, 0.5]),
     "a camera mirrored by one negative scale": LEVEL @ np.diag([-1.0, 1.0, 1.0]),
     "a camera whose scales are all negative": LEVEL @ np.diag([-1.0, -1.0, -1.0]),
-    "a sheared camera": LEVEL @ np.array([[1, 0.4, 0.1], [0, 1, -0.3], [0, 0, 1]]),
-    "a camera that is rolled, sheared and scaled": LEVEL
-    @ turned("z", 80)
-    @ np.diag([0.3, -2.0, 1.0])
-    @ np.array([[1, 0, 0], [0.7, 1, 0], [0, 0.2, 1]]),
+    "a sheared camera": LEVEL @ SHEAR,
+    "a camera that is rolled, sheared and scaled": LEVEL @ turned("z", 80) @ np.diag([0.3, -2.0, 1.0]) @ OTHER_SHEAR,
 }
 SCALES = {"millimetres": 1e-3, "kilometres": 1e3}
-LENSES = {
-    "a lens shifted far outside the picture": Intrinsics(8, 6, 7.0, 7.0, -50.0, 300.0),
-    "pixels twice as high as wide": Intrinsics(8, 6, 14.0, 7.0, 4.0, 3.0),
-    "a picture of one pixel": Intrinsics(1, 1, 1.0, 1.0, 0.5, 0.5),
-    "a picture of one row": Intrinsics(64, 1, 50.0, 50.0, 32.0, 0.5),
-    "a picture in 4K": Intrinsics(3840, 2160, 3000.0, 3000.0, 1920.0, 1080.0),
-    "a field of view of 1 degree": wide(1),
-    "a field of view of 179 degrees": wide(179),
-}
-THERE_AND_BACK = [
+ON_THEIR_PIXELS = [
+    *(case(f"{name} lands on its own pixels", posed(axes)) for name, axes in POSES.items()),
     *(
-        HardCase(
-            STAGE, f"{name} lands on its own pixels", shot(posed(axes)), pixels_off, at_most(1e-4), pixels_off_upright
-        )
-        for name, axes in POSES.items()
-    ),
-    *(
-        HardCase(
-            STAGE,
-            f"a camera in a scene in {name} lands on its own pixels",
-            shot(posed(LEVEL * scale, PLACE_M * scale)),
-            pixels_off,
-            at_most(1e-4),
-            pixels_off_upright,
-        )
+        case(f"a camera in a scene in {name} lands on its own pixels", posed(LEVEL * scale, PLACE_M * scale))
         for name, scale in SCALES.items()
     ),
-    *(
-        HardCase(
-            STAGE, f"{name} comes back", shot(posed(LEVEL), lens), pixels_off, at_most(1e-2), pixels_off_from_corners
-        )
-        for name, lens in LENSES.items()
-    ),
 ]
+LENSES = [
+    case("a lens shifted far outside the picture comes back", Intrinsics(8, 6, 7.0, 7.0, -50.0, 300.0)),
+    case("pixels twice as high as wide comes back", Intrinsics(8, 6, 14.0, 7.0, 4.0, 3.0)),
+    case("a picture of one pixel comes back", Intrinsics(1, 1, 1.0, 1.0, 0.5, 0.5)),
+    case("a picture of one row comes back", Intrinsics(64, 1, 50.0, 50.0, 32.0, 0.5)),
+    case("a picture in 4K comes back", Intrinsics(3840, 2160, 3000.0, 3000.0, 1920.0, 1080.0)),
+    case("a field of view of 1 degree comes back", wide(1)),
+    case("a field of view of 179 degrees comes back", wide(179)),
+]
+
+
+@pytest.mark.parametrize("pose", ON_THEIR_PIXELS)
+def test_a_camera_of_any_pose_lands_on_its_own_pixels(pose, comes_out):
+    comes_out(shot(pose), pixels_off, at_most(1e-4), pixels_off_upright)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_pixels_come_back_through_any_lens(lens, comes_out):
+    comes_out(shot(posed(LEVEL), lens), pixels_off, at_most(1e-2), pixels_off_from_corners)
+
 
 # ---------------------------------------------------------------------------------------- far away, in metres
 
@@ -166,6 +156,10 @@ def metres_off_in_float16(frame: RgbdFrame) -> float:
     return float(np.linalg.norm(in_float64(frame).astype(np.float16) - in_float64(frame), axis=1).max())
 
 
+def finite_points(frame: RgbdFrame) -> int:
+    return int(np.isfinite(unproject_frame(frame).points_m).all(axis=1).sum())
+
+
 def unproject_by_hand(frame: RgbdFrame) -> int:
     """Naive: a camera that float32 cannot hold is rounded all the same."""
     pose = frame.world_from_camera.astype(np.float32)
@@ -173,98 +167,84 @@ def unproject_by_hand(frame: RgbdFrame) -> int:
 
 
 FINE = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
+TURNED = LEVEL @ turned("z", 20)
+TEN_KM, ONE_KM = posed(TURNED, np.array([1, -1, 1]) * 10000.00045), posed(LEVEL, np.array([1, -1, 1]) * 1000.00003)
 FAR = [
-    HardCase(
-        STAGE,
+    case(
         "10 km along each axis from the origin, points are right to a millimetre",
-        shot(posed(LEVEL @ turned("z", 20), [10000.00045, -10000.00045, 10000.00045]), FINE, 3.3),
-        metres_off,
-        at_most(1e-3),
-        metres_off_in_float32,
+        *(shot(TEN_KM, FINE, 3.3), metres_off, at_most(1e-3), metres_off_in_float32),
     ),
-    HardCase(
-        STAGE,
+    case(
         "1 km away, points are right to 0.1 mm",
-        shot(posed(LEVEL, [1000.00003, -1000.00003, 1000.00003]), FINE, 3.3),
-        metres_off,
-        at_most(5.3e-5),
-        metres_off_in_float32,
+        *(shot(ONE_KM, FINE, 3.3), metres_off, at_most(5.3e-5), metres_off_in_float32),
     ),
-    HardCase(
-        STAGE,
+    case(
         "in a room, points are right to 2 micrometres",
-        shot(posed(LEVEL @ turned("z", 20)), FINE, 5.0),
-        metres_off,
-        at_most(2e-6),
-        metres_off_in_float16,
+        *(shot(posed(TURNED), FINE, 5.0), metres_off, at_most(2e-6), metres_off_in_float16),
     ),
-    HardCase(
-        STAGE,
+    case(
         "a camera 1e39 m away gives points that are not finite, and no warning",
-        shot(posed(LEVEL, [1e39, 0, 0])),
-        lambda frame: int(np.isfinite(unproject_frame(frame).points_m).all(axis=1).sum()),
-        equal(0),
-        unproject_by_hand,
+        *(shot(posed(LEVEL, [1e39, 0, 0])), finite_points, equal(0), unproject_by_hand),
     ),
 ]
 
+
+@pytest.mark.parametrize("frame, ask, must, naive", FAR)
+def test_points_are_right_far_from_the_origin(frame, ask, must, naive, comes_out):
+    comes_out(frame, ask, must, naive)
+
+
 # --------------------------------------------------------------------------------------- plane depths, in points
+
+FIRST_RAY = np.array([-3.5 / 7, 2.5 / 7, -1.0])
 
 
 def first_point(plane_depth_m: float) -> np.ndarray:
     """(3,) the point of the first pixel, of a camera at the origin; its neighbour is 1 m away."""
     depths = np.ones((6, 8), np.float32)
     depths[0, 0] = plane_depth_m
-    frame = RgbdFrame(np.zeros((6, 8, 3), np.uint8), depths, ORDINARY, np.eye(4))
-    points = unproject_frame(frame).points_m
+    points = unproject_frame(RgbdFrame(np.zeros((6, 8, 3), np.uint8), depths, ORDINARY, np.eye(4))).points_m
     assert np.isfinite(points[1:]).all(), "one pixel disturbs the others"
     return points[0]
 
 
 def first_point_by_hand(plane_depth_m: float) -> np.ndarray:
     """Naive: makes numbers of what is none, and multiplies."""
-    ray = np.array([-3.5 / 7, 2.5 / 7, -1.0])
-    return ray * float(np.nan_to_num(np.float32(plane_depth_m)))
+    return FIRST_RAY * float(np.nan_to_num(np.float32(plane_depth_m)))
 
 
-def first_point_in_half(plane_depth_m: float) -> np.ndarray:
-    return np.array([-3.5 / 7, 2.5 / 7, -1.0]) * float(np.array(plane_depth_m).astype(np.float16))
+def relative_in_half(plane_depth_m: float) -> np.ndarray:
+    """Naive: plane depths as half floats."""
+    return FIRST_RAY * float(np.array(plane_depth_m).astype(np.float16)) / plane_depth_m
 
 
-NO_POINT = that("no point", lambda came: bool(np.isnan(came).all()))
-DEPTHS = [
-    *(
-        HardCase(STAGE, f"a plane depth of {value} is no point", value, first_point, NO_POINT, first_point_by_hand)
-        for value in (0.0, -1.0, np.nan, np.inf, -np.inf, 1e10, 1e9)
-    ),
-    *(
-        HardCase(
-            STAGE,
-            f"a plane depth of {value:g} m is a point",
-            value,
-            lambda value: first_point(value) / np.float32(value),
-            near([-0.5, 2.5 / 7, -1.0], 1e-6),
-            lambda value: first_point_in_half(value) / value,
-        )
-        for value in (65535.0, 9e8, 1e-8, 1e-30)
-    ),
-    HardCase(
-        STAGE,
-        "at 179 degrees, rays to the corners are as long as float64 says",
-        wide(179),
-        lambda lens: ray_distance_from_plane_depth(np.ones((48, 64)), lens)[0, 0],
-        near(np.sqrt(1 + (31.5**2 + 23.5**2) / wide(179).fx ** 2), 2e-5),
-        lambda lens: 1.0,
-    ),
-    HardCase(
-        STAGE,
-        "a plane depth of 3e38 gives no warning as a ray distance",
-        wide(179),
-        lambda lens: ray_distance_from_plane_depth(np.full((48, 64), 3e38), lens)[0, 0],
-        equal(np.float32(np.inf)),
-        lambda lens: np.float32(3e38) * np.float32(100),
-    ),
+NO_POINTS = (0.0, -1.0, np.nan, np.inf, -np.inf, 1e10, 1e9)
+IS_NAN = that("NaN", lambda came: bool(np.isnan(came).all()))
+
+
+@pytest.mark.parametrize("depth_m", [case(f"a plane depth of {depth_m} is no point", depth_m) for depth_m in NO_POINTS])
+def test_a_plane_depth_that_is_none_is_no_point(depth_m, comes_out):
+    comes_out(depth_m, first_point, IS_NAN, first_point_by_hand)
+
+
+@pytest.mark.parametrize("m", [case(f"a plane depth of {m:g} m is a point", m) for m in (65535.0, 9e8, 1e-8, 1e-30)])
+def test_a_plane_depth_of_any_size_is_a_point(m, comes_out):
+    comes_out(m, lambda m: first_point(m) / np.float32(m), near([-0.5, 2.5 / 7, -1.0], 1e-6), relative_in_half)
+
+
+CORNER = np.sqrt(1 + (31.5**2 + 23.5**2) / wide(179).fx ** 2)
+RAYS = [
+    case("at 179 degrees, rays to the corners are as long as float64 says", 1.0, near(CORNER, 2e-5)),
+    case("a plane depth of 3e38 gives no warning as a ray distance", 3e38, equal(np.float32(np.inf))),
 ]
+
+
+@pytest.mark.parametrize("depth_m, must", RAYS)
+def test_a_ray_to_a_far_corner_is_long(depth_m, must, comes_out):
+    frame = np.full((48, 64), depth_m, np.float32)
+    by_float32 = lambda frame: frame[0, 0] * np.float32(100)  # noqa: E731
+    comes_out(frame, lambda frame: ray_distance_from_plane_depth(frame, wide(179))[0, 0], must, by_float32)
+
 
 # ----------------------------------------------------------------------------------- points to pixels, and refusals
 
@@ -284,6 +264,11 @@ def pixel_by_cofactors(given: tuple[Any, np.ndarray]) -> np.ndarray:
     return np.array([4.0, 3.0]) + 7 * seen[:2] * [1, -1] / -seen[2]
 
 
+def pixel_of_something_far(given: tuple[Any, np.ndarray]) -> np.ndarray:
+    """Naive: infinity is a large number."""
+    return pixel_by_cofactors(([1e308, 0, -1e-5], given[1]))
+
+
 def is_in_view(point: Any) -> bool:
     return bool(in_view([point], ORDINARY, np.eye(4))[0])
 
@@ -294,80 +279,59 @@ def is_in_view_by_hand(point: Any) -> bool:
     return not (x < 0 or x >= 8 or y < 0 or y >= 6)
 
 
+AHEAD, HERE = [0, 0, -1.0], np.eye(4)
 FLAT = np.array([[1, 2, 3], [4, 5, 6], [7, 8, 9]]) * 0.1
-NO_PIXEL = that("NaN for a pixel", lambda came: bool(np.isnan(came).all()))
-PROJECTING = [
+PIXELS = [
     *(
-        HardCase(
-            STAGE,
+        case(
             f"a camera scaled by {scale:g} still projects",
-            ([1.0 * scale, 1.0 * scale, -2.0 * scale], posed(np.eye(3) * scale, 0)),
-            pixel_of,
-            near([7.5, -0.5], 1e-9),
-            pixel_by_cofactors,
+            *([scale, scale, -2.0 * scale], posed(np.eye(3) * scale, 0), near([7.5, -0.5], 1e-9), pixel_by_cofactors),
         )
         for scale in (1e-200, 1e-120, 1e120, 1e200)
     ),
-    HardCase(
-        STAGE,
-        "a camera scaled to 0 is refused",
-        ([0, 0, -1.0], posed(np.zeros((3, 3)), 0)),
-        pixel_of,
-        refused("is the camera scaled to 0?"),
-        pixel_by_cofactors,
-    ),
-    HardCase(
-        STAGE,
-        "a camera whose axes lie in one plane but for rounding is refused",
-        ([0, 0, -1.0], posed(FLAT, 0)),
-        pixel_of,
-        refused("lie in one plane"),
-        pixel_by_cofactors,
-    ),
-    HardCase(
-        STAGE,
-        "a point at the camera itself has no pixel",
-        ([0, 0, 0.0], np.eye(4)),
-        pixel_of,
-        NO_PIXEL,
-        pixel_by_cofactors,
-    ),
-    HardCase(
-        STAGE,
+    case("a point at the camera itself has no pixel", [0, 0, 0.0], HERE, IS_NAN, pixel_by_cofactors),
+    case(
         "a point at infinity has no pixel and gives no warning",
-        ([np.inf, 0, -1.0], np.eye(4)),
-        pixel_of,
-        NO_PIXEL,
-        lambda given: pixel_by_cofactors(([1e308, 0, -1e-5], given[1])),
+        *([np.inf, 0, -1.0], HERE, IS_NAN, pixel_of_something_far),
     ),
-    HardCase(STAGE, "a NaN point is not in view", [np.nan, 0, -1.0], is_in_view, equal(False), is_in_view_by_hand),
-    HardCase(
-        STAGE, "a point behind the camera is not in view", [0, 0, 2.0], is_in_view, equal(False), is_in_view_by_hand
+    case(
+        "a camera scaled to 0 is refused",
+        AHEAD,
+        posed(np.zeros((3, 3)), 0),
+        refused("is the camera scaled to 0?"),
+        None,
     ),
-    HardCase(
-        STAGE,
-        "a point in the camera's own plane is not in view",
-        [1, 0, 0.0],
-        is_in_view,
-        equal(False),
-        is_in_view_by_hand,
+    case(
+        "a camera whose axes lie in one plane but for rounding is refused",
+        *(AHEAD, posed(FLAT, 0), refused("lie in one plane"), None),
     ),
-    HardCase(
-        STAGE,
-        "a pose with NaN is refused",
-        np.nan,
-        lambda value: len(unproject_frame(shot(posed(np.eye(3) * value))).points_m),
-        refused("world_from_camera: expected finite"),
-        lambda value: len(in_float64(shot(posed(np.eye(3))))),
+]
+OUT_OF_VIEW = [
+    case("a NaN point is not in view", [np.nan, 0, -1.0]),
+    case("a point behind the camera is not in view", [0, 0, 2.0]),
+    case("a point in the camera's own plane is not in view", [1, 0, 0.0]),
+]
+REFUSED = [
+    case(
+        "a pose with NaN is refused", *(posed(np.eye(3) * np.nan), shot, refused("world_from_camera: expected finite"))
     ),
-    HardCase(
-        STAGE,
+    case(
         "a picture without pixels is refused",
-        (0, 6),
-        lambda size: Intrinsics(*size, 7.0, 7.0, 4.0, 3.0),
-        refused("at least one pixel"),
-        partial(np.zeros, dtype=np.float32),
+        *((0, 6), lambda size: Intrinsics(*size, 7.0, 7.0, 4.0, 3.0), refused("at least one pixel")),
     ),
 ]
 
-CASES = [*THERE_AND_BACK, *FAR, *DEPTHS, *PROJECTING]
+
+@pytest.mark.parametrize("point, pose, must, naive", PIXELS)
+def test_a_point_has_its_pixel_or_none(point, pose, must, naive, comes_out):
+    comes_out((point, pose), pixel_of, must, naive)
+
+
+@pytest.mark.parametrize("point", OUT_OF_VIEW)
+def test_a_point_that_no_pixel_shows_is_not_in_view(point, comes_out):
+    comes_out(point, is_in_view, equal(False), is_in_view_by_hand)
+
+
+@pytest.mark.parametrize("given, ask, must", REFUSED)
+def test_a_camera_that_is_none_is_refused(given, ask, must, comes_out):
+    comes_out(given, ask, must)

@@ -7,8 +7,10 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import pytest
 
-from addon_tests.pure.hard_cases.hard_case import HardCase, at_most, equal, refused, that
+from addon_tests.hard_case import at_most, case, equal, near, refused, that
+from addon_tests.pure.hard_cases.random_payloads import random_payload, taken_for_something_else
 from xihenet.codec import METHODS, EncodingMethod, decode_cloud, encode_cloud
 from xihenet.records import UnitSphereCloud
 
@@ -49,9 +51,7 @@ def carried_by_hand(distance_m: float) -> float:
 
 LARGEST, SMALLEST = 65504.0, 2.0**-24
 DISTANCES = [
-    HardCase(
-        STAGE, f"a distance of {sent:g} m arrives as {arrives:g} m", sent, carried, equal(arrives), carried_by_hand
-    )
+    case(f"a distance of {sent:g} m arrives as {arrives:g} m", sent, equal(arrives))
     for sent, arrives in (
         (65520.0, LARGEST),
         (65535.0, LARGEST),
@@ -63,6 +63,12 @@ DISTANCES = [
         (0.0, SMALLEST),
     )
 ]
+
+
+@pytest.mark.parametrize("given, must", DISTANCES)
+def test_a_distance_beyond_half_floats_is_the_nearest_one_that_they_hold(given, must, comes_out):
+    comes_out(given, carried, must, carried_by_hand)
+
 
 # ------------------------------------------------------------------------------------------------------ half floats
 
@@ -100,17 +106,13 @@ def wrong_patterns_by_hand(method: EncodingMethod) -> int:
     return int((~LEGAL).sum())
 
 
-HALVES = [
-    HardCase(
-        STAGE,
-        f"every half float is a distance or refused in {method}",
-        method,
-        wrong_patterns,
-        equal(0),
-        wrong_patterns_by_hand,
-    )
-    for method in (STRIPPED, WHOLE)
-]
+HALVES = [case(f"every half float is a distance or refused in {method}", method) for method in (STRIPPED, WHOLE)]
+
+
+@pytest.mark.parametrize("given", HALVES)
+def test_every_half_float_is_a_distance_or_refused(given, comes_out):
+    comes_out(given, wrong_patterns, equal(0), wrong_patterns_by_hand)
+
 
 # ----------------------------------------------------------------------------------------------------- what is lost
 
@@ -141,41 +143,27 @@ def codes_of(srgb: list[float]) -> list[int]:
     return np.frombuffer(encode_cloud(cloud, WHOLE), METHODS[WHOLE].record)["srgb"][:, 0].tolist()
 
 
+def test_8_bits_lose_half_a_code_of_colour(comes_out):
+    comes_out(STRIPPED, partial(largest_error, part="srgb"), at_most(0.5001 / 255), cut_off)
+
+
+def test_half_floats_lose_2_11_of_a_distance(comes_out):
+    comes_out(STRIPPED, partial(largest_error, part="distance_m"), at_most(2.0**-11), kept_distance)
+
+
+def test_float32_loses_nothing(comes_out):
+    comes_out("float32_stripped", partial(largest_error, part="distance_m"), equal(0.0), kept_distance)
+
+
 LOSS = [
-    HardCase(
-        STAGE,
-        "8 bits lose half a code of colour",
-        STRIPPED,
-        partial(largest_error, part="srgb"),
-        at_most(0.5001 / 255),
-        cut_off,
-    ),
-    HardCase(
-        STAGE,
-        "half floats lose 2^-11 of a distance",
-        STRIPPED,
-        partial(largest_error, part="distance_m"),
-        at_most(2.0**-11),
-        kept_distance,
-    ),
-    HardCase(
-        STAGE,
-        "float32 loses nothing",
-        "float32_stripped",
-        partial(largest_error, part="distance_m"),
-        equal(0.0),
-        kept_distance,
-    ),
-    HardCase(
-        STAGE,
+    case(
         "colours at the edges of codes are rounded",
         [0.0, 0.49 / 255, 0.51 / 255, 254.51 / 255, 1 - 1e-7, 1.0],
         codes_of,
         equal([0, 0, 1, 255, 255, 255]),
         lambda srgb: [int(value * 255) for value in srgb],
     ),
-    HardCase(
-        STAGE,
+    case(
         "a black anchor is carried and not dropped",
         full_cloud(3, 0.0),
         lambda cloud: int(decode_cloud(encode_cloud(cloud), 3).is_set.sum()),
@@ -183,6 +171,12 @@ LOSS = [
         lambda cloud: int((cloud.srgb.sum(axis=1) > 0).sum()),
     ),
 ]
+
+
+@pytest.mark.parametrize("given, ask, must, naive", LOSS)
+def test_the_wire_loses_no_more_than_it_says(given, ask, must, naive, comes_out):
+    comes_out(given, ask, must, naive)
+
 
 # ------------------------------------------------------------------------------------------------------------ bytes
 
@@ -211,153 +205,155 @@ def read_float(payload: bytes) -> tuple[int, float]:
     return read(payload, N, "float32_stripped")
 
 
-def read_float_by_hand(payload: bytes) -> tuple[int, float]:
-    """Naive: the bytes are what they say."""
-    record = np.frombuffer(payload, METHODS["float32_stripped"].record)
-    return len(record), float(record["distance_m"].max())
-
-
 TWO = records((3, 10, 1.0), (7, 20, 2.0))
+
+
+def test_an_empty_payload_sets_nothing(comes_out):
+    comes_out(b"", read, equal((0, 0.0)), read_by_hand)
+
+
 BYTES = [
-    HardCase(STAGE, "an empty payload sets nothing", b"", read, equal((0, 0.0)), read_by_hand),
-    HardCase(
-        STAGE,
-        "an empty payload is refused where each anchor has a record",
-        b"",
-        partial(read, method=WHOLE),
-        refused("expected 6400 bytes, got 0"),
-        read_by_hand,
-    ),
-    HardCase(
-        STAGE,
-        "a payload cut short by one byte is refused",
-        TWO[:-1],
-        read,
-        refused("multiple of 7 bytes, got 13"),
-        read_by_hand,
-    ),
-    HardCase(
-        STAGE,
-        "a payload with one byte too many is refused",
-        TWO + b"\0",
-        read,
-        refused("multiple of 7 bytes, got 15"),
-        read_by_hand,
-    ),
-    HardCase(
-        STAGE,
-        "more records than anchors are refused",
-        records(*[(0, 0, 1.0)] * 5),
-        partial(read, n=4),
-        refused("at most 28 bytes, got 35"),
-        partial(read_by_hand, n=4),
-    ),
-    HardCase(
-        STAGE,
-        "an anchor that comes twice is refused",
-        records((3, 10, 1.0), (3, 20, 2.0)),
-        read,
-        refused("record 1: expected each anchor once, got 3"),
-        read_by_hand,
-    ),
-    HardCase(
-        STAGE,
-        "the first anchor out of range is refused",
-        records((0, 1, 1.0), (1280, 1, 1.0)),
-        read,
-        refused("record 1: expected an anchor below 1280, got 1280"),
-        read_by_hand,
-    ),
-    HardCase(
-        STAGE,
-        "anchor 65,535 is out of range",
-        records((65535, 1, 1.0)),
-        read,
-        refused("record 0: expected an anchor below 1280"),
-        read_by_hand,
-    ),
-    HardCase(
-        STAGE,
+    case(
         "anchor 65,535 of 65,536 is carried",
         65_536,
         lambda n: bool(decode_cloud(encode_cloud(full_cloud(n)), n).is_set[-1]),
         equal(True),
         lambda n: (n - 1) == int(np.array(n - 1).astype(np.int16)),
     ),
-    HardCase(
-        STAGE,
-        "65,537 anchors are refused where an index has 16 bits",
-        65_537,
-        lambda n: len(encode_cloud(full_cloud(n))),
-        refused("at most 65536 anchors, got 65537"),
-        lambda n: int(np.arange(n).astype(np.uint16)[-1]),
-    ),
-    HardCase(
-        STAGE,
+    case(
         "65,537 anchors are carried where there is no index",
         65_537,
         lambda n: len(decode_cloud(encode_cloud(full_cloud(n), WHOLE), n, WHOLE)),
         equal(65_537),
         lambda n: len(set(np.arange(n).astype(np.uint16).tolist())),
     ),
-    HardCase(
-        STAGE,
+    case(
         "unsorted anchors are the same cloud",
         records((7, 20, 2.0), (3, 10, 1.0)),
         lambda payload: decode_cloud(payload, N).distance_m[[3, 7]].tolist(),
         equal([1.0, 2.0]),
         lambda payload: [distance_m for _, distance_m in decoded_by_hand(payload).values()],
     ),
-    HardCase(
-        STAGE,
+    case(
         "a distance of minus 0 is 0 and set",
         records((3, 10, -0.0)),
         lambda payload: (read(payload), bool(np.signbit(decode_cloud(payload, N).distance_m[3]))),
         that("one anchor set, no sign", lambda came: came == ((1, 0.0), False)),
         lambda payload: ((1, 0.0), bool(np.signbit(decoded_by_hand(payload)[3][1]))),
     ),
-    HardCase(
-        STAGE,
+    case(
         "a distance of minus 0 is not set where there is no index",
         b"\x09\x09\x09\x00\x80",
         partial(read, n=1, method=WHOLE),
         equal((0, 0.0)),
         lambda payload: (int(payload[3:] != b"\0\0"), 0.0),
     ),
-    HardCase(
-        STAGE,
+    case(
         "a colour beside distance 0 is dropped where there is no index",
         b"\xff\xff\xff\x00\x00",
         lambda payload: float(decode_cloud(payload, 1, WHOLE).srgb.max()),
         equal(0.0),
         lambda payload: payload[0] / 255,
     ),
-    *(
-        HardCase(
-            STAGE,
-            f"a float32 {name} is refused",
-            float_record(**change),
-            read_float,
-            refused(words),
-            read_float_by_hand,
-        )
-        for name, change, words in (
-            ("distance of NaN", {"distance_m": np.nan}, "a finite distance"),
-            ("distance of infinity", {"distance_m": np.inf}, "a finite distance"),
-            ("distance just below 0", {"distance_m": np.float32(-1e-45)}, "a finite distance"),
-            ("colour of NaN", {"srgb": np.nan}, "colours in [0, 1]"),
-            ("colour just above 1", {"srgb": np.nextafter(np.float32(1), np.float32(2))}, "colours in [0, 1]"),
-            ("colour just below 0", {"srgb": np.float32(-1e-45)}, "colours in [0, 1]"),
-        )
-    ),
-    HardCase(
-        STAGE,
-        "an unknown method is refused",
-        "uint8",
-        lambda method: encode_cloud(full_cloud(1), method),
-        refused("expected a method out of float32"),
-        lambda method: full_cloud(1).srgb.astype(method).tobytes(),
-    ),
 ]
 
-CASES = [*DISTANCES, *HALVES, *LOSS, *BYTES]
+
+@pytest.mark.parametrize("given, ask, must, naive", BYTES)
+def test_odd_bytes_are_read_as_they_are_meant(given, ask, must, naive, comes_out):
+    comes_out(given, ask, must, naive)
+
+
+def test_an_empty_payload_is_refused_where_each_anchor_has_a_record(comes_out):
+    comes_out(b"", partial(read, method=WHOLE), refused("expected 6400 bytes, got 0"))
+
+
+def test_more_records_than_anchors_are_refused(comes_out):
+    comes_out(records(*[(0, 0, 1.0)] * 5), partial(read, n=4), refused("at most 28 bytes, got 35"))
+
+
+def test_65537_anchors_are_refused_where_an_index_has_16_bits(comes_out):
+    comes_out(65_537, lambda n: len(encode_cloud(full_cloud(n))), refused("at most 65536 anchors, got 65537"))
+
+
+def test_an_unknown_method_is_refused(comes_out):
+    comes_out("uint8", lambda method: encode_cloud(full_cloud(1), method), refused("expected a method out of float32"))
+
+
+WRONG_BYTES = [
+    case("a payload cut short by one byte is refused", TWO[:-1], refused("multiple of 7 bytes, got 13")),
+    case("a payload with one byte too many is refused", TWO + b"\0", refused("multiple of 7 bytes, got 15")),
+    case(
+        "an anchor that comes twice is refused",
+        records((3, 10, 1.0), (3, 20, 2.0)),
+        refused("record 1: expected each anchor once, got 3"),
+    ),
+    case(
+        "the first anchor out of range is refused",
+        records((0, 1, 1.0), (1280, 1, 1.0)),
+        refused("record 1: expected an anchor below 1280, got 1280"),
+    ),
+    case("anchor 65,535 is out of range", records((65535, 1, 1.0)), refused("record 0: expected an anchor below 1280")),
+]
+
+
+@pytest.mark.parametrize("given, must", WRONG_BYTES)
+def test_bytes_that_are_no_records_are_refused(given, must, comes_out):
+    comes_out(given, read, must)
+
+
+WRONG_FLOATS = [
+    case(f"a float32 {name} is refused", float_record(**change), refused(words))
+    for name, change, words in (
+        ("distance of NaN", {"distance_m": np.nan}, "a finite distance"),
+        ("distance of infinity", {"distance_m": np.inf}, "a finite distance"),
+        ("distance just below 0", {"distance_m": np.float32(-1e-45)}, "a finite distance"),
+        ("colour of NaN", {"srgb": np.nan}, "colours in [0, 1]"),
+        ("colour just above 1", {"srgb": np.nextafter(np.float32(1), np.float32(2))}, "colours in [0, 1]"),
+        ("colour just below 0", {"srgb": np.float32(-1e-45)}, "colours in [0, 1]"),
+    )
+]
+
+
+@pytest.mark.parametrize("given, must", WRONG_FLOATS)
+def test_floats_that_are_no_anchor_are_refused(given, must, comes_out):
+    comes_out(given, read_float, must)
+
+
+# ----------------------------------------------------------------------------- random bytes, and what changed since
+
+
+def taken_by_hand(given: tuple[int, EncodingMethod]) -> int:
+    """Naive: how many payloads the reader without checks takes for another number of records."""
+    rng = np.random.default_rng(2)
+    payloads = [random_payload(rng, STRIPPED) for _ in range(given[0])]
+    return sum(len(decoded_by_hand(payload, 40)) * 7 != len(payload) for payload in payloads)
+
+
+RANDOM = [
+    case(f"none of 3,000 random payloads of {method} is taken for something else", (3000, method)) for method in METHODS
+]
+
+
+@pytest.mark.parametrize("given", RANDOM)
+def test_random_bytes_are_not_taken_for_something_else(given, comes_out):
+    comes_out(given, taken_for_something_else, equal(0), taken_by_hand)
+
+
+def changed_since(value: float) -> list[float]:
+    """A cloud whose caller changes the array after the record was checked."""
+    srgb = np.full((1, 3), 0.5, np.float32)
+    cloud = UnitSphereCloud(srgb, np.ones(1), np.ones(1, bool))
+    srgb[0] = value
+    return decode_cloud(encode_cloud(cloud), 1).srgb[0].tolist()
+
+
+def changed_since_by_hand(value: float) -> list[float]:
+    return (np.rint(np.full(3, value, np.float32) * 255).astype(np.uint8) / 255).tolist()
+
+
+def test_a_colour_that_turned_nan_since_it_was_checked_is_refused(comes_out):
+    comes_out(np.nan, changed_since, refused("expected a cloud without NaN"))
+
+
+def test_a_colour_that_grew_beyond_1_since_it_was_checked_does_not_wrap(comes_out):
+    comes_out(1.2, changed_since, near([1.0] * 3, 0), changed_since_by_hand)
