@@ -4,8 +4,8 @@ import itertools
 import json
 import math
 
-from xihe_blender.light_transport.overrides import PHONE_EFFECTS
 from xihenet.invalid import CLAMPED, UNKNOWN, in_words
+from xihenet.phone import PHONE_EFFECTS
 
 FRAME_TIMES = {"render_s", "work_s", "stage_ms", "comparison_render_s"}
 SUMMARY_TIMES = {"render_s", "pilot_s", "comparison_render_s", "overhead_share", "mean_step_ms"}

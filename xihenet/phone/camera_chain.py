@@ -1,4 +1,4 @@
-"""What does this phone deliver, where a perfect camera saw this frame?
+"""Frames as this phone delivers them, made of those that a perfect camera saw.
 
 The effects that are on, in the order in which light and electronics meet them: rows are read while the camera moves;
 the colour is exposed; the range sensor smooths over edges, errs, and finds no answer where too little comes back; its

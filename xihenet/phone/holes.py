@@ -1,4 +1,4 @@
-"""Where does a range sensor give no answer? Dark, glossy, transparent and grazing surfaces, and depth edges.
+"""Holes, where a range sensor gives no answer: dark, glossy, transparent and grazing surfaces, and depth edges.
 
 Each function returns an (H, W) mask of holes; `depth.cleared` makes them 0. A sensor's light comes back from a rough
 bright surface that faces it. What a picture alone cannot tell (roughness, transmission, reflectance, true normals) the
@@ -18,6 +18,7 @@ import numpy as np
 
 from xihenet.camera import valid_plane_depth
 from xihenet.phone.depth import window_span_m
+from xihenet.phone.facts import Required, SessionFacts, known
 from xihenet.phone.settings import Section, number
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, ArrayU8, Intrinsics, RgbdFrame
 
@@ -28,6 +29,13 @@ class DarkHoles(Section):
 
     below_grey: float = number("of white", 0.0, 1.0)
 
+    def required_by(self, facts: SessionFacts) -> Required:
+        """Surfaces too dark for the sensor."""
+        grey = known(facts.darkest_grey, "how dark the darkest surface is")
+        if grey < self.below_grey:
+            return True, f"some surfaces are darker ({grey:.2f}) than the sensor needs"
+        return False, "no surface is too dark for the sensor"
+
 
 @dataclass(frozen=True, kw_only=True)
 class GlossyHoles(Section):
@@ -36,12 +44,24 @@ class GlossyHoles(Section):
     below_roughness: float = number("of Blender's roughness", 0.0, 1.0)
     beyond_deg: float = number("degrees", 0.0, 90.0)
 
+    def required_by(self, facts: SessionFacts) -> Required:
+        """Surfaces that mirror the sensor's light away."""
+        if known(facts.smoothest_roughness, "how glossy the glossiest surface is") < self.below_roughness:
+            return True, "there are surfaces that mirror the sensor's light away"
+        return False, "no surface in view is glossy enough to mirror the sensor's light away"
+
 
 @dataclass(frozen=True, kw_only=True)
 class TransparentHoles(Section):
     """No answer where more than `above_transmission` of the light goes through."""
 
     above_transmission: float = number("of the light", 0.0, 1.0)
+
+    def required_by(self, facts: SessionFacts) -> Required:
+        """Surfaces that the sensor's light goes through."""
+        if known(facts.highest_transmission, "whether anything is transparent") > self.above_transmission:
+            return True, "the sensor's light goes through something in view"
+        return False, "no transmissive material is visible to the camera"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,12 +70,23 @@ class GrazingHoles(Section):
 
     beyond_deg: float = number("degrees", 0.0, 90.0)
 
+    def required_by(self, facts: SessionFacts) -> Required:
+        """Surfaces seen almost from the side."""
+        steepest_deg = known(facts.steepest_deg, "how flat the camera looks along surfaces")
+        if steepest_deg > self.beyond_deg:
+            return True, f"some surfaces are turned {steepest_deg:.0f} degrees away from the camera"
+        return False, f"no surface is turned more than {self.beyond_deg:.0f} degrees away from the camera"
+
 
 @dataclass(frozen=True, kw_only=True)
 class SpanHoles(Section):
     """No answer where the plane depth spans more than `span_m` in a window of 3 x 3 pixels."""
 
     span_m: float = number("m", 0.0, 100.0)
+
+    def required_by(self, facts: SessionFacts) -> Required:
+        """A surface far in front of another."""
+        return facts.has_step_over(self.span_m)
 
 
 @dataclass(frozen=True, eq=False)

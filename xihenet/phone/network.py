@@ -1,4 +1,4 @@
-"""When does an estimate arrive that was asked for now?
+"""Arrival times of estimates that are asked for over a network.
 
 Simulated time between trigger and arrival over a link to an edge server: work on the device and the server, the time
 the bytes take, and a network delay that is log-normal (never below its floor, with a tail). A request that is lost is
@@ -17,6 +17,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
+from xihenet.phone.facts import Required, SessionFacts, known
 from xihenet.phone.settings import Section, count, number
 from xihenet.records import ArrayF64, ArrayInt
 
@@ -53,6 +54,15 @@ class Link(Section):
         super().__post_init__()
         if self.floor_s > self.median_s:
             raise ValueError(f"floor_s: expected at most median_s ({self.median_s:g}), got {self.floor_s:g}")
+
+    def required_by(self, facts: SessionFacts) -> Required:
+        """Something that changes while an estimate is under way."""
+        if facts.is_still and facts.light_changes is False:
+            return False, "neither the camera nor the light changes while an estimate is under way"
+        for fact in (facts.is_still, facts.light_changes):
+            known(fact, "whether anything changes while an estimate is under way")
+        usual_ms = 1e3 * (self.processing_s + self.median_s)
+        return True, f"estimates arrive some {usual_ms:.0f} ms after the frame they are of"
 
 
 _PROCESSING_S = 0.01227

@@ -1,4 +1,4 @@
-"""Which light does the app have now, if estimates take a while to come back?
+"""Estimates that are under way, and the light that the app has until they are there.
 
 Every estimate that was asked for is kept with the time of its arrival; the light at a moment is the youngest of those
 that have arrived. An answer that is overtaken by a later one is of no use any more, and one that was lost never

@@ -1,4 +1,4 @@
-"""What can be said of a session from frames of it, before the phone is simulated?
+"""Facts of a session as its frames show them, before the phone is simulated.
 
 Perfect frames, few and small ones will do, give distances, edges, darkness, angles, motion and brightness. What no
 picture shows (roughness, transmission, which lights are animated) the caller adds; what it leaves out stays not known,
@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike
 
 from xihenet.camera import metered_exposure, unproject_frame, valid_plane_depth
 from xihenet.colour import srgb_to_linear
-from xihenet.phone.called_for import SessionFacts
 from xihenet.phone.depth import window_span_m
+from xihenet.phone.facts import SessionFacts
 from xihenet.phone.holes import SurfaceFacts, facing_cosines
 from xihenet.phone.motion import turn_between
 from xihenet.records import ArrayF64, RgbdFrame
