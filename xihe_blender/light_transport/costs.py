@@ -115,9 +115,9 @@ def _variants(required: Mapping[str, Requirement], choices: Mapping[str, str]) -
 def _render_interleaved(kinds: Mapping[str, Views], names: Sequence[str]) -> Iterator[Progress]:
     """Every view with every seed, after one round that is not counted: the first render builds Cycles' scene."""
     for seed in range(N_SEEDS + 1):
-        for place in range(len(names)):
+        for index in range(len(names)):
             # Another one comes first each time, so that none always follows the same one.
-            name = names[(place + seed) % len(names)]
+            name = names[(index + seed) % len(names)]
             for views in kinds.values():
                 yield Progress(seed, N_SEEDS + 1, "measuring with and without each effect")
                 views[name].render(seed)

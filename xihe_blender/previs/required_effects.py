@@ -1,38 +1,25 @@
-"""Effects that a run of this scene would simulate, before there is one: as `xihe effects` and the panel show them.
-
-A run plans those of the phone from its captures; see `phone_capture`. So the path is captured here as well, with few
-samples: distances, edges and angles do not depend on their number, and brightness hardly. What needs no capture (how
-the camera moves, which lights change, how long the path is) is known either way, and is all there is to go by where
-nothing may be rendered, as in the panel: what only a capture could rule out then stays on.
-"""
+"""Effects that a run of this scene would simulate, before there is one, with what each costs; and their table."""
 
 from __future__ import annotations
 
-import tempfile
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import bpy
-import numpy as np
 
 from xihe_blender.capture.render import RenderSettings, working_scene
-from xihe_blender.capture.scanner import CyclesScanner, open_scanner, sized_for
-from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.light_transport.costs import measure_costs
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.light_transport.plan import required_effects
-from xihe_blender.previs.phone_capture import PhoneCapture
-from xihe_blender.previs.plan import DEFAULT_SIZE, PrevisPlan, Probe, planned_frames
+from xihe_blender.previs.phone_plan import plan_phone_effects
+from xihe_blender.previs.plan import planned_frames
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.estimation_positions import estimation_positions
-from xihe_blender.scene.state import scene_kept
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.effects import Change, Effect, plan_effects
 
-N_SAMPLES = 4
 REASON_WIDTH = 60
 DASH = "-"
 LEGEND = (
@@ -78,48 +65,6 @@ def positions_in(scene: bpy.types.Scene, frame: int) -> list[list[float]]:
         working.frame_set(frame)
         depsgraph = working.view_layers[0].depsgraph
         return [place.tolist() for item in virtual_objects(scene) for place in estimation_positions(item, depsgraph)]
-
-
-def plan_phone_effects(
-    scene: bpy.types.Scene, positions: Sequence[Sequence[float]], settings: PrevisSettings, *, is_captured: bool
-) -> Job[dict[str, Effect]]:
-    """The effects of phone and network, as `settings` has them; none for a perfect phone that estimates by itself.
-
-    Parameters
-    ----------
-    scene : stays as it is
-    positions : (K, 3) world, metres: where light is estimated. As in a run, a frame that sees none is not captured
-    settings : of the run: phone, network, frames, size, choices
-    is_captured : render the path, N_SAMPLES per pixel; else an effect that only captures could rule out is on
-
-    Raises
-    ------
-    UserError for a scene without a camera, frames outside its range, or choices that the phone does not have
-    """
-    frames = tuple(planned_frames(scene, settings.frames))
-    size = settings.size or sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1)).size
-    probes = tuple(Probe(str(k), "", np.array(position)) for k, position in enumerate(positions))
-    plan = PrevisPlan(frames, size, (), probes)
-    render = settings.capture(size, N_SAMPLES)
-    if not settings.profile.effects and settings.link is None:
-        return {}
-    with tempfile.TemporaryDirectory() as folder, scene_kept(), open_scanner(scene, render) as scanner:
-        phone = PhoneCapture(scene, plan, RunOutputs(Path(folder), "phone"), settings, exposure=1.0)
-        phone.prepare(scanner)
-        if is_captured and phone.sees:
-            yield from _captured(scanner, phone, plan)
-        phone.plan()
-    return phone.effects
-
-
-def _captured(scanner: CyclesScanner, phone: PhoneCapture, plan: PrevisPlan) -> Job[None]:
-    """A job: have `phone` notice every frame that a run would capture."""
-    for done, frame in enumerate(plan.frames):
-        yield Progress(done, len(plan.frames), f"looking at frame {frame} as the phone does")
-        if frame in phone.delivered and plan.probes_in_view(scanner, frame):
-            captured = scanner.acquire_environment_scan()
-            phone.keep(scanner, frame)
-            phone.notice(captured)
 
 
 def format_effects(effects: Mapping[str, Effect]) -> str:

@@ -9,9 +9,8 @@ from xihenet.phone.facts import SessionFacts
 from xihenet.phone.frame_facts import FrameFacts, facts_from_frames, facts_of_frame, facts_of_session
 from xihenet.phone.holes import SurfaceFacts
 from xihenet.phone.motion import CameraMotion, motion_between
-from xihenet.phone.network import LINKS, Link, arrival_frames, first_frame_after
+from xihenet.phone.network import LINKS, EstimatesUnderWay, Link, Request, arrival_frames, first_frame_after
 from xihenet.phone.profile import EFFECTS, NETWORK, PHONE_EFFECTS, PhoneProfile, load_profile, profile_names
-from xihenet.phone.under_way import EstimatesUnderWay, Request
 
 __all__ = [
     "EFFECTS",

@@ -78,10 +78,10 @@ class PhoneCamera:
             raise ValueError(f"PhoneCamera: expected a seed of 0 or more, got {seed}")
         self.profile, self.seed, self.effects = profile, seed, chosen
 
-    def settings(self, effect: str, kind: type[SectionT]) -> SectionT | None:
+    def settings(self, kind: type[SectionT]) -> SectionT | None:
         """Settings of an effect that is on, else None."""
-        section = self.profile.sections.get(effect) if effect in self.effects else None
-        return section if isinstance(section, kind) else None
+        found = (self.profile.sections[effect] for effect in self.effects)
+        return next((section for section in found if isinstance(section, kind)), None)
 
     def follow(
         self, frames: Sequence[int], times_s: Sequence[float], *, metered: Sequence[float], ambient: ArrayLike,
@@ -99,11 +99,11 @@ class PhoneCamera:
         """
         exposure: dict[int, float] = {}
         light: dict[int, ArrayF64] = {}
-        auto_exposure = self.settings("auto_exposure", AutoExposure)
+        auto_exposure = self.settings(AutoExposure)
         if auto_exposure:
             followed = follow_exposure(times_s, metered, reference=reference, settings=auto_exposure)
             exposure = dict(zip(frames, followed.tolist(), strict=True))
-        sensor = self.settings("light_sensor", LightSensor)
+        sensor = self.settings(LightSensor)
         if sensor:
             light = dict(zip(frames, follow_light(times_s, ambient, sensor), strict=True))
         return SessionTrack(exposure, light)
@@ -134,7 +134,7 @@ class PhoneCamera:
         ValueError if `track` lacks the frame.
         """
         known = (facts or SurfaceFacts()).checked_for(frame.intrinsics)
-        shutter = self.settings("rolling_shutter", RollingShutter)
+        shutter = self.settings(RollingShutter)
         seen, source = read_rows(frame, motion, shutter)
         n_pixels, n_invalid, n_lost = frame.plane_depth_m.size, _n_invalid(frame.plane_depth_m), {}
         ranged = frame
@@ -147,7 +147,7 @@ class PhoneCamera:
         if plane_depth_m is not seen.plane_depth_m:
             seen = replace(seen, plane_depth_m=plane_depth_m)
         seen = self._exposed(seen, radiance, track)
-        seen = drift_pose(seen, self.settings("pose_drift", PoseDrift), [self.seed, SEEDS["pose_drift"]])
+        seen = drift_pose(seen, self.settings(PoseDrift), [self.seed, SEEDS["pose_drift"]])
         counts = PixelCounts(n_pixels, n_invalid, n_lost | holes_made)
         if any(counts.n_lost.values()):
             # Rows read elsewhere may hold fewer invalid pixels than the capture: those it gives up come last.
@@ -158,36 +158,34 @@ class PhoneCamera:
         """The plane depth that the range sensor gives, and how many pixels each effect took, counted once."""
         surface = self._surface_holes(frame, facts)
         scale = self._pixel_scale(frame)
-        z = depth.bleed_edges(
-            frame.plane_depth_m, self.settings("edge_bleeding", depth.EdgeBleeding), pixel_scale=scale
-        )
-        noise = self.settings("noise", depth.DistanceNoise)
+        z = depth.bleed_edges(frame.plane_depth_m, self.settings(depth.EdgeBleeding), pixel_scale=scale)
+        noise = self.settings(depth.DistanceNoise)
         if noise:
             z = depth.add_noise(z, noise, self._rng("noise", frame.frame), pixel_scale=scale)
-        span = self.settings("span_holes", holes.SpanHoles)
+        span = self.settings(holes.SpanHoles)
         if span:
             surface["span_holes"] = holes.span_holes(z, span)
         n_lost: dict[str, int] = {}
         for effect, is_hole in surface.items():
             z, n_lost[effect] = _cleared_and_counted(z, is_hole)
-        limits = self.settings("range", depth.RangeLimits)
+        limits = self.settings(depth.RangeLimits)
         before = _n_invalid(z) if limits else 0
         z = depth.cut_range(z, limits)
         if limits:
             n_lost["range"] = _n_invalid(z) - before
-        return depth.quantise(z, self.settings("quantisation", depth.Quantisation)), n_lost
+        return depth.quantise(z, self.settings(depth.Quantisation)), n_lost
 
     def _surface_holes(self, frame: RgbdFrame, facts: SurfaceFacts) -> dict[str, ArrayBool]:
         """Masks of the holes that surfaces make, of the effects that are on."""
         made: dict[str, ArrayBool] = {}
-        dark = self.settings("dark_holes", holes.DarkHoles)
+        dark = self.settings(holes.DarkHoles)
         if dark:
             made["dark_holes"] = holes.dark_holes(frame.srgb_u8, facts, dark)
-        transparent = self.settings("transparent_holes", holes.TransparentHoles)
+        transparent = self.settings(holes.TransparentHoles)
         if transparent:
             made["transparent_holes"] = holes.transparent_holes(frame.plane_depth_m.shape, facts, transparent)
-        glossy = self.settings("glossy_holes", holes.GlossyHoles) if facts.roughness is not None else None
-        grazing = self.settings("grazing_holes", holes.GrazingHoles)
+        glossy = self.settings(holes.GlossyHoles) if facts.roughness is not None else None
+        grazing = self.settings(holes.GrazingHoles)
         if glossy or grazing:
             facing = facing_cosines(frame, facts)
             if glossy:
@@ -197,13 +195,13 @@ class PhoneCamera:
         return made
 
     def _exposed(self, frame: RgbdFrame, radiance: ArrayF32 | None, track: SessionTrack | None) -> RgbdFrame:
-        if track is None or not self.settings("auto_exposure", AutoExposure):
+        if track is None or not self.settings(AutoExposure):
             return frame
         return expose(frame, _tracked(track.exposure, frame.frame, "exposure"), radiance)
 
     def _with_light(self, frame: RgbdFrame, track: SessionTrack | None) -> RgbdFrame:
         """A frame without an ambient sensor stays without."""
-        sensor = self.settings("light_sensor", LightSensor)
+        sensor = self.settings(LightSensor)
         if sensor is None or frame.ambient is None:
             return frame
         light = frame.ambient if track is None else _tracked(track.ambient, frame.frame, "ambient light")
