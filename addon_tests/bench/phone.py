@@ -93,7 +93,11 @@ def seen_by(camera: PhoneCamera, session: Session) -> tuple[list[RgbdFrame], flo
     start = time.perf_counter()
     pairs = [camera.see_and_count(f, motion=MOTION, track=track) for f in frames]
     ms = 1e3 * (time.perf_counter() - start) / len(frames)
-    return [f for f, _ in pairs], float(np.mean([counts.lost_share for _, counts in pairs])), ms
+    return (
+        [f for f, _ in pairs],
+        float(np.mean([sum(n_lost.values()) / seen.plane_depth_m.size for seen, n_lost in pairs])),
+        ms,
+    )
 
 
 def planned(profile: PhoneProfile, session: Session) -> list[str]:

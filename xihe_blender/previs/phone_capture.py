@@ -258,5 +258,4 @@ class PhoneCapture:
         if "auto_exposure" in phone.effects:
             radiance = read_radiance(self.outputs.radiance("captured", captured.frame))
         motion = self.motions.get(captured.frame)
-        seen, counts = phone.see_and_count(captured, facts=facts, motion=motion, radiance=radiance, track=followed)
-        return seen, dict(counts.n_lost)
+        return phone.see_and_count(captured, facts=facts, motion=motion, radiance=radiance, track=followed)

@@ -4,7 +4,7 @@
 estimates come back, and `PhoneProfile.required_effects` which effects a session shows, by `facts_from_frames`.
 """
 
-from xihenet.phone.camera_chain import PhoneCamera, PixelCounts, SessionTrack
+from xihenet.phone.camera_chain import PhoneCamera, SessionTrack
 from xihenet.phone.facts import SessionFacts
 from xihenet.phone.frame_facts import FrameFacts, facts_from_frames, facts_of_frame, facts_of_session
 from xihenet.phone.holes import SurfaceFacts
@@ -23,7 +23,6 @@ __all__ = [
     "Link",
     "PhoneCamera",
     "PhoneProfile",
-    "PixelCounts",
     "Request",
     "SessionFacts",
     "SessionTrack",
