@@ -25,10 +25,12 @@ from xihe_blender.capture.render import RenderSettings, render_passes
 from xihe_blender.capture.scanner import first_layer, open_scanner
 from xihe_blender.cli.arguments import picture_size
 from xihe_blender.io.blender_output import blender_output_aside
-from xihe_blender.light_transport.plan import everything_on, judge_effects, planned
-from xihe_blender.previs.effects_report import positions_in
+from xihe_blender.light_transport import cycles_settings, required_effects
+from xihe_blender.light_transport.plan import everything_on
+from xihe_blender.previs.required_effects import positions_in
 from xihe_blender.scene.blend_file import open_blend
 from xihenet.agreement import agreement
+from xihenet.effects import plan_effects
 from xihenet.records import ArrayF32
 
 SCENES = Path(__file__).resolve().parents[2] / "blend_scenes"
@@ -42,11 +44,11 @@ def row(name: str, settings: RenderSettings, n_seeds: int) -> str:
     """One scene's line of the table."""
     scene = open_blend(SCENES / f"{name}.blend")
     start = time.perf_counter()
-    verdicts = judge_effects(scene, None, positions_in(scene, scene.frame_start))
+    required = required_effects(scene, None, positions_in(scene, scene.frame_start))
     planning_s = time.perf_counter() - start
     plans = {
-        "plan": planned(verdicts, {}).light_transport,
-        "all on": everything_on(scene, verdicts).light_transport,
+        "plan": cycles_settings(plan_effects(required, {})),
+        "all on": cycles_settings(everything_on(scene, required)),
         "own": (),
     }
     pictures, seconds = rendered(scene, plans, settings, n_seeds)

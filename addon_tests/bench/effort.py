@@ -34,7 +34,7 @@ from xihe_blender.capture.scanner import meter_exposure, open_scanner
 from xihe_blender.cli.arguments import picture_size
 from xihe_blender.compare.methods import open_comparer
 from xihe_blender.io.blender_output import blender_output_aside
-from xihe_blender.light_transport import plan_effects
+from xihe_blender.light_transport import cycles_settings, plan_light_transport
 from xihe_blender.light_transport.render_reuse import KeptRenders, SceneState, scene_states
 from xihe_blender.previs.plan import PrevisPlan, plan_previs
 from xihe_blender.previs.sample_count import Effort, measure_effort
@@ -77,7 +77,7 @@ def open_stage(name: str, settings: PrevisSettings, held: int = 0) -> Stage:
         stop_and_go(scene, held)
     plan = plan_previs(scene, settings)
     positions = [probe.position_m.tolist() for probe in plan.probes]
-    transport = plan_effects(scene, positions=positions, frames=plan.frames).light_transport
+    transport = cycles_settings(plan_light_transport(scene, positions=positions, frames=plan.frames))
     return Stage(scene, plan, settings, meter_exposure(scene, plan.frames), transport)
 
 

@@ -39,7 +39,6 @@ from xihenet.phone import (
     arrival_frames,
     facts_from_frames,
     load_profile,
-    plan_phone,
 )
 from xihenet.records import Intrinsics, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
@@ -94,7 +93,11 @@ def seen_by(camera: PhoneCamera, session: Session) -> tuple[list[RgbdFrame], flo
     start = time.perf_counter()
     pairs = [camera.see_and_count(f, motion=MOTION, track=track) for f in frames]
     ms = 1e3 * (time.perf_counter() - start) / len(frames)
-    return [f for f, _ in pairs], float(np.mean([counts.lost_share for _, counts in pairs])), ms
+    return (
+        [f for f, _ in pairs],
+        float(np.mean([sum(n_lost.values()) / seen.plane_depth_m.size for seen, n_lost in pairs])),
+        ms,
+    )
 
 
 def planned(profile: PhoneProfile, session: Session) -> list[str]:
@@ -104,7 +107,7 @@ def planned(profile: PhoneProfile, session: Session) -> list[str]:
         fastest_m_per_s=0.5, fastest_turn_deg_per_s=60.0, smoothest_roughness=1.0, highest_transmission=0.0,
         light_changes=False,
     )  # fmt: skip
-    return [state.name for state in plan_phone(facts, profile) if state.state == "on"]
+    return [name for name, one in profile.required_effects(facts).items() if one.is_required]
 
 
 def score(

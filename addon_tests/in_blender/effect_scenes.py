@@ -5,7 +5,7 @@ import math
 import bpy
 from tiny_scenes import box, empty_scene, material, phone, set_world, sphere
 
-from xihe_blender.light_transport import plan_effects
+from xihe_blender.light_transport import plan_light_transport
 
 
 def stage(make_look=None, lamp=True):
@@ -201,7 +201,7 @@ PAIRS = {
 
 def state(scene, effect, **options):
     """What the plan says of an effect: on or off."""
-    return plan_effects(scene, **options)[effect].state
+    return plan_light_transport(scene, **options)[effect].state
 
 
 def node_of(scene, kind):

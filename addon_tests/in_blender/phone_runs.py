@@ -33,7 +33,7 @@ def planned(scene, out, settings, exposure=1.0):
 
 
 def state(phone, name):
-    return {effect.name: effect.state for effect in phone.effects}[name]
+    return phone.effects[name].state
 
 
 def principled(name, **inputs):

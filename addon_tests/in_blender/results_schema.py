@@ -8,8 +8,8 @@ from jsonschema import Draft202012Validator
 
 from xihe_blender.io.json_records import as_json, from_json, json_schema
 from xihe_blender.io.run_results import RunResults
-from xihe_blender.light_transport.overrides import PHONE_EFFECTS
 from xihenet.invalid import CLAMPED, UNKNOWN, format_reason
+from xihenet.phone import PHONE_EFFECTS
 
 FRAME_TIMES = {"render_s", "work_s", "stage_ms", "comparison_render_s"}
 SUMMARY_TIMES = {"render_s", "pilot_s", "comparison_render_s", "overhead_share", "mean_step_ms"}

@@ -11,7 +11,7 @@ from tiny_scenes import box, empty_scene, phone, room_with_a_virtual_sphere
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.light_transport.overrides import remembered_overrides
-from xihe_blender.previs.effects_report import report_effects
+from xihe_blender.previs.required_effects import effects_of_run
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.virtual_objects import COLLECTION_NAME, make_room, make_virtual, virtual_objects
 
@@ -144,13 +144,17 @@ def rows(scene):
     return {row.name: (row.state, row.origin) for row in scene.xihe.effects}
 
 
+def announced(scene, **settings):
+    return run_blocking(effects_of_run(scene, PrevisSettings(**settings), is_measured=False))
+
+
 def test_the_rows_of_effects_are_those_of_the_command_line():
     scene = walk()
     scene.xihe.use_own_frames, scene.xihe.frame_start, scene.xihe.frame_end = True, 2, 4
     assert bpy.ops.xihe.plan_effects() == {"FINISHED"}
-    plan = run_blocking(report_effects(scene, (2, 3, 4), is_measured=False)).plan
-    assert rows(scene) == {effect.name: (effect.state, effect.origin) for effect in plan.effects}
-    assert [row.reason for row in scene.xihe.effects] == [effect.reason for effect in plan.effects]
+    effects = announced(scene, frames=(2, 3, 4))
+    assert rows(scene) == {name: (effect.state, effect.origin) for name, effect in effects.items()}
+    assert [row.reason for row in scene.xihe.effects] == [effect.reason for effect in effects.values()]
 
 
 def test_an_override_is_kept_in_the_file_and_outlasts_another_look():
@@ -160,8 +164,8 @@ def test_an_override_is_kept_in_the_file_and_outlasts_another_look():
     scene.xihe.effects["volumes"].override = "ON"
     assert remembered_overrides(scene) == {"denoising": "off", "volumes": "on"}
     for _ in range(2):
-        plan = run_blocking(report_effects(scene, is_measured=False)).plan
-        assert rows(scene) == {effect.name: (effect.state, effect.origin) for effect in plan.effects}
+        effects = announced(scene)
+        assert rows(scene) == {name: (effect.state, effect.origin) for name, effect in effects.items()}
         bpy.ops.xihe.plan_effects()
     scene.xihe.effects["denoising"].override = "AUTO"
     assert remembered_overrides(scene) == {"volumes": "on"}
@@ -171,9 +175,8 @@ def test_the_phone_has_rows_of_its_own_which_go_when_another_is_chosen():
     scene = walk()
     scene.xihe.phone, scene.xihe.network = "ipad_pro_lidar", "lte"
     bpy.ops.xihe.plan_effects()
-    session = {"phone": "ipad_pro_lidar", "network": "lte"}
-    report = run_blocking(report_effects(scene, **session, is_measured=False))
-    assert rows(scene) == {effect.name: (effect.state, effect.origin) for effect in report.effects}
+    effects = announced(scene, phone="ipad_pro_lidar", network="lte")
+    assert rows(scene) == {name: (effect.state, effect.origin) for name, effect in effects.items()}
     switchable = {row.name for row in scene.xihe.effects if row.is_switchable}
     assert {"edge_bleeding", "network", "volumes"} <= switchable and "quantisation" not in switchable
     scene.xihe.effects["noise"].override = "OFF"

@@ -16,11 +16,13 @@ from xihe_process import xihe
 from xihe_blender.capture.render import can_denoise
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihe_blender.light_transport import plan_effects, remember_overrides, remembered_overrides
-from xihe_blender.light_transport.overrides import PROPERTY, SWITCHED_ELSEWHERE, parsed_overrides
-from xihe_blender.light_transport.plan import RULES
-from xihe_blender.previs.effects_report import format_effects, report_effects
+from xihe_blender.light_transport import plan_light_transport, remember_overrides, remembered_overrides
+from xihe_blender.light_transport.overrides import PROPERTY, parsed_overrides
+from xihe_blender.light_transport.rules import RULES, SWITCHED_ELSEWHERE
+from xihe_blender.previs.required_effects import effects_of_run, format_effects
+from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.blend_file import open_blend
+from xihenet.effects import effects_as_json
 
 COSTLESS = {"subsurface", "hair", "displacement", "depth of field", "environment sampling"}
 
@@ -35,7 +37,7 @@ def saved(scene, path):
 
 
 def test_an_override_wins_over_the_scene_and_says_so():
-    plan = plan_effects(with_ball(glass), overrides={"transmission": "off", "volumes": "on"})
+    plan = plan_light_transport(with_ball(glass), overrides={"transmission": "off", "volumes": "on"})
     off, on = plan["transmission"], plan["volumes"]
     assert (off.state, off.origin, off.parameters) == ("off", "user", {"transmission_bounces": 0})
     assert (on.state, on.origin) == ("on", "user") and on.parameters["volume_bounces"] > 0
@@ -48,7 +50,7 @@ def test_overrides_are_remembered_in_the_blend_until_they_are_auto(tmp_path):
     remember_overrides(scene, {"volumes": "on", "light tree": "on"})
     scene = open_blend(saved(scene, tmp_path / "kept.blend"))
     assert remembered_overrides(scene) == {"volumes": "on", "light tree": "on"}
-    assert plan_effects(scene)["volumes"].origin == "user"
+    assert plan_light_transport(scene)["volumes"].origin == "user"
     remember_overrides(scene, {"volumes": "auto"})
     assert remembered_overrides(scene) == {"light tree": "on"}
     remember_overrides(scene, {"light tree": "auto"})
@@ -58,8 +60,8 @@ def test_overrides_are_remembered_in_the_blend_until_they_are_auto(tmp_path):
 def test_what_is_given_wins_over_what_is_remembered():
     scene = stage()
     remember_overrides(scene, {"volumes": "on"})
-    assert plan_effects(scene, overrides={"volumes": "off"})["volumes"].state == "off"
-    auto = plan_effects(scene, overrides={"volumes": "auto"})["volumes"]
+    assert plan_light_transport(scene, overrides={"volumes": "off"})["volumes"].state == "off"
+    auto = plan_light_transport(scene, overrides={"volumes": "auto"})["volumes"]
     assert (auto.state, auto.origin) == ("off", "auto")
     assert remembered_overrides(scene) == {"volumes": "on"}
 
@@ -76,7 +78,7 @@ def test_what_is_given_wins_over_what_is_remembered():
 def test_senseless_overrides_are_refused(overrides, words):
     scene = stage()
     with pytest.raises(UserError, match=words):
-        plan_effects(scene, overrides=overrides)
+        plan_light_transport(scene, overrides=overrides)
     with pytest.raises(UserError, match=words):
         remember_overrides(scene, overrides)
     assert PROPERTY not in scene
@@ -86,7 +88,7 @@ def test_a_property_that_holds_something_else_is_refused():
     scene = stage()
     scene[PROPERTY] = "volumes"
     with pytest.raises(UserError, match="delete it"):
-        plan_effects(scene)
+        plan_light_transport(scene)
 
 
 def test_typed_overrides_are_read_with_spaces_and_the_last_one_wins():
@@ -102,8 +104,8 @@ def test_what_is_no_override_is_refused(text):
 
 
 def test_every_effect_says_whether_a_scene_can_switch_it():
-    assert list(SWITCHED_ELSEWHERE) == list(RULES)
-    assert {name for name, elsewhere in SWITCHED_ELSEWHERE.items() if elsewhere is not None} == COSTLESS
+    plan = plan_light_transport(stage())
+    assert {name for name, effect in plan.items() if not effect.is_switchable} == set(SWITCHED_ELSEWHERE) == COSTLESS
 
 
 # --------------------------------------------------------------------------------------------------------------- costs
@@ -111,13 +113,13 @@ def test_every_effect_says_whether_a_scene_can_switch_it():
 
 @pytest.fixture(scope="module")
 def measured():
-    """The report on the tiny room with a glass ball in it, and what measuring changed in the file."""
+    """The effects of the tiny room with a glass ball in it, and what measuring changed in the file."""
     scene = room_with_a_virtual_sphere(n_frames=1)
     ball(scene, "Vase", (0.5, 0.3, 1.0), glass())
     bpy.context.view_layer.update()
     before = snapshot()
-    report = run_blocking(report_effects(scene))
-    return report, differences(before, snapshot())
+    effects = run_blocking(effects_of_run(scene, PrevisSettings()))
+    return effects, differences(before, snapshot())
 
 
 @pytest.mark.slow
@@ -129,23 +131,24 @@ def test_measuring_changes_nothing_in_the_file(measured):
 def test_every_effect_that_a_setting_switches_has_a_cost(measured):
     # A build without the denoiser cannot switch it on.
     missing = set() if can_denoise(bpy.context.scene) else {"denoising"}
-    assert set(RULES) - set(measured[0].costs) == COSTLESS | missing
-    assert all(cost.time_share > -1 and cost.time_standard_error > 0 for cost in measured[0].costs.values())
+    costs = {name: effect.cost for name, effect in measured[0].items() if effect.cost is not None}
+    assert set(RULES) - set(costs) == COSTLESS | missing
+    assert all(cost.time_share > -1 and cost.time_standard_error > 0 for cost in costs.values())
 
 
 @pytest.mark.slow
 def test_leaving_out_what_the_scene_calls_for_changes_the_picture(measured):
     for name in ("transmission", "diffuse bounces"):
-        change = measured[0].costs[name].picture
+        change = measured[0][name].cost.picture
         assert change.relative < -2 * change.standard_error < 0, name
-        assert measured[0].plan[name].state == "on"
+        assert measured[0][name].state == "on"
 
 
 @pytest.mark.slow
 def test_leaving_out_what_the_scene_does_not_call_for_changes_nothing(measured):
     for name in ("volumes", "transparency"):
-        cost = measured[0].costs[name]
-        assert measured[0].plan[name].state == "off"
+        cost = measured[0][name].cost
+        assert measured[0][name].state == "off"
         for change in (cost.light, cost.picture):
             assert (change.relative, change.standard_error) == (0, 0), name
 
@@ -153,35 +156,37 @@ def test_leaving_out_what_the_scene_does_not_call_for_changes_nothing(measured):
 @pytest.mark.slow
 def test_the_table_shows_every_effect_with_what_it_costs(measured):
     table = format_effects(measured[0])
-    for effect in measured[0].plan.effects:
+    for effect in measured[0].values():
         line = next(line for line in table.splitlines() if line.startswith(effect.name))
         assert effect.state in line and effect.reason[:30] in line
-        assert ("%" in line) == (effect.name in measured[0].costs)
+        assert ("%" in line) == (effect.cost is not None)
     assert "standard error" in table
 
 
 @pytest.mark.slow
 def test_measured_costs_are_json(measured):
-    rows = json.loads(json.dumps(measured[0].as_json(), allow_nan=False))
-    by_name = {row["name"]: row for row in rows}
-    assert set(by_name["transmission"]["cost"]) == {"time_share", "time_standard_error", "light", "picture"}
-    assert by_name["hair"]["cost"] is None
+    rows = {
+        row["name"]: row
+        for row in json.loads(json.dumps(effects_as_json(measured[0], with_cost=True), allow_nan=False))
+    }
+    assert set(rows["transmission"]["cost"]) == {"time_share", "time_standard_error", "light", "picture"}
+    assert rows["hair"]["cost"] is None
 
 
 def test_a_scene_without_a_camera_and_objects_has_a_plan_and_no_costs():
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    report = run_blocking(report_effects(bpy.context.scene))
-    assert report.costs == {} and len(report.plan.effects) == len(RULES)
+    effects = run_blocking(effects_of_run(bpy.context.scene, PrevisSettings()))
+    assert list(effects) == list(RULES) and all(effect.cost is None for effect in effects.values())
 
 
 def test_frames_outside_the_scenes_range_are_refused():
     with pytest.raises(UserError, match="outside the scene's range"):
-        run_blocking(report_effects(stage(), [1, 9]))
+        run_blocking(effects_of_run(stage(), PrevisSettings(frames=(1, 9))))
 
 
 def test_an_effect_that_no_phone_has_is_refused():
     with pytest.raises(UserError, match="choose another --phone"):
-        run_blocking(report_effects(stage(), overrides={"noise": "on"}))
+        run_blocking(effects_of_run(stage(), PrevisSettings(effect_choices={"noise": "on"})))
 
 
 # ----------------------------------------------------------------------------------------------------- the command line

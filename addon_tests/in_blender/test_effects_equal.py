@@ -19,9 +19,10 @@ from effect_scenes import PAIRS, bright_room, open_field
 
 from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
 from xihe_blender.capture.scanner import first_layer
-from xihe_blender.light_transport import plan_effects
-from xihe_blender.light_transport.plan import everything_on, judge_effects, planned
+from xihe_blender.light_transport import cycles_settings, plan_light_transport, required_effects
+from xihe_blender.light_transport.plan import everything_on
 from xihenet.agreement import agreement
+from xihenet.effects import plan_effects
 
 N_SEEDS = 16
 
@@ -41,23 +42,23 @@ def pictures_of(scene, *plans, samples=8):
 
 @contextlib.contextmanager
 def _working(scene, settings, plan):
-    with working_scene(scene, "Equal", replace(settings, light_transport=plan.light_transport)) as working:
+    with working_scene(scene, "Equal", replace(settings, light_transport=cycles_settings(plan))) as working:
         working.render.threads_mode, working.render.threads = "FIXED", 1
         working.frame_set((scene.frame_start + scene.frame_end) // 2)
         yield working
 
 
 def against_everything_on(scene, overrides=None):
-    verdicts = judge_effects(scene)
-    plan = planned(verdicts, overrides or {})
-    return agreement(*pictures_of(scene, everything_on(scene, verdicts), plan))
+    required = required_effects(scene)
+    plan = plan_effects(required, overrides or {})
+    return agreement(*pictures_of(scene, everything_on(scene, required), plan))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", PAIRS)
 def test_a_scene_that_does_not_call_for_an_effect_shows_the_same_without_it(effect):
     scene = PAIRS[effect][1]()
-    assert plan_effects(scene)[effect].state == "off"
+    assert plan_light_transport(scene)[effect].state == "off"
     found = against_everything_on(scene)
     assert found.holds, found
 
@@ -88,21 +89,19 @@ def test_in_a_closed_bright_room_the_plan_cuts_no_bounce_that_shows(albedo):
 @pytest.mark.parametrize("bounces", [0, 1, 2])
 def test_in_a_closed_bright_room_two_bounces_are_missed(bounces):
     scene = bright_room(0.8)
-    plan = everything_on(scene, judge_effects(scene))
-    full, cut = pictures_of(scene, plan, _Cut(plan, bounces))
+    plan = everything_on(scene, required_effects(scene))
+    full, cut = pictures_of(scene, plan, with_bounces(plan, bounces))
     found = agreement(full, cut)
     assert not found.holds and found.relative_difference < -0.05, found
 
 
 def test_on_open_ground_two_bounces_are_enough():
     scene = open_field()
-    assert plan_effects(scene)["diffuse bounces"].parameters == {"diffuse_bounces": 2}
+    assert plan_light_transport(scene)["diffuse bounces"].parameters == {"diffuse_bounces": 2}
     found = against_everything_on(scene)
     assert found.holds, found
 
 
-class _Cut:
+def with_bounces(plan, bounces):
     """A plan with another number of diffuse bounces."""
-
-    def __init__(self, plan, bounces):
-        self.light_transport = (*plan.light_transport, ("diffuse_bounces", bounces))
+    return {**plan, "diffuse bounces": replace(plan["diffuse bounces"], parameters={"diffuse_bounces": bounces})}

@@ -18,9 +18,11 @@ from scene_snapshot import differences, snapshot
 from tiny_scenes import box, material, phone, room_with_a_virtual_sphere, set_world
 
 from xihe_blender.capture.render import RenderSettings, can_denoise, working_scene
-from xihe_blender.light_transport import plan_effects
+from xihe_blender.light_transport import cycles_settings, plan_light_transport, required_effects
 from xihe_blender.light_transport.enclosure import LEFT_OUT, MAX_BOUNCES, N_SURFACES, bounces_needed
-from xihe_blender.light_transport.plan import RULES, everything_on, judge_effects
+from xihe_blender.light_transport.plan import everything_on
+from xihe_blender.light_transport.rules import RULES
+from xihenet.effects import effects_as_json, effects_from_json
 
 
 @pytest.mark.parametrize(
@@ -28,9 +30,9 @@ from xihe_blender.light_transport.plan import RULES, everything_on, judge_effect
 )
 def test_an_effect_is_on_in_a_scene_that_calls_for_it_and_off_in_one_that_does_not(effect):
     calls_for_it, does_not = PAIRS[effect]
-    called = plan_effects(calls_for_it())[effect]
+    called = plan_light_transport(calls_for_it())[effect]
     assert (called.state, called.origin) == ("on", "auto"), called.reason
-    left_out = plan_effects(does_not())[effect]
+    left_out = plan_light_transport(does_not())[effect]
     assert (left_out.state, left_out.origin) == ("off", "auto"), left_out.reason
     assert called.reason != left_out.reason
 
@@ -42,19 +44,19 @@ def test_every_effect_but_fast_gi_has_a_pair_of_scenes():
 def test_fast_gi_is_never_on_by_itself():
     scene = stage()
     scene.cycles.use_fast_gi = True
-    plan = plan_effects(scene)
+    plan = plan_light_transport(scene)
     assert plan["Fast GI"].state == "off" and "asks for it" in plan["Fast GI"].reason
-    assert dict(plan.light_transport)["use_fast_gi"] is False
-    assert plan_effects(scene, overrides={"Fast GI": "on"})["Fast GI"].parameters == {"use_fast_gi": True}
+    assert dict(cycles_settings(plan))["use_fast_gi"] is False
+    assert plan_light_transport(scene, overrides={"Fast GI": "on"})["Fast GI"].parameters == {"use_fast_gi": True}
 
 
 def test_the_plan_names_the_material_and_the_object():
-    reason = plan_effects(with_ball(lambda: glass("Crystal")))["transmission"].reason
+    reason = plan_light_transport(with_ball(lambda: glass("Crystal")))["transmission"].reason
     assert "'Crystal'" in reason and "'Ball'" in reason
 
 
 def bounces(scene, positions=()):
-    return plan_effects(scene, positions=positions)["diffuse bounces"].parameters["diffuse_bounces"]
+    return plan_light_transport(scene, positions=positions)["diffuse bounces"].parameters["diffuse_bounces"]
 
 
 def test_a_brighter_closed_room_needs_more_bounces_and_open_ground_two():
@@ -119,37 +121,38 @@ def test_planning_changes_nothing_in_the_file():
     scene = room_with_a_virtual_sphere()
     scene.frame_set(2)
     before = snapshot()
-    plan_effects(scene)
+    plan_light_transport(scene)
     assert differences(before, snapshot()) == ({}, [])
 
 
 def test_light_goes_on_behind_lamps_unless_the_user_wants_none_of_it():
     scene = stage()
-    left_out = plan_effects(scene)["transparency"]
-    unwanted = plan_effects(scene, overrides={"transparency": "off"})["transparency"]
+    left_out = plan_light_transport(scene)["transparency"]
+    unwanted = plan_light_transport(scene, overrides={"transparency": "off"})["transparency"]
     assert (left_out.state, left_out.parameters) == ("off", {"transparent_max_bounces": MAX_BOUNCES})
     assert unwanted.parameters == {"transparent_max_bounces": 0}
-    assert plan_effects(stage(lamp=False))["transparency"].parameters == {"transparent_max_bounces": 0}
+    assert plan_light_transport(stage(lamp=False))["transparency"].parameters == {"transparent_max_bounces": 0}
 
 
 def test_settings_of_the_plan_arrive_in_a_working_scene():
     scene = with_ball(glass)
-    plan = plan_effects(scene)
-    with working_scene(scene, "Planned", RenderSettings((8, 8), 1, light_transport=plan.light_transport)) as working:
-        for name, value in plan.light_transport:
+    plan = plan_light_transport(scene)
+    with working_scene(scene, "Planned", RenderSettings((8, 8), 1, light_transport=cycles_settings(plan))) as working:
+        for name, value in cycles_settings(plan):
             assert getattr(working.render if name == "use_motion_blur" else working.cycles, name) == value
-    assert dict(plan.light_transport)["transmission_bounces"] == MAX_BOUNCES
-    assert dict(plan.light_transport)["volume_bounces"] == 0
+    assert dict(cycles_settings(plan))["transmission_bounces"] == MAX_BOUNCES
+    assert dict(cycles_settings(plan))["volume_bounces"] == 0
 
 
 def test_a_plan_survives_json():
-    plan = plan_effects(with_ball(glass), overrides={"volumes": "on"})
-    assert type(plan).from_json(plan.as_json()) == plan
+    plan = plan_light_transport(with_ball(glass), overrides={"volumes": "on"})
+    kept = effects_from_json(effects_as_json(plan))
+    assert cycles_settings(kept) == cycles_settings(plan) and effects_as_json(kept) == effects_as_json(plan)
 
 
 def test_everything_on_leaves_no_effect_out():
     scene = stage()
-    settings = dict(everything_on(scene, judge_effects(scene)).light_transport)
+    settings = dict(cycles_settings(everything_on(scene, required_effects(scene))))
     kinds = ("diffuse_bounces", "glossy_bounces", "transmission_bounces", "volume_bounces", "transparent_max_bounces")
     assert {settings[kind] for kind in (*kinds, "max_bounces")} == {MAX_BOUNCES}
     assert settings["caustics_reflective"] and settings["caustics_refractive"] and settings["use_light_tree"]
@@ -170,7 +173,7 @@ def test_a_camera_of_ones_own_is_judged_instead_of_the_scenes():
     other.data.dof.use_dof = True
     scene.camera = own
     assert state(scene, "depth of field") == "off"
-    assert plan_effects(scene, other)["depth of field"].state == "on"
+    assert plan_light_transport(scene, other)["depth of field"].state == "on"
 
 
 @pytest.mark.needs_denoiser
@@ -184,4 +187,4 @@ def test_a_world_of_a_view_layer_is_the_one_that_is_judged():
 
 
 def test_all_mirrors_have_no_matt_surface():
-    assert "no matt" in plan_effects(all_mirror())["reflective caustics"].reason
+    assert "no matt" in plan_light_transport(all_mirror())["reflective caustics"].reason

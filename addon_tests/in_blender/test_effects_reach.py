@@ -15,7 +15,8 @@ from effect_scenes import (
 )
 from tiny_scenes import material
 
-from xihe_blender.light_transport import plan_effects
+from xihe_blender.light_transport import cycles_settings, plan_light_transport
+from xihenet.effects import names_that_are_on
 
 
 def test_an_emission_driven_at_frame_100_counts_only_if_frame_100_is_rendered():
@@ -169,7 +170,7 @@ def test_a_material_from_a_linked_library_is_read(tmp_path):
         wanted.materials = ["Library glass"]
     bpy.data.objects["Ball"].data.materials[0] = wanted.materials[0]
     assert wanted.materials[0].library is not None
-    assert "'Library glass'" in plan_effects(scene)["transmission"].reason
+    assert "'Library glass'" in plan_light_transport(scene)["transmission"].reason
 
 
 def test_hair_of_a_particle_system_counts():
@@ -183,6 +184,6 @@ def test_hair_of_a_particle_system_counts():
 
 def test_an_empty_scene_has_a_plan_with_everything_off():
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    plan = plan_effects(bpy.context.scene)
-    assert {effect.name for effect in plan.effects if effect.state == "on"} == set()
-    assert dict(plan.light_transport)["max_bounces"] == 0
+    plan = plan_light_transport(bpy.context.scene)
+    assert names_that_are_on(plan) == set()
+    assert dict(cycles_settings(plan))["max_bounces"] == 0

@@ -22,14 +22,16 @@ from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.rooms.render_room import RoomRenderSettings
 from xihe_blender.lab.rooms.scene import add_scene
-from xihe_blender.previs.effects_report import report_effects
 from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.required_effects import effects_of_run
+from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.estimation_positions import estimation_positions
 from xihe_blender.scene.sphere_rig import add_three_sphere_rig
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
 from xihenet.controller import ControllerSettings
+from xihenet.effects import names_that_are_on
 from xihenet.estimators import load
 
 EXACT = replace(SMALL, exposure=0.5, samples=64)
@@ -249,13 +251,15 @@ def test_a_room_in_other_units_is_the_same_room(in_metres, tmp_path, scale_lengt
     assert not any("Blender unit" in note for note in in_metres["notes"])
 
 
+def announced(scene):
+    return run_blocking(effects_of_run(scene, PrevisSettings(), is_measured=False))
+
+
 def test_the_effects_are_planned_by_metres():
-    reports = [run_blocking(report_effects(scaled_room(s), is_measured=False)) for s in (1.0, 0.01, 1000.0)]
-    bounces = [report.plan["diffuse bounces"].parameters["diffuse_bounces"] for report in reports]
+    plans = [announced(scaled_room(scale)) for scale in (1.0, 0.01, 1000.0)]
+    bounces = [plan["diffuse bounces"].parameters["diffuse_bounces"] for plan in plans]
     assert max(bounces) - min(bounces) <= 1
-    assert [[e.state for e in report.plan.effects] for report in reports[1:]] == [
-        [e.state for e in reports[0].plan.effects]
-    ] * 2
+    assert [names_that_are_on(plan) for plan in plans] == [names_that_are_on(plans[0])] * 3
 
 
 def test_without_a_unit_system_a_blender_unit_is_a_metre():
@@ -305,7 +309,7 @@ def test_without_cycles_the_line_names_the_add_on(tmp_path):
     try:
         assert_refused(scene, tmp_path / "out", "Cycles", "Preferences > Add-ons")
         with pytest.raises(UserError, match="Preferences > Add-ons"):
-            run_blocking(report_effects(scene, is_measured=False))
+            announced(scene)
     finally:
         bpy.ops.preferences.addon_enable(module="cycles")
     check_results(run(room_with_a_virtual_sphere(1), tmp_path / "again"))

@@ -198,7 +198,7 @@ def test_the_network_can_be_switched_off_by_choice(tmp_path):
     settings = PrevisSettings(network="lte", effect_choices={"network": "off"})
     phone, _ = planned(room_with_a_virtual_sphere(), tmp_path, settings)
     assert phone.link_in_use is None
-    assert phone.effects[-1].origin == "user"
+    assert phone.effects["network"].origin == "user"
 
 
 def test_choices_are_remembered_in_the_blend_and_the_runs_own_win(tmp_path):

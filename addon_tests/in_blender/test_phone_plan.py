@@ -12,17 +12,18 @@ from tiny_scenes import empty_scene, room_with_a_virtual_sphere
 
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihe_blender.light_transport.overrides import PHONE_EFFECTS
-from xihe_blender.light_transport.plan import judge_effects, planned
-from xihe_blender.previs.effects_report import EffectsReport, format_effects, positions_in, report_effects
+from xihe_blender.light_transport import plan_light_transport
 from xihe_blender.previs.phone_plan import plan_phone_effects
+from xihe_blender.previs.required_effects import effects_of_run, format_effects, positions_in
+from xihenet.effects import effects_as_json
+from xihenet.phone import PHONE_EFFECTS
 
 SESSION = replace(SMALL, phone="ipad_pro_lidar", network="lte")
 
 
 def announced(scene, settings=SESSION, *, is_captured=True):
     positions = positions_in(scene, scene.frame_start)
-    return {e.name: e for e in run_blocking(plan_phone_effects(scene, positions, settings, is_captured=is_captured))}
+    return run_blocking(plan_phone_effects(scene, positions, settings, is_captured=is_captured))
 
 
 def test_what_is_announced_is_what_the_run_simulates(tmp_path):
@@ -47,7 +48,7 @@ def test_looking_changes_nothing_in_the_file():
     scene = room_with_a_virtual_sphere()
     scene.frame_set(3)
     before = snapshot()
-    run_blocking(report_effects(scene, phone="ipad_pro_lidar", is_measured=False))
+    run_blocking(effects_of_run(scene, replace(SMALL, phone="ipad_pro_lidar"), is_measured=False))
     assert differences(before, snapshot()) == ({}, [])
 
 
@@ -66,7 +67,7 @@ def test_a_perfect_phone_that_estimates_by_itself_has_no_effects():
 def test_a_scene_without_objects_is_judged_without_captures():
     scene = room_with_a_virtual_sphere()
     effects = run_blocking(plan_phone_effects(scene, [], SESSION, is_captured=True))
-    assert {effect.name: effect for effect in effects} == announced(scene, is_captured=False)
+    assert effects == announced(scene, is_captured=False)
 
 
 def test_a_phone_without_a_camera_is_refused():
@@ -75,15 +76,13 @@ def test_a_phone_without_a_camera_is_refused():
         announced(bpy.context.scene)
 
 
-def test_the_report_has_light_transport_first_and_the_phone_behind_it():
+def test_light_transport_comes_first_and_the_phone_behind_it():
     scene = room_with_a_virtual_sphere()
-    session = {"phone": "ipad_pro_lidar", "network": "lte"}
-    report = run_blocking(report_effects(scene, **session, is_measured=False))
-    plan = planned(judge_effects(scene, None, positions_in(scene, scene.frame_start)), {})
-    assert report.plan == plan and report.effects == (*plan.effects, *report.phone)
-    rows = json.loads(json.dumps(report.as_json(), allow_nan=False))
-    assert [row["name"] for row in rows] == [effect.name for effect in report.effects]
+    effects = run_blocking(effects_of_run(scene, SESSION, is_measured=False))
+    transport = plan_light_transport(scene, None, positions_in(scene, scene.frame_start), frames=SESSION.frames)
+    assert effects == transport | announced(scene, is_captured=False)
+    rows = json.loads(json.dumps(effects_as_json(effects, with_cost=True), allow_nan=False))
+    assert [row["name"] for row in rows] == list(effects) == [*transport, *PHONE_EFFECTS]
     assert set(rows[-1]) == {"name", "state", "reason", "parameters", "origin", "cost"}
-    table = format_effects(EffectsReport(report.plan, {}, report.phone))
-    line = next(line for line in table.splitlines() if line.startswith("edge_bleeding"))
+    line = next(line for line in format_effects(effects).splitlines() if line.startswith("edge_bleeding"))
     assert " on " in line and "radius_px 2" in line

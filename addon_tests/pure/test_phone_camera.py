@@ -110,14 +110,11 @@ def test_every_pixel_that_is_lost_is_counted_once(name):
         roughness=rng.random(size).astype(np.float32) * 0.3, transmission=rng.random(size).astype(np.float32)
     )
     frame = frame_of(4)
-    seen, counts = PhoneCamera(load_profile(name), 1).see_and_count(frame, facts=facts)
-    n_left = np.count_nonzero(valid_plane_depth(seen.plane_depth_m))
-    assert counts.n_pixels == 48 * 64
-    assert counts.n_invalid == np.count_nonzero(~valid_plane_depth(frame.plane_depth_m)) > 0
-    assert n_left == counts.n_pixels - counts.n_invalid - sum(counts.n_lost.values())
-    assert counts.lost_share == pytest.approx(sum(counts.n_lost.values()) / counts.n_pixels)
-    assert counts.n_lost["transparent_holes"] == pytest.approx(0.5 * counts.n_pixels, rel=0.1)
-    assert counts.n_lost["range"] > 0
+    seen, n_lost = PhoneCamera(load_profile(name), 1).see_and_count(frame, facts=facts)
+    n_valid, n_left = (np.count_nonzero(valid_plane_depth(one.plane_depth_m)) for one in (frame, seen))
+    assert n_left == n_valid - sum(n_lost.values()) < 48 * 64
+    assert n_lost["transparent_holes"] == pytest.approx(0.5 * 48 * 64, rel=0.1)
+    assert n_lost["range"] > 0
 
 
 @pytest.mark.parametrize("name", ["ipad_pro_lidar", "azure_kinect"])

@@ -7,15 +7,11 @@ from xihenet.phone.holes import (
     DarkHoles,
     GlossyHoles,
     GrazingHoles,
+    SeenSurfaces,
     SpanHoles,
     SurfaceFacts,
     TransparentHoles,
-    dark_holes,
     facing_cosines,
-    glossy_holes,
-    grazing_holes,
-    span_holes,
-    transparent_holes,
 )
 from xihenet.records import Intrinsics, RgbdFrame
 
@@ -40,6 +36,19 @@ def rays():
 def frame_of(plane_depth_m, pose=None, intrinsics=CAMERA):
     colour = np.full((intrinsics.height, intrinsics.width, 3), 128, np.uint8)
     return RgbdFrame(colour, plane_depth_m, intrinsics, np.eye(4) if pose is None else pose)
+
+
+def seen_surfaces(plane_depth_m, facts=None, colour=None):
+    """A frame of any size as the sensor sees it, all of it along the camera's axis."""
+    z = np.asarray(plane_depth_m, np.float32)
+    height, width = z.shape
+    intrinsics = Intrinsics(width, height, 1e6, 1e6, width / 2, height / 2)
+    frame = RgbdFrame(np.zeros((height, width, 3), np.uint8) if colour is None else colour, z, intrinsics, np.eye(4))
+    return SeenSurfaces(frame, facts or SurfaceFacts(), z)
+
+
+def holes_of(settings, frame, facts=None):
+    return settings.mask(SeenSurfaces(frame, facts or SurfaceFacts(), frame.plane_depth_m))
 
 
 def plane_seen(normal, through):
@@ -84,7 +93,7 @@ def test_a_depth_edge_is_not_taken_for_a_grazing_surface():
     z = np.full((30, 40), 1.0)
     z[:, 20:] = 4.0
     z[15:] = 2.0
-    assert not grazing_holes(facing_cosines(frame_of(z), SurfaceFacts()), GRAZING).any()
+    assert not holes_of(GRAZING, frame_of(z)).any()
 
 
 @pytest.mark.parametrize("value", [0.0, np.nan, np.inf, 2.0])
@@ -96,7 +105,7 @@ def test_one_pixel_faces_the_camera(value):
 def test_the_share_of_grazing_holes_on_a_floor_is_the_one_of_geometry():
     z, cosine = plane_seen((0, 1, 0), np.array([0, -0.15, 0.0]))
     seen = (z > 0) & (z < 1.5)
-    holes = grazing_holes(facing_cosines(frame_of(np.where(seen, z, 0)), SurfaceFacts()), GRAZING)
+    holes = holes_of(GRAZING, frame_of(np.where(seen, z, 0)))
     expected = cosine < np.cos(np.radians(80))
     inner = seen & np.roll(seen, 1, 0)
     assert expected[inner].any() and not expected[inner].all()
@@ -106,31 +115,34 @@ def test_the_share_of_grazing_holes_on_a_floor_is_the_one_of_geometry():
 def test_darkness_is_judged_by_reflectance_where_it_is_known():
     colour = np.zeros((1, 4, 3), np.uint8)
     colour[0, :, :] = np.array([0, 14, 15, 200])[:, None]
-    assert dark_holes(colour, SurfaceFacts(), DARK).tolist() == [[True, True, False, False]]
+    z = np.ones((1, 4))
+    assert DARK.mask(seen_surfaces(z, colour=colour)).tolist() == [[True, True, False, False]]
     bright = SurfaceFacts(reflectance=np.array([[0.5, 0.5, 0.5, 0.01]], np.float32))
-    assert dark_holes(colour, bright, DARK).tolist() == [[False, False, False, True]]
+    assert DARK.mask(seen_surfaces(z, bright, colour)).tolist() == [[False, False, False, True]]
 
 
 def test_a_glossy_surface_answers_only_where_it_faces_the_phone():
-    facing = np.cos(np.radians([[0.0, 14.0, 16.0, 60.0]]))
-    smooth = SurfaceFacts(roughness=np.full((1, 4), 0.05, np.float32))
-    rough = SurfaceFacts(roughness=np.full((1, 4), 0.5, np.float32))
-    assert glossy_holes(facing, smooth, GLOSSY).tolist() == [[False, False, True, True]]
-    assert not glossy_holes(facing, rough, GLOSSY).any()
-    assert not glossy_holes(facing, SurfaceFacts(), GLOSSY).any()
+    away = np.radians([[0.0, 14.0, 16.0, 60.0]])
+    normals = np.stack([np.sin(away), np.zeros((1, 4)), np.cos(away)], axis=-1).astype(np.float32)
+    smooth = SurfaceFacts(normals=normals, roughness=np.full((1, 4), 0.05, np.float32))
+    rough = SurfaceFacts(normals=normals, roughness=np.full((1, 4), 0.5, np.float32))
+    z = np.ones((1, 4))
+    assert GLOSSY.mask(seen_surfaces(z, smooth)).tolist() == [[False, False, True, True]]
+    assert not GLOSSY.mask(seen_surfaces(z, rough)).any()
+    assert not GLOSSY.mask(seen_surfaces(z, SurfaceFacts(normals=normals))).any()
 
 
 def test_only_what_lets_light_through_is_a_transparent_hole():
     facts = SurfaceFacts(transmission=np.array([[0.0, 0.5, 0.9]], np.float32))
-    assert transparent_holes((1, 3), facts, CLEAR).tolist() == [[False, False, True]]
-    assert not transparent_holes((1, 3), SurfaceFacts(), CLEAR).any()
+    assert CLEAR.mask(seen_surfaces(np.ones((1, 3)), facts)).tolist() == [[False, False, True]]
+    assert not CLEAR.mask(seen_surfaces(np.ones((1, 3)))).any()
 
 
 def test_span_holes_lie_on_both_sides_of_a_wide_edge_only():
     z = np.full((5, 9), 1.0, np.float32)
     z[:, 3:] = 1.7
     z[:, 6:] = 2.6
-    columns = np.flatnonzero(span_holes(z, SpanHoles(source="test", span_m=0.8)).all(axis=0))
+    columns = np.flatnonzero(SpanHoles(source="test", span_m=0.8).mask(seen_surfaces(z)).all(axis=0))
     assert columns.tolist() == [5, 6]
 
 

@@ -66,7 +66,7 @@ def _session_changed(settings: XiheSceneSettings, _context: bpy.types.Context | 
 
 
 def _state(row: XiheEffectRow) -> str:
-    return str(row.called_for if row.override == "AUTO" else row.override.lower())
+    return str(row.required if row.override == "AUTO" else row.override.lower())
 
 
 def _origin(row: XiheEffectRow) -> str:
@@ -76,7 +76,7 @@ def _origin(row: XiheEffectRow) -> str:
 class XiheEffectRow(bpy.types.PropertyGroup):
     """An effect of light transport; `name` is the effect's."""
 
-    called_for: bpy.props.StringProperty(name="Called For", description="What the scene itself calls for: on or off")
+    required: bpy.props.StringProperty(name="Required", description="What the scene itself calls for: on or off")
     reason: bpy.props.StringProperty(name="Reason", description="Why the scene calls for the effect or does not")
     is_switchable: bpy.props.BoolProperty(
         name="Switchable", description="Whether a run can switch the effect for the whole scene", default=True

@@ -5,6 +5,7 @@ Imported when an operator runs: it needs the work modules, and they need NumPy.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import bpy
@@ -13,10 +14,8 @@ from xihe_blender.addon.choices import FROM_FILE, NO_NETWORK, PHONES_METERING
 from xihe_blender.addon.preferences import preferences
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihe_blender.light_transport import Effect
-from xihe_blender.light_transport.overrides import SWITCHED_ELSEWHERE, remembered_overrides
-from xihe_blender.previs.effects_report import report_effects
-from xihe_blender.previs.phone_capture import PhoneEffect
+from xihe_blender.light_transport.overrides import remembered_overrides
+from xihe_blender.previs.required_effects import effects_of_run
 from xihe_blender.previs.settings import PrevisSettings
 
 
@@ -64,38 +63,22 @@ def _phone(scene: bpy.types.Scene) -> str:
     return str(bpy.path.abspath(file))
 
 
-def _is_switchable(effect: Effect | PhoneEffect) -> bool:
-    """Whether a setting of the scene switches an effect of light transport, or the phone has that of a phone."""
-    if effect.name in SWITCHED_ELSEWHERE:
-        return SWITCHED_ELSEWHERE[effect.name] is None
-    return bool(effect.parameters)
-
-
 def planned_rows(scene: bpy.types.Scene) -> list[dict[str, Any]]:
-    """What `scene` calls for, effect by effect, as the properties of XiheEffectRow; nothing is rendered.
+    """What `scene` requires, effect by effect, as the properties of XiheEffectRow; nothing is rendered.
 
     An effect of the phone that only captures could rule out is on; the run rules it out.
     """
     remembered = remembered_overrides(scene)
-    # What the scene itself calls for; the row adds the user's choice.
-    session = previs_settings(scene)
-    report = run_blocking(
-        report_effects(
-            scene,
-            session.frames,
-            dict.fromkeys(remembered, "auto"),
-            phone=session.phone,
-            network=session.network,
-            is_measured=False,
-        )
-    )
+    # What the scene itself requires; the row adds the user's choice.
+    settings = replace(previs_settings(scene), effect_choices=dict.fromkeys(remembered, "auto"))
+    effects = run_blocking(effects_of_run(scene, settings, is_measured=False))
     return [
         {
-            "name": effect.name,
-            "called_for": effect.state,
+            "name": name,
+            "required": effect.state,
             "reason": effect.reason,
-            "is_switchable": _is_switchable(effect),
-            "override": remembered.get(effect.name, "auto").upper(),
+            "is_switchable": effect.is_switchable,
+            "override": remembered.get(name, "auto").upper(),
         }
-        for effect in report.effects
+        for name, effect in effects.items()
     ]

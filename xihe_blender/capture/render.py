@@ -45,7 +45,7 @@ class RenderSettings:
     samples : per pixel, fixed: adaptive sampling is off, so that equal settings give equal noise
     seed : of Cycles, the same in every frame
     denoise : with OpenImageDenoise, where the build has it
-    light_transport : (setting, value) as an EffectPlan gives them; settings that are not named stay the scene's own
+    light_transport : (setting, value) as `cycles_settings` gives them; settings that are not named stay the scene's own
     """
 
     size: tuple[int, int]
@@ -118,7 +118,7 @@ def set_up_cycles(scene: bpy.types.Scene, settings: RenderSettings) -> None:
 
 
 def apply_effects(scene: bpy.types.Scene, light_transport: Iterable[tuple[str, bool | int]]) -> None:
-    """Set what an EffectPlan asks for: (name, value) of Cycles' settings; motion blur is the only one of Blender's."""
+    """Set a plan of effects: (name, value) of Cycles' settings; motion blur is the only one of Blender's."""
     for name, value in light_transport:
         setattr(scene.render if name == "use_motion_blur" else scene.cycles, name, value)
 

@@ -1,4 +1,4 @@
-"""`xihe effects`: what the scene calls for, and why."""
+"""`xihe effects`: which effects the scene requires, and why."""
 
 from __future__ import annotations
 
@@ -27,12 +27,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     """Plan, measure if asked to, and print a table or JSON."""
     from xihe_blender.light_transport.overrides import parsed_overrides
-    from xihe_blender.previs.effects_report import format_effects, report_effects
+    from xihe_blender.previs.required_effects import effects_of_run, format_effects
+    from xihe_blender.previs.settings import PrevisSettings
     from xihe_blender.scene.blend_file import open_blend
+    from xihenet.effects import effects_as_json
 
-    overrides = parsed_overrides(options.overrides)
-    scene = open_blend(options.scene)
-    session = {"phone": options.phone, "network": options.network}
-    job = report_effects(scene, options.frames, overrides, **session, is_measured=not options.plan_only)
-    report = run_blocking(job, when_news(progress_line(stderr)))
-    print(json.dumps(report.as_json(), indent=1) if options.json else format_effects(report), file=stdout)
+    settings = PrevisSettings(
+        frames=options.frames,
+        phone=options.phone,
+        network=options.network,
+        effect_choices=parsed_overrides(options.overrides),
+    )
+    job = effects_of_run(open_blend(options.scene), settings, is_measured=not options.plan_only)
+    effects = run_blocking(job, when_news(progress_line(stderr)))
+    rows = effects_as_json(effects, with_cost=True)
+    print(json.dumps(rows, indent=1) if options.json else format_effects(effects), file=stdout)

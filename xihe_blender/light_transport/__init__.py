@@ -1,6 +1,6 @@
-"""Which effects of light transport does a scene call for, and why? Planned, said, and applied to a working scene."""
+"""Light transport: the effects that a scene requires, and why; planned, measured, and set on a working scene."""
 
 from xihe_blender.light_transport.overrides import remember_overrides, remembered_overrides
-from xihe_blender.light_transport.plan import Effect, EffectPlan, plan_effects
+from xihe_blender.light_transport.plan import cycles_settings, plan_light_transport, required_effects
 
-__all__ = ["Effect", "EffectPlan", "plan_effects", "remember_overrides", "remembered_overrides"]
+__all__ = ["cycles_settings", "plan_light_transport", "remember_overrides", "remembered_overrides", "required_effects"]

@@ -1,4 +1,4 @@
-"""What changes from frame to frame? Asked so that what stands still is judged once, and what moves is judged anew.
+"""Animation: what changes from frame to frame, so that what stands still is judged once, and what moves anew.
 
 Values are not predicted from F-curves: at each frame the evaluated scene has them, drivers, NLA and Python included.
 """

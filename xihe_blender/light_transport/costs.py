@@ -1,4 +1,4 @@
-"""What does each effect cost in this scene, and what would leaving it out change? Measured, on small renders.
+"""Costs of effects in this scene, and what leaving each out would change. Measured, on small renders.
 
 For every effect that a setting switches: the run's plan with that effect on and with it off, all else as planned. Two
 views are rendered: a light probe at the first estimation position and the phone's picture, both at one frame.
@@ -14,8 +14,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -25,8 +24,9 @@ from xihe_blender.capture.reference_probe import ProbeSettings, light_of_cones, 
 from xihe_blender.capture.render import RenderSettings, render_passes
 from xihe_blender.capture.scanner import first_layer, open_scanner, sized_for
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.light_transport.plan import EffectPlan, Verdict, planned
+from xihe_blender.light_transport.plan import cycles_settings
 from xihe_blender.scene.state import scene_kept
+from xihenet.effects import Change, Effect, EffectCost, Requirement, plan_effects
 from xihenet.records import ArrayF64
 
 PROBE_SAMPLES = 2
@@ -38,43 +38,10 @@ BASELINE = "the plan"
 
 
 @dataclass(frozen=True)
-class Change:
-    """What leaving an effect out does to a mean, relative to the mean with it: -0.1 is 10 % darker.
-
-    `standard_error` is of that difference, over the seeds: a change within two of them may be chance.
-    """
-
-    relative: float
-    standard_error: float
-
-
-@dataclass(frozen=True)
-class EffectCost:
-    """What one effect costs and does.
-
-    Parameters
-    ----------
-    time_share : render time with the effect over that without, less 1: 0.1 is 10 % slower; the median over the seeds
-    time_standard_error : of `time_share`; on a machine that is busy with other things it is large
-    light : of the light probe's mean radiance; None without an estimation position, or where no light arrives
-    picture : of the picture's mean radiance; None without a camera, or for a black picture
-    """
-
-    time_share: float
-    time_standard_error: float
-    light: Change | None
-    picture: Change | None
-
-    def as_json(self) -> dict[str, Any]:
-        """{time_share, time_standard_error, light: {relative, standard_error} or None, picture: the same}."""
-        return asdict(self)
-
-
-@dataclass(frozen=True)
 class _Variant:
     """A plan to measure: the run's own, or that with one effect switched; `has_effect` says which way round."""
 
-    plan: EffectPlan
+    plan: Mapping[str, Effect]
     has_effect: bool
     denoise: bool = False
 
@@ -101,8 +68,8 @@ Views = Mapping[str, _View]
 
 def measure_costs(
     scene: bpy.types.Scene,
-    verdicts: Mapping[str, Verdict],
-    wanted: Mapping[str, str],
+    required: Mapping[str, Requirement],
+    choices: Mapping[str, str],
     positions: Sequence[ArrayLike],
     frame: int,
 ) -> Job[dict[str, EffectCost]]:
@@ -110,7 +77,7 @@ def measure_costs(
 
     Parameters
     ----------
-    verdicts, wanted : what the scene calls for and what the user overrides; see `planned`
+    required, choices : what the scene requires and what the user wants; see `plan_effects`
     positions : (K, 3) world, metres; the light probe stands at the first. Empty is legal
     frame : at which to render
 
@@ -118,7 +85,7 @@ def measure_costs(
     -------
     costs by name of the effect, without those that no setting of a scene switches; empty with nothing to look from
     """
-    variants = _variants(verdicts, wanted)
+    variants = _variants(required, choices)
     with scene_kept(), contextlib.ExitStack() as stack:
         kinds: dict[str, Views] = {}
         if len(positions):
@@ -132,15 +99,15 @@ def measure_costs(
         return {name: _cost(kinds, name, has_effect=variants[name].has_effect) for name in switched}
 
 
-def _variants(verdicts: Mapping[str, Verdict], wanted: Mapping[str, str]) -> dict[str, _Variant]:
+def _variants(required: Mapping[str, Requirement], choices: Mapping[str, str]) -> dict[str, _Variant]:
     """The plan, and it with one effect the other way round for each effect that has settings of two kinds."""
-    plan = planned(verdicts, wanted)
+    plan = plan_effects(required, choices)
     variants = {BASELINE: _Variant(plan, has_effect=False)}
-    for name, verdict in verdicts.items():
-        if verdict.on != verdict.off:
+    for name, one in required.items():
+        if one.on != one.off:
             # Nothing else is denoised, so that denoising itself is the one to add.
             is_on = name == "denoising" or plan[name].state == "off"
-            switched = planned(verdicts, {**wanted, name: "on" if is_on else "off"})
+            switched = plan_effects(required, {**choices, name: "on" if is_on else "off"})
             variants[name] = _Variant(switched, is_on, denoise=name == "denoising")
     return variants
 
@@ -148,9 +115,9 @@ def _variants(verdicts: Mapping[str, Verdict], wanted: Mapping[str, str]) -> dic
 def _render_interleaved(kinds: Mapping[str, Views], names: Sequence[str]) -> Iterator[Progress]:
     """Every view with every seed, after one round that is not counted: the first render builds Cycles' scene."""
     for seed in range(N_SEEDS + 1):
-        for place in range(len(names)):
+        for index in range(len(names)):
             # Another one comes first each time, so that none always follows the same one.
-            name = names[(place + seed) % len(names)]
+            name = names[(index + seed) % len(names)]
             for views in kinds.values():
                 yield Progress(seed, N_SEEDS + 1, "measuring with and without each effect")
                 views[name].render(seed)
@@ -182,7 +149,7 @@ def _standard_error(values: ArrayF64) -> float:
 
 @contextlib.contextmanager
 def _probe(scene: bpy.types.Scene, variant: _Variant, position_m: ArrayLike, frame: int) -> Iterator[_View]:
-    settings = ProbeSettings(128, denoise=False, light_transport=variant.plan.light_transport)
+    settings = ProbeSettings(128, denoise=False, light_transport=cycles_settings(variant.plan))
     with open_reference_probe(scene, np.array([position_m]), settings) as probe:
         probe.scene.frame_set(frame)
         probe.look_at_cones(0, PROBE_SAMPLES)
@@ -197,4 +164,4 @@ def _picture(scene: bpy.types.Scene, variant: _Variant, frame: int) -> Iterator[
 
 
 def _planned(settings: RenderSettings, variant: _Variant) -> RenderSettings:
-    return replace(settings, light_transport=variant.plan.light_transport)
+    return replace(settings, light_transport=cycles_settings(variant.plan))

@@ -1,4 +1,4 @@
-"""How often does light bounce before it is lost, in this room? The number of diffuse bounces follows from that.
+"""The enclosure of light by a room: how often light bounces before it is lost, and how many diffuse bounces follow.
 
 A walk of light: rays leave through the phone's picture, or from an estimation position in all directions, and at each
 surface go on in a diffuse direction, weaker by the surface's albedo. What they carry to the k-th surface says how much

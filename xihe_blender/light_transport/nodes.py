@@ -1,4 +1,4 @@
-"""What can a shader node tree do to light? Read backwards from its active output, as Cycles reads it.
+"""Shader node trees, and what they can do to light: read backwards from the active output, as Cycles reads them.
 
 Only what reaches the output counts. Links are followed through reroutes, groups and muted nodes; a mix whose factor is
 a constant 0 or 1 has one side only; a Principled shader does what its weights let it. A value that is linked to a
@@ -10,6 +10,7 @@ tree at each frame (see `reach`). Rejected: searching the tree for node types, w
 from __future__ import annotations
 
 import enum
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -92,7 +93,7 @@ def material_look(material: bpy.types.Material | None) -> Look:
     output = material.node_tree.get_output_node("CYCLES")
     if output is None:
         return NOTHING
-    look = _shader(output.inputs["Surface"], ()) | _volume(output.inputs["Volume"])
+    look = _surface(output.inputs["Surface"]) | _volume(output.inputs["Volume"])
     if material.displacement_method != "BUMP" and _displaces(output.inputs["Displacement"]):
         look |= Look(A.DISPLACEMENT)
     return look
@@ -105,7 +106,7 @@ def world_look(world: bpy.types.World | None) -> Look:
     if not has_nodes(world):
         return Look(A.EMISSION) if any(world.color) else NOTHING
     output = world.node_tree.get_output_node("CYCLES")
-    return NOTHING if output is None else _shader(output.inputs["Surface"], ()) | _volume(output.inputs["Volume"])
+    return NOTHING if output is None else _surface(output.inputs["Surface"]) | _volume(output.inputs["Volume"])
 
 
 def light_emits(light: bpy.types.Light) -> bool:
@@ -115,7 +116,7 @@ def light_emits(light: bpy.types.Light) -> bool:
     if not has_nodes(light):
         return True
     output = light.node_tree.get_output_node("CYCLES")
-    return output is not None and bool(_shader(output.inputs["Surface"], ()).abilities & A.EMISSION)
+    return output is not None and bool(_surface(output.inputs["Surface"]).abilities & A.EMISSION)
 
 
 # ------------------------------------------------------------------------------------------------------------- colours
@@ -144,25 +145,39 @@ def _brightest(socket: Any, groups: Groups) -> float:
 # ------------------------------------------------------------------------------------------------------------- shaders
 
 
-def _shader(socket: Any, groups: Groups) -> Look:
-    """What arrives at a shader input."""
+def _shaders(socket: Any, groups: Groups = (), *, varies: bool = False) -> Iterator[tuple[Any, Groups, bool]]:
+    """What arrives at a shader input, through Mix and Add Shaders: outputs of nodes, and whether a mix may vary it."""
     out, groups = origin(socket, groups)
     if not out.is_output:
-        return NOTHING
+        return
+    if out.node.type not in ("MIX_SHADER", "ADD_SHADER"):
+        yield out, groups, varies
+        return
+    varies |= out.node.type == "MIX_SHADER" and constant(out.node.inputs[0], groups) is None
+    for side in sides(out.node, groups):
+        yield from _shaders(side, groups, varies=varies)
+
+
+def _surface(socket: Any) -> Look:
+    """What the shaders at the input of an output node may do together."""
+    look = NOTHING
+    for out, groups, varies in _shaders(socket):
+        one = _shader(out, groups)
+        look |= one | Look(A.VARYING_EMISSION) if varies and one.abilities & A.EMISSION else one
+    return look
+
+
+def _shader(out: Any, groups: Groups) -> Look:
     if out.type != "SHADER":
         return Look(A.EMISSION | A.VARYING_EMISSION)  # Cycles shows a bare colour as emission
     node = out.node
     if node.type in SIMPLE:
         return _simple(node, groups)
-    special = {
-        "MIX_SHADER": _mix,
-        "ADD_SHADER": _add,
-        "BSDF_PRINCIPLED": _principled,
-        "EMISSION": _emission,
-        "BACKGROUND": _emission,
-    }
-    read = special.get(node.type)
-    return Look(ANYTHING, UNKNOWN_ALBEDO) if read is None else read(node, groups)
+    if node.type == "BSDF_PRINCIPLED":
+        return _principled(node, groups)
+    if node.type in ("EMISSION", "BACKGROUND"):
+        return Look(_emitted(node, "Color", "Strength", groups))
+    return Look(ANYTHING, UNKNOWN_ALBEDO)
 
 
 def _simple(node: Any, groups: Groups) -> Look:
@@ -172,23 +187,6 @@ def _simple(node: Any, groups: Groups) -> Look:
         return NOTHING
     is_passed_through = SIMPLE[node.type] in (A.TRANSPARENT, A.NOTHING)
     return Look(SIMPLE[node.type], 0.0 if is_passed_through else _albedo(node, colour, groups))
-
-
-def _mix(node: Any, groups: Groups) -> Look:
-    mixed = NOTHING
-    for side in sides(node, groups):
-        mixed |= _shader(side, groups)
-    if constant(node.inputs[0], groups) is None and mixed.abilities & A.EMISSION:
-        mixed |= Look(A.VARYING_EMISSION)
-    return mixed
-
-
-def _add(node: Any, groups: Groups) -> Look:
-    return _shader(node.inputs[0], groups) | _shader(node.inputs[1], groups)
-
-
-def _emission(node: Any, groups: Groups) -> Look:
-    return Look(_emitted(node, "Color", "Strength", groups))
 
 
 def _emitted(node: Any, colour: str, strength: str, groups: Groups) -> Ability:
@@ -232,25 +230,19 @@ def _principled_base(node: Any, groups: Groups) -> Ability:
 # ---------------------------------------------------------------------------------------------- volume, displacement
 
 
-def _volume(socket: Any, groups: Groups = ()) -> Look:
+def _volume(socket: Any) -> Look:
     """VOLUME where something is linked that can absorb, scatter or glow."""
-    out, groups = origin(socket, groups)
-    if not out.is_output:
-        return NOTHING
-    node = out.node
-    if node.type in ("MIX_SHADER", "ADD_SHADER"):
-        look = NOTHING
-        for side in sides(node, groups):
-            look |= _volume(side, groups)
-        return look
+    return Look(A.VOLUME) if any(_fills(out.node, groups) for out, groups, _ in _shaders(socket)) else NOTHING
+
+
+def _fills(node: Any, groups: Groups) -> bool:
     weights = {
         "VOLUME_ABSORPTION": ("Density",),
         "VOLUME_SCATTER": ("Density",),
         "PRINCIPLED_VOLUME": ("Density", "Emission Strength", "Blackbody Intensity"),
         "EMISSION": ("Strength",),
     }.get(node.type)
-    fills = weights is None or any(may_be_positive(node, name, groups) for name in weights)
-    return Look(A.VOLUME) if fills else NOTHING
+    return weights is None or any(may_be_positive(node, name, groups) for name in weights)
 
 
 def _displaces(socket: Any) -> bool:
@@ -265,3 +257,37 @@ def _displaces(socket: Any) -> bool:
         return False
     values = [largest(node, name, groups) for name in ("Height", "Midlevel")]
     return node.type == "VECTOR_DISPLACEMENT" or None in values or values[0] != values[1]
+
+
+# ---------------------------------------------------------------------------------------------------------- roughness
+
+REFLECTING = ("BSDF_GLOSSY", "BSDF_METALLIC", "BSDF_GLASS", "BSDF_REFRACTION", "BSDF_PRINCIPLED")
+DULL = (
+    "BSDF_DIFFUSE", "BSDF_SHEEN", "BSDF_TOON", "BSDF_TRANSLUCENT", "BSDF_TRANSPARENT", "BSDF_RAY_PORTAL",
+    "SUBSURFACE_SCATTERING", "BSDF_HAIR", "BSDF_HAIR_PRINCIPLED", "HOLDOUT", "EMISSION", "BACKGROUND",
+)  # fmt: skip
+"""Shaders without a mirror in them; 1 stands for these."""
+
+
+def smoothest_roughness(material: bpy.types.Material | None) -> float | None:
+    """Of a material's smoothest reflection: 0 for a mirror, 1 for chalk; None if it may be anything.
+
+    A range sensor's light does not come back from a mirror. Whether the material also spreads light, so that a sensor
+    sees it whatever its gloss, is not asked here: the render's own diffuse pass says it for each pixel.
+    """
+    if material is None or not has_nodes(material):
+        return 1.0
+    output = material.node_tree.get_output_node("CYCLES")
+    shaders = () if output is None else _shaders(output.inputs["Surface"])
+    found = [_roughness(out, groups) for out, groups, _ in shaders]
+    known = [value for value in found if value is not None]
+    return min(known, default=1.0) if len(known) == len(found) else None
+
+
+def _roughness(out: Any, groups: Groups) -> float | None:
+    if out.type != "SHADER" or out.node.type in DULL:
+        return 1.0
+    if out.node.type not in REFLECTING:
+        return None
+    value = constant(out.node.inputs["Roughness"], groups)
+    return None if value is None else min(max(float(value), 0.0), 1.0)

@@ -1,4 +1,4 @@
-"""What does the user want on or off, whatever the scene calls for? Kept in the .blend, as a custom property.
+"""Overrides: what the user wants on or off, whatever the scene requires. Kept in the .blend, as a custom property.
 
 A custom property of the scene needs no registered class, survives without the add-on, and travels with append and copy.
 """
@@ -10,33 +10,11 @@ from collections.abc import Iterable, Mapping
 import bpy
 
 from xihe_blender.errors import UserError
-from xihenet.phone import EFFECTS
+from xihe_blender.light_transport.rules import RULES, SWITCHED_ELSEWHERE
+from xihenet.phone import PHONE_EFFECTS
 
 PROPERTY = "xihe_effects"
 STATES = ("auto", "on", "off")
-NETWORK = "network"
-PHONE_EFFECTS = (*EFFECTS, NETWORK)
-"""Of the phone and the session; planned elsewhere, chosen and remembered with the rest."""
-
-SWITCHED_ELSEWHERE: dict[str, str | None] = {
-    "diffuse bounces": None,
-    "glossy bounces": None,
-    "transmission": None,
-    "transparency": None,
-    "volumes": None,
-    "reflective caustics": None,
-    "refractive caustics": None,
-    "subsurface": "the materials' subsurface weight",
-    "hair": "what the objects' particle or hair settings render",
-    "displacement": "the materials' displacement method",
-    "motion blur": None,
-    "depth of field": "the camera's depth of field",
-    "light tree": None,
-    "environment sampling": "the sampling in the world's settings",
-    "denoising": None,
-    "Fast GI": None,
-}
-"""All effects of light transport; for those that no setting of a scene switches, what does."""
 
 
 def remember_overrides(scene: bpy.types.Scene, overrides: Mapping[str, str]) -> None:
@@ -84,10 +62,8 @@ def parsed_overrides(texts: Iterable[str]) -> dict[str, str]:
 def checked(overrides: Mapping[str, str]) -> dict[str, str]:
     """`overrides` without those that are "auto". UserError for what is unknown or cannot be switched."""
     for name, state in overrides.items():
-        if name not in (*SWITCHED_ELSEWHERE, *PHONE_EFFECTS):
-            raise UserError(
-                f"there is no effect {name!r}: choose among {', '.join((*SWITCHED_ELSEWHERE, *PHONE_EFFECTS))}"
-            )
+        if name not in RULES and name not in PHONE_EFFECTS:
+            raise UserError(f"there is no effect {name!r}: choose among {', '.join((*RULES, *PHONE_EFFECTS))}")
         if state not in STATES:
             raise UserError(f"effect {name!r} cannot be {state!r}: choose auto, on or off")
         elsewhere = SWITCHED_ELSEWHERE.get(name)

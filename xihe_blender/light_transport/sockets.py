@@ -1,4 +1,4 @@
-"""What value does an input of a shader node have, once links are followed? Read as Cycles reads it.
+"""Inputs of shader nodes, and the values they have once links are followed, as Cycles reads them.
 
 Links are followed through reroutes, groups and muted nodes. A value that is linked to a texture or to arithmetic may be
 anything; values are read as they stand, so animation and drivers are the business of whoever evaluates the tree.

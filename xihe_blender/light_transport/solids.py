@@ -1,4 +1,4 @@
-"""What does a ray meet in a scene as it is rendered? Surfaces of a dependency graph, to be asked without rendering.
+"""Surfaces that a ray meets in a scene as it is rendered: those of a dependency graph, asked without rendering.
 
 Chosen: one tree of all triangles in the world, 0.1 s for 50,000 of them. Rejected: `Scene.ray_cast`, which goes by what
 the viewport shows whatever graph it is given, so that a ceiling hidden to look into the room is not there, and in 5.2

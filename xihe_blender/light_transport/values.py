@@ -1,4 +1,4 @@
-"""What values does an evaluated data-block hold, and what shape does an evaluated object have, as bytes to compare?
+"""Values that an evaluated data-block holds, and the shape of an evaluated object, as bytes to compare.
 
 Values are read through Blender's own description of its data (RNA): whatever a node, a lamp or a world of this or a
 later version has, down through its embedded node tree, its sockets and its custom properties. Shape is every attribute

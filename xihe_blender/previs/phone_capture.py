@@ -12,9 +12,9 @@ nothing is captured, so exposure and light sensor know nothing of it. The perfec
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal, cast
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from typing import Any
 
 import bpy
 import numpy as np
@@ -30,42 +30,28 @@ from xihe_blender.capture.phone_surfaces import (
 from xihe_blender.capture.scanner import CyclesScanner, first_layer
 from xihe_blender.io.exr import read_radiance, write_radiance
 from xihe_blender.io.outputs import RunOutputs
-from xihe_blender.light_transport.overrides import NETWORK, overrides_in_force
+from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.phone_room import RoomLook, look_at_room
 from xihe_blender.previs.plan import PrevisPlan
 from xihe_blender.previs.settings import PrevisSettings
 from xihenet.camera import valid_plane_depth
+from xihenet.effects import Effect, names_that_are_on, plan_effects
 from xihenet.metering import metered_exposure
 from xihenet.phone import (
+    NETWORK,
     CameraMotion,
-    EffectState,
     FrameFacts,
     Link,
     PhoneCamera,
     SessionFacts,
     SessionTrack,
-    calls_for_network,
     facts_of_frame,
     facts_of_session,
-    plan_phone,
 )
-from xihenet.phone.called_for import Choice
 from xihenet.phone.frame_rate import FrameRate, delivered_frames
-from xihenet.phone.settings import Section
 from xihenet.records import ArrayF64, RgbdFrame
 
 SURFACE_EFFECTS = frozenset({"dark_holes", "glossy_holes", "transparent_holes"})
-
-
-@dataclass(frozen=True)
-class PhoneEffect:
-    """One effect of the phone or the session, as results.json has it; `parameters` are the profile's numbers."""
-
-    name: str
-    state: Literal["on", "off"]
-    reason: str
-    parameters: Mapping[str, float]
-    origin: Literal["auto", "user"] = "auto"
 
 
 @dataclass(frozen=True)
@@ -104,12 +90,10 @@ class PhoneCapture:
         self.positions_m = np.array([probe.position_m for probe in plan.probes]).reshape(-1, 3)
         self.profile, self.link = settings.profile, settings.link
         self.metering = settings.metering_in_force
-        has = {*self.profile.effects, *([] if self.link is None else [NETWORK])}
-        in_force = overrides_in_force(scene, settings.effect_choices)
-        self.choices = cast("dict[str, Choice]", {name: state for name, state in in_force.items() if name in has})
+        self.choices = overrides_in_force(scene, settings.effect_choices)
         self.times_s = [(f - scene.frame_start) * scene.render.fps_base / scene.render.fps for f in self.frames]
         self.motions: dict[int, CameraMotion] = {}
-        self.effects: tuple[PhoneEffect, ...] = ()
+        self.effects: dict[str, Effect] = {}
         self.camera = PhoneCamera(self.profile, self.seed, effects=())
         self.track = SessionTrack()
         self._noticed: dict[int, _Noticed] = {}
@@ -189,28 +173,19 @@ class PhoneCapture:
 
     def plan(self) -> None:
         """Decide which effects are simulated, from all that was noticed."""
-        facts = self._session_facts()
-        called_for = {state.name: state for state in plan_phone(facts, self.profile)}
-        sections = self.profile.sections
-        effects = [self._effect(state, sections.get(name)) for name, state in called_for.items()]
-        is_called_for, reason = calls_for_network(facts, self.link)
-        network = EffectState(NETWORK, "on" if is_called_for else "off", reason)
-        self.effects = (*effects, self._effect(network, self.link))
+        required = self.profile.required_effects(self._session_facts(), self.link)
+        self.effects = plan_effects(required, self.choices)
         self.camera = self.camera_with(self.on - {NETWORK})
         self.track = self.follow(self.camera)
 
     @property
     def on(self) -> frozenset[str]:
         """Names of the effects that are simulated."""
-        return frozenset(effect.name for effect in self.effects if effect.state == "on")
+        return names_that_are_on(self.effects)
 
     @property
     def link_in_use(self) -> Link | None:
         return self.link if NETWORK in self.on else None
-
-    def as_json(self) -> list[dict[str, Any]]:
-        """[{name, state, reason, parameters, origin}], as results.json holds it."""
-        return [asdict(effect) for effect in self.effects]
 
     def notes(self) -> list[str]:
         """What a reader has to know of the session, in plain sentences."""
@@ -222,14 +197,6 @@ class PhoneCapture:
             f"The path has a frame every {1e3 * step_s:.0f} ms: "
             f"an estimate that takes {1e3 * usual_s:.0f} ms lights its object only then."
         ]
-
-    def _effect(self, by_itself: EffectState, section: Section | None) -> PhoneEffect:
-        numbers = {} if section is None else {k: v for k, v in asdict(section).items() if k != "source"}
-        wanted = self.choices.get(by_itself.name)
-        if wanted is None or section is None:
-            return PhoneEffect(by_itself.name, by_itself.state, by_itself.reason, numbers)
-        reason = f"you turned it {wanted}; by itself it would be {by_itself.state}: {by_itself.reason}"
-        return PhoneEffect(by_itself.name, "on" if wanted == "on" else "off", reason, numbers, "user")
 
     def _session_facts(self) -> SessionFacts:
         noticed = list(self._noticed.values())
@@ -256,9 +223,8 @@ class PhoneCapture:
     def _delivered(self) -> frozenset[int]:
         """Frames of the path that reach the app at all."""
         section = self.profile.sections.get("frame_rate")
-        choices: dict[str, Choice] = {name: state for name, state in self.choices.items() if name != NETWORK}
-        states = plan_phone(SessionFacts(**self._times()), self.profile, choices)
-        is_on = any(state.name == "frame_rate" and state.state == "on" for state in states)
+        required = self.profile.required_effects(SessionFacts(**self._times()))
+        is_on = plan_effects(required, self.choices)["frame_rate"].state == "on"
         reaches = delivered_frames(self.times_s, section if is_on and isinstance(section, FrameRate) else None)
         return frozenset(frame for frame, is_there in zip(self.frames, reaches, strict=True) if is_there)
 
@@ -292,5 +258,4 @@ class PhoneCapture:
         if "auto_exposure" in phone.effects:
             radiance = read_radiance(self.outputs.radiance("captured", captured.frame))
         motion = self.motions.get(captured.frame)
-        seen, counts = phone.see_and_count(captured, facts=facts, motion=motion, radiance=radiance, track=followed)
-        return seen, dict(counts.n_lost)
+        return phone.see_and_count(captured, facts=facts, motion=motion, radiance=radiance, track=followed)

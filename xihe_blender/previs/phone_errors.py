@@ -15,13 +15,12 @@ import numpy as np
 
 from xihe_blender.io.run_results import FrameResult, PhoneErrors
 from xihe_blender.jobs import Progress
-from xihe_blender.light_transport.overrides import NETWORK
 from xihe_blender.previs.phone_capture import PhoneCapture
 from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.run_chain import WalkedPath
 from xihenet.metrics import shc_rmse
-from xihenet.phone import Link
+from xihenet.phone import NETWORK, Link
 from xihenet.recording import load_frame
 
 NOT_REPEATED = "frame_rate"
@@ -39,7 +38,7 @@ def measure_phone(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, N
     active = [entry for entry in walked.frames if entry.active]
     all_on = _mean([probe.shc_rmse for entry in active for probe in entry.probes])
     without: dict[str, float | None] = {}
-    for effect in [effect.name for effect in phone.effects if effect.name in phone.on]:
+    for effect in [name for name in phone.effects if name in phone.on]:
         yield Progress(run.total, run.total, f"measuring the light without {effect}")
         link = None if effect == NETWORK else phone.link_in_use
         effects = phone.on - {effect}

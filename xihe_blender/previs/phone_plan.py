@@ -1,4 +1,4 @@
-"""Which effects of a phone would a run of this scene simulate, before there is one?
+"""Effects of a phone that a run of this scene would simulate, before there is one.
 
 A run plans them from its captures; see `phone_capture`. So the path is captured here as well, with few samples:
 distances, edges and angles do not depend on their number, and brightness hardly. What needs no capture (how the camera
@@ -19,17 +19,18 @@ from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import CyclesScanner, open_scanner, sized_for
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.previs.phone_capture import PhoneCapture, PhoneEffect
+from xihe_blender.previs.phone_capture import PhoneCapture
 from xihe_blender.previs.plan import DEFAULT_SIZE, PrevisPlan, Probe, planned_frames
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.state import scene_kept
+from xihenet.effects import Effect
 
 N_SAMPLES = 4
 
 
 def plan_phone_effects(
     scene: bpy.types.Scene, positions: Sequence[Sequence[float]], settings: PrevisSettings, *, is_captured: bool
-) -> Job[tuple[PhoneEffect, ...]]:
+) -> Job[dict[str, Effect]]:
     """The effects of phone and network, as `settings` has them; none for a perfect phone that estimates by itself.
 
     Parameters
@@ -49,7 +50,7 @@ def plan_phone_effects(
     plan = PrevisPlan(frames, size, (), probes)
     render = settings.capture(size, N_SAMPLES)
     if not settings.profile.effects and settings.link is None:
-        return ()
+        return {}
     with tempfile.TemporaryDirectory() as folder, scene_kept(), open_scanner(scene, render) as scanner:
         phone = PhoneCapture(scene, plan, RunOutputs(Path(folder), "phone"), settings, exposure=1.0)
         phone.prepare(scanner)

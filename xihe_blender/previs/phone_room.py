@@ -14,8 +14,7 @@ import bpy
 
 from xihe_blender.light_transport.animation import is_animated, shows_a_film
 from xihe_blender.light_transport.inspection import look_at_frames
-from xihe_blender.light_transport.nodes import Ability, light_emits, material_look, world_look
-from xihe_blender.light_transport.roughness import smoothest_roughness
+from xihe_blender.light_transport.nodes import Ability, light_emits, material_look, smoothest_roughness, world_look
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, virtual_collection
 
 

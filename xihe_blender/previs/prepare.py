@@ -7,7 +7,7 @@ and kept in the run's folder, so that a resumed run does the same without lookin
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,11 +19,12 @@ from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import Progress
-from xihe_blender.light_transport import EffectPlan, plan_effects
+from xihe_blender.light_transport import cycles_settings, plan_light_transport
 from xihe_blender.light_transport.render_reuse import KeptRenders, SceneState, scene_states
 from xihe_blender.previs.plan import PrevisPlan
 from xihe_blender.previs.sample_count import Effort, measure_effort
 from xihe_blender.previs.settings import PrevisSettings
+from xihenet.effects import Effect, effects_as_json, effects_from_json
 from xihenet.estimators import Estimator
 from xihenet.trigger import TriggerSettings
 
@@ -55,7 +56,7 @@ class PreparedRun:
     settings: PrevisSettings
     estimator: Estimator
     exposure: float
-    effects: EffectPlan
+    effects: Mapping[str, Effect]
     effort: Effort
     kept: KeptRenders
 
@@ -75,7 +76,7 @@ class PreparedRun:
 
     @property
     def reference(self) -> ProbeSettings:
-        return replace(self.settings.reference, light_transport=self.effects.light_transport)
+        return replace(self.settings.reference, light_transport=cycles_settings(self.effects))
 
     @property
     def comparison(self) -> RenderSettings:
@@ -83,7 +84,7 @@ class PreparedRun:
 
     def _simulated(self, settings: RenderSettings) -> RenderSettings:
         """`settings` with the run's light transport, one for capture, truth and comparison."""
-        return replace(settings, light_transport=self.effects.light_transport)
+        return replace(settings, light_transport=cycles_settings(self.effects))
 
 
 def prepare_run(
@@ -94,7 +95,7 @@ def prepare_run(
     exposure = _session_exposure(scene, plan, outputs, settings)
     effects = _effects(scene, plan, outputs, settings)
     yield Progress(0, 1, "measuring how many samples it takes")
-    transport = effects.light_transport
+    transport = cycles_settings(effects)
     effort = _once(outputs.effort, lambda: measure_effort(scene, plan, settings, exposure, transport).as_json())
     kept = KeptRenders(plan.frames, _scene_states(scene, plan, outputs, effects))
     measured = Effort(**effort)
@@ -127,23 +128,24 @@ def _session_exposure(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutp
     return float(kept["exposure"])
 
 
-def _effects(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs, settings: PrevisSettings) -> EffectPlan:
+def _effects(
+    scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs, settings: PrevisSettings
+) -> dict[str, Effect]:
     """The effects of light transport that the scene calls for, or the user."""
     positions = [probe.position_m.tolist() for probe in plan.probes]
-    choices = settings.effect_choices
-    return EffectPlan.from_json(
-        _once(
-            outputs.effects,
-            lambda: plan_effects(scene, positions=positions, frames=plan.frames, overrides=choices).as_json(),
-        )
-    )
+
+    def planned() -> dict[str, Effect]:
+        choices = settings.effect_choices
+        return plan_light_transport(scene, positions=positions, frames=plan.frames, overrides=choices)
+
+    return effects_from_json(_once(outputs.effects, lambda: effects_as_json(planned())))
 
 
 def _scene_states(
-    scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs, effects: EffectPlan
+    scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs, effects: Mapping[str, Effect]
 ) -> list[SceneState]:
     """The state of the scene at each frame of the path."""
-    has_motion_blur = bool(dict(effects.light_transport).get("use_motion_blur"))
+    has_motion_blur = effects["motion blur"].state == "on"
     states = _once(
         outputs.states,
         lambda: [asdict(state) for state in scene_states(scene, plan.frames, has_motion_blur=has_motion_blur)],

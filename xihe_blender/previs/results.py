@@ -40,6 +40,7 @@ from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.results_notes import notes
 from xihe_blender.previs.results_summary import mean_comparison, summary
 from xihenet.camera import invalid_pixels
+from xihenet.effects import Effect, Requirement, effects_as_json, plan_effects
 from xihenet.invalid import CLAMPED
 from xihenet.metrics import shc_rmse
 from xihenet.phone import Request, first_frame_after
@@ -215,7 +216,7 @@ def assemble(
     """
     scene = run.scene
     comparison = mean_comparison(frames)
-    effects = [*run.effects.as_json(), *other_effects(scene), *phone.as_json()]
+    effects = effects_as_json({**run.effects, **other_effects(scene), **phone.effects})
     return RunResults(
         software=software(command),
         machine=machine() | {"cycles_device": cycles_device(scene)},
@@ -242,14 +243,14 @@ def assemble(
     )
 
 
-def other_effects(scene: bpy.types.Scene) -> list[dict[str, Any]]:
-    """[{name, state, reason}] of what is always so, besides light transport and phone."""
+def other_effects(scene: bpy.types.Scene) -> dict[str, Effect]:
+    """What is always so, besides light transport and phone."""
     clamp = scene.cycles.sample_clamp_indirect
-    rows = [
-        ("indirect clamp", clamp > 0, f"as the scene has it: {clamp:g}"),
-        ("8-bit clipping", True, "a phone delivers clipped, sRGB-encoded bytes"),
-    ]
-    return [{"name": name, "state": "on" if is_on else "off", "reason": reason} for name, is_on, reason in rows]
+    required = {
+        "indirect clamp": Requirement(clamp > 0, f"as the scene has it: {clamp:g}", {}, {}),
+        "8-bit clipping": Requirement(True, "a phone delivers clipped, sRGB-encoded bytes", {}, {}),
+    }
+    return plan_effects(required, {})
 
 
 def _settings(run: PreparedRun) -> RunSettings:

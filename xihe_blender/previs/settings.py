@@ -16,12 +16,12 @@ from dataclasses import dataclass, field
 from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.errors import UserError
-from xihe_blender.light_transport.overrides import NETWORK, PHONE_EFFECTS, checked
+from xihe_blender.light_transport.overrides import checked
 from xihenet import estimators
 from xihenet.estimators import Estimator, Target
 from xihenet.light_change import LightFollowing
 from xihenet.metering import METERINGS, Metering
-from xihenet.phone import LINKS, Link, PhoneProfile, load_profile
+from xihenet.phone import LINKS, NETWORK, PHONE_EFFECTS, Link, PhoneProfile, load_profile
 from xihenet.trigger import TriggerSettings
 
 

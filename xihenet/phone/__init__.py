@@ -1,41 +1,38 @@
-"""What does a real phone make of a perfect capture? One file per effect, profiles as data, one chain.
+"""The phone, and what it makes of a perfect capture: an effect's settings, rule and work in one file, profiles as data.
 
 `load_profile` names the device, `PhoneCamera` turns perfect frames into that device's, `arrival_frames` says when its
-estimates come back, and `plan_phone` says which effects a session can show at all, from `facts_from_frames`.
+estimates come back, and `PhoneProfile.required_effects` which effects a session shows, by `facts_from_frames`.
 """
 
-from xihenet.phone.called_for import EffectState, SessionFacts, calls_for_network, plan_phone
-from xihenet.phone.camera_chain import PhoneCamera, PixelCounts, SessionTrack
+from xihenet.phone.camera_chain import PhoneCamera, SessionTrack
+from xihenet.phone.facts import SessionFacts
+from xihenet.phone.frame_facts import FrameFacts, facts_from_frames, facts_of_frame, facts_of_session
 from xihenet.phone.holes import SurfaceFacts
 from xihenet.phone.motion import CameraMotion, motion_between
-from xihenet.phone.network import LINKS, Link, arrival_frames, first_frame_after
-from xihenet.phone.profile import EFFECTS, PhoneProfile, load_profile, profile_names
-from xihenet.phone.session_facts import FrameFacts, facts_from_frames, facts_of_frame, facts_of_session
-from xihenet.phone.under_way import EstimatesUnderWay, Request
+from xihenet.phone.network import LINKS, EstimatesUnderWay, Link, Request, arrival_frames, first_frame_after
+from xihenet.phone.profile import EFFECTS, NETWORK, PHONE_EFFECTS, PhoneProfile, load_profile, profile_names
 
 __all__ = [
     "EFFECTS",
     "LINKS",
+    "NETWORK",
+    "PHONE_EFFECTS",
     "CameraMotion",
-    "EffectState",
     "EstimatesUnderWay",
     "FrameFacts",
     "Link",
     "PhoneCamera",
     "PhoneProfile",
-    "PixelCounts",
     "Request",
     "SessionFacts",
     "SessionTrack",
     "SurfaceFacts",
     "arrival_frames",
-    "calls_for_network",
     "facts_from_frames",
     "facts_of_frame",
     "facts_of_session",
     "first_frame_after",
     "load_profile",
     "motion_between",
-    "plan_phone",
     "profile_names",
 ]

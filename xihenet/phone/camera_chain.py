@@ -1,4 +1,4 @@
-"""What does this phone deliver, where a perfect camera saw this frame?
+"""Frames as this phone delivers them, made of those that a perfect camera saw.
 
 The effects that are on, in the order in which light and electronics meet them: rows are read while the camera moves;
 the colour is exposed; the range sensor smooths over edges, errs, and finds no answer where too little comes back; its
@@ -20,10 +20,10 @@ from numpy.typing import ArrayLike
 
 from xihenet.camera import valid_plane_depth
 from xihenet.invalid import added, counted
-from xihenet.phone import depth, holes
+from xihenet.phone import depth
 from xihenet.phone.exposure import AutoExposure, expose, follow_exposure
 from xihenet.phone.frame_rate import FrameRate
-from xihenet.phone.holes import SurfaceFacts, facing_cosines
+from xihenet.phone.holes import Holes, SeenSurfaces, SurfaceFacts
 from xihenet.phone.light_sensor import LightSensor, ambient_of_reading, follow_light, read_light
 from xihenet.phone.motion import CameraMotion, PoseDrift, RollingShutter, drift_pose, read_rows
 from xihenet.phone.profile import PhoneProfile
@@ -32,6 +32,9 @@ from xihenet.records import ArrayBool, ArrayF32, ArrayF64, RgbdFrame
 
 SectionT = TypeVar("SectionT", bound=Section)
 TrackedT = TypeVar("TrackedT")
+
+HOLES = ("dark_holes", "transparent_holes", "glossy_holes", "grazing_holes", "span_holes")
+"""In the order in which they are counted: a pixel that several take counts for the first."""
 
 SEEDS = {"noise": 1, "pose_drift": 2, "light_sensor": 3, "light_sensor_gain": 4}
 """What tells the random numbers of one effect from another's. Never renumber: old seeds would give new sessions."""
@@ -43,20 +46,6 @@ class SessionTrack:
 
     exposure: Mapping[int, float] = field(default_factory=dict)
     ambient: Mapping[int, ArrayF64] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class PixelCounts:
-    """Pixels of one frame: all, those without a valid plane depth as it came, and those that each effect took away."""
-
-    n_pixels: int
-    n_invalid: int
-    n_lost: Mapping[str, int]
-
-    @property
-    def lost_share(self) -> float:
-        """Share of the pixels that any effect took away."""
-        return sum(self.n_lost.values()) / self.n_pixels
 
 
 class PhoneCamera:
@@ -78,10 +67,10 @@ class PhoneCamera:
             raise ValueError(f"PhoneCamera: expected a seed of 0 or more, got {seed}")
         self.profile, self.seed, self.effects = profile, seed, chosen
 
-    def settings(self, effect: str, kind: type[SectionT]) -> SectionT | None:
+    def settings(self, kind: type[SectionT]) -> SectionT | None:
         """Settings of an effect that is on, else None."""
-        section = self.profile.sections.get(effect) if effect in self.effects else None
-        return section if isinstance(section, kind) else None
+        found = (self.profile.sections[effect] for effect in self.effects)
+        return next((section for section in found if isinstance(section, kind)), None)
 
     def follow(
         self, frames: Sequence[int], times_s: Sequence[float], *, metered: Sequence[float], ambient: ArrayLike,
@@ -99,11 +88,11 @@ class PhoneCamera:
         """
         exposure: dict[int, float] = {}
         light: dict[int, ArrayF64] = {}
-        auto_exposure = self.settings("auto_exposure", AutoExposure)
+        auto_exposure = self.settings(AutoExposure)
         if auto_exposure:
             followed = follow_exposure(times_s, metered, reference=reference, settings=auto_exposure)
             exposure = dict(zip(frames, followed.tolist(), strict=True))
-        sensor = self.settings("light_sensor", LightSensor)
+        sensor = self.settings(LightSensor)
         if sensor:
             light = dict(zip(frames, follow_light(times_s, ambient, sensor), strict=True))
         return SessionTrack(exposure, light)
@@ -120,8 +109,8 @@ class PhoneCamera:
     def see_and_count(
         self, frame: RgbdFrame, *, facts: SurfaceFacts | None = None, motion: CameraMotion | None = None,
         radiance: ArrayF32 | None = None, track: SessionTrack | None = None,
-    ) -> tuple[RgbdFrame, PixelCounts]:  # fmt: skip
-        """What the phone delivers, and what became of the pixels.
+    ) -> tuple[RgbdFrame, dict[str, int]]:  # fmt: skip
+        """What the phone delivers, and how many pixels each effect took away, each pixel counted once.
 
         Parameters
         ----------
@@ -134,76 +123,52 @@ class PhoneCamera:
         ValueError if `track` lacks the frame.
         """
         known = (facts or SurfaceFacts()).checked_for(frame.intrinsics)
-        shutter = self.settings("rolling_shutter", RollingShutter)
+        shutter = self.settings(RollingShutter)
         seen, source = read_rows(frame, motion, shutter)
-        n_pixels, n_invalid, n_lost = frame.plane_depth_m.size, _n_invalid(frame.plane_depth_m), {}
-        ranged = frame
+        ranged, n_lost = frame, {}
         if source is not None and radiance is not None:
             radiance = radiance.reshape(-1, 3)[source]
         if source is not None and shutter is not None and shutter.reads_plane_depth:
             ranged, known = seen, known.taken_from(source)
-            n_lost["rolling_shutter"] = max(_n_invalid(seen.plane_depth_m) - n_invalid, 0)
+            n_lost["rolling_shutter"] = max(_n_invalid(seen.plane_depth_m) - _n_invalid(frame.plane_depth_m), 0)
         plane_depth_m, holes_made = self._measured(ranged, known)
         if plane_depth_m is not seen.plane_depth_m:
             seen = replace(seen, plane_depth_m=plane_depth_m)
         seen = self._exposed(seen, radiance, track)
-        seen = drift_pose(seen, self.settings("pose_drift", PoseDrift), [self.seed, SEEDS["pose_drift"]])
-        counts = PixelCounts(n_pixels, n_invalid, n_lost | holes_made)
-        if any(counts.n_lost.values()):
+        seen = drift_pose(seen, self.settings(PoseDrift), [self.seed, SEEDS["pose_drift"]])
+        n_lost |= holes_made
+        if any(n_lost.values()):
             # Rows read elsewhere may hold fewer invalid pixels than the capture: those it gives up come last.
-            seen = replace(seen, invalid=added([counted(**counts.n_lost), frame.invalid]))
-        return self._with_light(seen, track), counts
+            seen = replace(seen, invalid=added([counted(**n_lost), frame.invalid]))
+        return self._with_light(seen, track), n_lost
 
     def _measured(self, frame: RgbdFrame, facts: SurfaceFacts) -> tuple[ArrayF32, dict[str, int]]:
         """The plane depth that the range sensor gives, and how many pixels each effect took, counted once."""
-        surface = self._surface_holes(frame, facts)
         scale = self._pixel_scale(frame)
-        z = depth.bleed_edges(
-            frame.plane_depth_m, self.settings("edge_bleeding", depth.EdgeBleeding), pixel_scale=scale
-        )
-        noise = self.settings("noise", depth.DistanceNoise)
+        z = depth.bleed_edges(frame.plane_depth_m, self.settings(depth.EdgeBleeding), pixel_scale=scale)
+        noise = self.settings(depth.DistanceNoise)
         if noise:
             z = depth.add_noise(z, noise, self._rng("noise", frame.frame), pixel_scale=scale)
-        span = self.settings("span_holes", holes.SpanHoles)
-        if span:
-            surface["span_holes"] = holes.span_holes(z, span)
-        n_lost: dict[str, int] = {}
-        for effect, is_hole in surface.items():
-            z, n_lost[effect] = _cleared_and_counted(z, is_hole)
-        limits = self.settings("range", depth.RangeLimits)
+        seen, n_lost = SeenSurfaces(frame, facts, z), {}
+        for effect in HOLES:
+            section = self.profile.sections[effect] if effect in self.effects else None
+            if isinstance(section, Holes):
+                z, n_lost[effect] = _cleared_and_counted(z, section.mask(seen))
+        limits = self.settings(depth.RangeLimits)
         before = _n_invalid(z) if limits else 0
         z = depth.cut_range(z, limits)
         if limits:
             n_lost["range"] = _n_invalid(z) - before
-        return depth.quantise(z, self.settings("quantisation", depth.Quantisation)), n_lost
-
-    def _surface_holes(self, frame: RgbdFrame, facts: SurfaceFacts) -> dict[str, ArrayBool]:
-        """Masks of the holes that surfaces make, of the effects that are on."""
-        made: dict[str, ArrayBool] = {}
-        dark = self.settings("dark_holes", holes.DarkHoles)
-        if dark:
-            made["dark_holes"] = holes.dark_holes(frame.srgb_u8, facts, dark)
-        transparent = self.settings("transparent_holes", holes.TransparentHoles)
-        if transparent:
-            made["transparent_holes"] = holes.transparent_holes(frame.plane_depth_m.shape, facts, transparent)
-        glossy = self.settings("glossy_holes", holes.GlossyHoles) if facts.roughness is not None else None
-        grazing = self.settings("grazing_holes", holes.GrazingHoles)
-        if glossy or grazing:
-            facing = facing_cosines(frame, facts)
-            if glossy:
-                made["glossy_holes"] = holes.glossy_holes(facing, facts, glossy)
-            if grazing:
-                made["grazing_holes"] = holes.grazing_holes(facing, grazing)
-        return made
+        return depth.quantise(z, self.settings(depth.Quantisation)), n_lost
 
     def _exposed(self, frame: RgbdFrame, radiance: ArrayF32 | None, track: SessionTrack | None) -> RgbdFrame:
-        if track is None or not self.settings("auto_exposure", AutoExposure):
+        if track is None or not self.settings(AutoExposure):
             return frame
         return expose(frame, _tracked(track.exposure, frame.frame, "exposure"), radiance)
 
     def _with_light(self, frame: RgbdFrame, track: SessionTrack | None) -> RgbdFrame:
         """A frame without an ambient sensor stays without."""
-        sensor = self.settings("light_sensor", LightSensor)
+        sensor = self.settings(LightSensor)
         if sensor is None or frame.ambient is None:
             return frame
         light = frame.ambient if track is None else _tracked(track.ambient, frame.frame, "ambient light")

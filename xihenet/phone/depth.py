@@ -1,4 +1,4 @@
-"""What does a real range sensor make of a perfect plane depth? Range, noise, grain, steps and bleeding edges.
+"""Plane depth as a real range sensor measures it: range, noise, grain, steps and bleeding edges.
 
 Each function takes a plane depth (H, W) in metres and one settings section and returns a new one; no section, or a
 section that changes nothing, returns the very array it was given. Pixels without a valid plane depth (0, negative, NaN,
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xihenet.camera import valid_plane_depth
+from xihenet.phone.facts import Required, SessionFacts, known
 from xihenet.phone.settings import Section, number
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64
 
@@ -35,6 +36,15 @@ class RangeLimits(Section):
         super().__post_init__()
         if self.nearest_m >= self.farthest_m:
             raise ValueError(f"farthest_m: expected more than nearest_m ({self.nearest_m:g}), got {self.farthest_m:g}")
+
+    def required_by(self, facts: SessionFacts) -> Required:
+        """Surfaces beyond the sensor's range."""
+        farthest_m, nearest_m = (known(m, "how far the room goes") for m in (facts.farthest_m, facts.nearest_m))
+        if farthest_m > self.farthest_m:
+            return True, f"the room goes {farthest_m:.1f} m away, the sensor reaches {self.farthest_m:g} m"
+        if nearest_m < self.nearest_m:
+            return True, f"something is {nearest_m:.2f} m away, the sensor begins at {self.nearest_m:g} m"
+        return False, f"everything lies within the sensor's {self.nearest_m:g} to {self.farthest_m:g} m"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,12 +68,23 @@ class DistanceNoise(Section):
     grain_px: float = number("px", 0.0, 1000.0)
     shift_px: float = number("px", 0.0, 10.0)
 
+    def required_by(self, facts: SessionFacts) -> Required:
+        """Errors that take points to other anchors."""
+        beyond_m = max(known(facts.farthest_m, "how far the room goes") - self.growth_from_m, 0.0)
+        if self.shift_px and known(facts.widest_step_m, "whether one thing stands before another"):
+            return True, "things stand before others, and at their edges the sensor mixes the two"
+        return facts.moves_points(2 * (self.sigma_m + self.growth * beyond_m**self.growth_power), "the sensor's error")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Quantisation(Section):
     """Plane depth comes in steps of `step_m`; 0 for none."""
 
     step_m: float = number("m", 0.0, 1.0)
+
+    def required_by(self, facts: SessionFacts) -> Required:
+        """Steps that take points to other anchors."""
+        return facts.moves_points(self.step_m / 2, "rounding")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +93,10 @@ class EdgeBleeding(Section):
 
     radius_px: float = number("px", 0.0, 100.0)
     span_m: float = number("m", 0.0, 100.0)
+
+    def required_by(self, facts: SessionFacts) -> Required:
+        """A surface in front of another."""
+        return facts.has_step_over(self.span_m) if self.radius_px > 0 else (False, "the sensor keeps edges sharp")
 
 
 def cut_range(plane_depth_m: ArrayF32, settings: RangeLimits | None) -> ArrayF32:

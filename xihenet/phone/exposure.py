@@ -1,4 +1,4 @@
-"""At which exposure does the phone take each frame, if it meters by itself and lags behind?
+"""Exposure of each frame of a phone that meters by itself and lags behind.
 
 A small state machine on the logarithm of the exposure: each frame moves it towards what the frame before asked for,
 exponentially in time, within clamps around the session's reference. What the reference exposure does to a picture is
@@ -21,8 +21,12 @@ from numpy.typing import ArrayLike
 
 from xihenet.camera import encode_exposed
 from xihenet.colour import srgb_to_linear
+from xihenet.phone.facts import Required, SessionFacts, known
 from xihenet.phone.settings import Section, number
 from xihenet.records import ArrayF64, RgbdFrame
+
+SMALL_STOPS = 1 / 3
+"""The smallest step on a camera's exposure dial."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +36,11 @@ class AutoExposure(Section):
     time_constant_s: float = number("s", 0.0, 60.0)
     darkest_stops: float = number("stops below the reference", 0.0, 20.0)
     brightest_stops: float = number("stops above the reference", 0.0, 20.0)
+
+    def required_by(self, facts: SessionFacts) -> Required:
+        """Frames that ask for different exposures."""
+        stops = known(facts.brightness_change_stops, "how much the brightness changes along the path")
+        return stops > SMALL_STOPS, f"along the path the brightness changes by {stops:.1f} stops"
 
 
 def step_exposure(

@@ -1,4 +1,4 @@
-"""Which of a scene's frames does the phone deliver?
+"""Frames that the phone delivers of those that a scene has.
 
 A scene may be animated at any rate; a phone delivers at its own. Chosen: of each interval of the phone's clock the
 first frame of the scene, so that nothing is invented. Rejected: blending frames, which no range sensor does.
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from xihenet.phone.facts import Required, SessionFacts, known
 from xihenet.phone.settings import Section, number
 from xihenet.records import ArrayBool
 
@@ -21,6 +22,13 @@ class FrameRate(Section):
 
     rate_hz: float = number("Hz", 0.1, 1000.0)
     width_px: float = number("px", 1.0, 100000.0)
+
+    def required_by(self, facts: SessionFacts) -> Required:
+        """A path with more frames than the phone delivers."""
+        rate_hz = known(facts.frame_rate_hz, "the frame rate of the camera path")
+        if rate_hz > self.rate_hz:
+            return True, f"the path has {rate_hz:g} frames per second, the phone delivers {self.rate_hz:g}"
+        return False, f"the phone delivers {self.rate_hz:g} frames per second, the path has {rate_hz:g}"
 
 
 def delivered_frames(times_s: Sequence[float], settings: FrameRate | None) -> ArrayBool:

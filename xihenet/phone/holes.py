@@ -1,6 +1,6 @@
-"""Where does a range sensor give no answer? Dark, glossy, transparent and grazing surfaces, and depth edges.
+"""Holes, where a range sensor gives no answer: dark, glossy, transparent and grazing surfaces, and depth edges.
 
-Each function returns an (H, W) mask of holes; `depth.cleared` makes them 0. A sensor's light comes back from a rough
+Each effect gives an (H, W) mask of holes; `depth.cleared` makes them 0. A sensor's light comes back from a rough
 bright surface that faces it. What a picture alone cannot tell (roughness, transmission, reflectance, true normals) the
 caller gives as `SurfaceFacts`; where it gives none, darkness is judged by the picture and grazing angles by normals
 from the plane depth itself, and glossy and transparent surfaces make no holes.
@@ -13,49 +13,15 @@ Not here: what a mirror makes a sensor measure instead (the mirrored room).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from xihenet.camera import valid_plane_depth
 from xihenet.phone.depth import window_span_m
+from xihenet.phone.facts import Required, SessionFacts, known
 from xihenet.phone.settings import Section, number
-from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, ArrayU8, Intrinsics, RgbdFrame
-
-
-@dataclass(frozen=True, kw_only=True)
-class DarkHoles(Section):
-    """No answer where less than `below_grey` comes back: of the surface's reflectance, or of the picture's grey."""
-
-    below_grey: float = number("of white", 0.0, 1.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class GlossyHoles(Section):
-    """No answer from a surface smoother than `below_roughness` that is turned away more than `beyond_deg`."""
-
-    below_roughness: float = number("of Blender's roughness", 0.0, 1.0)
-    beyond_deg: float = number("degrees", 0.0, 90.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class TransparentHoles(Section):
-    """No answer where more than `above_transmission` of the light goes through."""
-
-    above_transmission: float = number("of the light", 0.0, 1.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class GrazingHoles(Section):
-    """No answer where the surface's normal is more than `beyond_deg` away from the ray back to the camera."""
-
-    beyond_deg: float = number("degrees", 0.0, 90.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class SpanHoles(Section):
-    """No answer where the plane depth spans more than `span_m` in a window of 3 x 3 pixels."""
-
-    span_m: float = number("m", 0.0, 100.0)
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, Intrinsics, RgbdFrame
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,40 +62,119 @@ def _taken(values: ArrayF32 | None, source: ArrayInt) -> ArrayF32 | None:
     return flat[source]
 
 
-def dark_holes(srgb_u8: ArrayU8, facts: SurfaceFacts, settings: DarkHoles) -> ArrayBool:
-    """By reflectance where it is known, else by the picture's sRGB grey (the mean of the three bytes)."""
-    grey = facts.reflectance if facts.reflectance is not None else srgb_u8.mean(axis=2, dtype=np.float32) / 255
-    result: ArrayBool = grey < settings.below_grey
-    return result
+@dataclass(frozen=True, eq=False)
+class SeenSurfaces:
+    """What the sensor meets in one frame, facts about its surfaces, and the plane depth (H, W) as it was measured."""
+
+    frame: RgbdFrame
+    facts: SurfaceFacts
+    measured_m: ArrayF32
+
+    @cached_property
+    def facing(self) -> ArrayF64:
+        """(H, W) of `facing_cosines`."""
+        return facing_cosines(self.frame, self.facts)
 
 
-def glossy_holes(facing: ArrayF64, facts: SurfaceFacts, settings: GlossyHoles) -> ArrayBool:
-    """`facing` (H, W) as `facing_cosines` gives it. None where roughness is not known."""
-    if facts.roughness is None:
-        return np.zeros(facing.shape, bool)
-    away = facing < np.cos(np.radians(settings.beyond_deg))
-    result: ArrayBool = away & (facts.roughness < settings.below_roughness)
-    return result
+@dataclass(frozen=True, kw_only=True)
+class Holes(Section):
+    """An effect that takes pixels away."""
+
+    def mask(self, seen: SeenSurfaces) -> ArrayBool:
+        """(H, W) where the sensor has no answer."""
+        raise NotImplementedError
 
 
-def transparent_holes(shape: tuple[int, ...], facts: SurfaceFacts, settings: TransparentHoles) -> ArrayBool:
-    """None where transmission is not known."""
-    if facts.transmission is None:
-        return np.zeros(shape, bool)
-    result: ArrayBool = facts.transmission > settings.above_transmission
-    return result
+@dataclass(frozen=True, kw_only=True)
+class DarkHoles(Holes):
+    """No answer where less than `below_grey` comes back: of the surface's reflectance, or of the picture's grey."""
+
+    below_grey: float = number("of white", 0.0, 1.0)
+
+    def required_by(self, facts: SessionFacts) -> Required:
+        """Surfaces too dark for the sensor."""
+        grey = known(facts.darkest_grey, "how dark the darkest surface is")
+        if grey < self.below_grey:
+            return True, f"some surfaces are darker ({grey:.2f}) than the sensor needs"
+        return False, "no surface is too dark for the sensor"
+
+    def mask(self, seen: SeenSurfaces) -> ArrayBool:
+        """By reflectance where it is known, else by the picture's sRGB grey (the mean of the three bytes)."""
+        known_share = seen.facts.reflectance
+        grey = seen.frame.srgb_u8.mean(axis=2, dtype=np.float32) / 255 if known_share is None else known_share
+        return np.less(grey, self.below_grey)
 
 
-def grazing_holes(facing: ArrayF64, settings: GrazingHoles) -> ArrayBool:
-    """`facing` (H, W) as `facing_cosines` gives it."""
-    result: ArrayBool = facing < np.cos(np.radians(settings.beyond_deg))
-    return result
+@dataclass(frozen=True, kw_only=True)
+class GlossyHoles(Holes):
+    """No answer from a surface smoother than `below_roughness` that is turned away more than `beyond_deg`."""
+
+    below_roughness: float = number("of Blender's roughness", 0.0, 1.0)
+    beyond_deg: float = number("degrees", 0.0, 90.0)
+
+    def required_by(self, facts: SessionFacts) -> Required:
+        """Surfaces that mirror the sensor's light away."""
+        if known(facts.smoothest_roughness, "how glossy the glossiest surface is") < self.below_roughness:
+            return True, "there are surfaces that mirror the sensor's light away"
+        return False, "no surface in view is glossy enough to mirror the sensor's light away"
+
+    def mask(self, seen: SeenSurfaces) -> ArrayBool:
+        """None where roughness is not known."""
+        if seen.facts.roughness is None:
+            return np.zeros(seen.measured_m.shape, bool)
+        is_turned_away = seen.facing < np.cos(np.radians(self.beyond_deg))
+        return np.logical_and(is_turned_away, seen.facts.roughness < self.below_roughness)
 
 
-def span_holes(plane_depth_m: ArrayF32, settings: SpanHoles) -> ArrayBool:
-    """Of the plane depth as it was measured, noise included."""
-    result: ArrayBool = window_span_m(plane_depth_m, 1) > settings.span_m
-    return result
+@dataclass(frozen=True, kw_only=True)
+class TransparentHoles(Holes):
+    """No answer where more than `above_transmission` of the light goes through."""
+
+    above_transmission: float = number("of the light", 0.0, 1.0)
+
+    def required_by(self, facts: SessionFacts) -> Required:
+        """Surfaces that the sensor's light goes through."""
+        if known(facts.highest_transmission, "whether anything is transparent") > self.above_transmission:
+            return True, "the sensor's light goes through something in view"
+        return False, "no transmissive material is visible to the camera"
+
+    def mask(self, seen: SeenSurfaces) -> ArrayBool:
+        """None where transmission is not known."""
+        if seen.facts.transmission is None:
+            return np.zeros(seen.measured_m.shape, bool)
+        return np.greater(seen.facts.transmission, self.above_transmission)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GrazingHoles(Holes):
+    """No answer where the surface's normal is more than `beyond_deg` away from the ray back to the camera."""
+
+    beyond_deg: float = number("degrees", 0.0, 90.0)
+
+    def required_by(self, facts: SessionFacts) -> Required:
+        """Surfaces seen almost from the side."""
+        steepest_deg = known(facts.steepest_deg, "how flat the camera looks along surfaces")
+        if steepest_deg > self.beyond_deg:
+            return True, f"some surfaces are turned {steepest_deg:.0f} degrees away from the camera"
+        return False, f"no surface is turned more than {self.beyond_deg:.0f} degrees away from the camera"
+
+    def mask(self, seen: SeenSurfaces) -> ArrayBool:
+        return np.less(seen.facing, np.cos(np.radians(self.beyond_deg)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpanHoles(Holes):
+    """No answer where the plane depth spans more than `span_m` in a window of 3 x 3 pixels."""
+
+    span_m: float = number("m", 0.0, 100.0)
+
+    def required_by(self, facts: SessionFacts) -> Required:
+        """A surface far in front of another."""
+        return facts.has_step_over(self.span_m)
+
+    def mask(self, seen: SeenSurfaces) -> ArrayBool:
+        """Of the plane depth as it was measured, noise included."""
+        return np.greater(window_span_m(seen.measured_m, 1), self.span_m)
 
 
 def facing_cosines(frame: RgbdFrame, facts: SurfaceFacts) -> ArrayF64:

@@ -1,4 +1,4 @@
-"""What does a phone's ambient light sensor say about the light? An intensity and a colour temperature, late and rough.
+"""Readings of a phone's ambient light sensor: an intensity and a colour temperature, late and rough.
 
 AR toolkits give one brightness and one colour temperature; the tint (green or magenta) is lost. The sensor collects
 light over a while, its gain is off by some percent, which is fixed for each device, and its numbers come in steps.
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.camera import LUMINANCE
+from xihenet.phone.facts import Required, SessionFacts, known
 from xihenet.phone.settings import Section, number
 from xihenet.records import ArrayF64
 
@@ -59,6 +60,11 @@ class LightSensor(Section):
         super().__post_init__()
         if self.lowest_k >= self.highest_k:
             raise ValueError(f"highest_k: expected more than lowest_k ({self.lowest_k:g}), got {self.highest_k:g}")
+
+    def required_by(self, facts: SessionFacts) -> Required:
+        """Light that changes, which the sensor then follows."""
+        changes = known(facts.light_changes, "whether any light changes")
+        return changes, "some light changes" if changes else "no light changes"
 
 
 @dataclass(frozen=True)

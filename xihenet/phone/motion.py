@@ -1,4 +1,4 @@
-"""What does motion do to a frame? Rows that are read one after the other, and a pose that is no longer quite true.
+"""Motion, as a frame shows it: rows that are read one after the other, and a pose that is no longer quite true.
 
 Rolling shutter: the rows of a picture are read from top to bottom; the middle one has the frame's pose. Chosen: each
 pixel of the result looks up the rendered frame, through the plane depth, at the place that its row's camera saw
@@ -12,6 +12,7 @@ of seed and time alone, so frames can be asked for in any order. Not here: jumps
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.camera import valid_plane_depth
+from xihenet.phone.facts import Required, SessionFacts, known
 from xihenet.phone.settings import Section, number, switch
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, RgbdFrame
 
@@ -26,6 +28,9 @@ DRIFT_STEP_S = 0.05
 """Grid of the random walk; between its nodes the drift is a straight line."""
 
 N_FIXED_POINT_STEPS = 3
+
+SMALL_SHIFT_PX = 0.5
+"""Rows that are off by less than this show the same pixels."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +40,18 @@ class RollingShutter(Section):
     readout_s: float = number("s", 0.0, 1.0)
     reads_plane_depth: bool = switch()
 
+    def required_by(self, facts: SessionFacts) -> Required:
+        """A camera that moves while the rows are read, by more than SMALL_SHIFT_PX at the nearest surface."""
+        if facts.is_still:
+            return False, "the camera does not move"
+        what = "how fast the camera moves past the nearest surface"
+        speed, turn = known(facts.fastest_m_per_s, what), known(facts.fastest_turn_deg_per_s, what)
+        focal_px, nearest_m = known(facts.focal_px, what), known(facts.nearest_m or None, what)
+        shift_px = 0.5 * self.readout_s * focal_px * (math.radians(turn) + speed / nearest_m)
+        if shift_px > SMALL_SHIFT_PX:
+            return True, f"while one picture is read the camera moves by up to {shift_px:.1f} pixels"
+        return False, f"while one picture is read the camera moves by {shift_px:.2f} pixels at most"
+
 
 @dataclass(frozen=True, kw_only=True)
 class PoseDrift(Section):
@@ -42,6 +59,17 @@ class PoseDrift(Section):
 
     position_m_per_sqrt_s: float = number("m per square root of s", 0.0, 10.0)
     yaw_deg_per_sqrt_s: float = number("degrees per square root of s", 0.0, 90.0)
+
+    def required_by(self, facts: SessionFacts) -> Required:
+        """A walk long enough for tracking to be wrong."""
+        if facts.is_still:
+            return False, "the camera does not move"
+        duration_s = known(facts.duration_s, "how long the session is")
+        walked = 2 * math.sqrt(duration_s)
+        turned_deg = self.yaw_deg_per_sqrt_s * walked
+        if math.radians(self.yaw_deg_per_sqrt_s) * walked > facts.small_angle:
+            return True, f"within {duration_s:.0f} s tracking turns away by up to {turned_deg:.1f} degrees"
+        return facts.moves_points(self.position_m_per_sqrt_s * walked, "tracking")
 
 
 @dataclass(frozen=True, eq=False)

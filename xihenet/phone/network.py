@@ -1,4 +1,4 @@
-"""When does an estimate arrive that was asked for now?
+"""The network between a phone and the edge server: when estimates arrive, and which light the app has until then.
 
 Simulated time between trigger and arrival over a link to an edge server: work on the device and the server, the time
 the bytes take, and a network delay that is log-normal (never below its floor, with a tail). A request that is lost is
@@ -6,10 +6,15 @@ sent again after a time-out, and given up after a few: it is then late, or never
 
 Chosen: three presets fitted to the paper's figures. Its medians already hold the bytes of one cloud (4,249 in the
 paper's encoding), so only bytes beyond those cost more. Rejected: a queue per packet, which the figures cannot fix.
+
+The delay is in this one place, after the chain, which stays as it is. Rejected: a backend that waits, since the chain
+would then have to know the time. What a request suffers comes from (seed, frame, position) alone, so a run that is
+resumed meets the same network.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -17,8 +22,9 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
+from xihenet.phone.facts import Required, SessionFacts, known
 from xihenet.phone.settings import Section, count, number
-from xihenet.records import ArrayF64, ArrayInt
+from xihenet.records import ArrayF64, ArrayInt, LightEstimate
 
 REFERENCE_PAYLOAD_BYTES = 4249
 """One cloud of 1280 anchors, uint8 and float16, stripped: the paper's average, of which its network times are."""
@@ -53,6 +59,15 @@ class Link(Section):
         super().__post_init__()
         if self.floor_s > self.median_s:
             raise ValueError(f"floor_s: expected at most median_s ({self.median_s:g}), got {self.floor_s:g}")
+
+    def required_by(self, facts: SessionFacts) -> Required:
+        """Something that changes while an estimate is under way."""
+        if facts.is_still and facts.light_changes is False:
+            return False, "neither the camera nor the light changes while an estimate is under way"
+        for fact in (facts.is_still, facts.light_changes):
+            known(fact, "whether anything changes while an estimate is under way")
+        usual_ms = 1e3 * (self.processing_s + self.median_s)
+        return True, f"estimates arrive some {usual_ms:.0f} ms after the frame they are of"
 
 
 _PROCESSING_S = 0.01227
@@ -133,5 +148,58 @@ def arrival_frames(
 
 
 def first_frame_after(arrivals_s: ArrayLike, frame_times_s: Sequence[float]) -> ArrayInt:
-    """(N,) place of the first frame, of ascending times, at or after each arrival; the number of frames if none is."""
+    """(N,) index of the first frame, of ascending times, at or after each arrival; the number of frames if none is."""
     return np.searchsorted(np.asarray(frame_times_s, np.float64), np.asarray(arrivals_s, np.float64), side="left")
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """An estimate asked for in `frame` at `asked_s`, there at `arrival_s` (infinite if it was lost), of the session."""
+
+    estimate: LightEstimate
+    frame: int
+    asked_s: float
+    arrival_s: float
+
+    @property
+    def latency_s(self) -> float | None:
+        """None if it was lost."""
+        return None if math.isinf(self.arrival_s) else self.arrival_s - self.asked_s
+
+
+class EstimatesUnderWay:
+    """The estimates of one session, each kept with the time of its arrival; the light is the youngest of those there.
+
+    An answer that is overtaken by a later one is of no use any more; one that was lost never arrives.
+
+    Parameters
+    ----------
+    link : to the edge server; None for a phone that estimates by itself: everything arrives at once
+    seed : of the session, a whole number >= 0
+    """
+
+    def __init__(self, link: Link | None, seed: int) -> None:
+        self.link, self.seed = link, seed
+        self._requests: dict[str, list[Request]] = {}
+
+    def ask(self, name: str, estimate: LightEstimate, *, frame: int, asked_s: float, payload_bytes: int) -> Request:
+        """Send for `estimate` of position `name`, made from the frame of number `frame` at `asked_s`."""
+        arrival_s = float(arrival_frames([asked_s], payload_bytes, self.link, self._rng(name, frame))[0])
+        request = Request(estimate, frame, asked_s, arrival_s)
+        self._requests.setdefault(name, []).append(request)
+        return request
+
+    def in_force(self, name: str, time_s: float) -> Request | None:
+        """What lights a position at `time_s`: the valid estimate that was asked for last, of those there."""
+        there = [r for r in self._requests.get(name, ()) if r.estimate.is_valid and r.arrival_s <= time_s]
+        return max(there, key=lambda request: request.asked_s) if there else None
+
+    def light(self, name: str, time_s: float) -> LightEstimate | None:
+        """The light in force at a position at `time_s`; None before the first valid estimate is there."""
+        request = self.in_force(name, time_s)
+        return None if request is None else request.estimate
+
+    def _rng(self, name: str, frame: int) -> np.random.Generator:
+        """By the position's name, so that one position more leaves the others' luck alone."""
+        number = 2 * frame if frame >= 0 else -2 * frame - 1
+        return np.random.default_rng([self.seed, number, len(name.encode()), *name.encode()])

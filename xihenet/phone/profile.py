@@ -1,4 +1,4 @@
-"""Which phone is it? Profiles as data files: what each sensor does, with the source of every number.
+"""Profiles of phones, as data files: what each sensor does, with the source of every number.
 
 A profile is a TOML file with a name, a summary, its metering (highlights where it says none) and one table for each
 effect that the device has; a table that is missing means that the device does not have the effect. Users add their own
@@ -15,13 +15,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
+from xihenet.effects import Requirement
 from xihenet.metering import Metering, checked_metering
 from xihenet.phone.depth import DistanceNoise, EdgeBleeding, Quantisation, RangeLimits
 from xihenet.phone.exposure import AutoExposure
+from xihenet.phone.facts import SessionFacts
 from xihenet.phone.frame_rate import FrameRate
 from xihenet.phone.holes import DarkHoles, GlossyHoles, GrazingHoles, SpanHoles, TransparentHoles
 from xihenet.phone.light_sensor import LightSensor
 from xihenet.phone.motion import PoseDrift, RollingShutter
+from xihenet.phone.network import Link
 from xihenet.phone.settings import Section, section_from_table
 
 PROFILES_FOLDER = Path(__file__).parent / "profiles"
@@ -44,7 +47,11 @@ EFFECTS: Mapping[str, type[Section]] = MappingProxyType(
         "light_sensor": LightSensor,
     }
 )
-"""Every sensor effect and its settings, in the order in which they are told."""
+"""Every sensor effect and its settings, in the order in which they are shown."""
+
+NETWORK = "network"
+PHONE_EFFECTS = (*EFFECTS, NETWORK)
+"""Of the phone and the session; the network belongs to no phone."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +91,14 @@ class PhoneProfile:
     def effects(self) -> frozenset[str]:
         """The effects that the device has."""
         return frozenset(self.sections)
+
+    def required_effects(self, facts: SessionFacts, link: Link | None = None) -> dict[str, Requirement]:
+        """What a session of such `facts` over `link` requires of each of PHONE_EFFECTS; a lacking one is not."""
+        lacking = dict.fromkeys(EFFECTS, f"{self.name} does not have it")
+        lacking[NETWORK] = "the phone estimates by itself"
+        sections: Mapping[str, Section | None] = {**self.sections, NETWORK: link}
+        required = {name: Requirement(False, reason, {}, {}) for name, reason in lacking.items()}
+        return required | {name: one.requirement(facts) for name, one in sections.items() if one is not None}
 
 
 def profile_names() -> list[str]:

@@ -1,7 +1,7 @@
-"""How does a number in a profile file become a setting that can be trusted?
+"""Settings of one effect of the phone, how a profile file's table becomes them, and what calls for the effect.
 
-Each effect's settings are one frozen dataclass, a `Section`, whose fields say their own unit and range; making one
-checks every field. A profile file's table becomes a section by name alone, so a new setting is one line in one place.
+They are one frozen dataclass, a `Section`, whose fields say their own unit and range; making one checks every field. A
+profile file's table becomes a section by name alone, so a new setting is one line in one place.
 Chosen: the range beside the field. Rejected: a schema file, which would have to be kept in step with the code.
 """
 
@@ -12,6 +12,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
+
+from xihenet.effects import Requirement
+from xihenet.phone.facts import NotKnownError, Required, SessionFacts
 
 SectionT = TypeVar("SectionT", bound="Section")
 
@@ -45,6 +48,19 @@ class Section:
     def __post_init__(self) -> None:
         for part in dataclasses.fields(self):
             object.__setattr__(self, part.name, _checked(part.name, getattr(self, part.name), part.metadata))
+
+    def required_by(self, facts: SessionFacts) -> Required:
+        """Whether a session of such `facts` shows the effect, and why; NotKnownError where a fact is missing."""
+        raise NotImplementedError
+
+    def requirement(self, facts: SessionFacts) -> Requirement:
+        """The same for the planner; what is not known is required."""
+        numbers = {name: value for name, value in dataclasses.asdict(self).items() if name != "source"}
+        try:
+            is_required, reason = self.required_by(facts)
+        except NotKnownError as error:
+            is_required, reason = True, str(error)
+        return Requirement(is_required, reason, numbers, numbers)
 
 
 def section_from_table(kind: type[SectionT], table: object) -> SectionT:

@@ -26,7 +26,7 @@ from xihe_blender.io.outputs import write_json
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.lab.frontier.chain import ChoiceBackend, light_of_frame
 from xihe_blender.lab.frontier.choices import ComputeChoice
-from xihe_blender.light_transport import plan_effects
+from xihe_blender.light_transport import cycles_settings, plan_light_transport
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.run_time import FEW_SAMPLES, N_RENDERS, RenderTime, time_renders
 from xihe_blender.previs.sample_count import capture_noise, pilot_views, samples_taken
@@ -73,8 +73,8 @@ def calibrate(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[Calibrati
         view = views[len(views) // 2]
         positions = [probe.position_m.tolist() for probe in plan.probes]
         choices = settings.effect_choices
-        effects = plan_effects(scene, positions=positions, frames=plan.frames, overrides=choices)
-        capture = replace(settings.capture(plan.size, PILOT_SAMPLES), light_transport=effects.light_transport)
+        effects = plan_light_transport(scene, positions=positions, frames=plan.frames, overrides=choices)
+        capture = replace(settings.capture(plan.size, PILOT_SAMPLES), light_transport=cycles_settings(effects))
         yield Progress(1, 3, "measuring the noise of a few samples")
         noise = capture_noise(scene, [view], capture, exposure, settings.n_anchors)
         yield Progress(2, 3, "timing a few samples")

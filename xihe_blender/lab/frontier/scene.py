@@ -37,11 +37,12 @@ from xihe_blender.lab.frontier.points import Measured
 from xihe_blender.lab.frontier.rendering import RenderStudy, View, measure_rendering
 from xihe_blender.lab.frontier.steps import Steps, part_of
 from xihe_blender.lab.frontier.timing import Spread
-from xihe_blender.light_transport import EffectPlan, plan_effects
+from xihe_blender.light_transport import cycles_settings, plan_light_transport
 from xihe_blender.previs.plan import PrevisPlan, evenly_chosen, plan_previs
 from xihe_blender.previs.sample_count import capture_noise, pilot_samples, pilot_views, samples_taken
 from xihe_blender.previs.settings import PRESETS, PrevisSettings
 from xihe_blender.scene.state import scene_kept
+from xihenet.effects import Effect, effects_as_json, effects_from_json
 from xihenet.recording import load_frame, save_frame
 
 PROBE_NOISE = 0.02
@@ -147,27 +148,27 @@ def prepare(study: SceneStudy) -> Steps[Prepared]:
         scene, plan = study.scene, study.plan
         exposure = meter_exposure(scene, plan.frames, study.seed)
         positions = [probe.position_m.tolist() for probe in plan.probes]
-        effects = plan_effects(scene, positions=positions, frames=plan.frames, overrides={})
+        effects = plan_light_transport(scene, positions=positions, frames=plan.frames, overrides={})
         samples = {}
         for place, name in enumerate(PRESETS):
             yield (1 + place) / (1 + len(PRESETS)), f"measuring how many samples {name} takes"
             samples[name] = preset_samples(scene, plan, name, exposure, effects, study.seed)
-        write_json(path, {"exposure": exposure, "effects": effects.as_json(), "samples": samples})
+        write_json(path, {"exposure": exposure, "effects": effects_as_json(effects), "samples": samples})
     kept = json.loads(path.read_text(encoding="utf-8"))
     size = study.plan.size
     presets = {name: RenderChoice(size, kept["samples"][name], preset=name) for name in PRESETS}
-    return Prepared(kept["exposure"], EffectPlan.from_json(kept["effects"]).light_transport, presets)
+    return Prepared(kept["exposure"], cycles_settings(effects_from_json(kept["effects"])), presets)
 
 
 def preset_samples(
-    scene: bpy.types.Scene, plan: PrevisPlan, name: str, exposure: float, effects: EffectPlan, seed: int
+    scene: bpy.types.Scene, plan: PrevisPlan, name: str, exposure: float, effects: Mapping[str, Effect], seed: int
 ) -> int:
     """Samples per pixel of captures that a run of a preset takes on `scene`, measured as the run does it."""
     settings, preset = PrevisSettings(preset=name, seed=seed), PRESETS[name]
     views = pilot_views(scene, plan)
     if not views:
         raise UserError(f"scene {scene.name!r} never has a virtual object in view: move the camera's path, or objects")
-    capture = replace(settings.capture(plan.size, pilot_samples(preset)), light_transport=effects.light_transport)
+    capture = replace(settings.capture(plan.size, pilot_samples(preset)), light_transport=cycles_settings(effects))
     model = capture_noise(scene, views, capture, exposure, settings.n_anchors)
     return samples_taken(preset, model)
 

@@ -1,12 +1,12 @@
-"""Each effect with a session that calls for it and one that does not."""
+"""Each effect of the phone with a session that requires it and one that does not."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 
-from xihenet.phone import EFFECTS, LINKS, PhoneCamera, SessionFacts, load_profile, plan_phone, profile_names
-from xihenet.phone.called_for import calls_for_network, calls_for_rolling_shutter
+from xihenet.effects import names_that_are_on, plan_effects
+from xihenet.phone import EFFECTS, LINKS, PHONE_EFFECTS, PhoneCamera, SessionFacts, load_profile, profile_names
 from xihenet.phone.motion import motion_between, read_rows
 from xihenet.records import Intrinsics, RgbdFrame
 
@@ -38,64 +38,48 @@ def device_with(effect):
     return load_profile("azure_kinect" if effect in {"quantisation", "span_holes"} else "ipad_pro_lidar")
 
 
-def planned(facts, effect, profile=None):
-    return {state.name: state for state in plan_phone(facts, profile or device_with(effect))}[effect]
+def required(facts, effect, profile=None):
+    return (profile or device_with(effect)).required_effects(facts)[effect]
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
-def test_each_effect_is_on_where_it_is_called_for_and_off_where_not(effect):
-    called = planned(dataclasses.replace(CALM, **CALLING[effect]), effect)
-    calm = planned(CALM, effect)
-    assert (called.state, calm.state) == ("on", "off")
-    assert called.reason != calm.reason
+def test_each_effect_is_required_by_a_session_that_shows_it_and_by_no_other(effect):
+    shown = required(dataclasses.replace(CALM, **CALLING[effect]), effect)
+    calm = required(CALM, effect)
+    assert (shown.is_required, calm.is_required) == (True, False)
+    assert shown.reason != calm.reason
 
 
 @pytest.mark.parametrize("name", ["ipad_pro_lidar", "azure_kinect"])
-def test_a_calm_session_calls_for_nothing(name):
-    assert {state.state for state in plan_phone(CALM, load_profile(name))} == {"off"}
+def test_a_calm_session_requires_nothing(name):
+    assert names_that_are_on(plan_effects(load_profile(name).required_effects(CALM), {})) == set()
 
 
 @pytest.mark.parametrize("name", profile_names())
 def test_a_session_of_which_nothing_is_known_leaves_every_effect_on(name):
     profile = load_profile(name)
-    states = plan_phone(SessionFacts(), profile)
-    assert {state.name for state in states if state.state == "on"} == profile.effects
-    assert all("known" in state.reason for state in states if state.state == "on")
+    effects = plan_effects(profile.required_effects(SessionFacts()), {})
+    assert names_that_are_on(effects) == profile.effects
+    assert all("known" in effects[name].reason for name in profile.effects)
 
 
 @pytest.mark.parametrize("name", profile_names())
 def test_the_plan_names_every_effect_once_with_a_reason_in_words(name):
-    states = plan_phone(CALM, load_profile(name))
-    assert [state.name for state in states] == list(EFFECTS)
-    assert all(" " in state.reason and "_" not in state.reason for state in states)
+    found = load_profile(name).required_effects(CALM)
+    assert list(found) == list(PHONE_EFFECTS)
+    assert all(" " in one.reason and "_" not in one.reason for one in found.values())
 
 
-def test_the_users_choice_wins_and_is_named():
-    states = {s.name: s for s in plan_phone(CALM, load_profile("ipad_pro_lidar"), {"noise": "on", "range": "auto"})}
-    assert (states["noise"].state, states["noise"].reason) == ("on", "set by the user")
-    assert states["range"].state == "off" and states["range"].reason != "set by the user"
-    loud = dataclasses.replace(CALM, farthest_m=9)
-    assert {s.name: s.state for s in plan_phone(loud, load_profile("ipad_pro_lidar"), {"range": "off"})}[
-        "range"
-    ] == "off"
-
-
-@pytest.mark.parametrize(
-    ("choices", "says"),
-    [
-        ({"smell": "on"}, "no effect smell"),
-        ({"noise": "maybe"}, "noise: expected auto, on or off"),
-        ({"pose_drift": "on"}, "Azure Kinect does not have it"),
-    ],
-)
-def test_a_choice_that_cannot_be_is_refused(choices, says):
-    with pytest.raises(ValueError, match=says):
-        plan_phone(CALM, load_profile("azure_kinect"), choices)
+def test_an_effect_that_the_device_lacks_cannot_be_switched_on():
+    found = load_profile("azure_kinect").required_effects(CALM)
+    assert found["pose_drift"].reason == "Azure Kinect does not have it"
+    effect = plan_effects(found, {"pose_drift": "on"})["pose_drift"]
+    assert (effect.state, effect.origin, effect.is_switchable, effect.parameters) == ("off", "auto", False, {})
 
 
 def test_a_room_of_three_metres_needs_no_range_cut_and_the_cut_would_change_nothing():
     profile = load_profile("ipad_pro_lidar")
-    assert planned(CALM, "range").state == "off"
+    assert not required(CALM, "range").is_required
     z = np.random.default_rng(0).uniform(1, 3, (20, 20))
     frame = RgbdFrame(np.zeros((20, 20, 3), np.uint8), z, Intrinsics(20, 20, 20, 20, 10, 10), np.eye(4))
     seen = PhoneCamera(profile, 0, effects={"range"}).see(frame)
@@ -115,17 +99,19 @@ def test_where_rolling_shutter_is_left_out_no_row_shifts_by_a_pixel(speed_m_per_
     later[0, 3] = speed_m_per_s
     read, _ = read_rows(frame, motion_between(np.eye(4), later, 1.0), shutter)
     shift = np.abs(read.srgb_u8[:, 60:140, 0].astype(int) - columns[:, 60:140, 0])
-    is_on, reason = calls_for_rolling_shutter(facts, shutter)
+    is_on, reason = shutter.required_by(facts)
     assert "pixels" in reason or "does not move" in reason
     assert is_on or shift.max() <= 1
 
 
+def network(facts, link):
+    found = load_profile("ipad_pro_lidar").required_effects(facts, link)["network"]
+    return found.is_required, found.reason
+
+
 def test_the_network_matters_only_while_something_changes():
-    assert calls_for_network(CALM, None) == (False, "the phone estimates by itself")
-    assert not calls_for_network(CALM, LINKS["lte"])[0]
+    assert network(CALM, None) == (False, "the phone estimates by itself")
+    assert not network(CALM, LINKS["lte"])[0]
     changing = dataclasses.replace(CALM, light_changes=True)
-    assert calls_for_network(changing, LINKS["lte"]) == (
-        True,
-        "estimates arrive some 79 ms after the frame they are of",
-    )
-    assert calls_for_network(SessionFacts(), LINKS["lte"])[0]
+    assert network(changing, LINKS["lte"]) == (True, "estimates arrive some 79 ms after the frame they are of")
+    assert network(SessionFacts(), LINKS["lte"])[0]

@@ -1,4 +1,4 @@
-"""What can be said of a session from frames of it, before the phone is simulated?
+"""Facts of a session as its frames show them, before the phone is simulated.
 
 Perfect frames, few and small ones will do, give distances, edges, darkness, angles, motion and brightness. What no
 picture shows (roughness, transmission, which lights are animated) the caller adds; what it leaves out stays not known,
@@ -10,7 +10,7 @@ Not here: frames that were not given. Facts from every tenth frame are about eve
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,11 +19,15 @@ from numpy.typing import ArrayLike
 
 from xihenet.camera import metered_exposure, unproject_frame, valid_plane_depth
 from xihenet.colour import srgb_to_linear
-from xihenet.phone.called_for import SessionFacts
 from xihenet.phone.depth import window_span_m
+from xihenet.phone.facts import SessionFacts
 from xihenet.phone.holes import SurfaceFacts, facing_cosines
 from xihenet.phone.motion import turn_between
 from xihenet.records import ArrayF64, RgbdFrame
+
+LEAST = ("nearest_m", "clearance_m", "darkest_grey")
+MOST = ("focal_px", "farthest_m", "widest_step_m", "steepest_deg")
+"""Facts of frames of which the smallest, or the largest, is that of the session."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,17 +76,9 @@ def facts_of_session(each: Sequence[FrameFacts], **known: Any) -> SessionFacts:
     if not each:
         raise ValueError("facts_of_session: expected at least one frame, got none")
     stops = [facts.stops for facts in each]
-    found = {
-        "duration_s": each[-1].time_s - each[0].time_s,
-        "focal_px": max(facts.focal_px for facts in each),
-        "nearest_m": _least([facts.nearest_m for facts in each]),
-        "farthest_m": _most([facts.farthest_m for facts in each]),
-        "clearance_m": _least([facts.clearance_m for facts in each]),
-        "widest_step_m": max(facts.widest_step_m for facts in each),
-        "steepest_deg": max(facts.steepest_deg for facts in each),
-        "darkest_grey": min(facts.darkest_grey for facts in each),
-        "brightness_change_stops": max(stops) - min(stops),
-    }
+    found: dict[str, Any] = {name: _extreme(min, each, name) for name in LEAST}
+    found |= {name: _extreme(max, each, name) for name in MOST}
+    found |= {"duration_s": each[-1].time_s - each[0].time_s, "brightness_change_stops": max(stops) - min(stops)}
     return SessionFacts(**(found | _motion_facts(each) | known))
 
 
@@ -128,9 +124,6 @@ def _clearance_m(frame: RgbdFrame, positions_m: ArrayF64) -> float:
     return min(float(np.nanmin(np.linalg.norm(points - position, axis=1))) for position in positions_m)
 
 
-def _least(values: Sequence[float | None]) -> float | None:
-    return min((v for v in values if v is not None), default=None)
-
-
-def _most(values: Sequence[float | None]) -> float | None:
-    return max((v for v in values if v is not None), default=None)
+def _extreme(of: Callable[..., float], each: Sequence[FrameFacts], name: str) -> float | None:
+    """The smallest or largest of a fact of frames; None where none has it."""
+    return of((value for facts in each if (value := getattr(facts, name)) is not None), default=None)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from xihenet.phone import PhoneCamera, facts_from_frames, load_profile, plan_phone
+from xihenet.phone import PhoneCamera, facts_from_frames, load_profile
 from xihenet.records import Intrinsics, RgbdFrame
 
 CAMERA = Intrinsics(40, 30, 35.0, 35.0, 20.0, 15.0)
@@ -82,8 +82,8 @@ def test_what_the_caller_knows_wins():
 @pytest.mark.parametrize("seed", range(12))
 def test_an_effect_that_is_left_out_would_have_taken_no_pixel_away(name, seed):
     profile, frames = load_profile(name), random_session(seed)
-    plan = plan_phone(facts_from_frames(frames, [[0, 0, -1]]), profile)
-    left_out = {state.name for state in plan if state.state == "off"} & profile.effects & HOLES
+    required = profile.required_effects(facts_from_frames(frames, [[0, 0, -1]]))
+    left_out = {name for name, one in required.items() if not one.is_required} & profile.effects & HOLES
     for effect in left_out:
         camera = PhoneCamera(profile, seed, effects={effect})
         for frame in frames:
@@ -92,6 +92,6 @@ def test_an_effect_that_is_left_out_would_have_taken_no_pixel_away(name, seed):
 
 def test_the_random_sessions_both_call_for_effects_and_leave_them_out():
     profile = load_profile("azure_kinect")
-    plans = [plan_phone(facts_from_frames(random_session(s), [[0, 0, -1]]), profile) for s in range(12)]
+    plans = [profile.required_effects(facts_from_frames(random_session(s), [[0, 0, -1]])) for s in range(12)]
     for effect in ("range", "span_holes", "dark_holes"):
-        assert {state.state for plan in plans for state in plan if state.name == effect} == {"on", "off"}
+        assert {plan[effect].is_required for plan in plans} == {True, False}
