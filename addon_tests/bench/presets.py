@@ -18,7 +18,7 @@ from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.io.blender_output import blender_output_aside
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.frontier.choices import FULL, RenderChoice
-from xihe_blender.lab.frontier.light_errors import KINDS
+from xihe_blender.lab.frontier.compute import KINDS
 from xihe_blender.lab.frontier.rendering import COMPUTED_BY, RenderStudy, View, measure_rendering
 from xihe_blender.lab.frontier.scene import SceneStudy, plan_scene, prepare
 from xihe_blender.lab.frontier.steps import part_of

@@ -15,9 +15,8 @@ from xihe_process import xihe
 
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihe_blender.lab.frontier.chain import ChoiceBackend, Walk, walk_through, with_every_pixel
 from xihe_blender.lab.frontier.choices import EXHAUSTIVE, ComputeChoice, Effort, compute_choices
-from xihe_blender.lab.frontier.light_errors import padded, square_errors
+from xihe_blender.lab.frontier.compute import ChoiceBackend, Walk, padded, square_errors, walk_through, with_every_pixel
 from xihe_blender.lab.frontier.pareto_plot import pareto_plot
 from xihe_blender.lab.frontier.points import Measured, family, group, groups, points_of
 from xihe_blender.lab.frontier.study import FrontierSettings, frontier

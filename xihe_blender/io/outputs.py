@@ -7,12 +7,14 @@ renamed, so that a name that exists is a file that is whole.
 from __future__ import annotations
 
 import contextlib
+import csv
 import errno
+import io
 import json
 import math
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -157,6 +159,16 @@ def write_picture(path: Path, picture: ArrayF64 | ArrayU8) -> None:
     pixels = picture if picture.dtype == np.uint8 else np.rint(picture * 255).astype(np.uint8)
     with written_whole(path) as beside:
         write_png(beside, pixels)
+
+
+def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> None:
+    """Write a table, whole or not at all; what is None or missing is empty."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, restval="", extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    with written_whole(path) as beside:
+        beside.write_text(text.getvalue(), encoding="utf-8")
 
 
 def write_json(path: Path, content: Any) -> None:

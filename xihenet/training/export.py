@@ -1,4 +1,4 @@
-"""How does a trained network become the weights file that an estimator reads?"""
+"""Export of a trained network to the weights file that an estimator reads."""
 
 from __future__ import annotations
 
@@ -35,13 +35,3 @@ def export_network(
         weights = pointconv.weights_of(loaded.net, loaded.target, estimator=loaded.estimator, **notes)
     out.parent.mkdir(parents=True, exist_ok=True)
     save_weights(out, weights, is_half=is_half)
-
-
-def export_lattice(
-    trained: Path, out: Path, *, data: str = "", figures: Mapping[str, Any] | None = None, is_half: bool = True
-) -> None:
-    """As `export_network`; ValueError also if the file holds another kind of network."""
-    loaded = load_network(trained)
-    if not isinstance(loaded.net, lattice.LatticeNet):
-        raise ValueError(f"{trained}: expected a trained lattice network, got {loaded.estimator}")
-    export_network(trained, out, data=data, figures=figures, is_half=is_half)

@@ -1,4 +1,4 @@
-"""How good are the networks beside what needs no training, where, and what bounds them?
+"""Report of the training: how good the networks are beside what needs no training, where, and what bounds them.
 
 All figures of the tables, for one target: errors of every predictor on clouds of one view, on clouds of all views of a
 room, and on whatever other groups are given (walks, scenes of others, the whole sphere); by coverage; by number of
@@ -6,13 +6,13 @@ training rooms; by room; of the networks' own expectation; and under disturbance
 mean predictor, which always says the mean light of the training rooms, on the same clouds, so that figures of different
 data can be compared. The test split is for this alone; to develop, ask for the validation split.
 
-Here it is said what a report is made of; `report_parts` makes the figures, `report_text` and `plots` show them.
+Here it is predicted what a report is made of; `report_parts` makes the figures, `report_text` and `plots` show them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -70,12 +70,11 @@ class ReportSettings:
     seed: int = 0
 
 
-@dataclass(frozen=True, eq=False)
-class Report:
-    """Plain figures: numbers, strings, None, lists and dictionaries of such.
+def make_report(settings: ReportSettings, progress: Callable[[str], None] = lambda line: None) -> dict[str, Any]:
+    """All figures for JSON: numbers, strings, None, lists and dictionaries of such.
 
-    Parameters
-    ----------
+    Returns
+    -------
     head : split, target, what baselines were fitted to, definitions
     tables : one per group of clouds
     curve : error against coverage in narrow bins
@@ -83,43 +82,30 @@ class Report:
     rooms : how unevenly the error is spread over clouds and rooms
     calibration : of the networks that expect an error
     stress : under disturbances, beside `ambient`
+
+    ValueError for a missing or broken folder or file, or networks of another kind or target.
     """
-
-    head: dict[str, Any]
-    tables: list[dict[str, Any]]
-    curve: dict[str, Any]
-    learning: list[dict[str, Any]]
-    rooms: list[dict[str, Any]]
-    calibration: list[dict[str, Any]]
-    stress: list[dict[str, Any]]
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return {"version": REPORT_VERSION, **asdict(self)}
-
-
-def make_report(settings: ReportSettings, progress: Callable[[str], None] = lambda line: None) -> Report:
-    """All figures. ValueError for a missing or broken folder or file, or networks of another kind or target."""
     target, device = settings.target, settings.device
     groups = _groups(settings)
     networks = [load_seeds(label, files, target, device) for label, files in settings.networks.items()]
     progress("fitting the baselines")
     baselines = fit_baselines(training_clouds(main_folder(settings.clouds)), target)
-    said: list[Predictions] = []
+    predicted: list[Predictions] = []
     for group in groups:
         progress(f"predicting {group.name}: {len(group.cases)} clouds")
-        said.append(predict_group(group, baselines, networks, target, device))
+        predicted.append(predict_group(group, baselines, networks, target, device))
     progress("calibrating, and disturbing clouds")
     calibrations = _calibrations(settings, networks)
-    return Report(
-        head=_head(settings, baselines),
-        tables=[group_table(group, one, target) for group, one in zip(groups, said, strict=True)],
-        curve=coverage_curve(groups[:2], joined(said[:2]), target),
-        learning=_learning(settings, groups[:2], said[:2]),
-        rooms=[room_figures(groups[0], name, seeds, target) for name, seeds in said[0].items()],
-        calibration=[one.figures(groups, said, target) for one in calibrations],
-        stress=_stress(settings, groups[0], networks, baselines, calibrations),
-    )
+    return {
+        "version": REPORT_VERSION,
+        "head": _head(settings, baselines),
+        "tables": [group_table(group, one, target) for group, one in zip(groups, predicted, strict=True)],
+        "curve": coverage_curve(groups[:2], joined(predicted[:2]), target),
+        "learning": _learning(settings, groups[:2], predicted[:2]),
+        "rooms": [room_figures(groups[0], name, seeds, target) for name, seeds in predicted[0].items()],
+        "calibration": [one.figures(groups, predicted, target) for one in calibrations],
+        "stress": _stress(settings, groups[0], networks, baselines, calibrations),
+    }
 
 
 def _groups(settings: ReportSettings) -> list[Group]:
@@ -154,13 +140,15 @@ def _head(settings: ReportSettings, baselines: Baselines) -> dict[str, Any]:
     }
 
 
-def _learning(settings: ReportSettings, groups: Sequence[Group], said: Sequence[Predictions]) -> list[dict[str, Any]]:
+def _learning(
+    settings: ReportSettings, groups: Sequence[Group], predicted: Sequence[Predictions]
+) -> list[dict[str, Any]]:
     """For each number of rooms the ratio in each group, mean and spread over seeds."""
     points = []
     for n_rooms, files in sorted(settings.learning.items()):
         seeds = load_seeds(f"{n_rooms} rooms", files, settings.target, settings.device)
         point: dict[str, Any] = {"n_rooms": n_rooms, "n_seeds": len(files), "estimator": seeds.estimator}
-        for group, known in zip(groups, said, strict=True):
+        for group, known in zip(groups, predicted, strict=True):
             figures = prediction_figures(group, known, seeds.predictions(group, settings.target, settings.device) or [],
                                          settings.target)  # fmt: skip
             mean, spread = over_seeds([one["ratio"] for one in figures] or [None])

@@ -1,4 +1,4 @@
-"""How does a report read as Markdown, for the README and the model card?
+"""Markdown of a report, for the README and the model card.
 
 Errors of coefficients are ratios to the mean predictor's; a figure of several seeds has its standard deviation behind
 a plus-minus sign. Nothing is worked out here but the number of digits.
@@ -14,7 +14,7 @@ from xihenet.light_picture import SPHERES
 
 
 def report_markdown(report: Mapping[str, Any]) -> str:
-    """`Report.as_dict()` as text, one section for each part that has figures."""
+    """A report as text, one section for each part that has figures."""
     head = report["head"]
     lines = [
         f"# Estimators on the {head['split']} rooms, {head['target']}",
@@ -44,14 +44,14 @@ def _table_section(table: Mapping[str, Any], head: Mapping[str, Any]) -> list[st
         f"The angle of the dominant light is the median over the clouds whose l = 1 vector of luminance is longer than "
         f"{head['dominant_share']} of l = 0: {left_out} are left out."
     )
-    ratios = ["SHC RMSE / mean predictor's", "all", "l = 0", "l = 1", "l = 2", *_groups_in_words(table, head)]
+    ratios = ["SHC RMSE / mean predictor's", "all", "l = 0", "l = 1", "l = 2", *_format_groups(table, head)]
     others = ["predictor", "SHC RMSE", "irradiance", "mean, %", "dominant, °"]
     others += [f"{sphere}: {error}" for sphere in SPHERES for error in ("RMSE", "si-RMSE", "angle, °")]
     return [title, "", coverage, "", *_table(ratios, [_ratio_row(row) for row in table["rows"]]), "",
             *_table(others, [_error_row(row) for row in table["rows"]]), "", angle, ""]  # fmt: skip
 
 
-def _groups_in_words(table: Mapping[str, Any], head: Mapping[str, Any]) -> list[str]:
+def _format_groups(table: Mapping[str, Any], head: Mapping[str, Any]) -> list[str]:
     edges = itertools.pairwise(head["coverage_edges"])
     return [f"{a:.0%} to {b:.0%} seen ({n})" for (a, b), n in zip(edges, table["n_in_coverage"], strict=True)]
 
@@ -98,8 +98,13 @@ def _calibration_section(calibration: Sequence[Mapping[str, Any]], head: Mapping
             for name, part in parts.items()
         ]
         law = ", ".join(_law(one) for one in row["by_seed"])
-        told = f"Expected error from the validation rooms: {law}. Correlation with the error made: "
-        lines += [f"## Does {row['name']} know its error?", "", told + f"{_cell(figures['correlation'], None, 2)}.", ""]
+        words = f"Expected error from the validation rooms: {law}. Correlation with the error made: "
+        lines += [
+            f"## Does {row['name']} know its error?",
+            "",
+            words + f"{_cell(figures['correlation'], None, 2)}.",
+            "",
+        ]
         lines += [*_table(["clouds", "number", "expected", "made", *promised], rows), ""]
     return lines
 
@@ -135,11 +140,11 @@ def _stress_section(stress: Sequence[Mapping[str, Any]], head: Mapping[str, Any]
         seen = _percent(group["coverage"])
         cells = [_stress_cell(known[name]) if name in known else "" for name in names]
         lines.append([group["name"], str(group["n_anchors"]), str(group["n_clouds"]), seen, *cells])
-    told = (
+    about = (
         f"SHC RMSE / `ambient`'s on the same clouds of one view. At most {head['stress_limit']:.2f} is asked for; what "
         "is above, or is not finite, is marked with an exclamation mark."
     )
-    return ["## Under disturbances", "", told, "", *_table(["clouds", "anchors", "number", "seen", *names], lines), ""]
+    return ["## Under disturbances", "", about, "", *_table(["clouds", "anchors", "number", "seen", *names], lines), ""]
 
 
 def _stress_cell(row: Mapping[str, Any]) -> str:

@@ -11,8 +11,6 @@ report.html
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,7 +19,7 @@ from typing import Any
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_claim import FolderClaim
-from xihe_blender.io.outputs import write_json, written_whole
+from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.lab.batch.grid import BatchSettings, Unit
 from xihenet import __version__
 
@@ -130,20 +128,10 @@ def write_tables(folder: BatchFolder, results: Mapping[str, Any]) -> None:
     frames = [
         {**{key: trial[key] for key in WHICH}, **frame} for trial in results["trials"] for frame in trial["frames"]
     ]
-    _write_csv(folder.table("trials"), results["trials"], TRIAL_COLUMNS)
-    _write_csv(folder.table("frames"), frames, FRAME_COLUMNS)
-    _write_csv(folder.table("units"), results["units"], UNIT_COLUMNS)
+    write_csv(folder.table("trials"), results["trials"], TRIAL_COLUMNS)
+    write_csv(folder.table("frames"), frames, FRAME_COLUMNS)
+    write_csv(folder.table("units"), results["units"], UNIT_COLUMNS)
     write_json(folder.results, results)
-
-
-def _write_csv(path: Path, rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> None:
-    """Write a table, whole or not at all; what is None or missing is empty."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, restval="", extrasaction="ignore", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    with written_whole(path) as beside:
-        beside.write_text(text.getvalue(), encoding="utf-8")
 
 
 def read_frontier(given: Path | None, folder: Path) -> dict[str, Any] | None:

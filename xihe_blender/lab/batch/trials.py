@@ -8,7 +8,7 @@ or the machine: the same batch gives the same bytes, whoever computes it.
 from __future__ import annotations
 
 import statistics
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -19,6 +19,7 @@ from xihe_blender.lab.batch.results import METRICS
 from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.run_chain import WalkedPath
+from xihe_blender.report.values import mean
 from xihenet.metrics import shc_rmse
 from xihenet.recording import load_frame
 
@@ -49,9 +50,9 @@ def trial_record(
         "n_compared_frames": len(compared),
         "n_estimates": n_fired,
         "estimates_per_minute": estimates_per_minute(walked, n_fired),
-        "shc_rmse": _mean(probe.shc_rmse for probe in probes),
-        "coverage": _mean(probe.coverage for probe in probes),
-        **{metric: _mean(row[metric] for row in frames) for metric in METRICS},
+        "shc_rmse": mean(probe.shc_rmse for probe in probes),
+        "coverage": mean(probe.coverage for probe in probes),
+        **{metric: mean(row[metric] for row in frames) for metric in METRICS},
         "payload_bytes": sum(probe.payload_bytes for probe in probes),
         "frames": frames,
         "thetas": list(swept),
@@ -64,8 +65,8 @@ def _frame_row(entry: FrameResult, compared: Mapping[str, float | None]) -> dict
         "frame": entry.frame,
         "time_s": entry.time_s,
         "n_fired": sum(probe.fired for probe in probes),
-        "shc_rmse": _mean(probe.shc_rmse for probe in probes),
-        "coverage": _mean(probe.coverage for probe in probes),
+        "shc_rmse": mean(probe.shc_rmse for probe in probes),
+        "coverage": mean(probe.coverage for probe in probes),
         **{metric: compared.get(metric) for metric in METRICS},
     }
 
@@ -78,12 +79,6 @@ def estimates_per_minute(walked: WalkedPath, n_fired: int) -> float | None:
         return None
     step_s: float = (times[-1] - times[0]) / (len(times) - 1)
     return 60 * n_fired / (n_steps * step_s)
-
-
-def _mean(values: Iterable[float | None]) -> float | None:
-    """Mean of the values that are not None; None without any."""
-    known = [value for value in values if value is not None]
-    return statistics.fmean(known) if known else None
 
 
 def trigger_sweep(run: PreparedRun, walked: WalkedPath) -> list[dict[str, Any]]:

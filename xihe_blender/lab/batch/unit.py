@@ -3,13 +3,18 @@
     prepare -> captures and light probes -> each trial's walk -> trigger sweeps -> comparisons
 
 Captures hold what any of the phones needs. A trial's walk is that of `xihe previs`, on renders that are all there, so
-that its numbers are those of a previs run. All trials' lights are compared in one go per frame; see `compare_unit`.
+that its numbers are those of a previs run. All trials' lights are compared in one go per frame, each a method of the
+comparison: a view layer per virtual object costs little beside the path-traced picture that they are all held against.
+Pictures are kept of the worst frame of each trial only: a batch would otherwise leave gigabytes that nobody looks at.
+A frame's numbers are written once all of its pictures are, so a stopped unit goes on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
-from dataclasses import replace
+import contextlib
+import json
+from collections.abc import Generator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +22,14 @@ import bpy
 import numpy as np
 
 from xihe_blender.capture.scanner import CyclesScanner
-from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.compare.methods import Comparer, display, error_map, measure, open_comparer
+from xihe_blender.io.outputs import RunOutputs, write_json, write_picture
 from xihe_blender.jobs import Job, Progress, run_blocking
-from xihe_blender.lab.batch.compare_unit import compare_unit
 from xihe_blender.lab.batch.grid import BatchSettings
+from xihe_blender.lab.batch.results import WORST_KINDS, worst_frame, worst_picture
 from xihe_blender.lab.batch.trials import trial_record, trigger_sweep
 from xihe_blender.light_transport.render_reuse import KeptRenders
+from xihe_blender.previs.compare_path import compared_frames
 from xihe_blender.previs.path_renders import open_path_renders
 from xihe_blender.previs.phone_capture import PhoneCapture
 from xihe_blender.previs.plan import plan_previs
@@ -30,6 +37,11 @@ from xihe_blender.previs.prepare import PreparedRun, prepare_run
 from xihe_blender.previs.run_chain import WalkedPath, walk_path
 from xihe_blender.previs.settings import load_estimator
 from xihe_blender.scene.state import scene_kept
+from xihenet.recording import load_frame
+from xihenet.records import ArrayF64
+
+Light = Mapping[str, ArrayF64]
+"""(9, 3) coefficients by virtual object."""
 
 
 def evaluate_unit(scene: bpy.types.Scene, file: Path, folder: Path, settings: BatchSettings, seed: int) -> Job[Any]:
@@ -111,3 +123,83 @@ def _progress(run: PreparedRun, done: float, doing: str) -> Progress:
 def _mean_step_ms(walked: WalkedPath) -> float | None:
     steps = [sum(entry.stage_ms.values()) / len(entry.probes) for entry in walked.frames if entry.active]
     return float(np.mean(steps)) if steps else None
+
+
+# ---------------------------------------------------------------------------------------------- comparison
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedUnit:
+    """The metrics of each trial by frame, and the seconds that rendering all of them took."""
+
+    by_trial: list[dict[int, dict[str, float | None]]]
+    render_s: float
+
+
+def compare_unit(runs: Sequence[PreparedRun], walks: Sequence[WalkedPath]) -> Generator[Progress, None, ComparedUnit]:
+    """A job: every trial against the truth, at the frames that `xihe previs` would compare."""
+    first = runs[0]
+    step = first.settings.effort.comparison_step
+    wanted = [compared_frames([frame.frame for frame in walked.frames if frame.active], step) for walked in walks]
+    frames = sorted(frozenset[int]().union(*wanted))
+    by_trial: list[dict[int, dict[str, float | None]]] = [{} for _ in runs]
+    render_s, n_frames = 0.0, len(first.plan.frames)
+    with contextlib.ExitStack() as stack:
+        comparer = None
+        for done, frame in enumerate(frames):
+            yield Progress(
+                n_frames + 3 * done, max(first.total, n_frames + 3 * len(frames)), f"comparing frame {frame}"
+            )
+            trials = [place for place, of_trial in enumerate(wanted) if frame in of_trial]
+            lights = {str(place): _light(runs[place], walks[place], frame) for place in trials}
+            file = first.outputs.compared(_source(first, frame, lights))
+            if not file.exists():
+                if comparer is None:
+                    methods = [str(place) for place in range(len(runs))]
+                    opened = open_comparer(first.scene, first.plan.objects, methods, first.comparison)
+                    comparer = stack.enter_context(opened)
+                write_json(file, _compared(first, frame, lights, comparer, by_trial))
+            content = json.loads(file.read_text(encoding="utf-8"))
+            render_s += content.render_s if file == first.outputs.compared(frame) else 0.0
+            for place in trials:
+                by_trial[place][frame] = content.metrics[str(place)]
+    return ComparedUnit(by_trial, render_s)
+
+
+def _light(run: PreparedRun, walked: WalkedPath, frame: int) -> Light:
+    """What the objects are lit by in a trial."""
+    return walked.lights[frame][run.settings.estimator]
+
+
+def _source(run: PreparedRun, frame: int, lights: Mapping[str, Light]) -> int:
+    """The frame whose comparison is that of `frame`: scene, camera, capture and every trial's light are the same."""
+    captured = load_frame(run.outputs.capture(frame))
+    of_all = [light.tobytes() for of_trial in lights.values() for light in of_trial.values()]
+    names = ",".join(lights).encode()
+    return run.kept.comparison(frame, captured.srgb_u8.tobytes(), captured.plane_depth_m.tobytes(), names, *of_all)
+
+
+def _compared(
+    run: PreparedRun,
+    frame: int,
+    lights: Mapping[str, Light],
+    comparer: Comparer,
+    so_far: Sequence[Mapping[int, Mapping[str, float | None]]],
+) -> dict[str, Any]:
+    """Metrics of each trial at `frame`; pictures are written of those that are worse than `so_far`."""
+    dark = {item.name: np.zeros((9, 3)) for item in run.plan.objects}
+    of_all = {method: lights.get(method, dark) for method, _ in comparer.worlds}
+    compared = comparer.render_comparison(load_frame(run.outputs.capture(frame)), of_all)
+    metrics = {}
+    for trial in lights:
+        picture = compared.methods[trial]
+        metrics[trial] = measure(picture, compared.ground_truth, compared.weights)
+        if worst_frame({**so_far[int(trial)], frame: metrics[trial]}) == frame:
+            shown = (
+                display(compared.ground_truth),
+                display(picture),
+                error_map(picture, compared.ground_truth, compared.weights),
+            )
+            for kind, pixels in zip(WORST_KINDS, shown, strict=True):
+                write_picture(worst_picture(run.outputs.folder, int(trial), kind), pixels)
+    return {"metrics": metrics, "render_s": compared.render_s}

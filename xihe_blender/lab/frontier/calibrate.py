@@ -24,8 +24,8 @@ from xihe_blender.capture.scanner import meter_exposure, open_scanner
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import write_json
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.lab.frontier.chain import ChoiceBackend, light_of_frame
 from xihe_blender.lab.frontier.choices import ComputeChoice
+from xihe_blender.lab.frontier.compute import ChoiceBackend, light_of_frame
 from xihe_blender.light_transport import cycles_settings, plan_light_transport
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.run_time import FEW_SAMPLES, N_RENDERS, RenderTime, time_renders

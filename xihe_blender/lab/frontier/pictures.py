@@ -20,8 +20,8 @@ import numpy as np
 from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.compare.methods import Comparer, Comparison, display, open_comparer
 from xihe_blender.io.outputs import write_json
-from xihe_blender.lab.frontier.chain import ChoiceBackend, light_of_frame
 from xihe_blender.lab.frontier.choices import ComputeChoice, RenderChoice
+from xihe_blender.lab.frontier.compute import ChoiceBackend, light_of_frame
 from xihe_blender.lab.frontier.points import Measured
 from xihe_blender.lab.frontier.rendering import RenderStudy, View, rendered
 from xihe_blender.lab.frontier.steps import Steps, within

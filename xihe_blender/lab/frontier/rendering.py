@@ -19,9 +19,8 @@ import numpy as np
 from xihe_blender.capture.render import MAX_SEED
 from xihe_blender.capture.scanner import CyclesScanner
 from xihe_blender.io.outputs import write_json
-from xihe_blender.lab.frontier.chain import ChoiceBackend, light_of_frame
 from xihe_blender.lab.frontier.choices import EXHAUSTIVE, ComputeChoice, Effort, RenderChoice
-from xihe_blender.lab.frontier.light_errors import square_errors
+from xihe_blender.lab.frontier.compute import ChoiceBackend, light_of_frame, square_errors
 from xihe_blender.lab.frontier.points import Measured
 from xihe_blender.lab.frontier.steps import Steps, within
 from xihe_blender.lab.frontier.timing import timed

@@ -22,7 +22,6 @@ from xihe_blender.capture.scanner import CyclesScanner, meter_exposure, open_sca
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import write_json
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.lab.frontier.chain import Walk
 from xihe_blender.lab.frontier.choices import (
     ComputeChoice,
     Effort,
@@ -30,8 +29,7 @@ from xihe_blender.lab.frontier.choices import (
     compute_choices,
     render_choices,
 )
-from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, loaded, measure_compute
-from xihe_blender.lab.frontier.light_errors import ORDER
+from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, ORDER, Walk, loaded, measure_compute
 from xihe_blender.lab.frontier.pictures import PictureStudy, measure_pictures, picture_choices
 from xihe_blender.lab.frontier.points import Measured
 from xihe_blender.lab.frontier.rendering import RenderStudy, View, measure_rendering

@@ -6,9 +6,7 @@ belongs to one set of scenes and one seed; another is refused, as for `xihe prev
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -20,7 +18,7 @@ import bpy
 from xihe_blender.capture.render import MAX_SEED
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_claim import FolderClaim
-from xihe_blender.io.outputs import as_json, write_json, written_whole
+from xihe_blender.io.outputs import as_json, write_csv, write_json
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.lab.frontier.answers import answers
@@ -33,8 +31,10 @@ from xihe_blender.scene.blend_file import open_blend
 from xihenet import __version__
 
 SCHEMA_VERSION = 1
-COLUMNS = ("scene", "front", "error_kind", "label", "preset", "error", "error_spread", "time_ms", "spread_ms")
-MORE_COLUMNS = ("on_front", "front_share", "instead")
+COLUMNS = (
+    "scene", "front", "error_kind", "label", "preset", "error", "error_spread", "time_ms", "spread_ms",
+    "on_front", "front_share", "instead", "settings",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -123,18 +123,11 @@ def _claim(out: Path, files: Sequence[Path], settings: FrontierSettings) -> Fold
 def _write(out: Path, content: dict[str, Any]) -> None:
     """The report and the table first: frontier.json says that all is there."""
     write_document(out / "report.html", report_page(content))
-    with written_whole(out / "frontier.csv") as beside:
-        beside.write_text(table(content["points"]), encoding="utf-8")
-    write_json(out / "frontier.json", content)
-
-
-def table(points: Sequence[dict[str, Any]]) -> str:
-    """The points as CSV, a line each; settings other than the kind of error as JSON in the last column."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*COLUMNS, *MORE_COLUMNS, "settings"])
-    for point in points:
+    rows = []
+    for point in content["points"]:
+        # A line each; settings other than the kind of error as JSON in the last column.
         settings = dict(point["settings"])
-        row = {**point, "error_kind": settings.pop("error_kind")}
-        writer.writerow([*(row[name] for name in (*COLUMNS, *MORE_COLUMNS)), json.dumps(settings)])
-    return text.getvalue()
+        kind = settings.pop("error_kind")
+        rows.append({**point, "error_kind": kind, "settings": json.dumps(settings)})
+    write_csv(out / "frontier.csv", rows, COLUMNS)
+    write_json(out / "frontier.json", content)
