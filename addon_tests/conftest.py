@@ -1,18 +1,27 @@
 """What all tests share. Hypothesis does not judge by the clock, since a busy machine is no defect."""
 
-from hypothesis import HealthCheck, settings
+import time
 
+import pytest
+from hypothesis import settings
+
+import addon_tests.fuzz  # noqa: F401  registers the profile of the search
 from addon_tests.hard_case import comes_out, table
 
 __all__ = ["comes_out"]
 
 settings.register_profile("any_machine", deadline=None)
-settings.register_profile("search", max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
 settings.load_profile("any_machine")
 
 
 def pytest_addoption(parser):
     parser.addoption("--catalogue", action="store_true", help="print the hard cases that ran, and what came of them")
+    parser.addoption("--until", type=float, default=float("inf"), help="start no test after this time, in Unix seconds")
+
+
+def pytest_runtest_setup(item):
+    if time.time() > item.config.getoption("until"):
+        pytest.skip("the time of the search is up")
 
 
 def pytest_terminal_summary(terminalreporter, config):

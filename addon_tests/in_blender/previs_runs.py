@@ -1,7 +1,7 @@
 """Small runs of the main job: a walk through the tiny room with all that a run has to cope with."""
 
 import contextlib
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import bpy
 from tiny_scenes import box, look_at, material, room_with_a_virtual_sphere
@@ -12,7 +12,17 @@ from xihe_blender.previs.previs import previs
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.virtual_objects import virtual_collection
 
-SMALL = PrevisSettings(preset="draft", size=(32, 24))
+
+@dataclass(frozen=True)
+class QuickPrevis(PrevisSettings):
+    """Light probes of a sixteenth of the rays, for tests that are not about how good the reference is."""
+
+    @property
+    def reference(self):
+        return replace(super().reference, size=48)
+
+
+SMALL = QuickPrevis(preset="draft", size=(32, 24))
 if not can_denoise(bpy.context.scene):
     # Noise would trigger an estimate in every frame.
     SMALL = replace(SMALL, noise_target=0.01)

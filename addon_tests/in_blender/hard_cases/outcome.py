@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from previs_runs import run
+from previs_runs import QuickPrevis, run
 from results_schema import check_results, read_strictly
 
 from addon_tests.hard_case import Must
@@ -20,9 +20,8 @@ from addon_tests.in_blender.hard_cases.broken_scenes import Change, room
 from xihe_blender.capture.render import RenderSettings, render_passes
 from xihe_blender.capture.scanner import first_layer, open_scanner
 from xihe_blender.errors import UserError
-from xihe_blender.previs.settings import PrevisSettings
 
-TINY = PrevisSettings(preset="draft", size=(16, 12), samples=1, estimator="projection")
+TINY = QuickPrevis(preset="draft", size=(16, 12), samples=1, estimator="projection")
 STANDING_NOTES = 4
 """How many notes stand in the results of every run."""
 

@@ -1,14 +1,14 @@
-"""What must hold at every numerical stage for any input that a record can hold."""
+"""What must hold at every numerical stage for any input that a record can hold; `make fuzz` tries more of it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
+import pytest
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as nps
 
+from addon_tests.fuzz import some_examples
 from addon_tests.pure.hard_cases.hard_clouds import estimator
 from xihenet.buffers import merge
 from xihenet.camera import encode_exposed, metered_exposure, project_points, unproject_frame
@@ -69,9 +69,11 @@ def pictures(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     )
 
 
-def samples_like_the_reference(given: tuple[PointCloud, np.ndarray]) -> None:
+@some_examples()
+@given(points=point_clouds())
+def test_sampling_agrees_with_the_reference(points):
     """Within what sampling promises for distances; a point nearer than that may be taken for one at the position."""
-    cloud, position = given
+    cloud, position = points
     fast, slow = sample_unit_sphere(cloud, position, LATTICE), sample_unit_sphere_reference(cloud, position, LATTICE)
     error_m = 2.0**-48 * np.linalg.norm(position) + 3e-45
     distance_m = np.linalg.norm(cloud.points_m.astype(float) - position, axis=1)
@@ -83,7 +85,9 @@ def samples_like_the_reference(given: tuple[PointCloud, np.ndarray]) -> None:
     assert n_too_near or fast.is_set.any() == slow.is_set.any()
 
 
-def survives_the_wire(cloud: UnitSphereCloud) -> None:
+@some_examples()
+@given(cloud=clouds())
+def test_a_cloud_survives_the_wire(cloud):
     for method in METHODS:
         once = decode_cloud(encode_cloud(cloud, method), N, method)
         assert (once.is_set == cloud.is_set).all()
@@ -91,47 +95,58 @@ def survives_the_wire(cloud: UnitSphereCloud) -> None:
         assert encode_cloud(decode_cloud(encode_cloud(once, method), N, method), method) == encode_cloud(once, method)
 
 
-def merges_without_drift(given: tuple[UnitSphereCloud, UnitSphereCloud]) -> None:
-    once = merge(*given)
-    again = merge(merge(given[1], once), once)
+@some_examples()
+@given(old=clouds(), new=clouds())
+def test_merging_does_not_drift(old, new):
+    once = merge(old, new)
+    again = merge(merge(new, once), once)
     assert np.array_equal(once.srgb, again.srgb) and np.array_equal(once.distance_m, again.distance_m)
 
 
-def triggers_monotonely(given: tuple[UnitSphereCloud, UnitSphereCloud, float, float]) -> None:
-    previous, current, *thetas = given
-    for policy in ("split", "reference"):
-        low, high = (
-            decide_trigger(previous, current, LATTICE, TriggerSettings(theta, policy=policy))  # type: ignore[arg-type]
-            for theta in sorted(thetas)
-        )
-        assert not (high.reason == "colour" and low.reason != "colour")
-        assert decide_trigger(previous, previous, LATTICE, TriggerSettings(0.0)).reason != "colour"
+@pytest.mark.parametrize("policy", ["split", "reference"])
+@some_examples()
+@given(previous=clouds(), current=clouds(), thetas=st.tuples(st.floats(0, 2), st.floats(0, 2)))
+def test_a_higher_theta_fires_no_sooner(policy, previous, current, thetas):
+    low, high = (
+        decide_trigger(previous, current, LATTICE, TriggerSettings(theta, policy=policy)) for theta in sorted(thetas)
+    )
+    assert not (high.reason == "colour" and low.reason != "colour")
+    assert decide_trigger(previous, previous, LATTICE, TriggerSettings(0.0)).reason != "colour"
 
 
-def fits_boundedly(cloud: UnitSphereCloud) -> None:
+@some_examples()
+@given(cloud=clouds())
+def test_a_fit_is_bounded(cloud):
     assert np.abs(project_anchors(cloud, LATTICE)).max() <= 2 * WHITE
 
 
-def estimates_boundedly(cloud: UnitSphereCloud) -> None:
-    for target in ("ldr", "hdr"):
-        light, error = estimator("lattice", N, target).estimate_with_error(cloud)
-        assert np.abs(light).max() <= 8 * WHITE and error is not None and np.isfinite(error)
+@pytest.mark.parametrize("target", ["ldr", "hdr"])
+@some_examples()
+@given(cloud=clouds())
+def test_an_estimate_is_bounded(target, cloud):
+    light, error = estimator("lattice", N, target).estimate_with_error(cloud)
+    assert np.abs(light).max() <= 8 * WHITE and error is not None and np.isfinite(error)
 
 
-def derings(light: np.ndarray) -> None:
+@some_examples()
+@given(light=LIGHT)
+def test_deringed_light_lights_no_surface_negatively(light):
     lit = irradiance(dering(light), LATTICE.directions)
     assert lit.min() >= -2e-3 * max(np.abs(irradiance(light * (light[0] >= 0), LATTICE.directions)).max(), 1e-300)
 
 
-def turns_back(given: tuple[np.ndarray, np.ndarray]) -> None:
-    light, matrix = given
+@some_examples()
+@given(light=LIGHT, matrix=nps.arrays(np.float64, (3, 3), elements=st.floats(-1, 1)))
+def test_light_turns_there_and_back(light, matrix):
     turn, _ = np.linalg.qr(matrix + 3 * np.eye(3))
     turn *= np.sign(np.linalg.det(turn))
     back = rotate(rotate(light, turn), turn.T)
     assert np.abs(back - light).max() <= 1e-12 * max(np.abs(light).max(), 1e-300)
 
 
-def comes_back_to_its_pixels(frame: RgbdFrame) -> None:
+@some_examples()
+@given(frame=frames())
+def test_points_come_back_to_their_plane_depths(frame):
     cloud = unproject_frame(frame, reference_exposure=1.0)
     assert cloud.srgb.min() >= 0 and cloud.srgb.max() <= 1
     _, depth_m = project_points(cloud.points_m, frame.intrinsics, frame.world_from_camera)
@@ -142,46 +157,36 @@ def comes_back_to_its_pixels(frame: RgbdFrame) -> None:
     assert (np.abs(depth_m[is_plain] - depths[is_plain]) <= error_m * 3).all()
 
 
-def encodes_any_light(given: tuple[np.ndarray, float]) -> None:
-    light, exposure = given
+@some_examples()
+@given(light=nps.arrays(np.float64, 5), exposure=st.floats(0, 1e308))
+def test_any_light_is_encoded(light, exposure):
     codes = encode_exposed(light, exposure)
     assert (codes[light <= 0] == 0).all() and (
         codes[np.isposinf(light)] == (255 if exposure > 1e-29 else codes[np.isposinf(light)])
     ).all()
 
 
-def meters_any_light(light: np.ndarray) -> None:
+@some_examples()
+@given(light=nps.arrays(np.float32, (2, 2, 3), elements=ANY32))
+def test_any_light_is_metered(light):
     exposure = metered_exposure([light])
     assert np.isfinite(exposure) and exposure > 0
 
 
-def scores_finitely(given: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+@some_examples()
+@given(scored=pictures())
+def test_scores_are_finite_or_undefined(scored):
     for metric in (image_rmse, si_rmse, angular_error_deg, psnr, ssim):
-        score = metric(*given)
+        score = metric(*scored)
         assert score is None or np.isfinite(score)
-        assert (score is None) == (metric(*given) is None)
-    similarity = ssim(*given)
+        assert (score is None) == (metric(*scored) is None)
+    similarity = ssim(*scored)
     assert similarity is None or -1 - 1e-9 <= similarity <= 1 + 1e-12
-    assert (image_rmse(*given) or 0.0) + 1e-12 >= (si_rmse(*given) or 0.0)
+    assert (image_rmse(*scored) or 0.0) + 1e-12 >= (si_rmse(*scored) or 0.0)
 
 
-def scores_coefficients(given: tuple[np.ndarray, np.ndarray]) -> None:
-    difference = np.abs(given[0] - given[1]).max()
-    assert difference / 6 <= shc_rmse(*given) * (1 + 1e-12) <= difference * (1 + 1e-9) + 1e-300
-
-
-STAGES: dict[str, tuple[st.SearchStrategy[Any], Callable[[Any], None]]] = {
-    "sample": (point_clouds(), samples_like_the_reference),
-    "encode": (clouds(), survives_the_wire),
-    "merge": (st.tuples(clouds(), clouds()), merges_without_drift),
-    "trigger": (st.tuples(clouds(), clouds(), st.floats(0, 2), st.floats(0, 2)), triggers_monotonely),
-    "least_squares": (clouds(), fits_boundedly),
-    "lattice": (clouds(), estimates_boundedly),
-    "dering": (LIGHT, derings),
-    "rotate": (st.tuples(LIGHT, nps.arrays(np.float64, (3, 3), elements=st.floats(-1, 1))), turns_back),
-    "unproject": (frames(), comes_back_to_its_pixels),
-    "colour": (st.tuples(nps.arrays(np.float64, 5), st.floats(0, 1e308)), encodes_any_light),
-    "metering": (nps.arrays(np.float32, (2, 2, 3), elements=ANY32), meters_any_light),
-    "compare": (pictures(), scores_finitely),
-    "coefficients": (st.tuples(LIGHT, LIGHT), scores_coefficients),
-}
+@some_examples()
+@given(first=LIGHT, second=LIGHT)
+def test_an_error_of_coefficients_is_between_its_bounds(first, second):
+    difference = np.abs(first - second).max()
+    assert difference / 6 <= shc_rmse(first, second) * (1 + 1e-12) <= difference * (1 + 1e-9) + 1e-300

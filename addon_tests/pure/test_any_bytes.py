@@ -1,7 +1,7 @@
 """What must never happen to anything that reads bytes: a crash, a warning, or an answer that is no answer.
 
 Each reader gets files that were right once and are cut, changed or spliced, and files that never were. It may refuse
-them with the errors that its docstring names; what it accepts must hold what it promises.
+them with the errors that its docstring names; what it accepts must hold what it promises. `make fuzz` tries more.
 """
 
 from __future__ import annotations
@@ -15,10 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
+from hypothesis import given
 from hypothesis import strategies as st
 
+from addon_tests.fuzz import CORPUS, kept_where_it_breaks, some_examples
 from addon_tests.pure.frame_makers import box_radiance_and_plane_depth, write_exr
-from addon_tests.pure.hard_cases.random_payloads import is_taken_for_something_else
+from addon_tests.pure.hard_cases.random_payloads import is_taken_for_something_else, random_payload
 from xihenet.codec import METHODS, encode_cloud
 from xihenet.estimators.lattice import Lattice
 from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights, load_weights
@@ -247,3 +250,39 @@ def readers() -> dict[str, tuple[st.SearchStrategy[bytes], Reader]]:
         "linear_frame": (broken(written(write_linear_frame, ".exr")), from_file(linear_frame_of, ".exr")),
         "plane_depth_image": (broken(written(write_plane_depth, ".png")), from_file(plane_depth_frame_of, ".png")),
     }
+
+
+# --------------------------------------------------------------------------------------------------------------- tests
+
+READERS = readers()
+FOUND = sorted(CORPUS.glob("*.bin"))
+
+
+@pytest.mark.parametrize("name", list(READERS))
+@some_examples()
+@given(data=st.data())
+def test_any_bytes_are_read_rightly_or_refused(name, data):
+    files, reader = READERS[name]
+    content = data.draw(files)
+    with kept_where_it_breaks(name, content):
+        reader(content)
+
+
+@pytest.mark.parametrize("method", list(METHODS))
+@some_examples()
+@given(number=st.integers(0, 2**32 - 1), n_anchors=st.integers(0, N_ANCHORS))
+def test_random_payloads_are_not_taken_for_something_else(method, number, n_anchors):
+    rng = np.random.default_rng(number)
+    for _ in range(50):
+        assert not is_taken_for_something_else(random_payload(rng, method, n_anchors), method, n_anchors)
+
+
+@pytest.mark.parametrize("file", FOUND, ids=lambda file: file.stem)
+def test_what_was_found_once_is_mended(file):
+    _, reader = READERS[file.stem.split("-")[0]]
+    assert reader(file.read_bytes()) is None
+
+
+def test_the_corpus_is_there_and_small():
+    assert FOUND
+    assert all(file.stat().st_size < 10_000 for file in FOUND)
