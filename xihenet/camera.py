@@ -251,12 +251,18 @@ def sensed_ambient(srgb_u8: ArrayU8, exposure: float) -> ArrayF64:
     return mean
 
 
+def pixel_rays(intrinsics: Intrinsics) -> ArrayF64:
+    """(H, W, 3) the ray through each pixel, in camera axes, at plane depth 1."""
+    across = (np.arange(intrinsics.width) + 0.5 - intrinsics.cx) / intrinsics.fx
+    up = -(np.arange(intrinsics.height) + 0.5 - intrinsics.cy) / intrinsics.fy
+    return np.stack(np.broadcast_arrays(across[None, :], up[:, None], np.float64(-1)), axis=-1)
+
+
 @functools.lru_cache(maxsize=8)
 def _ray_slopes(intrinsics: Intrinsics) -> tuple[ArrayF32, ArrayF32]:
     """x per column (W,) and y per row (H,) of the ray with plane depth 1 through each pixel centre, in the camera."""
-    across = (np.arange(intrinsics.width) + 0.5 - intrinsics.cx) / intrinsics.fx
-    up = -(np.arange(intrinsics.height) + 0.5 - intrinsics.cy) / intrinsics.fy
-    return across.astype(np.float32), up.astype(np.float32)
+    rays = pixel_rays(intrinsics).astype(np.float32)
+    return rays[0, :, 0].copy(), rays[:, 0, 1].copy()
 
 
 @functools.lru_cache(maxsize=8)

@@ -37,7 +37,8 @@ from xihenet.phone import (
     PhoneCamera,
     PhoneProfile,
     arrival_frames,
-    facts_from_frames,
+    facts_of_frame,
+    facts_of_session,
     load_profile,
 )
 from xihenet.records import Intrinsics, RgbdFrame, UnitSphereCloud
@@ -93,17 +94,15 @@ def seen_by(camera: PhoneCamera, session: Session) -> tuple[list[RgbdFrame], flo
     start = time.perf_counter()
     pairs = [camera.see_and_count(f, motion=MOTION, track=track) for f in frames]
     ms = 1e3 * (time.perf_counter() - start) / len(frames)
-    return (
-        [f for f, _ in pairs],
-        float(np.mean([sum(n_lost.values()) / seen.plane_depth_m.size for seen, n_lost in pairs])),
-        ms,
-    )
+    shares = [sum(n_lost.values()) / seen.plane_depth_m.size for seen, n_lost in pairs]
+    return [f for f, _ in pairs], float(np.mean(shares)), ms
 
 
 def planned(profile: PhoneProfile, session: Session) -> list[str]:
     """The effects that a session calls for; what stored rooms do not know is none (light, glossy, transparent)."""
-    facts = facts_from_frames(
-        session.frames, session.positions_m, frame_rate_hz=1 / INTERVAL_S, duration_s=START_S,
+    facts = facts_of_session(
+        [facts_of_frame(frame, session.positions_m) for frame in session.frames],
+        frame_rate_hz=1 / INTERVAL_S, duration_s=START_S,
         fastest_m_per_s=0.5, fastest_turn_deg_per_s=60.0, smoothest_roughness=1.0, highest_transmission=0.0,
         light_changes=False,
     )  # fmt: skip

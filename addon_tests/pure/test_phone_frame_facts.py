@@ -3,11 +3,15 @@
 import numpy as np
 import pytest
 
-from xihenet.phone import PhoneCamera, facts_from_frames, load_profile
+from xihenet.phone import PhoneCamera, facts_of_frame, facts_of_session, load_profile
 from xihenet.records import Intrinsics, RgbdFrame
 
 CAMERA = Intrinsics(40, 30, 35.0, 35.0, 20.0, 15.0)
 HOLES = {"dark_holes", "grazing_holes", "span_holes", "range", "glossy_holes", "transparent_holes"}
+
+
+def facts_from_frames(frames, positions_m, **known):
+    return facts_of_session([facts_of_frame(frame, positions_m) for frame in frames], **known)
 
 
 def frame_of(plane_depth_m, *, colour=128, time_s=0.0, x=0.0, yaw_deg=0.0, number=0):

@@ -158,10 +158,7 @@ def _probe(scene: bpy.types.Scene, variant: _Variant, position_m: ArrayLike, fra
 
 @contextlib.contextmanager
 def _picture(scene: bpy.types.Scene, variant: _Variant, frame: int) -> Iterator[_View]:
-    with open_scanner(scene, replace(sized_for(scene, _planned(PICTURE, variant)), denoise=variant.denoise)) as scanner:
+    settings = replace(PICTURE, denoise=variant.denoise, light_transport=cycles_settings(variant.plan))
+    with open_scanner(scene, sized_for(scene, settings)) as scanner:
         scanner.scene.frame_set(frame)
         yield _View(scanner.scene, lambda radiance: float(radiance.mean()), [], [])
-
-
-def _planned(settings: RenderSettings, variant: _Variant) -> RenderSettings:
-    return replace(settings, light_transport=cycles_settings(variant.plan))

@@ -1,12 +1,12 @@
 """The phone, and what it makes of a perfect capture: an effect's settings, rule and work in one file, profiles as data.
 
 `load_profile` names the device, `PhoneCamera` turns perfect frames into that device's, `arrival_frames` says when its
-estimates come back, and `PhoneProfile.required_effects` which effects a session shows, by `facts_from_frames`.
+estimates come back, and `PhoneProfile.required_effects` which effects a session shows, by `facts_of_session`.
 """
 
 from xihenet.phone.camera_chain import PhoneCamera, SessionTrack
 from xihenet.phone.facts import SessionFacts
-from xihenet.phone.frame_facts import FrameFacts, facts_from_frames, facts_of_frame, facts_of_session
+from xihenet.phone.frame_facts import FrameFacts, facts_of_frame, facts_of_session
 from xihenet.phone.holes import SurfaceFacts
 from xihenet.phone.motion import CameraMotion, motion_between
 from xihenet.phone.network import LINKS, EstimatesUnderWay, Link, Request, arrival_frames, first_frame_after
@@ -28,7 +28,6 @@ __all__ = [
     "SessionTrack",
     "SurfaceFacts",
     "arrival_frames",
-    "facts_from_frames",
     "facts_of_frame",
     "facts_of_session",
     "first_frame_after",

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -180,8 +181,8 @@ def bleed_edges(plane_depth_m: ArrayF32, settings: EdgeBleeding | None, *, pixel
     is_edge = valid & (window_span_m(plane_depth_m, radius) > settings.span_m)
     if not is_edge.any():
         return plane_depth_m
-    total = _window_sum(np.where(valid, plane_depth_m, np.float32(0)).astype(np.float64), radius)
-    n_valid = _window_sum(valid.astype(np.float64), radius)
+    total = _over_window(np.where(valid, plane_depth_m, np.float32(0)).astype(np.float64), radius, np.add)
+    n_valid = _over_window(valid.astype(np.float64), radius, np.add)
     mean_m = total / np.maximum(n_valid, 1.0)
     return np.where(is_edge, mean_m.astype(np.float32), plane_depth_m)
 
@@ -189,33 +190,21 @@ def bleed_edges(plane_depth_m: ArrayF32, settings: EdgeBleeding | None, *, pixel
 def window_span_m(plane_depth_m: ArrayF32, radius: int) -> ArrayF32:
     """(H, W) largest less smallest valid plane depth within `radius` pixels; 0 where none is valid."""
     valid = valid_plane_depth(plane_depth_m)
-    highest = _window_extreme(np.where(valid, plane_depth_m, np.float32(-np.inf)), radius)
-    lowest = -_window_extreme(np.where(valid, -plane_depth_m, np.float32(-np.inf)), radius)
+    highest = _over_window(np.where(valid, plane_depth_m, np.float32(-np.inf)), radius, np.maximum)
+    lowest = _over_window(np.where(valid, plane_depth_m, np.float32(np.inf)), radius, np.minimum)
     seen = highest > -np.inf
     return np.subtract(highest, lowest, out=np.zeros_like(highest), where=seen)
 
 
-def _window_extreme(values: ArrayF32, radius: int) -> ArrayF32:
-    """The largest within `radius`, one axis after the other."""
+def _over_window(values: NDArray[Any], radius: int, combine: np.ufunc) -> NDArray[Any]:
+    """`combine` of all values within `radius`, one axis after the other."""
     for axis in (0, 1):
-        ahead = values.copy()
+        result = values.copy()
         for shift in range(1, min(radius, values.shape[axis] - 1) + 1):
             low, high = _shifted_pair(axis, shift)
-            np.maximum(ahead[low], values[high], out=ahead[low])
-            np.maximum(ahead[high], values[low], out=ahead[high])
-        values = ahead
-    return values
-
-
-def _window_sum(values: ArrayF64, radius: int) -> ArrayF64:
-    """The sum within `radius`, one axis after the other."""
-    for axis in (0, 1):
-        total = values.copy()
-        for shift in range(1, min(radius, values.shape[axis] - 1) + 1):
-            low, high = _shifted_pair(axis, shift)
-            total[low] += values[high]
-            total[high] += values[low]
-        values = total
+            combine(result[low], values[high], out=result[low])
+            combine(result[high], values[low], out=result[high])
+        values = result
     return values
 
 

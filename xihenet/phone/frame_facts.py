@@ -10,7 +10,7 @@ Not here: frames that were not given. Facts from every tenth frame are about eve
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,23 +55,12 @@ class FrameFacts:
     stops: float
 
 
-def facts_from_frames(frames: Iterable[RgbdFrame], positions_m: ArrayLike, **known: Any) -> SessionFacts:
-    """Facts of a session from its perfect frames; see `facts_of_session`.
-
-    Parameters
-    ----------
-    frames : in the order of their times; ValueError without any
-    positions_m : (P, 3) estimation positions, world; P may be 0
-    known : further fields of SessionFacts; they win over what the frames say
-    """
-    return facts_of_session([facts_of_frame(frame, positions_m) for frame in frames], **known)
-
-
 def facts_of_session(each: Sequence[FrameFacts], **known: Any) -> SessionFacts:
     """Facts of a session from those of its frames, in the order of their times; ValueError without any.
 
     Speed is the fastest even motion between two neighbouring frames; with one frame, or where two have the same time,
-    frame rate and speed are not known. A distance that no frame has is not known. What is in `known` wins.
+    frame rate and speed are not known. A distance that no frame has is not known. What is in `known` (further fields of
+    SessionFacts) wins.
     """
     if not each:
         raise ValueError("facts_of_session: expected at least one frame, got none")

@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from xihenet.camera import valid_plane_depth
+from xihenet.camera import pixel_rays, valid_plane_depth
 from xihenet.phone.depth import window_span_m
 from xihenet.phone.facts import Required, SessionFacts, known
 from xihenet.phone.settings import Section, number
@@ -183,8 +183,7 @@ def facing_cosines(frame: RgbdFrame, facts: SurfaceFacts) -> ArrayF64:
     Without normals they come from the plane depth: from the flatter neighbour along each axis, so that a depth edge is
     not taken for a grazing surface. Pixels that are invalid, or alone, face the camera (1).
     """
-    across, up = _slopes(frame.intrinsics)
-    rays = np.stack(np.broadcast_arrays(across[None, :], up[:, None], np.float64(-1)), axis=-1)
+    rays = pixel_rays(frame.intrinsics)
     if facts.normals is not None:
         in_camera = np.asarray(facts.normals, np.float64) @ frame.world_from_camera[:3, :3]
     else:
@@ -193,12 +192,6 @@ def facing_cosines(frame: RgbdFrame, facts: SurfaceFacts) -> ArrayF64:
     known = np.isfinite(lengths) & (lengths > 0)
     dots = np.abs(np.einsum("hwc,hwc->hw", in_camera, rays))
     return np.divide(dots, lengths, out=np.ones(lengths.shape), where=known)
-
-
-def _slopes(intrinsics: Intrinsics) -> tuple[ArrayF64, ArrayF64]:
-    """x per column and y per row of the ray with plane depth 1."""
-    across = (np.arange(intrinsics.width) + 0.5 - intrinsics.cx) / intrinsics.fx
-    return across, -(np.arange(intrinsics.height) + 0.5 - intrinsics.cy) / intrinsics.fy
 
 
 def _normals_in_camera(plane_depth_m: ArrayF32, rays: ArrayF64) -> ArrayF64:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihenet.camera import valid_plane_depth
+from xihenet.camera import pixel_rays, valid_plane_depth
 from xihenet.phone.facts import Required, SessionFacts, known
 from xihenet.phone.settings import Section, number, switch
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, RgbdFrame
@@ -191,9 +191,7 @@ def _looked_up(frame: RgbdFrame, rotation: ArrayF64, offset: ArrayF64) -> tuple[
     k, z = frame.intrinsics, frame.plane_depth_m.ravel()
     valid = valid_plane_depth(z)
     assumed = np.where(valid, z, np.median(z[valid]) if valid.any() else np.float32(1)).astype(np.float64)
-    across = (np.arange(k.width) + 0.5 - k.cx) / k.fx
-    up = -(np.arange(k.height) + 0.5 - k.cy) / k.fy
-    rays = np.stack(np.broadcast_arrays(across[None, :], up[:, None], np.float64(-1)), axis=-1)
+    rays = pixel_rays(k)
     flat_rays, row_z = rays.reshape(-1, 3), assumed.reshape(k.height, k.width)
     for _ in range(N_FIXED_POINT_STEPS):
         seen = np.einsum("hij,hwj->hwi", rotation, rays * row_z[..., None]) + offset[:, None]
