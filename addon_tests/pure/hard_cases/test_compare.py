@@ -86,7 +86,7 @@ NONE_AT_ALL = np.zeros((0, 0, 3)), np.zeros((0, 0, 3)), np.zeros((0, 0))
 
 PICTURES = [
     *(score(metric, "pictures under an empty mask is undefined", EMPTY, UNDEFINED) for metric in METRICS),
-    *(score(metric, "pictures without pixels is undefined", NONE_AT_ALL, UNDEFINED) for metric in ("RMSE", "SSIM")),
+    *(score(metric, "pictures without pixels is undefined", NONE_AT_ALL, UNDEFINED) for metric in METRICS),
     *(
         score(
             metric,
