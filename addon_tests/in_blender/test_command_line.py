@@ -15,7 +15,6 @@ from results_schema import check_results, read_strictly, without_times
 from xihe_process import ROOT, said, typed, xihe
 
 from xihe_blender.cli.main import main
-from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet import __version__
 
 DRAFT = ("--preset", "draft", "--size", "32x24")
@@ -49,15 +48,6 @@ def assert_refused(done, *words):
 # -------------------------------------------------------------------------------------------------------------- scenes
 
 
-def _no_camera(scene):
-    bpy.data.objects.remove(scene.camera)
-
-
-def _no_virtual_object(scene):
-    for item in list(virtual_collection(scene).objects):
-        bpy.data.objects.remove(item)
-
-
 def _ball_in_the_room(scene):
     scene.collection.objects.link(bpy.data.objects["Ball"])
 
@@ -72,11 +62,9 @@ def _camera_without_size(scene):
 
 SCENES = {
     "walk": lambda scene: None,
-    "no_camera": _no_camera,
     "orthographic": _camera_of("ORTHO"),
     "panoramic": _camera_of("PANO"),
     "camera_without_size": _camera_without_size,
-    "no_virtual_object": _no_virtual_object,
     "ball_in_the_room": _ball_in_the_room,
 }
 
@@ -339,11 +327,9 @@ def test_a_command_that_is_not_complete_is_refused(xihe_here, arguments, words):
         ("folder.blend", "is a folder"),
         ("text.blend", "not a .blend"),
         ("empty.blend", "not a .blend"),
-        ("no_camera.blend", "add one"),
         ("orthographic.blend", "perspective"),
         ("panoramic.blend", "perspective"),
         ("camera_without_size.blend", "set its scale"),
-        ("no_virtual_object.blend", "'Xihe Virtual'"),
         ("ball_in_the_room.blend", "unlink"),
     ],
 )
