@@ -146,7 +146,7 @@ def test_8_bits_lose_half_a_code_of_colour(comes_out):
     comes_out(STRIPPED, partial(largest_error, part="srgb"), at_most(0.5001 / 255), cut_off)
 
 
-def test_half_floats_lose_2_11_of_a_distance(comes_out):
+def test_half_floats_lose_a_2048th_of_a_distance(comes_out):
     comes_out(STRIPPED, partial(largest_error, part="distance_m"), at_most(2.0**-11), kept_distance)
 
 

@@ -90,7 +90,7 @@ def test_light_turns_with_the_room(given, naive, comes_out):
     comes_out(given, turn_error, at_most(1e-12), naive)
 
 
-def test_a_turn_by_1e_9_moves_the_light_by_1e_9(comes_out):
+def test_a_turn_by_a_billionth_moves_the_light_by_a_billionth(comes_out):
     comes_out(1e-9, tiny_turn, near(-1.0, 1e-5), tiny_turn_in_float32)
 
 

@@ -218,11 +218,11 @@ def metres_off_by_hand(position_m: np.ndarray) -> float:
     return abs(float(distance) - float(np.linalg.norm(point.astype(float) - position_m)))
 
 
-def test_10_km_from_the_origin_distances_are_right_to_0_1_micrometres(comes_out):
+def test_10_km_from_the_origin_distances_are_right_to_a_tenth_of_a_micrometre(comes_out):
     comes_out(np.array([10000.0003, -10000.0003, 10000.0003]), metres_off_at, at_most(1e-7), metres_off_by_hand)
 
 
-def test_1000_km_from_the_origin_distances_are_right_to_0_1_micrometres(comes_out):
+def test_1000_km_from_the_origin_distances_are_right_to_a_tenth_of_a_micrometre(comes_out):
     comes_out(np.array([1e6 + 0.01, 0, 1e6 - 0.02]), metres_off_at, at_most(1e-7), metres_off_by_hand)
 
 
