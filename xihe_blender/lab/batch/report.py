@@ -52,11 +52,7 @@ from xihenet.formats import (
 
 LAB_STYLE = Path(__file__).parents[1] / "lab.css"
 N_WORST = 6
-_KIND_WORDS = {
-    "ground_truth": "Ground truth",
-    "estimate": "Under the estimated light",
-    "error": "Error (black: none)",
-}
+_KIND_WORDS = {"ground_truth": "Ground truth", "estimate": "Under the estimated light", "error": "Error (black: none)"}
 _DOTS = "A dot is a trial: one scene with one seed and one phone. The box holds the middle half of them."
 
 Frontier = Mapping[str, Any]

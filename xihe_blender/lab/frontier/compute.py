@@ -71,10 +71,7 @@ class Walk:
     def start(self, n_frames: int) -> Walk:
         """The first frames of it, or all."""
         return replace(
-            self,
-            frames=self.frames[:n_frames],
-            active=self.active[:n_frames],
-            truths=self.truths[:n_frames],
+            self, frames=self.frames[:n_frames], active=self.active[:n_frames], truths=self.truths[:n_frames]
         )
 
     def truth_by_place(self) -> list[ArrayF64]:

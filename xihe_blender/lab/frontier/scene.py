@@ -1,4 +1,4 @@
-"""What is measured on one scene, in which order, and what is kept of it?
+"""Study of one scene: what is measured, in which order, and what is kept of it.
 
 Metering, effects and the presets' numbers of samples as in a run; a walk and its light probes; then computing,
 rendering and pictures. What costs renders is kept file by file in the run's folder, and a run that was stopped takes
@@ -22,13 +22,7 @@ from xihe_blender.capture.scanner import CyclesScanner, meter_exposure, open_sca
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import write_json
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.lab.frontier.choices import (
-    ComputeChoice,
-    Effort,
-    RenderChoice,
-    compute_choices,
-    render_choices,
-)
+from xihe_blender.lab.frontier.choices import ComputeChoice, Effort, RenderChoice, compute_choices, render_choices
 from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, ORDER, Walk, loaded, measure_compute
 from xihe_blender.lab.frontier.pictures import PictureStudy, measure_pictures, picture_choices
 from xihe_blender.lab.frontier.points import Measured
@@ -147,8 +141,8 @@ def prepare(study: SceneStudy) -> Steps[Prepared]:
         positions = [probe.position_m.tolist() for probe in plan.probes]
         effects = plan_effects(scene, positions=positions, frames=plan.frames, overrides={})
         samples = {}
-        for place, name in enumerate(PRESETS):
-            yield (1 + place) / (1 + len(PRESETS)), f"measuring how many samples {name} takes"
+        for index, name in enumerate(PRESETS):
+            yield (1 + index) / (1 + len(PRESETS)), f"measuring how many samples {name} takes"
             samples[name] = preset_samples(scene, plan, name, exposure, effects, study.seed)
         write_json(path, {"exposure": exposure, "effects": effects.as_json(), "samples": samples})
     kept = json.loads(path.read_text(encoding="utf-8"))
@@ -180,18 +174,18 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Step
         max_samples=study.effort.probe_samples, noise_target=PROBE_NOISE, seed=study.seed,
         light_transport=prepared.light_transport, order=ORDER,
     )  # fmt: skip
-    places = {name: place for place, name in enumerate(positions)}
+    indices = {name: index for index, name in enumerate(positions)}
     frames, truths = [], []
     with open_reference_probe(study.scene, list(positions.values()), probes) as probe:
-        for place, (frame, active) in enumerate(chosen):
-            yield place / len(chosen), f"capturing frame {frame} and its light probes"
+        for index, (frame, active) in enumerate(chosen):
+            yield index / len(chosen), f"capturing frame {frame} and its light probes"
             captured, lights = study.folder / f"walk_{frame:04d}.npz", study.folder / f"probes_{frame:04d}.json"
             if not captured.exists():
                 scanner.move_to(frame)
                 captured.parent.mkdir(parents=True, exist_ok=True)
                 save_frame(captured, scanner.acquire_environment_scan())
             if not lights.exists():
-                measured = {n: probe.light_at(places[n], frame, prepared.exposure).measured for n in active}
+                measured = {n: probe.light_at(indices[n], frame, prepared.exposure).measured for n in active}
                 write_json(lights, {name: light.ldr.tolist() for name, light in measured.items()})
             frames.append(load_frame(captured))
             kept = json.loads(lights.read_text(encoding="utf-8"))

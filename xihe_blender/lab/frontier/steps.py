@@ -1,4 +1,4 @@
-"""How is a part of long work written without knowing how large a part of the whole it is?
+"""Steps of long work, written without knowing how large a part of the whole they are.
 
 As a generator that yields how much of itself is done, 0 to 1, and what comes next in words. `within` makes it a part of
 a larger one, and `part_of` makes `Progress` of it, for a job (see `xihe_blender.jobs`).
