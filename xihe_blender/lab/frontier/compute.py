@@ -21,7 +21,7 @@ import numpy as np
 
 from xihe_blender.lab.frontier.choices import EXHAUSTIVE, ComputeChoice
 from xihe_blender.lab.frontier.points import Measured
-from xihe_blender.lab.frontier.steps import Steps, told_as, within
+from xihe_blender.lab.frontier.steps import Steps, mapped_steps, within
 from xihe_blender.lab.frontier.timing import Clock, interleaved, torch_on_one_thread
 from xihe_blender.previs.sample_count import SMALLEST_LIGHT
 from xihe_blender.previs.settings import PREVIS_TRIGGER
@@ -188,7 +188,7 @@ def measure_compute(
         lambda choice=choice, backend=backend: walk_through(choice, backend, _timed_part(choice, walk)).frame_ms
         for choice, backend in backends.items()
     ]
-    rounds = told_as(
+    rounds = mapped_steps(
         interleaved(candidates, n_rounds, rng),
         lambda done: ((done + 1) / (n_rounds + 1), f"timing {len(candidates)} ways to compute, round {done}"),
     )
