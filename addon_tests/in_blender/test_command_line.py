@@ -122,10 +122,10 @@ def test_stdout_holds_only_the_result(finished):
 
 def test_stderr_holds_only_the_progress_with_time_left(finished):
     lines = finished[0].stderr.splitlines()
-    assert all(re.fullmatch(r" *\d+%  [^,]+(, \d+ s left)?", line) for line in lines), lines
+    assert all(re.fullmatch(r" *\d+%  [^,]+(, (\d+ (h|min|s) )+left)?", line) for line in lines), lines
     shares = [int(line.split("%")[0]) for line in lines]
     assert shares == sorted(shares) and shares[0] == 0 and shares[-1] == 100
-    assert sum("s left" in line for line in lines) >= len(lines) - 4
+    assert sum(line.endswith(" left") for line in lines) >= len(lines) - 4
 
 
 def test_a_second_call_says_that_the_run_is_done(folder, finished):

@@ -13,11 +13,7 @@ from typing import Any
 
 from xihe_blender.report.values import escape, finite, items
 
-REASONS = {
-    "first": "first estimate",
-    "colour": "light changed",
-    "coverage": "more of the surroundings seen",
-}
+REASONS = {"first": "first estimate", "colour": "light changed", "coverage": "more of the surroundings seen"}
 KEPT = "kept"
 """Stands where a reason stands, for a frame whose light could not be known."""
 
