@@ -134,7 +134,11 @@ def judge_effects(
 ) -> dict[str, Verdict]:
     """What `scene` itself calls for, effect by effect; parameters as of `plan_effects`."""
     chosen = range(scene.frame_start, scene.frame_end + 1, scene.frame_step) if frames is None else frames
-    reach = reach_of(scene, list(chosen), camera, positions)
+    return judge_reach(scene, reach_of(scene, list(chosen), camera, positions))
+
+
+def judge_reach(scene: bpy.types.Scene, reach: Reach) -> dict[str, Verdict]:
+    """`judge_effects` where it is known what light can reach."""
     with working_scene(scene, "Xihe Effects", RenderSettings((4, 4), samples=1)) as working:
         scenery = Scenery(reach, scene, can_denoise(working))
     return {name: rule(scenery) for name, rule in RULES.items()}

@@ -34,13 +34,14 @@ from xihenet.recording import load_frame
 def compare_path(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, None, dict[int, dict[str, Any]]]:
     """A job: what results.json says about the comparison of each compared frame; pictures are written on the way."""
     compared = {}
+    first: dict[tuple[Any, ...], int] = {}
     done = len(run.plan.frames)
     with contextlib.ExitStack() as stack:
         comparer = None
         for frame in compared_frames(walked.frames, run.settings.effort.comparison_step):
             yield Progress(done, max(run.total, done + 3), f"comparing frame {frame}")
             lights = walked.lights[frame]
-            source = _source(run, frame, lights)
+            source = first.setdefault(_made_from(run, frame, lights), frame)
             if not run.outputs.compared(frame).exists():
                 if source != frame:
                     _take_over(run.outputs, source, frame)
@@ -60,11 +61,11 @@ def compared_frames(entries: Sequence[Mapping[str, Any]], step: int) -> list[int
     return sorted({*active[::step], *active[-1:]})
 
 
-def _source(run: PreparedRun, frame: int, lights: Lights) -> int:
-    """The frame whose comparison is that of `frame`: scene, camera, capture and lights are the same."""
+def _made_from(run: PreparedRun, frame: int, lights: Lights) -> tuple[Any, ...]:
+    """Equal for frames whose comparisons are: scene, camera, capture and lights are the same."""
     captured = load_frame(run.outputs.capture(frame))
     of_all = [light.tobytes() for of_method in lights.values() for light in of_method.values()]
-    return run.kept.comparison(frame, captured.srgb_u8.tobytes(), captured.plane_depth_m.tobytes(), *of_all)
+    return run.reuse.comparison(frame, captured.srgb_u8.tobytes(), captured.plane_depth_m.tobytes(), *of_all)
 
 
 def _take_over(outputs: RunOutputs, source: int, frame: int) -> None:

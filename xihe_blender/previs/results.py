@@ -17,7 +17,7 @@ from xihe_blender.compare.methods import ERROR_AT_FULL_SCALE
 from xihe_blender.io.outputs import finite_or_none
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.light_transport.overrides import overrides_in_force
-from xihe_blender.previs.phone_capture import PhoneCapture
+from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.results_notes import notes
@@ -87,10 +87,10 @@ def active_frame(
 
 def rendering(frame: int, references: Mapping[str, MeasuredLight], run: PreparedRun) -> dict[str, Any]:
     """What was rendered for `frame`, with how many samples and what noise, and what an earlier frame had already."""
-    kept, effort, target = run.kept, run.effort, run.settings.target
-    capture = _render(frame, kept.capture(frame), effort.capture_samples, effort.capture_noise)
+    reuse, effort, target = run.reuse, run.effort, run.settings.target
+    capture = _render(frame, reuse.captures[frame], effort.capture_samples, effort.capture_noise)
     probes = {
-        name: _render(frame, kept.probe(frame, name), light.samples(target), light.noise(target))
+        name: _render(frame, reuse.probes[frame, name], light.samples(target), light.noise(target))
         | {"is_capped": is_capped(light.samples(target), light.noise(target), run.reference)}
         for name, light in references.items()
     }
@@ -138,14 +138,18 @@ def probe_entry(
     }
 
 
-def arrival(request: Request | None, frames: Sequence[int], times_s: Sequence[float]) -> dict[str, Any]:
-    """When the estimate of one step arrives; null without one, for one that was lost, or after the last frame."""
+def arrival(request: Request | None, times_s: Mapping[int, float]) -> dict[str, Any]:
+    """When the estimate of one step arrives; null without one, for one that was lost, or after the last frame.
+
+    `times_s` are those of the path's frames, by number.
+    """
     if request is None:
         return {"arrival_frame": None, "latency_ms": None}
-    place = int(first_frame_after([request.arrival_s], times_s)[0])
+    frames = list(times_s)
+    index = int(first_frame_after([request.arrival_s], list(times_s.values()))[0])
     latency_s = request.latency_s
     return {
-        "arrival_frame": frames[place] if place < len(frames) else None,
+        "arrival_frame": frames[index] if index < len(frames) else None,
         "latency_ms": None if latency_s is None else 1e3 * latency_s,
     }
 
@@ -155,7 +159,7 @@ def assemble(
     frames: list[dict[str, Any]],
     *,
     lights: Mapping[str, Sequence[tuple[int, ArrayF64]]],
-    phone: PhoneCapture,
+    phone: SimulatedPhone,
     errors: dict[str, Any] | None,
     file: Path,
     command: str,
@@ -185,10 +189,10 @@ def assemble(
             "fps": scene.render.fps / scene.render.fps_base,
             "virtual_objects": [item.name for item in run.plan.objects],
             "view_transform": scene.view_settings.view_transform,
-            "faults": [asdict(fault) for fault in run.plan.faults],
+            "faults": [asdict(fault) for fault in run.survey.faults],
         },
         "effects": [*run.effects.as_json(), *other_effects(scene), *phone.as_json()],
-        "phone": {"name": phone.profile.name, "summary": phone.profile.summary, "shc_rmse": errors},
+        "phone": {"name": run.phone.profile.name, "summary": run.phone.profile.summary, "shc_rmse": errors},
         "frames": frames,
         "lights": {
             name: [{"frame": frame, "sh": light.tolist()} for frame, light in of_one] for name, of_one in lights.items()

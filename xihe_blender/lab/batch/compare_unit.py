@@ -44,6 +44,7 @@ def compare_unit(runs: Sequence[PreparedRun], walks: Sequence[WalkedPath]) -> Ge
     frames = sorted(frozenset[int]().union(*wanted))
     by_trial: list[dict[int, dict[str, float | None]]] = [{} for _ in runs]
     render_s, n_frames = 0.0, len(first.plan.frames)
+    sources: dict[tuple[Any, ...], int] = {}
     with contextlib.ExitStack() as stack:
         comparer = None
         for done, frame in enumerate(frames):
@@ -52,7 +53,8 @@ def compare_unit(runs: Sequence[PreparedRun], walks: Sequence[WalkedPath]) -> Ge
             )
             trials = [place for place, of_trial in enumerate(wanted) if frame in of_trial]
             lights = {str(place): _light(runs[place], walks[place], frame) for place in trials}
-            file = first.outputs.compared(_source(first, frame, lights))
+            source = sources.setdefault(_made_from(first, frame, lights), frame)
+            file = first.outputs.compared(source)
             if not file.exists():
                 if comparer is None:
                     methods = [str(place) for place in range(len(runs))]
@@ -60,7 +62,7 @@ def compare_unit(runs: Sequence[PreparedRun], walks: Sequence[WalkedPath]) -> Ge
                     comparer = stack.enter_context(opened)
                 write_json(file, _compared(first, frame, lights, comparer, by_trial))
             content = json.loads(file.read_text(encoding="utf-8"))
-            render_s += content["render_s"] if file == first.outputs.compared(frame) else 0.0
+            render_s += content["render_s"] if source == frame else 0.0
             for place in trials:
                 by_trial[place][frame] = content["metrics"][str(place)]
     return ComparedUnit(by_trial, render_s)
@@ -71,12 +73,12 @@ def _light(run: PreparedRun, walked: WalkedPath, frame: int) -> Light:
     return walked.lights[frame][run.settings.estimator]
 
 
-def _source(run: PreparedRun, frame: int, lights: Mapping[str, Light]) -> int:
-    """The frame whose comparison is that of `frame`: scene, camera, capture and every trial's light are the same."""
+def _made_from(run: PreparedRun, frame: int, lights: Mapping[str, Light]) -> tuple[Any, ...]:
+    """Equal for frames whose comparisons are: scene, camera, capture and every trial's light are the same."""
     captured = load_frame(run.outputs.capture(frame))
     of_all = [light.tobytes() for of_trial in lights.values() for light in of_trial.values()]
     names = ",".join(lights).encode()
-    return run.kept.comparison(frame, captured.srgb_u8.tobytes(), captured.plane_depth_m.tobytes(), names, *of_all)
+    return run.reuse.comparison(frame, captured.srgb_u8.tobytes(), captured.plane_depth_m.tobytes(), names, *of_all)
 
 
 def _compared(

@@ -8,6 +8,8 @@ that its numbers are those of a previs run. All trials' lights are compared in o
 
 from __future__ import annotations
 
+import functools
+import operator
 from collections.abc import Generator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,20 +18,18 @@ from typing import Any
 import bpy
 import numpy as np
 
-from xihe_blender.capture.scanner import CyclesScanner
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import Job, Progress, run_blocking
 from xihe_blender.lab.batch.compare_unit import compare_unit
 from xihe_blender.lab.batch.grid import BatchSettings
 from xihe_blender.lab.batch.rows import trial_record
 from xihe_blender.lab.batch.thetas import sweep_theta
-from xihe_blender.light_transport.render_reuse import KeptRenders
 from xihe_blender.previs.path_renders import open_path_renders
-from xihe_blender.previs.phone_capture import PhoneCapture
 from xihe_blender.previs.plan import PrevisPlan, plan_previs
-from xihe_blender.previs.prepare import PreparedRun, prepare_run
+from xihe_blender.previs.prepare import PreparedRun, prepare_run, render_reuse, survey_run
 from xihe_blender.previs.run_chain import WalkedPath, walk_path
 from xihe_blender.previs.settings import load_estimator
+from xihe_blender.previs.survey import SceneSurvey
 from xihe_blender.scene.state import scene_kept
 
 
@@ -48,10 +48,11 @@ def evaluate_unit(scene: bpy.types.Scene, file: Path, folder: Path, settings: Ba
     outputs = RunOutputs(folder, file.stem)
     trials = settings.trials()
     plan = plan_previs(scene, settings.of_trial(*trials[0], seed))
+    survey = survey_run(scene, plan, outputs)
     with scene_kept():
         runs = []
         for phone, estimator in trials:
-            runs.append((yield from _prepared(scene, plan, outputs, settings, phone, estimator, seed)))
+            runs.append((yield from _prepared(scene, plan, survey, outputs, settings, phone, estimator, seed)))
         yield from _capture_all(runs[:: len(settings.estimators)])
         walks = []
         for place, run in enumerate(runs):
@@ -73,6 +74,7 @@ def evaluate_unit(scene: bpy.types.Scene, file: Path, folder: Path, settings: Ba
 def _prepared(
     scene: bpy.types.Scene,
     plan: PrevisPlan,
+    survey: SceneSurvey,
     outputs: RunOutputs,
     settings: BatchSettings,
     phone: str,
@@ -81,40 +83,18 @@ def _prepared(
 ) -> Job[PreparedRun]:
     """The first trial measures, and the others read what it left."""
     wanted = settings.of_trial(phone, estimator, seed)
-    return (yield from prepare_run(scene, plan, outputs, wanted, load_estimator(wanted)))
-
-
-class _Phones:
-    """All phones of a unit, which share captures: what any of them needs of a render is kept."""
-
-    def __init__(self, phones: Sequence[PhoneCapture]) -> None:
-        self.phones = phones
-        self.delivered = frozenset[int]().union(*(phone.delivered for phone in phones))
-
-    def prepare(self, scanner: CyclesScanner) -> None:
-        for phone in self.phones:
-            phone.prepare(scanner)
-
-    def keep(self, scanner: CyclesScanner, frame: int) -> None:
-        for phone in self.phones:
-            phone.keep(scanner, frame)
-
-    def take_over(self, source: int, frame: int) -> None:
-        for phone in self.phones:
-            phone.take_over(source, frame)
+    return (yield from prepare_run(scene, plan, survey, outputs, wanted, load_estimator(wanted)))
 
 
 def _capture_all(runs: Sequence[PreparedRun]) -> Generator[Progress, None, None]:
-    """Render every frame that any phone captures; `runs` has one for each phone."""
-    # Each trial asks anew which frames are the same.
-    first = replace(runs[0], kept=KeptRenders(runs[0].plan.frames, list(runs[0].kept.states.values())))
-    phones = _Phones([PhoneCapture(run.scene, run.plan, run.outputs, run.settings, run.exposure) for run in runs])
-    with open_path_renders(first, phones) as renders:
-        for done, frame in enumerate(first.plan.frames):
-            yield _progress(first, done, f"capturing frame {frame}")
-            _, probes = renders.move_to(frame)
-            if probes:
-                renders.at(frame, probes)
+    """Render every frame that any phone captures, with what any needs beside it; `runs` has one for each phone."""
+    first = runs[0]
+    needs = functools.reduce(operator.or_, (run.needs for run in runs))
+    shared = replace(first, needs=needs, reuse=render_reuse(first.survey, first.effects, needs))
+    with open_path_renders(shared) as renders:
+        for done, frame in enumerate(shared.plan.frames):
+            yield _progress(shared, done, f"capturing frame {frame}")
+            renders.at(frame)
 
 
 def _progress(run: PreparedRun, done: float, doing: str) -> Progress:

@@ -37,10 +37,13 @@ from xihe_blender.lab.frontier.pictures import PictureStudy, measure_pictures, p
 from xihe_blender.lab.frontier.rendering import RenderStudy, View, measure_rendering
 from xihe_blender.lab.frontier.steps import Steps, part_of
 from xihe_blender.lab.frontier.timing import Spread
-from xihe_blender.light_transport import EffectPlan, plan_effects
+from xihe_blender.light_transport import EffectPlan
+from xihe_blender.light_transport.overrides import overrides_in_force
+from xihe_blender.light_transport.plan import planned
 from xihe_blender.previs.plan import PrevisPlan, evenly_chosen, plan_previs
 from xihe_blender.previs.sample_count import capture_noise, pilot_samples, pilot_views, samples_taken
 from xihe_blender.previs.settings import PRESETS, PrevisSettings
+from xihe_blender.previs.survey import SceneSurvey, survey_path
 from xihe_blender.scene.state import scene_kept
 from xihenet.recording import load_frame, save_frame
 
@@ -53,11 +56,12 @@ SHARES = {"preparing": 0.10, "walking": 0.15, "computing": 0.15, "rendering": 0.
 
 @dataclass(frozen=True, eq=False)
 class SceneStudy:
-    """One scene to measure: the open scene, its plan, and where its work is kept."""
+    """One scene to measure: the open scene, its plan, the survey of its path, and where its work is kept."""
 
     scene: bpy.types.Scene
     name: str
     plan: PrevisPlan
+    survey: SceneSurvey
     folder: Path
     is_quick: bool
     seed: int
@@ -146,12 +150,11 @@ def prepare(study: SceneStudy) -> Steps[Prepared]:
         yield 0.0, "metering the exposure, looking for effects"
         scene, plan = study.scene, study.plan
         exposure = meter_exposure(scene, plan.frames, study.seed)
-        positions = [probe.position_m.tolist() for probe in plan.probes]
-        effects = plan_effects(scene, positions=positions, frames=plan.frames, overrides={})
+        effects = planned(study.survey.verdicts, overrides_in_force(scene, {}))
         samples = {}
         for place, name in enumerate(PRESETS):
             yield (1 + place) / (1 + len(PRESETS)), f"measuring how many samples {name} takes"
-            samples[name] = preset_samples(scene, plan, name, exposure, effects, study.seed)
+            samples[name] = preset_samples(study, name, exposure, effects)
         write_json(path, {"exposure": exposure, "effects": effects.as_json(), "samples": samples})
     kept = json.loads(path.read_text(encoding="utf-8"))
     size = study.plan.size
@@ -159,12 +162,11 @@ def prepare(study: SceneStudy) -> Steps[Prepared]:
     return Prepared(kept["exposure"], EffectPlan.from_json(kept["effects"]).light_transport, presets)
 
 
-def preset_samples(
-    scene: bpy.types.Scene, plan: PrevisPlan, name: str, exposure: float, effects: EffectPlan, seed: int
-) -> int:
-    """Samples per pixel of captures that a run of a preset takes on `scene`, measured as the run does it."""
-    settings, preset = PrevisSettings(preset=name, seed=seed), PRESETS[name]
-    views = pilot_views(scene, plan)
+def preset_samples(study: SceneStudy, name: str, exposure: float, effects: EffectPlan) -> int:
+    """Samples per pixel of captures that a run of a preset takes on a scene, measured as the run does it."""
+    settings, preset = PrevisSettings(preset=name, seed=study.seed), PRESETS[name]
+    scene, plan = study.scene, study.plan
+    views = pilot_views(plan, study.survey)
     if not views:
         raise UserError(f"scene {scene.name!r} never has a virtual object in view: move the camera's path, or objects")
     capture = replace(settings.capture(plan.size, pilot_samples(preset)), light_transport=effects.light_transport)
@@ -176,8 +178,7 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Step
     """Captures, and light probes at the positions in view, of frames spread over the path."""
     plan = study.plan
     positions = {probe.name: probe.position_m for probe in plan.probes}
-    in_sight = plan.frames_in_sight(scanner).items()
-    chosen = evenly_chosen([(frame, [p.name for p in seen]) for frame, seen in in_sight], study.effort.n_walk_frames)
+    chosen = evenly_chosen(list(study.survey.in_view.items()), study.effort.n_walk_frames)
     probes = ProbeSettings(
         max_samples=study.effort.probe_samples, noise_target=PROBE_NOISE, seed=study.seed,
         light_transport=prepared.light_transport, order=ORDER,
@@ -206,6 +207,7 @@ def _views(walk: Walk, most: int) -> list[View]:
     return [View(walk.frames[k].frame, [walk.positions[name] for name in walk.active[k]]) for k in numbers]
 
 
-def plan_scene(scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> PrevisPlan:
-    """What a run on `scene` would do; UserError as a run raises it."""
-    return plan_previs(scene, PrevisSettings(size=size))
+def survey_scene(scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> tuple[PrevisPlan, SceneSurvey]:
+    """What a run on `scene` would do, and what its path is like; UserError as a run raises it."""
+    plan = plan_previs(scene, PrevisSettings(size=size))
+    return plan, survey_path(scene, plan)

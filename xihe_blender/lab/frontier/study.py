@@ -28,7 +28,7 @@ from xihe_blender.lab.frontier.choices import FULL, QUICK, Effort
 from xihe_blender.lab.frontier.measured import Measured
 from xihe_blender.lab.frontier.points import points_of
 from xihe_blender.lab.frontier.report import report_page
-from xihe_blender.lab.frontier.scene import SceneStudy, measure_scene, plan_scene
+from xihe_blender.lab.frontier.scene import SceneStudy, measure_scene, survey_scene
 from xihe_blender.report.document import write_document
 from xihe_blender.scene.blend_file import open_blend
 from xihenet import __version__
@@ -71,7 +71,7 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
     if twice:
         raise UserError(f"two scenes are named {twice[0]!r}: results go by name, so rename one")
     for file in files:
-        plan_scene(open_blend(file), settings.size)
+        survey_scene(open_blend(file), settings.size)
     _claim(out, files, settings).take()
     kept = []
     for number, file in enumerate(files):
@@ -79,8 +79,8 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
         if not path.exists():
             scene = open_blend(file)
             effort = settings.effort or (QUICK if settings.is_quick else FULL)
-            plan = plan_scene(scene, settings.size)
-            study = SceneStudy(scene, file.stem, plan, path.parent, settings.is_quick, settings.seed, effort)
+            surveyed = survey_scene(scene, settings.size)
+            study = SceneStudy(scene, file.stem, *surveyed, path.parent, settings.is_quick, settings.seed, effort)
             write_json(path, (yield from measure_scene(study, float(number), float(len(files)))))
         kept.append(json.loads(path.read_text(encoding="utf-8")))
     content = assembled(names, kept, settings, command)
