@@ -34,14 +34,15 @@ from xihe_blender.capture.scanner import meter_exposure, open_scanner
 from xihe_blender.cli.arguments import picture_size
 from xihe_blender.compare.methods import open_comparer
 from xihe_blender.io.blender_output import blender_output_aside
-from xihe_blender.light_transport import cycles_settings, plan_light_transport
-from xihe_blender.light_transport.render_reuse import KeptRenders, SceneState, scene_states
+from xihe_blender.light_transport import cycles_settings
+from xihe_blender.light_transport.render_reuse import RenderReuse, each_its_own, plan_render_reuse
 from xihe_blender.previs.plan import PrevisPlan, plan_previs
 from xihe_blender.previs.sample_count import Effort, measure_effort
 from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.previs.survey import SceneSurvey, survey_path
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
-from xihenet.camera import in_view
+from xihenet.effects import plan_effects
 
 SCENES = Path(__file__).resolve().parents[2] / "blend_scenes"
 METHODS = ("projection", "ambient", "truth")
@@ -52,6 +53,7 @@ class Stage(NamedTuple):
 
     scene: bpy.types.Scene
     plan: PrevisPlan
+    survey: SceneSurvey
     settings: PrevisSettings
     exposure: float
     light_transport: tuple
@@ -76,9 +78,9 @@ def open_stage(name: str, settings: PrevisSettings, held: int = 0) -> Stage:
     if held:
         stop_and_go(scene, held)
     plan = plan_previs(scene, settings)
-    positions = [probe.position_m.tolist() for probe in plan.probes]
-    transport = cycles_settings(plan_light_transport(scene, positions=positions, frames=plan.frames))
-    return Stage(scene, plan, settings, meter_exposure(scene, plan.frames), transport)
+    survey = survey_path(scene, plan)
+    transport = cycles_settings(plan_effects(survey.required, {}))
+    return Stage(scene, plan, survey, settings, meter_exposure(scene, plan.frames), transport)
 
 
 def stop_and_go(scene: bpy.types.Scene, held: int) -> None:
@@ -98,14 +100,19 @@ def simulated(stage: Stage, settings: RenderSettings) -> RenderSettings:
     return RenderSettings(settings.size, settings.samples, settings.seed, settings.denoise, stage.light_transport)
 
 
-def each_its_own(frames: tuple[int, ...]) -> KeptRenders:
+def as_surveyed(survey: SceneSurvey) -> RenderReuse:
+    """What a run renders."""
+    return plan_render_reuse({frame: one.state for frame, one in survey.frames.items()}, survey.in_view)
+
+
+def every_frame(survey: SceneSurvey) -> RenderReuse:
     """Nothing is ever the same, so that every frame is rendered."""
-    return KeptRenders(frames, [SceneState(str(f), str(f), str(f)) for f in frames])
+    return plan_render_reuse(each_its_own(survey.frames), survey.in_view)
 
 
-def walk(stage: Stage, effort: Effort, kept: KeptRenders) -> Walked:
-    """Render what `kept` does not have already."""
-    scene, plan, settings, exposure, _ = stage
+def walk(stage: Stage, effort: Effort, reuse: RenderReuse) -> Walked:
+    """Render what no earlier frame has."""
+    scene, plan, survey, settings, exposure, _ = stage
     start = time.process_time()
     capture = settings.capture(plan.size, effort.capture_samples)
     reference = replace(settings.reference, light_transport=stage.light_transport)
@@ -116,39 +123,40 @@ def walk(stage: Stage, effort: Effort, kept: KeptRenders) -> Walked:
         open_reference_probe(scene, [probe.position_m for probe in plan.probes], reference) as reference_probe,
     ):
         scanner.exposure = exposure
-        for frame in plan.frames:
-            camera = scanner.move_to(frame)
-            seen = [probe for probe in plan.probes if in_view(probe.position_m[None], *camera)[0]]
-            if not seen:
-                continue
-            if kept.capture(frame) == frame:
+        for frame, names in survey.in_view.items():
+            scanner.move_to(frame)
+            if reuse.captures[frame] == frame:
                 captured[frame] = scanner.acquire_environment_scan()
-            for probe in seen:
-                if kept.probe(frame, probe.name) == frame:
+            for probe in (probe for probe in plan.probes if probe.name in names):
+                if reuse.probes[frame, probe.name] == frame:
                     light = reference_probe.light_at(places[probe.name], frame, exposure)
                     lights[probe.object_name] = light.measured.hdr
                     n_probes += 1
-            compared[frame] = kept.capture(frame), dict(lights)
-    walk_s, start, n_comparisons = time.process_time() - start, time.process_time(), 0
+            compared[frame] = reuse.captures[frame], dict(lights)
+    walk_s, start, made = time.process_time() - start, time.process_time(), {}
     with open_comparer(scene, plan.objects, METHODS, simulated(stage, settings.comparison(plan.size))) as comparer:
         for frame in list(compared)[:: settings.effort.comparison_step]:
             source, light = compared[frame]
             by_name = [light[name].tobytes() for name in sorted(light)]
-            if kept.comparison(frame, str(source).encode(), *by_name) == frame:
+            if made.setdefault(reuse.comparison(frame, str(source).encode(), *by_name), frame) == frame:
                 anywhere = next(iter(light.values()))
                 of_each = {item.name: light.get(item.name, anywhere) for item in plan.objects}
                 comparer.render_comparison(captured[source], dict.fromkeys(METHODS, of_each))
-                n_comparisons += 1
-    return Walked(walk_s, time.process_time() - start, len(captured), n_probes, n_comparisons)
+    return Walked(walk_s, time.process_time() - start, len(captured), n_probes, len(made))
+
+
+def measured_effort(stage: Stage) -> Effort:
+    scene, plan, survey, settings, exposure, light_transport = stage
+    return measure_effort(scene, plan, survey, settings, exposure, light_transport)
 
 
 def adaptive_walk(stage: Stage) -> tuple[Walked, Effort]:
-    """As a run does it: `walk_s` holds pilot, look at what changes, and walk."""
+    """As a run does it: `walk_s` holds survey, pilot and walk."""
     start = time.process_time()
-    effort = measure_effort(stage.scene, stage.plan, stage.settings, stage.exposure, stage.light_transport)
-    kept = KeptRenders(stage.plan.frames, scene_states(stage.scene, stage.plan.frames))
+    survey = survey_path(stage.scene, stage.plan)
+    effort = measured_effort(stage)
     before_s = time.process_time() - start
-    walked = walk(stage, effort, kept)
+    walked = walk(stage, effort, as_surveyed(survey))
     return walked._replace(walk_s=before_s + walked.walk_s), effort
 
 
@@ -160,7 +168,7 @@ def still_table(settings: PrevisSettings) -> Iterator[str]:
         with scene_kept():
             walks[f"now, holds for {held} of {4 + held}"], effort = adaptive_walk(stage)
             if held == 4:
-                before = walk(stage, effort, each_its_own(stage.plan.frames))
+                before = walk(stage, effort, every_frame(stage.survey))
     yield f"living_room, stop and go, {settings.preset}, {said(effort)}"
     yield f"{'':<26}{'captures, probes':>24}{'compared':>16}{'all':>16}"
     for name, walked in {"fixed, every frame": before, **walks}.items():
@@ -177,15 +185,9 @@ def said(effort: Effort) -> str:
 def kept_counts(name: str, settings: PrevisSettings) -> str:
     """Captures and probes that the scene's whole own walk renders, of those that it needs."""
     scene = open_blend(SCENES / f"{name}.blend")
-    plan = plan_previs(scene, settings)
-    kept = KeptRenders(plan.frames, scene_states(scene, plan.frames))
-    captures, probes = [], []
-    with open_scanner(scene, RenderSettings(plan.size, samples=1)) as scanner:
-        for frame in plan.frames:
-            camera = scanner.move_to(frame)
-            seen = [probe for probe in plan.probes if in_view(probe.position_m[None], *camera)[0]]
-            captures += [kept.capture(frame) == frame] if seen else []
-            probes += [kept.probe(frame, probe.name) == frame for probe in seen]
+    reuse = as_surveyed(survey_path(scene, plan_previs(scene, settings)))
+    captures = [source == frame for frame, source in reuse.captures.items()]
+    probes = [source == frame for (frame, _), source in reuse.probes.items()]
     return f"{sum(captures):5} /{len(captures):3}{sum(probes):8} /{len(probes):3}"
 
 
@@ -195,8 +197,8 @@ def scene_table(size: tuple[int, int], preset: str, step: int) -> Iterator[str]:
     settings = PrevisSettings(size=size, preset=preset, frames=tuple(range(1, 25, step)))
     efforts = {}
     for name in names:
-        _, plan, _, exposure, transport = stage = open_stage(name, settings)
-        efforts[name] = measure_effort(stage.scene, plan, settings, exposure, transport)
+        stage = open_stage(name, settings)
+        efforts[name] = measured_effort(stage)
     most = Effort(max(effort.capture_samples for effort in efforts.values()))
     yield f"own walks, {preset}, fixed: captures {most.capture_samples} samples"
     yield f"{'':<20}{'captures':>10}{'probes':>12}{'fixed s':>10}{'now s':>8}{'':>8}  samples now"
@@ -204,7 +206,7 @@ def scene_table(size: tuple[int, int], preset: str, step: int) -> Iterator[str]:
         stage = open_stage(name, settings)
         with scene_kept():
             now, effort = adaptive_walk(stage)
-            before = walk(stage, most, each_its_own(stage.plan.frames))
+            before = walk(stage, most, every_frame(stage.survey))
         counts = kept_counts(name, PrevisSettings(size=size, preset=preset))
         ratio = f"{before.seconds / now.seconds:7.2f}x"
         yield f"{name:<20}{counts}{before.seconds:10.1f}{now.seconds:8.1f}{ratio}  {said(effort)}"

@@ -21,7 +21,7 @@ from xihe_blender.lab.frontier.choices import FULL, RenderChoice
 from xihe_blender.lab.frontier.compute import KINDS
 from xihe_blender.lab.frontier.rendering import COMPUTED_BY, RenderStudy, View, measure_rendering
 from xihe_blender.lab.frontier.steps import part_of
-from xihe_blender.lab.frontier.study import SceneStudy, plan_scene, prepare
+from xihe_blender.lab.frontier.study import SceneStudy, prepare, survey_scene
 from xihe_blender.lab.frontier.timing import Spread
 from xihe_blender.previs.plan import evenly_chosen
 from xihe_blender.scene.blend_file import open_blend
@@ -35,17 +35,17 @@ HEAD = """\
 def measured(file, folder, effort, seed):
     """What `measure_rendering` gives for the presets on one scene, and how many errors belong to one view."""
     scene, rng = open_blend(file), np.random.default_rng(seed)
-    plan = plan_scene(scene)
-    study = SceneStudy(scene, file.stem, plan, folder / file.stem, False, seed, effort)
+    plan, survey = survey_scene(scene)
+    study = SceneStudy(scene, file.stem, plan, survey, folder / file.stem, False, seed, effort)
     with scene_kept():
         prepared = run_blocking(part_of(1, 0, 1, prepare(study)))
         capture = RenderSettings(plan.size, 1, seed, light_transport=prepared.light_transport)
         with open_scanner(scene, capture) as scanner:
             scanner.exposure = prepared.exposure
-            in_sight = list(plan.frames_in_sight(scanner).items())
+            positions_m = {probe.name: probe.position_m for probe in plan.probes}
             views = [
-                View(frame, [probe.position_m for probe in probes])
-                for frame, probes in evenly_chosen(in_sight, effort.n_views)
+                View(frame, [positions_m[name] for name in names])
+                for frame, names in evenly_chosen(list(survey.in_view.items()), effort.n_views)
             ]
             choices, exhaustive = list(prepared.presets.values()), RenderChoice(plan.size, effort.reference_samples)
             renders = RenderStudy(scanner, views, choices, exhaustive, effort, seed, study.folder)

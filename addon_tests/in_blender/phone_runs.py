@@ -1,35 +1,41 @@
-"""The phone of a run without the run: the path is captured and effects are planned; things that stand in its way."""
+"""The phone of a small run, and things that stand in its way."""
 
+import shutil
 from dataclasses import replace
 
 import bpy
 from previs_runs import SMALL
 from tiny_scenes import box
 
-from xihe_blender.capture.render import RenderSettings
-from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.io.outputs import RunOutputs
-from xihe_blender.previs.phone_capture import PhoneCapture
+from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.prepare import prepare_run
+from xihe_blender.previs.run_chain import walk_path
+from xihe_blender.previs.settings import load_estimator
+from xihe_blender.previs.survey import survey_path
+from xihenet.recording import load_frame
 
 IPAD = replace(SMALL, phone="ipad_pro_lidar")
 
 
-def planned(scene, out, settings, exposure=1.0):
-    """The phone of a run whose path has been captured, and the capture of its first frame."""
+def kept(out):
+    """Where a run keeps what it renders."""
+    return RunOutputs(out, "untitled")
+
+
+def planned(scene, out, settings):
+    """The phone of a small run of few samples whose path has been walked, and the capture of its first frame.
+
+    What an earlier run has left in `out` goes.
+    """
+    shutil.rmtree(out, ignore_errors=True)
+    settings = replace(settings, size=(32, 24), samples=2, exposure=1.0)
     plan = plan_previs(scene, settings)
-    phone = PhoneCapture(scene, plan, RunOutputs(out, "untitled"), settings, exposure)
-    with open_scanner(scene, RenderSettings((32, 24), samples=4, denoise=False)) as scanner:
-        scanner.exposure = exposure
-        phone.prepare(scanner)
-        captured = []
-        for frame in plan.frames:
-            scanner.move_to(frame)
-            captured.append(scanner.acquire_environment_scan())
-            phone.keep(scanner, frame)
-            phone.notice(captured[-1])
-    phone.plan()
-    return phone, captured[0]
+    survey, estimator = survey_path(scene, plan), load_estimator(settings)
+    run = run_blocking(prepare_run(scene, plan, survey, kept(out), settings, estimator))
+    phone = run_blocking(walk_path(run)).phone
+    return phone, load_frame(kept(out).capture(plan.frames[0]))
 
 
 def state(phone, name):

@@ -30,6 +30,7 @@ from xihe_blender.previs.sample_count import (
     pilot_views,
 )
 from xihe_blender.previs.settings import PRESETS, PREVIS_TRIGGER, PrevisSettings
+from xihe_blender.previs.survey import survey_path
 from xihenet.camera import unproject_frame
 from xihenet.recording import load_frame
 from xihenet.sampling import sample_unit_sphere
@@ -53,6 +54,11 @@ def still_walk():
         scene.camera.keyframe_insert("location", frame=frame)
         scene.camera.keyframe_insert("rotation_euler", frame=frame)
     return scene
+
+
+def surveyed(scene, settings):
+    plan = plan_previs(scene, settings)
+    return plan, survey_path(scene, plan)
 
 
 def one_thread(scene):
@@ -127,8 +133,8 @@ def test_the_noise_is_what_was_expected_and_within_the_target():
     scene.camera.animation_data_clear()
     look_at(scene.camera, (-1.2, -1.5, 1.5), (0, 0, 0.85))
     settings = PrevisSettings(preset="draft", size=(64, 48), exposure=1.0, noise_target=0.05)
-    plan = plan_previs(scene, settings)
-    effort = measure_effort(scene, plan, settings, 1.0)
+    plan, survey = surveyed(scene, settings)
+    effort = measure_effort(scene, plan, survey, settings, 1.0)
     lights = lights_in(scene, plan, settings, 8, effort.capture_samples, range(100, 112))
     reference = lights_in(scene, plan, settings, 8, 128, range(200, 202)).mean(axis=0)
     assert effort.capture_noise <= 0.05
@@ -139,21 +145,25 @@ def test_the_noise_is_what_was_expected_and_within_the_target():
 def test_a_tighter_target_takes_more_samples_of_a_scene():
     scene = one_thread(room_with_a_virtual_sphere(3))
     settings = PrevisSettings(preset="balanced", size=(32, 24), exposure=1.0)
-    plan = plan_previs(scene, settings)
-    efforts = [measure_effort(scene, plan, replace(settings, noise_target=t), 1.0) for t in (0.3, 0.08, 0.04, 0.0001)]
+    plan, survey = surveyed(scene, settings)
+
+    def measured(noise_target):
+        return measure_effort(scene, plan, survey, replace(settings, noise_target=noise_target), 1.0)
+
+    efforts = [measured(noise_target) for noise_target in (0.3, 0.08, 0.04, 0.0001)]
     samples = [effort.capture_samples for effort in efforts]
     assert samples == sorted(samples) and len(set(samples)) >= 3
     assert samples[-1] == PRESETS["balanced"].max_samples
-    again = measure_effort(scene, plan, replace(settings, noise_target=0.04), 1.0)
+    again = measured(0.04)
     assert replace(again, pilot_s=0) == replace(efforts[2], pilot_s=0)
 
 
 def test_a_number_of_samples_is_taken_as_it_is_without_a_pilot():
     scene = room_with_a_virtual_sphere(3)
     settings = replace(SMALL, samples=7, exposure=1.0)
-    plan = plan_previs(scene, settings)
+    plan, survey = surveyed(scene, settings)
     with counted_renders() as renders:
-        assert measure_effort(scene, plan, settings, 1.0) == Effort(7)
+        assert measure_effort(scene, plan, survey, settings, 1.0) == Effort(7)
     assert not renders
 
 
@@ -161,10 +171,10 @@ def test_a_path_that_sees_no_position_needs_no_pilot():
     scene = room_with_a_virtual_sphere(2)
     for frame in (1, 2):
         look_away(scene.camera, frame)
-    plan = plan_previs(scene, SMALL)
+    plan, survey = surveyed(scene, SMALL)
     maximum = PRESETS[SMALL.preset].max_samples
     with counted_renders() as renders:
-        assert measure_effort(scene, plan, SMALL, 1.0) == Effort(maximum)
+        assert measure_effort(scene, plan, survey, SMALL, 1.0) == Effort(maximum)
     assert not renders
 
 
@@ -174,7 +184,7 @@ def test_a_path_that_sees_no_position_needs_no_pilot():
 def test_pilots_are_spread_over_the_frames_that_see_a_position(n_frames, expected):
     scene = room_with_a_virtual_sphere(n_frames)
     scene.camera.animation_data_clear()
-    assert [frame for frame, _ in pilot_views(scene, plan_previs(scene, SMALL))] == expected
+    assert [frame for frame, _ in pilot_views(*surveyed(scene, SMALL))] == expected
 
 
 @pytest.mark.parametrize(

@@ -5,14 +5,16 @@ from dataclasses import replace
 import bpy
 import numpy as np
 import pytest
-from phone_runs import IPAD, pane, planned, principled, state
+from phone_runs import IPAD, kept, pane, planned, principled, state
 from previs_runs import SMALL
 from tiny_scenes import material, room_with_a_virtual_sphere
 
 from xihe_blender.capture.phone_surfaces import load_surfaces
 from xihe_blender.light_transport import remember_overrides
+from xihe_blender.previs.phone_capture import SURFACE_EFFECTS
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.virtual_objects import virtual_collection
+from xihenet.recording import load_frame
 
 
 def test_range_is_cut_in_a_large_room_and_not_in_a_small_one(tmp_path):
@@ -22,7 +24,7 @@ def test_range_is_cut_in_a_large_room_and_not_in_a_small_one(tmp_path):
     bpy.data.objects["Room"].scale = (4, 4, 2)
     large, captured = planned(scene, tmp_path, IPAD)
     assert state(large, "range") == "on"
-    _, n_lost = large.see(captured, large.camera_with({"range"}))
+    _, n_lost = replace(large, of_camera=frozenset({"range"})).see(captured, kept(tmp_path))
     assert n_lost["range"] == np.count_nonzero(captured.plane_depth_m > 5)
 
 
@@ -31,7 +33,9 @@ def test_an_effect_that_was_left_out_would_have_changed_nothing(tmp_path):
     by_itself, captured = planned(scene, tmp_path, IPAD)
     forced, _ = planned(scene, tmp_path, replace(IPAD, effect_choices={"range": "on", "transparent_holes": "on"}))
     assert {"range", "transparent_holes"} <= forced.on - by_itself.on
-    assert np.array_equal(by_itself.see(captured)[0].plane_depth_m, forced.see(captured)[0].plane_depth_m)
+    assert np.array_equal(
+        by_itself.see(captured, kept(tmp_path))[0].plane_depth_m, forced.see(captured, kept(tmp_path))[0].plane_depth_m
+    )
 
 
 def test_a_still_camera_has_no_rolling_shutter_and_no_drift(tmp_path):
@@ -41,13 +45,13 @@ def test_a_still_camera_has_no_rolling_shutter_and_no_drift(tmp_path):
     scene.camera.animation_data_clear()
     still, captured = planned(scene, tmp_path, IPAD)
     assert state(still, "rolling_shutter") == state(still, "pose_drift") == "off"
-    assert np.array_equal(still.see(captured)[0].world_from_camera, captured.world_from_camera)
+    assert np.array_equal(still.see(captured, kept(tmp_path))[0].world_from_camera, captured.world_from_camera)
 
 
 def test_a_single_frame_of_a_walk_is_not_taken_for_a_still_camera(tmp_path):
     phone, _ = planned(room_with_a_virtual_sphere(), tmp_path, replace(IPAD, frames=(2,)))
     assert state(phone, "rolling_shutter") == "on"
-    assert np.linalg.norm(phone.motions[2].velocity_m_per_s) == pytest.approx(0.3 * 24, rel=0.05)
+    assert np.linalg.norm(phone.survey.frames[2].motion.velocity_m_per_s) == pytest.approx(0.3 * 24, rel=0.05)
 
 
 def _dimmed(scene):
@@ -112,7 +116,7 @@ def test_the_light_sensor_is_simulated_where_a_light_changes(change, tmp_path):
     change(scene)
     phone, captured = planned(scene, tmp_path, IPAD)
     assert state(phone, "light_sensor") == "on"
-    assert not np.allclose(phone.see(captured)[0].ambient, captured.ambient, rtol=1e-3)
+    assert not np.allclose(phone.see(captured, kept(tmp_path))[0].ambient, captured.ambient, rtol=1e-3)
 
 
 @pytest.mark.parametrize("change", [_nothing, _a_virtual_lamp_changes, _a_box_moves])
@@ -121,7 +125,7 @@ def test_the_light_sensor_is_left_out_where_no_light_changes(change, tmp_path):
     change(scene)
     phone, captured = planned(scene, tmp_path, IPAD)
     assert state(phone, "light_sensor") == "off"
-    assert np.array_equal(phone.see(captured)[0].ambient, captured.ambient)
+    assert np.array_equal(phone.see(captured, kept(tmp_path))[0].ambient, captured.ambient)
 
 
 @pytest.mark.parametrize(
@@ -139,7 +143,7 @@ def test_a_surface_that_gives_no_answer_makes_a_hole_where_it_is(effect, look, t
     pane(scene, principled("Pane", **look))
     phone, captured = planned(scene, tmp_path / "with", IPAD)
     assert state(phone, effect) == "on"
-    seen, n_lost = phone.see(captured, phone.camera_with({effect}))
+    seen, n_lost = replace(phone, of_camera=frozenset({effect})).see(captured, kept(tmp_path / "with"))
     middle = (slice(10, 14), slice(14, 18))
     assert (captured.plane_depth_m[middle] > 0).all() and (seen.plane_depth_m[middle] == 0).all()
     assert 16 <= n_lost[effect] < captured.plane_depth_m.size / 2
@@ -150,7 +154,7 @@ def test_a_lacquered_surface_answers_and_a_lamp_is_not_dark(tmp_path):
     pane(scene, principled("Lacquer", Roughness=0.02, Base_Color=(0.6, 0.3, 0.2, 1)))
     phone, captured = planned(scene, tmp_path, replace(IPAD, effect_choices={"glossy_holes": "on"}))
     assert state(phone, "dark_holes") == "off"
-    assert phone.see(captured)[1]["glossy_holes"] == 0
+    assert phone.see(captured, kept(tmp_path))[1]["glossy_holes"] == 0
 
 
 def test_a_bright_wall_at_night_is_not_dark_to_a_sensor_with_its_own_light(tmp_path):
@@ -170,8 +174,8 @@ def test_roughness_that_a_texture_drives_is_not_known_and_makes_no_hole(tmp_path
     pane(scene, look)
     phone, captured = planned(scene, tmp_path, IPAD)
     assert state(phone, "glossy_holes") == "on"
-    assert np.isnan(load_surfaces(phone.outputs.surfaces(1)).roughness[12, 16])
-    assert phone.see(captured)[1]["glossy_holes"] == 0
+    assert np.isnan(load_surfaces(kept(tmp_path).surfaces(1)).roughness[12, 16])
+    assert phone.see(captured, kept(tmp_path))[1]["glossy_holes"] == 0
 
 
 def test_materials_of_other_names_do_not_stand_in_for_a_mirror(tmp_path):
@@ -180,8 +184,8 @@ def test_materials_of_other_names_do_not_stand_in_for_a_mirror(tmp_path):
     item = pane(scene, material("Chalk"))
     for name in ("M", "Mi", "Mir", "Mirr", "Spiegel größer", "鏡"):
         item.data.materials[0] = principled(name, Metallic=1.0, Roughness=0.07)
-        phone, _ = planned(scene, tmp_path / name, replace(IPAD, frames=(1,)))
-        roughness = load_surfaces(phone.outputs.surfaces(1)).roughness
+        planned(scene, tmp_path / name, replace(IPAD, frames=(1,)))
+        roughness = load_surfaces(kept(tmp_path / name).surfaces(1)).roughness
         assert roughness[12, 16] == np.float32(0.07) and roughness[0, 0] == 1, name
 
 
@@ -213,11 +217,12 @@ def test_choices_are_remembered_in_the_blend_and_the_runs_own_win(tmp_path):
 
 
 def test_a_frame_that_is_taken_over_has_what_its_source_has(tmp_path):
-    phone, captured = planned(room_with_a_virtual_sphere(1), tmp_path, IPAD)
-    phone.take_over(1, 7)
-    phone.notice(replace(captured, frame=7, time_s=0.25))
-    phone.plan()
-    first, later = (phone.see(frame)[0] for frame in (captured, replace(captured, frame=7, time_s=0.25)))
-    assert np.array_equal(first.srgb_u8, later.srgb_u8) and first.exposure == later.exposure
-    kept = [vars(load_surfaces(phone.outputs.surfaces(frame))) for frame in (1, 7)]
-    assert all(np.array_equal(kept[0][key], kept[1][key]) for key in kept[0])
+    scene = room_with_a_virtual_sphere(2)
+    scene.camera.animation_data_clear()
+    phone, first = planned(scene, tmp_path, IPAD)
+    later = load_frame(kept(tmp_path).capture(2))
+    assert later.frame == 2 and np.array_equal(first.srgb_u8, later.srgb_u8)
+    seen = [replace(phone, of_camera=SURFACE_EFFECTS).see(frame, kept(tmp_path))[0] for frame in (first, later)]
+    assert np.array_equal(seen[0].plane_depth_m, seen[1].plane_depth_m)
+    facts = [vars(load_surfaces(kept(tmp_path).surfaces(frame))) for frame in (1, 2)]
+    assert all(np.array_equal(facts[0][key], facts[1][key]) for key in facts[0])

@@ -3,39 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import Any
+from dataclasses import dataclass
 
+import bpy
 import numpy as np
 
-from xihe_blender.capture.scanner import CyclesScanner
 from xihenet.phone import CameraMotion, motion_between
-from xihenet.records import ArrayF64
+from xihenet.records import ArrayF64, Intrinsics
 
 STILL = CameraMotion(np.zeros(3), np.zeros(3))
 
 
-def camera_motions(scanner: CyclesScanner, frames: Collection[int], first: int, last: int) -> dict[int, CameraMotion]:
-    """How the camera moves in each of `frames`: evenly to the next frame of the scene, at the last from the one before.
+@dataclass(frozen=True, eq=False)
+class CameraView:
+    """What the scene's camera is at one frame: which, its intrinsics and pose (4, 4) in metres, and the time."""
 
-    A camera that is switched, or turned by half a circle within a frame, was cut and stands still. `first` and `last`
-    are the scene's; one frame alone has no motion. The scanner's scene is left at another frame.
+    camera: bpy.types.Object
+    intrinsics: Intrinsics
+    world_from_camera: ArrayF64
+    time_s: float
+
+
+def camera_motion(frame: int, views: Mapping[int, CameraView]) -> CameraMotion:
+    """How the camera moves in `frame`: evenly to the next one of `views`, or as from the one before.
+
+    A camera that is switched, or turned by half a circle within a frame, was cut and stands still, as one does of which
+    neither is known.
     """
-    wanted = {f + step for f in frames for step in (-1, 0, 1) if first <= f + step <= last}
-    poses, times_s, cameras = {}, {}, {}
-    for frame in sorted(wanted):
-        _, poses[frame] = scanner.move_to(frame)
-        times_s[frame], cameras[frame] = scanner.time_s, scanner.scene.camera
-    return {frame: _motion(frame, poses, times_s, cameras) for frame in frames}
-
-
-def _motion(
-    frame: int, poses: Mapping[int, ArrayF64], times_s: Mapping[int, float], cameras: Mapping[int, Any]
-) -> CameraMotion:
     for before, after in ((frame, frame + 1), (frame - 1, frame)):
-        if before not in poses or after not in poses or cameras[before] != cameras[after]:
+        if before not in views or after not in views or views[before].camera != views[after].camera:
             continue
+        start, end = views[before], views[after]
         try:
-            return motion_between(poses[before], poses[after], times_s[after] - times_s[before])
+            return motion_between(start.world_from_camera, end.world_from_camera, end.time_s - start.time_s)
         except ValueError:
             continue
     return STILL

@@ -68,9 +68,9 @@ class RunOutputs:
         return self.folder / "work" / "effort.json"
 
     @property
-    def states(self) -> Path:
-        """What changes from frame to frame, so that a resumed run takes over the same renders from earlier frames."""
-        return self.folder / "work" / "states.json"
+    def survey(self) -> Path:
+        """What is known of each frame before any is captured, so that a resumed run need not look at the scene."""
+        return self.folder / "work" / "survey.json"
 
     def capture(self, frame: int) -> Path:
         """Colour and plane depth of one frame, as recorded."""

@@ -26,24 +26,41 @@ ENGINE = "XIHE_INSPECTION"
 LookAt = Callable[[bpy.types.Depsgraph], None]
 
 
-def look_at_frames(
-    scene: bpy.types.Scene, frames: Sequence[int], look_at: LookAt, *, is_room_only: bool = False
-) -> None:
-    """Call `look_at` with the render dependency graph of `scene` at each of `frames`.
+class SceneInspection:
+    """A working scene to be looked at, with the virtual objects until they are left out; made by `open_inspection`."""
 
-    The virtual objects are in it even where the user's view layer excludes them, since the comparison renders them, but
-    not with `is_room_only`: captures and light probes leave them out. What is evaluated is gone when `look_at` returns.
-    UserError where Blender cannot evaluate the scene; what `look_at` raises is raised here.
+    def __init__(self, working: bpy.types.Scene, virtual: bpy.types.Collection | None) -> None:
+        self.working, self.virtual = working, virtual
+        self._exclude_virtual(is_excluded=False)
+
+    def look_at(self, frame: int, *looks: LookAt) -> None:
+        """Call each of `looks` with the render dependency graph at `frame`, which is gone when this returns.
+
+        UserError where Blender cannot evaluate the scene; what a look raises is raised here.
+        """
+        self.working.frame_current = frame
+        _look_once(self.working, looks)
+
+    def leave_out_virtual_objects(self) -> None:
+        """From now on there is only the room, as captures and light probes show it."""
+        self._exclude_virtual(is_excluded=True)
+
+    def _exclude_virtual(self, *, is_excluded: bool) -> None:
+        if self.virtual is not None:
+            root = self.working.view_layers[0].layer_collection
+            exclude_collection(root, self.virtual, is_excluded=is_excluded)
+
+
+@contextlib.contextmanager
+def open_inspection(scene: bpy.types.Scene) -> Iterator[SceneInspection]:
+    """An inspection of `scene`, which stays as it is.
+
+    The virtual objects are in it even where the user's view layer excludes them, since the comparison renders them.
     """
     with scene_kept(), _scene_with_a_camera(scene) as working:
-        virtual = virtual_collection(scene)
-        if virtual is not None:
-            exclude_collection(working.view_layers[0].layer_collection, virtual, is_excluded=is_room_only)
         # A kept graph would outlive the engine that it belongs to.
         working.render.use_persistent_data = False
-        for frame in frames:
-            working.frame_current = frame
-            _look_once(working, look_at)
+        yield SceneInspection(working, virtual_collection(scene))
 
 
 @contextlib.contextmanager
@@ -60,7 +77,7 @@ def _scene_with_a_camera(scene: bpy.types.Scene) -> Iterator[bpy.types.Scene]:
         bpy.data.cameras.remove(data)
 
 
-def _look_once(working: bpy.types.Scene, look_at: LookAt) -> None:
+def _look_once(working: bpy.types.Scene, looks: Sequence[LookAt]) -> None:
     failures: list[BaseException] = []
 
     class Inspection(bpy.types.RenderEngine):  # type: ignore[misc]
@@ -69,7 +86,8 @@ def _look_once(working: bpy.types.Scene, look_at: LookAt) -> None:
 
         def render(self, depsgraph: bpy.types.Depsgraph) -> None:
             try:
-                look_at(depsgraph)
+                for look in looks:
+                    look(depsgraph)
             except BaseException as error:  # noqa: BLE001 - Blender would print it and go on; it is raised below
                 failures.append(error)
 

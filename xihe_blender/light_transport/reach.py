@@ -8,7 +8,7 @@ other surfaces still see them. An object that only casts shadows counts for tran
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from xihe_blender.light_transport.animation import is_animated, placement
 from xihe_blender.light_transport.enclosure import Ray, carried, rays_all_round, rays_through_picture
-from xihe_blender.light_transport.inspection import look_at_frames
+from xihe_blender.light_transport.inspection import SceneInspection, open_inspection
 from xihe_blender.light_transport.nodes import Ability, Look, light_emits, material_look, world_look
 from xihe_blender.light_transport.solids import Solids, undivided_mesh
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES
@@ -69,23 +69,21 @@ def reach_of(
     camera : one whose view counts; None takes the scene's at each frame, markers that switch it included
     positions : (K, 3) world, metres: where light probes stand. Empty is legal
     """
-    middle = {frames[0], frames[len(frames) // 2], frames[-1]}
-    inspection = _Inspection(camera, positions, middle)
-    look_at_frames(scene, frames, inspection.look_at)
-    look_at_frames(scene, sorted(middle), inspection.walk_room, is_room_only=True)
-    if len(frames) == 1 and scene.render.use_motion_blur:
-        look_at_frames(scene, [frames[0] + 1], inspection.look_for_movement)
-    inspection.reach.is_moving = len(inspection.placements) > 1
-    return inspection.reach
+    survey = ReachSurvey(frames, positions, camera)
+    with open_inspection(scene) as inspection:
+        for frame in frames:
+            inspection.look_at(frame, survey.look_at)
+        return survey.ended(inspection, has_motion_blur=scene.render.use_motion_blur)
 
 
-class _Inspection:
-    """Gathers a `Reach`, one evaluated frame after the other."""
+class ReachSurvey:
+    """Gathers a `Reach`, one evaluated frame after the other; parameters as of `reach_of`."""
 
     def __init__(
-        self, camera: bpy.types.Object | None, positions: Sequence[Sequence[float]], walked: Collection[int]
+        self, frames: Sequence[int], positions: Sequence[Sequence[float]], camera: bpy.types.Object | None = None
     ) -> None:
-        self.camera, self.positions, self.walked = camera, positions, walked
+        self.frames, self.positions, self.camera = frames, positions, camera
+        self.walked = sorted({frames[0], frames[len(frames) // 2], frames[-1]})
         self.reach = Reach()
         self.placements: set[int] = set()
         self.still: dict[Any, Look] = {}
@@ -105,6 +103,19 @@ class _Inspection:
         if depsgraph.scene.frame_current in self.walked:
             self._walk(depsgraph, rays_through_picture(camera, depsgraph.scene))
         self.look_for_movement(depsgraph)
+
+    def ended(self, inspection: SceneInspection, *, has_motion_blur: bool) -> Reach:
+        """What was gathered, once light has walked the room as well; `inspection` has no virtual objects from then on.
+
+        With `has_motion_blur` one frame alone is compared with the next.
+        """
+        if len(self.frames) == 1 and has_motion_blur:
+            inspection.look_at(self.frames[0] + 1, self.look_for_movement)
+        inspection.leave_out_virtual_objects()
+        for frame in self.walked:
+            inspection.look_at(frame, self.walk_room)
+        self.reach.is_moving = len(self.placements) > 1
+        return self.reach
 
     def walk_room(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Walk light through a graph without virtual objects, as captures and light probes show it."""

@@ -14,14 +14,13 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import bpy
 
 from xihe_blender.light_transport.animation import is_animated, is_film
-from xihe_blender.light_transport.inspection import look_at_frames
 from xihe_blender.light_transport.values import UnreadableError, shape_of, values_of
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, virtual_collection
 
@@ -50,15 +49,9 @@ class SceneState:
     camera: str
 
 
-def scene_states(scene: bpy.types.Scene, frames: Sequence[int], *, has_motion_blur: bool = False) -> list[SceneState]:
-    """The state of `scene` at each of `frames`; the scene stays as it is.
-
-    With `has_motion_blur` every frame is a state of its own.
-    """
-    meddlers = [handler for name in HANDLERS for handler in getattr(bpy.app.handlers, name) if not _is_ours(handler)]
-    inspection = _Inspection(scene, is_sure=not (has_motion_blur or meddlers))
-    look_at_frames(scene, frames, inspection.look_at)
-    return inspection.states
+def each_its_own(frames: Iterable[int]) -> dict[int, SceneState]:
+    """States of which no two are equal, where nothing is known of the frames."""
+    return {frame: SceneState(*[f"frame {frame}"] * 3) for frame in frames}
 
 
 def _is_ours(handler: object) -> bool:
@@ -66,15 +59,18 @@ def _is_ours(handler: object) -> bool:
     return str(getattr(handler, "__module__", "")).startswith("xihe_blender.")
 
 
-class _Inspection:
-    def __init__(self, scene: bpy.types.Scene, *, is_sure: bool) -> None:
+class StateSurvey:
+    """Gathers the state of `scene` at each frame that is looked at."""
+
+    def __init__(self, scene: bpy.types.Scene) -> None:
         collection = virtual_collection(scene)
         self.virtual = set(collection.all_objects) if collection is not None else set()
         users = bpy.data.user_map(key_types={"OBJECT"}, value_types=SHADERS)
         self.in_shaders = {item for item, of_item in users.items() if of_item}
         """Objects whose place a texture follows."""
-        self.is_sure = is_sure
-        self.states: list[SceneState] = []
+        handlers = (handler for name in HANDLERS for handler in getattr(bpy.app.handlers, name))
+        self.is_sure = all(map(_is_ours, handlers))
+        self.states: dict[int, SceneState] = {}
 
     def look_at(self, depsgraph: bpy.types.Depsgraph) -> None:
         with warnings.catch_warnings():
@@ -83,7 +79,8 @@ class _Inspection:
             self._look_at(depsgraph)
 
     def _look_at(self, depsgraph: bpy.types.Depsgraph) -> None:
-        room, virtual = _Digest(depsgraph.scene.frame_current), _Digest(depsgraph.scene.frame_current)
+        frame = depsgraph.scene.frame_current
+        room, virtual = _Digest(frame), _Digest(frame)
         if not self.is_sure:
             room.never_the_same()
         camera = depsgraph.scene.camera
@@ -96,7 +93,7 @@ class _Inspection:
             elif not isinstance(block, bpy.types.Camera):
                 _add_block(room, block)
         self._instances(depsgraph, room, virtual)
-        self.states.append(SceneState(room.hex(), virtual.hex(), _camera_digest(camera, depsgraph)))
+        self.states[frame] = SceneState(room.hex(), virtual.hex(), _camera_digest(camera, depsgraph))
 
     def _object_values(self, digest: _Digest, item: bpy.types.Object) -> None:
         """Visibility, colour and custom properties. A camera's own are none of the room's, nor is its place."""
@@ -215,27 +212,33 @@ def _camera_digest(camera: bpy.types.Object | None, depsgraph: bpy.types.Depsgra
     return digest.hex()
 
 
-class KeptRenders:
-    """Which earlier frame of a run holds a render that would come out the same? Asked frame by frame, in order."""
+@dataclass(frozen=True)
+class RenderReuse:
+    """Which earlier frame of a run holds a render that would come out the same; made by `plan_render_reuse`.
 
-    def __init__(self, frames: Sequence[int], states: Sequence[SceneState]) -> None:
-        self.states = dict(zip(frames, states, strict=True))
-        self.first: dict[tuple[Any, ...], int] = {}
+    Parameters
+    ----------
+    states : of the scene, by frame
+    captures : for each captured frame, the frame that holds its capture: an earlier one, or itself
+    probes : the same for the panorama of each light probe, by frame and name; it does not depend on the camera
+    """
 
-    def capture(self, frame: int) -> int:
-        """The frame that holds the capture of `frame`: an earlier one, or itself."""
-        state = self.states[frame]
-        return self.first.setdefault(("capture", state.room, state.camera), frame)
+    states: Mapping[int, SceneState]
+    captures: Mapping[int, int]
+    probes: Mapping[tuple[int, str], int]
 
-    def probe(self, frame: int, name: str) -> int:
-        """The frame that holds the panorama of the light probe `name`, which does not depend on the camera."""
-        return self.first.setdefault(("probe", name, self.states[frame].room), frame)
-
-    def comparison(self, frame: int, *made_from: bytes) -> int:
-        """The frame that holds the comparison of `frame`, which is made from its capture and the lights as well."""
-        state = self.states[frame]
-        return self.first.setdefault(("comparison", state, *map(_digest_of, made_from)), frame)
+    def comparison(self, frame: int, *made_from: bytes) -> tuple[Any, ...]:
+        """Equal for frames whose comparisons are, which are made from capture and lights, `made_from`, as well."""
+        return self.states[frame], *(hashlib.blake2b(content, digest_size=16).digest() for content in made_from)
 
 
-def _digest_of(content: bytes) -> str:
-    return hashlib.blake2b(content, digest_size=16).hexdigest()
+def plan_render_reuse(states: Mapping[int, SceneState], in_view: Mapping[int, Iterable[str]]) -> RenderReuse:
+    """For a run that captures the frames of `in_view`, in that order, with the light probes that each sees."""
+    first: dict[tuple[Any, ...], int] = {}
+    captures, probes = {}, {}
+    for frame, names in in_view.items():
+        room = states[frame].room
+        captures[frame] = first.setdefault((room, "capture", states[frame].camera), frame)
+        for name in names:
+            probes[frame, name] = first.setdefault((room, "probe", name), frame)
+    return RenderReuse(states, captures, probes)

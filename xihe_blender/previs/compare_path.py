@@ -11,6 +11,7 @@ import contextlib
 import json
 from collections.abc import Generator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -36,6 +37,7 @@ from xihenet.recording import load_frame
 def compare_path(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, None, dict[int, ComparedFrame]]:
     """A job: the comparison of each compared frame, by its number; pictures are written on the way."""
     compared = {}
+    first: dict[tuple[Any, ...], int] = {}
     done = len(run.plan.frames)
     active = [frame.frame for frame in walked.frames if frame.active]
     with contextlib.ExitStack() as stack:
@@ -43,7 +45,7 @@ def compare_path(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, No
         for frame in compared_frames(active, run.settings.effort.comparison_step):
             yield Progress(done, max(run.total, done + 3), f"comparing frame {frame}")
             lights = walked.lights[frame]
-            source = _source(run, frame, lights)
+            source = first.setdefault(_made_from(run, frame, lights), frame)
             if not run.outputs.compared(frame).exists():
                 if source != frame:
                     _take_over(run.outputs, source, frame)
@@ -62,11 +64,11 @@ def compared_frames(active: Sequence[int], step: int) -> list[int]:
     return sorted({*active[::step], *active[-1:]})
 
 
-def _source(run: PreparedRun, frame: int, lights: Lights) -> int:
-    """The frame whose comparison is that of `frame`: scene, camera, capture and lights are the same."""
+def _made_from(run: PreparedRun, frame: int, lights: Lights) -> tuple[Any, ...]:
+    """Equal for frames whose comparisons are: scene, camera, capture and lights are the same."""
     captured = load_frame(run.outputs.capture(frame))
     of_all = [light.tobytes() for of_method in lights.values() for light in of_method.values()]
-    return run.kept.comparison(frame, captured.srgb_u8.tobytes(), captured.plane_depth_m.tobytes(), *of_all)
+    return run.reuse.comparison(frame, captured.srgb_u8.tobytes(), captured.plane_depth_m.tobytes(), *of_all)
 
 
 def _take_over(outputs: RunOutputs, source: int, frame: int) -> None:

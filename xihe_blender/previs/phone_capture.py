@@ -1,182 +1,217 @@
-"""What does the phone of this run make of a perfect capture, and which of its effects can this session show?
+"""The phone of a run: what it asks of perfect captures, which of its effects are simulated, and what it makes of them.
 
 Captures are rendered first, the whole path, and kept as they are; from them come the facts by which effects are
 planned, and then the phone's own frames. So nothing is rendered for the phone, an effect is left out only on the
 evidence of every captured frame, and a run that is resumed gets the same bytes. Rejected: facts from small previews,
 which miss what is small, and keeping the phone's frames, since the report also shows them without one effect.
 
-Poses are known for all frames of the scene without rendering; see `phone_motion`. While no virtual object is in view
-nothing is captured, so exposure and light sensor know nothing of it. The perfect phone is no special case here, but its
-`sees` is false, and whoever asks that need not ask for more.
+    choose_phone -> ChosenPhone -> facts_of_capture, each frame -> simulate_phone -> SimulatedPhone.see
+
+While no virtual object is in view nothing is captured, so exposure and light sensor know nothing of it. The perfect
+phone is no special case here, but its `sees` is false, and whoever asks that need not give facts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import functools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import bpy
 import numpy as np
 
-from xihe_blender.capture.phone_motion import camera_motions, fastest
-from xihe_blender.capture.phone_surfaces import (
-    ask_for_surfaces,
-    load_surfaces,
-    save_surfaces,
-    smoothest_in_view,
-    surfaces_in,
-)
-from xihe_blender.capture.scanner import CyclesScanner, first_layer
-from xihe_blender.io.exr import read_radiance, write_radiance
+from xihe_blender.capture.phone_motion import fastest
+from xihe_blender.capture.phone_surfaces import load_surfaces, smoothest_in_view
+from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.light_transport.overrides import overrides_in_force
-from xihe_blender.previs.phone_room import RoomLook, look_at_room
-from xihe_blender.previs.plan import PrevisPlan
 from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.previs.survey import SceneSurvey
 from xihenet.camera import valid_plane_depth
 from xihenet.effects import Effect, names_that_are_on, plan_effects
-from xihenet.metering import metered_exposure
+from xihenet.metering import Metering, metered_exposure
 from xihenet.phone import (
     NETWORK,
-    CameraMotion,
     FrameFacts,
     Link,
     PhoneCamera,
+    PhoneProfile,
     SessionFacts,
     SessionTrack,
+    SurfaceFacts,
     facts_of_frame,
     facts_of_session,
 )
 from xihenet.phone.frame_rate import FrameRate, delivered_frames
-from xihenet.records import ArrayF64, RgbdFrame
+from xihenet.records import ArrayF32, ArrayF64, RgbdFrame
 
 SURFACE_EFFECTS = frozenset({"dark_holes", "glossy_holes", "transparent_holes"})
 
 
 @dataclass(frozen=True)
-class _Noticed:
-    """What is remembered of one capture."""
+class CaptureNeeds:
+    """What a phone, or several that share captures, asks of the path.
 
-    facts: FrameFacts
+    Parameters
+    ----------
+    delivered : frames that reach the app at all
+    radiance : the picture in scene radiance is kept beside a capture, for an exposure of the phone's own
+    surfaces : so is what a range sensor meets in each pixel
+    """
+
+    delivered: frozenset[int]
+    radiance: bool = False
+    surfaces: bool = False
+
+    def __or__(self, other: CaptureNeeds) -> CaptureNeeds:
+        """What any of the two asks for."""
+        return CaptureNeeds(
+            self.delivered | other.delivered, self.radiance or other.radiance, self.surfaces or other.surfaces
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ChosenPhone:
+    """The phone and the network that the user chose for a run; made by `choose_phone`.
+
+    Parameters
+    ----------
+    profile, link, metering, n_anchors, seed : of the run
+    choices : "on" or "off" by effect, where the user decided
+    times_s : of the frames of the path, by number
+    frame_rate_hz : of the path where it is fastest
+    """
+
+    profile: PhoneProfile
+    link: Link | None
+    metering: Metering
+    n_anchors: int
+    seed: int
+    choices: Mapping[str, str]
+    times_s: Mapping[int, float]
+    frame_rate_hz: float
+
+    @property
+    def sees(self) -> bool:
+        """Whether this phone can see anything but a perfect capture."""
+        return any(map(self._may_be_on, self.profile.effects))
+
+    @property
+    def needs(self) -> CaptureNeeds:
+        """What a run must capture and keep for it."""
+        return CaptureNeeds(
+            self._delivered(), self._may_be_on("auto_exposure"), any(map(self._may_be_on, SURFACE_EFFECTS))
+        )
+
+    @property
+    def timing(self) -> dict[str, Any]:
+        """What is known of a session without looking at anything, as fields of SessionFacts."""
+        times_s = list(self.times_s.values())
+        return {"frame_rate_hz": self.frame_rate_hz, "duration_s": times_s[-1] - times_s[0]}
+
+    def _may_be_on(self, effect: str) -> bool:
+        return effect in self.profile.effects and self.choices.get(effect) != "off"
+
+    def _delivered(self) -> frozenset[int]:
+        section = self.profile.sections.get("frame_rate")
+        required = self.profile.required_effects(SessionFacts(**self.timing))
+        is_on = plan_effects(required, self.choices)["frame_rate"].state == "on"
+        limit = section if is_on and isinstance(section, FrameRate) else None
+        reaches = delivered_frames(list(self.times_s.values()), limit)
+        return frozenset(frame for frame, is_there in zip(self.times_s, reaches, strict=True) if is_there)
+
+
+def choose_phone(scene: bpy.types.Scene, survey: SceneSurvey, settings: PrevisSettings) -> ChosenPhone:
+    """The phone of `settings` on a surveyed path; choices that `scene` remembers count. UserError as of `checked`."""
+    profile, link = settings.profile, settings.link
+    choices = overrides_in_force(scene, settings.effect_choices)
+    times_s = {frame: one.time_s for frame, one in survey.frames.items()}
+    steps_s = np.diff(list(times_s.values()))
+    rate_hz = 1 / float(steps_s.min()) if len(steps_s) else scene.render.fps / scene.render.fps_base
+    metering, n_anchors = settings.metering_in_force, settings.n_anchors
+    return ChosenPhone(profile, link, metering, n_anchors, settings.seed, choices, times_s, rate_hz)
+
+
+@dataclass(frozen=True, eq=False)
+class CaptureFacts:
+    """What one perfect capture says of the session; `ambient` (3,) is what its light sensor would read at once."""
+
+    of_frame: FrameFacts
     smoothest_roughness: float | None
     highest_transmission: float
     metered: float
     ambient: ArrayF64
 
 
-class PhoneCapture:
-    """The phone of one run. In this order: `prepare`; `keep` after each render; `notice` each capture; `plan`; `see`.
+def facts_of_capture(
+    captured: RgbdFrame,
+    positions_m: ArrayF64,
+    metering: Metering,
+    surfaces: SurfaceFacts | None,
+    radiance: ArrayF32 | None,
+) -> CaptureFacts:
+    """Of a capture; surfaces and radiance (H, W, 3) only where the phone needs them."""
+    facts, roughness, transmission = facts_of_frame(captured, positions_m), None, 0.0
+    if surfaces is not None:
+        valid = valid_plane_depth(captured.plane_depth_m)
+        assert surfaces.reflectance is not None and surfaces.transmission is not None
+        facts = replace(facts, darkest_grey=float(surfaces.reflectance[valid].min(initial=1.0)))
+        roughness = smoothest_in_view(surfaces, valid)
+        transmission = float(surfaces.transmission[valid].max(initial=0.0))
+    metered = captured.exposure
+    if radiance is not None:
+        metered = metered_exposure([radiance], metering)
+        facts = replace(facts, stops=float(np.log2(metered)))
+    ambient = np.zeros(3) if captured.ambient is None else captured.ambient
+    return CaptureFacts(facts, roughness, transmission, metered, ambient)
+
+
+def facts_kept(phone: ChosenPhone, captured: RgbdFrame, positions_m: ArrayF64, outputs: RunOutputs) -> CaptureFacts:
+    """`facts_of_capture` with what a run has kept beside the capture."""
+    needs, frame = phone.needs, captured.frame
+    surfaces = load_surfaces(outputs.surfaces(frame)) if needs.surfaces else None
+    radiance = read_radiance(outputs.radiance("captured", frame)) if needs.radiance else None
+    return facts_of_capture(captured, positions_m, phone.metering, surfaces, radiance)
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedPhone:
+    """The phone of a session, with the effects that are simulated; made by `simulate_phone`.
 
     Parameters
     ----------
-    scene : the user's
-    plan : frames and positions of the run
-    outputs : where captures are kept
-    settings : phone, network, choices, seed
+    chosen : what the user chose
+    survey : of the path
+    facts : of each captured frame, in order
     exposure : of the session
+    effects : all that there are, by name
+    of_camera : names of those that change its frames
     """
 
-    def __init__(
-        self,
-        scene: bpy.types.Scene,
-        plan: PrevisPlan,
-        outputs: RunOutputs,
-        settings: PrevisSettings,
-        exposure: float,
-    ) -> None:
-        self.scene, self.outputs, self.exposure = scene, outputs, exposure
-        self.frames, self.n_anchors, self.seed = plan.frames, settings.n_anchors, settings.seed
-        self.positions_m = np.array([probe.position_m for probe in plan.probes]).reshape(-1, 3)
-        self.profile, self.link = settings.profile, settings.link
-        self.metering = settings.metering_in_force
-        self.choices = overrides_in_force(scene, settings.effect_choices)
-        self.times_s = [(f - scene.frame_start) * scene.render.fps_base / scene.render.fps for f in self.frames]
-        self.motions: dict[int, CameraMotion] = {}
-        self.effects: dict[str, Effect] = {}
-        self.camera = PhoneCamera(self.profile, self.seed, effects=())
-        self.track = SessionTrack()
-        self._noticed: dict[int, _Noticed] = {}
-        self._room = RoomLook()
-        self.delivered = self._delivered()
+    chosen: ChosenPhone
+    survey: SceneSurvey
+    facts: Mapping[int, CaptureFacts]
+    exposure: float
+    effects: Mapping[str, Effect]
+    of_camera: frozenset[str]
 
-    @property
-    def sees(self) -> bool:
-        """Whether this phone can see anything but a perfect capture."""
-        return any(self._may_be_on(effect) for effect in self.profile.effects)
+    @functools.cached_property
+    def camera(self) -> PhoneCamera:
+        """What makes its frames of perfect ones."""
+        return PhoneCamera(self.chosen.profile, self.chosen.seed, effects=self.of_camera)
 
-    @property
-    def has_session_effects(self) -> bool:
-        return self.sees or self.link is not None
-
-    def _may_be_on(self, effect: str) -> bool:
-        return effect in self.profile.effects and self.choices.get(effect) != "off"
-
-    @property
-    def _wants_surfaces(self) -> bool:
-        return any(self._may_be_on(effect) for effect in SURFACE_EFFECTS)
-
-    @property
-    def _wants_radiance(self) -> bool:
-        return self._may_be_on("auto_exposure")
-
-    # --------------------------------------------------------------------------------------- before and while capturing
-
-    def prepare(self, scanner: CyclesScanner) -> None:
-        """Find out how the camera moves and what the room's lights do, and have `scanner` bring what is needed."""
-        if not self.has_session_effects:
-            return
-        self.motions = camera_motions(scanner, self.frames, self.scene.frame_start, self.scene.frame_end)
-        if self._wants_surfaces or self._may_be_on("light_sensor") or self.link is not None:
-            self._room = look_at_room(self.scene, self.frames)
-        if self._wants_surfaces:
-            ask_for_surfaces(scanner.scene.view_layers[0])
-
-    def keep(self, scanner: CyclesScanner, frame: int) -> None:
-        """Store what the last render of `scanner` has for the phone, beside the capture itself."""
-        if self._wants_radiance:
-            write_radiance(self.outputs.radiance("captured", frame), first_layer(scanner.rendered)[0])
-        if self._wants_surfaces:
-            passes = next(iter(scanner.rendered.layers.values()))
-            save_surfaces(self.outputs.surfaces(frame), surfaces_in(passes, self._room.roughness.get(frame, {})))
-
-    def take_over(self, source: int, frame: int) -> None:
-        """Store for `frame` what was kept for `source`: nothing has changed between the two."""
-        if self._wants_radiance:
-            radiance = read_radiance(self.outputs.radiance("captured", source))
-            write_radiance(self.outputs.radiance("captured", frame), radiance)
-        if self._wants_surfaces:
-            save_surfaces(self.outputs.surfaces(frame), load_surfaces(self.outputs.surfaces(source)))
-
-    def notice(self, captured: RgbdFrame) -> None:
-        """Remember what a perfect capture, kept before, says about the session."""
-        facts, roughness, transmission = facts_of_frame(captured, self.positions_m), None, 0.0
-        if self._wants_surfaces:
-            surfaces, valid = load_surfaces(self.outputs.surfaces(captured.frame)), self._valid(captured)
-            assert surfaces.reflectance is not None and surfaces.transmission is not None
-            facts = replace(facts, darkest_grey=float(surfaces.reflectance[valid].min(initial=1.0)))
-            roughness = smoothest_in_view(surfaces, valid)
-            transmission = float(surfaces.transmission[valid].max(initial=0.0))
-        metered = self.exposure
-        if self._wants_radiance:
-            radiance = read_radiance(self.outputs.radiance("captured", captured.frame))
-            metered = metered_exposure([radiance], self.metering)
-            facts = replace(facts, stops=float(np.log2(metered)))
-        ambient = np.zeros(3) if captured.ambient is None else captured.ambient
-        self._noticed[captured.frame] = _Noticed(facts, roughness, transmission, metered, ambient)
-
-    @staticmethod
-    def _valid(captured: RgbdFrame) -> Any:
-        return valid_plane_depth(captured.plane_depth_m)
-
-    # ------------------------------------------------------------------------------------------------------ what is on
-
-    def plan(self) -> None:
-        """Decide which effects are simulated, from all that was noticed."""
-        required = self.profile.required_effects(self._session_facts(), self.link)
-        self.effects = plan_effects(required, self.choices)
-        self.camera = self.camera_with(self.on - {NETWORK})
-        self.track = self.follow(self.camera)
+    @functools.cached_property
+    def track(self) -> SessionTrack:
+        """Exposure and light sensor over the captured frames."""
+        facts = self.facts.values()
+        return self.camera.follow(
+            list(self.facts),
+            [one.of_frame.time_s for one in facts],
+            metered=[one.metered for one in facts],
+            ambient=np.array([one.ambient for one in facts]).reshape(-1, 3),
+            reference=self.exposure,
+        )
 
     @property
     def on(self) -> frozenset[str]:
@@ -185,11 +220,11 @@ class PhoneCapture:
 
     @property
     def link_in_use(self) -> Link | None:
-        return self.link if NETWORK in self.on else None
+        return self.chosen.link if NETWORK in self.on else None
 
     def notes(self) -> list[str]:
         """What a reader has to know of the session, in plain sentences."""
-        link, step_s = self.link_in_use, float(np.diff(self.times_s).min(initial=np.inf))
+        link, step_s = self.link_in_use, float(np.diff(list(self.chosen.times_s.values())).min(initial=np.inf))
         usual_s = 0.0 if link is None else link.processing_s + link.median_s
         if not 0 < usual_s < step_s < np.inf:
             return []
@@ -198,64 +233,38 @@ class PhoneCapture:
             f"an estimate that takes {1e3 * usual_s:.0f} ms lights its object only then."
         ]
 
-    def _session_facts(self) -> SessionFacts:
-        noticed = list(self._noticed.values())
-        known: dict[str, Any] = {
-            **self._times(),
-            "n_anchors": self.n_anchors,
-            "fastest_m_per_s": fastest([motion.velocity_m_per_s for motion in self.motions.values()]),
-            "fastest_turn_deg_per_s": fastest([np.degrees(m.turn_rad_per_s) for m in self.motions.values()]),
-            "light_changes": self._room.light_changes,
-        }
-        if not noticed:
-            return SessionFacts(**known)
-        roughness = [one.smoothest_roughness for one in noticed if one.smoothest_roughness is not None]
-        known["smoothest_roughness"] = min(roughness) if len(roughness) == len(noticed) else None
-        known["highest_transmission"] = max(one.highest_transmission for one in noticed)
-        return facts_of_session([one.facts for one in noticed], **known)
-
-    def _times(self) -> dict[str, Any]:
-        render = self.scene.render
-        steps_s = np.diff(self.times_s)
-        rate_hz = 1 / float(steps_s.min()) if len(steps_s) else render.fps / render.fps_base
-        return {"frame_rate_hz": rate_hz, "duration_s": self.times_s[-1] - self.times_s[0]}
-
-    def _delivered(self) -> frozenset[int]:
-        """Frames of the path that reach the app at all."""
-        section = self.profile.sections.get("frame_rate")
-        required = self.profile.required_effects(SessionFacts(**self._times()))
-        is_on = plan_effects(required, self.choices)["frame_rate"].state == "on"
-        reaches = delivered_frames(self.times_s, section if is_on and isinstance(section, FrameRate) else None)
-        return frozenset(frame for frame, is_there in zip(self.frames, reaches, strict=True) if is_there)
-
-    # ---------------------------------------------------------------------------------------------- the phone's frames
-
-    def camera_with(self, effects: Collection[str]) -> PhoneCamera:
-        """This phone with `effects` alone."""
-        return PhoneCamera(self.profile, self.seed, effects=effects)
-
-    def follow(self, camera: PhoneCamera) -> SessionTrack:
-        """Exposure and light sensor of `camera` over the captured frames."""
-        frames, noticed = list(self._noticed), list(self._noticed.values())
-        return camera.follow(
-            frames,
-            [one.facts.time_s for one in noticed],
-            metered=[one.metered for one in noticed],
-            ambient=np.array([one.ambient for one in noticed]).reshape(-1, 3),
-            reference=self.exposure,
-        )
-
-    def see(
-        self, captured: RgbdFrame, camera: PhoneCamera | None = None, track: SessionTrack | None = None
-    ) -> tuple[RgbdFrame, dict[str, int]]:
-        """The phone's frame, and how many pixels each effect took; with another `camera`, what that one would see."""
-        phone, followed = camera or self.camera, track or self.track
-        if not phone.effects:
+    def see(self, captured: RgbdFrame, outputs: RunOutputs) -> tuple[RgbdFrame, dict[str, int]]:
+        """The phone's frame, and how many pixels each effect took; `outputs` keep what stands beside the capture."""
+        on, frame = self.camera.effects, captured.frame
+        if not on:
             return captured, {}
-        facts = radiance = None
-        if phone.effects & SURFACE_EFFECTS:
-            facts = load_surfaces(self.outputs.surfaces(captured.frame))
-        if "auto_exposure" in phone.effects:
-            radiance = read_radiance(self.outputs.radiance("captured", captured.frame))
-        motion = self.motions.get(captured.frame)
-        return phone.see_and_count(captured, facts=facts, motion=motion, radiance=radiance, track=followed)
+        surfaces = load_surfaces(outputs.surfaces(frame)) if on & SURFACE_EFFECTS else None
+        radiance = read_radiance(outputs.radiance("captured", frame)) if "auto_exposure" in on else None
+        motion = self.survey.frames[frame].motion
+        return self.camera.see_and_count(captured, facts=surfaces, motion=motion, radiance=radiance, track=self.track)
+
+
+def simulate_phone(
+    chosen: ChosenPhone, survey: SceneSurvey, facts: Mapping[int, CaptureFacts], exposure: float
+) -> SimulatedPhone:
+    """Decide which effects are simulated, from all that is known; without `facts` what they could rule out is on."""
+    known = _session_facts(chosen, survey, list(facts.values()))
+    effects = plan_effects(chosen.profile.required_effects(known, chosen.link), chosen.choices)
+    return SimulatedPhone(chosen, survey, facts, exposure, effects, names_that_are_on(effects) - {NETWORK})
+
+
+def _session_facts(chosen: ChosenPhone, survey: SceneSurvey, facts: Sequence[CaptureFacts]) -> SessionFacts:
+    motions = [one.motion for one in survey.frames.values()]
+    known: dict[str, Any] = {
+        **chosen.timing,
+        "n_anchors": chosen.n_anchors,
+        "fastest_m_per_s": fastest([motion.velocity_m_per_s for motion in motions]),
+        "fastest_turn_deg_per_s": fastest([np.degrees(motion.turn_rad_per_s) for motion in motions]),
+        "light_changes": survey.light_changes,
+    }
+    if not facts:
+        return SessionFacts(**known)
+    roughness = [one.smoothest_roughness for one in facts if one.smoothest_roughness is not None]
+    known["smoothest_roughness"] = min(roughness) if len(roughness) == len(facts) else None
+    known["highest_transmission"] = max(one.highest_transmission for one in facts)
+    return facts_of_session([one.of_frame for one in facts], **known)

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Generator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from xihe_blender.io.run_results import FrameResult, PhoneErrors
 from xihe_blender.jobs import Progress
-from xihe_blender.previs.phone_capture import PhoneCapture
+from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.run_chain import WalkedPath
@@ -50,18 +51,17 @@ def measure_phone(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, N
 
 def _mean_error(
     run: PreparedRun,
-    phone: PhoneCapture,
+    phone: SimulatedPhone,
     active: Sequence[FrameResult],
     effects: frozenset[str],
     link: Link | None,
 ) -> float | None:
     """Mean SHC RMSE over probes and frames of a session with `effects` over `link`; None without a frame."""
-    camera = phone.camera_with(effects - {NETWORK})
-    track = phone.follow(camera)
+    phone = replace(phone, of_camera=effects - {NETWORK})
     session = PhoneSession(run.plan, run.settings, run.exposure, run.estimator, link)
     errors = []
     for entry in active:
-        seen, _ = phone.see(load_frame(run.outputs.capture(entry.frame)), camera, track)
+        seen, _ = phone.see(load_frame(run.outputs.capture(entry.frame)), run.outputs)
         truth = {probe.name: np.array(probe.sh_truth) for probe in entry.probes}
         session.step(seen, truth, list(truth))
         errors += [shc_rmse(session.light(name, seen.time_s), light) for name, light in truth.items()]

@@ -8,20 +8,25 @@ rendered, as in the panel: what only a capture could rule out then stays on.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 
 import bpy
 import numpy as np
 
+from xihe_blender.capture.phone_surfaces import ask_for_surfaces, surfaces_in
 from xihe_blender.capture.render import RenderSettings
-from xihe_blender.capture.scanner import CyclesScanner, open_scanner, sized_for
-from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.capture.scanner import first_layer, open_scanner, sized_for
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.previs.phone_capture import PhoneCapture
+from xihe_blender.previs.phone_capture import (
+    CaptureFacts,
+    ChosenPhone,
+    choose_phone,
+    facts_of_capture,
+    simulate_phone,
+)
 from xihe_blender.previs.plan import DEFAULT_SIZE, PrevisPlan, Probe, planned_frames
 from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.previs.survey import SceneSurvey, survey_path
 from xihe_blender.scene.state import scene_kept
 from xihenet.effects import Effect
 
@@ -51,20 +56,28 @@ def plan_phone_effects(
     render = settings.capture(size, N_SAMPLES)
     if not settings.profile.effects and settings.link is None:
         return {}
-    with tempfile.TemporaryDirectory() as folder, scene_kept(), open_scanner(scene, render) as scanner:
-        phone = PhoneCapture(scene, plan, RunOutputs(Path(folder), "phone"), settings, exposure=1.0)
-        phone.prepare(scanner)
-        if is_captured and phone.sees:
-            yield from _captured(scanner, phone, plan)
-        phone.plan()
-    return phone.effects
+    with scene_kept():
+        survey = survey_path(scene, plan)
+        phone = choose_phone(scene, survey, settings)
+        facts = (yield from _facts(scene, plan, survey, phone, render)) if is_captured and phone.sees else {}
+        return dict(simulate_phone(phone, survey, facts, exposure=1.0).effects)
 
 
-def _captured(scanner: CyclesScanner, phone: PhoneCapture, plan: PrevisPlan) -> Job[None]:
-    """A job: have `phone` notice every frame that a run would capture."""
-    for done, frame in enumerate(plan.frames):
-        yield Progress(done, len(plan.frames), f"looking at frame {frame} as the phone does")
-        if frame in phone.delivered and plan.probes_in_view(scanner, frame):
-            captured = scanner.acquire_environment_scan()
-            phone.keep(scanner, frame)
-            phone.notice(captured)
+def _facts(
+    scene: bpy.types.Scene, plan: PrevisPlan, survey: SceneSurvey, phone: ChosenPhone, render: RenderSettings
+) -> Job[dict[int, CaptureFacts]]:
+    """A job: the facts of every frame that a run would capture."""
+    needs, facts = phone.needs, {}
+    positions_m = np.array([probe.position_m for probe in plan.probes])
+    with open_scanner(scene, render) as scanner:
+        if needs.surfaces:
+            ask_for_surfaces(scanner.scene.view_layers[0])
+        for done, frame in enumerate(plan.frames):
+            yield Progress(done, len(plan.frames), f"looking at frame {frame} as the phone does")
+            if frame in needs.delivered and frame in survey.in_view:
+                scanner.move_to(frame)
+                captured, passes = scanner.acquire_environment_scan(), next(iter(scanner.rendered.layers.values()))
+                surfaces = surfaces_in(passes, survey.frames[frame].roughness) if needs.surfaces else None
+                radiance = first_layer(scanner.rendered)[0] if needs.radiance else None
+                facts[frame] = facts_of_capture(captured, positions_m, phone.metering, surfaces, radiance)
+    return facts

@@ -6,51 +6,35 @@ capture shows neither them nor their light.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import bpy
 
 from xihe_blender.light_transport.animation import is_animated, shows_a_film
-from xihe_blender.light_transport.inspection import look_at_frames
 from xihe_blender.light_transport.nodes import Ability, light_emits, material_look, smoothest_roughness, world_look
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, virtual_collection
 
 
-@dataclass
-class RoomLook:
-    """What the node trees and lights of a room say over some frames.
+class RoomSurvey:
+    """Gathers what the node trees and lights of a room say, one evaluated frame after the other.
 
-    Parameters
-    ----------
-    light_changes : whether a lamp, a glowing object or the world is not the same in all of them
-    roughness : smoothest roughness by material name, for each frame; None where it is not known
+    `roughness` is the smoothest by material name, for each frame; None where it is not known.
     """
 
-    light_changes: bool = False
-    roughness: dict[int, dict[str, float | None]] = field(default_factory=dict)
-
-
-def look_at_room(scene: bpy.types.Scene, frames: Sequence[int]) -> RoomLook:
-    """Evaluate the room of `scene` at each of `frames`, without rendering; virtual objects do not count."""
-    virtual = virtual_collection(scene)
-    inspection = _Inspection({item.name for item in virtual.all_objects} if virtual is not None else set())
-    look_at_frames(scene, frames, inspection.look_at)
-    return RoomLook(len(inspection.lights) > 1 or inspection.is_driven, inspection.roughness)
-
-
-class _Inspection:
-    """Gathers a `RoomLook`, one evaluated frame after the other."""
-
-    def __init__(self, virtual: set[str]) -> None:
-        self.virtual = virtual
+    def __init__(self, scene: bpy.types.Scene) -> None:
+        virtual = virtual_collection(scene)
+        self.virtual = {item.name for item in virtual.all_objects} if virtual is not None else set()
         self.lights: set[frozenset[Any]] = set()
         """What each frame's lights are and where; one entry as long as none of it changes."""
         self.is_driven = False
         self.roughness: dict[int, dict[str, float | None]] = {}
         self._still: dict[Any, tuple[float | None, bool]] = {}
         """Roughness and glow of materials in which nothing is animated, by original data-block."""
+
+    @property
+    def light_changes(self) -> bool:
+        """Whether a lamp, a glowing object or the world is not the same in all frames."""
+        return len(self.lights) > 1 or self.is_driven
 
     def look_at(self, depsgraph: bpy.types.Depsgraph) -> None:
         lights: set[Any] = set()

@@ -1,4 +1,7 @@
-"""What will a previs run do? Everything that can be wrong with the scene is found here, before anything is rendered."""
+"""The plan of a previs run: which frames, which virtual objects, and where light is estimated.
+
+What is wrong with the scene itself is found here, what is wrong with a frame of its path by the survey.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +11,13 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import bpy
-import numpy as np
 
 from xihe_blender.capture.render import RenderSettings, working_scene
-from xihe_blender.capture.scanner import CyclesScanner, phone_camera, sized_for
+from xihe_blender.capture.scanner import phone_camera, sized_for
 from xihe_blender.errors import UserError
-from xihe_blender.previs.scene_faults import SceneFault, faults_at_frame, image_faults, place_faults
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.estimation_positions import estimation_positions
 from xihe_blender.scene.virtual_objects import COLLECTION_NAME, virtual_collection, virtual_objects
-from xihenet.camera import in_view
 from xihenet.records import ArrayF64
 
 Item = TypeVar("Item")
@@ -35,32 +35,15 @@ class Probe:
 
 @dataclass(frozen=True, eq=False)
 class PrevisPlan:
-    """The frames of the camera path, the size of its pictures, the virtual objects and their estimation positions.
-
-    `faults` is what is wrong with the scene and yet no reason to stop.
-    """
+    """The frames of the camera path, the size of its pictures, the virtual objects and their estimation positions."""
 
     frames: tuple[int, ...]
     size: tuple[int, int]
     objects: tuple[bpy.types.Object, ...]
     probes: tuple[Probe, ...]
-    faults: tuple[SceneFault, ...] = ()
 
     def probes_of(self, object_name: str) -> list[Probe]:
         return [probe for probe in self.probes if probe.object_name == object_name]
-
-    def probes_in_view(self, scanner: CyclesScanner, frame: int) -> list[Probe]:
-        """Move `scanner` to `frame`: the probes that its camera sees."""
-        pose = scanner.move_to(frame)
-        if not self.probes:
-            return []
-        seen = in_view(np.stack([probe.position_m for probe in self.probes]), *pose)
-        return [probe for probe, is_seen in zip(self.probes, seen, strict=True) if is_seen]
-
-    def frames_in_sight(self, scanner: CyclesScanner) -> dict[int, list[Probe]]:
-        """The probes in view, by those frames of the path that have any."""
-        found = {frame: self.probes_in_view(scanner, frame) for frame in self.frames}
-        return {frame: probes for frame, probes in found.items() if probes}
 
 
 def evenly_chosen(found: Sequence[Item], most: int) -> list[Item]:
@@ -74,18 +57,12 @@ def plan_previs(scene: bpy.types.Scene, settings: PrevisSettings) -> PrevisPlan:
     check_nothing_is_missing(scene)
     frames = planned_frames(scene, settings.frames)
     objects = planned_objects(scene, settings.objects)
-    sized = sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1))
-    size = settings.size or sized.size
+    size = settings.size or sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1)).size
     with working_scene(scene, "Xihe Plan", RenderSettings(size, samples=1)) as working:
-        cameras_m, faults = [], image_faults(scene.world)
-        depsgraph = working.view_layers[0].depsgraph
-        for frame in reversed(frames):
-            working.frame_set(frame)
-            cameras_m.append(phone_camera(working)[1][:3, 3])
-            faults += faults_at_frame(depsgraph, is_first=frame == frames[-1])
-        probes = [probe for item in objects for probe in _probes(item, depsgraph)]
-        faults += place_faults(scene, {probe.name: probe.position_m for probe in probes}, np.stack(cameras_m))
-    return PrevisPlan(tuple(frames), size, tuple(objects), tuple(probes), tuple(dict.fromkeys(faults)))
+        working.frame_set(frames[0])
+        phone_camera(working)
+        probes = [probe for item in objects for probe in _probes(item, working.view_layers[0].depsgraph)]
+    return PrevisPlan(tuple(frames), size, tuple(objects), tuple(probes))
 
 
 def check_nothing_is_missing(scene: bpy.types.Scene) -> None:

@@ -1,6 +1,6 @@
-"""What is settled before the first frame of a run is captured, and stays as it is when the run is resumed?
+"""A prepared run: what is settled before the first frame is captured, and stays as it is when the run is resumed.
 
-The exposure, the plan of effects, the numbers of samples, and what changes from frame to frame. Each is worked out once
+The survey of the path, the exposure, the plan of effects and the numbers of samples. Each is worked out once
 and kept in the run's folder, so that a resumed run does the same without looking at the scene again.
 """
 
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Generator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +19,15 @@ from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import Progress
-from xihe_blender.light_transport import cycles_settings, plan_light_transport
-from xihe_blender.light_transport.render_reuse import KeptRenders, SceneState, scene_states
-from xihe_blender.previs.plan import PrevisPlan
+from xihe_blender.light_transport import cycles_settings
+from xihe_blender.light_transport.overrides import overrides_in_force
+from xihe_blender.light_transport.render_reuse import RenderReuse, each_its_own, plan_render_reuse
+from xihe_blender.previs.phone_capture import CaptureNeeds, ChosenPhone, choose_phone
+from xihe_blender.previs.plan import PrevisPlan, Probe
 from xihe_blender.previs.sample_count import Effort, measure_effort
 from xihe_blender.previs.settings import PrevisSettings
-from xihenet.effects import Effect, effects_as_json, effects_from_json
+from xihe_blender.previs.survey import SceneSurvey, survey_path
+from xihenet.effects import Effect, effects_as_json, effects_from_json, plan_effects
 from xihenet.estimators import Estimator
 from xihenet.trigger import TriggerSettings
 
@@ -41,24 +44,35 @@ class PreparedRun:
     ----------
     scene : the user's
     plan : frames, virtual objects, estimation positions
+    survey : of the path
     outputs : files of the run
     settings : the user's, with the trigger's theta above the noise of captures
     estimator : of the run
     exposure : of the session
     effects : which effects of light transport are simulated
     effort : samples of captures
-    kept : in which earlier frame a render would come out the same
+    phone : the one that the user chose
+    needs : what is captured, and kept beside captures
+    reuse : in which earlier frame a render would come out the same
     """
 
     scene: bpy.types.Scene
     plan: PrevisPlan
+    survey: SceneSurvey
     outputs: RunOutputs
     settings: PrevisSettings
     estimator: Estimator
     exposure: float
     effects: Mapping[str, Effect]
     effort: Effort
-    kept: KeptRenders
+    phone: ChosenPhone
+    needs: CaptureNeeds
+    reuse: RenderReuse
+
+    def probes_in_view(self, frame: int) -> list[Probe]:
+        """Those that the camera sees at `frame`; none if it is not captured."""
+        seen = self.survey.frames[frame].in_view if frame in self.needs.delivered else ()
+        return [probe for probe in self.plan.probes if probe.name in seen]
 
     @property
     def methods(self) -> list[str]:
@@ -87,20 +101,45 @@ class PreparedRun:
         return replace(settings, light_transport=cycles_settings(self.effects))
 
 
+def survey_run(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs) -> SceneSurvey:
+    """The survey that an earlier part of this run has left in `outputs`, or a new one, which is not written there."""
+    if not outputs.survey.exists():
+        return survey_path(scene, plan)
+    return SceneSurvey.from_json(json.loads(outputs.survey.read_text(encoding="utf-8")))
+
+
 def prepare_run(
-    scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs, settings: PrevisSettings, estimator: Estimator
+    scene: bpy.types.Scene,
+    plan: PrevisPlan,
+    survey: SceneSurvey,
+    outputs: RunOutputs,
+    settings: PrevisSettings,
+    estimator: Estimator,
 ) -> Generator[Progress, None, PreparedRun]:
-    """A job: work out what an earlier part of this run has not left in `outputs`."""
+    """A job: work out what an earlier part of this run has not left in `outputs`; `survey` is left there too."""
+    _once(outputs.survey, survey.as_json)
     yield Progress(0, 1, "metering the exposure")
     exposure = _session_exposure(scene, plan, outputs, settings)
-    effects = _effects(scene, plan, outputs, settings)
+    effects = _effects(scene, survey, outputs, settings)
     yield Progress(0, 1, "measuring how many samples it takes")
     transport = cycles_settings(effects)
-    effort = _once(outputs.effort, lambda: measure_effort(scene, plan, settings, exposure, transport).as_json())
-    kept = KeptRenders(plan.frames, _scene_states(scene, plan, outputs, effects))
+    effort = _once(outputs.effort, lambda: measure_effort(scene, plan, survey, settings, exposure, transport).as_json())
     measured = Effort(**effort)
     settings = replace(settings, trigger=above_noise(settings.trigger, measured.capture_change))
-    return PreparedRun(scene, plan, outputs, settings, estimator, exposure, effects, measured, kept)
+    phone = choose_phone(scene, survey, settings)
+    reuse = render_reuse(survey, effects, phone.needs)
+    return PreparedRun(
+        scene, plan, survey, outputs, settings, estimator, exposure, effects, measured, phone, phone.needs, reuse
+    )
+
+
+def render_reuse(survey: SceneSurvey, effects: Mapping[str, Effect], needs: CaptureNeeds) -> RenderReuse:
+    """Of a run that captures what `needs` asks for."""
+    states = {frame: one.state for frame, one in survey.frames.items()}
+    if effects["motion blur"].state == "on":
+        states = each_its_own(states)
+    in_view = {frame: names for frame, names in survey.in_view.items() if frame in needs.delivered}
+    return plan_render_reuse(states, in_view)
 
 
 def above_noise(trigger: TriggerSettings, capture_change: float | None) -> TriggerSettings:
@@ -129,25 +168,8 @@ def _session_exposure(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutp
 
 
 def _effects(
-    scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs, settings: PrevisSettings
+    scene: bpy.types.Scene, survey: SceneSurvey, outputs: RunOutputs, settings: PrevisSettings
 ) -> dict[str, Effect]:
     """The effects of light transport that the scene calls for, or the user."""
-    positions = [probe.position_m.tolist() for probe in plan.probes]
-
-    def planned() -> dict[str, Effect]:
-        choices = settings.effect_choices
-        return plan_light_transport(scene, positions=positions, frames=plan.frames, overrides=choices)
-
-    return effects_from_json(_once(outputs.effects, lambda: effects_as_json(planned())))
-
-
-def _scene_states(
-    scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs, effects: Mapping[str, Effect]
-) -> list[SceneState]:
-    """The state of the scene at each frame of the path."""
-    has_motion_blur = effects["motion blur"].state == "on"
-    states = _once(
-        outputs.states,
-        lambda: [asdict(state) for state in scene_states(scene, plan.frames, has_motion_blur=has_motion_blur)],
-    )
-    return [SceneState(**state) for state in states]
+    choices = overrides_in_force(scene, settings.effect_choices)
+    return effects_from_json(_once(outputs.effects, lambda: effects_as_json(plan_effects(survey.required, choices))))

@@ -2,8 +2,8 @@
 
     camera path -> capture -> unproject -> sample -> merge -> trigger -> encode -> estimate -> apply -> compare
 
-`previs` is a generator that yields progress and returns the results; see `jobs`. It prepares the run, walks the path,
-compares pictures, applies the light to the scene's timeline, and writes results and report.
+`previs` is a generator that yields progress and returns the results; see `jobs`. It surveys the path, prepares the run,
+walks the path, compares pictures, applies the light to the scene's timeline, and writes results and report.
 
 What was rendered is kept in the run's folder, file by file. A run that was stopped goes on from there; the cheap stages
 are simply done again, so a resumed run has the numbers of an undisturbed one.
@@ -24,9 +24,9 @@ from xihe_blender.previs.compare_path import compare_path
 from xihe_blender.previs.lit_blend import apply_lights, light_changes, save_lit_blend
 from xihe_blender.previs.phone_errors import measure_phone
 from xihe_blender.previs.plan import plan_previs
-from xihe_blender.previs.prepare import prepare_run
+from xihe_blender.previs.prepare import prepare_run, survey_run
 from xihe_blender.previs.run_chain import walk_path
-from xihe_blender.previs.run_folder import claim_folder
+from xihe_blender.previs.run_folder import finished_results, run_claim
 from xihe_blender.previs.settings import PrevisSettings, load_estimator
 from xihe_blender.report import write_report
 from xihe_blender.scene.state import scene_kept
@@ -53,12 +53,17 @@ def previs(
     estimator = load_estimator(settings)
     file = blend_file or Path(bpy.data.filepath or "untitled.blend")
     outputs = RunOutputs(out, file.stem)
-    finished = claim_folder(outputs, scene, file, settings, plan)
+    claim = run_claim(outputs, scene, file, settings, plan)
+    finished = finished_results(outputs) if claim.check() else None
     if finished is not None:
         yield Progress(1, 1, f"this run is already done; delete {out} to do it again")
         return finished
+    yield Progress(0, 1, "surveying the path")
+    survey = survey_run(scene, plan, outputs)
+    # Not before: a scene that cannot be run leaves no folder.
+    claim.take()
     with scene_kept():
-        run = yield from prepare_run(scene, plan, outputs, settings, estimator)
+        run = yield from prepare_run(scene, plan, survey, outputs, settings, estimator)
         walked = yield from walk_path(run)
         compared = yield from compare_path(run, walked)
         errors = yield from measure_phone(run, walked)

@@ -34,7 +34,7 @@ from xihe_blender.io.run_results import (
     SceneResult,
 )
 from xihe_blender.light_transport.overrides import overrides_in_force
-from xihe_blender.previs.phone_capture import PhoneCapture
+from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.results_notes import notes
@@ -90,15 +90,15 @@ def active_frame(
 
 def rendering(frame: int, references: Mapping[str, MeasuredLight], run: PreparedRun) -> Rendering:
     """What was rendered for `frame`, with how many samples and what noise, and what an earlier frame had already."""
-    kept, effort = run.kept, run.effort
+    reuse, effort = run.reuse, run.effort
     return Rendering(
         capture=CaptureRender(
-            **_source(frame, kept.capture(frame)),
+            **_source(frame, reuse.captures[frame]),
             samples=effort.capture_samples,
             noise=finite_or_none(effort.capture_noise),
         ),
         probes={
-            name: _probe_render(_source(frame, kept.probe(frame, name)), light, run)
+            name: _probe_render(_source(frame, reuse.probes[frame, name]), light, run)
             for name, light in references.items()
         },
     )
@@ -172,13 +172,15 @@ def probe_result(
     )
 
 
-def arrival(
-    request: Request | None, frames: Sequence[int], times_s: Sequence[float]
-) -> tuple[int | None, float | None]:
-    """Frame and latency, in ms, of one step's estimate; None without one, for a lost one, or after the last frame."""
+def arrival(request: Request | None, times_s: Mapping[int, float]) -> tuple[int | None, float | None]:
+    """Frame and latency, in ms, of one step's estimate; None without one, for a lost one, or after the last frame.
+
+    `times_s` are those of the path's frames, by number.
+    """
     if request is None:
         return None, None
-    index = int(first_frame_after([request.arrival_s], times_s)[0])
+    frames = list(times_s)
+    index = int(first_frame_after([request.arrival_s], list(times_s.values()))[0])
     latency_s = request.latency_s
     return frames[index] if index < len(frames) else None, None if latency_s is None else 1e3 * latency_s
 
@@ -198,7 +200,7 @@ def assemble(
     frames: Sequence[FrameResult],
     *,
     lights: Mapping[str, Sequence[tuple[int, ArrayF64]]],
-    phone: PhoneCapture,
+    phone: SimulatedPhone,
     errors: PhoneErrors | None,
     file: Path,
     command: str,
@@ -228,10 +230,10 @@ def assemble(
             fps=scene.render.fps / scene.render.fps_base,
             virtual_objects=tuple(item.name for item in run.plan.objects),
             view_transform=scene.view_settings.view_transform,
-            faults=tuple(Fault(**asdict(fault)) for fault in run.plan.faults),
+            faults=tuple(Fault(**asdict(fault)) for fault in run.survey.faults),
         ),
         effects=tuple(from_json(EffectResult, row) for row in effects),
-        phone=PhoneResult(name=phone.profile.name, summary=phone.profile.summary, shc_rmse=errors),
+        phone=PhoneResult(name=run.phone.profile.name, summary=run.phone.profile.summary, shc_rmse=errors),
         frames=tuple(frames),
         lights={
             name: tuple(LightChange(frame=frame, sh=as_coefficients(light)) for frame, light in of_one)

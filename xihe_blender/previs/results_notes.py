@@ -9,7 +9,7 @@ import bpy
 
 from xihe_blender.apply.datablocks import PREFIX
 from xihe_blender.io.run_results import FrameResult, ProbeResult
-from xihe_blender.previs.phone_capture import PhoneCapture
+from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.sample_count import Effort
 from xihe_blender.previs.scene_faults import SceneFault
@@ -25,11 +25,11 @@ FAINTEST = 1e-3
 """Light of less than this, at the session's exposure, is none: the first code above black is 3e-4."""
 
 
-def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: PhoneCapture) -> list[str]:
+def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone) -> list[str]:
     """All of them."""
     return [
         *frame_notes(run.scene, frames),
-        *faults_seen(run.plan.faults, frames, math.prod(run.plan.size)),
+        *faults_seen(run.survey.faults, frames, math.prod(run.plan.size)),
         *dim_notes(run.scene, run.exposure),
         *phone.notes(),
         *exposure_notes(run.settings, run.exposure),
@@ -93,7 +93,7 @@ def said_of_unknown_lights(frames: Sequence[FrameResult]) -> list[str]:
 
 
 def faults_seen(faults: Sequence[SceneFault], frames: Sequence[FrameResult], n_pixels: int) -> list[str]:
-    """What is wrong with the scene: as its plan found it, and as frames of `n_pixels` that are dark or empty show."""
+    """What is wrong with the scene: as the survey found it, and as frames of `n_pixels` that are dark or empty show."""
     active = [entry for entry in frames if entry.active]
     blind = [e for e in active if e.n_invalid_pixels - sum(e.n_lost_pixels.values()) == n_pixels]
     unlit = [e for e in active if e not in blind and not _is_lit(e) and any(map(_is_probe_lit, e.probes))]

@@ -22,7 +22,7 @@ from xihe_blender.io.run_results import FrameResult, ProbeResult
 from xihe_blender.jobs import Progress
 from xihe_blender.previs import results
 from xihe_blender.previs.path_renders import FrameRenders, PathRenders, open_path_renders
-from xihe_blender.previs.phone_capture import PhoneCapture
+from xihe_blender.previs.phone_capture import CaptureFacts, SimulatedPhone, facts_kept, simulate_phone
 from xihe_blender.previs.phone_session import PhoneSession, SessionStep
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
@@ -44,39 +44,39 @@ class WalkedPath:
     lights : light in force by frame, from the first that was captured on
     """
 
-    phone: PhoneCapture
+    phone: SimulatedPhone
     frames: list[FrameResult] = field(default_factory=list)
     lights: dict[int, Lights] = field(default_factory=dict)
 
 
 def walk_path(run: PreparedRun) -> Generator[Progress, None, WalkedPath]:
     """A job: capture the path of `run` and run the chain on it."""
-    phone = PhoneCapture(run.scene, run.plan, run.outputs, run.settings, run.exposure)
-    with open_path_renders(run, phone) as renders:
-        captured_s = (yield from _capture_path(run, phone, renders)) if phone.sees else {}
-        phone.plan()
+    sees = run.phone.sees
+    with open_path_renders(run) as renders:
+        facts, captured_s = (yield from _capture_path(run, renders)) if sees else ({}, {})
+        phone = simulate_phone(run.phone, run.survey, facts, run.exposure)
         walk = _Walk(run, phone, renders, captured_s)
         for done, frame in enumerate(run.plan.frames):
-            if not phone.sees:
+            if not sees:
                 yield Progress(done, run.total, f"capturing frame {frame}")
             walk.step(frame)
     return walk.walked
 
 
 def _capture_path(
-    run: PreparedRun, phone: PhoneCapture, renders: PathRenders
-) -> Generator[Progress, None, dict[int, float]]:
-    """Render and keep what the phone will be derived from; seconds of work on each frame, without rendering."""
-    work_s = {}
+    run: PreparedRun, renders: PathRenders
+) -> Generator[Progress, None, tuple[dict[int, CaptureFacts], dict[int, float]]]:
+    """Render and keep what the phone will be derived from: facts, and seconds of work without rendering, by frame."""
+    facts, work_s = {}, {}
+    positions_m = np.array([probe.position_m for probe in run.plan.probes]).reshape(-1, 3)
     for done, frame in enumerate(run.plan.frames):
         yield Progress(done, run.total, f"capturing frame {frame}")
         start = time.perf_counter()
-        _, probes = renders.move_to(frame)
-        if probes:
-            rendered = renders.at(frame, probes)
-            phone.notice(rendered.captured)
+        rendered = renders.at(frame)
+        if rendered is not None:
+            facts[frame] = facts_kept(run.phone, rendered.captured, positions_m, run.outputs)
             work_s[frame] = time.perf_counter() - start - rendered.rendered_now_s
-    return work_s
+    return facts, work_s
 
 
 class _Walk:
@@ -88,7 +88,7 @@ class _Walk:
     """
 
     def __init__(
-        self, run: PreparedRun, phone: PhoneCapture, renders: PathRenders, captured_s: dict[int, float]
+        self, run: PreparedRun, phone: SimulatedPhone, renders: PathRenders, captured_s: dict[int, float]
     ) -> None:
         self.run, self.phone, self.renders, self.captured_s = run, phone, renders, captured_s
         self.session = PhoneSession(run.plan, run.settings, run.exposure, run.estimator, phone.link_in_use)
@@ -99,18 +99,18 @@ class _Walk:
     def step(self, frame: int) -> None:
         """Go on to `frame`."""
         start = time.perf_counter()
-        time_s, probes = self.renders.move_to(frame)
-        if probes:
-            entry = self._active_frame(self.renders.at(frame, probes), probes, start)
+        rendered, time_s = self.renders.at(frame), self.run.survey.frames[frame].time_s
+        if rendered is not None:
+            entry = self._active_frame(rendered, self.run.probes_in_view(frame), start)
         else:
-            entry = results.inactive_frame(frame, time_s, is_delivered=frame in self.phone.delivered)
+            entry = results.inactive_frame(frame, time_s, is_delivered=frame in self.run.needs.delivered)
             if self.walked.lights:
                 self.walked.lights[frame] = self._lights_in_force(time_s)
         self.walked.frames.append(entry)
 
     def _active_frame(self, rendered: FrameRenders, probes: list[Probe], start: float) -> FrameResult:
         run, truth = self.run, self._truth(rendered)
-        seen, n_lost = self.phone.see(rendered.captured)
+        seen, n_lost = self.phone.see(rendered.captured, run.outputs)
         if not np.array_equal(seen.srgb_u8, rendered.captured.srgb_u8):
             write_picture(run.outputs.picture("captured", seen.frame), seen.srgb_u8)
         step = self.session.step(seen, truth, list(truth))
@@ -147,7 +147,7 @@ class _Walk:
         return results.probe_result(
             probe,
             step.reports[probe.name],
-            results.arrival(step.requests.get(probe.name), self.run.plan.frames, self.phone.times_s),
+            results.arrival(step.requests.get(probe.name), self.run.phone.times_s),
             lights=(light, truth, step.ambient_sh),
             light_frame=self.session.light_frame(probe.name, seen.time_s),
             share_above_white=share_above_white(reference.ldr, reference.hdr),

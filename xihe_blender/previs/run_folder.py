@@ -17,18 +17,13 @@ from xihe_blender.previs.settings import PrevisSettings
 from xihenet import __version__
 
 
-def claim_folder(
+def run_claim(
     outputs: RunOutputs, scene: bpy.types.Scene, file: Path, settings: PrevisSettings, plan: PrevisPlan
-) -> dict[str, Any] | None:
-    """Make the run's folder, or take it up where the same run stopped.
-
-    Returns the results if that run is already done, else None. UserError if the folder cannot be written, or holds
-    something else.
-    """
-    made_with = run_identity(scene, file, settings, plan)
+) -> FolderClaim:
+    """The claim to the run's folder, not yet taken."""
     leaves = (outputs.results, outputs.report, outputs.lit_blend)
-    is_begun = FolderClaim(outputs.folder, outputs.settings, "a run", made_with, leaves).take()
-    return _finished(outputs) if is_begun else None
+    made_with = run_identity(scene, file, settings, plan)
+    return FolderClaim(outputs.folder, outputs.settings, "a run", made_with, leaves)
 
 
 def run_identity(scene: bpy.types.Scene, file: Path, settings: PrevisSettings, plan: PrevisPlan) -> dict[str, Any]:
@@ -48,7 +43,8 @@ def run_identity(scene: bpy.types.Scene, file: Path, settings: PrevisSettings, p
     }
 
 
-def _finished(outputs: RunOutputs) -> dict[str, Any] | None:
+def finished_results(outputs: RunOutputs) -> dict[str, Any] | None:
+    """The results of a run that is done; None of one that is not."""
     if not (outputs.results.exists() and outputs.report.exists() and outputs.lit_blend.exists()):
         return None
     content: dict[str, Any] = json.loads(outputs.results.read_text(encoding="utf-8"))

@@ -31,6 +31,7 @@ from xihe_blender.previs.compare_path import compared_frames
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run
 from xihe_blender.previs.settings import PrevisSettings, load_estimator
+from xihe_blender.previs.survey import survey_path
 from xihe_blender.scene.state import scene_kept
 from xihenet.formats import format_duration
 from xihenet.records import RgbdFrame
@@ -116,7 +117,8 @@ def run_time_job(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[RunTim
     estimator = load_estimator(settings)
     start = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="xihe_") as folder, scene_kept():
-        run = yield from prepare_run(scene, plan, RunOutputs(Path(folder), "scene"), settings, estimator)
+        survey, outputs = survey_path(scene, plan), RunOutputs(Path(folder), "scene")
+        run = yield from prepare_run(scene, plan, survey, outputs, settings, estimator)
         prepared_s = time.perf_counter() - start
         return (yield from _measured(run, prepared_s))
 
@@ -124,12 +126,12 @@ def run_time_job(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[RunTim
 def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
     """The run's time, from a few renders of each kind, spread over the frames in which a position is in view."""
     yield Progress(1, 4, "measuring a capture")
+    captured_frames = list(run.reuse.captures)
+    if not captured_frames:
+        nothing = RenderTime(0.0, 0.0, 0)
+        return RunTime(prepared_s, len(run.plan.frames) + N_OTHER_STEPS, 0, 0, 0, nothing, nothing, nothing)
+    frames = [captured_frames[k * len(captured_frames) // N_RENDERS] for k in range(N_RENDERS)]
     with open_scanner(run.scene, run.capture) as scanner:
-        in_sight = run.plan.frames_in_sight(scanner)
-        if not in_sight:
-            nothing = RenderTime(0.0, 0.0, 0)
-            return RunTime(prepared_s, len(run.plan.frames) + N_OTHER_STEPS, 0, 0, 0, nothing, nothing, nothing)
-        frames = [list(in_sight)[k * len(in_sight) // N_RENDERS] for k in range(N_RENDERS)]
         scanner.exposure = run.exposure
         captured: dict[int, RgbdFrame] = {}
 
@@ -142,12 +144,12 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
     probe_loaded_s, probe = _timed_probe(run, frames)
     yield Progress(3, 4, "measuring a comparison")
     comparison_loaded_s, comparison = _timed_comparison(run, frames, captured)
-    n_comparisons = len(compared_frames(list(in_sight), run.settings.effort.comparison_step))
+    n_comparisons = len(compared_frames(list(run.reuse.captures), run.settings.effort.comparison_step))
     return RunTime(
         prepared_s + capture_loaded_s + probe_loaded_s + comparison_loaded_s,
         len(run.plan.frames) + n_comparisons + N_OTHER_STEPS,
-        sum(run.kept.capture(frame) == frame for frame in in_sight),
-        sum(run.kept.probe(frame, p.name) == frame for frame, probes in in_sight.items() for p in probes),
+        sum(source == frame for frame, source in run.reuse.captures.items()),
+        sum(source == frame for (frame, _), source in run.reuse.probes.items()),
         n_comparisons,
         capture,
         probe,

@@ -40,6 +40,7 @@ from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.previs.plan import PrevisPlan, evenly_chosen
 from xihe_blender.previs.settings import Preset, PrevisSettings
+from xihe_blender.previs.survey import SceneSurvey
 from xihenet.camera import KEY_LUMINANCE, unproject_frame
 from xihenet.metering import MOST_STOPS
 from xihenet.records import ArrayF64, UnitSphereCloud
@@ -148,6 +149,7 @@ class Effort:
 def measure_effort(
     scene: bpy.types.Scene,
     plan: PrevisPlan,
+    survey: SceneSurvey,
     settings: PrevisSettings,
     exposure: float,
     light_transport: tuple[tuple[str, bool | int], ...] = (),
@@ -162,7 +164,7 @@ def measure_effort(
         return Effort(settings.samples)
     start = time.perf_counter()
     maximum = preset.max_samples
-    views = pilot_views(scene, plan)
+    views = pilot_views(plan, survey)
     if not views:
         return Effort(maximum)
     n_small = pilot_samples(preset)
@@ -189,11 +191,10 @@ def samples_taken(preset: Preset, model: NoiseModel, target: float | None = None
     return model.samples_for(wanted, fewest_samples(preset), preset.max_samples)
 
 
-def pilot_views(scene: bpy.types.Scene, plan: PrevisPlan) -> list[tuple[int, list[ArrayF64]]]:
+def pilot_views(plan: PrevisPlan, survey: SceneSurvey) -> list[tuple[int, list[ArrayF64]]]:
     """A few frames, spread over those in which an estimation position is in view, with the positions (3,) in view."""
-    with open_scanner(scene, RenderSettings(plan.size, samples=1)) as scanner:
-        in_sight = plan.frames_in_sight(scanner)
-    views = [(frame, [probe.position_m for probe in probes]) for frame, probes in in_sight.items()]
+    positions_m = {probe.name: probe.position_m for probe in plan.probes}
+    views = [(frame, [positions_m[name] for name in names]) for frame, names in survey.in_view.items()]
     return evenly_chosen(views, min(N_PILOT_FRAMES, math.ceil(len(views) / FRAMES_PER_PILOT)))
 
 

@@ -93,7 +93,7 @@ def trigger_sweep(run: PreparedRun, walked: WalkedPath) -> list[dict[str, Any]]:
     errors: list[list[float]] = [[] for _ in FACTORS]
     n_fired = [0] * len(FACTORS)
     for entry in active:
-        seen, _ = walked.phone.see(load_frame(run.outputs.capture(entry.frame)))
+        seen, _ = walked.phone.see(load_frame(run.outputs.capture(entry.frame)), run.outputs)
         truth = {probe.name: np.array(probe.sh_truth) for probe in entry.probes}
         for index, session in enumerate(sessions):
             step = session.step(seen, truth, list(truth))

@@ -12,7 +12,9 @@ A frame's numbers are written once all of its pictures are, so a stopped unit go
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
+import operator
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,19 +23,16 @@ from typing import Any
 import bpy
 import numpy as np
 
-from xihe_blender.capture.scanner import CyclesScanner
 from xihe_blender.compare.methods import Comparer, display, error_map, measure, open_comparer
 from xihe_blender.io.outputs import RunOutputs, write_json, write_picture
 from xihe_blender.jobs import Job, Progress, run_blocking
 from xihe_blender.lab.batch.grid import BatchSettings
 from xihe_blender.lab.batch.results import WORST_KINDS, worst_frame, worst_picture
 from xihe_blender.lab.batch.trials import trial_record, trigger_sweep
-from xihe_blender.light_transport.render_reuse import KeptRenders
 from xihe_blender.previs.compare_path import compared_frames
 from xihe_blender.previs.path_renders import open_path_renders
-from xihe_blender.previs.phone_capture import PhoneCapture
 from xihe_blender.previs.plan import plan_previs
-from xihe_blender.previs.prepare import PreparedRun, prepare_run
+from xihe_blender.previs.prepare import PreparedRun, prepare_run, render_reuse, survey_run
 from xihe_blender.previs.run_chain import WalkedPath, walk_path
 from xihe_blender.previs.settings import load_estimator
 from xihe_blender.scene.state import scene_kept
@@ -59,12 +58,13 @@ def evaluate_unit(scene: bpy.types.Scene, file: Path, folder: Path, settings: Ba
     outputs = RunOutputs(folder, file.stem)
     trials = settings.trials()
     plan = plan_previs(scene, settings.of_trial(*trials[0], seed))
+    survey = survey_run(scene, plan, outputs)
     with scene_kept():
         runs = []
         for phone, estimator in trials:
             # The first trial measures, and the others read what it left.
             wanted = settings.of_trial(phone, estimator, seed)
-            runs.append((yield from prepare_run(scene, plan, outputs, wanted, load_estimator(wanted))))
+            runs.append((yield from prepare_run(scene, plan, survey, outputs, wanted, load_estimator(wanted))))
         yield from _capture_all(runs[:: len(settings.estimators)])
         walks = []
         for index, run in enumerate(runs):
@@ -83,37 +83,15 @@ def evaluate_unit(scene: bpy.types.Scene, file: Path, folder: Path, settings: Ba
     }
 
 
-class _Phones:
-    """All phones of a unit, which share captures: what any of them needs of a render is kept."""
-
-    def __init__(self, phones: Sequence[PhoneCapture]) -> None:
-        self.phones = phones
-        self.delivered = frozenset[int]().union(*(phone.delivered for phone in phones))
-
-    def prepare(self, scanner: CyclesScanner) -> None:
-        for phone in self.phones:
-            phone.prepare(scanner)
-
-    def keep(self, scanner: CyclesScanner, frame: int) -> None:
-        for phone in self.phones:
-            phone.keep(scanner, frame)
-
-    def take_over(self, source: int, frame: int) -> None:
-        for phone in self.phones:
-            phone.take_over(source, frame)
-
-
 def _capture_all(runs: Sequence[PreparedRun]) -> Generator[Progress, None, None]:
-    """Render every frame that any phone captures; `runs` has one for each phone."""
-    # Each trial asks anew which frames are the same.
-    first = replace(runs[0], kept=KeptRenders(runs[0].plan.frames, list(runs[0].kept.states.values())))
-    phones = _Phones([PhoneCapture(run.scene, run.plan, run.outputs, run.settings, run.exposure) for run in runs])
-    with open_path_renders(first, phones) as renders:
-        for done, frame in enumerate(first.plan.frames):
-            yield _progress(first, done, f"capturing frame {frame}")
-            _, probes = renders.move_to(frame)
-            if probes:
-                renders.at(frame, probes)
+    """Render every frame that any phone captures, with what any needs beside it; `runs` has one for each phone."""
+    first = runs[0]
+    needs = functools.reduce(operator.or_, (run.needs for run in runs))
+    shared = replace(first, needs=needs, reuse=render_reuse(first.survey, first.effects, needs))
+    with open_path_renders(shared) as renders:
+        for done, frame in enumerate(shared.plan.frames):
+            yield _progress(shared, done, f"capturing frame {frame}")
+            renders.at(frame)
 
 
 def _progress(run: PreparedRun, done: float, doing: str) -> Progress:
@@ -144,6 +122,7 @@ def compare_unit(runs: Sequence[PreparedRun], walks: Sequence[WalkedPath]) -> Ge
     frames = sorted(frozenset[int]().union(*wanted))
     by_trial: list[dict[int, dict[str, float | None]]] = [{} for _ in runs]
     render_s, n_frames = 0.0, len(first.plan.frames)
+    sources: dict[tuple[Any, ...], int] = {}
     with contextlib.ExitStack() as stack:
         comparer = None
         for done, frame in enumerate(frames):
@@ -152,7 +131,8 @@ def compare_unit(runs: Sequence[PreparedRun], walks: Sequence[WalkedPath]) -> Ge
             )
             trials = [index for index, of_trial in enumerate(wanted) if frame in of_trial]
             lights = {str(index): _light(runs[index], walks[index], frame) for index in trials}
-            file = first.outputs.compared(_source(first, frame, lights))
+            source = sources.setdefault(_made_from(first, frame, lights), frame)
+            file = first.outputs.compared(source)
             if not file.exists():
                 if comparer is None:
                     methods = [str(index) for index in range(len(runs))]
@@ -160,7 +140,7 @@ def compare_unit(runs: Sequence[PreparedRun], walks: Sequence[WalkedPath]) -> Ge
                     comparer = stack.enter_context(opened)
                 write_json(file, _compared(first, frame, lights, comparer, by_trial))
             content = json.loads(file.read_text(encoding="utf-8"))
-            render_s += content["render_s"] if file == first.outputs.compared(frame) else 0.0
+            render_s += content["render_s"] if source == frame else 0.0
             for index in trials:
                 by_trial[index][frame] = content["metrics"][str(index)]
     return ComparedUnit(by_trial, render_s)
@@ -171,12 +151,12 @@ def _light(run: PreparedRun, walked: WalkedPath, frame: int) -> Light:
     return walked.lights[frame][run.settings.estimator]
 
 
-def _source(run: PreparedRun, frame: int, lights: Mapping[str, Light]) -> int:
-    """The frame whose comparison is that of `frame`: scene, camera, capture and every trial's light are the same."""
+def _made_from(run: PreparedRun, frame: int, lights: Mapping[str, Light]) -> tuple[Any, ...]:
+    """Equal for frames whose comparisons are: scene, camera, capture and every trial's light are the same."""
     captured = load_frame(run.outputs.capture(frame))
     of_all = [light.tobytes() for of_trial in lights.values() for light in of_trial.values()]
     names = ",".join(lights).encode()
-    return run.kept.comparison(frame, captured.srgb_u8.tobytes(), captured.plane_depth_m.tobytes(), names, *of_all)
+    return run.reuse.comparison(frame, captured.srgb_u8.tobytes(), captured.plane_depth_m.tobytes(), names, *of_all)
 
 
 def _compared(

@@ -26,12 +26,15 @@ from xihe_blender.io.outputs import write_json
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.lab.frontier.choices import ComputeChoice
 from xihe_blender.lab.frontier.compute import ChoiceBackend, light_of_frame
-from xihe_blender.light_transport import cycles_settings, plan_light_transport
+from xihe_blender.light_transport import cycles_settings
+from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.run_time import FEW_SAMPLES, N_RENDERS, RenderTime, time_renders
 from xihe_blender.previs.sample_count import capture_noise, pilot_views, samples_taken
 from xihe_blender.previs.settings import PRESETS, PrevisSettings
+from xihe_blender.previs.survey import survey_path
 from xihe_blender.scene.state import scene_kept
+from xihenet.effects import plan_effects
 from xihenet.formats import format_quantity
 from xihenet.records import ArrayF64, RgbdFrame
 
@@ -67,13 +70,12 @@ def calibrate(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[Calibrati
         yield Progress(0, 3, "metering the exposure")
         metering = settings.metering_in_force
         exposure = settings.exposure or meter_exposure(scene, plan.frames, settings.seed, metering=metering)
-        views = pilot_views(scene, plan)
+        survey = survey_path(scene, plan)
+        views = pilot_views(plan, survey)
         if not views:
             raise UserError(f"scene {scene.name!r} never has a virtual object in view: move the camera's path, or it")
         view = views[len(views) // 2]
-        positions = [probe.position_m.tolist() for probe in plan.probes]
-        choices = settings.effect_choices
-        effects = plan_light_transport(scene, positions=positions, frames=plan.frames, overrides=choices)
+        effects = plan_effects(survey.required, overrides_in_force(scene, settings.effect_choices))
         capture = replace(settings.capture(plan.size, PILOT_SAMPLES), light_transport=cycles_settings(effects))
         yield Progress(1, 3, "measuring the noise of a few samples")
         noise = capture_noise(scene, [view], capture, exposure, settings.n_anchors)

@@ -43,15 +43,17 @@ from xihe_blender.lab.frontier.rendering import RenderStudy, View, measure_rende
 from xihe_blender.lab.frontier.report import report_page
 from xihe_blender.lab.frontier.steps import Steps, part_of
 from xihe_blender.lab.frontier.timing import Spread
-from xihe_blender.light_transport import cycles_settings, plan_light_transport
+from xihe_blender.light_transport import cycles_settings
+from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.plan import PrevisPlan, evenly_chosen, plan_previs
 from xihe_blender.previs.sample_count import capture_noise, pilot_samples, pilot_views, samples_taken
 from xihe_blender.previs.settings import PRESETS, PrevisSettings
+from xihe_blender.previs.survey import SceneSurvey, survey_path
 from xihe_blender.report.document import write_document
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
 from xihenet import __version__
-from xihenet.effects import Effect, effects_as_json, effects_from_json
+from xihenet.effects import Effect, effects_as_json, effects_from_json, plan_effects
 from xihenet.recording import load_frame, save_frame
 
 SCHEMA_VERSION = 1
@@ -100,7 +102,7 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
     if twice:
         raise UserError(f"two scenes are named {twice[0]!r}: results go by name, so rename one")
     for file in files:
-        plan_scene(open_blend(file), settings.size)
+        survey_scene(open_blend(file), settings.size)
     _claim(out, files, settings).take()
     kept = []
     for number, file in enumerate(files):
@@ -108,8 +110,8 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
         if not path.exists():
             scene = open_blend(file)
             effort = settings.effort or (QUICK if settings.is_quick else FULL)
-            plan = plan_scene(scene, settings.size)
-            study = SceneStudy(scene, file.stem, plan, path.parent, settings.is_quick, settings.seed, effort)
+            surveyed = survey_scene(scene, settings.size)
+            study = SceneStudy(scene, file.stem, *surveyed, path.parent, settings.is_quick, settings.seed, effort)
             write_json(path, (yield from measure_scene(study, float(number), float(len(files)))))
         kept.append(json.loads(path.read_text(encoding="utf-8")))
     content = assembled(names, kept, settings, command)
@@ -168,11 +170,12 @@ def _write(out: Path, content: dict[str, Any]) -> None:
 
 @dataclass(frozen=True, eq=False)
 class SceneStudy:
-    """One scene to measure: the open scene, its plan, and where its work is kept."""
+    """One scene to measure: the open scene, its plan, the survey of its path, and where its work is kept."""
 
     scene: bpy.types.Scene
     name: str
     plan: PrevisPlan
+    survey: SceneSurvey
     folder: Path
     is_quick: bool
     seed: int
@@ -261,12 +264,11 @@ def prepare(study: SceneStudy) -> Steps[Prepared]:
         yield 0.0, "metering the exposure, looking for effects"
         scene, plan = study.scene, study.plan
         exposure = meter_exposure(scene, plan.frames, study.seed)
-        positions = [probe.position_m.tolist() for probe in plan.probes]
-        effects = plan_light_transport(scene, positions=positions, frames=plan.frames, overrides={})
+        effects = plan_effects(study.survey.required, overrides_in_force(scene, {}))
         samples = {}
         for index, name in enumerate(PRESETS):
             yield (1 + index) / (1 + len(PRESETS)), f"measuring how many samples {name} takes"
-            samples[name] = preset_samples(scene, plan, name, exposure, effects, study.seed)
+            samples[name] = preset_samples(study, name, exposure, effects)
         write_json(path, {"exposure": exposure, "effects": effects_as_json(effects), "samples": samples})
     kept = json.loads(path.read_text(encoding="utf-8"))
     size = study.plan.size
@@ -274,12 +276,11 @@ def prepare(study: SceneStudy) -> Steps[Prepared]:
     return Prepared(kept["exposure"], cycles_settings(effects_from_json(kept["effects"])), presets)
 
 
-def preset_samples(
-    scene: bpy.types.Scene, plan: PrevisPlan, name: str, exposure: float, effects: Mapping[str, Effect], seed: int
-) -> int:
-    """Samples per pixel of captures that a run of a preset takes on `scene`, measured as the run does it."""
-    settings, preset = PrevisSettings(preset=name, seed=seed), PRESETS[name]
-    views = pilot_views(scene, plan)
+def preset_samples(study: SceneStudy, name: str, exposure: float, effects: Mapping[str, Effect]) -> int:
+    """Samples per pixel of captures that a run of a preset takes on a scene, measured as the run does it."""
+    settings, preset = PrevisSettings(preset=name, seed=study.seed), PRESETS[name]
+    scene, plan = study.scene, study.plan
+    views = pilot_views(plan, study.survey)
     if not views:
         raise UserError(f"scene {scene.name!r} never has a virtual object in view: move the camera's path, or objects")
     capture = replace(settings.capture(plan.size, pilot_samples(preset)), light_transport=cycles_settings(effects))
@@ -291,8 +292,7 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Step
     """Captures, and light probes at the positions in view, of frames spread over the path."""
     plan = study.plan
     positions = {probe.name: probe.position_m for probe in plan.probes}
-    in_sight = plan.frames_in_sight(scanner).items()
-    chosen = evenly_chosen([(frame, [p.name for p in seen]) for frame, seen in in_sight], study.effort.n_walk_frames)
+    chosen = evenly_chosen(list(study.survey.in_view.items()), study.effort.n_walk_frames)
     probes = ProbeSettings(
         max_samples=study.effort.probe_samples, noise_target=PROBE_NOISE, seed=study.seed,
         light_transport=prepared.light_transport, order=ORDER,
@@ -321,6 +321,7 @@ def _views(walk: Walk, most: int) -> list[View]:
     return [View(walk.frames[k].frame, [walk.positions[name] for name in walk.active[k]]) for k in numbers]
 
 
-def plan_scene(scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> PrevisPlan:
-    """What a run on `scene` would do; UserError as a run raises it."""
-    return plan_previs(scene, PrevisSettings(size=size))
+def survey_scene(scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> tuple[PrevisPlan, SceneSurvey]:
+    """What a run on `scene` would do, and what its path is like; UserError as a run raises it."""
+    plan = plan_previs(scene, PrevisSettings(size=size))
+    return plan, survey_path(scene, plan)

@@ -124,10 +124,8 @@ def scene_positions(scene: bpy.types.Scene, frames: Sequence[int], at: Sequence[
         raise UserError(
             f"scene {scene.name!r} has no virtual object: name the objects that mark positions with --at A,B"
         )
-    if at is None:
-        return np.array([probe.position_m for probe in plan_previs(scene, PrevisSettings(frames=tuple(frames))).probes])
-    unknown = [name for name in at if name not in scene.objects]
-    if unknown or not at:
+    unknown = [name for name in at or () if name not in scene.objects]
+    if unknown or (at is not None and not at):
         missing = f"there is no object {unknown[0]!r}" if unknown else "no object is chosen"
         raise UserError(f"{missing} in scene {scene.name!r}: give names of its objects to --at, separated by commas")
     with working_scene(scene, "Xihe Plan", RenderSettings((8, 6), samples=1)) as working:
@@ -136,6 +134,9 @@ def scene_positions(scene: bpy.types.Scene, frames: Sequence[int], at: Sequence[
             working.frame_set(frame)
             phone_camera(working)
             faults_at_frame(depsgraph, is_first=frame == frames[-1])
+        if at is None:
+            planned = plan_previs(scene, PrevisSettings(frames=tuple(frames)))
+            return np.array([probe.position_m for probe in planned.probes])
         places = [scene.objects[name].evaluated_get(depsgraph).matrix_world.translation for name in at]
         positions_m = np.array([tuple(place) for place in places], np.float64)
     for name, position_m in zip(at, positions_m, strict=True):

@@ -1,0 +1,122 @@
+"""One survey of the path: the scene is stepped through once, and all that needs to know it reads what was noted."""
+
+import contextlib
+import json
+from collections import Counter
+from dataclasses import replace
+
+import bpy
+import numpy as np
+import pytest
+from phone_runs import IPAD
+from previs_runs import LOOKS_AWAY, SMALL, counted_renders, walk
+from tiny_scenes import phone, room_with_a_virtual_sphere
+
+from xihe_blender.capture.scanner import metered_frames
+from xihe_blender.errors import UserError
+from xihe_blender.light_transport import required_effects
+from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.previs import previs
+from xihe_blender.previs.sample_count import pilot_views
+from xihe_blender.previs.survey import SceneSurvey, survey_path
+from xihe_blender.scene.virtual_objects import virtual_collection
+
+N_FRAMES = 12
+
+
+def surveyed(scene, settings=SMALL):
+    return survey_path(scene, plan_previs(scene, settings))
+
+
+@contextlib.contextmanager
+def counted_steps():
+    """A counter by frame: how often a scene was set to it, or rendered or looked at there, which sets it as well."""
+    steps = Counter()
+
+    def count(scene, depsgraph):
+        if depsgraph.mode == "VIEWPORT":
+            steps[scene.frame_current] += 1
+
+    bpy.app.handlers.frame_change_post.append(count)
+    try:
+        yield steps
+    finally:
+        bpy.app.handlers.frame_change_post.remove(count)
+
+
+@pytest.mark.parametrize("settings", [SMALL, replace(IPAD, network="lte")], ids=["perfect", "ipad"])
+def test_a_run_steps_through_the_frames_at_most_twice_before_its_first_capture(settings, tmp_path):
+    scene = room_with_a_virtual_sphere(N_FRAMES)
+    plan = plan_previs(scene, settings)
+    rendered = {*metered_frames(plan.frames), *(frame for frame, _ in pilot_views(plan, surveyed(scene)))}
+    with counted_steps() as steps, contextlib.closing(previs(scene, tmp_path, settings)) as job:
+        next(progress for progress in job if "capturing frame" in progress.doing)
+    # As the phone's camera and the checks read a frame, and as Cycles would be given it.
+    assert {frame: steps[frame] for frame in plan.frames if frame not in rendered} == dict.fromkeys(
+        set(plan.frames) - rendered, 2
+    )
+    # The others are those that are metered, that light walks alone, and that the pilot renders three times.
+    assert sum(steps.values()) - 2 * N_FRAMES <= 1 + 3 * (1 + 2) + 2 * (1 + 3)
+
+
+def test_the_survey_notes_what_a_look_at_each_frame_gives():
+    scene = walk()
+    plan = plan_previs(scene, SMALL)
+    survey, positions = survey_path(scene, plan), [probe.position_m.tolist() for probe in plan.probes]
+    names = ("Ball", "Board 1", "Board 2")
+    assert list(survey.frames) == [1, 2, 3, 4, 5]
+    assert survey.frames[LOOKS_AWAY].in_view == () and set(survey.in_view) == {1, 2, 4, 5}
+    assert {name for seen in survey.in_view.values() for name in seen} == set(names)
+    assert survey.frames[3].time_s == pytest.approx(2 / 24)
+    assert survey.light_changes and survey.frames[3].state.room != survey.frames[4].state.room
+    assert survey.frames[1].state.room == survey.frames[2].state.room
+    assert survey.frames[1].state.camera != survey.frames[2].state.camera
+    assert np.linalg.norm(survey.frames[1].motion.velocity_m_per_s) > 0
+    assert {"Walls", "Wood", "Light"} <= set(survey.frames[1].roughness)
+    assert survey.required == required_effects(scene, None, positions)
+    assert survey.faults == ()
+
+
+def test_a_survey_comes_back_from_its_file_to_the_last_bit():
+    scene = walk()
+    bpy.data.objects["Ball"].location = (5e4, 0, 0.85)
+    survey = surveyed(scene)
+    text = json.dumps(survey.as_json(), allow_nan=False)
+    read = SceneSurvey.from_json(json.loads(text))
+    assert survey.faults and read.faults == survey.faults
+    assert json.dumps(read.as_json()) == text
+    assert read.frames[1].state == survey.frames[1].state and read.required == survey.required
+    np.testing.assert_array_equal(read.frames[1].motion.turn_rad_per_s, survey.frames[1].motion.turn_rad_per_s)
+
+
+def test_a_resumed_run_does_not_look_at_the_scene_again(tmp_path):
+    scene = room_with_a_virtual_sphere()
+    for n_looks in (1, 0):
+        with counted_renders() as renders, contextlib.closing(previs(scene, tmp_path, IPAD)) as job:
+            next(progress for progress in job if "capturing frame" in progress.doing)
+        assert (renders.count("Xihe Effects") > 0) == n_looks
+
+
+def test_what_another_camera_is_beside_the_path_does_not_matter():
+    scene = room_with_a_virtual_sphere(3)
+    own = scene.camera
+    other = phone(scene, (0, -1, 1), (0, 0, 0.85), "Overview")
+    other.data.type = "ORTHO"
+    for frame, camera in ((1, own), (3, other)):
+        scene.timeline_markers.new("switch", frame=frame).camera = camera
+    survey = surveyed(scene, replace(SMALL, frames=(1, 2)))
+    moves = [np.linalg.norm(survey.frames[frame].motion.velocity_m_per_s) for frame in (1, 2)]
+    assert moves[0] == pytest.approx(moves[1]) and moves[0] > 0
+    with pytest.raises(UserError, match="'Overview' is ortho"):
+        surveyed(scene)
+
+
+def test_the_survey_leaves_nothing_behind_also_after_an_error():
+    scene = room_with_a_virtual_sphere()
+    virtual_collection(scene).hide_render = False
+    before = {item.name for kind in ("scenes", "cameras", "objects") for item in getattr(bpy.data, kind)}
+    surveyed(scene)
+    bpy.data.materials["Light"].node_tree.nodes["Emission"].inputs["Strength"].default_value = float("nan")
+    with pytest.raises(UserError, match="'Light' has nan"):
+        surveyed(scene)
+    assert {item.name for kind in ("scenes", "cameras", "objects") for item in getattr(bpy.data, kind)} == before

@@ -1,0 +1,166 @@
+"""The survey of a camera path: what is to be known of each frame before the first of them is captured.
+
+The path is stepped through once. At each frame the scene is evaluated as the phone's camera and the checks read it, and
+once more as Cycles is given it; whoever needs to know something of all frames takes notes of these two. Then, at three
+frames, light walks the room alone; see `enclosure`. A resumed run reads the survey that it kept.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import bpy
+import numpy as np
+
+from xihe_blender.capture.phone_motion import CameraView, camera_motion
+from xihe_blender.capture.render import RenderSettings, working_scene
+from xihe_blender.capture.scanner import phone_camera
+from xihe_blender.errors import UserError
+from xihe_blender.light_transport.inspection import open_inspection
+from xihe_blender.light_transport.plan import required_by_reach
+from xihe_blender.light_transport.reach import ReachSurvey
+from xihe_blender.light_transport.render_reuse import SceneState, StateSurvey
+from xihe_blender.previs.phone_room import RoomSurvey
+from xihe_blender.previs.plan import PrevisPlan, Probe
+from xihe_blender.previs.scene_faults import SceneFault, faults_at_frame, image_faults, place_faults
+from xihenet.camera import in_view
+from xihenet.effects import Requirement
+from xihenet.phone import CameraMotion
+
+
+@dataclass(frozen=True, eq=False)
+class SurveyedFrame:
+    """One frame of the path.
+
+    Parameters
+    ----------
+    frame, time_s : its number, and seconds of the session
+    in_view : names of the estimation positions that the camera sees
+    motion : of the camera while it takes the frame
+    state : digests of the scene, by which renders are used again
+    roughness : smoothest roughness by material name; None where it is not known
+    """
+
+    frame: int
+    time_s: float
+    in_view: tuple[str, ...]
+    motion: CameraMotion
+    state: SceneState
+    roughness: Mapping[str, float | None]
+
+    def as_json(self) -> dict[str, Any]:
+        """For `from_json`, to the last bit."""
+        return asdict(self) | {"motion": {name: vector.tolist() for name, vector in vars(self.motion).items()}}
+
+    @classmethod
+    def from_json(cls, row: Mapping[str, Any]) -> SurveyedFrame:
+        """What `as_json` gave."""
+        motion = CameraMotion(**{name: np.array(vector) for name, vector in row["motion"].items()})
+        read = {"in_view": tuple(row["in_view"]), "motion": motion, "state": SceneState(**row["state"])}
+        return cls(**{**row, **read})
+
+
+@dataclass(frozen=True, eq=False)
+class SceneSurvey:
+    """What a scene is like along a camera path.
+
+    Parameters
+    ----------
+    frames : of the path, by number, in order
+    faults : what is wrong with the scene and yet no reason to stop
+    required : what the scene requires, by effect of light transport
+    light_changes : whether a light of the room is not the same in all frames
+    """
+
+    frames: Mapping[int, SurveyedFrame]
+    faults: tuple[SceneFault, ...]
+    required: Mapping[str, Requirement]
+    light_changes: bool
+
+    @property
+    def in_view(self) -> dict[int, tuple[str, ...]]:
+        """Names of the estimation positions in view, by those frames that see any."""
+        return {frame: one.in_view for frame, one in self.frames.items() if one.in_view}
+
+    def as_json(self) -> dict[str, Any]:
+        """For `from_json`, to the last bit."""
+        return {
+            "frames": [one.as_json() for one in self.frames.values()],
+            "faults": [asdict(fault) for fault in self.faults],
+            "required": {name: asdict(requirement) for name, requirement in self.required.items()},
+            "light_changes": self.light_changes,
+        }
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> SceneSurvey:
+        """What `as_json` gave."""
+        frames = map(SurveyedFrame.from_json, content["frames"])
+        faults = tuple(SceneFault(**fault) for fault in content["faults"])
+        required = {name: Requirement(**requirement) for name, requirement in content["required"].items()}
+        return cls({one.frame: one for one in frames}, faults, required, content["light_changes"])
+
+
+def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
+    """Step through the frames of `plan` once; `scene` stays as it is.
+
+    UserError for a frame without a phone's camera, or with numbers that Cycles leaves out.
+    """
+    reach = ReachSurvey(plan.frames, [probe.position_m.tolist() for probe in plan.probes])
+    states, room = StateSurvey(scene), RoomSurvey(scene)
+    views: dict[int, CameraView] = {}
+    faults = image_faults(scene.world)
+    settings = RenderSettings(plan.size, samples=1)
+    with open_inspection(scene) as inspection, working_scene(scene, "Xihe Survey", settings) as working:
+        for frame in _with_neighbours(scene, plan.frames):
+            working.frame_set(frame)
+            is_on_path = frame in plan.frames
+            # Beside the path the camera only tells how it moves: no phone's is one that was switched to.
+            with contextlib.nullcontext() if is_on_path else contextlib.suppress(UserError):
+                views[frame] = _view(working)
+            if is_on_path:
+                faults += faults_at_frame(working.view_layers[0].depsgraph, is_first=frame == plan.frames[0])
+                inspection.look_at(frame, reach.look_at, states.look_at, room.look_at)
+        reached = reach.ended(inspection, has_motion_blur=scene.render.use_motion_blur)
+    required = required_by_reach(scene, reached)
+    faults += _faults_of_places(scene, plan, views)
+    frames = {
+        frame: SurveyedFrame(
+            frame,
+            views[frame].time_s,
+            _in_view(plan.probes, views[frame]),
+            camera_motion(frame, views),
+            states.states[frame],
+            room.roughness[frame],
+        )
+        for frame in plan.frames
+    }
+    return SceneSurvey(frames, tuple(dict.fromkeys(faults)), required, room.light_changes)
+
+
+def _with_neighbours(scene: bpy.types.Scene, frames: Sequence[int]) -> list[int]:
+    """`frames`, and those before and after each that are within the scene's range."""
+    beside = {frame + step for frame in frames for step in (-1, 1)}
+    return sorted({*frames, *(frame for frame in beside if scene.frame_start <= frame <= scene.frame_end)})
+
+
+def _view(working: bpy.types.Scene) -> CameraView:
+    """Of the phone's camera at the current frame; UserError as of `phone_camera`."""
+    intrinsics, world_from_camera = phone_camera(working)
+    time_s = (working.frame_current - working.frame_start) * working.render.fps_base / working.render.fps
+    return CameraView(working.camera, intrinsics, world_from_camera, time_s)
+
+
+def _in_view(probes: Sequence[Probe], view: CameraView) -> tuple[str, ...]:
+    """Names of the `probes` that a camera sees."""
+    if not probes:
+        return ()
+    seen = in_view(np.stack([probe.position_m for probe in probes]), view.intrinsics, view.world_from_camera)
+    return tuple(probe.name for probe, is_seen in zip(probes, seen, strict=True) if is_seen)
+
+
+def _faults_of_places(scene: bpy.types.Scene, plan: PrevisPlan, views: Mapping[int, CameraView]) -> list[SceneFault]:
+    cameras_m = np.stack([views[frame].world_from_camera[:3, 3] for frame in plan.frames])
+    return place_faults(scene, {probe.name: probe.position_m for probe in plan.probes}, cameras_m)
