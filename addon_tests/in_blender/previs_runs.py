@@ -22,10 +22,12 @@ class QuickPrevis(PrevisSettings):
         return replace(super().reference, size=48)
 
 
-SMALL = QuickPrevis(preset="draft", size=(32, 24))
+DRAFT = {"preset": "draft", "size": (32, 24)}
 if not can_denoise(bpy.context.scene):
     # Noise would trigger an estimate in every frame.
-    SMALL = replace(SMALL, noise_target=0.01)
+    DRAFT["noise_target"] = 0.01
+SMALL = QuickPrevis(**DRAFT)
+SMALL_AS_SHIPPED = PrevisSettings(**DRAFT)
 N_FRAMES = 5
 LOOKS_AWAY = 3
 """The frame of `walk` in which no virtual object is in view."""

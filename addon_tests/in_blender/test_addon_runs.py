@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from addon_runs import enable_preferences, registered_addon, walk_for_the_panel
-from previs_runs import SMALL, run
+from previs_runs import SMALL, SMALL_AS_SHIPPED, run
 from results_schema import read_strictly, without_times
 from scene_snapshot import data_blocks, differences, snapshot
 from test_lit_blend import keyed
@@ -34,7 +34,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.run_results import read_results
 from xihenet.panorama import evaluate_panorama
 
-IN_THE_PANEL = replace(SMALL, noise_target=None)
+IN_THE_PANEL = replace(SMALL_AS_SHIPPED, noise_target=None)
 """What the panel has no setting for is the preset's."""
 
 

@@ -5,7 +5,8 @@ from dataclasses import replace
 import bpy
 import numpy as np
 import pytest
-from previs_runs import SMALL, counted_renders, look_away, run, run_some_steps
+from previs_runs import SMALL_AS_SHIPPED as SMALL
+from previs_runs import counted_renders, look_away, run, run_some_steps
 from results_schema import check_results, without_times
 from test_unchanged import key, still_room
 from tiny_scenes import look_at, room_with_a_virtual_sphere
