@@ -1,8 +1,8 @@
 """Searches for input that breaks a reader or a numerical stage: `python addon_tests/fuzz.py --minutes 60`.
 
-The tests of any bytes and of any input run in rounds, each with a seed of its own and more examples than in the tests,
-until the time is up or a round has found something. A finding is shown with its seed and its example, bytes that break
-a reader are kept in `addon_tests/data/corpus`, where the tests read them again, and the exit status is 1.
+The property tests of any bytes and of any input run in rounds, each with a seed of its own and more examples than in
+the tests, until the time is up or a round has found something. A finding is shown with its seed and its example, bytes
+that break a reader are kept in `addon_tests/data/corpus`, where the tests read them again, and the exit status is 1.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hypothesis import HealthCheck, settings
 
 ROOT = Path(__file__).resolve().parents[1]
 CORPUS = ROOT / "addon_tests" / "data" / "corpus"
-TESTS = ("addon_tests/pure/test_any_bytes.py", "addon_tests/pure/test_any_input.py")
+TESTS = [f"addon_tests/pure/test_{name}.py" for name in ("any_bytes", "any_input", "codec")]
 
 settings.register_profile(
     "search", max_examples=200, deadline=None, database=None, suppress_health_check=list(HealthCheck)
@@ -64,7 +64,15 @@ def main() -> int:
     end, number, code = time.time() + 60 * options.minutes, options.seed, 0
     while time.time() < end and not code:
         print(f"seed {number}", flush=True)
-        chosen = ["--hypothesis-profile=search", f"--hypothesis-seed={number}", f"--until={end}", "-k", options.only]
+        chosen = [
+            "--hypothesis-profile=search",
+            f"--hypothesis-seed={number}",
+            f"--until={end}",
+            "-m",
+            "hypothesis",
+            "-k",
+            options.only,
+        ]
         code = subprocess.run([sys.executable, "-m", "pytest", "-q", *chosen, *TESTS], cwd=ROOT, check=False).returncode
         name_findings()
         number += 1

@@ -20,8 +20,8 @@ from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.frontier.choices import FULL, RenderChoice
 from xihe_blender.lab.frontier.compute import KINDS
 from xihe_blender.lab.frontier.rendering import COMPUTED_BY, RenderStudy, View, measure_rendering
-from xihe_blender.lab.frontier.scene import SceneStudy, plan_scene, prepare
 from xihe_blender.lab.frontier.steps import part_of
+from xihe_blender.lab.frontier.study import SceneStudy, plan_scene, prepare
 from xihe_blender.lab.frontier.timing import Spread
 from xihe_blender.previs.plan import evenly_chosen
 from xihe_blender.scene.blend_file import open_blend

@@ -25,7 +25,6 @@ from xihenet.camera import unproject_frame
 from xihenet.pareto import on_front
 from xihenet.records import Intrinsics, RgbdFrame
 from xihenet.sh import project_anchors
-from xihenet.svg import log_axis
 
 TINY = Effort(2, 1, 1, 2, 1, 2, 4, (1, 2), 1)
 SMALL = FrontierSettings(is_quick=True, size=(32, 24), effort=TINY)
@@ -223,14 +222,6 @@ def test_a_family_differs_in_one_choice_and_no_other():
     points = points_of("room", {"render": [*varied[::-1], other]}, seed=0)
     assert [p["settings"]["samples"] for p in family(points, ("samples",))] == [1, 2, 4]
     assert family(points, ("max_bounces",)) == family(points[:1], ("samples",)) == []
-
-
-@given(st.lists(st.floats(1e-6, 1e6), min_size=1, max_size=5))
-def test_an_axis_holds_its_values_and_has_ticks_in_order(values):
-    axis = log_axis(values, str)
-    assert all(0 < axis.share(value) < 1 for value in values)
-    places = [axis.share(tick) for tick in axis.ticks]
-    assert places == sorted(places) and len(set(places)) == len(places) > 0
 
 
 # ----------------------------------------------------------------------------------------------------------- end to end

@@ -16,7 +16,6 @@ from xihe_blender.addon import overlay, panels
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
-from xihenet.formats import format_duration
 
 CONTENT = {
     "schema_version": 1,
@@ -134,22 +133,6 @@ def test_a_run_whose_folder_is_gone_is_no_run(tmp_path):
     assert reader.last_run(str(tmp_path / "gone")) is None
     assert reader.last_run("") is None
     assert panels.missing_run("") != panels.missing_run("somewhere")
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [
-        (0, "0 s"),
-        (59.4, "59 s"),
-        (59.6, "1 min"),
-        (83, "1 min 23 s"),
-        (600, "10 min"),
-        (3599, "1 h"),
-        (7500, "2 h 5 min"),
-    ],
-)
-def test_a_time_is_told_in_words(seconds, words):
-    assert format_duration(seconds) == words
 
 
 def test_progress_tells_the_time_left_once_there_is_a_pace():

@@ -12,7 +12,6 @@ from addon_tests.fuzz import some_examples
 from addon_tests.pure.hard_cases.hard_clouds import estimator
 from xihenet.buffers import merge
 from xihenet.camera import encode_exposed, metered_exposure, project_points, unproject_frame
-from xihenet.codec import METHODS, decode_cloud, encode_cloud
 from xihenet.metrics import angular_error_deg, image_rmse, psnr, shc_rmse, si_rmse, ssim
 from xihenet.records import Intrinsics, PointCloud, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere, sample_unit_sphere_reference
@@ -83,16 +82,6 @@ def test_sampling_agrees_with_the_reference(points):
         nearest_m = fast.distance_m[fast.is_set].min(), slow.distance_m[slow.is_set].min()
         assert np.isclose(*nearest_m, rtol=5e-7, atol=error_m)
     assert n_too_near or fast.is_set.any() == slow.is_set.any()
-
-
-@some_examples()
-@given(cloud=clouds())
-def test_a_cloud_survives_the_wire(cloud):
-    for method in METHODS:
-        once = decode_cloud(encode_cloud(cloud, method), N, method)
-        assert (once.is_set == cloud.is_set).all()
-        assert np.abs(once.srgb - cloud.srgb).max() <= 0.5001 / 255
-        assert encode_cloud(decode_cloud(encode_cloud(once, method), N, method), method) == encode_cloud(once, method)
 
 
 @some_examples()

@@ -95,11 +95,6 @@ def test_points_behind_the_camera_are_not_in_view():
     assert in_view(points, intrinsics, np.eye(4)).tolist() == [True, False, True, False, False, False]
 
 
-def test_a_camera_scaled_to_zero_is_refused():
-    with pytest.raises(ValueError, match="cannot be inverted"):
-        project_points(np.zeros((1, 3)), Intrinsics(1, 1, 1, 1, 0, 0), np.diag([0.0, 1, 1, 1]))
-
-
 def test_no_points_project_to_no_pixels():
     pixels, plane_depth_m = project_points(np.zeros((0, 3)), Intrinsics(1, 1, 1, 1, 0, 0), np.eye(4))
     assert pixels.shape == (0, 2) and plane_depth_m.shape == (0,)
@@ -126,11 +121,6 @@ def test_an_exposure_that_is_no_positive_number_is_refused(exposure):
     frame = frame_of(Intrinsics(1, 1, 1, 1, 0, 0), np.eye(4), np.ones((1, 1)))
     with pytest.raises(ValueError, match="positive, finite exposure"):
         unproject_frame(frame, reference_exposure=exposure)
-
-
-def test_encoding_clips_and_never_wraps():
-    radiance = np.array([-1.0, 0.0, 0.5, 1.0, 2.0, 1e30, np.nan, np.inf, -np.inf])
-    assert encode_exposed(radiance, 1.0).tolist() == [0, 0, 188, 255, 255, 255, 0, 255, 0]
 
 
 def test_exposure_is_applied_before_clipping():

@@ -208,14 +208,6 @@ def test_a_float32_colour_above_1_is_refused() -> None:
         decode_cloud(struct.pack("<4f", 0.5, 1.0001, 0.5, 1), 1, "float32")
 
 
-def test_distance_0_means_not_set_only_where_there_is_no_index() -> None:
-    without_index = decode_cloud(struct.pack("<3Be", 9, 9, 9, 0.0), 1, "uint8_float16")
-    assert_same(without_index, UnitSphereCloud.empty(1))
-    with_index = decode_cloud(struct.pack("<H3Be", 0, 9, 9, 9, 0.0), 1)
-    assert with_index.is_set.tolist() == [True]
-    assert with_index.distance_m.tolist() == [0]
-
-
 @pytest.mark.parametrize("method", STRIPPED)
 def test_index_65535_is_carried_and_more_anchors_are_refused(method: EncodingMethod) -> None:
     last = np.arange(65536) == 65535

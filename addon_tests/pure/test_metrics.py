@@ -56,15 +56,6 @@ def test_shc_rmse_has_known_answers() -> None:
     assert shc_rmse(one_off, one_off) == 0
 
 
-def test_shc_rmse_refuses_what_it_cannot_compare() -> None:
-    with pytest.raises(ValueError, match=r"\(9, 3\), \(4, 3\)"):
-        shc_rmse(np.zeros((9, 3)), np.zeros((4, 3)))
-    with pytest.raises(ValueError, match="not empty"):
-        shc_rmse([], [])
-    with pytest.raises(ValueError, match="got 2 NaN"):
-        shc_rmse(np.full((1, 3), [np.nan, np.inf, 0]), np.zeros((1, 3)))
-
-
 # ---- all image metrics
 
 
@@ -75,13 +66,6 @@ def test_equal_images_score_exactly_perfect(metric: Metric) -> None:
         image = images(seed)[0]
         assert metric(image, image.copy(), mask) == perfect
         assert metric(image.astype(np.float32), image.astype(np.float32), mask) == perfect
-
-
-@EVERY_METRIC
-def test_an_empty_mask_is_undefined(metric: Metric) -> None:
-    a, b = images()
-    assert metric(a, b, np.zeros_like(FULL)) is None
-    assert metric(np.zeros((0, 4, 3)), np.zeros((0, 4, 3)), np.zeros((0, 4))) is None
 
 
 @EVERY_METRIC
@@ -218,13 +202,6 @@ def test_black_pixels_are_counted_and_not_hidden() -> None:
     error = angular_error(prediction, truth, [[1, 1, 1, 1, 0]])
     assert (error.n_pixels, error.n_black_prediction, error.n_black_truth) == (4, 1, 2)
     assert error.mean_deg == pytest.approx(90)
-
-
-def test_a_black_prediction_has_no_angle_instead_of_a_perfect_one() -> None:
-    truth = images()[1]
-    error = angular_error(np.zeros_like(truth), truth, FULL)
-    assert error.mean_deg is None
-    assert error.n_black_prediction == error.n_pixels == FULL.size
 
 
 def test_the_mean_angle_is_weighted() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from xihenet.records import Intrinsics, LightEstimate, PointCloud, RgbdFrame, UnitSphereCloud
+from xihenet.records import Intrinsics, PointCloud, RgbdFrame, UnitSphereCloud
 
 PINHOLE = Intrinsics(4, 3, 2.0, 2.0, 2.0, 1.5)
 
@@ -84,8 +84,3 @@ def test_points_may_be_nan_but_need_a_colour_each():
     PointCloud([[np.nan, 0, 0]], [[0, 0, 0]])
     with pytest.raises(ValueError, match=r"PointCloud\.srgb"):
         PointCloud([[np.nan, 0, 0]], np.zeros((2, 3)))
-
-
-def test_an_estimate_with_nan_is_refused():
-    with pytest.raises(ValueError, match="finite"):
-        LightEstimate(np.full((9, 3), np.nan), 1.0, 0.5, "none")

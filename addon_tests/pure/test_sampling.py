@@ -72,13 +72,6 @@ def test_sampling_keeps_the_nearer_colour():
         np.testing.assert_array_equal(sampled.distance_m[sampled.is_set], [2])
 
 
-def test_first_of_equally_near_points_wins():
-    points = [[0, 9, 0], [0, 4, 0], [0, 4, 0], [0, 4, 0]]
-    colours = [[0.1, 0, 0], [0.2, 0, 0], [0.3, 0, 0], [0.4, 0, 0]]
-    sampled = sample_unit_sphere(PointCloud(points, colours), ORIGIN, LATTICE)
-    np.testing.assert_array_equal(sampled.srgb[sampled.is_set], np.float32([[0.2, 0, 0]]))
-
-
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_point_along_an_axis_sets_the_anchor_that_points_there(axis, sign):
@@ -170,25 +163,9 @@ def test_skipped_points_change_nothing_but_the_count():
     np.testing.assert_array_equal(sampled.distance_m, clean.distance_m)
 
 
-@pytest.mark.parametrize("point", [[np.nan, 0, 0], [2, 3, 4]])
-def test_nothing_but_skipped_points_sets_no_anchor(point):
-    sampled = sample_unit_sphere(PointCloud([point] * 9, np.ones((9, 3))), [2, 3, 4], LATTICE)
-    assert not sampled.is_set.any() and sampled.n_invalid_points == 9
-
-
-def test_cloud_without_points_is_legal():
-    sampled = sample_unit_sphere(PointCloud(np.zeros((0, 3)), np.zeros((0, 3))), ORIGIN, LATTICE)
-    assert len(sampled) == 1280 and not sampled.is_set.any() and sampled.n_invalid_points == 0
-
-
 def test_black_surface_is_set():
     sampled = sample_unit_sphere(PointCloud([[0, 0, 1]], [[0, 0, 0]]), ORIGIN, LATTICE)
     np.testing.assert_array_equal(np.flatnonzero(sampled.is_set), [0])
-
-
-def test_colour_beyond_the_range_is_clipped():
-    sampled = sample_unit_sphere(PointCloud([[0, 0, 1]], [[1.0000001, -1e-7, 0.5]]), ORIGIN, LATTICE)
-    np.testing.assert_array_equal(sampled.srgb[0], np.float32([1, 0, 0.5]))
 
 
 def test_sampling_leaves_the_cloud_alone():

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.records import AnchorSurfaces, TriggerDecision, UnitSphereCloud
@@ -99,26 +97,6 @@ def test_the_split_policy_equals_a_loop_over_the_anchors_set_on_both_sides():
         assert decision.change == pytest.approx(max(pooled), rel=1e-5)
 
 
-@given(st.integers(0, 2**32 - 1), st.floats(0, 1), st.floats(0, 1), st.sampled_from(["split", "reference"]))
-@settings(max_examples=50, deadline=None)
-def test_firing_for_colour_is_monotone_in_theta(seed, low, high, policy):
-    rng = np.random.default_rng(seed)
-    before, after = random_cloud(rng), random_cloud(rng)
-    low, high = sorted((low, high))
-    fires = [
-        decide_trigger(before, after, LATTICE, TriggerSettings(theta=theta, policy=policy, coverage_theta=1.0)).fire
-        for theta in (low, high)
-    ]
-    assert fires[0] or not fires[1]
-
-
-def test_an_infinite_theta_never_fires_for_colour():
-    decision = decide_trigger(
-        cloud(True, 0.0), cloud(True, 1.0), LATTICE, TriggerSettings(theta=np.inf, coverage_theta=1.0)
-    )
-    assert not decision.fire
-
-
 def test_a_few_noisy_anchors_can_be_set_aside():
     after = cloud(True).srgb.copy()
     after[[10, 150, 300]] = 1.0
@@ -137,17 +115,6 @@ def test_hysteresis_keeps_a_flicker_around_the_threshold_from_firing_in_every_fr
     assert not decide_trigger(*flicker, LATTICE, settings_, last=first).fire
     calm = TriggerDecision(False, "none", 0.0, 0.1)
     assert decide_trigger(*flicker, LATTICE, settings_, last=calm).fire
-
-
-def test_a_single_anchor_works():
-    one = AnchorLattice(1)
-    dark, bright = (UnitSphereCloud([[c] * 3], [1.0], [True]) for c in (0.0, 1.0))
-    assert decide_trigger(dark, bright, one, TriggerSettings()).reason == "colour"
-
-
-def test_clouds_of_different_lattices_are_refused():
-    with pytest.raises(ValueError, match="320 and 2 anchors"):
-        decide_trigger(cloud(True), UnitSphereCloud.empty(2), LATTICE, TriggerSettings())
 
 
 @pytest.mark.parametrize(

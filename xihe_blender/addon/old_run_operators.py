@@ -24,9 +24,9 @@ class XIHE_OT_remove_old_runs(polls.Conditional, bpy.types.Operator):
         from xihe_blender.addon.runs_folder import shown_runs
         from xihe_blender.io.old_runs import format_old_runs, old_runs
 
-        said = format_old_runs(old_runs(runs_folder(), shown_runs()))
+        runs = format_old_runs(old_runs(runs_folder(), shown_runs()))
         answer: set[str] = context.window_manager.invoke_confirm(
-            self, event, title=f"Delete {said}?", message="This cannot be undone", confirm_text="Delete", icon="WARNING"
+            self, event, title=f"Delete {runs}?", message="This cannot be undone", confirm_text="Delete", icon="WARNING"
         )
         return answer
 

@@ -281,9 +281,9 @@ def in_title(name: str) -> str:
     return " ".join(as_sentence(word) for word in name.replace("_", " ").split(" "))
 
 
-def as_sentence(said: str) -> str:
+def as_sentence(words: str) -> str:
     """Its first letter in capitals; the others as they are."""
-    return said[:1].upper() + said[1:]
+    return words[:1].upper() + words[1:]
 
 
 def missing_run(folder: str) -> str:

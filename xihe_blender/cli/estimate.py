@@ -191,7 +191,7 @@ def _position_table(one: PlacedEstimate) -> str:
         facts.append(f"expected error {light.expected_error:.3f}")
     if not light.is_valid:
         facts.append(f"the light cannot be known: {format_reason(light.unknown_because)}")
-    head = f"{_told(one.position_m)}: {', '.join(facts)}"
+    head = f"{_format_position(one.position_m)}: {', '.join(facts)}"
     rows = [_format_invalid(one.invalid)] if one.invalid else []
     rows.append(" l  m      red    green     blue")
     bands = [(band, m) for band in range(3) for m in range(-band, band + 1)]
@@ -208,13 +208,13 @@ def _format_invalid(invalid: Counts) -> str:
 def warnings_about(placed: list[PlacedEstimate]) -> list[str]:
     """A line for each position whose light is a guess."""
     return [
-        f"{_told(one.position_m)} is not in the frame's view: its light is estimated from surfaces elsewhere"
+        f"{_format_position(one.position_m)} is not in the frame's view: its light is estimated from surfaces elsewhere"
         for one in placed
         if not one.is_in_view
     ]
 
 
-def _told(position_m: Position) -> str:
+def _format_position(position_m: Position) -> str:
     return ",".join(f"{coordinate:g}" for coordinate in position_m)
 
 

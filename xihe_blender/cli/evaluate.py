@@ -42,7 +42,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> int:
         raise UserError(f"--workers {options.workers}: give 1 or more")
     settings = BatchSettings(
         estimators=DEFAULT_ESTIMATORS if options.estimators is None else options.estimators,
-        phones=tuple(_told_absolutely(name) for name in options.profiles or ("perfect",)),
+        phones=tuple(_absolute_profile(name) for name in options.profiles or ("perfect",)),
         preset=options.preset,
         target=options.target,
         size=options.size,
@@ -68,6 +68,6 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> int:
     return EXIT_IN_PART if batch.failed else 0
 
 
-def _told_absolutely(phone: str) -> str:
+def _absolute_profile(phone: str) -> str:
     """A profile as workers in another folder find it too."""
     return phone if phone in profile_names() else str(Path(phone).resolve())

@@ -1,4 +1,4 @@
-"""What does `xihe frontier` take and print?"""
+"""The sub-command `xihe frontier`: what it takes and prints."""
 
 from __future__ import annotations
 

@@ -12,12 +12,8 @@ from dataclasses import dataclass
 
 from xihe_blender.io.run_results import FrameResult, ProbeResult, RunResults
 
-REASONS = {
-    "first": "first estimate",
-    "colour": "light changed",
-    "coverage": "more of the surroundings seen",
-}
 Value = Callable[[ProbeResult], float | None]
+REASONS = {"first": "first estimate", "colour": "light changed", "coverage": "more of the surroundings seen"}
 KEPT = "kept"
 """Stands where a reason stands, for a frame whose light could not be known."""
 

@@ -24,6 +24,11 @@ from xihenet.training.report import ReportSettings, make_report
 from xihenet.training.report_parts import calibrate_network
 from xihenet.training.report_text import report_markdown
 
+SAME_NAMED = (
+    "estimator", "target", "seed", "epochs", "batch_size", "learning_rate", "weight_decay", "patience", "device",
+)  # fmt: skip
+"""Options of a training that are its settings too."""
+
 STEPS = ("cache", "train", "report", "export")
 
 
@@ -141,10 +146,7 @@ def _run_cache(options: argparse.Namespace) -> Path:
 
 
 def _run_train(options: argparse.Namespace) -> None:
-    switches = {
-        "keeps_unset_at_origin": options.keep_unset_at_origin,
-        "is_bfloat16_in_training": options.bfloat16,
-    }
+    switches = {"keeps_unset_at_origin": options.keep_unset_at_origin, "is_bfloat16_in_training": options.bfloat16}
     if any(switches.values()) and options.estimator == "lattice":
         raise ValueError("--keep-unset-at-origin and --bfloat16: expected a PointConv network, got lattice")
     cache = _run_cache(options)
@@ -152,17 +154,9 @@ def _run_train(options: argparse.Namespace) -> None:
     settings = TrainSettings(
         cache,
         options.out / "_".join([options.estimator, options.target, str(options.seed), *of_rooms]),
-        estimator=options.estimator,
-        target=options.target,
-        seed=options.seed,
-        epochs=options.epochs,
-        batch_size=options.batch_size,
-        learning_rate=options.learning_rate,
-        weight_decay=options.weight_decay,
-        patience=options.patience,
-        device=options.device,
         n_rooms=options.rooms,
         options={name: True for name, is_on in switches.items() if is_on},
+        **{name: getattr(options, name) for name in SAME_NAMED},
     )
     print(train(settings, progress=_say))
 

@@ -1,4 +1,4 @@
-"""What do predictors without a network say, those that are fitted being fitted on the same rooms as the networks?
+"""Baselines, predictors without a network; those that are fitted are fitted on the same rooms as the networks.
 
 The mean light of the training rooms, whose error is what all others are divided by; what a phone's sensor gives, as it
 is and with a scale and an offset; the projection, as it is and with a regularised linear fit of its coefficients and

@@ -1,4 +1,4 @@
-"""By how much may a network's word about its own error be believed, and what makes it better?
+"""Calibration of a network's word about its own error: how far it may be believed, and what makes it better.
 
 A network's raw expected error comes from training rooms, which it knows better than others: it is too small, and says
 too much of what it learned by heart; and the less of the sphere it has seen, the more so. On the validation rooms a
@@ -20,13 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihenet.estimators.calibration import (
-    SHARES_ASKED,
-    SMALLEST_RAW,
-    STEEPEST,
-    STEEPEST_IN_COVERAGE,
-    Calibration,
-)
+from xihenet.estimators.calibration import SHARES_ASKED, SMALLEST_RAW, STEEPEST, STEEPEST_IN_COVERAGE, Calibration
 from xihenet.records import ArrayBool, ArrayF64
 
 N_BINS = 8

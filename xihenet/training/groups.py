@@ -1,4 +1,4 @@
-"""Which clouds does a table of the report speak of, and where do they lie?
+"""Groups of clouds that the report's tables speak of, and the folders they lie in.
 
 A group is one set of cases (the same rooms, views and positions) with their clouds as each kind of network wants them:
 sampled on the sphere, at random, or by farthest points, with some number of anchors. A folder of sampled clouds says
@@ -115,9 +115,9 @@ def training_clouds(folder: Path) -> CloudSet:
     room, is_merged = np.asarray(clouds.room), np.asarray(clouds.n_views) > 1
     # Pairs come first in each room, a block of copies each, the first of which is as it is.
     _, first, member = np.unique(room, return_index=True, return_inverse=True)
-    place = np.arange(len(room)) - first[member]
+    index = np.arange(len(room)) - first[member]
     n_merged_before: ArrayInt = np.cumsum(is_merged)
-    is_as_it_is = (place % n_copies == 0) & (n_merged_before == n_merged_before[first][member]) & ~is_merged
+    is_as_it_is = (index % n_copies == 0) & (n_merged_before == n_merged_before[first][member]) & ~is_merged
     return rows_of(clouds, np.flatnonzero(is_as_it_is | is_merged))
 
 

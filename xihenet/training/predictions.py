@@ -1,4 +1,4 @@
-"""What does each predictor, with each of its seeds, say of a group of clouds?
+"""Predictions of each predictor, with each of its seeds, for a group of clouds.
 
 A network stands in a report as a name with one file per seed, and is fed with the clouds it was made for: those of its
 sampling and, where a table has several numbers of anchors, of the number named. Where a group lacks such clouds the
@@ -84,12 +84,12 @@ def predict_group(
     group: Group, baselines: Baselines, networks: Sequence[NetworkSeeds], target: Target, device: str = "cpu"
 ) -> dict[str, list[Prediction]]:
     """By predictor, baselines first, one prediction per seed; networks without clouds in the group are left out."""
-    said = {name: [Prediction(light)] for name, light in baselines.lights(group.cases).items()}
+    predicted = {name: [Prediction(light)] for name, light in baselines.lights(group.cases).items()}
     for seeds in networks:
         of_network = seeds.predictions(group, target, device)
         if of_network is not None:
-            said[seeds.name] = of_network
-    return said
+            predicted[seeds.name] = of_network
+    return predicted
 
 
 def predict_clouds(net: nn.Module, clouds: CloudSet, target: Target, device: str = "cpu") -> Prediction:

@@ -1,4 +1,4 @@
-"""How is each part of the report made of clouds and of what predictors say of them?
+"""Parts of the report, made of clouds and of what predictors say of them.
 
 Pure functions from predictions to plain figures (numbers, None, lists and dictionaries), of one seed first and then
 their mean and spread, so that every number of a table has its spread. Where the clouds of a part are none, its figures
@@ -42,11 +42,11 @@ WORST_SHARE = 0.05
 N_WORST_ROOMS = 5
 
 
-def group_table(group: Group, said: Predictions, target: Target) -> dict[str, Any]:
+def group_table(group: Group, predicted: Predictions, target: Target) -> dict[str, Any]:
     """One table: what the clouds are, and a row for each predictor with mean and spread of its figures."""
     rows = []
-    for name, seeds in said.items():
-        mean, spread = over_seeds(prediction_figures(group, said, seeds, target))
+    for name, seeds in predicted.items():
+        mean, spread = over_seeds(prediction_figures(group, predicted, seeds, target))
         rows.append({"name": name, "n_seeds": len(seeds), "figures": mean, "spread": spread})
     quantiles = np.quantile(group.coverage, (0.05, 0.5, 0.95)).tolist() if len(group.cases) else [None] * 3
     return {
@@ -60,22 +60,22 @@ def group_table(group: Group, said: Predictions, target: Target) -> dict[str, An
 
 
 def prediction_figures(
-    group: Group, said: Predictions, seeds: Sequence[Prediction], target: Target
+    group: Group, predicted: Predictions, seeds: Sequence[Prediction], target: Target
 ) -> list[dict[str, Any]]:
     """For each seed all its scores, and those of coefficients divided by the mean predictor's on the same clouds."""
     truth, coverage = group.cases.truth(target), group.coverage
-    yardstick = score_lights(said[MEAN][0].light, truth, coverage)
+    yardstick = score_lights(predicted[MEAN][0].light, truth, coverage)
     return [_beside(score_lights(seed.light, truth, coverage), yardstick) for seed in seeds]
 
 
-def coverage_curve(groups: Sequence[Group], said: Predictions, target: Target) -> dict[str, Any]:
+def coverage_curve(groups: Sequence[Group], predicted: Predictions, target: Target) -> dict[str, Any]:
     """Ratio of every predictor in narrow bins of coverage, over all clouds of the groups; None where clouds are few."""
     truth = np.concatenate([group.cases.truth(target) for group in groups])
     coverage = np.concatenate([group.coverage for group in groups])
     bins = coverage_groups(coverage, CURVE_EDGES)
-    yardstick = rmse_of_each(said[MEAN][0].light, truth)
+    yardstick = rmse_of_each(predicted[MEAN][0].light, truth)
     curves = {}
-    for name, seeds in said.items():
+    for name, seeds in predicted.items():
         of_each = [rmse_of_each(seed.light, truth) for seed in seeds]
         mean, spread = over_seeds([[_ratio_in_bin(made, yardstick, b) for b in bins] for made in of_each])
         curves[name] = {"ratio": mean, "spread": spread}
@@ -91,10 +91,10 @@ def room_figures(group: Group, name: str, seeds: Sequence[Prediction], target: T
     """How unevenly the squared error, the mean over seeds, is spread over clouds and over rooms."""
     truth, room = group.cases.truth(target), group.cases.room
     squared = np.mean([rmse_of_each(seed.light, truth) ** 2 for seed in seeds], axis=0)
-    names, place = np.unique(room, return_inverse=True)
+    names, index = np.unique(room, return_inverse=True)
     of_rooms, n_clouds = (
-        np.bincount(place, squared, len(names)).astype(np.float64),
-        np.bincount(place, minlength=len(names)),
+        np.bincount(index, squared, len(names)).astype(np.float64),
+        np.bincount(index, minlength=len(names)),
     )
     total = float(squared.sum())
     worst = np.argsort(-of_rooms, kind="stable")[:N_WORST_ROOMS]
@@ -164,9 +164,9 @@ class SeedCalibrations:
         multiples = np.array([one.quantiles for one in by_other_half])[parity].T
         return errors, multiples * errors
 
-    def figures(self, groups: Sequence[Group], said: Sequence[Predictions], target: Target) -> dict[str, Any]:
+    def figures(self, groups: Sequence[Group], predicted: Sequence[Predictions], target: Target) -> dict[str, Any]:
         """Over the clouds of one view and all views together, by coverage and by table; mean and spread over seeds."""
-        known = [(group, part[self.name]) for group, part in zip(groups, said, strict=True) if self.name in part]
+        known = [(group, part[self.name]) for group, part in zip(groups, predicted, strict=True) if self.name in part]
         by_seed = [self._seed_figures(i, [(g, part[i]) for g, part in known], target) for i in range(len(self.by_seed))]
         mean, spread = over_seeds(by_seed)
         weights = [asdict(one) | {"quantiles": list(one.quantiles)} for one in self.by_seed]
@@ -174,12 +174,12 @@ class SeedCalibrations:
 
     def _seed_figures(self, seed: int, known: list[tuple[Group, Prediction]], target: Target) -> dict[str, Any]:
         expected, promised, made, coverage, table = [], [], [], [], []
-        for i, (group, said) in enumerate(known):
-            raw = said.raw_error if said.raw_error is not None else np.zeros(len(group.cases))
+        for i, (group, predicted) in enumerate(known):
+            raw = predicted.raw_error if predicted.raw_error is not None else np.zeros(len(group.cases))
             one, limits = self.expected(seed, raw, group.coverage, group.cases.room)
             expected.append(one)
             promised.append(limits)
-            made.append(rmse_of_each(said.light, group.cases.truth(target)))
+            made.append(rmse_of_each(predicted.light, group.cases.truth(target)))
             coverage.append(group.coverage)
             table.append(np.full(len(group.cases), i))
         # The first two tables are of the rooms that were split; what coverage does is asked of them alone.
@@ -219,13 +219,13 @@ def stress_group(
     for network in networks:
         figures = []
         for i, net in enumerate(network.nets):
-            said = predict_clouds(net, clouds, baselines.target, device)
+            predicted = predict_clouds(net, clouds, baselines.target, device)
             # As the estimator does in a session, where the frame's sensor is at hand.
-            said = replace(said, light=lean_on_sensor(said.light, coverage, basic[AMBIENT]))
+            predicted = replace(predicted, light=lean_on_sensor(predicted.light, coverage, basic[AMBIENT]))
             expected = None
-            if network.name in calibrations and said.raw_error is not None:
-                expected = calibrations[network.name].expected(i, said.raw_error, coverage, clouds.room)[0]
-            figures.append(_stress_row(said, truth, of_ambient, expected))
+            if network.name in calibrations and predicted.raw_error is not None:
+                expected = calibrations[network.name].expected(i, predicted.raw_error, coverage, clouds.room)[0]
+            figures.append(_stress_row(predicted, truth, of_ambient, expected))
         mean, spread = over_seeds(figures)
         is_finite = all(one["is_finite"] for one in figures)
         is_within = is_finite and (mean["ratio"] is None or mean["ratio"] <= STRESS_LIMIT)
@@ -235,13 +235,15 @@ def stress_group(
     return {"name": name, "n_clouds": len(clouds), "n_anchors": clouds.is_set.shape[1], "coverage": seen, "rows": rows}
 
 
-def _stress_row(said: Prediction, truth: Any, of_ambient: float | None, expected: ArrayF64 | None) -> dict[str, Any]:
+def _stress_row(
+    predicted: Prediction, truth: Any, of_ambient: float | None, expected: ArrayF64 | None
+) -> dict[str, Any]:
     """`ratio` to ambient's RMSE, None if any light is not finite; expected over made errors where one is expected."""
-    is_finite = bool(np.isfinite(said.light).all())
-    rmse = pooled_rms(said.light - truth) if is_finite else None
+    is_finite = bool(np.isfinite(predicted.light).all())
+    rmse = pooled_rms(predicted.light - truth) if is_finite else None
     kept = None
     if expected is not None and is_finite and len(truth):
-        kept = ratio(float(expected.mean()), float(rmse_of_each(said.light, truth).mean()))
+        kept = ratio(float(expected.mean()), float(rmse_of_each(predicted.light, truth).mean()))
     within = ratio(rmse, of_ambient)
     is_within = is_finite and (within is None or within <= STRESS_LIMIT)
     return {"rmse": rmse, "ratio": within, "is_finite": is_finite, "is_within": is_within, "expected_over_made": kept}

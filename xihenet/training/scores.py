@@ -1,4 +1,4 @@
-"""How wrong are M lights, by every measure that the report states?
+"""Errors of M lights, by every measure that the report states.
 
 The same errors as `xihenet.metrics` gives for one light at a time, for thousands at once: of coefficients, of the
 irradiance on surfaces, of where the light comes from, and of what three spheres would show. Errors of coefficients and

@@ -1,4 +1,4 @@
-"""Does an estimator degrade gently: what do clouds look like when nearly nothing, or nothing true, is seen?
+"""Disturbances of clouds, which ask whether an estimator degrades gently: nearly nothing, or nothing true, is seen.
 
 Each disturbance makes new clouds of test clouds and leaves their truth, the light of the undisturbed room, as it is.
 What is asked is whether an estimator is then worse than what a phone gives without any: so each comes with what the

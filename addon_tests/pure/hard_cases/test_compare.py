@@ -86,7 +86,7 @@ NONE_AT_ALL = np.zeros((0, 0, 3)), np.zeros((0, 0, 3)), np.zeros((0, 0))
 
 PICTURES = [
     *(score(metric, "pictures under an empty mask is undefined", EMPTY, UNDEFINED) for metric in METRICS),
-    *(score(metric, "pictures without pixels is undefined", NONE_AT_ALL, UNDEFINED) for metric in ("RMSE", "SSIM")),
+    *(score(metric, "pictures without pixels is undefined", NONE_AT_ALL, UNDEFINED) for metric in METRICS),
     *(
         score(
             metric,
@@ -244,7 +244,7 @@ def test_coefficients_that_differ_by_1e200_have_that_error(comes_out):
     comes_out((SH * 1e200, SH * 0), shc, near(1e200, 1e186), shc_by_hand)
 
 
-def test_coefficients_that_differ_by_1e_200_are_not_equal(comes_out):
+def test_coefficients_that_hardly_differ_are_not_equal(comes_out):
     comes_out((SH * 1e-200, SH * 0), shc, near(1e-200, 1e-214), lambda given: shc_by_hand(given) or 1.0)
 
 

@@ -146,7 +146,7 @@ def test_8_bits_lose_half_a_code_of_colour(comes_out):
     comes_out(STRIPPED, partial(largest_error, part="srgb"), at_most(0.5001 / 255), cut_off)
 
 
-def test_half_floats_lose_2_11_of_a_distance(comes_out):
+def test_half_floats_lose_a_2048th_of_a_distance(comes_out):
     comes_out(STRIPPED, partial(largest_error, part="distance_m"), at_most(2.0**-11), kept_distance)
 
 
@@ -154,27 +154,12 @@ def test_float32_loses_nothing(comes_out):
     comes_out("float32_stripped", partial(largest_error, part="distance_m"), equal(0.0), kept_distance)
 
 
-LOSS = [
-    case(
-        "colours at the edges of codes are rounded",
-        [0.0, 0.49 / 255, 0.51 / 255, 254.51 / 255, 1 - 1e-7, 1.0],
-        codes_of,
-        equal([0, 0, 1, 255, 255, 255]),
-        lambda srgb: [int(value * 255) for value in srgb],
-    ),
-    case(
-        "a black anchor is carried and not dropped",
-        full_cloud(3, 0.0),
-        lambda cloud: int(decode_cloud(encode_cloud(cloud), 3).is_set.sum()),
-        equal(3),
-        lambda cloud: int((cloud.srgb.sum(axis=1) > 0).sum()),
-    ),
-]
+def test_colours_at_the_edges_of_codes_are_rounded(comes_out):
+    comes_out([0.0, 0.49 / 255, 0.51 / 255, 254.51 / 255, 1 - 1e-7, 1.0], codes_of, equal([0, 0, 1, 255, 255, 255]))
 
 
-@pytest.mark.parametrize("given, ask, must, naive", LOSS)
-def test_the_wire_loses_no_more_than_it_says(given, ask, must, naive, comes_out):
-    comes_out(given, ask, must, naive)
+def test_a_black_anchor_is_carried_and_not_dropped(comes_out):
+    comes_out(full_cloud(3, 0.0), lambda cloud: int(decode_cloud(encode_cloud(cloud), 3).is_set.sum()), equal(3))
 
 
 # ------------------------------------------------------------------------------------------------------------ bytes
@@ -213,25 +198,11 @@ def test_an_empty_payload_sets_nothing(comes_out):
 
 BYTES = [
     case(
-        "anchor 65,535 of 65,536 is carried",
-        65_536,
-        lambda n: bool(decode_cloud(encode_cloud(full_cloud(n)), n).is_set[-1]),
-        equal(True),
-        lambda n: (n - 1) == int(np.array(n - 1).astype(np.int16)),
-    ),
-    case(
-        "65,537 anchors are carried where there is no index",
-        65_537,
-        lambda n: len(decode_cloud(encode_cloud(full_cloud(n), WHOLE), n, WHOLE)),
-        equal(65_537),
-        lambda n: len(set(np.arange(n).astype(np.uint16).tolist())),
-    ),
-    case(
         "unsorted anchors are the same cloud",
         records((7, 20, 2.0), (3, 10, 1.0)),
         lambda payload: decode_cloud(payload, N).distance_m[[3, 7]].tolist(),
         equal([1.0, 2.0]),
-        lambda payload: [distance_m for _, distance_m in decoded_by_hand(payload).values()],
+        None,
     ),
     case(
         "a distance of minus 0 is 0 and set",
@@ -240,21 +211,23 @@ BYTES = [
         that("one anchor set, no sign", lambda came: came == ((1, 0.0), False)),
         lambda payload: ((1, 0.0), bool(np.signbit(decoded_by_hand(payload)[3][1]))),
     ),
-    case(
-        "a distance of minus 0 is not set where there is no index",
-        b"\x09\x09\x09\x00\x80",
-        partial(read, n=1, method=WHOLE),
-        equal((0, 0.0)),
-        lambda payload: (int(payload[3:] != b"\0\0"), 0.0),
-    ),
-    case(
-        "a colour beside distance 0 is dropped where there is no index",
-        b"\xff\xff\xff\x00\x00",
-        lambda payload: float(decode_cloud(payload, 1, WHOLE).srgb.max()),
-        equal(0.0),
-        lambda payload: payload[0] / 255,
-    ),
 ]
+
+
+def test_anchor_65535_of_65536_is_carried(comes_out):
+    comes_out(65_536, lambda n: bool(decode_cloud(encode_cloud(full_cloud(n)), n).is_set[-1]), equal(True))
+
+
+def test_65537_anchors_are_carried_where_there_is_no_index(comes_out):
+    comes_out(65_537, lambda n: len(decode_cloud(encode_cloud(full_cloud(n), WHOLE), n, WHOLE)), equal(65_537))
+
+
+def test_a_distance_of_minus_0_is_not_set_where_there_is_no_index(comes_out):
+    comes_out(b"\x09\x09\x09\x00\x80", partial(read, n=1, method=WHOLE), equal((0, 0.0)))
+
+
+def test_a_colour_beside_distance_0_is_dropped_where_there_is_no_index(comes_out):
+    comes_out(b"\xff\xff\xff\x00\x00", lambda payload: float(decode_cloud(payload, 1, WHOLE).srgb.max()), equal(0.0))
 
 
 @pytest.mark.parametrize("given, ask, must, naive", BYTES)

@@ -90,7 +90,7 @@ def test_light_turns_with_the_room(given, naive, comes_out):
     comes_out(given, turn_error, at_most(1e-12), naive)
 
 
-def test_a_turn_by_1e_9_moves_the_light_by_1e_9(comes_out):
+def test_a_turn_by_a_billionth_moves_the_light_by_a_billionth(comes_out):
     comes_out(1e-9, tiny_turn, near(-1.0, 1e-5), tiny_turn_in_float32)
 
 
@@ -178,32 +178,11 @@ RINGING = [
         lambda sh: lowest(dering(sh) * np.repeat([1, 0.9, 0.7], [1, 3, 5])[:, None]),
     ),
     case(
-        "light that does not ring is left alone",
-        light(c0=1, c2=0.2),
-        lambda sh: float(np.abs(dering(sh) - sh).max()),
-        equal(0.0),
-        lambda sh: float(np.abs(lanczos(sh) - sh).max()),
-    ),
-    case(
         "light of odd bands alone becomes black",
         light(c1=1, c2=-2, c3=0.5),
         lambda sh: float(np.abs(dering(sh)).max()),
         at_most(1e-8),
         lambda sh: float(np.abs(lanczos(sh)).max()),
-    ),
-    case(
-        "no light stays none",
-        light(),
-        lambda sh: (float(np.abs(dering(sh)).max()), window_of(sh)),
-        equal((0.0, 0.0)),
-        lambda sh: (float((sh / sh[0]).max()), 0.0),
-    ),
-    case(
-        "a channel of negative light is black and the others stay",
-        light(c0=1) * [1, -1, 1],
-        lambda sh: dering(sh)[0].tolist(),
-        equal([1.0, 0.0, 1.0]),
-        lambda sh: lanczos(sh)[0].tolist(),
     ),
     case(
         "constant light of order 10 irradiates pi times itself",
@@ -220,6 +199,18 @@ RINGING = [
         lambda sh: float(np.abs(basis(UNIT_NORMALS, 5) @ sh).max()),
     ),
 ]
+
+
+def test_light_that_does_not_ring_is_left_alone(comes_out):
+    comes_out(light(c0=1, c2=0.2), lambda sh: float(np.abs(dering(sh) - sh).max()), equal(0.0))
+
+
+def test_no_light_stays_none(comes_out):
+    comes_out(light(), lambda sh: (float(np.abs(dering(sh)).max()), window_of(sh)), equal((0.0, 0.0)))
+
+
+def test_a_channel_of_negative_light_is_black_and_the_others_stay(comes_out):
+    comes_out(light(c0=1) * [1, -1, 1], lambda sh: dering(sh)[0].tolist(), equal([1.0, 0.0, 1.0]))
 
 
 @pytest.mark.parametrize("given, ask, must, naive", RINGING)

@@ -109,34 +109,31 @@ def test_what_was_seen_once_outlives_a_thousand_fires(comes_out):
 
 MERGING = [
     case(
-        "nothing merged with nothing is nothing",
-        [NOTHING, NOTHING],
-        lambda clouds: merged(clouds).sum(),
-        equal(0.0),
-        lambda clouds: float(np.divide(parts(clouds[0]).sum(axis=0), parts(clouds[0])[:, 4].sum()).sum()),
-    ),
-    case(
         "1e-45 m and 3e38 m stand side by side",
         (1e-45, 3e38),
         lambda distances: merged(wide(distances))[:, 3],
         equal(np.where(EVEN, np.float32(1e-45), np.float32(3e38))),
-        lambda distances: np.where(EVEN, *np.float32(distances).astype(np.float16)),
+        None,
     ),
     case(
         "65,536 anchors merge anchor by anchor",
         65_536,
         lambda n: int(merge(cloud_of(np.arange(n) == 0), cloud_of(np.arange(n) == n - 1)).is_set.sum()),
         equal(2),
-        lambda n: len({np.arange(2 * n).astype(np.uint16)[i] for i in (0, n)}),
+        None,
     ),
     case(
         "skipped points of a thousand frames are those of the last frame",
         [UnitSphereCloud(np.zeros((1, 3)), np.zeros(1), np.zeros(1, bool), {"at_probe": 7})] * 1000,
         lambda clouds: reduce(merge, clouds).n_invalid_points,
         equal(7),
-        lambda clouds: sum(cloud.n_invalid_points for cloud in clouds),
+        None,
     ),
 ]
+
+
+def test_nothing_merged_with_nothing_is_nothing(comes_out):
+    comes_out([NOTHING, NOTHING], lambda clouds: merged(clouds).sum(), equal(0.0))
 
 
 @pytest.mark.parametrize("given, ask, must, naive", MERGING)
@@ -152,12 +149,7 @@ MERGED = [
         averaged,
     ),
     case("a thousand merges of the same two clouds do not drift", BY_TURNS, equal(merged([FIRST, SECOND])), averaged),
-    case(
-        "a cloud merged with itself a thousand times is itself",
-        [FIRST] * 1000,
-        equal(parts(FIRST)),
-        lambda clouds: parts(clouds[0]) * np.float32(1.0000001) ** len(clouds),
-    ),
+    case("a cloud merged with itself a thousand times is itself", [FIRST] * 1000, equal(parts(FIRST)), None),
     case(
         "a ball that moves away shows the wall behind it",
         [cloud_of(ALL, 0.2, 1.0), cloud_of(ALL, 0.8, 5.0)],

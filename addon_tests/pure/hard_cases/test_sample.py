@@ -100,13 +100,6 @@ def test_the_anchor_is_the_nearest_one(given, naive, comes_out):
 
 LATTICES = [
     case(
-        "a single anchor points up, where the lattice's formula divides by 0",
-        1,
-        lambda n: AnchorLattice(n).directions,
-        equal(np.array([[0.0, 0.0, 1.0]])),
-        lambda n: 1 - 2 * np.arange(n) / np.float64(n - 1),
-    ),
-    case(
         "directions of any length find the same anchor",
         random_directions(50),
         lambda units: max(
@@ -114,9 +107,13 @@ LATTICES = [
             for length in (1e-300, 1e-30, 1e30, 1e300)
         ),
         equal(0),
-        lambda units: int((units * 1e300 / np.sqrt(((units * 1e300) ** 2).sum(axis=1, keepdims=True)) != units).sum()),
-    ),
+        None,
+    )
 ]
+
+
+def test_a_single_anchor_points_up_where_the_lattices_formula_divides_by_0(comes_out):
+    comes_out(1, lambda n: AnchorLattice(n).directions, equal(np.array([[0.0, 0.0, 1.0]])))
 
 
 @pytest.mark.parametrize("given, ask, must, naive", LATTICES)

@@ -162,7 +162,7 @@ WINNING = [
         SHUFFLED,
         lambda order: float(np.abs(sampled(SPREAD).distance_m - sampled(SPREAD[order]).distance_m).max()),
         equal(0.0),
-        lambda order: float(np.abs(last_wins(SPREAD) - last_wins(SPREAD[order])).max()),
+        None,
     ),
     case(
         "a lattice of one anchor takes the nearest of all points",
@@ -172,34 +172,28 @@ WINNING = [
         lambda points: last_wins(points, 1).tolist(),
     ),
     case(
-        "azimuth pi and minus pi are one direction",
-        [[-1, 0.0, 0.1], [-1, -0.0, 0.1]],
-        lambda points: int(sampled(points).is_set.sum()),
-        equal(1),
-        lambda points: len({int((np.arctan2(y, x) + np.pi) / (2 * np.pi) * 1024) for x, y, _ in points}),
-    ),
-    case(
-        "points on both poles set the first and the last anchor",
-        [[0, 0, 3], [0, 0, -4]],
-        lambda points: np.flatnonzero(sampled(points).is_set).tolist(),
-        equal([0, 63]),
-        lambda points: [int(np.arctan2(y, x) * 1024) for x, y, _ in points],
-    ),
-    case(
         "colours beyond white and below black are clipped",
         ([single(1), single(-1)], [[1.5] * 3, [-0.5] * 3]),
         lambda given: sorted(sampled(*given).srgb.max(axis=1)[sampled(*given).is_set].tolist()),
         equal([0.0, 1.0]),
-        lambda given: sorted(colour[0] for colour in given[1]),
+        None,
     ),
     case(
         "a NaN colour is skipped and does not hide the point behind it",
         ([single(1), single(2)], [[np.nan] * 3, [0.5] * 3]),
         lambda given: (float(sampled(*given).distance_m.max()), sampled(*given).n_invalid_points),
         equal((2.0, 1)),
-        lambda given: (float(np.linalg.norm(given[0], axis=1).min()), 0),
+        None,
     ),
 ]
+
+
+def test_azimuth_pi_and_minus_pi_are_one_direction(comes_out):
+    comes_out([[-1, 0.0, 0.1], [-1, -0.0, 0.1]], lambda points: int(sampled(points).is_set.sum()), equal(1))
+
+
+def test_points_on_both_poles_set_the_first_and_the_last_anchor(comes_out):
+    comes_out([[0, 0, 3], [0, 0, -4]], lambda points: np.flatnonzero(sampled(points).is_set).tolist(), equal([0, 63]))
 
 
 @pytest.mark.parametrize("given, ask, must, naive", WINNING)
@@ -224,11 +218,11 @@ def metres_off_by_hand(position_m: np.ndarray) -> float:
     return abs(float(distance) - float(np.linalg.norm(point.astype(float) - position_m)))
 
 
-def test_10_km_from_the_origin_distances_are_right_to_0_1_micrometres(comes_out):
+def test_10_km_from_the_origin_distances_are_right_to_a_tenth_of_a_micrometre(comes_out):
     comes_out(np.array([10000.0003, -10000.0003, 10000.0003]), metres_off_at, at_most(1e-7), metres_off_by_hand)
 
 
-def test_1000_km_from_the_origin_distances_are_right_to_0_1_micrometres(comes_out):
+def test_1000_km_from_the_origin_distances_are_right_to_a_tenth_of_a_micrometre(comes_out):
     comes_out(np.array([1e6 + 0.01, 0, 1e6 - 0.02]), metres_off_at, at_most(1e-7), metres_off_by_hand)
 
 
@@ -241,7 +235,7 @@ PLACES = [
             sampled([single(1)] * 3, position_m=place).n_invalid_points,
         ),
         equal((0, 3)),
-        lambda place: (int(np.isfinite(np.float32(place)).all()), 0),
+        None,
     )
 ]
 
@@ -299,7 +293,7 @@ BASELINES = [
         np.full((5, 3), np.nan),
         lambda points: len(sample_uniform(PointCloud(points, np.zeros((5, 3))), 3, np.random.default_rng(0)).points_m),
         equal(0),
-        lambda points: len(np.random.default_rng(0).choice(points, 3)),
+        None,
     )
 ]
 

@@ -78,17 +78,13 @@ FIRING = [
         "a cloud against itself after the wire stays below theta 1e-5",
         (ROOM, on_the_wire(ROOM), TriggerSettings(theta=1e-5)),
         NONE,
-        lambda given: "none" if np.array_equal(given[0].srgb, given[1].srgb) else "colour",
+        None,
     ),
     case(
         "one code of change fires at theta 0",
         (cloud_of(128 / 255), cloud_of(129 / 255), TriggerSettings(theta=0)),
         COLOUR,
-        lambda given: (
-            "colour"
-            if np.any(given[0].srgb.astype(np.float16) ** 2 - given[1].srgb.astype(np.float16) ** 2 > 0)
-            else "none"
-        ),
+        None,
     ),
     case(
         "black to white does not fire at an infinite theta",
@@ -102,39 +98,20 @@ FIRING = [
         NONE,
         decided_by_hand,
     ),
-    case(
-        "black to white fires at theta just below 1",
-        (BLACK, WHITE, TriggerSettings(theta=0.9999)),
-        COLOUR,
-        lambda given: (
-            "colour"
-            if ((given[1].srgb - given[0].srgb).astype(np.float16) ** 2).mean() > np.float16(given[2].theta)
-            else "none"
-        ),
-    ),
+    case("black to white fires at theta just below 1", (BLACK, WHITE, TriggerSettings(theta=0.9999)), COLOUR, None),
     case(
         "a newly seen bright wall is coverage, not colour",
         (DIM_HALF, DIM_ALL, DEFAULT),
         equal("coverage"),
         decided_by_hand,
     ),
-    case(
-        "a newly seen bright wall is colour by the paper's rule",
-        (DIM_HALF, DIM_ALL, REFERENCE),
-        COLOUR,
-        lambda given: decided((*given[:2], DEFAULT)),
-    ),
-    case(
-        "no cloud before this one fires for being first",
-        (None, BLACK, DEFAULT),
-        equal("first"),
-        lambda given: decided_by_hand((BLACK, *given[1:])),
-    ),
+    case("a newly seen bright wall is colour by the paper's rule", (DIM_HALF, DIM_ALL, REFERENCE), COLOUR, None),
+    case("no cloud before this one fires for being first", (None, BLACK, DEFAULT), equal("first"), None),
     case(
         "nothing seen does not fire for being first",
         (None, UnitSphereCloud.empty(N), TriggerSettings(theta=0)),
         NONE,
-        lambda given: "first" if given[0] is None else "none",
+        None,
     ),
     case(
         "nothing seen against a full cloud does not fire by the paper's rule",
@@ -142,17 +119,12 @@ FIRING = [
         NONE,
         decided_by_hand,
     ),
-    case(
-        "a lattice of one anchor fires when it changes",
-        (cloud_of(0, n=1), cloud_of(1, n=1), DEFAULT),
-        COLOUR,
-        lambda given: str(((given[1].srgb - given[0].srgb) ** 2)[LATTICE.neighbours(4)[0]].mean()),
-    ),
+    case("a lattice of one anchor fires when it changes", (cloud_of(0, n=1), cloud_of(1, n=1), DEFAULT), COLOUR, None),
     case(
         "a window wider than the sphere is the sphere",
         (BLACK, cloud_of(0.9), replace(DEFAULT, n_neighbours=10_000)),
         COLOUR,
-        lambda given: decided_by_hand(given) + str(LATTICE.neighbours(given[2].n_neighbours).shape),
+        None,
     ),
     case(
         "a lamp in one anchor is averaged over its window", (BLACK, cloud_of(ONE_LAMP), DEFAULT), NONE, decided_by_hand
@@ -252,15 +224,12 @@ THRESHOLDS = [
         fires_for_flicker,
         that("at most 50 of 100", lambda came: 0 < came <= 50),
         lambda settings: fires_for_flicker(replace(settings, hysteresis=0.0)),
-    ),
-    case(
-        "light far above the threshold fires in every frame in spite of hysteresis",
-        STEADY,
-        lambda settings: flickering(settings, 0.6),
-        equal([True] * 10),
-        lambda settings: flickering(replace(settings, hysteresis=1.0), 0.6),
-    ),
+    )
 ]
+
+
+def test_light_far_above_the_threshold_fires_in_every_frame_in_spite_of_hysteresis(comes_out):
+    comes_out(STEADY, lambda settings: flickering(settings, 0.6), equal([True] * 10))
 
 
 @pytest.mark.parametrize("given, ask, must, naive", THRESHOLDS)

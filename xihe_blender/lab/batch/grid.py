@@ -1,4 +1,4 @@
-"""Which runs make up a batch, and what do they share?
+"""Grid of the runs that make up a batch, and what they share.
 
 A trial is one run: a scene, a seed, a phone, an estimator. All trials of one scene and seed see the same room, so its
 captures, light probes and path-traced pictures are rendered once for all of them: that is a unit, the piece of work
@@ -61,18 +61,8 @@ class BatchSettings:
         # Workers know of units, and must not load Blender: it does not work beside the thread that they work in.
         from xihe_blender.previs.settings import PrevisSettings
 
-        return PrevisSettings(
-            estimator=estimator,
-            phone=phone,
-            seed=seed,
-            preset=self.preset,
-            target=self.target,
-            size=self.size,
-            frames=self.frames,
-            noise_target=self.noise_target,
-            samples=self.samples,
-            network=self.network,
-        )
+        shared = {name: value for name, value in vars(self).items() if name not in ("estimators", "phones")}
+        return PrevisSettings(estimator=estimator, phone=phone, seed=seed, **shared)
 
     def as_json(self) -> dict[str, Any]:
         """As the batch's folder keeps it, and `from_json` reads it."""

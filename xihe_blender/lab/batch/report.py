@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from xihe_blender.lab.batch import drawings
+from xihe_blender.lab.batch import answers, drawings
 from xihe_blender.lab.batch.analysis import (
     MEASURES,
     Comparison,
@@ -28,16 +28,9 @@ from xihe_blender.lab.batch.analysis import (
     values_of,
     worst_cases,
 )
-from xihe_blender.lab.batch.answers import (
-    format_interval,
-    how_often,
-    is_a_better_phone_worth_it,
-    phone_differences,
-    what_it_stands_on,
-    which_estimator,
-)
 from xihe_blender.lab.batch.results import WORST_KINDS, BatchFolder, worst_picture
 from xihe_blender.lab.frontier.points import HOW_MANY_ANCHORS, LAST_TENTH, family
+from xihe_blender.lab.frontier.report import LAB_STYLE
 from xihe_blender.report.document import block, document, png_url, table, write_document
 from xihe_blender.report.values import code, escape, finite, items, mapping, mean
 from xihenet.formats import (
@@ -50,13 +43,8 @@ from xihenet.formats import (
     format_quantity,
 )
 
-LAB_STYLE = Path(__file__).parents[1] / "lab.css"
 N_WORST = 6
-_KIND_WORDS = {
-    "ground_truth": "Ground truth",
-    "estimate": "Under the estimated light",
-    "error": "Error (black: none)",
-}
+_KIND_WORDS = {"ground_truth": "Ground truth", "estimate": "Under the estimated light", "error": "Error (black: none)"}
 _DOTS = "A dot is a trial: one scene with one seed and one phone. The box holds the middle half of them."
 
 Frontier = Mapping[str, Any]
@@ -92,7 +80,7 @@ def report_page(folder: BatchFolder, results: Mapping[str, Any], frontier: Mappi
             ("worst", "Worst cases", _worst(folder, trials)),
             ("numbers", "Numbers", _numbers(trials) + _costs(results)),
         ]
-    lead = what_it_stands_on(trials) if trials else "No trial could be done."
+    lead = answers.what_it_stands_on(trials) if trials else "No trial could be done."
     opening = f'<p class="lead">{lead}</p>'
     return document("Batch evaluation", opening, sections, has_links=False, style=LAB_STYLE)
 
@@ -113,7 +101,7 @@ def _answered(words: str, *plots: str) -> str:
 def _estimators(trials: Sequence[Trial]) -> str:
     drawn = [_distribution(trials, measure) for measure in MEASURES]
     drawn += [_against_the_best(trials, measure) for measure in MEASURES]
-    return _answered(which_estimator(trials), *drawn) + _pairs_table(trials)
+    return _answered(answers.which_estimator(trials), *drawn) + _pairs_table(trials)
 
 
 def _distribution(trials: Sequence[Trial], measure: Measure) -> str:
@@ -143,7 +131,7 @@ def _intervals(found: Sequence[Comparison], names: Sequence[str]) -> list[drawin
     """A row for each, coloured by the place of the first in `names`; a phone's own file goes by its stem."""
     titles = (f"{Path(one.first).stem} {MINUS} {Path(one.second).stem}" for one in found)
     return [
-        (title, names.index(one.first), one.difference, format_interval(one.difference))
+        (title, names.index(one.first), one.difference, answers.format_interval(one.difference))
         for title, one in zip(titles, found, strict=True)
     ]
 
@@ -154,17 +142,17 @@ def _pairs_table(trials: Sequence[Trial]) -> str:
         for one in against_the_best(trials, measure):
             d = one.difference
             better = d.share_lower if measure.is_better_low else 1 - d.share_lower
-            cells = [escape(measure.title), format_interval(d), f"{round(better * d.n_pairs)} of {d.n_pairs}"]
+            cells = [escape(measure.title), answers.format_interval(d), f"{round(better * d.n_pairs)} of {d.n_pairs}"]
             rows.append((f"{code(one.first)} against {code(one.second)}", *cells))
     return table(("pair", "measure", "mean difference", "first is better"), rows, "words stacking")
 
 
 def _phones(trials: Sequence[Trial]) -> str:
-    rows = _intervals(phone_differences(trials, MEASURES[0]), names_of(trials, "phone"))
+    rows = _intervals(answers.phone_differences(trials, MEASURES[0]), names_of(trials, "phone"))
     about = "The same scene and seed through two phones, with 95 % intervals of the mean. Left: the first is better."
     title = "Coefficient error: differences between phones"
     plot = drawings.differences(rows, title=title, about=about, axis_name="no unit")
-    return _answered(is_a_better_phone_worth_it(trials), plot) + (_phone_table(trials) if rows else "")
+    return _answered(answers.is_a_better_phone_worth_it(trials), plot) + (_phone_table(trials) if rows else "")
 
 
 def _phone_table(trials: Sequence[Trial]) -> str:
@@ -192,7 +180,7 @@ def _how_often(trials: Sequence[Trial]) -> str:
         x_name="estimates a minute, per position in view", y_name="SHC RMSE",
     )  # fmt: skip
     header = ("estimator", "theta", "a minute", "mean error", "more than with every frame")
-    return _answered(how_often(trials), plot) + (table(header, rows) if rows else "")
+    return _answered(answers.how_often(trials), plot) + (table(header, rows) if rows else "")
 
 
 def _hover_trigger(name: str, point: TriggerPoint) -> str:
@@ -200,7 +188,7 @@ def _hover_trigger(name: str, point: TriggerPoint) -> str:
 
 
 def _trigger_row(name: str, point: TriggerPoint) -> list[str]:
-    more = "" if point.more is None else format_interval(point.more)
+    more = "" if point.more is None else answers.format_interval(point.more)
     return [code(name), f"{point.theta:g}", format_number(point.per_minute), format_number(point.error), more]
 
 

@@ -150,19 +150,19 @@ def compare_unit(runs: Sequence[PreparedRun], walks: Sequence[WalkedPath]) -> Ge
             yield Progress(
                 n_frames + 3 * done, max(first.total, n_frames + 3 * len(frames)), f"comparing frame {frame}"
             )
-            trials = [place for place, of_trial in enumerate(wanted) if frame in of_trial]
-            lights = {str(place): _light(runs[place], walks[place], frame) for place in trials}
+            trials = [index for index, of_trial in enumerate(wanted) if frame in of_trial]
+            lights = {str(index): _light(runs[index], walks[index], frame) for index in trials}
             file = first.outputs.compared(_source(first, frame, lights))
             if not file.exists():
                 if comparer is None:
-                    methods = [str(place) for place in range(len(runs))]
+                    methods = [str(index) for index in range(len(runs))]
                     opened = open_comparer(first.scene, first.plan.objects, methods, first.comparison)
                     comparer = stack.enter_context(opened)
                 write_json(file, _compared(first, frame, lights, comparer, by_trial))
             content = json.loads(file.read_text(encoding="utf-8"))
-            render_s += content.render_s if file == first.outputs.compared(frame) else 0.0
-            for place in trials:
-                by_trial[place][frame] = content.metrics[str(place)]
+            render_s += content["render_s"] if file == first.outputs.compared(frame) else 0.0
+            for index in trials:
+                by_trial[index][frame] = content["metrics"][str(index)]
     return ComparedUnit(by_trial, render_s)
 
 

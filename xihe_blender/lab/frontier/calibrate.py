@@ -1,4 +1,4 @@
-"""What does each preset cost on this machine, with the scene at hand? Known in under a minute, not measured in full.
+"""Cost of each preset on this machine, with the scene at hand: known in under a minute, not measured in full.
 
 One view of the path is rendered with few samples: twice to load the scene and to time a sample, three times for the
 noise that a sample leaves (see `xihe_blender.previs.sample_count`). A render's time is a straight line in its samples,

@@ -21,7 +21,7 @@ import numpy as np
 
 from xihe_blender.lab.frontier.choices import EXHAUSTIVE, ComputeChoice
 from xihe_blender.lab.frontier.points import Measured
-from xihe_blender.lab.frontier.steps import Steps, told_as, within
+from xihe_blender.lab.frontier.steps import Steps, mapped_steps, within
 from xihe_blender.lab.frontier.timing import Clock, interleaved, torch_on_one_thread
 from xihe_blender.previs.sample_count import SMALLEST_LIGHT
 from xihe_blender.previs.settings import PREVIS_TRIGGER
@@ -71,10 +71,7 @@ class Walk:
     def start(self, n_frames: int) -> Walk:
         """The first frames of it, or all."""
         return replace(
-            self,
-            frames=self.frames[:n_frames],
-            active=self.active[:n_frames],
-            truths=self.truths[:n_frames],
+            self, frames=self.frames[:n_frames], active=self.active[:n_frames], truths=self.truths[:n_frames]
         )
 
     def truth_by_place(self) -> list[ArrayF64]:
@@ -191,7 +188,7 @@ def measure_compute(
         lambda choice=choice, backend=backend: walk_through(choice, backend, _timed_part(choice, walk)).frame_ms
         for choice, backend in backends.items()
     ]
-    rounds = told_as(
+    rounds = mapped_steps(
         interleaved(candidates, n_rounds, rng),
         lambda done: ((done + 1) / (n_rounds + 1), f"timing {len(candidates)} ways to compute, round {done}"),
     )

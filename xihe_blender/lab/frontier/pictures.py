@@ -1,4 +1,4 @@
-"""What does each choice cost in the final picture?
+"""Error and time of each choice in the final picture.
 
 A picture costs several renders, so only a few choices are measured: the presets, and other numbers of samples for the
 comparison at the base's capture. The error of a choice is that of both pictures a comparison makes, the objects under
@@ -23,7 +23,7 @@ from xihe_blender.io.outputs import write_json
 from xihe_blender.lab.frontier.choices import ComputeChoice, RenderChoice
 from xihe_blender.lab.frontier.compute import ChoiceBackend, light_of_frame
 from xihe_blender.lab.frontier.points import Measured
-from xihe_blender.lab.frontier.rendering import RenderStudy, View, rendered
+from xihe_blender.lab.frontier.rendering import RenderStudy, View, rendered, use_threads
 from xihe_blender.lab.frontier.steps import Steps, within
 from xihe_blender.lab.frontier.timing import timed
 from xihe_blender.previs.plan import PrevisPlan
@@ -147,9 +147,7 @@ def _compared(
 def _set_up(comparer: Comparer, samples: int, seed: int, *, n_threads: int = 1) -> None:
     for scene in (comparer.ground_truth, comparer.lit):
         scene.cycles.samples, scene.cycles.seed = samples, seed
-        scene.render.threads_mode = "FIXED" if n_threads else "AUTO"
-        if n_threads:
-            scene.render.threads = n_threads
+        use_threads(scene, n_threads)
 
 
 def _lights_of_objects(study: PictureStudy, by: ComputeChoice, captured: RgbdFrame) -> dict[str, ArrayF64]:

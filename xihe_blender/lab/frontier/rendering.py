@@ -1,4 +1,4 @@
-"""What does each way to render cost in error and time, in a few frames of a path?
+"""Error and time of each way to render, in a few frames of a path.
 
 Each frame is rendered exhaustively once, then by every choice in turn, with a few seeds; each render is timed and its
 light estimated, so that nothing is rendered for its time alone. Before a frame's first timed render comes a small one
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import bpy
 import numpy as np
 
 from xihe_blender.capture.render import MAX_SEED
@@ -89,9 +90,9 @@ def measure_rendering(
                 content = yield from within((before + 1 + seed) / n_parts, 1 / n_parts, taken)
                 write_json(study.round(view, seed), content)
             rounds.append(json.loads(study.round(view, seed).read_text(encoding="utf-8")))
-    alone = [_rendered(choice, rounds, truths) for choice in study.choices]
+    alone = [_measured(choice, COMPUTED_BY[0], rounds, truths) for choice in study.choices]
     together = [
-        _together(choice, by, rounds, truths, computing_ms[by]) for choice in study.choices for by in COMPUTED_BY
+        _measured(choice, by, rounds, truths, computing_ms[by]) for choice in study.choices for by in COMPUTED_BY
     ]
     return alone, together
 
@@ -109,9 +110,7 @@ def _kept_reference(study: RenderStudy, view: View) -> RgbdFrame:
 def rendered(scanner: CyclesScanner, choice: RenderChoice, seed: int, *, n_threads: int = 1) -> RgbdFrame:
     """One capture as `choice` says at the scanner's frame; 0 threads take all cores."""
     scene = scanner.scene
-    scene.render.threads_mode = "FIXED" if n_threads else "AUTO"
-    if n_threads:
-        scene.render.threads = n_threads
+    use_threads(scene, n_threads)
     scene.render.resolution_x, scene.render.resolution_y = choice.size
     cycles = scene.cycles
     cycles.samples, cycles.seed = choice.samples, seed
@@ -130,12 +129,15 @@ def rendered(scanner: CyclesScanner, choice: RenderChoice, seed: int, *, n_threa
 BOUNCES = ("max_bounces", "diffuse_bounces", "glossy_bounces", "transmission_bounces")
 
 
+def use_threads(scene: bpy.types.Scene, n_threads: int) -> None:
+    """Have `scene` rendered on so many threads; 0 takes all cores."""
+    scene.render.threads_mode = "FIXED" if n_threads else "AUTO"
+    if n_threads:
+        scene.render.threads = n_threads
+
+
 def _render_round(
-    study: RenderStudy,
-    view: View,
-    seed: int,
-    backends: Mapping[ComputeChoice, ChoiceBackend],
-    rng: np.random.Generator,
+    study: RenderStudy, view: View, seed: int, backends: Mapping[ComputeChoice, ChoiceBackend], rng: np.random.Generator
 ) -> Steps[dict[str, Any]]:
     """Every choice once, in random order: by label, its time and its light at every position by way to compute."""
     scanner, taken = study.scanner, {}
@@ -167,36 +169,18 @@ def _lights(
     }
 
 
-def _square_errors(
+def _measured(
     choice: RenderChoice,
     by: ComputeChoice,
     rounds: Sequence[Mapping[str, Any]],
     truths: Sequence[Mapping[ComputeChoice, list[ArrayF64]]],
-    against: ComputeChoice,
-) -> dict[str, list[float]]:
+    computing_ms: float | None = None,
+) -> Measured:
+    """Together with computing, where its time is given; else alone, against the exhaustive render computed alike."""
+    against, settings = (by, {}) if computing_ms is None else (EXHAUSTIVE, by.as_json())
     lights = [np.array(light) for taken in rounds for light in taken[key(choice)]["lights"][by.label]]
-    return square_errors(lights, [light for truth in truths for light in truth[against]])
-
-
-def _rendered(
-    choice: RenderChoice, rounds: Sequence[Mapping[str, Any]], truths: Sequence[Mapping[ComputeChoice, list[ArrayF64]]]
-) -> Measured:
-    base = COMPUTED_BY[0]
-    errors = _square_errors(choice, base, rounds, truths, base)
-    times = [taken[key(choice)]["ms"] for taken in rounds]
-    return Measured(choice.label, choice.as_json(), errors, times, choice.preset)
-
-
-def _together(
-    choice: RenderChoice,
-    by: ComputeChoice,
-    rounds: Sequence[Mapping[str, Any]],
-    truths: Sequence[Mapping[ComputeChoice, list[ArrayF64]]],
-    computing_ms: float,
-) -> Measured:
-    errors = _square_errors(choice, by, rounds, truths, EXHAUSTIVE)
-    times = [taken[key(choice)]["ms"] + computing_ms for taken in rounds]
-    words = choice.label if by == COMPUTED_BY[0] else f"{choice.label}, {by.label}"
-    return Measured(
-        words, choice.as_json() | by.as_json(), errors, times, choice.preset if by == COMPUTED_BY[0] else None
-    )
+    errors = square_errors(lights, [light for truth in truths for light in truth[against]])
+    times = [taken[key(choice)]["ms"] + (computing_ms or 0.0) for taken in rounds]
+    is_base = by == COMPUTED_BY[0]
+    words = choice.label if is_base else f"{choice.label}, {by.label}"
+    return Measured(words, choice.as_json() | settings, errors, times, choice.preset if is_base else None)

@@ -1,4 +1,4 @@
-"""How is a part of long work written without knowing how large a part of the whole it is?
+"""Steps of long work, written without knowing how large a part of the whole they are.
 
 As a generator that yields how much of itself is done, 0 to 1, and what comes next in words. `within` makes it a part of
 a larger one, and `part_of` makes `Progress` of it, for a job (see `xihe_blender.jobs`).
@@ -12,14 +12,16 @@ from typing import TypeVar
 
 from xihe_blender.jobs import Job, Progress
 
-Told = TypeVar("Told")
+Changed = TypeVar("Changed")
 Own = TypeVar("Own")
 Result = TypeVar("Result")
 Steps = Generator[tuple[float, str], None, Result]
 
 
-def told_as(steps: Generator[Own, None, Result], told: Callable[[Own], Told]) -> Generator[Told, None, Result]:
-    """`steps`, each thing that it yields made another by `told`; closed with it."""
+def mapped_steps(
+    steps: Generator[Own, None, Result], change: Callable[[Own], Changed]
+) -> Generator[Changed, None, Result]:
+    """`steps`, each thing that it yields made another by `change`; closed with it."""
     with contextlib.closing(steps):
         while True:
             try:
@@ -27,15 +29,15 @@ def told_as(steps: Generator[Own, None, Result], told: Callable[[Own], Told]) ->
             except StopIteration as finished:
                 result: Result = finished.value
                 return result
-            yield told(own)
+            yield change(own)
 
 
 def within(start: float, share: float, steps: Steps[Result]) -> Steps[Result]:
     """`steps` as the part of a larger work from `start` on."""
-    return told_as(steps, lambda step: (start + share * step[0], step[1]))
+    return mapped_steps(steps, lambda step: (start + share * step[0], step[1]))
 
 
 def part_of(whole: float, done: float, share: float, steps: Steps[Result], scene: str = "") -> Job[Result]:
     """Drive `steps`, which is `share` of the units of `whole`, of which `done` are done before it."""
     prefix = f"{scene}: " if scene else ""
-    return told_as(steps, lambda step: Progress(done + share * step[0], whole, prefix + step[1]))
+    return mapped_steps(steps, lambda step: Progress(done + share * step[0], whole, prefix + step[1]))

@@ -1,40 +1,70 @@
-"""`xihe frontier`: every scene measured, its fronts found, and all of it written down.
+"""Study of a frontier, `xihe frontier`: every scene measured, its fronts found, and all of it written down.
 
-A scene that is done is kept whole in the folder, so that a run that was stopped goes on with the next one. The folder
-belongs to one set of scenes and one seed; another is refused, as for `xihe previs`.
+Of a scene: metering, effects and the presets' numbers of samples as in a run; a walk and its light probes; then
+computing, rendering and pictures. What costs renders is kept file by file in the run's folder, and a run that was
+stopped takes it up; what is only computed is done again. A scene that is done is kept whole. The folder belongs to one
+set of scenes and one seed; another is refused, as for `xihe previs`.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import bpy
+import numpy as np
 
-from xihe_blender.capture.render import MAX_SEED
+from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
+from xihe_blender.capture.render import MAX_SEED, RenderSettings
+from xihe_blender.capture.scanner import CyclesScanner, meter_exposure, open_scanner
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_claim import FolderClaim
 from xihe_blender.io.outputs import as_json, write_csv, write_json
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.lab.frontier.answers import answers
-from xihe_blender.lab.frontier.choices import FULL, QUICK, Effort
+from xihe_blender.lab.frontier.choices import (
+    FULL,
+    QUICK,
+    ComputeChoice,
+    Effort,
+    RenderChoice,
+    compute_choices,
+    render_choices,
+)
+from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, ORDER, Walk, loaded, measure_compute
+from xihe_blender.lab.frontier.pictures import PictureStudy, measure_pictures, picture_choices
 from xihe_blender.lab.frontier.points import Measured, points_of
+from xihe_blender.lab.frontier.rendering import RenderStudy, View, measure_rendering
 from xihe_blender.lab.frontier.report import report_page
-from xihe_blender.lab.frontier.scene import SceneStudy, measure_scene, plan_scene
+from xihe_blender.lab.frontier.steps import Steps, part_of
+from xihe_blender.lab.frontier.timing import Spread
+from xihe_blender.light_transport import cycles_settings, plan_light_transport
+from xihe_blender.previs.plan import PrevisPlan, evenly_chosen, plan_previs
+from xihe_blender.previs.sample_count import capture_noise, pilot_samples, pilot_views, samples_taken
+from xihe_blender.previs.settings import PRESETS, PrevisSettings
 from xihe_blender.report.document import write_document
 from xihe_blender.scene.blend_file import open_blend
+from xihe_blender.scene.state import scene_kept
 from xihenet import __version__
+from xihenet.effects import Effect, effects_as_json, effects_from_json
+from xihenet.recording import load_frame, save_frame
 
 SCHEMA_VERSION = 1
 COLUMNS = (
     "scene", "front", "error_kind", "label", "preset", "error", "error_spread", "time_ms", "spread_ms",
     "on_front", "front_share", "instead", "settings",
 )  # fmt: skip
+
+PROBE_NOISE = 0.02
+"""Of the reference lights that estimates are held against, which are off by ten times as much."""
+
+SHARES = {"preparing": 0.10, "walking": 0.15, "computing": 0.15, "rendering": 0.4, "pictures": 0.2}
+"""About how long each part takes, for the time left."""
 
 
 @dataclass(frozen=True)
@@ -131,3 +161,166 @@ def _write(out: Path, content: dict[str, Any]) -> None:
         rows.append({**point, "error_kind": kind, "settings": json.dumps(settings)})
     write_csv(out / "frontier.csv", rows, COLUMNS)
     write_json(out / "frontier.json", content)
+
+
+# ---------------------------------------------------------------------------------------------- of one scene
+
+
+@dataclass(frozen=True, eq=False)
+class SceneStudy:
+    """One scene to measure: the open scene, its plan, and where its work is kept."""
+
+    scene: bpy.types.Scene
+    name: str
+    plan: PrevisPlan
+    folder: Path
+    is_quick: bool
+    seed: int
+    effort: Effort
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What a run would settle before its first frame."""
+
+    exposure: float
+    light_transport: tuple[tuple[str, bool | int], ...]
+    presets: Mapping[str, RenderChoice]
+
+
+def measure_scene(study: SceneStudy, done: float, whole: float) -> Job[dict[str, Any]]:
+    """All that was measured on a scene, as JSON: fronts [Measured], estimators that are missing, facts."""
+    rng = np.random.default_rng(study.seed)
+    effort, size = study.effort, study.plan.size
+
+    def share(name: str, steps: Steps[Any]) -> Job[Any]:
+        nonlocal done
+        result = yield from part_of(whole, done, SHARES[name], steps, study.name)
+        done += SHARES[name]
+        return result
+
+    with scene_kept():
+        prepared = yield from share("preparing", prepare(study))
+        capture = RenderSettings(size, effort.walk_samples, study.seed, light_transport=prepared.light_transport)
+        with open_scanner(study.scene, capture) as scanner:
+            scanner.exposure = prepared.exposure
+            walk = yield from share("walking", _walk(study, prepared, scanner))
+            backends, missing = loaded(compute_choices(is_quick=study.is_quick))
+            computed = yield from share("computing", measure_compute(backends, walk, effort.n_rounds, rng))
+            renders = RenderStudy(
+                scanner,
+                _views(walk, effort.n_views),
+                render_choices(prepared.presets, size, effort, is_quick=study.is_quick),
+                RenderChoice(size, effort.reference_samples),
+                effort,
+                study.seed,
+                study.folder,
+            )
+            computing_ms = {
+                choice: Spread.of(one.times_ms).median for choice, one in zip(backends, computed, strict=True)
+            }
+            rendered, together = yield from share("rendering", measure_rendering(renders, computing_ms, rng))
+            comparison = replace(capture, samples=1)
+            pictures = PictureStudy(renders, study.plan, comparison, picture_choices(prepared.presets), study.folder)
+            pictured, estimators = yield from share("pictures", measure_pictures(pictures, rng))
+    computed = [_with_pictures(one, estimators) for one in computed]
+    content = {
+        "fronts": {
+            "render": [one.as_json() for one in [*rendered, *pictured]],
+            "compute": [one.as_json() for one in computed],
+            "total": [one.as_json() for one in [*together, *_with_computing(pictured, computing_ms)]],
+        },
+        "missing_estimators": missing,
+        "exposure": prepared.exposure,
+        "size": list(size),
+        "n_walk_frames": len(walk.frames),
+        "n_places": walk.n_places,
+        "views": [view.frame for view in renders.views],
+        "presets": {name: choice.as_json() for name, choice in prepared.presets.items()},
+    }
+    yield Progress(done, whole, f"{study.name}: measured")
+    return content
+
+
+def _with_pictures(one: Measured, estimators: Mapping[str, list[float]]) -> Measured:
+    squares = estimators.get(one.label)
+    if squares is None:
+        return one
+    return replace(one, square_errors={**one.square_errors, "picture" + AGAINST_TRUTH: squares})
+
+
+def _with_computing(pictured: list[Measured], computing_ms: Mapping[ComputeChoice, float]) -> list[Measured]:
+    added = computing_ms[ComputeChoice()]
+    return [replace(one, times_ms=[ms + added for ms in one.times_ms]) for one in pictured]
+
+
+def prepare(study: SceneStudy) -> Steps[Prepared]:
+    """Measure it, or read what a run that was stopped has measured."""
+    path = study.folder / "prepared.json"
+    if not path.exists():
+        yield 0.0, "metering the exposure, looking for effects"
+        scene, plan = study.scene, study.plan
+        exposure = meter_exposure(scene, plan.frames, study.seed)
+        positions = [probe.position_m.tolist() for probe in plan.probes]
+        effects = plan_light_transport(scene, positions=positions, frames=plan.frames, overrides={})
+        samples = {}
+        for index, name in enumerate(PRESETS):
+            yield (1 + index) / (1 + len(PRESETS)), f"measuring how many samples {name} takes"
+            samples[name] = preset_samples(scene, plan, name, exposure, effects, study.seed)
+        write_json(path, {"exposure": exposure, "effects": effects_as_json(effects), "samples": samples})
+    kept = json.loads(path.read_text(encoding="utf-8"))
+    size = study.plan.size
+    presets = {name: RenderChoice(size, kept["samples"][name], preset=name) for name in PRESETS}
+    return Prepared(kept["exposure"], cycles_settings(effects_from_json(kept["effects"])), presets)
+
+
+def preset_samples(
+    scene: bpy.types.Scene, plan: PrevisPlan, name: str, exposure: float, effects: Mapping[str, Effect], seed: int
+) -> int:
+    """Samples per pixel of captures that a run of a preset takes on `scene`, measured as the run does it."""
+    settings, preset = PrevisSettings(preset=name, seed=seed), PRESETS[name]
+    views = pilot_views(scene, plan)
+    if not views:
+        raise UserError(f"scene {scene.name!r} never has a virtual object in view: move the camera's path, or objects")
+    capture = replace(settings.capture(plan.size, pilot_samples(preset)), light_transport=cycles_settings(effects))
+    model = capture_noise(scene, views, capture, exposure, settings.n_anchors)
+    return samples_taken(preset, model)
+
+
+def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Steps[Walk]:
+    """Captures, and light probes at the positions in view, of frames spread over the path."""
+    plan = study.plan
+    positions = {probe.name: probe.position_m for probe in plan.probes}
+    in_sight = plan.frames_in_sight(scanner).items()
+    chosen = evenly_chosen([(frame, [p.name for p in seen]) for frame, seen in in_sight], study.effort.n_walk_frames)
+    probes = ProbeSettings(
+        max_samples=study.effort.probe_samples, noise_target=PROBE_NOISE, seed=study.seed,
+        light_transport=prepared.light_transport, order=ORDER,
+    )  # fmt: skip
+    indices = {name: index for index, name in enumerate(positions)}
+    frames, truths = [], []
+    with open_reference_probe(study.scene, list(positions.values()), probes) as probe:
+        for index, (frame, active) in enumerate(chosen):
+            yield index / len(chosen), f"capturing frame {frame} and its light probes"
+            captured, lights = study.folder / f"walk_{frame:04d}.npz", study.folder / f"probes_{frame:04d}.json"
+            if not captured.exists():
+                scanner.move_to(frame)
+                captured.parent.mkdir(parents=True, exist_ok=True)
+                save_frame(captured, scanner.acquire_environment_scan())
+            if not lights.exists():
+                measured = {n: probe.light_at(indices[n], frame, prepared.exposure).measured for n in active}
+                write_json(lights, {name: light.ldr.tolist() for name, light in measured.items()})
+            frames.append(load_frame(captured))
+            kept = json.loads(lights.read_text(encoding="utf-8"))
+            truths.append({name: np.array(kept[name]) for name in active})
+    return Walk(frames, [active for _, active in chosen], positions, truths, prepared.exposure)
+
+
+def _views(walk: Walk, most: int) -> list[View]:
+    numbers = evenly_chosen(list(range(len(walk.frames))), most)
+    return [View(walk.frames[k].frame, [walk.positions[name] for name in walk.active[k]]) for k in numbers]
+
+
+def plan_scene(scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> PrevisPlan:
+    """What a run on `scene` would do; UserError as a run raises it."""
+    return plan_previs(scene, PrevisSettings(size=size))

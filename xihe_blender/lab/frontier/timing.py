@@ -1,4 +1,4 @@
-"""How long does each of several things take, on a machine that does other things as well?
+"""Timing of several things, on a machine that does other things as well.
 
 All candidates take turns: each round measures every one of them once, and each round in another order, so that what
 slows the machine for a while, or what one candidate leaves in the caches, falls on all alike. The first round only

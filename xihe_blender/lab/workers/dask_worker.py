@@ -1,4 +1,4 @@
-"""What does a Dask worker do with a piece of work? It starts a process with Blender in it, and waits.
+"""A Dask worker with a piece of work: it starts a process with Blender in it, and waits.
 
 The worker itself never loads Blender, whose module does not load beside the thread that Dask works in: its memory stays
 what it is, and neither of the two can take the other with it. Runs on whatever machine the worker is on; what goes over

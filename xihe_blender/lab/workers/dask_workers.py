@@ -1,4 +1,4 @@
-"""Who does the work? Dask hands it to workers: its own on this machine, or those of a scheduler that is there.
+"""Dask workers, to whom work is handed: Dask's own on this machine, or those of a scheduler that is there.
 
 Dask does what a batch needs beyond starting processes: it notices workers that die and hands their work to others, lets
 workers come and go, and has a dashboard. A piece of work whose Blender dies is tried twice more, and one that takes

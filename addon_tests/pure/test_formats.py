@@ -1,0 +1,84 @@
+"""Numbers as text, and as places in a plot."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from xihenet import svg
+from xihenet.formats import (
+    format_bytes,
+    format_count,
+    format_duration,
+    format_list,
+    format_milliseconds,
+    format_number,
+    format_percent,
+    format_runs,
+    format_setting,
+    format_share,
+    format_signed,
+)
+from xihenet.svg import linear_axis, log_axis
+
+
+def test_numbers_keep_their_value_when_they_become_text() -> None:
+    rng = np.random.default_rng(7)
+    for value in [*(10.0 ** rng.uniform(-12, 12, 200)), *(-(10.0 ** rng.uniform(-3, 3, 50))), 0.09996, 99.96, 0.0]:
+        assert float(format_number(value).replace(",", "")) == pytest.approx(value, rel=6e-3)
+    assert (format_number(None), format_percent(None)) == ("\N{EN DASH}", "\N{EN DASH}")
+    assert format_percent(0.31) == "31 %" and format_percent(0.004) == "0.4 %"
+    assert format_runs([1, 2, 4, 5, 6, 9]) == "1, 2, 4\N{EN DASH}6, 9"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (0, "0 s"),
+        (59.4, "59 s"),
+        (59.6, "1 min"),
+        (83, "1 min 23 s"),
+        (600, "10 min"),
+        (3599, "1 h"),
+        (7500, "2 h 5 min"),
+    ],
+)
+def test_a_time_to_wait_is_rounded(seconds: float, words: str) -> None:
+    assert format_duration(seconds) == words
+
+
+def test_amounts_have_their_units_and_nouns() -> None:
+    assert [format_bytes(n) for n in (None, 0, 999, 1500, 2_340_000, 5e9)] == [
+        "\N{EN DASH}", "0 bytes", "999 bytes", "1.50 kB", "2.34 MB", "5.00 GB",
+    ]  # fmt: skip
+    assert (format_milliseconds(4.1234), format_milliseconds(1349)) == ("4.12 ms", "1.3 s")
+    assert (format_share(0.00349), format_share(0.411), format_percent(0.411, 2)) == ("0.35%", "41%", "41 %")
+    assert [format_count(n, "frame") for n in (0, 1, 2)] == ["no frames", "1 frame", "2 frames"]
+    assert format_list(["a", "b", "c"]) == "a, b and c" and format_list([]) == ""
+    assert [format_setting(value) for value in (True, 8e6, 0.0019, "word")] == ["on", "8,000,000", "0.0019", "word"]
+    assert [format_signed(value) for value in (0.0214, -3.0, 0)] == ["+0.021", "\N{MINUS SIGN}3.0", "0"]
+
+
+def test_an_axis_covers_its_values_in_a_few_round_steps() -> None:
+    for largest in [0.0, 5e-324, 1e-9, 0.049, 0.1, 0.2, 0.3, 1, 7, 8, 1234.5, 9.99e8]:
+        axis = linear_axis(0, largest)
+        assert axis.ticks[0] == 0 and axis.ticks[-1] == axis.high
+        assert axis.high >= largest * (1 - 1e-9) and 2 <= len(axis.ticks) <= 6
+        assert axis.y(0) > axis.y(axis.high) == 0
+        assert len({axis.label(tick) for tick in axis.ticks}) == len(axis.ticks)
+
+
+@given(st.lists(st.floats(1e-6, 1e6), min_size=1, max_size=5))
+def test_a_logarithmic_axis_holds_its_values_and_has_ticks_in_order(values: list[float]) -> None:
+    axis = log_axis(values, str)
+    assert all(0 < axis.share(value) < 1 for value in values)
+    places = [axis.share(tick) for tick in axis.ticks]
+    assert places == sorted(places) and len(set(places)) == len(places) > 0
+
+
+def test_a_line_has_a_gap_where_there_is_no_point() -> None:
+    assert svg.line([], "s0") == svg.line([None], "s0") == ""
+    assert 'd="M0.00 1.00L100.00 2.00M300.00 3.00"' in svg.line([(0, 1), (10, 2), None, (30, 3)], "s0")
+    assert "&lt;b&gt;" in svg.dot(1, 2, "s0", "<b>")
