@@ -103,6 +103,12 @@ def test_what_does_not_belong_is_refused_by_its_name_and_by_the_schema(change, w
     assert change == {"number": 1.0} or not Draft202012Validator(json_schema(Frame)).is_valid(content)
 
 
+@pytest.mark.parametrize("number", [float("nan"), float("inf")])
+def test_what_json_does_not_have_is_refused(number):
+    with pytest.raises(ValueError, match=r"^Frame.exposure: "):
+        from_json(Frame, as_json(FRAME) | {"exposure": number})
+
+
 def test_a_missing_field_is_refused_and_one_with_a_default_is_not():
     assert from_json(Frame, {"number": 1, "is_active": True}) == FRAME
     with pytest.raises(TypeError, match="is_active"):

@@ -1,9 +1,8 @@
-"""Is the report whole, safe and true to the results, whatever values are missing?"""
+"""Is the report whole, safe and true to the results, whatever of them is undefined?"""
 
 from __future__ import annotations
 
 import base64
-import copy
 import json
 import math
 import re
@@ -15,7 +14,11 @@ import numpy as np
 import pytest
 
 import xihe_blender.report.page as report
-from xihe_blender.io.outputs import RunOutputs
+from addon_tests.pure import runs
+from xihe_blender.errors import UserError
+from xihe_blender.io.json_records import from_json
+from xihe_blender.io.outputs import RunOutputs, write_json
+from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.report.pictures import MAX_FRAMES
 from xihenet.formats import format_number, format_runs
 from xihenet.png import write_png
@@ -29,69 +32,45 @@ NASTY_NAME = "Vase <script>alert(1)</script> & \"copper\" 'pot' \N{POTTED PLANT}
 # ------------------------------------------------------------------------------------------- synthetic results
 
 
-def room_picture(kind: str, turn: float, size: tuple[int, int]) -> np.ndarray:
-    """A wall, a floor and a grey ball that each kind of picture lights differently."""
+def one_picture(kind: str, number: int, size: tuple[int, int]) -> np.ndarray:
+    """Different for each kind and frame."""
     width, height = size
-    y, x = np.mgrid[:height, :width] / height
-    centre_x, radius = 0.5 * width / height + 0.2 * math.sin(turn), 0.24
-    wall = np.stack([0.75 - 0.3 * y, 0.66 - 0.25 * y, 0.55 - 0.2 * y], -1) * (0.7 + 0.3 * np.cos(x - turn))[..., None]
-    floor = np.stack([0.34 + 0 * y, 0.25 + 0.1 * x, 0.18 + 0 * x], -1)
-    picture = np.where((y < 0.62)[..., None], wall, floor)
-    u, v = (x - centre_x) / radius, (y - 0.6) / radius
-    inside = u * u + v * v < 1
-    w = np.sqrt(np.clip(1 - u * u - v * v, 0, 1))
-    light = {"ground_truth": 0.95, "truth": 0.85, "projection": 0.6, "ambient": 0.0}
-    if kind.startswith("error_"):
-        shade = np.abs(light["ground_truth"] - light[kind.removeprefix("error_")]) * np.clip(0.7 * u - 0.5 * v, 0, 1)
-        return np.uint8(255 * np.where(inside[..., None], np.stack([shade, shade**2, 0.3 * shade], -1), 0.08))
-    if kind != "captured":
-        shade = 0.35 + light[kind] * np.clip(0.6 * u - 0.6 * v + 0.4 * w - 0.1, 0, 1)
-        picture = np.where(inside[..., None], shade[..., None] * np.array([1.0, 0.93, 0.84]), picture)
-    return np.uint8(255 * np.clip(picture, 0, 1) ** (1 / 1.6))
+    return np.random.default_rng([KINDS.index(kind), number]).integers(0, 256, (height, width, 3), np.uint8)
 
 
 def one_probe(rng: np.random.Generator, name: str, step: int, *, fires: bool) -> dict[str, Any]:
     truth = 0.2 * rng.standard_normal((9, 3))
     estimate = truth + 0.08 * rng.standard_normal((9, 3)) / (1 + 0.1 * step)
     reason = ("first" if step == 0 else ("colour", "coverage")[step % 2]) if fires else "none"
-    return {
-        "name": name,
-        "position_m": [0.3, -1.25, 0.8],
-        "coverage": 1 - math.exp(-0.3 - 0.06 * step),
-        "fired": fires,
-        "reason": reason,
-        "change": None if step == 0 else 0.62 if reason == "colour" else float(0.3 * rng.random()),
-        "threshold": 0.2 if reason == "coverage" else 0.6,
-        "payload_bytes": int(2000 + 150 * step + 400 * rng.random()) if fires else 0,
-        "sh": estimate.tolist(),
-        "sh_truth": truth.tolist(),
-        "shc_rmse": float(np.sqrt(np.mean((estimate - truth) ** 2))),
-    }
+    return runs.probe(
+        name,
+        coverage=1 - math.exp(-0.3 - 0.06 * step),
+        fired=fires,
+        reason=reason,
+        change=None if step == 0 else 0.62 if reason == "colour" else float(0.3 * rng.random()),
+        threshold=0.2 if reason == "coverage" else 0.6,
+        payload_bytes=int(2000 + 150 * step + 400 * rng.random()) if fires else 0,
+        sh=estimate.tolist(),
+        sh_truth=truth.tolist(),
+        shc_rmse=float(np.sqrt(np.mean((estimate - truth) ** 2))),
+    )
 
 
-def one_frame(rng: np.random.Generator, step: int, names: list[str], *, active: bool, fires: bool) -> dict[str, Any]:
+def one_frame(rng: np.random.Generator, step: int, names: tuple[str, ...], *, fires: bool) -> dict[str, Any]:
     stage_ms = {"unproject": 1.9, "sample": 2.1, "merge": 0.1, "trigger": 0.3, "encode": 0.1, "estimate": 0.9}
     slow = 12.0 if step == 0 else 1.0
-    return {
-        "frame": step + 1,
-        "time_s": step / 30,
-        "active": active,
-        "render_s": 0.9,
-        "stage_ms": {k: slow * v * float(1 + 0.2 * rng.random()) for k, v in stage_ms.items()} if active else {},
-        "n_invalid_pixels": 12 * (step % 3),
-        "probes": [one_probe(rng, name, step, fires=fires) for name in names] if active else [],
-        "pictures": {"captured": f"pictures/captured_{step + 1:04d}.png"},
-    }
+    probes = [one_probe(rng, name, step, fires=fires) for name in names]
+    measured = {k: slow * v * float(1 + 0.2 * rng.random()) for k, v in stage_ms.items()}
+    return runs.frame(step + 1, *probes, stage_ms=measured if names else {})
 
 
 def add_comparison(frame: dict[str, Any], outputs: RunOutputs, size: tuple[int, int]) -> None:
     """Pictures on disk and metrics, as a compared frame has them."""
-    number = frame["frame"]
-    for kind in KINDS:
-        path = outputs.picture(kind, number)
-        write_png(path, room_picture(kind, 0.1 * number, size))
-        frame["pictures"][kind] = outputs.relative(path)
-    frame["comparison"] = copy.deepcopy(COMPARISON)
+    paths = {kind: outputs.picture(kind, frame["frame"]) for kind in KINDS}
+    for kind, path in paths.items():
+        write_png(path, one_picture(kind, frame["frame"], size))
+    frame |= runs.compared(KINDS, COMPARISON)
+    frame["pictures"] = {kind: outputs.relative(path) for kind, path in paths.items()}
 
 
 COMPARISON: dict[str, dict[str, float | None]] = {
@@ -116,40 +95,27 @@ def synthetic(
     (folder / "pictures").mkdir(parents=True, exist_ok=True)
     fired = {0, 3, 8, 15, 20}
     frames = [
-        one_frame(rng, i, list(names), active=i not in inactive, fires=i % 24 in fired and i < 48)
-        for i in range(n_frames)
+        one_frame(rng, i, () if i in inactive else names, fires=i % 24 in fired and i < 48) for i in range(n_frames)
     ]
     for frame in frames:
-        write_png(outputs.folder / frame["pictures"]["captured"], room_picture("captured", 0.1 * frame["frame"], size))
         if frame["active"] and (frame["frame"] - 1) % compare_every == 0:
             add_comparison(frame, outputs, size)
-    n_estimates = sum(probe["fired"] for frame in frames for probe in frame["probes"])
-    results = {
-        "schema_version": 1,
-        "software": {"xihe": "0.1.0", "blender": "4.5.15 LTS", "python": "3.11.9", "numpy": "1.26.4",
-                     "command": "xihe previs living_room.blend --out out --preset draft"},
-        "machine": {"platform": "Linux-6.1-x86_64", "processor": "x86_64", "n_cores": 2, "cycles_device": "CPU"},
-        "settings": {"estimator": "projection", "preset": "draft", "target": "ldr", "size": [256, 192],
-                     "frames": [f["frame"] for f in frames], "n_anchors": 1280, "codec": "uint8_float16_stripped",
-                     "seed": 0, "reference_exposure": 1.7, "samples": {"capture": 4, "truth": 16, "comparison": 16},
-                     "trigger": {"theta": 0.6, "n_neighbours": 4, "policy": "split"}, "error_map_full_scale": 0.25,
-                     "keep_radiance": True},
-        "scene": {"file": "living_room.blend", "name": "Scene", "camera": "Phone", "fps": 30.0,
-                  "virtual_objects": list(names)},
-        "effects": [{"name": "sensor_noise", "state": "on", "reason": "the camera path holds still for 4 frames"},
-                    {"name": "motion_blur", "state": "off", "reason": "the camera moves less than a pixel per frame"}],
-        "frames": frames,
-        "comparison": copy.deepcopy(COMPARISON) if any("comparison" in f for f in frames) else {},
-        "summary": {"n_frames": n_frames, "n_active_frames": sum(f["active"] for f in frames),
-                    "n_estimates": n_estimates, "mean_shc_rmse": 0.0712, "ambient_shc_rmse": 0.1466,
-                    "mean_step_ms": 5.3, "render_s": 21.6, "overhead_share": 0.021},
-        "notes": ["Pictures are made with the Standard view transform, whatever the scene has set."],
-    }  # fmt: skip
+    results = runs.content(
+        frames,
+        settings={"size": [256, 192], "frames": [frame["frame"] for frame in frames]},
+        scene={"virtual_objects": names},
+        effects=[{"name": "sensor_noise", "state": "on", "reason": "the camera path holds still for 4 frames"},
+                 {"name": "motion_blur", "state": "off", "reason": "the camera moves less than a pixel per frame"}],
+        comparison=COMPARISON if any("comparison" in frame for frame in frames) else {},
+        summary={"n_estimates": sum(probe["fired"] for frame in frames for probe in frame["probes"]),
+                 "mean_shc_rmse": 0.0712, "ambient_shc_rmse": 0.1466, "mean_step_ms": 5.3, "overhead_share": 0.021},
+        notes=["Pictures are made with the Standard view transform, whatever the scene has set."],
+    )  # fmt: skip
     return json.loads(json.dumps(results)), outputs
 
 
 def page_of(results: dict[str, Any], outputs: RunOutputs) -> str:
-    return report.write_report(results, outputs).read_text(encoding="utf-8")
+    return report.write_report(from_json(RunResults, results), outputs).read_text(encoding="utf-8")
 
 
 class Page(HTMLParser):
@@ -187,16 +153,6 @@ class Page(HTMLParser):
         return [value for found, attrs in self.tags if found == tag and (value := attrs.get(name)) is not None]
 
 
-def without_numbers(value: Any) -> Any:
-    """`value` with null for every number but those that say which frame it is and which schema."""
-    if isinstance(value, dict):
-        kept = ("frame", "schema_version")
-        return {k: v if k in kept else without_numbers(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [without_numbers(v) for v in value]
-    return None if isinstance(value, int | float) and not isinstance(value, bool) else value
-
-
 # ------------------------------------------------------------------------------------------------- the whole page
 
 
@@ -224,47 +180,62 @@ def test_the_page_is_balanced_and_needs_nothing_from_outside(tmp_path: Path, mad
 
 
 def test_the_same_results_give_the_same_bytes(tmp_path: Path) -> None:
-    results, outputs = synthetic(tmp_path, n_frames=8)
+    content, outputs = synthetic(tmp_path, n_frames=8)
+    results = from_json(RunResults, content)
     first = report.write_report(results, outputs).read_bytes()
-    assert report.write_report(copy.deepcopy(results), outputs).read_bytes() == first
+    assert report.write_report(results, outputs).read_bytes() == first
+    assert results == from_json(RunResults, content)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["pictures", "report.html"]
 
 
-def test_writing_a_report_leaves_the_results_as_they_are(tmp_path: Path) -> None:
-    results, outputs = synthetic(tmp_path, n_frames=8, inactive=(2,))
-    before = copy.deepcopy(results)
-    report.write_report(results, outputs)
-    assert results == before
-
-
-def test_results_with_nothing_but_a_version_still_make_a_page(tmp_path: Path) -> None:
-    page = Page(page_of({"schema_version": 1}, RunOutputs(tmp_path, "room")))
+def test_a_run_without_frames_still_makes_a_page(tmp_path: Path) -> None:
+    page = Page(page_of(runs.content(), RunOutputs(tmp_path, "room")))
     assert "Over no frames the phone made no estimates" in page.text
+    assert "nothing to plot" in page.text and "This run made no pictures" in page.text
 
 
-def test_nulls_in_place_of_all_numbers_are_dashes_and_gaps(tmp_path: Path) -> None:
+def test_what_is_undefined_is_a_dash_or_a_gap(tmp_path: Path) -> None:
     results, outputs = synthetic(tmp_path, inactive=(3,))
-    page = Page(page_of(without_numbers(results), outputs))
+    compared = [frame["comparison"] for frame in results["frames"] if "comparison" in frame]
+    for comparison in (results["comparison"], *compared):
+        comparison.update({method: runs.metrics() for method in METHODS})
+    for probe in (probe for frame in results["frames"] for probe in frame["probes"]):
+        probe |= {"change": None, "threshold": None}
+    results["summary"] = runs.SUMMARY
+    page = Page(page_of(results, outputs))
     assert not re.search(r"\b(None|nan|null)\b", page.text)
     assert "could not be measured against the ground truth" in page.text
-    assert "no value in any frame" in page.text
+    assert page.text.count("no value in any frame") == 1
 
 
 @pytest.mark.parametrize(
-    "key", ["settings", "scene", "software", "machine", "comparison", "summary", "notes", "effects"]
+    "wrong",
+    [
+        {"schema_version": 2},
+        {"settings": None},
+        {"frames": [runs.frame(1, runs.probe(shc_rmse=None))]},
+        {"frames": [runs.frame(1, runs.probe(coverage=math.nan))]},
+        {"frames": [runs.frame(1, runs.probe(reason="boredom"))]},
+        {"comparison": {"ambient": None}},
+        {"software": {"command": ["xihe", "previs"]}},
+    ],
 )
-def test_a_null_section_does_not_cost_the_report(tmp_path: Path, key: str) -> None:
-    results, outputs = synthetic(tmp_path, n_frames=4)
-    assert "Frame by frame" in Page(page_of(results | {key: None}, outputs)).text
+def test_what_no_run_leaves_is_refused_when_it_is_read(tmp_path: Path, wrong: dict[str, Any]) -> None:
+    file = tmp_path / "results.json"
+    write_json(file, runs.content())
+    assert read_results(tmp_path) == runs.results()
+    file.write_text(json.dumps(runs.content() | wrong))
+    with pytest.raises(UserError, match="is not from a run of this version"):
+        read_results(tmp_path)
 
 
 def test_names_are_shown_as_text_and_never_become_markup(tmp_path: Path) -> None:
     results, outputs = synthetic(tmp_path, n_frames=4, names=(NASTY_NAME,))
     results["scene"]["name"] = results["scene"]["file"] = results["notes"][0] = NASTY_NAME
-    results["effects"][0] |= {"name": NASTY_NAME, "reason": NASTY_NAME, "state": NASTY_NAME}
-    results["software"]["command"] = ["xihe", "previs", NASTY_NAME]
-    results["settings"] |= {NASTY_NAME: NASTY_NAME, "preset": [NASTY_NAME]}
-    results["settings"]["estimator"] = results["frames"][0]["probes"][0]["reason"] = NASTY_NAME
+    results["effects"][0] |= {"name": NASTY_NAME, "reason": NASTY_NAME, "parameters": {NASTY_NAME: NASTY_NAME}}
+    results["phone"] = {"name": NASTY_NAME, "summary": NASTY_NAME}
+    results["software"]["command"] = f"xihe previs {NASTY_NAME}"
+    results["settings"] |= {"effect_choices": {NASTY_NAME: NASTY_NAME}, "preset": NASTY_NAME, "estimator": NASTY_NAME}
     results["comparison"][NASTY_NAME] = results["comparison"]["projection"]
     results["frames"][0]["pictures"][NASTY_NAME] = results["frames"][0]["pictures"]["projection"]
     whole = page_of(results, outputs)
@@ -341,15 +312,14 @@ def test_every_number_of_the_comparison_is_the_one_in_the_results(tmp_path: Path
 def test_the_best_of_each_column_is_marked_and_truth_never_is(tmp_path: Path) -> None:
     results, outputs = synthetic(tmp_path, n_frames=4)
     results["comparison"]["ambient"] |= {"ssim": 0.99, "angular_deg": 1.25}
-    rows = re.findall(r"<tr><th scope=\"row\"><code>(\w+)</code>.*?</tr>", page_of(results, outputs))
     cells = dict(re.findall(r"<tr><th scope=\"row\"><code>(\w+)</code>(.*?)</tr>", page_of(results, outputs)))
-    marked = {m: re.findall(r'data-column="(\w+)[^>]*><span><strong', cells[m]) for m in rows if m in METHODS}
+    marked = {m: re.findall(r'data-column="(\w+)[^>]*><span><strong', cells[m]) for m in METHODS}
     assert marked["projection"] == ["psnr", "rmse", "si_rmse", "angular_deg"]
     assert marked["ambient"] == ["ssim", "angular_deg"]
     assert marked["truth"] == []
 
 
-def test_a_null_metric_is_a_dash_with_its_reason(tmp_path: Path) -> None:
+def test_an_undefined_metric_is_a_dash_with_its_reason(tmp_path: Path) -> None:
     results, outputs = synthetic(tmp_path, n_frames=4)
     results["comparison"]["truth"]["psnr"] = None
     results["comparison"]["projection"]["angular_deg"] = None
@@ -405,19 +375,18 @@ def test_hovering_a_frame_tells_each_probes_value(tmp_path: Path) -> None:
     assert whole.count("frame 3 (0.07\u202fs)\nno probe in view") == 5
 
 
-def test_a_null_value_is_a_gap_in_the_curve(tmp_path: Path) -> None:
+def test_what_is_undefined_or_out_of_view_is_a_gap_in_the_curve(tmp_path: Path) -> None:
     results, outputs = synthetic(tmp_path, n_frames=9, names=("Vase",))
-    n_pieces = len(re.findall("M", _first_curve(page_of(results, outputs))))
-    results["frames"][4]["probes"][0]["shc_rmse"] = None
-    broken = _first_curve(page_of(results, outputs))
-    assert n_pieces == 1
-    assert (broken.count("M"), broken.count("L")) == (2, 6)
+    assert _pieces_and_lines(page_of(results, outputs)) == [(1, 8), (1, 7), (1, 8)]
+    results["frames"][4]["probes"][0]["change"] = None
+    assert _pieces_and_lines(page_of(results, outputs)) == [(1, 8), (2, 5), (1, 8)]
+    results["frames"][4]["probes"] = []
+    assert _pieces_and_lines(page_of(results, outputs)) == [(2, 6), (2, 5), (2, 6)]
 
 
-def _first_curve(page: str) -> str:
-    found = re.search(r'<path class="line s0 d0" d="([^"]+)"', page)
-    assert found
-    return found[1]
+def _pieces_and_lines(page: str) -> list[tuple[int, int]]:
+    """Of the curves of error, change and coverage."""
+    return [(path.count("M"), path.count("L")) for path in re.findall(r'<path class="line s0 d0" d="([^"]+)"', page)]
 
 
 def test_one_slow_frame_does_not_flatten_the_others(tmp_path: Path) -> None:

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 import xihe_blender.report.page as report
-from xihe_blender.io.outputs import RunOutputs
+from addon_tests.pure import runs
+from xihe_blender.io.json_records import from_json
+from xihe_blender.io.run_results import ComparedFrame, Metrics
 from xihe_blender.report.document import SCRIPT, STYLE, document
 from xihe_blender.report.pictures import MAX_FRAMES, choose_frames, picture_kinds
 from xihe_blender.report.timeline import Timeline
@@ -20,14 +22,9 @@ from xihenet import formats, svg
 from xihenet.formats import format_percent
 
 
-def test_another_schema_version_is_refused_by_name(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="expected schema_version 1, got 2"):
-        report.write_report({"schema_version": 2}, RunOutputs(tmp_path, "room"))
-    assert not (tmp_path / "report.html").exists()
-
-
 def test_the_report_never_asks_for_blender() -> None:
-    own = ("xihe_blender.report", "xihe_blender.io.outputs", "xihenet.formats", "xihenet.invalid", "xihenet.svg")
+    of_io = (f"xihe_blender.io.{name}" for name in ("json_records", "outputs", "run_results"))
+    own = ("xihe_blender.report", *of_io, "xihenet.formats", "xihenet.invalid", "xihenet.svg")
     files = [*sorted(Path(report.__file__).parent.glob("*.py")), *(Path(m.__file__) for m in (formats, svg))]
     assert "page.py" in [path.name for path in files]
     for path in files:
@@ -53,25 +50,16 @@ def test_a_number_stays_beside_its_unit_and_a_command_as_it_was_typed() -> None:
 
 @pytest.mark.parametrize("n_frames", [1, 15, 16, 17, 100, 301])
 def test_chosen_frames_are_spread_over_the_run(n_frames: int) -> None:
-    frames = [{"frame": i, "pictures": {"captured": "", "ground_truth": ""}, "probes": []} for i in range(n_frames)]
-    chosen = [frame["frame"] for frame in choose_frames(frames)]
+    chosen = [frame.frame for frame in choose_frames(runs.results(map(runs.frame, range(n_frames))).frames)]
     assert len(chosen) == min(n_frames, MAX_FRAMES) == len(set(chosen))
     assert chosen[0] == 0 and chosen[-1] == n_frames - 1
     gaps = [b - a for a, b in itertools.pairwise(chosen)]
     assert max(gaps, default=1) <= 2 * n_frames / MAX_FRAMES + 1
 
 
-def test_captured_pictures_alone_never_push_out_a_comparison() -> None:
-    alone = [{"frame": i, "pictures": {"captured": ""}, "probes": [{"fired": True}]} for i in range(40)]
-    compared = [{"frame": 100 + i, "pictures": {"captured": "", "truth": ""}, "probes": []} for i in range(9)]
-    chosen = choose_frames(alone + compared)
-    assert [frame for frame in chosen if frame["frame"] >= 100] == compared
-    assert len(chosen) == MAX_FRAMES
-
-
 def test_pictures_come_in_the_order_of_the_story() -> None:
-    frames = [{"pictures": dict.fromkeys(["error_ambient", "error_lattice", "other", "truth", "ambient", "lattice"])}]
-    frames += [{"pictures": dict.fromkeys(["captured", "ground_truth"])}]
+    kinds = (["error_ambient", "error_lattice", "other", "truth", "ambient", "lattice"], ["captured", "ground_truth"])
+    frames = [from_json(ComparedFrame, runs.compared(of_one)) for of_one in kinds]
     expected = ["captured", "ground_truth", "lattice", "ambient", "truth", "other", "error_lattice", "error_ambient"]
     assert picture_kinds(frames, "lattice") == expected
 
@@ -93,18 +81,16 @@ def test_pictures_come_in_the_order_of_the_story() -> None:
 def test_the_sentence_tells_better_worse_and_undefined_apart(
     own: float | None, ambient: float | None, expected: str
 ) -> None:
-    results = {
-        "settings": {"estimator": "projection"},
-        "comparison": {"projection": {"rmse": own}, "ambient": {"rmse": ambient}},
-    }
+    results = runs.results(comparison={"projection": runs.metrics(own), "ambient": runs.metrics(ambient)})
     words = re.sub("<[^>]*>", "", report.format_result(results))
     assert expected in words
 
 
 def test_closeness_is_one_for_a_match_and_undefined_without_a_yardstick() -> None:
-    comparison = {"a": {"rmse": 0.0}, "ambient": {"rmse": 0.5}, "b": {"rmse": 1.0}, "c": None}
+    errors = {"a": 0.0, "ambient": 0.5, "b": 1.0, "c": None}
+    comparison = {method: from_json(Metrics, runs.metrics(rmse)) for method, rmse in errors.items()}
     assert [closeness(comparison, m) for m in ("a", "ambient", "b", "c", "d")] == [1.0, 0.0, -1.0, None, None]
-    assert closeness({"a": {"rmse": 0.1}, "ambient": {"rmse": 0.0}}, "a") is None
+    assert closeness({"b": comparison["b"], "ambient": comparison["a"]}, "b") is None
     assert format_closeness(-1.0) == f"{format_percent(1.0)} further"
 
 
@@ -112,7 +98,7 @@ def test_columns_of_frames_cover_the_axis_and_hold_their_centres() -> None:
     rng = np.random.default_rng(3)
     for n_frames in (1, 2, 3, 50):
         numbers = np.sort(rng.choice(500, n_frames, replace=False)).tolist()
-        timeline = Timeline.of({"frames": [{"frame": number} for number in reversed(numbers)]})
+        timeline = Timeline.of(runs.results(map(runs.frame, reversed(numbers))))
         edges, centres = timeline.edges_percent, timeline.centres_percent
         assert (edges[0], edges[-1]) == (0, pytest.approx(100)) and len(edges) == n_frames + 1
         assert all(a < c < b for a, c, b in zip(edges[:-1], centres, edges[1:], strict=True))

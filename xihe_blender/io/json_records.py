@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import re
 import types
 import typing
@@ -76,7 +77,8 @@ def _read(kind: Any, content: Json, where: str) -> Any:
         _checked(isinstance(content, Mapping), content, where)
         return {name: _read(of[1], of_one, f"{where}.{name}") for name, of_one in content.items()}
     if kind is float:
-        return float(_checked(isinstance(content, int | float) and not isinstance(content, bool), content, where))
+        is_number = isinstance(content, int | float) and not isinstance(content, bool)
+        return float(_checked(is_number and math.isfinite(content), content, where))
     return _checked(type(content) is kind, content, where)
 
 

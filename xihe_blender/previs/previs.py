@@ -75,7 +75,7 @@ def previs(
     frames = [replace(frame, compared=compared.get(frame.frame)) for frame in walked.frames]
     found = results.assemble(run, frames, lights=changes, phone=walked.phone, errors=errors, file=file, command=command)
     # The results come last: their presence says that the run is done.
-    write_report(as_json(found), outputs)
+    write_report(found, outputs)
     content = as_json(found)
     write_json(outputs.results, content)
     return content

@@ -8,26 +8,15 @@ Embedding is the price of one self-contained file, so at most `MAX_FRAMES` frame
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.io.run_results import ComparedFrame, FrameResult, RunResults
 from xihe_blender.report.document import png_url
-from xihe_blender.report.invalid import format_kept, is_kept
-from xihe_blender.report.timeline import (
-    KEPT,
-    Timeline,
-    fired_probes,
-    format_moment,
-    format_trigger,
-    is_active,
-    number,
-    probe_name,
-    reason_of,
-    reason_shape,
-)
-from xihe_blender.report.values import code, escape, finite, items, mapping
+from xihe_blender.report.invalid import format_kept
+from xihe_blender.report.timeline import KEPT, Timeline, fired_probes, format_moment, format_trigger, reason_shape
+from xihe_blender.report.values import code, escape, rmse_of
 from xihenet.formats import format_count, format_list, format_number, format_percent, format_runs
 from xihenet.svg import icon
 
@@ -45,66 +34,52 @@ METHOD_MEANINGS = {
     "truth": "The light probe rendered at the object's place, as spherical harmonics.",
 }
 
-Frame = Mapping[str, Any]
 
-
-def pictures_section(results: Mapping[str, Any], outputs: RunOutputs) -> str:
+def pictures_section(results: RunResults, outputs: RunOutputs) -> str:
     """The scrubber, a strip for each chosen frame, the wipe, and which frames and files are not here."""
-    timeline = Timeline.of(results)
-    frames = [frame for frame in timeline.frames if mapping(frame, "pictures")]
-    if not frames:
+    timeline, compared = Timeline.of(results), results.compared_frames
+    if not compared:
         return "<p>This run made no pictures.</p>"
+    frames = [frame for frame in timeline.frames if frame.frame in compared]
     chosen = choose_frames(frames)
-    settings = mapping(results, "settings")
-    kinds = picture_kinds(frames, settings.get("estimator"))
-    meanings = {kind: _kind_meaning(kind, finite(settings.get("error_map_full_scale"))) for kind in kinds}
-    start = next((i for i, frame in enumerate(chosen) if is_compared(frame)), 0)
-    places = dict(zip(map(number, timeline.frames), timeline.centres_percent, strict=True))
+    kinds = picture_kinds(compared.values(), results.settings.estimator)
+    meanings = {kind: _kind_meaning(kind, results.settings.error_map_full_scale) for kind in kinds}
+    places = {frame.frame: x for frame, x in zip(timeline.frames, timeline.centres_percent, strict=True)}
     radios = "".join(
-        f'<input type="radio" name="moment" id="f{i}" data-x="{places[number(frame)]:.3f}"'
-        f' data-frame="{number(frame)}" aria-label="frame {number(frame)}"{" checked" if i == start else ""}>'
+        f'<input type="radio" name="moment" id="f{i}" data-x="{places[frame.frame]:.3f}"'
+        f' data-frame="{frame.frame}" aria-label="frame {frame.frame}"{"" if i else " checked"}>'
         for i, frame in enumerate(chosen)
     )
-    strips = "".join(_strip(i, frame, meanings, outputs) for i, frame in enumerate(chosen))
-    return (
-        f'{_choosing_rules(len(chosen))}<div class="viewer">{radios}{_scrubber(chosen)}'
-        f'<div class="moments">{strips}</div>{_wipe(kinds)}</div>{_left_out(frames, chosen)}{_missing(frames, outputs)}'
-    )
+    strips = "".join(_strip(i, frame, compared[frame.frame], meanings, outputs) for i, frame in enumerate(chosen))
+    viewer = f'{radios}{_scrubber(chosen)}<div class="moments">{strips}</div>{_wipe(kinds)}'
+    notes = _left_out(frames, chosen) + _missing(compared, outputs)
+    return f'{_choosing_rules(len(chosen))}<div class="viewer">{viewer}</div>{notes}'
 
 
-def is_compared(frame: Frame) -> bool:
-    """Whether the frame has pictures beyond the captured one."""
-    return any(kind != "captured" for kind in mapping(frame, "pictures"))
+def choose_frames(frames: Sequence[FrameResult], limit: int = MAX_FRAMES) -> list[FrameResult]:
+    """At most `limit` of `frames`, ascending: first those at which an estimate was made.
 
-
-def choose_frames(frames: Sequence[Frame], limit: int = MAX_FRAMES) -> list[Frame]:
-    """At most `limit` of `frames`, ascending: compared ones first, of these first those at which an estimate was made.
-
-    Frames with nothing but a captured picture are taken only where an estimate was made or where no frame was
-    compared. Within each of these groups the frames are spread evenly.
+    These and the others are spread evenly.
     """
-    compared = [frame for frame in frames if is_compared(frame)]
-    fired = [frame for frame in frames if fired_probes(frame)]
-    groups = [[frame for frame in compared if fired_probes(frame)], compared, fired, [] if compared else list(frames)]
-    chosen: list[Frame] = []
-    for group in groups:
+    chosen: list[FrameResult] = []
+    for group in ([frame for frame in frames if fired_probes(frame)], frames):
         _spread(chosen, group, limit)
-    return sorted(chosen, key=number)
+    return sorted(chosen, key=lambda frame: frame.frame)
 
 
-def _spread(chosen: list[Frame], group: Sequence[Frame], limit: int) -> None:
+def _spread(chosen: list[FrameResult], group: Sequence[FrameResult], limit: int) -> None:
     """Add frames of `group` to `chosen`, each time the one that is farthest from all that are chosen already."""
-    left = [frame for frame in group if not any(frame is other for other in chosen)]
+    left = [frame for frame in group if frame not in chosen]
     while left and len(chosen) < limit:
-        farthest = max(left, key=lambda f: min((abs(number(f) - number(c)) for c in chosen), default=0))
+        farthest = max(left, key=lambda f: min((abs(f.frame - c.frame) for c in chosen), default=0))
         chosen.append(farthest)
-        left = [frame for frame in left if frame is not farthest]
+        left.remove(farthest)
 
 
-def picture_kinds(frames: Sequence[Frame], estimator: Any) -> list[str]:
+def picture_kinds(compared: Iterable[ComparedFrame], estimator: str) -> list[str]:
     """All kinds of pictures in these frames, in the order in which they are shown."""
-    kinds = list(dict.fromkeys(kind for frame in frames for kind in mapping(frame, "pictures")))
-    leading = ["captured", "ground_truth", str(estimator), "ambient", "truth"]
+    kinds = list(dict.fromkeys(kind for frame in compared for kind in frame.pictures))
+    leading = ["captured", "ground_truth", estimator, "ambient", "truth"]
     methods = [k for k in leading if k in kinds] + [k for k in kinds if k not in leading and not _is_error(k)]
     errors = [f"error_{method}" for method in methods if f"error_{method}" in kinds]
     return methods + errors + [kind for kind in kinds if _is_error(kind) and kind not in errors]
@@ -121,14 +96,10 @@ def kind_label(kind: str) -> str:
     return {"captured": "captured frame", "ground_truth": "ground truth"}.get(kind, kind)
 
 
-def _kind_meaning(kind: str, error_full_scale: float | None) -> str:
+def _kind_meaning(kind: str, error_full_scale: float) -> str:
     if _is_error(kind):
-        scale = (
-            ""
-            if error_full_scale is None
-            else f": black is none, the brightest {format_percent(error_full_scale)} or more"
-        )
-        return f"Difference between {code(kind.removeprefix('error_'))} and the ground truth, in sRGB{scale}."
+        scale = f"black is none, the brightest {format_percent(error_full_scale)} or more"
+        return f"Difference between {code(kind.removeprefix('error_'))} and the ground truth, in sRGB: {scale}."
     if kind == "captured":
         return "What the phone's camera recorded: the room without the virtual objects."
     if kind == "ground_truth":
@@ -154,21 +125,22 @@ def _choosing_rules(n_chosen: int) -> str:
     )
 
 
-def _scrubber(chosen: Sequence[Frame]) -> str:
+def _scrubber(chosen: Sequence[FrameResult]) -> str:
     labels = ""
     for index, frame in enumerate(chosen):
-        reasons = dict.fromkeys(map(reason_of, fired_probes(frame)))
+        reasons = dict.fromkeys(probe.reason for probe in fired_probes(frame))
         icons = "".join(icon(reason_shape(reason)) for reason in reasons)
-        labels += f'<label for="f{index}"><span class="icons">{icons}</span>{number(frame)}</label>'
+        labels += f'<label for="f{index}"><span class="icons">{icons}</span>{frame.frame}</label>'
     return f'<div class="scrubber"><span class="scrubber-name">Frame</span>{labels}</div>'
 
 
 # ------------------------------------------------------------------------------------------------------- pictures
 
 
-def _strip(index: int, frame: Frame, meanings: Mapping[str, str], outputs: RunOutputs) -> str:
-    shown = [kind for kind in meanings if is_compared(frame) or kind in mapping(frame, "pictures")]
-    figures = "".join(_figure(frame, kind, meanings[kind], outputs) for kind in shown)
+def _strip(
+    index: int, frame: FrameResult, compared: ComparedFrame, meanings: Mapping[str, str], outputs: RunOutputs
+) -> str:
+    figures = "".join(_figure(kind, meaning, frame.frame, compared, outputs) for kind, meaning in meanings.items())
     heading = format_moment(frame)
     return (
         f'<article class="moment" id="m{index}"><h3>{heading[0].upper()}{heading[1:]}</h3>'
@@ -176,53 +148,43 @@ def _strip(index: int, frame: Frame, meanings: Mapping[str, str], outputs: RunOu
     )
 
 
-def _what_happened(frame: Frame) -> str:
+def _what_happened(frame: FrameResult) -> str:
     sentences = []
-    for reason in dict.fromkeys(map(reason_of, fired_probes(frame))):
-        names = [escape(probe_name(probe)) for probe in fired_probes(frame) if reason_of(probe) == reason]
+    for reason in dict.fromkeys(probe.reason for probe in fired_probes(frame)):
+        names = [escape(probe.name) for probe in fired_probes(frame) if probe.reason == reason]
         sentences.append(
             f"{icon(reason_shape(reason))} Estimate made for {format_list(names)}: {format_trigger(reason)}."
         )
-    for probe in filter(is_kept, items(frame, "probes")):
-        sentences.append(f"{icon(reason_shape(KEPT))} {escape(probe_name(probe))}{format_kept(probe)}.")
-    if not is_active(frame):
-        sentences.append("No probe in view.")
-    elif not sentences:
-        sentences.append("No estimate was due; the last one stays in force.")
-    if not is_compared(frame):
-        sentences.append("This frame was not compared with the ground truth.")
-    return " ".join(sentences)
+    for probe in frame.probes:
+        if not probe.is_valid:
+            sentences.append(f"{icon(reason_shape(KEPT))} {escape(probe.name)}{format_kept(probe)}.")
+    return " ".join(sentences) or "No estimate was due; the last one stays in force."
 
 
-def _figure(frame: Frame, kind: str, meaning: str, outputs: RunOutputs) -> str:
+def _figure(kind: str, meaning: str, number: int, compared: ComparedFrame, outputs: RunOutputs) -> str:
     name = kind_label(kind)
     title = (
         escape(name[0].upper() + name[1:]) if kind in ("captured", "ground_truth") or _is_error(kind) else code(name)
     )
-    rmse = finite(mapping(mapping(frame, "comparison"), kind).get("rmse"))
+    rmse = rmse_of(compared.comparison, kind)
     figure = "" if rmse is None else f' <span class="figure-number">rmse {format_number(rmse)}</span>'
-    picture = _embedded(frame, kind, outputs)
+    picture = _embedded(kind, number, compared, outputs)
     return (
         f"<figure>{picture}<figcaption><strong>{title}</strong>{figure}"
         f'<span class="meaning">{meaning}</span></figcaption></figure>'
     )
 
 
-def _embedded(frame: Frame, kind: str, outputs: RunOutputs) -> str:
-    path = _picture_path(frame, kind, outputs)
+def _embedded(kind: str, number: int, compared: ComparedFrame, outputs: RunOutputs) -> str:
+    name = compared.pictures.get(kind)
+    path = outputs.folder / name if name else outputs.picture(kind, number)
     content = _read_png(path, outputs.folder)
     if content is None:
         return f'<div class="missing"><span>No picture here. Expected {code(_shown_path(path, outputs))}</span></div>'
     width, height = struct.unpack(">II", content[16:24])
-    words = escape(f"{kind_label(kind)}, frame {number(frame)}")
+    words = escape(f"{kind_label(kind)}, frame {number}")
     size = f'width="{width}" height="{height}"'
     return f'<img data-kind="{escape(kind)}" {size} alt="{words}" src="{png_url(content)}">'
-
-
-def _picture_path(frame: Frame, kind: str, outputs: RunOutputs) -> Path:
-    """Where the results say that the picture is, or where a run would have put it."""
-    name = mapping(frame, "pictures").get(kind)
-    return outputs.folder / str(name) if name else outputs.picture(kind, number(frame))
 
 
 def _shown_path(path: Path, outputs: RunOutputs) -> str:
@@ -265,9 +227,8 @@ def _choice(label: str, name: str, kinds: Sequence[str], selected: str) -> str:
     return f'<label>{label} <select id="{name}">{options}</select></label>'
 
 
-def _left_out(frames: Sequence[Frame], chosen: Sequence[Frame]) -> str:
-    shown = set(map(number, chosen))
-    others = [number(frame) for frame in frames if number(frame) not in shown]
+def _left_out(frames: Sequence[FrameResult], chosen: Sequence[FrameResult]) -> str:
+    others = [frame.frame for frame in frames if frame not in chosen]
     if not others:
         return ""
     return (
@@ -277,13 +238,13 @@ def _left_out(frames: Sequence[Frame], chosen: Sequence[Frame]) -> str:
     )
 
 
-def _missing(frames: Sequence[Frame], outputs: RunOutputs) -> str:
+def _missing(compared: Mapping[int, ComparedFrame], outputs: RunOutputs) -> str:
     """Names every picture that the results promise and the folder does not hold, also of frames not shown."""
     missing = [
         _shown_path(path, outputs)
-        for frame in frames
-        for kind in mapping(frame, "pictures")
-        if not (path := _picture_path(frame, kind, outputs)).is_file()
+        for frame in compared.values()
+        for name in frame.pictures.values()
+        if not (path := outputs.folder / name).is_file()
     ]
     if not missing:
         return ""

@@ -1,34 +1,30 @@
 """Plots of what happened frame by frame: coefficient error, change, coverage, milliseconds, payload.
 
-Null values are gaps, a value between two gaps is a dot, frames without a probe in view are shaded. Each mark has one
-shape per reason for which an estimate was made. Hovering a frame's column names its values.
+What is undefined is a gap, a value between two gaps is a dot, frames without a probe in view are shaded. Each mark has
+one shape per reason for which an estimate was made. Hovering a frame's column names its values.
 """
 
 from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Sequence
 
-from xihe_blender.report.invalid import format_kept, is_kept
+from xihe_blender.io.run_results import ProbeResult, RunResults
+from xihe_blender.report.invalid import format_kept
 from xihe_blender.report.timeline import (
     KEPT,
     REASONS,
     Timeline,
+    Value,
     fired_probes,
     format_moment,
     format_trigger,
-    is_active,
-    number,
     probe_in,
-    probe_name,
-    reason_of,
     reason_shape,
     series_class,
 )
-from xihe_blender.report.values import escape, finite, finite_only, items, mapping
+from xihe_blender.report.values import escape
 from xihenet import svg
 from xihenet.formats import format_bytes, format_number, format_percent, format_quantity
 from xihenet.svg import HEIGHT_PX, Axis, linear_axis
@@ -61,12 +57,12 @@ _CHAIN_LISTED = (
 )
 
 
-def plots_section(results: Mapping[str, Any]) -> str:
+def plots_section(results: RunResults) -> str:
     """All plots, with the legend of the probes that they share."""
     timeline = Timeline.of(results)
     if not timeline.frames:
         return "<p>The results hold no frame, so there is nothing to plot.</p>"
-    plots = [_error_plot(timeline, results), _change_plot(timeline), _coverage_plot(timeline)]
+    plots = [_error_plot(timeline, results.summary.ambient_shc_rmse), _change_plot(timeline), _coverage_plot(timeline)]
     plots += [_stage_plot(timeline), _payload_plot(timeline)]
     return f'{_shared_legend(timeline)}<div class="plots">{"".join(plots)}</div>{_CHAIN_LISTED}'
 
@@ -76,18 +72,13 @@ def _shared_legend(timeline: Timeline) -> str:
         f'{_line_icon(f"line {series_class(i)}")}<b class="key">{i + 1}</b> {escape(name)}'
         for i, name in enumerate(timeline.probe_names)
     ]
-    reasons = sorted({reason_of(p) for f in timeline.frames for p in fired_probes(f)}, key=_reason_order)
-    entries += [f"{svg.icon(reason_shape(reason))} estimate made: {format_trigger(reason)}" for reason in reasons]
-    if any(is_kept(probe) for frame in timeline.frames for probe in items(frame, "probes")):
+    reasons = {probe.reason for probe in timeline.probes if probe.fired}
+    entries += [f"{svg.icon(reason_shape(r))} estimate made: {words}" for r, words in REASONS.items() if r in reasons]
+    if not all(probe.is_valid for probe in timeline.probes):
         entries.append(f"{svg.icon(reason_shape(KEPT))} light could not be known: the last one stays")
     if timeline.inactive_spans():
         entries.append('<span class="shade-icon"></span> no probe in view')
     return svg.legend(entries)
-
-
-def _reason_order(reason: str) -> tuple[int, str]:
-    known = list(REASONS)
-    return (known.index(reason) if reason in known else len(known), reason)
 
 
 def _line_icon(classes: str) -> str:
@@ -109,7 +100,8 @@ def plot(
         f'<rect class="shade" x="{left:.3f}%" y="0" width="{right - left:.3f}%" height="{HEIGHT_PX}"/>'
         for left, right in timeline.inactive_spans()
     )
-    why_empty = "no value in any frame" if any(map(is_active, timeline.frames)) else "no probe in view in any frame"
+    was_in_view = any(frame.active for frame in timeline.frames)
+    why_empty = "no value in any frame" if was_in_view else "no probe in view in any frame"
     empty = "" if drawing else f'<text class="empty" x="50%" y="{HEIGHT_PX / 2}">{why_empty}</text>'
     body = shades + svg.grid_across(axis) + _frame_axis(timeline) + drawing + empty + _columns(timeline, hover)
     return svg.figure(body, title=title, about=about, label=f"{title}, per frame", below=below)
@@ -117,7 +109,7 @@ def plot(
 
 def _frame_axis(timeline: Timeline) -> str:
     """Round frame numbers below the plot, and the axis' name."""
-    first, last = number(timeline.frames[0]), number(timeline.frames[-1])
+    first, last = timeline.frames[0].frame, timeline.frames[-1].frame
     step = max(1, round(svg.nice_step(max(1, last - first), 6)))
     ticks = [first] if first == last else list(range(math.ceil(first / step) * step, last + 1, step))
     half = timeline.bar_percent / 2
@@ -129,7 +121,7 @@ def _columns(timeline: Timeline, hover: Sequence[str]) -> str:
     columns = []
     for index, (frame, words) in enumerate(zip(timeline.frames, hover, strict=True)):
         left, right = timeline.edges_percent[index : index + 2]
-        words = words if is_active(frame) or words else "no probe in view"
+        words = words if frame.active or words else "no probe in view"
         columns.append(
             f'<rect class="column" x="{left:.3f}%" y="0" width="{right - left:.3f}%" height="{HEIGHT_PX}">'
             f"<title>{format_moment(frame)}\n{words}</title></rect>"
@@ -137,17 +129,17 @@ def _columns(timeline: Timeline, hover: Sequence[str]) -> str:
     return '<line class="now" y1="0" y2="100%"/>' + "".join(columns)
 
 
-def _curves(timeline: Timeline, axis: Axis, key: str) -> str:
+def _curves(timeline: Timeline, axis: Axis, value_of: Value) -> str:
     """A line per probe, dots where they help, and marks where an estimate was made."""
     lines = "".join(
-        _curve(timeline, [None if v is None else axis.y(v) for v in timeline.values(name, key)], series_class(i))
+        _curve(timeline, [None if v is None else axis.y(v) for v in timeline.values(name, value_of)], series_class(i))
         for i, name in enumerate(timeline.probe_names)
     )
     marks = "".join(
         _mark(timeline, x, axis.y(value), probe)
         for x, frame in zip(timeline.centres_percent, timeline.frames, strict=True)
         for probe in fired_probes(frame)
-        if (value := finite(probe.get(key))) is not None
+        if (value := value_of(probe)) is not None
     )
     return lines + marks
 
@@ -163,13 +155,13 @@ def _curve(timeline: Timeline, heights: Sequence[float | None], classes: str) ->
     return svg.line(points, classes) + dots
 
 
-def _mark(timeline: Timeline, x: float, y: float, probe: Mapping[str, Any], reason: str = "", words: str = "") -> str:
+def _mark(timeline: Timeline, x: float, y: float, probe: ProbeResult, reason: str = "", words: str = "") -> str:
     """In the probe's colour, in the shape of why its estimate was made."""
-    index = timeline.probe_names.index(probe_name(probe))
-    return svg.mark(x, y, reason_shape(reason or reason_of(probe)), f"mark {series_class(index)}", words)
+    index = timeline.probe_names.index(probe.name)
+    return svg.mark(x, y, reason_shape(reason or probe.reason), f"mark {series_class(index)}", words)
 
 
-def _hover(timeline: Timeline, describe: Callable[[Mapping[str, Any]], str]) -> list[str]:
+def _hover(timeline: Timeline, describe: Callable[[ProbeResult], str]) -> list[str]:
     """Per frame one line for each probe in view: its key, its name, what `describe` says, whether one was made."""
     return [
         "\n".join(
@@ -181,8 +173,8 @@ def _hover(timeline: Timeline, describe: Callable[[Mapping[str, Any]], str]) -> 
     ]
 
 
-def _format_fired(probe: Mapping[str, Any]) -> str:
-    made = f", estimate made: {format_trigger(reason_of(probe))}" if probe.get("fired") else ""
+def _format_fired(probe: ProbeResult) -> str:
+    made = f", estimate made: {format_trigger(probe.reason)}" if probe.fired else ""
     return made + format_kept(probe)
 
 
@@ -196,30 +188,34 @@ def _limit(axis: Axis, value: float, words: str) -> tuple[str, str]:
 # ------------------------------------------------------------------------------------------------------ the plots
 
 
-def _error_plot(timeline: Timeline, results: Mapping[str, Any]) -> str:
-    ambient = finite(mapping(results, "summary").get("ambient_shc_rmse"))
-    known = [v for name in timeline.probe_names for v in finite_only(timeline.values(name, "shc_rmse"))]
-    axis = linear_axis(0, max([*known, ambient or 0.0]))
-    drawing, below = _curves(timeline, axis, "shc_rmse"), ""
+def _error_plot(timeline: Timeline, ambient: float | None) -> str:
+    def error(probe: ProbeResult) -> float:
+        return probe.shc_rmse
+
+    axis = linear_axis(0, max([*map(error, timeline.probes), ambient or 0.0]))
+    drawing, below = _curves(timeline, axis, error), ""
     if drawing and ambient is not None:
         limit, below = _limit(axis, ambient, f"<code>ambient</code>, mean over the run: {format_number(ambient)}")
         drawing = limit + drawing
-    hover = _hover(timeline, lambda p: format_number(finite(p.get("shc_rmse"))))
+    hover = _hover(timeline, lambda probe: format_number(error(probe)))
     about = "SHC RMSE between the coefficients in force and the rendered light probe. No unit; 0 is a perfect estimate."
     return plot(timeline, axis, drawing, hover, title="Coefficient error", about=about, below=below)
 
 
 def _change_plot(timeline: Timeline) -> str:
     """Change and threshold. Where thresholds differ between frames or probes, the change is drawn relative to them."""
-    probes = [probe for frame in timeline.frames for probe in items(frame, "probes")]
-    thresholds = sorted(set(finite_only(probe.get("threshold") for probe in probes)))
+    thresholds = set(timeline.known_values(lambda probe: probe.threshold))
     is_relative = len(thresholds) > 1
     threshold = 1.0 if is_relative else next(iter(thresholds), None)
-    shown = _with_shown_change(timeline, is_relative=is_relative)
-    known = [v for name in shown.probe_names for v in finite_only(shown.values(name, "shown_change"))]
-    axis = linear_axis(0, max([*known, 1.05 * (threshold or 0.0)]))
-    drawing, below = _curves(shown, axis, "shown_change"), _lanes(timeline)
-    if probes and threshold is not None:
+
+    def change(probe: ProbeResult) -> float | None:
+        if not is_relative or probe.change is None:
+            return probe.change
+        return probe.change / probe.threshold if probe.threshold else None
+
+    axis = linear_axis(0, max([*timeline.known_values(change), 1.05 * (threshold or 0.0)]))
+    drawing, below = _curves(timeline, axis, change), _lanes(timeline)
+    if threshold is not None:
         words = "threshold" if is_relative else f"threshold {format_number(threshold)}"
         limit, legend = _limit(axis, threshold, words)
         drawing, below = limit + drawing, below + legend
@@ -229,29 +225,14 @@ def _change_plot(timeline: Timeline) -> str:
     return plot(timeline, axis, drawing, _hover(timeline, _format_change), title=title, about=about, below=below)
 
 
-def _with_shown_change(timeline: Timeline, *, is_relative: bool) -> Timeline:
-    def shown(probe: Mapping[str, Any]) -> float | None:
-        change, threshold = finite(probe.get("change")), finite(probe.get("threshold"))
-        if not is_relative or change is None:
-            return change
-        return change / threshold if threshold else None
-
-    frames = tuple(
-        {**frame, "probes": [{**p, "shown_change": shown(p)} for p in items(frame, "probes")]}
-        for frame in timeline.frames
-    )
-    return replace(timeline, frames=frames)
-
-
-def _format_change(probe: Mapping[str, Any]) -> str:
-    change, threshold = finite(probe.get("change")), finite(probe.get("threshold"))
-    words = "no change to compare" if change is None else f"change {format_number(change)}"
-    return words + ("" if threshold is None else f", threshold {format_number(threshold)}")
+def _format_change(probe: ProbeResult) -> str:
+    words = "no change to compare" if probe.change is None else f"change {format_number(probe.change)}"
+    return words + ("" if probe.threshold is None else f", threshold {format_number(probe.threshold)}")
 
 
 def _lanes(timeline: Timeline) -> str:
     """One row per probe with a mark at each frame for which its estimate was made, or its light could not be known."""
-    if not any(p.get("fired") or is_kept(p) for frame in timeline.frames for p in items(frame, "probes")):
+    if not any(probe.fired or not probe.is_valid for probe in timeline.probes):
         return ""
     rows = ""
     for index, name in enumerate(timeline.probe_names):
@@ -259,24 +240,25 @@ def _lanes(timeline: Timeline) -> str:
         rows += f'<text class="tick-y" x="-8" y="{y}">{index + 1}</text>{svg.straight(0, y, 100, y, "grid")}'
         for x, frame in zip(timeline.centres_percent, timeline.frames, strict=True):
             probe = probe_in(frame, name)
-            if probe.get("fired") or is_kept(probe):
-                made = format_trigger(reason_of(probe)) if probe.get("fired") else "no estimate"
+            if probe and (probe.fired or not probe.is_valid):
+                made = format_trigger(probe.reason) if probe.fired else "no estimate"
                 words = f"{format_moment(frame)}\n{escape(name)}: {made}{format_kept(probe)}"
-                rows += _mark(timeline, x, y, probe, KEPT if is_kept(probe) else "", words)
+                rows += _mark(timeline, x, y, probe, "" if probe.is_valid else KEPT, words)
     height = LANE_PX * len(timeline.probe_names)
     return f'<svg class="lanes" role="img" aria-label="Estimates made, a row per probe" height="{height}">{rows}</svg>'
 
 
 def _coverage_plot(timeline: Timeline) -> str:
     axis = Axis(0.0, 1.0, (0.0, 0.25, 0.5, 0.75, 1.0), format_percent)
-    hover = _hover(timeline, lambda p: format_percent(finite(p.get("coverage"))))
+    hover = _hover(timeline, lambda probe: format_percent(probe.coverage))
     about = "Share of the directions around the probe that the camera has seen. The rest has to be guessed."
-    return plot(timeline, axis, _curves(timeline, axis, "coverage"), hover, title="Coverage", about=about)
+    drawing = _curves(timeline, axis, lambda probe: probe.coverage)
+    return plot(timeline, axis, drawing, hover, title="Coverage", about=about)
 
 
 def _stage_plot(timeline: Timeline) -> str:
     """Stacked bars. A frame that towers over the others is cut off, marked and named, or it would flatten them all."""
-    stages = [[finite(mapping(f, "stage_ms").get(stage)) or 0.0 for stage in STAGES] for f in timeline.frames]
+    stages = [[frame.stage_ms.get(stage, 0.0) for stage in STAGES] for frame in timeline.frames]
     totals = [sum(values) for values in stages]
     axis = linear_axis(0, _shown_up_to(totals))
     bars = _stacked_bars(timeline, axis, stages)
@@ -325,9 +307,9 @@ def _cut_off_marks(timeline: Timeline, axis: Axis, totals: Sequence[float]) -> s
 def _stage_hover(timeline: Timeline) -> list[str]:
     words = []
     for frame in timeline.frames:
-        known = [(stage, finite(mapping(frame, "stage_ms").get(stage))) for stage in STAGES]
-        lines = [f"{stage}: {format_quantity(value, 'ms')}" for stage, value in known if value is not None]
-        total = format_quantity(math.fsum(finite_only(value for _, value in known)), "ms")
+        known = {stage: frame.stage_ms[stage] for stage in STAGES if stage in frame.stage_ms}
+        lines = [f"{stage}: {format_quantity(value, 'ms')}" for stage, value in known.items()]
+        total = format_quantity(math.fsum(known.values()), "ms")
         words.append("\n".join([*reversed(lines), f"together: {total}"]) if lines else "")
     return words
 
@@ -335,7 +317,7 @@ def _stage_hover(timeline: Timeline) -> list[str]:
 def _stage_legend(timeline: Timeline) -> str:
     entries = []
     for index, stage in enumerate(STAGES):
-        known = finite_only(mapping(frame, "stage_ms").get(stage) for frame in timeline.frames)
+        known = [frame.stage_ms[stage] for frame in timeline.frames if stage in frame.stage_ms]
         median = f"median {format_quantity(statistics.median(known), 'ms', 2)}" if known else "not measured"
         entries.append(f'<span class="swatch b{index}"></span>{stage} <span class="quiet">{median}</span>')
     return svg.legend(entries)
@@ -344,20 +326,19 @@ def _stage_legend(timeline: Timeline) -> str:
 def _payload_plot(timeline: Timeline) -> str:
     """A dot on a stem for each encoded cloud; nothing where none was sent."""
     sent = [
-        (x, size, probe)
+        (x, probe)
         for x, frame in zip(timeline.centres_percent, timeline.frames, strict=True)
         for name in timeline.probe_names
-        if (size := finite((probe := probe_in(frame, name)).get("payload_bytes")))
+        if (probe := probe_in(frame, name)) and probe.payload_bytes
     ]
-    largest = max((size for _, size, _ in sent), default=1000.0)
+    largest = max((probe.payload_bytes for _, probe in sent), default=1000)
     axis = linear_axis(0, largest, label=lambda size: f"{size:g} B" if largest < 1000 else f"{size / 1000:g} kB")
-    drawing = "".join(svg.straight(x, HEIGHT_PX, x, axis.y(size), "stem") for x, size, _ in sent)
-    drawing += "".join(_mark(timeline, x, axis.y(size), probe) for x, size, probe in sent)
-    total = f"{format_bytes(sum(size for _, size, _ in sent))} in all" if sent else "Nothing was sent"
+    drawing = "".join(svg.straight(x, HEIGHT_PX, x, axis.y(p.payload_bytes), "stem") for x, p in sent)
+    drawing += "".join(_mark(timeline, x, axis.y(p.payload_bytes), p) for x, p in sent)
+    total = f"{format_bytes(sum(p.payload_bytes for _, p in sent))} in all" if sent else "Nothing was sent"
     about = f"Size of each encoded cloud, as it would be sent to the estimator. {total}."
     return plot(timeline, axis, drawing, _hover(timeline, _format_payload), title="Payload", about=about)
 
 
-def _format_payload(probe: Mapping[str, Any]) -> str:
-    size = finite(probe.get("payload_bytes"))
-    return format_bytes(size) if size else "nothing sent"
+def _format_payload(probe: ProbeResult) -> str:
+    return format_bytes(probe.payload_bytes) if probe.payload_bytes else "nothing sent"

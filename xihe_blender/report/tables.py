@@ -1,34 +1,24 @@
 """Tables of the numbers behind the pictures, and of what made them.
 
-Tables hold what results.json holds: a number in the comparison keeps its full value in a `data` element, a null is a
-dash with its reason below the table. `truth` is no competitor, since no phone has it, so the best is marked among the
-other methods.
+Tables hold what results.json holds: a number in the comparison keeps its full value in a `data` element, None is a dash
+with its reason below the table. `truth` is no competitor, since no phone has it, so the best is marked among the other
+methods.
 """
 
 from __future__ import annotations
 
 import math
 import re
-import shlex
 from collections.abc import Mapping, Sequence
-from typing import Any
 
+from xihe_blender.io.json_records import Json, as_json
+from xihe_blender.io.run_results import EffectResult, Metrics, PhoneResult, ProbeResult, RunResults
 from xihe_blender.report.document import block, table
 from xihe_blender.report.invalid import HEAD as INVALID_HEAD
 from xihe_blender.report.invalid import format_undefined, invalid_otherwise, invalid_rows
 from xihe_blender.report.pictures import METHOD_MEANINGS
-from xihe_blender.report.timeline import Timeline, format_trigger, probe_in, reason_of
-from xihe_blender.report.values import (
-    closeness,
-    code,
-    escape,
-    finite,
-    finite_only,
-    format_closeness,
-    items,
-    mapping,
-    mean,
-)
+from xihe_blender.report.timeline import Timeline, format_trigger
+from xihe_blender.report.values import closeness, code, escape, format_closeness, mean
 from xihenet.formats import (
     DASH,
     MINUS,
@@ -52,17 +42,16 @@ METRICS = (
 _BETTER = {"up": "\N{UPWARDS ARROW} higher is better", "down": "\N{DOWNWARDS ARROW} lower is better"}
 
 
-def numbers_section(results: Mapping[str, Any]) -> str:
+def numbers_section(results: RunResults) -> str:
     """All tables, from the comparison to the command."""
-    timeline = Timeline.of(results)
     parts = [
         _comparison(results),
-        block("Probes", _probes(timeline)),
-        block("Effects", _effects(results)),
+        block("Probes", _probes(Timeline.of(results))),
+        block("Effects", _effects(results.effects)),
         block("Phone", _phone(results)),
         block("What was invalid, and why", _invalid(results)),
-        block("Notes", _notes(results)),
-        block("Command", _command(results)),
+        block("Notes", _notes(results.notes)),
+        block("Command", _command(results.software.get("command", ""))),
         _facts(results),
     ]
     return "".join(parts)
@@ -71,14 +60,14 @@ def numbers_section(results: Mapping[str, Any]) -> str:
 # ----------------------------------------------------------------------------------------------------- comparison
 
 
-def _comparison(results: Mapping[str, Any]) -> str:
-    comparison = mapping(results, "comparison")
+def _comparison(results: RunResults) -> str:
+    comparison = results.comparison
     if not comparison:
         return block("Comparison with the ground truth", "<p>No frame was compared with the ground truth.</p>")
     methods = sorted(comparison, key=lambda m: (m == "truth", m == "ambient"))
     columns = [_metric_column(comparison, methods, name, way) for name, way, _ in METRICS]
     rows = [
-        [_method_name(results, m), *(column[i] for column in columns), _closer_cell(comparison, m)]
+        [_method_name(results.settings.estimator, m), *(column[i] for column in columns), _closer_cell(comparison, m)]
         for i, m in enumerate(methods)
     ]
     head = ["method", *(_metric_head(*metric) for metric in METRICS), "rmse against <code>ambient</code>"]
@@ -96,16 +85,17 @@ def _metric_head(name: str, way: str, unit: str) -> str:
     return f'{name}{f" ({unit})" if unit else ""}<span class="way">{_BETTER[way]}</span>'
 
 
-def _method_name(results: Mapping[str, Any], method: str) -> str:
-    tag = " (chosen)" if method == mapping(results, "settings").get("estimator") else ""
+def _method_name(estimator: str, method: str) -> str:
+    tag = " (chosen)" if method == estimator else ""
     return f'{code(method)}{tag}<span class="way">{METHOD_MEANINGS.get(method, "")}</span>'
 
 
-def _metric_column(comparison: Mapping[str, Any], methods: Sequence[str], name: str, way: str) -> list[str]:
-    values = {method: finite(mapping(comparison, method).get(name)) for method in methods}
-    rivals = finite_only(value for method, value in values.items() if method != "truth")
+def _metric_column(comparison: Mapping[str, Metrics], methods: Sequence[str], name: str, way: str) -> list[str]:
+    values: dict[str, float | None] = {method: getattr(comparison[method], name) for method in methods}
+    known = {method: value for method, value in values.items() if value is not None}
+    rivals = [value for method, value in known.items() if method != "truth"]
     best = (max if way == "up" else min)(rivals) if len(rivals) > 1 else None
-    decimals = _column_decimals(finite_only(values.values()))
+    decimals = _column_decimals(list(known.values()))
     cells = []
     for method, value in values.items():
         if value is None:
@@ -123,17 +113,17 @@ def _column_decimals(values: Sequence[float]) -> int:
     return min(8, max(2, 2 - math.floor(math.log10(smallest))))
 
 
-def _closer_cell(comparison: Mapping[str, Any], method: str) -> str:
+def _closer_cell(comparison: Mapping[str, Metrics], method: str) -> str:
     if method == "ambient":
         return "the yardstick"
     closer = closeness(comparison, method)
     return DASH if closer is None else format_closeness(closer)
 
 
-def _null_reasons(comparison: Mapping[str, Any], methods: Sequence[str]) -> str:
+def _null_reasons(comparison: Mapping[str, Metrics], methods: Sequence[str]) -> str:
     reasons = []
     for name, _, _ in METRICS:
-        empty = [code(m) for m in methods if finite(mapping(comparison, m).get(name)) is None]
+        empty = [code(m) for m in methods if getattr(comparison[m], name) is None]
         if empty:
             reasons.append(f"{name} of {format_list(empty)} {format_undefined(name)}")
     if any(m != "ambient" and closeness(comparison, m) is None for m in methods):
@@ -151,84 +141,59 @@ def _probes(timeline: Timeline) -> str:
         "probe", "position x, y, z (m)", "frames in view", "coverage, mean", "coverage, last", "estimates made",
         "SHC RMSE, mean", "payload",
     ]  # fmt: skip
-    rows = [_probe_row(timeline, index, name) for index, name in enumerate(timeline.probe_names)]
-    details = "".join(_coefficients(timeline, name) for name in timeline.probe_names)
+    seen = {name: [probe for probe in timeline.probes if probe.name == name] for name in timeline.probe_names}
+    rows = [_probe_row(index, name, of_one) for index, (name, of_one) in enumerate(seen.items())]
+    details = "".join(_coefficients(name, of_one[-1]) for name, of_one in seen.items())
     return table(head, rows, "stacking probes") + details
 
 
-def _probe_row(timeline: Timeline, index: int, name: str) -> list[str]:
-    seen = [probe for frame in timeline.frames if (probe := probe_in(frame, name))]
-    coverages = finite_only(probe.get("coverage") for probe in seen)
-    reasons = [format_trigger(reason_of(probe)) for probe in seen if probe.get("fired")]
+def _probe_row(index: int, name: str, seen: Sequence[ProbeResult]) -> list[str]:
+    reasons = [format_trigger(probe.reason) for probe in seen if probe.fired]
     by_reason = ", ".join(f"{reasons.count(reason)} {reason}" for reason in dict.fromkeys(reasons))
     return [
         f'<b class="key">{index + 1}</b> {escape(name)}',
-        _position(seen[-1]),
+        ", ".join(f"{metres:.2f}".replace("-", MINUS) for metres in seen[-1].position_m),
         str(len(seen)),
-        format_percent(mean(coverages)),
-        format_percent(coverages[-1] if coverages else None),
+        format_percent(mean(probe.coverage for probe in seen)),
+        format_percent(seen[-1].coverage),
         f'{len(reasons)}<span class="way">{by_reason}</span>',
-        format_number(mean(probe.get("shc_rmse") for probe in seen)),
-        format_bytes(sum(finite_only(probe.get("payload_bytes") for probe in seen))),
+        format_number(mean(probe.shc_rmse for probe in seen)),
+        format_bytes(sum(probe.payload_bytes for probe in seen)),
     ]
 
 
-def _position(probe: Mapping[str, Any]) -> str:
-    values = [finite(value) for value in items(probe, "position_m")]
-    return ", ".join(DASH if value is None else f"{value:.2f}".replace("-", MINUS) for value in values) or DASH
-
-
-def _coefficients(timeline: Timeline, name: str) -> str:
+def _coefficients(name: str, last: ProbeResult) -> str:
     """The coefficients of the last frame that has the probe, beside those of the rendered one."""
-    last = next(probe for frame in reversed(timeline.frames) if (probe := probe_in(frame, name)))
+    bands = [(degree, order) for degree in range(3) for order in range(-degree, degree + 1)]
     rows = [
-        [
-            f"l = {degree}, m = {order}".replace("-", MINUS),
-            *(
-                _coefficient(last, key, degree * degree + degree + order, rgb)
-                for key in ("sh", "sh_truth")
-                for rgb in range(3)
-            ),
-        ]
-        for degree in range(3)
-        for order in range(-degree, degree + 1)
+        [f"l = {degree}, m = {order}", *(f"{value:.4f}" for value in estimate + truth)]
+        for (degree, order), estimate, truth in zip(bands, last.sh, last.sh_truth, strict=True)
     ]
+    rows = [[cell.replace("-", MINUS) for cell in row] for row in rows]
     head = ["", *(f"{what} {rgb}" for what in ("estimate", "truth") for rgb in ("R", "G", "B"))]
     summary = f"Last spherical harmonics of {escape(name)}: radiance, real orthonormal basis, at the session's exposure"
     return f"<details><summary>{summary}</summary>{table(head, rows, 'coefficients')}</details>"
 
 
-def _coefficient(probe: Mapping[str, Any], key: str, index: int, rgb: int) -> str:
-    triples = items(probe, key)
-    triple = triples[index] if index < len(triples) and isinstance(triples[index], list | tuple) else ()
-    value = finite(triple[rgb]) if rgb < len(triple) else None
-    return DASH if value is None else f"{value:.4f}".replace("-", MINUS)
-
-
 # ------------------------------------------------------------------------------------------------- how it was made
 
 
-def _effects(results: Mapping[str, Any]) -> str:
+def _effects(effects: Sequence[EffectResult]) -> str:
     rows = [
-        [
-            code(effect.get("name")),
-            f'<span class="state">{escape(effect.get("state") or DASH)}</span>',
-            escape(effect.get("reason") or DASH),
-            _set_to(effect),
-        ]
-        for effect in items(results, "effects")
+        [code(effect.name), f'<span class="state">{effect.state}</span>', escape(effect.reason), _set_to(effect)]
+        for effect in effects
     ]
     return table(["effect", "state", "why", "set to"], rows, "words") if rows else ""
 
 
-def _set_to(effect: Mapping[str, Any]) -> str:
+def _set_to(effect: EffectResult) -> str:
     """What an effect was set to: "diffuse_bounces 17", "farthest_m 5"; a dash where nothing sets it."""
-    settings = mapping(effect, "parameters").items()
+    settings = as_json(effect.parameters).items()
     return ", ".join(code(f"{name} {format_setting(value)}") for name, value in settings) or DASH
 
 
-def _phone(results: Mapping[str, Any]) -> str:
-    rows = phone_rows(results)
+def _phone(results: RunResults) -> str:
+    rows = phone_rows(results.phone)
     if not rows:
         return format_phone(results)
     caption = (
@@ -240,16 +205,13 @@ def _phone(results: Mapping[str, Any]) -> str:
     return f'{format_phone(results)}{table(head, rows)}<p class="quiet">{caption}</p>'
 
 
-def phone_rows(results: Mapping[str, Any]) -> list[list[str]]:
+def phone_rows(phone: PhoneResult) -> list[list[str]]:
     """HTML cells of each effect that is on: its name, the error with all that are on, without it, what it costs."""
-    measured = mapping(mapping(results, "phone"), "shc_rmse")
-    all_on = finite(measured.get("all_on"))
-    without = {name: finite(error) for name, error in mapping(measured, "without").items()}
-    rows = [[code(name), _error(all_on), _error(error), _change(all_on, error)] for name, error in without.items()]
-    if rows:
-        perfect = finite(measured.get("perfect"))
-        rows.append(["all of them", _error(all_on), _error(perfect), _change(all_on, perfect)])
-    return rows
+    if phone.shc_rmse is None:
+        return []
+    all_on, perfect = phone.shc_rmse.all_on, phone.shc_rmse.perfect
+    without = {code(name): error for name, error in phone.shc_rmse.without.items()} | {"all of them": perfect}
+    return [[what, _error(all_on), _error(error), _change(all_on, error)] for what, error in without.items()]
 
 
 def _change(with_it: float | None, without_it: float | None) -> str:
@@ -269,28 +231,25 @@ def _error(value: float | None) -> str:
     return DASH if value is None else f"{value:.4f}"
 
 
-def format_phone(results: Mapping[str, Any]) -> str:
-    """Which phone it was and how its estimates travelled, as a paragraph; empty for older results."""
-    name = mapping(results, "phone").get("name")
-    about = mapping(results, "phone").get("summary") or DASH
-    sentences = [f"{escape(name)}: {escape(about)}."] if name else []
-    network, summary = mapping(results, "settings").get("network"), mapping(results, "summary")
-    n_lost = finite(summary.get("n_lost"))
-    if network is not None and n_lost is not None:
-        latency = format_quantity(finite(summary.get("mean_latency_ms")), "ms")
-        lost = {0: "none was lost", 1: "1 was lost"}.get(round(n_lost), f"{n_lost:.0f} were lost")
-        sentences.append(f"Over {code(network)} an estimate took {latency} on average; {lost}.")
-    return f"<p>{' '.join(sentences)}</p>" if sentences else ""
+def format_phone(results: RunResults) -> str:
+    """Which phone it was and how its estimates travelled, as a paragraph."""
+    network, n_lost = results.settings.network, results.summary.n_lost
+    words = f"{escape(results.phone.name)}: {escape(results.phone.summary)}."
+    if network is not None:
+        latency = format_quantity(results.summary.mean_latency_ms, "ms")
+        lost = {0: "none was lost", 1: "1 was lost"}.get(n_lost, f"{n_lost} were lost")
+        words += f" Over {code(network)} an estimate took {latency} on average; {lost}."
+    return f"<p>{words}</p>"
 
 
-def _invalid(results: Mapping[str, Any]) -> str:
-    rows, otherwise = invalid_rows(results), invalid_otherwise(results)
+def _invalid(results: RunResults) -> str:
+    rows, otherwise = invalid_rows(results), invalid_otherwise(results.summary.invalid)
     return (table(INVALID_HEAD, rows, "words") if rows else "") + (f"<p>{otherwise}</p>" if otherwise else "")
 
 
-def _notes(results: Mapping[str, Any]) -> str:
-    notes = "".join(f"<li>{_with_code(escape(note))}</li>" for note in items(results, "notes"))
-    return f"<ul>{notes}</ul>" if notes else ""
+def _notes(notes: Sequence[str]) -> str:
+    listed = "".join(f"<li>{_with_code(escape(note))}</li>" for note in notes)
+    return f"<ul>{listed}</ul>" if listed else ""
 
 
 def _with_code(words: str) -> str:
@@ -298,30 +257,20 @@ def _with_code(words: str) -> str:
     return re.sub("`([^`]+)`", r"<code>\1</code>", words)
 
 
-def command_line(results: Mapping[str, Any]) -> str:
-    """The command that made the results, as it would be typed; empty where it is not recorded."""
-    command = mapping(results, "software").get("command")
-    return shlex.join(map(str, command)) if isinstance(command, list | tuple) else str(command or "")
-
-
-def _command(results: Mapping[str, Any]) -> str:
-    command = command_line(results)
+def _command(command: str) -> str:
     if not command:
         return "<p>Not recorded.</p>"
     return f'<pre id="command">{escape(command)}</pre><button type="button" id="copy" hidden>Copy the command</button>'
 
 
-def _facts(results: Mapping[str, Any]) -> str:
-    software = {key: value for key, value in mapping(results, "software").items() if key != "command"}
-    groups = {key: mapping(results, key) for key in ("settings", "scene", "summary", "machine")} | {
-        "software": software
-    }
-    order = ("settings", "scene", "summary", "software", "machine")
-    blocks = [block(name.capitalize(), _fact_table(groups[name])) for name in order if groups[name]]
+def _facts(results: RunResults) -> str:
+    groups = {name: as_json(getattr(results, name)) for name in ("settings", "scene", "summary", "software", "machine")}
+    groups["software"].pop("command", None)
+    blocks = [block(name.capitalize(), _fact_table(facts)) for name, facts in groups.items() if facts]
     return f'<div class="facts">{"".join(blocks)}</div>'
 
 
-def _fact_table(facts: Mapping[str, Any]) -> str:
+def _fact_table(facts: Json) -> str:
     rows = "".join(
         f'<tr><th scope="row">{escape(name).replace(".", ".<wbr>")}</th><td>{value}</td></tr>'
         for name, value in _flat(facts)
@@ -329,7 +278,7 @@ def _fact_table(facts: Mapping[str, Any]) -> str:
     return f'<table class="pairs"><tbody>{rows}</tbody></table>'
 
 
-def _flat(facts: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+def _flat(facts: Json, prefix: str = "") -> list[tuple[str, str]]:
     """Names and values, those of an inner object as "outer.inner"."""
     pairs: list[tuple[str, str]] = []
     for key, value in facts.items():
@@ -340,15 +289,15 @@ def _flat(facts: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
     return pairs
 
 
-def _fact(key: str, value: Any) -> str:
+def _fact(key: str, value: Json) -> str:
     if value is None:
         return DASH
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if key == "frames" and isinstance(value, list) and all(isinstance(v, int) for v in value):
+    if key == "frames":
         return f"{format_runs(value)} ({len(value)})"
-    if key == "size" and isinstance(value, list | tuple):
-        return " x ".join(_fact("", length) for length in value)
-    if isinstance(value, list | tuple):
+    if key == "size":
+        return " x ".join(map(str, value))
+    if isinstance(value, list):
         return ", ".join(_fact("", inner) for inner in value) or "none"
     return escape(f"{value:.6g}" if isinstance(value, float) else value)

@@ -7,12 +7,12 @@ width in percent. Percent instead of pixels lets one SVG fit a telephone and a w
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
-from xihe_blender.report.values import escape, finite, items
+from xihe_blender.io.run_results import FrameResult, ProbeResult, RunResults
 
+Value = Callable[[ProbeResult], float | None]
 REASONS = {"first": "first estimate", "colour": "light changed", "coverage": "more of the surroundings seen"}
 KEPT = "kept"
 """Stands where a reason stands, for a frame whose light could not be known."""
@@ -22,8 +22,8 @@ N_COLOURS = 6
 
 
 def format_trigger(reason: str) -> str:
-    """Why an estimate was made, escaped."""
-    return escape(REASONS.get(reason, reason or "reason not recorded"))
+    """Why an estimate was made."""
+    return REASONS.get(reason, reason)
 
 
 def reason_shape(reason: str) -> str:
@@ -42,36 +42,46 @@ class Timeline:
 
     Parameters
     ----------
-    frames : as in results.json
+    frames : of the run
     edges_percent : borders of the frames' columns, one more than there are frames; 0 to 100
     centres_percent : where each frame's dots and bars stand: frame numbers to scale
     bar_percent : width of the narrowest column
     probe_names : in the order in which they are first seen
     """
 
-    frames: tuple[Mapping[str, Any], ...]
+    frames: tuple[FrameResult, ...]
     edges_percent: tuple[float, ...]
     centres_percent: tuple[float, ...]
     bar_percent: float
     probe_names: tuple[str, ...]
 
     @classmethod
-    def of(cls, results: Mapping[str, Any]) -> Timeline:
-        """Read from results.json; a run without frames is legal."""
-        frames = tuple(sorted(items(results, "frames"), key=number))
-        names = dict.fromkeys(probe_name(probe) for frame in frames for probe in items(frame, "probes"))
-        return cls(frames, *_columns([number(frame) for frame in frames]), tuple(names))
+    def of(cls, results: RunResults) -> Timeline:
+        """A run without frames is legal."""
+        frames = tuple(sorted(results.frames, key=lambda frame: frame.frame))
+        names = dict.fromkeys(probe.name for frame in frames for probe in frame.probes)
+        return cls(frames, *_columns([frame.frame for frame in frames]), tuple(names))
 
-    def values(self, name: str, key: str) -> list[float | None]:
-        """The value at `key` of one probe, a None for every frame without it."""
-        return [finite(probe_in(frame, name).get(key)) for frame in self.frames]
+    @property
+    def probes(self) -> list[ProbeResult]:
+        """Of all frames."""
+        return [probe for frame in self.frames for probe in frame.probes]
+
+    def values(self, name: str, value_of: Value) -> list[float | None]:
+        """A value of one probe, None for every frame without it."""
+        probes = [probe_in(frame, name) for frame in self.frames]
+        return [None if probe is None else value_of(probe) for probe in probes]
+
+    def known_values(self, value_of: Value) -> list[float]:
+        """A value of all probes, where they have it."""
+        return [value for probe in self.probes if (value := value_of(probe)) is not None]
 
     def inactive_spans(self) -> list[tuple[float, float]]:
         """Percent from and to of each stretch of frames in which no probe is in view."""
         spans: list[tuple[float, float]] = []
         for index, frame in enumerate(self.frames):
             left, right = self.edges_percent[index : index + 2]
-            if is_active(frame):
+            if frame.active:
                 continue
             if spans and spans[-1][1] == left:
                 left = spans.pop()[0]
@@ -94,36 +104,16 @@ def _columns(numbers: list[int]) -> tuple[tuple[float, ...], tuple[float, ...], 
     return tuple(map(scaled, edges)), tuple(map(scaled, numbers)), scaled(first + 2 * half)
 
 
-def number(frame: Mapping[str, Any]) -> int:
-    """The frame's number in the scene."""
-    return int(frame["frame"])
+def probe_in(frame: FrameResult, name: str) -> ProbeResult | None:
+    """The probe of this name in `frame`, None where it is out of view."""
+    return next((probe for probe in frame.probes if probe.name == name), None)
 
 
-def probe_name(probe: Mapping[str, Any]) -> str:
-    return str(probe.get("name"))
-
-
-def probe_in(frame: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    """The probe of this name in `frame`, empty where it is out of view."""
-    return next((probe for probe in items(frame, "probes") if probe_name(probe) == name), {})
-
-
-def is_active(frame: Mapping[str, Any]) -> bool:
-    """Whether any probe was in the camera's view."""
-    return bool(frame.get("active"))
-
-
-def fired_probes(frame: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def fired_probes(frame: FrameResult) -> list[ProbeResult]:
     """The probes for which an estimate was made in `frame`."""
-    return [probe for probe in items(frame, "probes") if probe.get("fired")]
+    return [probe for probe in frame.probes if probe.fired]
 
 
-def reason_of(probe: Mapping[str, Any]) -> str:
-    """Why the estimate was made; empty where that is not recorded."""
-    return str(probe.get("reason") or "")
-
-
-def format_moment(frame: Mapping[str, Any]) -> str:
-    """The frame's number and time, escaped: "frame 12 (0.37 s)"."""
-    time_s = finite(frame.get("time_s"))
-    return f"frame {number(frame)}" + ("" if time_s is None else f" ({time_s:.2f} s)")
+def format_moment(frame: FrameResult) -> str:
+    """The frame's number and time: "frame 12 (0.37 s)"."""
+    return f"frame {frame.frame} ({frame.time_s:.2f} s)"

@@ -1,4 +1,4 @@
-"""Values of results.json as the report reads them: every one may be null, and text is escaped where it enters the page.
+"""Values as the reports of a run, a batch and a frontier show them: text is escaped where it enters the page.
 
 Rejected: a template library, which the add-on would have to bundle for one page.
 """
@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from xihe_blender.io.run_results import Metrics
 from xihenet.formats import format_percent
 
 
@@ -53,13 +54,18 @@ def items(source: Any, key: str) -> Sequence[Any]:
     return value if isinstance(value, list | tuple) else ()
 
 
-def closeness(comparison: Mapping[str, Any], method: str) -> float | None:
+def rmse_of(comparison: Mapping[str, Metrics], method: str) -> float | None:
+    """None for a method that was not compared or has no value."""
+    return comparison[method].rmse if method in comparison else None
+
+
+def closeness(comparison: Mapping[str, Metrics], method: str) -> float | None:
     """How much closer to the ground truth `method` is than `ambient`: 1 - rmse / rmse of `ambient`.
 
-    1 is a perfect match, 0 as close as `ambient`, negative is further away. None where one of the two is null, or
+    1 is a perfect match, 0 as close as `ambient`, negative is further away. None where one of the two is None, or
     where `ambient` matches exactly, so that nothing can be closer.
     """
-    own, ambient = (finite(mapping(comparison, name).get("rmse")) for name in (method, "ambient"))
+    own, ambient = rmse_of(comparison, method), rmse_of(comparison, "ambient")
     return None if own is None or not ambient else 1.0 - own / ambient
 
 
