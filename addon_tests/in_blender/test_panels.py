@@ -11,33 +11,32 @@ import numpy as np
 import pytest
 import tiny_scenes
 
+from addon_tests.pure import runs
 from xihe_blender.addon import last_run as reader
 from xihe_blender.addon import overlay, panels
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
 
-CONTENT = {
-    "schema_version": 1,
-    "lights": {"Ball": [], "Vase": []},
-    "settings": {"estimator": "lattice"},
-    "summary": {
+CONTENT = runs.content(
+    [
+        runs.frame(1, runs.probe("Ball", coverage=0.25, fired=True, reason="first")),
+        runs.frame(2, runs.probe("Ball", coverage=0.75)),
+        runs.frame(3, runs.probe("Vase", coverage=0.5, fired=True, reason="first")),
+    ],
+    lights={"Ball": [], "Vase": []},
+    settings={"estimator": "lattice"},
+    summary={
         "n_frames": 2,
         "n_estimates": 3,
         "mean_shc_rmse": 0.25,
-        "ambient_shc_rmse": None,
         "mean_coverage": 0.5,
         "mean_step_ms": 3.25,
         "render_s": 61.0,
         "comparison_render_s": 20.0,
         "n_compared_frames": 1,
     },
-    "frames": [
-        {"frame": 1, "probes": [{"name": "Ball", "coverage": 0.25, "fired": True}]},
-        {"frame": 2, "probes": [{"name": "Ball", "coverage": 0.75, "fired": False}]},
-        {"frame": 3, "probes": [{"name": "Vase", "coverage": 0.5, "fired": True}]},
-    ],
-}
+)
 
 
 @pytest.fixture
@@ -115,7 +114,7 @@ def test_the_last_run_is_read_out_of_its_results(run_folder):
 def test_results_are_read_once_until_they_change(run_folder):
     first = reader.last_run(str(run_folder))
     assert reader.last_run(str(run_folder)) is first
-    changed = CONTENT | {"settings": {"estimator": "ambient"}}
+    changed = CONTENT | {"settings": CONTENT["settings"] | {"estimator": "ambient"}}
     path = run_folder / "results.json"
     path.write_text(json.dumps(changed), encoding="utf-8")
     before = path.stat().st_mtime

@@ -13,11 +13,14 @@ import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 
 from xihe_blender.errors import UserError
-from xihe_blender.io.run_results import RunResults, read_results
+
+if TYPE_CHECKING:
+    from xihe_blender.io.run_results import RunResults
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,8 @@ def last_run(folder: str) -> LastRun | None:
 
 @functools.lru_cache(maxsize=4)
 def _read(folder: Path, _changed: int) -> LastRun | None:
+    from xihe_blender.io.run_results import read_results
+
     try:
         return _picked(read_results(folder))
     except UserError:
