@@ -17,7 +17,7 @@ from xihe_process import ROOT, said, typed, xihe
 from xihe_blender.cli.main import main
 from xihenet import __version__
 
-DRAFT = ("--preset", "draft", "--size", "32x24")
+DRAFT = ("--preset", "draft", "--size", "32x24", "--samples", "2")
 
 
 def previs(blend, out, *arguments, **options):

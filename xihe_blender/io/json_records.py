@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import inspect
 import math
 import re
 import types
@@ -149,7 +150,8 @@ def _describe(kind: Any, found: dict[str, Json]) -> dict[str, Json]:
 
 
 def _describe_record(kind: Any, found: dict[str, Json]) -> dict[str, Json]:
-    texts = _texts_of_fields(kind.__doc__)
+    docstring = inspect.cleandoc(kind.__doc__)
+    texts = _texts_of_fields(docstring)
     fields = dataclasses.fields(kind)
     properties: dict[str, Json] = {}
     for field in fields:
@@ -160,7 +162,7 @@ def _describe_record(kind: Any, found: dict[str, Json]) -> dict[str, Json]:
             text = {"description": texts[field.name]} if field.name in texts else {}
             properties[field.name] = _describe(of_field, found) | text
     return {
-        "description": " ".join(kind.__doc__.split("\n\n")[0].split()),
+        "description": " ".join(docstring.split("\n\n")[0].split()),
         "type": "object",
         "properties": properties,
         "required": [field.name for field in fields if not field.metadata],
@@ -172,7 +174,7 @@ def _texts_of_fields(docstring: str) -> dict[str, str]:
     """What a NumPy docstring says of each parameter; names that share a line share its text."""
     _, _, parameters = docstring.partition("----------\n")
     texts = {}
-    for entry in re.split(r"\n    (?=\S)", "\n" + parameters):
+    for entry in re.split(r"\n(?=\S)", "\n" + parameters):
         names, _, text = entry.partition(" : ")
         texts.update({name.strip(): " ".join(text.split()) for name in names.split(",")})
     return texts
