@@ -44,9 +44,9 @@ def case(name: str, *values: Any) -> Any:
 
 @pytest.fixture
 def comes_out(request):
-    """Asserts that `ask(given)` is what must come out, and that the answer of the naive version is not."""
+    """True where `ask(given)` is what must come out and the naive answer is not; else AssertionError says what came."""
 
-    def check(given: Any, ask: Callable[[Any], Any], must: Must, naive: Callable[[Any], Any] | None = None) -> None:
+    def check(given: Any, ask: Callable[[Any], Any], must: Must, naive: Callable[[Any], Any] | None = None) -> bool:
         came, is_right = tried(given, ask, must)
         instead, is_naive_right = tried(given, naive, must) if naive else ("", False)
         words = [request.module.STAGE, case_name(request.node), must.says, came, instead]
@@ -54,6 +54,7 @@ def comes_out(request):
         request.node.user_properties.append(("hard_case", [*words, is_ok]))
         assert is_right, f"expected {must.says}, got {came}"
         assert not is_naive_right, f"this case cannot fail: the naive version gives {instead} as well"
+        return True
 
     return check
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from xihe_blender.io.run_results import METRICS
 from xihe_blender.lab.batch.results import WORST_KINDS, BatchFolder, worst_picture
 from xihenet.png import write_png
 
-METRICS = ("psnr", "ssim", "rmse", "si_rmse", "angular_deg")
 FACTORS = (0.0, 0.25, 1.0, 4.0)
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import functools
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Literal
 
@@ -306,6 +306,9 @@ class Metrics:
     rmse: float | None
     si_rmse: float | None
     angular_deg: float | None
+
+
+METRICS = tuple(field.name for field in fields(Metrics))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,6 @@ of effects alone on a perfect phone, which say nothing of how they add up.
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Generator, Sequence
 from dataclasses import replace
 
@@ -20,6 +19,7 @@ from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.run_chain import WalkedPath
+from xihe_blender.report.values import mean
 from xihenet.metrics import shc_rmse
 from xihenet.phone import NETWORK, Link
 from xihenet.recording import load_frame
@@ -37,7 +37,7 @@ def measure_phone(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, N
     if not phone.on:
         return None
     active = [entry for entry in walked.frames if entry.active]
-    all_on = _mean([probe.shc_rmse for entry in active for probe in entry.probes])
+    all_on = mean([probe.shc_rmse for entry in active for probe in entry.probes])
     without: dict[str, float | None] = {}
     for effect in [name for name in phone.effects if name in phone.on]:
         yield Progress(run.total, run.total, f"measuring the light without {effect}")
@@ -65,8 +65,4 @@ def _mean_error(
         truth = {probe.name: np.array(probe.sh_truth) for probe in entry.probes}
         session.step(seen, truth, list(truth))
         errors += [shc_rmse(session.light(name, seen.time_s), light) for name, light in truth.items()]
-    return _mean(errors)
-
-
-def _mean(errors: Sequence[float]) -> float | None:
-    return statistics.fmean(errors) if errors else None
+    return mean(errors)

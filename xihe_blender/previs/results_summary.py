@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import statistics
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Mapping, Sequence
 
-from xihe_blender.io.run_results import FrameResult, InvalidCounts, Metrics, Summary
+from xihe_blender.io.run_results import METRICS, FrameResult, InvalidCounts, Metrics, Summary
+from xihe_blender.report.values import mean
 from xihenet.invalid import added, counted
-
-METRICS = tuple(field.name for field in fields(Metrics))
 
 
 def mean_comparison(frames: Sequence[FrameResult]) -> dict[str, Metrics]:
@@ -17,7 +14,7 @@ def mean_comparison(frames: Sequence[FrameResult]) -> dict[str, Metrics]:
     compared = [frame.compared.comparison for frame in frames if frame.compared is not None]
     methods = list(compared[0]) if compared else []
     return {
-        name: Metrics(**{metric: _mean(getattr(of_frame[name], metric) for of_frame in compared) for metric in METRICS})
+        name: Metrics(**{metric: mean(getattr(of_frame[name], metric) for of_frame in compared) for metric in METRICS})
         for name in methods
     }
 
@@ -38,15 +35,15 @@ def summary(frames: Sequence[FrameResult], comparison: Mapping[str, Metrics], pi
         n_reused_probes=sum(not light.rendered for light in lights),
         n_reused_comparisons=sum(of_frame.comparison_same_as is not None for of_frame in compared),
         n_estimates=sum(probe.fired for probe in probes),
-        fired_share=_mean(float(probe.fired) for probe in probes),
-        mean_shc_rmse=_mean(probe.shc_rmse for probe in probes),
-        ambient_shc_rmse=_mean(probe.ambient_shc_rmse for probe in probes),
-        share_above_white=_mean(probe.share_above_white for probe in probes),
+        fired_share=mean(float(probe.fired) for probe in probes),
+        mean_shc_rmse=mean(probe.shc_rmse for probe in probes),
+        ambient_shc_rmse=mean(probe.ambient_shc_rmse for probe in probes),
+        share_above_white=mean(probe.share_above_white for probe in probes),
         n_capped_probes=sum(light.is_capped for light in lights),
-        mean_coverage=_mean(probe.coverage for probe in probes),
-        mean_step_ms=_mean(sum(frame.stage_ms.values()) for frame in active),
+        mean_coverage=mean(probe.coverage for probe in probes),
+        mean_step_ms=mean(sum(frame.stage_ms.values()) for frame in active),
         payload_bytes=sum(probe.payload_bytes for probe in probes),
-        mean_latency_ms=_mean(probe.latency_ms for probe in probes if probe.fired),
+        mean_latency_ms=mean(probe.latency_ms for probe in probes if probe.fired),
         n_lost=sum(probe.fired and probe.latency_ms is None for probe in probes),
         n_invalid_pixels=sum(frame.n_invalid_pixels for frame in active),
         n_invalid_points=sum(probe.n_invalid_points for probe in probes),
@@ -72,12 +69,6 @@ def summary(frames: Sequence[FrameResult], comparison: Mapping[str, Metrics], pi
 def _undefined(comparison: Mapping[str, Metrics]) -> list[dict[str, int]]:
     """Once for each method's metric that has no value."""
     return [{name: 1} for metrics in comparison.values() for name in METRICS if getattr(metrics, name) is None]
-
-
-def _mean(values: Iterable[float | None]) -> float | None:
-    """Mean of the values that are not None; None without any."""
-    known = [value for value in values if value is not None]
-    return statistics.fmean(known) if known else None
 
 
 def _ratio(value: float | None, reference: float | None) -> float | None:

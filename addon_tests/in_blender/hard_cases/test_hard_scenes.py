@@ -222,4 +222,4 @@ UNITS = [
 
 @pytest.mark.parametrize("changes, must", [*MESHES, *PLACES, *CAMERAS, *LAMPS, *SURROUNDINGS, *UNITS])
 def test_a_broken_scene_is_lit_named_or_refused(changes, must, comes_out):
-    comes_out(changes, previsualised, must, None if must.is_refusal else believed)
+    assert comes_out(changes, previsualised, must, None if must.is_refusal else believed)

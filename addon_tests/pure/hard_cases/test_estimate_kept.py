@@ -108,15 +108,15 @@ def half_of_weight(value: float) -> float:
 
 
 def test_a_batch_of_extremes_is_its_clouds_one_by_one(comes_out):
-    comes_out(BATCH, batch_against_single, at_most(1e-4), batch_normalised_together)
+    assert comes_out(BATCH, batch_against_single, at_most(1e-4), batch_normalised_together)
 
 
 def test_the_order_of_a_batch_makes_no_difference(comes_out):
-    comes_out(BATCH, shuffled, at_most(1e-4), running_mean)
+    assert comes_out(BATCH, shuffled, at_most(1e-4), running_mean)
 
 
 def test_weights_in_half_floats_give_the_light_of_those_in_float32(comes_out):
-    comes_out(3, half_against_float, at_most(0.02), in_8_bits)
+    assert comes_out(3, half_against_float, at_most(0.02), in_8_bits)
 
 
 SAVED = [case(f"saved and loaded weights give the same light ({target})", target) for target in ("ldr", "hdr")]
@@ -124,15 +124,15 @@ SAVED = [case(f"saved and loaded weights give the same light ({target})", target
 
 @pytest.mark.parametrize("given", SAVED)
 def test_saved_weights_are_the_same_weights(given, comes_out):
-    comes_out(given, saved_and_loaded, equal(0.0), saved_as_text)
+    assert comes_out(given, saved_and_loaded, equal(0.0), saved_as_text)
 
 
 def test_a_weight_beyond_half_floats_is_refused(comes_out):
-    comes_out(1e6, half_of_weight, refused("gate.bias does not fit into float16"))
+    assert comes_out(1e6, half_of_weight, refused("gate.bias does not fit into float16"))
 
 
 def test_a_weight_of_nan_is_refused(comes_out):
-    comes_out(np.nan, half_of_weight, refused("gate.bias: expected finite weights"))
+    assert comes_out(np.nan, half_of_weight, refused("gate.bias: expected finite weights"))
 
 
 # ----------------------------------------------------------------------------------------- sessions, and what is known
@@ -188,11 +188,11 @@ SESSIONS = [
 
 @pytest.mark.parametrize("given, must, naive", SESSIONS)
 def test_a_session_says_whether_it_knows_the_light(given, must, naive, comes_out):
-    comes_out(given, session, must, naive)
+    assert comes_out(given, session, must, naive)
 
 
 def test_a_sun_of_2e5_on_the_sensor_is_white_to_clipped_light(comes_out):
-    comes_out([2e5] * 3, sensed, near(WHITE_LIGHT, 1e-12), lambda ambient: ambient[0] * WHITE_LIGHT)
+    assert comes_out([2e5] * 3, sensed, near(WHITE_LIGHT, 1e-12), lambda ambient: ambient[0] * WHITE_LIGHT)
 
 
 WRONG_ESTIMATES = [
@@ -213,8 +213,8 @@ WRONG_ESTIMATES = [
 
 @pytest.mark.parametrize("given, must", WRONG_ESTIMATES)
 def test_an_estimate_that_is_none_is_refused(given, must, comes_out):
-    comes_out(given, made, must)
+    assert comes_out(given, made, must)
 
 
 def test_an_estimator_without_anchors_is_refused(comes_out):
-    comes_out(0, partial(load, "lattice"), refused("expected at least one anchor"))
+    assert comes_out(0, partial(load, "lattice"), refused("expected at least one anchor"))

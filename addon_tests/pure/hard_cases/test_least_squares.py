@@ -114,7 +114,7 @@ CONSTANTS = [
 
 @pytest.mark.parametrize("given, must, naive", CONSTANTS)
 def test_constant_light_is_constant_from_anywhere(given, must, naive, comes_out):
-    comes_out(given, fitted, must, naive)
+    assert comes_out(given, fitted, must, naive)
 
 
 BOUNDED = [
@@ -145,11 +145,11 @@ BOUNDED = [
 
 @pytest.mark.parametrize("given, must, naive", BOUNDED)
 def test_a_fit_stays_bounded(given, must, naive, comes_out):
-    comes_out(given, size, must, naive)
+    assert comes_out(given, size, must, naive)
 
 
 def test_65535_anchors_give_back_the_light_they_were_lit_by(comes_out):
-    comes_out(65_535, lambda n: given_back(n), at_most(1e-5), lambda n: float(np.abs(summed_in_half(n)).max()))
+    assert comes_out(65_535, lambda n: given_back(n), at_most(1e-5), lambda n: float(np.abs(summed_in_half(n)).max()))
 
 
 FITS = [
@@ -193,11 +193,11 @@ FITS = [
 
 @pytest.mark.parametrize("given, ask, must, naive", FITS)
 def test_a_fit_is_what_the_anchors_say(given, ask, must, naive, comes_out):
-    comes_out(given, ask, must, naive)
+    assert comes_out(given, ask, must, naive)
 
 
 def test_a_cloud_of_another_lattice_is_refused(comes_out):
-    comes_out(
+    assert comes_out(
         (UnitSphereCloud.empty(640), LATTICE), lambda given: project_anchors(*given), refused("1280 anchors, got 640")
     )
 

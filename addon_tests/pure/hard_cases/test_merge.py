@@ -100,11 +100,11 @@ NOTHING = UnitSphereCloud.empty(N)
 
 
 def test_clouds_that_share_no_anchor_merge_alike_in_any_order(comes_out):
-    comes_out(THIRDS, all_orders, equal(1), all_orders_averaged)
+    assert comes_out(THIRDS, all_orders, equal(1), all_orders_averaged)
 
 
 def test_what_was_seen_once_outlives_a_thousand_fires(comes_out):
-    comes_out(1000, after_fires, equal(parts(FIRST)), after_fires_forgetting)
+    assert comes_out(1000, after_fires, equal(parts(FIRST)), after_fires_forgetting)
 
 
 MERGING = [
@@ -133,12 +133,12 @@ MERGING = [
 
 
 def test_nothing_merged_with_nothing_is_nothing(comes_out):
-    comes_out([NOTHING, NOTHING], lambda clouds: merged(clouds).sum(), equal(0.0))
+    assert comes_out([NOTHING, NOTHING], lambda clouds: merged(clouds).sum(), equal(0.0))
 
 
 @pytest.mark.parametrize("given, ask, must, naive", MERGING)
 def test_merging_keeps_what_was_seen(given, ask, must, naive, comes_out):
-    comes_out(given, ask, must, naive)
+    assert comes_out(given, ask, must, naive)
 
 
 MERGED = [
@@ -186,7 +186,7 @@ MERGED = [
 
 @pytest.mark.parametrize("given, must, naive", MERGED)
 def test_the_last_cloud_wins_where_it_saw_something(given, must, naive, comes_out):
-    comes_out(given, merged, must, naive)
+    assert comes_out(given, merged, must, naive)
 
 
 OTHERS = [
@@ -201,4 +201,4 @@ OTHERS = [
 
 @pytest.mark.parametrize("given, ask, must", OTHERS)
 def test_a_cloud_of_another_lattice_is_refused(given, ask, must, comes_out):
-    comes_out(given, ask, must)
+    assert comes_out(given, ask, must)

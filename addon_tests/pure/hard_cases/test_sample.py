@@ -95,7 +95,7 @@ NEAREST = [
 
 @pytest.mark.parametrize("given, naive", NEAREST)
 def test_the_anchor_is_the_nearest_one(given, naive, comes_out):
-    comes_out(given, lost_exactly, BEST, naive)
+    assert comes_out(given, lost_exactly, BEST, naive)
 
 
 LATTICES = [
@@ -113,17 +113,17 @@ LATTICES = [
 
 
 def test_a_single_anchor_points_up_where_the_lattices_formula_divides_by_0(comes_out):
-    comes_out(1, lambda n: AnchorLattice(n).directions, equal(np.array([[0.0, 0.0, 1.0]])))
+    assert comes_out(1, lambda n: AnchorLattice(n).directions, equal(np.array([[0.0, 0.0, 1.0]])))
 
 
 @pytest.mark.parametrize("given, ask, must, naive", LATTICES)
 def test_a_lattice_has_directions_for_any_length(given, ask, must, naive, comes_out):
-    comes_out(given, ask, must, naive)
+    assert comes_out(given, ask, must, naive)
 
 
 def test_65537_anchors_are_refused_since_an_index_has_16_bits(comes_out):
-    comes_out(65_537, AnchorLattice, refused("expected 1 to 65536"))
+    assert comes_out(65_537, AnchorLattice, refused("expected 1 to 65536"))
 
 
 def test_no_anchor_is_refused(comes_out):
-    comes_out(0, AnchorLattice, refused("expected 1 to 65536"))
+    assert comes_out(0, AnchorLattice, refused("expected 1 to 65536"))

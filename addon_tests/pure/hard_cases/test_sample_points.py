@@ -93,7 +93,7 @@ POINTS = [
 
 @pytest.mark.parametrize("given, must, naive", POINTS)
 def test_a_point_sets_its_anchor_or_is_counted(given, must, naive, comes_out):
-    comes_out(given, seen, must, naive)
+    assert comes_out(given, seen, must, naive)
 
 
 # ------------------------------------------------------------------------------------------- which point wins
@@ -139,7 +139,7 @@ SPREAD = random_directions(4096, 6) * np.random.default_rng(7).uniform(1, 9, (40
 
 
 def test_of_equally_near_points_the_first_one_gives_the_colour(comes_out):
-    comes_out(None, tie, equal(0.25), lambda _: dict(zip([0, 0, 0], [0.25, 0.75, 1.0], strict=True))[0])
+    assert comes_out(None, tie, equal(0.25), lambda _: dict(zip([0, 0, 0], [0.25, 0.75, 1.0], strict=True))[0])
 
 
 WINNING = [
@@ -189,16 +189,18 @@ WINNING = [
 
 
 def test_azimuth_pi_and_minus_pi_are_one_direction(comes_out):
-    comes_out([[-1, 0.0, 0.1], [-1, -0.0, 0.1]], lambda points: int(sampled(points).is_set.sum()), equal(1))
+    assert comes_out([[-1, 0.0, 0.1], [-1, -0.0, 0.1]], lambda points: int(sampled(points).is_set.sum()), equal(1))
 
 
 def test_points_on_both_poles_set_the_first_and_the_last_anchor(comes_out):
-    comes_out([[0, 0, 3], [0, 0, -4]], lambda points: np.flatnonzero(sampled(points).is_set).tolist(), equal([0, 63]))
+    assert comes_out(
+        [[0, 0, 3], [0, 0, -4]], lambda points: np.flatnonzero(sampled(points).is_set).tolist(), equal([0, 63])
+    )
 
 
 @pytest.mark.parametrize("given, ask, must, naive", WINNING)
 def test_the_nearest_point_wins(given, ask, must, naive, comes_out):
-    comes_out(given, ask, must, naive)
+    assert comes_out(given, ask, must, naive)
 
 
 # ---------------------------------------------------------------------------------------------- where the probe is
@@ -219,11 +221,11 @@ def metres_off_by_hand(position_m: np.ndarray) -> float:
 
 
 def test_10_km_from_the_origin_distances_are_right_to_a_tenth_of_a_micrometre(comes_out):
-    comes_out(np.array([10000.0003, -10000.0003, 10000.0003]), metres_off_at, at_most(1e-7), metres_off_by_hand)
+    assert comes_out(np.array([10000.0003, -10000.0003, 10000.0003]), metres_off_at, at_most(1e-7), metres_off_by_hand)
 
 
 def test_1000_km_from_the_origin_distances_are_right_to_a_tenth_of_a_micrometre(comes_out):
-    comes_out(np.array([1e6 + 0.01, 0, 1e6 - 0.02]), metres_off_at, at_most(1e-7), metres_off_by_hand)
+    assert comes_out(np.array([1e6 + 0.01, 0, 1e6 - 0.02]), metres_off_at, at_most(1e-7), metres_off_by_hand)
 
 
 PLACES = [
@@ -242,11 +244,11 @@ PLACES = [
 
 @pytest.mark.parametrize("given, ask, must, naive", PLACES)
 def test_distances_are_right_far_from_the_origin(given, ask, must, naive, comes_out):
-    comes_out(given, ask, must, naive)
+    assert comes_out(given, ask, must, naive)
 
 
 def test_a_nan_position_is_refused(comes_out):
-    comes_out(
+    assert comes_out(
         [np.nan, 0, 0], lambda place: sampled([single(1)], position_m=place), refused("expected three finite numbers")
     )
 
@@ -284,7 +286,7 @@ ENTROPY = [
 
 @pytest.mark.parametrize("given, ask, must, naive", ENTROPY)
 def test_the_joint_entropy_of_nothing_is_0(given, ask, must, naive, comes_out):
-    comes_out(given, ask, must, naive)
+    assert comes_out(given, ask, must, naive)
 
 
 BASELINES = [
@@ -300,4 +302,4 @@ BASELINES = [
 
 @pytest.mark.parametrize("given, ask, must, naive", BASELINES)
 def test_nothing_is_drawn_from_broken_points(given, ask, must, naive, comes_out):
-    comes_out(given, ask, must, naive)
+    assert comes_out(given, ask, must, naive)

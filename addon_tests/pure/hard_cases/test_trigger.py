@@ -146,7 +146,7 @@ FIRING = [
 
 @pytest.mark.parametrize("given, must, naive", FIRING)
 def test_the_trigger_fires_for_its_reason(given, must, naive, comes_out):
-    comes_out(given, decided, must, naive)
+    assert comes_out(given, decided, must, naive)
 
 
 NO_ANCHORS = [
@@ -162,7 +162,7 @@ NO_ANCHORS = [
 
 @pytest.mark.parametrize("given, ask, must, naive", NO_ANCHORS)
 def test_nothing_does_not_fire(given, ask, must, naive, comes_out):
-    comes_out(given, ask, must, naive)
+    assert comes_out(given, ask, must, naive)
 
 
 # ------------------------------------------------------------------------------------------- flicker and thresholds
@@ -210,11 +210,11 @@ STEADY = TriggerSettings(theta=0.2, hysteresis=0.5)
 
 
 def test_firing_falls_once_as_theta_rises(comes_out):
-    comes_out("split", fires_over_theta, FALLS_ONCE, fires_over_dithered_theta)
+    assert comes_out("split", fires_over_theta, FALLS_ONCE, fires_over_dithered_theta)
 
 
 def test_firing_falls_once_as_theta_rises_by_the_papers_rule(comes_out):
-    comes_out("reference", fires_over_theta, FALLS_ONCE, fires_over_dithered_theta)
+    assert comes_out("reference", fires_over_theta, FALLS_ONCE, fires_over_dithered_theta)
 
 
 THRESHOLDS = [
@@ -229,12 +229,12 @@ THRESHOLDS = [
 
 
 def test_light_far_above_the_threshold_fires_in_every_frame_in_spite_of_hysteresis(comes_out):
-    comes_out(STEADY, lambda settings: flickering(settings, 0.6), equal([True] * 10))
+    assert comes_out(STEADY, lambda settings: flickering(settings, 0.6), equal([True] * 10))
 
 
 @pytest.mark.parametrize("given, ask, must, naive", THRESHOLDS)
 def test_the_threshold_is_one(given, ask, must, naive, comes_out):
-    comes_out(given, ask, must, naive)
+    assert comes_out(given, ask, must, naive)
 
 
 WRONG_SETTINGS = [
@@ -251,7 +251,7 @@ WRONG_SETTINGS = [
 
 @pytest.mark.parametrize("given, ask, must", WRONG_SETTINGS)
 def test_settings_that_are_none_are_refused(given, ask, must, comes_out):
-    comes_out(given, ask, must)
+    assert comes_out(given, ask, must)
 
 
 # ------------------------------------------------------------------------------------------------- NaN and mistakes
@@ -290,27 +290,27 @@ def reason_with_lattice(n: int) -> str:
 
 
 def test_one_anchor_that_turned_nan_does_not_keep_the_others_from_firing(comes_out):
-    comes_out("split", turned_nan, COLOUR, turned_nan_by_hand)
+    assert comes_out("split", turned_nan, COLOUR, turned_nan_by_hand)
 
 
 def test_one_anchor_that_turned_nan_does_not_stop_the_papers_rule(comes_out):
-    comes_out("reference", turned_nan, COLOUR, turned_nan_by_hand)
+    assert comes_out("reference", turned_nan, COLOUR, turned_nan_by_hand)
 
 
 def test_one_nan_point_does_not_keep_a_changed_wall_from_firing(comes_out):
-    comes_out(np.nan, nan_pixel, COLOUR, nan_pixel_by_hand)
+    assert comes_out(np.nan, nan_pixel, COLOUR, nan_pixel_by_hand)
 
 
 def test_a_lattice_of_more_anchors_than_the_clouds_is_refused(comes_out):
-    comes_out(2 * N, reason_with_lattice, refused("the lattice has 512 anchors and the clouds 256"))
+    assert comes_out(2 * N, reason_with_lattice, refused("the lattice has 512 anchors and the clouds 256"))
 
 
 def test_a_lattice_of_fewer_anchors_than_the_clouds_is_refused(comes_out):
-    comes_out(N // 2, reason_with_lattice, refused("the lattice has 128 anchors and the clouds 256"))
+    assert comes_out(N // 2, reason_with_lattice, refused("the lattice has 128 anchors and the clouds 256"))
 
 
 def test_clouds_of_different_sizes_are_refused(comes_out):
-    comes_out((cloud_of(0.5, n=1), GREY, DEFAULT), decided, refused("1 and 256 anchors"))
+    assert comes_out((cloud_of(0.5, n=1), GREY, DEFAULT), decided, refused("1 and 256 anchors"))
 
 
 # ---------------------------------------------------------------------------------------------- exposure alone
@@ -345,4 +345,6 @@ EXPOSURES = [
 
 @pytest.mark.parametrize("given", EXPOSURES)
 def test_an_exposure_does_not_fire_by_itself(given, comes_out):
-    comes_out(given, reason_for_exposure, that("does not fire", lambda came: not came.fire), reason_for_raw_exposure)
+    assert comes_out(
+        given, reason_for_exposure, that("does not fire", lambda came: not came.fire), reason_for_raw_exposure
+    )

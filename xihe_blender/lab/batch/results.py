@@ -20,11 +20,11 @@ from typing import Any
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_claim import FolderClaim
 from xihe_blender.io.outputs import write_csv, write_json
+from xihe_blender.io.run_results import METRICS
 from xihe_blender.lab.batch.grid import BatchSettings, Unit
 from xihenet import __version__
 
 SCHEMA_VERSION = 1
-METRICS = ("psnr", "ssim", "rmse", "si_rmse", "angular_deg")
 WHICH = ("scene", "seed", "phone", "estimator")
 TRIAL_COLUMNS = (
     *WHICH, "n_frames", "n_active_frames", "n_compared_frames", "n_estimates", "estimates_per_minute", "shc_rmse",

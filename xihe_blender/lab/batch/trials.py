@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from xihe_blender.io.run_results import FrameResult
-from xihe_blender.lab.batch.results import METRICS
+from xihe_blender.io.run_results import METRICS, FrameResult
 from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.run_chain import WalkedPath
