@@ -61,7 +61,7 @@ bench: $(VENV)/installed
 	$(BIN)/python addon_tests/bench/estimate.py
 	$(BIN)/python addon_tests/bench/phone.py
 	$(BIN)/python addon_tests/bench/rendering.py
-	$(BIN)/python addon_tests/bench/effort.py
+	$(BIN)/python addon_tests/bench/sample_count.py
 	$(BIN)/python addon_tests/bench/effects.py
 
 scenes: $(VENV)/installed

@@ -7,7 +7,7 @@ Rejected: an exception there, which would end a session for one frame. Paper: se
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -16,16 +16,56 @@ from xihenet.estimators.base import EstimateContext, Estimator, NotFinite
 from xihenet.records import ArrayF64, LightEstimate, UnitSphereCloud
 
 
-class InferenceBackend(Protocol):
-    """Turns a cloud into (9, 3) radiance coefficients that carry the session's exposure.
-
-    A backend may also have what else `LocalBackend` has; it is asked where it is there.
-    """
+class LightBackend(Protocol):
+    """The least that the controller can work with: a name, a number of anchors, and (9, 3) from a cloud."""
 
     name: str
     n_anchors: int
 
     def estimate(self, cloud: UnitSphereCloud, context: EstimateContext | None = None) -> ArrayF64: ...
+
+
+@runtime_checkable
+class InferenceBackend(LightBackend, Protocol):
+    """Turns a cloud into (9, 3) radiance coefficients that carry the session's exposure; says what it knows of them.
+
+    Parameters
+    ----------
+    farthest_m : distances beyond this are clamped by it, which is counted; infinite where none are
+    """
+
+    @property
+    def farthest_m(self) -> float: ...
+
+    def estimate_with_error(
+        self, cloud: UnitSphereCloud, context: EstimateContext | None = None
+    ) -> tuple[ArrayF64, float | None]:
+        """As `estimate`, and the SHC RMSE that is expected of it; None where that is not known."""
+
+    def unknown_because(self, cloud: UnitSphereCloud, context: EstimateContext) -> str:
+        """Why the light of `cloud` cannot be known, one of `invalid.UNKNOWN`; empty where it can."""
+
+
+class LightAlone:
+    """An `InferenceBackend` of one that gives light and no more: no error is known, and an empty cloud has no light."""
+
+    farthest_m = float("inf")
+
+    def __init__(self, backend: LightBackend) -> None:
+        self.name, self.n_anchors, self.estimate = backend.name, backend.n_anchors, backend.estimate
+
+    def estimate_with_error(
+        self, cloud: UnitSphereCloud, context: EstimateContext | None = None
+    ) -> tuple[ArrayF64, float | None]:
+        return self.estimate(cloud, context), None
+
+    def unknown_because(self, cloud: UnitSphereCloud, context: EstimateContext) -> str:
+        return "" if cloud.is_set.any() else "nothing_seen"
+
+
+def as_inference_backend(backend: LightBackend) -> InferenceBackend:
+    """`backend` itself where it is an `InferenceBackend`, else it as `LightAlone`."""
+    return backend if isinstance(backend, InferenceBackend) else LightAlone(backend)
 
 
 class LocalBackend:
@@ -64,10 +104,10 @@ def estimate_light(
     ValueError as the backend raises it, but for a result that is not finite.
     """
     sh_radiance, expected_error = np.zeros((9, 3)), None
-    reason = _unknown_because(backend, cloud, context)
+    reason = backend.unknown_because(cloud, context)
     if not reason:
         try:
-            found, error = _estimate_with_error(backend, cloud, context)
+            found, error = backend.estimate_with_error(cloud, context)
             is_finite = np.isfinite(found).all() and (error is None or np.isfinite(error))
         except NotFinite:
             is_finite = False
@@ -77,18 +117,3 @@ def estimate_light(
             reason = "estimate_not_finite"
     return LightEstimate(sh_radiance, exposure, coverage(cloud), backend.name, not reason, expected_error, reason)
 
-
-def _unknown_because(backend: InferenceBackend, cloud: UnitSphereCloud, context: EstimateContext) -> str:
-    if hasattr(backend, "unknown_because"):
-        return str(backend.unknown_because(cloud, context))
-    return "" if cloud.is_set.any() else "nothing_seen"
-
-
-def _estimate_with_error(
-    backend: InferenceBackend, cloud: UnitSphereCloud, context: EstimateContext
-) -> tuple[ArrayF64, float | None]:
-    """The error is None from a backend that gives light alone."""
-    if hasattr(backend, "estimate_with_error"):
-        sh_radiance, expected_error = backend.estimate_with_error(cloud, context)
-        return sh_radiance, expected_error
-    return backend.estimate(cloud, context), None

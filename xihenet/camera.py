@@ -62,7 +62,7 @@ def sound_plane_depth(plane_depth_m: ArrayF32, radiance: ArrayF32 | None = None)
     light, and black is an answer. Colours that are negative or infinite are clamped later, and counted here.
     """
     valid = valid_plane_depth(plane_depth_m)
-    invalid = _told_by_value(plane_depth_m, valid)
+    invalid = _reasons_by_value(plane_depth_m, valid)
     if radiance is not None:
         is_broken = np.isnan(radiance).any(axis=-1)
         invalid |= counted(colour_not_finite=np.count_nonzero(valid & is_broken))
@@ -87,14 +87,14 @@ def invalid_pixels(frame: RgbdFrame) -> dict[str, int]:
         n_left -= named.get(reason, 0)
     if not n_left:
         return named
-    for reason, n in _told_by_value(frame.plane_depth_m, valid).items():
+    for reason, n in _reasons_by_value(frame.plane_depth_m, valid).items():
         more = min(n, n_left)
         named |= counted(**{reason: named.get(reason, 0) + more})
         n_left -= more
     return named
 
 
-def _told_by_value(plane_depth_m: ArrayF32, valid: ArrayBool) -> dict[str, int]:
+def _reasons_by_value(plane_depth_m: ArrayF32, valid: ArrayBool) -> dict[str, int]:
     """Reasons of all pixels that are not `valid`; a 0, which may stand for another reason, comes last."""
     refused = plane_depth_m[~valid]
     n_nan, n_missed = np.count_nonzero(np.isnan(refused)), np.count_nonzero(refused >= MISS_PLANE_DEPTH_M)

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihenet.backend import InferenceBackend, estimate_light
+from xihenet.backend import LightBackend, as_inference_backend, estimate_light
 from xihenet.buffers import PositionBuffers
 from xihenet.camera import in_view, unproject_frame
 from xihenet.codec import EncodingMethod, encode_cloud, n_clamped_distances
@@ -71,8 +71,8 @@ class XiheController:
     settings : see `ControllerSettings`
     """
 
-    def __init__(self, backend: InferenceBackend, settings: ControllerSettings | None = None) -> None:
-        self.backend = backend
+    def __init__(self, backend: LightBackend, settings: ControllerSettings | None = None) -> None:
+        self.backend = as_inference_backend(backend)
         self.settings = settings or ControllerSettings()
         self.lattice = AnchorLattice(backend.n_anchors)
         self.reference_exposure = self.settings.reference_exposure
@@ -200,7 +200,7 @@ class XiheController:
 
     def _clamped(self, sent: UnitSphereCloud, used: UnitSphereCloud) -> Counts:
         """Distances that the wire or the network takes for others."""
-        beyond = used.distance_m > getattr(self.backend, "farthest_m", np.inf)
+        beyond = used.distance_m > self.backend.farthest_m
         return counted(distance_on_wire=n_clamped_distances(sent), distance_in_network=int(np.count_nonzero(beyond)))
 
     def estimate_at(self, position_m: ArrayLike) -> LightEstimate:

@@ -5,7 +5,7 @@
 Per scene a capture at the middle frame with the plan, with everything on (all effects, 32 bounces of each kind) and as
 the scene itself is set, interleaved seed by seed on one thread. Times are the processor's, which other work on the
 machine disturbs least. A ratio is the median over the seeds of two renders that followed each other, with the interval
-in which it lies with 95 % (bootstrap over the seeds): what is claimed of it must hold for its upper end. The means
+in which it lies with 95 % (bootstrap over the seeds): what is said of it must hold for its upper end. The means
 over the seeds agree where the whole picture's and 16 blocks' differ by no more than two standard errors, see
 `xihenet.agreement`.
 """

@@ -22,7 +22,7 @@ from xihe_blender.lab.frontier.compute import KINDS
 from xihe_blender.lab.frontier.rendering import COMPUTED_BY, RenderStudy, View, measure_rendering
 from xihe_blender.lab.frontier.steps import part_of
 from xihe_blender.lab.frontier.study import SceneStudy, prepare, survey_scene
-from xihe_blender.lab.frontier.timing import Spread
+from xihe_blender.lab.frontier.timing import Quartiles
 from xihe_blender.previs.plan import evenly_chosen
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
@@ -63,7 +63,7 @@ def by_view(one, kind, sizes):
 def row(file, alone, sizes):
     """A line of the table."""
     overall = {kind: [np.sqrt(np.mean(one.square_errors[kind])) for one in alone] for kind in KINDS}
-    times_s = [Spread.of(one.times_ms).median / 1000 for one in alone]
+    times_s = [Quartiles.of(one.times_ms).median / 1000 for one in alone]
     samples = ", ".join(str(one.settings["samples"]) for one in alone)
     cells = [f"{error:.2%} in {time_s:.2g} s" for error, time_s in zip(overall["coefficients"], times_s, strict=True)]
     for kind in KINDS:

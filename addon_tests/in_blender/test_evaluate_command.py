@@ -90,8 +90,8 @@ def test_a_scheduler_that_does_not_answer_is_one_line(scenes, tmp_path):
 def test_a_folder_of_another_version_is_one_line_and_stays(done, tmp_path):
     out, files, _ = done
     shutil.copytree(out, tmp_path / "copy")
-    claim = tmp_path / "copy" / "batch.json"
-    claim.write_text(json.dumps({**json.loads(claim.read_text()), "xihe": "0.0.1"}))
+    manifest = tmp_path / "copy" / "batch.json"
+    manifest.write_text(json.dumps({**json.loads(manifest.read_text()), "xihe": "0.0.1"}))
     before = (tmp_path / "copy" / "results.json").read_bytes()
     assert refused(xihe("evaluate", files[0], "--out", tmp_path / "copy", *TINY), "version of xihe")
     assert (tmp_path / "copy" / "results.json").read_bytes() == before

@@ -15,19 +15,19 @@ from xihe_process import xihe
 
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihe_blender.lab.frontier.choices import EXHAUSTIVE, ComputeChoice, Effort, compute_choices
+from xihe_blender.lab.frontier.choices import EXHAUSTIVE, ComputeChoice, StudySize, compute_choices
 from xihe_blender.lab.frontier.compute import ChoiceBackend, Walk, padded, square_errors, walk_through, with_every_pixel
 from xihe_blender.lab.frontier.pareto_plot import pareto_plot
 from xihe_blender.lab.frontier.points import Measured, family, group, groups, points_of
 from xihe_blender.lab.frontier.study import FrontierSettings, frontier
-from xihe_blender.lab.frontier.timing import Spread, interleaved
+from xihe_blender.lab.frontier.timing import Quartiles, interleaved
 from xihenet.camera import unproject_frame
 from xihenet.pareto import on_front
 from xihenet.records import Intrinsics, RgbdFrame
 from xihenet.sh import project_anchors
 
-TINY = Effort(2, 1, 1, 2, 1, 2, 4, (1, 2), 1)
-SMALL = FrontierSettings(is_quick=True, size=(32, 24), effort=TINY)
+TINY = StudySize(2, 1, 1, 2, 1, 2, 4, (1, 2), 1)
+SMALL = FrontierSettings(is_quick=True, size=(32, 24), study_size=TINY)
 
 
 # ------------------------------------------------------------------------------------------------------------ measuring
@@ -68,15 +68,15 @@ def test_rounds_have_different_orders():
 
 @given(st.lists(st.floats(0, 1e6), min_size=1, max_size=9), st.floats(0, 100))
 def test_spread_moves_with_no_shift_and_one_outlier_does_not_rule_the_median(values, shift):
-    one, shifted = Spread.of(values), Spread.of([value + shift for value in values])
+    one, shifted = Quartiles.of(values), Quartiles.of([value + shift for value in values])
     assert shifted.median == pytest.approx(one.median + shift) and shifted.spread == pytest.approx(one.spread, abs=1e-6)
     assert min(values) <= one.median <= max(values) and one.spread >= 0
-    assert Spread.of([*values, *values, 1e9]).median <= max(values)
+    assert Quartiles.of([*values, *values, 1e9]).median <= max(values)
 
 
 def test_no_measurement_has_no_spread():
     with pytest.raises(ValueError, match="expected a measurement"):
-        Spread.of([])
+        Quartiles.of([])
 
 
 # --------------------------------------------------------------------------------------------------------- light errors

@@ -18,7 +18,7 @@ from xihe_blender.capture.scanner import meter_exposure, phone_camera
 from xihe_blender.cli.main import main
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihe_blender.lab.rooms.build import BuildSettings, build_dataset, claim_folder
+from xihe_blender.lab.rooms.build import BuildSettings, build_dataset, write_manifest
 from xihe_blender.lab.rooms.free_floor import CELL_M, FreeFloor, Route
 from xihe_blender.lab.rooms.outline import Rect
 from xihe_blender.lab.rooms.render_room import RoomRenderSettings, make_room
@@ -208,21 +208,21 @@ def test_a_folder_of_walks_holds_nothing_else(walked_folder):
 def test_folders_without_a_walk_go_on_as_free_views(tmp_path):
     (tmp_path / "dataset.json").write_text(json.dumps(FREE_VIEWS))
     settings = BuildSettings(3, 5, 1, SMALL_NUMBERS)
-    claim_folder(tmp_path, settings.made_with)
+    write_manifest(tmp_path, settings.provenance)
     assert json.loads((tmp_path / "dataset.json").read_text()) == FREE_VIEWS
     with pytest.raises(UserError, match="another folder"):
-        claim_folder(tmp_path, replace(settings, walk=24).made_with)
+        write_manifest(tmp_path, replace(settings, walk=24).provenance)
 
 
 def test_folders_that_were_metered_in_the_old_way_are_not_gone_on_with(tmp_path):
     old = {key: value for key, value in FREE_VIEWS.items() if key != "metering"}
     (tmp_path / "dataset.json").write_text(json.dumps(old))
     with pytest.raises(UserError, match="another folder"):
-        claim_folder(tmp_path, BuildSettings(3, 5, 1, SMALL_NUMBERS).made_with)
+        write_manifest(tmp_path, BuildSettings(3, 5, 1, SMALL_NUMBERS).provenance)
 
 
 def test_free_views_are_recorded_without_a_walk(tmp_path):
-    claim_folder(tmp_path, BuildSettings(3, 5, 1, SMALL_NUMBERS).made_with)
+    write_manifest(tmp_path, BuildSettings(3, 5, 1, SMALL_NUMBERS).provenance)
     written = json.loads((tmp_path / "dataset.json").read_text())
     assert list(written) == list(FREE_VIEWS)
     assert {**written, "software": ""} == {**FREE_VIEWS, "software": ""}
@@ -317,7 +317,7 @@ def test_rooms_and_scenes_keep_to_folders_of_their_own(walked_folder, tmp_path):
         added(scene, "tiny", walked_folder[0], frames=[1])
     added(scene, "tiny", tmp_path, frames=[1])
     with pytest.raises(UserError, match="another folder"):
-        claim_folder(tmp_path, BuildSettings(1, SCENE_SEED, 1, SMALL_NUMBERS).made_with)
+        write_manifest(tmp_path, BuildSettings(1, SCENE_SEED, 1, SMALL_NUMBERS).provenance)
 
 
 def test_a_camera_that_zooms_is_refused(tmp_path):

@@ -17,7 +17,7 @@ from xihe_blender.lab.batch.results import (
     TRIAL_COLUMNS,
     BatchFolder,
     batch_results,
-    claim_of,
+    manifest_of,
     read_frontier,
     result_file,
     worst_frame,
@@ -63,26 +63,26 @@ def test_the_same_scene_twice_is_one_unit_and_another_of_its_name_is_not(tmp_pat
 
 def test_a_folder_goes_on_with_the_same_settings_alone(tmp_path):
     folder = BatchFolder(tmp_path / "out")
-    claim_of(folder, SETTINGS).take()
-    claim_of(folder, SETTINGS).take()
+    manifest_of(folder, SETTINGS).take()
+    manifest_of(folder, SETTINGS).take()
     with pytest.raises(UserError, match="another size"):
-        claim_of(folder, replace(SETTINGS, size=(32, 24))).take()
+        manifest_of(folder, replace(SETTINGS, size=(32, 24))).take()
 
 
 @pytest.mark.parametrize("content", ['{"format": 1, "xihe": "0.0.1"}', "[]", "{", "null"])
 def test_a_folder_of_another_version_is_refused(tmp_path, content):
     (tmp_path / "batch.json").write_text(content)
     with pytest.raises(UserError, match="version of xihe"):
-        claim_of(BatchFolder(tmp_path), SETTINGS).take()
+        manifest_of(BatchFolder(tmp_path), SETTINGS).take()
     assert (tmp_path / "batch.json").read_text() == content
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path):
     (tmp_path / "results.json").write_text("{}")
     with pytest.raises(UserError, match="not from a batch"):
-        claim_of(BatchFolder(tmp_path), SETTINGS).take()
+        manifest_of(BatchFolder(tmp_path), SETTINGS).take()
     with pytest.raises(UserError, match="is a file"):
-        claim_of(BatchFolder(tmp_path / "results.json"), SETTINGS).take()
+        manifest_of(BatchFolder(tmp_path / "results.json"), SETTINGS).take()
 
 
 def test_a_result_that_is_damaged_is_none(tmp_path):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from xihenet import estimators
-from xihenet.backend import LocalBackend, estimate_light
+from xihenet.backend import LocalBackend, as_inference_backend, estimate_light
 from xihenet.camera import invalid_pixels, sound_plane_depth, unproject_frame, valid_plane_depth
 from xihenet.codec import METHODS, decode_cloud, encode_cloud, n_clamped_distances
 from xihenet.controller import XiheController
@@ -29,7 +29,7 @@ LATTICE = AnchorLattice(N)
 NASTY = [0.0, -0.0, -1.0, np.nan, np.inf, -np.inf, 1e10, 1e-30, 0.5, 2.0, 3e38]
 
 plane_depths = arrays(np.float32, (HEIGHT, WIDTH), elements=st.sampled_from([np.float32(v) for v in NASTY]))
-claims = st.dictionaries(st.sampled_from([*LEFT_OUT, *CLAMPED, "range"]), st.integers(1, 60))
+manifests = st.dictionaries(st.sampled_from([*LEFT_OUT, *CLAMPED, "range"]), st.integers(1, 60))
 
 
 def frame(plane_depth_m=2.0, invalid=None, **changes):
@@ -43,14 +43,14 @@ def frame(plane_depth_m=2.0, invalid=None, **changes):
 
 
 @settings(max_examples=150, deadline=None)
-@given(plane_depth_m=plane_depths, claimed=claims)
-def test_reasons_add_up_to_the_invalid_pixels_whatever_a_frame_claims(plane_depth_m, claimed):
-    seen = frame(plane_depth_m, claimed)
+@given(plane_depth_m=plane_depths, taken=manifests)
+def test_reasons_add_up_to_the_invalid_pixels_whatever_a_frame_claims(plane_depth_m, taken):
+    seen = frame(plane_depth_m, taken)
     n_invalid = np.count_nonzero(~valid_plane_depth(seen.plane_depth_m))
     reasons = invalid_pixels(seen)
     assert sum(reasons.values()) == n_invalid
     assert all(n > 0 for n in reasons.values()) and not CLAMPED.keys() & reasons.keys()
-    assert all(n <= claimed[r] for r, n in reasons.items() if r in claimed and r == "range")
+    assert all(n <= taken[r] for r, n in reasons.items() if r in taken and r == "range")
     assert json.loads(json.dumps(reasons, allow_nan=False)) == reasons
 
 
@@ -227,7 +227,7 @@ class Answering:
 )
 def test_any_answer_of_any_backend_becomes_a_light_that_is_finite_or_not_valid(answer, is_seen):
     cloud = UnitSphereCloud(np.zeros((N, 3)), np.full(N, float(is_seen)), np.full(N, is_seen))
-    light = estimate_light(Answering(answer), cloud, EstimateContext(), 1.0)
+    light = estimate_light(as_inference_backend(Answering(answer)), cloud, EstimateContext(), 1.0)
     assert light.is_valid == (is_seen and bool(np.isfinite(answer).all()))
     assert light.is_valid == (light.unknown_because == "")
     np.testing.assert_array_equal(light.sh_radiance, answer if light.is_valid else 0)

@@ -22,7 +22,7 @@ class XIHE_OT_add_virtual_objects(polls.Conditional, bpy.types.Operator):
             made = make_virtual(context.scene, context.selected_objects)
         except FAILURES as error:
             return failed(self, context, error)
-        self.report({"INFO"}, f"{_said(len(made))} virtual now")
+        self.report({"INFO"}, f"{_format_objects(len(made))} virtual now")
         return {"FINISHED"}
 
 
@@ -40,7 +40,7 @@ class XIHE_OT_remove_virtual_objects(polls.Conditional, bpy.types.Operator):
             made = make_room(context.scene, context.selected_objects)
         except FAILURES as error:
             return failed(self, context, error)
-        self.report({"INFO"}, f"{_said(len(made))} part of the room again")
+        self.report({"INFO"}, f"{_format_objects(len(made))} part of the room again")
         return {"FINISHED"}
 
 
@@ -67,7 +67,7 @@ class XIHE_OT_add_sphere_rig(polls.Conditional, bpy.types.Operator):
         return {"FINISHED"}
 
 
-def _said(n_objects: int) -> str:
+def _format_objects(n_objects: int) -> str:
     return "1 object is" if n_objects == 1 else f"{n_objects} objects are"
 
 

@@ -25,8 +25,8 @@ def joined_light_links(scene: bpy.types.Scene, standing_in: bpy.types.Object, it
             if state is not None and receivers.library is None and standing_in.name not in receivers.objects:
                 receivers.objects.link(standing_in)
                 joined.append(receivers)
-                place = list(receivers.objects).index(standing_in)
-                receivers.collection_objects[place].light_linking.link_state = state
+                index = list(receivers.objects).index(standing_in)
+                receivers.collection_objects[index].light_linking.link_state = state
         yield
     finally:
         for receivers in joined:
@@ -40,10 +40,10 @@ def _receiver_collections(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
 
 def _link_state(receivers: bpy.types.Collection, item: bpy.types.Object) -> str | None:
     """ "INCLUDE" or "EXCLUDE" as `item` is linked, by itself or by a collection within; None if it is not."""
-    for place, other in enumerate(receivers.objects):
+    for index, other in enumerate(receivers.objects):
         if other == item:
-            return str(receivers.collection_objects[place].light_linking.link_state)
-    for place, child in enumerate(receivers.children):
+            return str(receivers.collection_objects[index].light_linking.link_state)
+    for index, child in enumerate(receivers.children):
         if item.name in child.all_objects:
-            return str(receivers.collection_children[place].light_linking.link_state)
+            return str(receivers.collection_children[index].light_linking.link_state)
     return None

@@ -170,15 +170,15 @@ class ReferenceProbe:
     settings: ProbeSettings
     is_denoised: bool
 
-    def light_at(self, place: int, frame: int, exposure: float = 1.0) -> ReferenceLight:
-        """The light at the `place`-th position in `frame`; `exposure` says where white is."""
+    def light_at(self, index: int, frame: int, exposure: float = 1.0) -> ReferenceLight:
+        """The light at the `index`-th position in `frame`; `exposure` says where white is."""
         self.scene.frame_set(frame)
         views, cones = _Views(exposure, self.settings.order), _Cones(exposure)
-        ldr, ldr_noise = self._measure(views, lambda number: self.view(place, number))
+        ldr, ldr_noise = self._measure(views, lambda number: self.view(index, number))
         if self.is_denoised:
-            views.take_judge(self.judge(place, views.n))
+            views.take_judge(self.judge(index, views.n))
             ldr, ldr_noise = _mean_and_noise(views.lights())
-        hdr, hdr_noise = self._measure(cones, lambda number: self.cones(place, number))
+        hdr, hdr_noise = self._measure(cones, lambda number: self.cones(index, number))
         measured, ball = MeasuredLight(ldr, hdr, ldr_noise, hdr_noise, views.n, cones.n), views.ball
         panorama = panorama_of_ball(ball, max(8, self.settings.size // 4))
         return ReferenceLight(measured, panorama, ball, views.render_s + cones.render_s)
@@ -195,39 +195,39 @@ class ReferenceProbe:
             if pictures.n >= most or (target is not None and noise is not None and noise <= target):
                 return light, noise
 
-    def view(self, place: int, number: int) -> Rendered:
+    def view(self, index: int, number: int) -> Rendered:
         """What camera rays see in a mirror ball, from just outside of the ball of the cones."""
-        self._look_around(place)
+        self._look_around(index)
         self._next_seed(number)
         return render_passes(self.scene)
 
-    def judge(self, place: int, n_pictures: int) -> Rendered:
+    def judge(self, index: int, n_pictures: int) -> Rendered:
         """The same once more, denoised, with half as many rays in each pixel as that many pictures have."""
-        self._look_around(place, max(2, n_pictures // 2))
+        self._look_around(index, max(2, n_pictures // 2))
         self.scene.cycles.use_denoising = True
         self._next_seed(-1)
         return render_passes(self.scene)
 
-    def _look_around(self, place: int, samples: int = 1) -> None:
-        start = max(CLIP_START_M, 2 * _ball_radius(self.positions_m[place], metres_per_unit(self.scene)))
+    def _look_around(self, index: int, samples: int = 1) -> None:
+        start = max(CLIP_START_M, 2 * _ball_radius(self.positions_m[index], metres_per_unit(self.scene)))
         self.scene.cycles.use_denoising = False
-        self._look(place, (start, CLIP_END_M), samples)
+        self._look(index, (start, CLIP_END_M), samples)
 
-    def cones(self, place: int, number: int) -> Rendered:
+    def cones(self, index: int, number: int) -> Rendered:
         """All light: in each pixel of a mirror ball the mean over the cone around the opposite direction."""
-        self.look_at_cones(place)
+        self.look_at_cones(index)
         self._next_seed(number)
         return render_passes(self.scene)
 
-    def look_at_cones(self, place: int, samples: int = 1) -> None:
+    def look_at_cones(self, index: int, samples: int = 1) -> None:
         """Set the scene up to render them, with so many rays in each pixel."""
-        radius = _ball_radius(self.positions_m[place], metres_per_unit(self.scene))
+        radius = _ball_radius(self.positions_m[index], metres_per_unit(self.scene))
         self.scene.cycles.use_denoising = False
-        self._look(place, (radius / 4, 2 * radius), samples)
+        self._look(index, (radius / 4, 2 * radius), samples)
 
-    def _look(self, place: int, clip_m: tuple[float, float], samples: int = 1) -> None:
+    def _look(self, index: int, clip_m: tuple[float, float], samples: int = 1) -> None:
         scene, metres = self.scene, metres_per_unit(self.scene)
-        scene.camera.location = tuple(self.positions_m[place] / metres)
+        scene.camera.location = tuple(self.positions_m[index] / metres)
         scene.camera.data.clip_start, scene.camera.data.clip_end = (distance / metres for distance in clip_m)
         _take_samples(scene, samples)
 
@@ -240,7 +240,7 @@ def _mean_and_noise(lights: ArrayF64) -> tuple[ArrayF64, float | None]:
 
 
 class _Pictures(ABC):
-    """Pictures of one place so far, and the light that each of them has."""
+    """Pictures of one index so far, and the light that each of them has."""
 
     def __init__(self, exposure: float) -> None:
         self.exposure, self.n, self.render_s = np.float32(exposure), 0, 0.0

@@ -33,9 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--network", **NETWORK)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--effect", **OVERRIDE)
-    effort = parser.add_mutually_exclusive_group()
-    effort.add_argument("--noise-target", type=float, metavar="SHARE", help="of the light; default: the preset's")
-    effort.add_argument("--samples", type=int, metavar="N", help="of every capture and probe, whatever the noise")
+    budget = parser.add_mutually_exclusive_group()
+    budget.add_argument("--noise-target", type=float, metavar="SHARE", help="of the light; default: the preset's")
+    budget.add_argument("--samples", type=int, metavar="N", help="of every capture and probe, whatever the noise")
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:

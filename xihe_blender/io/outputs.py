@@ -63,9 +63,9 @@ class RunOutputs:
         return self.folder / "work" / "effects.json"
 
     @property
-    def effort(self) -> Path:
+    def sample_count(self) -> Path:
         """The numbers of samples, so that a resumed run renders with the same ones."""
-        return self.folder / "work" / "effort.json"
+        return self.folder / "work" / "sample_count.json"
 
     @property
     def survey(self) -> Path:
@@ -88,13 +88,13 @@ class RunOutputs:
         """Metrics of one frame; written last, so that its presence says its pictures are whole."""
         return self.folder / "work" / f"compared_{frame:04d}.json"
 
-    def probe(self, place: int, name: str, frame: int) -> Path:
-        """Radiance panorama of the light probe at one estimation position, the `place`-th of the run."""
-        return self.folder / "radiance" / f"probe_{place}_{_file_stem(name)}_{frame:04d}.exr"
+    def probe(self, index: int, name: str, frame: int) -> Path:
+        """Radiance panorama of the light probe at one estimation position, the `index`-th of the run."""
+        return self.folder / "radiance" / f"probe_{index}_{_file_stem(name)}_{frame:04d}.exr"
 
-    def reference(self, place: int, name: str, frame: int) -> Path:
-        """Coefficients of the reference light at one estimation position, the `place`-th of the run."""
-        return self.folder / "work" / f"reference_{place}_{_file_stem(name)}_{frame:04d}.json"
+    def reference(self, index: int, name: str, frame: int) -> Path:
+        """Coefficients of the reference light at one estimation position, the `index`-th of the run."""
+        return self.folder / "work" / f"reference_{index}_{_file_stem(name)}_{frame:04d}.json"
 
     def radiance(self, method: str, frame: int) -> Path:
         """Linear picture of one method, of "ground_truth", or "captured" for phones that expose by themselves."""

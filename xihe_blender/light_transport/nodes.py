@@ -4,7 +4,8 @@ Only what reaches the output counts. Links are followed through reroutes, groups
 a constant 0 or 1 has one side only; a Principled shader does what its weights let it. A value that is linked to a
 texture or to arithmetic may be anything, and a node that this file does not know may do anything: the answer errs
 towards "it may". Values are read as they stand, so animation and drivers are the business of whoever evaluates the
-tree at each frame (see `reach`). Rejected: searching the tree for node types, which finds what nothing is linked to.
+tree at each frame (see `transport_survey`). Rejected: searching the tree for node types, which finds what nothing is
+linked to.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ UNKNOWN_ALBEDO = 0.8
 """Of a colour that cannot be read off: a bright wall paint. Guessing too dark would cut bounces that are needed."""
 
 
-class Ability(enum.Flag):
+class Interaction(enum.Flag):
     """One way in which a surface, a volume or a world takes part in light transport."""
 
     NOTHING = 0
@@ -48,22 +49,22 @@ class Ability(enum.Flag):
     DISPLACEMENT = enum.auto()
 
 
-A = Ability
-ANYTHING = ~Ability.NOTHING & ~Ability.DISPLACEMENT & ~Ability.HAIR
+A = Interaction
+ANYTHING = ~Interaction.NOTHING & ~Interaction.DISPLACEMENT & ~Interaction.HAIR
 
 
 @dataclass(frozen=True)
-class Look:
+class Shading:
     """What a material may do, and the largest share of light (0 to 1, its brightest channel) it can send on."""
 
-    abilities: Ability = Ability.NOTHING
+    interactions: Interaction = Interaction.NOTHING
     albedo: float = 0.0
 
-    def __or__(self, other: Look) -> Look:
-        return Look(self.abilities | other.abilities, max(self.albedo, other.albedo))
+    def __or__(self, other: Shading) -> Shading:
+        return Shading(self.interactions | other.interactions, max(self.albedo, other.albedo))
 
 
-NOTHING = Look()
+NOTHING = Shading()
 
 SIMPLE = {
     "BSDF_DIFFUSE": A.DIFFUSE,
@@ -84,27 +85,27 @@ SIMPLE = {
 }
 
 
-def material_look(material: bpy.types.Material | None) -> Look:
+def material_shading(material: bpy.types.Material | None) -> Shading:
     """What `material` may do; None is Blender's default grey."""
     if material is None:
-        return Look(A.DIFFUSE, UNKNOWN_ALBEDO)
+        return Shading(A.DIFFUSE, UNKNOWN_ALBEDO)
     if not has_nodes(material):
-        return Look(A.DIFFUSE, max(material.diffuse_color[:3]))
+        return Shading(A.DIFFUSE, max(material.diffuse_color[:3]))
     output = material.node_tree.get_output_node("CYCLES")
     if output is None:
         return NOTHING
     look = _surface(output.inputs["Surface"]) | _volume(output.inputs["Volume"])
     if material.displacement_method != "BUMP" and _displaces(output.inputs["Displacement"]):
-        look |= Look(A.DISPLACEMENT)
+        look |= Shading(A.DISPLACEMENT)
     return look
 
 
-def world_look(world: bpy.types.World | None) -> Look:
+def world_shading(world: bpy.types.World | None) -> Shading:
     """What `world` may do: emit, emit differently by direction, fill space with a volume."""
     if world is None:
         return NOTHING
     if not has_nodes(world):
-        return Look(A.EMISSION) if any(world.color) else NOTHING
+        return Shading(A.EMISSION) if any(world.color) else NOTHING
     output = world.node_tree.get_output_node("CYCLES")
     return NOTHING if output is None else _surface(output.inputs["Surface"]) | _volume(output.inputs["Volume"])
 
@@ -116,7 +117,7 @@ def light_emits(light: bpy.types.Light) -> bool:
     if not has_nodes(light):
         return True
     output = light.node_tree.get_output_node("CYCLES")
-    return output is not None and bool(_surface(output.inputs["Surface"]).abilities & A.EMISSION)
+    return output is not None and bool(_surface(output.inputs["Surface"]).interactions & A.EMISSION)
 
 
 # ------------------------------------------------------------------------------------------------------------- colours
@@ -158,81 +159,81 @@ def _shaders(socket: Any, groups: Groups = (), *, varies: bool = False) -> Itera
         yield from _shaders(side, groups, varies=varies)
 
 
-def _surface(socket: Any) -> Look:
+def _surface(socket: Any) -> Shading:
     """What the shaders at the input of an output node may do together."""
     look = NOTHING
     for out, groups, varies in _shaders(socket):
         one = _shader(out, groups)
-        look |= one | Look(A.VARYING_EMISSION) if varies and one.abilities & A.EMISSION else one
+        look |= one | Shading(A.VARYING_EMISSION) if varies and one.interactions & A.EMISSION else one
     return look
 
 
-def _shader(out: Any, groups: Groups) -> Look:
+def _shader(out: Any, groups: Groups) -> Shading:
     if out.type != "SHADER":
-        return Look(A.EMISSION | A.VARYING_EMISSION)  # Cycles shows a bare colour as emission
+        return Shading(A.EMISSION | A.VARYING_EMISSION)  # Cycles shows a bare colour as emission
     node = out.node
     if node.type in SIMPLE:
         return _simple(node, groups)
     if node.type == "BSDF_PRINCIPLED":
         return _principled(node, groups)
     if node.type in ("EMISSION", "BACKGROUND"):
-        return Look(_emitted(node, "Color", "Strength", groups))
-    return Look(ANYTHING, UNKNOWN_ALBEDO)
+        return Shading(_emitted(node, "Color", "Strength", groups))
+    return Shading(ANYTHING, UNKNOWN_ALBEDO)
 
 
-def _simple(node: Any, groups: Groups) -> Look:
+def _simple(node: Any, groups: Groups) -> Shading:
     colour = "Base Color" if "Base Color" in node.inputs else "Color"
     # The hair shaders have other ways to be coloured than by their colour.
     if not SIMPLE[node.type] & A.HAIR and not may_be_positive(node, colour, groups):
         return NOTHING
     is_passed_through = SIMPLE[node.type] in (A.TRANSPARENT, A.NOTHING)
-    return Look(SIMPLE[node.type], 0.0 if is_passed_through else _albedo(node, colour, groups))
+    return Shading(SIMPLE[node.type], 0.0 if is_passed_through else _albedo(node, colour, groups))
 
 
-def _emitted(node: Any, colour: str, strength: str, groups: Groups) -> Ability:
+def _emitted(node: Any, colour: str, strength: str, groups: Groups) -> Interaction:
     values = largest(node, colour, groups), largest(node, strength, groups)
     if 0.0 in values:
         return A.NOTHING
     return A.EMISSION | A.VARYING_EMISSION if None in values else A.EMISSION
 
 
-def _principled(node: Any, groups: Groups) -> Look:
+def _principled(node: Any, groups: Groups) -> Shading:
     """The layers of the Principled shader, from the top; each hides what is below it only where its weight is 1."""
 
     def may(name: str) -> bool:
         return may_be_positive(node, name, groups)
 
-    abilities = A.NOTHING if is_whole(node, "Alpha", groups) else A.TRANSPARENT
+    interactions = A.NOTHING if is_whole(node, "Alpha", groups) else A.TRANSPARENT
     if not may("Alpha"):
-        return Look(abilities)
-    abilities |= A.DIFFUSE if may("Sheen Weight") else A.NOTHING
-    abilities |= A.GLOSSY if may("Coat Weight") or may("Metallic") else A.NOTHING
-    abilities |= _emitted(node, "Emission Color", "Emission Strength", groups)
+        return Shading(interactions)
+    interactions |= A.DIFFUSE if may("Sheen Weight") else A.NOTHING
+    interactions |= A.GLOSSY if may("Coat Weight") or may("Metallic") else A.NOTHING
+    interactions |= _emitted(node, "Emission Color", "Emission Strength", groups)
     if not is_whole(node, "Metallic", groups):
-        abilities |= A.GLOSSY | A.REFRACTION if may("Transmission Weight") else A.NOTHING
+        interactions |= A.GLOSSY | A.REFRACTION if may("Transmission Weight") else A.NOTHING
         if not is_whole(node, "Transmission Weight", groups):
-            abilities |= _principled_base(node, groups)
-    return Look(abilities, _albedo(node, "Base Color", groups))
+            interactions |= _principled_base(node, groups)
+    return Shading(interactions, _albedo(node, "Base Color", groups))
 
 
-def _principled_base(node: Any, groups: Groups) -> Ability:
+def _principled_base(node: Any, groups: Groups) -> Interaction:
     """Diffuse below a dielectric coat, with light that spreads below the surface or passes a thin wall."""
-    abilities = A.DIFFUSE
+    interactions = A.DIFFUSE
     if may_be_positive(node, "Specular IOR Level", groups):
-        abilities |= A.GLOSSY
+        interactions |= A.GLOSSY
     if may_be_positive(node, "Subsurface Weight", groups):
-        abilities |= A.SUBSURFACE
+        interactions |= A.SUBSURFACE
         if may_be_positive(node, "Thin Wall", groups):
-            abilities |= A.TRANSLUCENT
-    return abilities
+            interactions |= A.TRANSLUCENT
+    return interactions
 
 
 # ---------------------------------------------------------------------------------------------- volume, displacement
 
 
-def _volume(socket: Any) -> Look:
+def _volume(socket: Any) -> Shading:
     """VOLUME where something is linked that can absorb, scatter or glow."""
-    return Look(A.VOLUME) if any(_fills(out.node, groups) for out, groups, _ in _shaders(socket)) else NOTHING
+    return Shading(A.VOLUME) if any(_fills(out.node, groups) for out, groups, _ in _shaders(socket)) else NOTHING
 
 
 def _fills(node: Any, groups: Groups) -> bool:

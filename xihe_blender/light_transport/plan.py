@@ -10,8 +10,8 @@ import bpy
 from xihe_blender.capture.render import RenderSettings, can_denoise, working_scene
 from xihe_blender.light_transport.enclosure import MAX_BOUNCES
 from xihe_blender.light_transport.overrides import overrides_in_force
-from xihe_blender.light_transport.reach import Reach, reach_of
 from xihe_blender.light_transport.rules import RULES, SceneFacts
+from xihe_blender.light_transport.transport_survey import TransportSurvey, survey_transport
 from xihenet.effects import Effect, Requirement, plan_effects
 
 BOUNCES = ("diffuse_bounces", "glossy_bounces", "transmission_bounces", "volume_bounces")
@@ -34,13 +34,13 @@ def required_effects(
     frames : frames to judge, each of them evaluated; None takes the scene's range and step
     """
     chosen = range(scene.frame_start, scene.frame_end + 1, scene.frame_step) if frames is None else frames
-    return required_by_reach(scene, reach_of(scene, list(chosen), camera, positions))
+    return required_by_survey(scene, survey_transport(scene, list(chosen), camera, positions))
 
 
-def required_by_reach(scene: bpy.types.Scene, reach: Reach) -> dict[str, Requirement]:
-    """The same, where it is known what light can reach."""
+def required_by_survey(scene: bpy.types.Scene, survey: TransportSurvey) -> dict[str, Requirement]:
+    """The same, where it is known what light can survey."""
     with working_scene(scene, "Xihe Effects", RenderSettings((4, 4), samples=1)) as working:
-        facts = SceneFacts(reach, scene, can_denoise(working))
+        facts = SceneFacts(survey, scene, can_denoise(working))
     return {name: rule(facts) for name, rule in RULES.items()}
 
 

@@ -1,6 +1,6 @@
 """Rules of light transport: by which signs does a scene require an effect? One for each, in `RULES`.
 
-A rule says on or off, why, and what Cycles is set to. An effect is off only where nothing that light can reach would
+A rule says on or off, why, and what Cycles is set to. An effect is off only where nothing that light can survey would
 show it, so that leaving it out cannot change the picture; "may" counts as on. Effects that belong to materials, objects
 or cameras (no setting of a scene switches them) have a rule as well, since a reader wants to know; see
 `SWITCHED_ELSEWHERE`.
@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 import bpy
 
 from xihe_blender.light_transport.enclosure import MAX_BOUNCES, bounces_needed
-from xihe_blender.light_transport.nodes import Ability
-from xihe_blender.light_transport.reach import Reach
+from xihe_blender.light_transport.nodes import Interaction
+from xihe_blender.light_transport.transport_survey import TransportSurvey
 from xihenet.effects import Requirement, Setting
 
 N_NAMED = 2
@@ -26,9 +26,9 @@ N_NAMED = 2
 
 @dataclass(frozen=True, eq=False)
 class SceneFacts:
-    """What the rules judge by: what light can reach, the scene's own settings, and whether the build can denoise."""
+    """What the rules judge by: what light can survey, the scene's own settings, and whether the build can denoise."""
 
-    reach: Reach
+    survey: TransportSurvey
     scene: bpy.types.Scene
     has_denoiser: bool
 
@@ -37,9 +37,9 @@ Rule = Callable[[SceneFacts], Requirement]
 
 
 def _diffuse_bounces(s: SceneFacts) -> Requirement:
-    worst = max(s.reach.carried, key=bounces_needed)
+    worst = max(s.survey.carried, key=bounces_needed)
     on, off = {"diffuse_bounces": bounces_needed(worst)}, {"diffuse_bounces": 0}
-    if not s.reach.which(Ability.DIFFUSE):
+    if not s.survey.which(Interaction.DIFFUSE):
         return Requirement(False, "no surface spreads light in all directions: there is no matt material", on, off)
     kept = worst[1] / worst[0] if worst[0] > 0 else 0.0
     where = "closed and bright" if kept > 0.5 else "partly open or dark" if kept > 0.15 else "open or very dark"
@@ -47,11 +47,11 @@ def _diffuse_bounces(s: SceneFacts) -> Requirement:
     return Requirement(True, reason, on, off)
 
 
-def _by_surface(kind: str, *abilities: Ability, bounces: str | None = None) -> Rule:
-    """On where anything that light reaches has one of `abilities`; `bounces` is the setting that limits them."""
+def _by_surface(kind: str, *interactions: Interaction, bounces: str | None = None) -> Rule:
+    """On where anything that light reaches has one of `interactions`; `bounces` is the setting that limits them."""
 
     def rule(s: SceneFacts) -> Requirement:
-        found = s.reach.which(*abilities)
+        found = s.survey.which(*interactions)
         reason = f"{kind.removesuffix(' material')}: {_named(found)}" if found else _none_reached(kind)
         on: Mapping[str, Setting] = {} if bounces is None else {bounces: MAX_BOUNCES}
         return Requirement(bool(found), reason, on, dict.fromkeys(on, 0))
@@ -61,17 +61,17 @@ def _by_surface(kind: str, *abilities: Ability, bounces: str | None = None) -> R
 
 def _transparency(s: SceneFacts) -> Requirement:
     # A ray through the bounds of a volume counts as one through a transparent surface.
-    abilities = (Ability.TRANSPARENT, Ability.VOLUME)
-    required = _by_surface("transparent material", *abilities, bounces="transparent_max_bounces")(s)
+    interactions = (Interaction.TRANSPARENT, Interaction.VOLUME)
+    required = _by_surface("transparent material", *interactions, bounces="transparent_max_bounces")(s)
     # So does each time that light meets a lamp and goes on behind it, without anything being transparent.
-    return replace(required, left_out=required.on) if s.reach.has_lamps else required
+    return replace(required, left_out=required.on) if s.survey.has_lamps else required
 
 
-def _caustics(kind: str, caster: Ability, does: str, setting: str) -> Rule:
+def _caustics(kind: str, caster: Interaction, does: str, setting: str) -> Rule:
     """On where something throws light onto something matt."""
 
     def rule(s: SceneFacts) -> Requirement:
-        casters, receivers = s.reach.which(caster), s.reach.which(Ability.DIFFUSE)
+        casters, receivers = s.survey.which(caster), s.survey.which(Interaction.DIFFUSE)
         if casters and receivers:
             reason = f"{does} light onto matt surfaces: {_named(casters)}"
         elif casters:
@@ -84,7 +84,7 @@ def _caustics(kind: str, caster: Ability, does: str, setting: str) -> Rule:
 
 
 def _hair(s: SceneFacts) -> Requirement:
-    strands = s.reach.strands + s.reach.which(Ability.HAIR)
+    strands = s.survey.strands + s.survey.which(Interaction.HAIR)
     return Requirement(bool(strands), _named(strands) if strands else "no hair or fur is rendered", {}, {})
 
 
@@ -92,32 +92,32 @@ def _motion_blur(s: SceneFacts) -> Requirement:
     on, off = {"use_motion_blur": True}, {"use_motion_blur": False}
     if not s.scene.render.use_motion_blur:
         return Requirement(False, "the scene has it switched off", on, off)
-    if not s.reach.is_moving:
+    if not s.survey.is_moving:
         return Requirement(False, "the scene asks for it, but neither the camera nor anything else moves", on, off)
     return Requirement(True, "the scene asks for it, and the camera or something else moves", on, off)
 
 
 def _depth_of_field(s: SceneFacts) -> Requirement:
-    cameras = s.reach.defocused
+    cameras = s.survey.defocused
     reason = f"camera {_named(cameras)} has it" if cameras else "no camera of the run has it switched on"
     return Requirement(bool(cameras), reason, {}, {})
 
 
 def _light_tree(s: SceneFacts) -> Requirement:
-    n = s.reach.n_lights
-    is_on = n > 1 or bool(s.reach.emitters)
+    n = s.survey.n_lights
+    is_on = n > 1 or bool(s.survey.emitters)
     reason = f"{n} lights to choose among, glowing objects and the world included" if n > 1 else "a single light"
-    if n == 1 and s.reach.emitters:
-        reason = f"{_named(s.reach.emitters)} glows, which makes each of its faces a light"
+    if n == 1 and s.survey.emitters:
+        reason = f"{_named(s.survey.emitters)} glows, which makes each of its faces a light"
     elif n == 0:
         reason = "there is no light"
     return Requirement(is_on, reason, {"use_light_tree": True}, {"use_light_tree": False})
 
 
 def _environment_sampling(s: SceneFacts) -> Requirement:
-    if not s.reach.world & Ability.EMISSION:
+    if not s.survey.world & Interaction.EMISSION:
         return Requirement(False, "the world gives no light", {}, {})
-    if not s.reach.world & Ability.VARYING_EMISSION:
+    if not s.survey.world & Interaction.VARYING_EMISSION:
         return Requirement(False, "the world is equally bright in all directions", {}, {})
     return Requirement(True, "the world is brighter in some directions than in others", {}, {})
 
@@ -127,7 +127,7 @@ def _denoising(s: SceneFacts) -> Requirement:
     if not s.has_denoiser:
         reason = "this build of Blender has no OpenImageDenoise: noise may trigger estimates, more samples help"
         return Requirement(False, reason, off, off)
-    if s.reach.n_lights == 0:
+    if s.survey.n_lights == 0:
         return Requirement(False, "there is no light, so there is no noise", {}, off)
     return Requirement(True, "OpenImageDenoise cleans pictures; light probes are left as they are", {}, off)
 
@@ -140,17 +140,17 @@ def _fast_gi(s: SceneFacts) -> Requirement:
 
 RULES: dict[str, Rule] = {
     "diffuse bounces": _diffuse_bounces,
-    "glossy bounces": _by_surface("glossy material", Ability.GLOSSY, bounces="glossy_bounces"),
+    "glossy bounces": _by_surface("glossy material", Interaction.GLOSSY, bounces="glossy_bounces"),
     "transmission": _by_surface(
-        "transmissive material", Ability.REFRACTION, Ability.TRANSLUCENT, bounces="transmission_bounces"
+        "transmissive material", Interaction.REFRACTION, Interaction.TRANSLUCENT, bounces="transmission_bounces"
     ),
     "transparency": _transparency,
-    "volumes": _by_surface("smoke, fog or other volume", Ability.VOLUME, bounces="volume_bounces"),
-    "reflective caustics": _caustics("glossy", Ability.GLOSSY, "reflecting", "caustics_reflective"),
-    "refractive caustics": _caustics("refracting", Ability.REFRACTION, "refracting", "caustics_refractive"),
-    "subsurface": _by_surface("subsurface material", Ability.SUBSURFACE),
+    "volumes": _by_surface("smoke, fog or other volume", Interaction.VOLUME, bounces="volume_bounces"),
+    "reflective caustics": _caustics("glossy", Interaction.GLOSSY, "reflecting", "caustics_reflective"),
+    "refractive caustics": _caustics("refracting", Interaction.REFRACTION, "refracting", "caustics_refractive"),
+    "subsurface": _by_surface("subsurface material", Interaction.SUBSURFACE),
     "hair": _hair,
-    "displacement": _by_surface("displacing material", Ability.DISPLACEMENT),
+    "displacement": _by_surface("displacing material", Interaction.DISPLACEMENT),
     "motion blur": _motion_blur,
     "depth of field": _depth_of_field,
     "light tree": _light_tree,

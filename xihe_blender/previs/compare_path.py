@@ -42,7 +42,7 @@ def compare_path(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, No
     active = [frame.frame for frame in walked.frames if frame.active]
     with contextlib.ExitStack() as stack:
         comparer = None
-        for frame in compared_frames(active, run.settings.effort.comparison_step):
+        for frame in compared_frames(active, run.settings.preset_values.comparison_step):
             yield Progress(done, max(run.total, done + 3), f"comparing frame {frame}")
             lights = walked.lights[frame]
             source = first.setdefault(_made_from(run, frame, lights), frame)

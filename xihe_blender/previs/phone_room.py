@@ -11,7 +11,13 @@ from typing import Any
 import bpy
 
 from xihe_blender.light_transport.animation import is_animated, shows_a_film
-from xihe_blender.light_transport.nodes import Ability, light_emits, material_look, smoothest_roughness, world_look
+from xihe_blender.light_transport.nodes import (
+    Interaction,
+    light_emits,
+    material_shading,
+    smoothest_roughness,
+    world_shading,
+)
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, virtual_collection
 
 
@@ -44,7 +50,7 @@ class RoomSurvey:
             if instance.show_self and not parents & self.virtual:
                 lights |= self._lights_of(instance, found)
         world = depsgraph.scene_eval.world
-        if world is not None and world_look(world).abilities & Ability.EMISSION:
+        if world is not None and world_shading(world).interactions & Interaction.EMISSION:
             lights.add(world.name)
             self.is_driven |= _may_change(world.original)
         self.lights.add(frozenset(lights))
@@ -70,7 +76,10 @@ class RoomSurvey:
         """Note the roughness of a material; whether it glows."""
         original = material.original
         if original not in self._still:
-            roughness = smoothest_roughness(material), bool(material_look(material).abilities & Ability.EMISSION)
+            roughness = (
+                smoothest_roughness(material),
+                bool(material_shading(material).interactions & Interaction.EMISSION),
+            )
             if is_animated(original):
                 found[material.name] = roughness[0]
                 return roughness[1]

@@ -24,7 +24,7 @@ from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.light_transport.render_reuse import RenderReuse, each_its_own, plan_render_reuse
 from xihe_blender.previs.phone_capture import CaptureNeeds, ChosenPhone, choose_phone
 from xihe_blender.previs.plan import PrevisPlan, Probe
-from xihe_blender.previs.sample_count import Effort, measure_effort
+from xihe_blender.previs.sample_count import SampleCount, measure_sample_count
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.previs.survey import SceneSurvey, survey_path
 from xihenet.effects import Effect, effects_as_json, effects_from_json, plan_effects
@@ -50,7 +50,7 @@ class PreparedRun:
     estimator : of the run
     exposure : of the session
     effects : which effects of light transport are simulated
-    effort : samples of captures
+    sample_count : samples of captures
     phone : the one that the user chose
     needs : what is captured, and kept beside captures
     reuse : in which earlier frame a render would come out the same
@@ -64,7 +64,7 @@ class PreparedRun:
     estimator: Estimator
     exposure: float
     effects: Mapping[str, Effect]
-    effort: Effort
+    sample_count: SampleCount
     phone: ChosenPhone
     needs: CaptureNeeds
     reuse: RenderReuse
@@ -82,11 +82,13 @@ class PreparedRun:
     @property
     def total(self) -> int:
         """Units of work for the progress: a frame to capture is one, a frame to compare three."""
-        return len(self.plan.frames) + 3 * len(range(0, len(self.plan.frames), self.settings.effort.comparison_step))
+        return len(self.plan.frames) + 3 * len(
+            range(0, len(self.plan.frames), self.settings.preset_values.comparison_step)
+        )
 
     @property
     def capture(self) -> RenderSettings:
-        return self._simulated(self.settings.capture(self.plan.size, self.effort.capture_samples))
+        return self._simulated(self.settings.capture(self.plan.size, self.sample_count.capture_samples))
 
     @property
     def reference(self) -> ProbeSettings:
@@ -123,8 +125,10 @@ def prepare_run(
     effects = _effects(scene, survey, outputs, settings)
     yield Progress(0, 1, "measuring how many samples it takes")
     transport = cycles_settings(effects)
-    effort = _once(outputs.effort, lambda: measure_effort(scene, plan, survey, settings, exposure, transport).as_json())
-    measured = Effort(**effort)
+    sample_count = _once(
+        outputs.sample_count, lambda: measure_sample_count(scene, plan, survey, settings, exposure, transport).as_json()
+    )
+    measured = SampleCount(**sample_count)
     settings = replace(settings, trigger=above_noise(settings.trigger, measured.capture_change))
     phone = choose_phone(scene, survey, settings)
     reuse = render_reuse(survey, effects, phone.needs)

@@ -26,7 +26,7 @@ from xihe_blender.previs.phone_errors import measure_phone
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.prepare import prepare_run, survey_run
 from xihe_blender.previs.run_chain import walk_path
-from xihe_blender.previs.run_folder import finished_results, run_claim
+from xihe_blender.previs.run_folder import finished_results, run_manifest
 from xihe_blender.previs.settings import PrevisSettings, load_estimator
 from xihe_blender.report import write_report
 from xihe_blender.scene.state import scene_kept
@@ -53,15 +53,15 @@ def previs(
     estimator = load_estimator(settings)
     file = blend_file or Path(bpy.data.filepath or "untitled.blend")
     outputs = RunOutputs(out, file.stem)
-    claim = run_claim(outputs, scene, file, settings, plan)
-    finished = finished_results(outputs) if claim.check() else None
+    manifest = run_manifest(outputs, scene, file, settings, plan)
+    finished = finished_results(outputs) if manifest.check() else None
     if finished is not None:
         yield Progress(1, 1, f"this run is already done; delete {out} to do it again")
         return finished
     yield Progress(0, 1, "surveying the path")
     survey = survey_run(scene, plan, outputs)
     # Not before: a scene that cannot be run leaves no folder.
-    claim.take()
+    manifest.take()
     with scene_kept():
         run = yield from prepare_run(scene, plan, survey, outputs, settings, estimator)
         walked = yield from walk_path(run)

@@ -90,12 +90,12 @@ def active_frame(
 
 def rendering(frame: int, references: Mapping[str, MeasuredLight], run: PreparedRun) -> Rendering:
     """What was rendered for `frame`, with how many samples and what noise, and what an earlier frame had already."""
-    reuse, effort = run.reuse, run.effort
+    reuse, sample_count = run.reuse, run.sample_count
     return Rendering(
         capture=CaptureRender(
             **_source(frame, reuse.captures[frame]),
-            samples=effort.capture_samples,
-            noise=finite_or_none(effort.capture_noise),
+            samples=sample_count.capture_samples,
+            noise=finite_or_none(sample_count.capture_noise),
         ),
         probes={
             name: _probe_render(_source(frame, reuse.probes[frame, name]), light, run)
@@ -240,7 +240,7 @@ def assemble(
             for name, of_one in lights.items()
         },
         comparison=comparison,
-        summary=summary(frames, comparison, run.effort.pilot_s),
+        summary=summary(frames, comparison, run.sample_count.pilot_s),
         notes=tuple(notes(run, frames, phone)),
     )
 
@@ -256,7 +256,7 @@ def other_effects(scene: bpy.types.Scene) -> dict[str, Effect]:
 
 
 def _settings(run: PreparedRun) -> RunSettings:
-    settings, effort, preset = run.settings, run.effort, run.settings.effort
+    settings, sample_count, preset = run.settings, run.sample_count, run.settings.preset_values
     has_target = settings.samples is None
     return RunSettings(
         estimator=settings.estimator,
@@ -275,11 +275,11 @@ def _settings(run: PreparedRun) -> RunSettings:
         trigger=asdict(settings.trigger),
         following=None if settings.following is None else asdict(settings.following),
         samples=SampleCounts(
-            capture=effort.capture_samples, truth=run.reference.max_samples, comparison=preset.comparison_samples
+            capture=sample_count.capture_samples, truth=run.reference.max_samples, comparison=preset.comparison_samples
         ),
         noise_target=settings.noise_aim if has_target else None,
         noise=NoiseLevels(
-            capture=effort.capture_noise, truth=run.reference.noise_target, trigger=effort.capture_change
+            capture=sample_count.capture_noise, truth=run.reference.noise_target, trigger=sample_count.capture_change
         ),
         truth_size=(run.reference.size, run.reference.size),
         comparison_step=preset.comparison_step,

@@ -11,7 +11,7 @@ from xihe_blender.apply.datablocks import PREFIX
 from xihe_blender.io.run_results import FrameResult, ProbeResult
 from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.prepare import PreparedRun
-from xihe_blender.previs.sample_count import Effort
+from xihe_blender.previs.sample_count import SampleCount
 from xihe_blender.previs.scene_faults import SceneFault
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.units import format_units
@@ -33,7 +33,7 @@ def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone
         *dim_notes(run.scene, run.exposure),
         *phone.notes(),
         *exposure_notes(run.settings, run.exposure),
-        *noise_notes(run.settings, run.effort, frames),
+        *noise_notes(run.settings, run.sample_count, frames),
         *white_notes(frames),
     ]
 
@@ -42,38 +42,38 @@ def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult]) -> list[s
     """How the numbers came about, and which frames have none."""
     own = scene.view_settings.view_transform
     aside = "as the scene has it" if own == "Standard" else f"the scene's own, {own}, would bend the comparison"
-    said = [
+    notes = [
         f"Pictures are made with the Standard view transform: {aside}.",
         "Image metrics count the pixels that virtual objects cover, by how much they cover; psnr and ssim on "
         "sRGB-encoded colour, the others on linear colour at the session's exposure.",
         "The shadow that a virtual object casts on the room is in the ground truth but not in the methods' pictures.",
         "In the pictures `truth` is the whole light of the rendered probe as order-2 SH, not clipped.",
     ]
-    said += [note for note in (format_units(scene), said_of_scenes(scene)) if note is not None]
+    notes += [note for note in (format_units(scene), other_scenes_note(scene)) if note is not None]
     undelivered = sum(not entry.is_delivered for entry in frames)
     if undelivered:
-        said.append(f"{undelivered} of {len(frames)} frames of the path came too soon after another for the phone.")
+        notes.append(f"{undelivered} of {len(frames)} frames of the path came too soon after another for the phone.")
     inactive = [entry.frame for entry in frames if not entry.active and entry.is_delivered]
     if inactive:
         frames_were = ("1 frame", "was") if len(inactive) == 1 else (f"{len(inactive)} frames", "were")
-        said.append("{} had no estimation position in view and {} not captured.".format(*frames_were))
+        notes.append("{} had no estimation position in view and {} not captured.".format(*frames_were))
     lost = sum(n for entry in frames for n in entry.n_lost_pixels.values())
     if lost:
-        said.append(f"The phone's range sensor had no answer in {lost} captured pixels; they gave no point.")
+        notes.append(f"The phone's range sensor had no answer in {lost} captured pixels; they gave no point.")
     invalid = sum(entry.n_invalid_pixels for entry in frames) - lost
     if invalid > 0:
-        said.append(f"{invalid} captured pixels had no plane depth (open sky or a window) and gave no point.")
-    return said + said_of_unknown_lights(frames) + said_of_following(frames)
+        notes.append(f"{invalid} captured pixels had no plane depth (open sky or a window) and gave no point.")
+    return notes + unknown_light_notes(frames) + following_notes(frames)
 
 
-def said_of_following(frames: Sequence[FrameResult]) -> list[str]:
+def following_notes(frames: Sequence[FrameResult]) -> list[str]:
     """A sentence where a change of the light was carried on to what was out of view."""
     when = [entry.frame for entry in frames if any(probe.n_followed_anchors for probe in entry.probes)]
-    told = "the light in view changed as a whole; directions out of view were changed alike, which is a guess"
-    return [f"At {format_frames(when)} {told}."] if when else []
+    sentence = "the light in view changed as a whole; directions out of view were changed alike, which is a guess"
+    return [f"At {format_frames(when)} {sentence}."] if when else []
 
 
-def said_of_unknown_lights(frames: Sequence[FrameResult]) -> list[str]:
+def unknown_light_notes(frames: Sequence[FrameResult]) -> list[str]:
     """A sentence for each position and reason why its light could not be known, and which light it kept."""
     kept: dict[tuple[str, str, int | None], list[int]] = {}
     for entry in frames:
@@ -99,10 +99,10 @@ def faults_seen(faults: Sequence[SceneFault], frames: Sequence[FrameResult], n_p
     unlit = [e for e in active if e not in blind and not _is_lit(e) and any(map(_is_probe_lit, e.probes))]
     dark = {p.name: None for e in active if _is_lit(e) for p in e.probes if not _is_probe_lit(p)}
     unseen = [e for e in frames if e.compared and all(m.rmse is None for m in e.compared.comparison.values())]
-    said = [fault.said for fault in faults]
+    notes = [fault.said for fault in faults]
     if active and not any(_is_lit(e) or any(map(_is_probe_lit, e.probes)) for e in active):
-        said.append("Neither the phone nor a light probe saw any light: is every lamp off, or hidden in renders?")
-    said += [f"The light probe of {name!r} saw no light where the phone did: is it inside an object?" for name in dark]
+        notes.append("Neither the phone nor a light probe saw any light: is every lamp off, or hidden in renders?")
+    notes += [f"The light probe of {name!r} saw no light where the phone did: is it inside an object?" for name in dark]
     for entries, words in (
         (blind, "showed no surface at all: check the camera's clip range, and where it stands"),
         (unlit, "showed no light, but a light probe did: is the camera inside an object?"),
@@ -110,8 +110,8 @@ def faults_seen(faults: Sequence[SceneFault], frames: Sequence[FrameResult], n_p
     ):
         if entries:
             which = f"Frame {entries[0].frame}" if len(entries) == 1 else f"{len(entries)} frames"
-            said.append(f"{which} {words}" + ("" if words.endswith("?") else "."))
-    return said
+            notes.append(f"{which} {words}" + ("" if words.endswith("?") else "."))
+    return notes
 
 
 def dim_notes(scene: bpy.types.Scene, exposure: float) -> list[str]:
@@ -134,7 +134,7 @@ def _is_probe_lit(probe: ProbeResult) -> bool:
     return any(abs(channel) > FAINTEST for coefficient in probe.sh_truth for channel in coefficient)
 
 
-def said_of_scenes(scene: bpy.types.Scene) -> str | None:
+def other_scenes_note(scene: bpy.types.Scene) -> str | None:
     """A sentence where the file has more scenes of the user's than the one that was run; None where it has not."""
     n_scenes = sum(other == scene or not other.name.startswith(PREFIX) for other in bpy.data.scenes)
     return None if n_scenes == 1 else f"The file has {n_scenes} scenes; this is a run of {scene.name!r} alone."
@@ -160,14 +160,14 @@ def white_notes(frames: Sequence[FrameResult]) -> list[str]:
     ]
 
 
-def noise_notes(settings: PrevisSettings, effort: Effort, frames: Sequence[FrameResult]) -> list[str]:
+def noise_notes(settings: PrevisSettings, sample_count: SampleCount, frames: Sequence[FrameResult]) -> list[str]:
     """A sentence for each kind of render whose noise is above the target at the most samples the preset allows."""
-    target, most = settings.noise_aim, settings.effort.max_samples
+    target, most = settings.noise_aim, settings.preset_values.max_samples
     notes = []
-    if effort.capture_noise is not None and effort.capture_noise > target:
+    if sample_count.capture_noise is not None and sample_count.capture_noise > target:
         notes.append(
-            f"The noise of captures is {effort.capture_noise:.1%} of the light, above the target of {target:.1%}: the "
-            f"preset stops at {most} samples."
+            f"The noise of captures is {sample_count.capture_noise:.1%} of the light, above the target of "
+            f"{target:.1%}: the preset stops at {most} samples."
         )
     probes = [probe for entry in frames if entry.rendering for probe in entry.rendering.probes.values()]
     capped = [probe.noise for probe in probes if probe.is_capped and probe.noise is not None]

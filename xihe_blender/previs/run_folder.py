@@ -10,20 +10,20 @@ from typing import Any
 
 import bpy
 
-from xihe_blender.io.folder_claim import FolderClaim
+from xihe_blender.io.folder_manifest import FolderManifest
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.previs.plan import PrevisPlan
 from xihe_blender.previs.settings import PrevisSettings
 from xihenet import __version__
 
 
-def run_claim(
+def run_manifest(
     outputs: RunOutputs, scene: bpy.types.Scene, file: Path, settings: PrevisSettings, plan: PrevisPlan
-) -> FolderClaim:
-    """The claim to the run's folder, not yet taken."""
+) -> FolderManifest:
+    """The manifest of the run's folder, not yet written."""
     leaves = (outputs.results, outputs.report, outputs.lit_blend)
-    made_with = run_identity(scene, file, settings, plan)
-    return FolderClaim(outputs.folder, outputs.settings, "a run", made_with, leaves)
+    provenance = run_identity(scene, file, settings, plan)
+    return FolderManifest(outputs.folder, outputs.settings, "a run", provenance, leaves)
 
 
 def run_identity(scene: bpy.types.Scene, file: Path, settings: PrevisSettings, plan: PrevisPlan) -> dict[str, Any]:
@@ -36,7 +36,7 @@ def run_identity(scene: bpy.types.Scene, file: Path, settings: PrevisSettings, p
         "settings": asdict(settings),
         # A file of the user's may have changed since.
         "phone": asdict(settings.profile),
-        "effort": asdict(settings.effort),
+        "preset": asdict(settings.preset_values),
         "frames": plan.frames,
         "size": plan.size,
         "objects": [item.name for item in plan.objects],

@@ -144,7 +144,7 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
     probe_loaded_s, probe = _timed_probe(run, frames)
     yield Progress(3, 4, "measuring a comparison")
     comparison_loaded_s, comparison = _timed_comparison(run, frames, captured)
-    n_comparisons = len(compared_frames(list(run.reuse.captures), run.settings.effort.comparison_step))
+    n_comparisons = len(compared_frames(list(run.reuse.captures), run.settings.preset_values.comparison_step))
     return RunTime(
         prepared_s + capture_loaded_s + probe_loaded_s + comparison_loaded_s,
         len(run.plan.frames) + n_comparisons + N_OTHER_STEPS,

@@ -125,7 +125,7 @@ def fit_noise(
 
 
 @dataclass(frozen=True)
-class Effort:
+class SampleCount:
     """Samples of captures, and what noise does at them; None where none was measured.
 
     Parameters
@@ -142,37 +142,37 @@ class Effort:
     capture_change: float | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """As the run's folder keeps it, for `Effort(**...)`."""
+        """As the run's folder keeps it, for `SampleCount(**...)`."""
         return asdict(self)
 
 
-def measure_effort(
+def measure_sample_count(
     scene: bpy.types.Scene,
     plan: PrevisPlan,
     survey: SceneSurvey,
     settings: PrevisSettings,
     exposure: float,
     light_transport: tuple[tuple[str, bool | int], ...] = (),
-) -> Effort:
+) -> SampleCount:
     """The samples that reach `settings.noise_target` in captures of a run on `scene`.
 
     With `settings.samples` these, and nothing is rendered. The same goes for a path that never sees a position: it
     gets the maximum. The same seed gives the same numbers.
     """
-    preset = settings.effort
+    preset = settings.preset_values
     if settings.samples is not None:
-        return Effort(settings.samples)
+        return SampleCount(settings.samples)
     start = time.perf_counter()
     maximum = preset.max_samples
     views = pilot_views(plan, survey)
     if not views:
-        return Effort(maximum)
+        return SampleCount(maximum)
     n_small = pilot_samples(preset)
     capture = replace(settings.capture(plan.size, n_small), light_transport=light_transport)
     noise, change = measure_captures(scene, views, capture, exposure, settings.n_anchors, settings.trigger)
     n_samples = samples_taken(preset, noise, settings.noise_aim)
     elapsed_s = time.perf_counter() - start
-    return Effort(n_samples, noise.noise(n_samples), elapsed_s, change * min(1.0, n_small / n_samples))
+    return SampleCount(n_samples, noise.noise(n_samples), elapsed_s, change * min(1.0, n_small / n_samples))
 
 
 def pilot_samples(preset: Preset) -> int:

@@ -140,7 +140,7 @@ class PrevisSettings:
                 )
 
     @property
-    def effort(self) -> Preset:
+    def preset_values(self) -> Preset:
         return PRESETS[self.preset]
 
     @property
@@ -163,7 +163,7 @@ class PrevisSettings:
     @property
     def noise_aim(self) -> float:
         """The noise target in force: the user's or the preset's."""
-        return self.effort.noise_target if self.noise_target is None else self.noise_target
+        return self.preset_values.noise_target if self.noise_target is None else self.noise_target
 
     def capture(self, size: tuple[int, int], samples: int) -> RenderSettings:
         return RenderSettings(size, samples, self.seed)
@@ -174,11 +174,11 @@ class PrevisSettings:
         if self.samples is not None:
             return ProbeSettings(max_samples=self.samples, noise_target=None, seed=self.seed)
         return ProbeSettings(
-            max_samples=self.effort.probe_samples, noise_target=RULER_SHARE * self.noise_aim, seed=self.seed
+            max_samples=self.preset_values.probe_samples, noise_target=RULER_SHARE * self.noise_aim, seed=self.seed
         )
 
     def comparison(self, size: tuple[int, int]) -> RenderSettings:
-        return RenderSettings(size, self.effort.comparison_samples, self.seed)
+        return RenderSettings(size, self.preset_values.comparison_samples, self.seed)
 
 
 def load_estimator(settings: PrevisSettings) -> Estimator:

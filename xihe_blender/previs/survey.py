@@ -20,9 +20,9 @@ from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import phone_camera
 from xihe_blender.errors import UserError
 from xihe_blender.light_transport.inspection import open_inspection
-from xihe_blender.light_transport.plan import required_by_reach
-from xihe_blender.light_transport.reach import ReachSurvey
+from xihe_blender.light_transport.plan import required_by_survey
 from xihe_blender.light_transport.render_reuse import SceneState, StateSurvey
+from xihe_blender.light_transport.transport_survey import TransportSurveyor
 from xihe_blender.previs.phone_room import RoomSurvey
 from xihe_blender.previs.plan import PrevisPlan, Probe
 from xihe_blender.previs.scene_faults import SceneFault, faults_at_frame, image_faults, place_faults
@@ -108,7 +108,7 @@ def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
 
     UserError for a frame without a phone's camera, or with numbers that Cycles leaves out.
     """
-    reach = ReachSurvey(plan.frames, [probe.position_m.tolist() for probe in plan.probes])
+    transport = TransportSurveyor(plan.frames, [probe.position_m.tolist() for probe in plan.probes])
     states, room = StateSurvey(scene), RoomSurvey(scene)
     views: dict[int, CameraView] = {}
     faults = image_faults(scene.world)
@@ -122,9 +122,9 @@ def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
                 views[frame] = _view(working)
             if is_on_path:
                 faults += faults_at_frame(working.view_layers[0].depsgraph, is_first=frame == plan.frames[0])
-                inspection.look_at(frame, reach.look_at, states.look_at, room.look_at)
-        reached = reach.ended(inspection, has_motion_blur=scene.render.use_motion_blur)
-    required = required_by_reach(scene, reached)
+                inspection.look_at(frame, transport.look_at, states.look_at, room.look_at)
+        surveyed = transport.ended(inspection, has_motion_blur=scene.render.use_motion_blur)
+    required = required_by_survey(scene, surveyed)
     faults += _faults_of_places(scene, plan, views)
     frames = {
         frame: SurveyedFrame(

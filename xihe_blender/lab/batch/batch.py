@@ -10,7 +10,7 @@ from typing import Any
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.lab.batch.grid import BatchSettings, Unit, check_settings, planned_units
 from xihe_blender.lab.batch.report import write_report
-from xihe_blender.lab.batch.results import BatchFolder, batch_results, claim_of, read_frontier, write_tables
+from xihe_blender.lab.batch.results import BatchFolder, batch_results, manifest_of, read_frontier, write_tables
 from xihe_blender.lab.workers.dask_workers import DaskWorkers, dashboard, open_dask_workers
 
 
@@ -50,20 +50,20 @@ def evaluate_batch(
     check_settings(settings, seeds)
     measured = read_frontier(frontier, folder)
     kept = BatchFolder(folder.resolve())
-    claim = claim_of(kept, settings)
-    claim.check()
+    manifest = manifest_of(kept, settings)
+    manifest.check()
     units, broken = planned_units(scenes, seeds)
     failed = {str(scene): reason for scene, reason in broken.items()}
     missing = [unit for unit in units if kept.result(unit) is None]
     if missing:
         with open_dask_workers(None if n_workers is None else min(n_workers, len(missing)), scheduler) as workers:
-            claim.take()
+            manifest.take()
             workers.check_workers(str(kept.path), sorted({str(unit.scene) for unit in missing}))
             yield Progress(0, len(missing), f"{len(missing)} of {len(units)} units to do; {dashboard(workers)}")
             yield from _evaluated(workers, kept, settings, missing)
             names = {unit.name: f"{unit.scene} (seed {unit.seed})" for unit in units}
             failed |= {names[name]: reason for name, reason in workers.failed.items()}
-    claim.take()
+    manifest.take()
     results = batch_results(kept, settings, units, failed)
     write_tables(kept, results)
     write_report(kept, results, measured)

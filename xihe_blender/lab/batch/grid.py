@@ -74,7 +74,7 @@ class BatchSettings:
         return BatchSettings(**known)
 
     @property
-    def made_with(self) -> dict[str, Any]:
+    def provenance(self) -> dict[str, Any]:
         """What decides the numbers of every unit of a folder, besides its scene and its seed."""
         profiles = {name: asdict(load_profile(name)) for name in self.phones}
         return {"format": FORMAT_VERSION, "xihe": __version__, "settings": self.as_json(), "profiles": profiles}

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from xihe_blender.errors import UserError
-from xihe_blender.io.folder_claim import FolderClaim
+from xihe_blender.io.folder_manifest import FolderManifest
 from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.run_results import METRICS
 from xihe_blender.lab.batch.grid import BatchSettings, Unit
@@ -59,7 +59,7 @@ class BatchFolder:
     path: Path
 
     @property
-    def claim(self) -> Path:
+    def manifest(self) -> Path:
         return self.path / "batch.json"
 
     @property
@@ -85,9 +85,9 @@ class BatchFolder:
         return content if isinstance(content, dict) else None
 
 
-def claim_of(folder: BatchFolder, settings: BatchSettings) -> FolderClaim:
+def manifest_of(folder: BatchFolder, settings: BatchSettings) -> FolderManifest:
     """That the folder is for such a batch. Scenes and seeds may be others."""
-    return FolderClaim(folder.path, folder.claim, "a batch", settings.made_with, (folder.results,))
+    return FolderManifest(folder.path, folder.manifest, "a batch", settings.provenance, (folder.results,))
 
 
 def batch_results(

@@ -117,7 +117,7 @@ class ComparedUnit:
 def compare_unit(runs: Sequence[PreparedRun], walks: Sequence[WalkedPath]) -> Generator[Progress, None, ComparedUnit]:
     """A job: every trial against the truth, at the frames that `xihe previs` would compare."""
     first = runs[0]
-    step = first.settings.effort.comparison_step
+    step = first.settings.preset_values.comparison_step
     wanted = [compared_frames([frame.frame for frame in walked.frames if frame.active], step) for walked in walks]
     frames = sorted(frozenset[int]().union(*wanted))
     by_trial: list[dict[int, dict[str, float | None]]] = [{} for _ in runs]

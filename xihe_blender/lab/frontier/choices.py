@@ -98,7 +98,7 @@ class RenderChoice:
 
 
 @dataclass(frozen=True)
-class Effort:
+class StudySize:
     """How much is measured.
 
     Parameters
@@ -125,8 +125,8 @@ class Effort:
     n_picture_views: int
 
 
-FULL = Effort(24, 8, 32, 25, 3, 2, 256, (1, 2, 4, 8, 16, 32, 64), 2)
-QUICK = Effort(6, 4, 16, 15, 1, 2, 96, (1, 4, 16), 0)
+FULL = StudySize(24, 8, 32, 25, 3, 2, 256, (1, 2, 4, 8, 16, 32, 64), 2)
+QUICK = StudySize(6, 4, 16, 15, 1, 2, 96, (1, 4, 16), 0)
 
 
 def compute_choices(*, is_quick: bool) -> list[ComputeChoice]:
@@ -163,23 +163,23 @@ def _other_estimators() -> Iterable[ComputeChoice]:
 
 
 def render_choices(
-    presets: Mapping[str, RenderChoice], size: tuple[int, int], effort: Effort, *, is_quick: bool
+    presets: Mapping[str, RenderChoice], size: tuple[int, int], study_size: StudySize, *, is_quick: bool
 ) -> list[RenderChoice]:
     """Ways to render a frame, those of the presets first; `size` is that of a phone's frame."""
     middle = presets["draft" if is_quick else "balanced"].samples
     half, quarter = ((size[0] // k, size[1] // k) for k in (2, 4))
     base = RenderChoice(size, middle)
     single = [
-        *(replace(base, samples=n) for n in effort.ladder),
+        *(replace(base, samples=n) for n in study_size.ladder),
         *(replace(base, max_bounces=n) for n in ((0, 2) if is_quick else (0, 1, 2, 4, 8))),
         replace(base, is_denoised=False),
         *(replace(base, size=smaller) for smaller in (half, quarter)),
     ]
     combined = [
-        *(replace(base, size=half, samples=n) for n in effort.ladder if n >= 4),
-        *(replace(base, size=quarter, samples=n) for n in effort.ladder if n >= 16),
-        *(replace(base, size=half, samples=n, is_denoised=False) for n in effort.ladder if n == 16),
-        *(replace(base, samples=n, max_bounces=2) for n in effort.ladder if n == 1),
+        *(replace(base, size=half, samples=n) for n in study_size.ladder if n >= 4),
+        *(replace(base, size=quarter, samples=n) for n in study_size.ladder if n >= 16),
+        *(replace(base, size=half, samples=n, is_denoised=False) for n in study_size.ladder if n == 16),
+        *(replace(base, samples=n, max_bounces=2) for n in study_size.ladder if n == 1),
     ]
     own = {replace(choice, preset=None) for choice in presets.values()}
     others = dict.fromkeys(choice for choice in (*single, *combined) if choice not in own)

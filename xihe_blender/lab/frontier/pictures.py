@@ -71,7 +71,7 @@ class PictureStudy:
 
     @property
     def views(self) -> Sequence[View]:
-        return self.renders.views[: self.renders.effort.n_picture_views]
+        return self.renders.views[: self.renders.study_size.n_picture_views]
 
     def kept(self, view: View) -> Path:
         return self.folder / f"pictures_{view.frame:04d}.json"
@@ -140,7 +140,7 @@ def _compared(
     """With all methods, on all cores, by another seed."""
     renders = study.renders
     with open_comparer(renders.scanner.scene, study.plan.objects, list(lights), study.settings) as comparer:
-        _set_up(comparer, samples, (renders.seed + renders.effort.n_seeds) % MAX_SEED, n_threads=0)
+        _set_up(comparer, samples, (renders.seed + renders.study_size.n_seeds) % MAX_SEED, n_threads=0)
         return comparer.render_comparison(captured, lights)
 
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from xihe_blender.lab.frontier.timing import Spread
+from xihe_blender.lab.frontier.timing import Quartiles
 from xihenet.formats import format_setting
 from xihenet.pareto import dominators, front_share, on_front
 
@@ -95,7 +95,7 @@ def _judged(
 ) -> list[dict[str, Any]]:
     square_errors = np.array([one.square_errors[kind] for one in measured]).T
     times_ms = np.array([one.times_ms for one in measured]).T
-    errors, times = np.sqrt(square_errors.mean(axis=0)), [Spread.of(one.times_ms) for one in measured]
+    errors, times = np.sqrt(square_errors.mean(axis=0)), [Quartiles.of(one.times_ms) for one in measured]
     medians = np.array([each.median for each in times])
     is_on_front, instead = on_front(errors, medians), dominators(errors, medians)
     share = front_share(square_errors, times_ms, rng)
@@ -105,7 +105,7 @@ def _judged(
             "front": front,
             "settings": {"error_kind": kind, **one.settings},
             "error": float(errors[index]),
-            "error_spread": Spread.of(np.sqrt(square_errors[:, index])).spread,
+            "error_spread": Quartiles.of(np.sqrt(square_errors[:, index])).spread,
             "time_ms": times[index].median,
             "spread_ms": times[index].spread,
             "on_front": bool(is_on_front[index]),

@@ -20,7 +20,7 @@ import numpy as np
 from xihe_blender.capture.render import MAX_SEED
 from xihe_blender.capture.scanner import CyclesScanner
 from xihe_blender.io.outputs import write_json
-from xihe_blender.lab.frontier.choices import EXHAUSTIVE, ComputeChoice, Effort, RenderChoice
+from xihe_blender.lab.frontier.choices import EXHAUSTIVE, ComputeChoice, RenderChoice, StudySize
 from xihe_blender.lab.frontier.compute import ChoiceBackend, light_of_frame, square_errors
 from xihe_blender.lab.frontier.points import Measured
 from xihe_blender.lab.frontier.steps import Steps, within
@@ -50,7 +50,7 @@ class RenderStudy:
     views : where; at least one
     choices : the ways to render
     exhaustive : the one that all are held against
-    effort : see there
+    study_size : see there
     seed : of the run
     folder : keeps what is rendered, so that a run that was stopped goes on
     """
@@ -59,7 +59,7 @@ class RenderStudy:
     views: Sequence[View]
     choices: Sequence[RenderChoice]
     exhaustive: RenderChoice
-    effort: Effort
+    study_size: StudySize
     seed: int
     folder: Path
 
@@ -78,13 +78,13 @@ def measure_rendering(
     all_backends = {**backends, EXHAUSTIVE: ChoiceBackend(EXHAUSTIVE)}
     rounds: list[dict[str, Any]] = []
     truths: list[dict[ComputeChoice, list[ArrayF64]]] = []
-    n_parts = len(study.views) * (1 + study.effort.n_seeds)
+    n_parts = len(study.views) * (1 + study.study_size.n_seeds)
     for number, view in enumerate(study.views):
-        before = number * (1 + study.effort.n_seeds)
+        before = number * (1 + study.study_size.n_seeds)
         yield before / n_parts, f"rendering frame {view.frame} exhaustively"
         exhaustive = _kept_reference(study, view)
-        truths += [_lights(all_backends, exhaustive, view, study.scanner.exposure)] * study.effort.n_seeds
-        for seed in range(study.effort.n_seeds):
+        truths += [_lights(all_backends, exhaustive, view, study.scanner.exposure)] * study.study_size.n_seeds
+        for seed in range(study.study_size.n_seeds):
             if not study.round(view, seed).exists():
                 taken = _render_round(study, view, seed, backends, rng)
                 content = yield from within((before + 1 + seed) / n_parts, 1 / n_parts, taken)
@@ -101,7 +101,7 @@ def _kept_reference(study: RenderStudy, view: View) -> RgbdFrame:
     path = study.reference(view)
     if not path.exists():
         study.scanner.move_to(view.frame)
-        seed = (study.seed + study.effort.n_seeds) % MAX_SEED
+        seed = (study.seed + study.study_size.n_seeds) % MAX_SEED
         path.parent.mkdir(parents=True, exist_ok=True)
         save_frame(path, rendered(study.scanner, study.exhaustive, seed, n_threads=0))
     return load_frame(path)

@@ -22,7 +22,7 @@ from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_p
 from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.capture.scanner import CyclesScanner, meter_exposure, open_scanner
 from xihe_blender.errors import UserError
-from xihe_blender.io.folder_claim import FolderClaim
+from xihe_blender.io.folder_manifest import FolderManifest
 from xihe_blender.io.outputs import as_json, write_csv, write_json
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress
@@ -31,8 +31,8 @@ from xihe_blender.lab.frontier.choices import (
     FULL,
     QUICK,
     ComputeChoice,
-    Effort,
     RenderChoice,
+    StudySize,
     compute_choices,
     render_choices,
 )
@@ -42,7 +42,7 @@ from xihe_blender.lab.frontier.points import Measured, points_of
 from xihe_blender.lab.frontier.rendering import RenderStudy, View, measure_rendering
 from xihe_blender.lab.frontier.report import report_page
 from xihe_blender.lab.frontier.steps import Steps, part_of
-from xihe_blender.lab.frontier.timing import Spread
+from xihe_blender.lab.frontier.timing import Quartiles
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.plan import PrevisPlan, evenly_chosen, plan_previs
@@ -78,13 +78,13 @@ class FrontierSettings:
     is_quick : fewer choices
     seed : of everything that is random
     size : of the largest frame; None takes that of a run
-    effort : None takes QUICK or FULL
+    study_size : None takes QUICK or FULL
     """
 
     is_quick: bool = False
     seed: int = 0
     size: tuple[int, int] | None = None
-    effort: Effort | None = None
+    study_size: StudySize | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.seed <= MAX_SEED:
@@ -103,15 +103,15 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
         raise UserError(f"two scenes are named {twice[0]!r}: results go by name, so rename one")
     for file in files:
         survey_scene(open_blend(file), settings.size)
-    _claim(out, files, settings).take()
+    _manifest(out, files, settings).take()
     kept = []
     for number, file in enumerate(files):
         path = out / "work" / file.stem / "measured.json"
         if not path.exists():
             scene = open_blend(file)
-            effort = settings.effort or (QUICK if settings.is_quick else FULL)
+            study_size = settings.study_size or (QUICK if settings.is_quick else FULL)
             surveyed = survey_scene(scene, settings.size)
-            study = SceneStudy(scene, file.stem, *surveyed, path.parent, settings.is_quick, settings.seed, effort)
+            study = SceneStudy(scene, file.stem, *surveyed, path.parent, settings.is_quick, settings.seed, study_size)
             write_json(path, (yield from measure_scene(study, float(number), float(len(files)))))
         kept.append(json.loads(path.read_text(encoding="utf-8")))
     content = assembled(names, kept, settings, command)
@@ -142,14 +142,14 @@ def assembled(
     }
 
 
-def _claim(out: Path, files: Sequence[Path], settings: FrontierSettings) -> FolderClaim:
-    made_with = {
+def _manifest(out: Path, files: Sequence[Path], settings: FrontierSettings) -> FolderManifest:
+    provenance = {
         "xihe": __version__,
         "blender": bpy.app.version_string,
         "scenes": {file.stem: hashlib.sha256(file.read_bytes()).hexdigest() for file in files},
         "settings": asdict(settings),
     }
-    return FolderClaim(out, out / "work" / "settings.json", "a frontier", made_with, (out / "frontier.json",))
+    return FolderManifest(out, out / "work" / "settings.json", "a frontier", provenance, (out / "frontier.json",))
 
 
 def _write(out: Path, content: dict[str, Any]) -> None:
@@ -179,7 +179,7 @@ class SceneStudy:
     folder: Path
     is_quick: bool
     seed: int
-    effort: Effort
+    study_size: StudySize
 
 
 @dataclass(frozen=True)
@@ -194,7 +194,7 @@ class Prepared:
 def measure_scene(study: SceneStudy, done: float, whole: float) -> Job[dict[str, Any]]:
     """All that was measured on a scene, as JSON: fronts [Measured], estimators that are missing, facts."""
     rng = np.random.default_rng(study.seed)
-    effort, size = study.effort, study.plan.size
+    study_size, size = study.study_size, study.plan.size
 
     def share(name: str, steps: Steps[Any]) -> Job[Any]:
         nonlocal done
@@ -204,23 +204,23 @@ def measure_scene(study: SceneStudy, done: float, whole: float) -> Job[dict[str,
 
     with scene_kept():
         prepared = yield from share("preparing", prepare(study))
-        capture = RenderSettings(size, effort.walk_samples, study.seed, light_transport=prepared.light_transport)
+        capture = RenderSettings(size, study_size.walk_samples, study.seed, light_transport=prepared.light_transport)
         with open_scanner(study.scene, capture) as scanner:
             scanner.exposure = prepared.exposure
             walk = yield from share("walking", _walk(study, prepared, scanner))
             backends, missing = loaded(compute_choices(is_quick=study.is_quick))
-            computed = yield from share("computing", measure_compute(backends, walk, effort.n_rounds, rng))
+            computed = yield from share("computing", measure_compute(backends, walk, study_size.n_rounds, rng))
             renders = RenderStudy(
                 scanner,
-                _views(walk, effort.n_views),
-                render_choices(prepared.presets, size, effort, is_quick=study.is_quick),
-                RenderChoice(size, effort.reference_samples),
-                effort,
+                _views(walk, study_size.n_views),
+                render_choices(prepared.presets, size, study_size, is_quick=study.is_quick),
+                RenderChoice(size, study_size.reference_samples),
+                study_size,
                 study.seed,
                 study.folder,
             )
             computing_ms = {
-                choice: Spread.of(one.times_ms).median for choice, one in zip(backends, computed, strict=True)
+                choice: Quartiles.of(one.times_ms).median for choice, one in zip(backends, computed, strict=True)
             }
             rendered, together = yield from share("rendering", measure_rendering(renders, computing_ms, rng))
             comparison = replace(capture, samples=1)
@@ -292,9 +292,9 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Step
     """Captures, and light probes at the positions in view, of frames spread over the path."""
     plan = study.plan
     positions = {probe.name: probe.position_m for probe in plan.probes}
-    chosen = evenly_chosen(list(study.survey.in_view.items()), study.effort.n_walk_frames)
+    chosen = evenly_chosen(list(study.survey.in_view.items()), study.study_size.n_walk_frames)
     probes = ProbeSettings(
-        max_samples=study.effort.probe_samples, noise_target=PROBE_NOISE, seed=study.seed,
+        max_samples=study.study_size.probe_samples, noise_target=PROBE_NOISE, seed=study.seed,
         light_transport=prepared.light_transport, order=ORDER,
     )  # fmt: skip
     indices = {name: index for index, name in enumerate(positions)}

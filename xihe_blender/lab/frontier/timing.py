@@ -27,17 +27,17 @@ Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
-class Spread:
+class Quartiles:
     """Median of some measurements, and the distance between their quartiles."""
 
     median: float
     spread: float
 
     @classmethod
-    def of(cls, values: Sequence[float]) -> Spread:
+    def of(cls, values: Sequence[float]) -> Quartiles:
         """ValueError for none."""
         if not len(values):
-            raise ValueError("Spread: expected a measurement at least, got none")
+            raise ValueError("Quartiles: expected a measurement at least, got none")
         low, middle, high = np.percentile(values, (25, 50, 75))
         return cls(float(middle), float(high - low))
 

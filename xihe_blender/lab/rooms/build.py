@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from xihe_blender.errors import UserError
-from xihe_blender.io.folder_claim import NOT_COMPARED, FolderClaim
+from xihe_blender.io.folder_manifest import NOT_COMPARED, FolderManifest
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.lab.rooms.store import FORMAT_VERSION, METERING, stored_indices
 from xihe_blender.lab.workers.dask_workers import open_dask_workers
@@ -35,7 +35,7 @@ WORKER = "xihe_blender.lab.rooms.worker"
 ROOMS_AT_A_TIME = 8
 """That a worker of a scheduler is asked for: half a minute of work for a second of loading Blender."""
 
-CLAIM = "dataset.json"
+MANIFEST = "dataset.json"
 """What the rooms in a folder are made with."""
 
 
@@ -82,7 +82,7 @@ class BuildSettings:
         return [i for i in everything if self.split is None or split_of((self.seed, i)) == self.split]
 
     @property
-    def made_with(self) -> dict[str, Any]:
+    def provenance(self) -> dict[str, Any]:
         """What all rooms of a folder share. Free views are not named: the first data sets did not."""
         shared = {"format": FORMAT_VERSION, "seed": self.seed, "render": list(self.render), "metering": METERING}
         return shared if self.walk is None else {**shared, "walk": self.walk}
@@ -93,7 +93,7 @@ def build_dataset(folder: Path, settings: BuildSettings) -> Job[int]:
 
     UserError if the folder holds another data set or cannot be written, or a worker fails.
     """
-    claim_folder(folder, settings.made_with)
+    write_manifest(folder, settings.provenance)
     wanted = settings.wanted()
     missing = missing_rooms(folder, wanted)
     if settings.scheduler is None:
@@ -141,10 +141,10 @@ def _over_dask(folder: Path, settings: BuildSettings, missing: Sequence[int]) ->
         raise UserError(f"a worker ended: {reason}; the same command goes on from here")
 
 
-def claim_folder(folder: Path, made_with: dict[str, Any]) -> None:
+def write_manifest(folder: Path, provenance: dict[str, Any]) -> None:
     """Write what the data set is made with, or check that it is what is there; clear what killed workers left."""
     software = {NOT_COMPARED: f"xihe {__version__}"}
-    FolderClaim(folder, folder / CLAIM, "rooms", {**made_with, **software}).take()
+    FolderManifest(folder, folder / MANIFEST, "rooms", {**provenance, **software}).take()
     for part in folder.glob(".room_*.npz"):
         part.unlink(missing_ok=True)
 

@@ -21,7 +21,7 @@ from xihe_blender.capture.render import RenderSettings, render_passes, working_s
 from xihe_blender.capture.scanner import first_layer, meter_exposure, open_scanner, phone_camera, sized_for
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.lab.rooms.build import claim_folder
+from xihe_blender.lab.rooms.build import write_manifest
 from xihe_blender.lab.rooms.render_room import RoomRenderSettings, stored_lights
 from xihe_blender.lab.rooms.store import (
     FORMAT_VERSION,
@@ -85,7 +85,7 @@ def add_scene(
     chosen = planned_frames(scene, frames)
     size = sized_for(scene, settings.view).size
     positions_m = scene_positions(scene, chosen, at)
-    claim_folder(
+    write_manifest(
         folder, {"format": FORMAT_VERSION, "scenes": True, "render": list(settings.numbers), "metering": METERING}
     )
     path = room_path(folder, _place_for(folder, name))

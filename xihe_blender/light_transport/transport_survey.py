@@ -1,4 +1,4 @@
-"""What of the scene can light reach, over the frames of a run: which abilities, on which objects, and how many lights?
+"""The survey of light transport: with which interactions, on which objects, light can meet over the frames of a run.
 
 Everything that Cycles would be given counts, wherever it stands: a glass vase behind the camera is in a mirror, and
 lights the wall that the camera sees. So nothing is left out by the camera's view. What Cycles is not given (hidden in
@@ -18,22 +18,22 @@ import numpy as np
 from xihe_blender.light_transport.animation import is_animated, placement
 from xihe_blender.light_transport.enclosure import Ray, carried, rays_all_round, rays_through_picture
 from xihe_blender.light_transport.inspection import SceneInspection, open_inspection
-from xihe_blender.light_transport.nodes import Ability, Look, light_emits, material_look, world_look
+from xihe_blender.light_transport.nodes import Interaction, Shading, light_emits, material_shading, world_shading
 from xihe_blender.light_transport.solids import Solids, undivided_mesh
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES
 from xihenet.records import ArrayF64
 
 RAYS = ("camera", "diffuse", "glossy", "transmission", "volume_scatter")
-PASSED = Ability.TRANSPARENT | Ability.REFRACTION
+PASSED = Interaction.TRANSPARENT | Interaction.REFRACTION
 
 
 @dataclass
-class Reach:
+class TransportSurvey:
     """What light can reach over the inspected frames.
 
     Parameters
     ----------
-    surfaces : for each ability, what has it, in words ("material 'Glass' on 'Vase'"), in the order it was found
+    surfaces : for each interaction, what has it, in words ("material 'Glass' on 'Vase'"), in the order it was found
     strands : objects with hair
     n_lights : the most lamps, emitting objects and emitting worlds at any one frame
     has_lamps : whether there are lamps, switched on at any frame
@@ -44,50 +44,52 @@ class Reach:
     carried : (N_SURFACES,) of each walk of light; see `enclosure`
     """
 
-    surfaces: dict[Ability, list[str]] = field(default_factory=dict)
+    surfaces: dict[Interaction, list[str]] = field(default_factory=dict)
     strands: list[str] = field(default_factory=list)
     n_lights: int = 0
     has_lamps: bool = False
     emitters: list[str] = field(default_factory=list)
-    world: Ability = Ability.NOTHING
+    world: Interaction = Interaction.NOTHING
     defocused: list[str] = field(default_factory=list)
     is_moving: bool = False
     carried: list[ArrayF64] = field(default_factory=list)
 
-    def which(self, *abilities: Ability) -> list[str]:
-        """What has any of `abilities`, in words."""
-        return list(dict.fromkeys(words for ability in abilities for words in self.surfaces.get(ability, ())))
+    def which(self, *interactions: Interaction) -> list[str]:
+        """What has any of `interactions`, in words."""
+        return list(
+            dict.fromkeys(words for interaction in interactions for words in self.surfaces.get(interaction, ()))
+        )
 
 
-def reach_of(
+def survey_transport(
     scene: bpy.types.Scene, frames: Sequence[int], camera: bpy.types.Object | None, positions: Sequence[Sequence[float]]
-) -> Reach:
-    """Look at `scene` at each of `frames`; see `Reach`.
+) -> TransportSurvey:
+    """Look at `scene` at each of `frames`; see `TransportSurvey`.
 
     Parameters
     ----------
     camera : one whose view counts; None takes the scene's at each frame, markers that switch it included
     positions : (K, 3) world, metres: where light probes stand. Empty is legal
     """
-    survey = ReachSurvey(frames, positions, camera)
+    survey = TransportSurveyor(frames, positions, camera)
     with open_inspection(scene) as inspection:
         for frame in frames:
             inspection.look_at(frame, survey.look_at)
         return survey.ended(inspection, has_motion_blur=scene.render.use_motion_blur)
 
 
-class ReachSurvey:
-    """Gathers a `Reach`, one evaluated frame after the other; parameters as of `reach_of`."""
+class TransportSurveyor:
+    """Gathers a `TransportSurvey`, one evaluated frame after the other; parameters as of `survey_transport`."""
 
     def __init__(
         self, frames: Sequence[int], positions: Sequence[Sequence[float]], camera: bpy.types.Object | None = None
     ) -> None:
         self.frames, self.positions, self.camera = frames, positions, camera
         self.walked = sorted({frames[0], frames[len(frames) // 2], frames[-1]})
-        self.reach = Reach()
+        self.found = TransportSurvey()
         self.placements: set[int] = set()
-        self.still: dict[Any, Look] = {}
-        """Looks of what no animation changes, by original data-block."""
+        self.still: dict[Any, Shading] = {}
+        """Shading of what no animation changes, by original data-block."""
         self.solids: dict[int, Solids] = {}
         """By how all stands: where only the phone moves, two are made, with the virtual objects and without."""
 
@@ -96,15 +98,15 @@ class ReachSurvey:
         n_lights = self._world(getattr(layer, "world_override", None) or depsgraph.scene_eval.world)
         for instance in depsgraph.object_instances:
             n_lights += self._instance(instance)
-        self.reach.n_lights = max(self.reach.n_lights, n_lights)
+        self.found.n_lights = max(self.found.n_lights, n_lights)
         camera = self._evaluated_camera(depsgraph)
         if camera.type == "CAMERA" and camera.data.dof.use_dof:
-            self._note(self.reach.defocused, camera.name)
+            self._note(self.found.defocused, camera.name)
         if depsgraph.scene.frame_current in self.walked:
             self._walk(depsgraph, rays_through_picture(camera, depsgraph.scene))
         self.look_for_movement(depsgraph)
 
-    def ended(self, inspection: SceneInspection, *, has_motion_blur: bool) -> Reach:
+    def ended(self, inspection: SceneInspection, *, has_motion_blur: bool) -> TransportSurvey:
         """What was gathered, once light has walked the room as well; `inspection` has no virtual objects from then on.
 
         With `has_motion_blur` one frame alone is compared with the next.
@@ -114,8 +116,8 @@ class ReachSurvey:
         inspection.leave_out_virtual_objects()
         for frame in self.walked:
             inspection.look_at(frame, self.walk_room)
-        self.reach.is_moving = len(self.placements) > 1
-        return self.reach
+        self.found.is_moving = len(self.placements) > 1
+        return self.found
 
     def walk_room(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Walk light through a graph without virtual objects, as captures and light probes show it."""
@@ -129,11 +131,11 @@ class ReachSurvey:
         self.placements.add(placement(depsgraph.object_instances))
 
     def _world(self, world: bpy.types.World | None) -> int:
-        look = self._look(world, world_look)
-        self.reach.world |= look.abilities
-        if world is not None and look.abilities & Ability.VOLUME:
-            self._note(self.reach.surfaces.setdefault(Ability.VOLUME, []), f"world {world.name!r}")
-        return int(bool(look.abilities & Ability.EMISSION))
+        look = self._look(world, world_shading)
+        self.found.world |= look.interactions
+        if world is not None and look.interactions & Interaction.VOLUME:
+            self._note(self.found.surfaces.setdefault(Interaction.VOLUME, []), f"world {world.name!r}")
+        return int(bool(look.interactions & Interaction.EMISSION))
 
     def _instance(self, instance: Any) -> int:
         """Note what an object or instance can do to light; 1 if it emits."""
@@ -143,39 +145,39 @@ class ReachSurvey:
             return 0
         if item.type == "LIGHT":
             is_lit = instance.show_self and light_emits(item.data)
-            self.reach.has_lamps |= is_lit
+            self.found.has_lamps |= is_lit
             return int(is_lit)
         emits = 0
         if instance.show_self and item.type in GEOMETRY_TYPES:
             if item.type == "CURVES" and is_seen:
-                self._note(self.reach.strands, item.name)
+                self._note(self.found.strands, item.name)
             for material in _used_materials(item):
                 emits |= self._surface(item, material, is_seen)
         if instance.show_particles and is_seen:
             for settings in _hair_settings(item):
-                self._note(self.reach.strands, item.name)
+                self._note(self.found.strands, item.name)
                 self._surface(item, _slot_material(item, settings.material - 1), is_seen)
         return emits
 
     def _surface(self, item: bpy.types.Object, material: bpy.types.Material | None, is_seen: bool) -> int:
-        look = self._look(material, material_look)
+        look = self._look(material, material_shading)
         if material is None and item.type == "VOLUME":
-            look = Look(Ability.VOLUME)
+            look = Shading(Interaction.VOLUME)
         words = f"material {material.name!r} on {item.name!r}" if material is not None else f"{item.name!r}"
-        for ability in look.abilities if is_seen else look.abilities & Ability.TRANSPARENT:
-            self._note(self.reach.surfaces.setdefault(ability, []), words)
-        emits = is_seen and bool(look.abilities & Ability.EMISSION)
+        for interaction in look.interactions if is_seen else look.interactions & Interaction.TRANSPARENT:
+            self._note(self.found.surfaces.setdefault(interaction, []), words)
+        emits = is_seen and bool(look.interactions & Interaction.EMISSION)
         if emits:
-            self._note(self.reach.emitters, item.name)
+            self._note(self.found.emitters, item.name)
         return int(emits)
 
-    def _look(self, block: Any, read: Any) -> Look:
+    def _look(self, block: Any, read: Any) -> Shading:
         """What `block`, as evaluated at this frame, may do; read once if nothing in it is animated."""
         if block is None:
             return read(None)  # type: ignore[no-any-return]
         original = block.original
         if original not in self.still:
-            look: Look = read(block)
+            look: Shading = read(block)
             if is_animated(original):
                 return look
             self.still[original] = look
@@ -183,15 +185,15 @@ class ReachSurvey:
 
     def _walk(self, depsgraph: bpy.types.Depsgraph, *bundles: Sequence[Ray]) -> None:
         def albedo(item: bpy.types.Object, slot: int) -> float | None:
-            look = self._look(_slot_material(item, slot), material_look)
-            return None if look.abilities & PASSED else look.albedo
+            look = self._look(_slot_material(item, slot), material_shading)
+            return None if look.interactions & PASSED else look.albedo
 
         key = placement(i for i in depsgraph.object_instances if i.object.type != "CAMERA")
         if key not in self.solids:
             self.solids[key] = Solids(depsgraph, lambda i: i.show_self and _is_visible(i, RAYS), albedo)
         solids = self.solids[key]
         for rays in bundles:
-            self.reach.carried.append(carried(solids, rays, np.random.default_rng(0)))
+            self.found.carried.append(carried(solids, rays, np.random.default_rng(0)))
 
     @staticmethod
     def _note(words: list[str], word: str) -> None:

@@ -7,20 +7,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from xihe_blender.errors import UserError
-from xihe_blender.io.folder_claim import FolderClaim, differences
+from xihe_blender.io.folder_manifest import FolderManifest, differences
 
 MADE_WITH = {"xihe": "1.0", "settings": {"seed": 0, "size": (32, 24)}, "frames": (1, 2)}
 VALUES = st.one_of(st.integers(), st.none(), st.text(max_size=3), st.lists(st.integers(), max_size=2))
 SETTINGS = st.dictionaries(st.sampled_from(["seed", "size", "noise_target"]), VALUES)
 
 
-def claim_in(folder, **changed):
-    return FolderClaim(folder, folder / "work" / "claim.json", "a run", MADE_WITH | changed, (folder / "results.json",))
+def manifest_in(folder, **changed):
+    return FolderManifest(
+        folder, folder / "work" / "manifest.json", "a run", MADE_WITH | changed, (folder / "results.json",)
+    )
 
 
 def test_a_folder_is_taken_once_and_known_again(tmp_path):
-    claim = claim_in(tmp_path / "out")
-    assert (claim.check(), claim.take(), claim.take(), claim.check()) == (False, False, True, True)
+    manifest = manifest_in(tmp_path / "out")
+    assert (manifest.check(), manifest.take(), manifest.take(), manifest.check()) == (False, False, True, True)
 
 
 @pytest.mark.parametrize(
@@ -35,37 +37,37 @@ def test_a_folder_is_taken_once_and_known_again(tmp_path):
     ],
 )
 def test_what_differs_is_named_and_the_claim_stays(tmp_path, changed, words):
-    claim_in(tmp_path).take()
-    before = claim_in(tmp_path).file.read_bytes()
+    manifest_in(tmp_path).take()
+    before = manifest_in(tmp_path).file.read_bytes()
     with pytest.raises(UserError, match=words):
-        claim_in(tmp_path, **changed).take()
-    assert claim_in(tmp_path).file.read_bytes() == before
+        manifest_in(tmp_path, **changed).take()
+    assert manifest_in(tmp_path).file.read_bytes() == before
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b"null", b"\xff\xfe", b'{"settings": []}'])
 def test_a_claim_that_is_damaged_is_another_one(tmp_path, content):
-    claim = claim_in(tmp_path)
-    claim.file.parent.mkdir()
-    claim.file.write_bytes(content)
+    manifest = manifest_in(tmp_path)
+    manifest.file.parent.mkdir()
+    manifest.file.write_bytes(content)
     with pytest.raises(UserError, match="version of xihe"):
-        claim.take()
-    assert claim.file.read_bytes() == content
+        manifest.take()
+    assert manifest.file.read_bytes() == content
 
 
 def test_results_of_somebody_else_are_left_alone(tmp_path):
     (tmp_path / "results.json").write_text("mine")
     with pytest.raises(UserError, match="not from a run"):
-        claim_in(tmp_path).take()
+        manifest_in(tmp_path).take()
     with pytest.raises(UserError, match="is a file: give --out a folder"):
-        claim_in(tmp_path / "results.json").take()
+        manifest_in(tmp_path / "results.json").take()
     with pytest.raises(UserError, match=r"cannot write to .*: choose another folder for --out"):
-        claim_in(tmp_path / "results.json" / "below").take()
+        manifest_in(tmp_path / "results.json" / "below").take()
     assert [path.name for path in tmp_path.iterdir()] == ["results.json"]
 
 
 def test_what_is_written_for_the_reader_alone_may_differ(tmp_path):
-    claim_in(tmp_path, software="made on a Monday").take()
-    assert claim_in(tmp_path, software="or a Tuesday").take()
+    manifest_in(tmp_path, software="made on a Monday").take()
+    assert manifest_in(tmp_path, software="or a Tuesday").take()
 
 
 @given(SETTINGS, SETTINGS)

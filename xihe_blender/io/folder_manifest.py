@@ -20,26 +20,26 @@ NOT_COMPARED = "software"
 
 
 @dataclass(frozen=True)
-class FolderClaim:
+class FolderManifest:
     """A folder, and what is to be done in it.
 
     Parameters
     ----------
     folder : of the results
-    file : in the folder; holds `made_with`, and belongs to nothing but this kind of work
+    file : in the folder; holds `provenance`, and belongs to nothing but this kind of work
     what : the kind of work, as in "holds a run with another seed"
-    made_with : all that decides the numbers, as JSON holds it; what stands under "settings" is compared one by one
+    provenance : all that decides the numbers, as JSON holds it; what stands under "settings" is compared one by one
     results : files that say that the folder is somebody else's, where they are there and `file` is not
     """
 
     folder: Path
     file: Path
     what: str
-    made_with: dict[str, Any]
+    provenance: dict[str, Any]
     results: Sequence[Path] = ()
 
     def check(self) -> bool:
-        """Whether the folder is claimed already, for the same; UserError if it holds anything else."""
+        """Whether the folder is taken already, for the same; UserError if it holds anything else."""
         if self.folder.exists() and not self.folder.is_dir():
             raise UserError(f"{self.folder} is a file: give --out a folder")
         if self.file.exists():
@@ -57,7 +57,7 @@ class FolderClaim:
         if self.check():
             return True
         try:
-            write_json(self.file, self.made_with)
+            write_json(self.file, self.provenance)
         except OSError as error:
             raise UserError(
                 f"cannot write to {self.folder} ({error.strerror}): choose another folder for --out"
@@ -69,7 +69,7 @@ class FolderClaim:
             kept = json.loads(self.file.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             kept = {}
-        different = differences(kept if isinstance(kept, dict) else {}, json.loads(json.dumps(self.made_with)))
+        different = differences(kept if isinstance(kept, dict) else {}, json.loads(json.dumps(self.provenance)))
         if different:
             raise UserError(
                 f"{self.folder} holds {self.what} with another {', '.join(different)}: choose another folder for "

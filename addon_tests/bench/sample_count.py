@@ -1,6 +1,6 @@
 """What do a noise target and renders that are not made twice save, at equal noise of the light?
 
-    python addon_tests/bench/effort.py [--size 128x96] [--presets balanced,draft] [--step 3]
+    python addon_tests/bench/sample_count.py [--size 128x96] [--presets balanced,draft] [--step 3]
 
 A walk: capture, light probes and, at every n-th frame, the comparison of three methods; nothing is stored, and the
 chain is left out. Before, each frame renders all of it with fixed numbers of samples. Now the walk has its pilot and
@@ -37,7 +37,7 @@ from xihe_blender.io.blender_output import blender_output_aside
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.render_reuse import RenderReuse, each_its_own, plan_render_reuse
 from xihe_blender.previs.plan import PrevisPlan, plan_previs
-from xihe_blender.previs.sample_count import Effort, measure_effort
+from xihe_blender.previs.sample_count import SampleCount, measure_sample_count
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.previs.survey import SceneSurvey, survey_path
 from xihe_blender.scene.blend_file import open_blend
@@ -110,11 +110,11 @@ def every_frame(survey: SceneSurvey) -> RenderReuse:
     return plan_render_reuse(each_its_own(survey.frames), survey.in_view)
 
 
-def walk(stage: Stage, effort: Effort, reuse: RenderReuse) -> Walked:
+def walk(stage: Stage, sample_count: SampleCount, reuse: RenderReuse) -> Walked:
     """Render what no earlier frame has."""
     scene, plan, survey, settings, exposure, _ = stage
     start = time.process_time()
-    capture = settings.capture(plan.size, effort.capture_samples)
+    capture = settings.capture(plan.size, sample_count.capture_samples)
     reference = replace(settings.reference, light_transport=stage.light_transport)
     places = {probe.name: place for place, probe in enumerate(plan.probes)}
     captured, lights, compared, n_probes = {}, {}, {}, 0
@@ -135,7 +135,7 @@ def walk(stage: Stage, effort: Effort, reuse: RenderReuse) -> Walked:
             compared[frame] = reuse.captures[frame], dict(lights)
     walk_s, start, made = time.process_time() - start, time.process_time(), {}
     with open_comparer(scene, plan.objects, METHODS, simulated(stage, settings.comparison(plan.size))) as comparer:
-        for frame in list(compared)[:: settings.effort.comparison_step]:
+        for frame in list(compared)[:: settings.preset_values.comparison_step]:
             source, light = compared[frame]
             by_name = [light[name].tobytes() for name in sorted(light)]
             if made.setdefault(reuse.comparison(frame, str(source).encode(), *by_name), frame) == frame:
@@ -145,19 +145,19 @@ def walk(stage: Stage, effort: Effort, reuse: RenderReuse) -> Walked:
     return Walked(walk_s, time.process_time() - start, len(captured), n_probes, len(made))
 
 
-def measured_effort(stage: Stage) -> Effort:
+def measured_sample_count(stage: Stage) -> SampleCount:
     scene, plan, survey, settings, exposure, light_transport = stage
-    return measure_effort(scene, plan, survey, settings, exposure, light_transport)
+    return measure_sample_count(scene, plan, survey, settings, exposure, light_transport)
 
 
-def adaptive_walk(stage: Stage) -> tuple[Walked, Effort]:
+def adaptive_walk(stage: Stage) -> tuple[Walked, SampleCount]:
     """As a run does it: `walk_s` holds survey, pilot and walk."""
     start = time.process_time()
     survey = survey_path(stage.scene, stage.plan)
-    effort = measured_effort(stage)
+    sample_count = measured_sample_count(stage)
     before_s = time.process_time() - start
-    walked = walk(stage, effort, as_surveyed(survey))
-    return walked._replace(walk_s=before_s + walked.walk_s), effort
+    walked = walk(stage, sample_count, as_surveyed(survey))
+    return walked._replace(walk_s=before_s + walked.walk_s), sample_count
 
 
 def still_table(settings: PrevisSettings) -> Iterator[str]:
@@ -166,10 +166,10 @@ def still_table(settings: PrevisSettings) -> Iterator[str]:
     for held in (4, 8):
         stage = open_stage("living_room", settings, held)
         with scene_kept():
-            walks[f"now, holds for {held} of {4 + held}"], effort = adaptive_walk(stage)
+            walks[f"now, holds for {held} of {4 + held}"], sample_count = adaptive_walk(stage)
             if held == 4:
-                before = walk(stage, effort, every_frame(stage.survey))
-    yield f"living_room, stop and go, {settings.preset}, {said(effort)}"
+                before = walk(stage, sample_count, every_frame(stage.survey))
+    yield f"living_room, stop and go, {settings.preset}, {said(sample_count)}"
     yield f"{'':<26}{'captures, probes':>24}{'compared':>16}{'all':>16}"
     for name, walked in {"fixed, every frame": before, **walks}.items():
         counts = f"{walked.captures:3} {walked.probes:3}"
@@ -178,8 +178,8 @@ def still_table(settings: PrevisSettings) -> Iterator[str]:
         yield f"{name:<26}{counts} {walk_part:>16}{walked.comparisons:3}{compare_part:>16}{all_of_it:>16}"
 
 
-def said(effort: Effort) -> str:
-    return f"captures {effort.capture_samples} samples ({effort.capture_noise:.1%} noise)"
+def said(sample_count: SampleCount) -> str:
+    return f"captures {sample_count.capture_samples} samples ({sample_count.capture_noise:.1%} noise)"
 
 
 def kept_counts(name: str, settings: PrevisSettings) -> str:
@@ -195,21 +195,21 @@ def scene_table(size: tuple[int, int], preset: str, step: int) -> Iterator[str]:
     """The table, line by line."""
     names = sorted(path.stem for path in SCENES.glob("*.blend"))
     settings = PrevisSettings(size=size, preset=preset, frames=tuple(range(1, 25, step)))
-    efforts = {}
+    sample_counts = {}
     for name in names:
         stage = open_stage(name, settings)
-        efforts[name] = measured_effort(stage)
-    most = Effort(max(effort.capture_samples for effort in efforts.values()))
+        sample_counts[name] = measured_sample_count(stage)
+    most = SampleCount(max(sample_count.capture_samples for sample_count in sample_counts.values()))
     yield f"own walks, {preset}, fixed: captures {most.capture_samples} samples"
     yield f"{'':<20}{'captures':>10}{'probes':>12}{'fixed s':>10}{'now s':>8}{'':>8}  samples now"
     for name in names:
         stage = open_stage(name, settings)
         with scene_kept():
-            now, effort = adaptive_walk(stage)
+            now, sample_count = adaptive_walk(stage)
             before = walk(stage, most, every_frame(stage.survey))
         counts = kept_counts(name, PrevisSettings(size=size, preset=preset))
         ratio = f"{before.seconds / now.seconds:7.2f}x"
-        yield f"{name:<20}{counts}{before.seconds:10.1f}{now.seconds:8.1f}{ratio}  {said(effort)}"
+        yield f"{name:<20}{counts}{before.seconds:10.1f}{now.seconds:8.1f}{ratio}  {said(sample_count)}"
 
 
 def main() -> None:

@@ -21,12 +21,12 @@ from xihe_blender.previs.prepare import NOISE_MARGIN, above_noise
 from xihe_blender.previs.sample_count import (
     LARGE_STEP,
     SMALLEST_LIGHT,
-    Effort,
     NoiseModel,
+    SampleCount,
     fewest_samples,
     fit_noise,
     measure_captures,
-    measure_effort,
+    measure_sample_count,
     pilot_samples,
     pilot_views,
 )
@@ -135,12 +135,12 @@ def test_the_noise_is_what_was_expected_and_within_the_target():
     look_at(scene.camera, (-1.2, -1.5, 1.5), (0, 0, 0.85))
     settings = PrevisSettings(preset="draft", size=(64, 48), exposure=1.0, noise_target=0.05)
     plan, survey = surveyed(scene, settings)
-    effort = measure_effort(scene, plan, survey, settings, 1.0)
-    lights = lights_in(scene, plan, settings, 8, effort.capture_samples, range(100, 112))
+    sample_count = measure_sample_count(scene, plan, survey, settings, 1.0)
+    lights = lights_in(scene, plan, settings, 8, sample_count.capture_samples, range(100, 112))
     reference = lights_in(scene, plan, settings, 8, 128, range(200, 202)).mean(axis=0)
-    assert effort.capture_noise <= 0.05
+    assert sample_count.capture_noise <= 0.05
     error = relative_error(lights, reference)
-    assert effort.capture_noise / TOLERANCE < error < TOLERANCE * effort.capture_noise
+    assert sample_count.capture_noise / TOLERANCE < error < TOLERANCE * sample_count.capture_noise
 
 
 def test_a_tighter_target_takes_more_samples_of_a_scene():
@@ -149,14 +149,14 @@ def test_a_tighter_target_takes_more_samples_of_a_scene():
     plan, survey = surveyed(scene, settings)
 
     def measured(noise_target):
-        return measure_effort(scene, plan, survey, replace(settings, noise_target=noise_target), 1.0)
+        return measure_sample_count(scene, plan, survey, replace(settings, noise_target=noise_target), 1.0)
 
-    efforts = [measured(noise_target) for noise_target in (0.3, 0.08, 0.04, 0.0001)]
-    samples = [effort.capture_samples for effort in efforts]
+    sample_counts = [measured(noise_target) for noise_target in (0.3, 0.08, 0.04, 0.0001)]
+    samples = [sample_count.capture_samples for sample_count in sample_counts]
     assert samples == sorted(samples) and len(set(samples)) >= 3
     assert samples[-1] == PRESETS["balanced"].max_samples
     again = measured(0.04)
-    assert replace(again, pilot_s=0) == replace(efforts[2], pilot_s=0)
+    assert replace(again, pilot_s=0) == replace(sample_counts[2], pilot_s=0)
 
 
 def test_a_number_of_samples_is_taken_as_it_is_without_a_pilot():
@@ -164,7 +164,7 @@ def test_a_number_of_samples_is_taken_as_it_is_without_a_pilot():
     settings = replace(SMALL, samples=7, exposure=1.0)
     plan, survey = surveyed(scene, settings)
     with counted_renders() as renders:
-        assert measure_effort(scene, plan, survey, settings, 1.0) == Effort(7)
+        assert measure_sample_count(scene, plan, survey, settings, 1.0) == SampleCount(7)
     assert not renders
 
 
@@ -175,7 +175,7 @@ def test_a_path_that_sees_no_position_needs_no_pilot():
     plan, survey = surveyed(scene, SMALL)
     maximum = PRESETS[SMALL.preset].max_samples
     with counted_renders() as renders:
-        assert measure_effort(scene, plan, survey, SMALL, 1.0) == Effort(maximum)
+        assert measure_sample_count(scene, plan, survey, SMALL, 1.0) == SampleCount(maximum)
     assert not renders
 
 
@@ -191,7 +191,7 @@ def test_pilots_are_spread_over_the_frames_that_see_a_position(n_frames, expecte
 @pytest.mark.parametrize(
     "change", [{"noise_target": 0.0}, {"noise_target": 1.0}, {"noise_target": float("nan")}, {"samples": 0}]
 )
-def test_senseless_effort_is_refused(change):
+def test_a_senseless_noise_target_is_refused(change):
     with pytest.raises(UserError):
         replace(SMALL, **change)
 
@@ -233,7 +233,7 @@ def test_results_say_the_samples_and_the_noise(still):
     assert noise["capture"] <= results["settings"]["noise_target"] or told
     probe = results["frames"][0]["rendering"]["probes"]["Ball"]
     assert probe["noise"] <= noise["truth"] or probe["is_capped"]
-    assert outputs.effort.exists()
+    assert outputs.sample_count.exists()
 
 
 def test_what_is_taken_over_is_what_would_have_been_rendered(still, tmp_path):
@@ -243,8 +243,8 @@ def test_what_is_taken_over_is_what_would_have_been_rendered(still, tmp_path):
     # Alone in its run, frame 3 has no earlier frame to take anything from. Its pilot looks at frame 3, so the numbers
     # of samples of the whole walk are put into its folder.
     outputs_alone = RunOutputs(tmp_path / "alone", "untitled")
-    outputs_alone.effort.parent.mkdir(parents=True)
-    outputs_alone.effort.write_text(outputs.effort.read_text(encoding="utf-8"), encoding="utf-8")
+    outputs_alone.sample_count.parent.mkdir(parents=True)
+    outputs_alone.sample_count.write_text(outputs.sample_count.read_text(encoding="utf-8"), encoding="utf-8")
     alone = run(still_walk(), outputs_alone.folder, replace(settings, frames=(3,)))
     assert alone["settings"]["samples"] == samples
     assert alone["frames"][0]["rendering"]["capture"]["rendered"]
