@@ -41,6 +41,13 @@ def xihe_without_blender(*arguments):
     return subprocess.run(code, cwd=ROOT, capture_output=True, text=True, timeout=60)
 
 
+def test_without_blender_a_command_that_needs_it_says_what_to_install():
+    code = WITHOUT_BLENDER.replace("sys.argv[1:]", "['previs', 'a.blend', '--out', 'b']")
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert "pip install 'xihe-blender[blender]'" in done.stderr and "3.11 or 3.13" in done.stderr
+
+
 def estimate(*arguments):
     return main(["estimate", *map(str, arguments)])
 
