@@ -12,7 +12,7 @@ show the same field of view.
 
 from __future__ import annotations
 
-import json
+import difflib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,9 +23,14 @@ from numpy.typing import NDArray
 from xihenet import exr, openexr_package
 from xihenet.camera import encode_exposed, metered_exposure, sensed_ambient, sound_plane_depth
 from xihenet.colour import srgb_to_linear
+from xihenet.json_files import read_json
 from xihenet.records import ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
 
 PLANE_DEPTH_CHANNELS = ("Depth.Z", "Depth.V", "Z")
+CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy", "world_from_camera", "convention", "up")
+LARGEST_SIDE = 1_000_000
+"""Pixels. No file has more, and products of two stay numbers that a float can hold."""
+
 ORIENTATION_TAG = 0x0112
 SAME_ASPECT = 0.01
 """Sizes whose ratios of width to height differ by less show the same field: rounding moves 256x144 by 0.4 %."""
@@ -111,15 +116,14 @@ def read_camera(path: Path) -> FrameCamera:
     Raises
     ------
     OSError : if the file cannot be read
-    ValueError : if something is missing, of the wrong kind, not finite, or the pose is no rotation and translation
+    ValueError : if something is missing, misspelt, of the wrong kind, not finite, or the pose is no rotation and
+        translation
     """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{path}: expected JSON, and could not read it ({error})") from error
+    content = read_json(path)
     if not isinstance(content, dict):
         raise ValueError(f"{path}: expected a JSON object with width, height, fx, fy, cx, cy and world_from_camera")
     try:
+        _check_keys(content)
         width, height = (_whole_number(content, name) for name in ("width", "height"))
         intrinsics = Intrinsics(width, height, *(_number(content, name) for name in ("fx", "fy", "cx", "cy")))
         pose = _pose(_entry(content, "world_from_camera"))
@@ -132,6 +136,14 @@ def read_camera(path: Path) -> FrameCamera:
     return FrameCamera(intrinsics, pose, blender_from_file[:3, :3])
 
 
+def _check_keys(content: dict[str, Any]) -> None:
+    """ValueError for a key that nothing would read, which would be a misspelt one that counts for nothing."""
+    for name in content.keys() - set(CAMERA_KEYS):
+        near = difflib.get_close_matches(name.lower(), CAMERA_KEYS, n=1)
+        fix = f"did you mean {near[0]!r}?" if near else f"leave it out; there are {', '.join(CAMERA_KEYS)}"
+        raise ValueError(f"{name[:80]!r}: there is no such key; {fix}")
+
+
 def _entry(content: dict[str, Any], name: str) -> Any:
     if name not in content:
         raise ValueError(f"{name} is missing")
@@ -141,14 +153,14 @@ def _entry(content: dict[str, Any], name: str) -> Any:
 def _number(content: dict[str, Any], name: str) -> float:
     value = _entry(content, name)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{name}: expected a number, got {value!r}")
+        raise ValueError(f"{name}: expected a number, got {value!r:.80}")
     return float(value)
 
 
 def _whole_number(content: dict[str, Any], name: str) -> int:
     value = _number(content, name)
-    if not value.is_integer():
-        raise ValueError(f"{name}: expected a whole number of pixels, got {value}")
+    if not value.is_integer() or value > LARGEST_SIDE:
+        raise ValueError(f"{name}: expected a whole number of pixels, at most {LARGEST_SIDE}, got {value:g}")
     return int(value)
 
 
@@ -156,7 +168,7 @@ def _choice(content: dict[str, Any], name: str, allowed: tuple[str, ...]) -> str
     """One of `allowed`, of which the first is the default."""
     value = content.get(name, allowed[0])
     if value not in allowed:
-        raise ValueError(f"{name}: expected {' or '.join(map(repr, allowed))}, got {value!r}")
+        raise ValueError(f"{name}: expected {' or '.join(map(repr, allowed))}, got {value!r:.80}")
     return str(value)
 
 

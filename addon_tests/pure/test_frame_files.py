@@ -424,6 +424,14 @@ def _transposed(pose):
         ({"height": 0}, "at least one pixel"),
         ({"convention": "OpenGL"}, "convention: expected 'blender' or 'opencv'"),
         ({"up": ["y"]}, "up: expected 'z' or 'y'"),
+        ({"fx": 10**400}, "focal lengths must be positive"),
+        ({"cy": -(10**400)}, "principal point must be finite"),
+        ({"width": 10**400}, "width: expected a whole number"),
+        ({"width": 10**300, "height": 10**300}, "width: expected a whole number"),
+        ({"world_from_camera": [[10**400] * 4] * 4}, "world_from_camera: expected finite numbers"),
+        ({"convension": "opencv"}, "'convension': there is no such key; did you mean 'convention'"),
+        ({"FX": 20}, "'FX': there is no such key; did you mean 'fx'"),
+        ({"distortion": [0, 0]}, "'distortion': there is no such key; leave it out"),
     ],
 )
 def test_a_camera_that_cannot_be_is_refused(tmp_path, changes, said):
@@ -431,7 +439,7 @@ def test_a_camera_that_cannot_be_is_refused(tmp_path, changes, said):
         read_camera(write_camera(tmp_path / "camera.json", **changes))
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "3", '"camera"', "\ufeff{}", json.dumps({})])
+@pytest.mark.parametrize("text", ["", "{", "[]", "3", '"camera"', "\ufeff{}", json.dumps({}), "[" * 200_000])
 def test_a_camera_file_without_a_camera_is_refused(tmp_path, text):
     path = tmp_path / "camera.json"
     path.write_text(text, encoding="utf-8")
