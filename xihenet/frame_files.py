@@ -20,6 +20,7 @@ import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -57,8 +58,17 @@ POSE_TOLERANCE = 1e-3
 """Of a rotation's rows and columns, as poses are written with four digits."""
 
 BLENDER_FROM_OPENCV_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])
-BLENDER_FROM_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
-"""A platform's (x, y, z) with +Y up is Blender's (x, -z, y)."""
+BLENDER_FROM_UP: Mapping[str, ArrayF64] = MappingProxyType(
+    {
+        "z": np.eye(3),
+        "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
+        "x": np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]]),
+        "-z": np.diag([1.0, -1.0, -1.0]),
+        "-y": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
+        "-x": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]),
+    }
+)
+"""What turns a world upright, by the axis that points up in it: (x, y, z) with +Y up is Blender's (x, -z, y)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +139,8 @@ def read_camera(path: Path) -> FrameCamera:
 
     Keys: `width`, `height`, `fx`, `fy`, `cx`, `cy` in pixels (pixel centres at +0.5) and `world_from_camera`, four rows
     of four, metres. Optional: `convention`, "blender" (the camera looks down -Z with +Y up, as in ARKit and OpenGL;
-    the default) or "opencv" (down +Z with +Y down); `up`, "z" (the default) or "y", the world's vertical.
+    the default) or "opencv" (down +Z with +Y down); `up`, the world's axis that points up, "z" (the default), "y", "x",
+    "-z", "-y" (as where the world is the first camera of OpenCV) or "-x".
 
     Raises
     ------
@@ -146,12 +157,12 @@ def read_camera(path: Path) -> FrameCamera:
         intrinsics = Intrinsics(width, height, *(_number(content, name) for name in ("fx", "fy", "cx", "cy")))
         pose = _pose(_entry(content, "world_from_camera"))
         is_opencv = _choice(content, "convention", ("blender", "opencv")) == "opencv"
-        is_y_up = _choice(content, "up", ("z", "y")) == "y"
+        blender_from_file = BLENDER_FROM_UP[_choice(content, "up", tuple(BLENDER_FROM_UP))]
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    blender_from_file = BLENDER_FROM_Y_UP if is_y_up else np.eye(4)
-    pose = blender_from_file @ pose @ (BLENDER_FROM_OPENCV_CAMERA if is_opencv else np.eye(4))
-    return FrameCamera(intrinsics, pose, blender_from_file[:3, :3])
+    pose = pose @ (BLENDER_FROM_OPENCV_CAMERA if is_opencv else np.eye(4))
+    pose[:3] = blender_from_file @ pose[:3]
+    return FrameCamera(intrinsics, pose, blender_from_file)
 
 
 def _check_keys(content: dict[str, Any]) -> None:

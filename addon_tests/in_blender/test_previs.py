@@ -168,7 +168,9 @@ def test_a_damaged_piece_of_a_frame_costs_that_piece_alone(finished, tmp_path, p
     with counted_renders() as renders:
         again = run(scene, outputs.folder)
     assert without_times(again) == without_times(finished.results)
-    assert set(renders) == ({"Xihe Ground Truth", "Xihe Lit"} if piece == "compared" else {"Xihe Capture", "Xihe Reference Probe"})
+    assert set(renders) == (
+        {"Xihe Ground Truth", "Xihe Lit"} if piece == "compared" else {"Xihe Capture", "Xihe Reference Probe"}
+    )
     assert renders.count("Xihe Capture") == (piece != "compared")
 
 

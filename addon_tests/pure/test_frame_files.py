@@ -461,6 +461,15 @@ def test_a_world_with_y_up_is_turned_upright(tmp_path):
     np.testing.assert_array_equal(camera.blender_from_file @ [1, 2, -3], [1, 3, 2])
 
 
+@pytest.mark.parametrize("up", ["z", "y", "x", "-z", "-y", "-x"])
+def test_a_world_with_any_axis_up_is_turned_upright_and_not_mirrored(tmp_path, up):
+    turn = read_camera(write_camera(tmp_path / "camera.json", up=up)).blender_from_file
+    points_up = np.eye(3)["xyz".index(up[-1])] * (-1 if "-" in up else 1)
+    np.testing.assert_array_equal(turn @ points_up, [0, 0, 1])
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3))
+    assert np.linalg.det(turn) == pytest.approx(1)
+
+
 def changed_pose(change):
     pose = LOOKING_ALONG_Y.copy()
     change(pose)
