@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import contextlib
 import signal
+import statistics
 import threading
 import time
-from collections.abc import Callable, Generator, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from types import FrameType
 from typing import TypeVar
 
@@ -23,15 +24,62 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Progress:
-    """`done` of `total` units of work, and what comes next in words."""
+    """`done` of `total` units of work, and what comes next in words.
+
+    Parameters
+    ----------
+    left : units that are left by stage, the one under way first; empty for a job of one stage
+    """
 
     done: float
     total: float
     doing: str
+    left: Mapping[str, float] = field(default_factory=dict)
 
-    def seconds_left(self, elapsed_s: float) -> float | None:
-        """At the pace so far; None before there is a pace."""
-        return elapsed_s * (self.total - self.done) / self.done if self.done > 0 else None
+    @property
+    def stages(self) -> Mapping[str, float]:
+        """`left`, of a job of one stage too."""
+        return self.left or {"": self.total - self.done}
+
+
+class TimeLeft:
+    """The time that is left of a job, from the pace of each of its stages; told of every Progress, in order.
+
+    The first step of a stage carries set-up (Cycles builds the scene), so the pace is the median of those that follow.
+    Stages that are still to come are taken to go at the pace of the last one, by their units, with as much set-up.
+    """
+
+    def __init__(self) -> None:
+        self.steps: dict[str, list[tuple[float, float]]] = {}
+        """Units and seconds of the steps of each stage."""
+        self.before: tuple[Progress, float] | None = None
+
+    def after(self, progress: Progress, elapsed_s: float) -> float | None:
+        """Seconds left; None before there is a pace."""
+        if self.before is not None:
+            last, then_s = self.before
+            stage = next(iter(last.stages))
+            units = last.stages[stage] - progress.stages.get(stage, 0.0)
+            if units > 0:
+                self.steps.setdefault(stage, []).append((units, elapsed_s - then_s))
+        self.before = progress, elapsed_s
+        if progress.left:
+            self.steps.pop("", None)  # What comes before the first stage says nothing about it.
+        paces = {stage: _pace(steps) for stage, steps in self.steps.items()}
+        if not paces:
+            return None
+        set_ups = [steps[0][1] - steps[0][0] * paces[stage] for stage, steps in self.steps.items() if len(steps) > 1]
+        set_up_s, last_pace = max(0.0, *set_ups, 0.0), list(paces.values())[-1]
+        return sum(
+            units * paces[stage] if stage in paces else units * last_pace + set_up_s
+            for stage, units in progress.stages.items()
+            if units > 0
+        )
+
+
+def _pace(steps: Sequence[tuple[float, float]]) -> float:
+    """Seconds per unit."""
+    return statistics.median(seconds / units for units, seconds in steps[1:] or steps)
 
 
 Job = Generator[Progress, None, Result]

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from xihe_blender.jobs import Progress, interrupted_between_steps, run_blocking
+from xihe_blender.jobs import Progress, TimeLeft, interrupted_between_steps, run_blocking
 
 
 def count_to(total, log=None, action=None):
@@ -45,13 +45,40 @@ def test_every_progress_is_shown_with_the_time_since_the_start():
     assert times == sorted(times) and times[0] >= 0
 
 
-@pytest.mark.parametrize(("done", "elapsed_s", "left"), [(1, 10, 30), (2, 10, 10), (4, 10, 0), (0.5, 1, 7)])
-def test_the_time_left_follows_from_the_pace_so_far(done, elapsed_s, left):
-    assert Progress(done, 4, "").seconds_left(elapsed_s) == pytest.approx(left)
+def seconds_left(*steps):
+    """After each of the (progress, seconds since the start)."""
+    time_left = TimeLeft()
+    return [time_left.after(progress, elapsed_s) for progress, elapsed_s in steps]
 
 
-def test_before_anything_is_done_the_time_left_is_unknown():
-    assert Progress(0, 4, "").seconds_left(10) is None
+def test_the_time_left_follows_from_the_pace_without_the_first_step():
+    steps = [(Progress(0, 4, ""), 0), (Progress(1, 4, ""), 30), (Progress(2, 4, ""), 40), (Progress(3, 4, ""), 50)]
+    assert seconds_left(*steps) == [None, 90, 20, 10]
+
+
+def test_stages_to_come_go_at_the_pace_of_the_last_one_and_carry_as_much_set_up():
+    def at(done, capture, compare):
+        left = {"capture": capture, "compare": compare} if capture else {"compare": compare}
+        return Progress(done, 10, "", left)
+
+    steps = [
+        (Progress(0, 1, "surveying"), 0),
+        (at(0, 4, 6), 50),
+        (at(1, 3, 6), 60),
+        (at(2, 2, 6), 62),
+        (at(4, 0, 6), 66),
+    ]
+    # A capture takes 2 s, the first 8 s more; then comparing is measured.
+    assert seconds_left(*steps, (at(7, 0, 3), 96), (at(9, 0, 1), 100)) == [None, None, 90, 24, 20, 30, 2]
+
+
+def test_work_that_was_done_before_makes_no_pace():
+    resumed = [
+        (Progress(0, 10, "", {"a": 10}), 0),
+        (Progress(8, 10, "", {"a": 2}), 0.1),
+        (Progress(9, 10, "", {"a": 1}), 5.1),
+    ]
+    assert seconds_left(*resumed)[-1] == pytest.approx(5)
 
 
 def test_ctrl_c_lets_the_step_end_and_closes_the_job():

@@ -15,6 +15,7 @@ from typing import Any
 import bpy
 
 from xihe_blender.addon.leftovers import remove_working_scenes
+from xihe_blender.jobs import TimeLeft
 from xihenet.formats import format_duration
 
 
@@ -35,7 +36,7 @@ class RunUnderWay:
         self.timer: bpy.types.Timer | None = None
         self.pauses_s: list[float] = []
         self.stepped_at: float | None = None
-        self.start = time.perf_counter()
+        self.time_left = TimeLeft()
         state = self.window_manager.xihe
         state.is_running, state.is_cancel_wanted = True, False
         state.progress, state.seconds_left, state.doing, state.error = 0.0, 0.0, "starting", ""
@@ -69,10 +70,7 @@ class RunUnderWay:
     def show(self, progress: Any) -> None:
         """Say in the window how far the job is; `progress` is a Progress."""
         share = progress.done / progress.total
-        if not progress.done:
-            # What comes before the first frame says nothing about the pace of frames.
-            self.start = time.perf_counter()
-        left_s = progress.seconds_left(time.perf_counter() - self.start)
+        left_s = self.time_left.after(progress, time.perf_counter())
         state = self.window_manager.xihe
         state.progress, state.doing, state.seconds_left = share, progress.doing, left_s or 0.0
         self.window_manager.progress_update(round(100 * share))

@@ -31,8 +31,12 @@ def when_news(show: Callable[[Progress, float], None]) -> Callable[[Progress, fl
 def progress_line(stream: Any) -> Callable[[Progress, float], None]:
     """Shows progress on `stream`: on one line that is rewritten on a terminal, line by line elsewhere."""
 
+    from xihe_blender.jobs import TimeLeft
+
+    time_left = TimeLeft()
+
     def show(progress: Progress, elapsed_s: float) -> None:
-        left = progress.seconds_left(elapsed_s)
+        left = time_left.after(progress, elapsed_s)
         remaining = "" if left is None or progress.done >= progress.total else f", {format_duration(left)} left"
         line = f"{progress.done / progress.total:4.0%}  {progress.doing}{remaining}"
         end = "\n" if not stream.isatty() or progress.done >= progress.total else ""

@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -22,9 +23,11 @@ from xihe_blender.apply.datablocks import PREFIX
 from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world
 from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
 from xihe_blender.capture.scanner import first_layer
+from xihe_blender.io.outputs import written_whole
 from xihenet.camera import MISS_PLANE_DEPTH_M, valid_plane_depth
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.metrics import angular_error, angular_error_deg, image_rmse, psnr, si_rmse, ssim
+from xihenet.npz_files import read_npz
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, RgbdFrame
 
 LIT_SCENE = "Xihe Lit"
@@ -56,6 +59,26 @@ class Comparison:
     render_s: float
 
 
+@dataclass(frozen=True, eq=False)
+class GroundTruth:
+    """`radiance` (H, W, 3) of the scene, and the seconds that rendering it took."""
+
+    radiance: ArrayF32
+    render_s: float
+
+
+def save_ground_truth(path: Path, truth: GroundTruth) -> None:
+    """Write it, whole or not at all."""
+    with written_whole(path) as beside, beside.open("wb") as file:
+        np.savez(file, radiance=truth.radiance, render_s=truth.render_s)
+
+
+def load_ground_truth(path: Path) -> GroundTruth:
+    """What `save_ground_truth` wrote. FileNotFoundError, or ValueError or KeyError if it is damaged."""
+    content = read_npz(path)
+    return GroundTruth(content["radiance"], float(content["render_s"]))
+
+
 @dataclass
 class Comparer:
     """Renders comparisons; made by `open_comparer`. Worlds and view layers are found by (method, object)."""
@@ -66,24 +89,36 @@ class Comparer:
     layers: Mapping[tuple[str, str], str]
 
     def render_comparison(self, captured: RgbdFrame, lights: Mapping[str, Mapping[str, ArrayF64]]) -> Comparison:
-        """Ground truth and every method at the frame of `captured`.
+        """Ground truth and every method at the frame of `captured`; see `render_methods`."""
+        return self.render_methods(captured, lights, self.render_ground_truth(captured.frame))
+
+    def render_ground_truth(self, frame: int) -> GroundTruth:
+        """Room and objects, path-traced together."""
+        self.ground_truth.frame_set(frame)
+        rendered = render_passes(self.ground_truth)
+        return GroundTruth(first_layer(rendered)[0], rendered.render_s)
+
+    def render_methods(
+        self, captured: RgbdFrame, lights: Mapping[str, Mapping[str, ArrayF64]], truth: GroundTruth
+    ) -> Comparison:
+        """Every method at the frame of `captured`, beside `truth`.
 
         Parameters
         ----------
         captured : the phone's picture of the room; its exposure is used, its plane depth hides what lies behind
         lights : (9, 3) radiance coefficients carrying `captured.exposure`, by method and virtual object
+        truth : of the same frame
         """
         for (method, name), world in self.worlds.items():
             apply_sh_to_world(world, lights[method][name], captured.exposure)
-        for scene in (self.ground_truth, self.lit):
-            scene.frame_set(captured.frame)
-        truth, lit = render_passes(self.ground_truth), render_passes(self.lit)
+        self.lit.frame_set(captured.frame)
+        lit = render_passes(self.lit)
         background = srgb_to_linear(captured.srgb_u8 / 255.0)
         methods, weights = {}, np.zeros(background.shape[:2])
         for method in lights:
             layers = [lit.layers[self.layers[key]] for key in self.worlds if key[0] == method]
             methods[method], weights = composite(background, layers, captured)
-        exposed = first_layer(truth)[0].astype(np.float64) * captured.exposure
+        exposed = truth.radiance.astype(np.float64) * captured.exposure
         return Comparison(exposed, methods, weights, truth.render_s + lit.render_s)
 
 

@@ -81,12 +81,16 @@ class RunOutputs:
         return self.folder / "work" / f"surfaces_{frame:04d}.npz"
 
     def times(self, frame: int) -> Path:
-        """Seconds that rendering one frame took; written last, so that its presence says the frame is whole."""
+        """Seconds that rendering one capture took; written last, so that its presence says the capture is whole."""
         return self.folder / "work" / f"times_{frame:04d}.json"
 
     def compared(self, frame: int) -> Path:
         """Metrics of one frame; written last, so that its presence says its pictures are whole."""
         return self.folder / "work" / f"compared_{frame:04d}.json"
+
+    def ground_truth(self, frame: int) -> Path:
+        """The path-traced radiance of one frame, until it is compared."""
+        return self.folder / "work" / f"ground_truth_{frame:04d}.npz"
 
     def probe(self, index: int, name: str, frame: int) -> Path:
         """Radiance panorama of the light probe at one estimation position, the `index`-th of the run."""

@@ -7,8 +7,8 @@ run kept it, taken over from an earlier frame where scene, camera, capture and l
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Generator, Sequence
+import functools
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,15 +20,18 @@ from xihe_blender.compare.methods import (
     display,
     error_map,
     hueless_pixels,
+    load_ground_truth,
     measure,
     open_comparer,
+    save_ground_truth,
 )
 from xihe_blender.io.exr import write_radiance
 from xihe_blender.io.json_records import Json, as_json, from_json
-from xihe_blender.io.kept_files import kept_json
+from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.outputs import RunOutputs, copy_whole, write_json, write_picture
 from xihe_blender.io.run_results import ComparedFrame, Metrics
 from xihe_blender.jobs import Progress
+from xihe_blender.previs.plan import compared_frames
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.run_chain import Lights, WalkedPath
 from xihenet.json_files import read_json
@@ -37,33 +40,32 @@ from xihenet.recording import load_frame
 
 def compare_path(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, None, dict[int, ComparedFrame]]:
     """A job: the comparison of each compared frame, by its number; pictures are written on the way."""
-    compared = {}
+    outputs, active = run.outputs, [frame.frame for frame in walked.frames if frame.active]
+    frames = compared_frames(active, run.settings.preset_values.comparison_step)
     first: dict[tuple[Any, ...], int] = {}
-    done = len(run.plan.frames)
-    active = [frame.frame for frame in walked.frames if frame.active]
-    with contextlib.ExitStack() as stack:
-        comparer = None
-        for frame in compared_frames(active, run.settings.preset_values.comparison_step):
-            yield Progress(done, max(run.total, done + 3), f"comparing frame {frame}")
-            lights = walked.lights[frame]
-            source = first.setdefault(_made_from(run, frame, lights), frame)
-            kept = kept_json(run.outputs.compared(frame), _compared_from)
-            if kept is None:
-                if source != frame:
-                    _take_over(run.outputs, source, frame)
-                else:
-                    if comparer is None:
-                        opened = open_comparer(run.scene, run.plan.objects, run.methods, run.comparison)
-                        comparer = stack.enter_context(opened)
-                    _compare_frame(run, frame, lights, comparer)
-            compared[frame] = kept or _read(run.outputs, frame)
-            done += 3
-    return compared
+    sources = {frame: first.setdefault(_made_from(run, frame, walked.lights[frame]), frame) for frame in frames}
+    kept = {frame: kept_json(outputs.compared(frame), _compared_from) for frame in frames}
+    missing = [frame for frame in frames if kept[frame] is None]
+    yield from _render_missing(run, walked, [frame for frame in missing if sources[frame] == frame])
+    for frame in missing:
+        if sources[frame] != frame:
+            _take_over(outputs, sources[frame], frame)
+    return {frame: kept[frame] or _read(outputs, frame) for frame in frames}
 
 
-def compared_frames(active: Sequence[int], step: int) -> list[int]:
-    """Every `step`-th of the active frames, and the last of them; may be empty."""
-    return sorted({*active[::step], *active[-1:]})
+def _render_missing(run: PreparedRun, walked: WalkedPath, missing: Sequence[int]) -> Iterator[Progress]:
+    """All ground truths, then all methods, so that Cycles builds each of the two scenes once."""
+    if not missing:
+        return
+    outputs, truth_of = run.outputs, functools.partial(read_kept, read=load_ground_truth)
+    with open_comparer(run.scene, run.plan.objects, run.methods, run.comparison) as comparer:
+        for done, frame in enumerate(missing):
+            yield run.progress("ground truth", done / len(missing), f"rendering the ground truth of frame {frame}")
+            if truth_of(outputs.ground_truth(frame)) is None:
+                save_ground_truth(outputs.ground_truth(frame), comparer.render_ground_truth(frame))
+        for done, frame in enumerate(missing):
+            yield run.progress("methods", done / len(missing), f"comparing frame {frame}")
+            _compare_frame(run, frame, walked.lights[frame], comparer)
 
 
 def _made_from(run: PreparedRun, frame: int, lights: Lights) -> tuple[Any, ...]:
@@ -94,7 +96,8 @@ def _compared_from(content: Json) -> ComparedFrame:
 
 
 def _compare_frame(run: PreparedRun, frame: int, lights: Lights, comparer: Comparer) -> None:
-    compared = comparer.render_comparison(load_frame(run.outputs.capture(frame)), lights)
+    truth = load_ground_truth(run.outputs.ground_truth(frame))
+    compared = comparer.render_methods(load_frame(run.outputs.capture(frame)), lights, truth)
     content = ComparedFrame(
         pictures=_write_pictures(run, frame, compared),
         comparison={
@@ -109,6 +112,7 @@ def _compare_frame(run: PreparedRun, frame: int, lights: Lights, comparer: Compa
         comparison_same_as=None,
     )
     write_json(run.outputs.compared(frame), as_json(content))
+    run.outputs.ground_truth(frame).unlink()
 
 
 def _write_pictures(run: PreparedRun, frame: int, compared: Comparison) -> dict[str, str]:

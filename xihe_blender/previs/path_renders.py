@@ -1,23 +1,29 @@
 """The renders of a run: at each frame of the camera path the capture, and the light probes that are in view.
 
-Read where an earlier part of the run kept them, taken over from an earlier frame where nothing has changed since, else
-rendered. What is rendered is kept file by file before anything is made of it.
+All captures are rendered first, then all light probes: Cycles keeps a room's geometry between the renders of one scene,
+and builds it anew when another scene has been rendered in between. In a furnished room of others a frame took 22 s by
+turns, and 11 s so. What an earlier part of the run kept is not rendered again, and what is as in an earlier frame is
+taken over from there. Everything is kept file by file before anything is made of it.
 """
 
 from __future__ import annotations
 
-import contextlib
 import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from xihe_blender.capture.phone_surfaces import ask_for_surfaces, load_surfaces, save_surfaces, surfaces_in
 from xihe_blender.capture.reference_probe import MeasuredLight, ReferenceProbe, open_reference_probe
 from xihe_blender.capture.scanner import CyclesScanner, first_layer, open_scanner
 from xihe_blender.io.exr import read_radiance, write_radiance
+from xihe_blender.io.json_records import Json
 from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.outputs import copy_whole, write_json, write_picture
+from xihe_blender.jobs import Progress
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
 from xihenet.json_files import read_json
@@ -34,128 +40,156 @@ class FrameRenders:
     captured : before the phone has a hand in it
     references : the reference light by name of the probe
     render_s : seconds that rendering took, in whichever part of the run
-    rendered_now_s : seconds of these in this process
     """
 
     captured: RgbdFrame
     references: Mapping[str, MeasuredLight]
     render_s: float
-    rendered_now_s: float
 
 
 class PathRenders:
-    """Renders of one run; made by `open_path_renders`. Asked frame by frame, in order."""
+    """What is kept of the renders of one run."""
 
-    def __init__(self, run: PreparedRun, scanner: CyclesScanner, probe: ReferenceProbe) -> None:
-        self.run, self.scanner, self.reference_probe = run, scanner, probe
+    def __init__(self, run: PreparedRun) -> None:
+        self.run, self.outputs = run, run.outputs
 
     def at(self, frame: int) -> FrameRenders | None:
-        """The renders of `frame` and of the probes in view; None where the run captures nothing."""
-        # Stepped to in any case: simulations need every frame.
-        self.scanner.move_to(frame)
+        """The renders of `frame` and of the probes in view; None where the run captures nothing.
+
+        They have been made before, by `render_path`: ValueError or OSError where one is lost since.
+        """
         probes = self.run.probes_in_view(frame)
         if not probes:
             return None
-        kept = self._kept(frame, probes)
-        if kept is not None:
-            return kept
-        captured, capture_s = self._captured(frame)
-        references, probes_s = self._measured(frame, probes)
-        render_s = capture_s + probes_s
-        outputs = self.run.outputs
-        save_frame(outputs.capture(frame), captured)
-        write_picture(outputs.picture("captured", frame), captured.srgb_u8)
-        write_json(outputs.times(frame), {"render_s": render_s})
-        return FrameRenders(captured, references, render_s, render_s)
+        lights = {probe.name: _kept_light(read_json(self.reference(probe, frame))) for probe in probes}
+        capture_s = float(read_json(self.outputs.times(frame))["render_s"])
+        render_s = capture_s + sum(probe_s for _, probe_s in lights.values())
+        references = {name: light for name, (light, _) in lights.items()}
+        return FrameRenders(load_frame(self.outputs.capture(frame)), references, render_s)
 
-    def _kept(self, frame: int, probes: Sequence[Probe]) -> FrameRenders | None:
-        """What an earlier part of the run has left; None if it has not, or if anything of it is lost or damaged."""
-        outputs = self.run.outputs
-        render_s = kept_json(outputs.times(frame), lambda content: float(content["render_s"]))
-        if render_s is None:
-            return None
-        captured = read_kept(outputs.capture(frame), load_frame)
-        references = {probe.name: kept_json(self._reference(probe, frame), MeasuredLight.from_json) for probe in probes}
-        measured = {name: light for name, light in references.items() if light is not None}
-        is_whole = len(measured) == len(probes) and all(self._is_kept_beside(frame))
-        return FrameRenders(captured, measured, render_s, 0.0) if captured is not None and is_whole else None
+    def missing_captures(self) -> list[int]:
+        """Frames whose captures are not kept, or are damaged."""
+        return [f for f in self.run.plan.frames if self.run.probes_in_view(f) and not all(self._is_captured(f))]
 
-    def _captured(self, frame: int) -> tuple[RgbdFrame, float]:
+    def _is_captured(self, frame: int) -> Iterator[bool]:
+        """Whether each piece of a capture can be read."""
+        outputs = self.outputs
+        yield kept_json(outputs.times(frame), lambda content: float(content["render_s"])) is not None
+        yield read_kept(outputs.capture(frame), load_frame) is not None
+        if self.run.needs.radiance:
+            yield read_kept(outputs.radiance("captured", frame), read_radiance) is not None
+        if self.run.needs.surfaces:
+            yield read_kept(outputs.surfaces(frame), load_surfaces) is not None
+
+    def missing_references(self) -> list[tuple[int, Probe]]:
+        """Frames and probes in view whose reference light is not kept, or is damaged."""
+        asked = [(frame, probe) for frame in self.run.plan.frames for probe in self.run.probes_in_view(frame)]
+        return [(f, probe) for f, probe in asked if kept_json(self.reference(probe, f), _kept_light) is None]
+
+    def capture(self, frame: int, scanner: CyclesScanner) -> None:
+        """Keep the capture of `frame`, at which `scanner` is."""
+        captured, render_s = self._captured(frame, scanner)
+        save_frame(self.outputs.capture(frame), captured)
+        write_picture(self.outputs.picture("captured", frame), captured.srgb_u8)
+        write_json(self.outputs.times(frame), {"render_s": render_s})
+
+    def _captured(self, frame: int, scanner: CyclesScanner) -> tuple[RgbdFrame, float]:
         """The capture, and the seconds that rendering it took; what is kept beside it is written."""
         source = self.run.reuse.captures[frame]
         if source == frame:
-            captured = self.scanner.acquire_environment_scan()
-            self._keep_passes(frame)
-            return captured, self.scanner.render_s
+            captured = scanner.acquire_environment_scan()
+            self._keep_passes(frame, scanner)
+            return captured, scanner.render_s
         for path_at in self._beside_captures():
             copy_whole(path_at(source), path_at(frame))
-        captured = load_frame(self.run.outputs.capture(source))
-        return replace(captured, time_s=self.scanner.time_s, frame=frame), 0.0
+        captured = load_frame(self.outputs.capture(source))
+        return replace(captured, time_s=scanner.time_s, frame=frame), 0.0
 
-    def _keep_passes(self, frame: int) -> None:
+    def _keep_passes(self, frame: int, scanner: CyclesScanner) -> None:
         """Store what the last render has for the phone, beside the capture itself."""
-        outputs, rendered = self.run.outputs, self.scanner.rendered
+        outputs, rendered = self.outputs, scanner.rendered
         if self.run.needs.radiance:
             write_radiance(outputs.radiance("captured", frame), first_layer(rendered)[0])
         if self.run.needs.surfaces:
             passes, roughness = next(iter(rendered.layers.values())), self.run.survey.frames[frame].roughness
             save_surfaces(outputs.surfaces(frame), surfaces_in(passes, roughness))
 
-    def _is_kept_beside(self, frame: int) -> Iterator[bool]:
-        """Whether each of what stands beside the capture can be read."""
-        if self.run.needs.radiance:
-            yield read_kept(self.run.outputs.radiance("captured", frame), read_radiance) is not None
-        if self.run.needs.surfaces:
-            yield read_kept(self.run.outputs.surfaces(frame), load_surfaces) is not None
-
     def _beside_captures(self) -> Iterator[Callable[[int], Path]]:
         """Where that is stored, by frame."""
         if self.run.needs.radiance:
-            yield functools.partial(self.run.outputs.radiance, "captured")
+            yield functools.partial(self.outputs.radiance, "captured")
         if self.run.needs.surfaces:
-            yield self.run.outputs.surfaces
+            yield self.outputs.surfaces
 
-    def _measured(self, frame: int, probes: Sequence[Probe]) -> tuple[dict[str, MeasuredLight], float]:
-        """The reference light of each probe, kept, and the seconds that rendering took."""
-        references, render_s = {}, 0.0
-        for probe in probes:
-            source = self.run.reuse.probes[frame, probe.name]
-            if source == frame:
-                render_s += self._measure(probe, frame)
-            else:
-                self._take_over(probe, source, frame)
-            references[probe.name] = MeasuredLight.from_json(read_json(self._reference(probe, frame)))
-        return references, render_s
+    def measure(self, frame: int, probe: Probe, reference_probe: ReferenceProbe) -> None:
+        """Keep the reference light at `probe` in `frame`."""
+        source, index = self.run.reuse.probes[frame, probe.name], self.run.plan.probes.index(probe)
+        panorama = functools.partial(self.outputs.probe, index, probe.name)
+        if source == frame:
+            light = reference_probe.light_at(index, frame, self.run.exposure)
+            measured, render_s = light.measured, light.render_s
+            write_radiance(panorama(frame), light.panorama)
+        else:
+            measured, render_s = _kept_light(read_json(self.reference(probe, source)))[0], 0.0
+            copy_whole(panorama(source), panorama(frame))
+        write_json(self.reference(probe, frame), {"light": measured.as_json(), "render_s": render_s})
 
-    def _measure(self, probe: Probe, frame: int) -> float:
-        outputs, index = self.run.outputs, self._index(probe)
-        light = self.reference_probe.light_at(index, frame, self.run.exposure)
-        write_radiance(outputs.probe(index, probe.name, frame), light.panorama)
-        write_json(outputs.reference(index, probe.name, frame), light.measured.as_json())
-        return light.render_s
-
-    def _take_over(self, probe: Probe, source: int, frame: int) -> None:
-        outputs, index = self.run.outputs, self._index(probe)
-        for kind in (outputs.probe, outputs.reference):
-            copy_whole(kind(index, probe.name, source), kind(index, probe.name, frame))
-
-    def _reference(self, probe: Probe, frame: int) -> Path:
-        return self.run.outputs.reference(self._index(probe), probe.name, frame)
-
-    def _index(self, probe: Probe) -> int:
-        return self.run.plan.probes.index(probe)
+    def reference(self, probe: Probe, frame: int) -> Path:
+        """Where that is kept."""
+        return self.outputs.reference(self.run.plan.probes.index(probe), probe.name, frame)
 
 
-@contextlib.contextmanager
-def open_path_renders(run: PreparedRun) -> Iterator[PathRenders]:
-    """The renders of `run`, with what it needs beside them."""
-    probes, items = run.plan.probes, {item.name: item for item in run.plan.objects}
-    positions_m, objects = [p.position_m for p in probes], [items[p.object_name] for p in probes]
-    with (
-        open_scanner(run.scene, run.capture) as scanner,
-        open_reference_probe(run.scene, positions_m, run.reference, objects) as reference_probe,
-    ):
+def _kept_light(content: Json) -> tuple[MeasuredLight, float]:
+    """What `PathRenders.measure` kept: the light, and seconds."""
+    return MeasuredLight.from_json(content["light"]), float(content["render_s"])
+
+
+def render_path(run: PreparedRun) -> Generator[Progress, None, dict[int, float]]:
+    """A job: render and keep what is not kept yet; seconds of work beside rendering, by frame."""
+    renders, work_s = PathRenders(run), dict[int, float]()
+    yield from _capture_missing(run, renders, work_s)
+    yield from _measure_missing(run, renders, work_s)
+    return work_s
+
+
+def _capture_missing(run: PreparedRun, renders: PathRenders, work_s: dict[int, float]) -> Iterator[Progress]:
+    missing = renders.missing_captures()
+    if not missing:
+        return
+    with open_scanner(run.scene, run.capture) as scanner:
         scanner.exposure = run.exposure
         if run.needs.surfaces:
             ask_for_surfaces(scanner.scene.view_layers[0])
-        yield PathRenders(run, scanner, reference_probe)
+        done_share = _done_shares([run.reuse.captures[frame] == frame for frame in missing])
+        # Stepped to in any case: simulations need every frame.
+        for frame in run.plan.frames[: run.plan.frames.index(missing[-1]) + 1]:
+            if frame in missing:
+                yield run.progress("capture", next(done_share), f"capturing frame {frame}")
+            start = time.perf_counter()
+            scanner.move_to(frame)
+            if frame in missing:
+                renders.capture(frame, scanner)
+                rendered_s = scanner.render_s if run.reuse.captures[frame] == frame else 0.0
+                work_s[frame] = time.perf_counter() - start - rendered_s
+
+
+def _measure_missing(run: PreparedRun, renders: PathRenders, work_s: dict[int, float]) -> Iterator[Progress]:
+    missing = renders.missing_references()
+    if not missing:
+        return
+    probes, items = run.plan.probes, {item.name: item for item in run.plan.objects}
+    positions_m, objects = [p.position_m for p in probes], [items[p.object_name] for p in probes]
+    with open_reference_probe(run.scene, positions_m, run.reference, objects) as reference_probe:
+        done_shares = _done_shares([run.reuse.probes[frame, probe.name] == frame for frame, probe in missing])
+        for (frame, probe), done_share in zip(missing, done_shares, strict=True):
+            yield run.progress("reference light", done_share, f"measuring the light at {probe.name}, frame {frame}")
+            start = time.perf_counter()
+            renders.measure(frame, probe, reference_probe)
+            _, rendered_s = _kept_light(read_json(renders.reference(probe, frame)))
+            work_s[frame] = work_s.get(frame, 0.0) + time.perf_counter() - start - rendered_s
+
+
+def _done_shares(are_rendered: Sequence[bool]) -> Iterator[float]:
+    """The share of the renders that is done before each piece; those that are taken over are no work."""
+    n_before = np.cumsum([0, *are_rendered])
+    yield from (n_before[:-1] / max(1, n_before[-1])).tolist()

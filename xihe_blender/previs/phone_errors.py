@@ -40,11 +40,11 @@ def measure_phone(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, N
     all_on = mean([probe.shc_rmse for entry in active for probe in entry.probes])
     without: dict[str, float | None] = {}
     for effect in [name for name in phone.effects if name in phone.on]:
-        yield Progress(run.total, run.total, f"measuring the light without {effect}")
+        yield run.progress("methods", 1, f"measuring the light without {effect}")
         link = None if effect == NETWORK else phone.link_in_use
         effects = phone.on - {effect}
         without[effect] = None if effect == NOT_REPEATED else _mean_error(run, phone, active, effects, link)
-    yield Progress(run.total, run.total, "measuring the light with a perfect phone")
+    yield run.progress("methods", 1, "measuring the light with a perfect phone")
     perfect = _mean_error(run, phone, active, frozenset(), None)
     return PhoneErrors(all_on=all_on, perfect=perfect, without=without)
 

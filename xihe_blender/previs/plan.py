@@ -133,3 +133,8 @@ def _probes(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[Prob
     if len(positions) == 1:
         return [Probe(item.name, item.name, positions[0])]
     return [Probe(f"{item.name} {k}", item.name, position) for k, position in enumerate(positions, start=1)]
+
+
+def compared_frames(active: Sequence[int], step: int) -> list[int]:
+    """Every `step`-th of the active frames, and the last of them; may be empty."""
+    return sorted({*active[::step], *active[-1:]})

@@ -23,7 +23,7 @@ from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.light_transport.render_reuse import RenderReuse, each_its_own, plan_render_reuse
 from xihe_blender.previs.phone_capture import CaptureNeeds, ChosenPhone, choose_phone
-from xihe_blender.previs.plan import PrevisPlan, Probe
+from xihe_blender.previs.plan import PrevisPlan, Probe, compared_frames
 from xihe_blender.previs.sample_count import SampleCount, measure_sample_count
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.previs.survey import SceneSurvey, survey_path
@@ -34,6 +34,11 @@ from xihenet.trigger import TriggerSettings
 NOISE_MARGIN = 1.5
 """By so much the change of a frame may exceed what the pilot saw: in a room of 48x36 pixels it did by 1.3, as colour is
 encoded and the variance falls a little slower than 1/samples."""
+
+
+PROBE_WORK, TRUTH_WORK, METHODS_WORK = 0.45, 1.3, 0.55
+"""Seconds of a reference light, whose pictures are of one size and number in most runs, and of a million samples of the
+ground truth and of all methods, where a million samples of a capture take one: measured in two furnished rooms."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,11 +85,29 @@ class PreparedRun:
         return list(dict.fromkeys([self.settings.estimator, "ambient", "truth"]))
 
     @property
-    def total(self) -> int:
-        """Units of work for the progress: a frame to capture is one, a frame to compare three."""
-        return len(self.plan.frames) + 3 * len(
-            range(0, len(self.plan.frames), self.settings.preset_values.comparison_step)
-        )
+    def work(self) -> dict[str, float]:
+        """Units of work by stage, in order, as far as can be told from numbers of samples; see PROBE_WORK."""
+        frames = [frame for frame in self.plan.frames if self.probes_in_view(frame)]
+        n_captures = sum(self.reuse.captures[frame] == frame for frame in frames)
+        n_probes = sum(self.reuse.probes[f, p.name] == f for f in frames for p in self.probes_in_view(f))
+        n_compared = len(compared_frames(frames, self.settings.preset_values.comparison_step))
+        megapixels = self.plan.size[0] * self.plan.size[1] / 1e6
+        compared = n_compared * megapixels * self.comparison.samples  # Samples, in millions.
+        return {
+            "capture": n_captures * megapixels * self.capture.samples,
+            "reference light": n_probes * PROBE_WORK,
+            "ground truth": TRUTH_WORK * compared,
+            "methods": METHODS_WORK * compared,
+        }
+
+    def progress(self, stage: str, done_share: float, doing: str) -> Progress:
+        """That a share of `stage` is done, and all stages before it."""
+        work = {name: max(units, 1e-9) for name, units in self.work.items()}
+        names = list(work)
+        left = {name: work[name] for name in names[names.index(stage) :]}
+        left[stage] *= 1 - done_share
+        total = sum(work.values())
+        return Progress(total - sum(left.values()), total, doing, left)
 
     @property
     def capture(self) -> RenderSettings:

@@ -67,7 +67,7 @@ def previs(
         walked = yield from walk_path(run)
         compared = yield from compare_path(run, walked)
         errors = yield from measure_phone(run, walked)
-    yield Progress(run.total, run.total, "applying the light and writing the report")
+    yield run.progress("methods", 1, "applying the light and writing the report")
     estimated = {frame: methods[settings.estimator] for frame, methods in walked.lights.items()}
     changes = light_changes(plan, estimated)
     apply_lights(scene, changes, walked.frames, run.exposure)

@@ -21,7 +21,7 @@ from xihe_blender.io.outputs import write_picture
 from xihe_blender.io.run_results import FrameResult, ProbeResult
 from xihe_blender.jobs import Progress
 from xihe_blender.previs import results
-from xihe_blender.previs.path_renders import FrameRenders, PathRenders, open_path_renders
+from xihe_blender.previs.path_renders import FrameRenders, PathRenders, render_path
 from xihe_blender.previs.phone_capture import CaptureFacts, SimulatedPhone, facts_kept, simulate_phone
 from xihe_blender.previs.phone_session import PhoneSession, SessionStep
 from xihe_blender.previs.plan import Probe
@@ -50,33 +50,28 @@ class WalkedPath:
 
 
 def walk_path(run: PreparedRun) -> Generator[Progress, None, WalkedPath]:
-    """A job: capture the path of `run` and run the chain on it."""
-    sees = run.phone.sees
-    with open_path_renders(run) as renders:
-        facts, captured_s = (yield from _capture_path(run, renders)) if sees else ({}, {})
-        phone = simulate_phone(run.phone, run.survey, facts, run.exposure)
-        walk = _Walk(run, phone, renders, captured_s)
-        for done, frame in enumerate(run.plan.frames):
-            if not sees:
-                yield Progress(done, run.total, f"capturing frame {frame}")
-            walk.step(frame)
+    """A job: render the path of `run`, as far as it is not rendered yet, and run the chain on it."""
+    work_s = yield from render_path(run)
+    renders = PathRenders(run)
+    facts = _facts_of_captures(run, renders, work_s) if run.phone.sees else {}
+    phone = simulate_phone(run.phone, run.survey, facts, run.exposure)
+    walk = _Walk(run, phone, renders, work_s)
+    for frame in run.plan.frames:
+        walk.step(frame)
     return walk.walked
 
 
-def _capture_path(
-    run: PreparedRun, renders: PathRenders
-) -> Generator[Progress, None, tuple[dict[int, CaptureFacts], dict[int, float]]]:
-    """Render and keep what the phone will be derived from: facts, and seconds of work without rendering, by frame."""
-    facts, work_s = {}, {}
+def _facts_of_captures(run: PreparedRun, renders: PathRenders, work_s: dict[int, float]) -> dict[int, CaptureFacts]:
+    """What the phone will be derived from, by captured frame; the time it takes is added to `work_s`."""
+    facts = {}
     positions_m = np.array([probe.position_m for probe in run.plan.probes]).reshape(-1, 3)
-    for done, frame in enumerate(run.plan.frames):
-        yield Progress(done, run.total, f"capturing frame {frame}")
+    for frame in run.plan.frames:
         start = time.perf_counter()
         rendered = renders.at(frame)
         if rendered is not None:
             facts[frame] = facts_kept(run.phone, rendered.captured, positions_m, run.outputs)
-            work_s[frame] = time.perf_counter() - start - rendered.rendered_now_s
-    return facts, work_s
+            work_s[frame] = work_s.get(frame, 0.0) + time.perf_counter() - start
+    return facts
 
 
 class _Walk:
@@ -84,7 +79,7 @@ class _Walk:
 
     Parameters
     ----------
-    captured_s : seconds of work on each frame that was captured before the walk
+    captured_s : seconds of work on each frame before the walk, without rendering
     """
 
     def __init__(
@@ -116,7 +111,7 @@ class _Walk:
         step = self.session.step(seen, truth, list(truth))
         self.walked.lights[seen.frame] = self._lights_in_force(seen.time_s)
         of_probes = [self._probe_result(probe, step, seen) for probe in probes]
-        work_s = time.perf_counter() - start - rendered.rendered_now_s + self.captured_s.get(seen.frame, 0.0)
+        work_s = time.perf_counter() - start + self.captured_s.get(seen.frame, 0.0)
         rendering = results.rendering(seen.frame, rendered.references, run)
         times_s = rendered.render_s, work_s
         return results.active_frame(seen, step.reports, of_probes, rendering, times_s, n_lost=n_lost)

@@ -24,11 +24,10 @@ import numpy as np
 
 from xihe_blender.capture.reference_probe import open_reference_probe
 from xihe_blender.capture.scanner import open_scanner
-from xihe_blender.compare.methods import open_comparer
+from xihe_blender.compare.methods import GroundTruth, open_comparer
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import Job, Progress, run_blocking
-from xihe_blender.previs.compare_path import compared_frames
-from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.plan import compared_frames, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run
 from xihe_blender.previs.settings import PrevisSettings, load_estimator
 from xihe_blender.previs.survey import survey_path
@@ -147,7 +146,7 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
     n_comparisons = len(compared_frames(list(run.reuse.captures), run.settings.preset_values.comparison_step))
     return RunTime(
         prepared_s + capture_loaded_s + probe_loaded_s + comparison_loaded_s,
-        len(run.plan.frames) + n_comparisons + N_OTHER_STEPS,
+        len(run.reuse.captures) + len(run.reuse.probes) + 2 * n_comparisons + N_OTHER_STEPS,
         sum(source == frame for frame, source in run.reuse.captures.items()),
         sum(source == frame for (frame, _), source in run.reuse.probes.items()),
         n_comparisons,
@@ -174,13 +173,19 @@ def _timed_comparison(
     """Under no light at all, which takes Cycles as long as any."""
     dark = {method: {item.name: np.zeros((9, 3)) for item in run.plan.objects} for method in run.methods}
     with open_comparer(run.scene, run.plan.objects, run.methods, run.comparison) as comparer:
-        return time_renders(
-            lambda frame: comparer.render_comparison(captured[frame], dark),
-            frames,
-            run.comparison.samples,
-            comparer.ground_truth,
-            comparer.lit,
+        truth: dict[int, GroundTruth] = {}
+
+        def trace(frame: int) -> None:
+            truth[frame] = comparer.render_ground_truth(frame)
+
+        samples = run.comparison.samples
+        # One after the other, as in a run: by turns Cycles would build the scenes anew for each render.
+        traced_loaded_s, traced = time_renders(trace, frames, samples, comparer.ground_truth)
+        lit_loaded_s, lit = time_renders(
+            lambda frame: comparer.render_methods(captured[frame], dark, truth[frame]), frames, samples, comparer.lit
         )
+    both = RenderTime(traced.fixed_s + lit.fixed_s, traced.per_sample_s + lit.per_sample_s, samples)
+    return traced_loaded_s + lit_loaded_s, both
 
 
 def time_renders(

@@ -29,9 +29,8 @@ from xihe_blender.jobs import Job, Progress, run_blocking
 from xihe_blender.lab.batch.grid import BatchSettings
 from xihe_blender.lab.batch.results import WORST_KINDS, worst_frame, worst_picture
 from xihe_blender.lab.batch.trials import trial_record, trigger_sweep
-from xihe_blender.previs.compare_path import compared_frames
-from xihe_blender.previs.path_renders import open_path_renders
-from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.path_renders import render_path
+from xihe_blender.previs.plan import compared_frames, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, render_reuse, survey_run
 from xihe_blender.previs.run_chain import WalkedPath, walk_path
 from xihe_blender.previs.settings import load_estimator
@@ -69,7 +68,7 @@ def evaluate_unit(scene: bpy.types.Scene, file: Path, folder: Path, settings: Ba
         walks = []
         for index, run in enumerate(runs):
             walks.append(run_blocking(walk_path(run)))
-            yield _progress(run, len(plan.frames), f"trial {index + 1} of {len(runs)} has walked")
+            yield run.progress("ground truth", 0, f"trial {index + 1} of {len(runs)} has walked")
         swept = [trigger_sweep(run, walked) for run, walked in zip(runs, walks, strict=True)]
         compared = yield from compare_unit(runs, walks)
     records = [
@@ -88,14 +87,7 @@ def _capture_all(runs: Sequence[PreparedRun]) -> Generator[Progress, None, None]
     first = runs[0]
     needs = functools.reduce(operator.or_, (run.needs for run in runs))
     shared = replace(first, needs=needs, reuse=render_reuse(first.survey, first.effects, needs))
-    with open_path_renders(shared) as renders:
-        for done, frame in enumerate(shared.plan.frames):
-            yield _progress(shared, done, f"capturing frame {frame}")
-            renders.at(frame)
-
-
-def _progress(run: PreparedRun, done: float, doing: str) -> Progress:
-    return Progress(done, run.total, doing)
+    yield from render_path(shared)
 
 
 def _mean_step_ms(walked: WalkedPath) -> float | None:
@@ -121,14 +113,12 @@ def compare_unit(runs: Sequence[PreparedRun], walks: Sequence[WalkedPath]) -> Ge
     wanted = [compared_frames([frame.frame for frame in walked.frames if frame.active], step) for walked in walks]
     frames = sorted(frozenset[int]().union(*wanted))
     by_trial: list[dict[int, dict[str, float | None]]] = [{} for _ in runs]
-    render_s, n_frames = 0.0, len(first.plan.frames)
+    render_s = 0.0
     sources: dict[tuple[Any, ...], int] = {}
     with contextlib.ExitStack() as stack:
         comparer = None
         for done, frame in enumerate(frames):
-            yield Progress(
-                n_frames + 3 * done, max(first.total, n_frames + 3 * len(frames)), f"comparing frame {frame}"
-            )
+            yield first.progress("ground truth", done / len(frames), f"comparing frame {frame}")
             trials = [index for index, of_trial in enumerate(wanted) if frame in of_trial]
             lights = {str(index): _light(runs[index], walks[index], frame) for index in trials}
             source = sources.setdefault(_made_from(first, frame, lights), frame)
