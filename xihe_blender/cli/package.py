@@ -15,7 +15,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What can be typed."""
     add = parser.add_argument
     add("--out", type=Path, required=True, metavar="DIR", help="folder for xihe-<version>.zip")
-    add("--wheels", type=Path, metavar="DIR", help="wheels of others; missing ones are fetched; default: a cache")
+    add(
+        "--wheels",
+        type=Path,
+        metavar="DIR",
+        help="folder of wheels made by others; missing ones are downloaded; default: a cache",
+    )
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
