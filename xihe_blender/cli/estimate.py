@@ -97,7 +97,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FACTOR",
         help="exposure of the frame; default: metered for OpenEXR, 1 for images",
     )
-    add("--estimator", default=estimators.DEFAULT, metavar="NAME", help=one_of(estimators.names()))
+    add(
+        "--estimator",
+        default=estimators.DEFAULT,
+        metavar="NAME",
+        help=one_of(n for n in estimators.names() if n != "truth"),
+    )
     add("--target", choices=("ldr", "hdr"), default="ldr", help="ldr: light clipped at white; hdr: all of it")
     add(
         "--anchors",

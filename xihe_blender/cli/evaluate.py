@@ -8,9 +8,8 @@ from typing import Any
 
 from xihe_blender.cli.arguments import frame_range, names, picture_size, whole_numbers
 from xihe_blender.cli.progress import EXIT_IN_PART, progress_line, when_news
-from xihe_blender.cli.shared_options import NETWORK, SIZE, TARGET, one_of
+from xihe_blender.cli.shared_options import ESTIMATORS, NETWORK, SIZE, TARGET, one_of
 from xihe_blender.errors import UserError
-from xihenet import estimators
 from xihenet.phone import profile_names
 
 
@@ -19,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("scenes", type=Path, nargs="+", metavar="SCENE.blend", help="scenes with animated cameras")
     add("--out", type=Path, required=True, metavar="DIR", help="folder of the batch; a stopped batch in it is resumed")
-    add("--estimators", type=names, metavar="A,B", help=one_of(estimators.names()))
+    add("--estimators", type=names, metavar="A,B", help=f"{ESTIMATORS}; default: lattice,projection,ambient,truth")
     add("--profiles", type=names, metavar="A,B", help="phones: " + one_of([*profile_names(), "FILE.toml"]))
     add(
         "--seeds",

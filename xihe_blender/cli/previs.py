@@ -8,11 +8,11 @@ from typing import Any
 
 from xihe_blender.cli.arguments import frame_range, names, picture_size
 from xihe_blender.cli.progress import progress_line
-from xihe_blender.cli.shared_options import NETWORK, OVERRIDE, PHONE, SIZE, TARGET, one_of
+from xihe_blender.cli.shared_options import ESTIMATOR, NETWORK, OVERRIDE, PHONE, SIZE, TARGET
 from xihe_blender.jobs import run_blocking
 from xihenet import estimators
 
-NOISE_TARGET = "share of the light that rendering noise may change; default: 0.06, 0.03 or 0.015, by preset"
+NOISE_TARGET = "largest rendering noise, as a share of the light; default: 0.06, 0.03 or 0.015, by preset"
 SAMPLES = "samples of every capture, and pictures of every light probe, whatever the noise"
 
 
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--frames", type=frame_range, metavar="A:B[:S]", help="frames of the path; default: the scene's range and step"
     )
     parser.add_argument("--objects", type=names, metavar="A,B", help="virtual objects; default: all")
-    parser.add_argument("--estimator", default=estimators.DEFAULT, metavar="NAME", help=one_of(estimators.names()))
+    parser.add_argument("--estimator", default=estimators.DEFAULT, metavar="NAME", help=ESTIMATOR)
     parser.add_argument(
         "--preset", default="balanced", metavar="NAME", help="draft, balanced or accurate: how much is rendered"
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from xihenet import estimators
 from xihenet.phone import LINKS, profile_names
 
 SIZE = "size of captured pictures; default: 256x192, or 192x256 if the scene is upright"
@@ -17,6 +18,8 @@ def one_of(names: Iterable[str]) -> str:
     return f"{', '.join(most)} or {last}"
 
 
+ESTIMATORS = f"{one_of(estimators.names())}; pointar and xihenet need torch"
+ESTIMATOR = f"{ESTIMATORS}; default: {estimators.DEFAULT}"
 OVERRIDE: dict[str, Any] = {
     "dest": "overrides",
     "action": "append",
