@@ -20,7 +20,7 @@ MOST_WORDS = 900
 
 
 def commands_of(page):
-    """What a page tells people to type, in blocks marked as `sh`; a line that ends in a backslash goes on in the next."""
+    """What a page tells people to type, in blocks marked as `sh`; a backslash at its end joins a line to the next."""
     blocks = re.findall(r"```sh\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
     lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
     return [command for line in lines if (command := line.split(" #")[0].strip())]
@@ -121,7 +121,9 @@ def headings_of(text):
 
 
 def test_a_link_to_nowhere_is_seen():
-    text = "# What `make bench` measures, and why\n[a](docs/gone.md) [b](#what-make-bench-measures-and-why) [c](#gone)\n"
+    text = (
+        "# What `make bench` measures, and why\n[a](docs/gone.md) [b](#what-make-bench-measures-and-why) [c](#gone)\n"
+    )
     assert links_of(text) == ["docs/gone.md", "#what-make-bench-measures-and-why", "#gone"]
     assert headings_of(text) == {"what-make-bench-measures-and-why"}
     assert not is_found(ROOT / "README.md", "docs/gone.md") and not is_found(ROOT / "README.md", "LICENSE#gone")
