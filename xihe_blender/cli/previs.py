@@ -83,7 +83,7 @@ def format_summary(results: dict[str, Any]) -> str:
     if results["settings"]["network"] is not None:
         line += f", {format_network(summary)}"
     if summary["n_unknown_lights"]:
-        line += f", the light was kept {summary['n_unknown_lights']} times where it could not be known"
+        line += f", the last light was kept {summary['n_unknown_lights']} times because it was unknown"
     if ratio is None or estimator == "ambient":
         return line
     word = "closer to" if ratio <= 1 else "further from"
@@ -91,7 +91,7 @@ def format_summary(results: dict[str, Any]) -> str:
 
 
 def format_network(summary: dict[str, Any]) -> str:
-    """How long estimates took, and how many never came: "84 ms on their way, none lost"."""
+    """How long estimates took, and how many never came: "84 ms to arrive, none lost"."""
     latency_ms = summary["mean_latency_ms"]
-    took = "none arrived" if latency_ms is None else f"{latency_ms:.0f} ms on their way"
+    took = "none arrived" if latency_ms is None else f"{latency_ms:.0f} ms to arrive"
     return f"{took}, {summary['n_lost'] or 'none'} lost"
