@@ -347,7 +347,7 @@ def test_a_broken_file_of_which_blender_itself_complains_is_refused(folder, tmp_
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--frames", "5:1"), "A not after B"),
+        (("--frames", "5:1"), "A no later than B"),
         (("--frames", "a:b"), "1:24:2"),
         (("--frames", "1:5:0"), "1 or more"),
         (("--frames", "1:6"), "choose frames within it"),

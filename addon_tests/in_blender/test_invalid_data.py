@@ -61,7 +61,7 @@ def test_a_run_goes_on_with_the_last_light_where_none_can_be_known(blinded):
 def test_the_kept_light_is_said_in_words_everywhere(blinded):
     results, out = blinded
     note = next(note for note in results["notes"] if "could not be known" in note)
-    assert "Ball" in note and "2" in note and "3" in note and "that of frame 1" in note
+    assert "Ball" in note and "2" in note and "3" in note and "the light of frame 1 was kept" in note
     assert "no surface was seen" in note
     assert "kept 2 times" in format_summary(results)
     page = (out / "report.html").read_text(encoding="utf-8")
