@@ -8,10 +8,11 @@ compressions are left to that package by `frame_files`, outside Blender. Not her
 
 from __future__ import annotations
 
+import contextlib
 import math
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,18 +20,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xihenet.picture_size import TooLarge, picked_pixels
 from xihenet.records import ArrayF32
 
 MAGIC = b"\x76\x2f\x31\x01"
 PIXEL_TYPES: tuple[str, ...] = ("<u4", "<f2", "<f4")
 """NumPy's names of UINT, HALF and FLOAT, at the numbers that stand for them."""
 
-COMPRESSIONS = ("none", "RLE", "ZIPS", "ZIP", "PIZ", "PXR24", "B44", "B44A", "DWAA", "DWAB")
+COMPRESSIONS = (
+    "none", "RLE", "ZIPS", "ZIP", "PIZ", "PXR24", "B44", "B44A", "DWAA", "DWAB", "HTJ2K256", "HTJ2K32", "LJ2K", "ZSTD"
+)  # fmt: skip
+"""At the numbers that stand for them; newer ones are called by their number."""
+
 ROWS_IN_CHUNK = {"none": 1, "ZIPS": 1, "ZIP": 16}
 """Rows that are stored together, for the compressions that can be read here."""
 
 TILED, LONG_NAMES, DEEP, MULTI_PART = 0x200, 0x400, 0x800, 0x1000
 MAX_SHORT_NAME = 31
+LARGEST_UNPACKED, LARGEST_RATIO = 2**28, 100
+"""Bytes, and how many times the file's: a small file that says that it holds more than both is not unpacked."""
+
 ZLIB_LEVEL = 4
 """Of 256x192 pixels of noise, levels 1 to 4 take the same time and space."""
 
@@ -43,13 +52,14 @@ class OtherExr(ValueError):
 
 @dataclass(frozen=True)
 class _Part:
-    """One part of a file: the channels in the order in which each row holds them."""
+    """One part of a file: channels in the order in which each row holds them; `other` is why it is not read here."""
 
     channels: _Channels
     compression: str
     width: int
     height: int
     first_row: int
+    other: str = ""
 
     @property
     def row_bytes(self) -> int:
@@ -60,26 +70,35 @@ class _Part:
         return math.ceil(self.height / ROWS_IN_CHUNK[self.compression])
 
 
-def read_exr(path: Path) -> dict[str, ArrayF32]:
-    """Every channel as (H, W) float32 by its full name, such as "ViewLayer.Combined.R"; row 0 is the top.
+def exr_sizes(path: Path) -> dict[str, tuple[int, int]]:
+    """(H, W) of every channel by its full name, as the header says it, of any OpenEXR file; raises as `read_exr`."""
+    content = _content(path)
+    with _errors_of(path):
+        parts, _ = _parts(content)
+        return {name: (part.height, part.width) for part in parts for name, _ in part.channels}
+
+
+def read_exr(
+    path: Path, names: Collection[str] | None = None, *, most_pixels: int | None = None
+) -> dict[str, ArrayF32]:
+    """Channels as (H, W) float32 by their full names, such as "ViewLayer.Combined.R"; row 0 is the top.
 
     All parts come as one table: Blender 4.x writes all passes as one part, 5.x one part for each.
+
+    Parameters
+    ----------
+    names : the channels to read, None for all; those that are not there are left out
+    most_pixels : larger parts are thinned to so many, see `picked_pixels`
 
     Raises
     ------
     OSError : if the file cannot be opened
     OtherExr : if it is tiled, deep, subsampled or compressed otherwise than with ZIP
-    ValueError : if it is no OpenEXR file, is cut short or is broken
+    ValueError : if it is no OpenEXR file, is cut short, is broken or is a small file that holds gigabytes
     """
-    content = path.read_bytes()
-    if not content.startswith(MAGIC):
-        raise ValueError(f"{path}: expected an OpenEXR file, it begins with {content[:4]!r}")
-    try:
-        return _read(content)
-    except OtherExr as error:
-        raise OtherExr(f"{path}: {error}") from error
-    except (ValueError, KeyError, IndexError, OverflowError, struct.error, zlib.error) as error:
-        raise ValueError(f"{path}: its pixels cannot be read, it may be cut short: save it again") from error
+    content = _content(path)
+    with _errors_of(path):
+        return _read(content, names, most_pixels)
 
 
 def write_exr(path: Path, channels: Mapping[str, NDArray[Any]], *, compression: str = "ZIP") -> None:
@@ -101,23 +120,49 @@ def write_exr(path: Path, channels: Mapping[str, NDArray[Any]], *, compression: 
 # ------------------------------------------------------------------------------------------------------------- reading
 
 
-def _read(content: bytes) -> dict[str, ArrayF32]:
-    flags = struct.unpack_from("<i", content, 4)[0]
-    if flags & (TILED | DEEP):
-        raise OtherExr("tiles and deep pixels cannot be read")
-    is_multi_part = bool(flags & MULTI_PART)
-    parts, at = _parts(content, 8, is_multi_part)
+def _content(path: Path) -> bytes:
+    content = path.read_bytes()
+    if not content.startswith(MAGIC):
+        raise ValueError(f"{path}: expected an OpenEXR file, it begins with {content[:4]!r}")
+    return content
+
+
+@contextlib.contextmanager
+def _errors_of(path: Path) -> Iterator[None]:
+    """What goes wrong in the bytes of a file, as `read_exr` raises it."""
+    try:
+        yield
+    except (OtherExr, TooLarge) as error:
+        raise type(error)(f"{path}: {error}") from error
+    except (ValueError, KeyError, IndexError, OverflowError, struct.error, zlib.error) as error:
+        raise ValueError(f"{path}: its pixels cannot be read, it may be cut short: save it again") from error
+
+
+def _read(content: bytes, names: Collection[str] | None, most_pixels: int | None) -> dict[str, ArrayF32]:
+    parts, at = _parts(content)
+    for part in parts:
+        if part.other:
+            raise OtherExr(part.other)
+    is_multi_part = bool(_flags(content) & MULTI_PART)
     channels: dict[str, ArrayF32] = {}
     for number, part in enumerate(parts):
         offsets = np.frombuffer(content, "<u8", part.n_chunks, at).tolist()
         at += 8 * part.n_chunks
-        rows = _rows(content, part, offsets, number if is_multi_part else None)
-        channels |= _channels_of(part, rows)
+        chunks = _chunks(content, part, offsets, number if is_multi_part else None)
+        wanted = [name for name, _ in part.channels if names is None or name in names]
+        if wanted:
+            channels |= _channels_of(part, chunks, wanted, most_pixels)
     return channels
 
 
-def _parts(content: bytes, at: int, is_multi_part: bool) -> tuple[list[_Part], int]:
+def _flags(content: bytes) -> int:
+    return int(struct.unpack_from("<i", content, 4)[0])
+
+
+def _parts(content: bytes) -> tuple[list[_Part], int]:
     """All headers, and where they end."""
+    flags, at = _flags(content), 8
+    is_multi_part = bool(flags & MULTI_PART)
     parts: list[_Part] = []
     while not parts or (is_multi_part and content[at]):
         attributes: dict[str, bytes] = {}
@@ -130,7 +175,7 @@ def _parts(content: bytes, at: int, is_multi_part: bool) -> tuple[list[_Part], i
             attributes[name] = content[at + 4 : at + 4 + size]
             at += 4 + size
         at += 1
-        parts.append(_part(attributes))
+        parts.append(_part(attributes, flags))
     return parts, at + is_multi_part
 
 
@@ -139,36 +184,50 @@ def _text(content: bytes, at: int) -> tuple[str, int]:
     return content[at:end].decode(), end + 1
 
 
-def _part(attributes: Mapping[str, bytes]) -> _Part:
-    if attributes.get("type", b"scanlineimage") != b"scanlineimage":
-        raise OtherExr(f"parts of type {attributes['type'].decode(errors='replace')} cannot be read")
-    compression = COMPRESSIONS[attributes["compression"][0]]
-    if compression not in ROWS_IN_CHUNK:
-        raise OtherExr(f"its compression, {compression}, cannot be read")
+def _part(attributes: Mapping[str, bytes], flags: int) -> _Part:
+    number = attributes["compression"][0]
+    compression = COMPRESSIONS[number] if number < len(COMPRESSIONS) else f"number {number}"
     left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
     if right < left or bottom < top:
         raise ValueError("the picture has no pixels")
-    return _Part(_channel_list(attributes["channels"]), compression, right - left + 1, bottom - top + 1, top)
+    channels, is_subsampled = _channel_list(attributes["channels"])
+    kind = attributes.get("type", b"scanlineimage").decode(errors="replace")
+    other = ""
+    if flags & (TILED | DEEP):
+        other = "tiles and deep pixels cannot be read"
+    elif kind != "scanlineimage":
+        other = f"parts of type {kind} cannot be read"
+    elif compression not in ROWS_IN_CHUNK:
+        other = f"its compression, {compression}, cannot be read"
+    elif is_subsampled:
+        other = "subsampled channels cannot be read"
+    return _Part(channels, compression, right - left + 1, bottom - top + 1, top, other)
 
 
-def _channel_list(content: bytes) -> _Channels:
-    channels, at = [], 0
+def _channel_list(content: bytes) -> tuple[_Channels, bool]:
+    """The channels, and whether any has fewer pixels than the part."""
+    channels, at, is_subsampled = [], 0, False
     while content[at]:
         name, at = _text(content, at)
         kind, _, across, down = struct.unpack_from("<4i", content, at)
-        if (across, down) != (1, 1):
-            raise OtherExr("subsampled channels cannot be read")
+        is_subsampled |= (across, down) != (1, 1)
         channels.append((name, np.dtype(PIXEL_TYPES[kind])))
         at += 16
-    return channels
+    return channels, is_subsampled
 
 
-def _rows(content: bytes, part: _Part, offsets: list[int], number: int | None) -> NDArray[np.uint8]:
-    """(H, row_bytes) of one part; chunks may stand in any order. `number` of the part where there are many."""
+_Chunk = tuple[int, int, bytes]
+"""The first row, how many there are, and what they are packed into."""
+
+
+def _chunks(content: bytes, part: _Part, offsets: list[int], number: int | None) -> Iterator[_Chunk]:
+    """The chunks of one part from top to bottom, packed; `number` of the part where there are many."""
+    size = part.height * part.row_bytes
     # A header may promise more than there can be: no compression makes anything a thousand times smaller.
-    if part.height * part.row_bytes > 1100 * len(content):
+    if size > 1100 * len(content):
         raise ValueError("the pixels are missing")
-    rows = np.empty((part.height, part.row_bytes), np.uint8)
+    if size > max(LARGEST_UNPACKED, LARGEST_RATIO * len(content)):
+        raise TooLarge(f"its pixels take {size >> 20} MB, more than {LARGEST_RATIO} times the file: save it smaller")
     n_together = ROWS_IN_CHUNK[part.compression]
     for chunk, start in enumerate(offsets):
         at = start
@@ -183,9 +242,7 @@ def _rows(content: bytes, part: _Part, offsets: list[int], number: int | None) -
         packed = content[at + 8 : at + 8 + size]
         if len(packed) != size:
             raise ValueError("a chunk is cut short")
-        target = rows[first : first + n_together].reshape(-1)
-        target[:] = _unpacked(packed, len(target))
-    return rows
+        yield first, min(n_together, part.height - first), packed
 
 
 def _unpacked(chunk: bytes, size: int) -> NDArray[np.uint8]:
@@ -203,15 +260,26 @@ def _unpacked(chunk: bytes, size: int) -> NDArray[np.uint8]:
     return pixels
 
 
-def _channels_of(part: _Part, rows: NDArray[np.uint8]) -> dict[str, ArrayF32]:
-    channels, at = {}, 0
-    for name, kind in part.channels:
-        end = at + part.width * kind.itemsize
-        pixels = np.ascontiguousarray(rows[:, at:end]).view(kind).astype(np.float32, copy=False)
+def _channels_of(
+    part: _Part, chunks: Iterable[_Chunk], wanted: Collection[str], most_pixels: int | None
+) -> dict[str, ArrayF32]:
+    """Unpacked chunk by chunk, so that no more is in memory than is asked for."""
+    rows, columns = picked_pixels(part.height, part.width, most_pixels)
+    channels = {name: np.empty((len(rows), len(columns)), np.float32) for name in wanted}
+    for first, n_rows, packed in chunks:
+        start, end = np.searchsorted(rows, [first, first + n_rows])
+        if start == end:
+            continue
+        lines = _unpacked(packed, n_rows * part.row_bytes).reshape(n_rows, part.row_bytes)[rows[start:end] - first]
+        at = 0
+        for name, kind in part.channels:
+            after = at + part.width * kind.itemsize
+            if name in channels:
+                channels[name][start:end] = np.ascontiguousarray(lines[:, at:after]).view(kind)[:, columns]
+            at = after
+    for pixels in channels.values():
         # The same for every NaN: one that signals would warn at the first cast, far from here.
         pixels[np.isnan(pixels)] = np.nan
-        channels[name] = pixels
-        at = end
     return channels
 
 

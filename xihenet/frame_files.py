@@ -5,16 +5,22 @@ a 16-bit image of plane depth (as phones and depth cameras deliver it); intrinsi
 not fit together is refused with what was found: a frame that is read wrongly gives a light that looks right.
 
 The two images may differ in size. Colour is then averaged over the area of each depth pixel, in linear light;
-enlarging plane depth instead was rejected, since it invents surfaces between near and far ones. Colour is taken as
+enlarging plane depth instead was rejected, since it invents surfaces between near and far ones. Pictures of phones have
+fifty megapixels and a small file may hold more, so sizes are judged by the header, and pixels are taken by strips; a
+frame of more than 2 megapixels is thinned to that (`picture_size`). Colour is taken as
 sRGB or linear Rec.709: colour profiles inside files are not applied. Not here: lens distortion, and images that do not
 show the same field of view.
 """
 
 from __future__ import annotations
 
-import json
+import contextlib
+import difflib
+import warnings
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -23,9 +29,27 @@ from numpy.typing import NDArray
 from xihenet import exr, openexr_package
 from xihenet.camera import encode_exposed, metered_exposure, sensed_ambient, sound_plane_depth
 from xihenet.colour import srgb_to_linear
+from xihenet.json_files import read_json
+from xihenet.picture_size import MOST_PIXELS, MOST_POINTS, TooLarge, check_size, picked_pixels
 from xihenet.records import ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
 
 PLANE_DEPTH_CHANNELS = ("Depth.Z", "Depth.V", "Z")
+IMAGE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM")
+"""Those that take no more than six bytes a pixel to read; WebP takes sixteen."""
+
+START_OF_SCAN, MOST_SCANS = b"\xff\xda", 64
+"""Encoders make some ten; files of several pictures, as phones store them, have theirs together."""
+
+PIXELS_IN_STRIP, MOST_ROWS_IN_STRIP = 2**19, 128
+LINEAR_BY_BYTE = srgb_to_linear(np.arange(256) / 255).astype(np.float32)
+NONE_IN_16_BITS = 65535
+MOST_VALUES_BY_PACKAGE = 64_000_000
+"""Of all channels together, since the OpenEXR package unpacks them all: 16 megapixels of four channels."""
+
+CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy", "world_from_camera", "convention", "up")
+LARGEST_SIDE = 1_000_000
+"""Pixels. No file has more, and products of two stay numbers that a float can hold."""
+
 ORIENTATION_TAG = 0x0112
 SAME_ASPECT = 0.01
 """Sizes whose ratios of width to height differ by less show the same field: rounding moves 256x144 by 0.4 %."""
@@ -34,8 +58,17 @@ POSE_TOLERANCE = 1e-3
 """Of a rotation's rows and columns, as poses are written with four digits."""
 
 BLENDER_FROM_OPENCV_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])
-BLENDER_FROM_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
-"""A platform's (x, y, z) with +Y up is Blender's (x, -z, y)."""
+BLENDER_FROM_UP: Mapping[str, ArrayF64] = MappingProxyType(
+    {
+        "z": np.eye(3),
+        "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
+        "x": np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]]),
+        "-z": np.diag([1.0, -1.0, -1.0]),
+        "-y": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
+        "-x": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]),
+    }
+)
+"""What turns a world upright, by the axis that points up in it: (x, y, z) with +Y up is Blender's (x, -z, y)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,14 +101,14 @@ def read_frame(
     ----------
     path : OpenEXR file with colour and plane depth, or a colour image of 8 bits
     camera : from `read_camera`
-    plane_depth : 16-bit image of plane depth, 0 where there is none; for a colour image, and only for one
+    plane_depth : 16-bit image of plane depth, 0 or 65535 where there is none; for a colour image, and only for one
     depth_scale : metres per unit of that image
     exposure : to be applied to an OpenEXR file (None meters it); of a colour image the one it was taken with (None: 1)
 
     Returns
     -------
-    RgbdFrame of the size of the plane depth, at least one pixel of which is valid; pixels without a valid one, or with
-    a colour that is NaN, are 0 and counted.
+    RgbdFrame of the size of the plane depth, or thinned to MOST_POINTS, at least one pixel of which is valid; pixels
+    without a valid one, or with a colour that is NaN, are 0 and counted.
 
     Raises
     ------
@@ -106,30 +139,38 @@ def read_camera(path: Path) -> FrameCamera:
 
     Keys: `width`, `height`, `fx`, `fy`, `cx`, `cy` in pixels (pixel centres at +0.5) and `world_from_camera`, four rows
     of four, metres. Optional: `convention`, "blender" (the camera looks down -Z with +Y up, as in ARKit and OpenGL;
-    the default) or "opencv" (down +Z with +Y down); `up`, "z" (the default) or "y", the world's vertical.
+    the default) or "opencv" (down +Z with +Y down); `up`, the world's axis that points up, "z" (the default), "y", "x",
+    "-z", "-y" (as where the world is the first camera of OpenCV) or "-x".
 
     Raises
     ------
     OSError : if the file cannot be read
-    ValueError : if something is missing, of the wrong kind, not finite, or the pose is no rotation and translation
+    ValueError : if something is missing, misspelt, of the wrong kind, not finite, or the pose is no rotation and
+        translation
     """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{path}: expected JSON, and could not read it ({error})") from error
+    content = read_json(path)
     if not isinstance(content, dict):
         raise ValueError(f"{path}: expected a JSON object with width, height, fx, fy, cx, cy and world_from_camera")
     try:
+        _check_keys(content)
         width, height = (_whole_number(content, name) for name in ("width", "height"))
         intrinsics = Intrinsics(width, height, *(_number(content, name) for name in ("fx", "fy", "cx", "cy")))
         pose = _pose(_entry(content, "world_from_camera"))
         is_opencv = _choice(content, "convention", ("blender", "opencv")) == "opencv"
-        is_y_up = _choice(content, "up", ("z", "y")) == "y"
+        blender_from_file = BLENDER_FROM_UP[_choice(content, "up", tuple(BLENDER_FROM_UP))]
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    blender_from_file = BLENDER_FROM_Y_UP if is_y_up else np.eye(4)
-    pose = blender_from_file @ pose @ (BLENDER_FROM_OPENCV_CAMERA if is_opencv else np.eye(4))
-    return FrameCamera(intrinsics, pose, blender_from_file[:3, :3])
+    pose = pose @ (BLENDER_FROM_OPENCV_CAMERA if is_opencv else np.eye(4))
+    pose[:3] = blender_from_file @ pose[:3]
+    return FrameCamera(intrinsics, pose, blender_from_file)
+
+
+def _check_keys(content: dict[str, Any]) -> None:
+    """ValueError for a key that nothing would read, which would be a misspelt one that counts for nothing."""
+    for name in content.keys() - set(CAMERA_KEYS):
+        near = difflib.get_close_matches(name.lower(), CAMERA_KEYS, n=1)
+        fix = f"did you mean {near[0]!r}?" if near else f"leave it out; there are {', '.join(CAMERA_KEYS)}"
+        raise ValueError(f"{name[:80]!r}: there is no such key; {fix}")
 
 
 def _entry(content: dict[str, Any], name: str) -> Any:
@@ -141,14 +182,14 @@ def _entry(content: dict[str, Any], name: str) -> Any:
 def _number(content: dict[str, Any], name: str) -> float:
     value = _entry(content, name)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{name}: expected a number, got {value!r}")
+        raise ValueError(f"{name}: expected a number, got {value!r:.80}")
     return float(value)
 
 
 def _whole_number(content: dict[str, Any], name: str) -> int:
     value = _number(content, name)
-    if not value.is_integer():
-        raise ValueError(f"{name}: expected a whole number of pixels, got {value}")
+    if not value.is_integer() or value > LARGEST_SIDE:
+        raise ValueError(f"{name}: expected a whole number of pixels, at most {LARGEST_SIDE}, got {value:g}")
     return int(value)
 
 
@@ -156,7 +197,7 @@ def _choice(content: dict[str, Any], name: str, allowed: tuple[str, ...]) -> str
     """One of `allowed`, of which the first is the default."""
     value = content.get(name, allowed[0])
     if value not in allowed:
-        raise ValueError(f"{name}: expected {' or '.join(map(repr, allowed))}, got {value!r}")
+        raise ValueError(f"{name}: expected {' or '.join(map(repr, allowed))}, got {value!r:.80}")
     return str(value)
 
 
@@ -192,12 +233,15 @@ def _same_field(width: int, height: int, other_width: int, other_height: int) ->
     return abs(width * other_height / (height * other_width) - 1) < SAME_ASPECT
 
 
-def _intrinsics_for(camera: Intrinsics, width: int, height: int) -> Intrinsics:
-    """The same field of view in another number of pixels. ValueError for another ratio of width to height."""
-    if not _same_field(camera.width, camera.height, width, height):
+def _intrinsics_for(camera: Intrinsics, field: tuple[int, int], width: int, height: int) -> Intrinsics:
+    """The same field of view in another number of pixels, of a file that has `field` (width, height).
+
+    ValueError for another ratio of width to height.
+    """
+    if not _same_field(camera.width, camera.height, *field):
         raise ValueError(
-            f"the intrinsics are for {camera.width}x{camera.height} pixels and the plane depth has {width}x{height}: "
-            "expected the same ratio of width to height"
+            f"the intrinsics are for {camera.width}x{camera.height} pixels and the plane depth has "
+            f"{field[0]}x{field[1]}: expected the same ratio of width to height"
         )
     across, down = width / camera.width, height / camera.height
     return Intrinsics(width, height, camera.fx * across, camera.fy * down, camera.cx * across, camera.cy * down)
@@ -206,12 +250,16 @@ def _intrinsics_for(camera: Intrinsics, width: int, height: int) -> Intrinsics:
 def _frame(
     srgb_u8: ArrayU8,
     measured: tuple[ArrayF32, dict[str, int]],
+    field: tuple[int, int],
     camera: FrameCamera,
     exposure: float,
     source: Path,
     fix: str,
 ) -> RgbdFrame:
-    """The record of what `sound_plane_depth` left; ValueError with `fix` in it if no plane depth is valid."""
+    """The record of what `sound_plane_depth` left of a file of `field` (width, height) pixels.
+
+    ValueError with `fix` in it if no plane depth is valid.
+    """
     plane_depth_m, invalid = measured
     if not plane_depth_m.any():
         raise ValueError(
@@ -221,7 +269,7 @@ def _frame(
     return RgbdFrame(
         srgb_u8,
         plane_depth_m,
-        _intrinsics_for(camera.intrinsics, width, height),
+        _intrinsics_for(camera.intrinsics, field, width, height),
         camera.world_from_camera,
         exposure,
         sensed_ambient(srgb_u8, exposure),
@@ -232,42 +280,61 @@ def _frame(
 # ------------------------------------------------------------------------------------------------------------- OpenEXR
 
 
-def read_exr_channels(path: Path) -> dict[str, ArrayF32]:
-    """Every channel of an OpenEXR file as (H, W) float32 by its full name, such as "ViewLayer.Combined.R".
+def read_exr_channels(
+    path: Path, names: Collection[str] | None = None, *, most_pixels: int | None = None
+) -> dict[str, ArrayF32]:
+    """Channels of an OpenEXR file as (H, W) float32 by their full names, such as "ViewLayer.Combined.R".
 
-    Row 0 is the top. Blender 4.x writes all passes as one part, 5.x one part per pass; both come as one table.
-    OSError if the file cannot be opened; ValueError if it is none, is cut short, or is in a form that only the OpenEXR
-    package reads where that is not installed.
+    Row 0 is the top; `names` and `most_pixels` as of `exr.read_exr`. Blender 4.x writes all passes as one part, 5.x one
+    part per pass; both come as one table. OSError if the file cannot be opened; ValueError if it is none, is cut short,
+    or is in a form that only the OpenEXR package reads where that is not installed.
     """
     try:
-        return exr.read_exr(path)
+        return exr.read_exr(path, names, most_pixels=most_pixels)
     except exr.OtherExr as error:
         if not openexr_package.is_installed():
             raise ValueError(f"{error}: save it in scan lines with ZIP compression, or pip install OpenEXR") from error
-    channels = openexr_package.read_by_package(path)
+        sizes = exr.exr_sizes(path)
+        n_values = sum(height * width for height, width in sizes.values())
+        if n_values > MOST_VALUES_BY_PACKAGE:
+            most = f"{MOST_VALUES_BY_PACKAGE // 10**6} million"
+            raise TooLarge(f"{error} here, and it has more than {most} values: save it with ZIP compression") from error
+    channels = openexr_package.read_by_package(path, names)
     # A part whose pixels are broken is left out without an error.
-    if not channels:
+    if not channels or (names is not None and not set(names) <= channels.keys()):
         raise ValueError(f"{path}: its pixels cannot be read, it may be cut short: save it again")
-    return channels
+    return {
+        name: pixels[np.ix_(*picked_pixels(*sizes[name], most_pixels))] if name in sizes else pixels
+        for name, pixels in channels.items()
+    }
 
 
 def _exr_frame(path: Path, camera: FrameCamera, exposure: float | None) -> RgbdFrame:
-    channels = read_exr_channels(path)
-    colour, plane_depth_channel = _frame_channels(channels, path)
-    radiance = np.stack([channels[name] for name in colour], axis=-1)
-    plane_depth_m = channels[plane_depth_channel]
-    if radiance.shape[:2] != plane_depth_m.shape:
-        sizes = f"{radiance.shape[:2]} and {plane_depth_m.shape}"
-        raise ValueError(f"{path}: expected colour and plane depth of one size, got {sizes} (rows, columns)")
+    sizes = exr.exr_sizes(path)
+    colour, plane_depth_channel = _frame_channels(sizes, path)
+    of_frame = {sizes[name] for name in (*colour, plane_depth_channel)}
+    if len(of_frame) > 1:
+        raise ValueError(f"{path}: expected colour and plane depth of one size, got {sorted(of_frame)} (rows, columns)")
+    height, width = sizes[plane_depth_channel]
+    _check_size(path, height, width)
+    channels = read_exr_channels(path, {*colour, plane_depth_channel}, most_pixels=MOST_POINTS)
+    radiance, plane_depth_m = np.stack([channels[name] for name in colour], axis=-1), channels[plane_depth_channel]
     if exposure is None:
         is_finite = np.isfinite(radiance).all(axis=2)
         exposure = metered_exposure([radiance[is_finite]]) if is_finite.any() else 1.0
     fix = "save the Z pass too, and let the camera see surfaces"
     measured = sound_plane_depth(plane_depth_m, radiance)
-    return _frame(encode_exposed(radiance, exposure), measured, camera, exposure, path, fix)
+    return _frame(encode_exposed(radiance, exposure), measured, (width, height), camera, exposure, path, fix)
 
 
-def _frame_channels(channels: dict[str, ArrayF32], path: Path) -> tuple[list[str], str]:
+def _check_size(path: Path, height: int, width: int) -> None:
+    try:
+        check_size(height, width)
+    except TooLarge as error:
+        raise TooLarge(f"{path}: {error}") from None
+
+
+def _frame_channels(channels: Mapping[str, object], path: Path) -> tuple[list[str], str]:
     """Names of R, G, B and of the plane depth of one layer; of several, the first in the file with both."""
     befores = [name[:-1] for name in channels if name == "R" or name.endswith(".R")]
     colours = {
@@ -286,7 +353,7 @@ def _frame_channels(channels: dict[str, ArrayF32], path: Path) -> tuple[list[str
     )
 
 
-def _found(channels: dict[str, ArrayF32]) -> str:
+def _found(channels: Mapping[str, object]) -> str:
     names = sorted(channels)
     return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
 
@@ -297,26 +364,80 @@ def _found(channels: dict[str, ArrayF32]) -> str:
 def _image_frame(
     colour_path: Path, plane_depth_path: Path, depth_scale: float, camera: FrameCamera, exposure: float
 ) -> RgbdFrame:
-    plane_depth_m = _plane_depth_image(plane_depth_path, depth_scale)
-    srgb_u8 = _colour_image(colour_path)
-    (height, width), (colour_height, colour_width) = plane_depth_m.shape, srgb_u8.shape[:2]
-    if not _same_field(colour_width, colour_height, width, height):
-        raise ValueError(
-            f"{colour_path} has {colour_width}x{colour_height} pixels and {plane_depth_path} {width}x{height}: "
-            "expected the same ratio of width to height, of one field of view"
-        )
-    if (colour_height, colour_width) != (height, width):
-        srgb_u8 = encode_exposed(area_averaged(srgb_to_linear(srgb_u8 / np.float32(255)), height, width), 1.0)
-    fix = "0 stands for none, check the image"
-    return _frame(srgb_u8, sound_plane_depth(plane_depth_m), camera, exposure, plane_depth_path, fix)
+    plane_depth_m, field = _plane_depth_image(plane_depth_path, depth_scale)
+    srgb_u8 = _colour_image(colour_path, plane_depth_path, field, *plane_depth_m.shape)
+    fix = "0 and, in 16 bits, 65535 stand for none, check the image"
+    return _frame(srgb_u8, sound_plane_depth(plane_depth_m), field, camera, exposure, plane_depth_path, fix)
 
 
-def area_averaged(image: NDArray[Any], height: int, width: int) -> ArrayF64:
-    """`image` (H, W, C) in another size: each new pixel is the mean over the area it covers, parts of pixels included.
+def _plane_depth_image(path: Path, depth_scale: float) -> tuple[ArrayF32, tuple[int, int]]:
+    """(H, W), thinned where there are more than MOST_POINTS, and the width and height of the whole image."""
 
-    (height, width, C) float64. The mean of the whole image stays what it was; larger sizes repeat pixels.
+    def check(image: Any) -> None:
+        if not image.mode.startswith("I"):
+            raise ValueError(f"{path}: expected a grey image of 16 bits, got pixels of mode {image.mode}")
+
+    image = _loaded(path, check)
+    rows, columns = picked_pixels(image.height, image.width, MOST_POINTS)
+    picked, top = [], 0
+    for strip in _strips(image):
+        start, end = np.searchsorted(rows, [top, top + len(strip)])
+        picked.append(strip[np.ix_(rows[start:end] - top, columns)].astype(np.float64))
+        top += len(strip)
+    units = np.concatenate(picked)
+    if image.mode != "I" or image.format == "PNG":  # Older versions of Pillow read 16 bits into 32.
+        units[units == NONE_IN_16_BITS] = 0
+    return (units * depth_scale).astype(np.float32), image.size
+
+
+def _colour_image(path: Path, beside: Path, field: tuple[int, int], height: int, width: int) -> ArrayU8:
+    """(height, width, 3) sRGB of an image that shows the same field as `beside`. Grey becomes equal channels; alpha is
+    left out."""
+
+    def check(image: Any) -> None:
+        if image.mode.startswith(("I", "F")):
+            raise ValueError(f"{path}: expected a colour image of 8 bits, got pixels of mode {image.mode}")
+        if not _same_field(image.width, image.height, *field):
+            raise ValueError(
+                f"{path} has {image.width}x{image.height} pixels and {beside} {field[0]}x{field[1]}: "
+                "expected the same ratio of width to height, of one field of view"
+            )
+
+    image = _loaded(path, check)
+    if image.size == (width, height):
+        return np.asarray(image.convert("RGB"))
+    strips = (LINEAR_BY_BYTE[strip] for strip in _strips(image, "RGB"))
+    averaged = area_averaged(strips, image.height, height, width)
+    del image, strips  # 200 MB of 50 megapixels, before encoding takes as much
+    return encode_exposed(averaged, 1.0)
+
+
+def _strips(image: Any, mode: str | None = None) -> Iterator[NDArray[Any]]:
+    """Rows of a picture from top to bottom, some at a time, in another mode if one is given."""
+    n_rows = min(MOST_ROWS_IN_STRIP, max(1, PIXELS_IN_STRIP // image.width))
+    for top in range(0, image.height, n_rows):
+        strip = image.crop((0, top, image.width, min(top + n_rows, image.height)))
+        yield np.asarray(strip if mode is None else strip.convert(mode))
+
+
+def area_averaged(strips: Iterable[NDArray[Any]], n_rows: int, height: int, width: int) -> ArrayF64:
+    """An image (n_rows, W, 3), whose `strips` come from top to bottom, in another size.
+
+    (height, width, 3) float64; each new pixel is the mean over the area it covers, parts of pixels included. The mean
+    of the whole image stays what it was; larger sizes repeat pixels.
     """
-    return _averaged_rows(_averaged_rows(image, height).swapaxes(0, 1), width).swapaxes(0, 1)
+    averaged, top = np.zeros((height, width, 3)), 0
+    edges = np.arange(height + 1) * n_rows / height
+    for strip in strips:
+        rows = np.arange(top, top + len(strip))
+        first = int(np.searchsorted(edges, top, "right")) - 1
+        end = int(np.searchsorted(edges, top + len(strip)))
+        covered = np.minimum(rows + 1, edges[first + 1 : end + 1, None]) - np.maximum(rows, edges[first:end, None])
+        shares = (np.maximum(covered, 0) * (height / n_rows)).astype(strip.dtype)
+        columns_first = np.tensordot(shares, strip, 1).swapaxes(0, 1)
+        averaged[first:end] += _averaged_rows(columns_first, width).swapaxes(0, 1)
+        top += len(strip)
+    return averaged
 
 
 def _averaged_rows(image: NDArray[Any], n_rows: int) -> ArrayF64:
@@ -329,35 +450,41 @@ def _averaged_rows(image: NDArray[Any], n_rows: int) -> ArrayF64:
     return averaged
 
 
-def _colour_image(path: Path) -> ArrayU8:
-    """(H, W, 3) sRGB. Grey becomes equal channels; alpha is left out."""
-    image = _opened(path)
-    if image.mode.startswith(("I", "F")):
-        raise ValueError(f"{path}: expected a colour image of 8 bits, got pixels of mode {image.mode}")
-    return np.asarray(image.convert("RGB"))
-
-
-def _plane_depth_image(path: Path, depth_scale: float) -> ArrayF32:
-    image = _opened(path)
-    if not image.mode.startswith("I"):
-        raise ValueError(f"{path}: expected a grey image of 16 bits, got pixels of mode {image.mode}")
-    plane_depth_m: ArrayF32 = (np.asarray(image).astype(np.float64) * depth_scale).astype(np.float32)
-    return plane_depth_m
-
-
-def _opened(path: Path) -> Any:
-    """The picture in memory. ValueError if it is none, is cut short, or is stored turned."""
+def _loaded(path: Path, check: Callable[[Any], None]) -> Any:
+    """The picture in memory, once `check` has seen its header. ValueError if it is none, is cut short, has too many
+    pixels, or is stored turned."""
     try:
         from PIL import Image
     except ImportError as error:
         raise ImportError("colour images are read by pillow: pip install 'xihe-blender[images]'") from error
-    content = path.open("rb")
-    with content:
-        try:
-            image = Image.open(content)
+    with path.open("rb") as content:
+        with _image_errors(path), warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            image = Image.open(content, formats=IMAGE_FORMATS)
+        _check_size(path, image.height, image.width)
+        check(image)
+        # Each scan of a progressive JPEG goes over all pixels, and an empty one takes ten bytes.
+        if image.format in ("JPEG", "MPO") and path.read_bytes().count(START_OF_SCAN) > MOST_SCANS:
+            raise ValueError(f"{path}: it has more than {MOST_SCANS} scans: save it as a plain JPEG")
+        with _image_errors(path):
             image.load()
-        except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
-            raise ValueError(f"{path}: expected an image, and could not read it ({error})") from error
-    if image.getexif().get(ORIENTATION_TAG, 1) != 1:
+            orientation = image.getexif().get(ORIENTATION_TAG, 1)
+    if orientation != 1:
         raise ValueError(f"{path} is stored turned, as its EXIF orientation says: save it upright and without the mark")
     return image
+
+
+@contextlib.contextmanager
+def _image_errors(path: Path) -> Iterator[None]:
+    """What Pillow says of a file that is no image, or of one with far more pixels than are read."""
+    from PIL import Image
+
+    try:
+        yield
+    except Image.DecompressionBombError:
+        raise TooLarge(
+            f"{path}: it has too many pixels: save it with at most {MOST_PIXELS // 10**6} megapixels"
+        ) from None
+    except (OSError, SyntaxError, ValueError, EOFError) as error:
+        formats = ", ".join(IMAGE_FORMATS)
+        raise ValueError(f"{path}: expected an image ({formats}), and could not read it ({error})") from error

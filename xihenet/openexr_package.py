@@ -12,6 +12,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +30,8 @@ def is_installed() -> bool:
     return importlib.util.find_spec("OpenEXR") is not None
 
 
-def read_by_package(path: Path) -> dict[str, ArrayF32]:
-    """Every channel as (H, W) float32 by its full name, of all parts; row 0 is the top.
+def read_by_package(path: Path, names: Collection[str] | None = None) -> dict[str, ArrayF32]:
+    """The channels of `names`, or all, as (H, W) float32 by their full names, of all parts; row 0 is the top.
 
     Needs `is_installed`. ValueError if the file cannot be read; a part whose pixels are broken is left out.
     """
@@ -42,7 +43,8 @@ def read_by_package(path: Path) -> dict[str, ArrayF32]:
             said = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
             raise ValueError(f"{path}: expected an OpenEXR file, and could not read it ({said[-1]})")
         with np.load(out) as stored:
-            return {name: stored[f"channel_{place}"] for place, name in enumerate(stored["names"].tolist())}
+            known = enumerate(stored["names"].tolist())
+            return {name: stored[f"channel_{place}"] for place, name in known if names is None or name in names}
 
 
 def store_channels(path: str, out: str) -> None:

@@ -19,7 +19,7 @@ from xihe_blender.jobs import run_blocking
 from xihe_blender.light_transport import plan_light_transport, remember_overrides, remembered_overrides
 from xihe_blender.light_transport.overrides import PROPERTY, parsed_overrides
 from xihe_blender.light_transport.rules import RULES, SWITCHED_ELSEWHERE
-from xihe_blender.previs.required_effects import effects_of_run, format_effects
+from xihe_blender.previs.required_effects import effects_of_run
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.blend_file import open_blend
 from xihenet.effects import effects_as_json
@@ -154,13 +154,36 @@ def test_leaving_out_what_the_scene_does_not_call_for_changes_nothing(measured):
 
 
 @pytest.mark.slow
-def test_the_table_shows_every_effect_with_what_it_costs(measured):
-    table = format_effects(measured[0])
-    for effect in measured[0].values():
-        line = next(line for line in table.splitlines() if line.startswith(effect.name))
+def test_the_plan_is_shown_before_the_costs_and_each_cost_as_it_is_known(blend):
+    shown = xihe("effects", blend, "--budget", "600").stdout
+    plan, costs = shown.split("\n\n")[:2]
+    required = plan_light_transport(open_blend(blend))
+    for effect in required.values():
+        line = next(line for line in plan.splitlines() if line.startswith(effect.name))
         assert effect.state in line and effect.reason[:30] in line
-        assert ("%" in line) == (effect.cost is not None)
-    assert "standard error" in table
+    missing = set() if can_denoise(bpy.context.scene) else {"denoising"}
+    measured = {name for name in required if any(line.startswith(name) and "%" in line for line in costs.splitlines())}
+    assert set(required) - measured == COSTLESS | missing and "standard error" in shown
+
+
+@pytest.mark.slow
+def test_what_the_budget_has_no_time_for_is_named(blend):
+    assert "diffuse bounces: not measured within the budget" in xihe("effects", blend, "--budget", "1e-9").stdout
+
+
+def test_a_budget_of_nothing_is_refused(blend):
+    done = xihe("effects", blend, "--budget", "0")
+    assert done.returncode == 2 and "--budget" in done.stderr
+
+
+def test_a_portal_is_no_lamp(blend):
+    scene = stage()
+    light = bpy.data.lights.new("Portal", "AREA")
+    light.cycles.is_portal = True
+    before = plan_light_transport(scene)
+    scene.collection.objects.link(bpy.data.objects.new("Portal", light))
+    bpy.context.view_layer.update()
+    assert plan_light_transport(scene) == before
 
 
 @pytest.mark.slow

@@ -7,9 +7,7 @@ from pathlib import Path
 import bpy
 import pytest
 
-from addon_tests.pure.made_up_wheels import made_up_wheels
 from xihe_blender.packaging.archive import packed
-from xihe_blender.packaging.bundled_wheels import pinned_wheels
 from xihe_blender.packaging.extension import build_extension
 
 VALIDATOR = Path(bpy.utils.system_resource("SCRIPTS")) / "addons_core/bl_pkg/cli/blender_ext.py"
@@ -23,10 +21,7 @@ def validate(path):
 
 @pytest.fixture(scope="module")
 def extension(tmp_path_factory):
-    """A zip with wheels of the names that are bundled, but nothing in them."""
-    folder = tmp_path_factory.mktemp("extension")
-    pinned = made_up_wheels(folder / "wheels", tuple(pinned_wheels()))
-    return build_extension(folder / "out", folder / "wheels", pinned=pinned)
+    return build_extension(tmp_path_factory.mktemp("extension"))
 
 
 def test_blender_finds_nothing_wrong_with_the_extension(extension):

@@ -1,5 +1,6 @@
 """A run with a phone that is not perfect: what it sees, which effects it plans, when its estimates arrive."""
 
+import shutil
 from collections import Counter
 from dataclasses import dataclass, replace
 
@@ -159,6 +160,19 @@ def test_a_run_stopped_at_every_step_ends_as_an_undisturbed_one(tmp_path):
     assert n_stops >= 6
     assert without_times(run(scene, tmp_path / "out", settings)) == without_times(undisturbed)
     assert undisturbed["summary"]["mean_latency_ms"] > 0
+
+
+@pytest.mark.parametrize("piece", [lambda o: o.surfaces(2), lambda o: o.radiance("captured", 2)])
+def test_what_stands_beside_a_capture_is_made_again_where_it_is_damaged(ipad, tmp_path, piece):
+    shutil.copytree(ipad.outputs.folder, tmp_path / "out")
+    outputs = RunOutputs(tmp_path / "out", "untitled")
+    outputs.results.unlink()
+    piece(outputs).write_bytes(piece(outputs).read_bytes()[:300])
+    scene = walk()
+    with counted_renders() as renders:
+        again = run(scene, outputs.folder, IPAD)
+    assert without_times(again) == without_times(ipad.results)
+    assert renders.count("Xihe Capture") == 1
 
 
 def test_another_seed_is_another_phone(ipad):

@@ -1,5 +1,6 @@
 """The main job: what it leaves, that it repeats itself, that it goes on after a stop, what it refuses."""
 
+import shutil
 from dataclasses import dataclass, replace
 
 import bpy
@@ -138,6 +139,50 @@ def test_a_run_that_lost_its_report_makes_it_again_without_rendering(finished):
     assert without_times(again) == without_times(finished.results)
 
 
+def copy_of(finished, folder):
+    """The finished run's files in a folder of their own."""
+    shutil.copytree(finished.outputs.folder, folder / "out")
+    return RunOutputs(folder / "out", "untitled")
+
+
+@pytest.mark.parametrize("content", [b"", b'{"frames": [{}]}'])
+def test_every_json_of_a_run_that_is_damaged_is_made_again(finished, tmp_path, capfd, content):
+    outputs = copy_of(finished, tmp_path)
+    damaged = {outputs.results, *outputs.settings.parent.glob("*.json")} - {outputs.settings}
+    assert len(damaged) > 4 + 3 * (N_FRAMES - 1)
+    for path in damaged:
+        path.write_bytes(content)
+    again = run(walk(), outputs.folder)
+    assert without_times(again) == without_times(finished.results) == without_times(read_strictly(outputs.results))
+    said = capfd.readouterr().err
+    assert f"xihe: note: {outputs.survey} is damaged and is made again" in said and str(outputs.results) in said
+
+
+@pytest.mark.parametrize("piece", ["capture", "reference", "compared"])
+def test_a_damaged_piece_of_a_frame_costs_that_piece_alone(finished, tmp_path, piece):
+    outputs = copy_of(finished, tmp_path)
+    outputs.results.unlink()
+    file = outputs.reference(0, "Ball", 1) if piece == "reference" else getattr(outputs, piece)(1)
+    file.write_bytes(file.read_bytes()[:300])
+    scene = walk()
+    with counted_renders() as renders:
+        again = run(scene, outputs.folder)
+    assert without_times(again) == without_times(finished.results)
+    assert set(renders) == (
+        {"Xihe Ground Truth", "Xihe Lit"} if piece == "compared" else {"Xihe Capture", "Xihe Reference Probe"}
+    )
+    assert renders.count("Xihe Capture") == (piece != "compared")
+
+
+def test_damaged_results_are_written_again_without_rendering(finished, tmp_path):
+    outputs = copy_of(finished, tmp_path)
+    outputs.results.write_bytes(outputs.results.read_bytes()[:-100])
+    scene = walk()
+    with counted_renders() as renders:
+        again = run(scene, outputs.folder)
+    assert not renders and without_times(again) == without_times(finished.results)
+
+
 # -------------------------------------------------------------------------------------------------- whose folder it is
 
 
@@ -155,7 +200,7 @@ def test_a_folder_of_another_run_is_refused(finished, change):
 def test_a_folder_whose_settings_are_broken_is_refused(tmp_path, content):
     (tmp_path / "work").mkdir()
     (tmp_path / "work" / "settings.json").write_text(content)
-    with pytest.raises(UserError, match="another folder"):
+    with pytest.raises(UserError, match=r"settings\.json is damaged, .*: choose another folder"):
         run(walk(), tmp_path)
 
 

@@ -41,6 +41,13 @@ def xihe_without_blender(*arguments):
     return subprocess.run(code, cwd=ROOT, capture_output=True, text=True, timeout=60)
 
 
+def test_without_blender_a_command_that_needs_it_says_what_to_install():
+    code = WITHOUT_BLENDER.replace("sys.argv[1:]", "['previs', 'a.blend', '--out', 'b']")
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert "pip install 'xihe-blender[blender]'" in done.stderr and "3.11 or 3.13" in done.stderr
+
+
 def estimate(*arguments):
     return main(["estimate", *map(str, arguments)])
 
@@ -66,6 +73,9 @@ def folder(tmp_path_factory):
     write_camera(folder / "singular.json", world_from_camera=[[0] * 4] * 3 + [[0, 0, 0, 1]])
     write_camera(folder / "scaled.json", world_from_camera=np.diag([2, 2, 2, 1]).tolist())
     write_camera(folder / "nan.json", fx=float("nan"))
+    write_camera(folder / "long.json", fx=10**400)
+    write_camera(folder / "misspelt.json", convension="opencv")
+    (folder / "deep.json").write_text("[" * 200_000)
     (folder / "text.exr").write_text("a shopping list")
     return folder
 
@@ -111,6 +121,9 @@ def test_the_json_says_all_there_is_to_say(exr, capfd):
     content = read_strictly(capfd.readouterr().out)
     positions = content.pop("positions")
     assert content.pop("exposure") > 0
+    assert content.pop("frame") == {
+        "size": [32, 24], "nearest_m": 1.5, "farthest_m": 3.0, "metres_per_unit": 1.0, "intrinsics_given_for": None,
+    }  # fmt: skip
     assert content == {
         "schema_version": 1,
         "software": {"xihe": __version__, "numpy": np.__version__},
@@ -124,6 +137,7 @@ def test_the_json_says_all_there_is_to_say(exr, capfd):
         assert np.shape(one["sh_radiance"]) == (9, 3) and np.isfinite(one["sh_radiance"]).all()
         assert 0 < one["coverage"] < 1 and one["n_invalid_points"] == 0
         assert (one["in_view"], one["is_valid"], one["expected_error"]) == (True, True, None)
+        assert one["behind_m"] == 0
 
 
 def test_red_walls_on_the_right_light_the_right(exr, capfd):
@@ -165,6 +179,33 @@ def test_a_position_outside_of_the_view_is_estimated_with_a_warning(exr, capfd):
     ]
 
 
+def test_a_position_behind_what_is_seen_there_is_estimated_with_a_warning(exr, capfd):
+    # The wall is at 3 m: what lies in it, or behind it by less than sensors err, is let pass.
+    assert estimate(*exr, "--at", "0,4,0", "--at", "0,3,0", "--at", "0,3.25,0", "--json") == 0
+    said = capfd.readouterr()
+    assert [one["behind_m"] for one in read_strictly(said.out)["positions"]] == [pytest.approx(1.0), 0, 0]
+    (line,) = said.err.splitlines()
+    assert line.startswith("xihe: warning: 0,4,0 lies 1 m behind the surface seen there")
+
+
+def test_a_position_in_front_of_a_hole_is_behind_nothing(folder, capfd):
+    holes = write_exr(folder / "holes.exr", RADIANCE, np.where(PLANE_DEPTH_M == 3, 0, PLANE_DEPTH_M))
+    assert estimate(holes, "--camera", folder / "camera.json", "--at", "0,4,0", "--json") == 0
+    assert capfd.readouterr().err == ""
+
+
+def test_what_was_read_is_told_in_metres_with_the_unit_that_was_assumed(folder, images, capfd):
+    assert estimate(*images, "--at", "0,20,-3", "--depth-scale", 0.01) == 0
+    said = "frame of 32x24 pixels, plane depth from 15 m to 30 m (1 in the file is 0.01 m)"
+    assert capfd.readouterr().out.startswith(f"{said}\n\n0,20,-3: in view")
+    larger = {"width": 320, "height": 240, "fx": 200.0, "fy": 200.0, "cx": 160.0, "cy": 120.0}
+    camera = write_camera(folder / "larger.json", **larger)
+    assert estimate(*images[:-1], camera, "--at", AT) == 0
+    assert capfd.readouterr().out.splitlines()[1] == "intrinsics given for 320x240 pixels, scaled to these"
+    assert estimate(*images[:-1], camera, "--at", AT, "--json") == 0
+    assert read_strictly(capfd.readouterr().out)["frame"]["intrinsics_given_for"] == [320, 240]
+
+
 def test_a_position_that_begins_with_a_minus_needs_no_equals_sign(exr, capfd):
     assert estimate(*exr, "--at", "-0.5,2,0", "--at", "-.5,2,0", "--json") == 0
     positions = read_strictly(capfd.readouterr().out)["positions"]
@@ -175,7 +216,7 @@ def test_the_table_holds_the_numbers_of_the_json(exr, capfd):
     assert estimate(*exr, "--at", AT, "--at", "0,-2,0", "--json") == 0
     positions = read_strictly(capfd.readouterr().out)["positions"]
     assert estimate(*exr, "--at", AT, "--at", "0,-2,0") == 0
-    first, second = capfd.readouterr().out.strip().split("\n\n")
+    _, first, second = capfd.readouterr().out.strip().split("\n\n")
     for table, one in ((first, positions[0]), (second, positions[1])):
         numbers = [[float(word) for word in line.split()] for line in table.splitlines()[2:]]
         np.testing.assert_allclose(np.array(numbers)[:, 2:], one["sh_radiance"], atol=5.1e-5)
@@ -237,6 +278,9 @@ IMAGES = ["colour.png", "--plane-depth", "plane_depth.png", "--camera", "camera.
         (["frame.exr", "--camera", "singular.json", "--at", AT], "singular"),
         (["frame.exr", "--camera", "scaled.json", "--at", AT], "without scale or shear"),
         (["frame.exr", "--camera", "nan.json", "--at", AT], "focal lengths must be positive"),
+        (["frame.exr", "--camera", "long.json", "--at", AT], "focal lengths must be positive"),
+        (["frame.exr", "--camera", "misspelt.json", "--at", AT], "did you mean 'convention'"),
+        (["frame.exr", "--camera", "deep.json", "--at", AT], "nested too deeply"),
         (["cropped.png", *IMAGES[1:], "--at", AT], "expected the same ratio"),
         (["colour.png", "--camera", "camera.json", "--at", AT], "plane depth"),
         ([*IMAGES, "--at", AT, "--depth-scale", "0"], "depth scale"),

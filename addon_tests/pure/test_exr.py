@@ -8,10 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from addon_tests.pure.frame_makers import NEEDS_OPENEXR
-from xihenet.exr import OtherExr, read_exr, write_exr
+from xihenet import exr
+from xihenet.exr import OtherExr, exr_sizes, read_exr, write_exr
+from xihenet.picture_size import picked_pixels
 
 KINDS = (np.float32, np.float16, np.uint32)
 LONG_NAME = "A view layer with a name longer than short names may be.Combined.R"
+COMPRESSION = b"compression\0compression\0\1\0\0\0"
 NASTY = [np.nan, np.inf, -np.inf, -0.0, 1e-45, 3.4e38, 65504.0, 1e10]
 
 
@@ -95,12 +98,48 @@ def test_a_subsampled_channel_and_another_compression_are_of_another_form(tmp_pa
     sampling = content.index(b"R\0", 20) + 2 + 8
     for changed, said in (
         (content[:sampling] + struct.pack("<i", 2) + content[sampling + 4 :], "subsampled"),
-        (content.replace(b"compression\0compression\0\1\0\0\0\3", b"compression\0compression\0\1\0\0\0\4"), "PIZ"),
+        (content.replace(COMPRESSION + b"\3", COMPRESSION + b"\4"), "PIZ"),
+        (content.replace(COMPRESSION + b"\3", COMPRESSION + b"\15"), "ZSTD"),
+        (content.replace(COMPRESSION + b"\3", COMPRESSION + b"\77"), "number 63"),
     ):
         assert changed != content
         (tmp_path / "b.exr").write_bytes(changed)
         with pytest.raises(OtherExr, match=said):
             read_exr(tmp_path / "b.exr")
+        assert exr_sizes(tmp_path / "b.exr") == {"R": (4, 4)}
+
+
+@pytest.mark.parametrize("size", [(1, 7), (17, 5), (33, 64)])
+@pytest.mark.parametrize("most_pixels", [1, 50, None])
+def test_what_is_asked_for_is_what_all_of_it_holds_there(tmp_path, size, most_pixels):
+    write_exr(tmp_path / "a.exr", picture(3, *size))
+    whole = read_exr(tmp_path / "a.exr")
+    asked = read_exr(tmp_path / "a.exr", {"R", LONG_NAME, "none"}, most_pixels=most_pixels)
+    picked = np.ix_(*picked_pixels(*size, most_pixels))
+    assert_equal(asked, {name: whole[name][picked] for name in ("R", LONG_NAME)})
+    assert exr_sizes(tmp_path / "a.exr") == dict.fromkeys(whole, size)
+
+
+@pytest.mark.parametrize("most", [1, 5, 100, None])
+@pytest.mark.parametrize("size", [(1, 1), (1, 1000), (30, 40)])
+def test_picked_pixels_are_few_enough_and_evenly_spaced(size, most):
+    for n, picked in zip(size, picked_pixels(*size, most), strict=True):
+        assert len(picked) == n or most is not None
+        assert (picked >= 0).all() and (picked < n).all() and (np.diff(picked) > 0).all()
+        assert np.ptp(np.diff(picked, prepend=-1 - picked[0], append=2 * n - 1 - picked[-1])) <= 2
+    n_picked = np.prod([len(side) for side in picked_pixels(*size, most)])
+    assert most is None or n_picked <= most or 1 in size
+
+
+def test_a_small_file_that_holds_gigabytes_is_not_unpacked(tmp_path, monkeypatch):
+    write_exr(tmp_path / "a.exr", {"R": np.zeros((512, 512), np.float32)})
+    assert not read_exr(tmp_path / "a.exr")["R"].any()
+    monkeypatch.setattr(exr, "LARGEST_UNPACKED", 2**19)
+    monkeypatch.setattr(exr, "_unpacked", None)
+    with pytest.raises(
+        ValueError, match=r"a\.exr: its pixels take 1 MB, more than 100 times the file: save it smaller"
+    ):
+        read_exr(tmp_path / "a.exr")
 
 
 @pytest.mark.parametrize("compression", ["none", "ZIP"])

@@ -1,8 +1,10 @@
 """A frame from files: what was written comes back, and what does not fit together is refused."""
 
 import json
+import struct
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +25,7 @@ from addon_tests.pure.frame_makers import (
     write_exr,
     write_image,
 )
+from xihenet import frame_files, openexr_package
 from xihenet.camera import KEY_LUMINANCE, LUMINANCE, encode_exposed, unproject_frame
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.frame_files import area_averaged, read_camera, read_frame
@@ -152,7 +155,7 @@ def test_an_exr_that_is_cut_short_is_refused(tmp_path, camera, share):
 
 
 @NEEDS_OPENEXR
-@pytest.mark.parametrize("compression", ["PIZ", "DWAA", "RLE"])
+@pytest.mark.parametrize("compression", ["PIZ", "DWAA", "RLE", "HTJ2K256", "ZSTD"])
 def test_an_exr_of_another_compression_is_read_by_the_openexr_package(tmp_path, camera, compression, monkeypatch):
     import OpenEXR
 
@@ -207,12 +210,12 @@ def test_the_scale_of_the_plane_depth_is_metres_per_unit(tmp_path, camera):
 
 
 def test_plane_depth_of_16_bits_keeps_its_largest_value_and_its_holes(tmp_path, camera):
-    plane_depth = np.full((HEIGHT, WIDTH), 65535, np.uint16)
-    plane_depth[0] = 0
+    plane_depth = np.full((HEIGHT, WIDTH), 65534, np.uint16)
+    plane_depth[0], plane_depth[1] = 0, 65535
     frame = image_frame(tmp_path, camera, encode_exposed(RADIANCE, 1), plane_depth)
-    np.testing.assert_allclose(frame.plane_depth_m[1:], 65.535, rtol=1e-6)
-    assert not frame.plane_depth_m[0].any()
-    assert np.isnan(unproject_frame(frame).points_m[:WIDTH]).all()
+    np.testing.assert_allclose(frame.plane_depth_m[2:], 65.534, rtol=1e-6)
+    assert not frame.plane_depth_m[:2].any() and frame.invalid == {"no_distance": 2 * WIDTH}
+    assert np.isnan(unproject_frame(frame).points_m[: 2 * WIDTH]).all()
 
 
 @pytest.mark.parametrize("factor", [1, 2, 7.5])
@@ -241,7 +244,9 @@ def test_area_averaging_equals_averaging_a_finely_repeated_image(seed, height, w
     image = np.random.default_rng(seed).random((height, width, 3))
     fine = image.repeat(new_height, axis=0).repeat(new_width, axis=1)
     expected = fine.reshape(new_height, height, new_width, width, 3).mean(axis=(1, 3))
-    np.testing.assert_allclose(area_averaged(image, new_height, new_width), expected, atol=1e-12)
+    strips = np.array_split(image, np.unique(np.random.default_rng(seed).integers(1, height + 1, 3)))
+    averaged = area_averaged((strip for strip in strips if len(strip)), height, new_height, new_width)
+    np.testing.assert_allclose(averaged, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("mode", ["L", "RGBA", "P", "LA", "CMYK"])
@@ -327,6 +332,92 @@ def test_without_pillow_the_extra_to_install_is_named(tmp_path):
     assert "xihe-blender[images]" in done.stdout
 
 
+# ------------------------------------------------------------------------------------------------------- large pictures
+
+
+def png(width, height, *, depth=8, rows=b""):
+    """A PNG of RGB whose header says this, whatever it holds."""
+
+    def chunk(kind, content):
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+    header = struct.pack(">IIBBBBB", width, height, depth, 2, 0, 0, 0)
+    chunks = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + chunks
+
+
+def test_a_colour_image_of_16_bits_is_read_in_8(tmp_path, camera):
+    colour = np.random.default_rng(0).integers(0, 65536, (HEIGHT, WIDTH, 3), np.uint16)
+    rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in colour)
+    (tmp_path / "colour.png").write_bytes(png(WIDTH, HEIGHT, depth=16, rows=rows))
+    depth = write_image(tmp_path / "plane_depth.png", MILLIMETRES)
+    frame = read_frame(tmp_path / "colour.png", camera, plane_depth=depth)
+    assert np.abs(frame.srgb_u8 - colour / 257).max() <= 1
+
+
+@pytest.mark.parametrize(("width", "height"), [(10_000, 5_001), (15_000, 15_000), (65_536, 1)])
+def test_a_picture_with_too_many_pixels_is_refused_by_its_header(tmp_path, camera, width, height):
+    depth = write_image(tmp_path / "plane_depth.png", MILLIMETRES)
+    (tmp_path / "colour.png").write_bytes(png(width, height))
+    with pytest.raises(ValueError, match=r"colour\.png: .*too many.*at most 50 megapixels"):
+        read_frame(tmp_path / "colour.png", camera, plane_depth=depth)
+    path = write_exr(tmp_path / "frame.exr", RADIANCE, PLANE_DEPTH_M)
+    window = struct.pack("<4i", 0, 0, WIDTH - 1, HEIGHT - 1)
+    path.write_bytes(path.read_bytes().replace(window, struct.pack("<4i", 0, 0, width - 1, height - 1)))
+    with pytest.raises(ValueError, match=r"frame\.exr: .*too many.*at most 50 megapixels"):
+        read_frame(path, camera)
+
+
+def test_a_jpeg_of_more_scans_than_encoders_make_is_refused(tmp_path, camera):
+    path = write_image(tmp_path / "colour.jpg", COLOUR)
+    path.write_bytes(path.read_bytes() + b"\xff\xda\0\2" * 100)
+    with pytest.raises(ValueError, match=r"colour\.jpg: it has more than 64 scans: save it as a plain JPEG"):
+        read_frame(path, camera, plane_depth=write_image(tmp_path / "plane_depth.png", MILLIMETRES))
+
+
+@NEEDS_OPENEXR
+def test_what_the_openexr_package_would_unpack_into_gigabytes_is_not_given_to_it(tmp_path, camera, monkeypatch):
+    import OpenEXR
+
+    header = {"compression": OpenEXR.RLE_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, dict.fromkeys("RGBZ", PLANE_DEPTH_M)) as file:
+        file.write(str(tmp_path / "frame.exr"))
+    monkeypatch.setattr(frame_files, "MOST_VALUES_BY_PACKAGE", 4 * HEIGHT * WIDTH - 1)
+    monkeypatch.setattr(openexr_package, "read_by_package", None)
+    with pytest.raises(ValueError, match=r"frame\.exr: its compression, RLE.* values: save it with ZIP compression"):
+        read_frame(tmp_path / "frame.exr", camera)
+
+
+def test_a_large_frame_is_thinned_and_its_points_lie_where_they_lay(tmp_path, camera, monkeypatch):
+    exr = write_exr(tmp_path / "frame.exr", RADIANCE, PLANE_DEPTH_M)
+    whole = unproject_frame(read_frame(exr, camera, exposure=1)).points_m
+    monkeypatch.setattr(frame_files, "MOST_POINTS", HEIGHT * WIDTH // 5)
+    thinned = read_frame(exr, camera, exposure=1)
+    assert thinned.plane_depth_m.shape == (10, 14) and np.isin(thinned.plane_depth_m, PLANE_DEPTH_M).all()
+    apart = np.linalg.norm(whole[:, None] - unproject_frame(thinned).points_m, axis=2).min(axis=0)
+    pixel_m = PLANE_DEPTH_M.max() / INTRINSICS.fx
+    assert apart.max() < pixel_m
+    images = image_frame(tmp_path, camera, encode_exposed(RADIANCE, 1))
+    np.testing.assert_allclose(images.plane_depth_m, thinned.plane_depth_m, atol=5.1e-4)
+    assert images.intrinsics == thinned.intrinsics
+
+
+def test_a_photo_of_24_megapixels_takes_little_memory(tmp_path):
+    camera = write_camera(tmp_path / "camera.json")
+    write_image(tmp_path / "plane_depth.png", MILLIMETRES)
+    Image.new("RGB", (5664, 4248), (90, 90, 90)).save(tmp_path / "photo.png", compress_level=1)
+    code = (
+        "import resource; from pathlib import Path; from xihenet.frame_files import read_camera, read_frame\n"
+        f"folder = Path({str(tmp_path)!r})\n"
+        "read = lambda name: read_frame(folder / name, camera, plane_depth=folder / 'plane_depth.png')\n"
+        f"camera = read_camera(Path({str(camera)!r}))\n"
+        "assert (read('photo.png').srgb_u8 == 90).all()\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert int(done.stdout) < 300_000
+
+
 # -------------------------------------------------------------------------------------------------------------- camera
 
 
@@ -368,6 +459,15 @@ def test_a_world_with_y_up_is_turned_upright(tmp_path):
     np.testing.assert_allclose(turned, points_of(tmp_path, exr), atol=1e-6)
     camera = read_camera(write_camera(tmp_path / "camera.json", up="y"))
     np.testing.assert_array_equal(camera.blender_from_file @ [1, 2, -3], [1, 3, 2])
+
+
+@pytest.mark.parametrize("up", ["z", "y", "x", "-z", "-y", "-x"])
+def test_a_world_with_any_axis_up_is_turned_upright_and_not_mirrored(tmp_path, up):
+    turn = read_camera(write_camera(tmp_path / "camera.json", up=up)).blender_from_file
+    points_up = np.eye(3)["xyz".index(up[-1])] * (-1 if "-" in up else 1)
+    np.testing.assert_array_equal(turn @ points_up, [0, 0, 1])
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3))
+    assert np.linalg.det(turn) == pytest.approx(1)
 
 
 def changed_pose(change):
@@ -424,6 +524,14 @@ def _transposed(pose):
         ({"height": 0}, "at least one pixel"),
         ({"convention": "OpenGL"}, "convention: expected 'blender' or 'opencv'"),
         ({"up": ["y"]}, "up: expected 'z' or 'y'"),
+        ({"fx": 10**400}, "focal lengths must be positive"),
+        ({"cy": -(10**400)}, "principal point must be finite"),
+        ({"width": 10**400}, "width: expected a whole number"),
+        ({"width": 10**300, "height": 10**300}, "width: expected a whole number"),
+        ({"world_from_camera": [[10**400] * 4] * 4}, "world_from_camera: expected finite numbers"),
+        ({"convension": "opencv"}, "'convension': there is no such key; did you mean 'convention'"),
+        ({"FX": 20}, "'FX': there is no such key; did you mean 'fx'"),
+        ({"distortion": [0, 0]}, "'distortion': there is no such key; leave it out"),
     ],
 )
 def test_a_camera_that_cannot_be_is_refused(tmp_path, changes, said):
@@ -431,7 +539,7 @@ def test_a_camera_that_cannot_be_is_refused(tmp_path, changes, said):
         read_camera(write_camera(tmp_path / "camera.json", **changes))
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "3", '"camera"', "\ufeff{}", json.dumps({})])
+@pytest.mark.parametrize("text", ["", "{", "[]", "3", '"camera"', "\ufeff{}", json.dumps({}), "[" * 200_000])
 def test_a_camera_file_without_a_camera_is_refused(tmp_path, text):
     path = tmp_path / "camera.json"
     path.write_text(text, encoding="utf-8")

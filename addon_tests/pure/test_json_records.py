@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from xihe_blender.io.json_records import ABSENT, INLINE, as_json, from_json, json_schema
+from xihe_blender.io.kept_files import kept_json, kept_or_made
 from xihe_blender.io.run_results import RunResults
+from xihenet.json_files import parse_json, read_json
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,3 +145,29 @@ def test_every_field_of_the_results_is_described():
     for name, record in {"RunResults": schema, **schema["$defs"]}.items():
         bare = [field for field, of_field in record["properties"].items() if "description" not in of_field]
         assert not bare, (name, bare)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe", b"[" * 200_000, b'{"a":' * 200_000])
+def test_what_is_no_json_is_one_kind_of_error_that_names_the_file(tmp_path, content):
+    (tmp_path / "a.json").write_bytes(content)
+    with pytest.raises(ValueError, match=r"a\.json: expected JSON"):
+        read_json(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize("n_digits", [1, 20, 307, 308, 309, 400, 10_000])
+def test_a_whole_number_of_any_length_is_one_that_a_float_can_hold(n_digits):
+    digits = "9" * n_digits
+    assert [float(number) for number in parse_json(f"[{digits}, -{digits}]")] == [float(digits), -float(digits)]
+
+
+@pytest.mark.parametrize("content", ["", "{", "[1]", "null", '{"a": "b"}', '"a"', "[" * 200_000, None])
+def test_a_kept_file_that_is_damaged_or_lost_is_made_again(tmp_path, capfd, content):
+    path = tmp_path / "kept.json"
+    if content is not None:
+        path.write_text(content)
+    read = lambda found: float(found["a"])  # noqa: E731
+    assert kept_json(path, read) is None
+    note = f"xihe: note: {path} is damaged and is made again\n"
+    assert capfd.readouterr().err == ("" if content is None else note)
+    assert kept_or_made(path, read, lambda: {"a": 1.5}) == 1.5
+    assert kept_or_made(path, read, lambda: {"a": 2.5}) == kept_json(path, read) == 1.5

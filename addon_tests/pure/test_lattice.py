@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from xihenet.colour import linear_to_srgb
+from xihenet.estimators import weights_format
 from xihenet.estimators.ambient import constant_light
 from xihenet.estimators.base import EstimateContext
 from xihenet.estimators.lattice import Lattice
@@ -13,6 +14,7 @@ from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeight
 from xihenet.estimators.lattice_tables import pooling_matrix, pooling_table, quadrature_matrix, slot_order
 from xihenet.estimators.projection import Projection
 from xihenet.estimators.weights_format import save_weights
+from xihenet.npz_files import read_npz
 from xihenet.records import Intrinsics, RgbdFrame, UnitSphereCloud
 from xihenet.sh_basis import basis
 from xihenet.sphere import AnchorLattice
@@ -203,18 +205,32 @@ def with_header(**changes):
     return change
 
 
+LARGE = {"levels": [320, 80, 20], "narrow": 65536, "hidden": 65536}
 CHANGES = {
     "another format": (with_header(format=99), "expected format 1, got 99"),
     "a target that is none": (with_header(target="sdr"), "expected 'ldr' or 'hdr'"),
     "an unknown size": (with_header(architecture={"levels": [320, 80, 20], "depth": 3}), "depth"),
     "sizes that are no numbers": (with_header(architecture={"levels": [320, 80, "x"]}), "expected three levels"),
+    "a header of brackets": (lambda content: content.update(header=np.array("[" * 200_000)), "nested too deeply"),
+    "a size of 400 digits": (with_header(architecture={"levels": [10**400, 80, 20]}), "expected three levels"),
     "no header": (lambda content: content.pop("header"), "expected a header"),
     "a missing array": (lambda content: content.pop("stem.bias"), "arrays: expected"),
     "one array too many": (lambda content: content.update(more=np.zeros(1, np.float32)), "arrays: expected"),
+    "a size that needs gigabytes": (with_header(architecture=LARGE), "all arrays: expected 134217728 bytes at most"),
     "a wrong shape": (lambda content: content.update({"gate.bias": np.zeros(8, np.float32)}), r"shape \(9,\)"),
     "NaN": (lambda content: content["code.weight"].fill(np.nan), "code.weight: expected finite weights"),
     "whole numbers": (lambda content: content.update({"gate.bias": np.zeros(9, int)}), "expected float16 or float32"),
 }
+
+
+@pytest.mark.parametrize("name", ["header", "gate.bias", "more"])
+def test_what_the_format_does_not_need_is_not_unpacked(tmp_path, weights_file, name, monkeypatch):
+    changed = changed_file(tmp_path, weights_file, lambda content: content.update({name: np.zeros(2**20, np.float32)}))
+    read = []
+    monkeypatch.setattr(weights_format, "read_npz", lambda path, names: read.extend(names) or read_npz(path, names))
+    with pytest.raises(ValueError, match=r"changed\.npz: .*(bytes at most|arrays: expected)"):
+        load_weights(changed)
+    assert name not in read
 
 
 @pytest.mark.parametrize("name", CHANGES)

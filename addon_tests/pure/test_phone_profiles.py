@@ -106,6 +106,8 @@ def test_effects_come_in_one_order_however_the_file_has_them(tmp_path):
         (HEAD + RANGE.replace("[range]", "[rang]"), r"\[rang\]: there is no such effect"),
         (HEAD + "range = 3", r"\[range\] expected a table"),
         (HEAD + "range = [[", "this is no TOML file"),
+        (HEAD + "range = " + "[" * 200_000, "this is no TOML file"),
+        (HEAD + RANGE.replace("4.0", "1" * 400), r"\[range\] farthest_m: expected a number"),
         (HEAD + 'metering = "spot"', "metering: expected one of highlights, key, got 'spot'"),
         (HEAD + "metering = [1]", r"metering: expected one of highlights, key, got \[1\]"),
         (HEAD.replace('"A phone"', "7"), "summary: expected some text, got 7"),

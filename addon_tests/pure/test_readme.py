@@ -3,6 +3,7 @@
 import importlib.util
 import re
 import shlex
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -93,6 +94,13 @@ def test_every_command_of_the_docs_is_of_a_kind_that_is_tested_here():
     kinds = {command.split()[0] for command in COMMANDS}
     assert kinds <= {"make", "xihe", "blender", "python", "pip", "source", "dask"}
     assert words_of("source") == [[".venv/bin/activate"]]
+
+
+def test_extras_that_the_docs_install_exist():
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    named = {extra for extras in re.findall(r'pip install "?\.\[([\w,]+)\]', text) for extra in extras.split(",")}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert named <= set(project["optional-dependencies"])
 
 
 @pytest.mark.parametrize("page", [*PAGES, ROOT / "CHANGELOG.md"], ids=lambda page: page.name)

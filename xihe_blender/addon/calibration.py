@@ -7,10 +7,10 @@ its one sentence by the file's date, as they read the last run.
 from __future__ import annotations
 
 import functools
-import json
 from pathlib import Path
 
 from xihe_blender.addon.preferences import chosen_folder, own_folder
+from xihenet.json_files import read_json
 
 FILE_NAME = "calibration.json"
 
@@ -32,6 +32,6 @@ def calibration_line() -> str:
 @functools.lru_cache(maxsize=1)
 def _read(path: Path, _changed: int) -> str:
     try:
-        return str(json.loads(path.read_text(encoding="utf-8"))["said"])
+        return str(read_json(path)["said"])
     except (KeyError, TypeError, ValueError):
         return ""

@@ -73,8 +73,11 @@ def save_surfaces(path: Path, surfaces: SurfaceFacts) -> None:
 
 
 def load_surfaces(path: Path) -> SurfaceFacts:
-    """Read what `save_surfaces` wrote; ValueError if the file is broken."""
-    return SurfaceFacts(**read_npz(path))
+    """Read what `save_surfaces` wrote; ValueError naming the file if it is broken."""
+    try:
+        return SurfaceFacts(**read_npz(path))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path}: not what a range sensor meets ({error})") from None
 
 
 def _grey(passes: Mapping[str, ArrayF32], names: Sequence[str]) -> ArrayF32:

@@ -139,8 +139,12 @@ class MeasuredLight:
 
     @classmethod
     def from_json(cls, content: dict[str, Any]) -> MeasuredLight:
-        """What `as_json` gave."""
-        return cls(**{**content, "ldr": np.array(content["ldr"]), "hdr": np.array(content["hdr"])})
+        """What `as_json` gave; ValueError for coefficients that are none."""
+        lights = {name: np.array(content[name], np.float64) for name in ("ldr", "hdr")}
+        for name, light in lights.items():
+            if light.ndim != 2 or light.shape[1] != 3 or len(light) < 9 or not np.isfinite(light).all():
+                raise ValueError(f"{name}: expected finite coefficients (9, 3), got an array of shape {light.shape}")
+        return cls(**{**content, **lights})
 
 
 @dataclass(frozen=True, eq=False)

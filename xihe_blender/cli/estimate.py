@@ -11,7 +11,7 @@ import contextlib
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,18 +22,22 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import finite_or_none, written_whole
 from xihenet import __version__, estimators
 from xihenet.backend import LocalBackend, estimate_light
-from xihenet.camera import in_view, unproject_frame
+from xihenet.camera import in_view, project_points, unproject_frame
 from xihenet.estimators import EstimateContext, Estimator, Target
 from xihenet.frame_files import FrameCamera, read_camera, read_frame
 from xihenet.invalid import CLAMPED, Counts, counted, format_reason, n_left_out
 from xihenet.light_picture import light_picture
+from xihenet.picture_size import MOST_PIXELS
 from xihenet.png import write_png
-from xihenet.records import LightEstimate, PointCloud, RgbdFrame
+from xihenet.records import ArrayF64, LightEstimate, PointCloud, RgbdFrame
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 
 SCHEMA_VERSION = 1
 MAX_ANCHORS = 65536
+BEHIND = 1.1
+"""A position at more than so many times the distance of what is seen there lies behind it: sensors err by less."""
+
 SH_AXES = "right-handed, +Z up"
 
 Position = tuple[float, float, float]
@@ -62,18 +66,49 @@ class EstimateSettings:
 
 @dataclass(frozen=True, eq=False)
 class PlacedEstimate:
-    """The light at one position, and how well the frame shows it."""
+    """The light at one position, and how well the frame shows it.
+
+    Parameters
+    ----------
+    position_m, light, invalid : where, what, and the points that gave nothing or were clamped
+    is_in_view : whether it lies within the picture, in front of the camera
+    behind_m : how far behind the surface that its pixel shows, along the optical axis; 0 where it is not, or only by
+        as much as BEHIND allows
+    """
 
     position_m: Position
     light: LightEstimate
     is_in_view: bool
+    behind_m: float
     invalid: Counts
+
+
+@dataclass(frozen=True)
+class FrameFacts:
+    """What was read, for a user to see whether it is what was meant.
+
+    Parameters
+    ----------
+    size : width and height in pixels
+    nearest_m, farthest_m : plane depth
+    metres_per_unit : that was assumed of the file's numbers
+    intrinsics_given_for : width and height, where they had to be scaled to `size`
+    """
+
+    size: tuple[int, int]
+    nearest_m: float
+    farthest_m: float
+    metres_per_unit: float
+    intrinsics_given_for: tuple[int, int] | None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What can be typed."""
     add = parser.add_argument
-    add("frame", type=Path, metavar="FRAME", help="OpenEXR with colour and Z, or a colour image with --plane-depth")
+    frame = (
+        f"OpenEXR with colour and Z, or a colour image with --plane-depth; {MOST_PIXELS // 10**6} megapixels at most"
+    )
+    add("frame", type=Path, metavar="FRAME", help=frame)
     add("--camera", type=Path, required=True, metavar="FILE.json", help="intrinsics and pose of the camera")
     add(
         "--at",
@@ -83,7 +118,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="X,Y,Z",
         help="position in metres; may be repeated",
     )
-    add("--plane-depth", type=Path, metavar="FILE", help="16-bit image of distances along the optical axis")
+    add(
+        "--plane-depth",
+        type=Path,
+        metavar="FILE",
+        help="16-bit image of distances along the optical axis; 0 or 65535: none",
+    )
     add(
         "--depth-scale",
         type=float,
@@ -133,7 +173,7 @@ def position(text: str) -> Position:
 
 def estimate_from_files(
     frame_path: Path, camera_path: Path, plane_depth_path: Path | None, settings: EstimateSettings
-) -> tuple[RgbdFrame, list[PlacedEstimate]]:
+) -> tuple[RgbdFrame, FrameFacts, list[PlacedEstimate]]:
     """The frame, and the light at every position. UserError, naming the fix, for files or settings that will not do."""
     with _mistakes_as_user_errors():
         estimator = _loaded(settings)
@@ -146,7 +186,17 @@ def estimate_from_files(
             exposure=settings.exposure,
         )
     points, lattice = unproject_frame(frame), AnchorLattice(settings.n_anchors)
-    return frame, [_estimate_at(p, frame, camera, points, estimator, lattice) for p in settings.positions_m]
+    unit_m = 1.0 if plane_depth_path is None else settings.depth_scale
+    placed = [_estimate_at(p, frame, camera, points, estimator, lattice) for p in settings.positions_m]
+    return frame, frame_facts(frame, camera, unit_m), placed
+
+
+def frame_facts(frame: RgbdFrame, camera: FrameCamera, unit_m: float) -> FrameFacts:
+    """What was read from files whose unit of plane depth was taken for `unit_m` metres."""
+    seen = frame.plane_depth_m[frame.plane_depth_m > 0]
+    given, used = camera.intrinsics, frame.intrinsics
+    size, given_size = (used.width, used.height), (given.width, given.height)
+    return FrameFacts(size, float(seen.min()), float(seen.max()), unit_m, None if size == given_size else given_size)
 
 
 def _loaded(settings: EstimateSettings) -> Estimator:
@@ -183,12 +233,23 @@ def _estimate_at(
     context = EstimateContext(frame, points, in_blender_m, None, frame.exposure)
     light = estimate_light(LocalBackend(estimator), cloud, context, frame.exposure)
     is_in_view = bool(in_view([in_blender_m], frame.intrinsics, frame.world_from_camera)[0])
+    behind_m = _behind_m(in_blender_m, frame) if is_in_view else 0.0
     clamped = {reason: n for reason, n in frame.invalid.items() if reason in CLAMPED}
     beyond = counted(distance_in_network=int(np.count_nonzero(cloud.distance_m > estimator.farthest_m)))
-    return PlacedEstimate(position_m, light, is_in_view, {**cloud.invalid, **clamped, **beyond})
+    return PlacedEstimate(position_m, light, is_in_view, behind_m, {**cloud.invalid, **clamped, **beyond})
 
 
-def as_json(settings: EstimateSettings, exposure: float, placed: list[PlacedEstimate]) -> dict[str, Any]:
+def _behind_m(position_m: ArrayF64, frame: RgbdFrame) -> float:
+    """Of a position in view; 0 where its pixel shows no surface."""
+    pixels, plane_depth_m = project_points([position_m], frame.intrinsics, frame.world_from_camera)
+    column, row = pixels[0].astype(int)
+    surface_m, own_m = float(frame.plane_depth_m[row, column]), float(plane_depth_m[0])
+    return own_m - surface_m if surface_m > 0 and own_m > BEHIND * surface_m else 0.0
+
+
+def as_json(
+    settings: EstimateSettings, exposure: float, facts: FrameFacts, placed: list[PlacedEstimate]
+) -> dict[str, Any]:
     """What `estimate.json` holds; every number is finite."""
     return {
         "schema_version": SCHEMA_VERSION,
@@ -196,6 +257,7 @@ def as_json(settings: EstimateSettings, exposure: float, placed: list[PlacedEsti
         "estimator": settings.estimator,
         "target": settings.target,
         "exposure": exposure,
+        "frame": asdict(facts),
         "n_anchors": settings.n_anchors,
         "sh_axes": SH_AXES,
         "positions": [
@@ -206,6 +268,7 @@ def as_json(settings: EstimateSettings, exposure: float, placed: list[PlacedEsti
                 "n_invalid_points": n_left_out(one.invalid),
                 "invalid": dict(one.invalid),
                 "in_view": one.is_in_view,
+                "behind_m": one.behind_m,
                 "is_valid": one.light.is_valid,
                 "unknown_because": one.light.unknown_because or None,
                 "expected_error": finite_or_none(one.light.expected_error),
@@ -216,9 +279,21 @@ def as_json(settings: EstimateSettings, exposure: float, placed: list[PlacedEsti
     }
 
 
-def as_table(placed: list[PlacedEstimate]) -> str:
-    """The same for a reader: a line on how far to trust each position, then its coefficients."""
-    return "\n\n".join(_position_table(one) for one in placed)
+def as_table(facts: FrameFacts, placed: list[PlacedEstimate]) -> str:
+    """The same for a reader: what was read, then a line on how far to trust each position and its coefficients."""
+    return "\n\n".join([_frame_table(facts), *(_position_table(one) for one in placed)])
+
+
+def _frame_table(facts: FrameFacts) -> str:
+    width, height = facts.size
+    rows = [
+        f"frame of {width}x{height} pixels, plane depth from {facts.nearest_m:.4g} m to {facts.farthest_m:.4g} m "
+        f"(1 in the file is {facts.metres_per_unit:g} m)"
+    ]
+    if facts.intrinsics_given_for is not None:
+        given_width, given_height = facts.intrinsics_given_for
+        rows.append(f"intrinsics given for {given_width}x{given_height} pixels, scaled to these")
+    return "\n".join(rows)
 
 
 def _position_table(one: PlacedEstimate) -> str:
@@ -244,11 +319,17 @@ def _format_invalid(invalid: Counts) -> str:
 
 def warnings_about(placed: list[PlacedEstimate]) -> list[str]:
     """A line for each position whose light is a guess."""
-    return [
-        f"{_format_position(one.position_m)} is not in the frame's view: its light is estimated from other surfaces"
-        for one in placed
-        if not one.is_in_view
-    ]
+    lines = []
+    for one in placed:
+        where = _format_position(one.position_m)
+        if not one.is_in_view:
+            lines.append(f"{where} is not in the frame's view: its light is estimated from other surfaces")
+        elif one.behind_m:
+            lines.append(
+                f"{where} lies {one.behind_m:.2g} m behind the surface seen there: its light is estimated from "
+                "surfaces that may be hidden from it; is the position, or the unit of the plane depth, right?"
+            )
+    return lines
 
 
 def _format_position(position_m: Position) -> str:
@@ -284,14 +365,14 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         exposure=options.exposure,
         depth_scale=options.depth_scale,
     )
-    frame, placed = estimate_from_files(options.frame, options.camera, options.plane_depth, settings)
-    content = as_json(settings, frame.exposure, placed)
+    frame, facts, placed = estimate_from_files(options.frame, options.camera, options.plane_depth, settings)
+    content = as_json(settings, frame.exposure, facts, placed)
     written = [] if options.out is None else write_estimates(options.out, content, placed)
     for line in warnings_about(placed):
         print(f"xihe: warning: {line}", file=stderr)
     if options.json:
         print(json.dumps(content, indent=1, allow_nan=False), file=stdout)
         return
-    print(as_table(placed), file=stdout)
+    print(as_table(facts, placed), file=stdout)
     for path in written:
         print(path, file=stdout)

@@ -33,6 +33,11 @@ COMMANDS = {
     "train": "train the estimators' networks and measure them; needs torch",
 }
 
+NEEDS_BLENDER = (
+    "this command needs Blender: with Python 3.11 or 3.13 pip install 'xihe-blender[blender]', or install the "
+    "extension and type blender --command xihe in place of xihe"
+)
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
@@ -48,6 +53,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             code = options.run(options, stdout, stderr)
     except UserError as error:
         return _failed(str(error))
+    except ModuleNotFoundError as error:
+        if error.name not in ("bpy", "mathutils", "bmesh"):
+            raise
+        return _failed(NEEDS_BLENDER)
     except OSError as error:
         return _failed(_format_disk_error(error))
     except KeyboardInterrupt:

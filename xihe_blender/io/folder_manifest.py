@@ -14,6 +14,7 @@ from typing import Any
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import write_json
+from xihenet.json_files import read_json
 
 NOT_COMPARED = "software"
 """Written down for the reader alone."""
@@ -66,10 +67,15 @@ class FolderManifest:
 
     def _check_is_the_same(self) -> None:
         try:
-            kept = json.loads(self.file.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            kept = {}
-        different = differences(kept if isinstance(kept, dict) else {}, json.loads(json.dumps(self.provenance)))
+            kept = read_json(self.file)
+        except ValueError:
+            kept = None
+        if not isinstance(kept, dict) or not VERSIONS.keys() & self.provenance.keys() & kept.keys():
+            raise UserError(
+                f"{self.file} is damaged, so nobody can tell what {self.folder} holds: choose another folder for "
+                "--out, or delete that one"
+            )
+        different = differences(kept, json.loads(json.dumps(self.provenance)))
         if different:
             raise UserError(
                 f"{self.folder} holds {self.what} with another {', '.join(different)}: choose another folder for "

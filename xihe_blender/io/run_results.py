@@ -18,6 +18,7 @@ from typing import Literal
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import ABSENT, INLINE, from_json, json_schema
+from xihenet.json_files import read_json
 
 SCHEMA_VERSION: Literal[1] = 1
 
@@ -516,7 +517,7 @@ def read_results(folder: Path) -> RunResults:
 
 @functools.lru_cache(maxsize=2)
 def _read(file: Path, _changed_ns: int) -> RunResults:
-    results = from_json(RunResults, json.loads(file.read_text(encoding="utf-8")))
+    results = from_json(RunResults, read_json(file))
     if not results.lights:
         raise ValueError("nothing was lit")
     return results

@@ -1,18 +1,21 @@
 """Costs of effects in this scene, and what leaving each out would change. Measured, on small renders.
 
 For every effect that a setting switches: the run's plan with that effect on and with it off, all else as planned. Two
-views are rendered: a light probe at the first estimation position and the phone's picture, both at one frame.
-Interleaved, seed by seed: what else the machine does then slows both sides down alike, and both sides carry nearly the
-same noise, so that a small difference shows after few seeds. Rejected: every effect against a bare scene, which says
-little of a run that has the others on.
+views are rendered, the phone's picture and a light probe at the first estimation position, both at one frame; first
+all effects in the one, then all in the other. Within an effect the two sides take turns, seed by seed: what else the
+machine does then slows both down alike, and both carry nearly the same noise, so that a small difference shows after
+few seeds. Rejected: every effect against a bare scene, which says little of a run that has the others on.
 
-A small render takes a fixed time besides its samples, so in a full run an effect's share is rather larger. Denoising
-is left out but where it is itself the question.
+Both sides share one scene, whose geometry Cycles keeps between renders until another scene is rendered: in a furnished
+room a small picture takes 0.08 s so, and 1.8 s when the scene is built anew; the pixels are the same. A small render
+takes a fixed time besides its samples, so in a full run an effect's share is rather larger. Denoising is left out but
+where it is itself the question, and light probes are never denoised.
 """
 
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -21,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihe_blender.capture.reference_probe import ProbeSettings, light_of_cones, open_reference_probe
-from xihe_blender.capture.render import RenderSettings, render_passes
+from xihe_blender.capture.render import RenderSettings, apply_effects, render_passes
 from xihe_blender.capture.scanner import first_layer, open_scanner, sized_for
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.light_transport.plan import cycles_settings
@@ -33,8 +36,13 @@ PROBE_SAMPLES = 2
 """Rays in each pixel of the reference probe's picture of all light."""
 
 PICTURE = RenderSettings((48, 36), samples=8, denoise=False)
-N_SEEDS = 6
+N_SEEDS, APART_SEEDS, FEWEST_SEEDS = 6, 4, 2
+BUDGET_S = 60.0
 BASELINE = "the plan"
+
+OWN_SCENE = frozenset({"motion blur", "denoising"})
+"""Effects that are switched in a scene of their own, without taking turns: motion blur ends the process where geometry
+is kept (Blender 4.5), and a denoised picture has other passes."""
 
 
 @dataclass(frozen=True)
@@ -46,24 +54,23 @@ class _Variant:
     denoise: bool = False
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class _View:
-    """A working scene that renders one variant; its mean radiance and render time by seed."""
+    """A working scene that renders any variant."""
 
     scene: bpy.types.Scene
     mean: Callable[[ArrayF64], float]
-    means: list[float]
-    seconds: list[float]
 
-    def render(self, seed: int) -> None:
+    def render(self, variant: _Variant, seed: int) -> tuple[float, float]:
+        """Mean radiance, and seconds."""
+        apply_effects(self.scene, cycles_settings(variant.plan))
         self.scene.cycles.seed = seed
         rendered = render_passes(self.scene)
-        self.means.append(self.mean(first_layer(rendered)[0].astype(np.float64)))
-        self.seconds.append(rendered.render_s)
+        return self.mean(first_layer(rendered)[0].astype(np.float64)), rendered.render_s
 
 
-Views = Mapping[str, _View]
-"""By name of the variant."""
+Opened = Callable[[_Variant], contextlib.AbstractContextManager[_View]]
+"""Opens one kind of view, set up for a variant."""
 
 
 def measure_costs(
@@ -72,6 +79,9 @@ def measure_costs(
     choices: Mapping[str, str],
     positions: Sequence[ArrayLike],
     frame: int,
+    *,
+    budget_s: float = BUDGET_S,
+    on_cost: Callable[[str, EffectCost], None] | None = None,
 ) -> Job[dict[str, EffectCost]]:
     """What every effect that a setting switches costs and changes; `scene` stays as it is.
 
@@ -80,23 +90,74 @@ def measure_costs(
     required, choices : what the scene requires and what the user wants; see `plan_effects`
     positions : (K, 3) world, metres; the light probe stands at the first. Empty is legal
     frame : at which to render
+    budget_s : seconds, shared among the effects; each that is begun has FEWEST_SEEDS, and the others have no cost
+    on_cost : called with the name of each effect as soon as its cost is known
 
     Returns
     -------
     costs by name of the effect, without those that no setting of a scene switches; empty with nothing to look from
     """
-    variants = _variants(required, choices)
+    variants, deadline = _variants(required, choices), time.perf_counter() + budget_s
+    baseline = variants.pop(BASELINE)
+    kinds: dict[str, Opened] = {}
+    if scene.camera is not None:
+        kinds["picture"] = lambda variant: _picture(scene, variant, frame)
+    if len(positions):
+        kinds["light"] = lambda variant: _probe(scene, variant, positions[0], frame)
+    names = sorted(variants, key=lambda name: name in OWN_SCENE)
+    units = [(kind, name) for kind in kinds for name in names if (kind, name) != ("light", "denoising")]
+    rounds: dict[str, dict[str, ArrayF64]] = {name: {} for name in variants}
+    costs: dict[str, EffectCost] = {}
     with scene_kept(), contextlib.ExitStack() as stack:
-        kinds: dict[str, Views] = {}
-        if len(positions):
-            kinds["light"] = {
-                n: stack.enter_context(_probe(scene, v, positions[0], frame)) for n, v in variants.items()
-            }
-        if scene.camera is not None:
-            kinds["picture"] = {n: stack.enter_context(_picture(scene, v, frame)) for n, v in variants.items()}
-        yield from _render_interleaved(kinds, list(variants))
-        switched = [name for name in variants if name != BASELINE and kinds]
-        return {name: _cost(kinds, name, has_effect=variants[name].has_effect) for name in switched}
+        shared: dict[str, _View] = {}
+        for done, (kind, name) in enumerate(units):
+            now = time.perf_counter()
+            if now > deadline:
+                break
+            progress = Progress(done, len(units), f"measuring the cost of {name}")
+            yield progress
+            if kind not in shared:
+                shared[kind] = stack.enter_context(kinds[kind](baseline))
+            if name in OWN_SCENE:
+                found = _apart(shared[kind], baseline, kinds[kind], variants[name], progress)
+            else:
+                stop_at = now + (deadline - now) / (len(units) - done)
+                found = _in_turns(shared[kind], (baseline, variants[name]), stop_at, progress)
+            rounds[name][kind] = yield from found
+            if name not in [other for _, other in units[done + 1 :]]:
+                costs[name] = _cost(rounds[name], has_effect=variants[name].has_effect)
+                if on_cost is not None:
+                    on_cost(name, costs[name])
+    return costs
+
+
+def _in_turns(view: _View, sides: tuple[_Variant, _Variant], stop_at: float, progress: Progress) -> Job[ArrayF64]:
+    """(seeds, sides, 2) mean radiance and seconds, with as many seeds as there is time for.
+
+    The first round is not counted: the first render of a scene builds it.
+    """
+    rounds: list[list[tuple[float, float]]] = []
+    for seed in range(N_SEEDS + 1):
+        order = (0, 1) if seed % 2 else (1, 0)
+        found = {side: view.render(sides[side], seed) for side in order}
+        rounds.append([found[0], found[1]])
+        yield progress
+        if len(rounds) > FEWEST_SEEDS and time.perf_counter() > stop_at:
+            break
+    return np.array(rounds[1:])
+
+
+def _apart(shared: _View, baseline: _Variant, opened: Opened, variant: _Variant, progress: Progress) -> Job[ArrayF64]:
+    """As `_in_turns`, one side after the other and in a scene of its own: by turns each render would build a scene."""
+    sides = []
+    with opened(variant) as own:
+        for view, one in ((shared, baseline), (own, variant)):
+            renders = []
+            for seed in range(APART_SEEDS + 1):
+                renders.append(view.render(one, seed))
+                yield progress
+            sides.append(renders[1:])
+    return np.array(sides).swapaxes(0, 1)
 
 
 def _variants(required: Mapping[str, Requirement], choices: Mapping[str, str]) -> dict[str, _Variant]:
@@ -112,25 +173,13 @@ def _variants(required: Mapping[str, Requirement], choices: Mapping[str, str]) -
     return variants
 
 
-def _render_interleaved(kinds: Mapping[str, Views], names: Sequence[str]) -> Iterator[Progress]:
-    """Every view with every seed, after one round that is not counted: the first render builds Cycles' scene."""
-    for seed in range(N_SEEDS + 1):
-        for index in range(len(names)):
-            # Another one comes first each time, so that none always follows the same one.
-            name = names[(index + seed) % len(names)]
-            for views in kinds.values():
-                yield Progress(seed, N_SEEDS + 1, "measuring with and without each effect")
-                views[name].render(seed)
-    for view in (view for views in kinds.values() for view in views.values()):
-        del view.means[0], view.seconds[0]
-
-
-def _cost(kinds: Mapping[str, Views], name: str, *, has_effect: bool) -> EffectCost:
-    order = (name, BASELINE) if has_effect else (BASELINE, name)
-    pairs = {kind: (views[order[0]], views[order[1]]) for kind, views in kinds.items()}
-    seconds = [np.sum([pair[side].seconds for pair in pairs.values()], axis=0) for side in (0, 1)]
-    changes = {kind: _change(np.array(on.means), np.array(off.means)) for kind, (on, off) in pairs.items()}
-    shares = seconds[0] / seconds[1] - 1
+def _cost(rounds: Mapping[str, ArrayF64], *, has_effect: bool) -> EffectCost:
+    """From the (seeds, sides, 2) of each kind; the sides are the plan and the variant."""
+    on, off = (1, 0) if has_effect else (0, 1)
+    n_seeds = min(map(len, rounds.values()))
+    seconds = np.sum([found[:n_seeds, :, 1] for found in rounds.values()], axis=0)
+    shares: ArrayF64 = seconds[:, on] / seconds[:, off] - 1
+    changes = {kind: _change(found[:, on, 0], found[:, off, 0]) for kind, found in rounds.items()}
     return EffectCost(float(np.median(shares)), _standard_error(shares), changes.get("light"), changes.get("picture"))
 
 
@@ -153,7 +202,7 @@ def _probe(scene: bpy.types.Scene, variant: _Variant, position_m: ArrayLike, fra
     with open_reference_probe(scene, np.array([position_m]), settings) as probe:
         probe.scene.frame_set(frame)
         probe.look_at_cones(0, PROBE_SAMPLES)
-        yield _View(probe.scene, lambda cones: float(light_of_cones(cones.astype(np.float32))[0].mean()), [], [])
+        yield _View(probe.scene, lambda cones: float(light_of_cones(cones.astype(np.float32))[0].mean()))
 
 
 @contextlib.contextmanager
@@ -161,4 +210,4 @@ def _picture(scene: bpy.types.Scene, variant: _Variant, frame: int) -> Iterator[
     settings = replace(PICTURE, denoise=variant.denoise, light_transport=cycles_settings(variant.plan))
     with open_scanner(scene, sized_for(scene, settings)) as scanner:
         scanner.scene.frame_set(frame)
-        yield _View(scanner.scene, lambda radiance: float(radiance.mean()), [], [])
+        yield _View(scanner.scene, lambda radiance: float(radiance.mean()))

@@ -111,8 +111,8 @@ def world_shading(world: bpy.types.World | None) -> Shading:
 
 
 def light_emits(light: bpy.types.Light) -> bool:
-    """Whether a lamp gives any light: it has power, a colour, and nodes (if any) that let it through."""
-    if light.energy == 0 or not any(light.color):
+    """Whether a lamp gives any light: it is no portal, has power, a colour, and nodes (if any) that let it through."""
+    if light.energy == 0 or not any(light.color) or (light.type == "AREA" and light.cycles.is_portal):
         return False
     if not has_nodes(light):
         return True

@@ -1,24 +1,22 @@
 """The extension as one zip that Blender installs: `xihe package --out DIR`. Needs a checkout, and no Blender.
 
     xihe-<version>.zip
-        blender_manifest.toml   the version, the list of wheels, then the template beside this file
+        blender_manifest.toml   the version and the wheel, then the template in `xihe_blender`
         __init__.py             registers from the wheel, so that scripts in Blender can import the packages too
         LICENSE
-        wheels/                 this project, and OpenEXR for each platform and Python; Blender unpacks those that fit
+        wheels/                 this project, without the weights that need torch
 
-The same commit and wheels make the same bytes, as long as Python compresses alike. Rejected: Blender's own `extension
+There is nothing in it of others, so it is the same for every platform and Python, and the same commit makes the same
+bytes, as long as Python compresses alike. Rejected: Blender's own `extension
 build`, since it needs a Blender and keeps the times of files; its `validate` is what the tests hold the zip against.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from xihe_blender.io.outputs import written_whole
 from xihe_blender.packaging.archive import Contents, packed
-from xihe_blender.packaging.bundled_wheels import pinned_wheels, wheel_files
 from xihe_blender.packaging.project_wheel import CHECKOUT, project_wheel
 from xihenet import __version__
 
@@ -47,40 +45,30 @@ def unregister():
 '''
 
 
-def build_extension(
-    out: Path, wheels: Path, *, pinned: Mapping[str, str] | None = None, checkout: Path = CHECKOUT
-) -> Path:
+def build_extension(out: Path, *, checkout: Path = CHECKOUT) -> Path:
     """Write the extension into the folder `out`, whole or not at all; the path of the zip.
 
     Parameters
     ----------
     out : made if needed; a zip of the same version in it is replaced
-    wheels : folder with the wheels of others; those missing are fetched into it
-    pinned : names and hashes of these wheels; None takes the project's table
     checkout : the project's own files
 
     UserError names the fix; OSError where a folder cannot be written.
     """
     name, content = project_wheel(checkout)
-    contents: Contents = {f"wheels/{name}": content}
-    for file in wheel_files(wheels, pinned_wheels() if pinned is None else pinned):
-        contents[f"wheels/{file.name}"] = file.read_bytes()
-    contents["blender_manifest.toml"] = _manifest(sorted(contents))
-    contents["__init__.py"] = REGISTERS_FROM_THE_WHEEL.format(version=__version__).encode()
-    contents["LICENSE"] = (checkout / "LICENSE").read_bytes()
+    contents: Contents = {
+        f"wheels/{name}": content,
+        "blender_manifest.toml": _manifest(name),
+        "__init__.py": REGISTERS_FROM_THE_WHEEL.format(version=__version__).encode(),
+        "LICENSE": (checkout / "LICENSE").read_bytes(),
+    }
     path = out / f"xihe-{__version__}.zip"
     with written_whole(path) as beside:
         beside.write_bytes(packed(contents))
     return path
 
 
-def _manifest(wheels: Sequence[str]) -> bytes:
+def _manifest(wheel: str) -> bytes:
     """The template with what is known only now in front of it: TOML wants single values before its tables."""
-    listed = "".join(f'    "./{wheel}",\n' for wheel in wheels)
-    generated = f'version = "{__version__}"\nwheels = [\n{listed}]\n\n'
+    generated = f'version = "{__version__}"\nwheels = ["./wheels/{wheel}"]\n\n'
     return (generated + MANIFEST.read_text(encoding="utf-8")).encode()
-
-
-def default_wheels_folder() -> Path:
-    """Where fetched wheels are kept if the user names no folder."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "xihe" / "wheels"

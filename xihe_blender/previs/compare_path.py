@@ -8,7 +8,6 @@ run kept it, taken over from an earlier frame where scene, camera, capture and l
 from __future__ import annotations
 
 import contextlib
-import json
 from collections.abc import Generator, Sequence
 from dataclasses import replace
 from typing import Any
@@ -25,12 +24,14 @@ from xihe_blender.compare.methods import (
     open_comparer,
 )
 from xihe_blender.io.exr import write_radiance
-from xihe_blender.io.json_records import as_json, from_json
+from xihe_blender.io.json_records import Json, as_json, from_json
+from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import RunOutputs, copy_whole, write_json, write_picture
 from xihe_blender.io.run_results import ComparedFrame, Metrics
 from xihe_blender.jobs import Progress
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.run_chain import Lights, WalkedPath
+from xihenet.json_files import read_json
 from xihenet.recording import load_frame
 
 
@@ -46,7 +47,8 @@ def compare_path(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, No
             yield Progress(done, max(run.total, done + 3), f"comparing frame {frame}")
             lights = walked.lights[frame]
             source = first.setdefault(_made_from(run, frame, lights), frame)
-            if not run.outputs.compared(frame).exists():
+            kept = kept_json(run.outputs.compared(frame), _compared_from)
+            if kept is None:
                 if source != frame:
                     _take_over(run.outputs, source, frame)
                 else:
@@ -54,7 +56,7 @@ def compare_path(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, No
                         opened = open_comparer(run.scene, run.plan.objects, run.methods, run.comparison)
                         comparer = stack.enter_context(opened)
                     _compare_frame(run, frame, lights, comparer)
-            compared[frame] = _read(run.outputs, frame)
+            compared[frame] = kept or _read(run.outputs, frame)
             done += 3
     return compared
 
@@ -84,7 +86,11 @@ def _take_over(outputs: RunOutputs, source: int, frame: int) -> None:
 
 
 def _read(outputs: RunOutputs, frame: int) -> ComparedFrame:
-    return from_json(ComparedFrame, json.loads(outputs.compared(frame).read_text(encoding="utf-8")))
+    return _compared_from(read_json(outputs.compared(frame)))
+
+
+def _compared_from(content: Json) -> ComparedFrame:
+    return from_json(ComparedFrame, content)
 
 
 def _compare_frame(run: PreparedRun, frame: int, lights: Lights, comparer: Comparer) -> None:

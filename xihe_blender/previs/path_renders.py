@@ -8,18 +8,19 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from xihe_blender.capture.phone_surfaces import ask_for_surfaces, save_surfaces, surfaces_in
+from xihe_blender.capture.phone_surfaces import ask_for_surfaces, load_surfaces, save_surfaces, surfaces_in
 from xihe_blender.capture.reference_probe import MeasuredLight, ReferenceProbe, open_reference_probe
 from xihe_blender.capture.scanner import CyclesScanner, first_layer, open_scanner
-from xihe_blender.io.exr import write_radiance
+from xihe_blender.io.exr import read_radiance, write_radiance
+from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.outputs import copy_whole, write_json, write_picture
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
+from xihenet.json_files import read_json
 from xihenet.recording import load_frame, save_frame
 from xihenet.records import RgbdFrame
 
@@ -55,8 +56,9 @@ class PathRenders:
         probes = self.run.probes_in_view(frame)
         if not probes:
             return None
-        if self.run.outputs.times(frame).exists():
-            return self._kept(frame, probes)
+        kept = self._kept(frame, probes)
+        if kept is not None:
+            return kept
         captured, capture_s = self._captured(frame)
         references, probes_s = self._measured(frame, probes)
         render_s = capture_s + probes_s
@@ -66,11 +68,17 @@ class PathRenders:
         write_json(outputs.times(frame), {"render_s": render_s})
         return FrameRenders(captured, references, render_s, render_s)
 
-    def _kept(self, frame: int, probes: Sequence[Probe]) -> FrameRenders:
+    def _kept(self, frame: int, probes: Sequence[Probe]) -> FrameRenders | None:
+        """What an earlier part of the run has left; None if it has not, or if anything of it is lost or damaged."""
         outputs = self.run.outputs
-        render_s = float(json.loads(outputs.times(frame).read_text(encoding="utf-8"))["render_s"])
-        references = {probe.name: self._read_reference(probe, frame) for probe in probes}
-        return FrameRenders(load_frame(outputs.capture(frame)), references, render_s, 0.0)
+        render_s = kept_json(outputs.times(frame), lambda content: float(content["render_s"]))
+        if render_s is None:
+            return None
+        captured = read_kept(outputs.capture(frame), load_frame)
+        references = {probe.name: kept_json(self._reference(probe, frame), MeasuredLight.from_json) for probe in probes}
+        measured = {name: light for name, light in references.items() if light is not None}
+        is_whole = len(measured) == len(probes) and all(self._is_kept_beside(frame))
+        return FrameRenders(captured, measured, render_s, 0.0) if captured is not None and is_whole else None
 
     def _captured(self, frame: int) -> tuple[RgbdFrame, float]:
         """The capture, and the seconds that rendering it took; what is kept beside it is written."""
@@ -93,6 +101,13 @@ class PathRenders:
             passes, roughness = next(iter(rendered.layers.values())), self.run.survey.frames[frame].roughness
             save_surfaces(outputs.surfaces(frame), surfaces_in(passes, roughness))
 
+    def _is_kept_beside(self, frame: int) -> Iterator[bool]:
+        """Whether each of what stands beside the capture can be read."""
+        if self.run.needs.radiance:
+            yield read_kept(self.run.outputs.radiance("captured", frame), read_radiance) is not None
+        if self.run.needs.surfaces:
+            yield read_kept(self.run.outputs.surfaces(frame), load_surfaces) is not None
+
     def _beside_captures(self) -> Iterator[Callable[[int], Path]]:
         """Where that is stored, by frame."""
         if self.run.needs.radiance:
@@ -109,7 +124,7 @@ class PathRenders:
                 render_s += self._measure(probe, frame)
             else:
                 self._take_over(probe, source, frame)
-            references[probe.name] = self._read_reference(probe, frame)
+            references[probe.name] = MeasuredLight.from_json(read_json(self._reference(probe, frame)))
         return references, render_s
 
     def _measure(self, probe: Probe, frame: int) -> float:
@@ -124,9 +139,8 @@ class PathRenders:
         for kind in (outputs.probe, outputs.reference):
             copy_whole(kind(index, probe.name, source), kind(index, probe.name, frame))
 
-    def _read_reference(self, probe: Probe, frame: int) -> MeasuredLight:
-        path = self.run.outputs.reference(self._index(probe), probe.name, frame)
-        return MeasuredLight.from_json(json.loads(path.read_text(encoding="utf-8")))
+    def _reference(self, probe: Probe, frame: int) -> Path:
+        return self.run.outputs.reference(self._index(probe), probe.name, frame)
 
     def _index(self, probe: Probe) -> int:
         return self.run.plan.probes.index(probe)

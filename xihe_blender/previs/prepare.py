@@ -6,17 +6,17 @@ and kept in the run's folder, so that a resumed run does the same without lookin
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Generator, Mapping
+import math
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
 
 import bpy
 
 from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure
+from xihe_blender.io.json_records import Json, from_json
+from xihe_blender.io.kept_files import kept_json, kept_or_made
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import Progress
 from xihe_blender.light_transport import cycles_settings
@@ -105,9 +105,8 @@ class PreparedRun:
 
 def survey_run(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs) -> SceneSurvey:
     """The survey that an earlier part of this run has left in `outputs`, or a new one, which is not written there."""
-    if not outputs.survey.exists():
-        return survey_path(scene, plan)
-    return SceneSurvey.from_json(json.loads(outputs.survey.read_text(encoding="utf-8")))
+    kept = kept_json(outputs.survey, SceneSurvey.from_json)
+    return survey_path(scene, plan) if kept is None or tuple(kept.frames) != tuple(plan.frames) else kept
 
 
 def prepare_run(
@@ -119,16 +118,17 @@ def prepare_run(
     estimator: Estimator,
 ) -> Generator[Progress, None, PreparedRun]:
     """A job: work out what an earlier part of this run has not left in `outputs`; `survey` is left there too."""
-    _once(outputs.survey, survey.as_json)
+    write_json(outputs.survey, survey.as_json())
     yield Progress(0, 1, "metering the exposure")
     exposure = _session_exposure(scene, plan, outputs, settings)
     effects = _effects(scene, survey, outputs, settings)
     yield Progress(0, 1, "measuring how many samples it takes")
     transport = cycles_settings(effects)
-    sample_count = _once(
-        outputs.sample_count, lambda: measure_sample_count(scene, plan, survey, settings, exposure, transport).as_json()
+    measured = kept_or_made(
+        outputs.sample_count,
+        lambda content: from_json(SampleCount, content),
+        lambda: measure_sample_count(scene, plan, survey, settings, exposure, transport).as_json(),
     )
-    measured = SampleCount(**sample_count)
     settings = replace(settings, trigger=above_noise(settings.trigger, measured.capture_change))
     phone = choose_phone(scene, survey, settings)
     reuse = render_reuse(survey, effects, phone.needs)
@@ -153,22 +153,23 @@ def above_noise(trigger: TriggerSettings, capture_change: float | None) -> Trigg
     return replace(trigger, theta=trigger.theta + NOISE_MARGIN * capture_change)
 
 
-def _once(path: Path, work_out: Callable[[], Any]) -> Any:
-    """What `work_out` gave when it was first asked, as JSON keeps it."""
-    if not path.exists():
-        write_json(path, work_out())
-    return json.loads(path.read_text(encoding="utf-8"))
-
-
 def _session_exposure(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs, settings: PrevisSettings) -> float:
     """The exposure that the user gave, or that is metered."""
     if settings.exposure is not None:
         return settings.exposure
     metering = settings.metering_in_force
-    kept = _once(
-        outputs.exposure, lambda: {"exposure": meter_exposure(scene, plan.frames, settings.seed, metering=metering)}
+    return kept_or_made(
+        outputs.exposure,
+        _positive_exposure,
+        lambda: {"exposure": meter_exposure(scene, plan.frames, settings.seed, metering=metering)},
     )
-    return float(kept["exposure"])
+
+
+def _positive_exposure(content: Json) -> float:
+    exposure = float(content["exposure"])
+    if not 0 < exposure < math.inf:
+        raise ValueError(f"exposure: expected a positive factor, got {exposure}")
+    return exposure
 
 
 def _effects(
@@ -176,4 +177,15 @@ def _effects(
 ) -> dict[str, Effect]:
     """The effects of light transport that the scene calls for, or the user."""
     choices = overrides_in_force(scene, settings.effect_choices)
-    return effects_from_json(_once(outputs.effects, lambda: effects_as_json(plan_effects(survey.required, choices))))
+    return kept_or_made(
+        outputs.effects,
+        lambda content: _effects_of(survey, content),
+        lambda: effects_as_json(plan_effects(survey.required, choices)),
+    )
+
+
+def _effects_of(survey: SceneSurvey, content: Json) -> dict[str, Effect]:
+    effects = effects_from_json(content)
+    if effects.keys() != survey.required.keys():
+        raise ValueError(f"effects: expected {', '.join(survey.required)}, got {', '.join(map(str, effects))}")
+    return effects

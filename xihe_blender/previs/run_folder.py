@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,10 @@ from typing import Any
 import bpy
 
 from xihe_blender.io.folder_manifest import FolderManifest
+from xihe_blender.io.json_records import Json, from_json
+from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.io.run_results import RunResults
 from xihe_blender.previs.plan import PrevisPlan
 from xihe_blender.previs.settings import PrevisSettings
 from xihenet import __version__
@@ -44,8 +46,14 @@ def run_identity(scene: bpy.types.Scene, file: Path, settings: PrevisSettings, p
 
 
 def finished_results(outputs: RunOutputs) -> dict[str, Any] | None:
-    """The results of a run that is done; None of one that is not."""
+    """The results of a run that is done; None of one that is not, or whose results are damaged."""
     if not (outputs.results.exists() and outputs.report.exists() and outputs.lit_blend.exists()):
         return None
-    content: dict[str, Any] = json.loads(outputs.results.read_text(encoding="utf-8"))
-    return content
+    return kept_json(outputs.results, _checked_results)
+
+
+def _checked_results(content: Json) -> dict[str, Any]:
+    """The same; TypeError or ValueError if it is not what a run writes."""
+    from_json(RunResults, content)
+    results: dict[str, Any] = content
+    return results

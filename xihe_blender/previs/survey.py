@@ -58,7 +58,7 @@ class SurveyedFrame:
     @classmethod
     def from_json(cls, row: Mapping[str, Any]) -> SurveyedFrame:
         """What `as_json` gave."""
-        motion = CameraMotion(**{name: np.array(vector) for name, vector in row["motion"].items()})
+        motion = CameraMotion(**{name: np.array(vector, float).reshape(3) for name, vector in row["motion"].items()})
         read = {"in_view": tuple(row["in_view"]), "motion": motion, "state": SceneState(**row["state"])}
         return cls(**{**row, **read})
 

@@ -188,8 +188,8 @@ def load_pointconv_weights(path: Path, estimator: str) -> PointConvWeights:
     """
     if not path.exists():
         raise ValueError(
-            f"{path}: expected {estimator} weights, found no file; train the network and export it "
-            "with `xihe train` and `xihe train export`, or choose another estimator"
+            f"{path}: expected {estimator} weights, found no file. The pip package has those for ldr, "
+            "the Blender extension has none: choose another estimator, or train the network and export it"
         )
     return read_weights(path, estimator, _architecture_from)
 

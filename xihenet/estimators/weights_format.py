@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -20,12 +21,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xihenet.estimators.base import Target
-from xihenet.npz_files import read_npz
+from xihenet.json_files import parse_json
+from xihenet.npz_files import npz_sizes, read_npz
 from xihenet.records import ArrayF32
 
 FORMAT_VERSION = 1
 WEIGHTS_FOLDER = Path(__file__).resolve().parents[1] / "weights"
 """Where the shipped ones lie, as `<estimator>_<target>.npz`."""
+
+LARGEST_HEADER = 2**20
+"""Bytes; the shipped ones take 2300."""
+
+LARGEST_NETWORK = 2**27
+"""Bytes of all arrays; the largest that is shipped takes 6 MB."""
+
+LARGEST_NPY_HEADER = 1024
+"""Bytes before the numbers of an array: 128, of longer shapes a few more."""
+
+FLOAT32_BYTES = 4
 
 
 class Architecture(Protocol):
@@ -111,42 +124,60 @@ def read_weights(
     ValueError naming the file and what was expected, also if it is missing.
     """
     try:
-        content = read_npz(path)
+        sizes = npz_sizes(path)
+        _check_size("header", sizes.get("header", 0), LARGEST_HEADER)
+        stored = read_npz(path, {"header"})
     except (OSError, ValueError) as error:
         raise ValueError(f"{path}: expected an .npz of {estimator} weights ({error})") from None
     try:
-        return _weights_from(content, estimator, architecture_from)
-    except (ValueError, TypeError, KeyError) as error:
+        header = _header_from(stored, estimator)
+        architecture = architecture_from(dict(header["architecture"]))
+        _check_sizes(sizes, architecture.array_shapes())
+        return _weights_from(read_npz(path, architecture.array_shapes()), header, architecture)
+    except (OSError, ValueError, TypeError, KeyError, OverflowError) as error:
         raise ValueError(f"{path}: not the {estimator} weights this version reads: {error}") from None
 
 
+def _check_sizes(sizes: Mapping[str, int], shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """ValueError unless the file holds these arrays alone, none larger than its shape says: nothing is unpacked yet."""
+    if set(sizes) - {"header"} != set(shapes):
+        raise ValueError(f"arrays: expected {sorted(shapes)}, got {sorted(set(sizes) - {'header'})[:100]}")
+    _check_size("all arrays", sum(map(math.prod, shapes.values())) * FLOAT32_BYTES, LARGEST_NETWORK)
+    for name, shape in shapes.items():
+        _check_size(name, sizes[name], math.prod(shape) * FLOAT32_BYTES + LARGEST_NPY_HEADER)
+
+
+def _check_size(name: str, n_bytes: int, most: int) -> None:
+    if n_bytes > most:
+        raise ValueError(f"{name}: expected {most} bytes at most, got {n_bytes}")
+
+
 def _weights_from(
-    content: dict[str, NDArray[Any]], estimator: str, architecture_from: Callable[[dict[str, Any]], AnyArchitecture]
+    content: dict[str, NDArray[Any]], header: dict[str, Any], architecture: AnyArchitecture
 ) -> NetworkWeights[AnyArchitecture]:
-    header = _header_from(content)
-    if header.get("estimator", "lattice") != estimator:
-        raise ValueError(f"expected weights of {estimator!r}, got {header['estimator']!r}")
     for name, array in content.items():
         if array.dtype not in (np.float16, np.float32):
             raise ValueError(f"{name}: expected float16 or float32, got {array.dtype}")
     return NetworkWeights(
-        architecture_from(dict(header["architecture"])),
+        architecture,
         header["target"],
         {name: np.asarray(array, np.float32) for name, array in content.items()},
         header.get("data", ""),
         header.get("seed", 0),
         header.get("figures", {}),
-        estimator,
+        header.get("estimator", "lattice"),
         header.get("n_points"),
     )
 
 
-def _header_from(content: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """The header, taken out of `content`."""
+def _header_from(content: dict[str, NDArray[Any]], estimator: str) -> dict[str, Any]:
+    """The header of weights for `estimator`."""
     if "header" not in content or content["header"].dtype.kind != "U":
         raise ValueError("expected a header in JSON, got none")
-    header = json.loads(content.pop("header").item())
+    header = parse_json(content["header"].item())
     found = header.get("format") if isinstance(header, dict) else header
     if not isinstance(header, dict) or found != FORMAT_VERSION:
-        raise ValueError(f"expected format {FORMAT_VERSION}, got {found!r}")
+        raise ValueError(f"expected format {FORMAT_VERSION}, got {found!r:.80}")
+    if header.get("estimator", "lattice") != estimator:
+        raise ValueError(f"expected weights of {estimator!r}, got {header['estimator']!r:.80}")
     return header

@@ -127,6 +127,8 @@ def _read_profile(path: Path) -> PhoneProfile:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise ValueError(f"{path}: this is no TOML file ({error})") from None
+    except RecursionError:
+        raise ValueError(f"{path}: this is no TOML file (its brackets are nested too deeply)") from None
     try:
         return _profile_from_tables(tables)
     except ValueError as error:

@@ -8,7 +8,6 @@ Chosen: the range beside the field. Rejected: a schema file, which would have to
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
@@ -69,7 +68,7 @@ def section_from_table(kind: type[SectionT], table: object) -> SectionT:
     ValueError names the key that is unknown, missing, of the wrong type or out of range.
     """
     if not isinstance(table, Mapping):
-        raise ValueError(f"expected a table of settings, got {table!r}")
+        raise ValueError(f"expected a table of settings, got {table!r:.80}")
     known = {part.name for part in dataclasses.fields(kind)}
     for key in table:
         if key not in known:
@@ -84,16 +83,17 @@ def _checked(name: str, value: object, rule: Mapping[str, Any]) -> object:
     kind = rule["kind"]
     if kind is str:
         if not isinstance(value, str) or not value.strip():
-            raise ValueError(f"{name}: expected some text, got {value!r}")
+            raise ValueError(f"{name}: expected some text, got {value!r:.80}")
         return value
     if kind is bool:
         if not isinstance(value, bool):
-            raise ValueError(f"{name}: expected true or false, got {value!r}")
+            raise ValueError(f"{name}: expected true or false, got {value!r:.80}")
         return value
     what = "whole number" if kind is int else "number"
     expected = f"expected a {what} from {rule['low']:g} to {rule['high']:g} {rule['unit']}".rstrip()
     if isinstance(value, bool) or not isinstance(value, int if kind is int else (int, float)):
-        raise ValueError(f"{name}: {expected}, got {value!r}")
-    if not (math.isfinite(value) and rule["low"] <= value <= rule["high"]):
-        raise ValueError(f"{name}: {expected}, got {value:g}")
+        raise ValueError(f"{name}: {expected}, got {value!r:.80}")
+    # In this order: a whole number may be too long for a float, and NaN is in no range.
+    if not rule["low"] <= value <= rule["high"]:
+        raise ValueError(f"{name}: {expected}, got {str(value)[:20]}")
     return kind(value)

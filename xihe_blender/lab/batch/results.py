@@ -11,7 +11,6 @@ report.html
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +22,7 @@ from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.run_results import METRICS
 from xihe_blender.lab.batch.grid import BatchSettings, Unit
 from xihenet import __version__
+from xihenet.json_files import read_json
 
 SCHEMA_VERSION = 1
 WHICH = ("scene", "seed", "phone", "estimator")
@@ -79,7 +79,7 @@ class BatchFolder:
     def result(self, unit: Unit) -> dict[str, Any] | None:
         """What the unit came to; None if it is not done, or its file is damaged."""
         try:
-            content = json.loads(result_file(self.of_unit(unit)).read_text(encoding="utf-8"))
+            content = read_json(result_file(self.of_unit(unit)))
         except (OSError, ValueError):
             return None
         return content if isinstance(content, dict) else None
@@ -142,7 +142,7 @@ def read_frontier(given: Path | None, folder: Path) -> dict[str, Any] | None:
     file = folder if given is None else given
     file = file / "frontier.json" if file.is_dir() or given is None else file
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
+        content = read_json(file)
     except (OSError, ValueError) as error:
         if given is None:
             return None

@@ -1,0 +1,47 @@
+"""Kept pieces of a run: what an earlier part of it has left in its folder, or makes again where a file is damaged.
+
+A disk that was full, a copy that was cut short or a hand that edited leaves files that are there and say nothing. All
+that a run keeps can be made again, so none of them stops it: a line on stderr names the file, and its work is done
+once more.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+from xihe_blender.io.json_records import Json
+from xihe_blender.io.outputs import write_json
+from xihenet.json_files import read_json
+
+Kept = TypeVar("Kept")
+
+DAMAGED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
+"""What readers raise for content that is not what they wrote."""
+
+
+def read_kept(path: Path, read: Callable[[Path], Kept]) -> Kept | None:
+    """What `read` makes of the file; None if it is not there or is damaged. OSError if it cannot be opened."""
+    try:
+        return read(path)
+    except FileNotFoundError:
+        return None
+    except DAMAGED:
+        print(f"xihe: note: {path} is damaged and is made again", file=sys.stderr)
+        return None
+
+
+def kept_json(path: Path, read: Callable[[Json], Kept]) -> Kept | None:
+    """What `read` makes of the JSON in the file, as `read_kept`."""
+    return read_kept(path, lambda file: read(read_json(file)))
+
+
+def kept_or_made(path: Path, read: Callable[[Json], Kept], make: Callable[[], Json]) -> Kept:
+    """What `read` makes of the JSON in the file, which is written as `make` says if it is not there or is damaged."""
+    kept = kept_json(path, read)
+    if kept is not None:
+        return kept
+    write_json(path, make())
+    return read(read_json(path))
