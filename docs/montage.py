@@ -1,4 +1,4 @@
-"""One picture of a finished run, made from its radiance files: the strip of the README.
+"""One picture of a finished run, made from its radiance files: the strip in docs/benchmarks.md.
 
     python docs/montage.py out docs/living_room.png --frames 1,13,24
 

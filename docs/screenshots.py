@@ -1,4 +1,4 @@
-"""The picture of the panel that the README begins with, taken from the window of a real Blender.
+"""The README's picture of the panel, taken from the window of a real Blender.
 
     XIHE_BLENDER_WINDOW="blender" python docs/screenshots.py docs/panel.png
 

@@ -18,21 +18,21 @@ LEFT_OUT: Mapping[str, str] = MappingProxyType(
     {
         "no_surface": "no surface there: open sky, a window, or beyond the camera's clip end",
         "no_distance": "no distance was measured: a plane depth of 0 or less",
-        "not_finite": "a plane depth or a place that is NaN or infinite",
+        "not_finite": "a plane depth or a position that is NaN or infinite",
         "colour_not_finite": "a colour that is NaN or infinite",
         "at_probe": "the point lies at the estimation position itself and has no direction",
-        "too_far": "farther from the estimation position than 32 bits can say",
-        "colour_without_distance": "a colour without a distance on the wire",
+        "too_far": "too far from the estimation position for 32-bit numbers",
+        "colour_without_distance": "a colour sent without a distance",
     }
 )
 """Why pixels and points are left out; the phone's effects are reasons of their own, by their names."""
 
 CLAMPED: Mapping[str, str] = MappingProxyType(
     {
-        "negative_colour": "light below 0, as of a negative lamp, taken for black",
-        "infinite_colour": "an infinite colour, taken for white",
-        "distance_on_wire": "a distance that the wire cannot say, taken for the nearest one that it can",
-        "distance_in_network": "a distance beyond what the network was made for, taken for its farthest",
+        "negative_colour": "light below 0, such as that of a negative lamp, replaced by black",
+        "infinite_colour": "an infinite colour, replaced by white",
+        "distance_on_wire": "a distance that the wire format cannot hold, replaced by the nearest that it can",
+        "distance_in_network": "a distance beyond the network's range, replaced by the farthest in range",
     }
 )
 """What is used, but not as it came."""

@@ -46,7 +46,7 @@ def rows() -> Iterator[Row]:
         yield name, f"poses alone turned, {len(YAWS_BY_HAND)} yaws: only the anchors differ", by_hand, TOLERANCE[name]
     turned = [Placing(yaw_deg=yaw) for yaw in YAWS]
     yield from compared(f"room turned, {len(YAWS)} yaws", map(see, turned), known, TOLERANCE)
-    yield from compared("moved, turned and scaled, its unit told", map(see, ALL_THREE), known, TOLERANCE)
+    yield from compared("moved, turned and scaled, with its unit", map(see, ALL_THREE), known, TOLERANCE)
     # A learned estimator takes a hall of 4 km for one.
     in_metres = TOLERANCE | {"lattice": np.inf}
     yield from compared("really 1000 times as large", map(see, IN_METRES), known, in_metres)

@@ -75,12 +75,12 @@ YAWS = [Placing(f"turned by {yaw:g} degrees", yaw_deg=yaw) for yaw in (1e-3, 17.
 NOT_TURNED = [
     Placing("10 km away along X", (1e4, 0.0, 0.0)),
     Placing("10 km away on all axes", FAR),
-    Placing("1000 times as large, its unit told", scale=1e3, metres_per_unit=1e-3),
-    Placing("1000 times as small, its unit told", scale=1e-3, metres_per_unit=1e3),
+    Placing("1000 times as large, with its unit", scale=1e3, metres_per_unit=1e-3),
+    Placing("1000 times as small, with its unit", scale=1e-3, metres_per_unit=1e3),
 ]
 ALL_THREE = [
-    Placing("10 km away, turned, 1000 times as large, its unit told", tuple(1e3 * np.array(FAR)), 123.456, 1e3, 1e-3),
-    Placing("10 km away, turned, 1000 times as small, its unit told", tuple(1e-3 * np.array(FAR)), -77.7, 1e-3, 1e3),
+    Placing("10 km away, turned, 1000 times as large, with its unit", tuple(1e3 * np.array(FAR)), 123.456, 1e3, 1e-3),
+    Placing("10 km away, turned, 1000 times as small, with its unit", tuple(1e-3 * np.array(FAR)), -77.7, 1e-3, 1e3),
 ]
 IN_METRES = [
     Placing("4 km wide", scale=1e3),

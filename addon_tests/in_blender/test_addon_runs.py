@@ -123,7 +123,7 @@ def test_an_object_that_is_deleted_meanwhile_ends_the_run_with_one_line(tmp_path
 
     bpy.app.handlers.render_post.append(delete)
     try:
-        with pytest.raises(RuntimeError, match="was deleted meanwhile: start again"):
+        with pytest.raises(RuntimeError, match="was deleted during the run: run again"):
             bpy.ops.xihe.run()
     finally:
         bpy.app.handlers.render_post.remove(delete)

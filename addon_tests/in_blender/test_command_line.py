@@ -209,7 +209,7 @@ def test_a_run_stopped_by_ctrl_c_goes_on_with_the_same_command(folder, finished,
     code, stdout, stderr = stopped(folder / "walk.blend", out, doing, signal.SIGINT)
     assert (code, stdout) == (130, "")
     *progress, last = stderr.splitlines()
-    assert last == "xihe: stopped; the same command goes on from here"
+    assert last == "xihe: stopped; run the same command again to resume"
     assert all("%  " in line for line in progress)
     assert not unfinished_files(out) and not (out / "results.json").exists()
     before = files_below(out)
@@ -289,7 +289,7 @@ def test_a_disk_that_fills_up_leaves_nothing_half_written(folder, finished, smal
     out = disk.folder / "out"
     disk.limit = 200 * 1024  # more than any picture, less than the .blend
     done = disk.previs(folder / "walk.blend", out)
-    assert_refused(done, str(out), "free some space, and the same command goes on from here")
+    assert_refused(done, str(out), "free some space, then run the same command again to resume")
     assert not (out / "results.json").exists() and not unfinished_files(out)
     before = files_below(out)
     disk.enlarge()
@@ -347,7 +347,7 @@ def test_a_broken_file_of_which_blender_itself_complains_is_refused(folder, tmp_
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--frames", "5:1"), "A not after B"),
+        (("--frames", "5:1"), "A no later than B"),
         (("--frames", "a:b"), "1:24:2"),
         (("--frames", "1:5:0"), "1 or more"),
         (("--frames", "1:6"), "choose frames within it"),
@@ -382,7 +382,7 @@ def test_a_file_in_place_of_the_folder_is_refused(folder, tmp_path):
 def test_a_file_in_the_way_is_named(folder, tmp_path):
     (tmp_path / "pictures").write_text("mine")
     done = previs(folder / "walk.blend", tmp_path)
-    assert_refused(done, str(tmp_path / "pictures"), "the same command goes on from here")
+    assert_refused(done, str(tmp_path / "pictures"), "run the same command again to resume")
     assert not (tmp_path / "results.json").exists()
     (tmp_path / "pictures").unlink()
     assert previs(folder / "walk.blend", tmp_path).returncode == 0

@@ -61,14 +61,14 @@ def test_a_run_goes_on_with_the_last_light_where_none_can_be_known(blinded):
 def test_the_kept_light_is_said_in_words_everywhere(blinded):
     results, out = blinded
     note = next(note for note in results["notes"] if "could not be known" in note)
-    assert "Ball" in note and "2" in note and "3" in note and "that of frame 1" in note
+    assert "Ball" in note and "2" in note and "3" in note and "the light of frame 1 was kept" in note
     assert "no surface was seen" in note
     assert "kept 2 times" in format_summary(results)
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "last light kept: no surface was seen from there" in page
-    assert "the light of frame 1 stayed" in page
+    assert "the light of frame 1 was kept" in page
     rows = dict(result_rows(last_run(str(out))))
-    assert rows["Light Kept"] == "2 times"
+    assert rows["Unknown Light"] == "2 times"
     assert rows["Invalid Points"] == f"{results['summary']['n_invalid_points']:,}"
 
 
@@ -93,7 +93,7 @@ def test_before_the_first_light_the_ambient_one_stands_in_and_is_named(tmp_path)
     assert (blind["is_valid"], blind["light_frame"]) == (False, None)
     assert (seeing["is_valid"], seeing["light_frame"], seeing["reason"]) == (True, 2, "first")
     assert not np.any(blind["sh"]) and np.any(seeing["sh"])
-    assert any("the phone's ambient light stood in" in note for note in results["notes"])
+    assert any("the phone's ambient light was used instead" in note for note in results["notes"])
 
 
 def test_negative_light_is_counted_where_it_is_taken_for_black():
@@ -112,5 +112,5 @@ def test_a_path_without_light_to_meter_says_so(tmp_path):
     bpy.data.materials["Light"].node_tree.nodes["Emission"].inputs["Strength"].default_value = 0.0
     results = run(scene, tmp_path / "out")
     check_results(results)
-    assert any("no light that the exposure could be metered by" in note for note in results["notes"])
+    assert any("no light to meter the exposure by" in note for note in results["notes"])
     assert results["summary"]["n_unknown_lights"] == 0

@@ -83,4 +83,4 @@ def test_the_button_equals_its_function_and_keeps_what_any_scene_shows(tmp_path,
         assert old_runs(tmp_path, runs[:2]) == [runs[2]]
         assert bpy.ops.xihe.remove_old_runs() == {"FINISHED"}
         assert runs_in(tmp_path) == runs[:2]
-        assert poll_message(bpy.ops.xihe.remove_old_runs) == "All runs are shown in this file"
+        assert poll_message(bpy.ops.xihe.remove_old_runs) == "This file shows every run: there is none to remove"

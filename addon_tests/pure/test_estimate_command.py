@@ -175,7 +175,7 @@ def test_a_position_outside_of_the_view_is_estimated_with_a_warning(exr, capfd):
     assert [one["in_view"] for one in content["positions"]] == [False, True]
     assert content["positions"][0]["is_valid"]
     assert said.err.splitlines() == [
-        "xihe: warning: 0,-2,0 is not in the frame's view: its light is estimated from surfaces elsewhere"
+        "xihe: warning: 0,-2,0 is not in the frame's view: its light is estimated from other surfaces"
     ]
 
 
@@ -185,7 +185,7 @@ def test_a_position_behind_what_is_seen_there_is_estimated_with_a_warning(exr, c
     said = capfd.readouterr()
     assert [one["behind_m"] for one in read_strictly(said.out)["positions"]] == [pytest.approx(1.0), 0, 0]
     (line,) = said.err.splitlines()
-    assert line.startswith("xihe: warning: 0,4,0 lies 1 m behind the surface that is seen there")
+    assert line.startswith("xihe: warning: 0,4,0 lies 1 m behind the surface seen there")
 
 
 def test_a_position_in_front_of_a_hole_is_behind_nothing(folder, capfd):
@@ -263,10 +263,10 @@ IMAGES = ["colour.png", "--plane-depth", "plane_depth.png", "--camera", "camera.
     ("arguments", "said"),
     [
         ([*EXR], "--at"),
-        ([*EXR, "--at", "1,2"], "'1,2' is no position: give X,Y,Z"),
-        ([*EXR, "--at", "1,2,3,4"], "is no position"),
-        ([*EXR, "--at", "1,2,nan"], "is no position"),
-        ([*EXR, "--at", "here"], "is no position"),
+        ([*EXR, "--at", "1,2"], "'1,2' is not a position: give X,Y,Z"),
+        ([*EXR, "--at", "1,2,3,4"], "is not a position"),
+        ([*EXR, "--at", "1,2,nan"], "is not a position"),
+        ([*EXR, "--at", "here"], "is not a position"),
         (["frame.exr", "--at", AT], "--camera"),
         (["none.exr", "--camera", "camera.json", "--at", AT], "none.exr (No such file or directory)"),
         (["frame.exr", "--camera", "none.json", "--at", AT], "none.json (No such file or directory)"),
@@ -321,7 +321,7 @@ def test_pixels_that_give_no_point_are_counted_by_reason(folder, capfd):
     }  # fmt: skip
     assert one["n_skipped_points"] == one["n_invalid_points"] == 10 and one["unknown_because"] is None
     assert estimate(*asked) == 0
-    assert "points left out or clamped: 1 (a plane depth or a place that is NaN" in capfd.readouterr().out
+    assert "points left out or clamped: 1 (a plane depth or a position that is NaN" in capfd.readouterr().out
 
 
 def test_a_light_that_cannot_be_known_is_black_and_says_why(folder, capfd):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -98,6 +99,11 @@ def test_the_table_has_no_circles():
         assert lowest, f"a circle among {sorted(left)}"
         known |= lowest
         left = {room: below for room, below in left.items() if room not in known}
+
+
+def test_the_conventions_name_every_room():
+    _, table = (ROOT / "docs" / "conventions.md").read_text(encoding="utf-8").split("## Who may import whom")
+    assert [room for room in MAY_IMPORT if room != "__main__" and not re.search(rf"\b{re.escape(room)}\b", table)] == []
 
 
 def test_modules_of_a_room_have_no_circles():

@@ -1,67 +1,158 @@
-"""What the README tells people to type exists."""
+"""The README is short, and what it and the docs tell people to type or to click on exists."""
 
+import importlib.util
 import re
 import shlex
+import tomllib
 from pathlib import Path
 
 import pytest
 
+from xihe_blender.cli.document import document
 from xihe_blender.cli.main import _parser
 from xihenet import __version__
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-COMMANDS = [
-    line.split("#")[0].strip()
-    for block in re.findall(r"```sh\n(.*?)```", README, re.DOTALL)
-    for line in block.splitlines()
-    if line.split("#")[0].strip()
-]
+CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+DOCS = sorted((ROOT / "docs").glob("*.md"))
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS]
+MOST_WORDS = 900
+
+
+def commands_of(page):
+    """What a page tells people to type, in blocks marked as `sh`; a backslash at its end joins a line to the next."""
+    blocks = re.findall(r"```sh\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
+    return [command for line in lines if (command := line.split(" #")[0].strip())]
+
+
+def words_of(*beginning):
+    """Commands of all pages that begin with these words, without them."""
+    split = [shlex.split(command) for command in COMMANDS]
+    return [words[len(beginning) :] for words in split if tuple(words[: len(beginning)]) == beginning]
+
+
+COMMANDS = list(dict.fromkeys(command for page in PAGES for command in commands_of(page)))
 TARGETS = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
 
 
-@pytest.mark.parametrize("command", [c for c in COMMANDS if c.startswith("make ")])
-def test_make_targets_of_the_readme_exist(command):
-    words = [word for word in shlex.split(command)[1:] if "=" not in word]
-    assert words and set(words) <= TARGETS
+def shown(words):
+    return " ".join(words)
 
 
-@pytest.mark.parametrize("command", [c for c in COMMANDS if c.startswith("xihe ") and not c.startswith("xihe train ")])
-def test_xihe_commands_of_the_readme_are_understood(command):
-    options = _parser().parse_args(shlex.split(command)[1:])
+def test_the_readme_is_short():
+    assert len(README.split()) <= MOST_WORDS
+
+
+def test_the_readme_has_one_picture_and_one_table():
+    assert len(re.findall(r"!\[", README)) == 1
+    assert len(re.findall(r"^\| ?---", README, re.MULTILINE)) == 1
+
+
+def test_the_readme_leads_to_the_two_commands():
+    typed = commands_of(ROOT / "README.md")
+    assert [command.split()[:2] for command in typed if "previs" in command] == [["make", "previs"], ["xihe", "previs"]]
+
+
+@pytest.mark.parametrize("words", words_of("make"), ids=shown)
+def test_make_targets_of_the_docs_exist(words):
+    targets = [word for word in words if "=" not in word]
+    assert targets and set(targets) <= TARGETS
+
+
+@pytest.mark.parametrize("words", [w for w in words_of("xihe") if w[0] != "train"], ids=shown)
+def test_xihe_commands_of_the_docs_are_understood(words):
+    options = _parser().parse_args(words)
     scene = getattr(options, "scene", None)
     assert scene is None or not str(scene).startswith("blend_scenes") or (ROOT / scene).exists()
 
 
-@pytest.mark.parametrize("command", [c for c in COMMANDS if c.startswith("blender --command xihe ")])
-def test_the_same_holds_inside_blender(command):
-    words = shlex.split(command)[3:]
+@pytest.mark.parametrize("words", words_of("blender", "--command", "xihe"), ids=shown)
+def test_the_same_holds_inside_blender(words):
     assert _parser().parse_args(words).command == words[0]
 
 
-def test_the_readme_names_the_extension_as_it_is_built():
-    assert set(re.findall(r"xihe-[\d.]+\.zip", README)) == {f"xihe-{__version__}.zip"}
+def test_the_docs_name_the_extension_as_it_is_built():
+    named = {name for page in PAGES for name in re.findall(r"xihe-[\d.]+\.zip", page.read_text(encoding="utf-8"))}
+    assert named == {f"xihe-{__version__}.zip"}
 
 
-def test_scripts_of_the_readme_that_blender_runs_exist():
-    scripts = [shlex.split(c)[4] for c in COMMANDS if c.startswith("blender --background ")]
-    assert scripts and all((ROOT / script).exists() for script in scripts)
+def test_scripts_of_the_docs_exist():
+    in_blender = [words[words.index("--python") + 1] for words in words_of("blender") if "--python" in words]
+    in_python = [words[0] for words in words_of("python") if words[0] != "-m"]
+    assert in_blender and in_python
+    assert all((ROOT / script).exists() for script in in_blender + in_python)
 
 
-def test_the_readme_begins_with_the_two_commands():
-    assert [c for c in COMMANDS if c.startswith("make ")][:2] == ["make previs", "make test"]
+@pytest.mark.parametrize("words", words_of("python", "-m"), ids=shown)
+def test_modules_that_the_docs_start_exist(words):
+    assert importlib.util.find_spec(words[0]) is not None
 
 
-def test_every_command_of_the_readme_is_of_a_kind_that_is_tested_here():
-    assert all(command.split()[0] in ("make", "xihe", "blender") for command in COMMANDS)
+def test_every_command_of_the_docs_is_of_a_kind_that_is_tested_here():
+    kinds = {command.split()[0] for command in COMMANDS}
+    assert kinds <= {"make", "xihe", "blender", "python", "pip", "source", "dask"}
+    assert words_of("source") == [[".venv/bin/activate"]]
 
 
-def test_files_that_the_readme_links_to_exist():
-    for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", README):
-        assert (ROOT / target).exists(), target
+def test_extras_that_the_docs_install_exist():
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    named = {extra for extras in re.findall(r'pip install "?\.\[([\w,]+)\]', text) for extra in extras.split(",")}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert named <= set(project["optional-dependencies"])
 
 
-def test_the_readme_says_why_tests_are_skipped():
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CHANGELOG.md"], ids=lambda page: page.name)
+def test_links_lead_to_files_and_headings_that_exist(page):
+    broken = [link for link in links_of(page.read_text(encoding="utf-8")) if not is_found(page, link)]
+    assert not broken
+
+
+def links_of(text):
+    """Targets of the links and pictures that lead to other places of the repository, or of the page itself."""
+    prose = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+    return re.findall(r"\]\((?!https?:|mailto:)([^)\s]+)\)", prose)
+
+
+def is_found(page, link):
+    path, _, heading = link.partition("#")
+    target = page.parent / path if path else page
+    return target.exists() and (not heading or heading in headings_of(target.read_text(encoding="utf-8")))
+
+
+def headings_of(text):
+    """Anchors of a page's headings as GitHub makes them: small letters and hyphens, other signs dropped."""
+    prose = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+    titles = re.findall(r"^#+ (.*)$", prose, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).strip().replace(" ", "-") for title in titles}
+
+
+def test_a_link_to_nowhere_is_seen():
+    text = (
+        "# What `make bench` measures, and why\n[a](docs/gone.md) [b](#what-make-bench-measures-and-why) [c](#gone)\n"
+    )
+    assert links_of(text) == ["docs/gone.md", "#what-make-bench-measures-and-why", "#gone"]
+    assert headings_of(text) == {"what-make-bench-measures-and-why"}
+    assert not is_found(ROOT / "README.md", "docs/gone.md") and not is_found(ROOT / "README.md", "LICENSE#gone")
+
+
+def test_the_index_names_every_page_once():
+    linked = [link for link in links_of((ROOT / "docs/index.md").read_text(encoding="utf-8")) if "/" not in link]
+    pages = [link for link in linked if link.endswith(".md")]
+    assert sorted(pages) == sorted(page.name for page in DOCS if page.name != "index.md")
+
+
+def test_the_page_of_the_command_line_is_made_from_the_parsers():
+    page = (ROOT / "docs/cli.md").read_text(encoding="utf-8")
+    made = document()
+    # Without torch the last part, on training, is not made; the tests of torch compare all of it.
+    assert page.startswith(made), "run: python -m xihe_blender.cli.document > docs/cli.md"
+    rest = page[len(made) :]
+    assert not rest or rest.startswith("\n## xihe train\n")
+
+
+def test_contributing_says_why_tests_are_skipped():
     marks = [
         mark
         for file in sorted((ROOT / "addon_tests").rglob("test_*.py"))
@@ -72,4 +163,4 @@ def test_the_readme_says_why_tests_are_skipped():
     ]
     for mark in marks:
         reason = re.search(r'reason="([^"]+)"', mark)
-        assert reason is not None and reason[1] in README, mark
+        assert reason is not None and reason[1] in CONTRIBUTING, mark

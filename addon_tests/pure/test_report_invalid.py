@@ -38,7 +38,7 @@ def test_each_reason_has_a_row_with_its_share_and_what_became_of_it():
     shares = [re.sub(r"\s", " ", row[1]) for row in rows]
     assert shares == ["25 (12 %)", "10 (5.0 %)", "5 (2.5 %)", "3"]
     assert [row[3] for row in rows] == [
-        "gave no point", "gave no point", "used, but not as it came", "left out at that probe",
+        "gave no point", "gave no point", "used after clamping", "left out at that probe",
     ]  # fmt: skip
     assert "<code>range</code>" in rows[1][2] and "no direction" in rows[3][2]
 
@@ -48,10 +48,10 @@ def test_a_light_that_was_kept_is_named_with_its_frames_and_its_source():
     frames = [frame(1, **blind), frame(2), frame(3, **blind, source=2), frame(4, **blind, source=2)]
     (row,) = invalid_rows(results(frames, lights={"nothing_seen": 3}))
     assert row[0] == "light at Ball" and row[1] == "frames 1, 3, 4"
-    assert row[3] == "the ambient light stood in and the light of frame 2 stayed"
+    assert row[3] == "the ambient light was used instead and the light of frame 2 was kept"
     plots = plots_section(results(frames))
     assert plots.count("last light kept: no surface was seen from there") >= 3
-    assert "light could not be known: the last one stays" in plots
+    assert "light unknown: the last estimate is kept" in plots
 
 
 def test_directions_that_followed_a_change_of_the_light_are_told_as_a_guess():

@@ -69,11 +69,11 @@ def test_pictures_come_in_the_order_of_the_story() -> None:
     [
         (0.69, 1.0, "are 31 % closer to the ground truth than with ambient"),
         (1.12, 1.0, "are 12 % further from the ground truth than with ambient"),
-        (3.1, 1.0, "are 3.1 times as far from the ground truth as with ambient"),
+        (3.1, 1.0, "have 3.1 times the error that they have with ambient"),
         (1.0, 1.0, "are as close to the ground truth as with ambient"),
         (0.0, 1.0, "are 100 % closer to the ground truth than with ambient"),
         (0.0, 0.0, "match the ground truth exactly, as they do with ambient"),
-        (0.1, 0.0, "miss the ground truth, which they match with ambient"),
+        (0.1, 0.0, "differ from the ground truth, which they match with ambient"),
         (None, 1.0, "could not be measured"),
         (0.5, None, "differ from the ground truth by an rmse of 0.500"),
     ],

@@ -135,7 +135,7 @@ def test_ctrl_c_stops_a_run_that_the_same_command_finishes(blender, commanded, t
                 break
         stdout, stderr = process.communicate(timeout=100)
     assert process.returncode == 130, stderr
-    assert stdout == "" and "the same command goes on from here" in stderr
+    assert stdout == "" and "run the same command again to resume" in stderr
     assert not (out / "results.json").exists()
     assert blender.run(*arguments).returncode == 0
     assert results_of(out) == results_of(commanded[1])

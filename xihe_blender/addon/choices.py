@@ -21,34 +21,34 @@ NO_NETWORK = "NONE"
 
 PRESETS = (
     ("draft", "Draft", "Few samples, every second frame compared: minutes on a laptop"),
-    ("balanced", "Balanced", "Noise that does not show beside the error of an estimate"),
-    ("accurate", "Accurate", "As little noise as ground truth should have; takes long"),
+    ("balanced", "Balanced", "Rendering noise stays well below the error of the estimates"),
+    ("accurate", "Accurate", "As little noise as ground truth needs; slow"),
 )
 TARGETS = (
-    ("ldr", "Clipped Light", "Coefficients are held against light clipped at white, as a phone's picture has it"),
-    ("hdr", "All Light", "Coefficients are held against all of the light"),
+    ("ldr", "Clipped Light", "Compare estimates with light clipped at white, as in a phone's picture"),
+    ("hdr", "All Light", "Compare estimates with all of the light, also what is brighter than white"),
 )
 PHONES_METERING = "PHONE"
 METERINGS = (
-    (PHONES_METERING, "As the Phone", "As the phone's profile says"),
-    ("highlights", "Highlights", "Darker until hardly anything is clipped at white, as phones do"),
-    ("key", "Key", "Brings the picture to a middle grey, whatever is lost above white"),
+    (PHONES_METERING, "As the Phone", "Meter as the phone's profile says"),
+    ("highlights", "Highlights", "Darken the picture until hardly anything is clipped at white, as phones do"),
+    ("key", "Key", "Expose for a middle grey, even if highlights are clipped"),
 )
 OVERRIDES = (
-    ("AUTO", "Auto", "On where the scene calls for it"),
-    ("ON", "On", "Simulated, whatever the scene calls for"),
-    ("OFF", "Off", "Left out, whatever the scene calls for"),
+    ("AUTO", "Auto", "Simulated if the scene needs it"),
+    ("ON", "On", "Always simulated, even if the scene does not need it"),
+    ("OFF", "Off", "Never simulated, even if the scene needs it"),
 )
 _ESTIMATORS = {
     "ambient": (
         "Ambient",
-        "Brightness and colour alone, the same from all sides, as phones without estimation have it",
+        "Average brightness and colour, the same from all directions, as a phone's light sensor reports",
     ),
-    "projection": ("Projection", "Least squares on what was seen of the surroundings; nothing learned"),
-    "pointar": ("PointAR", "A learned estimate from points chosen at random; needs torch"),
-    "xihenet": ("XiheNet", "The paper's learned estimate from the unit sphere; needs torch"),
-    "lattice": ("Lattice", "The learned estimate that is shipped: a millisecond, and nothing to install"),
-    "truth": ("Ground Truth", "No estimate: the light that is really there, as a bound"),
+    "projection": ("Projection", "Least-squares fit to the surroundings seen so far; no learning"),
+    "pointar": ("PointAR", "Neural network on randomly chosen points; needs torch"),
+    "xihenet": ("XiheNet", "The paper's neural network on unit-sphere samples; needs torch"),
+    "lattice": ("Lattice", "Neural network on fixed directions; takes about a millisecond, needs nothing installed"),
+    "truth": ("Ground Truth", "No estimate: the true light rendered at each object, the best that can be reached"),
 }
 _NETWORKS = {
     "wifi": ("Wi-Fi", "An edge server over a university's Wi-Fi"),
@@ -94,7 +94,7 @@ def _phones() -> list[Item]:
 def _networks() -> list[Item]:
     from xihenet.phone import LINKS
 
-    none = _item(NO_NETWORK, "On the Phone", "Estimates are there at once, in their own frame", "BLANK1")
+    none = _item(NO_NETWORK, "On the Phone", "Estimates arrive at once, in the frame that they are made from", "BLANK1")
     return [none, *(_item(name, *_NETWORKS.get(name, (name, "A network")), "WORLD") for name in LINKS)]
 
 

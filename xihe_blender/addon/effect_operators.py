@@ -11,7 +11,7 @@ from xihe_blender.addon.failures import FAILURES, failed
 class XIHE_OT_plan_effects(polls.Conditional, bpy.types.Operator):
     bl_idname = "xihe.plan_effects"
     bl_label = "Look at Scene"
-    bl_description = "Find out which effects of light and phone the scene calls for, and why; nothing is rendered"
+    bl_description = "List the lighting and phone effects that the scene needs, and why; nothing is rendered"
     bl_options = {"REGISTER", "UNDO"}
     conditions = (polls.is_idle, polls.is_own_scene, polls.has_cycles)
 

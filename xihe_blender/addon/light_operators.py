@@ -31,7 +31,7 @@ class XIHE_OT_apply_light(polls.Conditional, bpy.types.Operator):
 class XIHE_OT_remove_light(polls.Conditional, bpy.types.Operator):
     bl_idname = "xihe.remove_light"
     bl_label = "Remove"
-    bl_description = "Take everything away that runs left in this file: worlds, markers, curves and pictures"
+    bl_description = "Delete everything that runs added to this file: worlds, markers, curves and pictures"
     bl_options = {"REGISTER", "UNDO"}
     conditions = (polls.is_idle, polls.is_own_scene, polls.has_light)
 

@@ -11,7 +11,7 @@ from xihe_blender.addon.failures import FAILURES, failed
 class XIHE_OT_add_virtual_objects(polls.Conditional, bpy.types.Operator):
     bl_idname = "xihe.add_virtual_objects"
     bl_label = "Make Virtual"
-    bl_description = "Make the selected objects virtual: the phone inserts them, and estimates their light"
+    bl_description = "Mark the selected objects as virtual: the phone inserts them and estimates the light on them"
     bl_options = {"REGISTER", "UNDO"}
     conditions = (polls.is_idle, polls.is_own_scene, polls.is_in_object_mode, polls.has_selected_room_objects)
 
@@ -28,7 +28,7 @@ class XIHE_OT_add_virtual_objects(polls.Conditional, bpy.types.Operator):
 
 class XIHE_OT_remove_virtual_objects(polls.Conditional, bpy.types.Operator):
     bl_idname = "xihe.remove_virtual_objects"
-    bl_label = "Make Room"
+    bl_label = "Make Part of Room"
     bl_description = "Make the selected virtual objects part of the room again"
     bl_options = {"REGISTER", "UNDO"}
     conditions = (polls.is_idle, polls.is_own_scene, polls.is_in_object_mode, polls.has_selected_virtual_objects)
@@ -53,7 +53,7 @@ class XIHE_OT_add_sphere_rig(polls.Conditional, bpy.types.Operator):
 
     radius_m: bpy.props.FloatProperty(
         name="Radius",
-        description="Of each sphere, in metres",
+        description="Radius of each sphere in metres",
         default=0.06,
         min=0.001,
         soft_min=0.01,

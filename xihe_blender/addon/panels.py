@@ -47,7 +47,7 @@ class XIHE_PT_virtual_objects(StagePanel, bpy.types.Panel):
         layout = self.layout
         objects = virtual_objects(context.scene)
         if not objects:
-            sentence(context, layout, "Select what the phone would insert, then add it:")
+            sentence(context, layout, "Select the objects that the phone should insert, then add them:")
         column = layout.column(align=True)
         for item in objects[:N_NAMED]:
             column.label(text=item.name, icon=object_icon(item), translate=False)
@@ -69,7 +69,7 @@ class XIHE_PT_camera_path(StagePanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, scene, settings = self.layout, context.scene, context.scene.xihe
         if scene.camera is None:
-            sentence(context, layout, "Add a camera: it stands for the phone")
+            sentence(context, layout, "Add a camera to act as the phone")
         layout.use_property_split = True
         layout.use_property_decorate = False
         layout.prop(scene, "camera")
@@ -143,7 +143,7 @@ class XIHE_PT_effects(StagePanel, bpy.types.Panel):
         layout, settings = self.layout, context.scene.xihe
         effects = settings.effects
         if not effects:
-            sentence(context, layout, "A run simulates what the scene calls for. See what that is:")
+            sentence(context, layout, "A run simulates the effects that the scene needs. List them:")
             layout.operator("xihe.plan_effects", text="Plan Effects", icon="VIEWZOOM")
             return
         layout.template_list(
@@ -287,7 +287,7 @@ def as_sentence(words: str) -> str:
 
 
 def missing_run(folder: str) -> str:
-    return "The folder of the last run is gone: run again" if folder else "Nothing yet: press Run"
+    return "The folder of the last run is gone: run again" if folder else "No results yet: press Run"
 
 
 def result_rows(run: LastRun) -> list[tuple[str, str]]:
@@ -303,7 +303,7 @@ def result_rows(run: LastRun) -> list[tuple[str, str]]:
     if run.n_invalid_points:
         rows.append(("Invalid Points", f"{run.n_invalid_points:,}"))
     if run.n_unknown_lights:
-        rows.append(("Light Kept", f"{run.n_unknown_lights} times"))
+        rows.append(("Unknown Light", f"{run.n_unknown_lights} times"))
     return rows
 
 

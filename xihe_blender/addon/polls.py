@@ -76,7 +76,7 @@ def has_selected_room_objects(context: bpy.types.Context) -> str | None:
     from xihe_blender.scene.virtual_objects import has_renderable_geometry, virtual_objects
 
     if not context.selected_objects:
-        return "Select the objects that the phone would insert"
+        return "Select the objects that the phone should insert"
     able = [item for item in context.selected_objects if has_renderable_geometry(item)]
     if not able:
         return "None of the selected objects has a surface to light: select meshes, curves or texts"
@@ -108,7 +108,7 @@ def has_old_runs(context: bpy.types.Context) -> str | None:
     folder = runs_folder()
     if old_runs(folder, shown_runs()):
         return None
-    return "All runs are shown in this file" if runs_in(folder) else f"There are no runs in {folder}"
+    return "This file shows every run: there is none to remove" if runs_in(folder) else f"There are no runs in {folder}"
 
 
 def has_report(context: bpy.types.Context) -> str | None:
@@ -125,7 +125,7 @@ def has_light(context: bpy.types.Context) -> str | None:
     """Whether there is anything that a run, or Apply, leaves in a file."""
     from xihe_blender.apply.datablocks import has_anything
 
-    return None if has_anything(context.scene) else "There is nothing of a run in this file"
+    return None if has_anything(context.scene) else "No run has added anything to this file"
 
 
 def has_triggers(context: bpy.types.Context) -> str | None:

@@ -17,7 +17,7 @@ class XihePreferences(bpy.types.AddonPreferences):
 
     phone: bpy.props.EnumProperty(
         name="Phone",
-        description="The phone of scenes for which none was chosen",
+        description="Phone for scenes that do not choose one",
         items=phone_items,
         default=number_of(DEFAULT_PHONE),
     )
@@ -26,7 +26,7 @@ class XihePreferences(bpy.types.AddonPreferences):
     )
     cache_folder: bpy.props.StringProperty(
         name="Runs Folder",
-        description="Runs started from the panel are kept in a folder each in here; empty for the add-on's own place",
+        description="Where runs from the panel are stored, one folder each; empty for the add-on's own folder",
         subtype="DIR_PATH",
     )
 

@@ -76,19 +76,19 @@ def _origin(row: XiheEffectRow) -> str:
 class XiheEffectRow(bpy.types.PropertyGroup):
     """An effect of light transport; `name` is the effect's."""
 
-    required: bpy.props.StringProperty(name="Required", description="What the scene itself calls for: on or off")
-    reason: bpy.props.StringProperty(name="Reason", description="Why the scene calls for the effect or does not")
+    required: bpy.props.StringProperty(name="Required", description="Whether the scene needs the effect: on or off")
+    reason: bpy.props.StringProperty(name="Reason", description="Why the scene needs the effect or does not")
     is_switchable: bpy.props.BoolProperty(
         name="Switchable", description="Whether a run can switch the effect for the whole scene", default=True
     )
     override: bpy.props.EnumProperty(
         name="Override",
-        description="Simulate the effect whatever the scene calls for; kept in the file",
+        description="Simulate or leave out the effect, whatever the scene needs; saved in the file",
         items=choices.OVERRIDES,
         update=_override_changed,
     )
     state: bpy.props.StringProperty(name="State", description="What a run does: on or off", get=_state)
-    origin: bpy.props.StringProperty(name="Origin", description="Who decides: auto for the scene, or user", get=_origin)
+    origin: bpy.props.StringProperty(name="Origin", description="Who decided: auto for the scene, or user", get=_origin)
 
 
 class XiheSceneSettings(bpy.types.PropertyGroup):
@@ -102,16 +102,16 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
     )
     preset: bpy.props.EnumProperty(
         name="Quality",
-        description="How much rendering a run may spend",
+        description="How much time a run may spend on rendering",
         items=choices.PRESETS,
         default="balanced",
     )
     target: bpy.props.EnumProperty(
-        name="Compare With", description="Which light the estimates are held against", items=choices.TARGETS
+        name="Compare With", description="Which light the estimates are compared with", items=choices.TARGETS
     )
     use_own_frames: bpy.props.BoolProperty(
         name="Own Frames",
-        description="Run on other frames than the scene's range and step",
+        description="Run on frames other than the scene's range and step",
         update=_own_frames_wanted,
     )
     frame_start: bpy.props.IntProperty(
@@ -121,14 +121,14 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         name="End", description="Last frame of the camera path", default=250, min=-LAST_FRAME, max=LAST_FRAME
     )
     frame_step: bpy.props.IntProperty(
-        name="Step", description="Frames from one that is captured to the next", default=1, min=1, soft_max=24
+        name="Step", description="Capture one frame in this many", default=1, min=1, soft_max=24
     )
     phone_name: bpy.props.StringProperty(
         name="Phone Name", description="Phone chosen for this scene; empty for that of the preferences"
     )
     phone: bpy.props.EnumProperty(
         name="Phone",
-        description="Which phone walks along the camera path, with the errors of its sensors",
+        description="Which phone follows the camera path, with the errors of its sensors",
         items=choices.phone_items,
         get=_phone,
         set=_choose_phone,
@@ -138,13 +138,13 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
     )
     network: bpy.props.EnumProperty(
         name="Network",
-        description="Over which network estimates are asked for, which decides when they arrive",
+        description="Network between phone and server, which decides when estimates arrive",
         items=choices.network_items,
         default=choices.number_of(choices.NO_NETWORK),
         update=_session_changed,
     )
     use_own_size: bpy.props.BoolProperty(
-        name="Own Size", description="Capture pictures of another size than 256 by 192 pixels"
+        name="Own Size", description="Capture pictures of a size other than 256 by 192 pixels"
     )
     size: bpy.props.IntVectorProperty(
         name="Size",
@@ -160,7 +160,7 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
     )
     exposure: bpy.props.FloatProperty(
         name="Exposure",
-        description="Factor on the scene's light before the phone clips it at white",
+        description="Factor by which the scene's light is multiplied before the phone clips it at white",
         default=1.0,
         min=1e-6,
         soft_min=0.01,
@@ -168,16 +168,16 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
     )
     metering: bpy.props.EnumProperty(
         name="Metering",
-        description="How the phone finds its exposure",
+        description="How the phone chooses its exposure",
         items=choices.METERINGS,
         default=choices.PHONES_METERING,
     )
     seed: bpy.props.IntProperty(
-        name="Seed", description="Of everything that is random; the same seed gives the same numbers", min=0
+        name="Seed", description="Seed of all random numbers; the same seed gives the same results", min=0
     )
     wipe: bpy.props.FloatProperty(
         name="Wipe",
-        description="Estimate on the left of it, ground truth on the right",
+        description="Where the dividing line is: estimate on its left, ground truth on its right",
         subtype="FACTOR",
         default=0.5,
         min=0.0,
@@ -188,7 +188,7 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         name="Last Run", description="Folder of the run whose results are shown", subtype="DIR_PATH"
     )
     effects: bpy.props.CollectionProperty(
-        name="Effects", description="What the scene calls for, effect by effect", type=XiheEffectRow
+        name="Effects", description="The effects, and whether the scene needs them", type=XiheEffectRow
     )
     active_effect: bpy.props.IntProperty(name="Active Effect", description="The effect whose reason is shown")
     show_positions: bpy.props.BoolProperty(
@@ -202,13 +202,13 @@ class XiheJobState(bpy.types.PropertyGroup):
     """The job under way; it lives in the window manager, so that Undo leaves it alone."""
 
     is_running: bpy.props.BoolProperty(name="Running", description="Whether a run is under way")
-    is_cancel_wanted: bpy.props.BoolProperty(name="Cancel", description="Whether the run is to end at its next step")
+    is_cancel_wanted: bpy.props.BoolProperty(name="Cancel", description="Whether the run was told to stop")
     progress: bpy.props.FloatProperty(
         name="Progress", description="Share of the run that is done", subtype="FACTOR", min=0.0, max=1.0
     )
     doing: bpy.props.StringProperty(name="Doing", description="What the run is doing")
     seconds_left: bpy.props.FloatProperty(
-        name="Time Left", description="Seconds that the run will take, at the pace so far; 0 while unknown", min=0.0
+        name="Time Left", description="Seconds left at the pace so far; 0 while unknown", min=0.0
     )
     error: bpy.props.StringProperty(name="Error", description="What went wrong last, in one line")
     run_estimate: bpy.props.StringProperty(

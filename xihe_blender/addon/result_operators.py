@@ -18,7 +18,7 @@ class XIHE_OT_go_to_trigger(polls.Conditional, bpy.types.Operator):
 
     direction: bpy.props.EnumProperty(
         name="Direction",
-        description="Which trigger, seen from the current frame",
+        description="Which trigger, relative to the current frame",
         items=(
             ("PREVIOUS", "Previous", "The last trigger before the current frame"),
             ("NEXT", "Next", "The first trigger after the current frame"),
@@ -47,7 +47,7 @@ class XIHE_OT_go_to_trigger(polls.Conditional, bpy.types.Operator):
 class XIHE_OT_show_comparison(polls.Conditional, bpy.types.Operator):
     bl_idname = "xihe.show_comparison"
     bl_label = "Show Comparison"
-    bl_description = "Show the estimate beside the ground truth in an Image Editor, at the compared frame nearest by"
+    bl_description = "Show estimate and ground truth side by side in an Image Editor, at the nearest compared frame"
     bl_options = {"REGISTER"}
     conditions = (polls.is_idle, polls.is_own_scene, polls.has_last_run, polls.has_comparison)
 

@@ -14,10 +14,12 @@ from xihe_blender.addon.modal_job import ModalJob
 class XIHE_OT_run(polls.Conditional, ModalJob, bpy.types.Operator):
     bl_idname = "xihe.run"
     bl_label = "Run"
-    bl_description = "Walk the phone along the camera path, estimate the light, compare it with the truth, and apply it"
+    bl_description = (
+        "Move the phone along the camera path, estimate the light, apply it and compare it with ground truth"
+    )
     # Not REGISTER: repeating the last operator would run all of it again, without a window to cancel it in.
     bl_options = {"UNDO"}
-    cancelled = "The run was cancelled; nothing of it is left"
+    cancelled = "The run was cancelled, and all that it made was deleted"
     conditions = (
         polls.is_idle,
         polls.is_own_scene,
@@ -38,14 +40,14 @@ class XIHE_OT_run(polls.Conditional, ModalJob, bpy.types.Operator):
 
     def finish(self, context: bpy.types.Context, result: None) -> set[str]:
         self.scene.xihe.run_folder = str(self.folder)
-        self.report({"INFO"}, f"The run is done: {self.folder}")
+        self.report({"INFO"}, f"The run is finished: {self.folder}")
         return {"FINISHED"}
 
 
 class XIHE_OT_cancel_run(polls.Conditional, bpy.types.Operator):
     bl_idname = "xihe.cancel_run"
     bl_label = "Cancel"
-    bl_description = "End the run under way at its next step, and leave nothing of it; the same as Esc"
+    bl_description = "Stop the run after its current step and delete what it made; same as Esc"
     conditions = (polls.is_running,)
 
     def execute(self, context: bpy.types.Context) -> set[str]:

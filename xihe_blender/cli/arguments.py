@@ -15,7 +15,7 @@ def frame_range(text: str) -> tuple[int, ...]:
     """Frames of "A:B" or "A:B:S", both ends included, or of "A" alone."""
     match = re.fullmatch(r"(-?\d+)(?::(-?\d+)(?::(\d+))?)?", text)
     if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is no range of frames: give A:B or A:B:S, such as 1:24:2")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a range of frames: give A:B or A:B:S, such as 1:24:2")
     first, last, step = (None if part is None else int(part) for part in match.groups())
     assert first is not None
     if step == 0:
@@ -29,7 +29,7 @@ def picture_size(text: str) -> tuple[int, int]:
     """(width, height) of "WxH"."""
     match = re.fullmatch(r"(\d+)x(\d+)", text)
     if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is no picture size: give WxH, such as 256x192")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a picture size: give WxH, such as 256x192")
     return int(match[1]), int(match[2])
 
 

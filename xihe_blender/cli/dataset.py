@@ -14,22 +14,31 @@ from xihe_blender.jobs import run_blocking
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What can be typed: one of two actions, each with its own options."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    build = actions.add_parser("build", help="make and render procedural rooms; resumes what is there")
+    build = actions.add_parser("build", help="make and render procedural rooms; a stopped build is resumed")
     add = build.add_argument
-    add("--rooms", type=int, required=True, metavar="N", help="rooms in all")
-    add("--out", type=Path, required=True, metavar="DIR", help="one .npz per room")
-    add("--workers", type=int, metavar="K", help="processes of one thread; default: one per core")
-    add("--seed", type=int, default=0)
-    add("--walk", type=int, metavar="F", help="F frames of a walk through each room; default: free views")
-    add("--split", metavar="NAME", help="only the rooms of train, validation or test; default: all")
-    add("--scheduler", metavar="ADDRESS", help="a Dask scheduler whose workers make them; default: processes here")
+    add("--rooms", type=int, required=True, metavar="N", help="number of rooms in total")
+    add("--out", type=Path, required=True, metavar="DIR", help="folder of the rooms, one .npz file each")
+    add("--workers", type=int, metavar="K", help="processes on this machine, one thread each; default: one per core")
+    add("--seed", type=int, default=0, metavar="N", help="the same seed makes the same rooms")
+    add(
+        "--walk",
+        type=int,
+        metavar="F",
+        help="render F frames of a walk through each room instead of five separate views",
+    )
+    add("--split", metavar="NAME", help="make only the train, validation or test rooms; default: all")
+    add(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Dask scheduler whose workers make the rooms; default: processes on this machine",
+    )
     build.set_defaults(act=_build)
-    scene = actions.add_parser("scene", help="a scene with a camera path as one more room")
+    scene = actions.add_parser("scene", help="store a scene with a camera path as one more room")
     add = scene.add_argument
-    add("scene", type=Path, metavar="SCENE.blend")
-    add("--out", type=Path, required=True, metavar="DIR", help="a folder of scenes; one of the same name is replaced")
-    add("--frames", type=frame_range, metavar="A:B[:S]", help="default: the scene's range and step")
-    add("--at", type=names, metavar="A,B", help="objects that mark positions; default: the virtual objects")
+    add("scene", type=Path, metavar="SCENE.blend", help="scene with an animated camera")
+    add("--out", type=Path, required=True, metavar="DIR", help="folder of scenes; a scene of the same name is replaced")
+    add("--frames", type=frame_range, metavar="A:B[:S]", help="frames of the path; default: the scene's range and step")
+    add("--at", type=names, metavar="A,B", help="objects that mark the positions; default: the virtual objects")
     scene.set_defaults(act=_scene)
 
 

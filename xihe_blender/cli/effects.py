@@ -16,14 +16,20 @@ from xihe_blender.jobs import run_blocking
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What can be typed."""
-    parser.add_argument("scene", type=Path, metavar="SCENE.blend")
-    parser.add_argument("--frames", type=frame_range, metavar="A:B[:S]", help="default: the scene's range and step")
+    parser.add_argument("scene", type=Path, metavar="SCENE.blend", help="scene with an animated camera")
+    parser.add_argument(
+        "--frames", type=frame_range, metavar="A:B[:S]", help="frames of the path; default: the scene's range and step"
+    )
     parser.add_argument("--effect", **OVERRIDE)
     parser.add_argument("--phone", **PHONE)
     parser.add_argument("--network", **NETWORK)
-    parser.add_argument("--plan-only", action="store_true", help="render nothing: no costs, no changes, no captures")
-    parser.add_argument("--budget", type=float, default=60, metavar="SECONDS", help="for the costs; default: 60")
-    parser.add_argument("--json", action="store_true", help="JSON on stdout, and nothing else")
+    parser.add_argument(
+        "--plan-only", action="store_true", help="only list the effects; render nothing, so without costs and changes"
+    )
+    parser.add_argument(
+        "--budget", type=float, default=60, metavar="SECONDS", help="time for measuring costs; default: 60"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON and nothing else on stdout")
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from xihe_blender.cli.shared_options import one_of
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import finite_or_none, written_whole
 from xihenet import __version__, estimators
@@ -108,21 +109,55 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"OpenEXR with colour and Z, or a colour image with --plane-depth; {MOST_PIXELS // 10**6} megapixels at most"
     )
     add("frame", type=Path, metavar="FRAME", help=frame)
-    add("--camera", type=Path, required=True, metavar="FILE.json", help="intrinsics and pose")
-    add("--at", type=position, action="append", required=True, metavar="X,Y,Z", help="metres; may be repeated")
+    add("--camera", type=Path, required=True, metavar="FILE.json", help="intrinsics and pose of the camera")
+    add(
+        "--at",
+        type=position,
+        action="append",
+        required=True,
+        metavar="X,Y,Z",
+        help="position in metres; may be repeated",
+    )
     add(
         "--plane-depth",
         type=Path,
         metavar="FILE",
-        help="16-bit image of distances along the optical axis, 0 or 65535: none",
+        help="16-bit image of distances along the optical axis; 0 or 65535: none",
     )
-    add("--depth-scale", type=float, default=1e-3, metavar="METRES", help="metres per unit of that; default: 0.001")
-    add("--exposure", type=float, metavar="FACTOR", help="default: metered for OpenEXR, 1 for images")
-    add("--estimator", default=estimators.DEFAULT, metavar="NAME", help=", ".join(estimators.names()))
-    add("--target", choices=("ldr", "hdr"), default="ldr", help="light clipped at white, or all of it")
-    add("--anchors", type=int, default=1280, metavar="N", help="directions that light is gathered in")
-    add("--json", action="store_true", help="JSON on stdout, and nothing else")
-    add("--out", type=Path, metavar="DIR", help="folder for estimate.json and a picture of each light")
+    add(
+        "--depth-scale",
+        type=float,
+        default=1e-3,
+        metavar="METRES",
+        help="metres per unit of the 16-bit image; default: 0.001",
+    )
+    add(
+        "--exposure",
+        type=float,
+        metavar="FACTOR",
+        help="exposure of the frame; default: metered for OpenEXR, 1 for images",
+    )
+    add(
+        "--estimator",
+        default=estimators.DEFAULT,
+        metavar="NAME",
+        help=one_of(n for n in estimators.names() if n != "truth"),
+    )
+    add("--target", choices=("ldr", "hdr"), default="ldr", help="ldr: light clipped at white; hdr: all of it")
+    add(
+        "--anchors",
+        type=int,
+        default=1280,
+        metavar="N",
+        help="number of directions in which light is gathered; default: 1280",
+    )
+    add("--json", action="store_true", help="print JSON and nothing else on stdout")
+    add(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder for estimate.json and a picture of each light: its panorama and three lit spheres",
+    )
 
 
 def position(text: str) -> Position:
@@ -132,7 +167,7 @@ def position(text: str) -> Position:
     except ValueError:
         x = y = z = math.nan
     if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-        raise argparse.ArgumentTypeError(f"{text!r} is no position: give X,Y,Z in metres, such as 0.5,1.2,0.8")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a position: give X,Y,Z in metres, such as 0.5,1.2,0.8")
     return x, y, z
 
 
@@ -166,7 +201,9 @@ def frame_facts(frame: RgbdFrame, camera: FrameCamera, unit_m: float) -> FrameFa
 
 def _loaded(settings: EstimateSettings) -> Estimator:
     if settings.estimator == "truth":
-        raise UserError("truth is a light probe rendered in Blender, and a frame has none: choose another --estimator")
+        raise UserError(
+            "truth is a light probe rendered in Blender, which a single frame does not have: choose another --estimator"
+        )
     if not 1 <= settings.n_anchors <= MAX_ANCHORS:
         raise UserError(f"--anchors: expected 1 to {MAX_ANCHORS}, got {settings.n_anchors}")
     return estimators.load(settings.estimator, settings.n_anchors, settings.target)
@@ -286,10 +323,10 @@ def warnings_about(placed: list[PlacedEstimate]) -> list[str]:
     for one in placed:
         where = _format_position(one.position_m)
         if not one.is_in_view:
-            lines.append(f"{where} is not in the frame's view: its light is estimated from surfaces elsewhere")
+            lines.append(f"{where} is not in the frame's view: its light is estimated from other surfaces")
         elif one.behind_m:
             lines.append(
-                f"{where} lies {one.behind_m:.2g} m behind the surface that is seen there: its light is estimated from "
+                f"{where} lies {one.behind_m:.2g} m behind the surface seen there: its light is estimated from "
                 "surfaces that may be hidden from it; is the position, or the unit of the plane depth, right?"
             )
     return lines

@@ -8,28 +8,46 @@ from typing import Any
 
 from xihe_blender.cli.arguments import frame_range, names, picture_size, whole_numbers
 from xihe_blender.cli.progress import EXIT_IN_PART, progress_line, when_news
+from xihe_blender.cli.shared_options import ESTIMATORS, NETWORK, SIZE, TARGET, one_of
 from xihe_blender.errors import UserError
-from xihenet import estimators
-from xihenet.phone import LINKS, profile_names
+from xihenet.phone import profile_names
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What can be typed."""
     add = parser.add_argument
-    add("scenes", type=Path, nargs="+", metavar="SCENE.blend")
-    add("--out", type=Path, required=True, metavar="DIR", help="folder of the batch; the same batch goes on there")
-    add("--estimators", type=names, metavar="A,B", help=", ".join(estimators.names()))
-    add("--profiles", type=names, metavar="A,B", help="phones: " + ", ".join(profile_names()) + ", or FILE.toml")
-    add("--seeds", type=whole_numbers, default=(0,), metavar="N,M", help="each renders the room anew; default: 0")
-    add("--preset", default="draft", metavar="NAME", help="draft (default), balanced or accurate")
-    add("--frames", type=frame_range, metavar="A:B[:S]", help="default: each scene's range and step")
-    add("--size", type=picture_size, metavar="WxH", help="default: 256x192, upright for a portrait")
-    add("--target", choices=("ldr", "hdr"), default="ldr", help="light that coefficients are held against")
-    add("--samples", type=int, metavar="N", help="of every capture and probe; default: what the preset's noise takes")
-    add("--network", metavar="NAME", help=", ".join(LINKS) + "; default: estimates arrive at once")
-    add("--workers", type=int, metavar="N", help="processes of one thread on this machine; default: one per core")
-    add("--scheduler", metavar="ADDRESS", help="a Dask scheduler whose workers do it, such as tcp://host:8786")
-    add("--frontier", type=Path, metavar="DIR", help="of xihe frontier, for the report; default: one in --out")
+    add("scenes", type=Path, nargs="+", metavar="SCENE.blend", help="scenes with animated cameras")
+    add("--out", type=Path, required=True, metavar="DIR", help="folder of the batch; a stopped batch in it is resumed")
+    add("--estimators", type=names, metavar="A,B", help=f"{ESTIMATORS}; default: lattice,projection,ambient,truth")
+    add("--profiles", type=names, metavar="A,B", help="phones: " + one_of([*profile_names(), "FILE.toml"]))
+    add(
+        "--seeds",
+        type=whole_numbers,
+        default=(0,),
+        metavar="N,M",
+        help="the room is rendered once for each seed; default: 0",
+    )
+    add("--preset", default="draft", metavar="NAME", help="draft (default), balanced or accurate: how much is rendered")
+    add(
+        "--frames", type=frame_range, metavar="A:B[:S]", help="frames of each path; default: the scene's range and step"
+    )
+    add("--size", type=picture_size, metavar="WxH", help=SIZE)
+    add("--target", choices=("ldr", "hdr"), default="ldr", help=TARGET)
+    add(
+        "--samples",
+        type=int,
+        metavar="N",
+        help="samples of every capture and light probe; default: as many as the preset's noise target needs",
+    )
+    add("--network", metavar="NAME", help=NETWORK["help"])
+    add("--workers", type=int, metavar="N", help="processes on this machine, one thread each; default: one per core")
+    add("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers do the work, such as tcp://host:8786")
+    add(
+        "--frontier",
+        type=Path,
+        metavar="DIR",
+        help="results of xihe frontier to include in the report; default: those in --out",
+    )
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> int:

@@ -12,10 +12,10 @@ from xihe_blender.cli.progress import progress_line
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What can be typed."""
     add = parser.add_argument
-    add("scenes", type=Path, nargs="+", metavar="SCENE.blend")
-    add("--out", type=Path, required=True, metavar="DIR", help="folder of the results; resumed if it exists")
-    add("--quick", action="store_true", help="fewer choices, one frame: some 2 minutes a scene instead of 15")
-    add("--seed", type=int, default=0)
+    add("scenes", type=Path, nargs="+", metavar="SCENE.blend", help="scenes with animated cameras")
+    add("--out", type=Path, required=True, metavar="DIR", help="folder of the results; a stopped run in it is resumed")
+    add("--quick", action="store_true", help="fewer settings, one frame: about 2 minutes a scene instead of 15")
+    add("--seed", type=int, default=0, metavar="N", help="the same seed gives the same numbers")
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:

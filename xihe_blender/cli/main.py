@@ -22,15 +22,15 @@ from xihe_blender.io.blender_output import blender_output_aside
 from xihenet import __version__
 
 COMMANDS = {
-    "previs": "what a phone on the scene's camera path believes about the light",
-    "effects": "which effects of light transport the scene calls for, and why",
-    "frontier": "what accuracy costs in time, by every choice that trades them",
-    "estimate": "the light in one RGB-D frame from anywhere; needs no Blender",
-    "scenes": "the example scenes",
-    "dataset": "rooms to train estimators on",
-    "package": "the Blender extension as a zip, from a checkout; needs no Blender",
-    "evaluate": "many runs: scenes, estimators, phones and seeds, over workers",
-    "train": "train estimators and report on them: see xihe train --help",
+    "previs": "preview a phone's estimated lighting beside path-traced ground truth",
+    "effects": "list the lighting and phone effects that a scene needs, and why",
+    "frontier": "measure what accuracy costs in time, setting by setting",
+    "estimate": "estimate the light in one RGB-D frame; needs no Blender",
+    "scenes": "build the example scenes",
+    "dataset": "make rooms to train estimators on",
+    "package": "build the Blender extension as a zip from a checkout; needs no Blender",
+    "evaluate": "compare estimators and phones over many scenes and seeds",
+    "train": "train the estimators' networks and measure them; needs torch",
 }
 
 NEEDS_BLENDER = (
@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         # On a terminal the line of progress, with "^C" at its end, stands there unfinished.
         start = "\n" if sys.stderr.isatty() else ""
-        print(f"{start}xihe: stopped; the same command goes on from here", file=sys.stderr)
+        print(f"{start}xihe: stopped; run the same command again to resume", file=sys.stderr)
         return EXIT_INTERRUPTED
     return code or 0
 
@@ -108,7 +108,7 @@ def _failed(message: str) -> int:
 def _format_disk_error(error: OSError) -> str:
     if error.errno is None:
         # Raised by ourselves, with the fix in it.
-        return f"{error}; then the same command goes on from here"
+        return f"{error}; then run the same command again to resume"
     place = "" if error.filename is None else f"{error.filename}: "
-    fix = "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "mend that"
-    return f"{place}{error.strerror or error}; {fix}, and the same command goes on from here"
+    fix = "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "fix that"
+    return f"{place}{error.strerror or error}; {fix}, then run the same command again to resume"

@@ -8,34 +8,41 @@ from typing import Any
 
 from xihe_blender.cli.arguments import frame_range, names, picture_size
 from xihe_blender.cli.progress import progress_line
-from xihe_blender.cli.shared_options import NETWORK, OVERRIDE, PHONE
+from xihe_blender.cli.shared_options import ESTIMATOR, NETWORK, OVERRIDE, PHONE, SIZE, TARGET
 from xihe_blender.jobs import run_blocking
 from xihenet import estimators
+
+NOISE_TARGET = "largest rendering noise, as a share of the light; default: 0.06, 0.03 or 0.015, by preset"
+SAMPLES = "samples of every capture, and pictures of every light probe, whatever the noise"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What can be typed."""
-    parser.add_argument("scene", type=Path, metavar="SCENE.blend")
+    parser.add_argument("scene", type=Path, metavar="SCENE.blend", help="scene with an animated camera")
     parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder of the run; resumed if it exists"
+        "--out", type=Path, required=True, metavar="DIR", help="folder of the run; a stopped run in it is resumed"
     )
-    parser.add_argument("--frames", type=frame_range, metavar="A:B[:S]", help="default: the scene's range and step")
+    parser.add_argument(
+        "--frames", type=frame_range, metavar="A:B[:S]", help="frames of the path; default: the scene's range and step"
+    )
     parser.add_argument("--objects", type=names, metavar="A,B", help="virtual objects; default: all")
-    parser.add_argument("--estimator", default=estimators.DEFAULT, metavar="NAME", help=", ".join(estimators.names()))
-    parser.add_argument("--preset", default="balanced", metavar="NAME", help="draft, balanced or accurate")
-    parser.add_argument("--size", type=picture_size, metavar="WxH", help="default: 256x192, upright for a portrait")
+    parser.add_argument("--estimator", default=estimators.DEFAULT, metavar="NAME", help=ESTIMATOR)
     parser.add_argument(
-        "--target", choices=("ldr", "hdr"), default="ldr", help="light that coefficients are held against"
+        "--preset", default="balanced", metavar="NAME", help="draft, balanced or accurate: how much is rendered"
     )
-    parser.add_argument("--exposure", type=float, metavar="FACTOR", help="of the phone; default: metered")
-    parser.add_argument("--metering", metavar="NAME", help="highlights or key; default: the phone's own")
+    parser.add_argument("--size", type=picture_size, metavar="WxH", help=SIZE)
+    parser.add_argument("--target", choices=("ldr", "hdr"), default="ldr", help=TARGET)
+    parser.add_argument(
+        "--exposure", type=float, metavar="FACTOR", help="exposure of the phone, locked; default: metered"
+    )
+    parser.add_argument("--metering", metavar="NAME", help="highlights, as phones do, or key; default: the phone's own")
     parser.add_argument("--phone", **PHONE)
     parser.add_argument("--network", **NETWORK)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="the same seed gives the same numbers")
     parser.add_argument("--effect", **OVERRIDE)
     budget = parser.add_mutually_exclusive_group()
-    budget.add_argument("--noise-target", type=float, metavar="SHARE", help="of the light; default: the preset's")
-    budget.add_argument("--samples", type=int, metavar="N", help="of every capture and probe, whatever the noise")
+    budget.add_argument("--noise-target", type=float, metavar="SHARE", help=NOISE_TARGET)
+    budget.add_argument("--samples", type=int, metavar="N", help=SAMPLES)
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
@@ -76,7 +83,7 @@ def format_summary(results: dict[str, Any]) -> str:
     if results["settings"]["network"] is not None:
         line += f", {format_network(summary)}"
     if summary["n_unknown_lights"]:
-        line += f", the light was kept {summary['n_unknown_lights']} times where it could not be known"
+        line += f", the last light was kept {summary['n_unknown_lights']} times because it was unknown"
     if ratio is None or estimator == "ambient":
         return line
     word = "closer to" if ratio <= 1 else "further from"
@@ -84,7 +91,7 @@ def format_summary(results: dict[str, Any]) -> str:
 
 
 def format_network(summary: dict[str, Any]) -> str:
-    """How long estimates took, and how many never came: "84 ms on their way, none lost"."""
+    """How long estimates took, and how many never came: "84 ms to arrive, none lost"."""
     latency_ms = summary["mean_latency_ms"]
-    took = "none arrived" if latency_ms is None else f"{latency_ms:.0f} ms on their way"
+    took = "none arrived" if latency_ms is None else f"{latency_ms:.0f} ms to arrive"
     return f"{took}, {summary['n_lost'] or 'none'} lost"

@@ -12,5 +12,5 @@ def train(arguments: Sequence[str]) -> int:
     try:
         from xihenet.training.__main__ import main
     except ImportError as error:
-        raise UserError("train: torch is not installed; pip install 'xihe-blender[train]'") from error
+        raise UserError("train: torch is not installed: pip install 'xihe-blender[train]'") from error
     return main(arguments)

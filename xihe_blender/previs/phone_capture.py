@@ -229,8 +229,8 @@ class SimulatedPhone:
         if not 0 < usual_s < step_s < np.inf:
             return []
         return [
-            f"The path has a frame every {1e3 * step_s:.0f} ms: "
-            f"an estimate that takes {1e3 * usual_s:.0f} ms lights its object only then."
+            f"The frames of the path are {1e3 * step_s:.0f} ms apart: an estimate that takes {1e3 * usual_s:.0f} ms "
+            "lights its object at the next of them."
         ]
 
     def see(self, captured: RgbdFrame, outputs: RunOutputs) -> tuple[RgbdFrame, dict[str, int]]:

@@ -80,7 +80,7 @@ def planned_frames(scene: bpy.types.Scene, wanted: Sequence[int] | None) -> list
     first, last = scene.frame_start, scene.frame_end
     frames = sorted(set(range(first, last + 1, scene.frame_step) if wanted is None else wanted))
     if not frames:
-        raise UserError("no frames are left to capture: give --frames A:B with A not after B")
+        raise UserError("there are no frames to capture: give --frames A:B with A no later than B")
     outside = [frame for frame in frames if not first <= frame <= last]
     if outside:
         raise UserError(f"frame {outside[0]} is outside the scene's range {first} to {last}: choose frames within it")
@@ -92,8 +92,8 @@ def planned_objects(scene: bpy.types.Scene, wanted: Sequence[str] | None) -> lis
     found = {item.name: item for item in virtual_objects(scene)}
     if not found:
         raise UserError(
-            f"scene {scene.name!r} has no virtual object: put what the phone would insert into a collection "
-            f"named {COLLECTION_NAME!r}"
+            f"scene {scene.name!r} has no virtual object: put the objects that the phone should insert into a "
+            f"collection named {COLLECTION_NAME!r}"
         )
     if wanted is not None and not wanted:
         raise UserError(f"no virtual object is chosen: choose among {', '.join(found)}, or leave --objects out for all")

@@ -41,25 +41,27 @@ def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone
 def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult]) -> list[str]:
     """How the numbers came about, and which frames have none."""
     own = scene.view_settings.view_transform
-    aside = "as the scene has it" if own == "Standard" else f"the scene's own, {own}, would bend the comparison"
+    aside = "as the scene has it" if own == "Standard" else f"the scene's own, {own}, would distort the comparison"
     notes = [
         f"Pictures are made with the Standard view transform: {aside}.",
         "Image metrics count the pixels that virtual objects cover, by how much they cover; psnr and ssim on "
         "sRGB-encoded colour, the others on linear colour at the session's exposure.",
         "The shadow that a virtual object casts on the room is in the ground truth but not in the methods' pictures.",
-        "In the pictures `truth` is the whole light of the rendered probe as order-2 SH, not clipped.",
+        "In the pictures, `truth` is all the light of the rendered probe as order-2 spherical harmonics, not clipped.",
     ]
     notes += [note for note in (format_units(scene), other_scenes_note(scene)) if note is not None]
     undelivered = sum(not entry.is_delivered for entry in frames)
     if undelivered:
-        notes.append(f"{undelivered} of {len(frames)} frames of the path came too soon after another for the phone.")
+        notes.append(
+            f"{undelivered} of {len(frames)} frames of the path follow too closely for the phone's frame rate."
+        )
     inactive = [entry.frame for entry in frames if not entry.active and entry.is_delivered]
     if inactive:
         frames_were = ("1 frame", "was") if len(inactive) == 1 else (f"{len(inactive)} frames", "were")
         notes.append("{} had no estimation position in view and {} not captured.".format(*frames_were))
     lost = sum(n for entry in frames for n in entry.n_lost_pixels.values())
     if lost:
-        notes.append(f"The phone's range sensor had no answer in {lost} captured pixels; they gave no point.")
+        notes.append(f"The phone's range sensor returned no distance for {lost} captured pixels; they gave no point.")
     invalid = sum(entry.n_invalid_pixels for entry in frames) - lost
     if invalid > 0:
         notes.append(f"{invalid} captured pixels had no plane depth (open sky or a window) and gave no point.")
@@ -69,7 +71,9 @@ def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult]) -> list[s
 def following_notes(frames: Sequence[FrameResult]) -> list[str]:
     """A sentence where a change of the light was carried on to what was out of view."""
     when = [entry.frame for entry in frames if any(probe.n_followed_anchors for probe in entry.probes)]
-    sentence = "the light in view changed as a whole; directions out of view were changed alike, which is a guess"
+    sentence = (
+        "the light in view changed as a whole; directions out of view were scaled by the same factor, which is a guess"
+    )
     return [f"At {format_frames(when)} {sentence}."] if when else []
 
 
@@ -84,9 +88,9 @@ def unknown_light_notes(frames: Sequence[FrameResult]) -> list[str]:
     return [
         f"The light at {name} could not be known in {format_frames(numbers)}, because {format_reason(reason)}: "
         + (
-            "the phone's ambient light stood in."
+            "the phone's ambient light was used instead."
             if source is None
-            else f"the last light stayed, that of frame {source}."
+            else f"the light of frame {source} was kept."
         )
         for (name, reason, source), numbers in kept.items()
     ]
@@ -120,8 +124,8 @@ def dim_notes(scene: bpy.types.Scene, exposure: float) -> list[str]:
     if threshold * exposure < 1:
         return []
     return [
-        f"The scene is so dim that lamps fall below Cycles' light threshold of {threshold:.2g} and are sampled by lot: "
-        "set Render > Sampling > Lights > Light Threshold to 0, or make the lamps brighter."
+        f"The scene is so dim that lamps fall below Cycles' light threshold of {threshold:.2g} and are sampled only at "
+        "random: set Render > Sampling > Lights > Light Threshold to 0, or make the lamps brighter."
     ]
 
 
@@ -145,7 +149,7 @@ def exposure_notes(settings: PrevisSettings, exposure: float) -> list[str]:
     # No light to meter comes out as exactly 1, and light does not.
     if settings.exposure is not None or exposure != 1.0:
         return []
-    return ["The path shows no light that the exposure could be metered by; it is 1. Give one by --exposure."]
+    return ["The path shows no light to meter the exposure by, so the exposure is 1. Set another with --exposure."]
 
 
 def white_notes(frames: Sequence[FrameResult]) -> list[str]:
@@ -155,8 +159,8 @@ def white_notes(frames: Sequence[FrameResult]) -> list[str]:
     if not known or max(known) < WORTH_TELLING:
         return []
     return [
-        f"Of the light at the objects {min(known):.0%} to {max(known):.0%} is above white at this exposure, or comes "
-        "from lamps that cameras do not see: no estimate from clipped pictures can know it."
+        f"Of the light at the objects, {min(known):.0%} to {max(known):.0%} is brighter than white at this exposure or "
+        "comes from lamps that cameras do not see: no estimate from clipped pictures can recover it."
     ]
 
 
@@ -173,7 +177,7 @@ def noise_notes(settings: PrevisSettings, sample_count: SampleCount, frames: Seq
     capped = [probe.noise for probe in probes if probe.is_capped and probe.noise is not None]
     if capped:
         notes.append(
-            f"{len(capped)} of {len(probes)} reference lights are noisier than they should be "
+            f"{len(capped)} of {len(probes)} reference lights are noisier than their target "
             f"({settings.reference.noise_target:.2%} of the light), up to {max(capped):.1%}: the preset stops at "
             f"{settings.reference.max_samples} pictures."
         )

@@ -119,7 +119,7 @@ def _is_somewhere(item: bpy.types.Object) -> bool:
 
 
 def _nowhere(item: bpy.types.Object) -> SceneFault:
-    said = f"Object {item.name!r} has no finite place: Cycles leaves it out. Check its scale and its constraints."
+    said = f"Object {item.name!r} has no finite location: Cycles leaves it out. Check its scale and its constraints."
     return SceneFault(item.name, 1, said)
 
 
@@ -198,7 +198,7 @@ def place_faults(scene: bpy.types.Scene, positions_m: dict[str, ArrayF64], camer
     nearest_m = float(np.linalg.norm(offsets, axis=-1).min())
     if not NEAREST_M <= nearest_m <= FARTHEST_M:
         said = (
-            f"The phone is {nearest_m:.3g} m from the nearest virtual object at its nearest: "
+            f"The phone's smallest distance from a virtual object is {nearest_m:.3g} m: "
             f"is the unit scale (Scene > Units) right? One Blender unit is {metres:g} m."
         )
         faults.append(SceneFault(scene.name, 1, said))

@@ -116,7 +116,9 @@ class PrevisSettings:
                 f"a picture of {self.size[0]}x{self.size[1]} pixels cannot be captured: use 4 to 8192 a side"
             )
         if self.exposure is not None and not (math.isfinite(self.exposure) and self.exposure > 0):
-            raise UserError(f"an exposure of {self.exposure:g} makes no picture: give a positive factor, or none")
+            raise UserError(
+                f"an exposure of {self.exposure:g} makes no picture: give a positive factor, or leave it out"
+            )
         if self.metering is not None and self.metering not in METERINGS:
             raise UserError(f"there is no metering {self.metering!r}: choose one of {', '.join(METERINGS)}")
         if not 0 <= self.seed <= MAX_SEED:
@@ -125,9 +127,11 @@ class PrevisSettings:
             raise UserError(f"there is no network {self.network!r}: choose one of {', '.join(LINKS)}, or leave it out")
         self._check_choices()
         if self.noise_target is not None and not 0 < self.noise_target < 1:
-            raise UserError(f"a noise target of {self.noise_target:g} is none: give a share of the light, such as 0.03")
+            raise UserError(
+                f"a noise target of {self.noise_target:g} is not usable: give a share of the light, such as 0.03"
+            )
         if self.samples is not None and not 1 <= self.samples <= MAX_SAMPLES:
-            raise UserError(f"{self.samples} samples cannot be rendered: give 1 to {MAX_SAMPLES}, or none")
+            raise UserError(f"{self.samples} samples cannot be rendered: give 1 to {MAX_SAMPLES}, or leave it out")
 
     def _check_choices(self) -> None:
         profile = self.profile

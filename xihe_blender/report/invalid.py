@@ -17,7 +17,7 @@ from xihenet.invalid import CLAMPED, LEFT_OUT, UNKNOWN, format_reason
 
 HEAD = ("what", "how many", "why", "what became of it")
 _UNDEFINED = {
-    "psnr": "has no finite value for identical pictures, and none where no pixel of an object is seen",
+    "psnr": "has no finite value for identical pictures, and none where no pixel of an object is visible",
     "angular_deg": "is undefined where one of the colours is black",
 }
 
@@ -32,13 +32,13 @@ def invalid_rows(results: RunResults) -> list[list[str]]:
     rows += _light_rows(Timeline.of(results)) + _comparison_rows(counts)
     if n_followed:
         why = "out of view while the light in view changed as a whole"
-        rows.append(["directions around probes", f"{n_followed:,}", why, "changed alike, a guess"])
+        rows.append(["directions around probes", f"{n_followed:,}", why, "scaled by the same factor, a guess"])
     return rows
 
 
 def format_undefined(metric: str) -> str:
     """When a metric of the comparison has no value: "is undefined where ..."."""
-    return _UNDEFINED.get(metric, "is undefined where no pixel of an object is seen")
+    return _UNDEFINED.get(metric, "is undefined where no pixel of an object is visible")
 
 
 def _comparison_rows(counts: InvalidCounts) -> list[list[str]]:
@@ -58,7 +58,7 @@ def _comparison_rows(counts: InvalidCounts) -> list[list[str]]:
 def _row(what: str, reason: str, n: int, of_all: int, became: str) -> list[str]:
     share = f" ({format_percent(n / of_all)})" if of_all else ""
     if reason in CLAMPED:
-        became = "used, but not as it came"
+        became = "used after clamping"
     return ["distances" if reason.startswith("distance_") else what, f"{n:,}{share}", _why(reason), became]
 
 
@@ -88,7 +88,7 @@ def _light_rows(timeline: Timeline) -> list[list[str]]:
 def _stayed(frames_and_sources: Iterable[tuple[int, int | None]]) -> str:
     sources = dict.fromkeys(source for _, source in frames_and_sources)
     return format_list(
-        ["the ambient light stood in" if s is None else f"the light of frame {s} stayed" for s in sources]
+        ["the ambient light was used instead" if s is None else f"the light of frame {s} was kept" for s in sources]
     )
 
 

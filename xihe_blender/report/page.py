@@ -82,27 +82,31 @@ def _how_close(results: RunResults) -> str:
     if estimator == "ambient" or ambient is None:
         return f"{lit} differ from the ground truth by an rmse of {format_number(own)}."
     if ambient == 0:
-        ending = "match the ground truth exactly, as they do" if own == 0 else "miss the ground truth, which they match"
+        ending = (
+            "match the ground truth exactly, as they do"
+            if own == 0
+            else "differ from the ground truth, which they match"
+        )
         return f"{lit} {ending} with <code>ambient</code>."
-    words = format_closeness(1.0 - own / ambient)
     numbers = f"rmse {format_number(own)} against {format_number(ambient)}"
-    return f"{lit} are {words} {_joint(words)} with <code>ambient</code> ({numbers})."
+    return f"{lit} {_against_ambient(1.0 - own / ambient)} ({numbers})."
 
 
-def _joint(words: str) -> str:
-    """What follows "31 % closer", "as close" or "3.1 times as far" in a sentence."""
+def _against_ambient(closer: float) -> str:
+    """`closeness` as the verb and the rest of a sentence: "are 31 % closer to the ground truth than with ambient"."""
+    words, ambient = format_closeness(closer), "<code>ambient</code>"
     if words == "as close":
-        return "to the ground truth as"
+        return f"are as close to the ground truth as with {ambient}"
     if "times" in words:
-        return "from the ground truth as"
-    return "to the ground truth than" if words.endswith("closer") else "from the ground truth than"
+        return f"have {words} that they have with {ambient}"
+    return f"are {words} {'to' if closer > 0 else 'from'} the ground truth than with {ambient}"
 
 
 def _how_close_truth(results: RunResults) -> str:
     closer = closeness(results.comparison, "truth")
     if closer is None or results.settings.estimator == "truth":
         return ""
-    return f"The rendered light probe itself, {code('truth')}, is {format_closeness(closer)}."
+    return f"Lit by the rendered light probe itself, {code('truth')}, they {_against_ambient(closer)}."
 
 
 def _key_figures(results: RunResults) -> str:
@@ -113,7 +117,7 @@ def _key_figures(results: RunResults) -> str:
         _error_figure(summary),
         _closeness_figure(results),
         (format_quantity(summary.mean_step_ms, "ms"), "mean time of one step, without rendering"),
-        (format_bytes(sum(probe.payload_bytes for probe in results.probes)), "sent to the estimator in all"),
+        (format_bytes(sum(probe.payload_bytes for probe in results.probes)), "sent to the estimator in total"),
         _render_figure(summary),
     ]
     shown = "".join(f"<div><dt>{label}</dt><dd>{value}</dd></div>" for value, label in figures)
@@ -136,5 +140,5 @@ def _closeness_figure(results: RunResults) -> tuple[str, str]:
 
 def _render_figure(summary: Summary) -> tuple[str, str]:
     overhead = summary.overhead_share
-    around = "" if overhead is None else f", and {format_percent(overhead)} of work around it"
+    around = "" if overhead is None else f", plus {format_percent(overhead)} for all other work"
     return format_quantity(summary.render_s, "s"), f"of rendering{around}"

@@ -25,13 +25,13 @@ _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _SHOWN_MISSING = 12
 
 METHOD_MEANINGS = {
-    "ambient": "One colour from all around, as a phone's ambient light sensing gives it.",
-    "probe": "A mirror ball at the object's place, seen by the camera.",
-    "projection": "Least squares on what the camera has seen so far; nothing is learned.",
-    "pointar": "Uniform random sampling and a point network.",
-    "xihenet": "Unit-sphere sampling and a point network, as in the paper.",
-    "lattice": "A network on the fixed directions around the object.",
-    "truth": "The light probe rendered at the object's place, as spherical harmonics.",
+    "ambient": "One colour from every direction, as a phone's ambient light sensor reports.",
+    "probe": "A mirror ball at the object's position, seen by the camera.",
+    "projection": "Least-squares fit to what the camera has seen so far; no learning.",
+    "pointar": "Uniform random samples and a point-cloud network.",
+    "xihenet": "Unit-sphere samples and a point-cloud network, as in the paper.",
+    "lattice": "A neural network on fixed directions around the object.",
+    "truth": "The light probe rendered at the object's position, as spherical harmonics.",
 }
 
 
@@ -98,7 +98,7 @@ def kind_label(kind: str) -> str:
 
 def _kind_meaning(kind: str, error_full_scale: float) -> str:
     if _is_error(kind):
-        scale = f"black is none, the brightest {format_percent(error_full_scale)} or more"
+        scale = f"black means none, the brightest colour {format_percent(error_full_scale)} or more"
         return f"Difference between {code(kind.removeprefix('error_'))} and the ground truth, in sRGB: {scale}."
     if kind == "captured":
         return "What the phone's camera recorded: the room without the virtual objects."
@@ -158,7 +158,7 @@ def _what_happened(frame: FrameResult) -> str:
     for probe in frame.probes:
         if not probe.is_valid:
             sentences.append(f"{icon(reason_shape(KEPT))} {escape(probe.name)}{format_kept(probe)}.")
-    return " ".join(sentences) or "No estimate was due; the last one stays in force."
+    return " ".join(sentences) or "No new estimate was needed; the last one stays in use."
 
 
 def _figure(kind: str, meaning: str, number: int, compared: ComparedFrame, outputs: RunOutputs) -> str:

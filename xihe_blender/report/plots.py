@@ -35,20 +35,20 @@ _WIDEST_BAR_PERCENT = 10.0
 _MANY_FRAMES = 80
 _ABSOLUTE = "Mean squared difference of sRGB colour."
 _RELATIVE = (
-    "Divided by the threshold that decided. The change is the mean squared difference of sRGB colour or, where coverage"
-    " fired, the newly seen share of the sphere."
+    "Change divided by the threshold that applied. Change is the mean squared difference of sRGB colour or, where "
+    "coverage fired, the newly seen share of the sphere."
 )
 CHAIN = {
     "camera path": "the phone walks through the room",
     "capture": "its colour picture and distances are rendered",
-    "unproject": "pixels become coloured points in the room",
-    "sample": "around each probe, every direction keeps its nearest point",
-    "merge": "what this frame saw is added to what was seen before",
-    "trigger": "is there enough news for another estimate?",
-    "encode": "what is known is packed as it would be sent",
-    "estimate": "spherical harmonics of the light at the probe",
-    "apply": "the virtual objects are lit by them",
-    "compare": "and set beside the path-traced ground truth",
+    "unproject": "the pixels become coloured points in the room",
+    "sample": "in every direction around a probe, the nearest point is kept",
+    "merge": "what this frame shows is added to what was seen before",
+    "trigger": "decides whether enough has changed for a new estimate",
+    "encode": "the samples are packed as they would be sent to a server",
+    "estimate": "spherical harmonics of the light at the probe are computed",
+    "apply": "the virtual objects are lit by the estimate",
+    "compare": "the result is compared with path-traced ground truth",
 }
 _CHAIN_LISTED = (
     '<details class="chain"><summary>The stages of the chain, in order</summary><ol>'
@@ -75,7 +75,7 @@ def _shared_legend(timeline: Timeline) -> str:
     reasons = {probe.reason for probe in timeline.probes if probe.fired}
     entries += [f"{svg.icon(reason_shape(r))} estimate made: {words}" for r, words in REASONS.items() if r in reasons]
     if not all(probe.is_valid for probe in timeline.probes):
-        entries.append(f"{svg.icon(reason_shape(KEPT))} light could not be known: the last one stays")
+        entries.append(f"{svg.icon(reason_shape(KEPT))} light unknown: the last estimate is kept")
     if timeline.inactive_spans():
         entries.append('<span class="shade-icon"></span> no probe in view')
     return svg.legend(entries)
@@ -198,7 +198,7 @@ def _error_plot(timeline: Timeline, ambient: float | None) -> str:
         limit, below = _limit(axis, ambient, f"<code>ambient</code>, mean over the run: {format_number(ambient)}")
         drawing = limit + drawing
     hover = _hover(timeline, lambda probe: format_number(error(probe)))
-    about = "SHC RMSE between the coefficients in force and the rendered light probe. No unit; 0 is a perfect estimate."
+    about = "SHC RMSE between the coefficients in use and the rendered light probe. No unit; 0 is a perfect estimate."
     return plot(timeline, axis, drawing, hover, title="Coefficient error", about=about, below=below)
 
 
@@ -219,7 +219,7 @@ def _change_plot(timeline: Timeline) -> str:
         words = "threshold" if is_relative else f"threshold {format_number(threshold)}"
         limit, legend = _limit(axis, threshold, words)
         drawing, below = limit + drawing, below + legend
-    rows = "The rows below tell when and why an estimate was made, or could not be."
+    rows = "The rows below show when and why an estimate was made, or why it could not be."
     about = f"{_RELATIVE if is_relative else _ABSOLUTE} {rows}"
     title = "Change against the trigger threshold"
     return plot(timeline, axis, drawing, _hover(timeline, _format_change), title=title, about=about, below=below)

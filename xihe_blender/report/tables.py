@@ -115,7 +115,7 @@ def _column_decimals(values: Sequence[float]) -> int:
 
 def _closer_cell(comparison: Mapping[str, Metrics], method: str) -> str:
     if method == "ambient":
-        return "the yardstick"
+        return "the baseline"
     closer = closeness(comparison, method)
     return DASH if closer is None else format_closeness(closer)
 
@@ -127,7 +127,7 @@ def _null_reasons(comparison: Mapping[str, Metrics], methods: Sequence[str]) -> 
         if empty:
             reasons.append(f"{name} of {format_list(empty)} {format_undefined(name)}")
     if any(m != "ambient" and closeness(comparison, m) is None for m in methods):
-        reasons.append("a method is measured against <code>ambient</code> only where both have an rmse above 0")
+        reasons.append("a method is compared with <code>ambient</code> only where both have an rmse above 0")
     return f'<p class="quiet">{DASH} means no value: {"; ".join(reasons)}.</p>' if reasons else ""
 
 
@@ -197,9 +197,9 @@ def _phone(results: RunResults) -> str:
     if not rows:
         return format_phone(results)
     caption = (
-        "Mean SHC RMSE over probes and frames of the light in force. Each row runs the whole session again from the "
+        "Mean SHC RMSE over probes and frames of the light in use. Each row runs the whole session again from the "
         "recorded captures, with that effect left out; triggers may then fire in other frames, so small differences "
-        "are chance."
+        "mean nothing."
     )
     head = ["effect", "SHC RMSE, all on", "without it", "it adds"]
     return f'{format_phone(results)}{table(head, rows)}<p class="quiet">{caption}</p>'

@@ -70,9 +70,9 @@ def closeness(comparison: Mapping[str, Metrics], method: str) -> float | None:
 
 
 def format_closeness(closer: float) -> str:
-    """`closeness` as the middle of a sentence: "31 % closer", "12 % further", "3.1 times as far", "as close"."""
+    """`closeness` as the middle of a sentence: "31 % closer", "12 % further", "3.1 times the error", "as close"."""
     if abs(closer) < 0.0005:
         return "as close"
     if closer < -1:
-        return f"{1 - closer:.1f} times as far"
+        return f"{1 - closer:.1f} times the error"
     return f"{format_percent(abs(closer))} {'closer' if closer > 0 else 'further'}"

@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"xihe train: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("stopped; the same command goes on from the last whole epoch", file=sys.stderr)
+        print("stopped; run the same command again to resume from the last complete epoch", file=sys.stderr)
         return 130
     return 0
 
@@ -69,56 +69,76 @@ def cache_folder(out: Path, sampling: str, n_anchors: int) -> Path:
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="xihe train", description="Train the estimators' networks.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    cache = commands.add_parser("cache", help="sample the rooms once")
+    cache = commands.add_parser("cache", help="sample the rooms into anchor clouds, once for all trainings")
     _add_cache_options(cache, _run_cache)
     _add_test_options(cache)
-    training = commands.add_parser("train", help="train a network, or go on with it")
+    training = commands.add_parser(
+        "train", help="train a network or resume a stopped training; the word train may be left out"
+    )
     _add_cache_options(training, _run_train)
     _add_train_options(training)
-    report = commands.add_parser("report", help="all figures, on the test rooms")
+    report = commands.add_parser("report", help="measure networks on the test rooms; also xihe train --report")
     _add_report_options(report)
-    export = commands.add_parser("export", help="weights as estimators read them")
-    export.add_argument("network", type=Path)
-    export.add_argument("out", type=Path)
-    export.add_argument("--data", default="", help="what it was trained on, in words")
-    export.add_argument("--anchors", type=int, help="points it was trained with, for PointConv networks")
-    export.add_argument("--clouds", type=Path, help="whose validation rooms calibrate the expected error of lattice")
+    export = commands.add_parser("export", help="write weights in the form that estimators read")
+    export.add_argument("network", type=Path, help="trained network, a .pt file")
+    export.add_argument("out", type=Path, help="weights to write, an .npz file")
+    export.add_argument("--data", default="", help="description of the training data")
+    export.add_argument("--anchors", type=int, metavar="N", help="points that a PointConv network was trained with")
+    export.add_argument(
+        "--clouds",
+        type=Path,
+        metavar="DIR",
+        help="sampled validation rooms that calibrate the expected error of lattice",
+    )
     export.set_defaults(run=_run_export)
     return parser
 
 
 def _add_cache_options(parser: argparse.ArgumentParser, run: object) -> None:
-    parser.add_argument("--estimator", choices=tuple(SAMPLING_OF), default="lattice")
-    parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="the rooms")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
-    parser.add_argument("--anchors", type=int, default=1280)
-    parser.add_argument("--changes", type=int, default=6, help="training clouds of each pair")
-    parser.add_argument("--merged-clouds", type=int, default=8, help="merged training clouds of each position")
+    parser.add_argument("--estimator", choices=tuple(SAMPLING_OF), default="lattice", help="network")
+    parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="folder of the rooms")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder of the sampled clouds and networks"
+    )
+    parser.add_argument("--anchors", type=int, default=1280, metavar="N", help="anchors of a cloud")
+    parser.add_argument("--changes", type=int, default=6, metavar="N", help="training clouds of each view and position")
+    parser.add_argument(
+        "--merged-clouds", type=int, default=8, metavar="N", help="merged training clouds of each position"
+    )
     parser.set_defaults(run=run)
 
 
 def _add_test_options(parser: argparse.ArgumentParser) -> None:
     """For clouds that are only reported on."""
     add = parser.add_argument
-    add("--test-only", action="store_true", help="the test rooms and no others")
-    add("--all-rooms", action="store_true", help="every room as a test room: walks, scenes of no data set")
-    add("--whole-sphere", action="store_true", help="every anchor set, coloured by the light probe")
-    add("--upright", action="store_true", help="as a phone turned by 90 degrees sees the rooms")
-    add("--points", action="store_true", help="points alone, without patches of surface, to compare")
+    add("--test-only", action="store_true", help="sample the test rooms alone")
+    add(
+        "--all-rooms",
+        action="store_true",
+        help="treat every room as a test room, for walks and scenes outside the data set",
+    )
+    add("--whole-sphere", action="store_true", help="set every anchor, with the colour of the light probe")
+    add("--upright", action="store_true", help="see the rooms as a phone turned by 90 degrees does")
+    add("--points", action="store_true", help="sample points alone, without patches of surface, for comparison")
 
 
 def _add_train_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--target", choices=("ldr", "hdr"), default="ldr")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--epochs", type=int, default=60)
-    parser.add_argument("--batch-size", type=int, default=64)
-    parser.add_argument("--learning-rate", type=float, default=2e-3)
-    parser.add_argument("--weight-decay", type=float, default=0.02)
-    parser.add_argument("--patience", type=int, default=15)
-    parser.add_argument("--device", default="cpu")
-    parser.add_argument("--rooms", type=int, metavar="N", help="the first N training rooms alone, for learning curves")
-    parser.add_argument("--keep-unset-at-origin", action="store_true", help="as the reference does (PointConv)")
-    parser.add_argument("--bfloat16", action="store_true", help="train in half precision (PointConv)")
+    add = parser.add_argument
+    add("--target", choices=("ldr", "hdr"), default="ldr", help="light to learn: clipped at white, or all of it")
+    add("--seed", type=int, default=0, metavar="N", help="the same seed trains the same network")
+    add("--epochs", type=int, default=60, metavar="N", help="passes over the training clouds, at most")
+    add("--batch-size", type=int, default=64, metavar="N", help="clouds in a batch")
+    add("--learning-rate", type=float, default=2e-3, metavar="RATE", help="highest learning rate")
+    add("--weight-decay", type=float, default=0.02, metavar="FACTOR", help="weight decay of the optimiser")
+    add("--patience", type=int, default=15, metavar="N", help="epochs without improvement after which training ends")
+    add("--device", default="cpu", metavar="NAME", help="device that torch trains on, such as cuda")
+    add("--rooms", type=int, metavar="N", help="train on the first N rooms alone, for learning curves")
+    add(
+        "--keep-unset-at-origin",
+        action="store_true",
+        help="leave unset anchors at the origin, as the paper's code does (PointConv)",
+    )
+    add("--bfloat16", action="store_true", help="train in half precision (PointConv)")
 
 
 def _run_export(options: argparse.Namespace) -> None:
@@ -168,19 +188,19 @@ def _add_report_options(parser: argparse.ArgumentParser) -> None:
         help="sampled clouds of the rooms, a folder for each sampling and number of anchors")  # fmt: skip
     add("--network", nargs="+", action="extend", default=[], metavar="[SAMPLING_ANCHORS:]NAME=FILE",
         help="a trained network; several of one name are its seeds")  # fmt: skip
-    add("--split", choices=("validation", "test"), default="test")
-    add("--target", choices=("ldr", "hdr"), default="ldr")
+    add("--split", choices=("validation", "test"), default="test", help="rooms to measure on")
+    add("--target", choices=("ldr", "hdr"), default="ldr", help="light to compare with: clipped at white, or all of it")
     add("--walk", nargs="+", action="extend", default=[], type=Path, metavar="DIR", help="sampled clouds of walks")
     add("--whole", nargs="+", action="extend", default=[], type=Path, metavar="DIR",
-        help="sampled clouds of which every anchor is set")  # fmt: skip
+        help="sampled clouds with every anchor set")  # fmt: skip
     add("--scene", nargs="+", action="extend", default=[], metavar="NAME=DIR", help="sampled clouds of another scene")
     add("--group", nargs="+", action="extend", default=[], metavar="NAME=DIR",
-        help="clouds sampled otherwise, for the table of disturbances")  # fmt: skip
+        help="clouds sampled in another way, for the table of disturbances")  # fmt: skip
     add("--learning", nargs="+", action="extend", default=[], metavar="ROOMS=FILE",
-        help="a network trained on so many rooms; several of one number are its seeds")  # fmt: skip
-    add("--device", default="cpu")
-    add("--json", type=Path, metavar="FILE", help="all figures; - writes them, and nothing else, to standard output")
-    add("--markdown", type=Path, metavar="FILE", help="the tables, which else go to standard output")
+        help="a network trained on that many rooms; several with the same number are its seeds")  # fmt: skip
+    add("--device", default="cpu", metavar="NAME", help="device that torch runs on, such as cuda")
+    add("--json", type=Path, metavar="FILE", help="file for all figures; - prints them and nothing else on stdout")
+    add("--markdown", type=Path, metavar="FILE", help="file for the tables; default: print them")
     add("--plots", type=Path, metavar="DIR", help="folder for plots in SVG")
     parser.set_defaults(run=_run_report)
 

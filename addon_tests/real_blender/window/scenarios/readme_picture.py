@@ -1,4 +1,4 @@
-"""The first picture of the README: the tab beside a lit room, and estimate against ground truth beside both."""
+"""The picture of the README: the tab beside a lit room, and estimate against ground truth beside both."""
 
 import bpy
 

@@ -1,0 +1,26 @@
+"""What the docs tell people to train with is understood by the command line of training, and its page is whole."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from xihe_blender.cli.document import document
+from xihenet.training.__main__ import _parser, with_step
+
+ROOT = Path(__file__).resolve().parents[2]
+TYPED = re.findall(r"^xihe train (.*)$", (ROOT / "docs" / "training.md").read_text(encoding="utf-8"), re.MULTILINE)
+
+
+def test_the_docs_train_and_report():
+    assert {with_step(shlex.split(typed))[0] for typed in TYPED} == {"cache", "train", "report"}
+
+
+@pytest.mark.parametrize("typed", TYPED)
+def test_training_commands_of_the_docs_are_understood(typed):
+    assert _parser().parse_args(with_step(shlex.split(typed))).run
+
+
+def test_the_page_of_the_command_line_has_training_too():
+    assert (ROOT / "docs" / "cli.md").read_text(encoding="utf-8") == document()

@@ -1,0 +1,100 @@
+"""docs/cli.md: every sub-command and option of `xihe`, made from the parsers themselves.
+
+    python -m xihe_blender.cli.document > docs/cli.md
+
+Made from the parsers' actions and not from their help texts, which look different in every version of Python. The part
+on `xihe train` needs torch; without it that part is left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+
+from xihe_blender.cli.main import COMMANDS, _parser
+
+HEAD = """# Command line
+
+`python -m xihe_blender.cli.document > docs/cli.md` makes this page from the parsers of the `xihe` command, and a test
+fails if they differ. `python -m xihe_blender` is the same command; inside Blender, with the extension, it is
+`blender --command xihe`.
+
+| exit code | meaning |
+| --- | --- |
+| 0 | the job is done |
+| 1 | a part of the job could not be done; every such part is named |
+| 2 | a mistake that you can fix; one line on stderr says how |
+| 130 | stopped by Ctrl-C; run the same command again to resume |
+
+Progress is shown on stderr. With `XIHE_VERBOSE=1`, so is what Blender itself prints.
+"""
+
+
+def document() -> str:
+    """The page; without its last part, on training, where torch is missing."""
+    return "\n".join([HEAD, *pages()])
+
+
+def pages() -> Iterator[str]:
+    """A section for each sub-command; those of `train`, which needs torch, come last."""
+    for name in sorted(COMMANDS):
+        if name != "train":
+            yield from sections(_choices(_parser())[name], COMMANDS[name])
+    try:
+        from xihenet.training.__main__ import _parser as parser_of_training
+    except ImportError:
+        return
+    yield from sections(parser_of_training(), COMMANDS["train"])
+
+
+def sections(parser: argparse.ArgumentParser, summary: str) -> Iterator[str]:
+    """Markdown of one parser, then of its own sub-commands."""
+    below = _choices(parser)
+    yield f"## {parser.prog}\n\n{summary[:1].upper()}{summary[1:]}.\n"
+    if below:
+        summaries = {action.dest: action.help or "" for action in _actions_of_choices(parser)}
+        for name, one in below.items():
+            yield from sections(one, summaries[name])
+        return
+    positionals = " ".join(_metavar(action) for action in parser._actions if not action.option_strings)
+    yield f"    {parser.prog} {positionals} [options]\n".replace("  [", " [")
+    yield "| argument | meaning |\n| --- | --- |"
+    yield "\n".join(_row(action) for action in parser._actions if action.dest != "help") + "\n"
+
+
+def _choices(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    """The parsers of its sub-commands, by name."""
+    found = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    return dict(found[0].choices) if found else {}
+
+
+def _actions_of_choices(parser: argparse.ArgumentParser) -> list[argparse.Action]:
+    found = next(action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    return list(found._choices_actions)
+
+
+def _metavar(action: argparse.Action) -> str:
+    """What stands for the value: "DIR", "ldr|hdr"; empty for a switch."""
+    if action.nargs == 0:
+        return ""
+    if action.choices is not None and action.metavar is None:
+        return "|".join(map(str, action.choices))
+    name = action.metavar if isinstance(action.metavar, str) else action.dest.upper()
+    return f"{name} ..." if action.nargs == "+" else name
+
+
+def _row(action: argparse.Action) -> str:
+    words = (action.help or "").replace("<", "&lt;")
+    has_default = action.nargs != 0 and action.default not in (None, "", [], ()) and "default" not in words
+    parts = [words, f"default: {action.default}" if has_default else "", "required" if _is_required(action) else ""]
+    name = f"{', '.join(action.option_strings)} {_metavar(action)}".strip().replace("|", "\\|")
+    return f"| `{name}` | {'; '.join(filter(None, parts))} |"
+
+
+def _is_required(action: argparse.Action) -> bool:
+    return bool(action.option_strings) and action.required
+
+
+if __name__ == "__main__":
+    sys.stdout.write(document())
