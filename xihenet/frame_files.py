@@ -5,54 +5,37 @@ a 16-bit image of plane depth (as phones and depth cameras deliver it); intrinsi
 not fit together is refused with what was found: a frame that is read wrongly gives a light that looks right.
 
 The two images may differ in size. Colour is then averaged over the area of each depth pixel, in linear light;
-enlarging plane depth instead was rejected, since it invents surfaces between near and far ones. Pictures of phones have
-fifty megapixels and a small file may hold more, so sizes are judged by the header, and pixels are taken by strips; a
-frame of more than 2 megapixels is thinned to that (`picture_size`). Colour is taken as
-sRGB or linear Rec.709: colour profiles inside files are not applied. Not here: lens distortion, and images that do not
-show the same field of view.
+enlarging plane depth instead was rejected, since it invents surfaces between near and far ones. Sizes are judged by
+the header, and a frame of more than 2 megapixels is thinned to that (`picture_size`). Colour is taken as sRGB or linear
+Rec.709: colour profiles inside files are not applied. Not here: pixels of images (`image_files`), lens distortion, and
+images that do not show the same field of view.
 """
 
 from __future__ import annotations
 
-import contextlib
 import difflib
-import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from xihenet import exr, openexr_package
 from xihenet.camera import encode_exposed, metered_exposure, sensed_ambient, sound_plane_depth
-from xihenet.colour import srgb_to_linear
+from xihenet.image_files import read_colour, read_plane_depth
 from xihenet.json_files import read_json
-from xihenet.picture_size import MOST_PIXELS, MOST_POINTS, TooLarge, check_size, picked_pixels
+from xihenet.picture_size import MOST_POINTS, TooLarge, check_size, picked_pixels, same_field
 from xihenet.records import ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
 
 PLANE_DEPTH_CHANNELS = ("Depth.Z", "Depth.V", "Z")
-IMAGE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM")
-"""Those that take no more than six bytes a pixel to read; WebP takes sixteen."""
-
-START_OF_SCAN, MOST_SCANS = b"\xff\xda", 64
-"""Encoders make some ten; files of several pictures, as phones store them, have theirs together."""
-
-PIXELS_IN_STRIP, MOST_ROWS_IN_STRIP = 2**19, 128
-LINEAR_BY_BYTE = srgb_to_linear(np.arange(256) / 255).astype(np.float32)
-NONE_IN_16_BITS = 65535
 MOST_VALUES_BY_PACKAGE = 64_000_000
 """Of all channels together, since the OpenEXR package unpacks them all: 16 megapixels of four channels."""
 
 CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy", "world_from_camera", "convention", "up")
 LARGEST_SIDE = 1_000_000
 """Pixels. No file has more, and products of two stay numbers that a float can hold."""
-
-ORIENTATION_TAG = 0x0112
-SAME_ASPECT = 0.01
-"""Sizes whose ratios of width to height differ by less show the same field: rounding moves 256x144 by 0.4 %."""
 
 POSE_TOLERANCE = 1e-3
 """Of a rotation's rows and columns, as poses are written with four digits."""
@@ -228,17 +211,12 @@ def _check_rotation(axes: ArrayF64) -> None:
         raise ValueError("world_from_camera: it mirrors; expected right-handed axes (negate one of them)")
 
 
-def _same_field(width: int, height: int, other_width: int, other_height: int) -> bool:
-    """Whether images of two sizes can show the same field of view."""
-    return abs(width * other_height / (height * other_width) - 1) < SAME_ASPECT
-
-
 def _intrinsics_for(camera: Intrinsics, field: tuple[int, int], width: int, height: int) -> Intrinsics:
     """The same field of view in another number of pixels, of a file that has `field` (width, height).
 
     ValueError for another ratio of width to height.
     """
-    if not _same_field(camera.width, camera.height, *field):
+    if not same_field(camera.width, camera.height, *field):
         raise ValueError(
             f"the intrinsics are for {camera.width}x{camera.height} pixels and the plane depth has "
             f"{field[0]}x{field[1]}: expected the same ratio of width to height"
@@ -316,7 +294,7 @@ def _exr_frame(path: Path, camera: FrameCamera, exposure: float | None) -> RgbdF
     if len(of_frame) > 1:
         raise ValueError(f"{path}: expected colour and plane depth of one size, got {sorted(of_frame)} (rows, columns)")
     height, width = sizes[plane_depth_channel]
-    _check_size(path, height, width)
+    check_size(path, height, width)
     channels = read_exr_channels(path, {*colour, plane_depth_channel}, most_pixels=MOST_POINTS)
     radiance, plane_depth_m = np.stack([channels[name] for name in colour], axis=-1), channels[plane_depth_channel]
     if exposure is None:
@@ -325,13 +303,6 @@ def _exr_frame(path: Path, camera: FrameCamera, exposure: float | None) -> RgbdF
     fix = "save the Z pass too, and let the camera see surfaces"
     measured = sound_plane_depth(plane_depth_m, radiance)
     return _frame(encode_exposed(radiance, exposure), measured, (width, height), camera, exposure, path, fix)
-
-
-def _check_size(path: Path, height: int, width: int) -> None:
-    try:
-        check_size(height, width)
-    except TooLarge as error:
-        raise TooLarge(f"{path}: {error}") from None
 
 
 def _frame_channels(channels: Mapping[str, object], path: Path) -> tuple[list[str], str]:
@@ -364,127 +335,7 @@ def _found(channels: Mapping[str, object]) -> str:
 def _image_frame(
     colour_path: Path, plane_depth_path: Path, depth_scale: float, camera: FrameCamera, exposure: float
 ) -> RgbdFrame:
-    plane_depth_m, field = _plane_depth_image(plane_depth_path, depth_scale)
-    srgb_u8 = _colour_image(colour_path, plane_depth_path, field, *plane_depth_m.shape)
+    plane_depth_m, field = read_plane_depth(plane_depth_path, depth_scale)
+    srgb_u8 = read_colour(colour_path, plane_depth_path, field, *plane_depth_m.shape)
     fix = "0 and, in 16 bits, 65535 stand for none, check the image"
     return _frame(srgb_u8, sound_plane_depth(plane_depth_m), field, camera, exposure, plane_depth_path, fix)
-
-
-def _plane_depth_image(path: Path, depth_scale: float) -> tuple[ArrayF32, tuple[int, int]]:
-    """(H, W), thinned where there are more than MOST_POINTS, and the width and height of the whole image."""
-
-    def check(image: Any) -> None:
-        if not image.mode.startswith("I"):
-            raise ValueError(f"{path}: expected a grey image of 16 bits, got pixels of mode {image.mode}")
-
-    image = _loaded(path, check)
-    rows, columns = picked_pixels(image.height, image.width, MOST_POINTS)
-    picked, top = [], 0
-    for strip in _strips(image):
-        start, end = np.searchsorted(rows, [top, top + len(strip)])
-        picked.append(strip[np.ix_(rows[start:end] - top, columns)].astype(np.float64))
-        top += len(strip)
-    units = np.concatenate(picked)
-    if image.mode != "I" or image.format == "PNG":  # Older versions of Pillow read 16 bits into 32.
-        units[units == NONE_IN_16_BITS] = 0
-    return (units * depth_scale).astype(np.float32), image.size
-
-
-def _colour_image(path: Path, beside: Path, field: tuple[int, int], height: int, width: int) -> ArrayU8:
-    """(height, width, 3) sRGB of an image that shows the same field as `beside`. Grey becomes equal channels; alpha is
-    left out."""
-
-    def check(image: Any) -> None:
-        if image.mode.startswith(("I", "F")):
-            raise ValueError(f"{path}: expected a colour image of 8 bits, got pixels of mode {image.mode}")
-        if not _same_field(image.width, image.height, *field):
-            raise ValueError(
-                f"{path} has {image.width}x{image.height} pixels and {beside} {field[0]}x{field[1]}: "
-                "expected the same ratio of width to height, of one field of view"
-            )
-
-    image = _loaded(path, check)
-    if image.size == (width, height):
-        return np.asarray(image.convert("RGB"))
-    strips = (LINEAR_BY_BYTE[strip] for strip in _strips(image, "RGB"))
-    averaged = area_averaged(strips, image.height, height, width)
-    del image, strips  # 200 MB of 50 megapixels, before encoding takes as much
-    return encode_exposed(averaged, 1.0)
-
-
-def _strips(image: Any, mode: str | None = None) -> Iterator[NDArray[Any]]:
-    """Rows of a picture from top to bottom, some at a time, in another mode if one is given."""
-    n_rows = min(MOST_ROWS_IN_STRIP, max(1, PIXELS_IN_STRIP // image.width))
-    for top in range(0, image.height, n_rows):
-        strip = image.crop((0, top, image.width, min(top + n_rows, image.height)))
-        yield np.asarray(strip if mode is None else strip.convert(mode))
-
-
-def area_averaged(strips: Iterable[NDArray[Any]], n_rows: int, height: int, width: int) -> ArrayF64:
-    """An image (n_rows, W, 3), whose `strips` come from top to bottom, in another size.
-
-    (height, width, 3) float64; each new pixel is the mean over the area it covers, parts of pixels included. The mean
-    of the whole image stays what it was; larger sizes repeat pixels.
-    """
-    averaged, top = np.zeros((height, width, 3)), 0
-    edges = np.arange(height + 1) * n_rows / height
-    for strip in strips:
-        rows = np.arange(top, top + len(strip))
-        first = int(np.searchsorted(edges, top, "right")) - 1
-        end = int(np.searchsorted(edges, top + len(strip)))
-        covered = np.minimum(rows + 1, edges[first + 1 : end + 1, None]) - np.maximum(rows, edges[first:end, None])
-        shares = (np.maximum(covered, 0) * (height / n_rows)).astype(strip.dtype)
-        columns_first = np.tensordot(shares, strip, 1).swapaxes(0, 1)
-        averaged[first:end] += _averaged_rows(columns_first, width).swapaxes(0, 1)
-        top += len(strip)
-    return averaged
-
-
-def _averaged_rows(image: NDArray[Any], n_rows: int) -> ArrayF64:
-    """Means between evenly spaced edges: differences of the running sum, which is linear inside a row."""
-    edges = np.arange(n_rows + 1) * len(image) / n_rows
-    row = np.minimum(edges.astype(np.intp), len(image) - 1)
-    before = np.concatenate([np.zeros_like(image[:1], np.float64), np.cumsum(image, axis=0, dtype=np.float64)])
-    at_edges = before[row] + (edges - row)[:, None, None] * image[row]
-    averaged: ArrayF64 = np.diff(at_edges, axis=0) * (n_rows / len(image))
-    return averaged
-
-
-def _loaded(path: Path, check: Callable[[Any], None]) -> Any:
-    """The picture in memory, once `check` has seen its header. ValueError if it is none, is cut short, has too many
-    pixels, or is stored turned."""
-    try:
-        from PIL import Image
-    except ImportError as error:
-        raise ImportError("colour images are read by pillow: pip install 'xihe-blender[images]'") from error
-    with path.open("rb") as content:
-        with _image_errors(path), warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            image = Image.open(content, formats=IMAGE_FORMATS)
-        _check_size(path, image.height, image.width)
-        check(image)
-        # Each scan of a progressive JPEG goes over all pixels, and an empty one takes ten bytes.
-        if image.format in ("JPEG", "MPO") and path.read_bytes().count(START_OF_SCAN) > MOST_SCANS:
-            raise ValueError(f"{path}: it has more than {MOST_SCANS} scans: save it as a plain JPEG")
-        with _image_errors(path):
-            image.load()
-            orientation = image.getexif().get(ORIENTATION_TAG, 1)
-    if orientation != 1:
-        raise ValueError(f"{path} is stored turned, as its EXIF orientation says: save it upright and without the mark")
-    return image
-
-
-@contextlib.contextmanager
-def _image_errors(path: Path) -> Iterator[None]:
-    """What Pillow says of a file that is no image, or of one with far more pixels than are read."""
-    from PIL import Image
-
-    try:
-        yield
-    except Image.DecompressionBombError:
-        raise TooLarge(
-            f"{path}: it has too many pixels: save it with at most {MOST_PIXELS // 10**6} megapixels"
-        ) from None
-    except (OSError, SyntaxError, ValueError, EOFError) as error:
-        formats = ", ".join(IMAGE_FORMATS)
-        raise ValueError(f"{path}: expected an image ({formats}), and could not read it ({error})") from error

@@ -4,6 +4,7 @@ import hashlib
 import random
 import re
 import resource
+import shutil
 import signal
 import subprocess
 from functools import partial
@@ -227,6 +228,19 @@ def test_a_run_that_was_killed_goes_on_with_the_same_command(folder, finished, t
     assert previs(folder / "walk.blend", tmp_path).returncode == 0
     undisturbed = read_strictly(finished[1] / "results.json")
     assert without_times(read_strictly(tmp_path / "results.json")) == without_times(undisturbed)
+
+
+def test_a_damaged_piece_of_a_run_is_named_and_made_again(folder, finished, tmp_path):
+    shutil.copytree(finished[1], tmp_path / "out")
+    damaged = [tmp_path / "out" / name for name in ("results.json", "work/survey.json", "work/sample_count.json")]
+    for path in damaged:
+        path.write_bytes(path.read_bytes()[:50])
+    done = previs(folder / "walk.blend", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    notes = [line for line in done.stderr.splitlines() if not re.match(r" *\d+%  ", line)]
+    assert notes == [f"xihe: note: {path} is damaged and is made again" for path in damaged]
+    undisturbed = read_strictly(finished[1] / "results.json")
+    assert without_times(read_strictly(tmp_path / "out" / "results.json")) == without_times(undisturbed)
 
 
 # --------------------------------------------------------------------------------------------------------------- disks

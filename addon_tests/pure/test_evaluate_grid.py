@@ -69,10 +69,18 @@ def test_a_folder_goes_on_with_the_same_settings_alone(tmp_path):
         manifest_of(folder, replace(SETTINGS, size=(32, 24))).take()
 
 
-@pytest.mark.parametrize("content", ['{"format": 1, "xihe": "0.0.1"}', "[]", "{", "null"])
-def test_a_folder_of_another_version_is_refused(tmp_path, content):
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ('{"format": 1, "xihe": "0.0.1"}', "version of xihe"),
+        ("[]", r"batch\.json is damaged"),
+        ("{", r"batch\.json is damaged"),
+        ("null", r"batch\.json is damaged"),
+    ],
+)
+def test_a_folder_of_another_version_or_that_is_damaged_is_refused(tmp_path, content, says):
     (tmp_path / "batch.json").write_text(content)
-    with pytest.raises(UserError, match="version of xihe"):
+    with pytest.raises(UserError, match=says):
         manifest_of(BatchFolder(tmp_path), SETTINGS).take()
     assert (tmp_path / "batch.json").read_text() == content
 

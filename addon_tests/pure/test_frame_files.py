@@ -25,10 +25,11 @@ from addon_tests.pure.frame_makers import (
     write_exr,
     write_image,
 )
-from xihenet import frame_files, openexr_package
+from xihenet import frame_files, image_files, openexr_package
 from xihenet.camera import KEY_LUMINANCE, LUMINANCE, encode_exposed, unproject_frame
 from xihenet.colour import linear_to_srgb, srgb_to_linear
-from xihenet.frame_files import area_averaged, read_camera, read_frame
+from xihenet.frame_files import read_camera, read_frame
+from xihenet.image_files import area_averaged
 
 ROOT = Path(__file__).resolve().parents[2]
 RADIANCE, PLANE_DEPTH_M = box_radiance_and_plane_depth()
@@ -391,7 +392,8 @@ def test_what_the_openexr_package_would_unpack_into_gigabytes_is_not_given_to_it
 def test_a_large_frame_is_thinned_and_its_points_lie_where_they_lay(tmp_path, camera, monkeypatch):
     exr = write_exr(tmp_path / "frame.exr", RADIANCE, PLANE_DEPTH_M)
     whole = unproject_frame(read_frame(exr, camera, exposure=1)).points_m
-    monkeypatch.setattr(frame_files, "MOST_POINTS", HEIGHT * WIDTH // 5)
+    for module in (frame_files, image_files):
+        monkeypatch.setattr(module, "MOST_POINTS", HEIGHT * WIDTH // 5)
     thinned = read_frame(exr, camera, exposure=1)
     assert thinned.plane_depth_m.shape == (10, 14) and np.isin(thinned.plane_depth_m, PLANE_DEPTH_M).all()
     apart = np.linalg.norm(whole[:, None] - unproject_frame(thinned).points_m, axis=2).min(axis=0)

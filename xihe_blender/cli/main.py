@@ -16,7 +16,7 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
-from xihe_blender.cli.progress import EXIT_INTERRUPTED, EXIT_USER_ERROR
+from xihe_blender.cli.progress import EXIT_INTERRUPTED, EXIT_USER_ERROR, notes_on
 from xihe_blender.errors import UserError
 from xihe_blender.io.blender_output import blender_output_aside
 from xihenet import __version__
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return train(typed[1:])
         options = _parser(typed[0] if typed else "").parse_args(with_positions_bound(typed))
         options.command_line = shlex.join(["xihe", *typed])
-        with blender_output_aside() as (stdout, stderr):
+        with blender_output_aside() as (stdout, stderr), notes_on(stderr):
             code = options.run(options, stdout, stderr)
     except UserError as error:
         return _failed(str(error))

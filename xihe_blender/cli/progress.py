@@ -1,8 +1,10 @@
-"""Progress of a command on stderr, and the exit codes that all commands share."""
+"""Progress and notes of a command on stderr, and the exit codes that all commands share."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import logging
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from xihenet.formats import format_duration
@@ -43,3 +45,16 @@ def progress_line(stream: Any) -> Callable[[Progress, float], None]:
         print(f"\r\033[K{line}" if stream.isatty() else line, file=stream, end=end, flush=True)
 
     return show
+
+
+@contextlib.contextmanager
+def notes_on(stream: Any) -> Iterator[None]:
+    """Show on `stream` what is logged during the block, a line each; on a terminal in place of the line of progress."""
+    handler = logging.StreamHandler(stream)
+    handler.setFormatter(logging.Formatter(("\r\033[K" if stream.isatty() else "") + "xihe: note: %(message)s"))
+    logger = logging.getLogger("xihe_blender")
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)

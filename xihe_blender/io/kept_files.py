@@ -1,13 +1,13 @@
 """Kept pieces of a run: what an earlier part of it has left in its folder, or makes again where a file is damaged.
 
 A disk that was full, a copy that was cut short or a hand that edited leaves files that are there and say nothing. All
-that a run keeps can be made again, so none of them stops it: a line on stderr names the file, and its work is done
-once more.
+that a run keeps can be made again, so none of them stops it: a warning is logged that names the file, which the command
+line shows, and its work is done once more.
 """
 
 from __future__ import annotations
 
-import sys
+import logging
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
@@ -29,7 +29,7 @@ def read_kept(path: Path, read: Callable[[Path], Kept]) -> Kept | None:
     except FileNotFoundError:
         return None
     except DAMAGED:
-        print(f"xihe: note: {path} is damaged and is made again", file=sys.stderr)
+        logging.getLogger(__name__).warning("%s is damaged and is made again", path)
         return None
 
 

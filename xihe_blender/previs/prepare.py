@@ -129,7 +129,10 @@ class PreparedRun:
 def survey_run(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs) -> SceneSurvey:
     """The survey that an earlier part of this run has left in `outputs`, or a new one, which is not written there."""
     kept = kept_json(outputs.survey, SceneSurvey.from_json)
-    return survey_path(scene, plan) if kept is None or tuple(kept.frames) != tuple(plan.frames) else kept
+    if kept is not None and tuple(kept.frames) == tuple(plan.frames):
+        return kept
+    outputs.survey.unlink(missing_ok=True)
+    return survey_path(scene, plan)
 
 
 def prepare_run(
@@ -141,7 +144,8 @@ def prepare_run(
     estimator: Estimator,
 ) -> Generator[Progress, None, PreparedRun]:
     """A job: work out what an earlier part of this run has not left in `outputs`; `survey` is left there too."""
-    write_json(outputs.survey, survey.as_json())
+    if not outputs.survey.exists():
+        write_json(outputs.survey, survey.as_json())
     yield Progress(0, 1, "metering the exposure")
     exposure = _session_exposure(scene, plan, outputs, settings)
     effects = _effects(scene, survey, outputs, settings)

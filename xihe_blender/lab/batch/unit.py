@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import json
 import operator
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,6 +23,7 @@ import bpy
 import numpy as np
 
 from xihe_blender.compare.methods import Comparer, display, error_map, measure, open_comparer
+from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import RunOutputs, write_json, write_picture
 from xihe_blender.jobs import Job, Progress, run_blocking
 from xihe_blender.lab.batch.grid import BatchSettings
@@ -35,6 +35,7 @@ from xihe_blender.previs.prepare import PreparedRun, prepare_run, render_reuse, 
 from xihe_blender.previs.run_chain import WalkedPath, walk_path
 from xihe_blender.previs.settings import load_estimator
 from xihe_blender.scene.state import scene_kept
+from xihenet.json_files import read_json
 from xihenet.recording import load_frame
 from xihenet.records import ArrayF64
 
@@ -123,13 +124,14 @@ def compare_unit(runs: Sequence[PreparedRun], walks: Sequence[WalkedPath]) -> Ge
             lights = {str(index): _light(runs[index], walks[index], frame) for index in trials}
             source = sources.setdefault(_made_from(first, frame, lights), frame)
             file = first.outputs.compared(source)
-            if not file.exists():
+            content = kept_json(file, dict)
+            if content is None:
                 if comparer is None:
                     methods = [str(index) for index in range(len(runs))]
                     opened = open_comparer(first.scene, first.plan.objects, methods, first.comparison)
                     comparer = stack.enter_context(opened)
                 write_json(file, _compared(first, frame, lights, comparer, by_trial))
-            content = json.loads(file.read_text(encoding="utf-8"))
+                content = read_json(file)
             render_s += content["render_s"] if source == frame else 0.0
             for index in trials:
                 by_trial[index][frame] = content["metrics"][str(index)]

@@ -1,0 +1,161 @@
+"""Images as phones and depth cameras deliver them: colour in 8 bits, plane depth in 16, read by Pillow.
+
+A photo has fifty megapixels, a phone's plane depth fifty thousand, and a small file may hold far more than either. So
+the header decides whether anything is unpacked, and what is unpacked is taken by strips: in 8 bits a photo of 50
+megapixels is 200 MB, in the float64 that averages of linear light take it would be 1200. Not here: colour profiles.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xihenet.camera import encode_exposed
+from xihenet.colour import srgb_to_linear
+from xihenet.picture_size import MOST_PIXELS, MOST_POINTS, TooLarge, check_size, picked_pixels, same_field
+from xihenet.records import ArrayF32, ArrayF64, ArrayU8
+
+IMAGE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM")
+"""Those that take no more than ten bytes a pixel to read (a progressive JPEG); WebP takes sixteen."""
+
+START_OF_SCAN, MOST_SCANS = b"\xff\xda", 64
+"""Encoders make some ten; files of several pictures, as phones store them, have theirs together."""
+
+PIXELS_IN_STRIP, MOST_ROWS_IN_STRIP = 2**19, 128
+LINEAR_BY_BYTE = srgb_to_linear(np.arange(256) / 255).astype(np.float32)
+NONE_IN_16_BITS = 65535
+ORIENTATION_TAG = 0x0112
+
+
+def read_plane_depth(path: Path, depth_scale: float) -> tuple[ArrayF32, tuple[int, int]]:
+    """Plane depth (H, W) of a grey image of 16 or 32 bits, and the width and height of the whole image.
+
+    0 where there is none; thinned where there are more than MOST_POINTS. Raises as `_loaded`.
+    """
+
+    def check(image: Any) -> None:
+        if not image.mode.startswith("I"):
+            raise ValueError(f"{path}: expected a grey image of 16 bits, got pixels of mode {image.mode}")
+
+    image = _loaded(path, check)
+    rows, columns = picked_pixels(image.height, image.width, MOST_POINTS)
+    picked, top = [], 0
+    for strip in _strips(image):
+        start, end = np.searchsorted(rows, [top, top + len(strip)])
+        picked.append(strip[np.ix_(rows[start:end] - top, columns)].astype(np.float64))
+        top += len(strip)
+    units = np.concatenate(picked)
+    if image.mode != "I" or image.format == "PNG":  # Older versions of Pillow read 16 bits into 32.
+        units[units == NONE_IN_16_BITS] = 0
+    return (units * depth_scale).astype(np.float32), image.size
+
+
+def read_colour(path: Path, beside: Path, field: tuple[int, int], height: int, width: int) -> ArrayU8:
+    """(height, width, 3) sRGB of an image of the same field as `beside`, which has `field` (width, height) pixels.
+
+    Grey becomes equal channels, alpha is left out, and of 16 bits the upper 8 are taken. Raises as `_loaded`, and
+    ValueError for another ratio of width to height.
+    """
+
+    def check(image: Any) -> None:
+        if image.mode.startswith(("I", "F")):
+            raise ValueError(f"{path}: expected a colour image of 8 bits, got pixels of mode {image.mode}")
+        if not same_field(image.width, image.height, *field):
+            raise ValueError(
+                f"{path} has {image.width}x{image.height} pixels and {beside} {field[0]}x{field[1]}: "
+                "expected the same ratio of width to height, of one field of view"
+            )
+
+    image = _loaded(path, check)
+    if image.size == (width, height):
+        return np.asarray(image.convert("RGB"))
+    strips = (LINEAR_BY_BYTE[strip] for strip in _strips(image, "RGB"))
+    averaged = area_averaged(strips, image.height, height, width)
+    del image, strips  # 200 MB of 50 megapixels, before encoding takes as much
+    return encode_exposed(averaged, 1.0)
+
+
+def _strips(image: Any, mode: str | None = None) -> Iterator[NDArray[Any]]:
+    """Rows of a picture from top to bottom, some at a time, in another mode if one is given."""
+    n_rows = min(MOST_ROWS_IN_STRIP, max(1, PIXELS_IN_STRIP // image.width))
+    for top in range(0, image.height, n_rows):
+        strip = image.crop((0, top, image.width, min(top + n_rows, image.height)))
+        yield np.asarray(strip if mode is None else strip.convert(mode))
+
+
+def area_averaged(strips: Iterable[NDArray[Any]], n_rows: int, height: int, width: int) -> ArrayF64:
+    """An image (n_rows, W, 3), whose `strips` come from top to bottom, in another size.
+
+    (height, width, 3) float64; each new pixel is the mean over the area it covers, parts of pixels included. The mean
+    of the whole image stays what it was; larger sizes repeat pixels.
+    """
+    averaged, top = np.zeros((height, width, 3)), 0
+    edges = np.arange(height + 1) * n_rows / height
+    for strip in strips:
+        rows = np.arange(top, top + len(strip))
+        first = int(np.searchsorted(edges, top, "right")) - 1
+        end = int(np.searchsorted(edges, top + len(strip)))
+        covered = np.minimum(rows + 1, edges[first + 1 : end + 1, None]) - np.maximum(rows, edges[first:end, None])
+        shares = (np.maximum(covered, 0) * (height / n_rows)).astype(strip.dtype)
+        columns_first = np.tensordot(shares, strip, 1).swapaxes(0, 1)
+        averaged[first:end] += _averaged_rows(columns_first, width).swapaxes(0, 1)
+        top += len(strip)
+    return averaged
+
+
+def _averaged_rows(image: NDArray[Any], n_rows: int) -> ArrayF64:
+    """Means between evenly spaced edges: differences of the running sum, which is linear inside a row."""
+    edges = np.arange(n_rows + 1) * len(image) / n_rows
+    row = np.minimum(edges.astype(np.intp), len(image) - 1)
+    before = np.concatenate([np.zeros_like(image[:1], np.float64), np.cumsum(image, axis=0, dtype=np.float64)])
+    at_edges = before[row] + (edges - row)[:, None, None] * image[row]
+    averaged: ArrayF64 = np.diff(at_edges, axis=0) * (n_rows / len(image))
+    return averaged
+
+
+def _loaded(path: Path, check: Callable[[Any], None]) -> Any:
+    """The picture in memory, once `check` has seen its header.
+
+    OSError if the file cannot be opened; ImportError without Pillow; ValueError if it is no image, is cut short, has
+    too many pixels, or is stored turned.
+    """
+    try:
+        from PIL import Image
+    except ImportError as error:
+        raise ImportError("colour images are read by pillow: pip install 'xihe-blender[images]'") from error
+    with path.open("rb") as content:
+        with _image_errors(path), warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            image = Image.open(content, formats=IMAGE_FORMATS)
+        check_size(path, image.height, image.width)
+        check(image)
+        # Each scan of a progressive JPEG goes over all pixels, and an empty one takes ten bytes.
+        if image.format in ("JPEG", "MPO") and path.read_bytes().count(START_OF_SCAN) > MOST_SCANS:
+            raise ValueError(f"{path}: it has more than {MOST_SCANS} scans: save it as a plain JPEG")
+        with _image_errors(path):
+            image.load()
+            orientation = image.getexif().get(ORIENTATION_TAG, 1)
+    if orientation != 1:
+        raise ValueError(f"{path} is stored turned, as its EXIF orientation says: save it upright and without the mark")
+    return image
+
+
+@contextlib.contextmanager
+def _image_errors(path: Path) -> Iterator[None]:
+    """What Pillow says of a file that is no image, or of one with far more pixels than are read."""
+    from PIL import Image
+
+    try:
+        yield
+    except Image.DecompressionBombError:
+        most = f"{MOST_PIXELS // 10**6} megapixels"
+        raise TooLarge(f"{path}: it has too many pixels: save it with at most {most}") from None
+    except (OSError, SyntaxError, ValueError, EOFError) as error:
+        formats = ", ".join(IMAGE_FORMATS)
+        raise ValueError(f"{path}: expected an image ({formats}), and could not read it ({error})") from error
