@@ -15,7 +15,6 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import bpy
 
@@ -24,8 +23,8 @@ from xihe_blender.capture.scanner import meter_exposure, open_scanner
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import write_json
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.lab.frontier.choices import ComputeChoice
 from xihe_blender.lab.frontier.compute import ChoiceBackend, light_of_frame
+from xihe_blender.lab.frontier.records import ComputeChoice
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.plan import plan_previs
@@ -122,5 +121,4 @@ def format_calibration(calibration: Calibration) -> str:
 
 def save_calibration(path: Path, calibration: Calibration) -> None:
     """Remember it; OSError if the file cannot be written."""
-    content: dict[str, Any] = asdict(calibration) | {"said": format_calibration(calibration)}
-    write_json(path, content)
+    write_json(path, asdict(calibration) | {"said": format_calibration(calibration)})

@@ -11,18 +11,19 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.compare.methods import Comparer, Comparison, display, open_comparer
+from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.outputs import write_json
-from xihe_blender.lab.frontier.choices import ComputeChoice, RenderChoice
+from xihe_blender.lab.frontier.choices import RenderCandidate
 from xihe_blender.lab.frontier.compute import ChoiceBackend, light_of_frame
 from xihe_blender.lab.frontier.points import Measured
+from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice, RenderChoice
 from xihe_blender.lab.frontier.rendering import RenderStudy, View, rendered, use_threads
 from xihe_blender.lab.frontier.steps import Steps, within
 from xihe_blender.lab.frontier.timing import timed
@@ -40,23 +41,39 @@ LADDER = (2, 8, 64)
 class PictureChoice:
     """A capture, and samples per pixel of the pictures of the comparison."""
 
-    capture: RenderChoice
+    capture: RenderCandidate
     samples: int
 
     @property
     def label(self) -> str:
-        return f"capture {self.capture.label}; pictures {self.samples} samples"
+        return f"capture {self.capture.choice.label}; pictures {self.samples} samples"
 
     @property
     def key(self) -> str:
         return f"{self.capture.preset}: {self.label}"
 
 
+@dataclass(frozen=True)
+class PictureTaken:
+    """A choice at a view: its milliseconds, and the mean of both pictures' squared errors."""
+
+    ms: float
+    square_error: float
+
+
+@dataclass(frozen=True)
+class PicturesTaken:
+    """All choices at a view, by key, and by estimator the squared error of its picture."""
+
+    choices: dict[str, PictureTaken]
+    estimators: dict[str, float]
+
+
 def picture_choices(presets: Mapping[str, RenderChoice]) -> list[PictureChoice]:
     """The presets, and a ladder of samples for the pictures alone."""
-    own = [PictureChoice(choice, PRESETS[name].comparison_samples) for name, choice in presets.items()]
-    base = replace(presets["balanced"], preset=None)
-    return [*own, *(PictureChoice(base, n) for n in LADDER if n != PRESETS["balanced"].comparison_samples)]
+    own = [PictureChoice(RenderCandidate(one, name), PRESETS[name].comparison_samples) for name, one in presets.items()]
+    others = [n for n in LADDER if n != PRESETS["balanced"].comparison_samples]
+    return [*own, *(PictureChoice(RenderCandidate(presets["balanced"]), n) for n in others)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,29 +94,32 @@ class PictureStudy:
         return self.folder / f"pictures_{view.frame:04d}.json"
 
 
-def measure_pictures(study: PictureStudy, rng: np.random.Generator) -> Steps[tuple[list[Measured], dict[str, Any]]]:
+def measure_pictures(
+    study: PictureStudy, rng: np.random.Generator
+) -> Steps[tuple[list[Measured], dict[str, tuple[float, ...]]]]:
     """The choices, and by estimator the squared errors of its pictures at the views."""
-    rounds = []
+    rounds: list[PicturesTaken] = []
     for number, view in enumerate(study.views):
         if not study.kept(view).exists():
-            yield from within(number / len(study.views), 1 / len(study.views), _view_measured(study, view, rng))
-        rounds.append(json.loads(study.kept(view).read_text(encoding="utf-8")))
+            taken = yield from within(number / len(study.views), 1 / len(study.views), _view_measured(study, view, rng))
+            write_json(study.kept(view), as_json(taken))
+        rounds.append(from_json(PicturesTaken, json.loads(study.kept(view).read_text(encoding="utf-8"))))
     if not rounds:
         return [], {}
     measured = [
         Measured(
             choice.label,
-            choice.capture.as_json() | {"picture_samples": choice.samples},
-            {"picture": [taken["choices"][choice.key]["square_error"] for taken in rounds]},
-            [taken["choices"][choice.key]["ms"] for taken in rounds],
+            ChoiceSettings(rendering=choice.capture.choice, picture_samples=choice.samples),
+            {"picture": tuple(one.choices[choice.key].square_error for one in rounds)},
+            tuple(one.choices[choice.key].ms for one in rounds),
             choice.capture.preset,
         )
         for choice in study.choices
     ]
-    return measured, {by.label: [taken["estimators"][by.label] for taken in rounds] for by in METHODS}
+    return measured, {by.label: tuple(one.estimators[by.label] for one in rounds) for by in METHODS}
 
 
-def _view_measured(study: PictureStudy, view: View, rng: np.random.Generator) -> Steps[None]:
+def _view_measured(study: PictureStudy, view: View, rng: np.random.Generator) -> Steps[PicturesTaken]:
     renders = study.renders
     yield 0.0, f"comparing frame {view.frame} exhaustively"
     renders.scanner.move_to(view.frame)
@@ -109,7 +129,7 @@ def _view_measured(study: PictureStudy, view: View, rng: np.random.Generator) ->
     of_estimators = {
         by.label: _square_rmse(truth.methods[by.label], truth.ground_truth, truth.weights) for by in METHODS
     }
-    taken: dict[str, Any] = {}
+    taken: dict[str, PictureTaken] = {}
     base = METHODS[0].label
     with open_comparer(renders.scanner.scene, study.plan.objects, [base], study.settings) as comparer:
         _set_up(comparer, 1, renders.seed)
@@ -122,13 +142,13 @@ def _view_measured(study: PictureStudy, view: View, rng: np.random.Generator) ->
                 _square_rmse(made.methods[base], truth.methods[base], truth.weights),
                 _square_rmse(made.ground_truth, truth.ground_truth, truth.weights),
             ]
-            taken[choice.key] = {"ms": ms, "square_error": float(np.mean(squares))}
-    write_json(study.kept(view), {"choices": taken, "estimators": of_estimators})
+            taken[choice.key] = PictureTaken(ms, float(np.mean(squares)))
+    return PicturesTaken(taken, of_estimators)
 
 
 def _made(study: PictureStudy, choice: PictureChoice, comparer: Comparer) -> Comparison:
     """All that a run does for one frame: the capture, its light, both pictures."""
-    captured = rendered(study.renders.scanner, choice.capture, study.renders.seed)
+    captured = rendered(study.renders.scanner, choice.capture.choice, study.renders.seed)
     _set_up(comparer, choice.samples, study.renders.seed)
     base = METHODS[0]
     return comparer.render_comparison(captured, {base.label: _lights_of_objects(study, base, captured)})

@@ -12,17 +12,18 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import bpy
 import numpy as np
 
 from xihe_blender.capture.render import MAX_SEED
 from xihe_blender.capture.scanner import CyclesScanner
+from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.outputs import write_json
-from xihe_blender.lab.frontier.choices import EXHAUSTIVE, ComputeChoice, RenderChoice, StudySize
+from xihe_blender.lab.frontier.choices import EXHAUSTIVE, RenderCandidate
 from xihe_blender.lab.frontier.compute import ChoiceBackend, light_of_frame, square_errors
 from xihe_blender.lab.frontier.points import Measured
+from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice, RenderChoice, StudySize
 from xihe_blender.lab.frontier.steps import Steps, within
 from xihe_blender.lab.frontier.timing import timed
 from xihenet.recording import load_frame, save_frame
@@ -48,8 +49,7 @@ class RenderStudy:
     ----------
     scanner : of the scene, at the session's exposure
     views : where; at least one
-    choices : the ways to render
-    exhaustive : the one that all are held against
+    choices : the ways to render, and `exhaustive`, which all are held against
     study_size : see there
     seed : of the run
     folder : keeps what is rendered, so that a run that was stopped goes on
@@ -57,7 +57,7 @@ class RenderStudy:
 
     scanner: CyclesScanner
     views: Sequence[View]
-    choices: Sequence[RenderChoice]
+    choices: Sequence[RenderCandidate]
     exhaustive: RenderChoice
     study_size: StudySize
     seed: int
@@ -70,13 +70,25 @@ class RenderStudy:
         return self.folder / f"round_{view.frame:04d}_{seed}.json"
 
 
+@dataclass(frozen=True)
+class Taken:
+    """One render: its milliseconds, and by way to compute the light at each position, (25, 3)."""
+
+    ms: float
+    lights: dict[str, tuple[tuple[tuple[float, float, float], ...], ...]]
+
+
+Round = Mapping[str, Taken]
+"""Every choice once, by its key."""
+
+
 def measure_rendering(
     study: RenderStudy, computing_ms: Mapping[ComputeChoice, float], rng: np.random.Generator
 ) -> Steps[tuple[list[Measured], list[Measured]]]:
     """Ways to render alone, and together with ways to compute, whose milliseconds per frame are known."""
     backends = {choice: ChoiceBackend(choice) for choice in COMPUTED_BY}
     all_backends = {**backends, EXHAUSTIVE: ChoiceBackend(EXHAUSTIVE)}
-    rounds: list[dict[str, Any]] = []
+    rounds: list[Round] = []
     truths: list[dict[ComputeChoice, list[ArrayF64]]] = []
     n_parts = len(study.views) * (1 + study.study_size.n_seeds)
     for number, view in enumerate(study.views):
@@ -88,8 +100,9 @@ def measure_rendering(
             if not study.round(view, seed).exists():
                 taken = _render_round(study, view, seed, backends, rng)
                 content = yield from within((before + 1 + seed) / n_parts, 1 / n_parts, taken)
-                write_json(study.round(view, seed), content)
-            rounds.append(json.loads(study.round(view, seed).read_text(encoding="utf-8")))
+                write_json(study.round(view, seed), as_json(content))
+            kept = json.loads(study.round(view, seed).read_text(encoding="utf-8"))
+            rounds.append({key: from_json(Taken, one) for key, one in kept.items()})
     alone = [_measured(choice, COMPUTED_BY[0], rounds, truths) for choice in study.choices]
     together = [
         _measured(choice, by, rounds, truths, computing_ms[by]) for choice in study.choices for by in COMPUTED_BY
@@ -138,26 +151,21 @@ def use_threads(scene: bpy.types.Scene, n_threads: int) -> None:
 
 def _render_round(
     study: RenderStudy, view: View, seed: int, backends: Mapping[ComputeChoice, ChoiceBackend], rng: np.random.Generator
-) -> Steps[dict[str, Any]]:
-    """Every choice once, in random order: by label, its time and its light at every position by way to compute."""
-    scanner, taken = study.scanner, {}
+) -> Steps[Round]:
+    """Every choice once, by its key, in random order."""
+    scanner, taken = study.scanner, dict[str, Taken]()
     scanner.move_to(view.frame)
     rendered(scanner, RenderChoice((16, 16), 1, is_denoised=False), seed)
-    costs = np.array([choice.samples * choice.size[0] * choice.size[1] for choice in study.choices], float)
+    choices = [candidate.choice for candidate in study.choices]
+    costs = np.array([choice.samples * choice.size[0] * choice.size[1] for choice in choices], float)
     done = 0.0
-    for number in rng.permutation(len(study.choices)):
-        choice = study.choices[number]
-        yield done, f"rendering frame {view.frame}: {choice.label}"
-        frame, ms = timed(rendered, scanner, choice, (study.seed + seed) % MAX_SEED)
+    for number in rng.permutation(len(choices)):
+        yield done, f"rendering frame {view.frame}: {choices[number].label}"
+        frame, ms = timed(rendered, scanner, choices[number], (study.seed + seed) % MAX_SEED)
         lights = _lights(backends, frame, view, scanner.exposure)
-        taken[key(choice)] = {"ms": ms, "lights": {by.label: np.array(lights[by]).tolist() for by in COMPUTED_BY}}
+        taken[study.choices[number].key] = Taken(ms, {by.label: np.array(lights[by]).tolist() for by in COMPUTED_BY})
         done += costs[number] / costs.sum()
     return taken
-
-
-def key(choice: RenderChoice) -> str:
-    """What a choice is kept under: two presets may render alike on a scene, and are measured twice all the same."""
-    return choice.label if choice.preset is None else f"{choice.preset}: {choice.label}"
 
 
 def _lights(
@@ -170,17 +178,18 @@ def _lights(
 
 
 def _measured(
-    choice: RenderChoice,
+    candidate: RenderCandidate,
     by: ComputeChoice,
-    rounds: Sequence[Mapping[str, Any]],
+    rounds: Sequence[Round],
     truths: Sequence[Mapping[ComputeChoice, list[ArrayF64]]],
     computing_ms: float | None = None,
 ) -> Measured:
     """Together with computing, where its time is given; else alone, against the exhaustive render computed alike."""
-    against, settings = (by, {}) if computing_ms is None else (EXHAUSTIVE, by.as_json())
-    lights = [np.array(light) for taken in rounds for light in taken[key(choice)]["lights"][by.label]]
-    errors = square_errors(lights, [light for truth in truths for light in truth[against]])
-    times = [taken[key(choice)]["ms"] + (computing_ms or 0.0) for taken in rounds]
-    is_base = by == COMPUTED_BY[0]
-    words = choice.label if is_base else f"{choice.label}, {by.label}"
-    return Measured(words, choice.as_json() | settings, errors, times, choice.preset if is_base else None)
+    is_alone, is_base = computing_ms is None, by == COMPUTED_BY[0]
+    taken = [one[candidate.key] for one in rounds]
+    lights = [np.array(light) for one in taken for light in one.lights[by.label]]
+    errors = square_errors(lights, [light for truth in truths for light in truth[by if is_alone else EXHAUSTIVE]])
+    times_ms = tuple(one.ms + (computing_ms or 0.0) for one in taken)
+    words = candidate.choice.label if is_base else f"{candidate.choice.label}, {by.label}"
+    settings = ChoiceSettings(rendering=candidate.choice, computing=None if is_alone else by)
+    return Measured(words, settings, errors, times_ms, candidate.preset if is_base else None)

@@ -13,7 +13,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import bpy
 import numpy as np
@@ -23,22 +23,24 @@ from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.capture.scanner import CyclesScanner, meter_exposure, open_scanner
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import FolderManifest
-from xihe_blender.io.outputs import as_json, write_csv, write_json
+from xihe_blender.io.json_records import as_json, from_json
+from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.lab.frontier.answers import answers
-from xihe_blender.lab.frontier.choices import (
-    FULL,
-    QUICK,
-    ComputeChoice,
-    RenderChoice,
-    StudySize,
-    compute_choices,
-    render_choices,
-)
+from xihe_blender.lab.frontier.choices import FULL, QUICK, compute_choices, render_choices
 from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, ORDER, Walk, loaded, measure_compute
 from xihe_blender.lab.frontier.pictures import PictureStudy, measure_pictures, picture_choices
-from xihe_blender.lab.frontier.points import Measured, points_of
+from xihe_blender.lab.frontier.points import Measured, MeasuredScene, points_of
+from xihe_blender.lab.frontier.records import (
+    ComputeChoice,
+    Frontier,
+    FrontierPoint,
+    FrontierScene,
+    FrontierSettings,
+    RenderChoice,
+    StudySize,
+)
 from xihe_blender.lab.frontier.rendering import RenderStudy, View, measure_rendering
 from xihe_blender.lab.frontier.report import report_page
 from xihe_blender.lab.frontier.steps import Steps, part_of
@@ -56,7 +58,7 @@ from xihenet import __version__
 from xihenet.effects import Effect, effects_as_json, effects_from_json, plan_effects
 from xihenet.recording import load_frame, save_frame
 
-SCHEMA_VERSION = 1
+Result = TypeVar("Result")
 COLUMNS = (
     "scene", "front", "error_kind", "label", "preset", "error", "error_spread", "time_ms", "spread_ms",
     "on_front", "front_share", "instead", "settings",
@@ -69,34 +71,14 @@ SHARES = {"preparing": 0.10, "walking": 0.15, "computing": 0.15, "rendering": 0.
 """About how long each part takes, for the time left."""
 
 
-@dataclass(frozen=True)
-class FrontierSettings:
-    """What is measured.
-
-    Parameters
-    ----------
-    is_quick : fewer choices
-    seed : of everything that is random
-    size : of the largest frame; None takes that of a run
-    study_size : None takes QUICK or FULL
-    """
-
-    is_quick: bool = False
-    seed: int = 0
-    size: tuple[int, int] | None = None
-    study_size: StudySize | None = None
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.seed <= MAX_SEED:
-            raise UserError(f"a seed of {self.seed} is out of Cycles' range: give 0 to {MAX_SEED}")
-
-
-def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, command: str = "") -> Job[dict[str, Any]]:
+def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, command: str = "") -> Job[Frontier]:
     """Measure the .blend `files` one after the other and leave frontier.json, frontier.csv and report.html in `out`.
 
     Returns the content of frontier.json. UserError, before anything is measured, for a file that is none or a scene
-    that cannot be run, for two files of one name, and for a folder that holds something else.
+    that cannot be run, for two files of one name, for a folder that holds something else, and for a seed out of range.
     """
+    if not 0 <= settings.seed <= MAX_SEED:
+        raise UserError(f"a seed of {settings.seed} is out of Cycles' range: give 0 to {MAX_SEED}")
     names = [file.stem for file in files]
     twice = [name for name in names if names.count(name) > 1]
     if twice:
@@ -112,34 +94,23 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
             study_size = settings.study_size or (QUICK if settings.is_quick else FULL)
             surveyed = survey_scene(scene, settings.size)
             study = SceneStudy(scene, file.stem, *surveyed, path.parent, settings.is_quick, settings.seed, study_size)
-            write_json(path, (yield from measure_scene(study, float(number), float(len(files)))))
-        kept.append(json.loads(path.read_text(encoding="utf-8")))
-    content = assembled(names, kept, settings, command)
-    _write(out, content)
+            write_json(path, as_json((yield from measure_scene(study, float(number), float(len(files))))))
+        kept.append(from_json(MeasuredScene, json.loads(path.read_text(encoding="utf-8"))))
+    points = [p for name, one in zip(names, kept, strict=True) for p in points_of(name, one.fronts, settings.seed)]
+    found = Frontier(
+        software=software(command),
+        machine=machine(),
+        settings=settings,
+        scenes=tuple(one.scene for one in kept if one.scene is not None),
+        answers=tuple(answers(names, points)),
+        points=tuple(points),
+    )
+    # The report and the table first: frontier.json says that all is there.
+    write_document(out / "report.html", report_page(found))
+    write_csv(out / "frontier.csv", [_table_row(point) for point in points], COLUMNS)
+    write_json(out / "frontier.json", as_json(found))
     yield Progress(1, 1, "measured and written")
-    return content
-
-
-def assembled(
-    names: Sequence[str], kept: Sequence[dict[str, Any]], settings: FrontierSettings, command: str
-) -> dict[str, Any]:
-    """The content of frontier.json."""
-    points = []
-    for name, one in zip(names, kept, strict=True):
-        fronts = {front: [Measured(**choice) for choice in choices] for front, choices in one["fronts"].items()}
-        points += points_of(name, fronts, settings.seed)
-    return {
-        "schema_version": SCHEMA_VERSION,
-        "software": software(command),
-        "machine": machine(),
-        "settings": as_json(settings),
-        "scenes": [
-            {"name": name, **{key: value for key, value in one.items() if key != "fronts"}}
-            for name, one in zip(names, kept, strict=True)
-        ],
-        "answers": answers(names, points),
-        "points": points,
-    }
+    return found
 
 
 def _manifest(out: Path, files: Sequence[Path], settings: FrontierSettings) -> FolderManifest:
@@ -152,17 +123,11 @@ def _manifest(out: Path, files: Sequence[Path], settings: FrontierSettings) -> F
     return FolderManifest(out, out / "work" / "settings.json", "a frontier", provenance, (out / "frontier.json",))
 
 
-def _write(out: Path, content: dict[str, Any]) -> None:
-    """The report and the table first: frontier.json says that all is there."""
-    write_document(out / "report.html", report_page(content))
-    rows = []
-    for point in content["points"]:
-        # A line each; settings other than the kind of error as JSON in the last column.
-        settings = dict(point["settings"])
-        kind = settings.pop("error_kind")
-        rows.append({**point, "error_kind": kind, "settings": json.dumps(settings)})
-    write_csv(out / "frontier.csv", rows, COLUMNS)
-    write_json(out / "frontier.json", content)
+def _table_row(point: FrontierPoint) -> Mapping[str, object]:
+    """Settings other than the kind of error are JSON in the last column."""
+    settings = as_json(point.settings)
+    kind = settings.pop("error_kind")
+    return {**vars(point), "error_kind": kind, "settings": json.dumps(settings)}
 
 
 # ---------------------------------------------------------------------------------------------- of one scene
@@ -191,12 +156,12 @@ class Prepared:
     presets: Mapping[str, RenderChoice]
 
 
-def measure_scene(study: SceneStudy, done: float, whole: float) -> Job[dict[str, Any]]:
-    """All that was measured on a scene, as JSON: fronts [Measured], estimators that are missing, facts."""
+def measure_scene(study: SceneStudy, done: float, whole: float) -> Job[MeasuredScene]:
+    """All that was measured on a scene; of `whole` units of work, of which `done` are done before, it is one."""
     rng = np.random.default_rng(study.seed)
     study_size, size = study.study_size, study.plan.size
 
-    def share(name: str, steps: Steps[Any]) -> Job[Any]:
+    def share(name: str, steps: Steps[Result]) -> Job[Result]:
         nonlocal done
         result = yield from part_of(whole, done, SHARES[name], steps, study.name)
         done += SHARES[name]
@@ -227,25 +192,24 @@ def measure_scene(study: SceneStudy, done: float, whole: float) -> Job[dict[str,
             pictures = PictureStudy(renders, study.plan, comparison, picture_choices(prepared.presets), study.folder)
             pictured, estimators = yield from share("pictures", measure_pictures(pictures, rng))
     computed = [_with_pictures(one, estimators) for one in computed]
-    content = {
-        "fronts": {
-            "render": [one.as_json() for one in [*rendered, *pictured]],
-            "compute": [one.as_json() for one in computed],
-            "total": [one.as_json() for one in [*together, *_with_computing(pictured, computing_ms)]],
-        },
-        "missing_estimators": missing,
-        "exposure": prepared.exposure,
-        "size": list(size),
-        "n_walk_frames": len(walk.frames),
-        "n_places": walk.n_places,
-        "views": [view.frame for view in renders.views],
-        "presets": {name: choice.as_json() for name, choice in prepared.presets.items()},
-    }
+    scene = FrontierScene(
+        name=study.name,
+        missing_estimators=tuple(missing),
+        exposure=prepared.exposure,
+        size=size,
+        n_walk_frames=len(walk.frames),
+        n_places=walk.n_places,
+        views=tuple(view.frame for view in renders.views),
+        presets=dict(prepared.presets),
+    )
     yield Progress(done, whole, f"{study.name}: measured")
-    return content
+    total = (*together, *_with_computing(pictured, computing_ms))
+    return MeasuredScene(
+        fronts={"render": (*rendered, *pictured), "compute": tuple(computed), "total": total}, scene=scene
+    )
 
 
-def _with_pictures(one: Measured, estimators: Mapping[str, list[float]]) -> Measured:
+def _with_pictures(one: Measured, estimators: Mapping[str, tuple[float, ...]]) -> Measured:
     squares = estimators.get(one.label)
     if squares is None:
         return one
@@ -254,7 +218,7 @@ def _with_pictures(one: Measured, estimators: Mapping[str, list[float]]) -> Meas
 
 def _with_computing(pictured: list[Measured], computing_ms: Mapping[ComputeChoice, float]) -> list[Measured]:
     added = computing_ms[ComputeChoice()]
-    return [replace(one, times_ms=[ms + added for ms in one.times_ms]) for one in pictured]
+    return [replace(one, times_ms=tuple(ms + added for ms in one.times_ms)) for one in pictured]
 
 
 def prepare(study: SceneStudy) -> Steps[Prepared]:
@@ -272,7 +236,7 @@ def prepare(study: SceneStudy) -> Steps[Prepared]:
         write_json(path, {"exposure": exposure, "effects": effects_as_json(effects), "samples": samples})
     kept = json.loads(path.read_text(encoding="utf-8"))
     size = study.plan.size
-    presets = {name: RenderChoice(size, kept["samples"][name], preset=name) for name in PRESETS}
+    presets = {name: RenderChoice(size, kept["samples"][name]) for name in PRESETS}
     return Prepared(kept["exposure"], cycles_settings(effects_from_json(kept["effects"])), presets)
 
 
