@@ -6,13 +6,13 @@ a phone is judged on the pairs that have both.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
-from xihe_blender.report.values import finite, finite_only
+from xihe_blender.lab.batch.results import Trial, TrialFrame
 from xihenet.paired import PairedDifference, paired_difference
 
 NOT_FOR_SHIPPING = ("truth",)
@@ -21,7 +21,7 @@ NOT_FOR_SHIPPING = ("truth",)
 AS_GOOD = 0.05
 """An error larger by this share is as good, when it is asked how often the chain must run."""
 
-Trial = Mapping[str, Any]
+Row = TypeVar("Row")
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,10 @@ class Measure:
     title: str
     is_better_low: bool
     unit: str = ""
+
+    def of(self, one: Trial | TrialFrame) -> float | None:
+        value: float | None = getattr(one, self.key)
+        return value
 
 
 MEASURES = (
@@ -51,11 +55,12 @@ class Comparison:
 
 def values_of(trials: Sequence[Trial], measure: Measure, **which: str) -> list[float]:
     """The measure of every trial with these values, where it is known."""
-    return finite_only(trial.get(measure.key) for trial in chosen(trials, **which))
+    return [value for trial in chosen(trials, **which) if (value := measure.of(trial)) is not None]
 
 
-def chosen(trials: Sequence[Trial], **which: str) -> list[Trial]:
-    return [trial for trial in trials if all(trial[key] == value for key, value in which.items())]
+def chosen(rows: Sequence[Row], **which: str) -> list[Row]:
+    """Those with these values."""
+    return [row for row in rows if all(getattr(row, key) == value for key, value in which.items())]
 
 
 def ranked(trials: Sequence[Trial], measure: Measure, names: Sequence[str]) -> list[str]:
@@ -74,24 +79,24 @@ def shippable(trials: Sequence[Trial]) -> list[str]:
     return [name for name in names_of(trials, "estimator") if name not in NOT_FOR_SHIPPING]
 
 
-def names_of(trials: Sequence[Trial], key: str) -> list[str]:
+def names_of(rows: Sequence[object], key: str) -> list[str]:
     """The values of a column, each once, in order."""
-    return list(dict.fromkeys(trial[key] for trial in trials))
+    return list(dict.fromkeys(getattr(row, key) for row in rows))
 
 
 def compared(trials: Sequence[Trial], measure: Measure, key: str, first: str, second: str) -> Comparison | None:
     """`first` against `second`, two values of the column `key`, over all else that is the same; None without a pair."""
     same = [name for name in ("unit", "phone", "estimator") if name != key]
-    found = [
-        {tuple(trial[name] for name in same): trial for trial in chosen(trials, **{key: side})}
+    of_first, of_second = (
+        {tuple(getattr(trial, name) for name in same): trial for trial in chosen(trials, **{key: side})}
         for side in (first, second)
-    ]
+    )
     pairs = [
-        (a, b, trial["scene"])
-        for which, trial in found[0].items()
-        if which in found[1]
-        and (a := finite(trial.get(measure.key))) is not None
-        and (b := finite(found[1][which].get(measure.key))) is not None
+        (a, b, trial.scene)
+        for which, trial in of_first.items()
+        if which in of_second
+        and (a := measure.of(trial)) is not None
+        and (b := measure.of(of_second[which])) is not None
     ]
     if not pairs:
         return None
@@ -129,18 +134,16 @@ class TriggerPoint:
 
 def trigger_points(trials: Sequence[Trial], estimator: str) -> list[TriggerPoint]:
     """By rising threshold; empty for an estimator that no trigger matters to."""
-    known = [trial for trial in chosen(trials, estimator=estimator) if trial["thetas"]]
-    known = [trial for trial in known if all(finite(one["per_minute"]) is not None for one in trial["thetas"])]
-    if not known:
-        return []
-    eager = [trial["thetas"][0]["shc_rmse"] for trial in known]
-    scenes = [trial["scene"] for trial in known]
+    known = [trial for trial in chosen(trials, estimator=estimator) if trial.thetas]
+    known = [trial for trial in known if all(one.per_minute is not None for one in trial.thetas)]
+    eager = [trial.thetas[0].shc_rmse for trial in known]
+    scenes = [trial.scene for trial in known]
     points = []
-    for index, one in enumerate(known[0]["thetas"]):
-        errors = [trial["thetas"][index]["shc_rmse"] for trial in known]
-        per_minute = float(np.mean([trial["thetas"][index]["per_minute"] for trial in known]))
+    for index, same in enumerate(zip(*(trial.thetas for trial in known), strict=True)):
+        errors = [one.shc_rmse for one in same]
+        per_minute = float(np.mean([one.per_minute for one in same]))
         more = paired_difference(errors, eager, scenes, np.random.default_rng(0)) if index else None
-        points.append(TriggerPoint(one["factor"], one["theta"], per_minute, float(np.mean(errors)), more))
+        points.append(TriggerPoint(same[0].factor, same[0].theta, per_minute, float(np.mean(errors)), more))
     return points
 
 
@@ -164,12 +167,12 @@ def worst_cases(trials: Sequence[Trial], n: int) -> list[WorstCase]:
     """The `n` worst frames of estimators that could be shipped, one per scene and estimator, the worst first."""
     worst: dict[tuple[str, str], WorstCase] = {}
     for trial in trials:
-        frames = [frame for frame in trial["frames"] if finite(frame["psnr"]) is not None]
-        if not frames or trial["estimator"] in NOT_FOR_SHIPPING:
+        known = [(frame.psnr, frame.frame, frame.rmse) for frame in trial.frames if frame.psnr is not None]
+        if not known or trial.estimator in NOT_FOR_SHIPPING:
             continue
-        frame = min(frames, key=lambda frame: (frame["psnr"], frame["frame"]))
-        case = WorstCase(trial, frame["frame"], frame["psnr"], finite(frame["rmse"]))
-        which = trial["scene"], trial["estimator"]
+        psnr, number, rmse = min(known, key=lambda one: one[:2])
+        case = WorstCase(trial, number, psnr, rmse)
+        which = trial.scene, trial.estimator
         if which not in worst or case.psnr < worst[which].psnr:
             worst[which] = case
     return sorted(worst.values(), key=lambda case: case.psnr)[:n]
@@ -177,4 +180,5 @@ def worst_cases(trials: Sequence[Trial], n: int) -> list[WorstCase]:
 
 def frame_values(trials: Sequence[Trial], measure: Measure, estimator: str) -> list[float]:
     """The measure of every frame of an estimator's trials."""
-    return finite_only(frame[measure.key] for trial in chosen(trials, estimator=estimator) for frame in trial["frames"])
+    frames = [frame for trial in chosen(trials, estimator=estimator) for frame in trial.frames]
+    return [value for frame in frames if (value := measure.of(frame)) is not None]

@@ -12,7 +12,6 @@ from xihe_blender.lab.batch.analysis import (
     MEASURES,
     Comparison,
     Measure,
-    Trial,
     TriggerPoint,
     against_the_best,
     best_of,
@@ -24,6 +23,7 @@ from xihe_blender.lab.batch.analysis import (
     trigger_points,
     values_of,
 )
+from xihe_blender.lab.batch.results import Trial
 from xihe_blender.report.values import code, escape, mean
 from xihenet.formats import MINUS, format_count, format_list, format_number, format_percent, format_signed
 from xihenet.paired import CONFIDENCE, PairedDifference, held_at_most
@@ -118,7 +118,7 @@ def phone_differences(trials: Sequence[Trial], measure: Measure) -> list[Compari
     """Every phone against every earlier one, with the estimator that one would ship."""
     best = best_of(trials, MEASURES[0])
     phones = names_of(trials, "phone")
-    own = [trial for trial in trials if trial["estimator"] == best]
+    own = [trial for trial in trials if trial.estimator == best]
     pairs = [(first, second) for index, first in enumerate(phones) for second in phones[:index]]
     found = [compared(own, measure, "phone", first, second) for first, second in pairs]
     return [one for one in found if one is not None]

@@ -6,9 +6,8 @@ Made from results.json and the pictures of worst frames alone, never from Blende
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,6 @@ from xihe_blender.lab.batch.analysis import (
     MEASURES,
     Comparison,
     Measure,
-    Trial,
     TriggerPoint,
     WorstCase,
     against_the_best,
@@ -28,11 +26,13 @@ from xihe_blender.lab.batch.analysis import (
     values_of,
     worst_cases,
 )
-from xihe_blender.lab.batch.results import WORST_KINDS, BatchFolder, worst_picture
-from xihe_blender.lab.frontier.points import HOW_MANY_ANCHORS, LAST_TENTH, family
+from xihe_blender.lab.batch.results import WORST_KINDS, BatchFolder, BatchResults, Trial, UnitRow, worst_picture
+from xihe_blender.lab.frontier.answers import HOW_MANY_ANCHORS, LAST_TENTH
+from xihe_blender.lab.frontier.points import family
+from xihe_blender.lab.frontier.records import Frontier, FrontierPoint
 from xihe_blender.lab.frontier.report import LAB_STYLE
 from xihe_blender.report.document import block, document, png_url, table, write_document
-from xihe_blender.report.values import code, escape, finite, items, mapping, mean
+from xihe_blender.report.values import code, escape, mean
 from xihenet.formats import (
     MINUS,
     format_bytes,
@@ -47,30 +47,21 @@ N_WORST = 6
 _KIND_WORDS = {"ground_truth": "Ground truth", "estimate": "Under the estimated light", "error": "Error (black: none)"}
 _DOTS = "A dot is a trial: one scene with one seed and one phone. The box holds the middle half of them."
 
-Frontier = Mapping[str, Any]
-"""Content of a frontier.json."""
-
 WITHOUT_FRONTIER = (
     f"That takes measured times: run {code('xihe frontier SCENE.blend --out DIR')} and give its folder as "
     f"{code('--frontier DIR')} to the same command, or put its frontier.json into this folder."
 )
 
 
-def write_report(folder: BatchFolder, results: Mapping[str, Any], frontier: Mapping[str, Any] | None) -> None:
-    """Write the page, whole or not at all.
-
-    Parameters
-    ----------
-    results : as in results.json
-    frontier : content of a frontier.json, if there is one
-    """
+def write_report(folder: BatchFolder, results: BatchResults, frontier: Frontier | None) -> None:
+    """Write the page, whole or not at all."""
     write_document(folder.report, report_page(folder, results, frontier))
 
 
-def report_page(folder: BatchFolder, results: Mapping[str, Any], frontier: Mapping[str, Any] | None) -> str:
+def report_page(folder: BatchFolder, results: BatchResults, frontier: Frontier | None) -> str:
     """The page as text."""
-    trials = items(results, "trials")
-    sections = [("failed", "What could not be done", _failed(results))] if items(results, "failed") else []
+    trials = results.trials
+    sections = [("failed", "What could not be done", _failed(results))] if results.failed else []
     if trials:
         sections += [
             ("estimator", "Which estimator should I ship?", _estimators(trials)),
@@ -78,15 +69,15 @@ def report_page(folder: BatchFolder, results: Mapping[str, Any], frontier: Mappi
             ("often", "How often must it run?", _how_often(trials)),
             *_from_frontier(frontier),
             ("worst", "Worst cases", _worst(folder, trials)),
-            ("numbers", "Numbers", _numbers(trials) + _costs(results)),
+            ("numbers", "Numbers", _numbers(trials) + _costs(results.units)),
         ]
     lead = answers.what_it_stands_on(trials) if trials else "No trial could be done."
     opening = f'<p class="lead">{lead}</p>'
     return document("Batch evaluation", opening, sections, has_links=False, style=LAB_STYLE)
 
 
-def _failed(results: Mapping[str, Any]) -> str:
-    rows = "".join(f"<li>{code(one['what'])}: {escape(one['reason'])}</li>" for one in items(results, "failed"))
+def _failed(results: BatchResults) -> str:
+    rows = "".join(f"<li>{code(one.what)}: {escape(one.reason)}</li>" for one in results.failed)
     return f'<div class="block warning"><ul>{rows}</ul></div>'
 
 
@@ -107,14 +98,14 @@ def _estimators(trials: Sequence[Trial]) -> str:
 def _distribution(trials: Sequence[Trial], measure: Measure) -> str:
     rows = []
     for index, name in enumerate(names_of(trials, "estimator")):
-        known = [(finite(t.get(measure.key)), t) for t in chosen(trials, estimator=name)]
+        known = [(measure.of(trial), trial) for trial in chosen(trials, estimator=name)]
         rows.append((name, index, [(value, _hover(t, value)) for value, t in known if value is not None]))
     better = "Further left is better." if measure.is_better_low else "Further right is better."
     return drawings.strips(rows, title=measure.title, about=f"{_DOTS} {better}", axis_name=measure.unit or "no unit")
 
 
 def _hover(trial: Trial, value: float) -> str:
-    return f"{trial['scene']}, seed {trial['seed']}, {trial['phone']}: {format_number(value)}"
+    return f"{trial.scene}, seed {trial.seed}, {trial.phone}: {format_number(value)}"
 
 
 def _against_the_best(trials: Sequence[Trial], measure: Measure) -> str:
@@ -195,7 +186,7 @@ def _trigger_row(name: str, point: TriggerPoint) -> list[str]:
 # ------------------------------------------------------------------------------------------ of a frontier
 
 
-def _from_frontier(frontier: Mapping[str, Any] | None) -> list[tuple[str, str, str]]:
+def _from_frontier(frontier: Frontier | None) -> list[tuple[str, str, str]]:
     """Sections on what takes measured times; one for both where there are none."""
     if frontier is None:
         return [("anchors", f"{HOW_MANY_ANCHORS} {LAST_TENTH}", _answered(WITHOUT_FRONTIER))]
@@ -209,9 +200,9 @@ def _how_many_anchors(frontier: Frontier) -> tuple[str, str]:
     """The answer in words, and a plot with a dot for each number in it."""
     known = _points(frontier, "compute", "coefficients_truth")
     own = [point for scene in names_of(known, "scene") for point in family(chosen(known, scene=scene), ("n_anchors",))]
-    by_anchors = sorted(own, key=lambda point: point["settings"]["n_anchors"])
+    by_anchors = sorted(own, key=lambda point: point.computing.n_anchors)
     plot = _error_against_time(
-        [(f"{point['settings']['n_anchors']} anchors", point) for point in by_anchors],
+        [(f"{point.computing.n_anchors} anchors", point) for point in by_anchors],
         "Computing: error against time, by anchors",
         "against the rendered light probe, of choices that differ only in their anchors",
         is_joined=False,
@@ -223,7 +214,7 @@ def _last_tenth(frontier: Frontier) -> tuple[str, str]:
     """The answer in words, and a plot of each of the two fronts."""
     plots = ""
     for front, doing in (("render", "Rendering"), ("compute", "Computing")):
-        on_front = [(p["scene"], p) for p in _points(frontier, front, "coefficients") if p["on_front"]]
+        on_front = [(p.scene, p) for p in _points(frontier, front, "coefficients") if p.on_front]
         title = f"{doing}: what lies on the front, by scene"
         plots += _error_against_time(
             sorted(on_front, key=lambda named: named[0]), title, "against the exhaustive setting"
@@ -233,31 +224,24 @@ def _last_tenth(frontier: Frontier) -> tuple[str, str]:
 
 def _answer(frontier: Frontier, question: str) -> str:
     """What `xihe frontier` says to a question, scene by scene."""
-    found = [one for one in items(frontier, "answers") if isinstance(one, Mapping) and one.get("question") == question]
-    if not found:
-        return "The frontier that was given has no answer to that."
-    return " ".join(f"<b>{escape(one.get('scene', ''))}</b>: {escape(one.get('answer', ''))}" for one in found)
+    found = [one for one in frontier.answers if one.question == question]
+    words = " ".join(f"<b>{escape(one.scene)}</b>: {escape(one.answer)}" for one in found)
+    return words or "The frontier that was given has no answer to that."
 
 
-def _points(frontier: Frontier, front: str, error_kind: str) -> list[Mapping[str, Any]]:
-    """Points of `front` whose error of this kind, and time, are known."""
-    return [
-        point
-        for point in items(frontier, "points")
-        if point.get("front") == front and mapping(point, "settings").get("error_kind") == error_kind
-        if finite(point.get("error")) is not None and finite(point.get("time_ms")) is not None
-    ]
+def _points(frontier: Frontier, front: str, kind: str) -> list[FrontierPoint]:
+    return [point for point in frontier.points if (point.front, point.kind) == (front, kind)]
 
 
 def _error_against_time(
-    points: Sequence[tuple[str, Mapping[str, Any]]], title: str, about: str, *, is_joined: bool = True
+    points: Sequence[tuple[str, FrontierPoint]], title: str, about: str, *, is_joined: bool = True
 ) -> str:
     """Points, each with the name of its curve or cloud; `about` ends the sentence on their error."""
     clouds: dict[str, list[tuple[float, float, str]]] = {}
     for name, point in points:
-        error, time_ms = point["error"], point["time_ms"]
-        amounts = f"{format_percent(error, 3)} in {format_milliseconds(time_ms)}"
-        clouds.setdefault(name, []).append((time_ms, error, f"{point['scene']}, {point.get('label', '')}: {amounts}"))
+        amounts = f"{format_percent(point.error, 3)} in {format_milliseconds(point.time_ms)}"
+        words = f"{point.scene}, {point.label}: {amounts}"
+        clouds.setdefault(name, []).append((point.time_ms, point.error, words))
     return drawings.curves(
         [(name, index, sorted(cloud)) for index, (name, cloud) in enumerate(clouds.items())],
         title=title,
@@ -286,12 +270,12 @@ def _worst(folder: BatchFolder, trials: Sequence[Trial]) -> str:
 def _case(folder: BatchFolder, case: WorstCase) -> str:
     trial = case.trial
     figures = "".join(
-        f"<figure>{_picture(worst_picture(folder.path / 'units' / trial['unit'], trial['number'], kind))}"
+        f"<figure>{_picture(worst_picture(folder.path / 'units' / trial.unit, trial.number, kind))}"
         f"<figcaption><strong>{_KIND_WORDS[kind]}</strong></figcaption></figure>"
         for kind in WORST_KINDS
     )
-    where = f"{escape(trial['scene'])}, frame {case.frame}, {code(trial['estimator'])}, {escape(trial['phone'])}"
-    numbers = f"psnr {format_quantity(case.psnr, 'dB')}, rmse {format_number(case.rmse)}, seed {trial['seed']}"
+    where = f"{escape(trial.scene)}, frame {case.frame}, {code(trial.estimator)}, {escape(trial.phone)}"
+    numbers = f"psnr {format_quantity(case.psnr, 'dB')}, rmse {format_number(case.rmse)}, seed {trial.seed}"
     return f'<div><h3>{where}</h3><p class="quiet">{numbers}</p><div class="strip">{figures}</div></div>'
 
 
@@ -330,14 +314,13 @@ def _quantiles(trials: Sequence[Trial], measure: Measure) -> str:
     return block(f"{measure.title}, over all frames", table(header, rows, "stacking"))
 
 
-def _costs(results: Mapping[str, Any]) -> str:
-    units = items(results, "units")
+def _costs(units: Sequence[UnitRow]) -> str:
     rows = [
         (
-            f"{escape(unit['scene'])}, seed {unit['seed']}",
-            *(format_quantity(finite(unit[key]), "s") for key in ("elapsed_s", "processor_s", "render_s")),
-            format_quantity(finite(unit["peak_memory_mb"]), "MB"),
-            format_bytes(finite(unit["written_bytes"])),
+            f"{escape(unit.scene)}, seed {unit.seed}",
+            *(format_quantity(seconds, "s") for seconds in (unit.elapsed_s, unit.processor_s, unit.render_s)),
+            format_quantity(unit.peak_memory_mb, "MB"),
+            format_bytes(unit.written_bytes),
         )
         for unit in units
     ]

@@ -10,11 +10,11 @@ from __future__ import annotations
 import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from xihe_blender.io.run_results import METRICS, FrameResult
+from xihe_blender.io.run_results import METRICS, FrameResult, Metrics
+from xihe_blender.lab.batch.results import TrialFigures, TrialFrame, TriggerFigures
 from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.run_chain import WalkedPath
@@ -27,47 +27,41 @@ WITHOUT_ANCHORS = ("ambient", "truth")
 """Estimators that look at nothing the trigger watches."""
 
 
-def trial_record(
-    run: PreparedRun,
-    walked: WalkedPath,
-    compared: Mapping[int, Mapping[str, float | None]],
-    swept: Sequence[Mapping[str, Any]],
-) -> dict[str, Any]:
-    """One trial: its means, its frames, and what a more or less eager trigger would have done.
-
-    Means are over positions and frames, of image metrics over compared frames; None without any.
-    """
+def trial_figures(
+    run: PreparedRun, walked: WalkedPath, compared: Mapping[int, Metrics], swept: Sequence[TriggerFigures]
+) -> TrialFigures:
+    """One trial: its means, its frames, and what a more or less eager trigger would have done."""
     active = [entry for entry in walked.frames if entry.active]
     probes = [probe for entry in active for probe in entry.probes]
     n_fired = sum(probe.fired for probe in probes)
-    frames = [_frame_row(entry, compared.get(entry.frame, {})) for entry in active]
-    return {
-        "phone": run.settings.phone,
-        "estimator": run.settings.estimator,
-        "n_frames": len(walked.frames),
-        "n_active_frames": len(active),
-        "n_compared_frames": len(compared),
-        "n_estimates": n_fired,
-        "estimates_per_minute": estimates_per_minute(walked, n_fired),
-        "shc_rmse": mean(probe.shc_rmse for probe in probes),
-        "coverage": mean(probe.coverage for probe in probes),
-        **{metric: mean(row[metric] for row in frames) for metric in METRICS},
-        "payload_bytes": sum(probe.payload_bytes for probe in probes),
-        "frames": frames,
-        "thetas": list(swept),
-    }
+    not_compared = Metrics(**dict.fromkeys(METRICS))
+    frames = tuple(_trial_frame(entry, compared.get(entry.frame, not_compared)) for entry in active)
+    return TrialFigures(
+        phone=run.settings.phone,
+        estimator=run.settings.estimator,
+        n_frames=len(walked.frames),
+        n_active_frames=len(active),
+        n_compared_frames=len(compared),
+        n_estimates=n_fired,
+        estimates_per_minute=estimates_per_minute(walked, n_fired),
+        shc_rmse=mean(probe.shc_rmse for probe in probes),
+        coverage=mean(probe.coverage for probe in probes),
+        **{metric: mean(getattr(frame, metric) for frame in frames) for metric in METRICS},
+        payload_bytes=sum(probe.payload_bytes for probe in probes),
+        frames=frames,
+        thetas=tuple(swept),
+    )
 
 
-def _frame_row(entry: FrameResult, compared: Mapping[str, float | None]) -> dict[str, Any]:
-    probes = entry.probes
-    return {
-        "frame": entry.frame,
-        "time_s": entry.time_s,
-        "n_fired": sum(probe.fired for probe in probes),
-        "shc_rmse": mean(probe.shc_rmse for probe in probes),
-        "coverage": mean(probe.coverage for probe in probes),
-        **{metric: compared.get(metric) for metric in METRICS},
-    }
+def _trial_frame(entry: FrameResult, compared: Metrics) -> TrialFrame:
+    return TrialFrame(
+        frame=entry.frame,
+        time_s=entry.time_s,
+        n_fired=sum(probe.fired for probe in entry.probes),
+        shc_rmse=mean(probe.shc_rmse for probe in entry.probes),
+        coverage=mean(probe.coverage for probe in entry.probes),
+        **vars(compared),
+    )
 
 
 def estimates_per_minute(walked: WalkedPath, n_fired: int) -> float | None:
@@ -80,15 +74,19 @@ def estimates_per_minute(walked: WalkedPath, n_fired: int) -> float | None:
     return 60 * n_fired / (n_steps * step_s)
 
 
-def trigger_sweep(run: PreparedRun, walked: WalkedPath) -> list[dict[str, Any]]:
-    """[{factor, theta, coverage_theta, per_minute, shc_rmse}] of `run`, with the mean error over positions and frames.
+def trigger_sweep(run: PreparedRun, walked: WalkedPath) -> list[TriggerFigures]:
+    """Of each of FACTORS, with the mean error over positions and frames.
 
     Empty for estimators that do not look at the anchors, and for a path that sees no position.
     """
     active = [entry for entry in walked.frames if entry.active]
     if run.settings.estimator in WITHOUT_ANCHORS or not active:
         return []
-    sessions = [_session(run, walked, factor) for factor in FACTORS]
+    own = run.settings.trigger
+    triggers = [replace(own, theta=f * own.theta, coverage_theta=min(1.0, f * own.coverage_theta)) for f in FACTORS]
+    settings = [replace(run.settings, trigger=trigger) for trigger in triggers]
+    link = walked.phone.link_in_use
+    sessions = [PhoneSession(run.plan, one, run.exposure, run.estimator, link) for one in settings]
     errors: list[list[float]] = [[] for _ in FACTORS]
     n_fired = [0] * len(FACTORS)
     for entry in active:
@@ -98,21 +96,13 @@ def trigger_sweep(run: PreparedRun, walked: WalkedPath) -> list[dict[str, Any]]:
             step = session.step(seen, truth, list(truth))
             n_fired[index] += sum(report.decision.fire for report in step.reports.values())
             errors[index] += [shc_rmse(session.light(name, seen.time_s), light) for name, light in truth.items()]
-    trigger = run.settings.trigger
     return [
-        {
-            "factor": factor,
-            "theta": factor * trigger.theta,
-            "coverage_theta": min(1.0, factor * trigger.coverage_theta),
-            "per_minute": estimates_per_minute(walked, fired),
-            "shc_rmse": statistics.fmean(of_one),
-        }
-        for factor, fired, of_one in zip(FACTORS, n_fired, errors, strict=True)
+        TriggerFigures(
+            factor=factor,
+            theta=trigger.theta,
+            coverage_theta=trigger.coverage_theta,
+            per_minute=estimates_per_minute(walked, fired),
+            shc_rmse=statistics.fmean(of_one),
+        )
+        for factor, trigger, fired, of_one in zip(FACTORS, triggers, n_fired, errors, strict=True)
     ]
-
-
-def _session(run: PreparedRun, walked: WalkedPath, factor: float) -> PhoneSession:
-    trigger = run.settings.trigger
-    scaled = replace(trigger, theta=factor * trigger.theta, coverage_theta=min(1.0, factor * trigger.coverage_theta))
-    settings = replace(run.settings, trigger=scaled)
-    return PhoneSession(run.plan, settings, run.exposure, run.estimator, walked.phone.link_in_use)

@@ -24,11 +24,13 @@ import bpy
 import numpy as np
 
 from xihe_blender.compare.methods import Comparer, display, error_map, measure, open_comparer
+from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.outputs import RunOutputs, write_json, write_picture
+from xihe_blender.io.run_results import Metrics
 from xihe_blender.jobs import Job, Progress, run_blocking
 from xihe_blender.lab.batch.grid import BatchSettings
-from xihe_blender.lab.batch.results import WORST_KINDS, worst_frame, worst_picture
-from xihe_blender.lab.batch.trials import trial_record, trigger_sweep
+from xihe_blender.lab.batch.results import WORST_KINDS, TrialFigures, worst_frame, worst_picture
+from xihe_blender.lab.batch.trials import trial_figures, trigger_sweep
 from xihe_blender.previs.compare_path import compared_frames
 from xihe_blender.previs.path_renders import open_path_renders
 from xihe_blender.previs.plan import plan_previs
@@ -43,17 +45,27 @@ Light = Mapping[str, ArrayF64]
 """(9, 3) coefficients by virtual object."""
 
 
-def evaluate_unit(scene: bpy.types.Scene, file: Path, folder: Path, settings: BatchSettings, seed: int) -> Job[Any]:
-    """Run all trials of `scene` with `seed`, on renders that are kept in `folder`.
+@dataclass(frozen=True)
+class UnitDone:
+    """What came of a unit: by trial its figures and the chain's mean time, and the seconds that all renders took."""
 
-    Returns
-    -------
-    {"trials": one record each (see `trials`), "step_ms": the chain's mean time by trial, "render_s": of everything}
+    trials: tuple[TrialFigures, ...]
+    step_ms: tuple[float | None, ...]
+    render_s: float
 
-    Raises
-    ------
-    UserError for a scene that cannot be run
-    """
+
+@dataclass(frozen=True)
+class ComparedTrials:
+    """The pictures of a frame: metrics by the number of the trial, and the seconds that rendering all of them took."""
+
+    metrics: dict[str, Metrics]
+    render_s: float
+
+
+def evaluate_unit(
+    scene: bpy.types.Scene, file: Path, folder: Path, settings: BatchSettings, seed: int
+) -> Job[UnitDone]:
+    """Run all trials of `scene` with `seed`, on renders that are kept in `folder`; UserError where it cannot be run."""
     scene.render.threads_mode, scene.render.threads = "FIXED", 1
     outputs = RunOutputs(folder, file.stem)
     trials = settings.trials()
@@ -69,18 +81,14 @@ def evaluate_unit(scene: bpy.types.Scene, file: Path, folder: Path, settings: Ba
         walks = []
         for index, run in enumerate(runs):
             walks.append(run_blocking(walk_path(run)))
-            yield _progress(run, len(plan.frames), f"trial {index + 1} of {len(runs)} has walked")
+            yield Progress(len(plan.frames), run.total, f"trial {index + 1} of {len(runs)} has walked")
         swept = [trigger_sweep(run, walked) for run, walked in zip(runs, walks, strict=True)]
-        compared = yield from compare_unit(runs, walks)
-    records = [
-        trial_record(run, walked, of_trial, of_sweep)
-        for run, walked, of_trial, of_sweep in zip(runs, walks, compared.by_trial, swept, strict=True)
-    ]
-    return {
-        "trials": records,
-        "step_ms": [_mean_step_ms(walked) for walked in walks],
-        "render_s": sum(entry.render_s for entry in walks[0].frames) + compared.render_s,
-    }
+        by_trial, compared_s = yield from compare_unit(runs, walks)
+    return UnitDone(
+        tuple(map(trial_figures, runs, walks, by_trial, swept)),
+        tuple(map(_mean_step_ms, walks)),
+        sum(entry.render_s for entry in walks[0].frames) + compared_s,
+    )
 
 
 def _capture_all(runs: Sequence[PreparedRun]) -> Generator[Progress, None, None]:
@@ -90,12 +98,8 @@ def _capture_all(runs: Sequence[PreparedRun]) -> Generator[Progress, None, None]
     shared = replace(first, needs=needs, reuse=render_reuse(first.survey, first.effects, needs))
     with open_path_renders(shared) as renders:
         for done, frame in enumerate(shared.plan.frames):
-            yield _progress(shared, done, f"capturing frame {frame}")
+            yield Progress(done, shared.total, f"capturing frame {frame}")
             renders.at(frame)
-
-
-def _progress(run: PreparedRun, done: float, doing: str) -> Progress:
-    return Progress(done, run.total, doing)
 
 
 def _mean_step_ms(walked: WalkedPath) -> float | None:
@@ -106,21 +110,15 @@ def _mean_step_ms(walked: WalkedPath) -> float | None:
 # ---------------------------------------------------------------------------------------------- comparison
 
 
-@dataclass(frozen=True, eq=False)
-class ComparedUnit:
-    """The metrics of each trial by frame, and the seconds that rendering all of them took."""
-
-    by_trial: list[dict[int, dict[str, float | None]]]
-    render_s: float
-
-
-def compare_unit(runs: Sequence[PreparedRun], walks: Sequence[WalkedPath]) -> Generator[Progress, None, ComparedUnit]:
-    """A job: every trial against the truth, at the frames that `xihe previs` would compare."""
+def compare_unit(
+    runs: Sequence[PreparedRun], walks: Sequence[WalkedPath]
+) -> Job[tuple[list[dict[int, Metrics]], float]]:
+    """Every trial against the truth, at the frames that `xihe previs` would compare: metrics by frame, and seconds."""
     first = runs[0]
     step = first.settings.preset_values.comparison_step
     wanted = [compared_frames([frame.frame for frame in walked.frames if frame.active], step) for walked in walks]
     frames = sorted(frozenset[int]().union(*wanted))
-    by_trial: list[dict[int, dict[str, float | None]]] = [{} for _ in runs]
+    by_trial: list[dict[int, Metrics]] = [{} for _ in runs]
     render_s, n_frames = 0.0, len(first.plan.frames)
     sources: dict[tuple[Any, ...], int] = {}
     with contextlib.ExitStack() as stack:
@@ -130,7 +128,7 @@ def compare_unit(runs: Sequence[PreparedRun], walks: Sequence[WalkedPath]) -> Ge
                 n_frames + 3 * done, max(first.total, n_frames + 3 * len(frames)), f"comparing frame {frame}"
             )
             trials = [index for index, of_trial in enumerate(wanted) if frame in of_trial]
-            lights = {str(index): _light(runs[index], walks[index], frame) for index in trials}
+            lights = {str(k): walks[k].lights[frame][runs[k].settings.estimator] for k in trials}
             source = sources.setdefault(_made_from(first, frame, lights), frame)
             file = first.outputs.compared(source)
             if not file.exists():
@@ -138,17 +136,12 @@ def compare_unit(runs: Sequence[PreparedRun], walks: Sequence[WalkedPath]) -> Ge
                     methods = [str(index) for index in range(len(runs))]
                     opened = open_comparer(first.scene, first.plan.objects, methods, first.comparison)
                     comparer = stack.enter_context(opened)
-                write_json(file, _compared(first, frame, lights, comparer, by_trial))
-            content = json.loads(file.read_text(encoding="utf-8"))
-            render_s += content["render_s"] if source == frame else 0.0
+                write_json(file, as_json(_compared(first, frame, lights, comparer, by_trial)))
+            content = from_json(ComparedTrials, json.loads(file.read_text(encoding="utf-8")))
+            render_s += content.render_s if source == frame else 0.0
             for index in trials:
-                by_trial[index][frame] = content["metrics"][str(index)]
-    return ComparedUnit(by_trial, render_s)
-
-
-def _light(run: PreparedRun, walked: WalkedPath, frame: int) -> Light:
-    """What the objects are lit by in a trial."""
-    return walked.lights[frame][run.settings.estimator]
+                by_trial[index][frame] = content.metrics[str(index)]
+    return by_trial, render_s
 
 
 def _made_from(run: PreparedRun, frame: int, lights: Mapping[str, Light]) -> tuple[Any, ...]:
@@ -164,8 +157,8 @@ def _compared(
     frame: int,
     lights: Mapping[str, Light],
     comparer: Comparer,
-    so_far: Sequence[Mapping[int, Mapping[str, float | None]]],
-) -> dict[str, Any]:
+    so_far: Sequence[Mapping[int, Metrics]],
+) -> ComparedTrials:
     """Metrics of each trial at `frame`; pictures are written of those that are worse than `so_far`."""
     dark = {item.name: np.zeros((9, 3)) for item in run.plan.objects}
     of_all = {method: lights.get(method, dark) for method, _ in comparer.worlds}
@@ -173,7 +166,7 @@ def _compared(
     metrics = {}
     for trial in lights:
         picture = compared.methods[trial]
-        metrics[trial] = measure(picture, compared.ground_truth, compared.weights)
+        metrics[trial] = Metrics(**measure(picture, compared.ground_truth, compared.weights))
         if worst_frame({**so_far[int(trial)], frame: metrics[trial]}) == frame:
             shown = (
                 display(compared.ground_truth),
@@ -182,4 +175,4 @@ def _compared(
             )
             for kind, pixels in zip(WORST_KINDS, shown, strict=True):
                 write_picture(worst_picture(run.outputs.folder, int(trial), kind), pixels)
-    return {"metrics": metrics, "render_s": compared.render_s}
+    return ComparedTrials(metrics, compared.render_s)
