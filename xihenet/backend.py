@@ -116,4 +116,3 @@ def estimate_light(
         else:
             reason = "estimate_not_finite"
     return LightEstimate(sh_radiance, exposure, coverage(cloud), backend.name, not reason, expected_error, reason)
-

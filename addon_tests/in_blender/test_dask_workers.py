@@ -8,7 +8,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.rooms.build import BuildSettings, build_dataset
 from xihe_blender.lab.rooms.store import room_path
-from xihe_blender.lab.workers.dask_workers import dashboard, open_dask_workers
+from xihe_blender.lab.workers.dask_workers import Work, dashboard, open_dask_workers
 
 pytestmark = pytest.mark.wheel_only("a whole Blender's Python has no Dask")
 
@@ -39,7 +39,7 @@ def scripts(tmp_path, monkeypatch):
 
 
 def asked(name, *arguments):
-    return {"name": f"{name} {arguments}", "module": name, "arguments": list(arguments), "told": None}
+    return Work(f"{name} {arguments}", name, arguments)
 
 
 def run(scheduler, *work):

@@ -6,8 +6,12 @@ import socket
 
 import bpy
 import pytest
+from jsonschema import Draft202012Validator
 from tiny_scenes import room_with_a_virtual_sphere
 from xihe_process import xihe
+
+from xihe_blender.io.json_records import from_json
+from xihe_blender.lab.batch.results import BatchResults, batch_schema
 
 pytestmark = [pytest.mark.slow, pytest.mark.wheel_only("a whole Blender's Python has no Dask")]
 
@@ -40,11 +44,13 @@ def test_a_broken_scene_is_named_and_stops_no_other(done):
     assert told.returncode == 1, told.stderr
     complaints = [line for line in told.stderr.splitlines() if line.startswith("xihe: ")]
     assert len(complaints) == 2 and "none.blend" in complaints[0] and "camera" in complaints[1]
-    results = json.loads((out / "results.json").read_text())
-    assert [(t["scene"], t["estimator"]) for t in results["trials"]] == [
+    content = json.loads((out / "results.json").read_text())
+    Draft202012Validator(batch_schema()).validate(content)
+    results = from_json(BatchResults, content)
+    assert [(t.scene, t.estimator) for t in results.trials] == [
         (scene, name) for scene in ("good", "as_good") for name in ("projection", "ambient")
     ]
-    assert len(results["failed"]) == 2 and (out / "report.html").read_text().count("<svg") > 0
+    assert len(results.failed) == 2 and (out / "report.html").read_text().count("<svg") > 0
 
 
 def test_one_worker_comes_to_the_same_bytes(done, scenes, tmp_path):

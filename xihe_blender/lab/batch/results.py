@@ -65,7 +65,8 @@ class TriggerFigures:
 
     Parameters
     ----------
-    factor : of both thresholds, `theta` and `coverage_theta`
+    factor : of both thresholds
+    theta, coverage_theta : which then are these
     per_minute : estimates for a position in view
     shc_rmse : mean error
     """
@@ -148,7 +149,12 @@ class UnitResult:
 
 @dataclass(frozen=True, kw_only=True)
 class UnitName:
-    """Which unit it is: its folder, the name of its scene, and its seed."""
+    """Which unit it is.
+
+    Parameters
+    ----------
+    unit, scene, seed : its folder, the name of its scene, and its seed
+    """
 
     unit: str
     scene: str
@@ -157,11 +163,10 @@ class UnitName:
 
 @dataclass(frozen=True, kw_only=True)
 class Trial(TrialFigures, UnitName):
-    """A trial, with its place in the batch; the rest as in TrialFigures.
+    """A trial, with its place in the batch.
 
     Parameters
     ----------
-    unit, scene, seed : its folder, the name of its scene, and its seed
     number : within the unit, which names its pictures
     """
 
@@ -170,11 +175,10 @@ class Trial(TrialFigures, UnitName):
 
 @dataclass(frozen=True, kw_only=True)
 class UnitRow(UnitCost, UnitName):
-    """A unit that is done; the rest as in UnitCost.
+    """A unit that is done.
 
     Parameters
     ----------
-    unit, scene, seed : its folder, the name of its scene, and its seed
     render_s : of everything
     step_ms : the chain's mean time by trial
     """

@@ -179,7 +179,6 @@ class PointSettings(ChoiceSettings):
 
     Parameters
     ----------
-    picture_samples, estimates, steps : as of its choice
     error_kind : what the error is of; "_truth" at its end: against the truth, else against the exhaustive setting
     """
 
