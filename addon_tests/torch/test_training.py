@@ -28,9 +28,8 @@ from xihenet.training.dataset import (
     open_split,
     rotation_about_vertical,
 )
-from xihenet.training.export import export_network
 from xihenet.training.loop import TrainSettings, hide_caps, rows_of_first_rooms, train, training_loss
-from xihenet.training.networks import Batch, load_network, run_network
+from xihenet.training.networks import Batch, export_network, load_network, run_network
 from xihenet.training.rooms import pairs_that_count, read_room, split_of
 
 N = 96

@@ -8,7 +8,6 @@ xihe train cache | report | export ...               the single steps
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -16,11 +15,10 @@ from pathlib import Path
 from typing import NoReturn
 
 from xihenet.training.dataset import CacheSettings, build_cache
-from xihenet.training.export import export_network
 from xihenet.training.loop import TrainSettings, train
-from xihenet.training.networks import SAMPLING_OF
+from xihenet.training.networks import SAMPLING_OF, export_network
 from xihenet.training.plots import report_plots
-from xihenet.training.report import ReportSettings, make_report
+from xihenet.training.report import ReportSettings, make_report, report_json
 from xihenet.training.report_parts import calibrate_network
 from xihenet.training.report_text import report_markdown
 
@@ -188,7 +186,7 @@ def _add_report_options(parser: argparse.ArgumentParser) -> None:
 def _run_report(options: argparse.Namespace) -> None:
     """Make the report and write it where the options say. ValueError for a user's mistake."""
     report = make_report(_report_settings(options), _say)
-    figures = json.dumps(report, indent=1, allow_nan=False) + "\n"
+    figures = report_json(report)
     is_alone = options.json == Path("-")
     if is_alone:
         sys.stdout.write(figures)

@@ -11,17 +11,15 @@ and one through a test room is not to be looked at while developing. Scenes of o
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from xihenet.records import ArrayF64, ArrayInt
-from xihenet.training.dataset import CloudSet, open_split
+from xihenet.training.dataset import CloudSet, open_split, read_cache
 from xihenet.training.rooms import Split, split_of
 
 Views = Literal["one", "merged"]
@@ -35,7 +33,7 @@ class Group:
     ----------
     name : of the table
     main : key of the clouds that baselines see and that coverage is counted on, sampled on the sphere
-    clouds : by key, see `cache_key`; all of the same cases in the same order
+    clouds : by sampling and number of anchors, such as "sphere_1280"; all of the same cases in the same order
     """
 
     name: str
@@ -53,22 +51,6 @@ class Group:
         return coverage_of(self.cases)
 
 
-def cache_settings(folder: Path) -> dict[str, Any]:
-    """What a folder of sampled clouds says of itself; ValueError naming it if it is none."""
-    try:
-        found = json.loads((folder / "settings.json").read_text())
-        return {**found, "key": f"{found['sampling']}_{found['n_anchors']}"}
-    except (OSError, ValueError, KeyError, TypeError):
-        raise ValueError(
-            f"{folder}: expected sampled clouds, got none; make them with `python -m xihenet.training cache`"
-        ) from None
-
-
-def cache_key(folder: Path) -> str:
-    """Sampling and number of anchors of a folder, such as "sphere_1280"."""
-    return str(cache_settings(folder)["key"])
-
-
 def open_group(
     name: str, folders: Sequence[Path], split: Split, views: Views, *, is_of_strangers: bool = False
 ) -> Group:
@@ -78,13 +60,12 @@ def open_group(
     """
     clouds: dict[str, CloudSet] = {}
     for folder in folders:
-        found = cache_settings(folder)
-        opened = open_split(folder, "test" if found.get("is_test_only") else split)
+        cache = read_cache(folder)
+        opened = open_split(folder, "test" if cache.is_test_only else split)
         counts = np.asarray(opened.n_views) > 1 if views == "merged" else np.asarray(opened.n_views) == 1
-        if found.get("is_test_only") and not is_of_strangers:
-            members = {number for seed, number in found.get("rooms", ()) if split_of((seed, number)) == split}
-            counts &= np.isin(opened.room, list(members))
-        clouds[found["key"]] = rows_of(opened, np.flatnonzero(counts))
+        if cache.is_test_only and not is_of_strangers:
+            counts &= np.isin(opened.room, [room[1] for room in cache.rooms if split_of(room) == split])
+        clouds[f"{cache.sampling}_{cache.n_anchors}"] = _rows_of(opened, np.flatnonzero(counts))
     main = next((key for key in clouds if key.startswith("sphere")), None)
     if main is None:
         raise ValueError(
@@ -98,7 +79,7 @@ def open_group(
 
 def main_folder(folders: Sequence[Path]) -> Path:
     """The first folder that is sampled on the sphere: what baselines are fitted to and see. ValueError without one."""
-    found = next((folder for folder in folders if cache_settings(folder)["sampling"] == "sphere"), None)
+    found = next((folder for folder in folders if read_cache(folder).sampling == "sphere"), None)
     if found is None:
         raise ValueError(f"expected a folder of clouds sampled on the sphere, got {', '.join(map(str, folders))}")
     return found
@@ -110,24 +91,22 @@ def training_clouds(folder: Path) -> CloudSet:
     Networks see changed copies of each pair as well. A linear fit gains nothing from these, and the mean light of the
     rooms is that of the rooms as they are.
     """
-    found, clouds = cache_settings(folder), open_split(folder, "train")
-    n_copies = int(found.get("changes_per_pair", found.get("turns_per_pair", 1)))
+    n_copies, clouds = read_cache(folder).changes_per_pair, open_split(folder, "train")
     room, is_merged = np.asarray(clouds.room), np.asarray(clouds.n_views) > 1
     # Pairs come first in each room, a block of copies each, the first of which is as it is.
     _, first, member = np.unique(room, return_index=True, return_inverse=True)
     index = np.arange(len(room)) - first[member]
     n_merged_before: ArrayInt = np.cumsum(is_merged)
     is_as_it_is = (index % n_copies == 0) & (n_merged_before == n_merged_before[first][member]) & ~is_merged
-    return rows_of(clouds, np.flatnonzero(is_as_it_is | is_merged))
+    return _rows_of(clouds, np.flatnonzero(is_as_it_is | is_merged))
 
 
-def rows_of(clouds: CloudSet, rows: ArrayInt) -> CloudSet:
+def _rows_of(clouds: CloudSet, rows: ArrayInt) -> CloudSet:
     """Some clouds, read into memory."""
     return CloudSet(**{part.name: np.asarray(getattr(clouds, part.name)[rows]) for part in fields(CloudSet)})
 
 
 def coverage_of(clouds: CloudSet) -> ArrayF64:
     """(M,) share of the anchors that are set."""
-    is_set: NDArray[np.bool_] = clouds.is_set
-    share: ArrayF64 = is_set.mean(axis=1) if len(is_set) else np.zeros(0)
+    share: ArrayF64 = clouds.is_set.mean(axis=1) if len(clouds) else np.zeros(0)
     return share

@@ -16,13 +16,13 @@ from __future__ import annotations
 import copy
 import csv
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from xihenet.estimators.base import Target
@@ -86,7 +86,7 @@ class TrainSettings:
     huber_delta: float = 1.0
     hidden_share: float = 0.3
     n_rooms: int | None = None
-    options: dict[str, Any] = field(default_factory=dict)
+    options: Mapping[str, object] = field(default_factory=dict)
     device: str = "cpu"
 
     def __post_init__(self) -> None:
@@ -95,10 +95,9 @@ class TrainSettings:
         if min(self.epochs, self.batch_size, self.patience) < 1 or not 0 <= self.ema < 1:
             raise ValueError("training: expected at least one epoch, cloud and epoch of patience, and 0 <= ema < 1")
 
-    def decisive(self) -> dict[str, Any]:
+    def decisive(self) -> dict[str, str]:
         """What must be the same for a stopped training to be taken up."""
-        kept = asdict(self)
-        return {name: str(value) for name, value in kept.items() if name not in ("out", "cache", "device")}
+        return {name: str(value) for name, value in asdict(self).items() if name not in ("out", "cache", "device")}
 
 
 @dataclass(eq=False)
@@ -179,10 +178,11 @@ def training_loss(light: Tensor, expected_error: Tensor | None, truth: Tensor, s
     return loss
 
 
-def _irradiance_matrix() -> Any:
-    """(N_NORMALS, 9) float32: irradiance / pi, what a white Lambert surface shows."""
+def _irradiance_matrix() -> NDArray[np.float32]:
+    """(N_NORMALS, 9): irradiance / pi, what a white Lambert surface shows."""
     lobe = np.repeat(cosine_lobe(2), [1, 3, 5]) / np.pi
-    return (basis(AnchorLattice(N_NORMALS).directions) * lobe).astype(np.float32)
+    matrix: NDArray[np.float32] = (basis(AnchorLattice(N_NORMALS).directions) * lobe).astype(np.float32)
+    return matrix
 
 
 def _start_or_resume(settings: TrainSettings) -> _Run:

@@ -8,7 +8,7 @@ network is not in its table, rather than there with figures of something else. B
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +43,7 @@ class NetworkSeeds:
     ----------
     name : of the row
     estimator : lattice, xihenet, pointar or farthest
-    key : of the clouds it wants, see `groups.cache_key`; only the sampling where no number of anchors was named
+    key : of the clouds it wants, see `Group`; only the sampling where no number of anchors was named
     nets : one for each seed
     """
 
@@ -105,18 +105,21 @@ def joined(parts: Sequence[Predictions]) -> dict[str, list[Prediction]]:
 
 
 def over_seeds(figures: Sequence[Any]) -> tuple[Any, Any]:
-    """Mean and standard deviation of each number in nested figures of several seeds, which must have the same keys.
+    """Mean and standard deviation of each number in nested figures of several seeds, as figures of the same shape.
 
-    Words and truth values stay as the first seed has them. The deviation is that of a sample: None for one seed. What
-    is None in any seed is None in both.
+    Records, dictionaries and tuples. Words and truth values stay as the first seed has them. The deviation is that of a
+    sample: None for one seed. What is None in any seed is None in both.
     """
     first = figures[0]
+    if is_dataclass(first) and not isinstance(first, type):
+        mean, spread = over_seeds([vars(one) for one in figures])
+        return replace(first, **mean), replace(first, **spread)
     if isinstance(first, dict):
         parts = {key: over_seeds([one[key] for one in figures]) for key in first}
         return {key: part[0] for key, part in parts.items()}, {key: part[1] for key, part in parts.items()}
-    if isinstance(first, (list, tuple)):
+    if isinstance(first, tuple):
         pairs = [over_seeds(values) for values in zip(*figures, strict=True)]
-        return [pair[0] for pair in pairs], [pair[1] for pair in pairs]
+        return tuple(pair[0] for pair in pairs), tuple(pair[1] for pair in pairs)
     if isinstance(first, (str, bool)):
         return first, None
     if any(one is None for one in figures):

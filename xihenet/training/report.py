@@ -11,10 +11,10 @@ Here it is predicted what a report is made of; `report_parts` makes the figures,
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +24,12 @@ from xihenet.training.baselines import Baselines, fit_baselines
 from xihenet.training.groups import Group, main_folder, open_group, training_clouds
 from xihenet.training.predictions import NetworkSeeds, Predictions, joined, load_seeds, over_seeds, predict_group
 from xihenet.training.report_parts import (
+    CalibrationRow,
+    CoverageCurve,
+    RoomFigures,
     SeedCalibrations,
+    StressGroup,
+    Table,
     coverage_curve,
     group_table,
     prediction_figures,
@@ -70,21 +75,68 @@ class ReportSettings:
     seed: int = 0
 
 
-def make_report(settings: ReportSettings, progress: Callable[[str], None] = lambda line: None) -> dict[str, Any]:
-    """All figures for JSON: numbers, strings, None, lists and dictionaries of such.
+@dataclass(frozen=True)
+class ReportHead:
+    """What was judged, what the baselines were fitted to, and the definitions that the figures rest on."""
 
-    Returns
-    -------
-    head : split, target, what baselines were fitted to, definitions
+    split: Split
+    target: Target
+    n_rooms_fitted: int
+    n_clouds_fitted: int
+    coverage_edges: tuple[float, ...] = COVERAGE_EDGES
+    shares_promised: tuple[float, ...] = SHARES_ASKED
+    dominant_share: float = DOMINANT_SHARE
+    stress_limit: float = STRESS_LIMIT
+    cap_share: float = CAP_SHARE
+    colour_noise: float = COLOUR_NOISE
+    distance_noise: float = DISTANCE_NOISE
+
+
+@dataclass(frozen=True)
+class LearningPoint:
+    """Networks of so many training rooms: by group the mean of their ratio over seeds, and its deviation."""
+
+    n_rooms: int
+    n_seeds: int
+    estimator: str
+    groups: Mapping[str, tuple[float | None, float | None]]
+
+
+@dataclass(frozen=True)
+class Report:
+    """All figures.
+
+    Parameters
+    ----------
+    head : see there
     tables : one per group of clouds
     curve : error against coverage in narrow bins
     learning : error against the number of training rooms
     rooms : how unevenly the error is spread over clouds and rooms
     calibration : of the networks that expect an error
     stress : under disturbances, beside `ambient`
-
-    ValueError for a missing or broken folder or file, or networks of another kind or target.
     """
+
+    head: ReportHead
+    tables: tuple[Table, ...]
+    curve: CoverageCurve
+    learning: tuple[LearningPoint, ...]
+    rooms: tuple[RoomFigures, ...]
+    calibration: tuple[CalibrationRow, ...]
+    stress: tuple[StressGroup, ...]
+
+
+def report_json(report: Report) -> str:
+    """As a file has it: strict JSON, with the groups of a learning point beside its other fields."""
+    content = {"version": REPORT_VERSION, **asdict(report)}
+    for point in content["learning"]:
+        ratios = point.pop("groups")
+        point |= {name: {"ratio": mean, "spread": spread} for name, (mean, spread) in ratios.items()}
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+
+
+def make_report(settings: ReportSettings, progress: Callable[[str], None] = lambda line: None) -> Report:
+    """Predict and judge. ValueError for a missing or broken folder or file, or networks of another kind or target."""
     target, device = settings.target, settings.device
     groups = _groups(settings)
     networks = [load_seeds(label, files, target, device) for label, files in settings.networks.items()]
@@ -96,16 +148,15 @@ def make_report(settings: ReportSettings, progress: Callable[[str], None] = lamb
         predicted.append(predict_group(group, baselines, networks, target, device))
     progress("calibrating, and disturbing clouds")
     calibrations = _calibrations(settings, networks)
-    return {
-        "version": REPORT_VERSION,
-        "head": _head(settings, baselines),
-        "tables": [group_table(group, one, target) for group, one in zip(groups, predicted, strict=True)],
-        "curve": coverage_curve(groups[:2], joined(predicted[:2]), target),
-        "learning": _learning(settings, groups[:2], predicted[:2]),
-        "rooms": [room_figures(groups[0], name, seeds, target) for name, seeds in predicted[0].items()],
-        "calibration": [one.figures(groups, predicted, target) for one in calibrations],
-        "stress": _stress(settings, groups[0], networks, baselines, calibrations),
-    }
+    return Report(
+        ReportHead(settings.split, target, baselines.n_rooms, baselines.n_clouds),
+        tuple(group_table(group, one, target) for group, one in zip(groups, predicted, strict=True)),
+        coverage_curve(groups[:2], joined(predicted[:2]), target),
+        tuple(_learning(settings, groups[:2], predicted[:2])),
+        tuple(room_figures(groups[0], name, seeds, target) for name, seeds in predicted[0].items()),
+        tuple(one.figures(groups, predicted, target) for one in calibrations),
+        tuple(_stress(settings, groups[0], networks, baselines, calibrations)),
+    )
 
 
 def _groups(settings: ReportSettings) -> list[Group]:
@@ -124,36 +175,18 @@ def _groups(settings: ReportSettings) -> list[Group]:
     return groups
 
 
-def _head(settings: ReportSettings, baselines: Baselines) -> dict[str, Any]:
-    return {
-        "split": settings.split,
-        "target": settings.target,
-        "n_rooms_fitted": baselines.n_rooms,
-        "n_clouds_fitted": baselines.n_clouds,
-        "coverage_edges": list(COVERAGE_EDGES),
-        "shares_promised": list(SHARES_ASKED),
-        "dominant_share": DOMINANT_SHARE,
-        "stress_limit": STRESS_LIMIT,
-        "cap_share": CAP_SHARE,
-        "colour_noise": COLOUR_NOISE,
-        "distance_noise": DISTANCE_NOISE,
-    }
-
-
 def _learning(
     settings: ReportSettings, groups: Sequence[Group], predicted: Sequence[Predictions]
-) -> list[dict[str, Any]]:
-    """For each number of rooms the ratio in each group, mean and spread over seeds."""
+) -> list[LearningPoint]:
     points = []
     for n_rooms, files in sorted(settings.learning.items()):
         seeds = load_seeds(f"{n_rooms} rooms", files, settings.target, settings.device)
-        point: dict[str, Any] = {"n_rooms": n_rooms, "n_seeds": len(files), "estimator": seeds.estimator}
+        ratios = {}
         for group, known in zip(groups, predicted, strict=True):
-            figures = prediction_figures(group, known, seeds.predictions(group, settings.target, settings.device) or [],
-                                         settings.target)  # fmt: skip
-            mean, spread = over_seeds([one["ratio"] for one in figures] or [None])
-            point[group.name] = {"ratio": mean, "spread": spread}
-        points.append(point)
+            said = seeds.predictions(group, settings.target, settings.device) or []
+            figures = prediction_figures(group, known, said, settings.target)
+            ratios[group.name] = over_seeds([one.ratio for one in figures] or [None])
+        points.append(LearningPoint(n_rooms, len(files), seeds.estimator, ratios))
     return points
 
 
@@ -168,7 +201,7 @@ def _calibrations(settings: ReportSettings, networks: Sequence[NetworkSeeds]) ->
 def _stress(
     settings: ReportSettings, group: Group, networks: Sequence[NetworkSeeds], baselines: Baselines,
     calibrations: Sequence[SeedCalibrations],
-) -> list[dict[str, Any]]:  # fmt: skip
+) -> list[StressGroup]:  # fmt: skip
     """Each disturbance of the clouds of one view, and each group of clouds that were sampled otherwise."""
     disturbed = {
         name: disturb(group.cases, np.random.default_rng([settings.seed, i]))
