@@ -6,7 +6,7 @@ Made from results.json and the pictures of worst frames alone, never from Blende
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,6 @@ from xihe_blender.lab.batch.analysis import (
     MEASURES,
     Comparison,
     Measure,
-    TriggerPoint,
     WorstCase,
     against_the_best,
     chosen,
@@ -99,13 +98,14 @@ def _distribution(trials: Sequence[Trial], measure: Measure) -> str:
     rows = []
     for index, name in enumerate(names_of(trials, "estimator")):
         known = [(measure.of(trial), trial) for trial in chosen(trials, estimator=name)]
-        rows.append((name, index, [(value, _hover(t, value)) for value, t in known if value is not None]))
+        dots = [
+            (value, f"{t.scene}, seed {t.seed}, {t.phone}: {format_number(value)}")
+            for value, t in known
+            if value is not None
+        ]
+        rows.append((name, index, dots))
     better = "Further left is better." if measure.is_better_low else "Further right is better."
     return drawings.strips(rows, title=measure.title, about=f"{_DOTS} {better}", axis_name=measure.unit or "no unit")
-
-
-def _hover(trial: Trial, value: float) -> str:
-    return f"{trial.scene}, seed {trial.seed}, {trial.phone}: {format_number(value)}"
 
 
 def _against_the_best(trials: Sequence[Trial], measure: Measure) -> str:
@@ -157,11 +157,15 @@ def _phone_table(trials: Sequence[Trial]) -> str:
 
 def _how_often(trials: Sequence[Trial]) -> str:
     known = {name: trigger_points(trials, name) for name in names_of(trials, "estimator")}
-    lines = [
-        (name, index, [(p.per_minute, p.error, _hover_trigger(name, p)) for p in points])
-        for index, (name, points) in enumerate(known.items())
-    ]
-    rows = [_trigger_row(name, point) for name, points in known.items() for point in points]
+    lines, rows = [], []
+    for index, (name, points) in enumerate(known.items()):
+        dots = []
+        for p in points:
+            error, more = format_number(p.error), "" if p.more is None else answers.format_interval(p.more)
+            words = f"{name}, theta {p.theta:g}: {p.per_minute:.0f} a minute, error {error}"
+            dots.append((p.per_minute, p.error, words))
+            rows.append([code(name), f"{p.theta:g}", format_number(p.per_minute), error, more])
+        lines.append((name, index, dots))
     about = (
         "Mean over trials. Each dot is a trigger: from every frame, right, to 64 times the thresholds, left. The same "
         "captures, nothing rendered again."
@@ -174,15 +178,6 @@ def _how_often(trials: Sequence[Trial]) -> str:
     return _answered(answers.how_often(trials), plot) + (table(header, rows) if rows else "")
 
 
-def _hover_trigger(name: str, point: TriggerPoint) -> str:
-    return f"{name}, theta {point.theta:g}: {point.per_minute:.0f} a minute, error {format_number(point.error)}"
-
-
-def _trigger_row(name: str, point: TriggerPoint) -> list[str]:
-    more = "" if point.more is None else answers.format_interval(point.more)
-    return [code(name), f"{point.theta:g}", format_number(point.per_minute), format_number(point.error), more]
-
-
 # ------------------------------------------------------------------------------------------ of a frontier
 
 
@@ -191,35 +186,30 @@ def _from_frontier(frontier: Frontier | None) -> list[tuple[str, str, str]]:
     if frontier is None:
         return [("anchors", f"{HOW_MANY_ANCHORS} {LAST_TENTH}", _answered(WITHOUT_FRONTIER))]
     return [
-        ("anchors", HOW_MANY_ANCHORS, _answered(*_how_many_anchors(frontier))),
-        ("last", LAST_TENTH, _answered(*_last_tenth(frontier))),
+        ("anchors", HOW_MANY_ANCHORS, _answered(_answer(frontier, HOW_MANY_ANCHORS), _by_anchors(frontier))),
+        ("last", LAST_TENTH, _answered(_answer(frontier, LAST_TENTH), *_on_fronts(frontier))),
     ]
 
 
-def _how_many_anchors(frontier: Frontier) -> tuple[str, str]:
-    """The answer in words, and a plot with a dot for each number in it."""
+def _by_anchors(frontier: Frontier) -> str:
+    """A plot with a dot for each number in the answer."""
     known = _points(frontier, "compute", "coefficients_truth")
     own = [point for scene in names_of(known, "scene") for point in family(chosen(known, scene=scene), ("n_anchors",))]
     by_anchors = sorted(own, key=lambda point: point.computing.n_anchors)
-    plot = _error_against_time(
+    return _error_against_time(
         [(f"{point.computing.n_anchors} anchors", point) for point in by_anchors],
         "Computing: error against time, by anchors",
         "against the rendered light probe, of choices that differ only in their anchors",
         is_joined=False,
     )
-    return _answer(frontier, HOW_MANY_ANCHORS), plot
 
 
-def _last_tenth(frontier: Frontier) -> tuple[str, str]:
-    """The answer in words, and a plot of each of the two fronts."""
-    plots = ""
+def _on_fronts(frontier: Frontier) -> Iterator[str]:
+    """A plot of each of the two fronts."""
     for front, doing in (("render", "Rendering"), ("compute", "Computing")):
-        on_front = [(p.scene, p) for p in _points(frontier, front, "coefficients") if p.on_front]
+        on_front = sorted((p for p in _points(frontier, front, "coefficients") if p.on_front), key=lambda p: p.scene)
         title = f"{doing}: what lies on the front, by scene"
-        plots += _error_against_time(
-            sorted(on_front, key=lambda named: named[0]), title, "against the exhaustive setting"
-        )
-    return _answer(frontier, LAST_TENTH), plots
+        yield _error_against_time([(p.scene, p) for p in on_front], title, "against the exhaustive setting")
 
 
 def _answer(frontier: Frontier, question: str) -> str:

@@ -15,6 +15,7 @@ docs/batch.schema.json is made from the records (`python -m xihe_blender.lab.bat
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -332,13 +333,10 @@ def batch_results(
 
 def _scene_names(units: Sequence[Unit]) -> list[str]:
     """The stem of each unit's .blend, with a piece of its digest where another file has the same."""
-    digests: dict[str, set[str]] = {}
-    for unit in units:
-        digests.setdefault(unit.scene.stem, set()).add(unit.digest)
-    return [
-        unit.scene.stem if len(digests[unit.scene.stem]) == 1 else f"{unit.scene.stem} {unit.digest[:8]}"
-        for unit in units
-    ]
+    files = {(unit.scene.stem, unit.digest) for unit in units}
+    n_of_stem = Counter(stem for stem, _ in files)
+    names = [(unit.scene.stem, unit.digest[:8]) for unit in units]
+    return [stem if n_of_stem[stem] == 1 else f"{stem} {digest}" for stem, digest in names]
 
 
 def read_frontier(given: Path | None, folder: Path) -> Frontier | None:

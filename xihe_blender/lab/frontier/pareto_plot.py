@@ -15,27 +15,25 @@ from xihenet import svg
 from xihenet.formats import format_milliseconds, format_percent
 from xihenet.svg import Axis, log_axis
 
+ACROSS = "processor time of a frame"
 HEIGHT_PX = 360
 FOOT_PX = 386
 """Where the drawing ends, with room below the axis for errors of 0."""
 
 
-def pareto_plot(
-    points: Sequence[FrontierPoint], title: str, about: str, across: str = "processor time of a frame"
-) -> str:
+def pareto_plot(points: Sequence[FrontierPoint], title: str, about: str) -> str:
     """A figure with all `points` of one group, or with a sentence where there is none. `title`, `about` are HTML."""
     if not points:
         return svg.figure("", title=title, about="Nothing was measured.", is_wide=True)
     errors = [p.error for p in points if p.error > 0]
     times, heights = log_axis([p.time_ms for p in points], format_milliseconds), log_axis(errors, _percent)
-    unnamed = [p for p in points if p.on_front and p.preset is None]
-    unnamed.sort(key=lambda p: p.time_ms)
+    unnamed = sorted((p for p in points if p.on_front and p.preset is None), key=lambda p: p.time_ms)
     numbers = {p.label: number for number, p in enumerate(unnamed, start=1)}
     # What is nearest to the reader is drawn last.
     ordered = sorted(points, key=lambda p: (p.preset is not None, p.on_front))
     marks = "".join(_mark(times, heights, p, numbers) for p in ordered)
     zero = f'<text class="tick-y" x="-8" y="{FOOT_PX - 8}">0</text>' if len(errors) < len(points) else ""
-    grid = svg.grid_across(heights, HEIGHT_PX) + svg.axis_of(times, across, FOOT_PX, grid=True) + zero
+    grid = svg.grid_across(heights, HEIGHT_PX) + svg.axis_of(times, ACROSS, FOOT_PX, grid=True) + zero
     body = f"{grid}{svg.straight(0, FOOT_PX, 100, FOOT_PX, 'base')}{_front_line(times, heights, points)}{marks}"
     return svg.figure(
         body, title=title, about=about, label=f"{title}: error against time", below=_legend(points, numbers),
@@ -64,33 +62,21 @@ def _front_line(times: Axis, errors: Axis, points: Sequence[FrontierPoint]) -> s
 
 def _mark(times: Axis, errors: Axis, point: FrontierPoint, numbers: Mapping[str, int]) -> str:
     x, y = _x(times, point.time_ms), _y(errors, point.error)
-    name = ""
+    kind, shape, name = "front" if point.on_front else "aside", "circle", ""
     if point.preset is not None:
+        kind, shape = "preset", "diamond"
         side, shift = ("end", -11) if x > 88 else ("start", 11)
         name = f'<text class="preset-name" x="{shift}" y="-9" text-anchor="{side}">{escape(point.preset)}</text>'
     elif point.on_front:
         name = f'<text class="number" x="-6" y="14" text-anchor="end">{numbers[point.label]}</text>'
-    kind, shape = _look(point)
-    whiskers = _whiskers(times, errors, point, x, y)
-    return whiskers + svg.mark(x, y, shape, f"choice {kind}", escape(_hover(point)), name)
-
-
-def _look(point: FrontierPoint) -> tuple[str, str]:
-    """Kind and shape of its mark."""
-    if point.preset is not None:
-        return "preset", "diamond"
-    return ("front" if point.on_front else "aside"), "circle"
-
-
-def _whiskers(times: Axis, errors: Axis, point: FrontierPoint, x: float, y: float) -> str:
-    """From quartile to quartile, as far as is known: the spread, half of it to either side."""
+    # From quartile to quartile, as far as is known: the spread, half of it to either side.
     low, high = (_x(times, max(1e-9, point.time_ms + side * point.spread_ms / 2)) for side in (-1, 1))
-    lines = svg.straight(low, y, high, y, "whisker")
+    whiskers = svg.straight(low, y, high, y, "whisker")
     if point.error > 0:
         half = point.error_spread / 2
         foot, top = (_y(errors, max(errors.low, point.error + side * half)) for side in (-1, 1))
-        lines += svg.straight(x, top, x, foot, "whisker")
-    return lines
+        whiskers += svg.straight(x, top, x, foot, "whisker")
+    return whiskers + svg.mark(x, y, shape, f"choice {kind}", escape(_hover(point)), name)
 
 
 def _hover(point: FrontierPoint) -> str:

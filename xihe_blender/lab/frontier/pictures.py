@@ -12,7 +12,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -84,14 +83,6 @@ class PictureStudy:
     plan: PrevisPlan
     settings: RenderSettings
     choices: Sequence[PictureChoice]
-    folder: Path
-
-    @property
-    def views(self) -> Sequence[View]:
-        return self.renders.views[: self.renders.study_size.n_picture_views]
-
-    def kept(self, view: View) -> Path:
-        return self.folder / f"pictures_{view.frame:04d}.json"
 
 
 def measure_pictures(
@@ -99,11 +90,13 @@ def measure_pictures(
 ) -> Steps[tuple[list[Measured], dict[str, tuple[float, ...]]]]:
     """The choices, and by estimator the squared errors of its pictures at the views."""
     rounds: list[PicturesTaken] = []
-    for number, view in enumerate(study.views):
-        if not study.kept(view).exists():
-            taken = yield from within(number / len(study.views), 1 / len(study.views), _view_measured(study, view, rng))
-            write_json(study.kept(view), as_json(taken))
-        rounds.append(from_json(PicturesTaken, json.loads(study.kept(view).read_text(encoding="utf-8"))))
+    views = study.renders.views[: study.renders.study_size.n_picture_views]
+    for number, view in enumerate(views):
+        path = study.renders.folder / f"pictures_{view.frame:04d}.json"
+        if not path.exists():
+            taken = yield from within(number / len(views), 1 / len(views), _view_measured(study, view, rng))
+            write_json(path, as_json(taken))
+        rounds.append(from_json(PicturesTaken, json.loads(path.read_text(encoding="utf-8"))))
     if not rounds:
         return [], {}
     measured = [
@@ -125,7 +118,11 @@ def _view_measured(study: PictureStudy, view: View, rng: np.random.Generator) ->
     renders.scanner.move_to(view.frame)
     captured = load_frame(renders.reference(view))
     lights = {by.label: _lights_of_objects(study, by, captured) for by in METHODS}
-    truth = _compared(study, captured, lights, renders.exhaustive.samples)
+    with open_comparer(renders.scanner.scene, study.plan.objects, list(lights), study.settings) as comparer:
+        # With all methods, on all cores, by another seed.
+        seed = (renders.seed + renders.study_size.n_seeds) % MAX_SEED
+        _set_up(comparer, renders.exhaustive.samples, seed, n_threads=0)
+        truth = comparer.render_comparison(captured, lights)
     of_estimators = {
         by.label: _square_rmse(truth.methods[by.label], truth.ground_truth, truth.weights) for by in METHODS
     }
@@ -154,16 +151,6 @@ def _made(study: PictureStudy, choice: PictureChoice, comparer: Comparer) -> Com
     return comparer.render_comparison(captured, {base.label: _lights_of_objects(study, base, captured)})
 
 
-def _compared(
-    study: PictureStudy, captured: RgbdFrame, lights: Mapping[str, Mapping[str, ArrayF64]], samples: int
-) -> Comparison:
-    """With all methods, on all cores, by another seed."""
-    renders = study.renders
-    with open_comparer(renders.scanner.scene, study.plan.objects, list(lights), study.settings) as comparer:
-        _set_up(comparer, samples, (renders.seed + renders.study_size.n_seeds) % MAX_SEED, n_threads=0)
-        return comparer.render_comparison(captured, lights)
-
-
 def _set_up(comparer: Comparer, samples: int, seed: int, *, n_threads: int = 1) -> None:
     for scene in (comparer.ground_truth, comparer.lit):
         scene.cycles.samples, scene.cycles.seed = samples, seed
@@ -173,16 +160,14 @@ def _set_up(comparer: Comparer, samples: int, seed: int, *, n_threads: int = 1) 
 def _lights_of_objects(study: PictureStudy, by: ComputeChoice, captured: RgbdFrame) -> dict[str, ArrayF64]:
     """(9, 3) by virtual object: the mean over its positions, from this frame alone."""
     backend, exposure = ChoiceBackend(by), study.renders.scanner.exposure
-    return {
-        item.name: np.mean(
-            [
-                light_of_frame(by, backend, captured, probe.position_m, exposure)[:9]
-                for probe in study.plan.probes_of(item.name)
-            ],
-            axis=0,
-        )
-        for item in study.plan.objects
-    }
+
+    def light_of(name: str) -> ArrayF64:
+        positions_m = [probe.position_m for probe in study.plan.probes_of(name)]
+        lights = [light_of_frame(by, backend, captured, position_m, exposure)[:9] for position_m in positions_m]
+        mean: ArrayF64 = np.mean(lights, axis=0)
+        return mean
+
+    return {item.name: light_of(item.name) for item in study.plan.objects}
 
 
 def _square_rmse(picture: ArrayF64, truth: ArrayF64, weights: ArrayF64) -> float:

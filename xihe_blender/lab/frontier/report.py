@@ -50,7 +50,8 @@ def report_page(frontier: Frontier) -> str:
 
 
 def _scene(frontier: Frontier, name: str) -> str:
-    points, fronts = frontier.points, _ordered(frontier.points, name)
+    points = frontier.points
+    fronts = [(front, kind) for front in FRONTS for kind in KINDS if (name, front, kind) in groups(points)]
     opening, *others = (
         pareto_plot(group(points, name, front, kind), f"{FRONTS[front][0]}: {KINDS[kind]}", FRONTS[front][1])
         for front, kind in fronts
@@ -93,12 +94,6 @@ def _choices(points: Sequence[FrontierPoint], scene: str) -> str:
         heads = [kind.replace("_truth", ", off the truth") for kind in kinds]
         blocks += block(title, table(["", "time", *heads], rows))
     return blocks
-
-
-def _ordered(points: Sequence[FrontierPoint], name: str) -> list[tuple[str, str]]:
-    """(front, kind) of a scene in the order of the page."""
-    known = {(front, kind) for scene, front, kind in groups(points) if scene == name}
-    return [(front, kind) for front in FRONTS for kind in KINDS if (front, kind) in known]
 
 
 def _numbers(points: Sequence[FrontierPoint], front: str, kind: str) -> str:

@@ -31,7 +31,7 @@ from xihe_blender.lab.frontier.answers import answers
 from xihe_blender.lab.frontier.choices import FULL, QUICK, compute_choices, render_choices
 from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, ORDER, Walk, loaded, measure_compute
 from xihe_blender.lab.frontier.pictures import PictureStudy, measure_pictures, picture_choices
-from xihe_blender.lab.frontier.points import Measured, MeasuredScene, points_of
+from xihe_blender.lab.frontier.points import MeasuredScene, points_of
 from xihe_blender.lab.frontier.records import (
     ComputeChoice,
     Frontier,
@@ -55,7 +55,7 @@ from xihe_blender.report.document import write_document
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
 from xihenet import __version__
-from xihenet.effects import Effect, effects_as_json, effects_from_json, plan_effects
+from xihenet.effects import effects_as_json, effects_from_json, plan_effects
 from xihenet.recording import load_frame, save_frame
 
 Result = TypeVar("Result")
@@ -85,7 +85,14 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
         raise UserError(f"two scenes are named {twice[0]!r}: results go by name, so rename one")
     for file in files:
         survey_scene(open_blend(file), settings.size)
-    _manifest(out, files, settings).take()
+    provenance = {
+        "xihe": __version__,
+        "blender": bpy.app.version_string,
+        "scenes": {file.stem: hashlib.sha256(file.read_bytes()).hexdigest() for file in files},
+        "settings": asdict(settings),
+    }
+    results = (out / "frontier.json",)
+    FolderManifest(out, out / "work" / "settings.json", "a frontier", provenance, results).take()
     kept = []
     for number, file in enumerate(files):
         path = out / "work" / file.stem / "measured.json"
@@ -111,16 +118,6 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
     write_json(out / "frontier.json", as_json(found))
     yield Progress(1, 1, "measured and written")
     return found
-
-
-def _manifest(out: Path, files: Sequence[Path], settings: FrontierSettings) -> FolderManifest:
-    provenance = {
-        "xihe": __version__,
-        "blender": bpy.app.version_string,
-        "scenes": {file.stem: hashlib.sha256(file.read_bytes()).hexdigest() for file in files},
-        "settings": asdict(settings),
-    }
-    return FolderManifest(out, out / "work" / "settings.json", "a frontier", provenance, (out / "frontier.json",))
 
 
 def _table_row(point: FrontierPoint) -> Mapping[str, object]:
@@ -175,9 +172,10 @@ def measure_scene(study: SceneStudy, done: float, whole: float) -> Job[MeasuredS
             walk = yield from share("walking", _walk(study, prepared, scanner))
             backends, missing = loaded(compute_choices(is_quick=study.is_quick))
             computed = yield from share("computing", measure_compute(backends, walk, study_size.n_rounds, rng))
+            seen = evenly_chosen(list(zip(walk.frames, walk.active, strict=True)), study_size.n_views)
             renders = RenderStudy(
                 scanner,
-                _views(walk, study_size.n_views),
+                [View(frame.frame, [walk.positions[name] for name in names]) for frame, names in seen],
                 render_choices(prepared.presets, size, study_size, is_quick=study.is_quick),
                 RenderChoice(size, study_size.reference_samples),
                 study_size,
@@ -189,9 +187,16 @@ def measure_scene(study: SceneStudy, done: float, whole: float) -> Job[MeasuredS
             }
             rendered, together = yield from share("rendering", measure_rendering(renders, computing_ms, rng))
             comparison = replace(capture, samples=1)
-            pictures = PictureStudy(renders, study.plan, comparison, picture_choices(prepared.presets), study.folder)
+            pictures = PictureStudy(renders, study.plan, comparison, picture_choices(prepared.presets))
             pictured, estimators = yield from share("pictures", measure_pictures(pictures, rng))
-    computed = [_with_pictures(one, estimators) for one in computed]
+    computed = [
+        replace(one, square_errors={**one.square_errors, "picture" + AGAINST_TRUTH: estimators[one.label]})
+        if one.label in estimators
+        else one
+        for one in computed
+    ]
+    added = computing_ms[ComputeChoice()]
+    with_computing = [replace(one, times_ms=tuple(ms + added for ms in one.times_ms)) for one in pictured]
     scene = FrontierScene(
         name=study.name,
         missing_estimators=tuple(missing),
@@ -203,53 +208,33 @@ def measure_scene(study: SceneStudy, done: float, whole: float) -> Job[MeasuredS
         presets=dict(prepared.presets),
     )
     yield Progress(done, whole, f"{study.name}: measured")
-    total = (*together, *_with_computing(pictured, computing_ms))
-    return MeasuredScene(
-        fronts={"render": (*rendered, *pictured), "compute": tuple(computed), "total": total}, scene=scene
-    )
-
-
-def _with_pictures(one: Measured, estimators: Mapping[str, tuple[float, ...]]) -> Measured:
-    squares = estimators.get(one.label)
-    if squares is None:
-        return one
-    return replace(one, square_errors={**one.square_errors, "picture" + AGAINST_TRUTH: squares})
-
-
-def _with_computing(pictured: list[Measured], computing_ms: Mapping[ComputeChoice, float]) -> list[Measured]:
-    added = computing_ms[ComputeChoice()]
-    return [replace(one, times_ms=tuple(ms + added for ms in one.times_ms)) for one in pictured]
+    render, total = (*rendered, *pictured), (*together, *with_computing)
+    return MeasuredScene(fronts={"render": render, "compute": tuple(computed), "total": total}, scene=scene)
 
 
 def prepare(study: SceneStudy) -> Steps[Prepared]:
-    """Measure it, or read what a run that was stopped has measured."""
+    """Measure it as a run does, or read what a run that was stopped has measured."""
     path = study.folder / "prepared.json"
     if not path.exists():
         yield 0.0, "metering the exposure, looking for effects"
         scene, plan = study.scene, study.plan
         exposure = meter_exposure(scene, plan.frames, study.seed)
         effects = plan_effects(study.survey.required, overrides_in_force(scene, {}))
-        samples = {}
-        for index, name in enumerate(PRESETS):
+        views, samples = pilot_views(plan, study.survey), {}
+        if not views:
+            words = "never has a virtual object in view: move the camera's path, or objects"
+            raise UserError(f"scene {scene.name!r} {words}")
+        for index, (name, preset) in enumerate(PRESETS.items()):
             yield (1 + index) / (1 + len(PRESETS)), f"measuring how many samples {name} takes"
-            samples[name] = preset_samples(study, name, exposure, effects)
+            settings = PrevisSettings(preset=name, seed=study.seed)
+            capture = settings.capture(plan.size, pilot_samples(preset))
+            capture = replace(capture, light_transport=cycles_settings(effects))
+            samples[name] = samples_taken(preset, capture_noise(scene, views, capture, exposure, settings.n_anchors))
         write_json(path, {"exposure": exposure, "effects": effects_as_json(effects), "samples": samples})
     kept = json.loads(path.read_text(encoding="utf-8"))
     size = study.plan.size
     presets = {name: RenderChoice(size, kept["samples"][name]) for name in PRESETS}
     return Prepared(kept["exposure"], cycles_settings(effects_from_json(kept["effects"])), presets)
-
-
-def preset_samples(study: SceneStudy, name: str, exposure: float, effects: Mapping[str, Effect]) -> int:
-    """Samples per pixel of captures that a run of a preset takes on a scene, measured as the run does it."""
-    settings, preset = PrevisSettings(preset=name, seed=study.seed), PRESETS[name]
-    scene, plan = study.scene, study.plan
-    views = pilot_views(plan, study.survey)
-    if not views:
-        raise UserError(f"scene {scene.name!r} never has a virtual object in view: move the camera's path, or objects")
-    capture = replace(settings.capture(plan.size, pilot_samples(preset)), light_transport=cycles_settings(effects))
-    model = capture_noise(scene, views, capture, exposure, settings.n_anchors)
-    return samples_taken(preset, model)
 
 
 def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Steps[Walk]:
@@ -278,11 +263,6 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Step
             kept = json.loads(lights.read_text(encoding="utf-8"))
             truths.append({name: np.array(kept[name]) for name in active})
     return Walk(frames, [active for _, active in chosen], positions, truths, prepared.exposure)
-
-
-def _views(walk: Walk, most: int) -> list[View]:
-    numbers = evenly_chosen(list(range(len(walk.frames))), most)
-    return [View(walk.frames[k].frame, [walk.positions[name] for name in walk.active[k]]) for k in numbers]
 
 
 def survey_scene(scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> tuple[PrevisPlan, SceneSurvey]:
