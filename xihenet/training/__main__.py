@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
@@ -59,11 +59,6 @@ def with_step(arguments: Sequence[str]) -> list[str]:
     return words if words and (words[0] in STEPS or words[0] in ("-h", "--help")) else ["train", *words]
 
 
-def cache_folder(out: Path, sampling: str, n_anchors: int) -> Path:
-    """Where the clouds of one sampling lie."""
-    return out / f"clouds_{sampling}_{n_anchors}"
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="xihe train", description="Train the estimators' networks.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -73,8 +68,7 @@ def _parser() -> argparse.ArgumentParser:
     training = commands.add_parser("train", help="train a network, or go on with it")
     _add_cache_options(training, _run_train)
     _add_train_options(training)
-    report = commands.add_parser("report", help="all figures, on the test rooms")
-    _add_report_options(report)
+    _add_report_options(commands.add_parser("report", help="all figures, on the test rooms"))
     export = commands.add_parser("export", help="weights as estimators read them")
     export.add_argument("network", type=Path)
     export.add_argument("out", type=Path)
@@ -107,13 +101,9 @@ def _add_test_options(parser: argparse.ArgumentParser) -> None:
 
 def _add_train_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--target", choices=("ldr", "hdr"), default="ldr")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--epochs", type=int, default=60)
-    parser.add_argument("--batch-size", type=int, default=64)
-    parser.add_argument("--learning-rate", type=float, default=2e-3)
-    parser.add_argument("--weight-decay", type=float, default=0.02)
-    parser.add_argument("--patience", type=int, default=15)
-    parser.add_argument("--device", default="cpu")
+    for name in SAME_NAMED[2:]:
+        default = getattr(TrainSettings, name)
+        parser.add_argument(f"--{name.replace('_', '-')}", type=type(default), default=default)
     parser.add_argument("--rooms", type=int, metavar="N", help="the first N training rooms alone, for learning curves")
     parser.add_argument("--keep-unset-at-origin", action="store_true", help="as the reference does (PointConv)")
     parser.add_argument("--bfloat16", action="store_true", help="train in half precision (PointConv)")
@@ -127,7 +117,7 @@ def _run_export(options: argparse.Namespace) -> None:
 def _run_cache(options: argparse.Namespace) -> Path:
     sampling = SAMPLING_OF[options.estimator]
     settings = CacheSettings(options.anchors, sampling, options.changes, options.merged_clouds)
-    name = cache_folder(options.out, sampling, options.anchors).name
+    name = f"clouds_{sampling}_{options.anchors}"
     if any(getattr(options, switch, False) for switch in ("test_only", "all_rooms", "whole_sphere", "upright")):
         settings = replace(
             settings, is_test_only=options.all_rooms, is_whole_sphere=options.whole_sphere,
@@ -202,18 +192,15 @@ def _run_report(options: argparse.Namespace) -> None:
 
 
 def _report_settings(options: argparse.Namespace) -> ReportSettings:
+    learning = _named_paths(options.learning)
+    for name in learning:
+        if not (name.isdecimal() and int(name) > 0):
+            raise ValueError(f"--learning: expected ROOMS=FILE with a number of rooms, got {name!r}")
     return ReportSettings(
-        options.clouds,
-        _named_paths(options.network),
-        split=options.split,
-        target=options.target,
-        walks=options.walk,
-        whole=options.whole,
-        scenes=_named_paths(options.scene),
-        stress=_named_paths(options.group),
-        learning=_by_number(_named_paths(options.learning)),
-        device=options.device,
-    )
+        options.clouds, _named_paths(options.network), split=options.split, target=options.target, walks=options.walk,
+        whole=options.whole, scenes=_named_paths(options.scene), stress=_named_paths(options.group),
+        learning={int(name): files for name, files in learning.items()}, device=options.device,
+    )  # fmt: skip
 
 
 def _named_paths(words: Sequence[str]) -> dict[str, list[Path]]:
@@ -225,13 +212,6 @@ def _named_paths(words: Sequence[str]) -> dict[str, list[Path]]:
             raise ValueError(f"expected NAME=PATH, got {word!r}")
         paths.setdefault(name, []).append(Path(value))
     return paths
-
-
-def _by_number(files: Mapping[str, Sequence[Path]]) -> dict[int, Sequence[Path]]:
-    for name in files:
-        if not (name.isdecimal() and int(name) > 0):
-            raise ValueError(f"--learning: expected ROOMS=FILE with a number of rooms, got {name!r}")
-    return {int(name): paths for name, paths in files.items()}
 
 
 def _write(path: Path, text: str) -> None:

@@ -114,6 +114,11 @@ class _Run:
     history: list[dict[str, float]] = field(default_factory=list)
 
 
+STATES = ("net", "average", "optimiser")
+NUMBERS = ("epoch", "step", "history", "best_rmse", "best_epoch")
+"""Of a checkpoint."""
+
+
 def train(settings: TrainSettings, *, stop_after: int | None = None, progress: Progress = lambda line: None) -> Path:
     """Train, or go on with a training that was stopped; the path of the best network's file.
 
@@ -126,7 +131,9 @@ def train(settings: TrainSettings, *, stop_after: int | None = None, progress: P
             raise ValueError(f"{settings.cache}: the {name} split is empty; more rooms are needed")
     settings.out.mkdir(parents=True, exist_ok=True)
     run = _start_or_resume(settings)
-    yardstick = _mean_predictor_rmse(clouds, held_out, settings.target)
+    # Always saying the training rooms' mean is off by so much on the validation rooms.
+    mean = clouds.truth(settings.target).mean(axis=0, dtype=np.float64)
+    yardstick = max(float(np.sqrt(np.mean((held_out.truth(settings.target) - mean) ** 2))), 1e-9)
     started, first_epoch = time.monotonic(), run.epoch
     while run.epoch < settings.epochs and run.epoch - run.best_epoch < settings.patience:
         if stop_after is not None and run.epoch - first_epoch >= stop_after:
@@ -136,7 +143,11 @@ def train(settings: TrainSettings, *, stop_after: int | None = None, progress: P
         _save_checkpoint(run, settings)
         elapsed_s = time.monotonic() - started
         left_s = elapsed_s / (run.epoch - first_epoch) * (settings.epochs - run.epoch)
-        progress(_progress_line(run, settings, left_s))
+        now = run.history[-1]
+        progress(
+            f"epoch {run.epoch}/{settings.epochs}  loss {now['loss']:.4f}  validation {now['validation_ratio']:.3f} of "
+            f"the mean predictor's (best in epoch {run.best_epoch})  {format_duration(left_s)} left"
+        )
     return settings.out / "best.pt"
 
 
@@ -199,11 +210,10 @@ def _start_or_resume(settings: TrainSettings) -> _Run:
     kept = read_torch(path, settings.device)
     if kept.get("settings") != settings.decisive():
         raise ValueError(f"{path}: expected a training with the same settings; choose another folder or remove it")
-    net.load_state_dict(kept["net"])
-    average.load_state_dict(kept["average"])
-    optimiser.load_state_dict(kept["optimiser"])
-    run.epoch, run.step, run.history = kept["epoch"], kept["step"], kept["history"]
-    run.best_rmse, run.best_epoch = kept["best_rmse"], kept["best_epoch"]
+    for name in STATES:
+        getattr(run, name).load_state_dict(kept[name])
+    for name in NUMBERS:
+        setattr(run, name, kept[name])
     return run
 
 
@@ -225,7 +235,10 @@ def _train_epoch(run: _Run, clouds: CloudSet, settings: TrainSettings) -> float:
         nn.utils.clip_grad_norm_(run.net.parameters(), 1.0)
         run.optimiser.step()
         run.step += 1
-        _average_in(run, settings.ema)
+        keep = min(settings.ema, (1 + run.step) / (10 + run.step))
+        with torch.no_grad():
+            for averaged, current in zip(run.average.parameters(), run.net.parameters(), strict=True):
+                averaged.lerp_(current, 1 - keep)
         total += float(loss.detach())
     run.epoch += 1
     return total / len(batches)
@@ -237,13 +250,6 @@ def _learning_rate(step: int, n_steps: int, highest: float) -> float:
     if step < rise:
         return highest * (step + 1) / rise
     return highest * 0.5 * (1 + float(np.cos(np.pi * (step - rise) / max(1, n_steps - rise))))
-
-
-def _average_in(run: _Run, ema: float) -> None:
-    keep = min(ema, (1 + run.step) / (10 + run.step))
-    with torch.no_grad():
-        for averaged, current in zip(run.average.parameters(), run.net.parameters(), strict=True):
-            averaged.lerp_(current, 1 - keep)
 
 
 def _judge(run: _Run, held_out: CloudSet, settings: TrainSettings, loss: float, yardstick: float) -> None:
@@ -260,35 +266,12 @@ def _judge(run: _Run, held_out: CloudSet, settings: TrainSettings, loss: float, 
         save_network(settings.out / "best.pt", trained)
 
 
-def _mean_predictor_rmse(clouds: CloudSet, held_out: CloudSet, target: Target) -> float:
-    """Error on the validation rooms of always saying the training rooms' mean."""
-    mean = clouds.truth(target).mean(axis=0, dtype=np.float64)
-    return max(float(np.sqrt(np.mean((held_out.truth(target) - mean) ** 2))), 1e-9)
-
-
 def _save_checkpoint(run: _Run, settings: TrainSettings) -> None:
-    content = {
-        "settings": settings.decisive(),
-        "net": run.net.state_dict(),
-        "average": run.average.state_dict(),
-        "optimiser": run.optimiser.state_dict(),
-        "epoch": run.epoch,
-        "step": run.step,
-        "history": run.history,
-        "best_rmse": run.best_rmse,
-        "best_epoch": run.best_epoch,
-    }
-    write_torch(settings.out / "checkpoint.pt", content)
+    states = {name: getattr(run, name).state_dict() for name in STATES}
+    numbers = {name: getattr(run, name) for name in NUMBERS}
+    write_torch(settings.out / "checkpoint.pt", {"settings": settings.decisive(), **states, **numbers})
     # From the history and not appended to, so that a resumed training has each epoch once.
     with (settings.out / "curves.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, list(run.history[0]))
         writer.writeheader()
         writer.writerows(run.history)
-
-
-def _progress_line(run: _Run, settings: TrainSettings, left_s: float) -> str:
-    now = run.history[-1]
-    return (
-        f"epoch {run.epoch}/{settings.epochs}  loss {now['loss']:.4f}  validation {now['validation_ratio']:.3f} of the "
-        f"mean predictor's (best in epoch {run.best_epoch})  {format_duration(left_s)} left"
-    )

@@ -104,9 +104,7 @@ def report_plots(report: Report) -> dict[str, str]:
     return plots
 
 
-def _known(
-    points: Iterable[tuple[float | None, float | None, float | None]],
-) -> list[tuple[float, float, float | None]]:
+def _known(points: Iterable[Sequence[float | None]]) -> list[tuple[float, float, float | None]]:
     return [(float(x), float(y), half) for x, y, half in points if x is not None and y is not None]
 
 

@@ -52,13 +52,10 @@ class NetworkSeeds:
     key: str
     nets: tuple[nn.Module, ...]
 
-    def clouds_of(self, group: Group) -> CloudSet | None:
-        """The clouds of a group that this network wants; None if the group has none."""
-        return next((c for k, c in group.clouds.items() if k == self.key or k.rpartition("_")[0] == self.key), None)
-
     def predictions(self, group: Group, target: Target, device: str = "cpu") -> list[Prediction] | None:
         """One for each seed; None if the group has no clouds for this network."""
-        clouds = self.clouds_of(group)
+        wanted = (c for k, c in group.clouds.items() if k == self.key or k.rpartition("_")[0] == self.key)
+        clouds = next(wanted, None)
         return None if clouds is None else [predict_clouds(net, clouds, target, device) for net in self.nets]
 
 
@@ -101,7 +98,7 @@ def predict_clouds(net: nn.Module, clouds: CloudSet, target: Target, device: str
 def joined(parts: Sequence[Predictions]) -> dict[str, list[Prediction]]:
     """Predictions of several groups, one after the other, of the predictors that are in all of them."""
     names = [name for name in parts[0] if all(name in part for part in parts)]
-    return {name: [_joined_seed(of_seed) for of_seed in zip(*(p[name] for p in parts), strict=True)] for name in names}
+    return {name: [_joined_seed(seeds) for seeds in zip(*(p[name] for p in parts), strict=True)] for name in names}
 
 
 def over_seeds(figures: Sequence[Any]) -> tuple[Any, Any]:
