@@ -77,15 +77,9 @@ def write_cache(
         (folder / split).mkdir(parents=True)
         for field in dataclasses.fields(CloudSet):
             np.save(folder / split / f"{field.name}.npy", getattr(clouds, field.name))
-    settings = {
-        "version": CACHE_VERSION,
-        "sampling": sampling,
-        "n_anchors": n_anchors,
-        "changes_per_pair": N_COPIES,
-        "is_test_only": is_test_only,
-    }
-    settings["rooms"] = [[7, int(room)] for room in TEST_ROOMS]
-    (folder / "settings.json").write_text(json.dumps(settings))
+    settings = {"sampling": sampling, "n_anchors": n_anchors, "changes_per_pair": N_COPIES, "version": CACHE_VERSION}
+    rooms = [[7, int(room)] for room in TEST_ROOMS]
+    (folder / "settings.json").write_text(json.dumps({**settings, "is_test_only": is_test_only, "rooms": rooms}))
     return folder
 
 
@@ -106,27 +100,20 @@ def networks(tmp_path_factory):
     """Networks as they are before training, which is all a report needs."""
     folder = tmp_path_factory.mktemp("networks")
     files = {}
-    for name, estimator, seed, options in (
-        ("lattice_0", "lattice", 0, {}),
-        ("lattice_1", "lattice", 1, {}),
-        ("pointar", "pointar", 0, TINY_POINTCONV),
-    ):
+    for name, seed, options in (("lattice_0", 0, {}), ("lattice_1", 1, {}), ("pointar", 0, TINY_POINTCONV)):
         torch.manual_seed(seed)
-        files[name] = folder / f"{name}.pt"
+        files[name], estimator = folder / f"{name}.pt", name.partition("_")[0]
         save_network(files[name], TrainedNetwork(estimator, "ldr", seed, make_network(estimator, **options)))
     return files
 
 
 def settings_of(folders, files, **changes):
-    lattice = [files["lattice_0"], files["lattice_1"]]
+    lattice, walks = [files["lattice_0"], files["lattice_1"]], [folders["walk"]]
     given = {
-        "networks": {"lattice": lattice, "pointar": [files["pointar"]]},
-        "walks": [folders["walk"]],
-        "whole": [folders["whole"]],
-        "scenes": {"hotel": [folders["walk"]]},
+        "networks": {"lattice": lattice, "pointar": [files["pointar"]]}, "learning": {6: lattice[:1], 12: lattice},
+        "walks": walks, "whole": [folders["whole"]], "scenes": {"hotel": walks},
         "stress": {"64 anchors": [folders["fewer"]]},
-        "learning": {6: lattice[:1], 12: lattice},
-    }
+    }  # fmt: skip
     return ReportSettings([folders["uniform"], folders["sphere"]], **{**given, **changes})
 
 
@@ -265,7 +252,11 @@ def test_baselines_say_what_their_estimators_say(folders):
 
 def test_disturbances_leave_the_truth_and_say_what_a_sensor_would():
     clouds = random_clouds(np.random.default_rng(1), np.arange(5), 4, 0)
+    dark = {name: 0 * getattr(clouds, name) for name in ("srgb_u8", "points_m")}
+    empty = dataclasses.replace(clouds, is_set=np.zeros_like(clouds.is_set), **dark)
     for disturb in DISTURBANCES.values():
+        of_nothing = disturb(empty, np.random.default_rng(0))
+        assert not of_nothing.is_set.any() and np.isfinite(of_nothing.ambient).all()
         disturbed = disturb(clouds, np.random.default_rng(2))
         np.testing.assert_array_equal(disturbed.truth_ldr, clouds.truth_ldr)
         assert not (disturbed.is_set & ~clouds.is_set).any() and disturbed.is_set.any(axis=1).all()
@@ -287,15 +278,6 @@ def test_a_cap_is_what_lies_around_one_anchor():
     for left, known in zip(cut.is_set, clouds.is_set, strict=True):
         nearness = directions @ directions[left].T
         assert any((nearness[left, i].min() >= nearness[known & ~left, i].max(initial=-1)) for i in range(left.sum()))
-
-
-def test_an_empty_cloud_survives_every_disturbance():
-    clouds = random_clouds(np.random.default_rng(1), np.arange(1), 1, 0)
-    nothing = np.zeros_like(clouds.is_set)
-    empty = dataclasses.replace(clouds, is_set=nothing, srgb_u8=0 * clouds.srgb_u8, points_m=0 * clouds.points_m)
-    for disturb in DISTURBANCES.values():
-        disturbed = disturb(empty, np.random.default_rng(0))
-        assert not disturbed.is_set.any() and np.isfinite(disturbed.ambient).all()
 
 
 def test_the_error_of_one_room_is_found(folders):
@@ -351,15 +333,12 @@ def test_a_network_is_calibrated_for_its_weights_as_the_report_says(folders, net
         calibrate_network(networks["pointar"], [folders["sphere"], folders["uniform"]])
 
 
-@pytest.mark.parametrize("made", [[0.1, np.nan], [0.1, -0.1], [0.1]])
-def test_errors_that_are_none_cannot_calibrate(made):
-    with pytest.raises(ValueError, match="calibration: expected"):
-        fit_calibration([0.1, 0.2], made, [0.5, 0.5])
-
-
-def test_a_constant_expectation_is_calibrated_to_the_mean_error():
+def test_a_constant_expectation_is_calibrated_to_the_mean_error_and_errors_that_are_none_to_nothing():
     found = fit_calibration([0.1, 0.1, 0.1], [0.2, 0.4, 0.6], [0.5, 0.5, 0.5])
     np.testing.assert_allclose(found.expected([0.1, 5.0], [0.1, 0.9]), 0.4)
+    for made in ([0.1, np.nan], [0.1, -0.1], [0.1]):
+        with pytest.raises(ValueError, match="calibration: expected"):
+            fit_calibration([0.1, 0.2], made, [0.5, 0.5])
 
 
 def test_figures_of_seeds_are_averaged_and_what_is_missing_stays_missing():
