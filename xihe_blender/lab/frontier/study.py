@@ -96,13 +96,15 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
     kept = []
     for number, file in enumerate(files):
         path = out / "work" / file.stem / "measured.json"
-        if not path.exists():
+        one = _measured_before(path)
+        if one is None:
             scene = open_blend(file)
             study_size = settings.study_size or (QUICK if settings.is_quick else FULL)
             surveyed = survey_scene(scene, settings.size)
             study = SceneStudy(scene, file.stem, *surveyed, path.parent, settings.is_quick, settings.seed, study_size)
-            write_json(path, as_json((yield from measure_scene(study, float(number), float(len(files))))))
-        kept.append(from_json(MeasuredScene, json.loads(path.read_text(encoding="utf-8"))))
+            one = yield from measure_scene(study, float(number), float(len(files)))
+            write_json(path, as_json(one))
+        kept.append(one)
     points = [p for name, one in zip(names, kept, strict=True) for p in points_of(name, one.fronts, settings.seed)]
     found = Frontier(
         software=software(command),
@@ -118,6 +120,14 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
     write_json(out / "frontier.json", as_json(found))
     yield Progress(1, 1, "measured and written")
     return found
+
+
+def _measured_before(path: Path) -> MeasuredScene | None:
+    """None where there is none of this version."""
+    try:
+        return from_json(MeasuredScene, json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None
 
 
 def _table_row(point: FrontierPoint) -> Mapping[str, object]:
