@@ -18,7 +18,6 @@ from xihe_blender.io.json_records import as_json, from_json, json_schema
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.frontier.choices import EXHAUSTIVE, compute_choices
 from xihe_blender.lab.frontier.compute import ChoiceBackend, Walk, padded, square_errors, walk_through, with_every_pixel
-from xihe_blender.lab.frontier.pareto_plot import pareto_plot
 from xihe_blender.lab.frontier.points import Measured, family, group, groups, points_of
 from xihe_blender.lab.frontier.records import (
     ChoiceSettings,
@@ -28,6 +27,7 @@ from xihe_blender.lab.frontier.records import (
     RenderChoice,
     StudySize,
 )
+from xihe_blender.lab.frontier.report import pareto_plot
 from xihe_blender.lab.frontier.study import frontier
 from xihe_blender.lab.frontier.timing import Quartiles, interleaved
 from xihenet.camera import unproject_frame

@@ -7,7 +7,7 @@ import pytest
 
 from addon_tests.pure.batches import batch, folder_with_pictures, frontier, results, trial
 from xihe_blender.lab.batch import answers
-from xihe_blender.lab.batch.analysis import (
+from xihe_blender.lab.batch.answers import (
     MEASURES,
     against_the_best,
     compared,

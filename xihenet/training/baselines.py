@@ -20,7 +20,6 @@ from xihenet.records import AnchorSurfaces, ArrayF64, UnitSphereCloud
 from xihenet.sh import project_anchors
 from xihenet.sphere import AnchorLattice
 from xihenet.training.dataset import CloudSet
-from xihenet.training.groups import coverage_of
 
 RIDGE = 3.0
 """Penalty of the linear fits in clouds: that many clouds' worth of belief in the mean."""
@@ -117,6 +116,6 @@ def apply_linear(fit: ArrayF64, features: NDArray[Any]) -> ArrayF64:
 
 def _projection_features(projection: ArrayF64, clouds: CloudSet) -> ArrayF64:
     """(M, 55): the coefficients, and again times the share not seen, and that share."""
-    unseen = 1 - coverage_of(clouds)[:, None]
+    unseen = 1 - clouds.coverage[:, None]
     flat = projection.reshape(len(projection), 27)
     return np.concatenate([flat, flat * unseen, unseen], axis=1)

@@ -185,6 +185,12 @@ class CloudSet:
     def __len__(self) -> int:
         return len(self.room)
 
+    @property
+    def coverage(self) -> ArrayF64:
+        """(M,) share of the anchors that are set."""
+        share: ArrayF64 = self.is_set.mean(axis=1) if len(self) else np.zeros(0)
+        return share
+
     def truth(self, target: str) -> NDArray[np.float32]:
         """(M, 9, 3) of "ldr" or "hdr"."""
         return self.truth_ldr if target == "ldr" else self.truth_hdr

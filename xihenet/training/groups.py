@@ -48,7 +48,7 @@ class Group:
     @property
     def coverage(self) -> ArrayF64:
         """(M,) share of the anchors that are set."""
-        return coverage_of(self.cases)
+        return self.cases.coverage
 
 
 def open_group(
@@ -104,9 +104,3 @@ def training_clouds(folder: Path) -> CloudSet:
 def _rows_of(clouds: CloudSet, rows: ArrayInt) -> CloudSet:
     """Some clouds, read into memory."""
     return CloudSet(**{part.name: np.asarray(getattr(clouds, part.name)[rows]) for part in fields(CloudSet)})
-
-
-def coverage_of(clouds: CloudSet) -> ArrayF64:
-    """(M,) share of the anchors that are set."""
-    share: ArrayF64 = clouds.is_set.mean(axis=1) if len(clouds) else np.zeros(0)
-    return share

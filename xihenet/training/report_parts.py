@@ -21,7 +21,7 @@ from xihenet.records import ArrayBool, ArrayF64, ArrayInt
 from xihenet.training.baselines import AMBIENT, MEAN, PROJECTION, Baselines
 from xihenet.training.calibration import CalibrationFigures, calibration_figures, fit_calibration
 from xihenet.training.dataset import CloudSet
-from xihenet.training.groups import Group, coverage_of, open_group
+from xihenet.training.groups import Group, open_group
 from xihenet.training.networks import load_network
 from xihenet.training.predictions import NetworkSeeds, Prediction, Predictions, load_seeds, over_seeds, predict_clouds
 from xihenet.training.scores import (
@@ -333,7 +333,7 @@ def stress_group(
     calibrations: Mapping[str, SeedCalibrations], device: str,
 ) -> StressGroup:  # fmt: skip
     """RMSE of `projection` and the lattice networks over `ambient`'s, and whether all lights are finite."""
-    truth, basic, coverage = clouds.truth(baselines.target), baselines.lights(clouds), coverage_of(clouds)
+    truth, basic, coverage = clouds.truth(baselines.target), baselines.lights(clouds), clouds.coverage
     of_ambient = pooled_rms(basic[AMBIENT] - truth)
     projection = _stress_figures(Prediction(basic[PROJECTION]), truth, of_ambient, None)
     rows = [StressRow(**vars(projection), name=PROJECTION, n_seeds=1, spread=None)]

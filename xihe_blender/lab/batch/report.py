@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from xihe_blender.lab.batch import answers, drawings
-from xihe_blender.lab.batch.analysis import (
+from xihe_blender.lab.batch.answers import (
     MEASURES,
     Comparison,
     Measure,
