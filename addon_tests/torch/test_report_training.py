@@ -18,10 +18,9 @@ from xihenet.training import __main__ as command_line
 from xihenet.training.baselines import BASELINES, MEAN, fit_baselines, fit_linear, projected
 from xihenet.training.calibration import fit_calibration
 from xihenet.training.dataset import CACHE_VERSION, CloudSet, open_split
-from xihenet.training.groups import Group, open_group, training_clouds
 from xihenet.training.networks import TrainedNetwork, make_network, save_network
 from xihenet.training.plots import line_chart, report_plots, series_look
-from xihenet.training.predictions import Prediction, over_seeds
+from xihenet.training.predictions import Group, Prediction, open_group, over_seeds, training_clouds
 from xihenet.training.report import ALL_VIEWS, ONE_VIEW, WALK, WHOLE, ReportSettings, make_report, report_json
 from xihenet.training.report_parts import calibrate_network, coverage_curve, group_table, room_figures
 from xihenet.training.report_text import report_markdown

@@ -21,8 +21,18 @@ import numpy as np
 from xihenet.estimators.base import Target
 from xihenet.estimators.calibration import SHARES_ASKED
 from xihenet.training.baselines import Baselines, fit_baselines
-from xihenet.training.groups import Group, main_folder, open_group, training_clouds
-from xihenet.training.predictions import NetworkSeeds, Predictions, joined, load_seeds, over_seeds, predict_group
+from xihenet.training.predictions import (
+    Group,
+    NetworkSeeds,
+    Predictions,
+    joined,
+    load_seeds,
+    main_folder,
+    open_group,
+    over_seeds,
+    predict_group,
+    training_clouds,
+)
 from xihenet.training.report_parts import (
     CalibrationRow,
     CoverageCurve,

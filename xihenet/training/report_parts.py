@@ -21,9 +21,17 @@ from xihenet.records import ArrayBool, ArrayF64, ArrayInt
 from xihenet.training.baselines import AMBIENT, MEAN, PROJECTION, Baselines
 from xihenet.training.calibration import CalibrationFigures, calibration_figures, fit_calibration
 from xihenet.training.dataset import CloudSet
-from xihenet.training.groups import Group, open_group
 from xihenet.training.networks import load_network
-from xihenet.training.predictions import NetworkSeeds, Prediction, Predictions, load_seeds, over_seeds, predict_clouds
+from xihenet.training.predictions import (
+    Group,
+    NetworkSeeds,
+    Prediction,
+    Predictions,
+    load_seeds,
+    open_group,
+    over_seeds,
+    predict_clouds,
+)
 from xihenet.training.scores import (
     COVERAGE_EDGES,
     Scores,

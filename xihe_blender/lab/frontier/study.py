@@ -30,7 +30,6 @@ from xihe_blender.jobs import Job, Progress
 from xihe_blender.lab.frontier.answers import answers
 from xihe_blender.lab.frontier.choices import FULL, QUICK, compute_choices, render_choices
 from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, ORDER, Walk, loaded, measure_compute
-from xihe_blender.lab.frontier.pictures import PictureStudy, measure_pictures, picture_choices
 from xihe_blender.lab.frontier.points import MeasuredScene, points_of
 from xihe_blender.lab.frontier.records import (
     ComputeChoice,
@@ -41,7 +40,14 @@ from xihe_blender.lab.frontier.records import (
     RenderChoice,
     StudySize,
 )
-from xihe_blender.lab.frontier.rendering import RenderStudy, View, measure_rendering
+from xihe_blender.lab.frontier.rendering import (
+    PictureStudy,
+    RenderStudy,
+    View,
+    measure_pictures,
+    measure_rendering,
+    picture_choices,
+)
 from xihe_blender.lab.frontier.report import report_page
 from xihe_blender.lab.frontier.steps import Steps, part_of
 from xihe_blender.lab.frontier.timing import Quartiles
