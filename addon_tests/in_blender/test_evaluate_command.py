@@ -76,21 +76,22 @@ def refused(told, words):
     return True
 
 
-def test_mistakes_are_one_line_and_leave_nothing(scenes, tmp_path):
-    good = scenes / "good.blend"
-    assert refused(xihe("evaluate", good, "--out", tmp_path / "a", "--estimators", "magic"), "choose one of")
-    assert refused(xihe("evaluate", good, "--out", tmp_path / "a", "--profiles", "nokia"), "choose one of")
-    assert refused(xihe("evaluate", good, "--out", tmp_path / "a", "--workers", "0"), "give 1 or more")
-    assert not (tmp_path / "a").exists()
-
-
-def test_a_scheduler_that_does_not_answer_is_one_line(scenes, tmp_path):
+@pytest.mark.parametrize(
+    ("option", "value", "words"),
+    [
+        ("--estimators", "magic", "choose one of"),
+        ("--profiles", "nokia", "choose one of"),
+        ("--workers", "0", "give 1 or more"),
+        ("--scheduler", "nowhere", "no scheduler answers"),
+        ("--scheduler", "tcp://127.0.0.1:{}", "no scheduler answers"),
+    ],
+)
+def test_mistakes_are_one_line_and_leave_nothing(scenes, tmp_path, option, value, words):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
-        address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
-        for place in (address, "nowhere"):
-            told = xihe("evaluate", scenes / "good.blend", "--out", tmp_path / "a", "--scheduler", place)
-            assert refused(told, "no scheduler answers") and not (tmp_path / "a").exists()
+        given = value.format(taken.getsockname()[1])
+        told = xihe("evaluate", scenes / "good.blend", "--out", tmp_path / "a", option, given)
+    assert refused(told, words) and not (tmp_path / "a").exists()
 
 
 def test_a_folder_of_another_version_is_one_line_and_stays(done, tmp_path):

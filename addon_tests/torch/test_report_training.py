@@ -190,11 +190,8 @@ def test_an_axis_holds_its_values_and_few_short_ticks(values):
         assert 2 <= len(axis.ticks) <= 8 and all(len(axis.label(tick)) <= 9 for tick in axis.ticks)
 
 
-def test_no_two_of_many_series_look_alike():
+def test_no_two_series_look_alike_names_are_escaped_and_a_plot_without_points_is_refused():
     assert len({series_look(i) for i in range(32)}) == 32
-
-
-def test_a_plot_without_points_is_refused_and_names_are_escaped():
     axis = linear_axis(0, 0.7, n_steps=5)
     assert axis.low == 0 and 0.7 <= axis.high <= 1
     with pytest.raises(ValueError, match="at least one series"):

@@ -31,18 +31,9 @@ from xihenet.records import ArrayInt
 from xihenet.sh import cosine_lobe
 from xihenet.sh_basis import basis
 from xihenet.sphere import AnchorLattice
+from xihenet.training import networks
 from xihenet.training.dataset import CloudSet, open_split
-from xihenet.training.networks import (
-    Batch,
-    TrainedNetwork,
-    make_network,
-    predict,
-    read_batch,
-    read_torch,
-    run_network,
-    save_network,
-    write_torch,
-)
+from xihenet.training.networks import Batch
 
 N_NORMALS = 32
 Progress = Callable[[str], None]
@@ -198,7 +189,7 @@ def _irradiance_matrix() -> NDArray[np.float32]:
 
 def _start_or_resume(settings: TrainSettings) -> _Run:
     torch.manual_seed(settings.seed)
-    net = make_network(settings.estimator, **settings.options).to(settings.device)
+    net = networks.make_network(settings.estimator, **settings.options).to(settings.device)
     average = copy.deepcopy(net)
     optimiser = torch.optim.AdamW(
         net.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay, foreach=False
@@ -207,7 +198,7 @@ def _start_or_resume(settings: TrainSettings) -> _Run:
     path = settings.out / "checkpoint.pt"
     if not path.exists():
         return run
-    kept = read_torch(path, settings.device)
+    kept = networks.read_torch(path, settings.device)
     if kept.get("settings") != settings.decisive():
         raise ValueError(f"{path}: expected a training with the same settings; choose another folder or remove it")
     for name in STATES:
@@ -227,8 +218,10 @@ def _train_epoch(run: _Run, clouds: CloudSet, settings: TrainSettings) -> float:
     for rows in batches:
         for group in run.optimiser.param_groups:
             group["lr"] = _learning_rate(run.step, settings.epochs * len(batches), settings.learning_rate)
-        batch = hide_caps(read_batch(clouds, rows, settings.target, settings.device), settings.hidden_share, rng)
-        light, expected_error = run_network(run.net, batch)
+        batch = hide_caps(
+            networks.read_batch(clouds, rows, settings.target, settings.device), settings.hidden_share, rng
+        )
+        light, expected_error = networks.run_network(run.net, batch)
         loss = training_loss(light, expected_error, batch.truth, settings)
         run.optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
@@ -254,7 +247,7 @@ def _learning_rate(step: int, n_steps: int, highest: float) -> float:
 
 def _judge(run: _Run, held_out: CloudSet, settings: TrainSettings, loss: float, yardstick: float) -> None:
     """Validate the moving average, note it in the history, and keep it if it is the best so far."""
-    light, _ = predict(run.average, held_out, settings.target, settings.device)
+    light, _ = networks.predict(run.average, held_out, settings.target, settings.device)
     rmse = float(np.sqrt(np.mean((light - held_out.truth(settings.target)) ** 2, dtype=np.float64)))
     rate = run.optimiser.param_groups[0]["lr"]
     run.history.append(
@@ -262,14 +255,14 @@ def _judge(run: _Run, held_out: CloudSet, settings: TrainSettings, loss: float, 
     )
     if rmse < run.best_rmse:
         run.best_rmse, run.best_epoch = rmse, run.epoch
-        trained = TrainedNetwork(settings.estimator, settings.target, settings.seed, run.average)
-        save_network(settings.out / "best.pt", trained)
+        trained = networks.TrainedNetwork(settings.estimator, settings.target, settings.seed, run.average)
+        networks.save_network(settings.out / "best.pt", trained)
 
 
 def _save_checkpoint(run: _Run, settings: TrainSettings) -> None:
     states = {name: getattr(run, name).state_dict() for name in STATES}
     numbers = {name: getattr(run, name) for name in NUMBERS}
-    write_torch(settings.out / "checkpoint.pt", {"settings": settings.decisive(), **states, **numbers})
+    networks.write_torch(settings.out / "checkpoint.pt", {"settings": settings.decisive(), **states, **numbers})
     # From the history and not appended to, so that a resumed training has each epoch once.
     with (settings.out / "curves.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, list(run.history[0]))

@@ -20,6 +20,7 @@ import numpy as np
 
 from xihenet.estimators.base import Target
 from xihenet.estimators.calibration import SHARES_ASKED
+from xihenet.training import report_parts as parts
 from xihenet.training.baselines import Baselines, fit_baselines
 from xihenet.training.predictions import (
     Group,
@@ -32,19 +33,6 @@ from xihenet.training.predictions import (
     over_seeds,
     predict_group,
     training_clouds,
-)
-from xihenet.training.report_parts import (
-    CalibrationRow,
-    CoverageCurve,
-    RoomFigures,
-    SeedCalibrations,
-    StressGroup,
-    Table,
-    coverage_curve,
-    group_table,
-    prediction_figures,
-    room_figures,
-    stress_group,
 )
 from xihenet.training.rooms import Split
 from xihenet.training.scores import COVERAGE_EDGES, DOMINANT_SHARE
@@ -128,12 +116,12 @@ class Report:
     """
 
     head: ReportHead
-    tables: tuple[Table, ...]
-    curve: CoverageCurve
+    tables: tuple[parts.Table, ...]
+    curve: parts.CoverageCurve
     learning: tuple[LearningPoint, ...]
-    rooms: tuple[RoomFigures, ...]
-    calibration: tuple[CalibrationRow, ...]
-    stress: tuple[StressGroup, ...]
+    rooms: tuple[parts.RoomFigures, ...]
+    calibration: tuple[parts.CalibrationRow, ...]
+    stress: tuple[parts.StressGroup, ...]
 
 
 def report_json(report: Report) -> str:
@@ -160,10 +148,10 @@ def make_report(settings: ReportSettings, progress: Callable[[str], None] = lamb
     calibrations = _calibrations(settings, networks)
     return Report(
         ReportHead(settings.split, target, baselines.n_rooms, baselines.n_clouds),
-        tuple(group_table(group, one, target) for group, one in zip(groups, predicted, strict=True)),
-        coverage_curve(groups[:2], joined(predicted[:2]), target),
+        tuple(parts.group_table(group, one, target) for group, one in zip(groups, predicted, strict=True)),
+        parts.coverage_curve(groups[:2], joined(predicted[:2]), target),
         tuple(_learning(settings, groups[:2], predicted[:2])),
-        tuple(room_figures(groups[0], name, seeds, target) for name, seeds in predicted[0].items()),
+        tuple(parts.room_figures(groups[0], name, seeds, target) for name, seeds in predicted[0].items()),
         tuple(one.figures(groups, predicted, target) for one in calibrations),
         tuple(_stress(settings, groups[0], networks, baselines, calibrations)),
     )
@@ -194,24 +182,24 @@ def _learning(
         ratios = {}
         for group, known in zip(groups, predicted, strict=True):
             said = seeds.predictions(group, settings.target, settings.device) or []
-            figures = prediction_figures(group, known, said, settings.target)
+            figures = parts.prediction_figures(group, known, said, settings.target)
             ratios[group.name] = over_seeds([one.ratio for one in figures] or [None])
         points.append(LearningPoint(n_rooms, len(files), seeds.estimator, ratios))
     return points
 
 
-def _calibrations(settings: ReportSettings, networks: Sequence[NetworkSeeds]) -> list[SeedCalibrations]:
+def _calibrations(settings: ReportSettings, networks: Sequence[NetworkSeeds]) -> list[parts.SeedCalibrations]:
     """Of the networks that expect an error, fitted to the validation clouds of one view and of all views."""
     held_out = [open_group(views, settings.clouds, "validation", views) for views in ("one", "merged")]
     is_crossed = settings.split == "validation"
-    found = [SeedCalibrations.fitted(n, held_out, settings.target, settings.device, is_crossed) for n in networks]
+    found = [parts.SeedCalibrations.fitted(n, held_out, settings.target, settings.device, is_crossed) for n in networks]
     return [one for one in found if one is not None]
 
 
 def _stress(
     settings: ReportSettings, group: Group, networks: Sequence[NetworkSeeds], baselines: Baselines,
-    calibrations: Sequence[SeedCalibrations],
-) -> list[StressGroup]:  # fmt: skip
+    calibrations: Sequence[parts.SeedCalibrations],
+) -> list[parts.StressGroup]:  # fmt: skip
     """Each disturbance of the clouds of one view, and each group of clouds that were sampled otherwise."""
     disturbed = {
         name: disturb(group.cases, np.random.default_rng([settings.seed, i]))
@@ -222,4 +210,6 @@ def _stress(
         clouds[name] = open_group(name, folders, settings.split, "one").cases
     of_lattice = [network for network in networks if network.estimator == "lattice"]
     rows = {one.name: one for one in calibrations}
-    return [stress_group(name, some, of_lattice, baselines, rows, settings.device) for name, some in clouds.items()]
+    return [
+        parts.stress_group(name, some, of_lattice, baselines, rows, settings.device) for name, some in clouds.items()
+    ]

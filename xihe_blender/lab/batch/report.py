@@ -12,19 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from xihe_blender.lab.batch import answers, drawings
-from xihe_blender.lab.batch.answers import (
-    MEASURES,
-    Comparison,
-    Measure,
-    WorstCase,
-    against_the_best,
-    chosen,
-    frame_values,
-    names_of,
-    trigger_points,
-    values_of,
-    worst_cases,
-)
+from xihe_blender.lab.batch.answers import MEASURES, Measure
 from xihe_blender.lab.batch.results import WORST_KINDS, BatchFolder, BatchResults, Trial, UnitRow, worst_picture
 from xihe_blender.lab.frontier.answers import HOW_MANY_ANCHORS, LAST_TENTH
 from xihe_blender.lab.frontier.points import family
@@ -96,8 +84,8 @@ def _estimators(trials: Sequence[Trial]) -> str:
 
 def _distribution(trials: Sequence[Trial], measure: Measure) -> str:
     rows = []
-    for index, name in enumerate(names_of(trials, "estimator")):
-        known = [(measure.of(trial), trial) for trial in chosen(trials, estimator=name)]
+    for index, name in enumerate(answers.names_of(trials, "estimator")):
+        known = [(measure.of(trial), trial) for trial in answers.chosen(trials, estimator=name)]
         dots = [
             (value, f"{t.scene}, seed {t.seed}, {t.phone}: {format_number(value)}")
             for value, t in known
@@ -109,7 +97,7 @@ def _distribution(trials: Sequence[Trial], measure: Measure) -> str:
 
 
 def _against_the_best(trials: Sequence[Trial], measure: Measure) -> str:
-    rows = _intervals(against_the_best(trials, measure), names_of(trials, "estimator"))
+    rows = _intervals(answers.against_the_best(trials, measure), answers.names_of(trials, "estimator"))
     side = (
         "Right of the dashed line the first has more error" if measure.is_better_low else "Right: the first is better"
     )
@@ -118,7 +106,7 @@ def _against_the_best(trials: Sequence[Trial], measure: Measure) -> str:
     return drawings.differences(rows, title=title, about=about, axis_name=measure.unit or "no unit")
 
 
-def _intervals(found: Sequence[Comparison], names: Sequence[str]) -> list[drawings.Interval]:
+def _intervals(found: Sequence[answers.Comparison], names: Sequence[str]) -> list[drawings.Interval]:
     """A row for each, coloured by the place of the first in `names`; a phone's own file goes by its stem."""
     titles = (f"{Path(one.first).stem} {MINUS} {Path(one.second).stem}" for one in found)
     return [
@@ -130,7 +118,7 @@ def _intervals(found: Sequence[Comparison], names: Sequence[str]) -> list[drawin
 def _pairs_table(trials: Sequence[Trial]) -> str:
     rows = []
     for measure in MEASURES:
-        for one in against_the_best(trials, measure):
+        for one in answers.against_the_best(trials, measure):
             d = one.difference
             better = d.share_lower if measure.is_better_low else 1 - d.share_lower
             cells = [escape(measure.title), answers.format_interval(d), f"{round(better * d.n_pairs)} of {d.n_pairs}"]
@@ -139,7 +127,7 @@ def _pairs_table(trials: Sequence[Trial]) -> str:
 
 
 def _phones(trials: Sequence[Trial]) -> str:
-    rows = _intervals(answers.phone_differences(trials, MEASURES[0]), names_of(trials, "phone"))
+    rows = _intervals(answers.phone_differences(trials, MEASURES[0]), answers.names_of(trials, "phone"))
     about = "The same scene and seed through two phones, with 95 % intervals of the mean. Left: the first is better."
     title = "Coefficient error: differences between phones"
     plot = drawings.differences(rows, title=title, about=about, axis_name="no unit")
@@ -147,16 +135,19 @@ def _phones(trials: Sequence[Trial]) -> str:
 
 
 def _phone_table(trials: Sequence[Trial]) -> str:
-    phones, names = names_of(trials, "phone"), names_of(trials, "estimator")
+    phones, names = answers.names_of(trials, "phone"), answers.names_of(trials, "estimator")
     rows = [
-        (code(name), *(format_number(mean(values_of(trials, MEASURES[0], estimator=name, phone=p))) for p in phones))
+        (
+            code(name),
+            *(format_number(mean(answers.values_of(trials, MEASURES[0], estimator=name, phone=p))) for p in phones),
+        )
         for name in names
     ]
     return table(("mean coefficient error", *(escape(phone) for phone in phones)), rows)
 
 
 def _how_often(trials: Sequence[Trial]) -> str:
-    known = {name: trigger_points(trials, name) for name in names_of(trials, "estimator")}
+    known = {name: answers.trigger_points(trials, name) for name in answers.names_of(trials, "estimator")}
     lines, rows = [], []
     for index, (name, points) in enumerate(known.items()):
         dots = []
@@ -194,7 +185,11 @@ def _from_frontier(frontier: Frontier | None) -> list[tuple[str, str, str]]:
 def _by_anchors(frontier: Frontier) -> str:
     """A plot with a dot for each number in the answer."""
     known = _points(frontier, "compute", "coefficients_truth")
-    own = [point for scene in names_of(known, "scene") for point in family(chosen(known, scene=scene), ("n_anchors",))]
+    own = [
+        point
+        for scene in answers.names_of(known, "scene")
+        for point in family(answers.chosen(known, scene=scene), ("n_anchors",))
+    ]
     by_anchors = sorted(own, key=lambda point: point.computing.n_anchors)
     return _error_against_time(
         [(f"{point.computing.n_anchors} anchors", point) for point in by_anchors],
@@ -247,7 +242,7 @@ def _error_against_time(
 
 
 def _worst(folder: BatchFolder, trials: Sequence[Trial]) -> str:
-    cases = worst_cases(trials, N_WORST)
+    cases = answers.worst_cases(trials, N_WORST)
     if not cases:
         return "<p>No picture was compared.</p>"
     about = (
@@ -257,7 +252,7 @@ def _worst(folder: BatchFolder, trials: Sequence[Trial]) -> str:
     return about + f'<div class="cases">{"".join(_case(folder, case) for case in cases)}</div>'
 
 
-def _case(folder: BatchFolder, case: WorstCase) -> str:
+def _case(folder: BatchFolder, case: answers.WorstCase) -> str:
     trial = case.trial
     figures = "".join(
         f"<figure>{_picture(worst_picture(folder.path / 'units' / trial.unit, trial.number, kind))}"
@@ -285,18 +280,18 @@ def _numbers(trials: Sequence[Trial]) -> str:
 
 
 def _by_scene(trials: Sequence[Trial]) -> str:
-    names = names_of(trials, "estimator")
+    names = answers.names_of(trials, "estimator")
     rows = []
-    for scene in names_of(trials, "scene"):
-        means = [mean(values_of(trials, MEASURES[0], estimator=name, scene=scene)) for name in names]
+    for scene in answers.names_of(trials, "scene"):
+        means = [mean(answers.values_of(trials, MEASURES[0], estimator=name, scene=scene)) for name in names]
         rows.append((escape(scene), *(format_number(value) for value in means)))
     return block("Mean coefficient error by scene", table(("scene", *(code(name) for name in names)), rows, "stacking"))
 
 
 def _quantiles(trials: Sequence[Trial], measure: Measure) -> str:
     rows = []
-    for name in names_of(trials, "estimator"):
-        values = frame_values(trials, measure, name)
+    for name in answers.names_of(trials, "estimator"):
+        values = answers.frame_values(trials, measure, name)
         if values:
             quantiles = np.percentile(values, [0, 10, 50, 90, 100])
             rows.append((code(name), str(len(values)), *(format_number(float(value)) for value in quantiles)))

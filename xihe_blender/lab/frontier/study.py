@@ -27,6 +27,7 @@ from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress
+from xihe_blender.lab.frontier import rendering
 from xihe_blender.lab.frontier.answers import answers
 from xihe_blender.lab.frontier.choices import FULL, QUICK, compute_choices, render_choices
 from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, ORDER, Walk, loaded, measure_compute
@@ -39,14 +40,6 @@ from xihe_blender.lab.frontier.records import (
     FrontierSettings,
     RenderChoice,
     StudySize,
-)
-from xihe_blender.lab.frontier.rendering import (
-    PictureStudy,
-    RenderStudy,
-    View,
-    measure_pictures,
-    measure_rendering,
-    picture_choices,
 )
 from xihe_blender.lab.frontier.report import report_page
 from xihe_blender.lab.frontier.steps import Steps, part_of
@@ -189,9 +182,9 @@ def measure_scene(study: SceneStudy, done: float, whole: float) -> Job[MeasuredS
             backends, missing = loaded(compute_choices(is_quick=study.is_quick))
             computed = yield from share("computing", measure_compute(backends, walk, study_size.n_rounds, rng))
             seen = evenly_chosen(list(zip(walk.frames, walk.active, strict=True)), study_size.n_views)
-            renders = RenderStudy(
+            renders = rendering.RenderStudy(
                 scanner,
-                [View(frame.frame, [walk.positions[name] for name in names]) for frame, names in seen],
+                [rendering.View(frame.frame, [walk.positions[name] for name in names]) for frame, names in seen],
                 render_choices(prepared.presets, size, study_size, is_quick=study.is_quick),
                 RenderChoice(size, study_size.reference_samples),
                 study_size,
@@ -201,10 +194,12 @@ def measure_scene(study: SceneStudy, done: float, whole: float) -> Job[MeasuredS
             computing_ms = {
                 choice: Quartiles.of(one.times_ms).median for choice, one in zip(backends, computed, strict=True)
             }
-            rendered, together = yield from share("rendering", measure_rendering(renders, computing_ms, rng))
+            rendered, together = yield from share("rendering", rendering.measure_rendering(renders, computing_ms, rng))
             comparison = replace(capture, samples=1)
-            pictures = PictureStudy(renders, study.plan, comparison, picture_choices(prepared.presets))
-            pictured, estimators = yield from share("pictures", measure_pictures(pictures, rng))
+            pictures = rendering.PictureStudy(
+                renders, study.plan, comparison, rendering.picture_choices(prepared.presets)
+            )
+            pictured, estimators = yield from share("pictures", rendering.measure_pictures(pictures, rng))
     computed = [
         replace(one, square_errors={**one.square_errors, "picture" + AGAINST_TRUTH: estimators[one.label]})
         if one.label in estimators
