@@ -10,7 +10,9 @@ import json
 import sys
 from pathlib import Path
 
+from xihe_blender.io.json_records import from_json
 from xihe_blender.lab.frontier.points import group, groups
+from xihe_blender.lab.frontier.records import Frontier
 from xihenet.pareto import flickering
 
 KINDS = ("coefficients", "irradiance", "picture")
@@ -22,13 +24,13 @@ def presets_table(points):
     print("| scene | front | error in | draft | balanced | accurate | accurate / draft | on the front |")
     print("| --- | --- | --- | --- | --- | --- | --- | --- |")
     for scene, front, kind in groups(points):
-        own = {p["preset"]: p for p in group(points, scene, front, kind) if p["preset"]}
+        own = {p.preset: p for p in group(points, scene, front, kind) if p.preset}
         if kind not in KINDS or set(own) != set(PRESETS):
             continue
-        cells = [f"{own[name]['error']:.2%} in {own[name]['time_ms'] / 1000:.2f} s" for name in PRESETS]
-        ratio = own["accurate"]["error"] / own["draft"]["error"]
-        on_front = ", ".join(name for name in PRESETS if own[name]["on_front"]) or "none"
-        errors, times = ([own[name][key] for name in PRESETS] for key in ("error", "time_ms"))
+        cells = [f"{own[name].error:.2%} in {own[name].time_ms / 1000:.2f} s" for name in PRESETS]
+        ratio = own["accurate"].error / own["draft"].error
+        on_front = ", ".join(name for name in PRESETS if own[name].on_front) or "none"
+        errors, times = ([getattr(own[name], key) for name in PRESETS] for key in ("error", "time_ms"))
         is_between = errors[0] > errors[1] > errors[2] and times[0] < times[1] < times[2]
         wrong = ", ".join(
             [*(["more than half"] if ratio > 0.5 else []), *([] if is_between else ["balanced not between"])]
@@ -40,9 +42,7 @@ def presets_table(points):
 def flickering_table(runs):
     """Choices on the fronts of all runs, of some, by group."""
     for each in sorted({one for points in runs for one in groups(points)}):
-        fronts = [
-            {p["label"] for p in group(points, *each) if p["on_front"]} for points in runs if each in groups(points)
-        ]
+        fronts = [{p.label for p in group(points, *each) if p.on_front} for points in runs if each in groups(points)]
         if len(fronts) < 2:
             continue
         steady = set.intersection(*fronts)
@@ -52,7 +52,8 @@ def flickering_table(runs):
 
 
 def main(folders):
-    runs = [json.loads((Path(f) / "frontier.json").read_text(encoding="utf-8"))["points"] for f in folders]
+    texts = [(Path(folder) / "frontier.json").read_text(encoding="utf-8") for folder in folders]
+    runs = [from_json(Frontier, json.loads(text)).points for text in texts]
     for points in runs:
         presets_table(points)
     flickering_table(runs)

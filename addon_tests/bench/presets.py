@@ -17,8 +17,9 @@ from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.io.blender_output import blender_output_aside
 from xihe_blender.jobs import run_blocking
-from xihe_blender.lab.frontier.choices import FULL, RenderChoice
+from xihe_blender.lab.frontier.choices import FULL, RenderCandidate
 from xihe_blender.lab.frontier.compute import KINDS
+from xihe_blender.lab.frontier.records import RenderChoice
 from xihe_blender.lab.frontier.rendering import COMPUTED_BY, RenderStudy, View, measure_rendering
 from xihe_blender.lab.frontier.steps import part_of
 from xihe_blender.lab.frontier.study import SceneStudy, prepare, survey_scene
@@ -47,7 +48,8 @@ def measured(file, folder, effort, seed):
                 View(frame, [positions_m[name] for name in names])
                 for frame, names in evenly_chosen(list(survey.in_view.items()), effort.n_views)
             ]
-            choices, exhaustive = list(prepared.presets.values()), RenderChoice(plan.size, effort.reference_samples)
+            choices = [RenderCandidate(choice, name) for name, choice in prepared.presets.items()]
+            exhaustive = RenderChoice(plan.size, effort.reference_samples)
             renders = RenderStudy(scanner, views, choices, exhaustive, effort, seed, study.folder)
             nothing = dict.fromkeys(COMPUTED_BY, 0.0)
             alone, _ = run_blocking(part_of(1, 0, 1, measure_rendering(renders, nothing, rng)))
@@ -64,7 +66,7 @@ def row(file, alone, sizes):
     """A line of the table."""
     overall = {kind: [np.sqrt(np.mean(one.square_errors[kind])) for one in alone] for kind in KINDS}
     times_s = [Quartiles.of(one.times_ms).median / 1000 for one in alone]
-    samples = ", ".join(str(one.settings["samples"]) for one in alone)
+    samples = ", ".join(str(one.settings.rendering.samples) for one in alone)
     cells = [f"{error:.2%} in {time_s:.2g} s" for error, time_s in zip(overall["coefficients"], times_s, strict=True)]
     for kind in KINDS:
         draft, balanced, accurate = overall[kind]

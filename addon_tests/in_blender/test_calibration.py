@@ -12,12 +12,7 @@ from tiny_scenes import look_at, room_with_a_virtual_sphere
 from xihe_blender.addon.calibration import calibration_file, calibration_line
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihe_blender.lab.frontier.calibrate import (
-    Calibration,
-    calibrate,
-    format_calibration,
-    save_calibration,
-)
+from xihe_blender.lab.frontier.calibrate import Calibration, calibrate, format_calibration, save_calibration
 from xihe_blender.previs.settings import PRESETS, PrevisSettings
 
 SMALL = PrevisSettings(size=(32, 24))
@@ -49,12 +44,8 @@ def test_the_scene_stays_as_it_is():
 def test_what_is_remembered_is_whole_and_says_its_sentence(tmp_path):
     save_calibration(tmp_path / "deep" / "calibration.json", KNOWN)
     kept = json.loads((tmp_path / "deep" / "calibration.json").read_text(encoding="utf-8"))
-    assert kept == {**asdict(KNOWN), "said": format_calibration(KNOWN)}
-
-
-def test_costs_are_said_in_one_sentence():
-    said = format_calibration(KNOWN)
-    assert said == "draft 0.41 s, balanced 0.90 s, accurate 3.1 s a frame, measured on room"
+    said = "draft 0.41 s, balanced 0.90 s, accurate 3.1 s a frame, measured on room"
+    assert kept == {**asdict(KNOWN), "said": said} and format_calibration(KNOWN) == said
 
 
 def test_the_button_keeps_what_the_function_measures_and_the_panel_says_it(tmp_path):
@@ -63,11 +54,8 @@ def test_the_button_keeps_what_the_function_measures_and_the_panel_says_it(tmp_p
     assert bpy.ops.xihe.calibrate() == {"FINISHED"}
     kept = json.loads(calibration_file().read_text(encoding="utf-8"))
     assert calibration_file().parent == tmp_path / "runs"
-    assert (
-        calibration_line()
-        == kept["said"]
-        == format_calibration(Calibration(**{k: v for k, v in kept.items() if k != "said"}))
-    )
+    again = Calibration(**{name: value for name, value in kept.items() if name != "said"})
+    assert calibration_line() == kept["said"] == format_calibration(again)
     size = tuple(scene.xihe.size)
     by_function = run_blocking(calibrate(scene, replace(SMALL, size=size, preset="draft")))
     # Times differ from one measurement to the next, and what follows from the scene alone does not.

@@ -8,7 +8,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.rooms.build import BuildSettings, build_dataset
 from xihe_blender.lab.rooms.store import room_path
-from xihe_blender.lab.workers.dask_workers import dashboard, open_dask_workers
+from xihe_blender.lab.workers.dask_workers import Work, dashboard, open_dask_workers
 
 pytestmark = pytest.mark.wheel_only("a whole Blender's Python has no Dask")
 
@@ -20,14 +20,8 @@ def scheduler():
     """The address of a scheduler with two workers in this process."""
     from distributed import LocalCluster
 
-    with LocalCluster(
-        n_workers=2,
-        threads_per_worker=1,
-        processes=False,
-        protocol="tcp",
-        host="127.0.0.1",
-        dashboard_address="127.0.0.1:0",
-    ) as cluster:
+    on_loopback = {"protocol": "tcp", "host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
+    with LocalCluster(n_workers=2, threads_per_worker=1, processes=False, **on_loopback) as cluster:
         yield cluster.scheduler_address
 
 
@@ -39,7 +33,7 @@ def scripts(tmp_path, monkeypatch):
 
 
 def asked(name, *arguments):
-    return {"name": f"{name} {arguments}", "module": name, "arguments": list(arguments), "told": None}
+    return Work(f"{name} {arguments}", name, arguments)
 
 
 def run(scheduler, *work):
@@ -50,10 +44,9 @@ def run(scheduler, *work):
 
 
 def test_a_process_that_dies_is_tried_again(scheduler, scripts):
-    script = (
+    (scripts / "dies_once.py").write_text(
         "import os, sys, pathlib; n = pathlib.Path(sys.argv[1]); n.exists() or (n.touch(), os.kill(os.getpid(), 9))"
     )
-    (scripts / "dies_once.py").write_text(script)
     assert run(scheduler, asked("dies_once", str(scripts / "mark"))) == {}
     assert (scripts / "mark").exists()
 
@@ -68,9 +61,8 @@ def test_one_that_always_dies_is_named_and_the_others_are_done(scheduler, script
 
 
 def test_what_the_user_can_mend_is_not_tried_again(scheduler, scripts):
-    script = "import sys, pathlib; p = pathlib.Path(sys.argv[1]); p.open('a').write('x'); sys.exit('mend it') "
     (scripts / "says.py").write_text(
-        script.replace("sys.exit('mend it')", "print('mend it', file=sys.stderr); sys.exit(2)")
+        "import sys; open(sys.argv[1], 'a').write('x'); print('mend it', file=sys.stderr); sys.exit(2)"
     )
     assert list(run(scheduler, asked("says", str(scripts / "tries"))).values()) == ["mend it"]
     assert (scripts / "tries").read_text() == "x"
@@ -93,9 +85,8 @@ def test_a_dashboard_is_named_where_there_is_one(scheduler):
         said = dashboard(workers)
         with urlopen(workers.client.dashboard_link, timeout=20) as page:
             is_there = b"Dask needs bokeh" not in page.read()
-        assert said == (
-            f"dashboard: {page.url}" if is_there else "no dashboard: it takes a scheduler with bokeh installed"
-        )
+        none = "no dashboard: it takes a scheduler with bokeh installed"
+        assert said == (f"dashboard: {page.url}" if is_there else none)
     assert page.url.startswith("http://127.0.0.1:") and page.url.endswith("/status")
 
 

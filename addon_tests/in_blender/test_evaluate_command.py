@@ -6,8 +6,12 @@ import socket
 
 import bpy
 import pytest
+from jsonschema import Draft202012Validator
 from tiny_scenes import room_with_a_virtual_sphere
 from xihe_process import xihe
+
+from xihe_blender.io.json_records import from_json
+from xihe_blender.lab.batch.results import BatchResults, batch_schema
 
 pytestmark = [pytest.mark.slow, pytest.mark.wheel_only("a whole Blender's Python has no Dask")]
 
@@ -40,11 +44,13 @@ def test_a_broken_scene_is_named_and_stops_no_other(done):
     assert told.returncode == 1, told.stderr
     complaints = [line for line in told.stderr.splitlines() if line.startswith("xihe: ")]
     assert len(complaints) == 2 and "none.blend" in complaints[0] and "camera" in complaints[1]
-    results = json.loads((out / "results.json").read_text())
-    assert [(t["scene"], t["estimator"]) for t in results["trials"]] == [
+    content = json.loads((out / "results.json").read_text())
+    Draft202012Validator(batch_schema()).validate(content)
+    results = from_json(BatchResults, content)
+    assert [(t.scene, t.estimator) for t in results.trials] == [
         (scene, name) for scene in ("good", "as_good") for name in ("projection", "ambient")
     ]
-    assert len(results["failed"]) == 2 and (out / "report.html").read_text().count("<svg") > 0
+    assert len(results.failed) == 2 and (out / "report.html").read_text().count("<svg") > 0
 
 
 def test_one_worker_comes_to_the_same_bytes(done, scenes, tmp_path):
@@ -70,21 +76,22 @@ def refused(told, words):
     return True
 
 
-def test_mistakes_are_one_line_and_leave_nothing(scenes, tmp_path):
-    good = scenes / "good.blend"
-    assert refused(xihe("evaluate", good, "--out", tmp_path / "a", "--estimators", "magic"), "choose one of")
-    assert refused(xihe("evaluate", good, "--out", tmp_path / "a", "--profiles", "nokia"), "choose one of")
-    assert refused(xihe("evaluate", good, "--out", tmp_path / "a", "--workers", "0"), "give 1 or more")
-    assert not (tmp_path / "a").exists()
-
-
-def test_a_scheduler_that_does_not_answer_is_one_line(scenes, tmp_path):
+@pytest.mark.parametrize(
+    ("option", "value", "words"),
+    [
+        ("--estimators", "magic", "choose one of"),
+        ("--profiles", "nokia", "choose one of"),
+        ("--workers", "0", "give 1 or more"),
+        ("--scheduler", "nowhere", "no scheduler answers"),
+        ("--scheduler", "tcp://127.0.0.1:{}", "no scheduler answers"),
+    ],
+)
+def test_mistakes_are_one_line_and_leave_nothing(scenes, tmp_path, option, value, words):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
-        address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
-        for place in (address, "nowhere"):
-            told = xihe("evaluate", scenes / "good.blend", "--out", tmp_path / "a", "--scheduler", place)
-            assert refused(told, "no scheduler answers") and not (tmp_path / "a").exists()
+        given = value.format(taken.getsockname()[1])
+        told = xihe("evaluate", scenes / "good.blend", "--out", tmp_path / "a", option, given)
+    assert refused(told, words) and not (tmp_path / "a").exists()
 
 
 def test_a_folder_of_another_version_is_one_line_and_stays(done, tmp_path):

@@ -1,7 +1,6 @@
 """One scene and one seed of a batch: a room is rendered once, and a trial has the numbers of a run of its own."""
 
 import contextlib
-import json
 from dataclasses import replace
 
 import bpy
@@ -35,13 +34,13 @@ def evaluated(folder, file, settings=SMALL, seed=0):
 
 def test_a_trial_has_the_numbers_of_a_run_of_its_own(tmp_path, file):
     unit = evaluated(tmp_path / "unit", file)
-    assert [(t["phone"], t["estimator"]) for t in unit["trials"]] == SMALL.trials()
-    trial = next(t for t in unit["trials"] if (t["phone"], t["estimator"]) == ("ipad_pro_lidar", "projection"))
+    assert [(t.phone, t.estimator) for t in unit.trials] == SMALL.trials()
+    trial = next(t for t in unit.trials if (t.phone, t.estimator) == ("ipad_pro_lidar", "projection"))
     alone = run(bpy.context.scene, tmp_path / "alone", SMALL.of_trial("ipad_pro_lidar", "projection", 0))
-    assert trial["n_estimates"] == alone["summary"]["n_estimates"]
-    assert trial["shc_rmse"] == alone["summary"]["mean_shc_rmse"]
+    assert trial.n_estimates == alone["summary"]["n_estimates"]
+    assert trial.shc_rmse == alone["summary"]["mean_shc_rmse"]
     own = alone["comparison"]["projection"]
-    assert {metric: trial[metric] for metric in own} == pytest.approx(own, rel=1e-5)
+    assert {metric: getattr(trial, metric) for metric in own} == pytest.approx(own, rel=1e-5)
 
 
 def test_more_phones_and_estimators_render_no_more_of_the_room(tmp_path, file):
@@ -62,22 +61,22 @@ def test_a_unit_that_was_stopped_goes_on_and_comes_to_the_same(tmp_path, file):
     there = files_below(tmp_path / "part")
     assert any("compared" in name for name in there)
     resumed = evaluated(tmp_path / "part", file)
-    assert json.dumps(resumed["trials"]) == json.dumps(whole["trials"])
+    assert resumed.trials == whole.trials
     captures = [name for name in there if "capture_" in name]
     assert captures and all(files_below(tmp_path / "part")[name] == there[name] for name in captures)
 
 
 def test_another_seed_is_another_room(tmp_path, file):
     one = replace(SMALL, estimators=("projection",), phones=("perfect",), frames=(1,))
-    first, second = (evaluated(tmp_path / str(seed), file, one, seed)["trials"][0] for seed in (0, 1))
-    assert first["shc_rmse"] != second["shc_rmse"]
+    first, second = (evaluated(tmp_path / str(seed), file, one, seed).trials[0] for seed in (0, 1))
+    assert first.shc_rmse != second.shc_rmse
 
 
 def test_truth_has_no_error_and_an_eager_trigger_never_asks_less_often(tmp_path, file):
     two = replace(SMALL, estimators=("truth", "projection"), phones=("perfect",))
-    truth, estimated = evaluated(tmp_path, file, two)["trials"]
-    assert truth["thetas"] == [] and truth["frames"][0]["shc_rmse"] == 0
-    rates = [one["per_minute"] for one in estimated["thetas"]]
+    truth, estimated = evaluated(tmp_path, file, two).trials
+    assert truth.thetas == () and truth.frames[0].shc_rmse == 0
+    rates = [one.per_minute for one in estimated.thetas]
     assert rates == sorted(rates, reverse=True) and rates[0] > rates[-1]
 
 

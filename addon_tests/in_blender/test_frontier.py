@@ -1,6 +1,5 @@
 """`xihe frontier`: how it measures, what it judges, and a small one from end to end."""
 
-import json
 from dataclasses import replace
 
 import bpy
@@ -8,23 +7,32 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
 from results_schema import read_strictly
 from scene_snapshot import differences, snapshot
 from tiny_scenes import room_with_a_virtual_sphere
 from xihe_process import xihe
 
 from xihe_blender.errors import UserError
+from xihe_blender.io.json_records import as_json, from_json, json_schema
 from xihe_blender.jobs import run_blocking
-from xihe_blender.lab.frontier.choices import EXHAUSTIVE, ComputeChoice, StudySize, compute_choices
+from xihe_blender.lab.frontier.choices import EXHAUSTIVE, compute_choices
 from xihe_blender.lab.frontier.compute import ChoiceBackend, Walk, padded, square_errors, walk_through, with_every_pixel
-from xihe_blender.lab.frontier.pareto_plot import pareto_plot
 from xihe_blender.lab.frontier.points import Measured, family, group, groups, points_of
-from xihe_blender.lab.frontier.study import FrontierSettings, frontier
+from xihe_blender.lab.frontier.records import (
+    ChoiceSettings,
+    ComputeChoice,
+    Frontier,
+    FrontierSettings,
+    RenderChoice,
+    StudySize,
+)
+from xihe_blender.lab.frontier.report import pareto_plot
+from xihe_blender.lab.frontier.study import frontier
 from xihe_blender.lab.frontier.timing import Quartiles, interleaved
 from xihenet.camera import unproject_frame
 from xihenet.pareto import on_front
 from xihenet.records import Intrinsics, RgbdFrame
-from xihenet.sh import project_anchors
 
 TINY = StudySize(2, 1, 1, 2, 1, 2, 4, (1, 2), 1)
 SMALL = FrontierSettings(is_quick=True, size=(32, 24), study_size=TINY)
@@ -82,16 +90,10 @@ def test_no_measurement_has_no_spread():
 # --------------------------------------------------------------------------------------------------------- light errors
 
 
-def test_the_error_of_a_light_is_its_share_of_the_light():
-    rng = np.random.default_rng(5)
-    light = rng.normal(1, 0.3, (9, 3))
-    errors = square_errors([1.1 * light, light], [light, light])
-    assert np.sqrt(errors["coefficients"]) == pytest.approx([0.1, 0.0])
-    assert np.sqrt(errors["irradiance"]) == pytest.approx([0.1, 0.0])
-
-
-def test_bands_that_a_light_lacks_count_as_none():
+def test_the_error_of_a_light_is_its_share_of_the_light_and_bands_that_it_lacks_are_none():
     light = np.random.default_rng(6).normal(1, 0.3, (25, 3))
+    errors = square_errors([1.1 * light[:9], light[:9]], [light[:9], light[:9]])
+    assert np.sqrt([errors["coefficients"], errors["irradiance"]]) == pytest.approx(np.array([[0.1, 0.0]] * 2))
     missing = (light[9:] ** 2).sum() / (light**2).sum()
     assert square_errors([light[:9]], [light])["coefficients"] == pytest.approx([missing])
     assert padded(light[:4])[4:].max() == 0
@@ -144,12 +146,9 @@ def test_every_way_to_compute_gives_a_finite_light_at_every_place():
         assert lights.shape == (walk.n_places, 25, 3) and np.isfinite(lights).all(), choice.label
 
 
-def test_brute_force_and_exact_give_the_same_light():
-    assert lights_of(ComputeChoice(nearest="brute")) == pytest.approx(lights_of(ComputeChoice()), abs=1e-6)
-
-
-def test_a_finer_table_is_nearer_to_exact():
+def test_brute_force_gives_the_light_of_exact_and_a_finer_table_is_nearer_to_it():
     exact = lights_of(ComputeChoice())
+    assert lights_of(ComputeChoice(nearest="brute")) == pytest.approx(exact, abs=1e-6)
     coarse, fine = (lights_of(ComputeChoice(nearest="table", table_size=size)) for size in ((32, 16), (4096, 2048)))
     assert np.abs(fine - exact).max() < np.abs(coarse - exact).max()
 
@@ -165,11 +164,8 @@ def test_a_trigger_at_zero_estimates_wherever_something_changes():
 
 def test_projection_of_a_higher_order_begins_with_the_same_job_as_the_estimator():
     walk, choice = room_walk(1), ComputeChoice(estimator="projection", order=4)
-    lights = lights_of(choice, walk)
-    assert np.abs(lights[:, 9:]).max() > 0
-    order_two = lights_of(replace(choice, order=2), walk)
-    assert np.abs(order_two[:, 9:]).max() == 0
-    assert project_anchors.__module__ == "xihenet.sh"
+    assert np.abs(lights_of(choice, walk)[:, 9:]).max() > 0
+    assert np.abs(lights_of(replace(choice, order=2), walk)[:, 9:]).max() == 0
 
 
 def test_only_the_steps_are_timed():
@@ -189,19 +185,20 @@ def test_choices_are_told_apart_by_their_words():
 
 
 def measured(label, error, ms, preset=None):
-    return Measured(label, {"name": label}, {"coefficients": [error**2] * 3}, [ms, ms, ms], preset)
+    choice = ChoiceSettings(rendering=RenderChoice((8, 6), int(ms)))
+    return Measured(label, choice, {"coefficients": (error**2,) * 3}, (ms, ms, ms), preset)
 
 
 def test_points_are_judged_within_scene_front_and_kind():
     fronts = {
         "render": [measured("a", 0.1, 10), measured("b", 0.2, 20, "draft"), measured("c", 0.0, 30)],
-        "compute": [replace(measured("b", 0.2, 20), square_errors={"coefficients": [0.04], "irradiance": [0.01]})],
+        "compute": [replace(measured("b", 0.2, 20), square_errors={"coefficients": (0.04,), "irradiance": (0.01,)})],
     }
     points = points_of("room", fronts, seed=0)
     assert groups(points) == [(*("room", "render"), "coefficients"), *(("room", "compute", k) for k in KINDS)]
-    told = {p["label"]: (p["on_front"], p["instead"], p["preset"]) for p in group(points, *groups(points)[0])}
+    told = {p.label: (p.on_front, p.instead, p.preset) for p in group(points, *groups(points)[0])}
     assert told == {"a": (True, None, None), "b": (False, "a", "draft"), "c": (True, None, None)}
-    assert all(p["on_front"] for p in points if p["front"] == "compute")
+    assert all(p.on_front for p in points if p.front == "compute")
 
 
 KINDS = ("coefficients", "irradiance")
@@ -216,11 +213,9 @@ def test_a_plot_has_a_mark_for_every_choice_and_escapes_its_words():
 
 
 def test_a_family_differs_in_one_choice_and_no_other():
-    varied = [measured(f"{n}", 0.1, n, None) for n in (1, 2, 4)]
-    varied = [replace(one, settings={"samples": int(one.label), "size": [8, 6]}) for one in varied]
-    other = replace(measured("other", 0.1, 9), settings={"samples": 8, "size": [4, 3]})
-    points = points_of("room", {"render": [*varied[::-1], other]}, seed=0)
-    assert [p["settings"]["samples"] for p in family(points, ("samples",))] == [1, 2, 4]
+    other = replace(measured("other", 0.1, 9), settings=ChoiceSettings(rendering=RenderChoice((4, 3), 8)))
+    points = points_of("room", {"render": [*(measured(f"{n}", 0.1, n) for n in (4, 2, 1)), other]}, seed=0)
+    assert [p.settings.rendering.samples for p in family(points, ("samples",))] == [1, 2, 4]
     assert family(points, ("max_bounces",)) == family(points[:1], ("samples",)) == []
 
 
@@ -238,43 +233,39 @@ def done(tmp_path_factory):
     return folder
 
 
-def check_frontier(content):
-    """AssertionError where `content` is not what design promises."""
-    assert content["schema_version"] == 1 and content["points"]
-    for point in content["points"]:
-        assert point["front"] in {"render", "compute", "total"}
-        assert isinstance(point["settings"]["error_kind"], str) and isinstance(point["on_front"], bool)
-        assert point["error"] >= 0 and point["time_ms"] > 0 and point["spread_ms"] >= 0
-        assert point["preset"] in {None, "draft", "balanced", "accurate"} and 0 <= point["front_share"] <= 1
-    for scene, front, kind in groups(content["points"]):
-        own = group(content["points"], scene, front, kind)
-        judged = on_front([p["error"] for p in own], [p["time_ms"] for p in own])
-        assert [p["on_front"] for p in own] == judged.tolist()
-        labels = {p["label"] for p in own if p["on_front"]}
-        assert all((p["instead"] in labels) != p["on_front"] for p in own)
+def read(folder):
+    """A frontier.json as a record; AssertionError where it is not what its schema and design promise."""
+    content = read_strictly(folder / "out" / "frontier.json")
+    Draft202012Validator(json_schema(Frontier)).validate(content)
+    found = from_json(Frontier, content)
+    assert as_json(found) == content and {"error_kind", "size", "samples"} <= set(content["points"][0]["settings"])
+    for point in found.points:
+        assert point.error >= 0 and point.time_ms > 0 and point.spread_ms >= 0
+        assert point.preset in {None, "draft", "balanced", "accurate"} and 0 <= point.front_share <= 1
+    for each in groups(found.points):
+        own = group(found.points, *each)
+        assert [p.on_front for p in own] == on_front([p.error for p in own], [p.time_ms for p in own]).tolist()
+        labels = {p.label for p in own if p.on_front}
+        assert all((p.instead in labels) != p.on_front for p in own)
+    return found
 
 
 def test_a_small_frontier_keeps_its_contract(done):
-    content = read_strictly(done / "out" / "frontier.json")
-    check_frontier(content)
-    kinds = {(front, kind) for _, front, kind in groups(content["points"])}
+    found = read(done)
+    kinds = {(front, kind) for _, front, kind in groups(found.points)}
     against = ("coefficients", "irradiance")
     assert {(front, kind) for front in ("render", "compute", "total") for kind in against} <= kinds
     assert {("compute", "coefficients_truth"), ("render", "picture"), ("compute", "picture_truth")} <= kinds
     for front in ("render", "total"):
         for kind in ("coefficients", "picture"):
-            named = [p["preset"] for p in group(content["points"], "room", front, kind) if p["preset"]]
+            named = [p.preset for p in group(found.points, "room", front, kind) if p.preset]
             assert sorted(named) == ["accurate", "balanced", "draft"]
-    assert content["software"]["command"] == "as typed" and {a["question"] for a in content["answers"]}
+    assert found.software["command"] == "as typed" and found.answers
 
 
-def test_the_table_has_a_line_for_every_point(done):
+def test_table_and_report_hold_all_and_ask_for_nothing_else(done):
     lines = (done / "out" / "frontier.csv").read_text(encoding="utf-8").splitlines()
-    content = read_strictly(done / "out" / "frontier.json")
-    assert len(lines) == 1 + len(content["points"]) and lines[0].startswith("scene,front,error_kind,label")
-
-
-def test_the_report_holds_all_and_asks_for_nothing_else(done):
+    assert len(lines) == 1 + len(read(done).points) and lines[0].startswith("scene,front,error_kind,label")
     page = (done / "out" / "report.html").read_text(encoding="utf-8")
     assert "How many anchors?" in page and page.count('class="plot wide"') >= 8
     assert "http://" not in page and "src=" not in page
@@ -282,8 +273,7 @@ def test_the_report_holds_all_and_asks_for_nothing_else(done):
 
 def test_a_frontier_that_is_done_is_not_measured_again(done):
     before = (done / "out" / "work" / "room" / "measured.json").read_bytes()
-    content = run_blocking(frontier([done / "room.blend"], done / "out", SMALL, command="as typed"))
-    assert content == read_strictly(done / "out" / "frontier.json")
+    assert run_blocking(frontier([done / "room.blend"], done / "out", SMALL, command="as typed")) == read(done)
     assert (done / "out" / "work" / "room" / "measured.json").read_bytes() == before
 
 
@@ -298,8 +288,8 @@ def test_a_frontier_that_was_stopped_goes_on_without_rendering_again(done, tmp_p
     assert {file.name.partition("_")[0] for file in kept} >= {"walk", "probes", "exhaustive", "round", "prepared.json"}
     run_blocking(frontier([done / "room.blend"], tmp_path / "out", SMALL))
     assert {file: file.stat().st_mtime_ns for file in kept} == kept
-    first, again = (read_strictly(f / "out" / "frontier.json")["points"] for f in (done, tmp_path))
-    assert [(p["label"], p["error"]) for p in first] == [(p["label"], p["error"]) for p in again]
+    first, again = (read(folder).points for folder in (done, tmp_path))
+    assert [(p.label, p.error) for p in first] == [(p.label, p.error) for p in again]
 
 
 @pytest.mark.slow
@@ -317,12 +307,9 @@ def test_the_users_scene_stays_as_it_is(tmp_path):
     assert differences(before, snapshot()) == ({}, [])
 
 
-def test_a_folder_of_another_frontier_is_refused(done):
+def test_a_folder_of_another_frontier_and_two_scenes_of_one_name_are_refused(done, tmp_path):
     with pytest.raises(UserError, match="holds a frontier with another seed"):
         run_blocking(frontier([done / "room.blend"], done / "out", replace(SMALL, seed=1)))
-
-
-def test_two_scenes_of_one_name_are_refused(done, tmp_path):
     with pytest.raises(UserError, match="two scenes are named 'room'"):
         run_blocking(frontier([done / "room.blend"] * 2, tmp_path / "out", SMALL))
 
@@ -350,5 +337,4 @@ def test_a_scene_without_a_camera_is_refused_before_anything_is_measured(done, t
     bpy.ops.wm.save_as_mainfile(filepath=str(bad))
     with pytest.raises(UserError, match="has no camera"):
         run_blocking(frontier([done / "room.blend", bad], tmp_path / "out", SMALL))
-    assert not (tmp_path / "out").exists()
-    assert json.loads((done / "out" / "frontier.json").read_text())["schema_version"] == 1
+    assert not (tmp_path / "out").exists() and read(done)

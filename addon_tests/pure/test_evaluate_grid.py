@@ -4,24 +4,31 @@ import ast
 import json
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
+from jsonschema import Draft202012Validator
 
-from addon_tests.pure.batches import batch, results
+from addon_tests.pure.batches import batch, frontier, results, trial
 from xihe_blender.errors import UserError
+from xihe_blender.io.json_records import as_json, from_json, json_schema
 from xihe_blender.io.outputs import write_json
+from xihe_blender.io.run_results import METRICS, Metrics
 from xihe_blender.lab.batch.grid import BatchSettings, planned_units
 from xihe_blender.lab.batch.results import (
     TRIAL_COLUMNS,
     BatchFolder,
+    BatchManifest,
+    BatchResults,
+    TrialFigures,
+    UnitCost,
+    UnitResult,
     batch_results,
-    manifest_of,
+    batch_schema,
     read_frontier,
     result_file,
     worst_frame,
-    write_tables,
 )
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -37,10 +44,6 @@ def test_every_phone_meets_every_estimator_once():
 def test_names_are_given_once(wrong):
     with pytest.raises(UserError, match="once"):
         replace(SETTINGS, **wrong)
-
-
-def test_settings_survive_their_json():
-    assert BatchSettings.from_json(json.loads(json.dumps(SETTINGS.as_json()))) == SETTINGS
 
 
 def test_a_scene_that_cannot_be_read_does_not_stop_the_others(tmp_path):
@@ -63,10 +66,12 @@ def test_the_same_scene_twice_is_one_unit_and_another_of_its_name_is_not(tmp_pat
 
 def test_a_folder_goes_on_with_the_same_settings_alone(tmp_path):
     folder = BatchFolder(tmp_path / "out")
-    manifest_of(folder, SETTINGS).take()
-    manifest_of(folder, SETTINGS).take()
+    assert not folder.manifest(SETTINGS).take() and folder.manifest(SETTINGS).take()
     with pytest.raises(UserError, match="another size"):
-        manifest_of(folder, replace(SETTINGS, size=(32, 24))).take()
+        folder.manifest(replace(SETTINGS, size=(32, 24))).take()
+    content = json.loads((tmp_path / "out" / "batch.json").read_text())
+    assert from_json(BatchManifest, content).settings == SETTINGS
+    Draft202012Validator(json_schema(BatchManifest)).validate(content)
 
 
 @pytest.mark.parametrize(
@@ -81,53 +86,51 @@ def test_a_folder_goes_on_with_the_same_settings_alone(tmp_path):
 def test_a_folder_of_another_version_or_that_is_damaged_is_refused(tmp_path, content, says):
     (tmp_path / "batch.json").write_text(content)
     with pytest.raises(UserError, match=says):
-        manifest_of(BatchFolder(tmp_path), SETTINGS).take()
+        BatchFolder(tmp_path).manifest(SETTINGS).take()
     assert (tmp_path / "batch.json").read_text() == content
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path):
     (tmp_path / "results.json").write_text("{}")
     with pytest.raises(UserError, match="not from a batch"):
-        manifest_of(BatchFolder(tmp_path), SETTINGS).take()
+        BatchFolder(tmp_path).manifest(SETTINGS).take()
     with pytest.raises(UserError, match="is a file"):
-        manifest_of(BatchFolder(tmp_path / "results.json"), SETTINGS).take()
+        BatchFolder(tmp_path / "results.json").manifest(SETTINGS).take()
 
 
-def test_a_result_that_is_damaged_is_none(tmp_path):
-    (tmp_path / "a.blend").write_bytes(b"one")
-    (unit,), _ = planned_units([tmp_path / "a.blend"], (0,))
-    folder = BatchFolder(tmp_path / "out")
-    assert folder.result(unit) is None
-    write_json(result_file(folder.of_unit(unit)), {"trials": []})
-    assert folder.result(unit) == {"trials": []}
-    result_file(folder.of_unit(unit)).write_text('{"tri')
-    assert folder.result(unit) is None
-
-
-def test_only_units_that_are_done_are_in_the_results(tmp_path):
+def test_only_units_that_are_done_and_not_damaged_are_in_the_results(tmp_path):
     (tmp_path / "a.blend").write_bytes(b"one")
     units, _ = planned_units([tmp_path / "a.blend"], (0, 1))
     folder = BatchFolder(tmp_path / "out")
-    done = {"trials": [{"estimator": "lattice"}], "cost": {"elapsed_s": 1.0}, "render_s": 0.5, "step_ms": [1.0]}
-    write_json(result_file(folder.of_unit(units[1])), done)
-    content = batch_results(folder, SETTINGS, units, {"b.blend": "gone"})
-    assert [(t["scene"], t["seed"], t["number"]) for t in content["trials"]] == [("a", 1, 0)]
-    assert content["failed"] == [{"what": "b.blend", "reason": "gone"}] and content["units"][0]["elapsed_s"] == 1.0
+    figures = TrialFigures(**{part.name: getattr(trial(), part.name) for part in fields(TrialFigures)})
+    cost = UnitCost(elapsed_s=1.0, processor_s=1.0, peak_memory_mb=None, written_bytes=1)
+    done = UnitResult(trials=(figures,), step_ms=(None,), render_s=0.5, cost=cost)
+    write_json(result_file(folder.of_unit(units[1])), as_json(done))
+    assert folder.result(units[0]) is None and folder.result(units[1]) == done
+    found = batch_results(folder, SETTINGS, units, {"b.blend": "gone"})
+    assert [(t.scene, t.seed, t.number, t.shc_rmse) for t in found.trials] == [("a", 1, 0, 0.1)]
+    assert as_json(found.failed) == [{"what": "b.blend", "reason": "gone"}] and found.units[0].elapsed_s == 1.0
+    for damage in ('{"tri', '{"trials": []}'):
+        result_file(folder.of_unit(units[1])).write_text(damage)
+        assert folder.result(units[1]) is None
 
 
 def test_tables_hold_a_row_per_trial_and_leave_empty_what_is_not_known(tmp_path):
-    trials = batch(2)
-    trials[0]["psnr"] = None
-    write_tables(BatchFolder(tmp_path), results(trials))
+    trials = [trial(psnr=None), *batch(2)]
+    BatchFolder(tmp_path).write_tables(results(trials))
     lines = (tmp_path / "trials.csv").read_text().splitlines()
     assert len(lines) == 1 + len(trials) and lines[0] == ",".join(TRIAL_COLUMNS)
     assert lines[1].split(",")[TRIAL_COLUMNS.index("psnr")] == ""
     assert len((tmp_path / "frames.csv").read_text().splitlines()) == 1 + 3 * len(trials)
+    content = json.loads((tmp_path / "results.json").read_text())
+    Draft202012Validator(batch_schema()).validate(content)
+    assert from_json(BatchResults, content) == results(trials)
 
 
 def test_the_worst_frame_is_the_earliest_of_the_lowest_psnr():
-    assert worst_frame({3: {"psnr": 5.0}, 2: {"psnr": 5.0}, 1: {"psnr": None}}) == 2
-    assert worst_frame({1: {"psnr": None}}) is None and worst_frame({}) is None
+    none = Metrics(**dict.fromkeys(METRICS))
+    assert worst_frame({3: replace(none, psnr=5.0), 2: replace(none, psnr=5.0), 1: none}) == 2
+    assert worst_frame({1: none}) is None and worst_frame({}) is None
 
 
 def test_a_frontier_that_is_given_must_be_there(tmp_path):
@@ -135,12 +138,16 @@ def test_a_frontier_that_is_given_must_be_there(tmp_path):
     with pytest.raises(UserError, match="run xihe frontier"):
         read_frontier(tmp_path, tmp_path)
     (tmp_path / "frontier.json").write_text('{"points": []}')
-    assert read_frontier(None, tmp_path) == read_frontier(tmp_path / "frontier.json", tmp_path) == {"points": []}
+    assert read_frontier(None, tmp_path) is None
+    with pytest.raises(UserError, match="run xihe frontier"):
+        read_frontier(tmp_path / "frontier.json", tmp_path)
+    write_json(tmp_path / "frontier.json", as_json(frontier()))
+    assert read_frontier(None, tmp_path) == read_frontier(tmp_path / "frontier.json", tmp_path) == frontier()
 
 
 @pytest.mark.wheel_only("a whole Blender's Python has no Dask")
 def test_a_worker_never_loads_blender():
-    code = "import sys, xihe_blender.lab.workers.dask_worker; print({'bpy', 'torch'} & set(sys.modules))"
+    code = "import sys, xihe_blender.lab.workers.dask_workers; print({'bpy', 'torch'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
     assert done.stdout.strip() == "set()"
 
@@ -153,7 +160,7 @@ def test_only_what_spreads_the_work_knows_dask():
         if isinstance(node, ast.Import | ast.ImportFrom)
         and any(name.split(".")[0] in ("dask", "distributed") for name in _names(node))
     ]
-    assert set(knows) == {"dask_workers.py", "dask_worker.py"}
+    assert set(knows) == {"dask_workers.py"}
 
 
 def _names(node):

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from addon_tests.pure.batches import batch, folder_with_pictures, results, trial
+from addon_tests.pure.batches import batch, folder_with_pictures, frontier, results, trial
 from xihe_blender.lab.batch import answers
-from xihe_blender.lab.batch.analysis import (
+from xihe_blender.lab.batch.answers import (
     MEASURES,
     against_the_best,
     compared,
@@ -18,6 +18,7 @@ from xihe_blender.lab.batch.analysis import (
 )
 from xihe_blender.lab.batch.report import report_page, write_report
 from xihe_blender.lab.batch.results import BatchFolder
+from xihe_blender.lab.frontier.records import Answer, ComputeChoice, FrontierPoint, PointSettings
 
 ERROR, PICTURE = MEASURES
 
@@ -73,7 +74,7 @@ def test_the_trigger_that_is_as_good_asks_least():
     assert laziest_as_good(points).per_minute == 12.0
     worse = [*points[:-1], replace(points[-1], error=1.06 * points[0].error)]
     assert laziest_as_good(worse).per_minute == 30.0
-    assert trigger_points([trial(thetas=[])], "lattice") == []
+    assert trigger_points([trial(thetas=())], "lattice") == []
 
 
 def test_so_few_scenes_say_how_little_they_hold():
@@ -85,8 +86,8 @@ def test_so_few_scenes_say_how_little_they_hold():
 def test_worst_cases_are_one_per_scene_and_estimator_and_never_the_truth():
     cases = worst_cases(batch(), 100)
     assert len(cases) == 8 * 3 and [case.psnr for case in cases] == sorted(case.psnr for case in cases)
-    assert all(case.frame == 3 and case.trial["estimator"] != "truth" for case in cases)
-    assert cases[0].trial["scene"] == "room 7" and cases[0].trial["estimator"] == "ambient"
+    assert all(case.frame == 3 and case.trial.estimator != "truth" for case in cases)
+    assert cases[0].trial.scene == "room 7" and cases[0].trial.estimator == "ambient"
 
 
 def test_the_page_is_one_file_with_its_pictures(tmp_path):
@@ -95,15 +96,8 @@ def test_the_page_is_one_file_with_its_pictures(tmp_path):
     write_report(folder, results(trials), None)
     page = folder.report.read_text(encoding="utf-8")
     assert page.count("data:image/png") == 18 and not re.findall(r'(?:src|href)="(?!data:|#)', page)
-    for question in (
-        "Which estimator",
-        "better phone",
-        "How often",
-        "How many anchors",
-        "last 10\u202f%",
-        "Worst cases",
-    ):
-        assert question in page
+    questions = ("Which estimator", "better phone", "How often", "How many anchors", "last 10\u202f%", "Worst cases")
+    assert all(question in page for question in questions)
     assert not re.search(r"\bnan\b", plain(page)) and page == report_page(folder, results(trials), None)
 
 
@@ -114,18 +108,18 @@ def test_names_of_scenes_cannot_break_the_page(tmp_path):
 
 
 def test_trials_without_any_value_make_a_page_too(tmp_path):
-    empty = trial(psnr=None, shc_rmse=None, frames=[], thetas=[], estimates_per_minute=None)
+    empty = trial(psnr=None, shc_rmse=None, frames=(), thetas=(), estimates_per_minute=None)
     assert "No picture was compared" in plain(report_page(BatchFolder(tmp_path), results([empty]), None))
     assert "No trial could be done" in report_page(BatchFolder(tmp_path), results([], [("x.blend", "gone")]), None)
 
 
 def measured(error, n_anchors, *, kind="coefficients_truth", scene="room", theta=0.01):
     """A point of frontier.json."""
-    settings = {"error_kind": kind, "n_anchors": n_anchors, "theta": theta}
-    return {
-        "scene": scene, "front": "compute", "settings": settings, "label": f"{n_anchors} anchors, theta {theta}",
-        "error": error, "time_ms": 1.0, "spread_ms": 0.1, "on_front": True, "preset": None,
-    }  # fmt: skip
+    settings = PointSettings(error_kind=kind, computing=ComputeChoice(n_anchors=n_anchors, theta=theta))
+    return FrontierPoint(
+        scene=scene, front="compute", settings=settings, label=f"{n_anchors} anchors, theta {theta}", error=error,
+        error_spread=0.0, time_ms=1.0, spread_ms=0.1, on_front=True, front_share=1.0, preset=None, instead=None,
+    )  # fmt: skip
 
 
 def part(page, name):
@@ -133,9 +127,9 @@ def part(page, name):
 
 
 def test_a_frontier_answers_what_takes_measured_times(tmp_path):
-    answer = {"scene": "room", "question": "How many anchors?", "answer": "512 are within 1 %."}
-    frontier = {"points": [measured(0.02, 512), measured(0.01, 2048)], "answers": [answer]}
-    page = report_page(BatchFolder(tmp_path), results(batch()), frontier)
+    answer = Answer(scene="room", question="How many anchors?", answer="512 are within 1 %.")
+    given = frontier([measured(0.02, 512), measured(0.01, 2048)], [answer])
+    page = report_page(BatchFolder(tmp_path), results(batch()), given)
     assert "512 are within 1\u202f%." in page and "2048 anchors" in page and "has no answer to that" in page
     assert "xihe frontier" in report_page(BatchFolder(tmp_path), results(batch()), None)
 
@@ -146,7 +140,7 @@ def test_anchors_are_plotted_by_what_their_answer_speaks_of(tmp_path):
     points = [measured(error, n_anchors, scene=scene) for error, n_anchors, scene in told]
     points += [measured(0.07, n_anchors, kind="coefficients") for n_anchors in (512, 2048)]
     points += [measured(0.39, 512, theta=0.6), measured(0.36, 512, scene="alone")]
-    page = report_page(BatchFolder(tmp_path), results(batch()), {"points": points, "answers": []})
+    page = report_page(BatchFolder(tmp_path), results(batch()), frontier(points))
     anchors, last = part(page, "anchors"), part(page, "last")
     dots = re.findall(r"<title>(\w+), (\d+) anchors.*?: ([\d.]+)\s%", anchors)
     assert sorted((float(error) / 100, int(n_anchors), scene) for scene, n_anchors, error in dots) == sorted(told)

@@ -13,6 +13,8 @@ from jsonschema import Draft202012Validator
 from xihe_blender.io.json_records import ABSENT, INLINE, as_json, from_json, json_schema
 from xihe_blender.io.kept_files import kept_json, kept_or_made
 from xihe_blender.io.run_results import RunResults
+from xihe_blender.lab.batch.results import batch_schema
+from xihe_blender.lab.frontier.records import Frontier
 from xihenet.json_files import parse_json, read_json
 
 
@@ -133,16 +135,19 @@ def test_the_schema_says_what_the_docstring_says():
     assert schema["description"] == "A frame of a path."
 
 
-def test_the_schema_in_the_docs_is_that_of_the_records():
-    shipped = Path(__file__).parents[2] / "docs" / "results.schema.json"
-    assert json.loads(shipped.read_text()) == json_schema(RunResults), (
-        "run: python -m xihe_blender.io.run_results > docs/results.schema.json"
-    )
+SHIPPED = {
+    "results": (json_schema(RunResults), "xihe_blender.io.run_results"),
+    "frontier": (json_schema(Frontier), "xihe_blender.lab.frontier.records"),
+    "batch": (batch_schema(), "xihe_blender.lab.batch.results"),
+}
 
 
-def test_every_field_of_the_results_is_described():
-    schema = json_schema(RunResults)
-    for name, record in {"RunResults": schema, **schema["$defs"]}.items():
+@pytest.mark.parametrize("name", list(SHIPPED))
+def test_the_schema_in_the_docs_is_that_of_the_records_and_describes_every_field(name):
+    schema, module = SHIPPED[name]
+    shipped = Path(__file__).parents[2] / "docs" / f"{name}.schema.json"
+    assert json.loads(shipped.read_text()) == schema, f"run: python -m {module} > docs/{name}.schema.json"
+    for name, record in {"": schema, **schema["$defs"]}.items():
         bare = [field for field, of_field in record["properties"].items() if "description" not in of_field]
         assert not bare, (name, bare)
 

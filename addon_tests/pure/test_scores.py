@@ -158,18 +158,22 @@ def test_each_cloud_is_in_one_group_of_coverage():
     assert (np.sum(coverage_groups(coverage), axis=0) == 1).all()
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_light_that_is_not_finite_is_refused(bad):
+def with_one(bad):
     made = lights(3)
     made[1, 4, 2] = bad
-    with pytest.raises(ValueError, match="got 1 lights with NaN or infinity"):
-        score_lights(made, lights(3), np.zeros(3))
-    with pytest.raises(ValueError, match="truth: expected finite"):
-        score_lights(lights(3), made, np.zeros(3))
+    return made
 
 
-def test_lights_of_another_shape_are_refused():
-    with pytest.raises(ValueError, match="two equal shapes"):
-        score_lights(lights(3), lights(4), np.zeros(3))
-    with pytest.raises(ValueError, match="coverage: expected shape"):
-        score_lights(lights(3), lights(3), np.zeros(4))
+@pytest.mark.parametrize(
+    ("made", "truth", "n_coverages", "words"),
+    [
+        (with_one(np.nan), lights(3), 3, "got 1 lights with NaN or infinity"),
+        (with_one(np.inf), lights(3), 3, "got 1 lights with NaN or infinity"),
+        (lights(3), with_one(np.nan), 3, "truth: expected finite"),
+        (lights(3), lights(4), 3, "two equal shapes"),
+        (lights(3), lights(3), 4, "coverage: expected shape"),
+    ],
+)
+def test_lights_that_are_not_finite_or_of_another_shape_are_refused(made, truth, n_coverages, words):
+    with pytest.raises(ValueError, match=words):
+        score_lights(made, truth, np.zeros(n_coverages))

@@ -16,8 +16,7 @@ from xihenet.estimators.weights_format import save_weights
 from xihenet.nets.pointconv import PointConvNet, weights_of
 from xihenet.records import PointCloud, UnitSphereCloud
 from xihenet.sphere import AnchorLattice
-from xihenet.training.export import export_network
-from xihenet.training.networks import TrainedNetwork, save_network
+from xihenet.training.networks import TrainedNetwork, export_network, save_network
 
 N = 256
 SMALL = {"centroids": (32, 8), "n_neighbours": 8}

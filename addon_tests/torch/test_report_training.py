@@ -18,11 +18,10 @@ from xihenet.training import __main__ as command_line
 from xihenet.training.baselines import BASELINES, MEAN, fit_baselines, fit_linear, projected
 from xihenet.training.calibration import fit_calibration
 from xihenet.training.dataset import CACHE_VERSION, CloudSet, open_split
-from xihenet.training.groups import Group, open_group, training_clouds
 from xihenet.training.networks import TrainedNetwork, make_network, save_network
 from xihenet.training.plots import line_chart, report_plots, series_look
-from xihenet.training.predictions import Prediction, over_seeds
-from xihenet.training.report import ALL_VIEWS, ONE_VIEW, WALK, WHOLE, ReportSettings, make_report
+from xihenet.training.predictions import Group, Prediction, open_group, over_seeds, training_clouds
+from xihenet.training.report import ALL_VIEWS, ONE_VIEW, WALK, WHOLE, ReportSettings, make_report, report_json
 from xihenet.training.report_parts import calibrate_network, coverage_curve, group_table, room_figures
 from xihenet.training.report_text import report_markdown
 from xihenet.training.rooms import split_of
@@ -77,15 +76,9 @@ def write_cache(
         (folder / split).mkdir(parents=True)
         for field in dataclasses.fields(CloudSet):
             np.save(folder / split / f"{field.name}.npy", getattr(clouds, field.name))
-    settings = {
-        "version": CACHE_VERSION,
-        "sampling": sampling,
-        "n_anchors": n_anchors,
-        "changes_per_pair": N_COPIES,
-        "is_test_only": is_test_only,
-    }
-    settings["rooms"] = [[7, int(room)] for room in TEST_ROOMS]
-    (folder / "settings.json").write_text(json.dumps(settings))
+    settings = {"sampling": sampling, "n_anchors": n_anchors, "changes_per_pair": N_COPIES, "version": CACHE_VERSION}
+    rooms = [[7, int(room)] for room in TEST_ROOMS]
+    (folder / "settings.json").write_text(json.dumps({**settings, "is_test_only": is_test_only, "rooms": rooms}))
     return folder
 
 
@@ -106,27 +99,20 @@ def networks(tmp_path_factory):
     """Networks as they are before training, which is all a report needs."""
     folder = tmp_path_factory.mktemp("networks")
     files = {}
-    for name, estimator, seed, options in (
-        ("lattice_0", "lattice", 0, {}),
-        ("lattice_1", "lattice", 1, {}),
-        ("pointar", "pointar", 0, TINY_POINTCONV),
-    ):
+    for name, seed, options in (("lattice_0", 0, {}), ("lattice_1", 1, {}), ("pointar", 0, TINY_POINTCONV)):
         torch.manual_seed(seed)
-        files[name] = folder / f"{name}.pt"
+        files[name], estimator = folder / f"{name}.pt", name.partition("_")[0]
         save_network(files[name], TrainedNetwork(estimator, "ldr", seed, make_network(estimator, **options)))
     return files
 
 
 def settings_of(folders, files, **changes):
-    lattice = [files["lattice_0"], files["lattice_1"]]
+    lattice, walks = [files["lattice_0"], files["lattice_1"]], [folders["walk"]]
     given = {
-        "networks": {"lattice": lattice, "pointar": [files["pointar"]]},
-        "walks": [folders["walk"]],
-        "whole": [folders["whole"]],
-        "scenes": {"hotel": [folders["walk"]]},
+        "networks": {"lattice": lattice, "pointar": [files["pointar"]]}, "learning": {6: lattice[:1], 12: lattice},
+        "walks": walks, "whole": [folders["whole"]], "scenes": {"hotel": walks},
         "stress": {"64 anchors": [folders["fewer"]]},
-        "learning": {6: lattice[:1], 12: lattice},
-    }
+    }  # fmt: skip
     return ReportSettings([folders["uniform"], folders["sphere"]], **{**given, **changes})
 
 
@@ -136,51 +122,44 @@ def report(folders, networks):
 
 
 def test_each_group_has_a_table_with_a_row_for_each_predictor(report):
-    tables = {table["name"]: table for table in report["tables"]}
+    tables = {table.name: table for table in report.tables}
     assert list(tables) == [ONE_VIEW, ALL_VIEWS, WALK, f"hotel, {ONE_VIEW}", "hotel, all views", WHOLE]
-    names = [row["name"] for row in tables[ONE_VIEW]["rows"]]
-    assert names == [*BASELINES, "lattice", "pointar"] and tables[ONE_VIEW]["n_clouds"] == 16
-    assert tables[ALL_VIEWS]["n_clouds"] == 8 and tables[WALK]["coverage"]["p5"] > 0.6
-    assert [row["name"] for row in tables[WHOLE]["rows"]] == [*BASELINES, "lattice"]
-    assert tables[WHOLE]["n_clouds"] == 8
-    assert tables[WHOLE]["coverage"] == {"p5": 1.0, "p50": 1.0, "p95": 1.0}
+    names = [row.name for row in tables[ONE_VIEW].rows]
+    assert names == [*BASELINES, "lattice", "pointar"] and tables[ONE_VIEW].n_clouds == 16
+    assert tables[ALL_VIEWS].n_clouds == 8 and tables[WALK].coverage["p5"] > 0.6
+    assert [row.name for row in tables[WHOLE].rows] == [*BASELINES, "lattice"]
+    assert tables[WHOLE].n_clouds == 8 and tables[WHOLE].coverage == {"p5": 1.0, "p50": 1.0, "p95": 1.0}
     for table in tables.values():
-        assert table["rows"][0]["figures"]["ratio"] == 1.0 and all(r["figures"]["ratio"] > 0 for r in table["rows"])
-        assert sum(table["n_in_coverage"]) == table["n_clouds"]
-
-
-def test_what_shows_its_light_has_the_floor_of_the_projection(report):
-    whole = next(table for table in report["tables"] if table["name"] == WHOLE)
-    ratios = {row["name"]: row["figures"]["ratio"] for row in whole["rows"]}
+        assert table.rows[0].figures.ratio == 1.0 and all(row.figures.ratio > 0 for row in table.rows)
+        assert sum(table.n_in_coverage) == table.n_clouds
+    # What shows its light has the floor of the projection.
+    ratios = {row.name: row.figures.ratio for row in tables[WHOLE].rows}
     assert ratios["projection"] < 0.1 and ratios["projection, linear fit"] < 0.6 and ratios["ambient"] < 0.6
 
 
 def test_seeds_give_a_mean_and_a_spread(report, folders, networks):
-    row = report["tables"][0]["rows"][-2]
+    row = report.tables[0].rows[-2]
     singles = [
-        make_report(settings_of(folders, networks, networks={"lattice": [networks[name]]}))["tables"][0]["rows"][-1]
+        make_report(settings_of(folders, networks, networks={"lattice": [networks[name]]})).tables[0].rows[-1]
         for name in ("lattice_0", "lattice_1")
     ]
-    ratios = [single["figures"]["ratio"] for single in singles]
-    np.testing.assert_allclose(
-        [row["figures"]["ratio"], row["spread"]["ratio"]], [np.mean(ratios), np.std(ratios, ddof=1)]
-    )
-    assert row["n_seeds"] == 2 and singles[0]["spread"]["ratio"] is None
+    ratios = [single.figures.ratio for single in singles]
+    np.testing.assert_allclose([row.figures.ratio, row.spread.ratio], [np.mean(ratios), np.std(ratios, ddof=1)])
+    assert row.n_seeds == 2 and singles[0].spread.ratio is None
 
 
 def test_learning_stress_rooms_and_calibration_are_there(report):
-    assert [point["n_rooms"] for point in report["learning"]] == [6, 12]
-    assert report["learning"][1][ONE_VIEW]["spread"] >= 0 and report["learning"][0][ONE_VIEW]["spread"] is None
-    assert [group["name"] for group in report["stress"]] == ["undisturbed", *DISTURBANCES, "64 anchors"]
-    assert report["stress"][-1]["n_anchors"] == 64
-    assert all(row["is_finite"] for group in report["stress"] for row in group["rows"])
-    assert [row["name"] for row in report["rooms"]] == [*BASELINES, "lattice", "pointar"]
-    assert [row["name"] for row in report["calibration"]] == ["lattice"]
-    assert report["calibration"][0]["figures"]["all"]["n_clouds"] == 24
+    assert [point.n_rooms for point in report.learning] == [6, 12]
+    assert report.learning[1].groups[ONE_VIEW][1] >= 0 and report.learning[0].groups[ONE_VIEW][1] is None
+    assert [group.name for group in report.stress] == ["undisturbed", *DISTURBANCES, "64 anchors"]
+    assert report.stress[-1].n_anchors == 64
+    assert all(row.is_finite for group in report.stress for row in group.rows)
+    assert [row.name for row in report.rooms] == [*BASELINES, "lattice", "pointar"]
+    assert [row.name for row in report.calibration] == ["lattice"]
+    assert report.calibration[0].figures.all.n_clouds == 24
 
 
-def test_the_report_is_json_and_markdown_without_a_gap(report):
-    assert json.loads(json.dumps(report, allow_nan=False)) == json.loads(json.dumps(report))
+def test_the_report_is_markdown_without_a_gap(report):
     text = report_markdown(report)
     assert not re.search(r"\b(nan|none|inf)\b", text.lower())
     tables = [block.splitlines() for block in text.split("\n\n") if block.startswith("|")]
@@ -191,7 +170,7 @@ def test_the_report_is_json_and_markdown_without_a_gap(report):
 
 def test_plots_are_well_formed_and_stay_within_their_edges(report):
     plots = report_plots(report)
-    assert set(plots) == {"coverage", "rooms", "calibration_lattice"} or set(plots) == {"rooms", "calibration_lattice"}
+    assert set(plots) - {"coverage"} == {"rooms", "calibration_lattice"}
     for svg in plots.values():
         root = ElementTree.fromstring(svg)
         width, height = (float(v) for v in root.get("viewBox").split()[2:])
@@ -211,11 +190,8 @@ def test_an_axis_holds_its_values_and_few_short_ticks(values):
         assert 2 <= len(axis.ticks) <= 8 and all(len(axis.label(tick)) <= 9 for tick in axis.ticks)
 
 
-def test_no_two_of_many_series_look_alike():
+def test_no_two_series_look_alike_names_are_escaped_and_a_plot_without_points_is_refused():
     assert len({series_look(i) for i in range(32)}) == 32
-
-
-def test_a_plot_without_points_is_refused_and_names_are_escaped():
     axis = linear_axis(0, 0.7, n_steps=5)
     assert axis.low == 0 and 0.7 <= axis.high <= 1
     with pytest.raises(ValueError, match="at least one series"):
@@ -227,9 +203,9 @@ def test_a_plot_without_points_is_refused_and_names_are_escaped():
 def test_validation_clouds_are_not_judged_by_a_calibration_that_saw_them(folders, networks):
     given = settings_of(folders, networks, split="validation", walks=(), whole=(), scenes={}, stress={}, learning={})
     report = make_report(given)
-    assert report["head"]["split"] == "validation" and report["tables"][0]["n_clouds"] == 18
-    figures = report["calibration"][0]["figures"]["all"]
-    assert figures["n_clouds"] == 30 and abs(figures["expected"] / figures["made"] - 1) < 0.5
+    assert report.head.split == "validation" and report.tables[0].n_clouds == 18
+    figures = report.calibration[0].figures.all
+    assert figures.n_clouds == 30 and abs(figures.expected / figures.made - 1) < 0.5
 
 
 def test_baselines_are_fitted_to_pairs_as_they_are_and_to_merged_clouds(folders):
@@ -249,9 +225,9 @@ def test_walks_count_in_rooms_of_the_split_alone_and_scenes_of_others_whole(fold
 
 def test_a_report_without_clouds_in_a_group_has_gaps_and_no_error(folders, networks):
     report = make_report(settings_of(folders, networks, split="validation", scenes={}))
-    walk = next(table for table in report["tables"] if table["name"] == WALK)
-    assert walk["n_clouds"] == 0 and all(row["figures"]["ratio"] is None for row in walk["rows"])
-    assert "No such clouds." in report_markdown(report) and json.dumps(report, allow_nan=False)
+    walk = next(table for table in report.tables if table.name == WALK)
+    assert walk.n_clouds == 0 and all(row.figures.ratio is None for row in walk.rows)
+    assert "No such clouds." in report_markdown(report) and json.loads(report_json(report))
 
 
 def test_the_linear_fit_finds_a_linear_law():
@@ -272,7 +248,11 @@ def test_baselines_say_what_their_estimators_say(folders):
 
 def test_disturbances_leave_the_truth_and_say_what_a_sensor_would():
     clouds = random_clouds(np.random.default_rng(1), np.arange(5), 4, 0)
+    dark = {name: 0 * getattr(clouds, name) for name in ("srgb_u8", "points_m")}
+    empty = dataclasses.replace(clouds, is_set=np.zeros_like(clouds.is_set), **dark)
     for disturb in DISTURBANCES.values():
+        of_nothing = disturb(empty, np.random.default_rng(0))
+        assert not of_nothing.is_set.any() and np.isfinite(of_nothing.ambient).all()
         disturbed = disturb(clouds, np.random.default_rng(2))
         np.testing.assert_array_equal(disturbed.truth_ldr, clouds.truth_ldr)
         assert not (disturbed.is_set & ~clouds.is_set).any() and disturbed.is_set.any(axis=1).all()
@@ -296,25 +276,16 @@ def test_a_cap_is_what_lies_around_one_anchor():
         assert any((nearness[left, i].min() >= nearness[known & ~left, i].max(initial=-1)) for i in range(left.sum()))
 
 
-def test_an_empty_cloud_survives_every_disturbance():
-    clouds = random_clouds(np.random.default_rng(1), np.arange(1), 1, 0)
-    nothing = np.zeros_like(clouds.is_set)
-    empty = dataclasses.replace(clouds, is_set=nothing, srgb_u8=0 * clouds.srgb_u8, points_m=0 * clouds.points_m)
-    for disturb in DISTURBANCES.values():
-        disturbed = disturb(empty, np.random.default_rng(0))
-        assert not disturbed.is_set.any() and np.isfinite(disturbed.ambient).all()
-
-
 def test_the_error_of_one_room_is_found(folders):
     group = open_group("", [folders["sphere"]], "test", "one")
     light = group.cases.truth_ldr.astype(float)
     light[group.cases.room == TEST_ROOMS[2]] += 0.5
     found = room_figures(group, "one wrong room", [Prediction(light)], "ldr")
-    assert found["worst_rooms"][0]["room"] == TEST_ROOMS[2] and found["worst_rooms"][0]["share"] == pytest.approx(1)
-    assert found["worst_rooms"][0]["rmse"] == pytest.approx(0.5) and found["of_worst_rooms"] == pytest.approx(1)
-    assert found["of_worst_clouds"] == pytest.approx(0.25)
+    worst = found.worst_rooms[0]
+    assert worst.room == TEST_ROOMS[2] and worst.share == pytest.approx(1) and worst.rmse == pytest.approx(0.5)
+    assert found.of_worst_rooms == pytest.approx(1) and found.of_worst_clouds == pytest.approx(0.25)
     nothing = room_figures(group, "perfect", [Prediction(group.cases.truth_ldr.astype(float))], "ldr")
-    assert nothing["of_worst_clouds"] is None
+    assert nothing.of_worst_clouds is None
 
 
 def test_the_curve_is_none_where_clouds_are_few_and_right_where_not():
@@ -323,10 +294,10 @@ def test_the_curve_is_none_where_clouds_are_few_and_right_where_not():
     truth = clouds.truth_ldr.astype(float)
     said = {MEAN: [Prediction(truth + 0.2)], "half": [Prediction(truth + 0.1)]}
     curve = coverage_curve([group], said, "ldr")
-    assert sum(curve["n_clouds"]) == 100
-    for n, ratio in zip(curve["n_clouds"], curve["rows"]["half"]["ratio"], strict=True):
+    assert sum(curve.n_clouds) == 100
+    for n, ratio in zip(curve.n_clouds, curve.rows["half"].ratio, strict=True):
         assert (ratio is None) == (n < 10) and (ratio is None or ratio == pytest.approx(0.5))
-    assert group_table(group, said, "ldr")["rows"][1]["figures"]["ratio"] == pytest.approx(0.5)
+    assert group_table(group, said, "ldr").rows[1].figures.ratio == pytest.approx(0.5)
 
 
 def test_a_calibration_finds_its_law_and_keeps_its_promises():
@@ -353,26 +324,24 @@ def test_a_calibration_goes_through_the_header_of_a_weights_file():
 
 def test_a_network_is_calibrated_for_its_weights_as_the_report_says(folders, networks, report):
     found = calibrate_network(networks["lattice_0"], [folders["uniform"], folders["sphere"]])
-    reported = report["calibration"][0]["by_seed"][0]
-    assert [found.factor, found.power, found.slope] == [reported[name] for name in ("factor", "power", "slope")]
+    assert found == report.calibration[0].by_seed[0]
     with pytest.raises(ValueError, match="a network that knows its error"):
         calibrate_network(networks["pointar"], [folders["sphere"], folders["uniform"]])
 
 
-@pytest.mark.parametrize("made", [[0.1, np.nan], [0.1, -0.1], [0.1]])
-def test_errors_that_are_none_cannot_calibrate(made):
-    with pytest.raises(ValueError, match="calibration: expected"):
-        fit_calibration([0.1, 0.2], made, [0.5, 0.5])
-
-
-def test_a_constant_expectation_is_calibrated_to_the_mean_error():
+def test_a_constant_expectation_is_calibrated_to_the_mean_error_and_errors_that_are_none_to_nothing():
     found = fit_calibration([0.1, 0.1, 0.1], [0.2, 0.4, 0.6], [0.5, 0.5, 0.5])
     np.testing.assert_allclose(found.expected([0.1, 5.0], [0.1, 0.9]), 0.4)
+    for made in ([0.1, np.nan], [0.1, -0.1], [0.1]):
+        with pytest.raises(ValueError, match="calibration: expected"):
+            fit_calibration([0.1, 0.2], made, [0.5, 0.5])
 
 
 def test_figures_of_seeds_are_averaged_and_what_is_missing_stays_missing():
-    mean, spread = over_seeds([{"a": 1.0, "b": [2.0, None], "n": 3}, {"a": 3.0, "b": [2.0, 1.0], "n": 3}])
-    assert mean == {"a": 2.0, "b": [2.0, None], "n": 3} and spread["b"] == [0.0, None]
+    mean, spread = over_seeds([{"a": 1.0, "b": (2.0, None), "n": 3}, {"a": 3.0, "b": (2.0, 1.0), "n": 3}])
+    assert mean == {"a": 2.0, "b": (2.0, None), "n": 3} and spread["b"] == (0.0, None)
+    calibrations = [Calibration(1.0, 1.0, 0.0, (1.0, 2.0)), Calibration(3.0, 1.0, 0.0, (3.0, 2.0))]
+    assert over_seeds(calibrations)[0] == Calibration(2.0, 1.0, 0.0, (2.0, 2.0))
     assert spread["a"] == pytest.approx(np.sqrt(2)) and over_seeds([{"a": 1.0}]) == ({"a": 1.0}, {"a": None})
 
 
@@ -399,8 +368,9 @@ def test_the_command_writes_all_that_was_asked_for(folders, networks, tmp_path, 
     files = ["--json", str(out["r.json"]), "--markdown", str(out["r.md"]), "--plots", str(out["plots"])]
     assert command_line.main([*common, *files, "--walk", str(folders["walk"])]) == 0
     assert capsys.readouterr().out == ""
-    made = json.loads(out["r.json"].read_text())
-    assert out["r.md"].read_text() == report_markdown(made)
+    asked = {"networks": {"lattice": [networks["lattice_0"], networks["lattice_1"]]}, "walks": [folders["walk"]]}
+    made = make_report(ReportSettings([folders["sphere"]], learning={12: [networks["lattice_0"]]}, **asked))
+    assert out["r.json"].read_text() == report_json(made) and out["r.md"].read_text() == report_markdown(made)
     assert {path.stem for path in out["plots"].iterdir()} == set(report_plots(made))
     assert command_line.main([*common, "--json", "-"]) == 0
     assert json.loads(capsys.readouterr().out)["tables"][0]["rows"][-1]["n_seeds"] == 2

@@ -80,8 +80,8 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> int:
     batch = run_blocking(job, when_news(progress_line(stderr)))
     for what, reason in batch.failed.items():
         print(f"xihe: {what}: {reason}", file=stderr)
-    n_trials = len(batch.results["trials"])
-    print(f"{n_trials} trials in {len(batch.results['units'])} units, {batch.n_done_now} of them done now", file=stdout)
+    n_trials, n_units = len(batch.results.trials), len(batch.results.units)
+    print(f"{n_trials} trials in {n_units} units, {batch.n_done_now} of them done now", file=stdout)
     print(options.out / "report.html", file=stdout)
     return EXIT_IN_PART if batch.failed else 0
 

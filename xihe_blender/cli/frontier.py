@@ -21,11 +21,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     """Measure, and print what the presets cost and where the report is."""
     from xihe_blender.jobs import run_blocking
-    from xihe_blender.lab.frontier.study import FrontierSettings, frontier
+    from xihe_blender.lab.frontier.records import FrontierSettings
+    from xihe_blender.lab.frontier.study import frontier
 
     settings = FrontierSettings(options.quick, options.seed)
     job = frontier(options.scenes, options.out, settings, options.command_line)
-    content = run_blocking(job, progress_line(stderr))
-    for answer in content["answers"]:
-        print(f"{answer['scene']}: {answer['question']} {answer['answer']}", file=stdout)
+    for answer in run_blocking(job, progress_line(stderr)).answers:
+        print(f"{answer.scene}: {answer.question} {answer.answer}", file=stdout)
     print(options.out / "report.html", file=stdout)

@@ -151,7 +151,9 @@ def _describe(kind: Any, found: dict[str, Json]) -> dict[str, Json]:
 
 def _describe_record(kind: Any, found: dict[str, Json]) -> dict[str, Json]:
     docstring = inspect.cleandoc(kind.__doc__)
-    texts = _texts_of_fields(docstring)
+    texts: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        texts |= _texts_of_fields(inspect.cleandoc(base.__doc__ or ""))
     fields = dataclasses.fields(kind)
     properties: dict[str, Json] = {}
     for field in fields:

@@ -7,7 +7,6 @@ run kept it, taken over from an earlier frame where scene, camera, capture and l
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
@@ -57,15 +56,20 @@ def _render_missing(run: PreparedRun, walked: WalkedPath, missing: Sequence[int]
     """All ground truths, then all methods, so that Cycles builds each of the two scenes once."""
     if not missing:
         return
-    outputs, truth_of = run.outputs, functools.partial(read_kept, read=load_ground_truth)
     with open_comparer(run.scene, run.plan.objects, run.methods, run.comparison) as comparer:
-        for done, frame in enumerate(missing):
-            yield run.progress("ground truth", done / len(missing), f"rendering the ground truth of frame {frame}")
-            if truth_of(outputs.ground_truth(frame)) is None:
-                save_ground_truth(outputs.ground_truth(frame), comparer.render_ground_truth(frame))
+        yield from render_ground_truths(run, missing, comparer)
         for done, frame in enumerate(missing):
             yield run.progress("methods", done / len(missing), f"comparing frame {frame}")
             _compare_frame(run, frame, walked.lights[frame], comparer)
+
+
+def render_ground_truths(run: PreparedRun, frames: Sequence[int], comparer: Comparer) -> Iterator[Progress]:
+    """Those of `frames` that are not kept yet."""
+    for done, frame in enumerate(frames):
+        yield run.progress("ground truth", done / len(frames), f"rendering the ground truth of frame {frame}")
+        path = run.outputs.ground_truth(frame)
+        if read_kept(path, load_ground_truth) is None:
+            save_ground_truth(path, comparer.render_ground_truth(frame))
 
 
 def _made_from(run: PreparedRun, frame: int, lights: Lights) -> tuple[Any, ...]:

@@ -8,19 +8,17 @@ xihe train cache | report | export ...               the single steps
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
 
 from xihenet.training.dataset import CacheSettings, build_cache
-from xihenet.training.export import export_network
 from xihenet.training.loop import TrainSettings, train
-from xihenet.training.networks import SAMPLING_OF
+from xihenet.training.networks import SAMPLING_OF, export_network
 from xihenet.training.plots import report_plots
-from xihenet.training.report import ReportSettings, make_report
+from xihenet.training.report import ReportSettings, make_report, report_json
 from xihenet.training.report_parts import calibrate_network
 from xihenet.training.report_text import report_markdown
 
@@ -59,11 +57,6 @@ def with_step(arguments: Sequence[str]) -> list[str]:
     if "--report" in words:
         return ["report", *(word for word in words if word != "--report")]
     return words if words and (words[0] in STEPS or words[0] in ("-h", "--help")) else ["train", *words]
-
-
-def cache_folder(out: Path, sampling: str, n_anchors: int) -> Path:
-    """Where the clouds of one sampling lie."""
-    return out / f"clouds_{sampling}_{n_anchors}"
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -149,7 +142,7 @@ def _run_export(options: argparse.Namespace) -> None:
 def _run_cache(options: argparse.Namespace) -> Path:
     sampling = SAMPLING_OF[options.estimator]
     settings = CacheSettings(options.anchors, sampling, options.changes, options.merged_clouds)
-    name = cache_folder(options.out, sampling, options.anchors).name
+    name = f"clouds_{sampling}_{options.anchors}"
     if any(getattr(options, switch, False) for switch in ("test_only", "all_rooms", "whole_sphere", "upright")):
         settings = replace(
             settings, is_test_only=options.all_rooms, is_whole_sphere=options.whole_sphere,
@@ -208,7 +201,7 @@ def _add_report_options(parser: argparse.ArgumentParser) -> None:
 def _run_report(options: argparse.Namespace) -> None:
     """Make the report and write it where the options say. ValueError for a user's mistake."""
     report = make_report(_report_settings(options), _say)
-    figures = json.dumps(report, indent=1, allow_nan=False) + "\n"
+    figures = report_json(report)
     is_alone = options.json == Path("-")
     if is_alone:
         sys.stdout.write(figures)
@@ -224,18 +217,15 @@ def _run_report(options: argparse.Namespace) -> None:
 
 
 def _report_settings(options: argparse.Namespace) -> ReportSettings:
+    learning = _named_paths(options.learning)
+    for name in learning:
+        if not (name.isdecimal() and int(name) > 0):
+            raise ValueError(f"--learning: expected ROOMS=FILE with a number of rooms, got {name!r}")
     return ReportSettings(
-        options.clouds,
-        _named_paths(options.network),
-        split=options.split,
-        target=options.target,
-        walks=options.walk,
-        whole=options.whole,
-        scenes=_named_paths(options.scene),
-        stress=_named_paths(options.group),
-        learning=_by_number(_named_paths(options.learning)),
-        device=options.device,
-    )
+        options.clouds, _named_paths(options.network), split=options.split, target=options.target, walks=options.walk,
+        whole=options.whole, scenes=_named_paths(options.scene), stress=_named_paths(options.group),
+        learning={int(name): files for name, files in learning.items()}, device=options.device,
+    )  # fmt: skip
 
 
 def _named_paths(words: Sequence[str]) -> dict[str, list[Path]]:
@@ -247,13 +237,6 @@ def _named_paths(words: Sequence[str]) -> dict[str, list[Path]]:
             raise ValueError(f"expected NAME=PATH, got {word!r}")
         paths.setdefault(name, []).append(Path(value))
     return paths
-
-
-def _by_number(files: Mapping[str, Sequence[Path]]) -> dict[int, Sequence[Path]]:
-    for name in files:
-        if not (name.isdecimal() and int(name) > 0):
-            raise ValueError(f"--learning: expected ROOMS=FILE with a number of rooms, got {name!r}")
-    return {int(name): paths for name, paths in files.items()}
 
 
 def _write(path: Path, text: str) -> None:

@@ -20,7 +20,6 @@ from xihenet.records import AnchorSurfaces, ArrayF64, UnitSphereCloud
 from xihenet.sh import project_anchors
 from xihenet.sphere import AnchorLattice
 from xihenet.training.dataset import CloudSet
-from xihenet.training.groups import coverage_of
 
 RIDGE = 3.0
 """Penalty of the linear fits in clouds: that many clouds' worth of belief in the mean."""
@@ -84,15 +83,12 @@ def fit_baselines(clouds: CloudSet, target: Target) -> Baselines:
 def projected(clouds: CloudSet) -> ArrayF64:
     """(M, 9, 3) what `projection` says of every cloud, by how its surfaces face where that is known."""
     lattice = AnchorLattice(clouds.is_set.shape[1])
-    parts = zip(clouds.srgb_u8, clouds.is_set, clouds.facing_i8, strict=True)
-    lights = [project_anchors(_cloud(srgb_u8, is_set, facing_i8), lattice) for srgb_u8, is_set, facing_i8 in parts]
+    unasked_m, lights = np.zeros(clouds.is_set.shape[1], np.float32), []
+    for srgb_u8, is_set, facing_i8 in zip(clouds.srgb_u8, clouds.is_set, clouds.facing_i8, strict=True):
+        surfaces = AnchorSurfaces.of_facing(facing_of_codes(facing_i8)) if facing_i8.any() else None
+        cloud = UnitSphereCloud(srgb_u8 / np.float32(255), unasked_m, is_set, surfaces=surfaces)
+        lights.append(project_anchors(cloud, lattice))
     return np.array(lights).reshape(-1, 9, 3)
-
-
-def _cloud(srgb_u8: NDArray[Any], is_set: NDArray[np.bool_], facing_i8: NDArray[np.int8]) -> UnitSphereCloud:
-    """Without distances, which `projection` does not ask, and without surfaces where nothing is known of any."""
-    surfaces = AnchorSurfaces.of_facing(facing_of_codes(facing_i8)) if facing_i8.any() else None
-    return UnitSphereCloud(srgb_u8 / np.float32(255), np.zeros(len(is_set), np.float32), is_set, surfaces=surfaces)
 
 
 def sensed_lights(ambient: ArrayLike, target: Target) -> ArrayF64:
@@ -120,6 +116,6 @@ def apply_linear(fit: ArrayF64, features: NDArray[Any]) -> ArrayF64:
 
 def _projection_features(projection: ArrayF64, clouds: CloudSet) -> ArrayF64:
     """(M, 55): the coefficients, and again times the share not seen, and that share."""
-    unseen = 1 - coverage_of(clouds)[:, None]
+    unseen = 1 - clouds.coverage[:, None]
     flat = projection.reshape(len(projection), 27)
     return np.concatenate([flat, flat * unseen, unseen], axis=1)

@@ -15,7 +15,7 @@ rooms, each half judged by the other).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +25,38 @@ from xihenet.records import ArrayBool, ArrayF64
 
 N_BINS = 8
 _N_STEPS = 40
+
+
+@dataclass(frozen=True)
+class KeptPromises:
+    """Of some clouds: the mean of both errors, and the share of them that stayed below each promise; None without."""
+
+    n_clouds: int
+    expected: float | None
+    made: float | None
+    kept: tuple[float | None, ...]
+
+
+@dataclass(frozen=True)
+class ErrorBin:
+    """The mean of both errors over clouds that are next to each other by the expected one."""
+
+    expected: float
+    made: float
+
+
+@dataclass(frozen=True)
+class CalibrationFigures:
+    """How well promises are kept: by all clouds and by group, in bins of equal number, and the errors' correlation.
+
+    `tables` are groups of more clouds than these.
+    """
+
+    all: KeptPromises
+    groups: Mapping[str, KeptPromises]
+    bins: tuple[ErrorBin, ...]
+    correlation: float | None
+    tables: Mapping[str, KeptPromises] = field(default_factory=dict)
 
 
 def fit_calibration(raw: ArrayLike, made: ArrayLike, coverage: ArrayLike) -> Calibration:
@@ -50,7 +82,7 @@ def fit_calibration(raw: ArrayLike, made: ArrayLike, coverage: ArrayLike) -> Cal
 
 def calibration_figures(
     expected: ArrayF64, promised: ArrayF64, made: ArrayF64, groups: Mapping[str, ArrayBool]
-) -> dict[str, Any]:
+) -> CalibrationFigures:
     """How well promises are kept by clouds that nothing was fitted to.
 
     Parameters
@@ -58,34 +90,24 @@ def calibration_figures(
     expected, made : (M,) calibrated expected errors, and the errors
     promised : (S, M) for each of `SHARES_ASKED` the error that so many clouds should stay below
     groups : masks (M,) by name
-
-    Returns
-    -------
-    For all clouds and each group the mean of both errors, the shares kept and the number; over quantiles of the
-    expected error, the mean of both; and the correlation. None where there are no clouds.
     """
     everything = np.ones(len(made), bool)
     is_varied = len(made) > 1 and np.ptp(expected) > 0 and np.ptp(made) > 0
-    return {
-        "all": _kept(expected, promised, made, everything),
-        "groups": {name: _kept(expected, promised, made, mask) for name, mask in groups.items()},
-        "bins": _bins(expected, made),
-        "correlation": float(np.corrcoef(expected, made)[0, 1]) if is_varied else None,
-    }
+    parts = np.array_split(np.argsort(expected, kind="stable"), N_BINS)
+    return CalibrationFigures(
+        _kept(expected, promised, made, everything),
+        {name: _kept(expected, promised, made, mask) for name, mask in groups.items()},
+        tuple(ErrorBin(float(expected[p].mean()), float(made[p].mean())) for p in parts if len(p)),
+        float(np.corrcoef(expected, made)[0, 1]) if is_varied else None,
+    )
 
 
-def _kept(expected: ArrayF64, promised: ArrayF64, made: ArrayF64, mask: ArrayBool) -> dict[str, Any]:
+def _kept(expected: ArrayF64, promised: ArrayF64, made: ArrayF64, mask: ArrayBool) -> KeptPromises:
     n = int(np.count_nonzero(mask))
     if n == 0:
-        return {"n_clouds": 0, "expected": None, "made": None, "kept": [None] * len(promised)}
-    kept = [float(np.mean(made[mask] <= limit[mask])) for limit in promised]
-    return {"n_clouds": n, "expected": float(expected[mask].mean()), "made": float(made[mask].mean()), "kept": kept}
-
-
-def _bins(expected: ArrayF64, made: ArrayF64) -> list[dict[str, float]]:
-    """Clouds in order of their expected error, in bins of equal number."""
-    parts = np.array_split(np.argsort(expected, kind="stable"), N_BINS)
-    return [{"expected": float(expected[p].mean()), "made": float(made[p].mean())} for p in parts if len(p)]
+        return KeptPromises(0, None, None, (None,) * len(promised))
+    kept = tuple(float(np.mean(made[mask] <= limit[mask])) for limit in promised)
+    return KeptPromises(n, float(expected[mask].mean()), float(made[mask].mean()), kept)
 
 
 def _likeliest(log_raw: ArrayF64, coverage: ArrayF64, made: ArrayF64) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -185,9 +185,18 @@ class CloudSet:
     def __len__(self) -> int:
         return len(self.room)
 
+    @property
+    def coverage(self) -> ArrayF64:
+        """(M,) share of the anchors that are set."""
+        share: ArrayF64 = self.is_set.mean(axis=1) if len(self) else np.zeros(0)
+        return share
+
     def truth(self, target: str) -> NDArray[np.float32]:
         """(M, 9, 3) of "ldr" or "hdr"."""
         return self.truth_ldr if target == "ldr" else self.truth_hdr
+
+
+CLOUD_PARTS = fields(CloudSet)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,19 +235,32 @@ def build_cache(
 
 def open_split(cache: Path, split: Split) -> CloudSet:
     """The clouds of one split, memory-mapped; ValueError if the cache is not there, or of another version."""
-    folder = cache / split
-    if not (cache / "settings.json").exists():
-        raise ValueError(
-            f"{cache}: expected sampled clouds, got none; make them with `python -m xihenet.training cache`"
-        )
-    version = json.loads((cache / "settings.json").read_text()).get("version")
-    if version != CACHE_VERSION:
-        raise ValueError(
-            f"{cache}: expected sampled clouds of version {CACHE_VERSION}, got {version}; make them anew with "
-            "`python -m xihenet.training cache`"
-        )
-    names = CloudSet.__dataclass_fields__
-    return CloudSet(**{name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in names})
+    read_cache(cache)
+    return CloudSet(**{part.name: np.load(cache / split / f"{part.name}.npy", mmap_mode="r") for part in CLOUD_PARTS})
+
+
+@dataclass(frozen=True)
+class Cache:
+    """What a folder of sampled clouds says of itself: parts of its settings, and its rooms (seed, number)."""
+
+    sampling: Sampling
+    n_anchors: int
+    changes_per_pair: int
+    is_test_only: bool
+    rooms: tuple[tuple[int, int], ...]
+
+
+def read_cache(folder: Path) -> Cache:
+    """ValueError naming the folder if it is none, or of another version."""
+    wanted, hint = "expected sampled clouds", "with `python -m xihenet.training cache`"
+    try:
+        found = json.loads((folder / "settings.json").read_text())
+        if found["version"] == CACHE_VERSION:
+            numbers = found["sampling"], found["n_anchors"], found["changes_per_pair"], found["is_test_only"]
+            return Cache(*numbers, tuple((seed, number) for seed, number in found["rooms"]))
+    except (OSError, ValueError, KeyError, TypeError):
+        raise ValueError(f"{folder}: {wanted}, got none; make them {hint}") from None
+    raise ValueError(f"{folder}: {wanted} of version {CACHE_VERSION}, got {found['version']}; make them anew {hint}")
 
 
 def clouds_of_room(
@@ -342,18 +364,12 @@ def _n_clouds(is_in_view: NDArray[np.bool_], split: Split, settings: CacheSettin
 
 def _open_arrays(folder: Path, n: int, settings: CacheSettings) -> dict[str, NDArray[Any]]:
     folder.mkdir(parents=True)
-    size = settings.n_anchors
+    anchors, light = (settings.n_anchors,), (9, 3)
     layouts: dict[str, tuple[Any, tuple[int, ...]]] = {
-        "srgb_u8": (np.uint8, (size, 3)),
-        "points_m": (np.float16, (size, 3)),
-        "is_set": (np.bool_, (size,)),
-        "truth_ldr": (np.float32, (9, 3)),
-        "truth_hdr": (np.float32, (9, 3)),
-        "ambient": (np.float32, (3,)),
-        "room": (np.int64, ()),
-        "n_views": (np.int64, ()),
-        "facing_i8": (np.int8, (size,)),
-    }
+        "srgb_u8": (np.uint8, (*anchors, 3)), "points_m": (np.float16, (*anchors, 3)), "is_set": (np.bool_, anchors),
+        "truth_ldr": (np.float32, light), "truth_hdr": (np.float32, light), "ambient": (np.float32, (3,)),
+        "room": (np.int64, ()), "n_views": (np.int64, ()), "facing_i8": (np.int8, anchors),
+    }  # fmt: skip
     arrays: dict[str, NDArray[Any]] = {}
     for name, (dtype, shape) in layouts.items():
         path = folder / f"{name}.npy"

@@ -16,13 +16,13 @@ from __future__ import annotations
 import copy
 import csv
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from xihenet.estimators.base import Target
@@ -31,18 +31,9 @@ from xihenet.records import ArrayInt
 from xihenet.sh import cosine_lobe
 from xihenet.sh_basis import basis
 from xihenet.sphere import AnchorLattice
+from xihenet.training import networks
 from xihenet.training.dataset import CloudSet, open_split
-from xihenet.training.networks import (
-    Batch,
-    TrainedNetwork,
-    make_network,
-    predict,
-    read_batch,
-    read_torch,
-    run_network,
-    save_network,
-    write_torch,
-)
+from xihenet.training.networks import Batch
 
 N_NORMALS = 32
 Progress = Callable[[str], None]
@@ -86,7 +77,7 @@ class TrainSettings:
     huber_delta: float = 1.0
     hidden_share: float = 0.3
     n_rooms: int | None = None
-    options: dict[str, Any] = field(default_factory=dict)
+    options: Mapping[str, object] = field(default_factory=dict)
     device: str = "cpu"
 
     def __post_init__(self) -> None:
@@ -95,10 +86,9 @@ class TrainSettings:
         if min(self.epochs, self.batch_size, self.patience) < 1 or not 0 <= self.ema < 1:
             raise ValueError("training: expected at least one epoch, cloud and epoch of patience, and 0 <= ema < 1")
 
-    def decisive(self) -> dict[str, Any]:
+    def decisive(self) -> dict[str, str]:
         """What must be the same for a stopped training to be taken up."""
-        kept = asdict(self)
-        return {name: str(value) for name, value in kept.items() if name not in ("out", "cache", "device")}
+        return {name: str(value) for name, value in asdict(self).items() if name not in ("out", "cache", "device")}
 
 
 @dataclass(eq=False)
@@ -115,6 +105,11 @@ class _Run:
     history: list[dict[str, float]] = field(default_factory=list)
 
 
+STATES = ("net", "average", "optimiser")
+NUMBERS = ("epoch", "step", "history", "best_rmse", "best_epoch")
+"""Of a checkpoint."""
+
+
 def train(settings: TrainSettings, *, stop_after: int | None = None, progress: Progress = lambda line: None) -> Path:
     """Train, or go on with a training that was stopped; the path of the best network's file.
 
@@ -127,7 +122,9 @@ def train(settings: TrainSettings, *, stop_after: int | None = None, progress: P
             raise ValueError(f"{settings.cache}: the {name} split is empty; more rooms are needed")
     settings.out.mkdir(parents=True, exist_ok=True)
     run = _start_or_resume(settings)
-    yardstick = _mean_predictor_rmse(clouds, held_out, settings.target)
+    # Always saying the training rooms' mean is off by so much on the validation rooms.
+    mean = clouds.truth(settings.target).mean(axis=0, dtype=np.float64)
+    yardstick = max(float(np.sqrt(np.mean((held_out.truth(settings.target) - mean) ** 2))), 1e-9)
     started, first_epoch = time.monotonic(), run.epoch
     while run.epoch < settings.epochs and run.epoch - run.best_epoch < settings.patience:
         if stop_after is not None and run.epoch - first_epoch >= stop_after:
@@ -137,7 +134,11 @@ def train(settings: TrainSettings, *, stop_after: int | None = None, progress: P
         _save_checkpoint(run, settings)
         elapsed_s = time.monotonic() - started
         left_s = elapsed_s / (run.epoch - first_epoch) * (settings.epochs - run.epoch)
-        progress(_progress_line(run, settings, left_s))
+        now = run.history[-1]
+        progress(
+            f"epoch {run.epoch}/{settings.epochs}  loss {now['loss']:.4f}  validation {now['validation_ratio']:.3f} of "
+            f"the mean predictor's (best in epoch {run.best_epoch})  {format_duration(left_s)} left"
+        )
     return settings.out / "best.pt"
 
 
@@ -179,15 +180,16 @@ def training_loss(light: Tensor, expected_error: Tensor | None, truth: Tensor, s
     return loss
 
 
-def _irradiance_matrix() -> Any:
-    """(N_NORMALS, 9) float32: irradiance / pi, what a white Lambert surface shows."""
+def _irradiance_matrix() -> NDArray[np.float32]:
+    """(N_NORMALS, 9): irradiance / pi, what a white Lambert surface shows."""
     lobe = np.repeat(cosine_lobe(2), [1, 3, 5]) / np.pi
-    return (basis(AnchorLattice(N_NORMALS).directions) * lobe).astype(np.float32)
+    matrix: NDArray[np.float32] = (basis(AnchorLattice(N_NORMALS).directions) * lobe).astype(np.float32)
+    return matrix
 
 
 def _start_or_resume(settings: TrainSettings) -> _Run:
     torch.manual_seed(settings.seed)
-    net = make_network(settings.estimator, **settings.options).to(settings.device)
+    net = networks.make_network(settings.estimator, **settings.options).to(settings.device)
     average = copy.deepcopy(net)
     optimiser = torch.optim.AdamW(
         net.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay, foreach=False
@@ -196,14 +198,13 @@ def _start_or_resume(settings: TrainSettings) -> _Run:
     path = settings.out / "checkpoint.pt"
     if not path.exists():
         return run
-    kept = read_torch(path, settings.device)
+    kept = networks.read_torch(path, settings.device)
     if kept.get("settings") != settings.decisive():
         raise ValueError(f"{path}: expected a training with the same settings; choose another folder or remove it")
-    net.load_state_dict(kept["net"])
-    average.load_state_dict(kept["average"])
-    optimiser.load_state_dict(kept["optimiser"])
-    run.epoch, run.step, run.history = kept["epoch"], kept["step"], kept["history"]
-    run.best_rmse, run.best_epoch = kept["best_rmse"], kept["best_epoch"]
+    for name in STATES:
+        getattr(run, name).load_state_dict(kept[name])
+    for name in NUMBERS:
+        setattr(run, name, kept[name])
     return run
 
 
@@ -217,15 +218,20 @@ def _train_epoch(run: _Run, clouds: CloudSet, settings: TrainSettings) -> float:
     for rows in batches:
         for group in run.optimiser.param_groups:
             group["lr"] = _learning_rate(run.step, settings.epochs * len(batches), settings.learning_rate)
-        batch = hide_caps(read_batch(clouds, rows, settings.target, settings.device), settings.hidden_share, rng)
-        light, expected_error = run_network(run.net, batch)
+        batch = hide_caps(
+            networks.read_batch(clouds, rows, settings.target, settings.device), settings.hidden_share, rng
+        )
+        light, expected_error = networks.run_network(run.net, batch)
         loss = training_loss(light, expected_error, batch.truth, settings)
         run.optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(run.net.parameters(), 1.0)
         run.optimiser.step()
         run.step += 1
-        _average_in(run, settings.ema)
+        keep = min(settings.ema, (1 + run.step) / (10 + run.step))
+        with torch.no_grad():
+            for averaged, current in zip(run.average.parameters(), run.net.parameters(), strict=True):
+                averaged.lerp_(current, 1 - keep)
         total += float(loss.detach())
     run.epoch += 1
     return total / len(batches)
@@ -239,16 +245,9 @@ def _learning_rate(step: int, n_steps: int, highest: float) -> float:
     return highest * 0.5 * (1 + float(np.cos(np.pi * (step - rise) / max(1, n_steps - rise))))
 
 
-def _average_in(run: _Run, ema: float) -> None:
-    keep = min(ema, (1 + run.step) / (10 + run.step))
-    with torch.no_grad():
-        for averaged, current in zip(run.average.parameters(), run.net.parameters(), strict=True):
-            averaged.lerp_(current, 1 - keep)
-
-
 def _judge(run: _Run, held_out: CloudSet, settings: TrainSettings, loss: float, yardstick: float) -> None:
     """Validate the moving average, note it in the history, and keep it if it is the best so far."""
-    light, _ = predict(run.average, held_out, settings.target, settings.device)
+    light, _ = networks.predict(run.average, held_out, settings.target, settings.device)
     rmse = float(np.sqrt(np.mean((light - held_out.truth(settings.target)) ** 2, dtype=np.float64)))
     rate = run.optimiser.param_groups[0]["lr"]
     run.history.append(
@@ -256,39 +255,16 @@ def _judge(run: _Run, held_out: CloudSet, settings: TrainSettings, loss: float, 
     )
     if rmse < run.best_rmse:
         run.best_rmse, run.best_epoch = rmse, run.epoch
-        trained = TrainedNetwork(settings.estimator, settings.target, settings.seed, run.average)
-        save_network(settings.out / "best.pt", trained)
-
-
-def _mean_predictor_rmse(clouds: CloudSet, held_out: CloudSet, target: Target) -> float:
-    """Error on the validation rooms of always saying the training rooms' mean."""
-    mean = clouds.truth(target).mean(axis=0, dtype=np.float64)
-    return max(float(np.sqrt(np.mean((held_out.truth(target) - mean) ** 2))), 1e-9)
+        trained = networks.TrainedNetwork(settings.estimator, settings.target, settings.seed, run.average)
+        networks.save_network(settings.out / "best.pt", trained)
 
 
 def _save_checkpoint(run: _Run, settings: TrainSettings) -> None:
-    content = {
-        "settings": settings.decisive(),
-        "net": run.net.state_dict(),
-        "average": run.average.state_dict(),
-        "optimiser": run.optimiser.state_dict(),
-        "epoch": run.epoch,
-        "step": run.step,
-        "history": run.history,
-        "best_rmse": run.best_rmse,
-        "best_epoch": run.best_epoch,
-    }
-    write_torch(settings.out / "checkpoint.pt", content)
+    states = {name: getattr(run, name).state_dict() for name in STATES}
+    numbers = {name: getattr(run, name) for name in NUMBERS}
+    networks.write_torch(settings.out / "checkpoint.pt", {"settings": settings.decisive(), **states, **numbers})
     # From the history and not appended to, so that a resumed training has each epoch once.
     with (settings.out / "curves.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, list(run.history[0]))
         writer.writeheader()
         writer.writerows(run.history)
-
-
-def _progress_line(run: _Run, settings: TrainSettings, left_s: float) -> str:
-    now = run.history[-1]
-    return (
-        f"epoch {run.epoch}/{settings.epochs}  loss {now['loss']:.4f}  validation {now['validation_ratio']:.3f} of the "
-        f"mean predictor's (best in epoch {run.best_epoch})  {format_duration(left_s)} left"
-    )

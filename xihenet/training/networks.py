@@ -1,4 +1,4 @@
-"""Which network does an estimator's name stand for, how is it fed, and how is it kept between training and report?
+"""Networks by the estimator's name: made, fed, kept between training and report, and exported as estimators read them.
 
 A trained network is one file: the estimator's name, its target, the architecture and the weights. It is read with
 torch's restricted reader, which runs no code.
@@ -6,6 +6,7 @@ torch's restricted reader, which runs no code.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from torch import Tensor, nn
 from xihenet.estimators.base import Target
 from xihenet.estimators.lattice_format import LatticeArchitecture
 from xihenet.estimators.pointconv import PointConvArchitecture
+from xihenet.estimators.weights_format import NetworkWeights, save_weights
+from xihenet.nets import lattice, pointconv
 from xihenet.nets.lattice import LatticeNet
 from xihenet.nets.pointconv import PointConvNet
 from xihenet.records import ArrayInt
@@ -113,7 +116,7 @@ def load_network(path: Path, device: str = "cpu") -> TrainedNetwork:
     return TrainedNetwork(content["estimator"], content["target"], content["seed"], net)
 
 
-def write_torch(path: Path, content: dict[str, Any]) -> None:
+def write_torch(path: Path, content: Mapping[str, object]) -> None:
     """Write whole or not at all, in torch's format."""
     beside = path.with_name(f".{path.name}.part")
     torch.save(content, beside)
@@ -131,3 +134,29 @@ def read_torch(path: Path, device: str = "cpu") -> dict[str, Any]:
     if not isinstance(content, dict):
         raise ValueError(f"{path}: expected a file of training, got {type(content).__name__}")
     return content
+
+
+def export_network(
+    trained: Path,
+    out: Path,
+    *,
+    data: str = "",
+    figures: Mapping[str, Any] | None = None,
+    n_points: int | None = None,
+    is_half: bool = True,
+) -> None:
+    """Write the network in `trained` (.pt) to `out` (.npz), in float16 unless `is_half` is False.
+
+    `data` and `figures` are for people to read. `n_points` are the anchors or points of the clouds it was trained with:
+    `pointar` draws as many. ValueError if the file is broken or float16 cannot hold the weights.
+    """
+    loaded = load_network(trained)
+    notes = {"data": data, "seed": loaded.seed, "figures": figures or {}, "n_points": n_points}
+    weights: NetworkWeights[Any]
+    if isinstance(loaded.net, LatticeNet):
+        weights = lattice.weights_of(loaded.net, loaded.target, **notes)
+    else:
+        assert isinstance(loaded.net, PointConvNet)
+        weights = pointconv.weights_of(loaded.net, loaded.target, estimator=loaded.estimator, **notes)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    save_weights(out, weights, is_half=is_half)

@@ -7,12 +7,13 @@ looks.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from html import escape
-from typing import Any
 
 from xihenet import svg
 from xihenet.svg import Axis, linear_axis
+from xihenet.training.report import LearningPoint, Report
+from xihenet.training.report_parts import CalibrationRow
 
 WIDTH, HEIGHT = 720, 300
 LEFT, RIGHT, TOP = 64, 28, 58
@@ -83,12 +84,11 @@ def series_look(index: int) -> tuple[str, str]:
     return f"c{index % len(COLOURS)}", shapes[(index + index // len(COLOURS)) % len(shapes)]
 
 
-def report_plots(report: Mapping[str, Any]) -> dict[str, str]:
+def report_plots(report: Report) -> dict[str, str]:
     """SVG files by name, of the report's figures: those for which there are any."""
-    plots, curve = {}, report["curve"]
+    plots, curve = {}, report.curve
     curves: list[Series] = [
-        (name, _known(zip(curve["coverage"], row["ratio"], row["spread"], strict=True)))
-        for name, row in curve["rows"].items()
+        (name, _known(zip(curve.coverage, row.ratio, row.spread, strict=True))) for name, row in curve.rows.items()
     ]
     if any(points for _, points in curves):
         # The mean predictor's own curve is the 1 that all others are ratios to.
@@ -96,15 +96,15 @@ def report_plots(report: Mapping[str, Any]) -> dict[str, str]:
         seen = linear_axis(0, 1, n_steps=5, label=lambda share: f"{share:.0%}")
         names = "share of the sphere that was seen", f"{RATIO}, clouds of one view and of all views"
         plots["coverage"] = line_chart("Error against coverage", curves, seen, _up(curves, 1.0), names, ones)
-    if report["learning"]:
-        plots["rooms"] = _learning_plot(report["learning"])
-    for row in report["calibration"]:
-        name = "".join(letter if letter.isalnum() else "_" for letter in row["name"])
+    if report.learning:
+        plots["rooms"] = _learning_plot(report.learning)
+    for row in report.calibration:
+        name = "".join(letter if letter.isalnum() else "_" for letter in row.name)
         plots[f"calibration_{name}"] = _calibration_plot(row)
     return plots
 
 
-def _known(points: Any) -> list[tuple[float, float, float | None]]:
+def _known(points: Iterable[Sequence[float | None]]) -> list[tuple[float, float, float | None]]:
     return [(float(x), float(y), half) for x, y, half in points if x is not None and y is not None]
 
 
@@ -115,24 +115,23 @@ def _up(series: Sequence[Series], *more: float) -> Axis:
     return linear_axis(min(values), max(values), n_steps=5)
 
 
-def _learning_plot(learning: Sequence[Mapping[str, Any]]) -> str:
-    groups = [name for name, value in learning[0].items() if isinstance(value, dict)]
-    series = [(g, _known((p["n_rooms"], p[g]["ratio"], p[g]["spread"]) for p in learning)) for g in groups]
-    numbers = sorted({float(point["n_rooms"]) for point in learning})
+def _learning_plot(learning: Sequence[LearningPoint]) -> str:
+    series = [(g, _known((point.n_rooms, *point.groups[g]) for point in learning)) for g in learning[0].groups]
+    numbers = sorted({float(point.n_rooms) for point in learning})
     margin = 1.1 if len(numbers) > 1 else 2.0
     x = Axis(numbers[0] / margin, numbers[-1] * margin, tuple(numbers), lambda n: f"{n:.0f}", is_log=True)
-    title = f"Error against the number of training rooms, {learning[0]['estimator']}"
+    title = f"Error against the number of training rooms, {learning[0].estimator}"
     return line_chart(title, series, x, _up(series), ("training rooms", RATIO))
 
 
-def _calibration_plot(row: Mapping[str, Any]) -> str:
-    points = [(one["expected"], one["made"], None) for one in row["figures"]["bins"]]
-    highest = max(max(expected, made) for expected, made, _ in points)
+def _calibration_plot(row: CalibrationRow) -> str:
+    points = [(one.expected, one.made, None) for one in row.figures.bins]
+    highest = max(max(one.expected, one.made) for one in row.figures.bins)
     promise: Series = ("as promised", [(0.0, 0.0, None), (highest, highest, None)])
     axis = linear_axis(0, highest, n_steps=5)
     names = (
         "expected SHC RMSE, calibrated on the validation rooms",
         "SHC RMSE that was made, mean of an eighth of the clouds",
     )
-    title = f"Expected and made error, {row['name']}"
-    return line_chart(title, [promise, (row["name"], points)], axis, axis, names, promise[:1])
+    title = f"Expected and made error, {row.name}"
+    return line_chart(title, [promise, (row.name, points)], axis, axis, names, promise[:1])

@@ -1,4 +1,12 @@
-"""Predictions of each predictor, with each of its seeds, for a group of clouds.
+"""Predictions of each predictor, with each of its seeds, for the groups of clouds that the report's tables speak of.
+
+A group is one set of cases (the same rooms, views and positions) with their clouds as each kind of network wants them:
+sampled on the sphere, at random, or by farthest points, with some number of anchors. A folder of sampled clouds says
+itself what it holds, so folders are given without further words, and those of one group must speak of the same cases.
+
+Folders made for tests alone (`CacheSettings.is_test_only`) are read whatever split is asked for. Where their rooms are
+those of the data set, as in walks, only the rooms of that split count: a walk through a training room would flatter,
+and one through a test room is not to be looked at while developing. Scenes of others count whole.
 
 A network stands in a report as a name with one file per seed, and is fed with the clouds it was made for: those of its
 sampling and, where a table has several numbers of anchors, of the number named. Where a group lacks such clouds the
@@ -8,19 +16,105 @@ network is not in its table, rather than there with figures of something else. B
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from torch import nn
 
 from xihenet.estimators.base import Target
-from xihenet.records import ArrayF64
+from xihenet.records import ArrayF64, ArrayInt
 from xihenet.training.baselines import Baselines
-from xihenet.training.dataset import CloudSet
-from xihenet.training.groups import Group
+from xihenet.training.dataset import CloudSet, open_split, read_cache
 from xihenet.training.networks import SAMPLING_OF, load_network, predict
+from xihenet.training.rooms import Split, split_of
+
+Views = Literal["one", "merged"]
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """M cases, in memory.
+
+    Parameters
+    ----------
+    name : of the table
+    main : key of the clouds that baselines see and that coverage is counted on, sampled on the sphere
+    clouds : by sampling and number of anchors, such as "sphere_1280"; all of the same cases in the same order
+    """
+
+    name: str
+    main: str
+    clouds: Mapping[str, CloudSet]
+
+    @property
+    def cases(self) -> CloudSet:
+        """The clouds of `main`."""
+        return self.clouds[self.main]
+
+    @property
+    def coverage(self) -> ArrayF64:
+        """(M,) share of the anchors that are set."""
+        return self.cases.coverage
+
+
+def open_group(
+    name: str, folders: Sequence[Path], split: Split, views: Views, *, is_of_strangers: bool = False
+) -> Group:
+    """The cases of one view, or of merged views, of a split; of all rooms if `is_of_strangers` (scenes of others).
+
+    ValueError if no folder is of the sphere or the folders do not hold the same cases.
+    """
+    clouds: dict[str, CloudSet] = {}
+    for folder in folders:
+        cache = read_cache(folder)
+        opened = open_split(folder, "test" if cache.is_test_only else split)
+        counts = np.asarray(opened.n_views) > 1 if views == "merged" else np.asarray(opened.n_views) == 1
+        if cache.is_test_only and not is_of_strangers:
+            counts &= np.isin(opened.room, [room[1] for room in cache.rooms if split_of(room) == split])
+        clouds[f"{cache.sampling}_{cache.n_anchors}"] = _rows_of(opened, np.flatnonzero(counts))
+    main = next((key for key in clouds if key.startswith("sphere")), None)
+    if main is None:
+        raise ValueError(
+            f"{name}: expected a folder of clouds sampled on the sphere, got {', '.join(clouds) or 'none'}"
+        )
+    for key, other in clouds.items():
+        if not np.array_equal(other.room, clouds[main].room):
+            raise ValueError(f"{name}: expected the same cases in all folders, got others in {key} than in {main}")
+    return Group(name, main, clouds)
+
+
+def main_folder(folders: Sequence[Path]) -> Path:
+    """The first folder that is sampled on the sphere: what baselines are fitted to and see. ValueError without one."""
+    found = next((folder for folder in folders if read_cache(folder).sampling == "sphere"), None)
+    if found is None:
+        raise ValueError(f"expected a folder of clouds sampled on the sphere, got {', '.join(map(str, folders))}")
+    return found
+
+
+def training_clouds(folder: Path) -> CloudSet:
+    """What baselines are fitted to: the training pairs as they are, and the clouds merged of several views.
+
+    Networks see changed copies of each pair as well. A linear fit gains nothing from these, and the mean light of the
+    rooms is that of the rooms as they are.
+    """
+    n_copies, clouds = read_cache(folder).changes_per_pair, open_split(folder, "train")
+    room, is_merged = np.asarray(clouds.room), np.asarray(clouds.n_views) > 1
+    # Pairs come first in each room, a block of copies each, the first of which is as it is.
+    _, first, member = np.unique(room, return_index=True, return_inverse=True)
+    index = np.arange(len(room)) - first[member]
+    n_merged_before: ArrayInt = np.cumsum(is_merged)
+    is_as_it_is = (index % n_copies == 0) & (n_merged_before == n_merged_before[first][member]) & ~is_merged
+    return _rows_of(clouds, np.flatnonzero(is_as_it_is | is_merged))
+
+
+def _rows_of(clouds: CloudSet, rows: ArrayInt) -> CloudSet:
+    """Some clouds, read into memory."""
+    return CloudSet(**{part.name: np.asarray(getattr(clouds, part.name)[rows]) for part in fields(CloudSet)})
+
+
+# -------------------------------------------------------------------------------------------- predictions
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +137,7 @@ class NetworkSeeds:
     ----------
     name : of the row
     estimator : lattice, xihenet, pointar or farthest
-    key : of the clouds it wants, see `groups.cache_key`; only the sampling where no number of anchors was named
+    key : of the clouds it wants, see `Group`; only the sampling where no number of anchors was named
     nets : one for each seed
     """
 
@@ -52,13 +146,10 @@ class NetworkSeeds:
     key: str
     nets: tuple[nn.Module, ...]
 
-    def clouds_of(self, group: Group) -> CloudSet | None:
-        """The clouds of a group that this network wants; None if the group has none."""
-        return next((c for k, c in group.clouds.items() if k == self.key or k.rpartition("_")[0] == self.key), None)
-
     def predictions(self, group: Group, target: Target, device: str = "cpu") -> list[Prediction] | None:
         """One for each seed; None if the group has no clouds for this network."""
-        clouds = self.clouds_of(group)
+        wanted = (c for k, c in group.clouds.items() if k == self.key or k.rpartition("_")[0] == self.key)
+        clouds = next(wanted, None)
         return None if clouds is None else [predict_clouds(net, clouds, target, device) for net in self.nets]
 
 
@@ -101,22 +192,25 @@ def predict_clouds(net: nn.Module, clouds: CloudSet, target: Target, device: str
 def joined(parts: Sequence[Predictions]) -> dict[str, list[Prediction]]:
     """Predictions of several groups, one after the other, of the predictors that are in all of them."""
     names = [name for name in parts[0] if all(name in part for part in parts)]
-    return {name: [_joined_seed(of_seed) for of_seed in zip(*(p[name] for p in parts), strict=True)] for name in names}
+    return {name: [_joined_seed(seeds) for seeds in zip(*(p[name] for p in parts), strict=True)] for name in names}
 
 
 def over_seeds(figures: Sequence[Any]) -> tuple[Any, Any]:
-    """Mean and standard deviation of each number in nested figures of several seeds, which must have the same keys.
+    """Mean and standard deviation of each number in nested figures of several seeds, as figures of the same shape.
 
-    Words and truth values stay as the first seed has them. The deviation is that of a sample: None for one seed. What
-    is None in any seed is None in both.
+    Records, dictionaries and tuples. Words and truth values stay as the first seed has them. The deviation is that of a
+    sample: None for one seed. What is None in any seed is None in both.
     """
     first = figures[0]
+    if is_dataclass(first) and not isinstance(first, type):
+        mean, spread = over_seeds([vars(one) for one in figures])
+        return replace(first, **mean), replace(first, **spread)
     if isinstance(first, dict):
         parts = {key: over_seeds([one[key] for one in figures]) for key in first}
         return {key: part[0] for key, part in parts.items()}, {key: part[1] for key, part in parts.items()}
-    if isinstance(first, (list, tuple)):
+    if isinstance(first, tuple):
         pairs = [over_seeds(values) for values in zip(*figures, strict=True)]
-        return [pair[0] for pair in pairs], [pair[1] for pair in pairs]
+        return tuple(pair[0] for pair in pairs), tuple(pair[1] for pair in pairs)
     if isinstance(first, (str, bool)):
         return first, None
     if any(one is None for one in figures):

@@ -11,25 +11,28 @@ Here it is predicted what a report is made of; `report_parts` makes the figures,
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from xihenet.estimators.base import Target
 from xihenet.estimators.calibration import SHARES_ASKED
+from xihenet.training import report_parts as parts
 from xihenet.training.baselines import Baselines, fit_baselines
-from xihenet.training.groups import Group, main_folder, open_group, training_clouds
-from xihenet.training.predictions import NetworkSeeds, Predictions, joined, load_seeds, over_seeds, predict_group
-from xihenet.training.report_parts import (
-    SeedCalibrations,
-    coverage_curve,
-    group_table,
-    prediction_figures,
-    room_figures,
-    stress_group,
+from xihenet.training.predictions import (
+    Group,
+    NetworkSeeds,
+    Predictions,
+    joined,
+    load_seeds,
+    main_folder,
+    open_group,
+    over_seeds,
+    predict_group,
+    training_clouds,
 )
 from xihenet.training.rooms import Split
 from xihenet.training.scores import COVERAGE_EDGES, DOMINANT_SHARE
@@ -70,21 +73,68 @@ class ReportSettings:
     seed: int = 0
 
 
-def make_report(settings: ReportSettings, progress: Callable[[str], None] = lambda line: None) -> dict[str, Any]:
-    """All figures for JSON: numbers, strings, None, lists and dictionaries of such.
+@dataclass(frozen=True)
+class ReportHead:
+    """What was judged, what the baselines were fitted to, and the definitions that the figures rest on."""
 
-    Returns
-    -------
-    head : split, target, what baselines were fitted to, definitions
+    split: Split
+    target: Target
+    n_rooms_fitted: int
+    n_clouds_fitted: int
+    coverage_edges: tuple[float, ...] = COVERAGE_EDGES
+    shares_promised: tuple[float, ...] = SHARES_ASKED
+    dominant_share: float = DOMINANT_SHARE
+    stress_limit: float = STRESS_LIMIT
+    cap_share: float = CAP_SHARE
+    colour_noise: float = COLOUR_NOISE
+    distance_noise: float = DISTANCE_NOISE
+
+
+@dataclass(frozen=True)
+class LearningPoint:
+    """Networks of so many training rooms: by group the mean of their ratio over seeds, and its deviation."""
+
+    n_rooms: int
+    n_seeds: int
+    estimator: str
+    groups: Mapping[str, tuple[float | None, float | None]]
+
+
+@dataclass(frozen=True)
+class Report:
+    """All figures.
+
+    Parameters
+    ----------
+    head : see there
     tables : one per group of clouds
     curve : error against coverage in narrow bins
     learning : error against the number of training rooms
     rooms : how unevenly the error is spread over clouds and rooms
     calibration : of the networks that expect an error
     stress : under disturbances, beside `ambient`
-
-    ValueError for a missing or broken folder or file, or networks of another kind or target.
     """
+
+    head: ReportHead
+    tables: tuple[parts.Table, ...]
+    curve: parts.CoverageCurve
+    learning: tuple[LearningPoint, ...]
+    rooms: tuple[parts.RoomFigures, ...]
+    calibration: tuple[parts.CalibrationRow, ...]
+    stress: tuple[parts.StressGroup, ...]
+
+
+def report_json(report: Report) -> str:
+    """As a file has it: strict JSON, with the groups of a learning point beside its other fields."""
+    content = {"version": REPORT_VERSION, **asdict(report)}
+    for point in content["learning"]:
+        ratios = point.pop("groups")
+        point |= {name: {"ratio": mean, "spread": spread} for name, (mean, spread) in ratios.items()}
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+
+
+def make_report(settings: ReportSettings, progress: Callable[[str], None] = lambda line: None) -> Report:
+    """Predict and judge. ValueError for a missing or broken folder or file, or networks of another kind or target."""
     target, device = settings.target, settings.device
     groups = _groups(settings)
     networks = [load_seeds(label, files, target, device) for label, files in settings.networks.items()]
@@ -96,16 +146,15 @@ def make_report(settings: ReportSettings, progress: Callable[[str], None] = lamb
         predicted.append(predict_group(group, baselines, networks, target, device))
     progress("calibrating, and disturbing clouds")
     calibrations = _calibrations(settings, networks)
-    return {
-        "version": REPORT_VERSION,
-        "head": _head(settings, baselines),
-        "tables": [group_table(group, one, target) for group, one in zip(groups, predicted, strict=True)],
-        "curve": coverage_curve(groups[:2], joined(predicted[:2]), target),
-        "learning": _learning(settings, groups[:2], predicted[:2]),
-        "rooms": [room_figures(groups[0], name, seeds, target) for name, seeds in predicted[0].items()],
-        "calibration": [one.figures(groups, predicted, target) for one in calibrations],
-        "stress": _stress(settings, groups[0], networks, baselines, calibrations),
-    }
+    return Report(
+        ReportHead(settings.split, target, baselines.n_rooms, baselines.n_clouds),
+        tuple(parts.group_table(group, one, target) for group, one in zip(groups, predicted, strict=True)),
+        parts.coverage_curve(groups[:2], joined(predicted[:2]), target),
+        tuple(_learning(settings, groups[:2], predicted[:2])),
+        tuple(parts.room_figures(groups[0], name, seeds, target) for name, seeds in predicted[0].items()),
+        tuple(one.figures(groups, predicted, target) for one in calibrations),
+        tuple(_stress(settings, groups[0], networks, baselines, calibrations)),
+    )
 
 
 def _groups(settings: ReportSettings) -> list[Group]:
@@ -124,51 +173,33 @@ def _groups(settings: ReportSettings) -> list[Group]:
     return groups
 
 
-def _head(settings: ReportSettings, baselines: Baselines) -> dict[str, Any]:
-    return {
-        "split": settings.split,
-        "target": settings.target,
-        "n_rooms_fitted": baselines.n_rooms,
-        "n_clouds_fitted": baselines.n_clouds,
-        "coverage_edges": list(COVERAGE_EDGES),
-        "shares_promised": list(SHARES_ASKED),
-        "dominant_share": DOMINANT_SHARE,
-        "stress_limit": STRESS_LIMIT,
-        "cap_share": CAP_SHARE,
-        "colour_noise": COLOUR_NOISE,
-        "distance_noise": DISTANCE_NOISE,
-    }
-
-
 def _learning(
     settings: ReportSettings, groups: Sequence[Group], predicted: Sequence[Predictions]
-) -> list[dict[str, Any]]:
-    """For each number of rooms the ratio in each group, mean and spread over seeds."""
+) -> list[LearningPoint]:
     points = []
     for n_rooms, files in sorted(settings.learning.items()):
         seeds = load_seeds(f"{n_rooms} rooms", files, settings.target, settings.device)
-        point: dict[str, Any] = {"n_rooms": n_rooms, "n_seeds": len(files), "estimator": seeds.estimator}
+        ratios = {}
         for group, known in zip(groups, predicted, strict=True):
-            figures = prediction_figures(group, known, seeds.predictions(group, settings.target, settings.device) or [],
-                                         settings.target)  # fmt: skip
-            mean, spread = over_seeds([one["ratio"] for one in figures] or [None])
-            point[group.name] = {"ratio": mean, "spread": spread}
-        points.append(point)
+            said = seeds.predictions(group, settings.target, settings.device) or []
+            figures = parts.prediction_figures(group, known, said, settings.target)
+            ratios[group.name] = over_seeds([one.ratio for one in figures] or [None])
+        points.append(LearningPoint(n_rooms, len(files), seeds.estimator, ratios))
     return points
 
 
-def _calibrations(settings: ReportSettings, networks: Sequence[NetworkSeeds]) -> list[SeedCalibrations]:
+def _calibrations(settings: ReportSettings, networks: Sequence[NetworkSeeds]) -> list[parts.SeedCalibrations]:
     """Of the networks that expect an error, fitted to the validation clouds of one view and of all views."""
     held_out = [open_group(views, settings.clouds, "validation", views) for views in ("one", "merged")]
     is_crossed = settings.split == "validation"
-    found = [SeedCalibrations.fitted(n, held_out, settings.target, settings.device, is_crossed) for n in networks]
+    found = [parts.SeedCalibrations.fitted(n, held_out, settings.target, settings.device, is_crossed) for n in networks]
     return [one for one in found if one is not None]
 
 
 def _stress(
     settings: ReportSettings, group: Group, networks: Sequence[NetworkSeeds], baselines: Baselines,
-    calibrations: Sequence[SeedCalibrations],
-) -> list[dict[str, Any]]:  # fmt: skip
+    calibrations: Sequence[parts.SeedCalibrations],
+) -> list[parts.StressGroup]:  # fmt: skip
     """Each disturbance of the clouds of one view, and each group of clouds that were sampled otherwise."""
     disturbed = {
         name: disturb(group.cases, np.random.default_rng([settings.seed, i]))
@@ -179,4 +210,6 @@ def _stress(
         clouds[name] = open_group(name, folders, settings.split, "one").cases
     of_lattice = [network for network in networks if network.estimator == "lattice"]
     rows = {one.name: one for one in calibrations}
-    return [stress_group(name, some, of_lattice, baselines, rows, settings.device) for name, some in clouds.items()]
+    return [
+        parts.stress_group(name, some, of_lattice, baselines, rows, settings.device) for name, some in clouds.items()
+    ]

@@ -1,15 +1,14 @@
 """Parts of the report, made of clouds and of what predictors say of them.
 
-Pure functions from predictions to plain figures (numbers, None, lists and dictionaries), of one seed first and then
-their mean and spread, so that every number of a table has its spread. Where the clouds of a part are none, its figures
-are None.
+Pure functions from predictions to records of figures, of one seed first and then their mean and spread, so that every
+number of a table has its spread. Where the clouds of a part are none, its figures are None.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +19,19 @@ from xihenet.estimators.calibration import Calibration
 from xihenet.estimators.lattice import lean_on_sensor
 from xihenet.records import ArrayBool, ArrayF64, ArrayInt
 from xihenet.training.baselines import AMBIENT, MEAN, PROJECTION, Baselines
-from xihenet.training.calibration import calibration_figures, fit_calibration
+from xihenet.training.calibration import CalibrationFigures, calibration_figures, fit_calibration
 from xihenet.training.dataset import CloudSet
-from xihenet.training.groups import Group, coverage_of, open_group
 from xihenet.training.networks import load_network
-from xihenet.training.predictions import NetworkSeeds, Prediction, Predictions, load_seeds, over_seeds, predict_clouds
+from xihenet.training.predictions import (
+    Group,
+    NetworkSeeds,
+    Prediction,
+    Predictions,
+    load_seeds,
+    open_group,
+    over_seeds,
+    predict_clouds,
+)
 from xihenet.training.scores import (
     COVERAGE_EDGES,
     Scores,
@@ -41,78 +48,199 @@ FEWEST_IN_BIN = 10
 WORST_SHARE = 0.05
 N_WORST_ROOMS = 5
 
+Known = float | None
 
-def group_table(group: Group, predicted: Predictions, target: Target) -> dict[str, Any]:
-    """One table: what the clouds are, and a row for each predictor with mean and spread of its figures."""
-    rows = []
-    for name, seeds in predicted.items():
-        mean, spread = over_seeds(prediction_figures(group, predicted, seeds, target))
-        rows.append({"name": name, "n_seeds": len(seeds), "figures": mean, "spread": spread})
+
+@dataclass(frozen=True)
+class Figures(Scores):
+    """All scores of a predictor, and those of coefficients over the mean predictor's on the same clouds."""
+
+    ratio: Known
+    ratio_by_band: tuple[Known, ...]
+    ratio_by_coverage: tuple[Known, ...]
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """One predictor: the mean of its seeds' figures, and their standard deviation."""
+
+    name: str
+    n_seeds: int
+    figures: Figures
+    spread: Figures
+
+
+@dataclass(frozen=True)
+class Table:
+    """What the clouds of a group are (`coverage` by percentile, `n_in_coverage` between edges), and all predictors."""
+
+    name: str
+    n_clouds: int
+    n_rooms: int
+    coverage: Mapping[str, Known]
+    n_in_coverage: tuple[int, ...]
+    rows: tuple[TableRow, ...]
+
+
+@dataclass(frozen=True)
+class Ratios:
+    """Of one predictor by bin, over the mean predictor's, and the deviation over seeds; None where clouds are few."""
+
+    ratio: tuple[Known, ...]
+    spread: tuple[Known, ...]
+
+
+@dataclass(frozen=True)
+class CoverageCurve:
+    """Between each two of the `edges`: the clouds' mean coverage and number, and the ratios by predictor."""
+
+    edges: tuple[float, ...]
+    coverage: tuple[Known, ...]
+    n_clouds: tuple[int, ...]
+    rows: Mapping[str, Ratios]
+
+
+@dataclass(frozen=True)
+class WorstRoom:
+    """A room's number, clouds, share of the squared error of all, and SHC RMSE."""
+
+    room: int
+    n_clouds: int
+    share: Known
+    rmse: float
+
+
+@dataclass(frozen=True)
+class RoomFigures:
+    """Of one predictor: what share of the squared error the worst `worst_share` of clouds and of rooms have."""
+
+    name: str
+    worst_share: float
+    of_worst_clouds: Known
+    of_worst_rooms: Known
+    worst_rooms: tuple[WorstRoom, ...]
+
+
+@dataclass(frozen=True)
+class CalibrationRow:
+    """One network's calibration of each seed, and what came of them: the mean over seeds, and the deviation."""
+
+    name: str
+    n_seeds: int
+    by_seed: tuple[Calibration, ...]
+    figures: CalibrationFigures
+    spread: CalibrationFigures
+
+
+@dataclass(frozen=True)
+class StressFigures:
+    """Under one disturbance.
+
+    Parameters
+    ----------
+    rmse, ratio : and over that of `ambient`; None where any light is not finite
+    is_finite, is_within : all lights; at most `STRESS_LIMIT`
+    expected_over_made : mean errors; None where none is expected
+    """
+
+    rmse: Known
+    ratio: Known
+    is_finite: bool
+    is_within: bool
+    expected_over_made: Known
+
+
+@dataclass(frozen=True)
+class StressRow(StressFigures):
+    """One predictor; `spread` of its ratio over seeds."""
+
+    name: str
+    n_seeds: int
+    spread: Known
+
+
+@dataclass(frozen=True)
+class StressGroup:
+    """One disturbance: how many clouds of how many anchors, what is seen, and the predictors."""
+
+    name: str
+    n_clouds: int
+    n_anchors: int
+    coverage: Known
+    rows: tuple[StressRow, ...]
+
+
+def group_table(group: Group, predicted: Predictions, target: Target) -> Table:
+    """What the clouds are, and a row for each predictor."""
+    rows = [
+        TableRow(name, len(seeds), *over_seeds(prediction_figures(group, predicted, seeds, target)))
+        for name, seeds in predicted.items()
+    ]
     quantiles = np.quantile(group.coverage, (0.05, 0.5, 0.95)).tolist() if len(group.cases) else [None] * 3
-    return {
-        "name": group.name,
-        "n_clouds": len(group.cases),
-        "n_rooms": len(np.unique(group.cases.room)),
-        "coverage": dict(zip(("p5", "p50", "p95"), quantiles, strict=True)),
-        "n_in_coverage": [int(mask.sum()) for mask in coverage_groups(group.coverage)],
-        "rows": rows,
-    }
+    return Table(
+        group.name,
+        len(group.cases),
+        len(np.unique(group.cases.room)),
+        dict(zip(("p5", "p50", "p95"), quantiles, strict=True)),
+        tuple(int(mask.sum()) for mask in coverage_groups(group.coverage)),
+        tuple(rows),
+    )
 
 
 def prediction_figures(
     group: Group, predicted: Predictions, seeds: Sequence[Prediction], target: Target
-) -> list[dict[str, Any]]:
-    """For each seed all its scores, and those of coefficients divided by the mean predictor's on the same clouds."""
+) -> list[Figures]:
+    """For each seed; `predicted` has the mean predictor."""
     truth, coverage = group.cases.truth(target), group.coverage
     yardstick = score_lights(predicted[MEAN][0].light, truth, coverage)
-    return [_beside(score_lights(seed.light, truth, coverage), yardstick) for seed in seeds]
+    figures = []
+    for seed in seeds:
+        scores = score_lights(seed.light, truth, coverage)
+        by_band, by_coverage = (
+            tuple(map(ratio, getattr(scores, part), getattr(yardstick, part))) for part in ("by_band", "by_coverage")
+        )
+        figures.append(Figures(**vars(scores), ratio=ratio(scores.rmse, yardstick.rmse), ratio_by_band=by_band,
+                               ratio_by_coverage=by_coverage))  # fmt: skip
+    return figures
 
 
-def coverage_curve(groups: Sequence[Group], predicted: Predictions, target: Target) -> dict[str, Any]:
-    """Ratio of every predictor in narrow bins of coverage, over all clouds of the groups; None where clouds are few."""
+def coverage_curve(groups: Sequence[Group], predicted: Predictions, target: Target) -> CoverageCurve:
+    """Ratio of every predictor in narrow bins of coverage, over all clouds of the groups."""
     truth = np.concatenate([group.cases.truth(target) for group in groups])
     coverage = np.concatenate([group.coverage for group in groups])
     bins = coverage_groups(coverage, CURVE_EDGES)
     yardstick = rmse_of_each(predicted[MEAN][0].light, truth)
-    curves = {}
+
+    def in_bin(made: ArrayF64, mask: ArrayBool) -> float | None:
+        is_enough = np.count_nonzero(mask) >= FEWEST_IN_BIN
+        return ratio(pooled_rms(made[mask]), pooled_rms(yardstick[mask])) if is_enough else None
+
+    rows = {}
     for name, seeds in predicted.items():
         of_each = [rmse_of_each(seed.light, truth) for seed in seeds]
-        mean, spread = over_seeds([[_ratio_in_bin(made, yardstick, b) for b in bins] for made in of_each])
-        curves[name] = {"ratio": mean, "spread": spread}
-    return {
-        "edges": list(CURVE_EDGES),
-        "coverage": [float(coverage[b].mean()) if b.any() else None for b in bins],
-        "n_clouds": [int(b.sum()) for b in bins],
-        "rows": curves,
-    }
+        rows[name] = Ratios(*over_seeds([tuple(in_bin(made, mask) for mask in bins) for made in of_each]))
+    seen = tuple(float(coverage[b].mean()) if b.any() else None for b in bins)
+    return CoverageCurve(CURVE_EDGES, seen, tuple(int(b.sum()) for b in bins), rows)
 
 
-def room_figures(group: Group, name: str, seeds: Sequence[Prediction], target: Target) -> dict[str, Any]:
+def room_figures(group: Group, name: str, seeds: Sequence[Prediction], target: Target) -> RoomFigures:
     """How unevenly the squared error, the mean over seeds, is spread over clouds and over rooms."""
-    truth, room = group.cases.truth(target), group.cases.room
+    truth = group.cases.truth(target)
     squared = np.mean([rmse_of_each(seed.light, truth) ** 2 for seed in seeds], axis=0)
-    names, index = np.unique(room, return_inverse=True)
-    of_rooms, n_clouds = (
-        np.bincount(index, squared, len(names)).astype(np.float64),
-        np.bincount(index, minlength=len(names)),
-    )
-    total = float(squared.sum())
-    worst = np.argsort(-of_rooms, kind="stable")[:N_WORST_ROOMS]
-    return {
-        "name": name,
-        "worst_share": WORST_SHARE,
-        "of_worst_clouds": _share_of_worst(squared),
-        "of_worst_rooms": _share_of_worst(of_rooms),
-        "worst_rooms": [
-            {
-                "room": int(names[i]),
-                "n_clouds": int(n_clouds[i]),
-                "share": ratio(float(of_rooms[i]), total),
-                "rmse": float(np.sqrt(of_rooms[i] / n_clouds[i])),
-            }
-            for i in worst
-        ],
-    }
+    rooms, index, n_clouds = np.unique(group.cases.room, return_inverse=True, return_counts=True)
+    of_rooms = np.bincount(index, squared, len(rooms)).astype(np.float64)
+    rmse, total = np.sqrt(of_rooms / n_clouds), float(squared.sum())
+    worst = [
+        WorstRoom(int(rooms[i]), int(n_clouds[i]), ratio(float(of_rooms[i]), total), float(rmse[i]))
+        for i in np.argsort(-of_rooms, kind="stable")[:N_WORST_ROOMS]
+    ]
+    return RoomFigures(name, WORST_SHARE, _share_of_worst(squared), _share_of_worst(of_rooms), tuple(worst))
+
+
+def _share_of_worst(squared: ArrayF64) -> float | None:
+    """What the worst `WORST_SHARE`, at least one, have of the sum."""
+    n_worst = max(1, round(WORST_SHARE * len(squared)))
+    return ratio(float(np.sort(squared)[::-1][:n_worst].sum()), float(squared.sum()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,10 +274,10 @@ class SeedCalibrations:
             raw = [one.raw_error for one in of_seed if one.raw_error is not None]
             if len(raw) != len(held_out) or min(np.bincount(parity, minlength=2)) < 2:
                 return None
-            raw_error = np.concatenate(raw)
             made = rmse_of_each(np.concatenate([one.light for one in of_seed]), truth)
-            by_seed.append(fit_calibration(raw_error, made, coverage))
-            even, odd = (fit_calibration(*(part[parity == p] for part in (raw_error, made, coverage))) for p in (0, 1))
+            known = np.concatenate(raw), made, coverage
+            by_seed.append(fit_calibration(*known))
+            even, odd = (fit_calibration(*(part[parity == p] for part in known)) for p in (0, 1))
             halves.append((even, odd))
         return cls(network.name, tuple(by_seed), tuple(halves) if is_crossed else None)
 
@@ -164,34 +292,34 @@ class SeedCalibrations:
         multiples = np.array([one.quantiles for one in by_other_half])[parity].T
         return errors, multiples * errors
 
-    def figures(self, groups: Sequence[Group], predicted: Sequence[Predictions], target: Target) -> dict[str, Any]:
+    def figures(self, groups: Sequence[Group], predicted: Sequence[Predictions], target: Target) -> CalibrationRow:
         """Over the clouds of one view and all views together, by coverage and by table; mean and spread over seeds."""
         known = [(group, part[self.name]) for group, part in zip(groups, predicted, strict=True) if self.name in part]
         by_seed = [self._seed_figures(i, [(g, part[i]) for g, part in known], target) for i in range(len(self.by_seed))]
-        mean, spread = over_seeds(by_seed)
-        weights = [asdict(one) | {"quantiles": list(one.quantiles)} for one in self.by_seed]
-        return {"name": self.name, "n_seeds": len(by_seed), "by_seed": weights, "figures": mean, "spread": spread}
+        return CalibrationRow(self.name, len(by_seed), self.by_seed, *over_seeds(by_seed))
 
-    def _seed_figures(self, seed: int, known: list[tuple[Group, Prediction]], target: Target) -> dict[str, Any]:
-        expected, promised, made, coverage, table = [], [], [], [], []
-        for i, (group, predicted) in enumerate(known):
+    def _seed_figures(self, seed: int, known: list[tuple[Group, Prediction]], target: Target) -> CalibrationFigures:
+        of_tables = []
+        for group, predicted in known:
             raw = predicted.raw_error if predicted.raw_error is not None else np.zeros(len(group.cases))
-            one, limits = self.expected(seed, raw, group.coverage, group.cases.room)
-            expected.append(one)
-            promised.append(limits)
-            made.append(rmse_of_each(predicted.light, group.cases.truth(target)))
-            coverage.append(group.coverage)
-            table.append(np.full(len(group.cases), i))
+            made = rmse_of_each(predicted.light, group.cases.truth(target))
+            of_tables.append((*self.expected(seed, raw, group.coverage, group.cases.room), made))
+        errors, limits, came = (np.concatenate(parts, axis=-1) for parts in zip(*of_tables, strict=True))
         # The first two tables are of the rooms that were split; what coverage does is asked of them alone.
-        n_main = sum(len(part) for part in made[:2])
-        of_table, seen = np.concatenate(table), np.concatenate(coverage)[:n_main]
+        main = slice(sum(len(group.cases) for group, _ in known[:2]))
+        seen = np.concatenate([group.coverage for group, _ in known[:2]])
         edges = [f"{a:.0%} to {b:.0%} seen" for a, b in itertools.pairwise(COVERAGE_EDGES)]
-        errors, limits, came = np.concatenate(expected), np.concatenate(promised, axis=1), np.concatenate(made)
         by_coverage = dict(zip(edges, coverage_groups(seen), strict=True))
-        figures = calibration_figures(errors[:n_main], limits[:, :n_main], came[:n_main], by_coverage)
+        figures = calibration_figures(errors[main], limits[:, main], came[main], by_coverage)
+        of_table = np.repeat(np.arange(len(known)), [len(group.cases) for group, _ in known])
         by_table = {group.name: of_table == i for i, (group, _) in enumerate(known)}
-        figures["tables"] = calibration_figures(errors, limits, came, by_table)["groups"]
-        return figures
+        return replace(figures, tables=calibration_figures(errors, limits, came, by_table).groups)
+
+
+def _parity(room: ArrayInt) -> ArrayInt:
+    """(M,) 0 for rooms of even, 1 for rooms of odd numbers."""
+    parity: ArrayInt = np.asarray(room % 2, np.intp)
+    return parity
 
 
 def calibrate_network(network: Path, folders: Sequence[Path], device: str = "cpu") -> Calibration:
@@ -211,11 +339,12 @@ def calibrate_network(network: Path, folders: Sequence[Path], device: str = "cpu
 def stress_group(
     name: str, clouds: CloudSet, networks: Sequence[NetworkSeeds], baselines: Baselines,
     calibrations: Mapping[str, SeedCalibrations], device: str,
-) -> dict[str, Any]:  # fmt: skip
+) -> StressGroup:  # fmt: skip
     """RMSE of `projection` and the lattice networks over `ambient`'s, and whether all lights are finite."""
-    truth, basic, coverage = clouds.truth(baselines.target), baselines.lights(clouds), coverage_of(clouds)
+    truth, basic, coverage = clouds.truth(baselines.target), baselines.lights(clouds), clouds.coverage
     of_ambient = pooled_rms(basic[AMBIENT] - truth)
-    rows = [{"name": PROJECTION, "n_seeds": 1, **_stress_row(Prediction(basic[PROJECTION]), truth, of_ambient, None)}]
+    projection = _stress_figures(Prediction(basic[PROJECTION]), truth, of_ambient, None)
+    rows = [StressRow(**vars(projection), name=PROJECTION, n_seeds=1, spread=None)]
     for network in networks:
         figures = []
         for i, net in enumerate(network.nets):
@@ -225,55 +354,26 @@ def stress_group(
             expected = None
             if network.name in calibrations and predicted.raw_error is not None:
                 expected = calibrations[network.name].expected(i, predicted.raw_error, coverage, clouds.room)[0]
-            figures.append(_stress_row(predicted, truth, of_ambient, expected))
+            figures.append(_stress_figures(predicted, truth, of_ambient, expected))
         mean, spread = over_seeds(figures)
-        is_finite = all(one["is_finite"] for one in figures)
-        is_within = is_finite and (mean["ratio"] is None or mean["ratio"] <= STRESS_LIMIT)
-        row = {**mean, "spread": spread["ratio"], "is_finite": is_finite, "is_within": is_within}
-        rows.append({"name": network.name, "n_seeds": len(network.nets), **row})
+        is_finite = all(one.is_finite for one in figures)
+        mean = replace(mean, is_finite=is_finite, is_within=is_finite and _is_within(mean.ratio))
+        rows.append(StressRow(**vars(mean), name=network.name, n_seeds=len(network.nets), spread=spread.ratio))
     seen = float(coverage.mean()) if len(coverage) else None
-    return {"name": name, "n_clouds": len(clouds), "n_anchors": clouds.is_set.shape[1], "coverage": seen, "rows": rows}
+    return StressGroup(name, len(clouds), clouds.is_set.shape[1], seen, tuple(rows))
 
 
-def _stress_row(
+def _stress_figures(
     predicted: Prediction, truth: Any, of_ambient: float | None, expected: ArrayF64 | None
-) -> dict[str, Any]:
-    """`ratio` to ambient's RMSE, None if any light is not finite; expected over made errors where one is expected."""
+) -> StressFigures:
     is_finite = bool(np.isfinite(predicted.light).all())
     rmse = pooled_rms(predicted.light - truth) if is_finite else None
     kept = None
     if expected is not None and is_finite and len(truth):
         kept = ratio(float(expected.mean()), float(rmse_of_each(predicted.light, truth).mean()))
-    within = ratio(rmse, of_ambient)
-    is_within = is_finite and (within is None or within <= STRESS_LIMIT)
-    return {"rmse": rmse, "ratio": within, "is_finite": is_finite, "is_within": is_within, "expected_over_made": kept}
+    over_ambient = ratio(rmse, of_ambient)
+    return StressFigures(rmse, over_ambient, is_finite, is_finite and _is_within(over_ambient), kept)
 
 
-def _beside(scores: Scores, yardstick: Scores) -> dict[str, Any]:
-    def ratios(above: Sequence[float | None], below: Sequence[float | None]) -> list[float | None]:
-        return [ratio(a, b) for a, b in zip(above, below, strict=True)]
-
-    return {
-        "ratio": ratio(scores.rmse, yardstick.rmse),
-        "ratio_by_band": ratios(scores.by_band, yardstick.by_band),
-        "ratio_by_coverage": ratios(scores.by_coverage, yardstick.by_coverage),
-        **scores.as_dict(),
-    }
-
-
-def _ratio_in_bin(made: ArrayF64, yardstick: ArrayF64, mask: ArrayBool) -> float | None:
-    if np.count_nonzero(mask) < FEWEST_IN_BIN:
-        return None
-    return ratio(pooled_rms(made[mask]), pooled_rms(yardstick[mask]))
-
-
-def _share_of_worst(squared: ArrayF64) -> float | None:
-    """What the worst `WORST_SHARE`, at least one, have of the sum."""
-    n_worst = max(1, round(WORST_SHARE * len(squared)))
-    return ratio(float(np.sort(squared)[::-1][:n_worst].sum()), float(squared.sum()))
-
-
-def _parity(room: ArrayInt) -> ArrayInt:
-    """(M,) 0 for rooms of even, 1 for rooms of odd numbers."""
-    parity: ArrayInt = np.asarray(room % 2, np.intp)
-    return parity
+def _is_within(over_ambient: float | None) -> bool:
+    return over_ambient is None or over_ambient <= STRESS_LIMIT

@@ -13,9 +13,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -96,10 +95,6 @@ class Scores:
     irradiance_percent: float | None
     dominant: DominantLight
     spheres: dict[str, SphereErrors]
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON: numbers and None."""
-        return asdict(self)
 
 
 def score_lights(lights: ArrayLike, truth: ArrayLike, coverage: ArrayLike) -> Scores:

@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from xihe_blender.io.json_records import as_json
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.lab.batch.grid import BatchSettings, Unit, check_settings, planned_units
+from xihe_blender.lab.batch.grid import BatchSettings, Unit, UnitAsked, check_settings, planned_units
 from xihe_blender.lab.batch.report import write_report
-from xihe_blender.lab.batch.results import BatchFolder, batch_results, manifest_of, read_frontier, write_tables
-from xihe_blender.lab.workers.dask_workers import DaskWorkers, dashboard, open_dask_workers
+from xihe_blender.lab.batch.results import BatchFolder, BatchResults, batch_results, read_frontier
+from xihe_blender.lab.workers.dask_workers import Work, dashboard, open_dask_workers
 
 
 @dataclass(frozen=True)
 class Batch:
     """What came of a batch: its results, and what is wrong with the scenes and units that could not be done."""
 
-    results: dict[str, Any]
+    results: BatchResults
     failed: Mapping[str, str]
     n_done_now: int
 
@@ -50,7 +50,7 @@ def evaluate_batch(
     check_settings(settings, seeds)
     measured = read_frontier(frontier, folder)
     kept = BatchFolder(folder.resolve())
-    manifest = manifest_of(kept, settings)
+    manifest = kept.manifest(settings)
     manifest.check()
     units, broken = planned_units(scenes, seeds)
     failed = {str(scene): reason for scene, reason in broken.items()}
@@ -60,30 +60,23 @@ def evaluate_batch(
             manifest.take()
             workers.check_workers(str(kept.path), sorted({str(unit.scene) for unit in missing}))
             yield Progress(0, len(missing), f"{len(missing)} of {len(units)} units to do; {dashboard(workers)}")
-            yield from _evaluated(workers, kept, settings, missing)
+            yield from workers.run(_work(kept, settings, missing), "unit")
             names = {unit.name: f"{unit.scene} (seed {unit.seed})" for unit in units}
             failed |= {names[name]: reason for name, reason in workers.failed.items()}
     manifest.take()
     results = batch_results(kept, settings, units, failed)
-    write_tables(kept, results)
+    kept.write_tables(results)
     write_report(kept, results, measured)
     return Batch(results, failed, sum(kept.result(unit) is not None for unit in missing))
 
 
-def _evaluated(workers: DaskWorkers, kept: BatchFolder, settings: BatchSettings, missing: Sequence[Unit]) -> Any:
-    asked = [
-        {
-            "name": unit.name,
-            "module": "xihe_blender.lab.batch.blender_process",
-            "arguments": [],
-            "told": {
-                "scene": str(unit.scene),
-                "seed": unit.seed,
-                "folder": str(kept.of_unit(unit)),
-                "settings": settings.as_json(),
-            },
-        }
-        # A long unit that starts last keeps one worker busy alone; the largest files are often the longest.
+def _work(kept: BatchFolder, settings: BatchSettings, missing: Sequence[Unit]) -> list[Work]:
+    """A unit that starts last keeps one worker busy alone: the largest files first, which are often the longest."""
+    return [
+        Work(
+            unit.name,
+            "xihe_blender.lab.batch.blender_process",
+            told=as_json(UnitAsked(str(unit.scene), unit.seed, str(kept.of_unit(unit)), settings)),
+        )
         for unit in sorted(missing, key=lambda unit: -unit.scene.stat().st_size)
     ]
-    yield from workers.run(asked, "unit")

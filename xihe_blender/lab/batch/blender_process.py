@@ -18,16 +18,14 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.blender_output import blender_output_aside
+from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.outputs import write_json
-from xihe_blender.lab.batch.grid import BatchSettings
-from xihe_blender.lab.batch.results import result_file
-
-EXIT_CANNOT_BE_DONE = 2
-"""As `dask_worker` knows it, which needs Dask and is not loaded here."""
+from xihe_blender.lab.batch.grid import UnitAsked
+from xihe_blender.lab.batch.results import UnitCost, UnitResult, result_file
+from xihe_blender.lab.workers.dask_workers import EXIT_CANNOT_BE_DONE
 
 EXIT_ABANDONED = 3
 
@@ -40,7 +38,7 @@ def main() -> int:
     """Do what stdin says."""
     # Ctrl-C reaches the whole group of processes; the batch decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    asked = json.load(sys.stdin)
+    asked = from_json(UnitAsked, json.load(sys.stdin))
     with blender_output_aside() as (stdout, stderr):
         try:
             write_result(asked, lambda share: print(f"{share:.4f}", file=stdout, flush=True))
@@ -52,7 +50,7 @@ def main() -> int:
     return 0
 
 
-def write_result(asked: dict[str, Any], tell: Callable[[float], None]) -> None:
+def write_result(asked: UnitAsked, tell: Callable[[float], None]) -> None:
     """Evaluate the unit and leave its result, and the pictures of worst frames, in its folder."""
     from xihe_blender.jobs import Progress, run_blocking
     from xihe_blender.lab.batch.unit import evaluate_unit
@@ -65,17 +63,15 @@ def write_result(asked: dict[str, Any], tell: Callable[[float], None]) -> None:
             raise AbandonedError
         tell(progress.done / progress.total)
 
-    file, folder = Path(asked["scene"]), Path(asked["folder"])
-    settings = BatchSettings.from_json(asked["settings"])
-    job = evaluate_unit(open_blend(file), file, folder, settings, asked["seed"])
-    content = run_blocking(job, tell_share)
-    content["cost"] = {
-        "elapsed_s": time.perf_counter() - start,
-        "processor_s": time.process_time() - start_processor_s,
-        "peak_memory_mb": _peak_memory_mb(),
-        "written_bytes": sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()),
-    }
-    write_json(result_file(folder), content)
+    file, folder = Path(asked.scene), Path(asked.folder)
+    done = run_blocking(evaluate_unit(open_blend(file), file, folder, asked.settings, asked.seed), tell_share)
+    cost = UnitCost(
+        elapsed_s=time.perf_counter() - start,
+        processor_s=time.process_time() - start_processor_s,
+        peak_memory_mb=_peak_memory_mb(),
+        written_bytes=sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()),
+    )
+    write_json(result_file(folder), as_json(UnitResult(**vars(done), cost=cost)))
     for intermediate in ("work", "radiance", "pictures"):
         shutil.rmtree(folder / intermediate, ignore_errors=True)
 

@@ -10,15 +10,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xihe_blender.errors import UserError
-from xihe_blender.io.outputs import as_json
-from xihenet import __version__, estimators
+from xihenet import estimators
 from xihenet.estimators import Target
-from xihenet.phone import load_profile
 
 if TYPE_CHECKING:
     from xihe_blender.previs.settings import PrevisSettings
@@ -64,21 +62,6 @@ class BatchSettings:
         shared = {name: value for name, value in vars(self).items() if name not in ("estimators", "phones")}
         return PrevisSettings(estimator=estimator, phone=phone, seed=seed, **shared)
 
-    def as_json(self) -> dict[str, Any]:
-        """As the batch's folder keeps it, and `from_json` reads it."""
-        return as_json(self)
-
-    @staticmethod
-    def from_json(content: dict[str, Any]) -> BatchSettings:
-        known: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in content.items()}
-        return BatchSettings(**known)
-
-    @property
-    def provenance(self) -> dict[str, Any]:
-        """What decides the numbers of every unit of a folder, besides its scene and its seed."""
-        profiles = {name: asdict(load_profile(name)) for name in self.phones}
-        return {"format": FORMAT_VERSION, "xihe": __version__, "settings": self.as_json(), "profiles": profiles}
-
 
 @dataclass(frozen=True)
 class Unit:
@@ -99,6 +82,16 @@ class Unit:
     def name(self) -> str:
         """Of its folder, and in what is said of it."""
         return f"{self.scene.stem}_{self.digest[:8]}_seed{self.seed}"
+
+
+@dataclass(frozen=True)
+class UnitAsked:
+    """What the process that does a unit is told: its scene and seed, where it leaves what, and the batch's settings."""
+
+    scene: str
+    seed: int
+    folder: str
+    settings: BatchSettings
 
 
 def planned_units(scenes: Sequence[Path], seeds: Sequence[int]) -> tuple[list[Unit], dict[Path, str]]:

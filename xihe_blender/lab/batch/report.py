@@ -6,33 +6,20 @@ Made from results.json and the pictures of worst frames alone, never from Blende
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from xihe_blender.lab.batch import answers, drawings
-from xihe_blender.lab.batch.analysis import (
-    MEASURES,
-    Comparison,
-    Measure,
-    Trial,
-    TriggerPoint,
-    WorstCase,
-    against_the_best,
-    chosen,
-    frame_values,
-    names_of,
-    trigger_points,
-    values_of,
-    worst_cases,
-)
-from xihe_blender.lab.batch.results import WORST_KINDS, BatchFolder, worst_picture
-from xihe_blender.lab.frontier.points import HOW_MANY_ANCHORS, LAST_TENTH, family
+from xihe_blender.lab.batch.answers import MEASURES, Measure
+from xihe_blender.lab.batch.results import WORST_KINDS, BatchFolder, BatchResults, Trial, UnitRow, worst_picture
+from xihe_blender.lab.frontier.answers import HOW_MANY_ANCHORS, LAST_TENTH
+from xihe_blender.lab.frontier.points import family
+from xihe_blender.lab.frontier.records import Frontier, FrontierPoint
 from xihe_blender.lab.frontier.report import LAB_STYLE
 from xihe_blender.report.document import block, document, png_url, table, write_document
-from xihe_blender.report.values import code, escape, finite, items, mapping, mean
+from xihe_blender.report.values import code, escape, mean
 from xihenet.formats import (
     MINUS,
     format_bytes,
@@ -47,30 +34,21 @@ N_WORST = 6
 _KIND_WORDS = {"ground_truth": "Ground truth", "estimate": "Under the estimated light", "error": "Error (black: none)"}
 _DOTS = "A dot is a trial: one scene with one seed and one phone. The box holds the middle half of them."
 
-Frontier = Mapping[str, Any]
-"""Content of a frontier.json."""
-
 WITHOUT_FRONTIER = (
     f"That takes measured times: run {code('xihe frontier SCENE.blend --out DIR')} and give its folder as "
     f"{code('--frontier DIR')} to the same command, or put its frontier.json into this folder."
 )
 
 
-def write_report(folder: BatchFolder, results: Mapping[str, Any], frontier: Mapping[str, Any] | None) -> None:
-    """Write the page, whole or not at all.
-
-    Parameters
-    ----------
-    results : as in results.json
-    frontier : content of a frontier.json, if there is one
-    """
+def write_report(folder: BatchFolder, results: BatchResults, frontier: Frontier | None) -> None:
+    """Write the page, whole or not at all."""
     write_document(folder.report, report_page(folder, results, frontier))
 
 
-def report_page(folder: BatchFolder, results: Mapping[str, Any], frontier: Mapping[str, Any] | None) -> str:
+def report_page(folder: BatchFolder, results: BatchResults, frontier: Frontier | None) -> str:
     """The page as text."""
-    trials = items(results, "trials")
-    sections = [("failed", "What could not be done", _failed(results))] if items(results, "failed") else []
+    trials = results.trials
+    sections = [("failed", "What could not be done", _failed(results))] if results.failed else []
     if trials:
         sections += [
             ("estimator", "Which estimator should I ship?", _estimators(trials)),
@@ -78,15 +56,15 @@ def report_page(folder: BatchFolder, results: Mapping[str, Any], frontier: Mappi
             ("often", "How often must it run?", _how_often(trials)),
             *_from_frontier(frontier),
             ("worst", "Worst cases", _worst(folder, trials)),
-            ("numbers", "Numbers", _numbers(trials) + _costs(results)),
+            ("numbers", "Numbers", _numbers(trials) + _costs(results.units)),
         ]
     lead = answers.what_it_stands_on(trials) if trials else "No trial could be done."
     opening = f'<p class="lead">{lead}</p>'
     return document("Batch evaluation", opening, sections, has_links=False, style=LAB_STYLE)
 
 
-def _failed(results: Mapping[str, Any]) -> str:
-    rows = "".join(f"<li>{code(one['what'])}: {escape(one['reason'])}</li>" for one in items(results, "failed"))
+def _failed(results: BatchResults) -> str:
+    rows = "".join(f"<li>{code(one.what)}: {escape(one.reason)}</li>" for one in results.failed)
     return f'<div class="block warning"><ul>{rows}</ul></div>'
 
 
@@ -106,19 +84,20 @@ def _estimators(trials: Sequence[Trial]) -> str:
 
 def _distribution(trials: Sequence[Trial], measure: Measure) -> str:
     rows = []
-    for index, name in enumerate(names_of(trials, "estimator")):
-        known = [(finite(t.get(measure.key)), t) for t in chosen(trials, estimator=name)]
-        rows.append((name, index, [(value, _hover(t, value)) for value, t in known if value is not None]))
+    for index, name in enumerate(answers.names_of(trials, "estimator")):
+        known = [(measure.of(trial), trial) for trial in answers.chosen(trials, estimator=name)]
+        dots = [
+            (value, f"{t.scene}, seed {t.seed}, {t.phone}: {format_number(value)}")
+            for value, t in known
+            if value is not None
+        ]
+        rows.append((name, index, dots))
     better = "Further left is better." if measure.is_better_low else "Further right is better."
     return drawings.strips(rows, title=measure.title, about=f"{_DOTS} {better}", axis_name=measure.unit or "no unit")
 
 
-def _hover(trial: Trial, value: float) -> str:
-    return f"{trial['scene']}, seed {trial['seed']}, {trial['phone']}: {format_number(value)}"
-
-
 def _against_the_best(trials: Sequence[Trial], measure: Measure) -> str:
-    rows = _intervals(against_the_best(trials, measure), names_of(trials, "estimator"))
+    rows = _intervals(answers.against_the_best(trials, measure), answers.names_of(trials, "estimator"))
     side = (
         "Right of the dashed line the first has more error" if measure.is_better_low else "Right: the first is better"
     )
@@ -127,7 +106,7 @@ def _against_the_best(trials: Sequence[Trial], measure: Measure) -> str:
     return drawings.differences(rows, title=title, about=about, axis_name=measure.unit or "no unit")
 
 
-def _intervals(found: Sequence[Comparison], names: Sequence[str]) -> list[drawings.Interval]:
+def _intervals(found: Sequence[answers.Comparison], names: Sequence[str]) -> list[drawings.Interval]:
     """A row for each, coloured by the place of the first in `names`; a phone's own file goes by its stem."""
     titles = (f"{Path(one.first).stem} {MINUS} {Path(one.second).stem}" for one in found)
     return [
@@ -139,7 +118,7 @@ def _intervals(found: Sequence[Comparison], names: Sequence[str]) -> list[drawin
 def _pairs_table(trials: Sequence[Trial]) -> str:
     rows = []
     for measure in MEASURES:
-        for one in against_the_best(trials, measure):
+        for one in answers.against_the_best(trials, measure):
             d = one.difference
             better = d.share_lower if measure.is_better_low else 1 - d.share_lower
             cells = [escape(measure.title), answers.format_interval(d), f"{round(better * d.n_pairs)} of {d.n_pairs}"]
@@ -148,7 +127,7 @@ def _pairs_table(trials: Sequence[Trial]) -> str:
 
 
 def _phones(trials: Sequence[Trial]) -> str:
-    rows = _intervals(answers.phone_differences(trials, MEASURES[0]), names_of(trials, "phone"))
+    rows = _intervals(answers.phone_differences(trials, MEASURES[0]), answers.names_of(trials, "phone"))
     about = "The same scene and seed through two phones, with 95 % intervals of the mean. Left: the first is better."
     title = "Coefficient error: differences between phones"
     plot = drawings.differences(rows, title=title, about=about, axis_name="no unit")
@@ -156,21 +135,28 @@ def _phones(trials: Sequence[Trial]) -> str:
 
 
 def _phone_table(trials: Sequence[Trial]) -> str:
-    phones, names = names_of(trials, "phone"), names_of(trials, "estimator")
+    phones, names = answers.names_of(trials, "phone"), answers.names_of(trials, "estimator")
     rows = [
-        (code(name), *(format_number(mean(values_of(trials, MEASURES[0], estimator=name, phone=p))) for p in phones))
+        (
+            code(name),
+            *(format_number(mean(answers.values_of(trials, MEASURES[0], estimator=name, phone=p))) for p in phones),
+        )
         for name in names
     ]
     return table(("mean coefficient error", *(escape(phone) for phone in phones)), rows)
 
 
 def _how_often(trials: Sequence[Trial]) -> str:
-    known = {name: trigger_points(trials, name) for name in names_of(trials, "estimator")}
-    lines = [
-        (name, index, [(p.per_minute, p.error, _hover_trigger(name, p)) for p in points])
-        for index, (name, points) in enumerate(known.items())
-    ]
-    rows = [_trigger_row(name, point) for name, points in known.items() for point in points]
+    known = {name: answers.trigger_points(trials, name) for name in answers.names_of(trials, "estimator")}
+    lines, rows = [], []
+    for index, (name, points) in enumerate(known.items()):
+        dots = []
+        for p in points:
+            error, more = format_number(p.error), "" if p.more is None else answers.format_interval(p.more)
+            words = f"{name}, theta {p.theta:g}: {p.per_minute:.0f} a minute, error {error}"
+            dots.append((p.per_minute, p.error, words))
+            rows.append([code(name), f"{p.theta:g}", format_number(p.per_minute), error, more])
+        lines.append((name, index, dots))
     about = (
         "Mean over trials. Each dot is a trigger: from every frame, right, to 64 times the thresholds, left. The same "
         "captures, nothing rendered again."
@@ -183,81 +169,64 @@ def _how_often(trials: Sequence[Trial]) -> str:
     return _answered(answers.how_often(trials), plot) + (table(header, rows) if rows else "")
 
 
-def _hover_trigger(name: str, point: TriggerPoint) -> str:
-    return f"{name}, theta {point.theta:g}: {point.per_minute:.0f} a minute, error {format_number(point.error)}"
-
-
-def _trigger_row(name: str, point: TriggerPoint) -> list[str]:
-    more = "" if point.more is None else answers.format_interval(point.more)
-    return [code(name), f"{point.theta:g}", format_number(point.per_minute), format_number(point.error), more]
-
-
 # ------------------------------------------------------------------------------------------ of a frontier
 
 
-def _from_frontier(frontier: Mapping[str, Any] | None) -> list[tuple[str, str, str]]:
+def _from_frontier(frontier: Frontier | None) -> list[tuple[str, str, str]]:
     """Sections on what takes measured times; one for both where there are none."""
     if frontier is None:
         return [("anchors", f"{HOW_MANY_ANCHORS} {LAST_TENTH}", _answered(WITHOUT_FRONTIER))]
     return [
-        ("anchors", HOW_MANY_ANCHORS, _answered(*_how_many_anchors(frontier))),
-        ("last", LAST_TENTH, _answered(*_last_tenth(frontier))),
+        ("anchors", HOW_MANY_ANCHORS, _answered(_answer(frontier, HOW_MANY_ANCHORS), _by_anchors(frontier))),
+        ("last", LAST_TENTH, _answered(_answer(frontier, LAST_TENTH), *_on_fronts(frontier))),
     ]
 
 
-def _how_many_anchors(frontier: Frontier) -> tuple[str, str]:
-    """The answer in words, and a plot with a dot for each number in it."""
+def _by_anchors(frontier: Frontier) -> str:
+    """A plot with a dot for each number in the answer."""
     known = _points(frontier, "compute", "coefficients_truth")
-    own = [point for scene in names_of(known, "scene") for point in family(chosen(known, scene=scene), ("n_anchors",))]
-    by_anchors = sorted(own, key=lambda point: point["settings"]["n_anchors"])
-    plot = _error_against_time(
-        [(f"{point['settings']['n_anchors']} anchors", point) for point in by_anchors],
+    own = [
+        point
+        for scene in answers.names_of(known, "scene")
+        for point in family(answers.chosen(known, scene=scene), ("n_anchors",))
+    ]
+    by_anchors = sorted(own, key=lambda point: point.computing.n_anchors)
+    return _error_against_time(
+        [(f"{point.computing.n_anchors} anchors", point) for point in by_anchors],
         "Computing: error against time, by anchors",
         "against the rendered light probe, of choices that differ only in their anchors",
         is_joined=False,
     )
-    return _answer(frontier, HOW_MANY_ANCHORS), plot
 
 
-def _last_tenth(frontier: Frontier) -> tuple[str, str]:
-    """The answer in words, and a plot of each of the two fronts."""
-    plots = ""
+def _on_fronts(frontier: Frontier) -> Iterator[str]:
+    """A plot of each of the two fronts."""
     for front, doing in (("render", "Rendering"), ("compute", "Computing")):
-        on_front = [(p["scene"], p) for p in _points(frontier, front, "coefficients") if p["on_front"]]
+        on_front = sorted((p for p in _points(frontier, front, "coefficients") if p.on_front), key=lambda p: p.scene)
         title = f"{doing}: what lies on the front, by scene"
-        plots += _error_against_time(
-            sorted(on_front, key=lambda named: named[0]), title, "against the exhaustive setting"
-        )
-    return _answer(frontier, LAST_TENTH), plots
+        yield _error_against_time([(p.scene, p) for p in on_front], title, "against the exhaustive setting")
 
 
 def _answer(frontier: Frontier, question: str) -> str:
     """What `xihe frontier` says to a question, scene by scene."""
-    found = [one for one in items(frontier, "answers") if isinstance(one, Mapping) and one.get("question") == question]
-    if not found:
-        return "The frontier that was given has no answer to that."
-    return " ".join(f"<b>{escape(one.get('scene', ''))}</b>: {escape(one.get('answer', ''))}" for one in found)
+    found = [one for one in frontier.answers if one.question == question]
+    words = " ".join(f"<b>{escape(one.scene)}</b>: {escape(one.answer)}" for one in found)
+    return words or "The frontier that was given has no answer to that."
 
 
-def _points(frontier: Frontier, front: str, error_kind: str) -> list[Mapping[str, Any]]:
-    """Points of `front` whose error of this kind, and time, are known."""
-    return [
-        point
-        for point in items(frontier, "points")
-        if point.get("front") == front and mapping(point, "settings").get("error_kind") == error_kind
-        if finite(point.get("error")) is not None and finite(point.get("time_ms")) is not None
-    ]
+def _points(frontier: Frontier, front: str, kind: str) -> list[FrontierPoint]:
+    return [point for point in frontier.points if (point.front, point.kind) == (front, kind)]
 
 
 def _error_against_time(
-    points: Sequence[tuple[str, Mapping[str, Any]]], title: str, about: str, *, is_joined: bool = True
+    points: Sequence[tuple[str, FrontierPoint]], title: str, about: str, *, is_joined: bool = True
 ) -> str:
     """Points, each with the name of its curve or cloud; `about` ends the sentence on their error."""
     clouds: dict[str, list[tuple[float, float, str]]] = {}
     for name, point in points:
-        error, time_ms = point["error"], point["time_ms"]
-        amounts = f"{format_percent(error, 3)} in {format_milliseconds(time_ms)}"
-        clouds.setdefault(name, []).append((time_ms, error, f"{point['scene']}, {point.get('label', '')}: {amounts}"))
+        amounts = f"{format_percent(point.error, 3)} in {format_milliseconds(point.time_ms)}"
+        words = f"{point.scene}, {point.label}: {amounts}"
+        clouds.setdefault(name, []).append((point.time_ms, point.error, words))
     return drawings.curves(
         [(name, index, sorted(cloud)) for index, (name, cloud) in enumerate(clouds.items())],
         title=title,
@@ -273,7 +242,7 @@ def _error_against_time(
 
 
 def _worst(folder: BatchFolder, trials: Sequence[Trial]) -> str:
-    cases = worst_cases(trials, N_WORST)
+    cases = answers.worst_cases(trials, N_WORST)
     if not cases:
         return "<p>No picture was compared.</p>"
     about = (
@@ -283,15 +252,15 @@ def _worst(folder: BatchFolder, trials: Sequence[Trial]) -> str:
     return about + f'<div class="cases">{"".join(_case(folder, case) for case in cases)}</div>'
 
 
-def _case(folder: BatchFolder, case: WorstCase) -> str:
+def _case(folder: BatchFolder, case: answers.WorstCase) -> str:
     trial = case.trial
     figures = "".join(
-        f"<figure>{_picture(worst_picture(folder.path / 'units' / trial['unit'], trial['number'], kind))}"
+        f"<figure>{_picture(worst_picture(folder.path / 'units' / trial.unit, trial.number, kind))}"
         f"<figcaption><strong>{_KIND_WORDS[kind]}</strong></figcaption></figure>"
         for kind in WORST_KINDS
     )
-    where = f"{escape(trial['scene'])}, frame {case.frame}, {code(trial['estimator'])}, {escape(trial['phone'])}"
-    numbers = f"psnr {format_quantity(case.psnr, 'dB')}, rmse {format_number(case.rmse)}, seed {trial['seed']}"
+    where = f"{escape(trial.scene)}, frame {case.frame}, {code(trial.estimator)}, {escape(trial.phone)}"
+    numbers = f"psnr {format_quantity(case.psnr, 'dB')}, rmse {format_number(case.rmse)}, seed {trial.seed}"
     return f'<div><h3>{where}</h3><p class="quiet">{numbers}</p><div class="strip">{figures}</div></div>'
 
 
@@ -311,18 +280,18 @@ def _numbers(trials: Sequence[Trial]) -> str:
 
 
 def _by_scene(trials: Sequence[Trial]) -> str:
-    names = names_of(trials, "estimator")
+    names = answers.names_of(trials, "estimator")
     rows = []
-    for scene in names_of(trials, "scene"):
-        means = [mean(values_of(trials, MEASURES[0], estimator=name, scene=scene)) for name in names]
+    for scene in answers.names_of(trials, "scene"):
+        means = [mean(answers.values_of(trials, MEASURES[0], estimator=name, scene=scene)) for name in names]
         rows.append((escape(scene), *(format_number(value) for value in means)))
     return block("Mean coefficient error by scene", table(("scene", *(code(name) for name in names)), rows, "stacking"))
 
 
 def _quantiles(trials: Sequence[Trial], measure: Measure) -> str:
     rows = []
-    for name in names_of(trials, "estimator"):
-        values = frame_values(trials, measure, name)
+    for name in answers.names_of(trials, "estimator"):
+        values = answers.frame_values(trials, measure, name)
         if values:
             quantiles = np.percentile(values, [0, 10, 50, 90, 100])
             rows.append((code(name), str(len(values)), *(format_number(float(value)) for value in quantiles)))
@@ -330,14 +299,13 @@ def _quantiles(trials: Sequence[Trial], measure: Measure) -> str:
     return block(f"{measure.title}, over all frames", table(header, rows, "stacking"))
 
 
-def _costs(results: Mapping[str, Any]) -> str:
-    units = items(results, "units")
+def _costs(units: Sequence[UnitRow]) -> str:
     rows = [
         (
-            f"{escape(unit['scene'])}, seed {unit['seed']}",
-            *(format_quantity(finite(unit[key]), "s") for key in ("elapsed_s", "processor_s", "render_s")),
-            format_quantity(finite(unit["peak_memory_mb"]), "MB"),
-            format_bytes(finite(unit["written_bytes"])),
+            f"{escape(unit.scene)}, seed {unit.seed}",
+            *(format_quantity(seconds, "s") for seconds in (unit.elapsed_s, unit.processor_s, unit.render_s)),
+            format_quantity(unit.peak_memory_mb, "MB"),
+            format_bytes(unit.written_bytes),
         )
         for unit in units
     ]

@@ -7,6 +7,10 @@ that its numbers are those of a previs run. All trials' lights are compared in o
 comparison: a view layer per virtual object costs little beside the path-traced picture that they are all held against.
 Pictures are kept of the worst frame of each trial only: a batch would otherwise leave gigabytes that nobody looks at.
 A frame's numbers are written once all of its pictures are, so a stopped unit goes on.
+
+The trigger is swept over the captures that are there: both of its thresholds are scaled by one factor, from 0, which
+estimates in every frame, to 64. Nothing is rendered for that, so the sweep has no pictures. No figure of a trial tells
+the time or the machine: the same batch gives the same bytes, whoever computes it.
 """
 
 from __future__ import annotations
@@ -14,6 +18,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import operator
+import statistics
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,38 +27,63 @@ from typing import Any
 import bpy
 import numpy as np
 
-from xihe_blender.compare.methods import Comparer, display, error_map, measure, open_comparer
+from xihe_blender.compare.methods import Comparer, display, error_map, load_ground_truth, measure, open_comparer
+from xihe_blender.io.json_records import Json, as_json, from_json
 from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import RunOutputs, write_json, write_picture
+from xihe_blender.io.run_results import METRICS, FrameResult, Metrics
 from xihe_blender.jobs import Job, Progress, run_blocking
 from xihe_blender.lab.batch.grid import BatchSettings
-from xihe_blender.lab.batch.results import WORST_KINDS, worst_frame, worst_picture
-from xihe_blender.lab.batch.trials import trial_record, trigger_sweep
+from xihe_blender.lab.batch.results import (
+    WORST_KINDS,
+    TrialFigures,
+    TrialFrame,
+    TriggerFigures,
+    worst_frame,
+    worst_picture,
+)
+from xihe_blender.previs.compare_path import render_ground_truths
 from xihe_blender.previs.path_renders import render_path
+from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.plan import compared_frames, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, render_reuse, survey_run
 from xihe_blender.previs.run_chain import WalkedPath, walk_path
 from xihe_blender.previs.settings import load_estimator
+from xihe_blender.report.values import mean
 from xihe_blender.scene.state import scene_kept
-from xihenet.json_files import read_json
+from xihenet.metrics import shc_rmse
 from xihenet.recording import load_frame
 from xihenet.records import ArrayF64
+
+FACTORS = (0.0, 0.25, 1.0, 4.0, 16.0, 64.0)
+WITHOUT_ANCHORS = ("ambient", "truth")
+"""Estimators that look at nothing the trigger watches."""
 
 Light = Mapping[str, ArrayF64]
 """(9, 3) coefficients by virtual object."""
 
 
-def evaluate_unit(scene: bpy.types.Scene, file: Path, folder: Path, settings: BatchSettings, seed: int) -> Job[Any]:
-    """Run all trials of `scene` with `seed`, on renders that are kept in `folder`.
+@dataclass(frozen=True)
+class UnitDone:
+    """What came of a unit: by trial its figures and the chain's mean time, and the seconds that all renders took."""
 
-    Returns
-    -------
-    {"trials": one record each (see `trials`), "step_ms": the chain's mean time by trial, "render_s": of everything}
+    trials: tuple[TrialFigures, ...]
+    step_ms: tuple[float | None, ...]
+    render_s: float
 
-    Raises
-    ------
-    UserError for a scene that cannot be run
-    """
+
+@dataclass(frozen=True)
+class ComparedTrials:
+    """The pictures of a frame: metrics by the number of the trial, and the seconds that rendering all of them took."""
+
+    metrics: dict[str, Metrics]
+    render_s: float
+
+
+def evaluate_unit(
+    scene: bpy.types.Scene, file: Path, folder: Path, settings: BatchSettings, seed: int
+) -> Job[UnitDone]:
+    """Run all trials of `scene` with `seed`, on renders that are kept in `folder`; UserError where it cannot be run."""
     scene.render.threads_mode, scene.render.threads = "FIXED", 1
     outputs = RunOutputs(folder, file.stem)
     trials = settings.trials()
@@ -71,16 +101,12 @@ def evaluate_unit(scene: bpy.types.Scene, file: Path, folder: Path, settings: Ba
             walks.append(run_blocking(walk_path(run)))
             yield run.progress("ground truth", 0, f"trial {index + 1} of {len(runs)} has walked")
         swept = [trigger_sweep(run, walked) for run, walked in zip(runs, walks, strict=True)]
-        compared = yield from compare_unit(runs, walks)
-    records = [
-        trial_record(run, walked, of_trial, of_sweep)
-        for run, walked, of_trial, of_sweep in zip(runs, walks, compared.by_trial, swept, strict=True)
-    ]
-    return {
-        "trials": records,
-        "step_ms": [_mean_step_ms(walked) for walked in walks],
-        "render_s": sum(entry.render_s for entry in walks[0].frames) + compared.render_s,
-    }
+        by_trial, compared_s = yield from compare_unit(runs, walks)
+    return UnitDone(
+        tuple(map(trial_figures, runs, walks, by_trial, swept)),
+        tuple(map(_mean_step_ms, walks)),
+        sum(entry.render_s for entry in walks[0].frames) + compared_s,
+    )
 
 
 def _capture_all(runs: Sequence[PreparedRun]) -> Generator[Progress, None, None]:
@@ -99,48 +125,42 @@ def _mean_step_ms(walked: WalkedPath) -> float | None:
 # ---------------------------------------------------------------------------------------------- comparison
 
 
-@dataclass(frozen=True, eq=False)
-class ComparedUnit:
-    """The metrics of each trial by frame, and the seconds that rendering all of them took."""
-
-    by_trial: list[dict[int, dict[str, float | None]]]
-    render_s: float
-
-
-def compare_unit(runs: Sequence[PreparedRun], walks: Sequence[WalkedPath]) -> Generator[Progress, None, ComparedUnit]:
-    """A job: every trial against the truth, at the frames that `xihe previs` would compare."""
+def compare_unit(
+    runs: Sequence[PreparedRun], walks: Sequence[WalkedPath]
+) -> Job[tuple[list[dict[int, Metrics]], float]]:
+    """Every trial against the truth, at the frames that `xihe previs` would compare: metrics by frame, and seconds."""
     first = runs[0]
     step = first.settings.preset_values.comparison_step
     wanted = [compared_frames([frame.frame for frame in walked.frames if frame.active], step) for walked in walks]
     frames = sorted(frozenset[int]().union(*wanted))
-    by_trial: list[dict[int, dict[str, float | None]]] = [{} for _ in runs]
-    render_s = 0.0
-    sources: dict[tuple[Any, ...], int] = {}
+    trials = {frame: [index for index, of_trial in enumerate(wanted) if frame in of_trial] for frame in frames}
+    lights = {
+        frame: {str(k): walks[k].lights[frame][runs[k].settings.estimator] for k in trials[frame]} for frame in frames
+    }
+    first_of: dict[tuple[Any, ...], int] = {}
+    sources = {frame: first_of.setdefault(_made_from(first, frame, lights[frame]), frame) for frame in frames}
+    kept = {frame: kept_json(first.outputs.compared(frame), _compared_trials) for frame in first_of.values()}
+    missing = [frame for frame, content in kept.items() if content is None]
+    by_trial: list[dict[int, Metrics]] = [{} for _ in runs]
     with contextlib.ExitStack() as stack:
-        comparer = None
+        if missing:
+            methods = [str(index) for index in range(len(runs))]
+            opened = open_comparer(first.scene, first.plan.objects, methods, first.comparison)
+            comparer = stack.enter_context(opened)
+            yield from render_ground_truths(first, missing, comparer)
         for done, frame in enumerate(frames):
-            yield first.progress("ground truth", done / len(frames), f"comparing frame {frame}")
-            trials = [index for index, of_trial in enumerate(wanted) if frame in of_trial]
-            lights = {str(index): _light(runs[index], walks[index], frame) for index in trials}
-            source = sources.setdefault(_made_from(first, frame, lights), frame)
-            file = first.outputs.compared(source)
-            content = kept_json(file, dict)
+            yield first.progress("methods", done / len(frames), f"comparing frame {frame}")
+            content = kept[sources[frame]]
             if content is None:
-                if comparer is None:
-                    methods = [str(index) for index in range(len(runs))]
-                    opened = open_comparer(first.scene, first.plan.objects, methods, first.comparison)
-                    comparer = stack.enter_context(opened)
-                write_json(file, _compared(first, frame, lights, comparer, by_trial))
-                content = read_json(file)
-            render_s += content["render_s"] if source == frame else 0.0
-            for index in trials:
-                by_trial[index][frame] = content["metrics"][str(index)]
-    return ComparedUnit(by_trial, render_s)
+                content = kept[frame] = _compared(first, frame, lights[frame], comparer, by_trial)
+                write_json(first.outputs.compared(frame), as_json(content))
+            for index in trials[frame]:
+                by_trial[index][frame] = content.metrics[str(index)]
+    return by_trial, sum(content.render_s for content in kept.values() if content is not None)
 
 
-def _light(run: PreparedRun, walked: WalkedPath, frame: int) -> Light:
-    """What the objects are lit by in a trial."""
-    return walked.lights[frame][run.settings.estimator]
+def _compared_trials(content: Json) -> ComparedTrials:
+    return from_json(ComparedTrials, content)
 
 
 def _made_from(run: PreparedRun, frame: int, lights: Mapping[str, Light]) -> tuple[Any, ...]:
@@ -156,16 +176,17 @@ def _compared(
     frame: int,
     lights: Mapping[str, Light],
     comparer: Comparer,
-    so_far: Sequence[Mapping[int, Mapping[str, float | None]]],
-) -> dict[str, Any]:
+    so_far: Sequence[Mapping[int, Metrics]],
+) -> ComparedTrials:
     """Metrics of each trial at `frame`; pictures are written of those that are worse than `so_far`."""
     dark = {item.name: np.zeros((9, 3)) for item in run.plan.objects}
     of_all = {method: lights.get(method, dark) for method, _ in comparer.worlds}
-    compared = comparer.render_comparison(load_frame(run.outputs.capture(frame)), of_all)
+    truth = load_ground_truth(run.outputs.ground_truth(frame))
+    compared = comparer.render_methods(load_frame(run.outputs.capture(frame)), of_all, truth)
     metrics = {}
     for trial in lights:
         picture = compared.methods[trial]
-        metrics[trial] = measure(picture, compared.ground_truth, compared.weights)
+        metrics[trial] = Metrics(**measure(picture, compared.ground_truth, compared.weights))
         if worst_frame({**so_far[int(trial)], frame: metrics[trial]}) == frame:
             shown = (
                 display(compared.ground_truth),
@@ -174,4 +195,88 @@ def _compared(
             )
             for kind, pixels in zip(WORST_KINDS, shown, strict=True):
                 write_picture(worst_picture(run.outputs.folder, int(trial), kind), pixels)
-    return {"metrics": metrics, "render_s": compared.render_s}
+    return ComparedTrials(metrics, compared.render_s)
+
+
+# ---------------------------------------------------------------------------------------------- trials
+
+
+def trial_figures(
+    run: PreparedRun, walked: WalkedPath, compared: Mapping[int, Metrics], swept: Sequence[TriggerFigures]
+) -> TrialFigures:
+    """One trial: its means, its frames, and what a more or less eager trigger would have done."""
+    active = [entry for entry in walked.frames if entry.active]
+    probes = [probe for entry in active for probe in entry.probes]
+    n_fired = sum(probe.fired for probe in probes)
+    not_compared = Metrics(**dict.fromkeys(METRICS))
+    frames = tuple(_trial_frame(entry, compared.get(entry.frame, not_compared)) for entry in active)
+    return TrialFigures(
+        phone=run.settings.phone,
+        estimator=run.settings.estimator,
+        n_frames=len(walked.frames),
+        n_active_frames=len(active),
+        n_compared_frames=len(compared),
+        n_estimates=n_fired,
+        estimates_per_minute=estimates_per_minute(walked, n_fired),
+        shc_rmse=mean(probe.shc_rmse for probe in probes),
+        coverage=mean(probe.coverage for probe in probes),
+        **{metric: mean(getattr(frame, metric) for frame in frames) for metric in METRICS},
+        payload_bytes=sum(probe.payload_bytes for probe in probes),
+        frames=frames,
+        thetas=tuple(swept),
+    )
+
+
+def _trial_frame(entry: FrameResult, compared: Metrics) -> TrialFrame:
+    return TrialFrame(
+        frame=entry.frame,
+        time_s=entry.time_s,
+        n_fired=sum(probe.fired for probe in entry.probes),
+        shc_rmse=mean(probe.shc_rmse for probe in entry.probes),
+        coverage=mean(probe.coverage for probe in entry.probes),
+        **vars(compared),
+    )
+
+
+def estimates_per_minute(walked: WalkedPath, n_fired: int) -> float | None:
+    """Estimates per minute in which a position is in view, at the path's own frame rate; None without one in view."""
+    times = [entry.time_s for entry in walked.frames]
+    n_steps = sum(len(entry.probes) for entry in walked.frames)
+    if n_steps == 0 or len(times) < 2:
+        return None
+    step_s: float = (times[-1] - times[0]) / (len(times) - 1)
+    return 60 * n_fired / (n_steps * step_s)
+
+
+def trigger_sweep(run: PreparedRun, walked: WalkedPath) -> list[TriggerFigures]:
+    """Of each of FACTORS, with the mean error over positions and frames.
+
+    Empty for estimators that do not look at the anchors, and for a path that sees no position.
+    """
+    active = [entry for entry in walked.frames if entry.active]
+    if run.settings.estimator in WITHOUT_ANCHORS or not active:
+        return []
+    own = run.settings.trigger
+    triggers = [replace(own, theta=f * own.theta, coverage_theta=min(1.0, f * own.coverage_theta)) for f in FACTORS]
+    settings = [replace(run.settings, trigger=trigger) for trigger in triggers]
+    link = walked.phone.link_in_use
+    sessions = [PhoneSession(run.plan, one, run.exposure, run.estimator, link) for one in settings]
+    errors: list[list[float]] = [[] for _ in FACTORS]
+    n_fired = [0] * len(FACTORS)
+    for entry in active:
+        seen, _ = walked.phone.see(load_frame(run.outputs.capture(entry.frame)), run.outputs)
+        truth = {probe.name: np.array(probe.sh_truth) for probe in entry.probes}
+        for index, session in enumerate(sessions):
+            step = session.step(seen, truth, list(truth))
+            n_fired[index] += sum(report.decision.fire for report in step.reports.values())
+            errors[index] += [shc_rmse(session.light(name, seen.time_s), light) for name, light in truth.items()]
+    return [
+        TriggerFigures(
+            factor=factor,
+            theta=trigger.theta,
+            coverage_theta=trigger.coverage_theta,
+            per_minute=estimates_per_minute(walked, fired),
+            shc_rmse=statistics.fmean(of_one),
+        )
+        for factor, trigger, fired, of_one in zip(FACTORS, triggers, n_fired, errors, strict=True)
+    ]

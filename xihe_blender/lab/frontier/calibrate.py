@@ -15,21 +15,19 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import bpy
 
-from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure, open_scanner
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import write_json
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.lab.frontier.choices import ComputeChoice
 from xihe_blender.lab.frontier.compute import ChoiceBackend, light_of_frame
+from xihe_blender.lab.frontier.records import ComputeChoice
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.plan import plan_previs
-from xihe_blender.previs.run_time import FEW_SAMPLES, N_RENDERS, RenderTime, time_renders
+from xihe_blender.previs.run_time import FEW_SAMPLES, N_RENDERS, time_renders
 from xihe_blender.previs.sample_count import capture_noise, pilot_views, samples_taken
 from xihe_blender.previs.settings import PRESETS, PrevisSettings
 from xihe_blender.previs.survey import survey_path
@@ -80,26 +78,19 @@ def calibrate(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[Calibrati
         yield Progress(1, 3, "measuring the noise of a few samples")
         noise = capture_noise(scene, [view], capture, exposure, settings.n_anchors)
         yield Progress(2, 3, "timing a few samples")
-        capturing, seen = _timed_render(scene, capture, view[0], exposure)
-        step_ms = _timed_step(seen, view[1][0], exposure)
+        seen: list[RgbdFrame] = []
+        with open_scanner(scene, capture) as scanner:
+            scanner.exposure = exposure
+            scanner.move_to(view[0])
+
+            def render(_frame: int) -> None:
+                seen.append(scanner.acquire_environment_scan())
+
+            _, capturing = time_renders(render, (view[0],) * N_RENDERS, FEW_SAMPLES, scanner.scene)
+        step_ms = _timed_step(seen[-1], view[1][0], exposure)
     samples = {name: samples_taken(preset, noise) for name, preset in PRESETS.items()}
     frame_s = {name: replace(capturing, samples=n).render_s for name, n in samples.items()}
     return Calibration(Path(bpy.data.filepath or "untitled").stem, frame_s, samples, step_ms)
-
-
-def _timed_render(
-    scene: bpy.types.Scene, capture: RenderSettings, frame: int, exposure: float
-) -> tuple[RenderTime, RgbdFrame]:
-    """The time of a render by its samples, and what it shows."""
-    with open_scanner(scene, capture) as scanner:
-        scanner.exposure = exposure
-        scanner.move_to(frame)
-        seen: list[RgbdFrame] = []
-        frames = (frame,) * N_RENDERS
-        _, taken = time_renders(
-            lambda _: seen.append(scanner.acquire_environment_scan()), frames, FEW_SAMPLES, scanner.scene
-        )
-        return taken, seen[-1]
 
 
 def _timed_step(seen: RgbdFrame, position_m: ArrayF64, exposure: float) -> float:
@@ -122,5 +113,4 @@ def format_calibration(calibration: Calibration) -> str:
 
 def save_calibration(path: Path, calibration: Calibration) -> None:
     """Remember it; OSError if the file cannot be written."""
-    content: dict[str, Any] = asdict(calibration) | {"said": format_calibration(calibration)}
-    write_json(path, content)
+    write_json(path, asdict(calibration) | {"said": format_calibration(calibration)})

@@ -19,8 +19,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from xihe_blender.lab.frontier.choices import EXHAUSTIVE, ComputeChoice
+from xihe_blender.lab.frontier.choices import EXHAUSTIVE
 from xihe_blender.lab.frontier.points import Measured
+from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice
 from xihe_blender.lab.frontier.steps import Steps, mapped_steps, within
 from xihe_blender.lab.frontier.timing import Clock, interleaved, torch_on_one_thread
 from xihe_blender.previs.sample_count import SMALLEST_LIGHT
@@ -111,7 +112,9 @@ class ChoiceBackend:
 
 def walk_through(choice: ComputeChoice, backend: ChoiceBackend, walk: Walk, clock: Clock = time.thread_time) -> Walked:
     """Run a session over `walk`, with a `backend` made for `choice`."""
-    trigger = replace(PREVIS_TRIGGER, theta=choice.theta, coverage_theta=_coverage_theta(choice))
+    # Where an estimate is wanted in every frame, no newly seen anchor is too few.
+    coverage_theta = PREVIS_TRIGGER.coverage_theta if choice.theta > 0 else 0.0
+    trigger = replace(PREVIS_TRIGGER, theta=choice.theta, coverage_theta=coverage_theta)
     settings = ControllerSettings(
         trigger, nearest=choice.nearest, table_size=choice.cells, reference_exposure=walk.exposure
     )
@@ -133,11 +136,6 @@ def walk_through(choice: ComputeChoice, backend: ChoiceBackend, walk: Walk, cloc
         n_estimates += len(fired)
         lights += [in_force[name] for name in active]
     return Walked(lights, n_estimates, elapsed_ms / len(frames))
-
-
-def _coverage_theta(choice: ComputeChoice) -> float:
-    """Threshold for newly seen anchors: none where an estimate is wanted in every frame."""
-    return PREVIS_TRIGGER.coverage_theta if choice.theta > 0 else 0.0
 
 
 def light_of_frame(
@@ -184,8 +182,12 @@ def measure_compute(
     """Errors and times of each way to compute; the exhaustive one must be among them."""
     lights: dict[ComputeChoice, list[ArrayF64]] = {}
     estimates: dict[ComputeChoice, int] = {}
+    # The walk's start is enough for brute force, which takes 40 times as long and nearly the same in every frame.
+    start = walk.start(N_BRUTE_FRAMES)
     candidates = [
-        lambda choice=choice, backend=backend: walk_through(choice, backend, _timed_part(choice, walk)).frame_ms
+        lambda choice=choice, backend=backend, timed=start if choice.nearest == "brute" else walk: (
+            walk_through(choice, backend, timed).frame_ms
+        )
         for choice, backend in backends.items()
     ]
     rounds = mapped_steps(
@@ -202,22 +204,17 @@ def measure_compute(
     return [
         Measured(
             choice.label,
-            choice.as_json() | {"estimates": estimates[choice], "steps": walk.n_places},
+            ChoiceSettings(computing=choice, estimates=estimates[choice], steps=walk.n_places),
             _errors(choice, lights, truth),
-            times[choice],
+            tuple(times[choice]),
         )
         for choice in backends
     ]
 
 
-def _timed_part(choice: ComputeChoice, walk: Walk) -> Walk:
-    """The walk, or its start for brute force, which takes 40 times as long and nearly the same in every frame."""
-    return walk.start(N_BRUTE_FRAMES) if choice.nearest == "brute" else walk
-
-
 def _errors(
     choice: ComputeChoice, lights: dict[ComputeChoice, list[ArrayF64]], truth: list[ArrayF64]
-) -> dict[str, list[float]]:
+) -> dict[str, tuple[float, ...]]:
     against_truth = {kind + AGAINST_TRUTH: e for kind, e in square_errors(lights[choice], truth).items()}
     if choice.estimator != EXHAUSTIVE.estimator:
         return against_truth
@@ -234,7 +231,7 @@ def padded(sh_radiance: ArrayF64) -> ArrayF64:
     return light
 
 
-def square_errors(lights: Sequence[ArrayF64], references: Sequence[ArrayF64]) -> dict[str, list[float]]:
+def square_errors(lights: Sequence[ArrayF64], references: Sequence[ArrayF64]) -> dict[str, tuple[float, ...]]:
     """By kind of error, the squared relative error at each place.
 
     Parameters
@@ -242,14 +239,13 @@ def square_errors(lights: Sequence[ArrayF64], references: Sequence[ArrayF64]) ->
     lights, references : (25, 3) or less, one each for every place; a dark reference counts as grey light at the key
     """
     pairs = [(padded(light), padded(reference)) for light, reference in zip(lights, references, strict=True)]
+    normals = AnchorLattice(N_NORMALS).directions
     return {
-        "coefficients": [_square(a, b, SMALLEST_LIGHT) for a, b in pairs],
-        "irradiance": [_square(_on_surfaces(a), _on_surfaces(b), _SMALLEST_IRRADIANCE) for a, b in pairs],
+        "coefficients": tuple(_square(a, b, SMALLEST_LIGHT) for a, b in pairs),
+        "irradiance": tuple(
+            _square(irradiance(a, normals), irradiance(b, normals), _SMALLEST_IRRADIANCE) for a, b in pairs
+        ),
     }
-
-
-def _on_surfaces(light: ArrayF64) -> ArrayF64:
-    return irradiance(light, AnchorLattice(N_NORMALS).directions)
 
 
 def _square(light: ArrayF64, reference: ArrayF64, smallest: float) -> float:

@@ -1,9 +1,15 @@
-"""Error and time of each way to render, in a few frames of a path.
+"""Error and time of each way to render, in a few frames of a path, and of a few in the final picture.
 
 Each frame is rendered exhaustively once, then by every choice in turn, with a few seeds; each render is timed and its
 light estimated, so that nothing is rendered for its time alone. Before a frame's first timed render comes a small one
 that loads the scene. One thread: two would be timed as waiting for each other. The exhaustive render, which nobody
 times, takes all.
+
+A picture costs several renders, so only a few choices are measured: the presets, and other numbers of samples for the
+comparison at the base's capture. The error of a choice is that of both pictures a comparison makes, the objects under
+the estimated light and the path-traced ground truth they are held against, each against its exhaustive self: root mean
+square of the displayed, sRGB-encoded colour inside the objects. Estimators are held against the exhaustive ground truth
+("picture_truth").
 """
 
 from __future__ import annotations
@@ -12,22 +18,29 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import bpy
 import numpy as np
 
-from xihe_blender.capture.render import MAX_SEED
+from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.capture.scanner import CyclesScanner
+from xihe_blender.compare.methods import Comparer, Comparison, display, open_comparer
+from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.outputs import write_json
-from xihe_blender.lab.frontier.choices import EXHAUSTIVE, ComputeChoice, RenderChoice, StudySize
+from xihe_blender.lab.frontier.choices import EXHAUSTIVE, RenderCandidate
 from xihe_blender.lab.frontier.compute import ChoiceBackend, light_of_frame, square_errors
 from xihe_blender.lab.frontier.points import Measured
+from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice, RenderChoice, StudySize
 from xihe_blender.lab.frontier.steps import Steps, within
 from xihe_blender.lab.frontier.timing import timed
+from xihe_blender.previs.plan import PrevisPlan
+from xihe_blender.previs.settings import PRESETS
+from xihenet.metrics import image_rmse
 from xihenet.recording import load_frame, save_frame
 from xihenet.records import ArrayF64, RgbdFrame
 
+METHODS = tuple(ComputeChoice(estimator=name) for name in ("lattice", "projection", "ambient"))
+LADDER = (2, 8, 64)
 COMPUTED_BY = (ComputeChoice(), ComputeChoice(n_anchors=512), ComputeChoice(n_anchors=2048))
 """Ways to compute that are combined with every render; the first is what a render alone is judged by."""
 
@@ -48,8 +61,7 @@ class RenderStudy:
     ----------
     scanner : of the scene, at the session's exposure
     views : where; at least one
-    choices : the ways to render
-    exhaustive : the one that all are held against
+    choices : the ways to render, and `exhaustive`, which all are held against
     study_size : see there
     seed : of the run
     folder : keeps what is rendered, so that a run that was stopped goes on
@@ -57,7 +69,7 @@ class RenderStudy:
 
     scanner: CyclesScanner
     views: Sequence[View]
-    choices: Sequence[RenderChoice]
+    choices: Sequence[RenderCandidate]
     exhaustive: RenderChoice
     study_size: StudySize
     seed: int
@@ -70,13 +82,25 @@ class RenderStudy:
         return self.folder / f"round_{view.frame:04d}_{seed}.json"
 
 
+@dataclass(frozen=True)
+class Taken:
+    """One render: its milliseconds, and by way to compute the light at each position, (25, 3)."""
+
+    ms: float
+    lights: dict[str, tuple[tuple[tuple[float, float, float], ...], ...]]
+
+
+Round = Mapping[str, Taken]
+"""Every choice once, by its key."""
+
+
 def measure_rendering(
     study: RenderStudy, computing_ms: Mapping[ComputeChoice, float], rng: np.random.Generator
 ) -> Steps[tuple[list[Measured], list[Measured]]]:
     """Ways to render alone, and together with ways to compute, whose milliseconds per frame are known."""
     backends = {choice: ChoiceBackend(choice) for choice in COMPUTED_BY}
     all_backends = {**backends, EXHAUSTIVE: ChoiceBackend(EXHAUSTIVE)}
-    rounds: list[dict[str, Any]] = []
+    rounds: list[Round] = []
     truths: list[dict[ComputeChoice, list[ArrayF64]]] = []
     n_parts = len(study.views) * (1 + study.study_size.n_seeds)
     for number, view in enumerate(study.views):
@@ -88,8 +112,9 @@ def measure_rendering(
             if not study.round(view, seed).exists():
                 taken = _render_round(study, view, seed, backends, rng)
                 content = yield from within((before + 1 + seed) / n_parts, 1 / n_parts, taken)
-                write_json(study.round(view, seed), content)
-            rounds.append(json.loads(study.round(view, seed).read_text(encoding="utf-8")))
+                write_json(study.round(view, seed), as_json(content))
+            kept = json.loads(study.round(view, seed).read_text(encoding="utf-8"))
+            rounds.append({key: from_json(Taken, one) for key, one in kept.items()})
     alone = [_measured(choice, COMPUTED_BY[0], rounds, truths) for choice in study.choices]
     together = [
         _measured(choice, by, rounds, truths, computing_ms[by]) for choice in study.choices for by in COMPUTED_BY
@@ -138,26 +163,21 @@ def use_threads(scene: bpy.types.Scene, n_threads: int) -> None:
 
 def _render_round(
     study: RenderStudy, view: View, seed: int, backends: Mapping[ComputeChoice, ChoiceBackend], rng: np.random.Generator
-) -> Steps[dict[str, Any]]:
-    """Every choice once, in random order: by label, its time and its light at every position by way to compute."""
-    scanner, taken = study.scanner, {}
+) -> Steps[Round]:
+    """Every choice once, by its key, in random order."""
+    scanner, taken = study.scanner, dict[str, Taken]()
     scanner.move_to(view.frame)
     rendered(scanner, RenderChoice((16, 16), 1, is_denoised=False), seed)
-    costs = np.array([choice.samples * choice.size[0] * choice.size[1] for choice in study.choices], float)
+    choices = [candidate.choice for candidate in study.choices]
+    costs = np.array([choice.samples * choice.size[0] * choice.size[1] for choice in choices], float)
     done = 0.0
-    for number in rng.permutation(len(study.choices)):
-        choice = study.choices[number]
-        yield done, f"rendering frame {view.frame}: {choice.label}"
-        frame, ms = timed(rendered, scanner, choice, (study.seed + seed) % MAX_SEED)
+    for number in rng.permutation(len(choices)):
+        yield done, f"rendering frame {view.frame}: {choices[number].label}"
+        frame, ms = timed(rendered, scanner, choices[number], (study.seed + seed) % MAX_SEED)
         lights = _lights(backends, frame, view, scanner.exposure)
-        taken[key(choice)] = {"ms": ms, "lights": {by.label: np.array(lights[by]).tolist() for by in COMPUTED_BY}}
+        taken[study.choices[number].key] = Taken(ms, {by.label: np.array(lights[by]).tolist() for by in COMPUTED_BY})
         done += costs[number] / costs.sum()
     return taken
-
-
-def key(choice: RenderChoice) -> str:
-    """What a choice is kept under: two presets may render alike on a scene, and are measured twice all the same."""
-    return choice.label if choice.preset is None else f"{choice.preset}: {choice.label}"
 
 
 def _lights(
@@ -170,17 +190,159 @@ def _lights(
 
 
 def _measured(
-    choice: RenderChoice,
+    candidate: RenderCandidate,
     by: ComputeChoice,
-    rounds: Sequence[Mapping[str, Any]],
+    rounds: Sequence[Round],
     truths: Sequence[Mapping[ComputeChoice, list[ArrayF64]]],
     computing_ms: float | None = None,
 ) -> Measured:
     """Together with computing, where its time is given; else alone, against the exhaustive render computed alike."""
-    against, settings = (by, {}) if computing_ms is None else (EXHAUSTIVE, by.as_json())
-    lights = [np.array(light) for taken in rounds for light in taken[key(choice)]["lights"][by.label]]
-    errors = square_errors(lights, [light for truth in truths for light in truth[against]])
-    times = [taken[key(choice)]["ms"] + (computing_ms or 0.0) for taken in rounds]
-    is_base = by == COMPUTED_BY[0]
-    words = choice.label if is_base else f"{choice.label}, {by.label}"
-    return Measured(words, choice.as_json() | settings, errors, times, choice.preset if is_base else None)
+    is_alone, is_base = computing_ms is None, by == COMPUTED_BY[0]
+    taken = [one[candidate.key] for one in rounds]
+    lights = [np.array(light) for one in taken for light in one.lights[by.label]]
+    errors = square_errors(lights, [light for truth in truths for light in truth[by if is_alone else EXHAUSTIVE]])
+    times_ms = tuple(one.ms + (computing_ms or 0.0) for one in taken)
+    words = candidate.choice.label if is_base else f"{candidate.choice.label}, {by.label}"
+    settings = ChoiceSettings(rendering=candidate.choice, computing=None if is_alone else by)
+    return Measured(words, settings, errors, times_ms, candidate.preset if is_base else None)
+
+
+# ------------------------------------------------------------------------------------- the final picture
+
+
+@dataclass(frozen=True)
+class PictureChoice:
+    """A capture, and samples per pixel of the pictures of the comparison."""
+
+    capture: RenderCandidate
+    samples: int
+
+    @property
+    def label(self) -> str:
+        return f"capture {self.capture.choice.label}; pictures {self.samples} samples"
+
+    @property
+    def key(self) -> str:
+        return f"{self.capture.preset}: {self.label}"
+
+
+@dataclass(frozen=True)
+class PictureTaken:
+    """A choice at a view: its milliseconds, and the mean of both pictures' squared errors."""
+
+    ms: float
+    square_error: float
+
+
+@dataclass(frozen=True)
+class PicturesTaken:
+    """All choices at a view, by key, and by estimator the squared error of its picture."""
+
+    choices: dict[str, PictureTaken]
+    estimators: dict[str, float]
+
+
+def picture_choices(presets: Mapping[str, RenderChoice]) -> list[PictureChoice]:
+    """The presets, and a ladder of samples for the pictures alone."""
+    own = [PictureChoice(RenderCandidate(one, name), PRESETS[name].comparison_samples) for name, one in presets.items()]
+    others = [n for n in LADDER if n != PRESETS["balanced"].comparison_samples]
+    return [*own, *(PictureChoice(RenderCandidate(presets["balanced"]), n) for n in others)]
+
+
+@dataclass(frozen=True, eq=False)
+class PictureStudy:
+    """What pictures are measured with; `settings` are those of a comparison, with the scene's light transport."""
+
+    renders: RenderStudy
+    plan: PrevisPlan
+    settings: RenderSettings
+    choices: Sequence[PictureChoice]
+
+
+def measure_pictures(
+    study: PictureStudy, rng: np.random.Generator
+) -> Steps[tuple[list[Measured], dict[str, tuple[float, ...]]]]:
+    """The choices, and by estimator the squared errors of its pictures at the views."""
+    rounds: list[PicturesTaken] = []
+    views = study.renders.views[: study.renders.study_size.n_picture_views]
+    for number, view in enumerate(views):
+        path = study.renders.folder / f"pictures_{view.frame:04d}.json"
+        if not path.exists():
+            taken = yield from within(number / len(views), 1 / len(views), _view_measured(study, view, rng))
+            write_json(path, as_json(taken))
+        rounds.append(from_json(PicturesTaken, json.loads(path.read_text(encoding="utf-8"))))
+    if not rounds:
+        return [], {}
+    measured = [
+        Measured(
+            choice.label,
+            ChoiceSettings(rendering=choice.capture.choice, picture_samples=choice.samples),
+            {"picture": tuple(one.choices[choice.key].square_error for one in rounds)},
+            tuple(one.choices[choice.key].ms for one in rounds),
+            choice.capture.preset,
+        )
+        for choice in study.choices
+    ]
+    return measured, {by.label: tuple(one.estimators[by.label] for one in rounds) for by in METHODS}
+
+
+def _view_measured(study: PictureStudy, view: View, rng: np.random.Generator) -> Steps[PicturesTaken]:
+    renders = study.renders
+    yield 0.0, f"comparing frame {view.frame} exhaustively"
+    renders.scanner.move_to(view.frame)
+    captured = load_frame(renders.reference(view))
+    lights = {by.label: _lights_of_objects(study, by, captured) for by in METHODS}
+    with open_comparer(renders.scanner.scene, study.plan.objects, list(lights), study.settings) as comparer:
+        # With all methods, on all cores, by another seed.
+        seed = (renders.seed + renders.study_size.n_seeds) % MAX_SEED
+        _set_up(comparer, renders.exhaustive.samples, seed, n_threads=0)
+        truth = comparer.render_comparison(captured, lights)
+    of_estimators = {
+        by.label: _square_rmse(truth.methods[by.label], truth.ground_truth, truth.weights) for by in METHODS
+    }
+    taken: dict[str, PictureTaken] = {}
+    base = METHODS[0].label
+    with open_comparer(renders.scanner.scene, study.plan.objects, [base], study.settings) as comparer:
+        _set_up(comparer, 1, renders.seed)
+        comparer.render_comparison(captured, {base: lights[base]})
+        for number in rng.permutation(len(study.choices)):
+            choice = study.choices[number]
+            yield 0.4 + 0.6 * len(taken) / len(study.choices), f"comparing frame {view.frame}: {choice.label}"
+            made, ms = timed(_made, study, choice, comparer)
+            squares = [
+                _square_rmse(made.methods[base], truth.methods[base], truth.weights),
+                _square_rmse(made.ground_truth, truth.ground_truth, truth.weights),
+            ]
+            taken[choice.key] = PictureTaken(ms, float(np.mean(squares)))
+    return PicturesTaken(taken, of_estimators)
+
+
+def _made(study: PictureStudy, choice: PictureChoice, comparer: Comparer) -> Comparison:
+    """All that a run does for one frame: the capture, its light, both pictures."""
+    captured = rendered(study.renders.scanner, choice.capture.choice, study.renders.seed)
+    _set_up(comparer, choice.samples, study.renders.seed)
+    base = METHODS[0]
+    return comparer.render_comparison(captured, {base.label: _lights_of_objects(study, base, captured)})
+
+
+def _set_up(comparer: Comparer, samples: int, seed: int, *, n_threads: int = 1) -> None:
+    for scene in (comparer.ground_truth, comparer.lit):
+        scene.cycles.samples, scene.cycles.seed = samples, seed
+        use_threads(scene, n_threads)
+
+
+def _lights_of_objects(study: PictureStudy, by: ComputeChoice, captured: RgbdFrame) -> dict[str, ArrayF64]:
+    """(9, 3) by virtual object: the mean over its positions, from this frame alone."""
+    backend, exposure = ChoiceBackend(by), study.renders.scanner.exposure
+
+    def light_of(name: str) -> ArrayF64:
+        positions_m = [probe.position_m for probe in study.plan.probes_of(name)]
+        lights = [light_of_frame(by, backend, captured, position_m, exposure)[:9] for position_m in positions_m]
+        mean: ArrayF64 = np.mean(lights, axis=0)
+        return mean
+
+    return {item.name: light_of(item.name) for item in study.plan.objects}
+
+
+def _square_rmse(picture: ArrayF64, truth: ArrayF64, weights: ArrayF64) -> float:
+    return (image_rmse(display(picture), display(truth), weights) or 0.0) ** 2

@@ -7,24 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
-from xihe_blender.lab.frontier.pareto_plot import pareto_plot
-from xihe_blender.lab.frontier.points import (
-    CHOICES,
-    Point,
-    errors_by_kind,
-    family,
-    flickers,
-    format_choice,
-    format_dominated,
-    group,
-    groups,
-    name_of,
-)
+from xihe_blender.lab.frontier.points import CHOICES, family, format_choice, format_dominated, group, groups
+from xihe_blender.lab.frontier.records import Frontier, FrontierPoint
 from xihe_blender.report.document import block, document, table
-from xihe_blender.report.values import escape, finite, items, mapping
-from xihenet.formats import format_count, format_list, format_percent, format_quantity
+from xihe_blender.report.values import escape
+from xihenet import svg
+from xihenet.formats import format_count, format_list, format_milliseconds, format_percent, format_quantity
+from xihenet.svg import Axis, log_axis
 
 LAB_STYLE = Path(__file__).parents[1] / "lab.css"
 FRONTS = {
@@ -41,41 +31,41 @@ KINDS = {
     "picture_truth": "picture inside the objects (sRGB), against the path-traced one",
 }
 
+ACROSS = "processor time of a frame"
+HEIGHT_PX = 360
+FOOT_PX = 386
+"""Where the drawing ends, with room below the axis for errors of 0."""
 
-def report_page(content: Mapping[str, Any]) -> str:
+
+def report_page(frontier: Frontier) -> str:
     """The page as text."""
-    points: Sequence[Point] = items(content, "points")
-    names = [str(scene["name"]) for scene in items(content, "scenes")]
+    names = [scene.name for scene in frontier.scenes]
+    n_choices = len({(p.front, p.label) for p in frontier.points})
+    presets = [p for p in frontier.points if p.preset is not None]
+    lead = (
+        f"{format_count(n_choices, 'choice')} measured on {format_count(len(names), 'scene')}. The presets are on the "
+        f"front in {sum(p.on_front for p in presets)} of {len(presets)} cases, by scene, front and kind of error."
+    )
+    sections = [(escape(name), escape(name), _scene(frontier, name)) for name in names]
     return document(
         "What accuracy costs in time",
-        f'<p class="lead">{_lead(content, points)}</p>',
-        [(escape(name), escape(name), _scene(content, points, name)) for name in names]
-        + [("how", "How it was measured", _how(content))],
+        f'<p class="lead">{lead}</p>',
+        [*sections, ("how", "How it was measured", _how(frontier))],
         style=LAB_STYLE,
     )
 
 
-def _lead(content: Mapping[str, Any], points: Sequence[Point]) -> str:
-    n_choices = len({(p["front"], p["label"]) for p in points})
-    presets = [p for p in points if p["preset"] is not None]
-    on_front = sum(p["on_front"] for p in presets)
-    return (
-        f"{format_count(n_choices, 'choice')} measured on {format_count(len(items(content, 'scenes')), 'scene')}. The "
-        f"presets are on the front in {on_front} of {len(presets)} cases, by scene, front and kind of error."
-    )
-
-
-def _scene(content: Mapping[str, Any], points: Sequence[Point], name: str) -> str:
+def _scene(frontier: Frontier, name: str) -> str:
+    points = frontier.points
+    fronts = [(front, kind) for front in FRONTS for kind in KINDS if (name, front, kind) in groups(points)]
     opening, *others = (
         pareto_plot(group(points, name, front, kind), f"{FRONTS[front][0]}: {KINDS[kind]}", FRONTS[front][1])
-        for front, kind in _ordered(points, name)
+        for front, kind in fronts
     )
     answered = "".join(
-        f"<dt>{escape(one['question'])}</dt><dd>{escape(one['answer'])}</dd>"
-        for one in items(content, "answers")
-        if one["scene"] == name
+        f"<dt>{escape(one.question)}</dt><dd>{escape(one.answer)}</dd>" for one in frontier.answers if one.scene == name
     )
-    tables = "".join(_numbers(group(points, name, front, kind), front, kind) for front, kind in _ordered(points, name))
+    tables = "".join(_numbers(group(points, name, front, kind), front, kind) for front, kind in fronts)
     return (
         f'<div class="plots">{opening}</div>'
         + block("In words", f'<dl class="answers">{answered}</dl>')
@@ -84,21 +74,25 @@ def _scene(content: Mapping[str, Any], points: Sequence[Point], name: str) -> st
     )
 
 
-def _choices(points: Sequence[Point], scene: str) -> str:
+def _choices(points: Sequence[FrontierPoint], scene: str) -> str:
     """A table for each choice that was varied: errors of all kinds, and time."""
     blocks = ""
+    # Of two presets that are the same choice on the scene the faster one is told.
+    slowest_first = sorted((p for p in points if p.scene == scene), key=lambda p: (p.time_ms, p.error), reverse=True)
     for title, front, names in CHOICES:
         first = "picture" if names == ("picture_samples",) else "coefficients"
         others = [kind for kind in KINDS if kind != first]
         own = max((family(group(points, scene, front, kind), names) for kind in (first, *others)), key=len)
         if not own:
             continue
-        errors = [errors_by_kind(points, scene, front, point["label"]) for point in own]
+        errors = [
+            {p.kind: p.error for p in slowest_first if (p.front, p.label) == (front, point.label)} for point in own
+        ]
         kinds = [kind for kind in KINDS if any(kind in each for each in errors)]
         rows = [
             [
-                escape(format_choice(point["settings"], names)),
-                format_quantity(point["time_ms"], "ms"),
+                escape(format_choice(point, names)),
+                format_quantity(point.time_ms, "ms"),
                 *(format_percent(each.get(kind), 3) for kind in kinds),
             ]
             for point, each in zip(own, errors, strict=True)
@@ -108,27 +102,21 @@ def _choices(points: Sequence[Point], scene: str) -> str:
     return blocks
 
 
-def _ordered(points: Sequence[Point], name: str) -> list[tuple[str, str]]:
-    """(front, kind) of a scene in the order of the page."""
-    known = {(front, kind) for scene, front, kind in groups(points) if scene == name}
-    return [(front, kind) for front in FRONTS for kind in KINDS if (front, kind) in known]
-
-
-def _numbers(points: Sequence[Point], front: str, kind: str) -> str:
+def _numbers(points: Sequence[FrontierPoint], front: str, kind: str) -> str:
     rows = [
         [
-            escape(name_of(p)),
-            format_percent(p["error"], 3),
-            format_quantity(p["time_ms"], "ms"),
-            format_quantity(p["spread_ms"], "ms", 2),
-            "flickers" if flickers(p) else "on the front" if p["on_front"] else "dominated",
+            escape(p.name),
+            format_percent(p.error, 3),
+            format_quantity(p.time_ms, "ms"),
+            format_quantity(p.spread_ms, "ms", 2),
+            "flickers" if p.flickers else "on the front" if p.on_front else "dominated",
         ]
         for p in points
     ]
     head = ["choice", "error", "time", "spread of time", "judged"]
     items_of = "".join(f"<li>{escape(words)}</li>" for words in format_dominated(points))
     dominated = f"<p>Never worth taking here:</p><ul>{items_of}</ul>" if items_of else ""
-    flickering = [name_of(p) for p in points if flickers(p)]
+    flickering = [p.name for p in points if p.flickers]
     chance = f"<p>On the front or off it by chance: {escape(format_list(flickering))}.</p>" if flickering else ""
     title = f"{FRONTS[front][0]}: {KINDS[kind]}"
     return (
@@ -137,9 +125,8 @@ def _numbers(points: Sequence[Point], front: str, kind: str) -> str:
     )
 
 
-def _how(content: Mapping[str, Any]) -> str:
-    software, machine = mapping(content, "software"), mapping(content, "machine")
-    missing = sorted({name for scene in items(content, "scenes") for name in items(scene, "missing_estimators")})
+def _how(frontier: Frontier) -> str:
+    missing = sorted({name for scene in frontier.scenes for name in scene.missing_estimators})
     notes = [
         "Errors are shares of the light, root mean square over frames and positions; the exhaustive setting compares "
         "every point with all anchors, estimates in every frame, and renders with the most samples and all "
@@ -151,11 +138,96 @@ def _how(content: Mapping[str, Any]) -> str:
     ]
     if missing:
         notes.append(f"Not measured, since what they need is not installed: {format_list(missing)}.")
+    software, machine = frontier.software, frontier.machine
     facts = f"Blender {software.get('blender')}, Python {software.get('python')}, {machine.get('platform')}"
-    cores = finite(machine.get("n_cores"))
-    facts += f", {cores:.0f} cores" if cores is not None else ""
+    facts += f", {machine['n_cores']} cores" if machine.get("n_cores") is not None else ""
     listed_notes = "".join(f"<li>{escape(note)}</li>" for note in notes)
     return (
         f'<section class="block"><ul>{listed_notes}</ul>'
-        f"<p>{escape(facts)}.</p><pre>{escape(software.get('command') or '')}</pre></section>"
+        f"<p>{escape(facts)}.</p><pre>{escape(software.get('command', ''))}</pre></section>"
     )
+
+
+# ------------------------------------------------------------------------------------------ the Pareto plot
+
+
+def pareto_plot(points: Sequence[FrontierPoint], title: str, about: str) -> str:
+    """Error against time, both over powers of ten; a sentence where there is no point. `title`, `about` are HTML.
+
+    Every choice is a mark with its spread in both directions; the front is a staircase through its choices, since what
+    lies right of it and above is no better; presets have their names. An error of 0, the exhaustive setting's own, has
+    no place on such an axis and is drawn at its foot, below a gap.
+    """
+    if not points:
+        return svg.figure("", title=title, about="Nothing was measured.", is_wide=True)
+    errors = [p.error for p in points if p.error > 0]
+    times, heights = log_axis([p.time_ms for p in points], format_milliseconds), log_axis(errors, _percent)
+    unnamed = sorted((p for p in points if p.on_front and p.preset is None), key=lambda p: p.time_ms)
+    numbers = {p.label: number for number, p in enumerate(unnamed, start=1)}
+    # What is nearest to the reader is drawn last.
+    ordered = sorted(points, key=lambda p: (p.preset is not None, p.on_front))
+    marks = "".join(_mark(times, heights, p, numbers) for p in ordered)
+    zero = f'<text class="tick-y" x="-8" y="{FOOT_PX - 8}">0</text>' if len(errors) < len(points) else ""
+    grid = svg.grid_across(heights, HEIGHT_PX) + svg.axis_of(times, ACROSS, FOOT_PX, grid=True) + zero
+    body = f"{grid}{svg.straight(0, FOOT_PX, 100, FOOT_PX, 'base')}{_front_line(times, heights, points)}{marks}"
+    return svg.figure(
+        body, title=title, about=about, label=f"{title}: error against time", below=_legend(points, numbers),
+        classes="axes pareto", height_px=FOOT_PX, is_wide=True,
+    )  # fmt: skip
+
+
+def _x(times: Axis, time_ms: float) -> float:
+    """Percent from the left edge, within the plot."""
+    return min(100.0, max(0.0, times.x(time_ms)))
+
+
+def _y(errors: Axis, error: float) -> float:
+    """Pixels from the upper edge, within the plot; an error of 0 lies at the foot."""
+    return FOOT_PX - 8.0 if error <= 0 else min(HEIGHT_PX, max(0.0, errors.y(error, HEIGHT_PX)))
+
+
+def _front_line(times: Axis, errors: Axis, points: Sequence[FrontierPoint]) -> str:
+    """Level from each choice to the next dearer one, and down to it."""
+    front = sorted((p for p in points if p.on_front), key=lambda p: p.time_ms)
+    steps: list[tuple[float, float]] = []
+    for x, y in ((_x(times, p.time_ms), _y(errors, p.error)) for p in front):
+        steps += [(x, steps[-1][1] if steps else y), (x, y)]
+    return svg.line([*steps, (100.0, steps[-1][1])] if steps else [], "s0", FOOT_PX)
+
+
+def _mark(times: Axis, errors: Axis, point: FrontierPoint, numbers: Mapping[str, int]) -> str:
+    x, y = _x(times, point.time_ms), _y(errors, point.error)
+    kind, shape, name = "front" if point.on_front else "aside", "circle", ""
+    if point.preset is not None:
+        kind, shape = "preset", "diamond"
+        side, shift = ("end", -11) if x > 88 else ("start", 11)
+        name = f'<text class="preset-name" x="{shift}" y="-9" text-anchor="{side}">{escape(point.preset)}</text>'
+    elif point.on_front:
+        name = f'<text class="number" x="-6" y="14" text-anchor="end">{numbers[point.label]}</text>'
+    # From quartile to quartile, as far as is known: the spread, half of it to either side.
+    low, high = (_x(times, max(1e-9, point.time_ms + side * point.spread_ms / 2)) for side in (-1, 1))
+    whiskers = svg.straight(low, y, high, y, "whisker")
+    if point.error > 0:
+        half = point.error_spread / 2
+        foot, top = (_y(errors, max(errors.low, point.error + side * half)) for side in (-1, 1))
+        whiskers += svg.straight(x, top, x, foot, "whisker")
+    return whiskers + svg.mark(x, y, shape, f"choice {kind}", escape(_hover(point)), name)
+
+
+def _hover(point: FrontierPoint) -> str:
+    words = f"{point.name}\nerror {_percent(point.error)}, {format_milliseconds(point.time_ms)}"
+    if point.flickers:
+        words += f"\non the front in {point.front_share:.0%} of resampled measurements"
+    return words if point.on_front or point.instead is None else f"{words}\ntake instead: {point.instead}"
+
+
+def _legend(points: Sequence[FrontierPoint], numbers: Mapping[str, int]) -> str:
+    kinds = [("preset", "diamond", "preset")] if any(p.preset is not None for p in points) else []
+    kinds += [("front", "circle", "on the front"), ("aside", "circle", "dominated")]
+    entries = [f"{svg.icon(shape, f'choice {kind}')} {words}" for kind, shape, words in kinds]
+    entries += [f'<b class="key">{number}</b> {escape(label)}' for label, number in numbers.items()]
+    return svg.legend(entries)
+
+
+def _percent(error: float) -> str:
+    return format_percent(error, 2) if error else "0"

@@ -13,7 +13,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import bpy
 import numpy as np
@@ -23,23 +23,24 @@ from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.capture.scanner import CyclesScanner, meter_exposure, open_scanner
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import FolderManifest
-from xihe_blender.io.outputs import as_json, write_csv, write_json
+from xihe_blender.io.json_records import as_json, from_json
+from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress
+from xihe_blender.lab.frontier import rendering
 from xihe_blender.lab.frontier.answers import answers
-from xihe_blender.lab.frontier.choices import (
-    FULL,
-    QUICK,
+from xihe_blender.lab.frontier.choices import FULL, QUICK, compute_choices, render_choices
+from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, ORDER, Walk, loaded, measure_compute
+from xihe_blender.lab.frontier.points import MeasuredScene, points_of
+from xihe_blender.lab.frontier.records import (
     ComputeChoice,
+    Frontier,
+    FrontierPoint,
+    FrontierScene,
+    FrontierSettings,
     RenderChoice,
     StudySize,
-    compute_choices,
-    render_choices,
 )
-from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, ORDER, Walk, loaded, measure_compute
-from xihe_blender.lab.frontier.pictures import PictureStudy, measure_pictures, picture_choices
-from xihe_blender.lab.frontier.points import Measured, points_of
-from xihe_blender.lab.frontier.rendering import RenderStudy, View, measure_rendering
 from xihe_blender.lab.frontier.report import report_page
 from xihe_blender.lab.frontier.steps import Steps, part_of
 from xihe_blender.lab.frontier.timing import Quartiles
@@ -53,10 +54,10 @@ from xihe_blender.report.document import write_document
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
 from xihenet import __version__
-from xihenet.effects import Effect, effects_as_json, effects_from_json, plan_effects
+from xihenet.effects import effects_as_json, effects_from_json, plan_effects
 from xihenet.recording import load_frame, save_frame
 
-SCHEMA_VERSION = 1
+Result = TypeVar("Result")
 COLUMNS = (
     "scene", "front", "error_kind", "label", "preset", "error", "error_spread", "time_ms", "spread_ms",
     "on_front", "front_share", "instead", "settings",
@@ -69,100 +70,70 @@ SHARES = {"preparing": 0.10, "walking": 0.15, "computing": 0.15, "rendering": 0.
 """About how long each part takes, for the time left."""
 
 
-@dataclass(frozen=True)
-class FrontierSettings:
-    """What is measured.
-
-    Parameters
-    ----------
-    is_quick : fewer choices
-    seed : of everything that is random
-    size : of the largest frame; None takes that of a run
-    study_size : None takes QUICK or FULL
-    """
-
-    is_quick: bool = False
-    seed: int = 0
-    size: tuple[int, int] | None = None
-    study_size: StudySize | None = None
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.seed <= MAX_SEED:
-            raise UserError(f"a seed of {self.seed} is out of Cycles' range: give 0 to {MAX_SEED}")
-
-
-def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, command: str = "") -> Job[dict[str, Any]]:
+def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, command: str = "") -> Job[Frontier]:
     """Measure the .blend `files` one after the other and leave frontier.json, frontier.csv and report.html in `out`.
 
     Returns the content of frontier.json. UserError, before anything is measured, for a file that is none or a scene
-    that cannot be run, for two files of one name, and for a folder that holds something else.
+    that cannot be run, for two files of one name, for a folder that holds something else, and for a seed out of range.
     """
+    if not 0 <= settings.seed <= MAX_SEED:
+        raise UserError(f"a seed of {settings.seed} is out of Cycles' range: give 0 to {MAX_SEED}")
     names = [file.stem for file in files]
     twice = [name for name in names if names.count(name) > 1]
     if twice:
         raise UserError(f"two scenes are named {twice[0]!r}: results go by name, so rename one")
     for file in files:
         survey_scene(open_blend(file), settings.size)
-    _manifest(out, files, settings).take()
-    kept = []
-    for number, file in enumerate(files):
-        path = out / "work" / file.stem / "measured.json"
-        if not path.exists():
-            scene = open_blend(file)
-            study_size = settings.study_size or (QUICK if settings.is_quick else FULL)
-            surveyed = survey_scene(scene, settings.size)
-            study = SceneStudy(scene, file.stem, *surveyed, path.parent, settings.is_quick, settings.seed, study_size)
-            write_json(path, (yield from measure_scene(study, float(number), float(len(files)))))
-        kept.append(json.loads(path.read_text(encoding="utf-8")))
-    content = assembled(names, kept, settings, command)
-    _write(out, content)
-    yield Progress(1, 1, "measured and written")
-    return content
-
-
-def assembled(
-    names: Sequence[str], kept: Sequence[dict[str, Any]], settings: FrontierSettings, command: str
-) -> dict[str, Any]:
-    """The content of frontier.json."""
-    points = []
-    for name, one in zip(names, kept, strict=True):
-        fronts = {front: [Measured(**choice) for choice in choices] for front, choices in one["fronts"].items()}
-        points += points_of(name, fronts, settings.seed)
-    return {
-        "schema_version": SCHEMA_VERSION,
-        "software": software(command),
-        "machine": machine(),
-        "settings": as_json(settings),
-        "scenes": [
-            {"name": name, **{key: value for key, value in one.items() if key != "fronts"}}
-            for name, one in zip(names, kept, strict=True)
-        ],
-        "answers": answers(names, points),
-        "points": points,
-    }
-
-
-def _manifest(out: Path, files: Sequence[Path], settings: FrontierSettings) -> FolderManifest:
     provenance = {
         "xihe": __version__,
         "blender": bpy.app.version_string,
         "scenes": {file.stem: hashlib.sha256(file.read_bytes()).hexdigest() for file in files},
         "settings": asdict(settings),
     }
-    return FolderManifest(out, out / "work" / "settings.json", "a frontier", provenance, (out / "frontier.json",))
+    results = (out / "frontier.json",)
+    FolderManifest(out, out / "work" / "settings.json", "a frontier", provenance, results).take()
+    kept = []
+    for number, file in enumerate(files):
+        path = out / "work" / file.stem / "measured.json"
+        one = _measured_before(path)
+        if one is None:
+            scene = open_blend(file)
+            study_size = settings.study_size or (QUICK if settings.is_quick else FULL)
+            surveyed = survey_scene(scene, settings.size)
+            study = SceneStudy(scene, file.stem, *surveyed, path.parent, settings.is_quick, settings.seed, study_size)
+            one = yield from measure_scene(study, float(number), float(len(files)))
+            write_json(path, as_json(one))
+        kept.append(one)
+    points = [p for name, one in zip(names, kept, strict=True) for p in points_of(name, one.fronts, settings.seed)]
+    found = Frontier(
+        software=software(command),
+        machine=machine(),
+        settings=settings,
+        scenes=tuple(one.scene for one in kept if one.scene is not None),
+        answers=tuple(answers(names, points)),
+        points=tuple(points),
+    )
+    # The report and the table first: frontier.json says that all is there.
+    write_document(out / "report.html", report_page(found))
+    write_csv(out / "frontier.csv", [_table_row(point) for point in points], COLUMNS)
+    write_json(out / "frontier.json", as_json(found))
+    yield Progress(1, 1, "measured and written")
+    return found
 
 
-def _write(out: Path, content: dict[str, Any]) -> None:
-    """The report and the table first: frontier.json says that all is there."""
-    write_document(out / "report.html", report_page(content))
-    rows = []
-    for point in content["points"]:
-        # A line each; settings other than the kind of error as JSON in the last column.
-        settings = dict(point["settings"])
-        kind = settings.pop("error_kind")
-        rows.append({**point, "error_kind": kind, "settings": json.dumps(settings)})
-    write_csv(out / "frontier.csv", rows, COLUMNS)
-    write_json(out / "frontier.json", content)
+def _measured_before(path: Path) -> MeasuredScene | None:
+    """None where there is none of this version."""
+    try:
+        return from_json(MeasuredScene, json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None
+
+
+def _table_row(point: FrontierPoint) -> Mapping[str, object]:
+    """Settings other than the kind of error are JSON in the last column."""
+    settings = as_json(point.settings)
+    kind = settings.pop("error_kind")
+    return {**vars(point), "error_kind": kind, "settings": json.dumps(settings)}
 
 
 # ---------------------------------------------------------------------------------------------- of one scene
@@ -191,12 +162,12 @@ class Prepared:
     presets: Mapping[str, RenderChoice]
 
 
-def measure_scene(study: SceneStudy, done: float, whole: float) -> Job[dict[str, Any]]:
-    """All that was measured on a scene, as JSON: fronts [Measured], estimators that are missing, facts."""
+def measure_scene(study: SceneStudy, done: float, whole: float) -> Job[MeasuredScene]:
+    """All that was measured on a scene; of `whole` units of work, of which `done` are done before, it is one."""
     rng = np.random.default_rng(study.seed)
     study_size, size = study.study_size, study.plan.size
 
-    def share(name: str, steps: Steps[Any]) -> Job[Any]:
+    def share(name: str, steps: Steps[Result]) -> Job[Result]:
         nonlocal done
         result = yield from part_of(whole, done, SHARES[name], steps, study.name)
         done += SHARES[name]
@@ -210,9 +181,10 @@ def measure_scene(study: SceneStudy, done: float, whole: float) -> Job[dict[str,
             walk = yield from share("walking", _walk(study, prepared, scanner))
             backends, missing = loaded(compute_choices(is_quick=study.is_quick))
             computed = yield from share("computing", measure_compute(backends, walk, study_size.n_rounds, rng))
-            renders = RenderStudy(
+            seen = evenly_chosen(list(zip(walk.frames, walk.active, strict=True)), study_size.n_views)
+            renders = rendering.RenderStudy(
                 scanner,
-                _views(walk, study_size.n_views),
+                [rendering.View(frame.frame, [walk.positions[name] for name in names]) for frame, names in seen],
                 render_choices(prepared.presets, size, study_size, is_quick=study.is_quick),
                 RenderChoice(size, study_size.reference_samples),
                 study_size,
@@ -222,70 +194,58 @@ def measure_scene(study: SceneStudy, done: float, whole: float) -> Job[dict[str,
             computing_ms = {
                 choice: Quartiles.of(one.times_ms).median for choice, one in zip(backends, computed, strict=True)
             }
-            rendered, together = yield from share("rendering", measure_rendering(renders, computing_ms, rng))
+            rendered, together = yield from share("rendering", rendering.measure_rendering(renders, computing_ms, rng))
             comparison = replace(capture, samples=1)
-            pictures = PictureStudy(renders, study.plan, comparison, picture_choices(prepared.presets), study.folder)
-            pictured, estimators = yield from share("pictures", measure_pictures(pictures, rng))
-    computed = [_with_pictures(one, estimators) for one in computed]
-    content = {
-        "fronts": {
-            "render": [one.as_json() for one in [*rendered, *pictured]],
-            "compute": [one.as_json() for one in computed],
-            "total": [one.as_json() for one in [*together, *_with_computing(pictured, computing_ms)]],
-        },
-        "missing_estimators": missing,
-        "exposure": prepared.exposure,
-        "size": list(size),
-        "n_walk_frames": len(walk.frames),
-        "n_places": walk.n_places,
-        "views": [view.frame for view in renders.views],
-        "presets": {name: choice.as_json() for name, choice in prepared.presets.items()},
-    }
-    yield Progress(done, whole, f"{study.name}: measured")
-    return content
-
-
-def _with_pictures(one: Measured, estimators: Mapping[str, list[float]]) -> Measured:
-    squares = estimators.get(one.label)
-    if squares is None:
-        return one
-    return replace(one, square_errors={**one.square_errors, "picture" + AGAINST_TRUTH: squares})
-
-
-def _with_computing(pictured: list[Measured], computing_ms: Mapping[ComputeChoice, float]) -> list[Measured]:
+            pictures = rendering.PictureStudy(
+                renders, study.plan, comparison, rendering.picture_choices(prepared.presets)
+            )
+            pictured, estimators = yield from share("pictures", rendering.measure_pictures(pictures, rng))
+    computed = [
+        replace(one, square_errors={**one.square_errors, "picture" + AGAINST_TRUTH: estimators[one.label]})
+        if one.label in estimators
+        else one
+        for one in computed
+    ]
     added = computing_ms[ComputeChoice()]
-    return [replace(one, times_ms=[ms + added for ms in one.times_ms]) for one in pictured]
+    with_computing = [replace(one, times_ms=tuple(ms + added for ms in one.times_ms)) for one in pictured]
+    scene = FrontierScene(
+        name=study.name,
+        missing_estimators=tuple(missing),
+        exposure=prepared.exposure,
+        size=size,
+        n_walk_frames=len(walk.frames),
+        n_places=walk.n_places,
+        views=tuple(view.frame for view in renders.views),
+        presets=dict(prepared.presets),
+    )
+    yield Progress(done, whole, f"{study.name}: measured")
+    render, total = (*rendered, *pictured), (*together, *with_computing)
+    return MeasuredScene(fronts={"render": render, "compute": tuple(computed), "total": total}, scene=scene)
 
 
 def prepare(study: SceneStudy) -> Steps[Prepared]:
-    """Measure it, or read what a run that was stopped has measured."""
+    """Measure it as a run does, or read what a run that was stopped has measured."""
     path = study.folder / "prepared.json"
     if not path.exists():
         yield 0.0, "metering the exposure, looking for effects"
         scene, plan = study.scene, study.plan
         exposure = meter_exposure(scene, plan.frames, study.seed)
         effects = plan_effects(study.survey.required, overrides_in_force(scene, {}))
-        samples = {}
-        for index, name in enumerate(PRESETS):
+        views, samples = pilot_views(plan, study.survey), {}
+        if not views:
+            words = "never has a virtual object in view: move the camera's path, or objects"
+            raise UserError(f"scene {scene.name!r} {words}")
+        for index, (name, preset) in enumerate(PRESETS.items()):
             yield (1 + index) / (1 + len(PRESETS)), f"measuring how many samples {name} takes"
-            samples[name] = preset_samples(study, name, exposure, effects)
+            settings = PrevisSettings(preset=name, seed=study.seed)
+            capture = settings.capture(plan.size, pilot_samples(preset))
+            capture = replace(capture, light_transport=cycles_settings(effects))
+            samples[name] = samples_taken(preset, capture_noise(scene, views, capture, exposure, settings.n_anchors))
         write_json(path, {"exposure": exposure, "effects": effects_as_json(effects), "samples": samples})
     kept = json.loads(path.read_text(encoding="utf-8"))
     size = study.plan.size
-    presets = {name: RenderChoice(size, kept["samples"][name], preset=name) for name in PRESETS}
+    presets = {name: RenderChoice(size, kept["samples"][name]) for name in PRESETS}
     return Prepared(kept["exposure"], cycles_settings(effects_from_json(kept["effects"])), presets)
-
-
-def preset_samples(study: SceneStudy, name: str, exposure: float, effects: Mapping[str, Effect]) -> int:
-    """Samples per pixel of captures that a run of a preset takes on a scene, measured as the run does it."""
-    settings, preset = PrevisSettings(preset=name, seed=study.seed), PRESETS[name]
-    scene, plan = study.scene, study.plan
-    views = pilot_views(plan, study.survey)
-    if not views:
-        raise UserError(f"scene {scene.name!r} never has a virtual object in view: move the camera's path, or objects")
-    capture = replace(settings.capture(plan.size, pilot_samples(preset)), light_transport=cycles_settings(effects))
-    model = capture_noise(scene, views, capture, exposure, settings.n_anchors)
-    return samples_taken(preset, model)
 
 
 def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Steps[Walk]:
@@ -314,11 +274,6 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Step
             kept = json.loads(lights.read_text(encoding="utf-8"))
             truths.append({name: np.array(kept[name]) for name in active})
     return Walk(frames, [active for _, active in chosen], positions, truths, prepared.exposure)
-
-
-def _views(walk: Walk, most: int) -> list[View]:
-    numbers = evenly_chosen(list(range(len(walk.frames))), most)
-    return [View(walk.frames[k].frame, [walk.positions[name] for name in walk.active[k]]) for k in numbers]
 
 
 def survey_scene(scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> tuple[PrevisPlan, SceneSurvey]:

@@ -22,7 +22,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import NOT_COMPARED, FolderManifest
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.lab.rooms.store import FORMAT_VERSION, METERING, stored_indices
-from xihe_blender.lab.workers.dask_workers import open_dask_workers
+from xihe_blender.lab.workers.dask_workers import Work, open_dask_workers
 from xihe_blender.lab.workers.one_core import child_environment, cores_of_their_own, n_cores, on_core
 from xihe_blender.lab.workers.processes import module_command
 from xihenet import __version__
@@ -128,15 +128,12 @@ def _in_processes(
 def _over_dask(folder: Path, settings: BuildSettings, missing: Sequence[int]) -> Iterator[Progress]:
     """Make the `missing` rooms, some at a time, on the workers of a scheduler. UserError if one fails."""
     shares = [missing[i : i + ROOMS_AT_A_TIME] for i in range(0, len(missing), ROOMS_AT_A_TIME)]
-    asked = [
-        {"name": f"room {share[0]}", "module": WORKER, "arguments": _arguments(folder, settings, share), "told": None}
-        for share in shares
-    ]
-    if not asked:
+    work = [Work(f"room {share[0]}", WORKER, tuple(_arguments(folder, settings, share))) for share in shares]
+    if not work:
         return
     with open_dask_workers(None, settings.scheduler) as workers:
         workers.check_workers(str(folder), [])
-        yield from workers.run(asked, "share of rooms")
+        yield from workers.run(work, "share of rooms")
     for reason in workers.failed.values():
         raise UserError(f"a worker ended: {reason}; the same command goes on from here")
 

@@ -3,23 +3,33 @@
 Dask does what a batch needs beyond starting processes: it notices workers that die and hands their work to others, lets
 workers come and go, and has a dashboard. A piece of work whose Blender dies is tried twice more, and one that takes
 four workers with it is given up; both are named in the end. Rejected: pools of our own, which end at one machine.
+
+A worker never loads Blender, whose module does not load beside the thread that Dask works in: it starts a process that
+does, and waits, so its memory stays what it is, and neither of the two can take the other with it. What goes over the
+network are names, settings and shares of work.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import logging
 import math
+import os
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
 
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import Progress
-from xihe_blender.lab.workers.one_core import n_cores
+from xihe_blender.lab.workers.one_core import child_environment, free_core, n_cores, on_core
 from xihenet import __version__
 from xihenet.formats import format_count
 
@@ -30,7 +40,35 @@ POLL_S = 0.25
 CONNECT_S = 10.0
 ALONE_S = 30.0
 N_RETRIES = 2
-INSTALL = "pip install 'xihe-blender[evaluate]'"
+EXIT_CANNOT_BE_DONE = 2
+"""Of a module that has said on stderr what the user can mend."""
+
+TOPIC = "xihe"
+"""Of the events that tell how far a piece of work is."""
+
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+@dataclass(frozen=True)
+class Work:
+    """A piece of work: a module of this project that runs in a process with Blender.
+
+    Parameters
+    ----------
+    name : of its own
+    module, arguments : the command line
+    told : what it gets on stdin, as JSON holds it; it then tells its share of the work on stdout, a number from 0 to 1
+        a line. None for a module that is not told anything and tells nothing
+    """
+
+    name: str
+    module: str
+    arguments: tuple[str, ...] = ()
+    told: Any = None
+
+
+class BlenderDiedError(Exception):
+    """The process ended without a word of what the user could mend: it was killed, or Blender crashed."""
 
 
 @dataclass
@@ -55,8 +93,6 @@ class DaskWorkers:
 
         The scheduler needs the project too: it reads what it passes on.
         """
-        from xihe_blender.lab.workers.dask_worker import describe_worker
-
         address = self.client.scheduler.address
         try:
             self.client.wait_for_workers(1, timeout=CONNECT_S)
@@ -73,29 +109,24 @@ class DaskWorkers:
         for worker, told in self.client.run(describe_worker, folder, scenes, on_error="return").items():
             if isinstance(told, BaseException):
                 raise UserError(f"worker {worker} does not have this project: install xihe-blender there ({told})")
-            if told["xihe"] != __version__:
-                raise UserError(f"worker {worker} has xihe {told['xihe']} and this is {__version__}: install the same")
-            if told["missing"] or not told["is_writable"]:
-                place = (told["missing"] or [folder])[0]
-                raise UserError(f"worker {worker} cannot use {place}: all workers need it under the same path")
+            version, unusable = told
+            if version != __version__:
+                raise UserError(f"worker {worker} has xihe {version} and this is {__version__}: install the same")
+            if unusable:
+                raise UserError(f"worker {worker} cannot use {unusable[0]}: all workers need it under the same path")
 
-    def run(self, asked: Sequence[Mapping[str, Any]], noun: str) -> Iterator[Progress]:
+    def run(self, work: Sequence[Work], noun: str) -> Iterator[Progress]:
         """Have it all done, the first ones first; yields progress. What failed is in `failed` afterwards.
 
-        Parameters
-        ----------
-        asked : as `dask_worker.run_module` takes it
-        noun : what one of them is
+        `noun` says what one of them is.
         """
-        from xihe_blender.lab.workers.dask_worker import TOPIC, run_module
-
         self.client.subscribe_topic(TOPIC, self._hear)
-        futures: dict[str, Future[str | None]] = {}
-        for place, one in enumerate(asked):
-            futures[one["name"]] = self.client.submit(
-                run_module, dict(one), key=f"{one['name']}-{time.time_ns()}", pure=False,
-                priority=-place, retries=N_RETRIES,
-            )  # fmt: skip
+        futures: dict[str, Future[str | None]] = {
+            one.name: self.client.submit(
+                run_module, one, key=f"{one.name}-{time.time_ns()}", pure=False, priority=-place, retries=N_RETRIES
+            )
+            for place, one in enumerate(work)
+        }
         try:
             yield from self._watched(futures, noun)
         finally:
@@ -105,8 +136,7 @@ class DaskWorkers:
         n_done, alone_since = -1, time.monotonic()
         while n_done < len(futures):
             ended = [name for name, future in futures.items() if future.done()]
-            for name in ended:
-                self.shares[name] = 1.0
+            self.shares |= dict.fromkeys(ended, 1.0)
             n_done = len(ended)
             share = sum(self.shares.get(name, 0.0) for name in futures) / len(futures)
             # By the percent, or a batch of thousands would tell of nothing else.
@@ -119,15 +149,13 @@ class DaskWorkers:
                 raise UserError("no worker is left: run the same command again, it goes on from here")
             if n_done < len(futures):
                 time.sleep(POLL_S)
-        for name, future in futures.items():
-            reason = _why_it_failed(future)
-            if reason is not None:
-                self.failed[name] = reason
+        reasons = {name: _why_it_failed(future) for name, future in futures.items()}
+        self.failed |= {name: reason for name, reason in reasons.items() if reason is not None}
 
-    def _hear(self, event: tuple[Any, Mapping[str, Any]]) -> None:
-        _, told = event
+    def _hear(self, event: tuple[Any, tuple[str, float]]) -> None:
         # What is tried again starts over, but what it had rendered is there.
-        self.shares[told["name"]] = float(told["share"])
+        _, (name, share) = event
+        self.shares[name] = share
 
 
 def _why_it_failed(future: Future[str | None]) -> str | None:
@@ -140,6 +168,70 @@ def _why_it_failed(future: Future[str | None]) -> str | None:
     return f"was {future.status}"
 
 
+# --------------------------------------------------------------------------------------- on a worker's machine
+
+
+def run_module(work: Work) -> str | None:
+    """Do `work` in a process with Blender; None, or in one line why it cannot be done.
+
+    BlenderDiedError for what may go better next time.
+    """
+    command = [sys.executable, "-m", work.module, *work.arguments]
+    piped = subprocess.PIPE if work.told is not None else subprocess.DEVNULL
+    with tempfile.TemporaryFile() as errors, free_core() as core:
+        with on_core(core):
+            process = subprocess.Popen(
+                command, stdin=piped, stdout=piped, stderr=errors, env={**child_environment(), **ONE_THREAD}, text=True
+            )
+        try:
+            if work.told is not None:
+                _pass_on(process, work)
+            code = process.wait()
+        finally:
+            process.kill()
+            process.wait()
+        words = _last_line(errors)
+    if code in (0, EXIT_CANNOT_BE_DONE):
+        return words if code else None
+    raise BlenderDiedError(words if words and code > 0 else f"Blender ended with exit code {code}")
+
+
+def _pass_on(process: subprocess.Popen[str], work: Work) -> None:
+    """Tell the process what to do, and everyone who listens how far it is."""
+    from distributed import get_worker
+
+    assert process.stdin is not None and process.stdout is not None
+    # One that died at once says why by its exit code.
+    with process.stdout as shares, contextlib.suppress(BrokenPipeError):
+        with process.stdin as stdin:
+            stdin.write(json.dumps(work.told))
+        worker = get_worker()
+        for line in shares:
+            worker.log_event(TOPIC, (work.name, float(line)))
+
+
+def _last_line(errors: IO[bytes]) -> str:
+    errors.seek(0)
+    return next(reversed(errors.read().decode(errors="replace").strip().splitlines()), "")
+
+
+def describe_worker(folder: str, scenes: list[str]) -> tuple[str, list[str]]:
+    """What decides whether a worker can help: its version, and which of the paths it does not see or write to."""
+    unseen = [path for path in (folder, *scenes) if not Path(path).exists()]
+    return __version__, unseen or ([] if os.access(folder, os.W_OK) else [folder])
+
+
+def has_dashboard(dask_scheduler: Any) -> bool:
+    """Whether a scheduler has one: Bokeh's application among those of its web server.
+
+    Its address is no sign: the web server is there in any case, and without bokeh it says how to get that.
+    """
+    return any("Bokeh" in type(one).__name__ for one in dask_scheduler.http_application.applications)
+
+
+# ------------------------------------------------------------------------------------------------ schedulers
+
+
 @contextlib.contextmanager
 def open_dask_workers(n_workers: int | None, address: str | None) -> Iterator[DaskWorkers]:
     """A scheduler with workers: the one at `address`, or our own with `n_workers` processes (None: one per core).
@@ -149,7 +241,7 @@ def open_dask_workers(n_workers: int | None, address: str | None) -> Iterator[Da
     try:
         import distributed
     except ImportError as error:
-        raise UserError(f"Dask is not installed: {INSTALL}") from error
+        raise UserError("Dask is not installed: pip install 'xihe-blender[evaluate]'") from error
     for name in ("distributed", "tornado.application"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with contextlib.ExitStack() as stack:
@@ -166,8 +258,6 @@ def dashboard(workers: DaskWorkers) -> str:
     The scheduler is asked: what is installed here says nothing of another machine. Call it after `check_workers`, for
     the scheduler needs the project to answer.
     """
-    from xihe_blender.lab.workers.dask_worker import has_dashboard
-
     if workers.client.run_on_scheduler(has_dashboard):
         return f"dashboard: {workers.client.dashboard_link}"
     return f"no dashboard: it takes {'pip install bokeh' if workers.is_local else 'a scheduler with bokeh installed'}"
@@ -180,18 +270,12 @@ def _local_cluster(n_workers: int | None) -> Iterator[Any]:
 
     # A port that is free, or two batches could not run beside each other. No limit: Dask would count in Blender's
     # memory, and pause workers for it.
+    settings = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "memory_limit": 0, "processes": True}
     # And no profile of workers that only wait: it grows by the second, for an hour.
-    profile = {"distributed.worker.profile.enabled": False}
     with (
-        dask.config.set(profile),
+        dask.config.set({"distributed.worker.profile.enabled": False}),
         LocalCluster(
-            n_workers=n_workers or n_cores(),
-            threads_per_worker=1,
-            processes=True,
-            host="127.0.0.1",
-            memory_limit=0,
-            dashboard_address="127.0.0.1:0",
-            silence_logs=logging.CRITICAL,
+            n_workers=n_workers or n_cores(), threads_per_worker=1, silence_logs=logging.CRITICAL, **settings
         ) as cluster,
     ):
         yield cluster
@@ -210,10 +294,8 @@ def _client_of(address: str) -> Iterator[Client]:
             f"no scheduler answers at {address!r}: start one with `dask scheduler` and give its address, "
             "such as tcp://host:8786, or leave --scheduler out"
         ) from error
-    try:
+    with client:
         yield client
-    finally:
-        client.close()
 
 
 async def _reach(address: str) -> None:
