@@ -154,6 +154,7 @@ def compare_unit(
             if content is None:
                 content = kept[frame] = _compared(first, frame, lights[frame], comparer, by_trial)
                 write_json(first.outputs.compared(frame), as_json(content))
+                first.outputs.ground_truth(frame).unlink()
             for index in trials[frame]:
                 by_trial[index][frame] = content.metrics[str(index)]
     return by_trial, sum(content.render_s for content in kept.values() if content is not None)
