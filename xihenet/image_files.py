@@ -131,6 +131,7 @@ def _loaded(path: Path, check: Callable[[Any], None]) -> Any:
         raise ImportError("colour images are read by pillow: pip install 'xihe-blender[images]'") from error
     with path.open("rb") as content:
         with _image_errors(path), warnings.catch_warnings():
+            # Our own limit follows, which is said in one line.
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             image = Image.open(content, formats=IMAGE_FORMATS)
         check_size(path, image.height, image.width)

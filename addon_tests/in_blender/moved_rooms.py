@@ -28,7 +28,7 @@ EYES = ((-1.2, -1.5, 1.5), (-0.3, -1.6, 1.4), (0.9, -1.3, 1.2))
 PROBE = (0.0, 0.0, 0.85)
 LAMP_W, SUN_STRENGTH, SKY = 60.0, 2.0, (0.3, 0.4, 0.6)
 ESTIMATORS = ("projection", "lattice")
-SIZE, SAMPLES, PROBE_SAMPLES = (32, 24), 64, 12
+SIZE, SAMPLES, PROBE_SIZE, PROBE_SAMPLES = (32, 24), 64, 112, 12
 
 EVERY_FRAME = TriggerSettings(theta=0.0, coverage_theta=0.0)
 """Estimates are made in every frame: else a yaw may decide that what was newly seen stays just below a threshold."""
@@ -185,7 +185,7 @@ def see(
         for frame in range(1, len(EYES) + 1):
             scanner.move_to(frame)
             frames.append(scanner.acquire_environment_scan())
-    settings = ProbeSettings(max_samples=PROBE_SAMPLES, noise_target=None, seed=seed)
+    settings = ProbeSettings(PROBE_SIZE, PROBE_SAMPLES, noise_target=None, seed=seed)
     with open_reference_probe(scene, [position_m], settings) as probe:
         truth = probe.light_at(0, len(EYES), exposure).measured.ldr / exposure
     lights = {name: estimated(frames, position_m, name) for name in estimators}

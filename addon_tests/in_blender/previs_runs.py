@@ -15,11 +15,11 @@ from xihe_blender.scene.virtual_objects import virtual_collection
 
 @dataclass(frozen=True)
 class QuickPrevis(PrevisSettings):
-    """Light probes of a sixteenth of the rays, for tests that are not about how good the reference is."""
+    """Light probes of a fortieth of the rays, for tests that are not about how good the reference is."""
 
     @property
     def reference(self):
-        return replace(super().reference, size=48)
+        return replace(super().reference, size=48, max_samples=2)
 
 
 DRAFT = {"preset": "draft", "size": (32, 24)}

@@ -78,6 +78,8 @@ def folder(tmp_path_factory):
     for name, change in SCENES.items():
         change(walk())
         if name == "walk":
+            # One position instead of three: light probes take most of a small run's time.
+            bpy.data.objects.remove(bpy.data.objects["Board"])
             # Makes the saved .blend the largest file of a run; see `SmallDisk`.
             bpy.data.texts.new("Ballast").write("\n".join(noise.randbytes(500).hex() for _ in range(300)))
         bpy.ops.wm.save_as_mainfile(filepath=str(folder / f"{name}.blend"), copy=True)
@@ -213,7 +215,7 @@ def test_a_run_stopped_by_ctrl_c_goes_on_with_the_same_command(folder, finished,
     assert last == "xihe: stopped; run the same command again to resume"
     assert all("%  " in line for line in progress)
     assert not unfinished_files(out) and not (out / "results.json").exists()
-    before = files_below(out)
+    before = {path: time for path, time in files_below(out).items() if "work/ground_truth_" not in path}
     assert any(path.startswith("work/times_") for path in before)
     done = previs(folder / "walk.blend", out)
     assert done.returncode == 0, done.stderr
@@ -370,8 +372,8 @@ def test_a_broken_file_of_which_blender_itself_complains_is_refused(folder, tmp_
         (("--size", "10"), "WxH"),
         (("--size", "99999x2"), "4 to 8192"),
         (("--size", "-3x8"), "--size"),
-        (("--objects", "Nobody"), "choose among Ball, Board"),
-        (("--objects", ","), "choose among Ball, Board"),
+        (("--objects", "Nobody"), "choose among Ball"),
+        (("--objects", ","), "choose among Ball"),
         (("--estimator", "oracle"), "choose one of"),
         (("--preset", "hasty"), "draft, balanced, accurate"),
         (("--target", "sdr"), "ldr"),

@@ -15,7 +15,6 @@ from typing import Any
 import bpy
 
 from xihe_blender.addon.leftovers import remove_working_scenes
-from xihe_blender.jobs import TimeLeft
 from xihenet.formats import format_duration
 
 
@@ -29,6 +28,8 @@ class RunUnderWay:
     """
 
     def __init__(self, context: bpy.types.Context, job: Generator[Any, None, Any]) -> None:
+        from xihe_blender.jobs import TimeLeft
+
         self.is_over = False
         self.window_manager, self.workspace = context.window_manager, context.workspace
         self.job = job

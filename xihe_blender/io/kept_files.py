@@ -26,7 +26,7 @@ def read_kept(path: Path, read: Callable[[Path], Kept]) -> Kept | None:
     """What `read` makes of the file; None if it is not there or is damaged. OSError if it cannot be opened."""
     try:
         return read(path)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return None
     except DAMAGED:
         logging.getLogger(__name__).warning("%s is damaged and is made again", path)

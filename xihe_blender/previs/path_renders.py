@@ -182,7 +182,7 @@ def _measure_missing(run: PreparedRun, renders: PathRenders, work_s: dict[int, f
     with open_reference_probe(run.scene, positions_m, run.reference, objects) as reference_probe:
         done_shares = _done_shares([run.reuse.probes[frame, probe.name] == frame for frame, probe in missing])
         for (frame, probe), done_share in zip(missing, done_shares, strict=True):
-            yield run.progress("reference light", done_share, f"measuring the light at {probe.name}, frame {frame}")
+            yield run.progress("reference light", done_share, f"measuring the light at {probe.name} in frame {frame}")
             start = time.perf_counter()
             renders.measure(frame, probe, reference_probe)
             _, rendered_s = _kept_light(read_json(renders.reference(probe, frame)))

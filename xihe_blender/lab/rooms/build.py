@@ -135,7 +135,7 @@ def _over_dask(folder: Path, settings: BuildSettings, missing: Sequence[int]) ->
         workers.check_workers(str(folder), [])
         yield from workers.run(work, "share of rooms")
     for reason in workers.failed.values():
-        raise UserError(f"a worker ended: {reason}; the same command goes on from here")
+        raise UserError(f"a worker ended: {reason}; run the same command again to resume")
 
 
 def write_manifest(folder: Path, provenance: dict[str, Any]) -> None:
@@ -160,7 +160,7 @@ def _watch(folder: Path, wanted: Sequence[int], n_missing: int, workers: list[_W
         yield Progress(done, max(n_missing, 1), f"{len(wanted) - n_missing + done} of {len(wanted)} rooms")
         for worker in workers:
             if worker.process.poll() not in (None, 0):
-                raise UserError(f"a worker ended: {worker.last_words()}; the same command goes on from here")
+                raise UserError(f"a worker ended: {worker.last_words()}; run the same command again to resume")
         if has_ended:
             return
         time.sleep(POLL_S)
