@@ -1,9 +1,9 @@
 """The renders of a run: at each frame of the camera path the capture, and the light probes that are in view.
 
 All captures are rendered first, then all light probes: Cycles keeps a room's geometry between the renders of one scene,
-and builds it anew when another scene has been rendered in between. In a furnished room of others a frame took 22 s by
-turns, and 11 s so. What an earlier part of the run kept is not rendered again, and what is as in an earlier frame is
-taken over from there. Everything is kept file by file before anything is made of it.
+and builds it anew when another scene has been rendered in between. In a furnished room of others a capture and a light
+probe took 22 s by turns, and 11 s so. What an earlier part of the run kept is not rendered again, and what is as in an
+earlier frame is taken over from there. Everything is kept file by file before anything is made of it.
 """
 
 from __future__ import annotations
