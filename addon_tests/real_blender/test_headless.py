@@ -89,15 +89,19 @@ def test_help_ends_well(blender):
     assert done.returncode == 0 and done.stdout.startswith("usage: xihe")
 
 
-def test_frames_of_other_programs_are_read_by_the_bundled_package(blender, tmp_path):
+@pytest.mark.parametrize("compression", ["ZIP_COMPRESSION", "PIZ_COMPRESSION"])
+def test_frames_of_other_programs_are_read_or_refused_with_what_to_do(blender, tmp_path, compression):
     path = tmp_path / "frame.exr"
-    header = {"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage}
+    header = {"compression": getattr(OpenEXR, compression), "type": OpenEXR.scanlineimage}
     pixels = np.random.default_rng(0).random((12, 16)).astype(np.float32) + 1
     with OpenEXR.File(header, {name: OpenEXR.Channel(pixels) for name in "RGBZ"}) as file:
         file.write(str(path))
     camera = {"width": 16, "height": 12, "fx": 16, "fy": 16, "cx": 8, "cy": 6, "world_from_camera": np.eye(4).tolist()}
     (tmp_path / "camera.json").write_text(json.dumps(camera))
     done = blender.xihe("estimate", path, "--camera", tmp_path / "camera.json", "--at", "0,0,-1", "--json")
+    if compression == "PIZ_COMPRESSION":
+        assert_refused(done, "save it in scan lines with ZIP compression")
+        return
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["positions"][0]["is_valid"]
 
