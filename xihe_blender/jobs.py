@@ -55,7 +55,7 @@ class TimeLeft:
         self.before: tuple[Progress, float] | None = None
 
     def after(self, progress: Progress, elapsed_s: float) -> float | None:
-        """Seconds left; None before there is a pace."""
+        """Seconds left; None before there are two steps."""
         if self.before is not None:
             last, then_s = self.before
             stage = next(iter(last.stages))
@@ -66,8 +66,8 @@ class TimeLeft:
         if progress.left:
             self.steps.pop("", None)  # What comes before the first stage says nothing about it.
         paces = {stage: _pace(steps) for stage, steps in self.steps.items()}
-        if not paces:
-            return None
+        if sum(map(len, self.steps.values())) < 2:
+            return None  # One step is mostly set-up.
         set_ups = [steps[0][1] - steps[0][0] * paces[stage] for stage, steps in self.steps.items() if len(steps) > 1]
         set_up_s, last_pace = max(0.0, *set_ups, 0.0), list(paces.values())[-1]
         return sum(
