@@ -15,9 +15,10 @@ Not here: panoramas, which pictures and files are in; see `panorama`.
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from xihenet.panorama import panorama_directions
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt
@@ -41,7 +42,10 @@ def ball_directions(size: int) -> tuple[ArrayF64, ArrayBool]:
     if size < 1:
         raise ValueError(f"mirror ball: expected a picture of at least one pixel, got {size}")
     place = (np.arange(size) + 0.5) / size * 2 - 1
-    right, down = np.meshgrid(place, place)
+    return _directions(*np.meshgrid(place, place))
+
+
+def _directions(right: ArrayF64, down: ArrayF64) -> tuple[ArrayF64, ArrayBool]:
     squared = right**2 + down**2
     on_ball = squared < 1
     across = 2 * np.sqrt(np.maximum(1 - squared, 0.0))
@@ -67,18 +71,38 @@ def _pixel(place: ArrayF64, size: int) -> ArrayInt:
 
 @lru_cache(maxsize=16)
 def _pixel_integrals(size: int, order: int, rim: float) -> ArrayF64:
-    """((order + 1)^2, size * size) each basis function's integral over what a pixel tells of. Read-only."""
-    cells = max(1, min(CELLS, FINEST // size))
-    directions, on_ball = ball_directions(size * cells)
+    """((order + 1)^2, size * size) each basis function's integral over what a pixel tells of. Read-only.
+
+    A quarter of the ball is looked at, the rest are its mirror images.
+    """
+    cells = max(2, min(CELLS, FINEST // size))
+    place = np.arange(0.5, size * cells / 2) / (size * cells / 2)
+    directions, on_ball = _directions(*np.meshgrid(place, place))
     seen = directions[on_ball]
     rows, columns = ball_pixels(seen, size, rim)
-    values = basis(seen, order) * (4 * np.pi / len(seen))
+    values = basis(seen, order) * (np.pi / len(seen))
     pixels = rows * size + columns
-    integrals = np.array([np.bincount(pixels, of_one, size * size) for of_one in values.T], np.float64)
+    quarters = [np.bincount(pixels, of_one, size * size).reshape(size, size) for of_one in values.T]
+    integrals = np.array(list(map(_mirrored, quarters, *_parities(order)))).reshape(len(quarters), -1)
     if not rim:
-        integrals *= cells**2 / np.maximum(np.bincount(pixels, minlength=size * size), 1)
+        n_cells = _mirrored(np.bincount(pixels, minlength=size * size).reshape(size, size), 1, 1).ravel()
+        integrals *= cells**2 / np.maximum(n_cells, 1)
     integrals.flags.writeable = False
     return integrals
+
+
+def _parities(order: int) -> tuple[ArrayInt, ArrayInt]:
+    """1 or -1 for each basis function: what it is multiplied by when X, and when Y, is mirrored."""
+    m = np.concatenate([np.arange(-band, band + 1) for band in range(order + 1)])
+    along_y = np.where(m < 0, -1, 1)
+    return along_y * (1 - 2 * (m % 2)), along_y
+
+
+def _mirrored(quarter: NDArray[Any], along_x: int, along_y: int) -> ArrayF64:
+    """The whole picture's sums (N, N), from those of the quarter where X and Y are positive."""
+    half = quarter + along_x * quarter[:, ::-1]
+    whole: ArrayF64 = (half + along_y * half[::-1]).astype(np.float64)
+    return whole
 
 
 def project_mirror_ball(radiance: ArrayLike, order: int = 2, *, rim: float = RIM) -> ArrayF64:
