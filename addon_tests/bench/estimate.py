@@ -5,7 +5,7 @@
 1280 anchors, random clouds at 40 % coverage, the shipped weights or, where there are none, random ones. Candidates are
 timed in turn, so that the machine's drift hits all alike, each after a call that is not timed: torch's threads keep
 both cores busy for some milliseconds after their work, and whoever comes next would pay for it. Where torch is
-installed, the same network in torch and the paper's (random weights, 512 and 1280 anchors) run beside them. Prints
+installed, both networks in torch (the paper's with random weights and 512 and 1280 anchors) run beside them. Prints
 minimum, median and spread (quartiles).
 """
 
@@ -22,6 +22,7 @@ import numpy as np
 
 from xihenet.estimators.lattice import WEIGHTS_FOLDER, Lattice
 from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights, load_weights
+from xihenet.estimators.pointconv import XiheNet
 from xihenet.estimators.weights_format import save_weights
 from xihenet.records import UnitSphereCloud
 
@@ -82,6 +83,8 @@ def main() -> None:
     candidates: dict[str, tuple[int, Callable[[], object]]] = {
         "lattice, NumPy, one": (1, lambda: lattice.estimate(one))
     }
+    paper = XiheNet(N_ANCHORS)
+    candidates["xihenet, NumPy, one"] = 1, lambda: paper.estimate(one)
     for size in BATCHES:
         parts = random_clouds(size, N_ANCHORS)
         candidates[f"lattice, NumPy, batch of {size}"] = size, lambda parts=parts: lattice.estimate_batch(*parts)

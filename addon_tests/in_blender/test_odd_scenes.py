@@ -1,6 +1,5 @@
 """Scenes and installations that are out of the ordinary: each works, or says in one line what to do."""
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,6 @@ from previs_runs import SMALL, run, walk
 from results_schema import check_results, without_times
 from tiny_scenes import empty_scene, room_with_a_virtual_sphere, sphere
 
-import xihenet.nets
 from xihe_blender.apply.datablocks import lights_by_sh
 from xihe_blender.apply.session import XiheController
 from xihe_blender.apply.sh_worlds import sh_node_group, world_name
@@ -313,15 +311,6 @@ def test_without_cycles_the_line_names_the_add_on(tmp_path):
     finally:
         bpy.ops.preferences.addon_enable(module="cycles")
     check_results(run(room_with_a_virtual_sphere(1), tmp_path / "again"))
-
-
-def test_without_torch_an_estimator_that_needs_it_says_how_to_get_it(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "torch", None)
-    # Another test may have imported the networks already.
-    monkeypatch.delitem(sys.modules, "xihenet.nets.pointconv", raising=False)
-    monkeypatch.delattr(xihenet.nets, "pointconv", raising=False)
-    settings = replace(SMALL, estimator="xihenet")
-    assert_refused(room_with_a_virtual_sphere(1), tmp_path / "out", "xihenet needs torch", settings=settings)
 
 
 def test_a_folder_that_cannot_be_written_is_named():

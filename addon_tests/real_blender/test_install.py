@@ -11,7 +11,7 @@ import pytest
 from addon_tests.real_blender.whole_blender import ROOT, SCENE, SMALL, WholeBlender
 
 SOURCES = ("xihenet", "xihe_blender")
-MOST_BYTES = 4_000_000
+MOST_BYTES = 12_000_000
 
 
 def another_build(folder, old, new):

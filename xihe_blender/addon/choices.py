@@ -45,9 +45,9 @@ _ESTIMATORS = {
         "Average brightness and colour, the same from all directions, as a phone's light sensor reports",
     ),
     "projection": ("Projection", "Least-squares fit to the surroundings seen so far; no learning"),
-    "pointar": ("PointAR", "Neural network on randomly chosen points; needs torch"),
-    "xihenet": ("XiheNet", "The paper's neural network on unit-sphere samples; needs torch"),
-    "lattice": ("Lattice", "Neural network on fixed directions; takes about a millisecond, needs nothing installed"),
+    "pointar": ("PointAR", "Neural network on randomly chosen points"),
+    "xihenet": ("XiheNet", "The paper's neural network on unit-sphere samples"),
+    "lattice": ("Lattice", "Neural network on fixed directions; takes about a millisecond"),
     "truth": ("Ground Truth", "No estimate: the true light rendered at each object, the best that can be reached"),
 }
 _NETWORKS = {

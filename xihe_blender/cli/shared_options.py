@@ -18,7 +18,7 @@ def one_of(names: Iterable[str]) -> str:
     return f"{', '.join(most)} or {last}"
 
 
-ESTIMATORS = f"{one_of(estimators.names())}; pointar and xihenet need torch"
+ESTIMATORS = one_of(estimators.names())
 ESTIMATOR = f"{ESTIMATORS}; default: {estimators.DEFAULT}"
 OVERRIDE: dict[str, Any] = {
     "dest": "overrides",

@@ -4,7 +4,7 @@
         blender_manifest.toml   the version and the wheel, then the template in `xihe_blender`
         __init__.py             registers from the wheel, so that scripts in Blender can import the packages too
         LICENSE
-        wheels/                 this project, without the weights that need torch
+        wheels/                 this project
 
 There is nothing in it of others, so it is the same for every platform and Python, and the same commit makes the same
 bytes, as long as Python compresses alike. Rejected: Blender's own `extension

@@ -3,7 +3,7 @@
 Written here rather than by setuptools: a wheel of plain Python is a zip with three small files added, and written so it
 needs neither the network nor a build folder that may hold old files, and is the same to the last byte every time. What
 belongs into it is read from pyproject.toml, where setuptools reads it too. It asks for no other packages: bpy and NumPy
-are Blender's own. Weights of networks that run in torch, which Blender has not, stay in the pip package.
+are Blender's own.
 
 Its version ends in a hash of its contents, as in 0.1.0+4f1d0c9a. Blender does not unpack a wheel of a version that it
 has unpacked already, so that otherwise two builds of one version would be taken for the same.
@@ -21,7 +21,6 @@ from typing import Any
 from xihe_blender.errors import UserError
 from xihe_blender.packaging.archive import Contents, packed
 from xihenet import __version__
-from xihenet.estimators import NEED_TORCH
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
@@ -46,7 +45,7 @@ def project_wheel(checkout: Path = CHECKOUT) -> tuple[str, bytes]:
 
 
 def _packages(checkout: Path, setuptools: dict[str, Any]) -> Contents:
-    """Modules and data files of all packages, as setuptools would choose them, but for weights that need torch."""
+    """Modules and data files of all packages, as setuptools would choose them."""
     included: list[str] = setuptools["packages"]["find"]["include"]
     data: dict[str, list[str]] = setuptools["package-data"]
     files: set[Path] = set()
@@ -56,8 +55,6 @@ def _packages(checkout: Path, setuptools: dict[str, Any]) -> Contents:
         if any(fnmatch(name, pattern) for pattern in included):
             files.update(package.glob("*.py"))
             files.update(file for pattern in data.get(name, ()) for file in package.glob(pattern))
-    needs_torch = {f"{estimator}_{target}.npz" for estimator in NEED_TORCH for target in ("ldr", "hdr")}
-    files = {file for file in files if file.name not in needs_torch}
     return {file.relative_to(checkout).as_posix(): file.read_bytes() for file in files}
 
 

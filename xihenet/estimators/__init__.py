@@ -10,7 +10,7 @@ import importlib
 
 from xihenet.estimators.base import EstimateContext, Estimator, Target
 
-__all__ = ["DEFAULT", "NEED_TORCH", "EstimateContext", "Estimator", "Target", "load", "names"]
+__all__ = ["DEFAULT", "EstimateContext", "Estimator", "Target", "load", "names"]
 
 _REGISTRY = {
     "ambient": ("xihenet.estimators.ambient", "Ambient"),
@@ -20,21 +20,18 @@ _REGISTRY = {
     "lattice": ("xihenet.estimators.lattice", "Lattice"),
     "truth": ("xihenet.estimators.truth", "Truth"),
 }
-NEED_TORCH = frozenset({"pointar", "xihenet"})
-"""Estimators that cannot be loaded without the extra `train`."""
-
 DEFAULT = "lattice"
 
 
 def names() -> list[str]:
-    """All registered estimators, also those whose packages are not installed."""
+    """All registered estimators."""
     return list(_REGISTRY)
 
 
 def load(name: str, n_anchors: int = 1280, target: Target = "ldr") -> Estimator:
     """The estimator registered as `name`, for clouds of `n_anchors` anchors.
 
-    ValueError for an unknown name, an illegal number of anchors or target; ImportError names the extra to install.
+    ValueError for an unknown name, an illegal number of anchors or target.
     """
     if name not in _REGISTRY:
         raise ValueError(f"there is no estimator {name!r}; choose one of {', '.join(names())}")

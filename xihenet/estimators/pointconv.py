@@ -1,8 +1,7 @@
 """The paper's network as an estimator: `xihenet` on unit-sphere samples, `pointar` on uniformly drawn points.
 
-Both run one and the same PointConv network (`xihenet.nets.pointconv`), each with weights of its own; only what they are
-given differs. Torch runs it, and is asked for when an estimator is made and not before: a copy in NumPy, as `lattice`
-has it, was rejected for a baseline, whose farthest points and neighbours have to be found anew for each cloud.
+Both run one and the same PointConv network, each with weights of its own; only what they are given differs. Estimating
+takes NumPy (`pointconv_network`), training torch (`xihenet.nets.pointconv`).
 """
 
 from __future__ import annotations
@@ -11,21 +10,20 @@ import itertools
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.estimators.base import EstimateContext, Estimator, NotFinite, Target
+from xihenet.estimators.pointconv_network import PointConvNetwork, known_points
 from xihenet.estimators.weights_format import WEIGHTS_FOLDER, NetworkWeights, read_weights
-from xihenet.records import ArrayBool, ArrayF32, ArrayF64, PointCloud, UnitSphereCloud
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, UnitSphereCloud
 from xihenet.sampling import has_usable_points, sample_uniform
 from xihenet.sphere import AnchorLattice
 
 FARTHEST_M = 65504.0  # As training stores them, in float16.
 DRAWING_SEED = 0
-_CLOUDS_AT_ONCE = 16  # their squared distances, 1280 x 1280 each, take 100 MB
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,7 @@ class PointConvArchitecture:
             raise ValueError(f"architecture: expected switches that are true or false, got {switches}")
 
     def array_shapes(self) -> dict[str, tuple[int, ...]]:
-        """Shape of each array of a weights file, by the name that the network in torch gives it."""
+        """Shape of each array of a weights file, by the name that torch gives it."""
         shapes: dict[str, tuple[int, ...]] = {}
         for block, n_in, widths in (("block_1", 3, (64, 128)), ("block_2", 128, (128, 256))):
             shapes |= _dense_shapes(f"{block}.per_point", n_in + 3, *widths)
@@ -83,7 +81,6 @@ class _PointConv(Estimator):
 
     Raises
     ------
-    ImportError : without torch, naming the extra that brings it
     ValueError : if the file is missing, broken, of another version, or was trained for another estimator or target
     """
 
@@ -91,18 +88,19 @@ class _PointConv(Estimator):
 
     def __init__(self, n_anchors: int = 1280, target: Target = "ldr", *, weights: Path | None = None) -> None:
         super().__init__(n_anchors, target)
-        nets = _networks_in_torch(self.name)
         path = WEIGHTS_FOLDER / f"{self.name}_{target}.npz" if weights is None else weights
         loaded = load_pointconv_weights(path, self.name)
         if loaded.target != target:
             raise ValueError(f"{path}: expected weights for the target {target!r}, got {loaded.target!r}")
         self._n_points_trained_with = loaded.n_points
-        self._network = nets.network_of(loaded)
-        self._run = nets.run_in_numpy
+        sizes = loaded.architecture
+        self._keeps_unset_at_origin = sizes.keeps_unset_at_origin
+        self._network = PointConvNetwork(loaded.arrays, sizes.centroids, sizes.n_neighbours, sizes.bandwidth)
 
     def _light(self, points_m: ArrayF32, srgb: ArrayF32, is_set: ArrayBool) -> ArrayF64:
-        """(B, 9, 3) from points (B, N, 3) relative to the position, their colours, and which of them there are."""
-        sh_radiance: ArrayF64 = self._run(self._network, points_m, srgb, is_set).astype(np.float64)
+        """(9, 3) from points (N, 3) relative to the position, their colours, and which of them there are."""
+        known = known_points(points_m, srgb, is_set, self._keeps_unset_at_origin)
+        sh_radiance = self._network.light(*known).astype(np.float64)
         if not np.isfinite(sh_radiance).all():
             raise NotFinite(f"{self.name}: an estimate is not finite; refusing to pass it on")
         return sh_radiance
@@ -116,7 +114,7 @@ class XiheNet(_PointConv):
     def estimate_batch(
         self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike, *, facing: ArrayLike | None = None
     ) -> ArrayF64:
-        """(B, 9, 3) of B clouds, some at a time; ValueError for shapes or values that do not fit.
+        """(B, 9, 3) of B clouds, one after the other; ValueError for shapes or values that do not fit.
 
         What stands at anchors that are not set does not matter, and `facing` is not asked.
         """
@@ -129,21 +127,17 @@ class XiheNet(_PointConv):
             raise ValueError(f"{self.name}: expected (B, n, 3), (B, n), (B, n) with n = {self.n_anchors}, got {shapes}")
         colours, distances = np.where(known[..., None], colours, 0), np.where(known, distances, 0)
         UnitSphereCloud(colours.reshape(-1, 3), distances.ravel(), known.ravel())  # refuses values out of range
-        sh_radiance = np.empty((n_clouds, 9, 3))
-        for start in range(0, n_clouds, _CLOUDS_AT_ONCE):
-            block = slice(start, start + _CLOUDS_AT_ONCE)
-            sh_radiance[block] = self._light(self._points(distances[block]), colours[block], known[block])
-        return sh_radiance
+        light = [self._light(*cloud) for cloud in zip(self._points(distances), colours, known, strict=True)]
+        return np.array(light).reshape(-1, 9, 3)
 
     def _points(self, distance_m: ArrayF32) -> ArrayF32:
-        """(B, N, 3) metres, relative to the position."""
+        """(..., N, 3) metres, relative to the position."""
         directions = AnchorLattice(self.n_anchors).directions.astype(np.float32)
         points: ArrayF32 = directions * np.minimum(distance_m, np.float32(FARTHEST_M))[..., None]
         return points
 
     def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> ArrayF64:
-        light: ArrayF64 = self._light(self._points(cloud.distance_m[None]), cloud.srgb[None], cloud.is_set[None])[0]
-        return light
+        return self._light(self._points(cloud.distance_m), cloud.srgb, cloud.is_set)
 
 
 class PointAR(_PointConv):
@@ -177,8 +171,9 @@ class PointAR(_PointConv):
             raise ValueError(f"pointar: expected a position of three finite numbers, got {context.position_m!r}")
         n_points = self._n_points_trained_with or self.n_anchors
         drawn = sample_uniform(context.points, n_points, np.random.default_rng(DRAWING_SEED))
-        light: ArrayF64 = self._light(*_one_cloud(drawn, position))[0]
-        return light
+        # A position beyond float32's range, or a point, is as good as one at the farthest distance.
+        relative = np.clip(drawn.points_m - position, -FARTHEST_M, FARTHEST_M).astype(np.float32)
+        return self._light(relative, drawn.srgb.clip(0, 1), np.ones(len(relative), bool))
 
 
 def load_pointconv_weights(path: Path, estimator: str) -> PointConvWeights:
@@ -188,8 +183,8 @@ def load_pointconv_weights(path: Path, estimator: str) -> PointConvWeights:
     """
     if not path.exists():
         raise ValueError(
-            f"{path}: expected {estimator} weights, found no file. The pip package has those for ldr, "
-            "the Blender extension has none: choose another estimator, or train the network and export it"
+            f"{path}: expected {estimator} weights, found no file: those for ldr are shipped; "
+            "choose another estimator, or train the network and export it with `xihe train` and `xihe train export`"
         )
     return read_weights(path, estimator, _architecture_from)
 
@@ -206,19 +201,3 @@ def _dense_shapes(name: str, *widths: int) -> dict[str, tuple[int, ...]]:
         if n_out > 1:
             shapes[f"{name}.{3 * i + 1}.weight"] = shapes[f"{name}.{3 * i + 1}.bias"] = (n_out,)
     return shapes
-
-
-def _networks_in_torch(name: str) -> ModuleType:
-    try:
-        from xihenet.nets import pointconv
-    except ImportError as error:
-        raise ImportError(f"{name} needs torch: pip install 'xihe-blender[train]'") from error
-    return pointconv
-
-
-def _one_cloud(drawn: PointCloud, position: ArrayF64) -> tuple[ArrayF32, ArrayF32, ArrayBool]:
-    """The points relative to the position as a batch of one; of no points, one that is not set."""
-    relative = np.clip(drawn.points_m - position, -FARTHEST_M, FARTHEST_M).astype(np.float32)
-    if not len(relative):
-        return np.zeros((1, 1, 3), np.float32), np.zeros((1, 1, 3), np.float32), np.zeros((1, 1), bool)
-    return relative[None], drawn.srgb.clip(0, 1)[None], np.ones((1, len(relative)), bool)

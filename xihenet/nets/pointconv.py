@@ -26,7 +26,6 @@ from torch import Tensor, nn
 
 from xihenet.estimators.base import Target
 from xihenet.estimators.pointconv import PointConvArchitecture, PointConvWeights
-from xihenet.records import ArrayBool, ArrayF32
 
 _FAR = 1e9
 _NEIGHBOURS_AT_ONCE = 8192  # rows of some 100 numbers: larger blocks leave the cache, smaller ones gain nothing
@@ -157,23 +156,6 @@ def weights_of(net: PointConvNet, target: Target, **notes: object) -> PointConvW
     """What `save_weights` keeps; `notes` are its estimator, data, seed, figures and n_points."""
     arrays = {name: value.detach().cpu().numpy().astype(np.float32) for name, value in net.state_dict().items()}
     return PointConvWeights(net.architecture, target, arrays, **notes)  # type: ignore[arg-type]
-
-
-def network_of(weights: PointConvWeights) -> PointConvNet:
-    """The network that `weights_of` took them from, ready to estimate."""
-    net = PointConvNet(weights.architecture)
-    net.load_state_dict({name: torch.tensor(array) for name, array in weights.arrays.items()})
-    net.eval()
-    return net
-
-
-def run_in_numpy(net: PointConvNet, points_m: ArrayF32, srgb: ArrayF32, is_set: ArrayBool) -> ArrayF32:
-    """`net` without gradients: arrays in, (B, 9, 3) out."""
-    # Copied because torch refuses to share arrays that may not be written, as those of records.
-    tensors = (torch.tensor(array) for array in (points_m, srgb, is_set))
-    with torch.inference_mode():
-        light: ArrayF32 = net(*tensors).numpy()
-    return light
 
 
 def _known_first(points: Tensor, colours: Tensor, known: Tensor) -> tuple[Tensor, Tensor, Tensor]:

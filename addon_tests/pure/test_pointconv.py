@@ -1,0 +1,224 @@
+"""The PointConv estimators and their weights files, with random weights; those of torch are compared elsewhere."""
+
+import json
+
+import numpy as np
+import pytest
+
+from xihenet.backend import LocalBackend, estimate_light
+from xihenet.estimators.base import EstimateContext
+from xihenet.estimators.lattice_format import load_weights
+from xihenet.estimators.pointconv import PointAR, PointConvArchitecture, PointConvWeights, XiheNet
+from xihenet.estimators.pointconv_network import _farthest_points, _squared_distances
+from xihenet.estimators.weights_format import save_weights
+from xihenet.records import PointCloud, UnitSphereCloud
+
+N = 256
+ESTIMATORS = {"xihenet": XiheNet, "pointar": PointAR}
+
+
+def random_arrays(architecture, seed=0):
+    """Weights that keep values about as large as they come in."""
+    rng = np.random.default_rng(seed)
+    return {
+        name: rng.normal(0, 1 / np.sqrt(shape[-1]), shape).astype(np.float32)
+        for name, shape in architecture.array_shapes().items()
+    }
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Files of weights by estimator."""
+    folder, small = tmp_path_factory.mktemp("weights"), PointConvArchitecture((32, 8), 8)
+    paths = {name: folder / f"{name}.npz" for name in ESTIMATORS}
+    for name, path in paths.items():
+        save_weights(path, PointConvWeights(small, "ldr", random_arrays(small), estimator=name, n_points=N))
+    return paths
+
+
+def random_clouds(seed=0, n_clouds=6, n=N):
+    rng = np.random.default_rng(seed)
+    is_set = rng.random((n_clouds, n)) < np.linspace(0.1, 1, n_clouds)[:, None]
+    srgb = rng.random((n_clouds, n, 3)) * is_set[..., None]
+    return srgb.astype(np.float32), (rng.random((n_clouds, n)) * 5 * is_set).astype(np.float32), is_set
+
+
+def test_pointar_knows_no_light_without_a_point_in_the_frame_whatever_was_seen_before(files):
+    estimator, cloud = PointAR(N, weights=files["pointar"]), UnitSphereCloud(*(part[5] for part in random_clouds()))
+    seen = PointCloud([[1.0, 2.0, 3.0], [np.nan] * 3], [[0.5] * 3] * 2)
+    blind = PointCloud([[np.nan] * 3, [1.0, 2.0, 3.0]], [[0.5] * 3, [np.inf] * 3])
+    reasons = [
+        estimator.unknown_because(cloud, EstimateContext(points=p, position_m=np.zeros(3))) for p in (seen, blind)
+    ]
+    assert reasons == ["", "no_points"]
+    light = estimate_light(LocalBackend(estimator), cloud, EstimateContext(points=blind, position_m=np.zeros(3)), 1.0)
+    assert not light.is_valid and light.unknown_because == "no_points" and not light.sh_radiance.any()
+
+
+def nasty_clouds(n=N):
+    """Nothing set, one anchor, black, white, all at no distance, too far, one far and the rest near, fewer than k."""
+    is_set = np.ones((8, n), bool)
+    is_set[0], is_set[1], is_set[7] = False, np.arange(n) == 5, np.arange(n) < 6
+    rng = np.random.default_rng(1)
+    srgb, distance_m = rng.random((8, n, 3)).astype(np.float32), rng.uniform(1, 3, (8, n)).astype(np.float32)
+    srgb[2], srgb[3] = 0, 1
+    distance_m[4], distance_m[5], distance_m[6, 0] = 0, 3e38, 6e4
+    return srgb * is_set[..., None], distance_m * is_set, is_set
+
+
+def test_nasty_clouds_give_finite_light(files):
+    light = XiheNet(N, weights=files["xihenet"]).estimate_batch(*nasty_clouds())
+    assert light.shape == (8, 9, 3) and np.isfinite(light).all()
+
+
+def test_a_batch_without_clouds_is_legal(files):
+    parts = [part[:0] for part in random_clouds()]
+    assert XiheNet(N, weights=files["xihenet"]).estimate_batch(*parts).shape == (0, 9, 3)
+
+
+def test_what_stands_at_unset_anchors_changes_nothing(files):
+    srgb, distance_m, is_set = random_clouds(6)
+    estimator = XiheNet(N, weights=files["xihenet"])
+    light = estimator.estimate_batch(srgb, distance_m, is_set)
+    for colour, metres in ((0.9, 3.0), (np.nan, -7.0)):
+        garbage = np.where(is_set[..., None], srgb, colour), np.where(is_set, distance_m, metres), is_set
+        np.testing.assert_array_equal(estimator.estimate_batch(*garbage), light)
+
+
+@pytest.mark.parametrize(("part", "value"), [(0, np.nan), (0, 1.5), (1, np.inf), (1, -1.0), (1, np.nan)])
+def test_input_out_of_range_is_refused(files, part, value):
+    clouds = [array.copy() for array in random_clouds()]
+    clouds[2][2, 5] = True
+    clouds[part][2, 5] = value
+    with pytest.raises(ValueError, match="expected"):
+        XiheNet(N, weights=files["xihenet"]).estimate_batch(*clouds)
+
+
+def test_another_number_of_anchors_is_refused(files):
+    with pytest.raises(ValueError, match="n = 512"):
+        XiheNet(512, weights=files["xihenet"]).estimate_batch(*random_clouds())
+
+
+def raw_points(n=2000, seed=0):
+    rng = np.random.default_rng(seed)
+    return PointCloud(rng.normal(size=(n, 3)) * 2, rng.random((n, 3)))
+
+
+def light_of(estimator, points, position=(0.5, 0.0, 1.0)):
+    context = EstimateContext(points=points, position_m=np.array(position))
+    return estimator.estimate(UnitSphereCloud.empty(estimator.n_anchors), context)
+
+
+def test_pointar_gives_the_same_light_for_the_same_points(files):
+    estimator, points = PointAR(1280, weights=files["pointar"]), raw_points()
+    light = light_of(estimator, points)
+    np.testing.assert_array_equal(light_of(estimator, points), light)
+    assert np.abs(light_of(estimator, raw_points(seed=1)) - light).max() > 1e-4
+
+
+def test_pointar_sees_points_from_the_position(files):
+    estimator, points = PointAR(N, weights=files["pointar"]), raw_points()
+    shift = np.array([4.0, -2.0, 8.0])
+    moved = PointCloud(points.points_m + shift, points.srgb)
+    light = light_of(estimator, points, (0, 0, 0))
+    np.testing.assert_allclose(light_of(estimator, moved, shift), light, atol=1e-5)
+    assert np.abs(light_of(estimator, moved, (0, 0, 0)) - light).max() > 1e-4
+
+
+@pytest.mark.parametrize("n", [0, 1, 3])
+def test_pointar_is_finite_with_hardly_any_points_and_leaves_out_broken_ones(files, n):
+    estimator, points = PointAR(N, weights=files["pointar"]), raw_points(n)
+    broken = PointCloud(
+        np.concatenate([points.points_m, [[np.nan, 0, 0], [np.inf, 0, 0]]]),
+        np.concatenate([points.srgb, np.ones((2, 3))]),
+    )
+    light = light_of(estimator, points)
+    assert np.isfinite(light).all()
+    np.testing.assert_array_equal(light_of(estimator, broken), light)
+
+
+def test_pointar_says_what_it_needs(files):
+    estimator = PointAR(N, weights=files["pointar"])
+    cloud = UnitSphereCloud.empty(N)
+    with pytest.raises(ValueError, match="pointar: needs the raw points"):
+        estimator.estimate(cloud)
+    with pytest.raises(ValueError, match="pointar: needs the raw points"):
+        estimator.estimate(cloud, EstimateContext(points=raw_points()))
+    with pytest.raises(ValueError, match="three finite numbers"):
+        light_of(estimator, raw_points(), (np.nan, 0, 0))
+    with pytest.raises(ValueError, match="clouds of anchors no longer hold"):
+        estimator.estimate_batch(*random_clouds())
+
+
+@pytest.mark.parametrize("kept", [0, 10, 0.5, 0.99])
+def test_a_truncated_file_is_refused_by_name(tmp_path, files, kept):
+    content = files["xihenet"].read_bytes()
+    (tmp_path / "cut.npz").write_bytes(content[: int(kept * len(content)) if isinstance(kept, float) else kept])
+    with pytest.raises(ValueError, match=r"cut\.npz: expected an \.npz of xihenet weights"):
+        XiheNet(N, weights=tmp_path / "cut.npz")
+
+
+def with_header(**changes):
+    def change(content):
+        content["header"] = np.array(json.dumps(json.loads(content["header"].item()) | changes))
+
+    return change
+
+
+CHANGES = {
+    "NaN": (lambda content: content["head.3.weight"].fill(np.nan), "head.3.weight: expected finite weights"),
+    "another estimator": (with_header(estimator="pointar"), "expected weights of 'xihenet', got 'pointar'"),
+    "another format": (with_header(format=2), "expected format 1, got 2"),
+    "no number of points": (with_header(n_points=0), "n_points: expected"),
+    "an unknown size": (with_header(architecture={"centroids": [32, 8], "depth": 3}), "depth"),
+    "three blocks": (with_header(architecture={"centroids": [32, 8, 4]}), "expected two blocks"),
+    "another size": (with_header(architecture={"centroids": [32, 8], "n_weights": 4}), "expected 263168 bytes at most"),
+    "no bandwidth": (with_header(architecture={"centroids": [32, 8], "bandwidth": 0.0}), "positive bandwidth"),
+    "a switch that is a word": (
+        with_header(architecture={"centroids": [32, 8], "keeps_unset_at_origin": "no"}),
+        "true or false",
+    ),
+    "a missing array": (lambda content: content.pop("head.0.bias"), "arrays: expected"),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_changed_file_is_refused_with_what_was_expected(tmp_path, files, name):
+    change, message = CHANGES[name]
+    with np.load(files["xihenet"]) as stored:
+        content = dict(stored)
+    change(content)
+    np.savez(tmp_path / "changed.npz", **content)
+    with pytest.raises(ValueError, match=rf"changed\.npz: .*{message}"):
+        XiheNet(N, weights=tmp_path / "changed.npz")
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_weights_of_another_target_estimator_or_kind_are_refused(files, name):
+    path, other = files[name], files["pointar" if name == "xihenet" else "xihenet"]
+    with pytest.raises(ValueError, match=rf"{name}\.npz: expected weights for the target 'hdr', got 'ldr'"):
+        ESTIMATORS[name](N, "hdr", weights=path)
+    with pytest.raises(ValueError, match=rf"{other.name}: .*expected weights of '{name}'"):
+        ESTIMATORS[name](N, weights=other)
+    with pytest.raises(ValueError, match=rf"{name}\.npz: .*expected weights of 'lattice', got '{name}'"):
+        load_weights(path)
+
+
+def test_points_that_stand_where_another_stands_are_no_centroids_of_their_own():
+    places = np.array([[1, 0, 0], [1, 0, 0], [0, 2, 0], [0, 2, 0], [0, 0, 0]], np.float32)
+    assert _farthest_points(places, _squared_distances(places), 5).tolist() == [2, 0, 4]
+
+
+def test_the_order_of_the_points_changes_nothing(files):
+    srgb, distance_m, is_set = (part[4] for part in random_clouds())
+    estimator = XiheNet(N, weights=files["xihenet"])
+    points, light = estimator._points(distance_m), estimator.estimate(UnitSphereCloud(srgb, distance_m, is_set))
+    for seed in range(3):
+        order = np.random.default_rng(seed).permutation(N)
+        np.testing.assert_allclose(estimator._light(points[order], srgb[order], is_set[order]), light, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_missing_weights_are_named_with_what_to_do(tmp_path, name):
+    with pytest.raises(ValueError, match=r"none\.npz: expected .* weights, found no file.* train the network"):
+        ESTIMATORS[name](N, weights=tmp_path / "none.npz")
