@@ -73,7 +73,10 @@ def _transparency(s: SceneFacts) -> Requirement:
 
 def _subsurface(s: SceneFacts) -> Requirement:
     found, kind = s.survey.which(Interaction.SUBSURFACE), "surfaces with subsurface scattering"
-    reason = _rendered(kind, found)
+    reason = _rendered(kind, found, "may be reached by rays from the camera or a light probe")
+    if s.survey.unreached:
+        never = "no ray from the camera or a light probe reaches them, directly or after diffuse bounces"
+        reason = f"{kind} are out of reach: {_named(s.survey.unreached)}; {never}"
     return Requirement(bool(found), reason, {}, {})
 
 
