@@ -140,7 +140,7 @@ def test_progress_tells_the_time_left_once_there_is_a_pace():
 
 
 def test_sentences_are_wrapped_and_lose_no_word():
-    text = "you turned it on; by itself it would be off: no smoke, fog or other volume is visible to the camera"
+    text = "you turned it on; by itself it would be off: no smoke, fog or other volumes are rendered"
     lines = panels.wrapped(text, 30)
     assert " ".join(lines) == text
     assert max(map(len, lines)) <= 30

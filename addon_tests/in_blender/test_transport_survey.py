@@ -1,9 +1,12 @@
 """What light can reach, over the frames of a run: animated, hidden, instanced, linked, made by modifiers."""
 
 import bpy
+import numpy as np
+import pytest
 from effect_scenes import (
     add_lamp,
     ball,
+    bright_room,
     glass,
     mirror,
     mixed,
@@ -13,9 +16,10 @@ from effect_scenes import (
     state,
     with_ball,
 )
-from tiny_scenes import material
+from tiny_scenes import box, empty_scene, material, phone
 
-from xihe_blender.light_transport import cycles_settings, plan_light_transport
+from xihe_blender.light_transport import cycles_settings, plan_light_transport, transport_survey
+from xihe_blender.light_transport.enclosure import carried, rays_all_round
 from xihenet.effects import names_that_are_on
 
 
@@ -187,3 +191,109 @@ def test_an_empty_scene_has_a_plan_with_everything_off():
     plan = plan_light_transport(bpy.context.scene)
     assert names_that_are_on(plan) == set()
     assert dict(cycles_settings(plan))["max_bounces"] == 0
+
+
+# ------------------------------------------------------------------------------------ walks, and what their rays reach
+
+
+def test_no_ray_of_a_walk_leaves_a_closed_room_through_a_corner(monkeypatch):
+    made, unspied = [], transport_survey.Solids
+    monkeypatch.setattr(transport_survey, "Solids", lambda *given: made.append(unspied(*given)) or made[-1])
+    scene = bright_room(0.95)
+    box(scene, "Around it", (0, 0, 1.5), (20, 20, 20))
+    transport_survey.survey_transport(scene, [1], None, [])
+    for seed in range(30):
+        _, reached = carried(made[0], rays_all_round([(0, 0, 1)]), np.random.default_rng(seed))
+        assert all(max(abs(place.x), abs(place.y), abs(place.z - 1.5) + 0.5) <= 2 for place, _ in reached)
+
+
+def room_with_a_wax_wall(centre, size=(1.0, 0.1, 1.0)):
+    """A closed room with the phone, 4 x 4 x 3 m about (0, 0, 1.5), and a wall of wax at `centre`."""
+    scene = bright_room()
+    box(scene, "Wax wall", centre, size, shader_look("Wax", "BsdfPrincipled", Subsurface_Weight=1.0))
+    return scene
+
+
+OUTSIDE, IN_VIEW, BEHIND_THE_PHONE = (0, 2.5, 1.5), (0, 1.5, 1.2), (-1.2, -1.9, 1.5)
+OTHER_ROOM = (10, 0, 1.5)
+
+
+@pytest.mark.parametrize("centre", [OUTSIDE, (0, 0, -0.6), (30, 0, 1.5)])
+def test_a_subsurface_wall_that_no_ray_reaches_is_left_out_and_the_reason_says_so(centre):
+    plan = plan_light_transport(room_with_a_wax_wall(centre), positions=[(0, 0, 1)])
+    assert plan["subsurface"].state == "off"
+    assert "are out of reach: material 'Wax' on 'Wax wall'; no ray from the camera" in plan["subsurface"].reason
+    assert "'Wax'" in plan["glossy bounces"].reason, "what a setting switches is left out only where nothing has it"
+
+
+@pytest.mark.parametrize("centre", [IN_VIEW, BEHIND_THE_PHONE])
+@pytest.mark.parametrize("side", [0.02, 0.1])
+def test_a_subsurface_wall_in_the_cameras_room_counts_in_view_or_after_a_bounce_however_small(centre, side):
+    plan = plan_light_transport(room_with_a_wax_wall(centre, (side,) * 3))
+    assert plan["subsurface"].state == "on" and "'Wax wall'" in plan["subsurface"].reason
+
+
+def test_a_subsurface_wall_that_only_the_probe_sees_counts():
+    scene = room_with_a_wax_wall((10, 1.5, 1.5))
+    box(scene, "Other room", OTHER_ROOM, (4, 4, 3), inward=True)
+    assert state(scene, "subsurface") == "off"
+    assert state(scene, "subsurface", positions=[OTHER_ROOM]) == "on"
+
+
+def test_a_camera_that_passes_the_wall_between_the_frames_of_the_walk_sees_it():
+    scene = room_with_a_wax_wall((10, 1.5, 1.5))
+    box(scene, "Other room", OTHER_ROOM, (4, 4, 3), inward=True)
+    for frame, x in ((1, -1.2), (3, -1.2), (4, 10), (5, -1.2), (9, -1.2)):
+        scene.camera.location.x = x
+        scene.camera.keyframe_insert("location", frame=frame)
+    assert state(scene, "subsurface", frames=[1, 2, 3, 5, 9]) == "off"
+    assert state(scene, "subsurface", frames=range(1, 10)) == "on"
+
+
+def through_paper(scene):
+    scene.objects["Room"].data.materials[0] = shader_look("Paper", "BsdfTranslucent")
+
+
+def through_a_wall_hidden_from_the_camera(scene):
+    scene.objects["Room"].visible_camera = False
+
+
+def through_a_wall_that_fades(scene):
+    look = shader_look("Veil", "BsdfPrincipled")
+    scene.objects["Room"].data.materials[0] = look
+    alpha = next(node for node in look.node_tree.nodes if node.type == "BSDF_PRINCIPLED").inputs["Alpha"]
+    alpha.driver_add("default_value").driver.expression = "frame != 2"
+
+
+def through_a_wall_that_opens(scene):
+    for frame, x in ((1, 0), (2, 9), (3, 0)):
+        scene.objects["Room"].location.x = x
+        scene.objects["Room"].keyframe_insert("location", frame=frame)
+
+
+@pytest.mark.parametrize(
+    "opened",
+    [through_paper, through_a_wall_hidden_from_the_camera, through_a_wall_that_fades, through_a_wall_that_opens],
+    ids=lambda opened: opened.__name__,
+)
+def test_subsurface_stays_on_where_rays_cannot_tell(opened):
+    scene = room_with_a_wax_wall(OUTSIDE)
+    opened(scene)
+    assert state(scene, "subsurface", frames=[1, 2, 3, 4, 5]) == "on"
+
+
+def test_a_phone_that_looks_into_an_empty_sky_reaches_nothing_behind_it():
+    scene = empty_scene()
+    ball(scene, "Ball", (0, -6, 1), shader_look("Wax", "SubsurfaceScattering"))
+    phone(scene, (0, -3, 1), (0, 0, 1))
+    assert state(scene, "subsurface") == "off"
+    assert state(scene, "subsurface", positions=[(0, 0, 1)]) == "on"
+
+
+def test_subsurface_of_strands_stays_on_since_no_ray_is_aimed_at_them():
+    scene = stage()
+    fur = bpy.data.hair_curves.new("Fur")
+    fur.add_curves([2])
+    fur.materials.append(shader_look("Wax", "SubsurfaceScattering"))
+    scene.collection.objects.link(bpy.data.objects.new("Fur", fur))
+    assert state(scene, "subsurface") == "on"

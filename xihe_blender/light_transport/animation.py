@@ -10,6 +10,8 @@ from typing import Any
 
 import bpy
 
+from xihe_blender.light_transport.solids import MESHED
+
 
 def is_animated(block: bpy.types.ID | None) -> bool:
     """Whether an F-curve, an NLA strip or a driver moves anything of `block`, of its node tree, or of a group in it."""
@@ -37,13 +39,14 @@ def _has_animation(block: Any) -> bool:
     return animation is not None and bool(animation.action or animation.drivers or animation.nla_tracks)
 
 
-def placement(instances: Iterable[Any]) -> int:
-    """A number that differs between two frames in which anything (objects, instances, the camera) stands otherwise.
+def placement(instances: Iterable[Any]) -> tuple[int, int]:
+    """Two numbers that differ between frames in which anything stands otherwise: of surfaces, and of all else.
 
     Deformation is noticed by its bounding box.
     """
-    total = 0
+    total = [0, 0]
     for instance in instances:
         box = tuple(tuple(corner) for corner in instance.object.bound_box)
-        total ^= hash((instance.object.name, tuple(map(tuple, instance.matrix_world)), box, *instance.persistent_id))
-    return total
+        place = tuple(map(tuple, instance.matrix_world))
+        total[instance.object.type not in MESHED] ^= hash((instance.object.name, place, box, *instance.persistent_id))
+    return total[0], total[1]

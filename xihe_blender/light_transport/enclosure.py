@@ -10,6 +10,8 @@ Chosen: as many rays leave each surface as came to the first, drawn from those t
 Rejected: to follow each ray until it is lost, by which few are left for a corner in an open place, and none for its
 third bounce.
 
+What a walk meets is also what light can reach: `aim` adds rays at what no ray of it happened to meet.
+
 Source: a closed room whose walls of albedo a all glow alike leaves out a^(n + 1) of its light with n bounces, which is
 what the walk says. A lamp sampled directly leaves out less: measured in a closed room of albedo 0.7, against 12 bounces
 a picture is 24 % (n = 2), 11 % (4) and 2 % (8) too dark, and the walk says 34, 17 and 4 %, on the careful side.
@@ -33,6 +35,9 @@ MAX_BOUNCES = 32
 """Of any kind, as in Blender's own preset "Full Global Illumination"."""
 
 N_SURFACES = MAX_BOUNCES + 2
+GRAZING = 0.01
+"""Cosine to the normal, below which a ray may slip along a face and past the edge of the next."""
+
 MAX_PASSED = 8
 OFFSET_M = 1e-4
 LEFT_OUT = 2e-4
@@ -61,12 +66,16 @@ def rays_through_picture(camera: bpy.types.Object, scene: bpy.types.Scene) -> li
     return [(place.copy(), (world_from_camera @ direction).normalized()) for direction in grid]
 
 
-def carried(solids: Solids, rays: Sequence[Ray], rng: np.random.Generator) -> ArrayF64:
-    """(N_SURFACES,) share of `rays` that reach a k-th surface, weakened on the way; all 0 without rays."""
-    weights = np.zeros(N_SURFACES)
+def carried(solids: Solids, rays: Sequence[Ray], rng: np.random.Generator) -> tuple[ArrayF64, list[Ray]]:
+    """(N_SURFACES,) share of `rays` that reach a k-th surface, weakened on the way; and where they did, with normals.
+
+    All 0, and nowhere, without rays.
+    """
+    weights, reached = np.zeros(N_SURFACES), []
     weight = 1.0
     for surface in range(N_SURFACES):
         hits = [hit for ray in rays if (hit := _next_surface(solids, ray)) is not None]
+        reached += [(place, normal) for place, normal, _ in hits]
         albedos = np.array([share for _, _, share in hits])
         if albedos.sum() <= 0:
             weights[surface] = weight * len(hits) / max(1, len(rays))
@@ -78,19 +87,33 @@ def carried(solids: Solids, rays: Sequence[Ray], rng: np.random.Generator) -> Ar
             break
         drawn = rng.choice(len(hits), N_RAYS, p=albedos / albedos.sum())
         rays = [(hits[k][0], _diffuse_direction(hits[k][1], rng)) for k in drawn]
-    return weights
+    return weights, reached
+
+
+def aim(solids: Solids, starts: Sequence[Ray], targets: ArrayF64, rng: np.random.Generator) -> None:
+    """Send a ray to each of `targets` (N, 3) from one of `starts` at random, if it is on the side that this faces."""
+    for target in targets if len(starts) else ():
+        place, facing = starts[rng.integers(len(starts))]
+        direction = (Vector(target) - place).normalized()
+        if direction.dot(facing) > GRAZING:
+            _next_surface(solids, (place, direction))
 
 
 def _next_surface(solids: Solids, ray: Ray) -> tuple[Vector, Vector, float] | None:
-    """Where a ray ends, the normal on its side, and the albedo there; None where it is lost."""
+    """Where a ray ends, just above the surface, the normal on its side, and the albedo there; None where it is lost.
+
+    From on the surface, 10 of 340,000 rays in a closed room of 4 x 4 x 3 m left it through a corner; so, none.
+    """
     place, direction = ray
     for _ in range(MAX_PASSED):
-        hit = solids.nearest(place + direction * OFFSET_M, direction)
+        hit = solids.nearest(place, direction)
         if hit is None:
             return None
-        place, normal, albedo = hit
+        where, normal, albedo = hit
         if albedo is not None:
-            return place, normal if normal.dot(direction) < 0 else -normal, albedo
+            facing = normal if normal.dot(direction) < 0 else -normal
+            return where + facing * OFFSET_M, facing, albedo
+        place = where + direction * OFFSET_M
     return None
 
 

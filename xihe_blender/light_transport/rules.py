@@ -1,6 +1,6 @@
 """Rules of light transport: by which signs does a scene require an effect? One for each, in `RULES`.
 
-A rule says on or off, why, and what Cycles is set to. An effect is off only where nothing that light can survey would
+A rule says on or off, why, and what Cycles is set to. An effect is off only where nothing that Cycles renders would
 show it, so that leaving it out cannot change the picture; "may" counts as on. Effects that belong to materials, objects
 or cameras (no setting of a scene switches them) have a rule as well, since a reader wants to know; see
 `SWITCHED_ELSEWHERE`.
@@ -11,7 +11,7 @@ bounces have a number in between, since every matt surface requires them; see `e
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import bpy
@@ -40,77 +40,73 @@ def _diffuse_bounces(s: SceneFacts) -> Requirement:
     worst = max(s.survey.carried, key=bounces_needed)
     on, off = {"diffuse_bounces": bounces_needed(worst)}, {"diffuse_bounces": 0}
     if not s.survey.which(Interaction.DIFFUSE):
-        return Requirement(False, "no surface spreads light in all directions: there is no matt material", on, off)
+        return Requirement(False, "no matt surfaces are rendered, so no light is spread in all directions", on, off)
     kept = worst[1] / worst[0] if worst[0] > 0 else 0.0
     where = "closed and bright" if kept > 0.5 else "partly open or dark" if kept > 0.15 else "open or very dark"
-    reason = f"the surroundings are {where}: {kept:.0%} of the light goes on from a surface to the next"
+    reason = f"the surroundings are {where}: after a bounce, {kept:.0%} of the light reaches another surface"
     return Requirement(True, reason, on, off)
 
 
-def _by_surface(kind: str, *interactions: Interaction, bounces: str | None = None) -> Rule:
-    """On where anything that light reaches has one of `interactions`; `bounces` is the setting that limits them."""
+def _by_surface(kind: str, *interactions: Interaction, onto_matt: str = "", **on: Setting) -> Rule:
+    """On, with Cycles set to `on`, where something that Cycles renders has one of `interactions`.
+
+    With `onto_matt`, which says in words what it does to matt surfaces, something matt has to be there as well.
+    """
 
     def rule(s: SceneFacts) -> Requirement:
         found = s.survey.which(*interactions)
-        reason = f"{kind.removesuffix(' material')}: {_named(found)}" if found else _none_reached(kind)
-        on: Mapping[str, Setting] = {} if bounces is None else {bounces: MAX_BOUNCES}
-        return Requirement(bool(found), reason, on, dict.fromkeys(on, 0))
+        is_lost = bool(onto_matt) and not s.survey.which(Interaction.DIFFUSE)
+        no_receiver = "no matt surfaces are rendered for the light to fall on"
+        reason = no_receiver if found and is_lost else _rendered(kind, found, onto_matt)
+        return Requirement(bool(found) and not is_lost, reason, on, {name: type(value)() for name, value in on.items()})
 
     return rule
 
 
 def _transparency(s: SceneFacts) -> Requirement:
     # A ray through the bounds of a volume counts as one through a transparent surface.
-    interactions = (Interaction.TRANSPARENT, Interaction.VOLUME)
-    required = _by_surface("transparent material", *interactions, bounces="transparent_max_bounces")(s)
+    kind, interactions = "transparent surfaces or volumes", (Interaction.TRANSPARENT, Interaction.VOLUME)
+    required = _by_surface(kind, *interactions, transparent_max_bounces=MAX_BOUNCES)(s)
     # So does each time that light meets a lamp and goes on behind it, without anything being transparent.
     return replace(required, left_out=required.on) if s.survey.has_lamps else required
 
 
-def _caustics(kind: str, caster: Interaction, does: str, setting: str) -> Rule:
-    """On where something throws light onto something matt."""
-
-    def rule(s: SceneFacts) -> Requirement:
-        casters, receivers = s.survey.which(caster), s.survey.which(Interaction.DIFFUSE)
-        if casters and receivers:
-            reason = f"{does} light onto matt surfaces: {_named(casters)}"
-        elif casters:
-            reason = "there is no matt surface for the light to fall on"
-        else:
-            reason = _none_reached(f"{kind} material")
-        return Requirement(bool(casters and receivers), reason, {setting: True}, {setting: False})
-
-    return rule
+def _subsurface(s: SceneFacts) -> Requirement:
+    found, kind = s.survey.which(Interaction.SUBSURFACE), "surfaces with subsurface scattering"
+    reason = _rendered(kind, found, "may be reached by rays from the camera or a light probe")
+    if s.survey.unreached:
+        never = "no ray from the camera or a light probe reaches them, directly or after diffuse bounces"
+        reason = f"{kind} are out of reach: {_named(s.survey.unreached)}; {never}"
+    return Requirement(bool(found), reason, {}, {})
 
 
 def _hair(s: SceneFacts) -> Requirement:
     strands = s.survey.strands + s.survey.which(Interaction.HAIR)
-    return Requirement(bool(strands), _named(strands) if strands else "no hair or fur is rendered", {}, {})
+    return Requirement(bool(strands), _rendered("hair or fur strands", strands), {}, {})
 
 
 def _motion_blur(s: SceneFacts) -> Requirement:
     on, off = {"use_motion_blur": True}, {"use_motion_blur": False}
     if not s.scene.render.use_motion_blur:
-        return Requirement(False, "the scene has it switched off", on, off)
-    if not s.survey.is_moving:
-        return Requirement(False, "the scene asks for it, but neither the camera nor anything else moves", on, off)
-    return Requirement(True, "the scene asks for it, and the camera or something else moves", on, off)
+        return Requirement(False, "motion blur is off in the scene", on, off)
+    what_moves = "and the camera or an object moves" if s.survey.is_moving else "but no camera or object moves"
+    return Requirement(s.survey.is_moving, f"motion blur is on in the scene, {what_moves}", on, off)
 
 
 def _depth_of_field(s: SceneFacts) -> Requirement:
     cameras = s.survey.defocused
-    reason = f"camera {_named(cameras)} has it" if cameras else "no camera of the run has it switched on"
+    reason = f"camera {_named(cameras)} has depth of field" if cameras else "no camera of the run has depth of field"
     return Requirement(bool(cameras), reason, {}, {})
 
 
 def _light_tree(s: SceneFacts) -> Requirement:
     n = s.survey.n_lights
     is_on = n > 1 or bool(s.survey.emitters)
-    reason = f"{n} lights to choose among, glowing objects and the world included" if n > 1 else "a single light"
+    reason = f"the scene has {n} lights, counting glowing objects and the world" if n > 1 else "the scene has one light"
     if n == 1 and s.survey.emitters:
-        reason = f"{_named(s.survey.emitters)} glows, which makes each of its faces a light"
+        reason = f"the only light is {_named(s.survey.emitters)}, which glows: each of its faces counts as a light"
     elif n == 0:
-        reason = "there is no light"
+        reason = "the scene has no light"
     return Requirement(is_on, reason, {"use_light_tree": True}, {"use_light_tree": False})
 
 
@@ -125,32 +121,36 @@ def _environment_sampling(s: SceneFacts) -> Requirement:
 def _denoising(s: SceneFacts) -> Requirement:
     off = {"use_denoising": False}
     if not s.has_denoiser:
-        reason = "this build of Blender has no OpenImageDenoise: noise may trigger estimates, more samples help"
+        reason = "this build of Blender has no OpenImageDenoise: noise may trigger estimates, more samples reduce it"
         return Requirement(False, reason, off, off)
     if s.survey.n_lights == 0:
-        return Requirement(False, "there is no light, so there is no noise", {}, off)
-    return Requirement(True, "OpenImageDenoise cleans pictures; light probes are left as they are", {}, off)
+        return Requirement(False, "the scene has no light, so its pictures have no noise", {}, off)
+    return Requirement(True, "OpenImageDenoise removes noise from pictures, but not from light probes", {}, off)
 
 
 def _fast_gi(s: SceneFacts) -> Requirement:
-    asked = "the scene asks for it, but " if s.scene.cycles.use_fast_gi else ""
-    reason = f"{asked}it only approximates bounces, and the ground truth must not"
+    asked = "the scene has it switched on, but " if s.scene.cycles.use_fast_gi else ""
+    reason = f"{asked}Fast GI only approximates bounced light, and the ground truth must be path-traced in full"
     return Requirement(False, reason, {"use_fast_gi": True}, {"use_fast_gi": False})
 
 
 RULES: dict[str, Rule] = {
     "diffuse bounces": _diffuse_bounces,
-    "glossy bounces": _by_surface("glossy material", Interaction.GLOSSY, bounces="glossy_bounces"),
+    "glossy bounces": _by_surface("glossy surfaces", Interaction.GLOSSY, glossy_bounces=MAX_BOUNCES),
     "transmission": _by_surface(
-        "transmissive material", Interaction.REFRACTION, Interaction.TRANSLUCENT, bounces="transmission_bounces"
+        "transmissive surfaces", Interaction.REFRACTION, Interaction.TRANSLUCENT, transmission_bounces=MAX_BOUNCES
     ),
     "transparency": _transparency,
-    "volumes": _by_surface("smoke, fog or other volume", Interaction.VOLUME, bounces="volume_bounces"),
-    "reflective caustics": _caustics("glossy", Interaction.GLOSSY, "reflecting", "caustics_reflective"),
-    "refractive caustics": _caustics("refracting", Interaction.REFRACTION, "refracting", "caustics_refractive"),
-    "subsurface": _by_surface("subsurface material", Interaction.SUBSURFACE),
+    "volumes": _by_surface("smoke, fog or other volumes", Interaction.VOLUME, volume_bounces=MAX_BOUNCES),
+    "reflective caustics": _by_surface(
+        "glossy surfaces", Interaction.GLOSSY, onto_matt="reflect light onto matt ones", caustics_reflective=True
+    ),
+    "refractive caustics": _by_surface(
+        "refracting surfaces", Interaction.REFRACTION, onto_matt="bend light onto matt ones", caustics_refractive=True
+    ),
+    "subsurface": _subsurface,
     "hair": _hair,
-    "displacement": _by_surface("displacing material", Interaction.DISPLACEMENT),
+    "displacement": _by_surface("displaced surfaces", Interaction.DISPLACEMENT),
     "motion blur": _motion_blur,
     "depth of field": _depth_of_field,
     "light tree": _light_tree,
@@ -162,7 +162,7 @@ RULES: dict[str, Rule] = {
 
 SWITCHED_ELSEWHERE = {
     "subsurface": "the materials' subsurface weight",
-    "hair": "what the objects' particle or hair settings render",
+    "hair": "the objects' particle or hair settings",
     "displacement": "the materials' displacement method",
     "depth of field": "the camera's depth of field",
     "environment sampling": "the sampling in the world's settings",
@@ -170,8 +170,8 @@ SWITCHED_ELSEWHERE = {
 """What switches those effects that no setting of a scene does."""
 
 
-def _none_reached(what: str) -> str:
-    return f"no {what} is visible to the camera, the probes or the virtual objects"
+def _rendered(kind: str, found: Sequence[str], what_they_do: str = "") -> str:
+    return f"{kind} {what_they_do or 'are rendered'}: {_named(found)}" if found else f"no {kind} are rendered"
 
 
 def _named(found: Sequence[str]) -> str:

@@ -28,8 +28,11 @@ BOX_TRIANGLES = np.array(
 )
 """Of the corners in the order of `np.ndindex(2, 2, 2)`."""
 
-SlotAlbedo = Callable[[bpy.types.Object, int], float | None]
-"""Albedo of a material slot of an evaluated object; None where light passes."""
+Look = tuple[str, float | None]
+"""A surface in words, and its albedo, which is None where light passes."""
+
+SlotLook = Callable[[bpy.types.Object, int], Look]
+"""That of a material slot of an evaluated object."""
 
 
 class Solids:
@@ -38,11 +41,17 @@ class Solids:
     Parameters
     ----------
     is_met : whether rays meet an instance of the graph
-    albedo : asked for every slot that a face has
+    look : asked for every slot that a face has
+
+    Attributes
+    ----------
+    met : what rays have met so far, in words
+    is_exact : whether no instance counts as a box
     """
 
-    def __init__(self, depsgraph: bpy.types.Depsgraph, is_met: Callable[[Any], bool], albedo: SlotAlbedo) -> None:
-        points, triangles, albedos = [np.zeros((0, 3))], [np.zeros((0, 3), np.intp)], [np.zeros(0)]
+    def __init__(self, depsgraph: bpy.types.Depsgraph, is_met: Callable[[Any], bool], look: SlotLook) -> None:
+        points, triangles, surfaces = [np.zeros((0, 3))], [np.zeros((0, 3), np.intp)], [np.zeros(0, np.intp)]
+        looks: dict[Look, int] = {}
         n_points = n_triangles = 0
         for instance in depsgraph.object_instances:
             item = instance.object
@@ -52,12 +61,15 @@ class Solids:
             world = np.array(instance.matrix_world) * metres_per_unit(depsgraph.scene)
             points.append(corners @ world[:3, :3].T + world[:3, 3])
             triangles.append(faces + n_points)
-            albedos.append(_by_slot(item, slots, albedo))
+            used, which = np.unique(slots, return_inverse=True)
+            numbers = [looks.setdefault(look(item, int(slot)), len(looks)) for slot in used]
+            surfaces.append(np.array(numbers, np.intp)[which])
             n_points, n_triangles = n_points + len(corners), n_triangles + len(faces)
-        self._albedos = np.concatenate(albedos)
-        self._tree = BVHTree.FromPolygons(
-            np.concatenate(points).tolist(), np.concatenate(triangles).tolist(), all_triangles=True
-        )
+        self.met: set[str] = set()
+        self.is_exact = n_triangles <= MAX_TRIANGLES
+        self._looks, self._surfaces = list(looks), np.concatenate(surfaces)
+        self._points, self._triangles = np.concatenate(points), np.concatenate(triangles)
+        self._tree = BVHTree.FromPolygons(self._points.tolist(), self._triangles.tolist(), all_triangles=True)
 
     def nearest(self, place: Vector, direction: Vector) -> tuple[Vector, Vector, float | None] | None:
         """The first surface from `place` along the unit vector `direction`, in the world.
@@ -70,8 +82,20 @@ class Solids:
         where, normal, triangle, _ = self._tree.ray_cast(place, direction)
         if where is None:
             return None
-        albedo = float(self._albedos[triangle])
-        return where, normal, None if np.isnan(albedo) else albedo
+        words, albedo = self._looks[self._surfaces[triangle]]
+        self.met.add(words)
+        return where, normal, albedo
+
+    def points_on(self, words: str, n: int, rng: np.random.Generator) -> ArrayF64:
+        """(n, 3) points at random, evenly over all surfaces that are called `words`; (0, 3) where there is none."""
+        numbers = [number for number, (name, _) in enumerate(self._looks) if name == words]
+        corners = self._points[self._triangles[np.isin(self._surfaces, numbers)]]
+        areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        if areas.sum() <= 0:
+            return np.zeros((0, 3))
+        drawn = rng.choice(len(areas), n, p=areas / areas.sum())
+        points: ArrayF64 = np.einsum("nc,ncx->nx", rng.dirichlet((1, 1, 1), n), corners[drawn])
+        return points
 
 
 def _triangles(item: bpy.types.Object, *, is_boxed: bool) -> tuple[ArrayF64, ArrayInt, ArrayInt]:
@@ -104,12 +128,3 @@ def undivided_mesh(item: bpy.types.Object) -> bpy.types.Mesh:
 
 BOX_ORDER = [0, 1, 3, 2, 4, 5, 7, 6]
 """Blender's order of a bounding box' corners (x, then z, then y turn by turn), as `np.ndindex(2, 2, 2)` has them."""
-
-
-def _by_slot(item: bpy.types.Object, slots: ArrayInt, albedo: SlotAlbedo) -> ArrayF64:
-    """The albedo of each triangle, NaN where light passes."""
-    albedos = np.full(len(slots), np.nan)
-    for slot in np.unique(slots):
-        share = albedo(item, int(slot))
-        albedos[slots == slot] = np.nan if share is None else share
-    return albedos

@@ -4,6 +4,13 @@ Everything that Cycles would be given counts, wherever it stands: a glass vase b
 lights the wall that the camera sees. So nothing is left out by the camera's view. What Cycles is not given (hidden in
 renders, excluded, no ray type left by the visibility switches) does not count. Holdout and indirect-only objects do:
 other surfaces still see them. An object that only casts shadows counts for transparency alone.
+
+Subsurface alone is also asked what reaches it, since no setting of a scene switches it: a wrong answer costs a line of
+the plan, and no light. A surface is left out if no ray meets it: not on the walks that count the bounces (see
+`enclosure`), which go on from surface to surface, and not out of N_AIMED that are aimed at it from the camera at every
+frame and the probes, and as many from what the walks met. Where rays cannot tell it counts: surfaces move, light passes
+what they met in ways that they do not (thin paper, displacement, animated materials, a wall hidden from some rays), a
+surface is made of strands, there are too many. Not considered: the camera's clip start, and portals of rays.
 """
 
 from __future__ import annotations
@@ -16,15 +23,19 @@ import bpy
 import numpy as np
 
 from xihe_blender.light_transport.animation import is_animated, placement
-from xihe_blender.light_transport.enclosure import Ray, carried, rays_all_round, rays_through_picture
+from xihe_blender.light_transport.enclosure import Ray, aim, carried, rays_all_round, rays_through_picture
 from xihe_blender.light_transport.inspection import SceneInspection, open_inspection
 from xihe_blender.light_transport.nodes import Interaction, Shading, light_emits, material_shading, world_shading
-from xihe_blender.light_transport.solids import Solids, undivided_mesh
+from xihe_blender.light_transport.solids import Look, Solids, undivided_mesh
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES
 from xihenet.records import ArrayF64
 
 RAYS = ("camera", "diffuse", "glossy", "transmission", "volume_scatter")
 PASSED = Interaction.TRANSPARENT | Interaction.REFRACTION
+LEAKY = Interaction.TRANSLUCENT | Interaction.DISPLACEMENT
+N_AIMED = 1000
+MAX_AIMED_AT = 20
+"""Surfaces; 0.02 s for each in a room of few triangles."""
 
 
 @dataclass
@@ -34,6 +45,7 @@ class TransportSurvey:
     Parameters
     ----------
     surfaces : for each interaction, what has it, in words ("material 'Glass' on 'Vase'"), in the order it was found
+    unreached : what has subsurface, where no ray of the camera or a probe reaches any of it; `surfaces` is without it
     strands : objects with hair
     n_lights : the most lamps, emitting objects and emitting worlds at any one frame
     has_lamps : whether there are lamps, switched on at any frame
@@ -45,6 +57,7 @@ class TransportSurvey:
     """
 
     surfaces: dict[Interaction, list[str]] = field(default_factory=dict)
+    unreached: list[str] = field(default_factory=list)
     strands: list[str] = field(default_factory=list)
     n_lights: int = 0
     has_lamps: bool = False
@@ -87,7 +100,12 @@ class TransportSurveyor:
         self.frames, self.positions, self.camera = frames, positions, camera
         self.walked = sorted({frames[0], frames[len(frames) // 2], frames[-1]})
         self.found = TransportSurvey()
-        self.placements: set[int] = set()
+        self.placements: set[tuple[int, int]] = set()
+        self.leaky: set[str] = set()
+        """Surfaces, in words, which light passes in ways that the walks do not."""
+        self.views: list[Ray] = rays_all_round(positions)
+        self.reached: list[Ray] = []
+        """Places on surfaces that the walks met, with their normals."""
         self.still: dict[Any, Shading] = {}
         """Shading of what no animation changes, by original data-block."""
         self.solids: dict[int, Solids] = {}
@@ -102,8 +120,10 @@ class TransportSurveyor:
         camera = self._evaluated_camera(depsgraph)
         if camera.type == "CAMERA" and camera.data.dof.use_dof:
             self._note(self.found.defocused, camera.name)
+        picture = rays_through_picture(camera, depsgraph.scene)
+        self.views += picture
         if depsgraph.scene.frame_current in self.walked:
-            self._walk(depsgraph, rays_through_picture(camera, depsgraph.scene))
+            self._walk(depsgraph, picture)
         self.look_for_movement(depsgraph)
 
     def ended(self, inspection: SceneInspection, *, has_motion_blur: bool) -> TransportSurvey:
@@ -117,12 +137,31 @@ class TransportSurveyor:
         for frame in self.walked:
             inspection.look_at(frame, self.walk_room)
         self.found.is_moving = len(self.placements) > 1
+        self._leave_out_unreached(self.found.surfaces.get(Interaction.SUBSURFACE, []))
         return self.found
 
     def walk_room(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Walk light through a graph without virtual objects, as captures and light probes show it."""
         picture = rays_through_picture(self._evaluated_camera(depsgraph), depsgraph.scene)
         self._walk(depsgraph, rays_all_round(self.positions), picture)
+
+    def _leave_out_unreached(self, surfaces: list[str]) -> None:
+        """Keep those of `surfaces` that a ray meets; all of them if there is none and the rays cannot tell."""
+        rooms, rng = self.solids.values(), np.random.default_rng(0)
+        is_known = len(surfaces) <= MAX_AIMED_AT and len({of_surfaces for of_surfaces, _ in self.placements}) == 1
+        if is_known and not any(room.met.intersection(surfaces) for room in rooms):
+            for words in surfaces:
+                targets = [(room, room.points_on(words, N_AIMED, rng)) for room in rooms]
+                is_known &= any(len(points) for _, points in targets)
+                for room, points in targets:
+                    aim(room, self.views, points, rng)
+                    aim(room, self.reached, points, rng)
+        met = set[str]().union(*(room.met for room in rooms))
+        is_known &= all(room.is_exact for room in rooms) and not met & self.leaky
+        reached = [words for words in surfaces if words in met]
+        if reached or is_known:
+            self.found.unreached = [] if reached else surfaces.copy()
+            surfaces[:] = reached
 
     def _evaluated_camera(self, depsgraph: bpy.types.Depsgraph) -> bpy.types.Object:
         return (self.camera or depsgraph.scene.camera).evaluated_get(depsgraph)
@@ -153,6 +192,8 @@ class TransportSurveyor:
                 self._note(self.found.strands, item.name)
             for material in _used_materials(item):
                 emits |= self._surface(item, material, is_seen)
+                if not all(_is_visible(instance, (ray,)) for ray in RAYS):
+                    self.leaky.add(_in_words(item, material))
         if instance.show_particles and is_seen:
             for settings in _hair_settings(item):
                 self._note(self.found.strands, item.name)
@@ -163,7 +204,9 @@ class TransportSurveyor:
         look = self._look(material, material_shading)
         if material is None and item.type == "VOLUME":
             look = Shading(Interaction.VOLUME)
-        words = f"material {material.name!r} on {item.name!r}" if material is not None else f"{item.name!r}"
+        words = _in_words(item, material)
+        if look.interactions & LEAKY or (material is not None and material.original not in self.still):
+            self.leaky.add(words)
         for interaction in look.interactions if is_seen else look.interactions & Interaction.TRANSPARENT:
             self._note(self.found.surfaces.setdefault(interaction, []), words)
         emits = is_seen and bool(look.interactions & Interaction.EMISSION)
@@ -184,16 +227,18 @@ class TransportSurveyor:
         return self.still[original]
 
     def _walk(self, depsgraph: bpy.types.Depsgraph, *bundles: Sequence[Ray]) -> None:
-        def albedo(item: bpy.types.Object, slot: int) -> float | None:
-            look = self._look(_slot_material(item, slot), material_shading)
-            return None if look.interactions & PASSED else look.albedo
+        def look(item: bpy.types.Object, slot: int) -> Look:
+            material = _slot_material(item, slot)
+            shading = self._look(material, material_shading)
+            return _in_words(item, material), None if shading.interactions & PASSED else shading.albedo
 
-        key = placement(i for i in depsgraph.object_instances if i.object.type != "CAMERA")
+        key, _ = placement(depsgraph.object_instances)
         if key not in self.solids:
-            self.solids[key] = Solids(depsgraph, lambda i: i.show_self and _is_visible(i, RAYS), albedo)
-        solids = self.solids[key]
+            self.solids[key] = Solids(depsgraph, lambda i: i.show_self and _is_visible(i, RAYS), look)
         for rays in bundles:
-            self.found.carried.append(carried(solids, rays, np.random.default_rng(0)))
+            weights, reached = carried(self.solids[key], rays, np.random.default_rng(0))
+            self.found.carried.append(weights)
+            self.reached += reached
 
     @staticmethod
     def _note(words: list[str], word: str) -> None:
@@ -205,6 +250,10 @@ def _is_visible(instance: Any, rays: Sequence[str]) -> bool:
     """Whether any of `rays` meets the instance: the object's switches and those of what instances it, as in Cycles."""
     items = [instance.object] if instance.parent is None else [instance.object, instance.parent]
     return any(all(getattr(item, f"visible_{ray}") for item in items) for ray in rays)
+
+
+def _in_words(item: bpy.types.Object, material: bpy.types.Material | None) -> str:
+    return f"material {material.name!r} on {item.name!r}" if material is not None else f"{item.name!r}"
 
 
 def _used_materials(item: bpy.types.Object) -> list[bpy.types.Material | None]:

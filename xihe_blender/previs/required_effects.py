@@ -24,8 +24,9 @@ from xihenet.formats import format_setting
 REASON_WIDTH = 60
 COST_HEADER = f"{'effect':<20}  {'cost':<12}  {'light':<16}  picture"
 COST_LEGEND = """
-cost: render time that the effect adds. light, picture: what leaving it out does to the mean radiance of the
-light probe and of the phone's picture. Each with its standard error; what is within two of them may be chance."""
+The column "cost" is the render time that the effect adds. The columns "light" and "picture" are how much the mean
+radiance of the light probe and of the phone's picture changes when the effect is left out. Each figure has its
+standard error after it: a figure within two standard errors of zero may be chance."""
 
 
 def effects_of_run(
