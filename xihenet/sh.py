@@ -25,6 +25,7 @@ __all__ = [
     "basis",
     "cosine_lobe",
     "dering",
+    "dering_for_display",
     "dering_with_strength",
     "evaluate_panorama",
     "facing_weights",
@@ -238,14 +239,19 @@ def rotate(sh_radiance: ArrayLike, rotation: ArrayLike) -> ArrayF64:
 
 
 @lru_cache(maxsize=8)
-def _irradiance_table(order: int) -> ArrayF64:
-    """Basis times cosine lobe for `N_CHECKED_NORMALS` normals, spread evenly by a Fibonacci spiral."""
+def _radiance_table(order: int) -> ArrayF64:
+    """Basis at `N_CHECKED_NORMALS` directions, spread evenly by a Fibonacci spiral."""
     step = np.arange(N_CHECKED_NORMALS)
     z = 1 - (2 * step + 1) / N_CHECKED_NORMALS
     azimuth = step * np.pi * (3 - np.sqrt(5))
     radius = np.sqrt(1 - z * z)
-    normals = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
-    return basis(normals, order) * np.repeat(cosine_lobe(order), 2 * np.arange(order + 1) + 1)
+    return basis(np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1), order)
+
+
+@lru_cache(maxsize=8)
+def _irradiance_table(order: int) -> ArrayF64:
+    """The same, times the cosine lobe: what normals receive."""
+    return _radiance_table(order) * np.repeat(cosine_lobe(order), 2 * np.arange(order + 1) + 1)
 
 
 def _window(strength: float, order: int) -> ArrayF64:
@@ -279,22 +285,65 @@ def dering_with_strength(sh_radiance: ArrayLike) -> tuple[ArrayF64, float]:
     """
     coefficients, order = checked_sh(sh_radiance)
     coefficients = coefficients * (coefficients[0] >= 0)
-    table = _irradiance_table(order)
+    strength = _smallest_strength(coefficients, _irradiance_table(order))
+    return _windowed(coefficients, strength), strength
+
+
+def dering(sh_radiance: ArrayLike) -> ArrayF64:
+    """`dering_with_strength` without the strength: ((order + 1)^2, 3), same shape as the input."""
+    return dering_with_strength(sh_radiance)[0]
+
+
+def dering_for_display(sh_radiance: ArrayLike) -> ArrayF64:
+    """The light with the smallest windows after which it is nowhere negative: for whoever looks at it.
+
+    Radiance and not irradiance, as a backdrop and a mirror show it; since the cosine is nowhere negative, no surface
+    receives negative light then either. `dering` would do next to nothing: of 2592 estimates in the 149 test rooms 11
+    light a surface negatively, and 337 are negative somewhere. Windowed bands: Sloan, "Stupid Spherical Harmonics (SH)
+    Tricks", 2008; a window for each light: Sloan, "Deringing Spherical Harmonics", SIGGRAPH Asia 2017 Technical Briefs.
+    The window here is the heat kernel of `dering_with_strength`.
+
+    Each channel has its own window. In nine of those estimates blue has at most an eighth of the mean of red and rings:
+    one window for all channels takes 44 to 100 % of l = 1 off red too. The price is hue, where a channel is windowed.
+
+    Parameters
+    ----------
+    sh_radiance : ((order + 1)^2, 3)
+
+    Returns
+    -------
+    Same shape, float64; channels that are nowhere negative to the bit, l = 0 always, except that a channel whose mean
+    is negative becomes 0. Raises ValueError for coefficients not finite. Checked at `N_CHECKED_NORMALS` directions, as
+    `dering_with_strength`: between them, 600 random channels of order 2 dipped below 0 by 0.08 % of their largest
+    radiance at most. Takes 4 ms.
+    """
+    coefficients, order = checked_sh(sh_radiance)
+    coefficients = coefficients * (coefficients[0] >= 0)
+    table = _radiance_table(order)
+    channels = [coefficients[:, [channel]] for channel in range(3)]
+    return np.concatenate([_windowed(one, _smallest_strength(one, table)) for one in channels], axis=1)
+
+
+def _smallest_strength(coefficients: ArrayF64, table: ArrayF64) -> float:
+    """Of the window that all columns of `coefficients` share, so that `table` times none of them is negative."""
+    order = round(np.sqrt(len(coefficients))) - 1
     by_band = np.stack([table[:, band_slice(band)] @ coefficients[band_slice(band)] for band in range(order + 1)])
 
     def lowest(strength: float) -> float:
         return float(np.tensordot(_window(strength, order), by_band, axes=1).min())
 
     if lowest(0.0) >= -NEGATIVE_TOLERANCE * np.abs(by_band).sum(axis=0).max():
-        return coefficients, 0.0
+        return 0.0
     too_weak, strong_enough = 0.0, 1.0
     for _ in range(N_BISECTIONS):
         middle = (too_weak + strong_enough) / 2
         too_weak, strong_enough = (too_weak, middle) if lowest(middle) >= 0 else (middle, strong_enough)
-    window = np.repeat(_window(strong_enough, order), 2 * np.arange(order + 1) + 1)
-    return coefficients * window[:, None], strong_enough
+    return strong_enough
 
 
-def dering(sh_radiance: ArrayLike) -> ArrayF64:
-    """`dering_with_strength` without the strength: ((order + 1)^2, 3), same shape as the input."""
-    return dering_with_strength(sh_radiance)[0]
+def _windowed(coefficients: ArrayF64, strength: float) -> ArrayF64:
+    """The same array where the window does nothing."""
+    if strength == 0:
+        return coefficients
+    order = round(np.sqrt(len(coefficients))) - 1
+    return coefficients * np.repeat(_window(strength, order), 2 * np.arange(order + 1) + 1)[:, None]

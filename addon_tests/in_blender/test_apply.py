@@ -201,6 +201,18 @@ def test_light_that_makes_no_sense_is_refused(coefficients, exposure):
         apply_sh_to_world(make_sh_world("Xihe Ball"), coefficients, exposure)
 
 
+def test_light_is_rid_of_what_is_negative_only_if_asked_for():
+    empty_scene()
+    world, light = make_sh_world("Xihe Ball"), np.random.default_rng(0).normal(size=(9, 3))
+    light[0] = np.abs(light[0])
+    shown = sh.dering_for_display(light)
+    assert not np.array_equal(shown, light)
+    for is_deringed, expected in ((False, light), (True, shown)):
+        apply_sh_to_world(world, light, is_deringed=is_deringed)
+        inputs = world.node_tree.nodes[NODE_GROUP_NAME].inputs
+        np.testing.assert_allclose([inputs[c].default_value[:] for c in COEFFICIENTS], expected, rtol=1e-6, atol=1e-8)
+
+
 def test_a_world_that_is_not_ours_is_refused():
     with pytest.raises(ValueError, match="make it with make_sh_world"):
         apply_sh_to_world(set_world(empty_scene()), np.ones((9, 3)))

@@ -13,6 +13,7 @@ from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet import estimators
 from xihenet.backend import LocalBackend
+from xihenet.sh import dering_for_display
 
 
 def session():
@@ -36,6 +37,19 @@ def test_a_placed_object_is_lit_by_the_estimate_at_its_position():
     np.testing.assert_allclose([inputs[c].default_value[:] for c in COEFFICIENTS], estimate.sh_radiance, rtol=1e-5)
     assert inputs[GAIN].default_value == pytest.approx(1 / estimate.exposure)
     assert "Ball" in controller.step(frame)
+
+
+def test_a_world_to_be_looked_at_leaves_the_estimate_as_it_is(monkeypatch):
+    scene = room_with_a_virtual_sphere()
+    controller = session()
+    controller.step(captured(scene))
+    light = np.vstack([np.ones((1, 3)), np.full((8, 3), 0.9)])
+    monkeypatch.setattr(controller.backend.estimator, "estimate", lambda *_: light)
+    estimate = controller.place_and_estimate_at(bpy.data.objects["Ball"], (0.3, 0.1, 0.9), is_deringed=True)
+    inputs = bpy.data.worlds["Xihe Ball"].node_tree.nodes[NODE_GROUP_NAME].inputs
+    np.testing.assert_array_equal(estimate.sh_radiance, light)
+    shown = [inputs[c].default_value[:] for c in COEFFICIENTS]
+    np.testing.assert_allclose(shown, dering_for_display(light), rtol=1e-6)
 
 
 def test_an_object_of_the_users_becomes_a_virtual_one_and_a_big_one_gets_several_positions():

@@ -17,6 +17,7 @@ from addon_tests.pure.frame_makers import (
 from xihe_blender.cli.main import main
 from xihenet import __version__, estimators, sh
 from xihenet.camera import encode_exposed, unproject_frame
+from xihenet.estimators.projection import Projection
 from xihenet.frame_files import read_camera, read_frame
 from xihenet.light_picture import light_picture
 from xihenet.png import encode_png
@@ -116,6 +117,20 @@ def test_the_estimator_and_the_anchors_that_were_asked_for_are_used(exr, folder,
     assert flat[0].all() and not flat[1:].any()
 
 
+def test_light_is_fit_to_be_looked_at_only_if_asked_for(exr, tmp_path, monkeypatch):
+    light = np.vstack([np.ones((1, 3)), np.full((8, 3), 0.9)])
+    monkeypatch.setattr(Projection, "estimate", lambda *_: light)
+    plain, shown = tmp_path / "plain", tmp_path / "shown"
+    for folder, asked in ((plain, []), (shown, ["--dering"])):
+        assert estimate(*exr, "--at", AT, "--estimator", "projection", "--out", folder, *asked) == 0
+    before, after = (read_strictly((folder / "estimate.json").read_text()) for folder in (plain, shown))
+    assert (before["is_deringed"], after["is_deringed"]) == (False, True)
+    np.testing.assert_array_equal(before["positions"][0].pop("sh_radiance"), light)
+    np.testing.assert_array_equal(after["positions"][0].pop("sh_radiance"), sh.dering_for_display(light))
+    assert before["positions"] == after["positions"]
+    assert (plain / "light_0.png").read_bytes() != (shown / "light_0.png").read_bytes()
+
+
 def test_the_json_says_all_there_is_to_say(exr, capfd):
     assert estimate(*exr, "--at", AT, "--at=-1,2,0", "--json", "--target", "hdr", "--estimator", "projection") == 0
     content = read_strictly(capfd.readouterr().out)
@@ -131,6 +146,7 @@ def test_the_json_says_all_there_is_to_say(exr, capfd):
         "target": "hdr",
         "n_anchors": 1280,
         "sh_axes": "right-handed, +Z up",
+        "is_deringed": False,
     }
     assert [one["position_m"] for one in positions] == [[0, 2, -0.3], [-1, 2, 0]]
     for one in positions:

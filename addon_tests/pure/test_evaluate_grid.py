@@ -98,7 +98,7 @@ def test_a_folder_of_something_else_is_refused(tmp_path):
         BatchFolder(tmp_path / "results.json").manifest(SETTINGS).take()
 
 
-def test_only_units_that_are_done_and_not_damaged_are_in_the_results(tmp_path):
+def test_only_units_that_are_done_and_not_damaged_are_in_the_results(tmp_path, caplog):
     (tmp_path / "a.blend").write_bytes(b"one")
     units, _ = planned_units([tmp_path / "a.blend"], (0, 1))
     folder = BatchFolder(tmp_path / "out")
@@ -110,9 +110,12 @@ def test_only_units_that_are_done_and_not_damaged_are_in_the_results(tmp_path):
     found = batch_results(folder, SETTINGS, units, {"b.blend": "gone"})
     assert [(t.scene, t.seed, t.number, t.shc_rmse) for t in found.trials] == [("a", 1, 0, 0.1)]
     assert as_json(found.failed) == [{"what": "b.blend", "reason": "gone"}] and found.units[0].elapsed_s == 1.0
-    for damage in ('{"tri', '{"trials": []}'):
-        result_file(folder.of_unit(units[1])).write_text(damage)
+    for damage in ("", '{"tri', '{"trials": []}', "[]", "null", json.dumps(as_json(done) | {"trials": 1})):
+        caplog.clear()
+        path = result_file(folder.of_unit(units[1]))
+        path.write_text(damage)
         assert folder.result(units[1]) is None
+        assert caplog.messages == [f"{path} is damaged and is made again"]
 
 
 def test_tables_hold_a_row_per_trial_and_leave_empty_what_is_not_known(tmp_path):
@@ -137,10 +140,12 @@ def test_a_frontier_that_is_given_must_be_there(tmp_path):
     assert read_frontier(None, tmp_path) is None
     with pytest.raises(UserError, match="run xihe frontier"):
         read_frontier(tmp_path, tmp_path)
-    (tmp_path / "frontier.json").write_text('{"points": []}')
-    assert read_frontier(None, tmp_path) is None
-    with pytest.raises(UserError, match="run xihe frontier"):
-        read_frontier(tmp_path / "frontier.json", tmp_path)
+    for damage in ('{"points": []}', "", "[]", "null", '{"schema_version": 1'):
+        (tmp_path / "frontier.json").write_text(damage)
+        with pytest.raises(UserError, match="run xihe frontier"):
+            read_frontier(tmp_path / "frontier.json", tmp_path)
+        with pytest.raises(UserError, match=r"frontier\.json is damaged: run xihe frontier again, or delete it"):
+            read_frontier(None, tmp_path)
     write_json(tmp_path / "frontier.json", as_json(frontier()))
     assert read_frontier(None, tmp_path) == read_frontier(tmp_path / "frontier.json", tmp_path) == frontier()
 

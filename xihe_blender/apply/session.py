@@ -21,13 +21,16 @@ from xihenet.records import LightEstimate
 class XiheController(controller.XiheController):
     """`xihenet.controller.XiheController` for a scene; `place_and_estimate_at` is what it adds."""
 
-    def place_and_estimate_at(self, item: bpy.types.Object, position_m: ArrayLike) -> LightEstimate:
+    def place_and_estimate_at(
+        self, item: bpy.types.Object, position_m: ArrayLike, *, is_deringed: bool = False
+    ) -> LightEstimate:
         """Put a virtual object somewhere, estimate its light from the last frame, and light its world with it.
 
         Parameters
         ----------
         item : linked into the virtual collection of the current scene if it is not there yet
         position_m : (3,) world, metres: where its origin goes
+        is_deringed : whether its world is rid of negative light, see `apply_sh_to_world`; the estimate stays
 
         Returns
         -------
@@ -55,7 +58,8 @@ class XiheController(controller.XiheController):
             self.add_position(item.name if len(positions) == 1 else f"{item.name} {number}", place)
         estimate = _mean(estimates)
         if estimate.is_valid:
-            apply_sh_to_world(make_sh_world(world_name(item.name)), estimate.sh_radiance, estimate.exposure)
+            world = make_sh_world(world_name(item.name))
+            apply_sh_to_world(world, estimate.sh_radiance, estimate.exposure, is_deringed=is_deringed)
         return estimate
 
 

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 from xihe_blender.apply.datablocks import MARKER_PREFIX, NODE_GROUP_NAME, PREFIX, lights_by_sh, trigger_markers
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.records import ArrayF64
+from xihenet.sh import dering_for_display
 
 MAX_NAME_BYTES = 63
 GAIN = "Gain"
@@ -70,12 +71,17 @@ def make_sh_world(name: str) -> bpy.types.World:
     return world
 
 
-def apply_sh_to_world(world: bpy.types.World, sh_radiance: ArrayLike, exposure: float = 1.0) -> None:
+def apply_sh_to_world(
+    world: bpy.types.World, sh_radiance: ArrayLike, exposure: float = 1.0, *, is_deringed: bool = False
+) -> None:
     """Light `world`, made by `make_sh_world`, with (9, 3) radiance coefficients that carry `exposure`.
 
+    For a world that is looked at, `is_deringed` takes away what is negative, by `xihenet.sh.dering_for_display`.
     ValueError for another shape, numbers that are not finite, or an exposure that is not positive.
     """
     coefficients = _checked(sh_radiance, exposure)
+    if is_deringed:
+        coefficients = dering_for_display(coefficients)
     inputs = _inputs(world)
     for name, coefficient in zip(COEFFICIENTS, coefficients, strict=True):
         inputs[name].default_value = coefficient

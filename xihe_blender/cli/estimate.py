@@ -11,7 +11,7 @@ import contextlib
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from xihenet.picture_size import MOST_PIXELS
 from xihenet.png import write_png
 from xihenet.records import ArrayF64, LightEstimate, PointCloud, RgbdFrame
 from xihenet.sampling import sample_unit_sphere
+from xihenet.sh import dering_for_display
 from xihenet.sphere import AnchorLattice
 
 SCHEMA_VERSION = 1
@@ -54,6 +55,7 @@ class EstimateSettings:
     target : light that is estimated, clipped at white ("ldr") or not ("hdr")
     n_anchors : directions that light is gathered in
     exposure, depth_scale : see `xihenet.frame_files.read_frame`
+    is_deringed : whether the light is made fit to be looked at, see `xihenet.sh.dering_for_display`
     """
 
     positions_m: tuple[Position, ...]
@@ -62,6 +64,7 @@ class EstimateSettings:
     n_anchors: int = 1280
     exposure: float | None = None
     depth_scale: float = 1e-3
+    is_deringed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +154,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="number of directions in which light is gathered; default: 1280",
     )
+    dering = (
+        "make the light fit to be looked at, nowhere negative, by smoothing each colour as little as needed: changes 1 "
+        "light of lattice in 5 and costs 0 percent of error; with --target hdr 1 in 2, and up to 1 percent"
+    )
+    add("--dering", action="store_true", help=dering)
     add("--json", action="store_true", help="print JSON and nothing else on stdout")
     add(
         "--out",
@@ -188,7 +196,13 @@ def estimate_from_files(
     points, lattice = unproject_frame(frame), AnchorLattice(settings.n_anchors)
     unit_m = 1.0 if plane_depth_path is None else settings.depth_scale
     placed = [_estimate_at(p, frame, camera, points, estimator, lattice) for p in settings.positions_m]
+    if settings.is_deringed:
+        placed = [replace(one, light=_deringed(one.light)) for one in placed]
     return frame, frame_facts(frame, camera, unit_m), placed
+
+
+def _deringed(light: LightEstimate) -> LightEstimate:
+    return replace(light, sh_radiance=dering_for_display(light.sh_radiance))
 
 
 def frame_facts(frame: RgbdFrame, camera: FrameCamera, unit_m: float) -> FrameFacts:
@@ -260,6 +274,7 @@ def as_json(
         "frame": asdict(facts),
         "n_anchors": settings.n_anchors,
         "sh_axes": SH_AXES,
+        "is_deringed": settings.is_deringed,
         "positions": [
             {
                 "position_m": list(one.position_m),
@@ -364,6 +379,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         n_anchors=options.anchors,
         exposure=options.exposure,
         depth_scale=options.depth_scale,
+        is_deringed=options.dering,
     )
     frame, facts, placed = estimate_from_files(options.frame, options.camera, options.plane_depth, settings)
     content = as_json(settings, frame.exposure, facts, placed)

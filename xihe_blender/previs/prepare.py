@@ -189,12 +189,13 @@ def _session_exposure(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutp
     metering = settings.metering_in_force
     return kept_or_made(
         outputs.exposure,
-        _positive_exposure,
+        positive_exposure,
         lambda: {"exposure": meter_exposure(scene, plan.frames, settings.seed, metering=metering)},
     )
 
 
-def _positive_exposure(content: Json) -> float:
+def positive_exposure(content: Json) -> float:
+    """What a run keeps of its metering; ValueError where it is no exposure."""
     exposure = float(content["exposure"])
     if not 0 < exposure < math.inf:
         raise ValueError(f"exposure: expected a positive factor, got {exposure}")
@@ -208,12 +209,13 @@ def _effects(
     choices = overrides_in_force(scene, settings.effect_choices)
     return kept_or_made(
         outputs.effects,
-        lambda content: _effects_of(survey, content),
+        lambda content: effects_kept(survey, content),
         lambda: effects_as_json(plan_effects(survey.required, choices)),
     )
 
 
-def _effects_of(survey: SceneSurvey, content: Json) -> dict[str, Effect]:
+def effects_kept(survey: SceneSurvey, content: Json) -> dict[str, Effect]:
+    """The plan of effects that a run keeps; ValueError where it is not of the scene of `survey`."""
     effects = effects_from_json(content)
     if effects.keys() != survey.required.keys():
         raise ValueError(f"effects: expected {', '.join(survey.required)}, got {', '.join(map(str, effects))}")

@@ -64,6 +64,7 @@ def write_result(asked: UnitAsked, tell: Callable[[float], None]) -> None:
         tell(progress.done / progress.total)
 
     file, folder = Path(asked.scene), Path(asked.folder)
+    result_file(folder).unlink(missing_ok=True)  # One that is damaged: should this one fail, nobody reads it again.
     done = run_blocking(evaluate_unit(open_blend(file), file, folder, asked.settings, asked.seed), tell_share)
     cost = UnitCost(
         elapsed_s=time.perf_counter() - start,

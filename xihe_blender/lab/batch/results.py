@@ -24,6 +24,7 @@ from typing import Literal
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import FolderManifest
 from xihe_blender.io.json_records import Json, as_json, from_json, json_schema
+from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.run_results import Metrics, Plain
 from xihe_blender.lab.batch.grid import FORMAT_VERSION, BatchSettings, Unit
@@ -290,10 +291,7 @@ class BatchFolder:
 
     def result(self, unit: Unit) -> UnitResult | None:
         """What the unit came to; None if it is not done, or its file is damaged."""
-        try:
-            return from_json(UnitResult, read_json(result_file(self.of_unit(unit))))
-        except (OSError, ValueError, TypeError):
-            return None
+        return kept_json(result_file(self.of_unit(unit)), lambda content: from_json(UnitResult, content))
 
     def manifest(self, settings: BatchSettings) -> FolderManifest:
         """That the folder is for such a batch. Scenes and seeds may be others."""
@@ -343,16 +341,20 @@ def _scene_names(units: Sequence[Unit]) -> list[str]:
 def read_frontier(given: Path | None, folder: Path) -> Frontier | None:
     """A frontier.json: the one given, or its folder, or one in the batch's `folder`, if any.
 
-    UserError if the one given cannot be read.
+    UserError if the one given cannot be read, or the one in `folder` is there and damaged.
     """
     file = folder if given is None else given
     file = file / "frontier.json" if file.is_dir() or given is None else file
     try:
         return from_json(Frontier, read_json(file))
     except (OSError, ValueError, TypeError) as error:
-        if given is None:
+        if given is not None:
+            words = f"--frontier {given}: no frontier can be read there ({error}): run xihe frontier"
+        elif isinstance(error, OSError):
             return None
-        raise UserError(f"--frontier {given}: no frontier can be read there ({error}): run xihe frontier") from error
+        else:
+            words = f"{file} is damaged: run xihe frontier again, or delete it"
+        raise UserError(words) from error
 
 
 def batch_schema() -> Json:

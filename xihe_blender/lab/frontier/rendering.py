@@ -14,7 +14,7 @@ square of the displayed, sRGB-encoded colour inside the objects. Estimators are 
 
 from __future__ import annotations
 
-import json
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,10 +25,11 @@ import numpy as np
 from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.capture.scanner import CyclesScanner
 from xihe_blender.compare.methods import Comparer, Comparison, display, open_comparer
-from xihe_blender.io.json_records import as_json, from_json
+from xihe_blender.io.json_records import Json, as_json, from_json
+from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.outputs import write_json
 from xihe_blender.lab.frontier.choices import EXHAUSTIVE, RenderCandidate
-from xihe_blender.lab.frontier.compute import ChoiceBackend, light_of_frame, square_errors
+from xihe_blender.lab.frontier.compute import N_COEFFICIENTS, ChoiceBackend, light_of_frame, square_errors
 from xihe_blender.lab.frontier.points import Measured
 from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice, RenderChoice, StudySize
 from xihe_blender.lab.frontier.steps import Steps, within
@@ -109,12 +110,13 @@ def measure_rendering(
         exhaustive = _kept_reference(study, view)
         truths += [_lights(all_backends, exhaustive, view, study.scanner.exposure)] * study.study_size.n_seeds
         for seed in range(study.study_size.n_seeds):
-            if not study.round(view, seed).exists():
-                taken = _render_round(study, view, seed, backends, rng)
-                content = yield from within((before + 1 + seed) / n_parts, 1 / n_parts, taken)
-                write_json(study.round(view, seed), as_json(content))
-            kept = json.loads(study.round(view, seed).read_text(encoding="utf-8"))
-            rounds.append({key: from_json(Taken, one) for key, one in kept.items()})
+            path = study.round(view, seed)
+            taken = kept_json(path, functools.partial(kept_round, study.choices, len(view.positions_m)))
+            if taken is None:
+                steps = _render_round(study, view, seed, backends, rng)
+                taken = yield from within((before + 1 + seed) / n_parts, 1 / n_parts, steps)
+                write_json(path, as_json(taken))
+            rounds.append(taken)
     alone = [_measured(choice, COMPUTED_BY[0], rounds, truths) for choice in study.choices]
     together = [
         _measured(choice, by, rounds, truths, computing_ms[by]) for choice in study.choices for by in COMPUTED_BY
@@ -122,13 +124,25 @@ def measure_rendering(
     return alone, together
 
 
+def kept_round(choices: Sequence[RenderCandidate], n_positions: int, content: Json) -> Round:
+    """What `measure_rendering` keeps of a round; TypeError, ValueError or LookupError where it is of other choices."""
+    taken = {choice.key: from_json(Taken, content[choice.key]) for choice in choices}
+    for one in taken.values():
+        shapes = {np.shape(one.lights[by.label]) for by in COMPUTED_BY}
+        if one.ms < 0 or shapes != {(n_positions, N_COEFFICIENTS, 3)}:
+            raise ValueError(f"round: expected lights at {n_positions} positions, got {shapes} in {one.ms} ms")
+    return taken
+
+
 def _kept_reference(study: RenderStudy, view: View) -> RgbdFrame:
     path = study.reference(view)
-    if not path.exists():
-        study.scanner.move_to(view.frame)
-        seed = (study.seed + study.study_size.n_seeds) % MAX_SEED
-        path.parent.mkdir(parents=True, exist_ok=True)
-        save_frame(path, rendered(study.scanner, study.exhaustive, seed, n_threads=0))
+    kept = read_kept(path, load_frame)
+    if kept is not None:
+        return kept
+    study.scanner.move_to(view.frame)
+    seed = (study.seed + study.study_size.n_seeds) % MAX_SEED
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_frame(path, rendered(study.scanner, study.exhaustive, seed, n_threads=0))
     return load_frame(path)
 
 
@@ -267,10 +281,11 @@ def measure_pictures(
     views = study.renders.views[: study.renders.study_size.n_picture_views]
     for number, view in enumerate(views):
         path = study.renders.folder / f"pictures_{view.frame:04d}.json"
-        if not path.exists():
+        taken = kept_json(path, functools.partial(kept_pictures, study.choices))
+        if taken is None:
             taken = yield from within(number / len(views), 1 / len(views), _view_measured(study, view, rng))
             write_json(path, as_json(taken))
-        rounds.append(from_json(PicturesTaken, json.loads(path.read_text(encoding="utf-8"))))
+        rounds.append(taken)
     if not rounds:
         return [], {}
     measured = [
@@ -284,6 +299,16 @@ def measure_pictures(
         for choice in study.choices
     ]
     return measured, {by.label: tuple(one.estimators[by.label] for one in rounds) for by in METHODS}
+
+
+def kept_pictures(choices: Sequence[PictureChoice], content: Json) -> PicturesTaken:
+    """What `measure_pictures` keeps of a view; TypeError or ValueError where it is of other choices."""
+    taken = from_json(PicturesTaken, content)
+    figures = [figure for one in taken.choices.values() for figure in (one.ms, one.square_error)]
+    names = {choice.key for choice in choices}, {by.label for by in METHODS}
+    if (set(taken.choices), set(taken.estimators)) != names or min(*figures, *taken.estimators.values()) < 0:
+        raise ValueError("pictures: expected times and squared errors of 0 or more, of the choices of this study")
+    return taken
 
 
 def _view_measured(study: PictureStudy, view: View, rng: np.random.Generator) -> Steps[PicturesTaken]:

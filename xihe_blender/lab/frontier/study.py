@@ -8,6 +8,7 @@ set of scenes and one seed; another is refused, as for `xihe previs`.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
@@ -23,15 +24,16 @@ from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.capture.scanner import CyclesScanner, meter_exposure, open_scanner
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import FolderManifest
-from xihe_blender.io.json_records import as_json, from_json
+from xihe_blender.io.json_records import Json, as_json
+from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.lab.frontier import rendering
 from xihe_blender.lab.frontier.answers import answers
 from xihe_blender.lab.frontier.choices import FULL, QUICK, compute_choices, render_choices
-from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, ORDER, Walk, loaded, measure_compute
-from xihe_blender.lab.frontier.points import MeasuredScene, points_of
+from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, N_COEFFICIENTS, ORDER, Walk, loaded, measure_compute
+from xihe_blender.lab.frontier.points import MeasuredScene, kept_scene, points_of
 from xihe_blender.lab.frontier.records import (
     ComputeChoice,
     Frontier,
@@ -47,6 +49,7 @@ from xihe_blender.lab.frontier.timing import Quartiles
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.plan import PrevisPlan, evenly_chosen, plan_previs
+from xihe_blender.previs.prepare import effects_kept, positive_exposure
 from xihe_blender.previs.sample_count import capture_noise, pilot_samples, pilot_views, samples_taken
 from xihe_blender.previs.settings import PRESETS, PrevisSettings
 from xihe_blender.previs.survey import SceneSurvey, survey_path
@@ -54,8 +57,10 @@ from xihe_blender.report.document import write_document
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
 from xihenet import __version__
-from xihenet.effects import effects_as_json, effects_from_json, plan_effects
+from xihenet.effects import effects_as_json, plan_effects
+from xihenet.json_files import read_json
 from xihenet.recording import load_frame, save_frame
+from xihenet.records import ArrayF64
 
 Result = TypeVar("Result")
 COLUMNS = (
@@ -95,7 +100,7 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
     kept = []
     for number, file in enumerate(files):
         path = out / "work" / file.stem / "measured.json"
-        one = _measured_before(path)
+        one = kept_json(path, functools.partial(kept_scene, file.stem))
         if one is None:
             scene = open_blend(file)
             study_size = settings.study_size or (QUICK if settings.is_quick else FULL)
@@ -119,14 +124,6 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
     write_json(out / "frontier.json", as_json(found))
     yield Progress(1, 1, "measured and written")
     return found
-
-
-def _measured_before(path: Path) -> MeasuredScene | None:
-    """None where there is none of this version."""
-    try:
-        return from_json(MeasuredScene, json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
-        return None
 
 
 def _table_row(point: FrontierPoint) -> Mapping[str, object]:
@@ -225,27 +222,34 @@ def measure_scene(study: SceneStudy, done: float, whole: float) -> Job[MeasuredS
 
 def prepare(study: SceneStudy) -> Steps[Prepared]:
     """Measure it as a run does, or read what a run that was stopped has measured."""
-    path = study.folder / "prepared.json"
-    if not path.exists():
-        yield 0.0, "metering the exposure, looking for effects"
-        scene, plan = study.scene, study.plan
-        exposure = meter_exposure(scene, plan.frames, study.seed)
-        effects = plan_effects(study.survey.required, overrides_in_force(scene, {}))
-        views, samples = pilot_views(plan, study.survey), {}
-        if not views:
-            words = "never has a virtual object in view: move the camera's path, or objects"
-            raise UserError(f"scene {scene.name!r} {words}")
-        for index, (name, preset) in enumerate(PRESETS.items()):
-            yield (1 + index) / (1 + len(PRESETS)), f"measuring how many samples {name} takes"
-            settings = PrevisSettings(preset=name, seed=study.seed)
-            capture = settings.capture(plan.size, pilot_samples(preset))
-            capture = replace(capture, light_transport=cycles_settings(effects))
-            samples[name] = samples_taken(preset, capture_noise(scene, views, capture, exposure, settings.n_anchors))
-        write_json(path, {"exposure": exposure, "effects": effects_as_json(effects), "samples": samples})
-    kept = json.loads(path.read_text(encoding="utf-8"))
-    size = study.plan.size
-    presets = {name: RenderChoice(size, kept["samples"][name]) for name in PRESETS}
-    return Prepared(kept["exposure"], cycles_settings(effects_from_json(kept["effects"])), presets)
+    path, scene, plan = study.folder / "prepared.json", study.scene, study.plan
+    kept = kept_json(path, functools.partial(kept_preparation, plan, study.survey))
+    if kept is not None:
+        return kept
+    yield 0.0, "metering the exposure, looking for effects"
+    exposure = meter_exposure(scene, plan.frames, study.seed)
+    effects = plan_effects(study.survey.required, overrides_in_force(scene, {}))
+    views, samples = pilot_views(plan, study.survey), {}
+    if not views:
+        words = "never has a virtual object in view: move the camera's path, or objects"
+        raise UserError(f"scene {scene.name!r} {words}")
+    for index, (name, preset) in enumerate(PRESETS.items()):
+        yield (1 + index) / (1 + len(PRESETS)), f"measuring how many samples {name} takes"
+        settings = PrevisSettings(preset=name, seed=study.seed)
+        capture = settings.capture(plan.size, pilot_samples(preset))
+        capture = replace(capture, light_transport=cycles_settings(effects))
+        samples[name] = samples_taken(preset, capture_noise(scene, views, capture, exposure, settings.n_anchors))
+    write_json(path, {"exposure": exposure, "effects": effects_as_json(effects), "samples": samples})
+    return kept_preparation(plan, study.survey, read_json(path))
+
+
+def kept_preparation(plan: PrevisPlan, survey: SceneSurvey, content: Json) -> Prepared:
+    """What `prepare` keeps; TypeError, ValueError or LookupError where it is not of this scene."""
+    presets = {name: RenderChoice(plan.size, content["samples"][name]) for name in PRESETS}
+    for name, choice in presets.items():
+        if type(choice.samples) is not int or choice.samples < 1:
+            raise ValueError(f"{name}: expected a number of samples, got {choice.samples!r}")
+    return Prepared(positive_exposure(content), cycles_settings(effects_kept(survey, content["effects"])), presets)
 
 
 def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Steps[Walk]:
@@ -262,18 +266,32 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Step
     with open_reference_probe(study.scene, list(positions.values()), probes) as probe:
         for index, (frame, active) in enumerate(chosen):
             yield index / len(chosen), f"capturing frame {frame} and its light probes"
-            captured, lights = study.folder / f"walk_{frame:04d}.npz", study.folder / f"probes_{frame:04d}.json"
-            if not captured.exists():
+            path = study.folder / f"walk_{frame:04d}.npz"
+            captured = read_kept(path, load_frame)
+            if captured is None:
                 scanner.move_to(frame)
-                captured.parent.mkdir(parents=True, exist_ok=True)
-                save_frame(captured, scanner.acquire_environment_scan())
-            if not lights.exists():
+                path.parent.mkdir(parents=True, exist_ok=True)
+                save_frame(path, scanner.acquire_environment_scan())
+                captured = load_frame(path)
+            frames.append(captured)
+            read = functools.partial(kept_truths, active)
+            path = study.folder / f"probes_{frame:04d}.json"
+            truth = kept_json(path, read)
+            if truth is None:
                 measured = {n: probe.light_at(indices[n], frame, prepared.exposure).measured for n in active}
-                write_json(lights, {name: light.ldr.tolist() for name, light in measured.items()})
-            frames.append(load_frame(captured))
-            kept = json.loads(lights.read_text(encoding="utf-8"))
-            truths.append({name: np.array(kept[name]) for name in active})
+                write_json(path, {name: light.ldr.tolist() for name, light in measured.items()})
+                truth = read(read_json(path))
+            truths.append(truth)
     return Walk(frames, [active for _, active in chosen], positions, truths, prepared.exposure)
+
+
+def kept_truths(names: Sequence[str], content: Json) -> dict[str, ArrayF64]:
+    """The lights that a walk keeps of a frame, (25, 3) by name; ValueError or LookupError where they are others."""
+    lights = {name: np.array(content[name], np.float64) for name in names}
+    for name, light in lights.items():
+        if light.shape != (N_COEFFICIENTS, 3) or not np.isfinite(light).all():
+            raise ValueError(f"{name}: expected finite coefficients ({N_COEFFICIENTS}, 3), got {light.shape}")
+    return lights
 
 
 def survey_scene(scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> tuple[PrevisPlan, SceneSurvey]:
