@@ -15,7 +15,7 @@ from xihenet.estimators.lattice_tables import pooling_matrix, pooling_table, qua
 from xihenet.estimators.projection import Projection
 from xihenet.estimators.weights_format import save_weights
 from xihenet.npz_files import read_npz
-from xihenet.records import Intrinsics, RgbdFrame, UnitSphereCloud
+from xihenet.records import AnchorSurfaces, Intrinsics, RgbdFrame, UnitSphereCloud
 from xihenet.sh_basis import basis
 from xihenet.sphere import AnchorLattice
 
@@ -72,12 +72,14 @@ def test_any_number_of_anchors_gives_finite_light_and_a_positive_expected_error(
 def test_a_batch_equals_single_estimates(weights_file, n):
     estimator = Lattice(n, weights=weights_file)
     clouds = [np.concatenate(parts) for parts in zip(random_clouds(n, 3, 12), nasty_clouds(n), strict=True)]
-    light, expected_error = estimator.estimate_batch_with_error(*clouds)
+    facing = np.random.default_rng(0).uniform(-1, 1, clouds[2].shape).astype(np.float32)
+    light, expected_error = estimator.estimate_batch_with_error(*clouds, facing=facing)
     for k, parts in enumerate(zip(*clouds, strict=True)):
-        single, error = estimator.estimate_with_error(UnitSphereCloud(*parts))
+        cloud = UnitSphereCloud(*parts, surfaces=AnchorSurfaces.of_facing(facing[k]))
+        single, error = estimator.estimate_with_error(cloud)
         np.testing.assert_allclose(light[k], single, atol=1e-5)
         np.testing.assert_allclose(expected_error[k], error, rtol=1e-4)
-        np.testing.assert_array_equal(estimator.estimate(UnitSphereCloud(*parts)), single)
+        np.testing.assert_array_equal(estimator.estimate(cloud), single)
 
 
 def test_a_batch_without_clouds_is_legal(weights_file):
@@ -114,9 +116,11 @@ def test_weights_of_zero_give_the_projection(tmp_path):
         weights.arrays[f"{name}.bias"][:] = 0
     save_weights(tmp_path / "w.npz", weights)
     clouds = random_clouds(1280, 4)
-    expected = Projection(1280).estimate_batch(*clouds)
-    expected[:, 0] = expected[:, 0].clip(0)
-    np.testing.assert_allclose(Lattice(1280, weights=tmp_path / "w.npz").estimate_batch(*clouds), expected, atol=1e-5)
+    for facing in (None, np.random.default_rng(0).uniform(-1, 1, clouds[2].shape)):
+        expected = Projection(1280).estimate_batch(*clouds, facing=facing)
+        expected[:, 0] = expected[:, 0].clip(0)
+        made = Lattice(1280, weights=tmp_path / "w.npz").estimate_batch(*clouds, facing=facing)
+        np.testing.assert_allclose(made, expected, atol=1e-5)
 
 
 def test_an_unset_anchors_place_says_nothing(weights_file):
@@ -134,6 +138,12 @@ def test_input_out_of_range_is_refused(weights_file, part, value):
     clouds[part][2, 5] = value
     with pytest.raises(ValueError, match="lattice: expected"):
         Lattice(512, weights=weights_file).estimate_batch(*clouds)
+
+
+@pytest.mark.parametrize("facing", [np.zeros((6, 511)), np.full((6, 512), 1.5), np.full((6, 512), np.nan)])
+def test_facing_out_of_range_is_refused(weights_file, facing):
+    with pytest.raises(ValueError, match="lattice: expected facing"):
+        Lattice(512, weights=weights_file).estimate_batch(*random_clouds(512), facing=facing)
 
 
 def test_another_number_of_anchors_is_refused(weights_file):

@@ -34,10 +34,11 @@ def clouds(n, seed):
 def test_torch_gives_what_numpy_gives_in_chunks_too(tmp_path, monkeypatch, n):
     weights = random_weights(n)
     save_weights(tmp_path / "w.npz", weights)
-    expected = Lattice(n, weights=tmp_path / "w.npz").estimate_batch(*clouds(n, 1))
+    parts, facing = clouds(n, 1), np.random.default_rng(0).uniform(-1, 1, (12, n))
+    expected = Lattice(n, weights=tmp_path / "w.npz").estimate_batch(*parts, facing=facing)
     for at_once in (5, 256):
         monkeypatch.setattr(batch, "CLOUDS_AT_ONCE", at_once)
-        np.testing.assert_allclose(estimate_batch_torch(weights, *clouds(n, 1)), expected, atol=1e-5)
+        np.testing.assert_allclose(estimate_batch_torch(weights, *parts, facing=facing), expected, atol=1e-5)
 
 
 def test_no_clouds_are_legal_and_wrong_shapes_are_not():

@@ -49,16 +49,21 @@ def points(n=64, n_clouds=5, seed=0):
 
 
 @pytest.mark.parametrize("n", [512, 777, 1280, 2048])
-@pytest.mark.parametrize("is_normalised", [True, False])
-def test_numpy_gives_what_torch_gives(tmp_path, n, is_normalised):
-    net = lively_net(LatticeArchitecture(is_exposure_normalised=is_normalised))
+@pytest.mark.parametrize(("is_normalised", "knows_facing"), [(True, True), (False, True), (True, False)])
+def test_numpy_gives_what_torch_gives(tmp_path, n, is_normalised, knows_facing):
+    net = lively_net(LatticeArchitecture(is_exposure_normalised=is_normalised, knows_facing=knows_facing))
     save_weights(tmp_path / "w.npz", weights_of(net, "ldr"))
     parts = clouds(n, seed=n)
-    with torch.no_grad():
-        light, expected_error = net(*map(torch.from_numpy, parts))
-    in_numpy, error_in_numpy = Lattice(n, weights=tmp_path / "w.npz").estimate_batch_with_error(*parts)
-    np.testing.assert_allclose(in_numpy, light.numpy(), atol=1e-5)
-    np.testing.assert_allclose(error_in_numpy, expected_error.numpy(), atol=1e-5)
+    estimator, lights = Lattice(n, weights=tmp_path / "w.npz"), []
+    for facing in (None, np.random.default_rng(n).uniform(-1, 1, parts[2].shape).astype(np.float32)):
+        with torch.no_grad():
+            given = (*parts, facing) if facing is not None else parts
+            light, expected_error = net(*map(torch.from_numpy, given))
+        in_numpy, error_in_numpy = estimator.estimate_batch_with_error(*parts, facing=facing)
+        np.testing.assert_allclose(in_numpy, light.numpy(), atol=1e-5)
+        np.testing.assert_allclose(error_in_numpy, expected_error.numpy(), atol=1e-5)
+        lights.append(in_numpy)
+    assert (np.abs(lights[1] - lights[0]).max() > 1e-3) == knows_facing
 
 
 def test_lattice_gradients_are_finite_on_nasty_clouds():
@@ -91,7 +96,7 @@ def test_the_lattice_network_can_learn_eight_clouds_by_heart():
 
 
 def test_a_fresh_lattice_network_has_the_size_the_documentation_gives():
-    assert sum(p.numel() for p in LatticeNet().parameters()) == LatticeArchitecture().n_parameters() == 265_061
+    assert sum(p.numel() for p in LatticeNet().parameters()) == LatticeArchitecture().n_parameters() == 265_077
 
 
 @pytest.mark.parametrize("keeps", [False, True])

@@ -333,12 +333,19 @@ def test_hidden_caps_leave_a_part_of_some_clouds_and_nothing_of_what_was_hidden(
     points = torch.from_numpy((3 * AnchorLattice(N).directions).astype(np.float32)).expand(200, N, 3)
     is_set = torch.from_numpy(rng.random((200, N)) < 0.5)
     is_set[0] = False
-    whole = Batch(torch.rand(200, N, 3) * is_set[..., None], points * is_set[..., None], is_set, torch.zeros(200, 9, 3))
+    whole = Batch(
+        torch.rand(200, N, 3) * is_set[..., None],
+        points * is_set[..., None],
+        is_set,
+        torch.zeros(200, 9, 3),
+        1.0 * is_set,
+    )
     hidden = hide_caps(whole, 0.5, rng)
     n_changed = int((hidden.is_set != is_set).any(1).sum())
     assert 60 < n_changed < 120 and not (hidden.is_set & ~is_set).any()
     assert hidden.is_set.any(1)[1:].all() and not hidden.is_set[0].any()
     assert not hidden.srgb[~hidden.is_set].any() and not hidden.points_m[~hidden.is_set].any()
+    assert torch.equal(hidden.facing > 0, hidden.is_set)
     assert torch.equal(hidden.srgb[hidden.is_set], whole.srgb[hidden.is_set])
     assert torch.equal(hide_caps(whole, 0.0, rng).is_set, is_set)
 
@@ -348,11 +355,13 @@ def test_an_exported_network_gives_what_the_trained_one_gives(caches, tmp_path):
     export_network(trained, tmp_path / "w.npz", data="noise", is_half=False)
     clouds = open_split(caches["sphere"], "test")
     srgb, points = clouds.srgb_u8 / np.float32(255), np.asarray(clouds.points_m, np.float32)
-    tensors = [torch.from_numpy(np.array(part)) for part in (srgb, points, clouds.is_set, clouds.truth_ldr)]
+    facing = np.random.default_rng(0).uniform(-1, 1, clouds.is_set.shape).astype(np.float32)
+    arrays = srgb, points, clouds.is_set, clouds.truth_ldr, facing
+    tensors = [torch.from_numpy(np.array(part)) for part in arrays]
     with torch.no_grad():
         light, _ = run_network(load_network(trained).net, Batch(*tensors))
     in_numpy = Lattice(N, weights=tmp_path / "w.npz").estimate_batch(
-        srgb, np.linalg.norm(points, axis=2), clouds.is_set
+        srgb, np.linalg.norm(points, axis=2), clouds.is_set, facing=facing
     )
     np.testing.assert_allclose(in_numpy, light.numpy(), atol=1e-5)
 

@@ -26,7 +26,7 @@ from xihenet.estimators.lattice_format import LatticeWeights, load_weights
 from xihenet.estimators.lattice_tables import N_SH, anchor_tables, pooling_matrix, quadrature_matrix, slot_order
 from xihenet.estimators.weights_format import WEIGHTS_FOLDER
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, UnitSphereCloud
-from xihenet.sh import L1_VARIANCE, RESIDUAL_NOISE, SMALLEST_PENALTY
+from xihenet.sh import FACING_OFFSET, L1_VARIANCE, LEAST_WEIGHT, RESIDUAL_NOISE, SMALLEST_PENALTY
 
 SMALLEST_MEAN = 1e-3  # Darker clouds are not brightened further: it would be noise.
 CONTRAST_SCALE = 0.02  # Relative spread of the seen light at which the network is half trusted.
@@ -43,9 +43,9 @@ SQUARED_BAND = np.repeat(np.arange(3.0), [1, 3, 5]) ** 2
 _UNTHREADED_PRODUCT = 2**18
 _CLOUDS_AT_ONCE = 8  # their features stay in the cache
 
-# Rows of the input: relative and encoded colour, clipped or not, log distance, projected light, -1 where not set.
-_RELATIVE, _SRGB, _CLIPPED, _DISTANCE, _PROJECTED, _UNSET = slice(3), slice(3, 6), 6, 7, slice(8, 11), 11
-_N_INPUTS = 12
+# Rows of the input: relative and encoded colour, clipped or not, log distance, facing, projected light, -1 where unset.
+_RELATIVE, _SRGB, _CLIPPED, _DISTANCE, _FACING, _PROJECTED, _UNSET = slice(3), slice(3, 6), 6, 7, 8, slice(9, 12), 12
+_N_INPUTS = 13
 _FORBIDDING = 1e30  # Weight of "not set": whatever else such an anchor says, rectified it is 0.
 
 # The 45 products on and above the diagonal of a symmetric 9 x 9 matrix, and where each of the 81 finds its own.
@@ -91,7 +91,8 @@ class Lattice(Estimator):
         `lean_on_sensor`.
         """
         self._check_size(cloud)
-        light, raw_error = self._network.run(cloud.srgb[None], cloud.distance_m[None], cloud.is_set[None])
+        facing = None if cloud.surfaces is None else cloud.surfaces.facing[None]
+        light, raw_error = self._network.run(cloud.srgb[None], cloud.distance_m[None], cloud.is_set[None], facing)
         if context is not None and context.frame is not None:
             sensed = self._sensor.estimate(cloud, context)
             light = lean_on_sensor(light, cloud.is_set.mean(keepdims=True), sensed[None])
@@ -101,18 +102,20 @@ class Lattice(Estimator):
     def estimate_batch(
         self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike, *, facing: ArrayLike | None = None
     ) -> ArrayF64:
-        """(B, 9, 3) of B clouds; ValueError for wrong shapes, colours or distances. `facing` is not asked."""
-        return self.estimate_batch_with_error(srgb, distance_m, is_set)[0]
+        """(B, 9, 3) of B clouds; ValueError for wrong shapes, colours, distances or facing."""
+        return self.estimate_batch_with_error(srgb, distance_m, is_set, facing=facing)[0]
 
     def estimate_batch_with_error(
-        self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike
+        self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike, *, facing: ArrayLike | None = None
     ) -> tuple[ArrayF64, ArrayF64]:
         """As `estimate_batch`, and (B,) the SHC RMSE expected of each."""
         colours, distances, known = self._checked_batch(srgb, distance_m, is_set)
+        turned = None if facing is None else self._checked_facing(facing, len(known))
         sh_radiance, expected_error = np.empty((len(known), 9, 3)), np.empty(len(known))
         for start in range(0, len(sh_radiance), _CLOUDS_AT_ONCE):
             block = slice(start, start + _CLOUDS_AT_ONCE)
-            light, error = self._network.run(colours[block], distances[block], known[block])
+            of_block = None if turned is None else turned[block]
+            light, error = self._network.run(colours[block], distances[block], known[block], of_block)
             sh_radiance[block], expected_error[block] = light, error
         if not np.isfinite(sh_radiance).all():
             raise NotFinite("lattice: an estimate is not finite; refusing to pass it on")
@@ -136,6 +139,13 @@ class Lattice(Estimator):
         if known.size and not (distances.min() >= 0 and distances.max() < np.inf):
             raise ValueError("lattice: expected finite distances >= 0, got negative, infinite or NaN")
         return colours, distances, known
+
+    def _checked_facing(self, facing: ArrayLike, n_clouds: int) -> ArrayF32:
+        turned = np.asarray(facing, np.float32)
+        if turned.shape != (n_clouds, self.n_anchors) or not (np.abs(turned) <= 1).all():
+            wanted = f"cosines of shape ({n_clouds}, {self.n_anchors})"
+            raise ValueError(f"lattice: expected facing as {wanted}, got {turned.shape} or values outside of -1 to 1")
+        return turned
 
     def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> ArrayF64:
         return self.estimate_with_error(cloud, context)[0]
@@ -175,10 +185,15 @@ class LatticeNetwork:
         self._channel_order = (3 * orders[0] + np.arange(3)[:, None]).reshape(-1)
         self._layers = _Folded(weights, directions, orders[2])
 
-    def run(self, srgb: ArrayF32, distance_m: ArrayF32, is_set: ArrayBool) -> tuple[ArrayF64, ArrayF64]:
+    def run(
+        self, srgb: ArrayF32, distance_m: ArrayF32, is_set: ArrayBool, facing: ArrayF32 | None = None
+    ) -> tuple[ArrayF64, ArrayF64]:
         """(B, 9, 3) coefficients and (B,) expected errors of B clouds; anchors that are not set have no say."""
         known = is_set.take(self._to_fine.fine, axis=1, mode="clip").astype(np.float32)
         inputs = self._inputs(srgb, distance_m, known)
+        inputs[_FACING] = 0
+        if facing is not None and self.architecture.knows_facing:
+            np.multiply(facing.take(self._to_fine.fine, axis=1, mode="clip"), known, out=inputs[_FACING])
         linear = _linear(inputs[_SRGB])
         counted = known * self._to_fine.is_first if self._has_repeats else known
         n_set = counted.sum(axis=1)
@@ -188,7 +203,9 @@ class LatticeNetwork:
         level = np.maximum(mean.mean(axis=0), np.float32(SMALLEST_MEAN))
         contrast = _contrast(residual, n_set, level)
         scale = level if self.architecture.is_exposure_normalised else np.ones_like(level)
-        projection = self._project(residual, counted, n_set, mean)
+        if facing is not None and self.architecture.knows_facing:
+            counted = counted * (inputs[_FACING] + np.float32(FACING_OFFSET)).clip(np.float32(LEAST_WEIGHT), 1)
+        projection = self._project(residual, counted, mean)
         np.divide(linear, linear + scale[:, None], out=inputs[_RELATIVE])
         decoder_inputs, coarse = self._levels(inputs, projection, scale)
         code = self._code(coarse, projection, n_set, level, scale)
@@ -217,14 +234,16 @@ class LatticeNetwork:
         np.subtract(known, 1, out=inputs[_UNSET])
         return inputs
 
-    def _project(self, residual: ArrayF32, counted: ArrayF32, n_set: ArrayF32, mean: ArrayF32) -> ArrayF32:
+    def _project(self, residual: ArrayF32, counted: ArrayF32, mean: ArrayF32) -> ArrayF32:
         """(B, 9, 3): `xihenet.sh.project_anchors` for a batch, its small systems in float64."""
         n_clouds, per_anchor = len(counted), np.float64(4 * np.pi / self.n_anchors)
+        n_set = counted.sum(axis=1)
         gram = _product(counted, self._products).take(_FROM_UPPER, axis=1) * per_anchor
         penalty = (1 - n_set / np.float64(self.n_anchors)) * RESIDUAL_NOISE / L1_VARIANCE + SMALLEST_PENALTY
         normal_matrix = gram + penalty[:, None, None] * _SQUARED_BANDS
         normal_matrix[n_set == 0] = np.eye(N_SH)
-        moments = _product(residual.reshape(3 * n_clouds, -1), self._bases[0].T).reshape(3, n_clouds, N_SH)
+        moments = _product((residual * counted).reshape(3 * n_clouds, -1), self._bases[0].T)
+        moments = moments.reshape(3, n_clouds, N_SH)
         # By eigenvectors: solve() wakes BLAS threads whatever the size.
         values, vectors = np.linalg.eigh(normal_matrix)
         rotated = np.matmul(vectors.transpose(0, 2, 1), moments.transpose(1, 2, 0) * per_anchor) / values[..., None]
@@ -313,6 +332,8 @@ class _Folded:
             constant = matrix[:, -3:] @ directions[level] + bias[:, None]
             self._placed[name] = np.ascontiguousarray(matrix[:, :-3]), constant[:, None]
         matrix, constant = self._placed["stem"]
+        if not sizes.knows_facing:
+            matrix = np.insert(matrix, _FACING, 0, axis=1)
         # One more input, -1 where not set, silences the anchor; one more output says whether it is set.
         matrix = np.block([[matrix, np.full((len(matrix), 1), _FORBIDDING)], [np.eye(1, _N_INPUTS, _UNSET)]])
         constant = np.concatenate([constant, np.ones_like(constant[:1])])

@@ -8,7 +8,7 @@ from typing import Any
 
 from xihenet.estimators.weights_format import NetworkWeights, read_weights
 
-N_ANCHOR_FEATURES = 14  # relative and encoded colour, clipped or not, log distance, direction, projection there
+N_ANCHOR_FEATURES = 14  # relative and encoded colour, clipped or not, log distance, projection there, direction
 N_LEVEL_FEATURES = 7  # share set, direction, projection there
 N_GLOBAL_FEATURES = 29  # projection's 27 coefficients, coverage, log of the mean
 N_ERROR_HIDDEN = 32
@@ -16,7 +16,7 @@ N_ERROR_HIDDEN = 32
 
 @dataclass(frozen=True)
 class LatticeArchitecture:
-    """Sizes of the network; the defaults make 265,061 parameters.
+    """Sizes of the network; the defaults make 265,077 parameters.
 
     Parameters
     ----------
@@ -26,6 +26,7 @@ class LatticeArchitecture:
     hidden, code : sizes of the dense layers
     spread : features that the code gives to each direction of the output, each by weights of its own
     decoder : features per direction before the radiance
+    knows_facing : how surfaces face the position weighs the projection and is told to the network
     is_exposure_normalised : colours are taken relative to the mean of the set anchors and the light scaled back
     """
 
@@ -40,20 +41,21 @@ class LatticeArchitecture:
     spread: int = 8
     decoder: int = 48
     is_exposure_normalised: bool = True
+    knows_facing: bool = True
 
     def __post_init__(self) -> None:
-        sizes = [*self.levels, *(v for k, v in asdict(self).items() if k not in ("levels", "is_exposure_normalised"))]
+        switches = {"is_exposure_normalised": self.is_exposure_normalised, "knows_facing": self.knows_facing}
+        sizes = [*self.levels, *(v for k, v in asdict(self).items() if k not in ("levels", *switches))]
         if len(self.levels) != 3 or any(type(size) is not int or not 1 <= size <= 65_536 for size in sizes):
             raise ValueError(f"architecture: expected three levels and sizes of 1 to 65536, got {asdict(self)}")
-        if type(self.is_exposure_normalised) is not bool:
-            raise ValueError(
-                f"architecture: is_exposure_normalised is true or false, not {self.is_exposure_normalised}"
-            )
+        for name, switch in switches.items():
+            if type(switch) is not bool:
+                raise ValueError(f"architecture: {name} is true or false, not {switch}")
 
     def layer_sizes(self) -> dict[str, tuple[int, int]]:
         """Inputs and outputs of each layer, by name."""
         return {
-            "stem": (N_ANCHOR_FEATURES, self.stem),
+            "stem": (N_ANCHOR_FEATURES + self.knows_facing, self.stem),
             "fine": (self.stem + N_LEVEL_FEATURES, self.fine),
             "middle": (self.fine + N_LEVEL_FEATURES, self.middle),
             "coarse": (self.middle + N_LEVEL_FEATURES, self.coarse),
@@ -89,4 +91,5 @@ def load_weights(path: Path) -> LatticeWeights:
 
 
 def _lattice_architecture(sizes: dict[str, Any]) -> LatticeArchitecture:
-    return LatticeArchitecture(**{**sizes, "levels": tuple(sizes["levels"])})
+    # Files of before 2026-11-23 do not say, and their networks know nothing of it.
+    return LatticeArchitecture(**{"knows_facing": False, **sizes, "levels": tuple(sizes["levels"])})

@@ -29,13 +29,14 @@ from xihenet.estimators.lattice import (
 )
 from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights
 from xihenet.estimators.lattice_tables import N_SH, anchor_tables, pooling_table, quadrature_matrix
-from xihenet.sh import L1_VARIANCE, RESIDUAL_NOISE, SMALLEST_PENALTY
+from xihenet.sh import FACING_OFFSET, L1_VARIANCE, LEAST_WEIGHT, RESIDUAL_NOISE, SMALLEST_PENALTY
 
 
 class LatticeNet(nn.Module):  # type: ignore[misc]
     """See the module. Starts as the plain projection: the layers that change it start at 0.
 
-    `forward(srgb (B, N, 3), distance_m (B, N), is_set (B, N))` gives (B, 9, 3) coefficients and (B,) expected errors;
+    `forward(srgb (B, N, 3), distance_m (B, N), is_set (B, N), facing (B, N) or None)`
+    gives (B, 9, 3) coefficients and (B,) expected errors;
     N may differ from call to call. Anchors that are not set must be 0. The expected error sends no gradient into the
     layers that make the light.
     """
@@ -54,8 +55,16 @@ class LatticeNet(nn.Module):  # type: ignore[misc]
         """The linear layer of that name."""
         return cast(nn.Linear, self.get_submodule(name))
 
-    def forward(self, srgb: Tensor, distance_m: Tensor, is_set: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(
+        self, srgb: Tensor, distance_m: Tensor, is_set: Tensor, facing: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
         known = is_set.to(torch.float32)
+        counted = known
+        if facing is None or not self.architecture.knows_facing:
+            facing = torch.zeros_like(known)
+        else:
+            counted = known * (facing + FACING_OFFSET).clamp(LEAST_WEIGHT, 1.0)
+            facing = known * facing
         linear = linear_from_srgb(srgb)
         n_set = known.sum(1).clamp(min=1)
         mean = (linear.double().sum(1) / n_set[:, None]).float()
@@ -63,8 +72,8 @@ class LatticeNet(nn.Module):  # type: ignore[misc]
         residual = (linear - mean[:, None]) * known[..., None]
         contrast = _contrast(residual, n_set, level)
         scale = level if self.architecture.is_exposure_normalised else torch.ones_like(level)
-        projection = self._project(residual, known, mean)
-        middle, coarse, share, projected = self._levels(srgb, linear, distance_m, known, projection, scale)
+        projection = self._project(residual, counted, mean)
+        middle, coarse, share, projected = self._levels(srgb, linear, distance_m, known, facing, projection, scale)
         code = self._code(coarse, projection, known, level, scale)
         radiance = self._radiance(middle, share, projected, code) * contrast[:, None, None]
         gate = 1 + contrast[:, None] * torch.tanh(self.layer("gate")(code))
@@ -74,23 +83,25 @@ class LatticeNet(nn.Module):  # type: ignore[misc]
         raw = self.layer("error")(torch.relu(self.layer("error_hidden")(code.detach())))[:, 0]
         return sh_radiance, nn.functional.softplus(raw) * scale + SMALLEST_ERROR
 
-    def _project(self, residual: Tensor, known: Tensor, mean: Tensor) -> Tensor:
+    def _project(self, residual: Tensor, counted: Tensor, mean: Tensor) -> Tensor:
         """(B, 9, 3): `xihenet.sh.project_anchors` for a batch, its small systems in float64."""
-        n = known.shape[1]
-        products = self._constant("products", n, 0, known.device)
-        gram = (known @ products).reshape(-1, N_SH, N_SH).double() * (4 * np.pi / n)
-        penalty = (1 - known.double().mean(1)) * RESIDUAL_NOISE / L1_VARIANCE + SMALLEST_PENALTY
-        identity = torch.eye(N_SH, dtype=torch.float64, device=known.device)
-        bands = torch.diag(torch.as_tensor(SQUARED_BAND, device=known.device))
-        normal_matrix = torch.where(known.amax(1)[:, None, None] > 0, gram + penalty[:, None, None] * bands, identity)
-        right_side = (self._constant("basis", n, 0, known.device).T @ residual).double() * (4 * np.pi / n)
+        n, device = counted.shape[1], counted.device
+        products = self._constant("products", n, 0, device)
+        gram = (counted @ products).reshape(-1, N_SH, N_SH).double() * (4 * np.pi / n)
+        penalty = (1 - counted.double().mean(1)) * RESIDUAL_NOISE / L1_VARIANCE + SMALLEST_PENALTY
+        identity = torch.eye(N_SH, dtype=torch.float64, device=device)
+        bands = torch.diag(torch.as_tensor(SQUARED_BAND, device=device))
+        normal_matrix = torch.where(counted.amax(1)[:, None, None] > 0, gram + penalty[:, None, None] * bands, identity)
+        weighted = residual * counted[..., None]
+        right_side = (self._constant("basis", n, 0, device).T @ weighted).double() * (4 * np.pi / n)
         coefficients = torch.linalg.solve(normal_matrix, right_side).float()
         constant = mean[:, None] * float(np.sqrt(4 * np.pi))
         return torch.cat([coefficients[:, :1] + constant, coefficients[:, 1:]], 1)
 
     def _levels(
-        self, srgb: Tensor, linear: Tensor, distance_m: Tensor, known: Tensor, projection: Tensor, scale: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        self, srgb: Tensor, linear: Tensor, distance_m: Tensor, known: Tensor, facing: Tensor, projection: Tensor,
+        scale: Tensor,
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
         """Features of the middle and the coarsest lattice; share set and projection of the middle one."""
         by_scale = scale[:, None, None]
         inputs = [
@@ -98,6 +109,7 @@ class LatticeNet(nn.Module):  # type: ignore[misc]
             srgb,
             (srgb.amax(2, keepdim=True) >= CLIPPED_FROM).float(),
             torch.log(distance_m.clamp(max=FARTHEST_M) + NEAREST_M)[..., None],
+            *([facing[..., None]] if self.architecture.knows_facing else []),
             *self._placed_inputs(projection, by_scale, srgb.shape[1]),
         ]
         features, weight = torch.relu(self.layer("stem")(torch.cat(inputs, 2))), known[..., None]

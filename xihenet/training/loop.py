@@ -164,7 +164,7 @@ def hide_caps(batch: Batch, share: float, rng: np.random.Generator) -> Batch:
     left = batch.is_set & (along >= lowest_cosine[:, None])
     is_set = torch.where((is_chosen & left.any(1))[:, None], left, batch.is_set)
     known = is_set[..., None]
-    return Batch(batch.srgb * known, batch.points_m * known, is_set, batch.truth)
+    return Batch(batch.srgb * known, batch.points_m * known, is_set, batch.truth, batch.facing * is_set)
 
 
 def training_loss(light: Tensor, expected_error: Tensor | None, truth: Tensor, settings: TrainSettings) -> Tensor:

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from xihenet.codec import facing_of_codes
 from xihenet.estimators.base import Target
 from xihenet.estimators.lattice_format import LatticeArchitecture
 from xihenet.estimators.pointconv import PointConvArchitecture
@@ -35,12 +36,13 @@ SAMPLING_OF: dict[str, Sampling] = {
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Clouds as tensors: srgb and points_m (B, N, 3), is_set (B, N), truth (B, 9, 3)."""
+    """Clouds as tensors: srgb and points_m (B, N, 3), is_set and facing (B, N), truth (B, 9, 3)."""
 
     srgb: Tensor
     points_m: Tensor
     is_set: Tensor
     truth: Tensor
+    facing: Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +67,7 @@ def make_network(estimator: str, **options: Any) -> nn.Module:
 def run_network(net: nn.Module, batch: Batch) -> tuple[Tensor, Tensor | None]:
     """(B, 9, 3) coefficients and, from networks that know it, the expected error (B,)."""
     if isinstance(net, LatticeNet):
-        light, expected_error = net(batch.srgb, batch.points_m.norm(dim=2), batch.is_set)
+        light, expected_error = net(batch.srgb, batch.points_m.norm(dim=2), batch.is_set, batch.facing)
         return light, expected_error
     return net(batch.points_m, batch.srgb, batch.is_set), None
 
@@ -75,7 +77,8 @@ def read_batch(clouds: CloudSet, rows: ArrayInt, target: Target, device: str) ->
     rows = np.sort(rows)  # in the order of the file
     arrays = clouds.srgb_u8[rows], clouds.points_m[rows], clouds.is_set[rows], clouds.truth(target)[rows]
     srgb, points_m, is_set, truth = (torch.from_numpy(np.ascontiguousarray(array)).to(device) for array in arrays)
-    return Batch(srgb.float() / 255, points_m.float(), is_set, truth)
+    facing = torch.from_numpy(facing_of_codes(clouds.facing_i8[rows])).to(device)
+    return Batch(srgb.float() / 255, points_m.float(), is_set, truth, facing.float())
 
 
 def predict(net: nn.Module, clouds: CloudSet, target: Target, device: str, batch_size: int = 64) -> tuple[Any, Any]:
