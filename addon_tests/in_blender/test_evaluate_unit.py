@@ -8,7 +8,7 @@ import pytest
 from previs_runs import N_FRAMES, counted_renders, files_below, run, walk
 from tiny_scenes import room_with_a_virtual_sphere
 
-from xihe_blender.compare.methods import LIT_SCENE
+from xihe_blender.apply.datablocks import LIT_SCENE
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.batch.grid import BatchSettings

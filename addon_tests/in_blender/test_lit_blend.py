@@ -9,10 +9,9 @@ from previs_runs import N_FRAMES, SMALL, run, walk
 from scene_snapshot import differences, snapshot
 from tiny_scenes import sphere
 
-from xihe_blender.apply.datablocks import NODE_GROUP_NAME
+from xihe_blender.apply.datablocks import LIT_SCENE, NODE_GROUP_NAME
 from xihe_blender.apply.sh_worlds import COEFFICIENTS, GAIN, f_curves
 from xihe_blender.capture.render import render_passes, set_up_memory_exr
-from xihe_blender.compare.methods import LIT_SCENE
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.scene.virtual_objects import virtual_collection
 

@@ -10,12 +10,11 @@ from previs_runs import SMALL, run, walk
 from results_schema import check_results, without_times
 from tiny_scenes import empty_scene, room_with_a_virtual_sphere, sphere
 
-from xihe_blender.apply.datablocks import lights_by_sh
+from xihe_blender.apply.datablocks import LIT_SCENE, lights_by_sh
 from xihe_blender.apply.session import XiheController
 from xihe_blender.apply.sh_worlds import sh_node_group, world_name
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import open_scanner
-from xihe_blender.compare.methods import LIT_SCENE
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.rooms.render_room import RoomRenderSettings

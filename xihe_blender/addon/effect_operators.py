@@ -13,7 +13,7 @@ class XIHE_OT_plan_effects(polls.Conditional, bpy.types.Operator):
     bl_label = "Look at Scene"
     bl_description = "List the lighting and phone effects that the scene needs, and why; nothing is rendered"
     bl_options = {"REGISTER", "UNDO"}
-    conditions = (polls.is_idle, polls.is_own_scene, polls.has_cycles)
+    conditions = (polls.is_idle, polls.is_room, polls.has_cycles)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from xihe_blender.addon.run_settings import planned_rows

@@ -1,4 +1,4 @@
-"""The last run's light: put onto the timeline again, or taken away with everything else that a run left."""
+"""The last run's light: shown on the objects, put onto the timeline again, or taken away with all that a run left."""
 
 from __future__ import annotations
 
@@ -8,13 +8,16 @@ from xihe_blender.addon import polls
 from xihe_blender.addon.failures import FAILURES, failed
 from xihe_blender.addon.properties import last_run_folder
 
+VIEW_BEFORE = "xihe_view"
+"""Custom property of the lit scene: how the 3D view was shaded, and from where it looked."""
+
 
 class XIHE_OT_apply_light(polls.Conditional, bpy.types.Operator):
     bl_idname = "xihe.apply_light"
     bl_label = "Apply"
     bl_description = "Put the light of the last run onto the timeline again, with its triggers, errors and pictures"
     bl_options = {"REGISTER", "UNDO"}
-    conditions = (polls.is_idle, polls.is_own_scene, polls.has_cycles, polls.has_last_run)
+    conditions = (polls.is_idle, polls.is_room, polls.has_cycles, polls.has_last_run)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from xihe_blender.addon.results_in_blender import apply_results
@@ -26,6 +29,66 @@ class XIHE_OT_apply_light(polls.Conditional, bpy.types.Operator):
         except FAILURES as error:
             return failed(self, context, error)
         return {"FINISHED"}
+
+
+class XIHE_OT_show_lit(polls.Conditional, bpy.types.Operator):
+    bl_idname = "xihe.show_lit"
+    bl_label = "Show Lit"
+    bl_description = (
+        "Show the virtual objects under their estimated light over the captured frames, in a scene of its own that "
+        "plays on the timeline and renders. The viewport shows the light of the active object; the view layer in the "
+        "corner of the window chooses another. Furniture in front of an object does not hide it there"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+    conditions = (polls.is_idle, polls.is_room, polls.has_cycles, polls.has_last_run)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from xihe_blender.addon.results_in_blender import show_lit
+        from xihe_blender.io.run_results import read_results
+
+        scene, active = context.scene, context.view_layer.objects.active
+        folder = last_run_folder(scene)
+        try:
+            lit = show_lit(scene, read_results(folder), folder, active.name if active else "")
+        except FAILURES as error:
+            return failed(self, context, error)
+        if context.window is not None:
+            _enter(context, lit)
+        return {"FINISHED"}
+
+
+class XIHE_OT_show_room(polls.Conditional, bpy.types.Operator):
+    bl_idname = "xihe.show_room"
+    bl_label = "Back to Room"
+    bl_description = "Go back to the scene that the run was made of"
+    bl_options = {"REGISTER", "UNDO"}
+    conditions = (polls.is_lit_scene,)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from xihe_blender.apply.datablocks import ROOM
+
+        lit = context.scene
+        room = lit[ROOM]
+        if room is None:
+            self.report({"ERROR"}, "The room's scene is gone from this file")
+            return {"CANCELLED"}
+        room.frame_set(lit.frame_current)
+        if context.window is not None:
+            context.window.scene = room
+        if VIEW_BEFORE in lit and context.area.type == "VIEW_3D":
+            space = context.area.spaces.active
+            space.shading.type, space.region_3d.view_perspective = lit[VIEW_BEFORE].split()
+        return {"FINISHED"}
+
+
+def _enter(context: bpy.types.Context, lit: bpy.types.Scene) -> None:
+    """Show `lit` in the window, and rendered through its camera in the 3D view that asked."""
+    context.window.scene = lit
+    context.window.view_layer = next(layer for layer in lit.view_layers if layer.world_override == lit.world)
+    if context.area is not None and context.area.type == "VIEW_3D":
+        space = context.area.spaces.active
+        lit[VIEW_BEFORE] = f"{space.shading.type} {space.region_3d.view_perspective}"
+        space.shading.type, space.region_3d.view_perspective = "RENDERED", "CAMERA"
 
 
 class XIHE_OT_remove_light(polls.Conditional, bpy.types.Operator):
@@ -42,4 +105,6 @@ class XIHE_OT_remove_light(polls.Conditional, bpy.types.Operator):
         return {"FINISHED"}
 
 
-register, unregister = bpy.utils.register_classes_factory((XIHE_OT_apply_light, XIHE_OT_remove_light))
+register, unregister = bpy.utils.register_classes_factory(
+    (XIHE_OT_apply_light, XIHE_OT_show_lit, XIHE_OT_show_room, XIHE_OT_remove_light)
+)

@@ -13,7 +13,7 @@ class XIHE_OT_add_virtual_objects(polls.Conditional, bpy.types.Operator):
     bl_label = "Make Virtual"
     bl_description = "Mark the selected objects as virtual: the phone inserts them and estimates the light on them"
     bl_options = {"REGISTER", "UNDO"}
-    conditions = (polls.is_idle, polls.is_own_scene, polls.is_in_object_mode, polls.has_selected_room_objects)
+    conditions = (polls.is_idle, polls.is_room, polls.is_in_object_mode, polls.has_selected_room_objects)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from xihe_blender.scene.virtual_objects import make_virtual
@@ -31,7 +31,7 @@ class XIHE_OT_remove_virtual_objects(polls.Conditional, bpy.types.Operator):
     bl_label = "Make Part of Room"
     bl_description = "Make the selected virtual objects part of the room again"
     bl_options = {"REGISTER", "UNDO"}
-    conditions = (polls.is_idle, polls.is_own_scene, polls.is_in_object_mode, polls.has_selected_virtual_objects)
+    conditions = (polls.is_idle, polls.is_room, polls.is_in_object_mode, polls.has_selected_virtual_objects)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from xihe_blender.scene.virtual_objects import make_room
@@ -49,7 +49,7 @@ class XIHE_OT_add_sphere_rig(polls.Conditional, bpy.types.Operator):
     bl_label = "Add Three Spheres"
     bl_description = "Add a mirror, a matte silver and a grey sphere as virtual objects at the 3D cursor"
     bl_options = {"REGISTER", "UNDO"}
-    conditions = (polls.is_idle, polls.is_own_scene, polls.is_in_object_mode)
+    conditions = (polls.is_idle, polls.is_room, polls.is_in_object_mode)
 
     radius_m: bpy.props.FloatProperty(
         name="Radius",

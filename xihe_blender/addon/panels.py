@@ -18,6 +18,7 @@ import bpy
 
 from xihe_blender.addon.calibration import calibration_line
 from xihe_blender.addon.last_run import LastRun, last_run
+from xihe_blender.apply.datablocks import ROOM
 from xihenet.formats import format_duration
 
 TAB = "Xihe"
@@ -30,11 +31,15 @@ RUN_SCALE = 1.5
 
 
 class StagePanel:
-    """Where all panels of the tab live."""
+    """Where all panels of the tab live; the scene that shows a run's light has the last one alone."""
 
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = TAB
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return cls is XIHE_PT_apply or ROOM not in context.scene
 
 
 class XIHE_PT_virtual_objects(StagePanel, bpy.types.Panel):
@@ -267,6 +272,12 @@ class XIHE_PT_apply(StagePanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
+        is_lit = ROOM in context.scene
+        row = layout.row()
+        row.scale_y = RUN_SCALE
+        row.operator(
+            "xihe.show_room" if is_lit else "xihe.show_lit", icon="LOOP_BACK" if is_lit else "SHADING_RENDERED"
+        )
         column = layout.column(align=True)
         column.operator("xihe.apply_light", text="Apply Light", icon="LIGHT_HEMI")
         column.operator("xihe.remove_light", text="Remove Light", icon="TRASH")

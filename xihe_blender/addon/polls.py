@@ -51,6 +51,19 @@ def is_own_scene(context: bpy.types.Context) -> str | None:
     return "The scene is linked from another file: open that file, or make the scene local"
 
 
+def is_room(context: bpy.types.Context) -> str | None:
+    """`is_own_scene`, and it is not the one that shows a run's light."""
+    from xihe_blender.apply.datablocks import ROOM
+
+    return "This scene shows a run: go back to the room first" if ROOM in context.scene else is_own_scene(context)
+
+
+def is_lit_scene(context: bpy.types.Context) -> str | None:
+    from xihe_blender.apply.datablocks import ROOM
+
+    return None if ROOM in context.scene else "This is the room: press Show Lit to see the objects lit"
+
+
 def has_cycles(context: bpy.types.Context) -> str | None:
     if "cycles" in context.preferences.addons:
         return None

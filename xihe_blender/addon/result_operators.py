@@ -14,7 +14,7 @@ class XIHE_OT_go_to_trigger(polls.Conditional, bpy.types.Operator):
     bl_label = "Go to Trigger"
     bl_description = "Go to the frame of the previous or next trigger, and show its light and comparison"
     bl_options = {"REGISTER", "UNDO"}
-    conditions = (polls.is_idle, polls.is_own_scene, polls.has_triggers)
+    conditions = (polls.is_idle, polls.is_room, polls.has_triggers)
 
     direction: bpy.props.EnumProperty(
         name="Direction",
@@ -49,7 +49,7 @@ class XIHE_OT_show_comparison(polls.Conditional, bpy.types.Operator):
     bl_label = "Show Comparison"
     bl_description = "Show estimate and ground truth side by side in an Image Editor, at the nearest compared frame"
     bl_options = {"REGISTER"}
-    conditions = (polls.is_idle, polls.is_own_scene, polls.has_last_run, polls.has_comparison)
+    conditions = (polls.is_idle, polls.is_room, polls.has_last_run, polls.has_comparison)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named

@@ -20,14 +20,23 @@ from xihe_blender.apply.datablocks import (
     COMPARISON_NAME,
     LIGHT_PREFIX,
     MADE_BY,
+    ROOM,
     image_named,
     our_images,
     trigger_markers,
 )
-from xihe_blender.apply.sh_worlds import f_curves, remove_applied_light, remove_trigger_markers, world_name
+from xihe_blender.apply.lit_scene import CapturedFrames, put_over_frames, remove_lit_scene
+from xihe_blender.apply.sh_worlds import (
+    applied_worlds,
+    f_curves,
+    remove_applied_light,
+    remove_trigger_markers,
+    world_name,
+)
 from xihe_blender.errors import UserError
+from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import RunResults, read_results
-from xihe_blender.previs.lit_blend import apply_lights
+from xihe_blender.previs.lit_blend import apply_lights, make_lit_scene
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.panorama import evaluate_panorama
 from xihenet.records import ArrayF32, ArrayF64
@@ -68,6 +77,28 @@ def apply_results(scene: bpy.types.Scene, results: RunResults, folder: Path, *, 
     }
     apply_lights(scene, changes, results.frames, results.settings.reference_exposure)
     show_results(scene, results, folder, wipe=wipe)
+
+
+def show_lit(scene: bpy.types.Scene, results: RunResults, folder: Path, active: str = "") -> bpy.types.Scene:
+    """A scene `Xihe Lit` in the open file for a run of `scene`, in place of an older one; its world is `active`'s.
+
+    UserError if a virtual object of the run is not in the scene any more, or if nothing was captured.
+    """
+    if any(name not in applied_worlds(scene) for name in results.lights):
+        apply_results(scene, results, folder)
+    pictures = {
+        entry.frame: RunOutputs(folder, "").picture("captured", entry.frame) for entry in results.frames if entry.active
+    }
+    gone = [path for path in pictures.values() if not path.is_file()]
+    if gone or not pictures:
+        raise UserError(f"{gone[0]} is gone: run again" if gone else "no virtual object was ever in view: run again")
+    remove_lit_scene()
+    lit = make_lit_scene(scene, [item for item in virtual_objects(scene) if item.name in results.lights])
+    lit[ROOM] = scene
+    exposure = results.settings.reference_exposure
+    put_over_frames(lit, CapturedFrames(pictures, folder / "lit", results.settings.size, exposure))
+    lit.world = applied_worlds(scene).get(active, lit.world)
+    return lit
 
 
 def light_in_force(results: RunResults, name: str, frame: int) -> ArrayF64:
@@ -227,10 +258,12 @@ def go_to_trigger(scene: bpy.types.Scene, direction: str) -> int | None:
 
 
 def remove_everything(scene: bpy.types.Scene) -> None:
-    """Take everything away that a run or `apply_results` left in the file: worlds, node group, markers, images.
+    """Take away all that a run, `apply_results` or `show_lit` left: worlds, node group, markers, images, lit scene.
 
     Of the other scenes as well: without their worlds their markers would say what is not so.
     """
+    scene = scene.get(ROOM) or scene
+    remove_lit_scene()
     remove_applied_light(scene)
     for other in [other for other in bpy.data.scenes if other.library is None]:
         remove_trigger_markers(other)

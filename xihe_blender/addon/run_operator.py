@@ -22,7 +22,7 @@ class XIHE_OT_run(polls.Conditional, ModalJob, bpy.types.Operator):
     cancelled = "The run was cancelled, and all that it made was deleted"
     conditions = (
         polls.is_idle,
-        polls.is_own_scene,
+        polls.is_room,
         polls.has_cycles,
         polls.is_in_object_mode,
         polls.has_virtual_objects,

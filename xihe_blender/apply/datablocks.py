@@ -15,6 +15,10 @@ PREFIX = "Xihe "
 MARKER_PREFIX = "Xihe trigger"
 COMPARISON_NAME = "Xihe Comparison"
 LIGHT_PREFIX = "Xihe Light "
+LIT_SCENE = "Xihe Lit"
+ROOM = "xihe_room"
+"""Custom property of the scene `Xihe Lit` in an open file: the scene that it shows the objects of."""
+
 MADE_BY = "xihe_image"
 """Custom property of our images, so that one of the user's of the same name is left alone."""
 
@@ -22,7 +26,12 @@ MADE_BY = "xihe_image"
 def has_anything(scene: bpy.types.Scene) -> bool:
     """Whether there is something for `results_in_blender.remove_everything` to remove."""
     lit = any(lights_by_sh(world) and world.library is None for world in bpy.data.worlds)
-    return bool(trigger_markers(scene)) or lit or next(our_images(), None) is not None
+    return bool(trigger_markers(scene)) or lit or lit_scene() is not None or next(our_images(), None) is not None
+
+
+def lit_scene() -> bpy.types.Scene | None:
+    """The scene `Xihe Lit` of the open file, whatever Blender calls it now; None where it is not shown."""
+    return next((scene for scene in bpy.data.scenes if ROOM in scene and scene.library is None), None)
 
 
 def lights_by_sh(world: bpy.types.World) -> bool:

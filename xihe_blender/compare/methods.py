@@ -19,7 +19,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from xihe_blender.apply.datablocks import PREFIX
+from xihe_blender.apply.datablocks import LIT_SCENE, PREFIX
+from xihe_blender.apply.lit_scene import remove_lit_collections, set_up_lit_scene
 from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world
 from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
 from xihe_blender.capture.scanner import first_layer
@@ -30,7 +31,6 @@ from xihenet.metrics import angular_error, angular_error_deg, image_rmse, psnr, 
 from xihenet.npz_files import read_npz
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, RgbdFrame
 
-LIT_SCENE = "Xihe Lit"
 GROUND_TRUTH_SCENE = "Xihe Ground Truth"
 OCCLUSION_TOLERANCE = 2e-3
 """An object this much (relative, and in metres) behind the room's surface still counts as in front of it."""
@@ -145,39 +145,6 @@ def _lit_scene(scene: bpy.types.Scene, settings: RenderSettings) -> Iterator[bpy
             yield lit
     finally:
         remove_lit_collections()
-
-
-def set_up_lit_scene(
-    lit: bpy.types.Scene, objects: Sequence[bpy.types.Object], layers: Mapping[str, tuple[str, bpy.types.World]]
-) -> None:
-    """Leave only `objects` in `lit`, each in a collection of its own, and give it one view layer per entry of `layers`.
-
-    `layers` maps the layer's name to the object it shows and the world that lights it; the other objects hold out.
-    """
-    root = lit.collection
-    for child in list(root.children):
-        root.children.unlink(child)
-    for item in list(root.objects):
-        root.objects.unlink(item)
-    for item in objects:
-        collection = bpy.data.collections.new(f"{LIT_SCENE} {item.name}")
-        collection.objects.link(item)
-        root.children.link(collection)
-    lit.render.film_transparent = True
-    placeholder = lit.view_layers[0]
-    for name, (shown, world) in layers.items():
-        layer = lit.view_layers.new(name)
-        layer.use_pass_z = True
-        layer.world_override = world
-        for item, child in zip(objects, layer.layer_collection.children, strict=True):
-            child.holdout = item.name != shown
-    lit.view_layers.remove(placeholder)
-
-
-def remove_lit_collections() -> None:
-    """Remove the collections that `set_up_lit_scene` made and no scene uses any more."""
-    for collection in [c for c in bpy.data.collections if c.name.startswith(f"{LIT_SCENE} ") and c.users == 0]:
-        bpy.data.collections.remove(collection)
 
 
 def composite(

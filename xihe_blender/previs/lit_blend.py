@@ -14,7 +14,10 @@ import bpy
 import numpy as np
 from numpy.typing import ArrayLike
 
+from xihe_blender.apply.datablocks import LIT_SCENE
+from xihe_blender.apply.lit_scene import remove_lit_collections, remove_lit_scene, set_up_lit_scene
 from xihe_blender.apply.sh_worlds import (
+    applied_worlds,
     key_sh_on_world,
     make_sh_world,
     mark_trigger,
@@ -22,7 +25,6 @@ from xihe_blender.apply.sh_worlds import (
     world_name,
 )
 from xihe_blender.capture.render import can_denoise
-from xihe_blender.compare.methods import LIT_SCENE, remove_lit_collections, set_up_lit_scene
 from xihe_blender.io.outputs import written_whole
 from xihe_blender.io.run_results import FrameResult
 from xihe_blender.previs.plan import PrevisPlan
@@ -70,20 +72,32 @@ def apply_lights(
             mark_trigger(scene, entry.frame, reasons)
 
 
+def make_lit_scene(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> bpy.types.Scene:
+    """A copy of `scene` with only `objects`, each in a view layer under the world that a run left for it.
+
+    KeyError for an object without one.
+    """
+    found = applied_worlds(scene)
+    worlds = {item.name: found[item.name] for item in objects}
+    lit = scene.copy()
+    lit.name = LIT_SCENE
+    # A copied scene has no user, and what has none is not saved.
+    lit.use_extra_user = True
+    for layer in list(lit.view_layers)[1:]:
+        lit.view_layers.remove(layer)
+    set_up_lit_scene(lit, objects, {world.name: (name, world) for name, world in worlds.items()})
+    lit.world = next(iter(worlds.values()))
+    lit.render.engine = "CYCLES"
+    # Denoised as the report's pictures are. A build without the denoiser would refuse to render with it.
+    lit.cycles.use_denoising = can_denoise(lit) and lit.cycles.use_denoising
+    return lit
+
+
 def save_lit_blend(scene: bpy.types.Scene, plan: PrevisPlan, path: Path) -> None:
     """Save a copy of the open file to `path`, whole or not at all, with the scene `Xihe Lit` in it; OSError if not."""
-    lit = scene.copy()
+    remove_lit_scene()
+    lit = make_lit_scene(scene, plan.objects)
     try:
-        lit.name = LIT_SCENE
-        # A copied scene has no user, and what has none is not saved.
-        lit.use_extra_user = True
-        for layer in list(lit.view_layers)[1:]:
-            lit.view_layers.remove(layer)
-        worlds = {world_name(item.name): (item.name, bpy.data.worlds[world_name(item.name)]) for item in plan.objects}
-        set_up_lit_scene(lit, plan.objects, worlds)
-        lit.render.engine = "CYCLES"
-        # Denoised as the report's pictures are. A build without the denoiser would refuse to render with it.
-        lit.cycles.use_denoising = can_denoise(lit) and lit.cycles.use_denoising
         with written_whole(path) as beside:
             bpy.ops.wm.save_as_mainfile(filepath=str(beside), copy=True, compress=True)
             _check_is_whole(beside, lit.name)

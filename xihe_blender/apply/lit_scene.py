@@ -1,0 +1,212 @@
+"""The scene `Xihe Lit`: the virtual objects alone under their estimated light, over the frames that the phone captured.
+
+A view layer has one world, so each object has a view layer of its own, in which the others hold out. Its camera is a
+copy of the phone with the captured frames behind it; rendering puts all layers over those frames. Colours are shown at
+the run's exposure and by the view transform Standard, as the pictures of the report are.
+
+Not here: what stands in front of an object in the room does not hide it in this scene, and no shadow falls on the room.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+
+from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, lit_scene
+
+PHONE = "Xihe Phone"
+"""Begins the names of the copied cameras."""
+
+
+@dataclass(frozen=True)
+class CapturedFrames:
+    """What is shown behind the objects.
+
+    Parameters
+    ----------
+    pictures : PNG of each captured frame, by its number; at least one. Between two of them the earlier one stays
+    folder : where a picture for each frame is put, numbered from 1 on, as Blender reads image sequences
+    size : width and height of a picture
+    exposure : of the run
+    """
+
+    pictures: Mapping[int, Path]
+    folder: Path
+    size: tuple[int, int]
+    exposure: float
+
+    @property
+    def first(self) -> int:
+        return min(self.pictures)
+
+    @property
+    def n(self) -> int:
+        return max(self.pictures) - self.first + 1
+
+    def write_sequence(self) -> Path:
+        """Put the pictures into the folder, anew; the path of the first."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        self.folder.mkdir(parents=True)
+        shown = self.pictures[self.first]
+        for place in range(self.n):
+            shown = self.pictures.get(self.first + place, shown)
+            target = self.folder / f"frame_{place + 1:04d}.png"
+            try:
+                os.link(shown, target)
+            except OSError:  # On another disk, or one without links.
+                shutil.copyfile(shown, target)
+        return self.folder / "frame_0001.png"
+
+
+def put_over_frames(lit: bpy.types.Scene, frames: CapturedFrames) -> None:
+    """Show the captured frames behind the objects: in the camera's view, and in what is rendered.
+
+    The picture keeps the frames' shape, and is as large along its longer side as the scene's own.
+    """
+    image = bpy.data.images.load(str(frames.write_sequence()))
+    image.name, image.source = f"{LIT_SCENE} Frames", "SEQUENCE"
+    copies: dict[bpy.types.Object, bpy.types.Object] = {}
+    for owner in (lit, *lit.timeline_markers):
+        if owner.camera is not None:
+            if owner.camera not in copies:
+                copies[owner.camera] = _phone_with(owner.camera, image, frames)
+                lit.collection.objects.link(copies[owner.camera])
+            owner.camera = copies[owner.camera]
+    render, view = lit.render, lit.view_settings
+    larger = max(render.resolution_x, render.resolution_y) / max(frames.size)
+    render.resolution_x, render.resolution_y = (max(4, round(side * larger)) for side in frames.size)
+    render.pixel_aspect_x = render.pixel_aspect_y = 1.0
+    render.use_border = render.use_sequencer = False
+    render.use_compositing = True
+    lit.display_settings.display_device = "sRGB"
+    view.view_transform, view.look, view.gamma, view.use_curve_mapping = "Standard", "None", 1.0, False
+    view.exposure = math.log2(frames.exposure)
+    _compose(lit, image, frames)
+
+
+def _phone_with(camera: bpy.types.Object, image: bpy.types.Image, frames: CapturedFrames) -> bpy.types.Object:
+    """A copy of `camera` with the sequence behind it."""
+    phone = camera.copy()
+    phone.data = camera.data.copy()
+    phone.name = phone.data.name = PHONE
+    phone.data.show_background_images = True
+    phone.data.background_images.clear()
+    behind = phone.data.background_images.new()
+    behind.image, behind.alpha, behind.frame_method = image, 1.0, "STRETCH"
+    _play(behind.image_user, frames)
+    return phone
+
+
+def _play(user: bpy.types.ImageUser | bpy.types.CompositorNodeImage, frames: CapturedFrames) -> None:
+    user.frame_start, user.frame_duration, user.frame_offset = frames.first, frames.n, 0
+    user.use_auto_refresh = True
+
+
+def _compose(lit: bpy.types.Scene, image: bpy.types.Image, frames: CapturedFrames) -> None:
+    """Compositor nodes: every layer over the frame, whose light is brought to that of the scene."""
+    tree = _compositor_tree(lit)
+    behind = tree.nodes.new("CompositorNodeImage")
+    behind.image = image
+    _play(behind, frames)
+    scale = tree.nodes.new("CompositorNodeScale")
+    if "Type" in scale.inputs:
+        scale.inputs["Type"].default_value = "Render Size"
+        scale.inputs["Frame Type"].default_value = "Stretch"
+    else:
+        scale.space, scale.frame_method = "RENDER_SIZE", "STRETCH"
+    exposed = tree.nodes.new("CompositorNodeExposure")
+    exposed.inputs["Exposure"].default_value = -math.log2(frames.exposure)
+    tree.links.new(behind.outputs["Image"], scale.inputs["Image"])
+    tree.links.new(scale.outputs[0], exposed.inputs["Image"])
+    picture = exposed.outputs[0]
+    for place, layer in enumerate(lit.view_layers):
+        rendered, over = tree.nodes.new("CompositorNodeRLayers"), tree.nodes.new("CompositorNodeAlphaOver")
+        rendered.scene, rendered.layer = lit, layer.name
+        rendered.location, over.location = (0, -300 * (place + 1)), (300 + 200 * place, 0)
+        below, above = [socket for socket in over.inputs if socket.type == "RGBA"]
+        tree.links.new(picture, below)
+        tree.links.new(rendered.outputs["Image"], above)
+        picture = over.outputs[0]
+    end = tree.nodes.new("NodeGroupOutput" if hasattr(lit, "compositing_node_group") else "CompositorNodeComposite")
+    end.location = (500 + 200 * len(lit.view_layers), 0)
+    tree.links.new(picture, end.inputs[0])
+
+
+def _compositor_tree(lit: bpy.types.Scene) -> bpy.types.NodeTree:
+    """An empty one of its own. From Blender 5.0 on it is a node group, and the switch `use_nodes` does nothing."""
+    if not hasattr(lit, "compositing_node_group"):
+        before = set(bpy.data.images)
+        lit.use_nodes = True
+        lit.node_tree.nodes.clear()
+        # The viewer among the first nodes of a new tree brings an image.
+        bpy.data.batch_remove(set(bpy.data.images) - before)
+        return lit.node_tree
+    tree = bpy.data.node_groups.new(LIT_SCENE, "CompositorNodeTree")
+    tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+    lit.compositing_node_group = tree
+    return tree
+
+
+def remove_lit_scene() -> None:
+    """Remove the open file's scene `Xihe Lit` and all that only it uses; windows that show it go back to its room."""
+    lit = lit_scene()
+    if lit is None:
+        return
+    room = lit.get(ROOM)
+    for manager in bpy.data.window_managers:
+        for window in manager.windows:
+            if window.scene == lit and room is not None:
+                window.scene = room
+    own = {*_own_blocks(lit)}
+    bpy.data.scenes.remove(lit)
+    remove_lit_collections()
+    # At once: with its data an object goes too.
+    bpy.data.batch_remove(own)
+
+
+def _own_blocks(lit: bpy.types.Scene) -> Iterator[bpy.types.ID]:
+    for camera in [item for item in lit.collection.objects if item.name.startswith(PHONE)]:
+        yield from {behind.image for behind in camera.data.background_images if behind.image is not None}
+        yield camera.data
+        yield camera
+    if getattr(lit, "compositing_node_group", None) is not None:
+        yield lit.compositing_node_group
+
+
+def set_up_lit_scene(
+    lit: bpy.types.Scene, objects: Sequence[bpy.types.Object], layers: Mapping[str, tuple[str, bpy.types.World]]
+) -> None:
+    """Leave only `objects` in `lit`, each in a collection of its own, and give it one view layer per entry of `layers`.
+
+    `layers` maps the layer's name to the object it shows and the world that lights it; the other objects hold out.
+    """
+    root = lit.collection
+    for child in list(root.children):
+        root.children.unlink(child)
+    for item in list(root.objects):
+        root.objects.unlink(item)
+    for item in objects:
+        collection = bpy.data.collections.new(f"{LIT_SCENE} {item.name}")
+        collection.objects.link(item)
+        root.children.link(collection)
+    lit.render.film_transparent = True
+    placeholder = lit.view_layers[0]
+    for name, (shown, world) in layers.items():
+        layer = lit.view_layers.new(name)
+        layer.use_pass_z = True
+        layer.world_override = world
+        for item, child in zip(objects, layer.layer_collection.children, strict=True):
+            child.holdout = item.name != shown
+    lit.view_layers.remove(placeholder)
+
+
+def remove_lit_collections() -> None:
+    """Remove the collections that `set_up_lit_scene` made and no scene uses any more."""
+    for collection in [c for c in bpy.data.collections if c.name.startswith(f"{LIT_SCENE} ") and c.users == 0]:
+        bpy.data.collections.remove(collection)
