@@ -216,6 +216,8 @@ def test_grey_buttons_without_anything_say_what_to_do(tmp_path):
         "cancel_run": "No run is under way",
         "apply_light": "There are no results yet: run first",
         "remove_light": "No run has added anything to this file",
+        "show_lit": "There are no results yet: run first",
+        "show_room": "This is the room: press Show Lit to see the objects lit",
         "go_to_trigger": "There are no triggers on the timeline: run first, or apply the last run",
         "show_comparison": "There are no results yet: run first",
         "open_report": "There are no results yet: run first",

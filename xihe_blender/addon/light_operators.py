@@ -62,7 +62,7 @@ class XIHE_OT_show_room(polls.Conditional, bpy.types.Operator):
     bl_label = "Back to Room"
     bl_description = "Go back to the scene that the run was made of"
     bl_options = {"REGISTER", "UNDO"}
-    conditions = (polls.is_lit_scene,)
+    conditions = (polls.is_idle, polls.is_lit_scene)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from xihe_blender.apply.datablocks import ROOM

@@ -18,7 +18,7 @@ import bpy
 
 from xihe_blender.addon.calibration import calibration_line
 from xihe_blender.addon.last_run import LastRun, last_run
-from xihe_blender.apply.datablocks import ROOM
+from xihe_blender.addon.polls import shows_run
 from xihenet.formats import format_duration
 
 TAB = "Xihe"
@@ -39,7 +39,7 @@ class StagePanel:
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return cls is XIHE_PT_apply or ROOM not in context.scene
+        return cls is XIHE_PT_apply or not shows_run(context)
 
 
 class XIHE_PT_virtual_objects(StagePanel, bpy.types.Panel):
@@ -272,7 +272,7 @@ class XIHE_PT_apply(StagePanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
-        is_lit = ROOM in context.scene
+        is_lit = shows_run(context)
         row = layout.row()
         row.scale_y = RUN_SCALE
         row.operator(

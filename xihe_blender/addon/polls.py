@@ -53,15 +53,18 @@ def is_own_scene(context: bpy.types.Context) -> str | None:
 
 def is_room(context: bpy.types.Context) -> str | None:
     """`is_own_scene`, and it is not the one that shows a run's light."""
-    from xihe_blender.apply.datablocks import ROOM
-
-    return "This scene shows a run: go back to the room first" if ROOM in context.scene else is_own_scene(context)
+    return "This scene shows a run: go back to the room first" if shows_run(context) else is_own_scene(context)
 
 
 def is_lit_scene(context: bpy.types.Context) -> str | None:
+    return None if shows_run(context) else "This is the room: press Show Lit to see the objects lit"
+
+
+def shows_run(context: bpy.types.Context) -> bool:
+    """Whether the scene is `Xihe Lit`, which Show Lit made."""
     from xihe_blender.apply.datablocks import ROOM
 
-    return None if ROOM in context.scene else "This is the room: press Show Lit to see the objects lit"
+    return ROOM in context.scene
 
 
 def has_cycles(context: bpy.types.Context) -> str | None:

@@ -86,6 +86,8 @@ def test_a_few_clicks_lead_from_an_open_room_to_a_lit_object(first_success):
     assert facts["under_way"]["doing"]
     assert facts["error"] == ""
     assert facts["after"]["worlds"] == ["Xihe Ball"]
+    assert facts["lit"] == {"scene": "Xihe Lit", "world": "Xihe Ball", "shading": "RENDERED", "view": "CAMERA"}
+    assert facts["back"] == {"scene": "Scene", "shading": "SOLID"}
     assert {"Xihe Comparison", "Xihe Light Ball"} <= set(facts["after"]["images"])
     assert any(name.startswith("Xihe trigger") for name in facts["after"]["markers"])
     assert facts["after"]["scenes"] == []

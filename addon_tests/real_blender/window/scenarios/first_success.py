@@ -44,10 +44,31 @@ def scenario(w):
     w.facts["after"] = left_in_file()
     w.facts["folder"] = bpy.context.scene.xihe.run_folder
     yield from w.picture("4_done")
+    yield from see_it_lit(w)
     yield from see_the_comparison(w)
     yield from undo_and_redo(w)
     bpy.ops.wm.save_as_mainfile(filepath=str(w.out / "saved.blend"), copy=True)
     yield from remove(w)
+
+
+def see_it_lit(w):
+    """There, along the timeline, and back."""
+    w.window.scene.frame_set(1)
+    yield from w.click_on("xihe.show_lit")
+    yield 4
+    space = w.area.spaces.active
+    shown = {"scene": w.window.scene.name, "world": w.window.view_layer.world_override.name}
+    w.facts["lit"] = {**shown, "shading": space.shading.type, "view": space.region_3d.view_perspective}
+    w.picture_now("4_lit")
+    w.window.scene.frame_set(6)
+    yield 4
+    w.picture_now("4_lit_later")
+    w.window.scene.render.filepath = str(w.out / "rendered.png")
+    bpy.ops.render.render(write_still=True, scene=w.window.scene.name)
+    yield from w.click_on("xihe.show_room")
+    yield 1
+    w.facts["back"] = {"scene": w.window.scene.name, "shading": space.shading.type}
+    yield from w.picture("4_back")
 
 
 def see_the_comparison(w):
