@@ -11,7 +11,7 @@ from jsonschema import Draft202012Validator
 from results_schema import read_strictly
 from scene_snapshot import differences, snapshot
 from tiny_scenes import room_with_a_virtual_sphere
-from xihe_process import xihe
+from xihe_process import assert_refused, xihe_here
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import as_json, from_json, json_schema
@@ -324,9 +324,7 @@ def test_a_folder_of_another_frontier_and_two_scenes_of_one_name_are_refused(don
     ],
 )
 def test_wrong_input_gets_one_line_and_leaves_nothing(arguments, words, tmp_path):
-    done = xihe("frontier", *arguments, "--out", tmp_path / "out")
-    assert done.returncode == 2 and not done.stdout
-    assert len(done.stderr.splitlines()) == 1 and words in done.stderr
+    assert_refused(xihe_here("frontier", *arguments, "--out", tmp_path / "out"), words)
     assert not (tmp_path / "out").exists()
 
 
