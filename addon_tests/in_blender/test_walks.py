@@ -158,9 +158,8 @@ def test_where_there_is_no_floor_to_walk_on_one_stands_and_looks_around():
     assert len(np.unique(poses[:, :2, 2], axis=0)) == N_FRAMES
 
 
-@pytest.mark.parametrize("index", range(2))
-def test_a_walked_room_is_the_room_of_the_free_views(index):
-    free, walk = make_room(5, index, SMALL), make_room(5, index, SMALL, walk=7)
+def test_a_walked_room_is_the_room_of_the_free_views():
+    free, walk = make_room(5, 0, SMALL), make_room(5, 0, SMALL, walk=7)
     for name in ("positions_m", "seed"):
         assert getattr(free, name).tobytes() == getattr(walk, name).tobytes(), name
     np.testing.assert_allclose(free.sh_hdr / free.exposure, walk.sh_hdr / walk.exposure, rtol=1e-6)
@@ -281,11 +280,11 @@ def test_a_scene_is_stored_as_its_camera_path_saw_it(tmp_path):
 
 
 def test_virtual_objects_are_in_no_picture_of_a_scene(tmp_path):
-    _, with_ball = added(room_with_a_virtual_sphere(), "with", tmp_path)
+    _, with_ball = added(room_with_a_virtual_sphere(), "with", tmp_path, frames=[1])
     scene = room_with_a_virtual_sphere()
     bpy.data.objects.remove(bpy.data.objects["Ball"])
     mark(scene, "Mark", (0, 0, 0.85))
-    _, without = added(scene, "without", tmp_path, at=["Mark"])
+    _, without = added(scene, "without", tmp_path, at=["Mark"], frames=[1])
     np.testing.assert_array_equal(with_ball.radiance, without.radiance)
     np.testing.assert_array_equal(with_ball.balls, without.balls)
     np.testing.assert_array_equal(with_ball.sh_hdr, without.sh_hdr)
