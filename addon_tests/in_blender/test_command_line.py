@@ -16,7 +16,7 @@ from xihe_process import ROOT, assert_refused, said, typed, xihe, xihe_here
 
 from xihenet import __version__
 
-DRAFT = ("--preset", "draft", "--size", "32x24", "--samples", "2")
+DRAFT = ("--preset", "draft", "--size", "32x24", "--samples", "2", "--exposure", "1")
 PAGE = resource.getpagesize()
 """Files in memory take whole ones."""
 
