@@ -1,5 +1,6 @@
 """Work over Dask: what dies is tried again, what cannot be done says so, and rooms are the same whoever makes them."""
 
+from dataclasses import replace
 from urllib.request import urlopen
 
 import pytest
@@ -70,13 +71,11 @@ def test_what_the_user_can_mend_is_not_tried_again(scheduler, scripts):
 
 @pytest.mark.slow
 def test_rooms_made_over_a_scheduler_are_those_of_one_process(scheduler, tmp_path):
-    settings = BuildSettings(2, 5, 1, SMALL_NUMBERS)
-    over = BuildSettings(2, 5, 1, SMALL_NUMBERS, scheduler=scheduler)
-    assert run_blocking(build_dataset(tmp_path / "here", settings)) == 2
-    assert run_blocking(build_dataset(tmp_path / "there", over)) == 2
+    over = BuildSettings(1, 5, 1, SMALL_NUMBERS, scheduler=scheduler)
+    assert run_blocking(build_dataset(tmp_path / "here", replace(over, scheduler=None))) == 1
+    assert run_blocking(build_dataset(tmp_path / "there", over)) == 1
     assert run_blocking(build_dataset(tmp_path / "there", over)) == 0
-    for index in range(2):
-        assert room_path(tmp_path / "there", index).read_bytes() == room_path(tmp_path / "here", index).read_bytes()
+    assert room_path(tmp_path / "there", 0).read_bytes() == room_path(tmp_path / "here", 0).read_bytes()
 
 
 def test_a_dashboard_is_named_where_there_is_one(scheduler):

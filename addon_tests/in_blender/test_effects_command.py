@@ -1,5 +1,6 @@
 """`xihe effects`, what it measures, and a user's overrides: remembered in the .blend, given on the command line."""
 
+import contextlib
 import hashlib
 import json
 from dataclasses import replace
@@ -11,13 +12,15 @@ from previs_runs import SMALL, run
 from results_schema import check_results, read_strictly
 from scene_snapshot import differences, snapshot
 from tiny_scenes import room_with_a_virtual_sphere
-from xihe_process import xihe
+from xihe_process import assert_refused, xihe_here
 
+from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.capture.render import can_denoise
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihe_blender.light_transport import plan_light_transport, remember_overrides, remembered_overrides
+from xihe_blender.light_transport import costs, plan_light_transport, remember_overrides, remembered_overrides
 from xihe_blender.light_transport.overrides import PROPERTY, parsed_overrides
+from xihe_blender.light_transport.plan import required_effects
 from xihe_blender.light_transport.rules import RULES, SWITCHED_ELSEWHERE
 from xihe_blender.previs.required_effects import effects_of_run
 from xihe_blender.previs.settings import PrevisSettings
@@ -111,29 +114,53 @@ def test_every_effect_says_whether_a_scene_can_switch_it():
 # --------------------------------------------------------------------------------------------------------------- costs
 
 
+MEASURED = {"transmission", "diffuse bounces", "volumes", "transparency", "motion blur", "denoising"}
+"""Two that the room calls for, two that it does not, and two that are measured in a scene of their own."""
+
+VARIANTS = costs._variants
+
+
+@contextlib.contextmanager
+def few_costs(names, n_seeds):
+    """Costs of `names` alone, from `n_seeds` small renders of each side."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(costs, "ProbeSettings", lambda size, **others: ProbeSettings(size // 3, **others))
+        patch.setattr(costs, "N_SEEDS", n_seeds)
+        patch.setattr(costs, "APART_SEEDS", n_seeds)
+        patch.setattr(costs, "_variants", lambda *of_run: {k: v for k, v in VARIANTS(*of_run).items() if k in names})
+        yield
+
+
 @pytest.fixture(scope="module")
 def measured():
-    """The effects of the tiny room with a glass ball in it, and what measuring changed in the file."""
+    """Effects of the tiny room with a glass ball in it, and what measuring some costs changed in the file."""
     scene = room_with_a_virtual_sphere(n_frames=1)
     ball(scene, "Vase", (0.5, 0.3, 1.0), glass())
     bpy.context.view_layer.update()
     before = snapshot()
-    effects = run_blocking(effects_of_run(scene, PrevisSettings()))
+    with few_costs({costs.BASELINE, *MEASURED}, n_seeds=3):
+        effects = run_blocking(effects_of_run(scene, PrevisSettings(), budget_s=1e9))
     return effects, differences(before, snapshot())
 
 
-@pytest.mark.slow
-def test_measuring_changes_nothing_in_the_file(measured):
-    assert measured[1] == ({}, [])
+def without_a_denoiser():
+    """What a build without it cannot switch on."""
+    return set() if can_denoise(bpy.context.scene) else {"denoising"}
+
+
+def test_every_effect_that_a_setting_switches_is_measured():
+    scene = room_with_a_virtual_sphere(n_frames=1)
+    variants = set(VARIANTS(required_effects(scene), {})) - {costs.BASELINE}
+    assert set(RULES) - variants == COSTLESS | without_a_denoiser()
 
 
 @pytest.mark.slow
-def test_every_effect_that_a_setting_switches_has_a_cost(measured):
-    # A build without the denoiser cannot switch it on.
-    missing = set() if can_denoise(bpy.context.scene) else {"denoising"}
-    costs = {name: effect.cost for name, effect in measured[0].items() if effect.cost is not None}
-    assert set(RULES) - set(costs) == COSTLESS | missing
-    assert all(cost.time_share > -1 and cost.time_standard_error > 0 for cost in costs.values())
+def test_measuring_changes_nothing_in_the_file_and_gives_each_its_cost(measured):
+    effects, changed = measured
+    assert changed == ({}, [])
+    found = {name: effect.cost for name, effect in effects.items() if effect.cost is not None}
+    assert set(found) == MEASURED - without_a_denoiser()
+    assert all(cost.time_share > -1 and cost.time_standard_error > 0 for cost in found.values())
 
 
 @pytest.mark.slow
@@ -155,25 +182,26 @@ def test_leaving_out_what_the_scene_does_not_call_for_changes_nothing(measured):
 
 @pytest.mark.slow
 def test_the_plan_is_shown_before_the_costs_and_each_cost_as_it_is_known(blend):
-    shown = xihe("effects", blend, "--budget", "600").stdout
-    plan, costs = shown.split("\n\n")[:2]
+    names = {"diffuse bounces", "volumes"}
+    with few_costs({costs.BASELINE, *names}, n_seeds=2):
+        shown = xihe_here("effects", blend, "--budget", "600").stdout
+    plan, of_each = shown.split("\n\n")[:2]
     required = plan_light_transport(open_blend(blend))
     for effect in required.values():
         line = next(line for line in plan.splitlines() if line.startswith(effect.name))
         assert effect.state in line and effect.reason[:30] in line
-    missing = set() if can_denoise(bpy.context.scene) else {"denoising"}
-    measured = {name for name in required if any(line.startswith(name) and "%" in line for line in costs.splitlines())}
-    assert set(required) - measured == COSTLESS | missing and "standard error" in shown
+    assert {n for n in required if any(line.startswith(n) and "%" in line for line in of_each.splitlines())} == names
+    assert "standard error" in shown
 
 
 @pytest.mark.slow
 def test_what_the_budget_has_no_time_for_is_named(blend):
-    assert "diffuse bounces: not measured within the budget" in xihe("effects", blend, "--budget", "1e-9").stdout
+    shown = xihe_here("effects", blend, "--budget", "1e-9").stdout
+    assert "diffuse bounces: not measured within the budget" in shown
 
 
 def test_a_budget_of_nothing_is_refused(blend):
-    done = xihe("effects", blend, "--budget", "0")
-    assert done.returncode == 2 and "--budget" in done.stderr
+    assert_refused(xihe_here("effects", blend, "--budget", "0"), "--budget")
 
 
 def test_a_portal_is_no_lamp(blend):
@@ -225,7 +253,7 @@ def blend(tmp_path_factory):
 
 def test_the_command_prints_strict_json_and_saves_no_override(blend):
     before = hashlib.sha256(blend.read_bytes()).digest()
-    done = xihe("effects", blend, "--plan-only", "--json", "--effect", "motion blur=off", "--effect", "volumes=on")
+    done = xihe_here("effects", blend, "--plan-only", "--json", "--effect", "motion blur=off", "--effect", "volumes=on")
     assert done.returncode == 0, done.stderr
     rows = {row["name"]: row for row in json.loads(done.stdout)}
     assert list(rows) == list(RULES)
@@ -235,7 +263,7 @@ def test_the_command_prints_strict_json_and_saves_no_override(blend):
 
 
 def test_the_command_prints_a_table_with_a_star_for_the_users(blend):
-    done = xihe("effects", blend, "--plan-only")
+    done = xihe_here("effects", blend, "--plan-only")
     assert done.returncode == 0, done.stderr
     head, *lines = done.stdout.splitlines()
     assert head.split() == ["effect", "state", "why", "set", "to"]
@@ -252,15 +280,13 @@ def test_the_command_prints_a_table_with_a_star_for_the_users(blend):
     ],
 )
 def test_a_mistake_gets_one_line_and_exit_2(blend, arguments, words):
-    done = xihe("effects", blend, "--plan-only", *arguments)
-    lines = [line for line in done.stderr.splitlines() if "%  " not in line]
-    assert (done.returncode, done.stdout, len(lines)) == (2, "", 1), done.stderr
-    assert lines[0].startswith("xihe: ") and words in lines[0]
+    done = xihe_here("effects", blend, "--plan-only", *arguments)
+    assert_refused(done, words)
 
 
 def test_previs_refuses_a_senseless_effect_before_it_writes(blend, tmp_path):
-    done = xihe("previs", blend, "--out", tmp_path / "out", "--effect", "volumes=perhaps")
-    assert (done.returncode, done.stdout) == (2, "") and "auto, on or off" in done.stderr
+    done = xihe_here("previs", blend, "--out", tmp_path / "out", "--effect", "volumes=perhaps")
+    assert_refused(done, "auto, on or off")
     assert not (tmp_path / "out").exists()
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import bpy
 import pytest
-from previs_runs import N_FRAMES, counted_renders, files_below, run, walk
+from previs_runs import N_FRAMES, QuickPrevis, counted_renders, files_below, run, walk
 from tiny_scenes import room_with_a_virtual_sphere
 
 from xihe_blender.apply.datablocks import LIT_SCENE
@@ -13,56 +13,79 @@ from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.batch.grid import BatchSettings
 from xihe_blender.lab.batch.unit import evaluate_unit
+from xihe_blender.scene.blend_file import open_blend
 
 SMALL = BatchSettings(
     estimators=("projection", "ambient", "truth"), phones=("perfect", "ipad_pro_lidar"), size=(24, 18), samples=1
 )
 
 
-@pytest.fixture
-def file(tmp_path):
+@pytest.fixture(scope="module", autouse=True)
+def small_light_probes():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("xihe_blender.previs.settings.PrevisSettings", QuickPrevis)
+        yield
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
     """The walk through the tiny room as a file of its own."""
     walk()
-    path = tmp_path / "walk.blend"
+    path = tmp_path_factory.mktemp("saved") / "walk.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
     return path
+
+
+@pytest.fixture
+def file(saved):
+    """The same, opened."""
+    open_blend(saved)
+    return saved
+
+
+@pytest.fixture(scope="module")
+def whole(saved, tmp_path_factory):
+    """An undisturbed unit, and the names of the scenes that it rendered."""
+    open_blend(saved)
+    with counted_renders() as renders:
+        return evaluated(tmp_path_factory.mktemp("whole"), saved), renders
 
 
 def evaluated(folder, file, settings=SMALL, seed=0):
     return run_blocking(evaluate_unit(bpy.context.scene, file, folder, settings, seed))
 
 
-def test_a_trial_has_the_numbers_of_a_run_of_its_own(tmp_path, file):
-    unit = evaluated(tmp_path / "unit", file)
+def trial_of(unit, phone, estimator):
+    return next(trial for trial in unit.trials if (trial.phone, trial.estimator) == (phone, estimator))
+
+
+def renders_of_the_room(renders):
+    """In any order: a unit has all captures before the first light probe."""
+    return sorted(name for name in renders if name not in (LIT_SCENE, "Xihe Effects"))
+
+
+def test_a_trial_has_the_numbers_of_a_run_of_its_own_and_all_trials_render_no_more_of_the_room(tmp_path, whole, file):
+    unit, of_unit = whole
     assert [(t.phone, t.estimator) for t in unit.trials] == SMALL.trials()
-    trial = next(t for t in unit.trials if (t.phone, t.estimator) == ("ipad_pro_lidar", "projection"))
-    alone = run(bpy.context.scene, tmp_path / "alone", SMALL.of_trial("ipad_pro_lidar", "projection", 0))
+    trial = trial_of(unit, "ipad_pro_lidar", "projection")
+    with counted_renders() as of_run:
+        alone = run(bpy.context.scene, tmp_path / "alone", SMALL.of_trial("ipad_pro_lidar", "projection", 0))
     assert trial.n_estimates == alone["summary"]["n_estimates"]
     assert trial.shc_rmse == alone["summary"]["mean_shc_rmse"]
     own = alone["comparison"]["projection"]
     assert {metric: getattr(trial, metric) for metric in own} == pytest.approx(own, rel=1e-5)
+    assert renders_of_the_room(of_unit) == renders_of_the_room(of_run) and len(of_run) > N_FRAMES
 
 
-def test_more_phones_and_estimators_render_no_more_of_the_room(tmp_path, file):
-    one = replace(SMALL, estimators=("projection",), phones=("ipad_pro_lidar",))
-    with counted_renders() as few:
-        evaluated(tmp_path / "one", file, one)
-    with counted_renders() as many:
-        evaluated(tmp_path / "many", file)
-    of_the_room = [[name for name in renders if name not in (LIT_SCENE, "Xihe Effects")] for renders in (few, many)]
-    assert of_the_room[0] == of_the_room[1] and len(of_the_room[0]) > N_FRAMES
-
-
-def test_a_unit_that_was_stopped_goes_on_and_comes_to_the_same(tmp_path, file):
-    whole = evaluated(tmp_path / "whole", file)
-    with contextlib.closing(evaluate_unit(bpy.context.scene, file, tmp_path / "part", SMALL, 0)) as job:
-        while not list((tmp_path / "part").rglob("compared_*.json")):
+def test_a_unit_that_was_stopped_goes_on_and_comes_to_the_same(tmp_path, whole, file):
+    with contextlib.closing(evaluate_unit(bpy.context.scene, file, tmp_path, SMALL, 0)) as job:
+        while not list(tmp_path.rglob("compared_*.json")):
             next(job)
-    there = files_below(tmp_path / "part")
-    resumed = evaluated(tmp_path / "part", file)
-    assert resumed.trials == whole.trials
+    there = files_below(tmp_path)
+    resumed = evaluated(tmp_path, file)
+    assert resumed.trials == whole[0].trials
     captures = [name for name in there if "capture_" in name]
-    assert captures and all(files_below(tmp_path / "part")[name] == there[name] for name in captures)
+    assert captures and all(files_below(tmp_path)[name] == there[name] for name in captures)
 
 
 def test_another_seed_is_another_room(tmp_path, file):
@@ -71,9 +94,8 @@ def test_another_seed_is_another_room(tmp_path, file):
     assert first.shc_rmse != second.shc_rmse
 
 
-def test_truth_has_no_error_and_an_eager_trigger_never_asks_less_often(tmp_path, file):
-    two = replace(SMALL, estimators=("truth", "projection"), phones=("perfect",))
-    truth, estimated = evaluated(tmp_path, file, two).trials
+def test_truth_has_no_error_and_an_eager_trigger_never_asks_less_often(whole):
+    truth, estimated = (trial_of(whole[0], "perfect", estimator) for estimator in ("truth", "projection"))
     assert truth.thetas == () and truth.frames[0].shc_rmse == 0
     rates = [one.per_minute for one in estimated.thetas]
     assert rates == sorted(rates, reverse=True) and rates[0] > rates[-1]

@@ -158,9 +158,8 @@ def test_where_there_is_no_floor_to_walk_on_one_stands_and_looks_around():
     assert len(np.unique(poses[:, :2, 2], axis=0)) == N_FRAMES
 
 
-@pytest.mark.parametrize("index", range(2))
-def test_a_walked_room_is_the_room_of_the_free_views(index):
-    free, walk = make_room(5, index, SMALL), make_room(5, index, SMALL, walk=7)
+def test_a_walked_room_is_the_room_of_the_free_views():
+    free, walk = make_room(5, 0, SMALL), make_room(5, 0, SMALL, walk=7)
     for name in ("positions_m", "seed"):
         assert getattr(free, name).tobytes() == getattr(walk, name).tobytes(), name
     np.testing.assert_allclose(free.sh_hdr / free.exposure, walk.sh_hdr / walk.exposure, rtol=1e-6)
@@ -265,12 +264,12 @@ def mark(scene, name, place):
 
 
 def test_a_scene_is_stored_as_its_camera_path_saw_it(tmp_path):
-    scene = room_with_a_virtual_sphere()
+    scene = room_with_a_virtual_sphere(2)
     path, room = added(scene, "tiny", tmp_path)
     assert path == room_path(tmp_path, 0)
     assert (room.kind, room.regime) == ("tiny", SCENE_REGIME)
     assert room.seed.tolist() == [SCENE_SEED, zlib.crc32(b"tiny")]
-    assert room.exposure == meter_exposure(scene, [1, 2, 3])
+    assert room.exposure == meter_exposure(scene, [1, 2])
     np.testing.assert_allclose(room.positions_m, [[0, 0, 0.85]], atol=1e-6)
     assert room.balls.shape == (1, 8, 8, 3)
     for frame, pose in enumerate(room.world_from_camera, start=1):
@@ -281,11 +280,11 @@ def test_a_scene_is_stored_as_its_camera_path_saw_it(tmp_path):
 
 
 def test_virtual_objects_are_in_no_picture_of_a_scene(tmp_path):
-    _, with_ball = added(room_with_a_virtual_sphere(), "with", tmp_path)
+    _, with_ball = added(room_with_a_virtual_sphere(), "with", tmp_path, frames=[1])
     scene = room_with_a_virtual_sphere()
     bpy.data.objects.remove(bpy.data.objects["Ball"])
     mark(scene, "Mark", (0, 0, 0.85))
-    _, without = added(scene, "without", tmp_path, at=["Mark"])
+    _, without = added(scene, "without", tmp_path, at=["Mark"], frames=[1])
     np.testing.assert_array_equal(with_ball.radiance, without.radiance)
     np.testing.assert_array_equal(with_ball.balls, without.balls)
     np.testing.assert_array_equal(with_ball.sh_hdr, without.sh_hdr)
@@ -321,8 +320,8 @@ def test_rooms_and_scenes_keep_to_folders_of_their_own(walked_folder, tmp_path):
 
 
 def test_a_camera_that_zooms_is_refused(tmp_path):
-    scene = room_with_a_virtual_sphere()
-    for frame, lens in ((1, 30.0), (3, 60.0)):
+    scene = room_with_a_virtual_sphere(2)
+    for frame, lens in ((1, 30.0), (2, 60.0)):
         scene.camera.data.lens = lens
         scene.camera.data.keyframe_insert("lens", frame=frame)
     with pytest.raises(UserError, match="zooms before frame 2"):
