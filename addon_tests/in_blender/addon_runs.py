@@ -17,14 +17,19 @@ def registered_addon():
     try:
         yield
     finally:
-        addons = bpy.context.preferences.addons
-        for entry in [entry for entry in addons if entry.module == PACKAGE]:
-            addons.remove(entry)
+        _disable_preferences()
         addon.unregister()
 
 
+def _disable_preferences():
+    addons = bpy.context.preferences.addons
+    for entry in [entry for entry in addons if entry.module == PACKAGE]:
+        addons.remove(entry)
+
+
 def enable_preferences():
-    """The add-on's preferences, as they are there once it is enabled; a factory reset takes them away."""
+    """The add-on's preferences, as they are at first, once it is enabled."""
+    _disable_preferences()
     entry = bpy.context.preferences.addons.new()
     entry.module = PACKAGE
     return entry.preferences

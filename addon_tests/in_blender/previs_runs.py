@@ -15,7 +15,9 @@ from xihe_blender.scene.virtual_objects import virtual_collection
 
 @dataclass(frozen=True)
 class QuickPrevis(PrevisSettings):
-    """Light probes of a fortieth of the rays, for tests that are not about how good the reference is."""
+    """Light probes of a fortieth of the rays, and metering of a sixteenth, for tests that are about neither."""
+
+    metering_samples = 2
 
     @property
     def reference(self):

@@ -30,9 +30,6 @@ from addon_tests.in_blender.hard_cases.broken_scenes import (
 from addon_tests.in_blender.hard_cases.outcome import believed, lit, previsualised, refused, same_light, says
 
 STAGE = "blender"
-OTHER_NOISE = 0.2
-"""Of light of 0.7, with one sample: where rounding sends light on other paths. test_invariance.py has it exactly."""
-
 AS_IT_IS = same_light("of the room as it is")
 
 
@@ -40,26 +37,33 @@ FLAT = [(0, 0, 0), (0.1, 0, 0), (0.2, 0, 0)]
 FAN = [(0, 0, 0), (0.2, 0, 0), (0, 0.2, 0), (0, -0.2, 0), (0, 0, 0.2)]
 
 MESHES = [
-    case("an object without faces in the room changes nothing", add_mesh(), AS_IT_IS),
-    case("edges alone in the room change nothing", add_mesh(FLAT, [(0, 1)]), AS_IT_IS),
-    case("a virtual object without faces is lit at its origin", add_mesh(is_virtual=True), lit(2)),
-    case("virtual edges alone are lit", add_mesh(FLAT, [(0, 1)], is_virtual=True), lit(2)),
+    case(
+        "a mesh without vertices, edges alone, faces without area and an instance of nothing change nothing",
+        [add_mesh(), add_mesh(FLAT, [(0, 1)]), add_mesh(FLAT, (), [(0, 1, 2)]), add_instance(is_virtual=False)],
+        AS_IT_IS,
+    ),
+    case(
+        "virtual, each of them is lit at its origin",
+        [
+            add_mesh(is_virtual=True),
+            add_mesh(FLAT, [(0, 1)], is_virtual=True),
+            add_mesh(FLAT, (), [(0, 1, 2)], is_virtual=True),
+            add_instance(is_virtual=True),
+        ],
+        lit(5),
+    ),
     case(
         "a virtual object without faces alone shows nothing",
         [remove("Ball"), add_mesh(is_virtual=True)],
         says("showed nothing of a virtual object"),
     ),
     case("a room without any face has no surface", remove("Room", "Table", "Lamp"), says("showed no surface at all")),
-    case("an instance of nothing in the room changes nothing", add_instance(is_virtual=False), AS_IT_IS),
-    case("a virtual instance of nothing is lit at its origin", add_instance(is_virtual=True), lit(2)),
     case("a virtual object inside another is lit as that", add_shell, lit(2)),
     case(
         "an estimation position inside a wall is named",
         add_block((0, 0, 0.85)),
         says("light probe of 'Ball' saw no light where the phone did"),
     ),
-    case("faces without area in the room change nothing", add_mesh(FLAT, (), [(0, 1, 2)]), AS_IT_IS),
-    case("a virtual face without area is lit", add_mesh(FLAT, (), [(0, 1, 2)], is_virtual=True), lit(2)),
     case(
         "three faces on one edge, and one of them twice",
         add_mesh(FAN, (), [(0, 1, 2), (0, 1, 3), (0, 1, 4), (1, 0, 4)]),
@@ -136,13 +140,10 @@ CAMERAS = [
 LAMPS = [
     case("no light at all is named", panel(0.0), says("Neither the phone nor a light probe saw any light")),
     case("a lamp of 0 W is named", lamp_alone(0.0), says("Neither the phone nor a light probe saw any light")),
-    *(
-        case(
-            f"a lamp of {w:g} W gives the light of 100 W at its own exposure",
-            lamp_alone(w),
-            same_light("of 100 W", lamp_alone(100.0), within=1e-3),
-        )
-        for w in (1e9, 1e29)
+    case(
+        "a lamp of 1e29 W gives the light of 100 W at its own exposure",
+        lamp_alone(1e29),
+        same_light("of 100 W", lamp_alone(100.0), within=1e-3),
     ),
     case("a lamp of 1e-9 W is below Cycles' light threshold", lamp_alone(1e-9), says("light threshold of 0.01")),
     case("a sun of 1e9", [remove("Room"), lamp_alone(1e9, "SUN")], lit()),
@@ -151,10 +152,7 @@ LAMPS = [
         for w in (1e30, math.inf, math.nan)
     ),
     case("a lamp that breaks later is refused", lamp_that_breaks, refused("1e+31 as its strength at frame 2")),
-    *(
-        case(f"a lamp of {w:g} W is named", lamp_alone(w), says("light of lamp 'Bulb' is negative", n=1))
-        for w in (-100.0, -1e9)
-    ),
+    case("a lamp of -1e9 W is named", lamp_alone(-1e9), says("light of lamp 'Bulb' is negative", n=1)),
     case("a panel that shines negatively is named", panel(-6.0), says("light of material 'Light' is negative", n=1)),
     *(
         case(f"a panel of {strength:g} is refused", panel(strength), refused("material 'Light' has"))
@@ -191,17 +189,8 @@ SURROUNDINGS = [
     case("walls that send back ten times the light", paint_walls(10, 10, 10), lit()),
 ]
 
+# In other units with other clip planes it is the same room: test_invariance.py.
 UNITS = [
-    case(
-        "a room in millimetres is the same room",
-        scale_all(1e3, scale_length=1e-3),
-        same_light("of the room in metres", within=OTHER_NOISE),
-    ),
-    case(
-        "a room in kilometres is the same room",
-        scale_all(1e-3, scale_length=1e3),
-        same_light("of the room in metres", within=OTHER_NOISE),
-    ),
     case("a room in millimetres that says metres is refused", scale_all(1e3), refused("set the unit scale")),
     case(
         "a room in kilometres that says metres is named",
