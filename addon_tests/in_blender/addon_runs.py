@@ -3,7 +3,8 @@
 import contextlib
 
 import bpy
-from previs_runs import walk
+import pytest
+from previs_runs import QuickPrevis, walk
 
 from xihe_blender import addon
 
@@ -33,6 +34,16 @@ def enable_preferences():
     entry = bpy.context.preferences.addons.new()
     entry.module = PACKAGE
     return entry.preferences
+
+
+@contextlib.contextmanager
+def small_panel_runs():
+    """What is started from the panel renders as little as `QuickPrevis`."""
+    from xihe_blender.addon import run_settings
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run_settings, "PrevisSettings", QuickPrevis)
+        yield
 
 
 def walk_for_the_panel(runs_folder, **settings):

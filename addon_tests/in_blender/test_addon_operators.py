@@ -3,7 +3,7 @@
 import bpy
 import numpy as np
 import pytest
-from addon_runs import enable_preferences, poll_message, registered_addon, walk_for_the_panel
+from addon_runs import enable_preferences, poll_message, registered_addon, small_panel_runs, walk_for_the_panel
 from previs_runs import walk
 from scene_snapshot import differences, snapshot
 from tiny_scenes import box, empty_scene, phone, room_with_a_virtual_sphere
@@ -349,6 +349,7 @@ def test_a_runs_folder_that_cannot_be_made_names_the_preference(tmp_path):
 # ------------------------------------------------------------------------------------------------------------ run time
 
 
+@small_panel_runs()
 def test_the_time_of_a_run_grows_with_its_frames_and_leaves_the_scene(tmp_path):
     from xihe_blender.addon.run_settings import previs_settings
     from xihe_blender.previs.run_time import measure_run_time, predict_run_s
@@ -392,6 +393,7 @@ def test_the_pause_between_steps_is_that_of_most():
     assert under_way.pause_s == 0.2
 
 
+@small_panel_runs()
 def test_the_estimate_of_time_is_said_with_how_it_was_made(tmp_path):
     from xihe_blender.previs.run_time import format_run_time
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from addon_runs import enable_preferences, registered_addon, walk_for_the_panel
-from previs_runs import SMALL, SMALL_AS_SHIPPED, run
+from addon_runs import enable_preferences, registered_addon, small_panel_runs, walk_for_the_panel
+from previs_runs import SMALL, run
 from results_schema import read_strictly, without_times
 from scene_snapshot import data_blocks, differences, snapshot
 from test_lit_blend import keyed
@@ -34,13 +34,10 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.run_results import read_results
 from xihenet.panorama import evaluate_panorama
 
-IN_THE_PANEL = replace(SMALL_AS_SHIPPED, noise_target=None)
-"""What the panel has no setting for is the preset's."""
 
-
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True, scope="module")
 def addon():
-    with registered_addon():
+    with registered_addon(), small_panel_runs():
         yield
 
 
@@ -48,15 +45,13 @@ def addon():
 def done(tmp_path_factory):
     """A run from the panel, its file saved at its end: the folder of both, and the scene before and after."""
     folder = tmp_path_factory.mktemp("panel")
-    with registered_addon():
-        scene = walk_for_the_panel(folder / "runs")
-        bpy.context.view_layer.update()
-        before = snapshot()
-        assert bpy.ops.xihe.run() == {"FINISHED"}
-        after = snapshot()
-        run_folder = Path(scene.xihe.run_folder)
-        bpy.ops.wm.save_as_mainfile(filepath=str(folder / "shown.blend"))
-    return folder, run_folder, before, after
+    scene = walk_for_the_panel(folder / "runs")
+    bpy.context.view_layer.update()
+    before = snapshot()
+    assert bpy.ops.xihe.run() == {"FINISHED"}
+    after = snapshot()
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "shown.blend"))
+    return folder, Path(scene.xihe.run_folder), before, after
 
 
 @pytest.fixture
@@ -79,8 +74,9 @@ def pixels(image):
 
 def test_the_panels_run_has_the_numbers_of_the_function(done, tmp_path):
     with_window = read_strictly(done[1] / "results.json")
-    scene = walk_for_the_panel(tmp_path)
-    assert without_times(with_window) == without_times(run(scene, tmp_path / "out", IN_THE_PANEL))
+    # What the panel has no setting for is the preset's.
+    by_function = run(walk_for_the_panel(tmp_path), tmp_path / "out", replace(SMALL, noise_target=None))
+    assert without_times(with_window) == without_times(by_function)
 
 
 def test_the_scene_is_as_it_was_but_for_the_last_run(done):
