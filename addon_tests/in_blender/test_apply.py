@@ -23,7 +23,7 @@ from xihe_blender.compare.methods import open_comparer
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet import sh
 
-SIDE = 64
+SIDE = 48
 
 
 def white_sphere_seen_from(scene, axis):
@@ -47,7 +47,7 @@ def white_sphere_seen_from(scene, axis):
     return in_camera @ np.array(rotation.to_matrix()).T, inside
 
 
-def rendered_sphere(coefficients, exposure=1.0, axis=(0, -1, 0), samples=256):
+def rendered_sphere(coefficients, exposure=1.0, axis=(0, -1, 0), samples=128):
     scene = empty_scene()
     normals, inside = white_sphere_seen_from(scene, axis)
     world = make_sh_world("Xihe White")
@@ -58,8 +58,7 @@ def rendered_sphere(coefficients, exposure=1.0, axis=(0, -1, 0), samples=256):
     return radiance[inside].astype(np.float64), normals
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("axis", [(0, -1, 0), (1, 0, 0), (0, 0, 1)])
+@pytest.mark.parametrize(("seed", "axis"), [(0, (0, -1, 0)), (1, (1, 0, 0)), (2, (0, 0, 1))])
 def test_a_white_sphere_shows_the_analytic_irradiance(seed, axis):
     coefficients = np.random.default_rng(seed).normal(size=(9, 3)) * 0.15
     coefficients[0] += 1.5
@@ -69,9 +68,8 @@ def test_a_white_sphere_shows_the_analytic_irradiance(seed, axis):
     assert np.abs(shown - expected).max() < 0.05 * expected.mean()
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_radiance_that_is_negative_in_places_is_not_clamped(seed):
-    coefficients = np.random.default_rng(seed).normal(size=(9, 3)) * 0.3
+def test_radiance_that_is_negative_in_places_is_not_clamped():
+    coefficients = np.random.default_rng(0).normal(size=(9, 3)) * 0.3
     coefficients[0] = 1.0
     shown, normals = rendered_sphere(coefficients, samples=512)
     directions = np.random.default_rng(0).normal(size=(4000, 3))
@@ -94,18 +92,6 @@ def test_the_exposure_that_coefficients_carry_is_taken_out_once():
     plain, _ = rendered_sphere(coefficients, samples=16)
     exposed, _ = rendered_sphere(coefficients * 5.0, exposure=5.0, samples=16)
     np.testing.assert_allclose(exposed, plain, rtol=1e-4)
-
-
-@pytest.mark.parametrize("axis", range(3))
-@pytest.mark.parametrize("sign", [1, -1])
-def test_light_along_an_axis_lights_that_side_alone(axis, sign):
-    direction = np.zeros(3)
-    direction[axis] = sign
-    coefficients = np.repeat(sh.basis(direction[None]).T, 3, axis=1)
-    view = (0, -1, 0) if axis != 1 else (1, 0, 0)
-    shown, normals = rendered_sphere(coefficients, axis=view, samples=32)
-    facing = normals[:, axis] * sign
-    assert shown[facing > 0.5].mean() > 5 * abs(shown[facing < -0.5].mean())
 
 
 def test_keyed_light_plays_back_frame_by_frame_and_does_not_blend():
