@@ -1,5 +1,6 @@
 """Tiny scenes that call for one effect of light transport, each beside one that does not, and is otherwise alike."""
 
+import functools
 import math
 
 import bpy
@@ -179,14 +180,18 @@ def open_field():
     return scene
 
 
+with_mirror_ball, with_glass_ball, with_foggy_ball = (
+    functools.partial(with_ball, look) for look in (mirror, glass, fog)
+)
+
 PAIRS = {
     "diffuse bounces": (stage, all_mirror),
-    "glossy bounces": (lambda: with_ball(mirror), stage),
-    "transmission": (lambda: with_ball(glass), stage),
+    "glossy bounces": (with_mirror_ball, stage),
+    "transmission": (with_glass_ball, stage),
     "transparency": (lambda: with_ball(lambda: shader_look("Veil", "BsdfTransparent")), stage),
-    "volumes": (lambda: with_ball(fog), stage),
-    "reflective caustics": (lambda: with_ball(mirror), all_mirror),
-    "refractive caustics": (lambda: with_ball(glass), lambda: with_ball(mirror)),
+    "volumes": (with_foggy_ball, stage),
+    "reflective caustics": (with_mirror_ball, all_mirror),
+    "refractive caustics": (with_glass_ball, with_mirror_ball),
     "subsurface": (with_subsurface, stage),
     "hair": (with_hair, stage),
     "displacement": (with_displacement, lambda: with_displacement("BUMP")),
