@@ -4,7 +4,7 @@ import functools
 import math
 
 import bpy
-from tiny_scenes import box, empty_scene, material, phone, set_world, sphere
+from tiny_scenes import box, empty_scene, key, material, phone, set_world, sphere
 
 from xihe_blender.light_transport import plan_light_transport
 
@@ -56,8 +56,8 @@ def shader_look(name, node, **inputs):
 
 def shader_node(tree, node, **inputs):
     made = tree.nodes.new(f"ShaderNode{node}")
-    for key, value in inputs.items():
-        made.inputs[key.replace("_", " ")].default_value = value
+    for name, value in inputs.items():
+        made.inputs[name.replace("_", " ")].default_value = value
     return made
 
 
@@ -118,10 +118,7 @@ def with_motion_blur(moves=True):
     scene.render.use_motion_blur = True
     scene.frame_end = 3
     if moves:
-        ball = bpy.data.objects["Matt ball"]
-        for frame, x in ((1, -0.6), (3, 0.2)):
-            ball.location.x = x
-            ball.keyframe_insert("location", frame=frame)
+        key(bpy.data.objects["Matt ball"], "location", {1: (-0.6, 0, 0.3), 3: (0.2, 0, 0.3)})
     return scene
 
 

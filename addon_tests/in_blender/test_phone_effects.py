@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from phone_runs import IPAD, kept, pane, planned, principled, state
 from previs_runs import SMALL
-from tiny_scenes import room_with_a_virtual_sphere
+from tiny_scenes import key, room_with_a_virtual_sphere
 
 from xihe_blender.capture.phone_surfaces import load_surfaces
 from xihe_blender.light_transport import remember_overrides
@@ -66,9 +66,7 @@ def test_a_single_frame_of_a_walk_is_not_taken_for_a_still_camera(tmp_path):
 
 def _dimmed(scene):
     strength = bpy.data.materials["Light"].node_tree.nodes["Emission"].inputs["Strength"]
-    for frame, value in ((1, 6.0), (3, 1.0)):
-        strength.default_value = value
-        strength.keyframe_insert("default_value", frame=frame)
+    key(strength, "default_value", {1: 6.0, 3: 1.0})
 
 
 def _driven_lamp(scene):
@@ -78,24 +76,16 @@ def _driven_lamp(scene):
 
 
 def _switched_off(scene):
-    lamp = bpy.data.objects["Lamp"]
-    for frame in (1, 2):
-        lamp.hide_render = frame == 2
-        lamp.keyframe_insert("hide_render", frame=frame)
+    key(bpy.data.objects["Lamp"], "hide_render", {1: False, 2: True})
 
 
 def _carried_away(scene):
-    lamp = bpy.data.objects["Lamp"]
-    for frame in (1, 3):
-        lamp.location.y = frame
-        lamp.keyframe_insert("location", frame=frame)
+    key(bpy.data.objects["Lamp"], "location", {1: (1.9, 1, 1.6), 3: (1.9, 3, 1.6)})
 
 
 def _sky_changes(scene):
     background = next(node for node in scene.world.node_tree.nodes if node.type == "BACKGROUND")
-    for frame in (1, 3):
-        background.inputs["Color"].default_value = (0.1 * frame,) * 3 + (1.0,)
-        background.inputs["Color"].keyframe_insert("default_value", frame=frame)
+    key(background.inputs["Color"], "default_value", {1: (0.1, 0.1, 0.1, 1.0), 3: (0.3, 0.3, 0.3, 1.0)})
 
 
 def _a_virtual_lamp_changes(scene):
@@ -110,12 +100,6 @@ def _a_virtual_lamp_changes(scene):
     virtual_collection(scene).objects.link(bpy.data.objects.new("Torch", lamp.data))
 
 
-def _a_box_moves(scene):
-    for frame in (1, 3):
-        bpy.data.objects["Table"].location.y = 0.1 * frame
-        bpy.data.objects["Table"].keyframe_insert("location", frame=frame)
-
-
 @pytest.mark.parametrize("change", [_dimmed, _driven_lamp, _switched_off, _carried_away, _sky_changes])
 def test_the_light_sensor_is_simulated_where_a_light_changes(change, tmp_path):
     scene = room_with_a_virtual_sphere()
@@ -128,7 +112,7 @@ def test_the_light_sensor_is_simulated_where_a_light_changes(change, tmp_path):
 def test_the_light_sensor_is_left_out_where_no_light_changes(tmp_path):
     scene = room_with_a_virtual_sphere()
     _a_virtual_lamp_changes(scene)
-    _a_box_moves(scene)
+    key(bpy.data.objects["Table"], "location", {1: (0, 0.1, 0.7), 3: (0, 0.3, 0.7)})
     phone, captured = planned(scene, tmp_path, IPAD)
     assert state(phone, "light_sensor") == "off"
     assert np.array_equal(phone.see(captured, kept(tmp_path))[0].ambient, captured.ambient)

@@ -20,7 +20,7 @@ from previs_runs import (
     walk,
 )
 from results_schema import check_results, read_strictly, without_times
-from tiny_scenes import phone, room_with_a_virtual_sphere, sphere
+from tiny_scenes import key, phone, room_with_a_virtual_sphere, sphere
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
@@ -98,8 +98,8 @@ def test_nothing_half_written_is_left(finished):
 def test_another_seed_gives_another(tmp_path):
     changes = [{"seed": seed, "frames": (1,), "exposure": 1.0} for seed in (0, 1)]
     one, other = (run(walk(), tmp_path / str(n), replace(SMALL, **change)) for n, change in enumerate(changes))
-    for key in ("sh", "sh_truth"):
-        assert entries(one)[1]["probes"][0][key] != entries(other)[1]["probes"][0][key]
+    for light in ("sh", "sh_truth"):
+        assert entries(one)[1]["probes"][0][light] != entries(other)[1]["probes"][0][light]
 
 
 def test_a_finished_run_is_not_done_again(finished):
@@ -244,9 +244,7 @@ def test_a_camera_moved_by_a_constraint_is_followed(tmp_path):
     scene.camera.animation_data_clear()
     rail = bpy.data.objects.new("Rail", None)
     scene.collection.objects.link(rail)
-    for frame, x in ((1, -0.5), (2, 0.5)):
-        rail.location = (x, -1.4, 1.4)
-        rail.keyframe_insert("location", frame=frame)
+    key(rail, "location", {1: (-0.5, -1.4, 1.4), 2: (0.5, -1.4, 1.4)})
     scene.camera.constraints.new("COPY_LOCATION").target = rail
     scene.camera.constraints.new("TRACK_TO").target = bpy.data.objects["Ball"]
     check_results(run(scene, tmp_path))

@@ -9,7 +9,7 @@ import bpy
 import pytest
 from previs_runs import SMALL, run, run_some_steps, walk
 from scene_snapshot import data_blocks, differences, snapshot
-from tiny_scenes import box
+from tiny_scenes import box, key
 
 from xihe_blender.apply.sh_worlds import remove_applied_light
 from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
@@ -139,13 +139,6 @@ def test_the_scene_is_as_it_was_after_ctrl_c(tmp_path):
 # ------------------------------------------------------------------------------------------- what is put back, by kind
 
 
-def key(owner, path, frames_and_values):
-    for frame, value in frames_and_values:
-        holder, _, name = path.rpartition(".")
-        setattr(owner.path_resolve(holder) if holder else owner, name, value)
-        owner.keyframe_insert(path, frame=frame)
-
-
 @contextlib.contextmanager
 def rendered_within(scene, frame):
     """Render `frame` inside `scene_kept`, then run the block."""
@@ -160,8 +153,7 @@ def test_an_edited_shape_key_is_put_back():
     table = bpy.data.objects["Table"]
     table.shape_key_add(name="Basis")
     keys = table.shape_key_add(name='Bent "up"').id_data
-    path = f'key_blocks["{bpy.utils.escape_identifier(keys.key_blocks[1].name)}"].value'
-    key(keys, path, [(1, 0.0), (5, 1.0)])
+    key(keys.key_blocks[1], "value", {1: 0.0, 5: 1.0})
     keys.key_blocks[1].value = 0.3
     with rendered_within(scene, 5):
         assert keys.key_blocks[1].value == pytest.approx(0.3)
@@ -170,7 +162,7 @@ def test_an_edited_shape_key_is_put_back():
 def test_an_edit_under_an_nla_strip_is_put_back():
     scene = walk()
     table = bpy.data.objects["Table"]
-    key(table, "location", [(1, (0, 0, 0.7)), (5, (0, 0, 0.9))])
+    key(table, "location", {1: (0, 0, 0.7), 5: (0, 0, 0.9)})
     animation = table.animation_data
     animation.nla_tracks.new().strips.new("Rise", 1, animation.action)
     animation.action = None
@@ -194,7 +186,7 @@ def test_a_path_that_leads_nowhere_is_left_alone():
     scene = walk()
     table = bpy.data.objects["Table"]
     modifier = table.modifiers.new("Bevel", "BEVEL")
-    key(table, 'modifiers["Bevel"].width', [(1, 0.01), (5, 0.02)])
+    key(modifier, "width", {1: 0.01, 5: 0.02})
     table.modifiers.remove(modifier)
     with rendered_within(scene, 5):
         assert not table.modifiers

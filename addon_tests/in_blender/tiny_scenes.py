@@ -98,6 +98,13 @@ def look_at(camera, location, towards):
     camera.rotation_euler = (Vector(towards) - Vector(location)).to_track_quat("-Z", "Y").to_euler()
 
 
+def key(owner, name, value_by_frame):
+    """Set and key a property at each of these frames; `value_by_frame` is {frame: value}."""
+    for frame, value in value_by_frame.items():
+        setattr(owner, name, value)
+        owner.keyframe_insert(name, frame=frame)
+
+
 def set_world(scene, colour=(0.0, 0.0, 0.0)):
     """A background of constant radiance."""
     world = bpy.data.worlds.new("Background")

@@ -11,7 +11,7 @@ from typing import Any
 
 import bpy
 import numpy as np
-from tiny_scenes import box, room_with_a_virtual_sphere, sphere
+from tiny_scenes import box, key, room_with_a_virtual_sphere, sphere
 
 from xihe_blender.scene.virtual_objects import virtual_collection
 
@@ -148,9 +148,7 @@ def lamp_that_breaks(scene: bpy.types.Scene) -> None:
     """10 W at the first frame, 1e31 W at the second."""
     lamp_alone(10.0)(scene)
     scene.frame_end = 2
-    for frame, energy in ((1, 10.0), (2, 1e31)):
-        bpy.data.lights["Bulb"].energy = energy
-        bpy.data.lights["Bulb"].keyframe_insert("energy", frame=frame)
+    key(bpy.data.lights["Bulb"], "energy", {1: 10.0, 2: 1e31})
 
 
 def feed_panel(node_type: str, values: Sequence[float]) -> Change:
