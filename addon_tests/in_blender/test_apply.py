@@ -133,9 +133,7 @@ def test_each_method_lights_each_object_with_its_own_light():
     white_sphere_seen_from(scene, (0, -1, 0))
     bpy.data.objects.remove(bpy.data.objects["White"])
 
-    level = {
-        (method, name): of * by for method, of in (("one", 1.0), ("two", 2.0)) for name, by in (("A", 1), ("B", 10))
-    }
+    level = {("one", "A"): 1.0, ("one", "B"): 10.0, ("two", "A"): 2.0, ("two", "B"): 20.0}
     with open_comparer(scene, objects, ["one", "two"], RenderSettings((32, 32), 16, denoise=False)) as comparer:
         for key, world in comparer.worlds.items():
             apply_sh_to_world(world, constant(level[key]))
