@@ -3,7 +3,8 @@
 import contextlib
 
 import bpy
-from previs_runs import walk
+import pytest
+from previs_runs import QuickPrevis, walk
 
 from xihe_blender import addon
 
@@ -17,17 +18,32 @@ def registered_addon():
     try:
         yield
     finally:
-        addons = bpy.context.preferences.addons
-        for entry in [entry for entry in addons if entry.module == PACKAGE]:
-            addons.remove(entry)
+        _disable_preferences()
         addon.unregister()
 
 
+def _disable_preferences():
+    addons = bpy.context.preferences.addons
+    for entry in [entry for entry in addons if entry.module == PACKAGE]:
+        addons.remove(entry)
+
+
 def enable_preferences():
-    """The add-on's preferences, as they are there once it is enabled; a factory reset takes them away."""
+    """The add-on's preferences, as they are at first, once it is enabled."""
+    _disable_preferences()
     entry = bpy.context.preferences.addons.new()
     entry.module = PACKAGE
     return entry.preferences
+
+
+@contextlib.contextmanager
+def small_panel_runs():
+    """What is started from the panel renders as little as `QuickPrevis`."""
+    from xihe_blender.addon import run_settings
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run_settings, "PrevisSettings", QuickPrevis)
+        yield
 
 
 def walk_for_the_panel(runs_folder, **settings):

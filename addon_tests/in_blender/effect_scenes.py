@@ -1,9 +1,10 @@
 """Tiny scenes that call for one effect of light transport, each beside one that does not, and is otherwise alike."""
 
+import functools
 import math
 
 import bpy
-from tiny_scenes import box, empty_scene, material, phone, set_world, sphere
+from tiny_scenes import box, empty_scene, key, material, phone, set_world, sphere
 
 from xihe_blender.light_transport import plan_light_transport
 
@@ -55,8 +56,8 @@ def shader_look(name, node, **inputs):
 
 def shader_node(tree, node, **inputs):
     made = tree.nodes.new(f"ShaderNode{node}")
-    for key, value in inputs.items():
-        made.inputs[key.replace("_", " ")].default_value = value
+    for name, value in inputs.items():
+        made.inputs[name.replace("_", " ")].default_value = value
     return made
 
 
@@ -117,10 +118,7 @@ def with_motion_blur(moves=True):
     scene.render.use_motion_blur = True
     scene.frame_end = 3
     if moves:
-        ball = bpy.data.objects["Matt ball"]
-        for frame, x in ((1, -0.6), (3, 0.2)):
-            ball.location.x = x
-            ball.keyframe_insert("location", frame=frame)
+        key(bpy.data.objects["Matt ball"], "location", {1: (-0.6, 0, 0.3), 3: (0.2, 0, 0.3)})
     return scene
 
 
@@ -179,14 +177,18 @@ def open_field():
     return scene
 
 
+with_mirror_ball, with_glass_ball, with_foggy_ball = (
+    functools.partial(with_ball, look) for look in (mirror, glass, fog)
+)
+
 PAIRS = {
     "diffuse bounces": (stage, all_mirror),
-    "glossy bounces": (lambda: with_ball(mirror), stage),
-    "transmission": (lambda: with_ball(glass), stage),
+    "glossy bounces": (with_mirror_ball, stage),
+    "transmission": (with_glass_ball, stage),
     "transparency": (lambda: with_ball(lambda: shader_look("Veil", "BsdfTransparent")), stage),
-    "volumes": (lambda: with_ball(fog), stage),
-    "reflective caustics": (lambda: with_ball(mirror), all_mirror),
-    "refractive caustics": (lambda: with_ball(glass), lambda: with_ball(mirror)),
+    "volumes": (with_foggy_ball, stage),
+    "reflective caustics": (with_mirror_ball, all_mirror),
+    "refractive caustics": (with_glass_ball, with_mirror_ball),
     "subsurface": (with_subsurface, stage),
     "hair": (with_hair, stage),
     "displacement": (with_displacement, lambda: with_displacement("BUMP")),

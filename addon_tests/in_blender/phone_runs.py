@@ -3,7 +3,7 @@
 import shutil
 from dataclasses import replace
 
-import bpy
+from effect_scenes import shader_look
 from previs_runs import SMALL
 from tiny_scenes import box
 
@@ -43,13 +43,7 @@ def state(phone, name):
 
 
 def principled(name, **inputs):
-    made = bpy.data.materials.new(name)
-    if made.node_tree is None:
-        made.use_nodes = True
-    shader = next(node for node in made.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
-    for key, value in inputs.items():
-        shader.inputs[key.replace("_", " ")].default_value = value
-    return made
+    return shader_look(name, "BsdfPrincipled", **inputs)
 
 
 def pane(scene, look):

@@ -4,7 +4,7 @@ import contextlib
 from dataclasses import dataclass, replace
 
 import bpy
-from tiny_scenes import box, look_at, material, room_with_a_virtual_sphere
+from tiny_scenes import box, key, look_at, material, room_with_a_virtual_sphere
 
 from xihe_blender.capture.render import can_denoise
 from xihe_blender.jobs import run_blocking
@@ -15,7 +15,9 @@ from xihe_blender.scene.virtual_objects import virtual_collection
 
 @dataclass(frozen=True)
 class QuickPrevis(PrevisSettings):
-    """Light probes of a fortieth of the rays, for tests that are not about how good the reference is."""
+    """Light probes of a fortieth of the rays, and metering of a sixteenth, for tests that are about neither."""
+
+    metering_samples = 2
 
     @property
     def reference(self):
@@ -40,9 +42,7 @@ def walk(n_frames=N_FRAMES):
     box(scene, "Board", (0, 1.2, 0.9), (1.6, 0.1, 0.1), board, virtual_collection(scene))
     look_away(scene.camera, LOOKS_AWAY)
     strength = bpy.data.materials["Light"].node_tree.nodes["Emission"].inputs["Strength"]
-    for frame, value in ((LOOKS_AWAY, 6.0), (LOOKS_AWAY + 1, 1.0)):
-        strength.default_value = value
-        strength.keyframe_insert("default_value", frame=frame)
+    key(strength, "default_value", {LOOKS_AWAY: 6.0, LOOKS_AWAY + 1: 1.0})
     return scene
 
 

@@ -1,17 +1,23 @@
 """Each operator does what its function does, and says why when it cannot."""
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 import pytest
-from addon_runs import enable_preferences, poll_message, registered_addon, walk_for_the_panel
+from addon_runs import enable_preferences, poll_message, registered_addon, small_panel_runs, walk_for_the_panel
 from previs_runs import walk
 from scene_snapshot import differences, snapshot
 from tiny_scenes import box, empty_scene, phone, room_with_a_virtual_sphere
 
+from xihe_blender.addon.run_settings import previs_settings
+from xihe_blender.addon.run_under_way import RunUnderWay
+from xihe_blender.addon.runs_folder import new_run_folder
 from xihe_blender.errors import UserError
-from xihe_blender.jobs import run_blocking
+from xihe_blender.jobs import Progress, run_blocking
 from xihe_blender.light_transport.overrides import remembered_overrides
 from xihe_blender.previs.required_effects import effects_of_run
+from xihe_blender.previs.run_time import RenderTime, RunTime, format_run_time, measure_run_time, predict_run_s
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.virtual_objects import COLLECTION_NAME, make_room, make_virtual, virtual_objects
 
@@ -41,39 +47,25 @@ def everything():
     return {p: value for p, value in table.items() if not p.startswith("context/") and "address=0x" not in str(value)}
 
 
-def after(make_scene, act):
-    act(make_scene())
-    return everything()
-
-
 # ------------------------------------------------------------------------------------------------------------- objects
 
 
-def test_making_virtual_equals_its_function():
-    def by_operator(scene):
-        select("Table", "Lamp", "Phone")
-        assert bpy.ops.xihe.add_virtual_objects() == {"FINISHED"}
-
-    def by_function(scene):
-        select("Table", "Lamp", "Phone")
-        made = make_virtual(scene, bpy.context.selected_objects)
-        assert {item.name for item in made} == {"Table", "Lamp"}
-
-    assert after(walk, by_operator) == after(walk, by_function)
-    assert memberships()["Table"] == [COLLECTION_NAME] and memberships()["Phone"] == ["Scene Collection"]
-
-
-def test_making_room_equals_its_function():
-    def by_operator(scene):
-        select("Ball", "Table")
-        assert bpy.ops.xihe.remove_virtual_objects() == {"FINISHED"}
-
-    def by_function(scene):
-        select("Ball", "Table")
-        assert [item.name for item in make_room(scene, bpy.context.selected_objects)] == ["Ball"]
-
-    assert after(walk, by_operator) == after(walk, by_function)
-    assert memberships()["Ball"] == ["Scene Collection"]
+@pytest.mark.parametrize(
+    ("operator", "function", "selected", "moved"),
+    [
+        ("add_virtual_objects", make_virtual, ("Table", "Lamp", "Phone"), {"Table", "Lamp"}),
+        ("remove_virtual_objects", make_room, ("Ball", "Table"), {"Ball"}),
+    ],
+)
+def test_an_operator_of_objects_equals_its_function(operator, function, selected, moved):
+    scene = walk()
+    select(*selected)
+    assert {item.name for item in function(scene, bpy.context.selected_objects)} == moved
+    by_function = everything()
+    walk()
+    select(*selected)
+    assert getattr(bpy.ops.xihe, operator)() == {"FINISHED"}
+    assert everything() == by_function
 
 
 def test_virtual_and_back_is_the_room_it_was():
@@ -81,7 +73,7 @@ def test_virtual_and_back_is_the_room_it_was():
     before = memberships()
     select("Table")
     bpy.ops.xihe.add_virtual_objects()
-    assert "Table" in {item.name for item in virtual_objects(scene)}
+    assert "Table" in {item.name for item in virtual_objects(scene)} and memberships()["Table"] == [COLLECTION_NAME]
     assert bpy.context.selected_objects == [bpy.data.objects["Table"]]
     bpy.ops.xihe.remove_virtual_objects()
     assert memberships() == before
@@ -204,23 +196,24 @@ def test_an_effect_that_nothing_switches_goes_back_to_auto_and_says_why():
 def test_grey_buttons_without_anything_say_what_to_do(tmp_path):
     empty_scene()
     enable_preferences().cache_folder = str(tmp_path)
-    said = {name: poll_message(getattr(bpy.ops.xihe, name)) for name in dir(bpy.ops.xihe)}
-    assert said == {
+    nothing_virtual = "Make an object virtual first: select it, and add it above"
+    no_results = "There are no results yet: run first"
+    assert {name: poll_message(getattr(bpy.ops.xihe, name)) for name in dir(bpy.ops.xihe)} == {
         "add_sphere_rig": "",
         "plan_effects": "",
         "add_virtual_objects": "Select the objects that the phone should insert",
         "remove_virtual_objects": "Select virtual objects first",
-        "measure_run": "Make an object virtual first: select it, and add it above",
-        "calibrate": "Make an object virtual first: select it, and add it above",
-        "run": "Make an object virtual first: select it, and add it above",
+        "measure_run": nothing_virtual,
+        "calibrate": nothing_virtual,
+        "run": nothing_virtual,
         "cancel_run": "No run is under way",
-        "apply_light": "There are no results yet: run first",
+        "apply_light": no_results,
         "remove_light": "No run has added anything to this file",
         "show_lit": "There are no results yet: run first",
         "show_room": "This is the room: press Show Lit to see the objects lit",
         "go_to_trigger": "There are no triggers on the timeline: run first, or apply the last run",
-        "show_comparison": "There are no results yet: run first",
-        "open_report": "There are no results yet: run first",
+        "show_comparison": no_results,
+        "open_report": no_results,
         "remove_old_runs": f"There are no runs in {tmp_path}",
     }
 
@@ -285,14 +278,10 @@ def test_without_cycles_the_buttons_say_which_add_on_to_enable():
 
 
 def test_the_panel_as_it_is_at_first_is_a_run_without_options():
-    from xihe_blender.addon.run_settings import previs_settings
-
     assert previs_settings(walk()) == PrevisSettings()
 
 
 def test_every_setting_of_the_panel_reaches_the_run(tmp_path):
-    from xihe_blender.addon.run_settings import previs_settings
-
     (tmp_path / "mine.toml").write_text('name = "Mine"\nsummary = "A phone of my own."\n')
     scene = walk_for_the_panel(
         tmp_path, estimator="projection", target="hdr", use_own_frames=True, frame_start=2, frame_end=5, frame_step=2,
@@ -331,8 +320,6 @@ def test_own_frames_begin_with_the_scenes_range():
 
 
 def test_folders_of_runs_are_new_each_time(tmp_path):
-    from xihe_blender.addon.runs_folder import new_run_folder
-
     scene = walk_for_the_panel(tmp_path / "deep" / "runs")
     folders = [new_run_folder(scene) for _ in range(4)]
     assert len(set(folders)) == 4 and all(folder.is_dir() for folder in folders)
@@ -351,10 +338,8 @@ def test_a_runs_folder_that_cannot_be_made_names_the_preference(tmp_path):
 # ------------------------------------------------------------------------------------------------------------ run time
 
 
+@small_panel_runs()
 def test_the_time_of_a_run_grows_with_its_frames_and_leaves_the_scene(tmp_path):
-    from xihe_blender.addon.run_settings import previs_settings
-    from xihe_blender.previs.run_time import measure_run_time, predict_run_s
-
     scene = walk_for_the_panel(tmp_path, use_own_frames=True, frame_end=2)
     bpy.context.view_layer.update()
     before = snapshot()
@@ -363,16 +348,12 @@ def test_the_time_of_a_run_grows_with_its_frames_and_leaves_the_scene(tmp_path):
     many = measure_run_time(scene, previs_settings(scene))
     assert 0 < few.n_captures < many.n_captures and few.n_probes < many.n_probes
     assert few.n_comparisons < many.n_comparisons and few.n_steps < many.n_steps
-    assert few.total_s > 0 and predict_run_s(scene, previs_settings(scene)) > 0
     scene.xihe.frame_end = 2
+    assert few.total_s > 0 and predict_run_s(scene, previs_settings(scene)) > 0
     assert differences(before, snapshot()) == ({}, [])
 
 
 def test_a_run_of_more_frames_takes_longer_in_proportion():
-    from dataclasses import replace
-
-    from xihe_blender.previs.run_time import RenderTime, RunTime
-
     one = RunTime(2.0, 8, 3, 6, 2, RenderTime(0.1, 0.01, 10), RenderTime(0.0, 0.1, 4), RenderTime(1.0, 0.5, 8))
     assert one.total_s == pytest.approx(2 + 3 * 0.2 + 6 * 0.4 + 2 * 5)
     double = replace(one, n_captures=6, n_probes=12, n_comparisons=4)
@@ -382,9 +363,6 @@ def test_a_run_of_more_frames_takes_longer_in_proportion():
 
 
 def test_the_pause_between_steps_is_that_of_most():
-    from xihe_blender.addon.run_under_way import RunUnderWay
-    from xihe_blender.jobs import Progress
-
     under_way = RunUnderWay(bpy.context, (Progress(done, 3, "counting") for done in range(3)))
     assert under_way.pause_s == 0.0
     while not under_way.step():
@@ -394,9 +372,8 @@ def test_the_pause_between_steps_is_that_of_most():
     assert under_way.pause_s == 0.2
 
 
+@small_panel_runs()
 def test_the_estimate_of_time_is_said_with_how_it_was_made(tmp_path):
-    from xihe_blender.previs.run_time import format_run_time
-
     assert format_run_time(0.3) == "about 5 s on this machine"
     assert format_run_time(170) == "about 3 min on this machine"
     assert format_run_time(5000) == "about 1 h 20 min on this machine"
@@ -407,8 +384,6 @@ def test_the_estimate_of_time_is_said_with_how_it_was_made(tmp_path):
 
 
 def test_the_file_of_the_preferences_phone_is_used_where_a_scene_has_none(tmp_path):
-    from xihe_blender.addon.run_settings import previs_settings
-
     (tmp_path / "mine.toml").write_text('name = "Mine"\nsummary = "A phone of my own."\n')
     scene = walk()
     user = enable_preferences()

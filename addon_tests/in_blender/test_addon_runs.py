@@ -7,12 +7,12 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from addon_runs import enable_preferences, registered_addon, walk_for_the_panel
-from previs_runs import SMALL, SMALL_AS_SHIPPED, run
+from addon_runs import enable_preferences, registered_addon, small_panel_runs, walk_for_the_panel
+from previs_runs import SMALL, run
 from results_schema import read_strictly, without_times
 from scene_snapshot import data_blocks, differences, snapshot
 from test_lit_blend import keyed
-from tiny_scenes import empty_scene
+from tiny_scenes import empty_scene, set_world
 
 from xihe_blender.addon.results_in_blender import (
     COVERAGE_CURVE,
@@ -34,13 +34,10 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.run_results import read_results
 from xihenet.panorama import evaluate_panorama
 
-IN_THE_PANEL = replace(SMALL_AS_SHIPPED, noise_target=None)
-"""What the panel has no setting for is the preset's."""
 
-
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True, scope="module")
 def addon():
-    with registered_addon():
+    with registered_addon(), small_panel_runs():
         yield
 
 
@@ -48,15 +45,13 @@ def addon():
 def done(tmp_path_factory):
     """A run from the panel, its file saved at its end: the folder of both, and the scene before and after."""
     folder = tmp_path_factory.mktemp("panel")
-    with registered_addon():
-        scene = walk_for_the_panel(folder / "runs")
-        bpy.context.view_layer.update()
-        before = snapshot()
-        assert bpy.ops.xihe.run() == {"FINISHED"}
-        after = snapshot()
-        run_folder = Path(scene.xihe.run_folder)
-        bpy.ops.wm.save_as_mainfile(filepath=str(folder / "shown.blend"))
-    return folder, run_folder, before, after
+    scene = walk_for_the_panel(folder / "runs")
+    bpy.context.view_layer.update()
+    before = snapshot()
+    assert bpy.ops.xihe.run() == {"FINISHED"}
+    after = snapshot()
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "shown.blend"))
+    return folder, Path(scene.xihe.run_folder), before, after
 
 
 @pytest.fixture
@@ -79,8 +74,9 @@ def pixels(image):
 
 def test_the_panels_run_has_the_numbers_of_the_function(done, tmp_path):
     with_window = read_strictly(done[1] / "results.json")
-    scene = walk_for_the_panel(tmp_path)
-    assert without_times(with_window) == without_times(run(scene, tmp_path / "out", IN_THE_PANEL))
+    # What the panel has no setting for is the preset's.
+    by_function = run(walk_for_the_panel(tmp_path), tmp_path / "out", replace(SMALL, noise_target=None))
+    assert without_times(with_window) == without_times(by_function)
 
 
 def test_the_scene_is_as_it_was_but_for_the_last_run(done):
@@ -104,8 +100,7 @@ def test_a_run_that_is_stopped_leaves_no_folder_and_the_scene_as_it_was(tmp_path
 
 
 def test_a_run_that_fails_leaves_no_folder_and_one_line(tmp_path):
-    scene = walk_for_the_panel(tmp_path)
-    scene.camera.data.type = "ORTHO"
+    walk_for_the_panel(tmp_path).camera.data.type = "ORTHO"
     with pytest.raises(RuntimeError, match="a phone's camera must be perspective"):
         bpy.ops.xihe.run()
     state = bpy.context.window_manager.xihe
@@ -162,21 +157,17 @@ def test_light_in_force_is_that_of_the_positions_in_view(shown):
 
 
 def test_applying_again_gives_what_the_run_left(shown):
+    def left():
+        light = {name: {f: c.tolist() for f, c in frames.items()} for name, frames in light_on_the_timeline().items()}
+        return light, sorted((m.frame, m.name) for m in bpy.context.scene.timeline_markers), data_blocks(snapshot())
+
     bpy.context.view_layer.update()
-    light, left = light_on_the_timeline(), data_blocks(snapshot())
-    markers = [(marker.frame, marker.name) for marker in bpy.context.scene.timeline_markers]
+    before = left()
     bpy.ops.xihe.remove_light()
     assert light_on_the_timeline() == {} and not bpy.context.scene.timeline_markers
     for _ in range(2):
         assert bpy.ops.xihe.apply_light() == {"FINISHED"}
-        again = light_on_the_timeline()
-        assert again.keys() == light.keys()
-        for name, by_frame in light.items():
-            assert by_frame.keys() == again[name].keys()
-            for frame, coefficients in by_frame.items():
-                np.testing.assert_array_equal(again[name][frame], coefficients)
-        assert [(marker.frame, marker.name) for marker in bpy.context.scene.timeline_markers] == markers
-        assert data_blocks(snapshot()) == left
+        assert left() == before
 
 
 def test_the_light_can_be_applied_to_another_file_with_the_same_objects(shown, tmp_path):
@@ -193,12 +184,10 @@ def test_light_of_an_object_that_is_gone_is_refused(shown):
         bpy.ops.xihe.apply_light()
 
 
-def test_removing_leaves_the_file_as_it_was_before_the_run(done):
-    before = done[2]
-    bpy.ops.wm.open_mainfile(filepath=str(done[0] / "shown.blend"), load_ui=False)
+def test_removing_leaves_the_file_as_it_was_before_the_run(done, shown):
     bpy.ops.xihe.remove_light()
     bpy.context.view_layer.update()
-    assert data_blocks(snapshot()) == data_blocks(before)
+    assert data_blocks(snapshot()) == data_blocks(done[2])
     assert not any(marker.name.startswith("Xihe") for marker in bpy.context.scene.timeline_markers)
 
 
@@ -292,14 +281,10 @@ def test_the_image_of_a_light_is_the_environment_it_stands_for():
     sh = np.random.default_rng(3).normal(size=(9, 3)) * 0.1
     sh[0] += 2
     image = show_light("Ball", sh)
-    world = bpy.data.worlds.new("World")
-    if world.node_tree is None:
-        world.use_nodes = True
-    texture = world.node_tree.nodes.new("ShaderNodeTexEnvironment")
+    tree = set_world(scene).node_tree
+    texture = tree.nodes.new("ShaderNodeTexEnvironment")
     texture.image = image
-    background = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
-    world.node_tree.links.new(texture.outputs[0], background.inputs["Color"])
-    scene.world = world
+    tree.links.new(texture.outputs[0], next(n for n in tree.nodes if n.type == "BACKGROUND").inputs["Color"])
     data = bpy.data.cameras.new("Panorama")
     data.type = "PANO"
     (data if hasattr(data, "panorama_type") else data.cycles).panorama_type = "EQUIRECTANGULAR"

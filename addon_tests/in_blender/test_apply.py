@@ -3,6 +3,7 @@
 import bpy
 import numpy as np
 import pytest
+from mathutils import Vector
 from tiny_scenes import empty_scene, material, set_world, sphere
 
 from xihe_blender.apply.datablocks import NODE_GROUP_NAME, lights_by_sh
@@ -23,7 +24,14 @@ from xihe_blender.compare.methods import open_comparer
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet import sh
 
-SIDE = 64
+SIDE = 48
+
+
+def constant(radiance):
+    """(9, 3) coefficients of light that is the same from everywhere."""
+    coefficients = np.zeros((9, 3))
+    coefficients[0] = 2 * np.sqrt(np.pi) * np.asarray(radiance)
+    return coefficients
 
 
 def white_sphere_seen_from(scene, axis):
@@ -34,20 +42,17 @@ def white_sphere_seen_from(scene, axis):
     camera = bpy.data.objects.new("Camera", data)
     scene.collection.objects.link(camera)
     scene.camera = camera
-    from mathutils import Vector
-
     camera.location = np.array(axis) * 5.0
     rotation = (-Vector(axis)).to_track_quat("-Z", "Y")
     camera.rotation_euler = rotation.to_euler()
     x = ((np.arange(SIDE) + 0.5) / SIDE - 0.5) * 2.2
     right, up = np.meshgrid(x, -x)
     inside = right**2 + up**2 < 0.85
-    towards = np.sqrt(np.clip(1 - right**2 - up**2, 0, 1))
-    in_camera = np.stack([right, up, towards], axis=-1)[inside]
+    in_camera = np.stack([right, up, np.sqrt(np.clip(1 - right**2 - up**2, 0, 1))], axis=-1)[inside]
     return in_camera @ np.array(rotation.to_matrix()).T, inside
 
 
-def rendered_sphere(coefficients, exposure=1.0, axis=(0, -1, 0), samples=256):
+def rendered_sphere(coefficients, exposure=1.0, axis=(0, -1, 0), samples=128):
     scene = empty_scene()
     normals, inside = white_sphere_seen_from(scene, axis)
     world = make_sh_world("Xihe White")
@@ -58,8 +63,7 @@ def rendered_sphere(coefficients, exposure=1.0, axis=(0, -1, 0), samples=256):
     return radiance[inside].astype(np.float64), normals
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("axis", [(0, -1, 0), (1, 0, 0), (0, 0, 1)])
+@pytest.mark.parametrize(("seed", "axis"), [(0, (0, -1, 0)), (1, (1, 0, 0)), (2, (0, 0, 1))])
 def test_a_white_sphere_shows_the_analytic_irradiance(seed, axis):
     coefficients = np.random.default_rng(seed).normal(size=(9, 3)) * 0.15
     coefficients[0] += 1.5
@@ -69,9 +73,8 @@ def test_a_white_sphere_shows_the_analytic_irradiance(seed, axis):
     assert np.abs(shown - expected).max() < 0.05 * expected.mean()
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_radiance_that_is_negative_in_places_is_not_clamped(seed):
-    coefficients = np.random.default_rng(seed).normal(size=(9, 3)) * 0.3
+def test_radiance_that_is_negative_in_places_is_not_clamped():
+    coefficients = np.random.default_rng(0).normal(size=(9, 3)) * 0.3
     coefficients[0] = 1.0
     shown, normals = rendered_sphere(coefficients, samples=512)
     directions = np.random.default_rng(0).normal(size=(4000, 3))
@@ -81,31 +84,11 @@ def test_radiance_that_is_negative_in_places_is_not_clamped(seed):
     assert np.abs(shown.mean(axis=0) - expected.mean(axis=0)).max() < 0.005 * expected.mean()
 
 
-def test_constant_light_is_constant():
-    coefficients = np.zeros((9, 3))
-    coefficients[0] = 2 * np.sqrt(np.pi) * np.array([0.2, 0.5, 3.0])
-    shown, _ = rendered_sphere(coefficients)
-    np.testing.assert_allclose(shown.mean(axis=0), [0.2, 0.5, 3.0], rtol=2e-3)
-
-
-def test_the_exposure_that_coefficients_carry_is_taken_out_once():
-    coefficients = np.zeros((9, 3))
-    coefficients[0] = 1.0
-    plain, _ = rendered_sphere(coefficients, samples=16)
-    exposed, _ = rendered_sphere(coefficients * 5.0, exposure=5.0, samples=16)
+def test_constant_light_is_constant_and_the_exposure_it_carries_is_taken_out_once():
+    plain, _ = rendered_sphere(constant([0.2, 0.5, 3.0]))
+    np.testing.assert_allclose(plain.mean(axis=0), [0.2, 0.5, 3.0], rtol=2e-3)
+    exposed, _ = rendered_sphere(5 * constant([0.2, 0.5, 3.0]), exposure=5.0)
     np.testing.assert_allclose(exposed, plain, rtol=1e-4)
-
-
-@pytest.mark.parametrize("axis", range(3))
-@pytest.mark.parametrize("sign", [1, -1])
-def test_light_along_an_axis_lights_that_side_alone(axis, sign):
-    direction = np.zeros(3)
-    direction[axis] = sign
-    coefficients = np.repeat(sh.basis(direction[None]).T, 3, axis=1)
-    view = (0, -1, 0) if axis != 1 else (1, 0, 0)
-    shown, normals = rendered_sphere(coefficients, axis=view, samples=32)
-    facing = normals[:, axis] * sign
-    assert shown[facing > 0.5].mean() > 5 * abs(shown[facing < -0.5].mean())
 
 
 def test_keyed_light_plays_back_frame_by_frame_and_does_not_blend():
@@ -133,9 +116,7 @@ def test_a_keyed_world_override_is_evaluated_in_each_frame():
     bpy.data.objects.remove(bpy.data.objects["White"])
     world = make_sh_world(world_name("Ball"))
     for frame in (1, 2):
-        coefficients = np.zeros((9, 3))
-        coefficients[0, frame] = 2 * np.sqrt(np.pi)
-        key_sh_on_world(world, frame, coefficients)
+        key_sh_on_world(world, frame, constant(np.eye(3)[frame]))
     with working_scene(scene, "Test", RenderSettings((16, 16), 16, denoise=False)) as working:
         working.view_layers[0].world_override = world
         for frame in (1, 2):
@@ -152,19 +133,14 @@ def test_each_method_lights_each_object_with_its_own_light():
     white_sphere_seen_from(scene, (0, -1, 0))
     bpy.data.objects.remove(bpy.data.objects["White"])
 
-    def constant(value):
-        coefficients = np.zeros((9, 3))
-        coefficients[0] = 2 * np.sqrt(np.pi) * value
-        return coefficients
-
+    level = {("one", "A"): 1.0, ("one", "B"): 10.0, ("two", "A"): 2.0, ("two", "B"): 20.0}
     with open_comparer(scene, objects, ["one", "two"], RenderSettings((32, 32), 16, denoise=False)) as comparer:
         for key, world in comparer.worlds.items():
-            apply_sh_to_world(world, constant({"one": 1.0, "two": 2.0}[key[0]] * {"A": 1.0, "B": 10.0}[key[1]]))
+            apply_sh_to_world(world, constant(level[key]))
         layers = render_passes(comparer.lit).layers
     for (method, name), layer in comparer.layers.items():
         column = {"A": 8, "B": 24}[name]
-        expected = {"one": 1.0, "two": 2.0}[method] * {"A": 1.0, "B": 10.0}[name]
-        assert layers[layer]["Combined.G"][16, column] == pytest.approx(expected, rel=0.05)
+        assert layers[layer]["Combined.G"][16, column] == pytest.approx(level[method, name], rel=0.05)
         assert layers[layer]["Combined.A"][16, 32 - column] == 0.0
     assert not [w for w in bpy.data.worlds if w.name.startswith("Xihe")]
     assert not [c for c in bpy.data.collections if c.name.startswith("Xihe Lit")]

@@ -1,5 +1,6 @@
 """Scenes and installations that are out of the ordinary: each works, or says in one line what to do."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -132,12 +133,13 @@ def test_a_new_collection_of_one_scene_holds_nothing_of_another():
 # ----------------------------------------------------------------------------------------------------------- libraries
 
 
-@pytest.fixture
-def library(tmp_path):
-    """The walk as a library: (its file, and the results of a run in it)."""
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    """The walk as a library: (its file, the results of a run in it, and the lit file of that)."""
+    folder = tmp_path_factory.mktemp("library")
     scene = walk(2)
-    file = save(tmp_path / "library.blend")
-    return file, run(scene, tmp_path / "own")
+    file = save(folder / "library.blend")
+    return file, run(scene, folder / "own"), folder / "own" / "untitled_lit.blend"
 
 
 def link_all(file, frames=2):
@@ -161,10 +163,8 @@ def numbers(results):
 
 
 def test_a_scene_that_is_linked_gives_the_numbers_of_the_library(library, tmp_path):
-    file, own = library
-    scene = link_all(file)
-    linked = run(scene, tmp_path / "out")
-    assert numbers(linked) == numbers(own)
+    scene = link_all(library[0])
+    assert numbers(run(scene, tmp_path / "out")) == numbers(library[1])
     assert all(world.library is None for world in bpy.data.worlds if lights_by_sh(world))
 
 
@@ -184,11 +184,9 @@ def test_a_linked_object_with_the_name_of_another_is_told_apart_by_the_user(libr
     assert_refused(scene, tmp_path / "out", "two virtual objects are named 'Ball'", "library.blend", "rename")
 
 
-def test_light_of_a_library_stays_as_it_is(tmp_path):
-    run(room_with_a_virtual_sphere(1), tmp_path / "out")
-    lit = tmp_path / "out" / "untitled_lit.blend"
+def test_light_of_a_library_stays_as_it_is(library, tmp_path):
     scene = room_with_a_virtual_sphere(1)
-    with bpy.data.libraries.load(str(lit), link=True) as (_, wanted):
+    with bpy.data.libraries.load(str(library[2]), link=True) as (_, wanted):
         wanted.worlds, wanted.node_groups = ["Xihe Ball"], ["Xihe SH Radiance"]
     linked = wanted.worlds[0]
     run(scene, tmp_path / "again")
@@ -198,9 +196,9 @@ def test_light_of_a_library_stays_as_it_is(tmp_path):
 
 
 def test_a_missing_library_is_named(library, tmp_path):
-    link_all(library[0])
+    link_all(shutil.copy(library[0], tmp_path))
     main = save(tmp_path / "main.blend")
-    library[0].unlink()
+    (tmp_path / "library.blend").unlink()
     assert_refused(open_blend(main), tmp_path / "out", "is missing", "library.blend", "put it back")
 
 
@@ -222,29 +220,23 @@ def scaled_room(scale_length, system="METRIC"):
     return scene
 
 
-@pytest.fixture(scope="module")
-def in_metres(tmp_path_factory):
-    return run(scaled_room(1.0), tmp_path_factory.mktemp("metres") / "out", replace(EXACT, phone="ipad_pro_lidar"))
-
-
-@pytest.mark.parametrize("scale_length", [0.01, 1000.0])
-def test_a_room_in_other_units_is_the_same_room(in_metres, tmp_path, scale_length):
-    scene = scaled_room(scale_length)
-    assert metres_per_unit(scene) == pytest.approx(scale_length)
-    results = run(scene, tmp_path / "out", replace(EXACT, phone="ipad_pro_lidar"))
+def test_a_room_in_other_units_is_the_same_room(tmp_path):
+    in_metres, results = (
+        run(scaled_room(scale), tmp_path / f"{scale}", replace(EXACT, phone="ipad_pro_lidar")) for scale in (1.0, 0.01)
+    )
     check_results(results)
-    (frame,), (known,) = results["frames"], in_metres["frames"]
-    (probe,), (known_probe,) = frame["probes"], known["probes"]
+    (known,), (frame,) = in_metres["frames"], results["frames"]
+    (known_probe,), (probe,) = known["probes"], frame["probes"]
     np.testing.assert_allclose(probe["position_m"], known_probe["position_m"], atol=1e-5)
     assert probe["coverage"] == pytest.approx(known_probe["coverage"], abs=0.01)
-    np.testing.assert_allclose(probe["sh"], known_probe["sh"], atol=0.02)
-    np.testing.assert_allclose(probe["sh_truth"], known_probe["sh_truth"], atol=0.02)
+    for key in ("sh", "sh_truth"):
+        np.testing.assert_allclose(probe[key], known_probe[key], atol=0.02)
     assert frame["n_lost_pixels"].keys() == known["n_lost_pixels"].keys()
     assert frame["n_invalid_pixels"] == pytest.approx(known["n_invalid_pixels"], abs=3)
     for method in ("lattice", "ambient", "truth"):
-        mine, known_rmse = results["comparison"][method]["rmse"], in_metres["comparison"][method]["rmse"]
+        mine, known_rmse = (of["comparison"][method]["rmse"] for of in (results, in_metres))
         assert mine == pytest.approx(known_rmse, rel=0.15, abs=0.01)
-    assert any(f"{scale_length:g} m" in note for note in results["notes"])
+    assert any("0.01 m" in note for note in results["notes"])
     assert not any("Blender unit" in note for note in in_metres["notes"])
 
 
@@ -254,6 +246,7 @@ def announced(scene):
 
 def test_the_effects_are_planned_by_metres():
     plans = [announced(scaled_room(scale)) for scale in (1.0, 0.01, 1000.0)]
+    assert metres_per_unit(bpy.context.scene) == pytest.approx(1000)
     bounces = [plan["diffuse bounces"].parameters["diffuse_bounces"] for plan in plans]
     assert max(bounces) - min(bounces) <= 1
     assert [names_that_are_on(plan) for plan in plans] == [names_that_are_on(plans[0])] * 3
@@ -317,16 +310,12 @@ def test_a_folder_that_cannot_be_written_is_named():
     assert_refused(room_with_a_virtual_sphere(1), Path("/proc/xihe"), "cannot write to /proc/xihe", "another folder")
 
 
-def test_names_in_another_language_change_nothing(tmp_path):
+def test_names_in_another_language_change_nothing(library, tmp_path):
     """Where new data-blocks get translated names, nodes and collections are not called what they are in English."""
-    results = []
-    for translated in (False, True):
-        scene = walk(2)
-        if translated:
-            trees = [block.node_tree for block in (*bpy.data.materials, *bpy.data.worlds)]
-            for node in [node for tree in trees for node in tree.nodes]:
-                # The walk's lamp is keyed, by this name.
-                node.name = node.name if node.name == "Emission" else f"Knoten {node.name[::-1]}"
-            scene.view_layers[0].name = "Ansichtsebene"
-        results.append(run(scene, tmp_path / str(translated)))
-    assert numbers(results[0]) == numbers(results[1])
+    scene = walk(2)
+    for block in (*bpy.data.materials, *bpy.data.worlds):
+        for node in block.node_tree.nodes:
+            # The walk's lamp is keyed, by this name.
+            node.name = node.name if node.name == "Emission" else f"Knoten {node.name[::-1]}"
+    scene.view_layers[0].name = "Ansichtsebene"
+    assert numbers(run(scene, tmp_path)) == numbers(library[1])

@@ -5,6 +5,7 @@ import math
 import bpy
 import numpy as np
 import pytest
+from effect_scenes import shader_look, shader_node
 from mathutils import Vector
 from scene_snapshot import snapshot
 from tiny_scenes import box, empty_scene, material, room_with_a_virtual_sphere, set_world, sphere
@@ -21,10 +22,11 @@ from xihenet.mirror_ball import ball_directions
 from xihenet.sh import basis, irradiance
 
 POSITION = np.array([0.3, -0.2, 1.0])
-FEW = ProbeSettings(max_samples=4, noise_target=None)
+FEW = ProbeSettings(80, 4, noise_target=None)
 DISTANCE_M = 2.0
 GLOW = 50.0
-TOWARDS = [np.array(d) / np.linalg.norm(d) for d in [(0, 0, 1), (0, 0, -1), (1, 0, 1), (-1, 1, 0), (1, -1, 1)]]
+UP, DOWN, *ASKEW = (np.array(d) / np.linalg.norm(d) for d in [(0, 0, 1), (0, 0, -1), (1, 0, 1), (-1, 1, 0), (1, -1, 1)])
+"""Straight down is the rim of the picture."""
 
 
 def add_lamp(scene, kind, direction, distance_m=DISTANCE_M, **values):
@@ -67,8 +69,11 @@ LAMPS = {
 }
 
 
-@pytest.mark.parametrize("direction", TOWARDS, ids=str)
-@pytest.mark.parametrize("name", LAMPS)
+@pytest.mark.parametrize(
+    ("name", "direction"),
+    [*((name, DOWN) for name in LAMPS), *zip(LAMPS, [*ASKEW, UP, ASKEW[0]], strict=True)],
+    ids=str,
+)
 def test_a_lamp_that_cameras_cannot_see_is_held_whole(name, direction):
     values, at_position, half_angle = LAMPS[name]
     scene = dark_scene()
@@ -80,7 +85,7 @@ def test_a_lamp_that_cameras_cannot_see_is_held_whole(name, direction):
 
 def test_a_lamp_of_ten_metres_fills_half_of_the_sphere():
     scene = dark_scene()
-    add_lamp(scene, "AREA", TOWARDS[0], 0.05, energy=1000.0, size=10.0)
+    add_lamp(scene, "AREA", UP, 0.05, energy=1000.0, size=10.0)
     level = 1000 / 100 / math.pi
     light = measured(scene).hdr
     assert light[0, 0] == pytest.approx(level * 2 * np.pi / np.sqrt(4 * np.pi), rel=0.02)
@@ -104,7 +109,8 @@ def scene_with_a_glowing_disc(radius_m):
 @pytest.mark.parametrize("radius_m", [0.1, 0.6])
 def test_a_glowing_disc_above_counts_once(radius_m):
     solid_angle = 2 * math.pi * (1 - math.cos(math.atan(radius_m / DISTANCE_M)))
-    light = measured(scene_with_a_glowing_disc(radius_m), ProbeSettings(max_samples=16, noise_target=None))
+    n_pictures = 16 if radius_m < 0.2 else 4
+    light = measured(scene_with_a_glowing_disc(radius_m), ProbeSettings(max_samples=n_pictures, noise_target=None))
     assert light.hdr[0, 0] * np.sqrt(4 * np.pi) == pytest.approx(GLOW * solid_angle, rel=0.03)
     # Some 130 rays of 16 pictures meet the small disc.
     assert light.ldr[0, 0] * np.sqrt(4 * np.pi) == pytest.approx(solid_angle, rel=0.2 if radius_m < 0.2 else 0.03)
@@ -114,7 +120,7 @@ def with_a_linked_lamp(state):
     """A lamp above whose receivers are the virtual ball, alone ("INCLUDE") or not at all ("EXCLUDE")."""
     scene = dark_scene()
     ball = sphere(scene, "Ball", POSITION, 0.1, None, virtual_collection(scene, create=True))
-    lamp = add_lamp(scene, "POINT", TOWARDS[0], energy=100.0)
+    lamp = add_lamp(scene, "POINT", UP, energy=100.0)
     receivers = bpy.data.collections.new("Receivers")
     receivers.objects.link(ball)
     receivers.collection_objects[0].light_linking.link_state = state
@@ -153,8 +159,8 @@ def test_irradiance_is_that_of_a_white_patch():
     bpy.data.objects.remove(bpy.data.objects["Ball"])
     add_lamp(scene, "AREA", np.array([0.0, 0.6, 0.8]), 1.0, energy=10.0, size=0.3)
     place = (0.1, -0.1, 1.2)
-    light = measured(scene, ProbeSettings(max_samples=12, noise_target=None), position_m=place).hdr
-    normals = np.array([(0, 0, 1), (0, 0, -1), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)], float)
+    light = measured(scene, ProbeSettings(max_samples=8, noise_target=None), position_m=place).hdr
+    normals = np.concatenate([np.eye(3), -np.eye(3)])
     patched = np.array([_baked(scene, place, normal) for normal in normals])
     found = irradiance(light, normals)
     assert np.abs(found - patched).max() < 0.1 * patched.max()
@@ -169,7 +175,7 @@ def _baked(scene, place, normal):
         setattr(square, f"visible_{ray}", False)
     attribute = square.data.color_attributes.new("Bake", "FLOAT_COLOR", "CORNER")
     square.data.color_attributes.active_color = attribute
-    scene.cycles.samples = 512
+    scene.cycles.samples = 200
     for item in bpy.context.view_layer.objects:
         item.select_set(item == square)
     bpy.context.view_layer.objects.active = square
@@ -199,31 +205,27 @@ def test_what_was_measured_comes_back_from_json():
 def test_a_tighter_target_takes_more_pictures_and_ends_at_the_most():
     scene = room_with_a_virtual_sphere()
     samples = []
-    for target in (0.5, 0.006, 1e-6):
-        with open_reference_probe(scene, [(0, 0, 0.85)], ProbeSettings(64, 20, target)) as probe:
+    for target in (0.5, 0.031, 1e-6):
+        with open_reference_probe(scene, [(0, 0, 0.85)], ProbeSettings(48, 12, target)) as probe:
             light = probe.light_at(0, 1).measured
         samples.append(light.ldr_samples)
         # What is white is judged anew in the end, which changes the noise a little.
-        assert light.ldr_noise <= 1.2 * target or light.ldr_samples == 20
-    assert samples[0] == 6 < samples[1] <= samples[2] == 20
+        assert light.ldr_noise <= 1.2 * target or light.ldr_samples == 12
+    assert samples[0] == 6 < samples[1] < samples[2] == 12
 
 
 def test_a_bumpy_floor_below_is_not_black():
     """Cycles shades bumps by the rays of neighbouring pixels, and on the rim of a mirror ball there are none."""
-    lights = {}
-    for is_bumpy in (False, True):
-        scene = dark_scene()
-        add_lamp(scene, "SUN", np.array([0.0, 0.6, 0.8]), energy=1.0)
-        bumpy = material("Bumpy")
-        tree = bumpy.node_tree
-        output = next(node for node in tree.nodes if node.type == "OUTPUT_MATERIAL")
-        shader, bump = tree.nodes.new("ShaderNodeBsdfPrincipled"), tree.nodes.new("ShaderNodeBump")
-        bump.inputs["Strength"].default_value = 0.1
-        tree.links.new(tree.nodes.new("ShaderNodeTexNoise").outputs[0], bump.inputs["Height"])
-        if is_bumpy:
-            tree.links.new(bump.outputs[0], shader.inputs["Normal"])
-        tree.links.new(shader.outputs[0], output.inputs["Surface"])
-        bpy.ops.mesh.primitive_plane_add(size=4.0, location=POSITION - (0, 0, 0.1))
-        bpy.context.object.data.materials.append(bumpy)
-        lights[is_bumpy] = measured(scene, ProbeSettings(96, 8, noise_target=None)).ldr
-    np.testing.assert_allclose(lights[True], lights[False], atol=0.02 * lights[False][0, 0])
+    scene = dark_scene()
+    add_lamp(scene, "SUN", np.array([0.0, 0.6, 0.8]), energy=1.0)
+    floor = shader_look("Floor", "BsdfPrincipled")
+    bpy.ops.mesh.primitive_plane_add(size=4.0, location=POSITION - (0, 0, 0.1))
+    bpy.context.object.data.materials.append(floor)
+    smooth = measured(scene, ProbeSettings(64, 6, noise_target=None)).ldr
+    tree = floor.node_tree
+    bump = shader_node(tree, "Bump", Strength=0.1)
+    tree.links.new(tree.nodes.new("ShaderNodeTexNoise").outputs[0], bump.inputs["Height"])
+    tree.links.new(bump.outputs[0], tree.nodes["Principled BSDF"].inputs["Normal"])
+    bumpy = measured(scene, ProbeSettings(64, 6, noise_target=None)).ldr
+    np.testing.assert_allclose(bumpy, smooth, atol=0.02 * smooth[0, 0])
+    assert not np.array_equal(bumpy, smooth)

@@ -186,11 +186,11 @@ def _session_exposure(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutp
     """The exposure that the user gave, or that is metered."""
     if settings.exposure is not None:
         return settings.exposure
-    metering = settings.metering_in_force
+    metering, samples = settings.metering_in_force, settings.metering_samples
     return kept_or_made(
         outputs.exposure,
         positive_exposure,
-        lambda: {"exposure": meter_exposure(scene, plan.frames, settings.seed, metering=metering)},
+        lambda: {"exposure": meter_exposure(scene, plan.frames, settings.seed, metering=metering, samples=samples)},
     )
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 
 from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.capture.render import MAX_SEED, RenderSettings
+from xihe_blender.capture.scanner import METERING_SAMPLES
 from xihe_blender.errors import UserError
 from xihe_blender.light_transport.overrides import checked
 from xihenet import estimators
@@ -159,6 +160,11 @@ class PrevisSettings:
     def metering_in_force(self) -> Metering:
         """The user's or the phone's."""
         return self.profile.metering if self.metering is None else self.metering
+
+    @property
+    def metering_samples(self) -> int:
+        """Cycles samples per pixel of the pictures that an exposure is metered in."""
+        return METERING_SAMPLES
 
     @property
     def link(self) -> Link | None:

@@ -11,12 +11,11 @@ from typing import Any
 
 import bpy
 import numpy as np
-from tiny_scenes import box, room_with_a_virtual_sphere, sphere
+from tiny_scenes import box, key, room_with_a_virtual_sphere, sphere
 
 from xihe_blender.scene.virtual_objects import virtual_collection
 
 Change = Callable[[bpy.types.Scene], None]
-PLACE = (0.2, 0.0, 0.85)
 
 
 def room(*changes: Change) -> bpy.types.Scene:
@@ -39,9 +38,7 @@ def add_mesh(
     def change(scene: bpy.types.Scene) -> None:
         mesh = bpy.data.meshes.new("Odd")
         mesh.from_pydata(list(points), list(edges), list(faces))
-        item = bpy.data.objects.new("Odd", mesh)
-        item.location = PLACE
-        (virtual_collection(scene) if is_virtual else scene.collection).objects.link(item)
+        _add(scene, mesh, is_virtual)
 
     return change
 
@@ -50,28 +47,31 @@ def add_instance(*, is_virtual: bool) -> Change:
     """An empty that instances a collection with nothing in it."""
 
     def change(scene: bpy.types.Scene) -> None:
-        item = bpy.data.objects.new("Odd", None)
+        item = _add(scene, None, is_virtual)
         item.instance_type, item.instance_collection = "COLLECTION", bpy.data.collections.new("Nothing")
-        item.location = PLACE
-        (virtual_collection(scene) if is_virtual else scene.collection).objects.link(item)
 
     return change
+
+
+def _add(scene: bpy.types.Scene, data: bpy.types.ID | None, is_virtual: bool) -> bpy.types.Object:
+    item = bpy.data.objects.new("Odd", data)
+    item.location = (0.2, 0.0, 0.85)
+    (virtual_collection(scene) if is_virtual else scene.collection).objects.link(item)
+    return item
 
 
 def move_vertex(name: str, place: float) -> Change:
     """One vertex of an object to (place, place, place)."""
+    return lambda scene: setattr(scene.objects[name].data.vertices[3], "co", (place,) * 3)
+
+
+def put(name: str, **values: Any) -> Change:
+    """Attributes of an object, or of its data."""
 
     def change(scene: bpy.types.Scene) -> None:
-        scene.objects[name].data.vertices[3].co = (place,) * 3
-
-    return change
-
-
-def put(name: str, attribute: str, value: Any) -> Change:
-    """An attribute of an object."""
-
-    def change(scene: bpy.types.Scene) -> None:
-        setattr(scene.objects[name], attribute, value)
+        for attribute, value in values.items():
+            item = scene.objects[name]
+            setattr(item if hasattr(item, attribute) else item.data, attribute, value)
 
     return change
 
@@ -92,16 +92,6 @@ def add_block(centre: Sequence[float]) -> Change:
 def add_shell(scene: bpy.types.Scene) -> None:
     """A virtual sphere around the other one."""
     sphere(scene, "Shell", (0, 0, 0.85), 0.3, None, virtual_collection(scene))
-
-
-def set_camera(**values: float) -> Change:
-    """Settings of the phone's lens."""
-
-    def change(scene: bpy.types.Scene) -> None:
-        for name, value in values.items():
-            setattr(scene.camera.data, name, value)
-
-    return change
 
 
 def scale_all(factor: float, *, scale_length: float = 1.0, is_clip_scaled: bool = True) -> Change:
@@ -133,18 +123,18 @@ def move_all(offset: float) -> Change:
 
 def panel(strength: float) -> Change:
     """How strongly the room's shining panel shines."""
-    return lambda scene: setattr(_panel().inputs["Strength"], "default_value", strength)
+    return lambda scene: setattr(_input("Light", "Emission", "Strength"), "default_value", strength)
 
 
-def _panel() -> Any:
-    return bpy.data.materials["Light"].node_tree.nodes["Emission"]
+def _input(material: str, node: str, name: str) -> Any:
+    return bpy.data.materials[material].node_tree.nodes[node].inputs[name]
 
 
 def lamp_alone(energy: float, kind: str = "POINT") -> Change:
     """A lamp instead of the panel."""
 
     def change(scene: bpy.types.Scene) -> None:
-        _panel().inputs["Strength"].default_value = 0
+        panel(0.0)(scene)
         data = bpy.data.lights.new("Bulb", kind)
         data.energy = energy
         item = bpy.data.objects.new("Bulb", data)
@@ -158,9 +148,7 @@ def lamp_that_breaks(scene: bpy.types.Scene) -> None:
     """10 W at the first frame, 1e31 W at the second."""
     lamp_alone(10.0)(scene)
     scene.frame_end = 2
-    for frame, energy in ((1, 10.0), (2, 1e31)):
-        bpy.data.lights["Bulb"].energy = energy
-        bpy.data.lights["Bulb"].keyframe_insert("energy", frame=frame)
+    key(bpy.data.lights["Bulb"], "energy", {1: 10.0, 2: 1e31})
 
 
 def feed_panel(node_type: str, values: Sequence[float]) -> Change:
@@ -173,25 +161,17 @@ def feed_panel(node_type: str, values: Sequence[float]) -> Change:
             node.operation = "MULTIPLY"
         for socket, value in zip(node.inputs if node_type == "ShaderNodeMath" else node.outputs, values, strict=False):
             socket.default_value = value
-        tree.links.new(node.outputs[0], _panel().inputs["Strength"])
+        tree.links.new(node.outputs[0], _input("Light", "Emission", "Strength"))
 
     return change
 
 
 def paint_walls(*colour: float) -> Change:
-    node = "Diffuse BSDF"
-
-    def change(scene: bpy.types.Scene) -> None:
-        bpy.data.materials["Walls"].node_tree.nodes[node].inputs["Color"].default_value = (*colour, 1.0)
-
-    return change
+    return lambda scene: setattr(_input("Walls", "Diffuse BSDF", "Color"), "default_value", (*colour, 1.0))
 
 
 def background(strength: float) -> Change:
-    def change(scene: bpy.types.Scene) -> None:
-        _background(scene).inputs["Strength"].default_value = strength
-
-    return change
+    return lambda scene: setattr(_background(scene).inputs["Strength"], "default_value", strength)
 
 
 def _background(scene: bpy.types.Scene) -> Any:
