@@ -57,17 +57,19 @@ def keyed_frames():
     return {name: [int(point.co[0]) for point in curve.keyframe_points] for name, curve in curves.items()}
 
 
-def finished(settings):
-    """A fixture: one undisturbed run for the whole module."""
-
-    @pytest.fixture(scope="module")
-    def of_module(tmp_path_factory):
-        return finished_run(tmp_path_factory.mktemp("run") / "out", settings)
-
-    return of_module
+@pytest.fixture(scope="module")
+def perfect(tmp_path_factory):
+    return finished_run(tmp_path_factory.mktemp("perfect") / "out", SMALL)
 
 
-perfect, ipad, over_lte = finished(SMALL), finished(IPAD), finished(replace(SMALL, network="lte"))
+@pytest.fixture(scope="module")
+def ipad(tmp_path_factory):
+    return finished_run(tmp_path_factory.mktemp("ipad") / "out", IPAD)
+
+
+@pytest.fixture(scope="module")
+def over_lte(tmp_path_factory):
+    return finished_run(tmp_path_factory.mktemp("lte") / "out", replace(SMALL, network="lte"))
 
 
 def rows(results):
