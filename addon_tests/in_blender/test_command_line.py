@@ -36,24 +36,12 @@ def previs(blend, out, *arguments, run=xihe_here):
 # -------------------------------------------------------------------------------------------------------------- scenes
 
 
-def _ball_in_the_room(scene):
-    scene.collection.objects.link(bpy.data.objects["Ball"])
-
-
-def _camera_of(kind):
-    return lambda scene: setattr(scene.camera.data, "type", kind)
-
-
-def _camera_without_size(scene):
-    scene.camera.scale = (0, 0, 0)
-
-
 SCENES = {
     "walk": lambda scene: None,
-    "orthographic": _camera_of("ORTHO"),
-    "panoramic": _camera_of("PANO"),
-    "camera_without_size": _camera_without_size,
-    "ball_in_the_room": _ball_in_the_room,
+    "orthographic": lambda scene: setattr(scene.camera.data, "type", "ORTHO"),
+    "panoramic": lambda scene: setattr(scene.camera.data, "type", "PANO"),
+    "camera_without_size": lambda scene: setattr(scene.camera, "scale", (0, 0, 0)),
+    "ball_in_the_room": lambda scene: scene.collection.objects.link(bpy.data.objects["Ball"]),
 }
 
 
@@ -372,6 +360,7 @@ def test_a_file_that_cannot_be_used_is_refused(folder, tmp_path, name, words):
         (("--metering", "spot"), "highlights, key"),
         (("--exposure", "nan"), "positive"),
         (("--seed", "-1"), "0 to"),
+        (("--effect", "volumes=perhaps"), "auto, on or off"),
     ],
 )
 def test_a_senseless_setting_is_refused(folder, tmp_path, arguments, words):

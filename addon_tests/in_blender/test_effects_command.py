@@ -194,14 +194,9 @@ def test_the_plan_is_shown_before_the_costs_and_each_cost_as_it_is_known(blend):
     assert "standard error" in shown
 
 
-@pytest.mark.slow
 def test_what_the_budget_has_no_time_for_is_named(blend):
     shown = xihe_here("effects", blend, "--budget", "1e-9").stdout
     assert "diffuse bounces: not measured within the budget" in shown
-
-
-def test_a_budget_of_nothing_is_refused(blend):
-    assert_refused(xihe_here("effects", blend, "--budget", "0"), "--budget")
 
 
 def test_a_portal_is_no_lamp(blend):
@@ -216,12 +211,10 @@ def test_a_portal_is_no_lamp(blend):
 
 @pytest.mark.slow
 def test_measured_costs_are_json(measured):
-    rows = {
-        row["name"]: row
-        for row in json.loads(json.dumps(effects_as_json(measured[0], with_cost=True), allow_nan=False))
-    }
-    assert set(rows["transmission"]["cost"]) == {"time_share", "time_standard_error", "light", "picture"}
-    assert rows["hair"]["cost"] is None
+    written = json.dumps(effects_as_json(measured[0], with_cost=True), allow_nan=False)
+    costs_of = {row["name"]: row["cost"] for row in json.loads(written)}
+    assert set(costs_of["transmission"]) == {"time_share", "time_standard_error", "light", "picture"}
+    assert costs_of["hair"] is None
 
 
 def test_a_scene_without_a_camera_and_objects_has_a_plan_and_no_costs():
@@ -230,14 +223,16 @@ def test_a_scene_without_a_camera_and_objects_has_a_plan_and_no_costs():
     assert list(effects) == list(RULES) and all(effect.cost is None for effect in effects.values())
 
 
-def test_frames_outside_the_scenes_range_are_refused():
-    with pytest.raises(UserError, match="outside the scene's range"):
-        run_blocking(effects_of_run(stage(), PrevisSettings(frames=(1, 9))))
-
-
-def test_an_effect_that_no_phone_has_is_refused():
-    with pytest.raises(UserError, match="choose another --phone"):
-        run_blocking(effects_of_run(stage(), PrevisSettings(effect_choices={"noise": "on"})))
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"frames": (1, 9)}, "outside the scene's range"),
+        ({"effect_choices": {"noise": "on"}}, "choose another --phone"),
+    ],
+)
+def test_what_a_run_cannot_have_is_refused(settings, words):
+    with pytest.raises(UserError, match=words):
+        run_blocking(effects_of_run(stage(), PrevisSettings(**settings)))
 
 
 # ----------------------------------------------------------------------------------------------------- the command line
@@ -277,17 +272,12 @@ def test_the_command_prints_a_table_with_a_star_for_the_users(blend):
         (("--effect", "smoke=on"), "there is no effect"),
         (("--effect", "volumes"), "NAME=on"),
         (("--frames", "1:9"), "outside the scene's range"),
+        (("--budget", "0"), "--budget"),
     ],
 )
 def test_a_mistake_gets_one_line_and_exit_2(blend, arguments, words):
     done = xihe_here("effects", blend, "--plan-only", *arguments)
     assert_refused(done, words)
-
-
-def test_previs_refuses_a_senseless_effect_before_it_writes(blend, tmp_path):
-    done = xihe_here("previs", blend, "--out", tmp_path / "out", "--effect", "volumes=perhaps")
-    assert_refused(done, "auto, on or off")
-    assert not (tmp_path / "out").exists()
 
 
 def test_results_name_the_users_overrides_and_the_given_ones_win(blend, tmp_path):
@@ -296,12 +286,8 @@ def test_results_name_the_users_overrides_and_the_given_ones_win(blend, tmp_path
     run(scene, tmp_path / "out", settings)
     results = read_strictly(tmp_path / "out" / "results.json")
     check_results(results)
-    user = {row["name"]: row for row in results["effects"] if row.get("origin") == "user"}
-    assert {name: row["state"] for name, row in user.items()} == {
-        "light tree": "off",
-        "volumes": "on",
-        "reflective caustics": "off",
-    }
+    user = {row["name"]: row["state"] for row in results["effects"] if row.get("origin") == "user"}
+    assert user == {"light tree": "off", "volumes": "on", "reflective caustics": "off"}
     assert results["settings"]["effect_choices"] == {"light tree": "off", **settings.effect_choices}
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "volume_bounces 32" in report and "you turned it on" in report

@@ -13,9 +13,9 @@ import pytest
 from sampled_places import places_of
 from scipy import ndimage, sparse
 from tiny_scenes import look_at, room_with_a_virtual_sphere
+from xihe_process import assert_refused, xihe_here
 
 from xihe_blender.capture.scanner import meter_exposure, phone_camera
-from xihe_blender.cli.main import main
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.rooms.build import BuildSettings, build_dataset, write_manifest
@@ -204,13 +204,16 @@ def test_a_folder_of_walks_holds_nothing_else(walked_folder):
             run_blocking(build_dataset(folder, replace(settings, walk=other)))
 
 
-def test_folders_without_a_walk_go_on_as_free_views(tmp_path):
+def test_folders_without_a_walk_go_on_as_free_views_and_are_written_so(tmp_path):
     (tmp_path / "dataset.json").write_text(json.dumps(FREE_VIEWS))
     settings = BuildSettings(3, 5, 1, SMALL_NUMBERS)
     write_manifest(tmp_path, settings.provenance)
     assert json.loads((tmp_path / "dataset.json").read_text()) == FREE_VIEWS
     with pytest.raises(UserError, match="another folder"):
         write_manifest(tmp_path, replace(settings, walk=24).provenance)
+    write_manifest(tmp_path / "new", settings.provenance)
+    written = json.loads((tmp_path / "new" / "dataset.json").read_text())
+    assert list(written) == list(FREE_VIEWS) and {**written, "software": FREE_VIEWS["software"]} == FREE_VIEWS
 
 
 def test_folders_that_were_metered_in_the_old_way_are_not_gone_on_with(tmp_path):
@@ -218,30 +221,6 @@ def test_folders_that_were_metered_in_the_old_way_are_not_gone_on_with(tmp_path)
     (tmp_path / "dataset.json").write_text(json.dumps(old))
     with pytest.raises(UserError, match="another folder"):
         write_manifest(tmp_path, BuildSettings(3, 5, 1, SMALL_NUMBERS).provenance)
-
-
-def test_free_views_are_recorded_without_a_walk(tmp_path):
-    write_manifest(tmp_path, BuildSettings(3, 5, 1, SMALL_NUMBERS).provenance)
-    written = json.loads((tmp_path / "dataset.json").read_text())
-    assert list(written) == list(FREE_VIEWS)
-    assert {**written, "software": ""} == {**FREE_VIEWS, "software": ""}
-
-
-@pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
-        (("--rooms", "1", "--walk", "0"), "2 to 240"),
-        (("--rooms", "1", "--walk", "many"), "--walk"),
-        (("--rooms", "1", "--split", "dev"), "train, validation, test"),
-        (("--rooms", "1", "--split", "test"), "give more"),
-    ],
-)
-def test_a_build_that_makes_no_sense_is_refused_in_one_line(wrong, words, tmp_path, capfd):
-    assert main(["dataset", "build", "--out", str(tmp_path / "rooms"), *wrong]) == 2
-    said = capfd.readouterr().err
-    assert said.count("\n") == 1
-    assert words in said
-    assert not (tmp_path / "rooms").exists()
 
 
 # --------------------------------------------------------------------------------------------------------------- scenes
@@ -357,45 +336,31 @@ def test_a_scene_added_leaves_the_open_file_as_it_was(tmp_path):
     assert (tuple(scene.camera.location), scene.frame_current, len(bpy.data.scenes), len(bpy.data.objects)) == before
 
 
-def test_the_command_adds_a_scene_and_says_where(tmp_path, capfd):
+def test_the_command_adds_a_scene_and_says_where(tmp_path):
     blend = saved(room_with_a_virtual_sphere(), tmp_path / "tiny.blend")
-    capfd.readouterr()
-    assert main(["dataset", "scene", str(blend), "--out", str(tmp_path / "scenes"), "--frames", "1:3:2"]) == 0
-    said = capfd.readouterr()
-    assert said.out.strip() == str(room_path(tmp_path / "scenes", 0))
+    done = xihe_here("dataset", "scene", blend, "--out", tmp_path / "scenes", "--frames", "1:3:2")
+    assert (done.returncode, done.stdout.strip()) == (0, str(room_path(tmp_path / "scenes", 0)))
     room = load_room(room_path(tmp_path / "scenes", 0))
     assert room.kind == "tiny"
     assert room.srgb_u8.shape == (2, 96, 128, 3)
     assert room.balls.shape == (1, 80, 80, 3)
 
 
-def _without_camera(scene):
-    bpy.data.objects.remove(scene.camera)
-
-
-def _without_virtual_objects(scene):
-    bpy.data.objects.remove(bpy.data.objects["Ball"])
-
-
 @pytest.mark.parametrize(
-    ("change", "arguments", "words"),
+    ("removed", "arguments", "words"),
     [
-        (None, ("--at", "Ball,Nobody"), "no object 'Nobody'"),
-        (None, ("--at", ","), "--at"),
-        (None, ("--frames", "1:9"), "choose frames within it"),
-        (_without_camera, (), "has no camera"),
-        (_without_camera, ("--at", "Ball"), "has no camera"),
-        (_without_virtual_objects, (), "--at A,B"),
+        ("", ("--at", "Ball,Nobody"), "no object 'Nobody'"),
+        ("", ("--at", ","), "--at"),
+        ("", ("--frames", "1:9"), "choose frames within it"),
+        ("Phone", (), "has no camera"),
+        ("Phone", ("--at", "Ball"), "has no camera"),
+        ("Ball", (), "--at A,B"),
     ],
 )
-def test_a_scene_that_cannot_be_added_is_refused_in_one_line(change, arguments, words, tmp_path, capfd):
+def test_a_scene_that_cannot_be_added_is_refused_in_one_line(removed, arguments, words, tmp_path):
     scene = room_with_a_virtual_sphere()
-    if change is not None:
-        change(scene)
+    if removed:
+        bpy.data.objects.remove(bpy.data.objects[removed])
     blend = saved(scene, tmp_path / "tiny.blend")
-    capfd.readouterr()
-    assert main(["dataset", "scene", str(blend), "--out", str(tmp_path / "scenes"), *arguments]) == 2
-    said = capfd.readouterr()
-    assert (said.out, said.err.count("\n")) == ("", 1)
-    assert words in said.err
+    assert_refused(xihe_here("dataset", "scene", blend, "--out", tmp_path / "scenes", *arguments), words)
     assert not (tmp_path / "scenes").exists()
