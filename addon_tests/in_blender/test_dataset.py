@@ -28,7 +28,7 @@ from xihe_blender.lab.workers.processes import module_command
 from xihenet.camera import metered_exposure, project_points, unproject_frame
 from xihenet.sphere import AnchorLattice
 
-SMALL = RoomRenderSettings((32, 24), 1, 16, 4)
+SMALL = RoomRenderSettings((32, 24), 1, 16, 4, 16)
 SMALL_NUMBERS = SMALL.numbers
 
 
@@ -244,7 +244,7 @@ def test_a_closed_build_ends_its_workers_and_leaves_whole_files(tmp_path):
 
 
 def test_what_a_failing_worker_said_is_passed_on(tmp_path):
-    with pytest.raises(UserError, match="expected 5 arguments"):
+    with pytest.raises(UserError, match="expected 6 arguments"):
         run_blocking(build_dataset(tmp_path, BuildSettings(1, 5, 1, SMALL_NUMBERS[:4])))
 
 

@@ -33,7 +33,7 @@ from xihenet.records import Intrinsics
 from xihenet.sphere import AnchorLattice
 from xihenet.training.rooms import SPLITS, split_of
 
-SMALL = RoomRenderSettings((32, 24), 1, 16, 4)
+SMALL = RoomRenderSettings((32, 24), 1, 16, 4, 16)
 SMALL_NUMBERS = SMALL.numbers
 FREE_VIEWS = {"format": 2, "seed": 5, "render": list(SMALL_NUMBERS), "metering": "highlights", "software": "xihe 0.1.0"}
 """What the first version wrote into its folders."""

@@ -200,6 +200,10 @@ def test_changes_are_of_any_angle_and_no_more_than_a_factor_of_2_5():
     assert gains.min() > 0.39 and gains.max() < 2.51 and gains.std() > 0.5
     assert 0.4 < np.mean([change.is_mirrored for change in changes]) < 0.6
     assert np.histogram([change.angle for change in changes], 4, (0, 2 * np.pi))[0].min() > 50
+    warm = CacheSettings(exposure_spread=0.0, tint_spread=0.0, warmth_spread=0.2)
+    red, green, blue = np.log([RoomChange.drawn(warm, rng).gains for _ in range(300)]).T
+    np.testing.assert_allclose(red, -blue, atol=1e-12)
+    assert not green.any() and 0.15 < red.std() < 0.25
 
 
 def test_the_cache_holds_what_was_asked_for(caches):

@@ -62,6 +62,7 @@ class CacheSettings:
     changes_per_pair : training clouds of each pair, the first as it is
     merged_per_position : training clouds of each position merged from 1 to V views; elsewhere one of all views
     exposure_spread, tint_spread : standard deviations of the logs of the gain of all channels and of each
+    warmth_spread : the same, of red; blue loses what red gains, as under a warmer light or another white balance
     is_test_only : every room counts as a test room: for walks, and for scenes that are of no data set
     is_whole_sphere : one cloud per position of which every anchor is set, coloured by the light probe: the floor that
         sampling and the network leave; distances that no view knows are the others' median
@@ -76,8 +77,9 @@ class CacheSettings:
     sampling: Sampling = "sphere"
     changes_per_pair: int = 6
     merged_per_position: int = 8
-    exposure_spread: float = 0.3
+    exposure_spread: float = 0.45
     tint_spread: float = 0.06
+    warmth_spread: float = 0.15
     is_test_only: bool = False
     is_whole_sphere: bool = False
     is_upright: bool = False
@@ -91,7 +93,7 @@ class CacheSettings:
         if self.is_whole_sphere and self.sampling != "sphere":
             raise ValueError(f"is_whole_sphere: expected unit-sphere sampling, got {self.sampling!r}")
         numbers = (self.n_anchors - 1, self.changes_per_pair - 1, self.merged_per_position)
-        if min(*numbers, self.exposure_spread, self.tint_spread) < 0:
+        if min(*numbers, self.exposure_spread, self.tint_spread, self.warmth_spread) < 0:
             raise ValueError(f"cache settings: expected positive numbers, got {asdict(self)}")
 
     def split(self, seed: tuple[int, int]) -> Split:
@@ -118,6 +120,7 @@ class RoomChange:
     def drawn(cls, settings: CacheSettings, rng: np.random.Generator) -> RoomChange:
         """Any angle, mirrored half of the time, gains as the settings say and no more than a factor of 2.5."""
         log_gains = rng.normal(0.0, settings.exposure_spread) + rng.normal(0.0, settings.tint_spread, 3)
+        log_gains += rng.normal(0.0, settings.warmth_spread) * np.array([1.0, 0.0, -1.0])
         gains = np.exp(np.clip(log_gains, -np.log(2.5), np.log(2.5)))
         return cls(float(rng.uniform(0, 2 * np.pi)), bool(rng.random() < 0.5), gains)
 

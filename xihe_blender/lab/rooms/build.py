@@ -57,7 +57,7 @@ class BuildSettings:
     n_rooms: int
     seed: int = 0
     n_workers: int | None = None
-    render: tuple[int, ...] = field(default=(128, 96, 4, 160, 2))
+    render: tuple[int, ...] = field(default=(128, 96, 4, 160, 2, 80))
     walk: int | None = None
     split: Split | None = None
     scheduler: str | None = None

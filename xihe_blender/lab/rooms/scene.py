@@ -99,7 +99,7 @@ def add_scene(
             pictures.append(picture)
             yield Progress(len(pictures), total, f"{len(pictures)} of {len(chosen)} frames")
         lights = []
-        with open_reference_probe(scene, positions_m, settings.probe) as probe:
+        with open_reference_probe(scene, positions_m, settings.probe()) as probe:
             for place in range(len(positions_m)):
                 lights.append(probe.light_at(place, chosen[-1], exposure))
                 yield Progress(len(pictures) + len(lights), total, f"{len(lights)} of {len(positions_m)} positions")

@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--rooms", required=True, help="numbers, separated by commas")
-    parser.add_argument("--settings", type=int, nargs=5, required=True, metavar="N", help="sizes and samples")
+    parser.add_argument("--settings", type=int, nargs=6, required=True, metavar="N", help="sizes and samples")
     parser.add_argument("--walk", type=int, metavar="F", help="frames of a walk in place of free views")
     options = parser.parse_args(arguments)
     # Ctrl-C reaches the whole group of processes; the build decides what it means. Told to end, finish the room:
