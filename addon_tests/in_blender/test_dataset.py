@@ -243,6 +243,12 @@ def test_a_closed_build_ends_its_workers_and_leaves_whole_files(tmp_path):
     assert not list(tmp_path.glob(".room_*"))
 
 
+def test_only_training_rooms_are_lit_by_fewer_rays():
+    settings = RoomRenderSettings()
+    assert settings.probe("train").size == 80 and {settings.probe(s).size for s in ("validation", "test")} == {160}
+    assert RoomRenderSettings.of(settings.numbers) == settings and settings.numbers == BuildSettings(1).render
+
+
 def test_what_a_failing_worker_said_is_passed_on(tmp_path):
     with pytest.raises(UserError, match="expected 6 arguments"):
         run_blocking(build_dataset(tmp_path, BuildSettings(1, 5, 1, SMALL_NUMBERS[:4])))
