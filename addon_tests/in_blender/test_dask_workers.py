@@ -102,7 +102,8 @@ def test_a_folder_that_no_worker_sees_is_one_line(scheduler, tmp_path):
         workers.check_workers(str(tmp_path / "none"), [])
 
 
-def test_an_address_that_is_none_is_one_line():
+def test_an_address_that_is_none_is_one_line(monkeypatch):
+    monkeypatch.setattr("xihe_blender.lab.workers.dask_workers.CONNECT_S", 1.0)
     for address in ("nowhere", "", "foo://127.0.0.1:1", "tls://127.0.0.1:1", "tcp://127.0.0.1:1"):
         with pytest.raises(UserError, match="no scheduler answers"), open_dask_workers(None, address):
             pass

@@ -77,6 +77,7 @@ def test_a_trial_has_the_numbers_of_a_run_of_its_own_and_all_trials_render_no_mo
     assert renders_of_the_room(of_unit) == renders_of_the_room(of_run) and len(of_run) > N_FRAMES
 
 
+@pytest.mark.slow
 def test_a_unit_that_was_stopped_goes_on_and_comes_to_the_same(tmp_path, whole, file):
     with contextlib.closing(evaluate_unit(bpy.context.scene, file, tmp_path, SMALL, 0)) as job:
         while not list(tmp_path.rglob("compared_*.json")):

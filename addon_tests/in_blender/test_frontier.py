@@ -169,6 +169,7 @@ def damaged(content, number):
     return (b"", content[:half], flipped, b'[{"a": 1}]', b"{}")[number % 5]
 
 
+@pytest.mark.slow
 def test_every_damaged_file_of_a_frontier_is_named_and_made_again(done, tmp_path, caplog):
     shutil.copytree(done / "out", tmp_path / "out")
     work = tmp_path / "out" / "work"
