@@ -43,24 +43,34 @@ def picture_of(path):
     image.pixels.foreach_get(pixels)
     shape = image.size[1], image.size[0], -1
     bpy.data.images.remove(image)
-    return pixels.reshape(shape)[::-1, :, :3]
+    return pixels.reshape(shape)[::-1]
 
 
 def test_rendering_it_gives_the_picture_of_the_estimate(ran, shown, tmp_path):
     results = read_results(ran[0])
     frame, compared = next(iter(results.compared_frames.items()))
-    estimate, captured = (picture_of(ran[0] / compared.pictures[kind]) for kind in ("projection", "captured"))
+    estimate, captured = (picture_of(ran[0] / compared.pictures[kind])[..., :3] for kind in ("projection", "captured"))
     assert (shown.render.resolution_x, shown.render.resolution_y) == (64, 48)
     shown.render.resolution_x, shown.render.resolution_y = results.settings.size
     shown.cycles.samples, shown.render.filepath = 64, str(tmp_path / "lit.png")
     shown.render.image_settings.file_format = "PNG"
     shown.frame_set(frame)
     bpy.ops.render.render(write_still=True, scene=shown.name)
-    lit = picture_of(tmp_path / "lit.png")
+    lit = picture_of(tmp_path / "lit.png")[..., :3]
     is_object = np.abs(estimate - captured).max(axis=-1) > 0.02
     assert 10 < is_object.sum() < is_object.size / 2
     np.testing.assert_allclose(lit[is_object].mean(axis=0), estimate[is_object].mean(axis=0), rtol=0.03)
     np.testing.assert_allclose(lit[~is_object].mean(axis=0), captured[~is_object].mean(axis=0), atol=0.01)
+
+
+def test_a_larger_picture_is_opaque_and_as_bright_along_its_rim_as_inside(shown, tmp_path):
+    shown.cycles.samples, shown.render.filepath = 1, str(tmp_path / "lit.png")
+    shown.render.image_settings.file_format, shown.render.image_settings.color_mode = "PNG", "RGBA"
+    bpy.ops.render.render(write_still=True, scene=shown.name)
+    lit = picture_of(tmp_path / "lit.png")
+    assert lit.shape == (48, 64, 4) and (lit[..., 3] == 1).all()
+    for rim, inside in ((lit[0], lit[1]), (lit[-1], lit[-2]), (lit[:, 0], lit[:, 1]), (lit[:, -1], lit[:, -2])):
+        np.testing.assert_allclose(rim.mean(axis=0), inside.mean(axis=0), rtol=0.1)
 
 
 def test_each_frame_has_what_the_phone_saw_last(ran, shown):

@@ -120,10 +120,10 @@ def _compose(lit: bpy.types.Scene, image: bpy.types.Image, frames: CapturedFrame
         scale.inputs["Frame Type"].default_value = "Stretch"
     else:
         scale.space, scale.frame_method = "RENDER_SIZE", "STRETCH"
+    tree.links.new(behind.outputs["Image"], scale.inputs["Image"])
     exposed = tree.nodes.new("CompositorNodeExposure")
     exposed.inputs["Exposure"].default_value = -math.log2(frames.exposure)
-    tree.links.new(behind.outputs["Image"], scale.inputs["Image"])
-    tree.links.new(scale.outputs[0], exposed.inputs["Image"])
+    tree.links.new(_opaque(tree, scale.outputs[0]), exposed.inputs["Image"])
     picture = exposed.outputs[0]
     for place, layer in enumerate(lit.view_layers):
         rendered, over = tree.nodes.new("CompositorNodeRLayers"), tree.nodes.new("CompositorNodeAlphaOver")
@@ -136,6 +136,18 @@ def _compose(lit: bpy.types.Scene, image: bpy.types.Image, frames: CapturedFrame
     end = tree.nodes.new("NodeGroupOutput" if hasattr(lit, "compositing_node_group") else "CompositorNodeComposite")
     end.location = (500 + 200 * len(lit.view_layers), 0)
     tree.links.new(picture, end.inputs[0])
+
+
+def _opaque(tree: bpy.types.NodeTree, scaled: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+    """A scaled picture without the rim, a pixel wide, in which its edge was mixed with what is not there."""
+    straight, opaque = tree.nodes.new("CompositorNodePremulKey"), tree.nodes.new("CompositorNodeSetAlpha")
+    if "Type" in straight.inputs:  # from Blender 5.0 on
+        straight.inputs["Type"].default_value, opaque.inputs["Type"].default_value = "To Straight", "Replace Alpha"
+    else:
+        straight.mapping, opaque.mode = "PREMUL_TO_STRAIGHT", "REPLACE_ALPHA"
+    tree.links.new(scaled, straight.inputs["Image"])
+    tree.links.new(straight.outputs[0], opaque.inputs["Image"])
+    return opaque.outputs[0]
 
 
 def _compositor_tree(lit: bpy.types.Scene) -> bpy.types.NodeTree:
