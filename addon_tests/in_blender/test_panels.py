@@ -13,7 +13,7 @@ import tiny_scenes
 
 from addon_tests.pure import runs
 from xihe_blender.addon import last_run as reader
-from xihe_blender.addon import overlay, panels
+from xihe_blender.addon import overlay, panels, polls
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
@@ -166,6 +166,37 @@ def test_labels_that_would_overlap_are_moved_down_until_none_does():
     assert overlay.below_others((0, 0, 1, 1), []) == (0, 0, 1, 1)
 
 
+def first_words(scene):
+    return {" ".join(doubt.split()[:2]) for doubt in polls.doubts(scene)} - {"This build"}
+
+
+def test_a_run_that_would_tell_little_is_doubted_before_it():
+    bpy.ops.wm.read_homefile(use_factory_startup=True)
+    scene = bpy.context.scene
+    assert first_words(scene) == {"The camera"}
+    virtual_collection(scene, create=True).objects.link(bpy.data.objects["Cube"])
+    scene.collection.children["Collection"].objects.unlink(bpy.data.objects["Cube"])
+    assert first_words(scene) == {"The camera", "Only virtual"}
+    bpy.ops.mesh.primitive_plane_add()
+    assert first_words(scene) == {"The camera"}
+    on_rails = bpy.data.objects.new("Rails", None)
+    on_rails.keyframe_insert("location", frame=1)
+    scene.camera.parent = on_rails
+    assert first_words(scene) == set()
+    scene.camera.parent = None
+    scene.camera.constraints.new("FOLLOW_PATH")
+    assert first_words(scene) == set()
+
+
+@pytest.mark.parametrize("has_denoiser", [True, False])
+def test_a_build_without_a_denoiser_is_told(monkeypatch, has_denoiser):
+    import _cycles
+
+    monkeypatch.setattr(_cycles, "with_openimagedenoise", has_denoiser)
+    said = any("no denoiser" in doubt for doubt in polls.doubts(bpy.context.scene))
+    assert said is not has_denoiser
+
+
 def test_every_panel_is_in_the_tab_in_the_order_of_the_chain():
     stages = [cls for cls in panels.classes if issubclass(cls, bpy.types.Panel) and not hasattr(cls, "bl_parent_id")]
     assert [cls.bl_category for cls in stages] == ["Xihe"] * len(stages)
@@ -187,6 +218,7 @@ def test_what_is_asked_at_every_redraw_needs_nothing_heavy():
         "from xihe_blender.scene.virtual_objects import virtual_objects;"
         "virtual_objects(bpy.context.scene); last_run.last_run('/nowhere');"
         "from xihe_blender import addon; from xihe_blender.addon import polls; addon.register('xihe_test');"
+        "polls.doubts(bpy.context.scene);"
         "conditions = [value for name, value in vars(polls).items() if name.startswith(('is_', 'has_'))];"
         "said = [condition(bpy.context) for condition in conditions]; addon.unregister();"
         "print(said.count(None), len(said))"

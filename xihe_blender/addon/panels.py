@@ -18,7 +18,7 @@ import bpy
 
 from xihe_blender.addon.calibration import calibration_line
 from xihe_blender.addon.last_run import LastRun, last_run
-from xihe_blender.addon.polls import shows_run
+from xihe_blender.addon.polls import doubts, has_camera, has_virtual_objects, shows_run
 from xihenet.formats import format_duration
 
 TAB = "Xihe"
@@ -220,6 +220,9 @@ class XIHE_PT_run(StagePanel, bpy.types.Panel):
             row.label(text=as_sentence(job.run_estimate), translate=False)
         if job.error:
             sentence(context, layout, job.error, icon="ERROR")
+        elif not (has_camera(context) or has_virtual_objects(context)):
+            for doubt in doubts(context.scene):
+                sentence(context, layout, doubt, icon="QUESTION")
 
     def _draw_progress(self, context: bpy.types.Context, job: Any) -> None:
         # As high as the two buttons it stands for: what is below does not move when a run begins and ends.

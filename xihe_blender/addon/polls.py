@@ -88,6 +88,46 @@ def has_virtual_objects(context: bpy.types.Context) -> str | None:
     return "Make an object virtual first: select it, and add it above"
 
 
+def doubts(scene: bpy.types.Scene) -> list[str]:
+    """Why a run would tell little, in sentences: it is not refused. What the first look at the scene shows."""
+    found = []
+    if not any(map(_may_move, _cameras(scene))):
+        found.append("The camera does not move: the phone will see one side of the room alone")
+    if not _has_room(scene):
+        found.append("Only virtual objects are here: the phone will see no room whose light falls on them")
+    if not _has_denoiser():
+        found.append("This build of Blender has no denoiser: frames are noisy, or take more samples")
+    return found
+
+
+def _cameras(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    cameras = {marker.camera for marker in scene.timeline_markers} | {scene.camera}
+    return [camera for camera in cameras if camera is not None]
+
+
+def _may_move(item: bpy.types.Object) -> bool:
+    """Whether keys, drivers, constraints or physics could move it, or what it hangs on."""
+    if item.animation_data is not None or item.constraints or item.rigid_body is not None:
+        return True
+    return item.parent is not None and _may_move(item.parent)
+
+
+def _has_room(scene: bpy.types.Scene) -> bool:
+    """Whether an object that is not virtual has a surface. In a room the first few tell."""
+    from xihe_blender.scene.virtual_objects import has_renderable_geometry, virtual_objects
+
+    virtual = set(virtual_objects(scene))
+    return any(item not in virtual and has_renderable_geometry(item) for item in scene.objects)
+
+
+def _has_denoiser() -> bool:
+    try:
+        import _cycles
+    except ImportError:  # Without Cycles nothing runs, which `has_cycles` says.
+        return True
+    return bool(_cycles.with_openimagedenoise)
+
+
 def has_selected_room_objects(context: bpy.types.Context) -> str | None:
     from xihe_blender.scene.virtual_objects import has_renderable_geometry, virtual_objects
 
