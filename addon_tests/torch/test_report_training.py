@@ -11,18 +11,25 @@ import torch
 
 from xihenet.colour import linear_to_srgb
 from xihenet.estimators.calibration import SHARES_ASKED, Calibration
+from xihenet.estimators.lattice_format import load_weights
 from xihenet.sh_basis import basis
 from xihenet.sphere import AnchorLattice
 from xihenet.svg import linear_axis
 from xihenet.training import __main__ as command_line
 from xihenet.training.baselines import BASELINES, MEAN, fit_baselines, fit_linear, projected
-from xihenet.training.calibration import fit_calibration
+from xihenet.training.calibration import calibration_elsewhere, fit_calibration, promises_left_out
 from xihenet.training.dataset import CACHE_VERSION, CloudSet, open_split
 from xihenet.training.networks import TrainedNetwork, make_network, save_network
 from xihenet.training.plots import line_chart, report_plots, series_look
 from xihenet.training.predictions import Group, Prediction, open_group, over_seeds, training_clouds
 from xihenet.training.report import ALL_VIEWS, ONE_VIEW, WALK, WHOLE, ReportSettings, make_report, report_json
-from xihenet.training.report_parts import calibrate_network, coverage_curve, group_table, room_figures
+from xihenet.training.report_parts import (
+    calibrate_elsewhere,
+    calibrate_network,
+    coverage_curve,
+    group_table,
+    room_figures,
+)
 from xihenet.training.report_text import report_markdown
 from xihenet.training.rooms import split_of
 from xihenet.training.stress import DISTURBANCES, add_noise, blacken, blow_out, leave_cap, leave_one_anchor
@@ -312,6 +319,38 @@ def test_a_calibration_finds_its_law_and_keeps_its_promises():
         kept = [np.mean(made[seen] <= multiple * expected[seen]) for multiple in found.quantiles]
         np.testing.assert_allclose(kept, SHARES_ASKED, atol=1e-3 if seen.all() else 0.03)
     assert (np.diff(found.expected(np.linspace(0, 1, 50), 0.5)) > 0).all()
+
+
+def test_rooms_of_another_kind_set_the_level_and_the_promises_each_room_alike():
+    rng = np.random.default_rng(0)
+    raw, coverage = rng.uniform(0.02, 0.3, 30_000), rng.uniform(0, 1, 30_000)
+    room = rng.choice(4, len(raw), p=[0.7, 0.1, 0.1, 0.1])
+    made = 3.0 * raw * rng.gamma(4.0, 0.25, len(raw)) * np.array([0.5, 1.0, 1.0, 1.5])[room]
+    here = Calibration(1.0, 1.0, 0.0, (0.7, 1.1, 2.3))
+    found = calibration_elsewhere(here, raw, made, coverage, room)
+    assert (found.power, found.slope) == (here.power, here.slope) and found.factor == pytest.approx(3.0, rel=0.02)
+    limits = np.outer(found.quantiles, found.expected(raw, coverage))
+    kept = np.mean([np.mean((made <= limits)[:, room == number], axis=1) for number in range(4)], axis=0)
+    np.testing.assert_allclose(kept, SHARES_ASKED, atol=0.01)
+    left_out = promises_left_out(here, raw, made, coverage, room)
+    assert all(held < share + 0.02 for held, share in zip(left_out, SHARES_ASKED, strict=True)) and left_out[0] > 0.3
+    alike = 3.0 * raw * rng.gamma(4.0, 0.25, len(raw))
+    np.testing.assert_allclose(promises_left_out(here, raw, alike, coverage, room), SHARES_ASKED, atol=0.02)
+
+
+def test_weights_are_calibrated_by_rooms_of_another_kind_and_say_how_well(folders, networks, tmp_path, capsys):
+    command = ["export", str(networks["lattice_0"]), str(tmp_path / "a.npz"), "--clouds", str(folders["sphere"])]
+    elsewhere = [str(folders["sphere"])] * 2
+    assert command_line.main([*command, "--elsewhere", *elsewhere]) == 0
+    assert "kept in rooms left out: 50% in " in capsys.readouterr().err
+    here = calibrate_network(networks["lattice_0"], [folders["sphere"]])
+    told, _ = calibrate_elsewhere(networks["lattice_0"], here, [folders["sphere"]] * 2)
+    assert Calibration.from_figures(load_weights(tmp_path / "a.npz").figures) == told
+    assert told.factor > 0 and (told.power, told.slope) == (here.power, here.slope)
+    assert command_line.main([*command, "--elsewhere", elsewhere[0]]) == 2
+    assert "two rooms or more, got 1" in capsys.readouterr().err
+    assert command_line.main([*command[:3], "--elsewhere", *elsewhere]) == 2
+    assert "--clouds too" in capsys.readouterr().err
 
 
 def test_a_calibration_goes_through_the_header_of_a_weights_file():

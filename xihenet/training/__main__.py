@@ -14,12 +14,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
 
+from xihenet.estimators.calibration import SHARES_ASKED
 from xihenet.training.dataset import CacheSettings, build_cache
 from xihenet.training.loop import TrainSettings, train
 from xihenet.training.networks import SAMPLING_OF, export_network
 from xihenet.training.plots import report_plots
 from xihenet.training.report import ReportSettings, make_report, report_json
-from xihenet.training.report_parts import calibrate_network
+from xihenet.training.report_parts import calibrate_elsewhere, calibrate_network
 from xihenet.training.report_text import report_markdown
 
 SAME_NAMED = (
@@ -83,6 +84,14 @@ def _parser() -> argparse.ArgumentParser:
         metavar="DIR",
         help="sampled validation rooms that calibrate the expected error of lattice",
     )
+    export.add_argument(
+        "--elsewhere",
+        type=Path,
+        nargs="+",
+        default=(),
+        metavar="DIR",
+        help="sampled clouds of rooms of another kind, a folder each, whose errors set the level of the expected error",
+    )
     export.set_defaults(run=_run_export)
     return parser
 
@@ -135,7 +144,16 @@ def _add_train_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _run_export(options: argparse.Namespace) -> None:
-    figures = {} if options.clouds is None else calibrate_network(options.network, [options.clouds]).as_figures()
+    figures = {}
+    if options.clouds is not None:
+        calibration = calibrate_network(options.network, [options.clouds])
+        if options.elsewhere:
+            calibration, kept = calibrate_elsewhere(options.network, calibration, options.elsewhere)
+            promised = zip(SHARES_ASKED, kept, strict=True)
+            _say("kept in rooms left out: " + ", ".join(f"{share:.0%} in {held:.0%}" for share, held in promised))
+        figures = calibration.as_figures()
+    elif options.elsewhere:
+        raise ValueError("--elsewhere: expected --clouds too, whose rooms teach the law")
     export_network(options.network, options.out, data=options.data, figures=figures, n_points=options.anchors)
 
 

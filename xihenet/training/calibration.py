@@ -15,7 +15,7 @@ rooms, each half judged by the other).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -78,6 +78,41 @@ def fit_calibration(raw: ArrayLike, made: ArrayLike, coverage: ArrayLike) -> Cal
     factor = float(np.mean(errors / shape))
     quantiles = np.quantile(errors / np.maximum(factor * shape, SMALLEST_RAW), SHARES_ASKED)
     return Calibration(factor, power, slope, tuple(map(float, quantiles)))
+
+
+def calibration_elsewhere(
+    calibration: Calibration, raw: ArrayLike, made: ArrayLike, coverage: ArrayLike, room: ArrayLike
+) -> Calibration:
+    """The same law with the level and the promises of rooms of another kind, each room counted alike.
+
+    A few rooms cannot teach a law, but they tell how far off the validation rooms' level and promises are elsewhere.
+    Parameters are those of `fit_calibration`; `room` (M,) is each cloud's.
+    """
+    expected, errors, seen = _checked(raw, made, coverage)
+    ratios = errors / np.maximum(calibration.expected(expected, seen), SMALLEST_RAW)
+    _, number, n_clouds = np.unique(np.asarray(room), return_inverse=True, return_counts=True)
+    weights = 1 / n_clouds[number]
+    level = max(float(np.average(ratios, weights=weights)), SMALLEST_RAW)
+    order = np.argsort(ratios, kind="stable")
+    below = (np.cumsum(weights[order]) - weights[order] / 2) / weights.sum()
+    quantiles = np.interp(SHARES_ASKED, below, ratios[order]) / level
+    return replace(calibration, factor=calibration.factor * level, quantiles=tuple(map(float, quantiles)))
+
+
+def promises_left_out(
+    calibration: Calibration, raw: ArrayLike, made: ArrayLike, coverage: ArrayLike, room: ArrayLike
+) -> tuple[float, ...]:
+    """How well `calibration_elsewhere` keeps its promises in rooms it was not given: for each of `SHARES_ASKED` the
+    share of a room's clouds below what the other rooms promise, the mean over rooms, of which there are two or more.
+    """
+    expected, errors, seen = _checked(raw, made, coverage)
+    number, kept = np.asarray(room), []
+    for left_out in np.unique(number):
+        others, here = number != left_out, number == left_out
+        told = calibration_elsewhere(calibration, expected[others], errors[others], seen[others], number[others])
+        limits = np.outer(told.quantiles, told.expected(expected[here], seen[here]))
+        kept.append(np.mean(errors[here] <= limits, axis=1))
+    return tuple(map(float, np.mean(kept, axis=0)))
 
 
 def calibration_figures(

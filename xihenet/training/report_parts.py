@@ -19,8 +19,14 @@ from xihenet.estimators.calibration import Calibration
 from xihenet.estimators.lattice import lean_on_sensor
 from xihenet.records import ArrayBool, ArrayF64, ArrayInt
 from xihenet.training.baselines import AMBIENT, MEAN, PROJECTION, Baselines
-from xihenet.training.calibration import CalibrationFigures, calibration_figures, fit_calibration
-from xihenet.training.dataset import CloudSet
+from xihenet.training.calibration import (
+    CalibrationFigures,
+    calibration_elsewhere,
+    calibration_figures,
+    fit_calibration,
+    promises_left_out,
+)
+from xihenet.training.dataset import CloudSet, open_split
 from xihenet.training.networks import load_network
 from xihenet.training.predictions import (
     Group,
@@ -334,6 +340,30 @@ def calibrate_network(network: Path, folders: Sequence[Path], device: str = "cpu
     if found is None:
         raise ValueError(f"{network}: expected a network that knows its error, and validation clouds of several rooms")
     return found.by_seed[0]
+
+
+def calibrate_elsewhere(
+    network: Path, calibration: Calibration, folders: Sequence[Path], device: str = "cpu"
+) -> tuple[Calibration, tuple[float, ...]]:
+    """`calibration` brought to the level of rooms of another kind, a folder of sampled clouds each, and how well its
+    promises are kept in each of them by the level of the others.
+
+    ValueError for fewer than two folders, for broken ones, and for a network that expects no error.
+    """
+    if len(folders) < 2:
+        raise ValueError(f"--elsewhere: expected the sampled clouds of two rooms or more, got {len(folders)}")
+    loaded = load_network(network, device)
+    errors = []
+    for number, folder in enumerate(folders):
+        clouds = open_split(folder, "test")
+        predicted = predict_clouds(loaded.net, clouds, loaded.target, device)
+        if predicted.raw_error is None or not len(clouds):
+            raise ValueError(f"{folder}: expected clouds, and a network that knows its error")
+        made = rmse_of_each(predicted.light, clouds.truth(loaded.target))
+        errors.append(np.stack([predicted.raw_error, made, clouds.coverage, np.full(len(made), number)]))
+    raw, made, coverage, room = np.concatenate(errors, axis=1)
+    kept = promises_left_out(calibration, raw, made, coverage, room)
+    return calibration_elsewhere(calibration, raw, made, coverage, room), kept
 
 
 def stress_group(
