@@ -13,7 +13,7 @@ from xihe_blender.lab.workers.dask_workers import Work, dashboard, open_dask_wor
 
 pytestmark = pytest.mark.wheel_only("a whole Blender's Python has no Dask")
 
-SMALL_NUMBERS = (32, 24, 1, 16, 4)
+SMALL_NUMBERS = (32, 24, 1, 16, 4, 16)
 
 
 @pytest.fixture(scope="module")

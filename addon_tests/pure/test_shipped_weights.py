@@ -27,7 +27,7 @@ CARD = (WEIGHTS_FOLDER / "README.md").read_text(encoding="utf-8")
 
 @cache
 def pairs(n_anchors=1280, is_upright=False):
-    """Colours, distances, masks of all clouds of one view, and their truth by target."""
+    """Colours, distances, masks and facing of all clouds of one view, and their truth by target."""
     settings = CacheSettings(n_anchors, is_upright=is_upright)
     samples = []
     for path in room_files(ROOMS):
@@ -35,12 +35,14 @@ def pairs(n_anchors=1280, is_upright=False):
         samples += [s for s in clouds_of_room(room, settings, "test", np.random.default_rng(0)) if s.n_views == 1]
     clouds = [sample.cloud for sample in samples]
     arrays = [np.array([getattr(cloud, name) for cloud in clouds]) for name in ("srgb", "distance_m", "is_set")]
+    arrays.append(np.array([cloud.surfaces.facing for cloud in clouds]))
     truth = {target: np.array([s.truth[i] for s in samples]) for i, target in enumerate(("ldr", "hdr"))}
     return arrays, truth
 
 
 def light_of(name, target, arrays):
-    return estimators.load(name, arrays[2].shape[1], target).estimate_batch(*arrays)
+    *seen, facing = arrays
+    return estimators.load(name, facing.shape[1], target).estimate_batch(*seen, facing=facing)
 
 
 def rmse(a, b):
@@ -59,8 +61,7 @@ def test_lattice_gives_the_figure_of_the_model_card(target):
     made = {name: rmse(light_of(name, target, arrays), truth[target]) for name in ("lattice", "projection")}
     ratio = made["lattice"] / made["projection"]
     quoted = re.search(rf"shipped rooms, {target}: (0\.\d+)", CARD)
-    # The weights were trained before the reference light held all lamps and before sampling made patches.
-    assert quoted and abs(ratio - float(quoted[1])) < 2e-3 and ratio < 0.95
+    assert quoted and abs(ratio - float(quoted[1])) < 2e-3 and ratio < 0.9
 
 
 @pytest.mark.parametrize("n_anchors", [512, 768, 2048])
@@ -77,16 +78,17 @@ def test_an_upright_phone_is_better_off_with_lattice_than_with_projection():
     assert made["lattice"] < 0.95 * made["projection"]
 
 
-@pytest.mark.parametrize(("target", "least", "kept"), [("ldr", 0.7, 0.8), ("hdr", 0.35, 0.4)])
-def test_the_expected_error_is_near_the_error_made(target, least, kept):
-    """Of all light the weights expect 0.38 of the error: they never knew of lamps that cameras do not see."""
-    arrays, truth = pairs()
-    light, expected = estimators.load("lattice", target=target).estimate_batch_with_error(*arrays)
+@pytest.mark.parametrize("target", ["ldr", "hdr"])
+def test_the_expected_error_is_that_of_rooms_made_by_others(target):
+    """Their level is higher: in rooms like those of the training it is too large, and promises hold."""
+    (*seen, facing), truth = pairs()
+    light, expected = estimators.load("lattice", target=target).estimate_batch_with_error(*seen, facing=facing)
     made = np.sqrt(np.mean((light - truth[target]) ** 2, axis=(1, 2)))
-    assert least < expected.mean() / made.mean() < 1.4
+    assert 1.0 < expected.mean() / made.mean() < 2.5 and np.corrcoef(expected, made)[0, 1] > 0.4
     with np.load(WEIGHTS_FOLDER / f"lattice_{target}.npz") as stored:
-        limit = json.loads(stored["header"].item())["figures"]["error_quantiles"]["0.90"]
-    assert kept < np.mean(made <= limit * expected) <= 0.98
+        promised = json.loads(stored["header"].item())["figures"]["error_quantiles"]
+    for share, multiple in promised.items():
+        assert float(share) < np.mean(made <= multiple * expected) <= 1
 
 
 def test_a_turned_room_gives_the_turned_light_but_for_what_was_learned_inexactly():

@@ -36,6 +36,7 @@ FARTHEST_M = 100.0  # The test rooms end at 8 m. Unclipped, 1e38 m made a light 
 SMALLEST_SHARE = 1e-6
 SEEN_ENOUGH = 0.01  # Share of the sphere from which an estimate counts more than the ambient sensor.
 SMALLEST_ERROR = 1e-4
+WHITE_L00 = float(np.sqrt(4 * np.pi))  # Of light that is 1 from everywhere.
 N_DIRECTION_FEATURES = 3
 SQUARED_BAND = np.repeat(np.arange(3.0), [1, 3, 5]) ** 2
 
@@ -92,7 +93,7 @@ class Lattice(Estimator):
         """
         self._check_size(cloud)
         facing = None if cloud.surfaces is None else cloud.surfaces.facing[None]
-        light, raw_error = self._network.run(cloud.srgb[None], cloud.distance_m[None], cloud.is_set[None], facing)
+        light, raw_error = self._run(cloud.srgb[None], cloud.distance_m[None], cloud.is_set[None], facing)
         if context is not None and context.frame is not None:
             sensed = self._sensor.estimate(cloud, context)
             light = lean_on_sensor(light, cloud.is_set.mean(keepdims=True), sensed[None])
@@ -115,11 +116,20 @@ class Lattice(Estimator):
         for start in range(0, len(sh_radiance), _CLOUDS_AT_ONCE):
             block = slice(start, start + _CLOUDS_AT_ONCE)
             of_block = None if turned is None else turned[block]
-            light, error = self._network.run(colours[block], distances[block], known[block], of_block)
+            light, error = self._run(colours[block], distances[block], known[block], of_block)
             sh_radiance[block], expected_error[block] = light, error
         if not np.isfinite(sh_radiance).all():
             raise NotFinite("lattice: an estimate is not finite; refusing to pass it on")
         return sh_radiance, self._calibration.expected(expected_error, known.mean(axis=1))
+
+    def _run(
+        self, srgb: ArrayF32, distance_m: ArrayF32, is_set: ArrayBool, facing: ArrayF32 | None
+    ) -> tuple[ArrayF64, ArrayF64]:
+        """What the network says, (B, 9, 3) and (B,); the mean of clipped light is no brighter than white."""
+        light, raw_error = self._network.run(srgb, distance_m, is_set, facing)
+        if self.target == "ldr":
+            np.minimum(light[:, 0], WHITE_L00, out=light[:, 0])
+        return light, raw_error
 
     def _checked_batch(
         self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike
