@@ -173,6 +173,7 @@ def first_words(scene):
 def test_a_run_that_would_tell_little_is_doubted_before_it():
     bpy.ops.wm.read_homefile(use_factory_startup=True)
     scene = bpy.context.scene
+    scene.camera.animation_data_create()  # With nothing in it.
     assert first_words(scene) == {"The camera"}
     virtual_collection(scene, create=True).objects.link(bpy.data.objects["Cube"])
     scene.collection.children["Collection"].objects.unlink(bpy.data.objects["Cube"])

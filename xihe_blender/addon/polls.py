@@ -74,10 +74,7 @@ def has_cycles(context: bpy.types.Context) -> str | None:
 
 
 def has_camera(context: bpy.types.Context) -> str | None:
-    scene = context.scene
-    if scene.camera is not None or any(marker.camera is not None for marker in scene.timeline_markers):
-        return None
-    return "Add a camera and animate it as the phone's path"
+    return None if _cameras(context.scene) else "Add a camera and animate it as the phone's path"
 
 
 def has_virtual_objects(context: bpy.types.Context) -> str | None:
@@ -107,7 +104,10 @@ def _cameras(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 def _may_move(item: bpy.types.Object) -> bool:
     """Whether keys, drivers, constraints or physics could move it, or what it hangs on."""
-    if item.animation_data is not None or item.constraints or item.rigid_body is not None:
+    animation = item.animation_data
+    if animation is not None and (animation.action or animation.drivers or animation.nla_tracks):
+        return True
+    if item.constraints or item.rigid_body is not None:
         return True
     return item.parent is not None and _may_move(item.parent)
 
