@@ -84,8 +84,7 @@ def _block_means(pictures: ArrayF64) -> ArrayF64:
     rows = np.array_split(np.arange(pictures.shape[1]), BLOCKS_ALONG)
     columns = np.array_split(np.arange(pictures.shape[2]), BLOCKS_ALONG)
     cells = [pictures[:, row][:, :, column] for row in rows for column in columns if row.size and column.size]
-    means: ArrayF64 = np.stack([cell.mean(axis=(1, 2, 3)) for cell in cells], axis=1)
-    return means
+    return np.stack([cell.mean(axis=(1, 2, 3)) for cell in cells], axis=1)
 
 
 def _differences_in_errors(first: ArrayF64, second: ArrayF64, scale: float) -> ArrayF64:

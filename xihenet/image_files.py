@@ -115,8 +115,7 @@ def _averaged_rows(image: NDArray[Any], n_rows: int) -> ArrayF64:
     row = np.minimum(edges.astype(np.intp), len(image) - 1)
     before = np.concatenate([np.zeros_like(image[:1], np.float64), np.cumsum(image, axis=0, dtype=np.float64)])
     at_edges = before[row] + (edges - row)[:, None, None] * image[row]
-    averaged: ArrayF64 = np.diff(at_edges, axis=0) * (n_rows / len(image))
-    return averaged
+    return np.diff(at_edges, axis=0) * (n_rows / len(image))
 
 
 def _loaded(path: Path, check: Callable[[Any], None]) -> Any:

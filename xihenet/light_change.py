@@ -130,8 +130,7 @@ def _cannot_agree(before: ArrayF32, after: ArrayF32, settings: LightFollowing) -
 
 
 def _stops(before: ArrayF64, after: ArrayF64, added: float) -> ArrayF64:
-    stops: ArrayF64 = np.log2((after + added) / (before + added))
-    return stops
+    return np.log2((after + added) / (before + added))
 
 
 def _agree(stops: ArrayF64, median: float, settings: LightFollowing) -> bool:

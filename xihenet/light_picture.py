@@ -42,8 +42,7 @@ def sphere_mask(size: int) -> ArrayBool:
     ValueError for a size below 1.
     """
     x, z = _picture_plane(size)
-    inside: ArrayBool = np.less(x * x + z * z, 1)
-    return inside
+    return np.less(x * x + z * z, 1)
 
 
 @lru_cache(maxsize=4)
@@ -158,8 +157,7 @@ def _picture_plane(size: int) -> tuple[ArrayF64, ArrayF64]:
 
 def _diffuse_lobe() -> ArrayF64:
     """Of each band, the share that the cosine-weighted hemisphere keeps: (3,), irradiance / pi."""
-    kept: ArrayF64 = cosine_lobe(ORDER) / np.pi
-    return kept
+    return cosine_lobe(ORDER) / np.pi
 
 
 def _per_coefficient(of_bands: ArrayF64) -> ArrayF64:

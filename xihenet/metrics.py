@@ -296,8 +296,7 @@ def _gaussian_sum(image: ArrayF64) -> ArrayF64:
     height, width = image.shape
     padded = np.pad(image, SSIM_RADIUS)
     rows = sum(weight * padded[shift : shift + height] for shift, weight in enumerate(kernel))
-    result: ArrayF64 = np.asarray(sum(weight * rows[:, shift : shift + width] for shift, weight in enumerate(kernel)))
-    return result
+    return np.asarray(sum(weight * rows[:, shift : shift + width] for shift, weight in enumerate(kernel)))
 
 
 def _local_ssim(x: ArrayF64, y: ArrayF64, weights: ArrayF64) -> ArrayF64:

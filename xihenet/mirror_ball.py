@@ -128,8 +128,7 @@ def project_mirror_ball(radiance: ArrayLike, order: int = 2, *, rim: float = RIM
     if not np.isfinite(image).all():
         n_bad = np.count_nonzero(~np.isfinite(image).all(axis=2))
         raise ValueError(f"mirror ball: expected finite radiance, got {n_bad} pixels with NaN or infinity")
-    projected: ArrayF64 = _pixel_integrals(len(image), order, rim) @ image.reshape(-1, 3)
-    return projected
+    return _pixel_integrals(len(image), order, rim) @ image.reshape(-1, 3)
 
 
 def neighbours(picture: ArrayF32, side: int) -> ArrayF32:
@@ -151,5 +150,4 @@ def panorama_of_ball(radiance: ArrayLike, height: int) -> ArrayF32:
 def seen_in_ball(radiance: ArrayLike, directions: ArrayLike) -> ArrayF32:
     """(..., 3) what a mirror ball (N, N, 3) shows in unit directions (..., 3)."""
     ball = np.asarray(radiance, np.float32)
-    seen: ArrayF32 = ball[ball_pixels(directions, len(ball))]
-    return seen
+    return ball[ball_pixels(directions, len(ball))]

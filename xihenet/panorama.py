@@ -28,8 +28,7 @@ def _check_size(height: int, width: int) -> None:
 
 def _azimuth(column: ArrayF64, width: int) -> ArrayF64:
     """Azimuth in radians, from +X towards +Y, of a position in columns from the left edge; falls from 3/2 pi."""
-    azimuth: ArrayF64 = 1.5 * np.pi - 2 * np.pi * column / width
-    return azimuth
+    return 1.5 * np.pi - 2 * np.pi * column / width
 
 
 def panorama_directions(height: int, width: int) -> ArrayF64:
@@ -74,8 +73,7 @@ def _row_integrals(height: int, order: int) -> ArrayF64:
     cosine_part = np.sin(harmonic[:, None] * edges) / harmonic[:, None]
     sine_part = -np.cos(harmonic[:, None] * edges) / harmonic[:, None]
     varying = 2 * (spectrum.real[..., 1:] @ cosine_part - spectrum.imag[..., 1:] @ sine_part)
-    integrals: ArrayF64 = np.diff(spectrum.real[..., :1] * edges + varying, axis=-1)
-    return integrals
+    return np.diff(spectrum.real[..., :1] * edges + varying, axis=-1)
 
 
 def _column_integrals(width: int, order: int) -> ArrayF64:

@@ -75,8 +75,7 @@ def front_share(
         error = np.sqrt(squares[rng.integers(len(squares), size=len(squares))].mean(axis=0))
         cost = np.median(rounds[rng.integers(len(rounds), size=len(rounds))], axis=0)
         count += on_front(error, cost)
-    share: ArrayF64 = count / n_resamples
-    return share
+    return count / n_resamples
 
 
 def flickering(fronts: Sequence[Collection[str]]) -> list[str]:

@@ -112,8 +112,7 @@ def _steps_inside(n: int) -> ArrayInt:
     """(5, n) steps -2 to 2 from each of `n` places in a row; 0 for those that leave it."""
     steps = np.arange(-2, 3)[:, None]
     to = np.arange(n) + steps
-    inside: ArrayInt = np.where((to >= 0) & (to < n), steps, 0)
-    return inside
+    return np.where((to >= 0) & (to < n), steps, 0)
 
 
 def sparse_pixels(seen: SeenGrid, lines: ArrayInt, anchors: ArrayInt) -> ArrayInt:

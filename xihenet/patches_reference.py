@@ -133,5 +133,4 @@ def _shares(centre: ArrayF64, span: ArrayF64, gap: float) -> ArrayF64:
 
 def _unit(vector: ArrayF64) -> ArrayF64:
     length = np.linalg.norm(vector)
-    unit: ArrayF64 = vector / length if length > 0 else np.zeros(3)
-    return unit
+    return vector / length if length > 0 else np.zeros(3)

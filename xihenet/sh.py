@@ -84,8 +84,7 @@ def _band_of_coefficient(order: int) -> ArrayF64:
 
 def facing_weights(facing: ArrayLike) -> ArrayF64:
     """(...) how much anchors count that face the position by these cosines: 0.2 to 1, and 0.3 for an unknown 0."""
-    weights: ArrayF64 = np.clip(np.asarray(facing, np.float64) + FACING_OFFSET, LEAST_WEIGHT, 1.0)
-    return weights
+    return np.clip(np.asarray(facing, np.float64) + FACING_OFFSET, LEAST_WEIGHT, 1.0)
 
 
 def project_anchors(cloud: UnitSphereCloud, lattice: AnchorDirections, order: int = 2) -> ArrayF64:
@@ -179,8 +178,7 @@ def irradiance(sh_radiance: ArrayLike, normals: ArrayLike) -> ArrayF64:
     """
     coefficients, order = checked_sh(sh_radiance)
     lobe = np.repeat(cosine_lobe(order), 2 * np.arange(order + 1) + 1)
-    result: ArrayF64 = basis(normals, order) @ (lobe[:, None] * coefficients)
-    return result
+    return basis(normals, order) @ (lobe[:, None] * coefficients)
 
 
 def _checked_rotation(rotation: ArrayLike) -> ArrayF64:
@@ -257,8 +255,7 @@ def _irradiance_table(order: int) -> ArrayF64:
 def _window(strength: float, order: int) -> ArrayF64:
     """The factor of each band, (order + 1,): the heat kernel (1 - strength)^(l (l + 1) / 2)."""
     band = np.arange(order + 1)
-    window: ArrayF64 = (1 - strength) ** (band * (band + 1) / 2)
-    return window
+    return (1 - strength) ** (band * (band + 1) / 2)
 
 
 def dering_with_strength(sh_radiance: ArrayLike) -> tuple[ArrayF64, float]:
