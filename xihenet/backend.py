@@ -29,9 +29,7 @@ class LightBackend(Protocol):
 class InferenceBackend(LightBackend, Protocol):
     """Turns a cloud into (9, 3) radiance coefficients that carry the session's exposure; says what it knows of them.
 
-    Parameters
-    ----------
-    farthest_m : distances beyond this are clamped by it, which is counted; infinite where none are
+    Distances beyond `farthest_m` are clamped by it, which is counted; infinite where none are.
     """
 
     @property
@@ -69,31 +67,13 @@ def as_inference_backend(backend: LightBackend) -> InferenceBackend:
 
 
 class LocalBackend:
-    """Estimates in this process with `estimator`."""
+    """An `InferenceBackend` in this process: `estimator` answers, and raises, as itself."""
 
     def __init__(self, estimator: Estimator) -> None:
         self.estimator = estimator
-        self.name = estimator.name
-        self.n_anchors = estimator.n_anchors
-
-    def estimate(self, cloud: UnitSphereCloud, context: EstimateContext | None = None) -> ArrayF64:
-        """(9, 3); ValueError as the estimator raises it."""
-        return self.estimator.estimate(cloud, context)
-
-    def estimate_with_error(
-        self, cloud: UnitSphereCloud, context: EstimateContext | None = None
-    ) -> tuple[ArrayF64, float | None]:
-        """As `estimate`, and the SHC RMSE that the estimator expects of it; None if it does not know."""
-        return self.estimator.estimate_with_error(cloud, context)
-
-    def unknown_because(self, cloud: UnitSphereCloud, context: EstimateContext) -> str:
-        """As the estimator says it."""
-        return self.estimator.unknown_because(cloud, context)
-
-    @property
-    def farthest_m(self) -> float:
-        """The estimator's."""
-        return self.estimator.farthest_m
+        self.name, self.n_anchors, self.farthest_m = estimator.name, estimator.n_anchors, estimator.farthest_m
+        self.estimate, self.estimate_with_error = estimator.estimate, estimator.estimate_with_error
+        self.unknown_because = estimator.unknown_because
 
 
 def estimate_light(

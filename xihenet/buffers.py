@@ -24,14 +24,13 @@ def merge(old: UnitSphereCloud, new: UnitSphereCloud) -> UnitSphereCloud:
     """
     if len(old) != len(new):
         raise ValueError(f"merge: expected clouds with as many anchors, got {len(old)} and {len(new)}")
-    seen = new.is_set
-    return UnitSphereCloud(
-        np.where(seen[:, None], new.srgb, old.srgb),
-        np.where(seen, new.distance_m, old.distance_m),
-        old.is_set | seen,
-        new.invalid,
-        _merged_surfaces(old, new),
-    )
+    return _merged(old, new, _merged_surfaces(old, new))
+
+
+def _merged(old: UnitSphereCloud, new: UnitSphereCloud, surfaces: AnchorSurfaces | None) -> UnitSphereCloud:
+    srgb = np.where(new.is_set[:, None], new.srgb, old.srgb)
+    distance_m = np.where(new.is_set, new.distance_m, old.distance_m)
+    return UnitSphereCloud(srgb, distance_m, old.is_set | new.is_set, new.invalid, surfaces)
 
 
 def _merged_surfaces(old: UnitSphereCloud, new: UnitSphereCloud) -> AnchorSurfaces | None:
@@ -71,12 +70,7 @@ class PositionBuffers:
 
     def last_seen(self) -> UnitSphereCloud:
         """Every anchor as it was last seen, whether or not the light in force was made from it; without surfaces."""
-        old, new = self.persistent, self.temporary
-        return UnitSphereCloud(
-            np.where(new.is_set[:, None], new.srgb, old.srgb),
-            np.where(new.is_set, new.distance_m, old.distance_m),
-            old.is_set | new.is_set,
-        )
+        return _merged(self.persistent, self.temporary, None)
 
     def coverage(self) -> float:
         """Share of the anchors that are known, whether or not the light in force was made from them."""
