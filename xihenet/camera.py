@@ -19,29 +19,13 @@ from numpy.typing import ArrayLike
 
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.invalid import counted, left_out
-from xihenet.metering import KEY_LUMINANCE, LUMINANCE, metered_exposure
-from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, Intrinsics, PixelGrid, PointCloud, RgbdFrame
+from xihenet.metering import KEY_LUMINANCE as KEY_LUMINANCE
+from xihenet.metering import LUMINANCE as LUMINANCE
+from xihenet.metering import metered_exposure as metered_exposure
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, PixelGrid, PointCloud, RgbdFrame
+from xihenet.records import Intrinsics as Intrinsics
 
-__all__ = [
-    "KEY_LUMINANCE",
-    "LUMINANCE",
-    "MISS_PLANE_DEPTH_M",
-    "Intrinsics",
-    "encode_exposed",
-    "in_view",
-    "invalid_pixels",
-    "metered_exposure",
-    "plane_depth_from_ray_distance",
-    "project_points",
-    "ray_distance_from_plane_depth",
-    "sensed_ambient",
-    "sound_plane_depth",
-    "unproject_frame",
-    "valid_plane_depth",
-]
-
-MISS_PLANE_DEPTH_M = 1e9
-"""At and beyond this a plane depth is a miss: Cycles writes 1e10 where no surface was hit."""
+MISS_PLANE_DEPTH_M = 1e9  # At and beyond this a plane depth is a miss: Cycles writes 1e10 where no surface was hit
 
 NEGLIGIBLE_M = 1e-6
 """What rounding a camera's place to float32 may cost: it stays below this within 16 m of the world's origin."""
@@ -81,13 +65,10 @@ def invalid_pixels(frame: RgbdFrame) -> dict[str, int]:
     """
     valid = valid_plane_depth(frame.plane_depth_m)
     n_left = valid.size - int(np.count_nonzero(valid))
+    known = left_out(frame.invalid)
+    by_value = _reasons_by_value(frame.plane_depth_m, valid) if n_left > sum(known.values()) else {}
     named: dict[str, int] = {}
-    for reason, n in left_out(frame.invalid).items():
-        named |= counted(**{reason: min(n, n_left)})
-        n_left -= named.get(reason, 0)
-    if not n_left:
-        return named
-    for reason, n in _reasons_by_value(frame.plane_depth_m, valid).items():
+    for reason, n in (*known.items(), *by_value.items()):
         more = min(n, n_left)
         named |= counted(**{reason: named.get(reason, 0) + more})
         n_left -= more
@@ -102,27 +83,15 @@ def _reasons_by_value(plane_depth_m: ArrayF32, valid: ArrayBool) -> dict[str, in
 
 
 def unproject_frame(frame: RgbdFrame, *, reference_exposure: float | None = None) -> PointCloud:
-    """Every pixel of `frame` as a coloured point in the world.
+    """Every pixel of `frame` as a coloured point: H * W points in row order, world frame, metres.
 
-    Parameters
-    ----------
-    frame : one capture; H x W pixels
-    reference_exposure : the session's exposure; colours are decoded, multiplied by `reference_exposure /
-        frame.exposure`, clipped at 1 and encoded again. None leaves the frame's own exposure
+    Colours are decoded, multiplied by `reference_exposure / frame.exposure`, clipped at 1 and encoded again; None
+    leaves the frame's own exposure. ValueError for a reference that is not positive and finite. Points of pixels
+    without a valid plane depth (0, negative, NaN, infinite, or a renderer's miss) are NaN and counted by reason; their
+    colour is kept.
 
-    Returns
-    -------
-    PointCloud of H * W points in row order, world frame, metres. Points of pixels without a valid plane depth (0,
-    negative, NaN, infinite, or a renderer's miss) are NaN and counted by reason; their colour is kept.
-
-    Raises
-    ------
-    ValueError if `reference_exposure` is not positive and finite
-
-    Notes
-    -----
-    float32 arithmetic: the error of a point is about 2e-7 of its distance from the camera plus that of storing it,
-    6e-8 of its distance from the world's origin. A point beyond the range of float32 is infinite or NaN.
+    float32 arithmetic: the error of a point is about 2e-7 of its distance from the camera plus that of storing it, 6e-8
+    of its distance from the world's origin. A point beyond the range of float32 is infinite or NaN.
     """
     points = _unprojected(frame)
     gain = 1.0 if reference_exposure is None else reference_exposure / frame.exposure
@@ -153,23 +122,15 @@ def _unprojected(frame: RgbdFrame) -> ArrayF32:
 def project_points(
     points_m: ArrayLike, intrinsics: Intrinsics, world_from_camera: ArrayLike
 ) -> tuple[ArrayF64, ArrayF64]:
-    """Where points of the world appear in the image.
+    """Where points of the world (P, 3), metres, appear in the image.
 
-    Parameters
-    ----------
-    points_m : (P, 3) world, metres; NaN gives NaN
-    intrinsics : of the image
-    world_from_camera : (4, 4), invertible
+    ValueError for a wrong shape, or a (4, 4) that cannot be inverted: with an axis of length 0, or axes in one plane.
 
     Returns
     -------
     pixels : (P, 2) float64, from the top left corner of the image, pixel centres at +0.5; NaN in the camera's own
         plane and for points that are not finite
     plane_depth_m : (P,) float64, negative behind the camera (the pixel is then a mirror image: check the sign)
-
-    Raises
-    ------
-    ValueError for a wrong shape or a matrix that cannot be inverted: with an axis of length 0, or axes in one plane
     """
     points = np.asarray(points_m, np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
@@ -217,14 +178,11 @@ def in_view(points_m: ArrayLike, intrinsics: Intrinsics, world_from_camera: Arra
 
 def ray_distance_from_plane_depth(plane_depth_m: ArrayLike, intrinsics: Intrinsics) -> ArrayF32:
     """(H, W) distances along each pixel's ray from those along the optical axis; invalid values stay as they are."""
+    across, up = (slopes.astype(np.float64) for slopes in _ray_slopes(intrinsics))
+    per_metre = np.sqrt(1 + across**2 + up[:, None] ** 2).astype(np.float32)
     with np.errstate(over="ignore"):  # Only what is a miss already can leave the range of float32.
-        distance_m: ArrayF32 = np.asarray(plane_depth_m, np.float32) * _ray_lengths(intrinsics)
+        distance_m: ArrayF32 = np.asarray(plane_depth_m, np.float32) * per_metre
     return distance_m
-
-
-def plane_depth_from_ray_distance(ray_distance_m: ArrayLike, intrinsics: Intrinsics) -> ArrayF32:
-    """(H, W) distances along the optical axis from distances along each pixel's ray."""
-    return np.asarray(ray_distance_m, np.float32) / _ray_lengths(intrinsics)
 
 
 def encode_exposed(radiance: ArrayLike, exposure: float) -> ArrayU8:
@@ -265,13 +223,6 @@ def _ray_slopes(intrinsics: Intrinsics) -> tuple[ArrayF32, ArrayF32]:
     return rays[0, :, 0].copy(), rays[:, 0, 1].copy()
 
 
-@functools.lru_cache(maxsize=8)
-def _ray_lengths(intrinsics: Intrinsics) -> ArrayF32:
-    """(H, W) metres along the ray per metre along the optical axis."""
-    across, up = _ray_slopes(intrinsics)
-    return np.sqrt(1 + across.astype(np.float64) ** 2 + up.astype(np.float64)[:, None] ** 2).astype(np.float32)
-
-
 def _reencoded(srgb_u8: ArrayU8, gain: float) -> ArrayF32:
     """(..., 3) colours of bytes whose light is multiplied by `gain` and clipped."""
     if gain == 1.0:  # The same bits as the table's, in a quarter of the time of asking it.
@@ -284,8 +235,4 @@ def _reencoded_bytes(gain: float) -> ArrayF32:
     """(256,) float32: the encoded colour of each byte after its light was multiplied by `gain` and clipped."""
     if not (np.isfinite(gain) and gain > 0):
         raise ValueError(f"unproject_frame: expected a positive, finite exposure, got a ratio of {gain}")
-    encoded = np.arange(256) / 255.0
-    if gain == 1.0:
-        return encoded.astype(np.float32)
-    reencoded = linear_to_srgb(np.minimum(srgb_to_linear(encoded) * gain, 1.0))
-    return np.clip(reencoded, 0.0, 1.0).astype(np.float32)
+    return linear_to_srgb(srgb_to_linear(np.arange(256) / 255.0) * gain).astype(np.float32)

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from xihenet.camera import (
     encode_exposed,
     in_view,
-    plane_depth_from_ray_distance,
     project_points,
     ray_distance_from_plane_depth,
     unproject_frame,
@@ -86,7 +85,6 @@ def test_ray_distance_is_the_distance_of_the_unprojected_point_from_the_camera()
     points = unproject_frame(frame_of(intrinsics, pose, plane_depth_m)).points_m
     ray_distance_m = ray_distance_from_plane_depth(plane_depth_m, intrinsics)
     np.testing.assert_allclose(ray_distance_m.ravel(), np.linalg.norm(points - pose[:3, 3], axis=1), rtol=1e-5)
-    np.testing.assert_allclose(plane_depth_from_ray_distance(ray_distance_m, intrinsics), plane_depth_m, rtol=1e-6)
 
 
 def test_points_behind_the_camera_are_not_in_view():
