@@ -21,11 +21,10 @@ from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.panorama import evaluate_panorama
 from xihenet.records import ArrayBool, ArrayF64, ArrayU8
 from xihenet.sh import cosine_lobe
-from xihenet.sh_basis import basis, checked_sh
+from xihenet.sh_basis import basis, checked_sh, per_coefficient
 
 SPHERES = ("mirror", "matte silver", "grey diffuse")
-SILVER_ROUGHNESS = 0.3271
-"""Of the usual three-sphere protocol."""
+SILVER_ROUGHNESS = 0.3271  # Of the usual three-sphere protocol
 
 BACKGROUND = 0.21
 """sRGB-encoded grey around the pictures: dark enough for dim light, bright enough for black to stand out."""
@@ -47,25 +46,19 @@ def sphere_mask(size: int) -> ArrayBool:
 
 @lru_cache(maxsize=4)
 def sphere_transfer(size: int) -> ArrayF64:
-    """The linear map from coefficients to what the pixels of the three spheres show.
+    """The linear map from coefficients to what the pixels of the three spheres show, each `size` pixels wide and high.
 
-    Parameters
-    ----------
-    size : width and height of each sphere's picture in pixels, at least 1 (ValueError otherwise)
-
-    Returns
-    -------
     (3, P, 9) float64, read-only, in the order of `SPHERES`; P are the pixels of `sphere_mask(size)` in row order.
     `sphere_transfer(size) @ sh_radiance` is (3, P, 3): radiance of the reflected direction, that light spread by
-    `silver_lobe`, and irradiance / pi.
+    `silver_lobe`, and irradiance / pi. ValueError for a size below 1.
     """
     inside = sphere_mask(size)
     x, z = (plane[inside] for plane in _picture_plane(size))
     normals = np.stack([x, -np.sqrt(1 - x * x - z * z), z], axis=1)
     reflected = VIEW - 2 * (normals @ VIEW)[:, None] * normals
-    mirror = basis(reflected, ORDER)
+    mirror, diffuse = basis(reflected, ORDER), cosine_lobe(ORDER) / np.pi
     transfer: ArrayF64 = np.stack(
-        [mirror, mirror * _per_coefficient(silver_lobe()), basis(normals, ORDER) * _per_coefficient(_diffuse_lobe())]
+        [mirror, mirror * per_coefficient(silver_lobe()), basis(normals, ORDER) * per_coefficient(diffuse)]
     )
     transfer.flags.writeable = False
     return transfer
@@ -90,17 +83,10 @@ def silver_lobe() -> ArrayF64:
 
 
 def three_spheres(sh_radiance: ArrayLike, size: int) -> ArrayF64:
-    """The mirror, the matte silver and the grey diffuse sphere under a light.
+    """The mirror, the matte silver and the grey diffuse sphere under (9, 3) radiance coefficients.
 
-    Parameters
-    ----------
-    sh_radiance : (9, 3) radiance coefficients
-    size : width and height of each picture in pixels, at least 1
-
-    Returns
-    -------
     (3, size, size, 3) float64 linear radiance, 0 outside of `sphere_mask(size)`; not clamped, so values may be
-    negative. Raises ValueError for another shape, NaN or infinity.
+    negative. ValueError for another shape, NaN or infinity, or a size below 1.
     """
     pictures = np.zeros((len(SPHERES), size, size, 3))
     pictures[:, sphere_mask(size)] = sphere_transfer(size) @ _checked_order_2(sh_radiance)
@@ -108,18 +94,12 @@ def three_spheres(sh_radiance: ArrayLike, size: int) -> ArrayF64:
 
 
 def light_picture(sh_radiance: ArrayLike, *, panorama_height: int = 256, margin: int = 16) -> ArrayU8:
-    """One picture of a light: its panorama, and the three spheres in a row beneath it.
+    """One picture of a light: its panorama, twice as wide as high, and the three spheres in a row beneath it.
 
-    Parameters
-    ----------
-    sh_radiance : (9, 3) radiance coefficients carrying an exposure, as estimates do
-    panorama_height : pixels; the panorama is twice as wide
-    margin : pixels around and between the pictures
-
-    Returns
-    -------
-    (H, W, 3) uint8 sRGB on neutral grey, as Blender's Standard view shows it: clipped at 1, negative light as black.
-    Raises ValueError for another shape, NaN, infinity, or a panorama too small for three spheres.
+    `sh_radiance` (9, 3) are radiance coefficients carrying an exposure, as estimates do; the margin is around and
+    between the pictures, in pixels. (H, W, 3) uint8 sRGB on neutral grey, as Blender's Standard view shows it: clipped
+    at 1, negative light as black. ValueError for another shape, NaN, infinity, or a panorama too small for three
+    spheres.
     """
     light = _checked_order_2(sh_radiance)
     width = 2 * panorama_height
@@ -153,16 +133,6 @@ def _picture_plane(size: int) -> tuple[ArrayF64, ArrayF64]:
     across = (2 * np.arange(size) + 1) / size - 1
     x, z = np.meshgrid(across, -across)
     return x, z
-
-
-def _diffuse_lobe() -> ArrayF64:
-    """Of each band, the share that the cosine-weighted hemisphere keeps: (3,), irradiance / pi."""
-    return cosine_lobe(ORDER) / np.pi
-
-
-def _per_coefficient(of_bands: ArrayF64) -> ArrayF64:
-    """(9,) from a factor for each of the bands 0, 1 and 2."""
-    return np.repeat(of_bands, [1, 3, 5])
 
 
 def _checked_order_2(sh_radiance: ArrayLike) -> ArrayF64:

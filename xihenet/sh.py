@@ -17,25 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.colour import srgb_to_linear
-from xihenet.panorama import evaluate_panorama, panorama_directions, project_panorama, solid_angles
+from xihenet.panorama import evaluate_panorama as evaluate_panorama
+from xihenet.panorama import panorama_directions as panorama_directions
+from xihenet.panorama import project_panorama as project_panorama
+from xihenet.panorama import solid_angles as solid_angles
 from xihenet.records import ArrayF64, UnitSphereCloud
-from xihenet.sh_basis import band_slice, basis, checked_sh, n_coefficients
-
-__all__ = [
-    "basis",
-    "cosine_lobe",
-    "dering",
-    "dering_for_display",
-    "dering_with_strength",
-    "evaluate_panorama",
-    "facing_weights",
-    "irradiance",
-    "panorama_directions",
-    "project_anchors",
-    "project_panorama",
-    "rotate",
-    "solid_angles",
-]
+from xihenet.sh_basis import band_slice, checked_sh, n_coefficients, per_coefficient
+from xihenet.sh_basis import basis as basis
 
 # Indoor light, LDR, order 2: the coefficients of l = 1 have a standard deviation of 0.10 to 0.21, those of l = 2 of
 # 0.05 to 0.09. A variance of 0.021 / l^2 lies within both and goes on to higher bands.
@@ -60,12 +48,10 @@ N_BISECTIONS = 30
 
 
 class AnchorDirections(Protocol):
-    """What `project_anchors` needs of a lattice; must be hashable and never change."""
+    """What `project_anchors` needs of a lattice: (n, 3) in world axes, any length above 0; hashable, never changing."""
 
     @property
-    def directions(self) -> ArrayF64:
-        """(n, 3) in world axes, any length above 0."""
-        ...
+    def directions(self) -> ArrayF64: ...
 
     def __hash__(self) -> int: ...
 
@@ -75,11 +61,6 @@ def _anchor_basis(lattice: AnchorDirections, order: int) -> ArrayF64:
     table = np.ascontiguousarray(basis(lattice.directions, order))
     table.flags.writeable = False
     return table
-
-
-def _band_of_coefficient(order: int) -> ArrayF64:
-    """The band l of each coefficient: ((order + 1)^2,)."""
-    return np.repeat(np.arange(order + 1.0), 2 * np.arange(order + 1) + 1)
 
 
 def facing_weights(facing: ArrayLike) -> ArrayF64:
@@ -97,18 +78,10 @@ def project_anchors(cloud: UnitSphereCloud, lattice: AnchorDirections, order: in
     sphere and leaks into the fit only through the hole. So at full coverage the fit is plain least squares; plain
     least squares at 5 % coverage is wrong by tens of times the light. Where the cloud has surfaces, an anchor counts by
     `facing_weights`, and as much less of the sphere as seen. Nothing here knows up from down: a rotated
-    room gives rotated coefficients.
+    room gives rotated coefficients. Colours are decoded to linear; distances do not matter.
 
-    Parameters
-    ----------
-    cloud : colours sRGB-encoded; they are decoded to linear. Distances do not matter here
-    lattice : with `.directions` (n, 3), one for each anchor of the cloud
-    order : highest band
-
-    Returns
-    -------
-    ((order + 1)^2, 3) float64, linear, carrying the cloud's exposure; zeros if no anchor is set. Raises ValueError if
-    the cloud and the lattice differ in size. float64 throughout: with all anchors set within 1e-8 of a fit by SVD.
+    ((order + 1)^2, 3) float64, linear, carrying the cloud's exposure; zeros if no anchor is set. ValueError if the
+    cloud and the lattice differ in size. float64 throughout: with all anchors set within 1e-8 of a fit by SVD.
     """
     table = _anchor_basis(lattice, order)
     if len(cloud) != len(table):
@@ -130,7 +103,7 @@ def project_anchors(cloud: UnitSphereCloud, lattice: AnchorDirections, order: in
     per_anchor = 4 * np.pi / len(cloud)
     # einsum and not a matrix product: threaded BLAS wakes all cores for this little and stalls beside a busy renderer.
     gram = np.einsum("ni,nj->ij", weighted, seen) * per_anchor
-    normal_matrix = gram + np.diag(penalty * _band_of_coefficient(order) ** 2)
+    normal_matrix = gram + np.diag(penalty * per_coefficient(np.arange(order + 1.0)) ** 2)
     right_side = np.einsum("ni,nc->ic", weighted, radiance - mean) * per_anchor
     # By eigenvectors, since solve() is threaded too, whatever the size: 0.01 ms here against 8 ms on a busy machine.
     values, vectors = np.linalg.eigh(normal_matrix)
@@ -161,24 +134,15 @@ def cosine_lobe(order: int) -> ArrayF64:
 def irradiance(sh_radiance: ArrayLike, normals: ArrayLike) -> ArrayF64:
     """Irradiance on surfaces; a white Lambert surface shows it divided by pi.
 
-    Parameters
-    ----------
-    sh_radiance : ((order + 1)^2, 3)
-    normals : (P, 3) in world axes, any finite length above 0; P may be 0
+    `normals` (P, 3) are in world axes, of any finite length above 0; P may be 0. (P, 3) float64, pi times the radiance
+    under constant light; may be negative where the finite series rings. ValueError for coefficients or normals that are
+    not finite, and for normals of length 0.
 
-    Returns
-    -------
-    (P, 3) float64, pi times the radiance under constant light; may be negative where the finite series rings. Raises
-    ValueError for coefficients or normals that are not finite, and for normals of length 0.
-
-    Notes
-    -----
     What order 2 cannot hold, root mean square over the normals: at most 7 % of the mean irradiance in the shipped test
     rooms, 14 % for a sun alone (docs/error_bounds.md).
     """
     coefficients, order = checked_sh(sh_radiance)
-    lobe = np.repeat(cosine_lobe(order), 2 * np.arange(order + 1) + 1)
-    return basis(normals, order) @ (lobe[:, None] * coefficients)
+    return basis(normals, order) @ (per_coefficient(cosine_lobe(order))[:, None] * coefficients)
 
 
 def _checked_rotation(rotation: ArrayLike) -> ArrayF64:
@@ -212,19 +176,13 @@ def _quadrature(order: int) -> tuple[ArrayF64, ArrayF64]:
 
 
 def rotate(sh_radiance: ArrayLike, rotation: ArrayLike) -> ArrayF64:
-    """The same light after turning the room: rotated(R d) = original(d).
+    """The same light after turning the room by a (3, 3): rotated(R d) = original(d).
 
     Each band's rotation matrix is the integral of basis(d) x basis(R^-1 d), by a quadrature that is exact for it: no
     Euler angles, no recurrence over bands, no fit.
 
-    Parameters
-    ----------
-    sh_radiance : ((order + 1)^2, 3)
-    rotation : (3, 3), orthonormal within `ROTATION_TOLERANCE`, determinant +1; what it lacks passes into the result
-
-    Returns
-    -------
-    ((order + 1)^2, 3) float64. Raises ValueError for a matrix that is no rotation and for coefficients not finite.
+    ((order + 1)^2, 3) float64. ValueError for coefficients not finite, and for a matrix that is no rotation:
+    orthonormal within `ROTATION_TOLERANCE`, determinant +1; what it lacks passes into the result.
     """
     coefficients, order = checked_sh(sh_radiance)
     directions, weighted_basis = _quadrature(order)
@@ -249,7 +207,7 @@ def _radiance_table(order: int) -> ArrayF64:
 @lru_cache(maxsize=8)
 def _irradiance_table(order: int) -> ArrayF64:
     """The same, times the cosine lobe: what normals receive."""
-    return _radiance_table(order) * np.repeat(cosine_lobe(order), 2 * np.arange(order + 1) + 1)
+    return _radiance_table(order) * per_coefficient(cosine_lobe(order))
 
 
 def _window(strength: float, order: int) -> ArrayF64:
@@ -268,17 +226,13 @@ def dering_with_strength(sh_radiance: ArrayLike) -> tuple[ArrayF64, float]:
     All channels share one window, so hue does not shift. A channel whose mean is negative cannot be mended by any
     window; it becomes 0 (black), which removes light, and does not count for the strength.
 
-    Parameters
-    ----------
-    sh_radiance : ((order + 1)^2, 3)
+    ValueError for coefficients not finite. The minimum is taken over `N_CHECKED_NORMALS` normals, some 3 degrees apart;
+    between them an order-2 light can dip below 0 by 0.1 % of its largest irradiance.
 
     Returns
     -------
     coefficients : same shape, float64; equal to the input where its irradiance is nowhere negative
     strength : 0 to 1, the share taken off the bands of l = 1: 0 is no window, 1 leaves the constant light alone
-
-    Raises ValueError for coefficients not finite. The minimum is taken over `N_CHECKED_NORMALS` normals, some 3
-    degrees apart; between them an order-2 light can dip below 0 by 0.1 % of its largest irradiance.
     """
     coefficients, order = checked_sh(sh_radiance)
     coefficients = coefficients * (coefficients[0] >= 0)
@@ -303,14 +257,8 @@ def dering_for_display(sh_radiance: ArrayLike) -> ArrayF64:
     Each channel has its own window. In nine of those estimates blue has at most an eighth of the mean of red and rings:
     one window for all channels takes 44 to 100 % of l = 1 off red too. The price is hue, where a channel is windowed.
 
-    Parameters
-    ----------
-    sh_radiance : ((order + 1)^2, 3)
-
-    Returns
-    -------
     Same shape, float64; channels that are nowhere negative to the bit, l = 0 always, except that a channel whose mean
-    is negative becomes 0. Raises ValueError for coefficients not finite. Checked at `N_CHECKED_NORMALS` directions, as
+    is negative becomes 0. ValueError for coefficients not finite. Checked at `N_CHECKED_NORMALS` directions, as
     `dering_with_strength`: between them, 600 random channels of order 2 dipped below 0 by 0.08 % of their largest
     radiance at most. Takes 4 ms.
     """
@@ -343,4 +291,4 @@ def _windowed(coefficients: ArrayF64, strength: float) -> ArrayF64:
     if strength == 0:
         return coefficients
     order = round(np.sqrt(len(coefficients))) - 1
-    return coefficients * np.repeat(_window(strength, order), 2 * np.arange(order + 1) + 1)[:, None]
+    return coefficients * per_coefficient(_window(strength, order))[:, None]

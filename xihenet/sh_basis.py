@@ -31,6 +31,11 @@ def band_slice(band: int) -> slice:
     return slice(band * band, (band + 1) * (band + 1))
 
 
+def per_coefficient(of_bands: ArrayF64) -> ArrayF64:
+    """((order + 1)^2,) from one number for each band, (order + 1,)."""
+    return np.repeat(of_bands, 2 * np.arange(len(of_bands)) + 1)
+
+
 def checked_sh(sh: ArrayLike) -> tuple[ArrayF64, int]:
     """Coefficients as ((order + 1)^2, 3) float64, with their order; ValueError for another shape, NaN or infinity."""
     coefficients = np.asarray(sh, dtype=np.float64)
@@ -44,15 +49,9 @@ def checked_sh(sh: ArrayLike) -> tuple[ArrayF64, int]:
 
 
 def unit_directions(directions: ArrayLike) -> ArrayF64:
-    """Directions of any finite length above 0, brought to length 1.
+    """Directions (P, 3) of any finite length above 0, brought to length 1, float64; P may be 0.
 
-    Parameters
-    ----------
-    directions : (P, 3), P may be 0
-
-    Returns
-    -------
-    (P, 3) float64. Raises ValueError with their number if some are zero, NaN or infinite.
+    ValueError with their number if some are zero, NaN or infinite.
     """
     vectors = np.asarray(directions, dtype=np.float64)
     if vectors.ndim != 2 or vectors.shape[1] != 3:
@@ -69,19 +68,12 @@ def unit_directions(directions: ArrayLike) -> ArrayF64:
 
 
 def legendre_factors(z: ArrayF64, order: int) -> ArrayF64:
-    """The factor of each basis function that is a polynomial in z, normalisation included.
+    """The factor of each basis function that is a polynomial in `z`, the (P,) cosines of the polar angle.
 
-    The basis function (l, m) is this factor (l, |m|) times sin(theta)^|m| times cos(m phi) or sin(|m| phi).
-
-    Parameters
-    ----------
-    z : (P,) cosines of the polar angle
-    order : highest band
-
-    Returns
-    -------
-    (order + 1, order + 1, P), indexed [l, m] for 0 <= m <= l, zero elsewhere. Three-term recurrence in l of the fully
-    normalised associated Legendre functions (Holmes and Featherstone 2002), the power of sin(theta) taken out.
+    (order + 1, order + 1, P), indexed [l, m] for 0 <= m <= l, zero elsewhere, normalisation included: the basis
+    function (l, m) is the factor (l, |m|) times sin(theta)^|m| times cos(m phi) or sin(|m| phi). Three-term recurrence
+    in l of the fully normalised associated Legendre functions (Holmes and Featherstone 2002), the power of sin(theta)
+    taken out.
     """
     factors = np.zeros((order + 1, order + 1, len(z)))
     m_above_0 = np.arange(1, order + 1)
@@ -109,17 +101,10 @@ def _azimuth_powers(directions: ArrayF64, order: int) -> NDArray[Any]:
 
 
 def basis(directions: ArrayLike, order: int = 2) -> ArrayF64:
-    """Real spherical harmonics in the given directions.
+    """Real spherical harmonics in directions (P, 3): world axes, any finite length above 0; P may be 0.
 
-    Parameters
-    ----------
-    directions : (P, 3) in world axes, any finite length above 0; P may be 0
-    order : highest band; within 1e-13 of SciPy to order 10
-
-    Returns
-    -------
-    (P, (order + 1)^2) float64, column l*l + l + m. Raises ValueError with their number if directions are zero, NaN or
-    infinite, and for an order below 0.
+    (P, (order + 1)^2) float64, column l*l + l + m; within 1e-13 of SciPy to order 10. ValueError with their number if
+    directions are zero, NaN or infinite, and for an order below 0.
     """
     units = unit_directions(directions)
     table = np.empty((n_coefficients(order), len(units)))
