@@ -7,10 +7,12 @@ as 0 degrees wrong, an exactly scaled copy gives NaN or a false angle, equal ima
 are float64, scale-invariance uses the residual itself and not a difference of large squares, angles come from atan2 and
 not from an arc cosine, and what is not defined is None, never NaN or infinity, which JSON cannot hold.
 
-`mask` is (H, W): bool, or weights in [0, 1] such as an alpha channel. Every mean is a mean with these weights, and
-pixels of weight 0 have no influence, not even through a window: they may hold NaN. A mask without weight gives None.
-Linear colour may be negative or above 1; `psnr` and `ssim` take sRGB-encoded colour in [0, 1] and refuse anything else,
-because linear light handed to them by mistake would look like a result.
+Pictures are (H, W, 3), linear colour that may be negative or above 1; `psnr` and `ssim` take sRGB-encoded colour in
+[0, 1] and refuse anything else, because linear light handed to them by mistake would look like a result. `mask` is
+(H, W): bool, or weights in [0, 1] such as an alpha channel. Every mean is a mean with these weights, and pixels of
+weight 0 have no influence, not even through a window: they may hold NaN. A mask without weight gives None. All raise
+ValueError for shapes that differ, a mask outside [0, 1], and with their number for pixels inside the mask that are not
+finite.
 
 Beside published figures, by the scripts that made them (StyleLight, Wang et al. 2022, `evaluation/fast_rmse.py`, and
 DiffusionLight, Phongthawee et al. 2024, `stylelight/fast_rmse.py` of DiffusionLight-evaluation): RMSE and
@@ -64,15 +66,10 @@ class AngularError:
 
 
 def shc_rmse(a: ArrayLike, b: ArrayLike) -> float:
-    """Root mean square difference over all coefficients and channels.
+    """Root mean square difference over all coefficients and channels, in their unit.
 
-    Parameters
-    ----------
-    a, b : of one shape, ((order + 1)^2, 3) or a stack of such; not empty
-
-    Returns
-    -------
-    float in the unit of the coefficients. Raises ValueError for different shapes, for none, and for NaN or infinity.
+    Both are of one shape, ((order + 1)^2, 3) or a stack of such. ValueError for different shapes, for none, and for NaN
+    or infinity.
     """
     first, second = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     if first.shape != second.shape or first.size == 0:
@@ -86,13 +83,7 @@ def shc_rmse(a: ArrayLike, b: ArrayLike) -> float:
 def share_above_white(ldr_sh: ArrayLike, hdr_sh: ArrayLike) -> float | None:
     """The share of the light around a position that lies above white, which no estimator of clipped light can know.
 
-    Parameters
-    ----------
-    ldr_sh, hdr_sh : ((order + 1)^2, 3) radiance coefficients of the same light at one exposure, clipped at white and
-        whole
-
-    Returns
-    -------
+    Both are ((order + 1)^2, 3) radiance coefficients of the same light at one exposure, clipped at white and whole.
     1 - clipped / whole of the mean radiance, L00 summed over the channels, in [0, 1]; None where there is no light.
     ValueError for other shapes, NaN or infinity. L00 is linear in the light, so nothing rings here.
     """
@@ -157,18 +148,7 @@ def _root_mean_square(difference: ArrayF64, weights: ArrayF64) -> float:
 
 
 def image_rmse(prediction: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> float | None:
-    """Root mean square error over pixels and channels of linear colour.
-
-    Parameters
-    ----------
-    prediction, truth : (H, W, 3) linear
-    mask : (H, W), see the module
-
-    Returns
-    -------
-    float in the images' unit, None for an empty mask. Raises ValueError for shapes that differ, a mask outside [0, 1],
-    and with their number for pixels inside the mask that are not finite.
-    """
+    """Root mean square error over pixels and channels of linear colour, in its unit; None for an empty mask."""
     predicted, true, weights = _checked_images(prediction, truth, mask)
     return _root_mean_square(predicted - true, weights) if weights.any() else None
 
@@ -176,14 +156,8 @@ def image_rmse(prediction: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> floa
 def si_rmse(prediction: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> float | None:
     """Scale-invariant RMSE: the RMSE after the one factor on the prediction that makes it smallest.
 
-    Parameters
-    ----------
-    prediction, truth, mask : as for `image_rmse`
-
-    Returns
-    -------
-    float in the truth's unit, None for an empty mask; with alpha = <p, g> / <p, p>, the RMSE of alpha p - g. A black
-    prediction cannot be scaled to anything: it scores the truth's own root mean square. Raises as `image_rmse`.
+    In the truth's unit; with alpha = <p, g> / <p, p>, the RMSE of alpha p - g. A black prediction cannot be scaled to
+    anything: it scores the truth's own root mean square. None for an empty mask.
     """
     predicted, true, weights = _checked_images(prediction, truth, mask)
     if not weights.any():
@@ -199,19 +173,9 @@ def normalized_rmse(prediction: ArrayLike, truth: ArrayLike, mask: ArrayLike) ->
     """RMSE after both pictures have been brought to one range, each by itself: neither exposure nor black level counts.
 
     The values at NORMALIZED_FROM and NORMALIZED_TO per cent of a picture, over all its pixels and channels, become 0
-    and 1; nothing is clipped.
+    and 1; nothing is clipped. None for an empty mask, and where nearly all of either picture is one value, so that it
+    has no range: a single lamp on black, or constant light.
 
-    Parameters
-    ----------
-    prediction, truth, mask : as for `image_rmse`
-
-    Returns
-    -------
-    float without unit. None for an empty mask, and where nearly all of either picture is one value, so that it has no
-    range: a single lamp on black, or constant light. Raises as `image_rmse`.
-
-    Notes
-    -----
     As in DiffusionLight's script (see the module), which takes it from ExpandNet (Marnerides et al. 2018), but for two
     things: its percentiles are those of the whole rendered file, the empty pixels around the sphere included, and ours
     of the pixels with a weight; and it is sqrt(3) times ours. The percentiles are the script's; whether the paper's
@@ -243,16 +207,9 @@ def _hues(image: ArrayF64) -> tuple[ArrayF64, ArrayF64]:
 
 
 def angular_error(prediction: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> AngularError:
-    """Angle between the RGB vectors of prediction and truth, per pixel, with black pixels counted.
+    """Angle between the RGB vectors of prediction and truth, per pixel, black pixels counted: atan2(|p x g|, p . g).
 
-    Parameters
-    ----------
-    prediction, truth, mask : as for `image_rmse`
-
-    Returns
-    -------
-    AngularError; 0 exactly for equal images, 0 to 90 degrees for colours >= 0 and to 180 otherwise. The angle is
-    atan2(|p x g|, p . g). Raises as `image_rmse`.
+    0 exactly for equal images, 0 to 90 degrees for colours >= 0 and to 180 otherwise.
     """
     predicted, true, weights = _checked_images(prediction, truth, mask)
     (hue_p, largest_p), (hue_g, largest_g) = _hues(predicted), _hues(true)
@@ -275,15 +232,7 @@ def angular_error_deg(prediction: ArrayLike, truth: ArrayLike, mask: ArrayLike) 
 def psnr(prediction: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> float | None:
     """Peak signal-to-noise ratio of displayed pictures, in decibels against a peak of 1.
 
-    Parameters
-    ----------
-    prediction, truth : (H, W, 3) sRGB-encoded in [0, 1]
-    mask : (H, W), see the module
-
-    Returns
-    -------
-    float; None for an empty mask and for equal images, where the ratio is infinite. Raises as `image_rmse`, and for
-    colour outside [0, 1].
+    None for an empty mask and for equal images, where the ratio is infinite. ValueError for colour outside [0, 1], too.
     """
     predicted, true, weights = _checked_srgb(prediction, truth, mask)
     rmse = _root_mean_square(predicted - true, weights) if weights.any() else 0.0
@@ -318,16 +267,7 @@ def ssim(prediction: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> float | No
 
     The 11 x 11 Gaussian window (sigma 1.5) is multiplied by the mask and normalised again, so local means and
     variances come from inside the mask alone, at its edge and at the image's border too. With windows wholly inside it
-    is the published formula.
-
-    Parameters
-    ----------
-    prediction, truth : (H, W, 3) sRGB-encoded in [0, 1]
-    mask : (H, W), see the module
-
-    Returns
-    -------
-    float of at most 1, 1 exactly for equal images; None for an empty mask. Raises as `psnr`.
+    is the published formula. At most 1, and 1 exactly for equal images; None for an empty mask. Raises as `psnr`.
     """
     predicted, true, weights = _checked_srgb(prediction, truth, mask)
     if not weights.any():
