@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.records import ArrayInt, UnitSphereCloud
+from xihenet.sampling import checked_position
 from xihenet.sphere import AnchorLattice
 
 ENTROPY_SIZES = tuple(2**k for k in range(1, 13))
@@ -27,28 +28,13 @@ def coverage(cloud: UnitSphereCloud) -> float:
 def joint_entropy(points_m: ArrayLike, position_m: ArrayLike) -> float:
     """Joint entropy of the points' directions and the anchors, in bits, summed over 2, 4, ... 4096 anchors.
 
-    Parameters
-    ----------
-    points_m : (P, 3) world frame, metres. Points that are not finite or lie at the position are left out
-    position_m : (3,) finite, world frame, metres
-
-    Returns
-    -------
-    entropy : 0 if all points lie in one direction, or if there are none; at most 1 + 2 + ... + 12 = 78
-
-    Raises
-    ------
-    ValueError : for another shape, or a position that is not finite
-
-    Notes
-    -----
-    Equation 1 of the paper's section on unit-sphere sampling, P normalised for each number of anchors.
+    `points_m` (P, 3) and `position_m` (3,) are in the world frame, metres. Points that are not finite or lie at the
+    position are left out. 0 if all points lie in one direction, or if there are none; at most 1 + 2 + ... + 12 = 78.
+    ValueError for another shape, or a position that is not finite.
     """
-    points, position = np.asarray(points_m, np.float64), np.asarray(position_m, np.float64)
+    points, position = np.asarray(points_m, np.float64), checked_position(position_m)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"points_m: expected an array of shape (any, 3), got {points.shape}")
-    if position.shape != (3,) or not np.isfinite(position).all():
-        raise ValueError(f"position_m: expected three finite numbers, got {position_m!r}")
     with np.errstate(over="ignore"):  # What float64 cannot hold becomes infinite, and is left out below.
         relative = points - position
     usable = np.isfinite(relative).all(axis=1) & relative.any(axis=1)

@@ -74,7 +74,7 @@ def sample_unit_sphere(
     ------
     ValueError : if the position is not three finite numbers
     """
-    position = _checked_position(position_m)
+    position = checked_position(position_m)
     columns = _relative_columns(cloud.points_m, position)
     distance_m = _distances(columns)
     invalid = _exclude_unusable(columns, distance_m, cloud)
@@ -123,7 +123,7 @@ def _with_patches(
 
 def sample_unit_sphere_reference(cloud: PointCloud, position_m: ArrayLike, lattice: AnchorLattice) -> UnitSphereCloud:
     """As `sample_unit_sphere`, point after point in float64: slow, and meant to be read and compared with."""
-    position = _checked_position(position_m)
+    position = checked_position(position_m)
     relative = cloud.points_m.astype(np.float64) - position
     with np.errstate(over="ignore", invalid="ignore"):  # A distance beyond float32 is left out and counted below.
         distance_m = np.sqrt((relative * relative).sum(axis=1)).astype(np.float32)
@@ -196,7 +196,8 @@ def sample_farthest(cloud: PointCloud, n: int, rng: np.random.Generator) -> Poin
     return _chosen(cloud, usable[np.asarray(picked, np.intp)])
 
 
-def _checked_position(position_m: ArrayLike) -> ArrayF64:
+def checked_position(position_m: ArrayLike) -> ArrayF64:
+    """(3,); ValueError unless it is three finite numbers."""
     position = np.asarray(position_m, np.float64)
     if position.shape != (3,) or not np.isfinite(position).all():
         raise ValueError(f"position_m: expected three finite numbers, got {position_m!r}")
