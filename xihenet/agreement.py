@@ -23,8 +23,7 @@ import numpy as np
 from xihenet.records import ArrayF32, ArrayF64
 
 BLOCKS_ALONG = 4
-ROUNDING = 1e-6
-"""A difference this small, relative to the picture's mean, is rounding and not light."""
+ROUNDING = 1e-6  # A difference this small, relative to the picture's mean, is rounding and not light
 
 
 @dataclass(frozen=True)
@@ -51,13 +50,8 @@ class Agreement:
 def agreement(first: ArrayF32 | ArrayF64, second: ArrayF32 | ArrayF64) -> Agreement:
     """Compare the means over seeds of two sets of pictures.
 
-    Parameters
-    ----------
-    first, second : (S, H, W, 3) linear radiance of S seeds, S >= 4, both of one shape
-
-    Raises
-    ------
-    ValueError for other shapes, or values that are not finite
+    `first` and `second` are (S, H, W, 3) linear radiance of S seeds, S >= 4. ValueError for other shapes, or values
+    that are not finite.
     """
     _check(first, second)
     sides = (first.astype(np.float64), second.astype(np.float64))

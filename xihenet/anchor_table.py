@@ -61,16 +61,10 @@ class AnchorTable:
     longer_directions: ArrayF64
 
     def find(self, columns: ArrayF32 | ArrayF64, taxicab: ArrayF32) -> ArrayInt:
-        """The nearest anchor of each direction.
+        """The nearest anchor of each direction, (P,).
 
-        Parameters
-        ----------
-        columns : (3, P) x, y and z of directions of any length from 1e-30 to 1e30, contiguous
-        taxicab : (P,) |x| + |y| + |z|; overwritten
-
-        Returns
-        -------
-        anchors : (P,)
+        `columns` (3, P) are x, y and z of directions of any length from 1e-30 to 1e30, contiguous; `taxicab` (P,) is
+        |x| + |y| + |z| and is overwritten.
         """
         codes = self.codes.take(self._cells(columns.astype(np.float32, copy=False), taxicab), mode="clip")
         anchors = codes.astype(np.intp)
@@ -142,14 +136,8 @@ class _Cells:
     def select(self, cells: ArrayBool) -> _Cells:
         """Only the cells that are marked."""
         kept = np.repeat(cells, self.lengths)
-        return _Cells(
-            self.layer[cells],
-            self.row[cells],
-            self.column[cells],
-            self.lengths[cells],
-            self.anchors[kept],
-            self.scores[:, :, kept],
-        )
+        of_cells = self.layer[cells], self.row[cells], self.column[cells], self.lengths[cells]
+        return _Cells(*of_cells, self.anchors[kept], self.scores[:, :, kept])
 
 
 def cells_for(n_anchors: int) -> int:
@@ -162,12 +150,9 @@ def cells_for(n_anchors: int) -> int:
 
 
 def build_anchor_table(directions: ArrayF64, n_cells: int) -> AnchorTable:
-    """Build the table by halving cells from 2 x 2 per layer to `n_cells` x `n_cells`.
+    """The table of (n, 3) unit vectors, n >= 1, by halving cells from 2 x 2 per layer to `n_cells` x `n_cells`.
 
-    Parameters
-    ----------
-    directions : (n, 3) unit vectors, n >= 1
-    n_cells : a power of two, at least 2
+    ValueError unless `n_cells` is a power of two, at least 2.
     """
     if n_cells < 2 or n_cells & (n_cells - 1):
         raise ValueError(f"n_cells: expected a power of two of at least 2, got {n_cells}")

@@ -24,8 +24,7 @@ import numpy as np
 from xihenet.mirror_ball import neighbours, project_mirror_ball
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64
 
-NEIGHBOURHOOD = 3
-"""Pixels along a side over which light beside lamps is smoothed."""
+NEIGHBOURHOOD = 3  # Pixels along a side over which light beside lamps is smoothed
 
 MEDIANS = 5
 """The same for all light where there is no denoiser: the median of such means, which keeps the edges of what is white.
@@ -37,16 +36,13 @@ def clipped_sh(
 ) -> ArrayF64:
     """Coefficients of the light clipped at white, as each of S pictures has it; their mean is the answer.
 
+    (S, (order + 1)^2, 3) float64. ValueError for no picture at all, or for pixels that are not finite.
+
     Parameters
     ----------
     radiance : S mirror balls (N, N, 3) of one ray in each pixel, carrying the exposure; white is 1
     emission : the part of them that rays met directly, lamps and sky, which has no noise
     smooth : (N, N, 3) the same seen once more, denoised; None where no denoiser is to be had, at the cost of some bias
-    order : highest band
-
-    Returns
-    -------
-    (S, (order + 1)^2, 3) float64. ValueError for no picture at all, or for pixels that are not finite.
     """
     if not len(radiance):
         raise ValueError("clipped_sh: expected at least one picture, got none")

@@ -21,16 +21,9 @@ def _clipped_floats(values: ArrayLike) -> NDArray[Any]:
 
 
 def srgb_to_linear(srgb: ArrayLike) -> NDArray[Any]:
-    """Decode sRGB to linear light.
+    """Decode sRGB of any shape to linear light in [0, 1]; float32 for float32 input, else float64.
 
-    Parameters
-    ----------
-    srgb : any shape, encoded colour; values outside [0, 1] are clipped, NaN stays NaN, 8-bit codes must be divided by
-        255 first
-
-    Returns
-    -------
-    Same shape, linear in [0, 1]; float32 for float32 input, else float64.
+    Values outside [0, 1] are clipped, NaN stays NaN; 8-bit codes must be divided by 255 first.
     """
     encoded = _clipped_floats(srgb)
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4).astype(
@@ -39,15 +32,9 @@ def srgb_to_linear(srgb: ArrayLike) -> NDArray[Any]:
 
 
 def linear_to_srgb(linear: ArrayLike) -> NDArray[Any]:
-    """Encode linear light as sRGB; the inverse of `srgb_to_linear`.
+    """Encode linear light of any shape as sRGB in [0, 1], the inverse; float32 for float32 input, else float64.
 
-    Parameters
-    ----------
-    linear : any shape, linear light; values outside [0, 1] are clipped, as a camera clips, NaN stays NaN
-
-    Returns
-    -------
-    Same shape, encoded in [0, 1]; float32 for float32 input, else float64.
+    Values outside [0, 1] are clipped, as a camera clips; NaN stays NaN.
     """
     light = _clipped_floats(linear)
     return np.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055).astype(

@@ -65,10 +65,7 @@ class ControllerSettings:
 class XiheController:
     """One AR session: positions go in, frames go in, light comes out.
 
-    Parameters
-    ----------
-    backend : makes the estimates; its `n_anchors` is the session's
-    settings : see `ControllerSettings`
+    `backend` makes the estimates; its `n_anchors` is the session's.
     """
 
     def __init__(self, backend: LightBackend, settings: ControllerSettings | None = None) -> None:
@@ -112,14 +109,9 @@ class XiheController:
     ) -> dict[str, StepReport]:
         """Run the chain on one frame for every active position.
 
-        Parameters
-        ----------
-        frame : one capture
-        truth : (9, 3) coefficients of the rendered light probe by position, for estimators that need them
-        active : names of the positions in view, for whoever knows the true pose of a frame whose own has drifted
+        `truth` has the (9, 3) coefficients of the rendered light probe by position, for estimators that need them.
+        `active` names the positions in view, for whoever knows the true pose of a frame whose own has drifted.
 
-        Returns
-        -------
         StepReport by position, active ones only. Unprojecting is shared; its time stands in the first report.
         """
         if self._recorder is not None:
@@ -149,14 +141,10 @@ class XiheController:
         with clock.stage("merge"):
             buffers = position.buffers.with_frame(sampled)
         with clock.stage("trigger"):
-            last_seen = LastSeen(position.buffers.last_seen(), sampled)
+            before, now = buffers.persistent, buffers.temporary
+            seen = LastSeen(position.buffers.last_seen(), sampled)
             decision = decide_trigger(
-                buffers.persistent,
-                buffers.temporary,
-                self.lattice,
-                settings.trigger,
-                last=position.decision,
-                last_seen=last_seen,
+                before, now, self.lattice, settings.trigger, last=position.decision, last_seen=seen
             )
         estimate, payload, unknown_because = None, b"", "" if sampled.is_set.any() else "nothing_seen"
         invalid, n_followed = sampled.invalid, 0

@@ -24,8 +24,7 @@ from xihenet.picture_size import TooLarge, picked_pixels
 from xihenet.records import ArrayF32
 
 MAGIC = b"\x76\x2f\x31\x01"
-PIXEL_TYPES: tuple[str, ...] = ("<u4", "<f2", "<f4")
-"""NumPy's names of UINT, HALF and FLOAT, at the numbers that stand for them."""
+PIXEL_TYPES: tuple[str, ...] = ("<u4", "<f2", "<f4")  # NumPy's names of UINT, HALF and FLOAT, by their numbers
 
 COMPRESSIONS = (
     "none", "RLE", "ZIPS", "ZIP", "PIZ", "PXR24", "B44", "B44A", "DWAA", "DWAB", "HTJ2K256", "HTJ2K32", "LJ2K", "ZSTD"
@@ -40,8 +39,7 @@ MAX_SHORT_NAME = 31
 LARGEST_UNPACKED, LARGEST_RATIO = 2**28, 100
 """Bytes, and how many times the file's: a small file that says that it holds more than both is not unpacked."""
 
-ZLIB_LEVEL = 4
-"""Of 256x192 pixels of noise, levels 1 to 4 take the same time and space."""
+ZLIB_LEVEL = 4  # Of 256x192 pixels of noise, levels 1 to 4 take the same time and space
 
 _Channels = list[tuple[str, np.dtype[Any]]]
 
@@ -115,9 +113,6 @@ def write_exr(path: Path, channels: Mapping[str, NDArray[Any]], *, compression: 
     rows = [np.ascontiguousarray(arrays[name], kind).view(np.uint8).reshape(height, -1) for name, kind in kinds]
     part = _Part(kinds, compression, width, height, 0)
     path.write_bytes(_file(part, np.concatenate(rows, axis=1)))
-
-
-# ------------------------------------------------------------------------------------------------------------- reading
 
 
 def _content(path: Path) -> bytes:
@@ -216,8 +211,7 @@ def _channel_list(content: bytes) -> tuple[_Channels, bool]:
     return channels, is_subsampled
 
 
-_Chunk = tuple[int, int, bytes]
-"""The first row, how many there are, and what they are packed into."""
+_Chunk = tuple[int, int, bytes]  # The first row, how many there are, and what they are packed into
 
 
 def _chunks(content: bytes, part: _Part, offsets: list[int], number: int | None) -> Iterator[_Chunk]:
@@ -281,9 +275,6 @@ def _channels_of(
         # The same for every NaN: one that signals would warn at the first cast, far from here.
         pixels[np.isnan(pixels)] = np.nan
     return channels
-
-
-# ------------------------------------------------------------------------------------------------------------- writing
 
 
 def _stored_kind(name: str, values: NDArray[Any]) -> np.dtype[Any]:

@@ -17,7 +17,6 @@ import difflib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -34,23 +33,19 @@ MOST_VALUES_BY_PACKAGE = 64_000_000
 """Of all channels together, since the OpenEXR package unpacks them all: 16 megapixels of four channels."""
 
 CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy", "world_from_camera", "convention", "up")
-LARGEST_SIDE = 1_000_000
-"""Pixels. No file has more, and products of two stay numbers that a float can hold."""
+LARGEST_SIDE = 1_000_000  # Pixels. No file has more, and products of two stay numbers that a float can hold.
 
-POSE_TOLERANCE = 1e-3
-"""Of a rotation's rows and columns, as poses are written with four digits."""
+POSE_TOLERANCE = 1e-3  # Of a rotation's rows and columns, as poses are written with four digits
 
 BLENDER_FROM_OPENCV_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])
-BLENDER_FROM_UP: Mapping[str, ArrayF64] = MappingProxyType(
-    {
-        "z": np.eye(3),
-        "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
-        "x": np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]]),
-        "-z": np.diag([1.0, -1.0, -1.0]),
-        "-y": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
-        "-x": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]),
-    }
-)
+BLENDER_FROM_UP: Mapping[str, ArrayF64] = {
+    "z": np.eye(3),
+    "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
+    "x": np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]]),
+    "-z": np.diag([1.0, -1.0, -1.0]),
+    "-y": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
+    "-x": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]),
+}
 """What turns a world upright, by the axis that points up in it: (x, y, z) with +Y up is Blender's (x, -z, y)."""
 
 
@@ -80,24 +75,16 @@ def read_frame(
 ) -> RgbdFrame:
     """One frame from files; what `path` is shows in its first bytes, not in its name.
 
+    It has the size of the plane depth, or is thinned to MOST_POINTS, and at least one valid pixel; those without a
+    valid plane depth, or with a colour that is NaN, are 0 and counted. OSError if a file is missing or cannot be read,
+    ValueError if what the files hold is no frame, ImportError without the package that reads them, naming the extra.
+
     Parameters
     ----------
     path : OpenEXR file with colour and plane depth, or a colour image of 8 bits
-    camera : from `read_camera`
     plane_depth : 16-bit image of plane depth, 0 or 65535 where there is none; for a colour image, and only for one
     depth_scale : metres per unit of that image
     exposure : to be applied to an OpenEXR file (None meters it); of a colour image the one it was taken with (None: 1)
-
-    Returns
-    -------
-    RgbdFrame of the size of the plane depth, or thinned to MOST_POINTS, at least one pixel of which is valid; pixels
-    without a valid one, or with a colour that is NaN, are 0 and counted.
-
-    Raises
-    ------
-    OSError : if a file is missing or cannot be read
-    ValueError : if what the files hold is no frame
-    ImportError : without the package that reads the files, naming the extra that brings it
     """
     if exposure is not None and not (np.isfinite(exposure) and exposure > 0):
         raise ValueError(f"exposure: expected a positive factor, got {exposure}")
@@ -114,9 +101,6 @@ def read_frame(
     return _image_frame(path, plane_depth, depth_scale, camera, 1.0 if exposure is None else exposure)
 
 
-# -------------------------------------------------------------------------------------------------------------- camera
-
-
 def read_camera(path: Path) -> FrameCamera:
     """Intrinsics and pose from a JSON file.
 
@@ -125,11 +109,8 @@ def read_camera(path: Path) -> FrameCamera:
     the default) or "opencv" (down +Z with +Y down); `up`, the world's axis that points up, "z" (the default), "y", "x",
     "-z", "-y" (as where the world is the first camera of OpenCV) or "-x".
 
-    Raises
-    ------
-    OSError : if the file cannot be read
-    ValueError : if something is missing, misspelt, of the wrong kind, not finite, or the pose is no rotation and
-        translation
+    OSError if the file cannot be read; ValueError if something is missing, misspelt, of the wrong kind, not finite, or
+    the pose is no rotation and translation.
     """
     content = read_json(path)
     if not isinstance(content, dict):
@@ -255,17 +236,13 @@ def _frame(
     )
 
 
-# ------------------------------------------------------------------------------------------------------------- OpenEXR
-
-
 def read_exr_channels(
     path: Path, names: Collection[str] | None = None, *, most_pixels: int | None = None
 ) -> dict[str, ArrayF32]:
-    """Channels of an OpenEXR file as (H, W) float32 by their full names, such as "ViewLayer.Combined.R".
+    """As `exr.read_exr`, and by the OpenEXR package what only that reads, where it is installed.
 
-    Row 0 is the top; `names` and `most_pixels` as of `exr.read_exr`. Blender 4.x writes all passes as one part, 5.x one
-    part per pass; both come as one table. OSError if the file cannot be opened; ValueError if it is none, is cut short,
-    or is in a form that only the OpenEXR package reads where that is not installed.
+    OSError if the file cannot be opened; ValueError if it is none, is cut short, or is in a form that needs the
+    package.
     """
     try:
         return exr.read_exr(path, names, most_pixels=most_pixels)
@@ -327,9 +304,6 @@ def _frame_channels(channels: Mapping[str, object], path: Path) -> tuple[list[st
 def _found(channels: Mapping[str, object]) -> str:
     names = sorted(channels)
     return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
-
-
-# -------------------------------------------------------------------------------------------------------------- images
 
 
 def _image_frame(

@@ -9,48 +9,39 @@ written as JSON. Rejected: warnings where it happens, which nobody adds up, and 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from types import MappingProxyType
 
-Counts = Mapping[str, int]
-"""How many, by reason; none is 0."""
+Counts = Mapping[str, int]  # How many, by reason; none is 0
 
-LEFT_OUT: Mapping[str, str] = MappingProxyType(
-    {
-        "no_surface": "no surface there: open sky, a window, or beyond the camera's clip end",
-        "no_distance": "no distance was measured: a plane depth of 0 or less",
-        "not_finite": "a plane depth or a position that is NaN or infinite",
-        "colour_not_finite": "a colour that is NaN or infinite",
-        "at_probe": "the point lies at the estimation position itself and has no direction",
-        "too_far": "too far from the estimation position for 32-bit numbers",
-        "colour_without_distance": "a colour sent without a distance",
-    }
-)
+LEFT_OUT: Mapping[str, str] = {
+    "no_surface": "no surface there: open sky, a window, or beyond the camera's clip end",
+    "no_distance": "no distance was measured: a plane depth of 0 or less",
+    "not_finite": "a plane depth or a position that is NaN or infinite",
+    "colour_not_finite": "a colour that is NaN or infinite",
+    "at_probe": "the point lies at the estimation position itself and has no direction",
+    "too_far": "too far from the estimation position for 32-bit numbers",
+    "colour_without_distance": "a colour sent without a distance",
+}
 """Why pixels and points are left out; the phone's effects are reasons of their own, by their names."""
 
-CLAMPED: Mapping[str, str] = MappingProxyType(
-    {
-        "negative_colour": "light below 0, such as that of a negative lamp, replaced by black",
-        "infinite_colour": "an infinite colour, replaced by white",
-        "distance_on_wire": "a distance that the wire format cannot hold, replaced by the nearest that it can",
-        "distance_in_network": "a distance beyond the network's range, replaced by the farthest in range",
-    }
-)
+CLAMPED: Mapping[str, str] = {
+    "negative_colour": "light below 0, such as that of a negative lamp, replaced by black",
+    "infinite_colour": "an infinite colour, replaced by white",
+    "distance_on_wire": "a distance that the wire format cannot hold, replaced by the nearest that it can",
+    "distance_in_network": "a distance beyond the network's range, replaced by the farthest in range",
+}
 """What is used, but not as it came."""
 
-UNKNOWN: Mapping[str, str] = MappingProxyType(
-    {
-        "nothing_seen": "no surface was seen from there",
-        "no_points": "the frame has no point to draw from",
-        "estimate_not_finite": "the estimate was not finite",
-    }
-)
+UNKNOWN: Mapping[str, str] = {
+    "nothing_seen": "no surface was seen from there",
+    "no_points": "the frame has no point to draw from",
+    "estimate_not_finite": "the estimate was not finite",
+}
 """Why the light at a position could not be known."""
 
 
 def format_reason(reason: str) -> str:
     """Why, in words; a reason that is not listed here is the name of an effect of the phone."""
-    said = {**LEFT_OUT, **CLAMPED, **UNKNOWN}
-    return said.get(reason, f"the phone's {reason.replace('_', ' ')}")
+    return {**LEFT_OUT, **CLAMPED, **UNKNOWN}.get(reason, f"the phone's {reason.replace('_', ' ')}")
 
 
 def counted(**counts: int) -> dict[str, int]:

@@ -33,15 +33,12 @@ DARK_LIGHT = 1 / 512
 FIRST_CODE = 1 / (255 * 12.92)
 """Added to a ratio that is followed, which `DARK_LIGHT` would draw to 1: a lamp that goes out leaves codes of 0."""
 
-
-UNCHANGED_STOPS = 0.25
-"""A surface that changed by less may as well have kept its light."""
+UNCHANGED_STOPS = 0.25  # A surface that changed by less may as well have kept its light
 
 SURELY_UNCHANGED = 0.05
 """Share of its encoded colour by which what changes by less is unchanged: a quarter of a stop is 7 % or more."""
 
-ROUNDED_UP = 1 + 1e-12
-"""Shares that are just enough are so in whatever order they are worked out."""
+ROUNDED_UP = 1 + 1e-12  # Shares that are just enough are so in whatever order they are worked out
 
 
 @dataclass(frozen=True)

@@ -24,14 +24,12 @@ from xihenet.panorama import panorama_directions
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt
 from xihenet.sh_basis import basis
 
-FINEST = 2048
-"""Cells along a side, at the most, in which a pixel's mean of a basis function is taken."""
+FINEST = 2048  # Cells along a side, at the most, in which a pixel's mean of a basis function is taken
 
 RIM = 1.5
 """Pixels between the rim and the middle of the outermost pixel that counts: its whole neighbour lies on the ball."""
 
-CELLS = 8
-"""The same along a pixel's side, where the picture is small."""
+CELLS = 8  # The same along a pixel's side, where the picture is small
 
 
 def ball_directions(size: int) -> tuple[ArrayF64, ArrayBool]:
@@ -106,19 +104,12 @@ def _mirrored(quarter: NDArray[Any], along_x: int, along_y: int) -> ArrayF64:
 
 
 def project_mirror_ball(radiance: ArrayLike, order: int = 2, *, rim: float = RIM) -> ArrayF64:
-    """Spherical-harmonic coefficients of a mirror ball.
+    """Spherical-harmonic coefficients of a mirror ball (N, N, 3), linear: the integral of radiance x Y over the sphere.
 
-    Parameters
-    ----------
-    radiance : (N, N, 3) linear; negative values are taken as they are, pixels beside the ball do not count
-    order : highest band
-    rim : pixels as far from the rim do not count, see `RIM`; with 0 all do, where those on the rim hold their radiance
-        times the share of their rays that met the ball, as renderers write it
-
-    Returns
-    -------
-    ((order + 1)^2, 3) float64, integral of radiance x Y over the sphere. Raises ValueError for another shape, and with
-    their number if pixels are NaN or infinite.
+    Negative values are taken as they are. Pixels beside the ball do not count, nor those nearer than `rim` pixels to
+    its rim, see `RIM`; with 0 all do, where those on the rim hold their radiance times the share of their rays that met
+    the ball, as renderers write it. ((order + 1)^2, 3) float64. ValueError for another shape, and with their number if
+    pixels are NaN or infinite.
     """
     image = np.asarray(radiance, np.float64)
     if image.ndim != 3 or image.shape[2] != 3 or image.shape[0] != image.shape[1]:

@@ -32,15 +32,9 @@ def _azimuth(column: ArrayF64, width: int) -> ArrayF64:
 
 
 def panorama_directions(height: int, width: int) -> ArrayF64:
-    """Unit directions in world axes of the texel centres.
+    """Unit directions in world axes of the texel centres, (H, W, 3) float64; one texel alone looks along +Y.
 
-    Parameters
-    ----------
-    height, width : texels, each at least 1 (ValueError otherwise)
-
-    Returns
-    -------
-    (H, W, 3) float64; one texel alone looks along +Y.
+    ValueError without a texel.
     """
     _check_size(height, width)
     polar = np.pi * (np.arange(height) + 0.5) / height
@@ -107,15 +101,9 @@ def _texel_tables(height: int, width: int, order: int) -> tuple[ArrayF64, ArrayF
 def project_panorama(radiance: ArrayLike, order: int = 2) -> ArrayF64:
     """Spherical-harmonic coefficients of a panorama whose texels are each taken as one constant radiance.
 
-    Parameters
-    ----------
-    radiance : (H, W, 3) linear, in the convention of this module; negative values are taken as they are
-    order : highest band
-
-    Returns
-    -------
-    ((order + 1)^2, 3) float64, integral of radiance x Y over the sphere. Constant light is exact at any size. Raises
-    ValueError for another shape, for an empty panorama, and with their number if pixels are NaN or infinite.
+    `radiance` is (H, W, 3), linear, in the convention of this module; negative values are taken as they are.
+    ((order + 1)^2, 3) float64, integral of radiance x Y over the sphere. ValueError for another shape, for an empty
+    panorama, and with their number if pixels are NaN or infinite.
     """
     image = np.asarray(radiance, dtype=np.float64)
     if image.ndim != 3 or image.shape[2] != 3:
@@ -132,16 +120,10 @@ def project_panorama(radiance: ArrayLike, order: int = 2) -> ArrayF64:
 
 
 def evaluate_panorama(sh_radiance: ArrayLike, height: int, width: int) -> ArrayF64:
-    """The radiance that coefficients describe, at the texel centres of a panorama: a picture of an estimate.
+    """The radiance that ((order + 1)^2, 3) describe, at the texel centres of a panorama: a picture of an estimate.
 
-    Parameters
-    ----------
-    sh_radiance : ((order + 1)^2, 3), any order
-    height, width : texels, each at least 1
-
-    Returns
-    -------
-    (H, W, 3) float64, linear and not clipped: a finite series rings, so values may be negative.
+    (H, W, 3) float64, linear and not clipped: a finite series rings, so values may be negative. ValueError without a
+    texel.
     """
     coefficients, order = checked_sh(sh_radiance)
     directions = panorama_directions(height, width).reshape(-1, 3)

@@ -40,8 +40,7 @@ POINT_GAP = 0.7
 """In anchor spacings, sqrt(4 pi / N): as far apart are the points of a patch, at most. Cells are 0.9 wide and more;
 0.5 costs twice the points and left as many leaks in seven rooms."""
 
-MOST_ALONG = 32
-"""Points along one side of a patch, at most."""
+MOST_ALONG = 32  # Points along one side of a patch, at most
 
 SAME_SURFACE = 0.25, 0.003
 """How far a third pixel may be off the line of two: share of their difference, and share of the inverse distance."""

@@ -14,12 +14,10 @@ import numpy as np
 
 from xihenet.records import ArrayInt
 
-MOST_PIXELS = 50_000_000
-"""Of a picture that is read: the 48 megapixels that phones store are below it."""
+MOST_PIXELS = 50_000_000  # Of a picture that is read: the 48 megapixels that phones store are below it
 
 LONGEST_SIDE = 65_535
-MOST_POINTS = 2**21
-"""Pixels of a frame: full HD stays whole, anything larger is thinned to so many."""
+MOST_POINTS = 2**21  # Pixels of a frame: full HD stays whole, anything larger is thinned to so many
 
 SAME_ASPECT = 0.01
 """Sizes whose ratios of width to height differ by less show the same field: rounding moves 256x144 by 0.4 %."""

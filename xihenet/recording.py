@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from xihenet.npz_files import read_npz
 from xihenet.records import Intrinsics, RgbdFrame
 
-INVALID = "invalid_"
-"""Begins the name of the number that belongs to a reason."""
+INVALID = "invalid_"  # Begins the name of the number that belongs to a reason
 
 
 class EnvironmentScanner(Protocol):
