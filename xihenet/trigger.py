@@ -11,13 +11,13 @@ The paper's rule stays as `policy="reference"`.
 A phone that walks sees reflections move: a glossy table changes its colour without any change of the light. Where both
 clouds say from where an anchor was seen (`UnitSphereCloud.surfaces`), one seen from another angle is asked less. Of its
 change only that part counts which a change of the light explains, the factor by which nearly all surfaces changed
-alike (`light_change`); diffuse surfaces keep their colour whatever the angle, so without such a factor it is none. And
-what lies at another distance then is another surface, and is not asked at all. The factor is looked for twice: against
-what the light in force was made from, which notices a lamp that dims slowly, and against what was last seen of each
-surface (`LastSeen`). There a lamp that dims at once stands out however long the walk is: reflections move little from
-frame to frame, and in a walk around a mirroring table nobody agrees on anything with the first frame. Rejected: asking
-only anchors seen from the same angle, which in a walk are too few to notice a lamp; and their median as the light's
-change, since a table that fills the lower half makes the median.
+alike (`light_change`); diffuse surfaces keep their colour whatever the angle, so without such a factor it is none. What
+lies at another distance then is another surface, and is not asked at all. The factor is looked for twice: against what
+the light in force was made from, which notices a lamp that dims slowly, and against what was last seen of each surface
+(`LastSeen`). There a lamp that dims at once stands out however long the walk is: reflections move little from frame to
+frame, while in a walk around a mirroring table nobody agrees on anything with the first one. Rejected: asking only
+anchors seen from the same angle, which in a walk are too few to notice a lamp; and their median as the light's change,
+since a table that fills the lower half makes the median.
 
 Stateless: what happened before comes in as an argument. Paper: section 4.3.1; figures in its section 6.3.
 """
@@ -25,43 +25,29 @@ Stateless: what happened before comes in as an argument. Paper: section 4.3.1; f
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.light_change import LightFollowing, light_change
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, TriggerDecision, UnitSphereCloud
+from xihenet.sphere import AnchorLattice
 
+# Of the light that is looked for, see `LightFollowing`; whether it is worth an estimate, theta says.
 SMALLEST_STOPS, MOST_UNCHANGED = 0.25, 0.1
-"""Of the light that is looked for, see `LightFollowing`; whether it is worth an estimate, theta says."""
 
 AGREEING_AT_ONCE = 0.8
 """Share of the surfaces that have to change alike from one frame to the next. In 466 steps of walks under light that
 stood still nothing passed for a change; with all light to a quarter, a half, twofold or fourfold 98 to 99.8 % did."""
 
 
-class Neighbourhood(Protocol):
-    """What the trigger needs of an anchor lattice."""
-
-    @property
-    def directions(self) -> ArrayF64: ...
-
-    def neighbours(self, k: int) -> ArrayInt: ...
-
-
 @dataclass(frozen=True, eq=False)
 class LastSeen:
-    """A frame, and what was known when it came.
+    """A frame, and what was known when it came."""
 
-    Parameters
-    ----------
-    before : each of N anchors as it was last seen before the frame
-    frame : what the frame alone shows, of the same N anchors
-    """
-
-    before: UnitSphereCloud
-    frame: UnitSphereCloud
+    before: UnitSphereCloud  # each of N anchors as it was last seen before the frame
+    frame: UnitSphereCloud  # what the frame alone shows, of the same N anchors
 
 
 @dataclass(frozen=True)
@@ -119,7 +105,7 @@ class TriggerSettings:
 def decide_trigger(
     previous: UnitSphereCloud | None,
     current: UnitSphereCloud,
-    lattice: Neighbourhood,
+    lattice: AnchorLattice,
     settings: TriggerSettings,
     *,
     last: TriggerDecision | None = None,
@@ -127,25 +113,11 @@ def decide_trigger(
 ) -> TriggerDecision:
     """Compare what the light in force was made from with what has been seen since.
 
-    Parameters
-    ----------
-    previous : persistent cloud, N anchors; None or without a set anchor before the first estimate
-    current : temporary cloud, N anchors; if nothing is set, nothing fires
-    lattice : of the same N anchors
-    settings : thresholds and policy
-    last : the decision before this one, for hysteresis
-    last_seen : the frame with which `current` ends; None asks only what changed since `previous`
+    The clouds and the lattice have N anchors, else ValueError. `previous` is the persistent cloud, None or without a
+    set anchor before the first estimate, and `current` the temporary one; if nothing is set, nothing fires. `last` is
+    the decision before this one, for hysteresis; `last_seen` the frame with which `current` ends, None asks only what
+    changed since `previous`. `change` of the answer is None for "first".
 
-    Returns
-    -------
-    TriggerDecision; `change` is None for "first"
-
-    Raises
-    ------
-    ValueError if the clouds or the lattice differ in their number of anchors
-
-    Notes
-    -----
     Records hold no NaN when they are made. An anchor whose colour became NaN in the caller's array since then counts
     as unchanged; it neither fires nor keeps the others from firing.
     """
@@ -155,32 +127,10 @@ def decide_trigger(
         return TriggerDecision(False, "none", 0.0, settings.theta)
     if previous is None or not previous.is_set.any():
         return TriggerDecision(True, "first", None, settings.theta, int(current.is_set.sum()))
-    window = _windows(lattice, len(current), settings)
     if settings.policy == "reference":
-        return _decide_as_the_paper(previous, current, window, settings.theta)
+        return _decide_as_the_paper(previous, current, _windows(lattice, len(current), settings), settings.theta)
     was_colour = last is not None and last.fire and last.reason == "colour"
     theta = settings.theta * (1 + settings.hysteresis) if was_colour else settings.theta
-    return _decide_split(previous, current, lattice, theta, settings, last_seen)
-
-
-def _decide_as_the_paper(
-    previous: UnitSphereCloud, current: UnitSphereCloud, window: ArrayInt, theta: float
-) -> TriggerDecision:
-    """Unset anchors are black; any pooled change above theta fires."""
-    pooled = _anchor_change(previous, current)[window].mean(axis=1)
-    change = float(pooled.max())
-    return _colour_decision(change, theta, int((pooled > theta).sum()))
-
-
-def _decide_split(
-    previous: UnitSphereCloud,
-    current: UnitSphereCloud,
-    lattice: Neighbourhood,
-    theta: float,
-    settings: TriggerSettings,
-    last_seen: LastSeen | None,
-) -> TriggerDecision:
-    """Colour over the anchors that both clouds know, then the share of the sphere that only the current one knows."""
     pooled = _pooled_change(previous, current, lattice, settings, last_seen)
     change, n_changed = _largest(pooled, settings.ignored_share), int((pooled > theta).sum())
     if change > theta:
@@ -192,8 +142,17 @@ def _decide_split(
     return TriggerDecision(False, "none", change, theta, n_changed)
 
 
+def _decide_as_the_paper(
+    previous: UnitSphereCloud, current: UnitSphereCloud, window: ArrayInt, theta: float
+) -> TriggerDecision:
+    """Unset anchors are black; any pooled change above theta fires."""
+    pooled = _mean_square(current.srgb - previous.srgb)[window].mean(axis=1)
+    change, n_changed = float(pooled.max()), int((pooled > theta).sum())
+    return TriggerDecision(change > theta, "colour" if change > theta else "none", change, theta, n_changed)
+
+
 def colour_change(
-    previous: UnitSphereCloud, current: UnitSphereCloud, lattice: Neighbourhood, settings: TriggerSettings
+    previous: UnitSphereCloud, current: UnitSphereCloud, lattice: AnchorLattice, settings: TriggerSettings
 ) -> float:
     """What the policy "split" holds against theta, for two clouds of the lattice's N anchors; 0 if none is common."""
     return _largest(_pooled_change(previous, current, lattice, settings), settings.ignored_share)
@@ -210,7 +169,7 @@ def _largest(pooled: ArrayF32, ignored_share: float) -> float:
 def _pooled_change(
     previous: UnitSphereCloud,
     current: UnitSphereCloud,
-    lattice: Neighbourhood,
+    lattice: AnchorLattice,
     settings: TriggerSettings,
     last_seen: LastSeen | None = None,
 ) -> ArrayF32:
@@ -218,14 +177,14 @@ def _pooled_change(
 
     A window's mean is taken over these anchors alone.
     """
+    windows = _windows(lattice, len(current), settings)
     asked, change = _change_of_light(previous, current, lattice.directions, settings, last_seen)
-    known = np.flatnonzero(asked)
-    around = _windows(lattice, len(current), settings)[known]
+    around = windows[np.flatnonzero(asked)]
     pooled: ArrayF32 = np.where(asked, change, np.float32(0))[around].sum(axis=1) / asked[around].sum(axis=1)
     return pooled
 
 
-def _windows(lattice: Neighbourhood, n_anchors: int, settings: TriggerSettings) -> ArrayInt:
+def _windows(lattice: AnchorLattice, n_anchors: int, settings: TriggerSettings) -> ArrayInt:
     """(N, k) the anchors that each anchor is pooled over. ValueError for a lattice of another number of anchors."""
     window = lattice.neighbours(min(settings.n_neighbours, n_anchors))
     if len(window) != n_anchors:
@@ -241,7 +200,7 @@ def _change_of_light(
     last_seen: LastSeen | None,
 ) -> tuple[ArrayBool, ArrayF32]:
     """(N,) which anchors can be asked, and by how much each changed as far as that may be the light's doing."""
-    common, change = previous.is_set & current.is_set, _anchor_change(previous, current)
+    common, change = previous.is_set & current.is_set, _mean_square(current.srgb - previous.srgb)
     if settings.theta == 0:  # Any change at all: this is how a chain is made to estimate in every frame.
         return common, change
     turned = common & _seen_from_another_angle(previous, current, directions, settings.view_angle_deg)
@@ -285,38 +244,24 @@ def _dot(a: ArrayF32, b: ArrayF32) -> ArrayF32:
 def _change_by_the_light(
     previous: UnitSphereCloud, current: UnitSphereCloud, settings: TriggerSettings, last_seen: LastSeen | None
 ) -> ArrayF32:
-    """(N,) the change of each anchor if the light did what nearly all surfaces agree on; 0 if they do not agree."""
-    factor = _factor_of_the_light(previous, current, settings, last_seen)
+    """(N,) the change of each anchor if the light did what nearly all surfaces agree on; 0 if they do not agree.
+
+    The light may have changed at once or since the last estimate.
+    """
+    alike = LightFollowing(
+        SMALLEST_STOPS, AGREEING_AT_ONCE, same_distance=settings.same_distance, most_unchanged=MOST_UNCHANGED
+    )
+    factor = None if last_seen is None else light_change(last_seen.before, last_seen.frame, alike)
+    if factor is None:
+        factor = light_change(previous, current, replace(alike, agreeing_share=settings.agreeing_share))
     if factor is None:
         return np.zeros(len(current), np.float32)
     lit = linear_to_srgb(np.minimum(srgb_to_linear(previous.srgb.astype(np.float64)) * factor, 1.0))
     return _mean_square(lit.astype(np.float32) - previous.srgb)
 
 
-def _factor_of_the_light(
-    previous: UnitSphereCloud, current: UnitSphereCloud, settings: TriggerSettings, last_seen: LastSeen | None
-) -> ArrayF64 | None:
-    """(3,) the factor by which the light changed, at once or since the last estimate; None if nobody can say."""
-    alike = LightFollowing(
-        SMALLEST_STOPS, AGREEING_AT_ONCE, same_distance=settings.same_distance, most_unchanged=MOST_UNCHANGED
-    )
-    since_the_estimate = replace(alike, agreeing_share=settings.agreeing_share)
-    at_once = None if last_seen is None else light_change(last_seen.before, last_seen.frame, alike)
-    return light_change(previous, current, since_the_estimate) if at_once is None else at_once
-
-
-def _anchor_change(previous: UnitSphereCloud, current: UnitSphereCloud) -> ArrayF32:
-    """(N,) mean over RGB of the squared difference of sRGB-encoded colour."""
-    return _mean_square(current.srgb - previous.srgb)
-
-
 def _mean_square(difference: ArrayF32) -> ArrayF32:
-    """(N,) of (N, 3); NaN counts as no change."""
+    """(N,) mean over RGB of squared differences (N, 3) of sRGB-encoded colour; NaN counts as no change."""
     change: ArrayF32 = np.einsum("nc,nc->n", difference, difference) / np.float32(3)
     change[np.isnan(change)] = 0
     return change
-
-
-def _colour_decision(change: float, theta: float, n_changed: int) -> TriggerDecision:
-    fire = change > theta
-    return TriggerDecision(fire, "colour" if fire else "none", change, theta, n_changed)
