@@ -9,9 +9,7 @@ side by side, so that what exactness costs can be shown:
 - `brute`, every anchor's cosine in float64: the plain reference.
 
 Rejected as slower by more than a magnitude: a k-d tree, which also needs SciPy, and the analytic inverse of the lattice
-(Keinert et al. 2015).
-
-Lattices are values: two of the same size are equal and share their tables, which are built on first use and cached.
+(Keinert et al. 2015). Lattices of one size are equal and share their tables, which are built on first use and cached.
 """
 
 from __future__ import annotations
@@ -29,9 +27,7 @@ from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt
 
 NearestMethod = Literal["exact", "table", "brute"]
 
-TABLE_SIZE = (1024, 512)
-"""The paper's."""
-
+TABLE_SIZE = (1024, 512)  # The paper's
 MAX_ANCHORS = 65_536  # an anchor's index has 16 bits on the wire
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 _BRUTE_BLOCK = 2**18  # cosines at a time: 2 MB, which stays in the cache
@@ -39,12 +35,7 @@ _BRUTE_BLOCK = 2**18  # cosines at a time: 2 MB, which stays in the cache
 
 @dataclass(frozen=True)
 class AnchorLattice:
-    """Fibonacci lattice of `n` anchors on the unit sphere.
-
-    Parameters
-    ----------
-    n : number of anchors, 1 to 65,536
-    """
+    """Fibonacci lattice of `n` anchors on the unit sphere, 1 to 65,536."""
 
     n: int
 
@@ -65,21 +56,12 @@ class AnchorLattice:
     def nearest(
         self, directions: ArrayLike, method: NearestMethod = "exact", table_size: tuple[int, int] = TABLE_SIZE
     ) -> ArrayInt:
-        """The anchor with the largest cosine to each direction.
+        """The anchor with the largest cosine to each direction, (P,); 0 for a direction that is zero, NaN or infinite.
 
-        Parameters
-        ----------
-        directions : (P, 3) world frame, of any positive length; P may be 0. Anything but float32 is read as float64
-        method : "exact" and "brute" are never more than 1e-7 below the best cosine; "table" is wrong for some per cent
-        table_size : cells over azimuth and over polar angle, for "table" alone
-
-        Returns
-        -------
-        anchors : (P,); 0 for a direction that is zero, NaN or infinite
-
-        Raises
-        ------
-        ValueError : for another shape, an unknown method or a table without cells
+        Directions (P, 3) are in the world frame, of any positive length; P may be 0. Anything but float32 is read as
+        float64. "exact" and "brute" are never more than 1e-7 below the best cosine; "table" is wrong for some per cent,
+        and has `table_size` cells over azimuth and over polar angle. ValueError for another shape, an unknown method or
+        a table without cells.
         """
         rows = np.asarray(directions)
         if rows.ndim != 2 or rows.shape[1] != 3:
@@ -107,11 +89,8 @@ class AnchorLattice:
     def neighbours(self, k: int) -> ArrayInt:
         """(n, k) for each anchor itself and its k - 1 nearest, nearest first, lower index first if equally near.
 
-        Compares all pairs: 0.05 s for 2048 anchors, 40 s for 65,536. Cached and read-only.
-
-        Raises
-        ------
-        ValueError : unless 1 <= k <= n
+        Compares all pairs: 0.05 s for 2048 anchors, 40 s for 65,536. Cached and read-only. ValueError unless 1 <= k <=
+        n.
         """
         if not 1 <= k <= self.n:
             raise ValueError(f"neighbours: expected 1 to {self.n} neighbours of {self.n} anchors, got {k}")
@@ -166,24 +145,13 @@ def _rescaled(columns: ArrayF32 | ArrayF64) -> ArrayF64:
     return rescaled
 
 
-@dataclass(frozen=True, eq=False)
-class _AngularTable:
-    """The paper's acceleration grid.
-
-    Parameters
-    ----------
-    width, height : cells over azimuth, from -pi to pi, and over polar angle, from +Z to -Z
-    anchors : ((height + 1) (width + 1),) anchor nearest to each cell's centre; the last row and column are repeated,
-        so that an azimuth of pi and the pole at -Z need no clipping
-    """
-
-    width: int
-    height: int
-    anchors: NDArray[np.uint16]
-
-
 @lru_cache(maxsize=8)
-def _angular_table(n: int, width: int, height: int) -> _AngularTable:
+def _angular_table(n: int, width: int, height: int) -> NDArray[np.uint16]:
+    """The paper's acceleration grid: the anchor nearest to the centre of each cell, [polar angle, azimuth].
+
+    (height + 1, width + 1), from +Z to -Z and from -pi to pi: the last row and column are repeated, so that the pole at
+    -Z and an azimuth of pi need no clipping.
+    """
     if min(width, height) < 1 or width * height > 2**28:
         raise ValueError(f"table_size: expected 1 to 2^28 cells, got {width} x {height}")
     azimuth = (np.arange(width) + 0.5) * (2 * np.pi / width) - np.pi
@@ -193,12 +161,12 @@ def _angular_table(n: int, width: int, height: int) -> _AngularTable:
     centres[1] = np.sin(polar) * np.sin(azimuth)
     centres[2] = np.cos(polar)
     anchors = _find_exactly(centres.reshape(3, -1), _exact_table(n)).astype(np.uint16)
-    padded = np.pad(anchors.reshape(height, width), ((0, 1), (0, 1)), mode="edge")
-    return _AngularTable(width, height, padded.ravel())
+    return np.pad(anchors.reshape(height, width), ((0, 1), (0, 1)), mode="edge")
 
 
-def _look_up(columns: ArrayF32 | ArrayF64, table: _AngularTable) -> ArrayInt:
+def _look_up(columns: ArrayF32 | ArrayF64, table: NDArray[np.uint16]) -> ArrayInt:
     """The anchor of the cell over azimuth and polar angle. All in float32, whose trigonometry NumPy vectorises."""
+    height, width = table.shape[0] - 1, table.shape[1] - 1
     with np.errstate(over="ignore"):  # Infinite squares are not ordinary, and their directions are scaled first.
         x, y, z = columns.astype(np.float32, copy=False)
         horizontal = x * x
@@ -208,15 +176,15 @@ def _look_up(columns: ArrayF32 | ArrayF64, table: _AngularTable) -> ArrayInt:
     if not _is_ordinary(squares):
         return _look_up(_rescaled(columns), table)
     column = np.arctan2(y, x)
-    column *= np.float32(table.width / (2 * np.pi))
-    column += np.float32(table.width / 2)
+    column *= np.float32(width / (2 * np.pi))
+    column += np.float32(width / 2)
     row = np.sqrt(horizontal, out=horizontal)
     np.arctan2(row, z, out=row)
-    row *= np.float32(table.height / np.pi)
+    row *= np.float32(height / np.pi)
     cells = row.astype(np.int32)
-    cells *= np.int32(table.width + 1)
+    cells *= np.int32(width + 1)
     cells += column.astype(np.int32)
-    anchors: ArrayInt = table.anchors.take(cells, mode="clip").astype(np.intp)
+    anchors: ArrayInt = table.take(cells, mode="clip").astype(np.intp)
     return anchors
 
 
