@@ -204,18 +204,6 @@ def _radiance_table(order: int) -> ArrayF64:
     return basis(np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1), order)
 
 
-@lru_cache(maxsize=8)
-def _irradiance_table(order: int) -> ArrayF64:
-    """The same, times the cosine lobe: what normals receive."""
-    return _radiance_table(order) * per_coefficient(cosine_lobe(order))
-
-
-def _window(strength: float, order: int) -> ArrayF64:
-    """The factor of each band, (order + 1,): the heat kernel (1 - strength)^(l (l + 1) / 2)."""
-    band = np.arange(order + 1)
-    return (1 - strength) ** (band * (band + 1) / 2)
-
-
 def dering_with_strength(sh_radiance: ArrayLike) -> tuple[ArrayF64, float]:
     """The smallest window after which no surface receives negative light, and how strong it had to be.
 
@@ -236,8 +224,7 @@ def dering_with_strength(sh_radiance: ArrayLike) -> tuple[ArrayF64, float]:
     """
     coefficients, order = checked_sh(sh_radiance)
     coefficients = coefficients * (coefficients[0] >= 0)
-    strength = _smallest_strength(coefficients, _irradiance_table(order))
-    return _windowed(coefficients, strength), strength
+    return _windowed(coefficients, _radiance_table(order) * per_coefficient(cosine_lobe(order)))
 
 
 def dering(sh_radiance: ArrayLike) -> ArrayF64:
@@ -265,30 +252,28 @@ def dering_for_display(sh_radiance: ArrayLike) -> ArrayF64:
     coefficients, order = checked_sh(sh_radiance)
     coefficients = coefficients * (coefficients[0] >= 0)
     table = _radiance_table(order)
-    channels = [coefficients[:, [channel]] for channel in range(3)]
-    return np.concatenate([_windowed(one, _smallest_strength(one, table)) for one in channels], axis=1)
+    return np.concatenate([_windowed(coefficients[:, [channel]], table)[0] for channel in range(3)], axis=1)
 
 
-def _smallest_strength(coefficients: ArrayF64, table: ArrayF64) -> float:
-    """Of the window that all columns of `coefficients` share, so that `table` times none of them is negative."""
-    order = round(np.sqrt(len(coefficients))) - 1
-    by_band = np.stack([table[:, band_slice(band)] @ coefficients[band_slice(band)] for band in range(order + 1)])
+def _windowed(coefficients: ArrayF64, table: ArrayF64) -> tuple[ArrayF64, float]:
+    """After the smallest window for all columns after which `table` times none of them is negative; its strength.
+
+    The factor of band l is that of the heat kernel, (1 - strength)^(l (l + 1) / 2).
+    """
+    band = np.arange(round(np.sqrt(len(coefficients))))
+    by_band = np.stack([table[:, band_slice(one)] @ coefficients[band_slice(one)] for one in band])
+
+    def window(strength: float) -> ArrayF64:
+        factors: ArrayF64 = (1 - strength) ** (band * (band + 1) / 2)
+        return factors
 
     def lowest(strength: float) -> float:
-        return float(np.tensordot(_window(strength, order), by_band, axes=1).min())
+        return float(np.tensordot(window(strength), by_band, axes=1).min())
 
-    if lowest(0.0) >= -NEGATIVE_TOLERANCE * np.abs(by_band).sum(axis=0).max():
-        return 0.0
-    too_weak, strong_enough = 0.0, 1.0
-    for _ in range(N_BISECTIONS):
-        middle = (too_weak + strong_enough) / 2
-        too_weak, strong_enough = (too_weak, middle) if lowest(middle) >= 0 else (middle, strong_enough)
-    return strong_enough
-
-
-def _windowed(coefficients: ArrayF64, strength: float) -> ArrayF64:
-    """The same array where the window does nothing."""
-    if strength == 0:
-        return coefficients
-    order = round(np.sqrt(len(coefficients))) - 1
-    return coefficients * per_coefficient(_window(strength, order))[:, None]
+    strength = 0.0
+    if not lowest(0.0) >= -NEGATIVE_TOLERANCE * np.abs(by_band).sum(axis=0).max():
+        too_weak, strength = 0.0, 1.0
+        for _ in range(N_BISECTIONS):
+            middle = (too_weak + strength) / 2
+            too_weak, strength = (too_weak, middle) if lowest(middle) >= 0 else (middle, strength)
+    return coefficients * per_coefficient(window(strength))[:, None], strength
