@@ -1,15 +1,6 @@
 """What does a unit-sphere cloud look like on the wire? The paper's four encodings and one of ours, packed.
 
-All are little endian.
-
-| method | bytes per record | one record for |
-| --- | --- | --- |
-| float32 | 16: 4 x float32 r, g, b, distance | each anchor |
-| float32_stripped | 18: uint16 index, 4 x float32 | each set anchor |
-| uint8_float16 | 5: 3 x uint8 colour, float16 distance | each anchor |
-| uint8_float16_stripped | 7: uint16 index, 3 x uint8, float16 | each set anchor |
-| uint8_float16_facing_stripped | 8: as before, int8 facing | each set anchor |
-
+All are little endian, see `METHODS`: 16, 18, 5, 7 and 8 bytes for each anchor or, with its index, for each set anchor.
 The last one is ours: what facing costs is one byte in eight, 0.6 kB for half of 1280 anchors. It is the cosine of
 `AnchorSurfaces` in steps of 1/127; 0 says that it is unknown or at a right angle, and a payload of zeros alone that
 nobody looked. The rest of the surfaces stays with the sender, since no estimator asks it.
@@ -20,8 +11,7 @@ of set anchors to what float16 can tell from 0 and from infinity, in all methods
 clipped, never wrapped, and dark anchors are kept, which the reference client drops.
 
 Decoding trusts nothing: a payload is either a legal cloud or a ValueError that names what is wrong and in which
-record. NumPy's structured types are used because a record is then written and read without a loop; packing by hand with
-`struct` was rejected as far slower for the same bytes.
+record. NumPy's structured types write and read records without a loop; `struct` was rejected as far slower.
 """
 
 from __future__ import annotations
@@ -62,6 +52,7 @@ class WireFormat:
 _INDEX = ("anchor", "<u2")
 _FLOAT32 = [("srgb", "<f4", (3,)), ("distance_m", "<f4")]
 _UINT8_FLOAT16 = [("srgb", "u1", (3,)), ("distance_m", "<f2")]
+_FACING = ("facing", "i1")
 
 METHODS: Mapping[EncodingMethod, WireFormat] = MappingProxyType(
     {
@@ -69,9 +60,7 @@ METHODS: Mapping[EncodingMethod, WireFormat] = MappingProxyType(
         "float32_stripped": WireFormat(np.dtype([_INDEX, *_FLOAT32]), is_stripped=True),
         "uint8_float16": WireFormat(np.dtype(_UINT8_FLOAT16), is_stripped=False),
         "uint8_float16_stripped": WireFormat(np.dtype([_INDEX, *_UINT8_FLOAT16]), is_stripped=True),
-        "uint8_float16_facing_stripped": WireFormat(
-            np.dtype([_INDEX, *_UINT8_FLOAT16, ("facing", "i1")]), is_stripped=True
-        ),
+        "uint8_float16_facing_stripped": WireFormat(np.dtype([_INDEX, *_UINT8_FLOAT16, _FACING]), is_stripped=True),
     }
 )
 
@@ -88,19 +77,12 @@ def _format_for(method: EncodingMethod, n_anchors: int) -> WireFormat:
 
 
 def encode_cloud(cloud: UnitSphereCloud, method: EncodingMethod = "uint8_float16_stripped") -> bytes:
-    """Write a cloud as bytes.
+    """Write a cloud of N anchors as bytes; N may be 0.
 
-    Parameters
-    ----------
-    cloud : N anchors, N may be 0
-    method : a key of `METHODS`
-
-    Returns
-    -------
     One record per anchor or, if stripped, per set anchor in rising order; empty where there is none. Distances of set
     anchors are clipped to [2^-24, 65504] m, 8-bit colours rounded to the nearest code. 8 bits are off by at most half a
-    code, half floats from 2^-14 m on by at most 2^-11 of the distance, float32 by nothing. Raises ValueError for an
-    unknown method, for more than 65,536 anchors in a stripped one, and for NaN.
+    code, half floats from 2^-14 m on by at most 2^-11 of the distance, float32 by nothing. ValueError for an unknown
+    method, for more than 65,536 anchors in a stripped one, and for NaN.
     """
     wire_format = _format_for(method, len(cloud))
     # The record checked its colours, but it views the caller's arrays, and those may have changed since.
@@ -143,23 +125,14 @@ def n_clamped_distances(cloud: UnitSphereCloud) -> int:
 def decode_cloud(
     payload: bytes | bytearray | memoryview, n_anchors: int, method: EncodingMethod = "uint8_float16_stripped"
 ) -> UnitSphereCloud:
-    """Read a cloud from bytes that anyone may have sent.
+    """Read a cloud of `n_anchors` from bytes that anyone may have sent.
 
-    Parameters
-    ----------
-    payload : records of `method`; stripped ones may come in any order. Empty is legal for stripped methods (nothing is
-        set) and otherwise only for 0 anchors
-    n_anchors : size of the lattice on both sides
-    method : a key of `METHODS`
+    Stripped records may come in any order. Empty is legal for stripped methods (nothing is set) and otherwise only for
+    0 anchors. Without an index, distance 0 means not set; a colour beside it is left out and counted. With one, the
+    record's presence says that the anchor is set, and distance 0 is a distance: other clients send it.
 
-    Returns
-    -------
-    UnitSphereCloud of `n_anchors`. Without an index, distance 0 means not set; a colour beside it is left out and
-    counted. With one, the record's presence says that the anchor is set, and distance 0 is a distance: other clients
-    send it.
-    Raises ValueError for a wrong length, an anchor out of range or repeated, a distance that is negative, infinite or
-    NaN, a float32 colour that is NaN or outside [0, 1], a facing of -128, an
-    unknown method, and more anchors than the method carries.
+    ValueError for a wrong length, an anchor out of range or repeated, a distance that is negative, infinite or NaN, a
+    float32 colour that is NaN or outside [0, 1], a facing of -128, an unknown method, and more anchors than it carries.
     """
     wire_format = _format_for(method, n_anchors)
     records = _records_of(payload, n_anchors, method)

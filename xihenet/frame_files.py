@@ -29,14 +29,10 @@ from xihenet.picture_size import MOST_POINTS, TooLarge, check_size, picked_pixel
 from xihenet.records import ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
 
 PLANE_DEPTH_CHANNELS = ("Depth.Z", "Depth.V", "Z")
-MOST_VALUES_BY_PACKAGE = 64_000_000
-"""Of all channels together, since the OpenEXR package unpacks them all: 16 megapixels of four channels."""
-
+MOST_VALUES_BY_PACKAGE = 64_000_000  # Of all channels, which the package unpacks together: 16 megapixels of four
 CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy", "world_from_camera", "convention", "up")
 LARGEST_SIDE = 1_000_000  # Pixels. No file has more, and products of two stay numbers that a float can hold.
-
 POSE_TOLERANCE = 1e-3  # Of a rotation's rows and columns, as poses are written with four digits
-
 BLENDER_FROM_OPENCV_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])
 BLENDER_FROM_UP: Mapping[str, ArrayF64] = {
     "z": np.eye(3),
@@ -51,17 +47,11 @@ BLENDER_FROM_UP: Mapping[str, ArrayF64] = {
 
 @dataclass(frozen=True, eq=False)
 class FrameCamera:
-    """What a camera file says, in Blender's axes.
+    """What a camera file says, in Blender's axes."""
 
-    Parameters
-    ----------
-    intrinsics : of either image of the frame, or of any other size that shows the same field
-    world_from_camera : (4, 4) float64
-    blender_from_file : (3, 3) what turns positions in the file's world into Blender's; the identity with +Z up
-    """
-
-    intrinsics: Intrinsics
-    world_from_camera: ArrayF64
+    intrinsics: Intrinsics  # of either image of the frame, or of any other size that shows the same field
+    world_from_camera: ArrayF64  # (4, 4)
+    # (3, 3) what turns positions in the file's world into Blender's; the identity with +Z up.
     blender_from_file: ArrayF64
 
 
@@ -177,19 +167,16 @@ def _pose(rows: Any) -> ArrayF64:
         raise ValueError("world_from_camera: expected finite numbers, got NaN or infinity")
     if not np.allclose(pose[3], [0, 0, 0, 1], rtol=0, atol=POSE_TOLERANCE):
         raise ValueError(f"world_from_camera: expected the last row 0 0 0 1, got {pose[3].tolist()}: transpose it?")
-    _check_rotation(pose[:3, :3])
-    return pose
-
-
-def _check_rotation(axes: ArrayF64) -> None:
-    error = float(np.abs(axes.T @ axes - np.eye(3)).max())
+    axes = pose[:3, :3]
+    skew = float(np.abs(axes.T @ axes - np.eye(3)).max())
     determinant = float(np.linalg.det(axes))
     if abs(determinant) < POSE_TOLERANCE:
         raise ValueError("world_from_camera: it is singular, its axes do not span space; expected a rotation")
-    if error > POSE_TOLERANCE:
-        raise ValueError(f"world_from_camera: expected a rotation without scale or shear, got an error of {error:.3g}")
+    if skew > POSE_TOLERANCE:
+        raise ValueError(f"world_from_camera: expected a rotation without scale or shear, got an error of {skew:.3g}")
     if determinant < 0:
         raise ValueError("world_from_camera: it mirrors; expected right-handed axes (negate one of them)")
+    return pose
 
 
 def _intrinsics_for(camera: Intrinsics, field: tuple[int, int], width: int, height: int) -> Intrinsics:
