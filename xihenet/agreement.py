@@ -9,9 +9,8 @@ more than two standard errors by chance. Chosen: two numbers of the whole pictur
   of squares of Student-distributed numbers. Sees what is missing in one place, or added in one and missing in another.
 
 The standard errors are those of independent seeds. With the same seeds on both sides the noise that both share drops
-out, and what is left is what the setting did: chance then fails a true agreement more rarely, and hides no difference
-that is larger than two standard errors. Rejected: errors of the paired differences, by which a millionth of the light
-counts as a difference, since it is missing at every seed.
+out: chance then fails a true agreement more rarely, and hides no difference larger than two standard errors. Rejected:
+errors of the paired differences, by which a missing millionth of the light counts, since it is so at every seed.
 """
 
 from __future__ import annotations
@@ -28,18 +27,11 @@ ROUNDING = 1e-6  # A difference this small, relative to the picture's mean, is r
 
 @dataclass(frozen=True)
 class Agreement:
-    """How two sets of pictures agree.
+    """How two sets of pictures agree."""
 
-    Parameters
-    ----------
-    relative_difference : of the mean over all pixels and channels, second less first, over the first
-    mean_errors : the largest difference of a channel's mean, in standard errors
-    block_errors : the block statistic, less what is expected without a difference, in its standard deviations
-    """
-
-    relative_difference: float
-    mean_errors: float
-    block_errors: float
+    relative_difference: float  # of the mean over all pixels and channels, second less first, over the first
+    mean_errors: float  # the largest difference of a channel's mean, in standard errors
+    block_errors: float  # the block statistic, less what is expected without a difference, in standard deviations
 
     @property
     def holds(self) -> bool:
@@ -53,7 +45,10 @@ def agreement(first: ArrayF32 | ArrayF64, second: ArrayF32 | ArrayF64) -> Agreem
     `first` and `second` are (S, H, W, 3) linear radiance of S seeds, S >= 4. ValueError for other shapes, or values
     that are not finite.
     """
-    _check(first, second)
+    if first.shape != second.shape or first.ndim != 4 or first.shape[-1] != 3 or len(first) < 4:
+        raise ValueError(f"agreement: expected two (S, H, W, 3) with S >= 4, got {first.shape} and {second.shape}")
+    if not (np.isfinite(first).all() and np.isfinite(second).all()):
+        raise ValueError("agreement: expected finite pictures, got NaN or infinity")
     sides = (first.astype(np.float64), second.astype(np.float64))
     scale = max(float(sides[0].mean()), float(sides[1].mean()))
     channels = [side.mean(axis=(1, 2)) for side in sides]
@@ -64,13 +59,6 @@ def agreement(first: ArrayF32 | ArrayF64, second: ArrayF32 | ArrayF64) -> Agreem
     relative = (sides[1].mean() - sides[0].mean()) / scale if scale > 0 else 0.0
     errors = np.abs(_differences_in_errors(channels[0], channels[1], scale)).max()
     return Agreement(float(relative), float(errors), float(excess))
-
-
-def _check(first: ArrayF32 | ArrayF64, second: ArrayF32 | ArrayF64) -> None:
-    if first.shape != second.shape or first.ndim != 4 or first.shape[-1] != 3 or len(first) < 4:
-        raise ValueError(f"agreement: expected two (S, H, W, 3) with S >= 4, got {first.shape} and {second.shape}")
-    if not (np.isfinite(first).all() and np.isfinite(second).all()):
-        raise ValueError("agreement: expected finite pictures, got NaN or infinity")
 
 
 def _block_means(pictures: ArrayF64) -> ArrayF64:

@@ -1,8 +1,7 @@
 """The chain of one session: unproject, sample, merge, trigger, encode, estimate, at every estimation position.
 
 `XiheController` holds all the state there is: the buffers, the last decision and the light in force of each position.
-Each stage is a function of its own file and is called here once. Capture comes before this chain, apply and compare
-after it; they belong to whoever has a camera and a picture.
+Capture comes before this chain, apply and compare after it; they belong to whoever has a camera and a picture.
 
 Paper: section 5 and its table of classes; section 4.3.2 for active positions.
 """
@@ -43,22 +42,14 @@ from xihenet.trigger import LastSeen, TriggerSettings, decide_trigger
 
 @dataclass(frozen=True)
 class ControllerSettings:
-    """How a session runs.
-
-    Parameters
-    ----------
-    trigger : when a new estimate is worth its cost
-    codec : wire format by which `payload_bytes` is counted; see `xihenet.codec`
-    nearest, table_size : how points find their anchor; see `AnchorLattice.nearest`
-    reference_exposure : the exposure that anchors and estimates carry; None takes the first frame's
-    following : how what is out of view follows a change of the light; None lets it be, as the paper does
-    """
+    """How a session runs."""
 
     trigger: TriggerSettings = field(default_factory=TriggerSettings)
-    codec: EncodingMethod = "uint8_float16_stripped"
-    nearest: NearestMethod = "exact"
+    codec: EncodingMethod = "uint8_float16_stripped"  # by which `payload_bytes` is counted
+    nearest: NearestMethod = "exact"  # how points find their anchor, see `AnchorLattice.nearest`
     table_size: tuple[int, int] = TABLE_SIZE
-    reference_exposure: float | None = None
+    reference_exposure: float | None = None  # that anchors and estimates carry; None takes the first frame's
+    # How what is out of view follows a change of the light; None lets it be, as the paper does.
     following: LightFollowing | None = field(default_factory=LightFollowing)
 
 

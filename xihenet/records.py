@@ -5,7 +5,6 @@ stated type and kept as read-only views; the caller's own array stays writable. 
 out of range raises ValueError with what was expected and what came.
 
 Frames of reference: Blender world, right-handed, +Z up, metres. Cameras look down -Z with +Y up.
-Not here: conversions between records, which belong to the stage that makes them.
 """
 
 from __future__ import annotations
@@ -128,17 +127,11 @@ class RgbdFrame:
 
 @dataclass(frozen=True, eq=False)
 class PixelGrid:
-    """How the points of a frame lie in its picture: point `row * width + column` is that of a pixel.
-
-    Parameters
-    ----------
-    height, width : of the picture in pixels, each at least 1
-    camera_m : (3,) float64, world, metres: from where the points were seen
-    """
+    """How the points of a frame lie in its picture: point `row * width + column` is that of a pixel."""
 
     height: int
     width: int
-    camera_m: ArrayF64
+    camera_m: ArrayF64  # (3,) world, metres: from where the points were seen
 
     def __post_init__(self) -> None:
         if self.height < 1 or self.width < 1:
@@ -251,9 +244,10 @@ class UnitSphereCloud:
             raise ValueError(f"UnitSphereCloud.surfaces: expected {n} anchors, got {len(self.surfaces)}")
 
     @classmethod
+    @functools.lru_cache(maxsize=8)  # Records are read-only, so one serves all.
     def empty(cls, n_anchors: int) -> UnitSphereCloud:
         """A cloud of `n_anchors` anchors of which none is set."""
-        return _empty_cloud(n_anchors)
+        return cls(np.zeros((n_anchors, 3), np.float32), np.zeros(n_anchors, np.float32), np.zeros(n_anchors, bool))
 
     def __len__(self) -> int:
         return len(self.is_set)
@@ -262,13 +256,6 @@ class UnitSphereCloud:
     def n_invalid_points(self) -> int:
         """Points of a frame that were left out."""
         return n_left_out(self.invalid)
-
-
-@functools.lru_cache(maxsize=8)
-def _empty_cloud(n_anchors: int) -> UnitSphereCloud:
-    """Records are read-only, so one serves all."""
-    distance_m = np.zeros(n_anchors, np.float32)
-    return UnitSphereCloud(np.zeros((n_anchors, 3), np.float32), distance_m, np.zeros(n_anchors, bool))
 
 
 @dataclass(frozen=True)
