@@ -38,27 +38,17 @@ _MARGIN = 4e-6
 
 @dataclass(frozen=True, eq=False)
 class AnchorTable:
-    """The finished table; `find` is all that it is for.
+    """The finished table; `find` is all that it is for."""
 
-    Parameters
-    ----------
-    directions : (n, 3) unit vectors
-    n_cells : cells along an edge of a layer
-    codes : (2 (n_cells + 1)^2,) unsigned; below n an anchor, otherwise n + the number of a list. First the layer above
-        the equator, then the one below. Each repeats its last row and column, so that x = 1 and y = 1 need no clipping
-    lists : (S, K) anchors in rising order, then the first again up to K; lists of two come first
-    n_pairs : how many lists have two anchors
-    pair_leads : (3, n_pairs) second anchor's direction minus the first's
-    longer_directions : (S - n_pairs, K, 3) directions of the anchors of the other lists
-    """
-
-    directions: ArrayF64
-    n_cells: int
+    directions: ArrayF64  # (n, 3) unit vectors
+    n_cells: int  # along an edge of a layer
+    # (2 (n_cells + 1)^2,) unsigned; below n an anchor, otherwise n + the number of a list. First the layer above the
+    # equator, then the one below. Each repeats its last row and column, so that x = 1 and y = 1 need no clipping.
     codes: NDArray[Any]
-    lists: ArrayInt
-    n_pairs: int
-    pair_leads: ArrayF64
-    longer_directions: ArrayF64
+    lists: ArrayInt  # (S, K) anchors in rising order, then the first again up to K; lists of two come first
+    n_pairs: int  # of lists with two anchors
+    pair_leads: ArrayF64  # (3, n_pairs) second anchor's direction minus the first's
+    longer_directions: ArrayF64  # (S - n_pairs, K, 3) directions of the anchors of the other lists
 
     def find(self, columns: ArrayF32 | ArrayF64, taxicab: ArrayF32) -> ArrayInt:
         """The nearest anchor of each direction, (P,).
@@ -112,22 +102,14 @@ class AnchorTable:
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """Cells of one level and, cell after cell, the anchors that can still win in them.
+    """Cells of one level and, cell after cell, the anchors that can still win in them."""
 
-    Parameters
-    ----------
-    layer, row, column : (C,) place of each cell; layer 1 is below the equator, row is along y and column along x
-    lengths : (C,) candidates per cell, at least 1
-    anchors : (M,) candidates of all cells, in rising order within a cell; M is the sum of `lengths`
-    scores : (2, 2, M) anchor . corner at the cell's corners, [row, column]
-    """
-
-    layer: ArrayInt
-    row: ArrayInt
-    column: ArrayInt
-    lengths: ArrayInt
-    anchors: ArrayInt
-    scores: ArrayF32
+    layer: ArrayInt  # (C,) 1 is below the equator
+    row: ArrayInt  # (C,) along y
+    column: ArrayInt  # (C,) along x
+    lengths: ArrayInt  # (C,) candidates per cell, at least 1
+    anchors: ArrayInt  # (M,) candidates of all cells, in rising order within a cell; M is the sum of `lengths`
+    scores: ArrayF32  # (2, 2, M) anchor . corner at the cell's corners, [row, column]
 
     def starts(self) -> ArrayInt:
         """(C,) where each cell's candidates begin."""

@@ -2,12 +2,11 @@
 
 A pinhole camera with separate focal lengths and any principal point (so lens shift and non-square pixels are covered),
 exposure and the sRGB transfer. Row 0 is the top row and pixel centres lie at +0.5; the camera looks down -Z with +Y up,
-so the sign of y flips here and nowhere else.
+so the sign of y flips here and nowhere else. The phone's ambient light sensor is here too: it only reads pictures.
 
 Chosen: a point for every pixel, NaN where the sensor saw nothing, so that point i is pixel i in every stage. Rejected:
-dropping invalid pixels, which costs a gather over the whole frame and hides how many there were.
-The ambient light sensor of the phone is here too: it only reads pictures, as the meter does (`metering`).
-Not here: lens distortion, rolling shutter. Paper: section 4.1.1, `GeneratePointCloud`.
+dropping invalid pixels, which costs a gather over the whole frame and hides how many there were. Not here: lens
+distortion, rolling shutter. Paper: section 4.1.1, `GeneratePointCloud`.
 """
 
 from __future__ import annotations
@@ -26,12 +25,8 @@ from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, PixelGrid, P
 from xihenet.records import Intrinsics as Intrinsics
 
 MISS_PLANE_DEPTH_M = 1e9  # At and beyond this a plane depth is a miss: Cycles writes 1e10 where no surface was hit
-
-NEGLIGIBLE_M = 1e-6
-"""What rounding a camera's place to float32 may cost: it stays below this within 16 m of the world's origin."""
-
-SMALLEST_VOLUME = 1e-12
-"""Of the box that a camera's axes of length 1 span; thinner ones are taken for flat, and cannot be inverted."""
+NEGLIGIBLE_M = 1e-6  # What rounding a camera's place to float32 costs stays below it within 16 m of the origin
+SMALLEST_VOLUME = 1e-12  # Of the box of a camera's axes of length 1; flatter ones cannot be inverted
 
 
 def valid_plane_depth(plane_depth_m: ArrayF32) -> ArrayBool:

@@ -1,11 +1,10 @@
 """How much of the light around a position has been seen?
 
-Two answers. Coverage is the share of anchors that are set: the paper's observation completeness, and what the trigger
-and the report use. Joint entropy, the paper's equation 1, also asks how evenly the points of a cloud are spread, at
-several scales at once, and compares clouds of the same size; it needs no sampled cloud.
-
-P of the equation is taken as the share of the points in an anchor's cell and sums to 1 for each number of anchors. One
-sum over all numbers together was rejected: it would weigh the scales by a constant that carries no information.
+Coverage is the share of anchors that are set: the paper's observation completeness, and what the trigger and the report
+use. Joint entropy, the paper's equation 1, also asks how evenly the points of a cloud are spread, at several scales at
+once, and compares clouds of the same size; it needs no sampled cloud. Its P is the share of the points in an anchor's
+cell and sums to 1 for each number of anchors. Rejected: one sum over all numbers together, which would weigh the scales
+by a constant that carries no information.
 """
 
 from __future__ import annotations

@@ -1,12 +1,10 @@
 """Effects, of light transport and of the phone: one record for each, and the planner that says which are simulated.
 
-A rule looks at what is known of a scene or a session and gives a `Requirement`: whether the effect is required, why,
-and what it is set to. `plan_effects` makes an `Effect` of that and of the user's choice; the results, the panel, the
-command line and the report all read this one record. An effect of light transport is a rule in
-`xihe_blender.light_transport.rules`; one of the phone is a `Section` with a `required_by`, named in
-`xihenet.phone.EFFECTS`.
-
-What is not known counts as required: leaving an effect out needs proof.
+A rule looks at what is known of a scene or a session and gives a `Requirement`. `plan_effects` makes an `Effect` of
+that and of the user's choice; the results, the panel, the command line and the report all read this one record. An
+effect of light transport is a rule in `xihe_blender.light_transport.rules`; one of the phone is a `Section` with a
+`required_by`, named in `xihenet.phone.EFFECTS`. What is not known counts as required: leaving an effect out needs
+proof.
 """
 
 from __future__ import annotations
@@ -32,20 +30,13 @@ class Change:
 
 @dataclass(frozen=True)
 class EffectCost:
-    """What one effect costs and does, measured.
+    """What one effect costs and does, measured."""
 
-    Parameters
-    ----------
-    time_share : render time with the effect over that without, less 1: 0.1 is 10 % slower; the median over the seeds
-    time_standard_error : of `time_share`; on a machine that is busy with other things it is large
-    light : of the light probe's mean radiance; None without an estimation position, or where no light arrives
-    picture : of the picture's mean radiance; None without a camera, or for a black picture
-    """
-
+    # Render time with the effect over that without, less 1: 0.1 is 10 % slower; the median over the seeds.
     time_share: float
-    time_standard_error: float
-    light: Change | None
-    picture: Change | None
+    time_standard_error: float  # of `time_share`; on a machine that is busy with other things it is large
+    light: Change | None  # of the light probe's mean radiance; None without an estimation position, or in the dark
+    picture: Change | None  # of the picture's mean radiance; None without a camera, or for a black picture
 
 
 @dataclass(frozen=True)
@@ -69,26 +60,15 @@ class Requirement:
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect of a run.
+    """One effect of a run."""
 
-    Parameters
-    ----------
-    name : as shown and as choices name it
-    state : "on" or "off"
-    reason : why, for a lighting artist
-    parameters : what Cycles is set to, or the numbers of the phone's profile; empty where nothing can be set
-    origin : "auto", or "user" for a choice
-    is_switchable : whether a choice has any effect
-    cost : None where it was not measured
-    """
-
-    name: str
+    name: str  # as shown and as choices name it
     state: State
-    reason: str
-    parameters: Mapping[str, Setting]
-    origin: Literal["auto", "user"] = "auto"
-    is_switchable: bool = True
-    cost: EffectCost | None = None
+    reason: str  # why, for a lighting artist
+    parameters: Mapping[str, Setting]  # of Cycles, or of the phone's profile; empty where nothing can be set
+    origin: Literal["auto", "user"] = "auto"  # "user" for a choice
+    is_switchable: bool = True  # whether a choice has any effect
+    cost: EffectCost | None = None  # None where it was not measured
 
 
 def plan_effects(required: Mapping[str, Requirement], choices: Mapping[str, str]) -> dict[str, Effect]:

@@ -31,9 +31,7 @@ COMPRESSIONS = (
 )  # fmt: skip
 """At the numbers that stand for them; newer ones are called by their number."""
 
-ROWS_IN_CHUNK = {"none": 1, "ZIPS": 1, "ZIP": 16}
-"""Rows that are stored together, for the compressions that can be read here."""
-
+ROWS_IN_CHUNK = {"none": 1, "ZIPS": 1, "ZIP": 16}  # Rows that are stored together, where they can be read here
 TILED, LONG_NAMES, DEEP, MULTI_PART = 0x200, 0x400, 0x800, 0x1000
 MAX_SHORT_NAME = 31
 LARGEST_UNPACKED, LARGEST_RATIO = 2**28, 100
@@ -81,18 +79,11 @@ def read_exr(
 ) -> dict[str, ArrayF32]:
     """Channels as (H, W) float32 by their full names, such as "ViewLayer.Combined.R"; row 0 is the top.
 
-    All parts come as one table: Blender 4.x writes all passes as one part, 5.x one part for each.
+    All parts come as one table: Blender 4.x writes all passes as one part, 5.x one part for each. Of `names`, those
+    that are not there are left out, None reads all; parts of more than `most_pixels` are thinned, see `picked_pixels`.
 
-    Parameters
-    ----------
-    names : the channels to read, None for all; those that are not there are left out
-    most_pixels : larger parts are thinned to so many, see `picked_pixels`
-
-    Raises
-    ------
-    OSError : if the file cannot be opened
-    OtherExr : if it is tiled, deep, subsampled or compressed otherwise than with ZIP
-    ValueError : if it is no OpenEXR file, is cut short, is broken or is a small file that holds gigabytes
+    OSError if the file cannot be opened; OtherExr if it is tiled, deep, subsampled or compressed otherwise than with
+    ZIP; ValueError if it is no OpenEXR file, is cut short, is broken or is a small file that holds gigabytes.
     """
     content = _content(path)
     with _errors_of(path):

@@ -24,9 +24,7 @@ from xihenet.records import ArrayF32, ArrayF64, ArrayU8
 IMAGE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM")
 """Those that take no more than ten bytes a pixel to read (a progressive JPEG); WebP takes sixteen."""
 
-START_OF_SCAN, MOST_SCANS = b"\xff\xda", 64
-"""Encoders make some ten; files of several pictures, as phones store them, have theirs together."""
-
+START_OF_SCAN, MOST_SCANS = b"\xff\xda", 64  # Encoders make some ten; phones' files of several pictures have more
 PIXELS_IN_STRIP, MOST_ROWS_IN_STRIP = 2**19, 128
 LINEAR_BY_BYTE = srgb_to_linear(np.arange(256) / 255).astype(np.float32)
 NONE_IN_16_BITS = 65535

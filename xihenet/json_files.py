@@ -11,8 +11,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-LONGEST_WHOLE_NUMBER = 308
-"""Characters, sign included: a float can hold any such number. Longer ones are read as floats, perhaps infinite."""
+LONGEST_WHOLE_NUMBER = 308  # Characters, sign included. Longer ones are read as floats, perhaps infinite.
 
 
 def parse_json(text: str) -> Any:

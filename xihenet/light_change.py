@@ -22,22 +22,14 @@ import numpy as np
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.records import ArrayF32, ArrayF64, UnitSphereCloud
 
+# A channel is asked where the brighter of its two values lies between: linear light, 1 is where pictures clip.
 BRIGHTEST, DARKEST = 0.95, 0.01
-"""A channel is asked where the brighter of its two values lies between: linear light, 1 is where pictures clip."""
-
 ENCODED_BRIGHTEST, ENCODED_DARKEST = (float(linear_to_srgb(np.array(light))) for light in (BRIGHTEST, DARKEST))
 
-DARK_LIGHT = 1 / 512
-"""Added on both sides of a ratio that is judged: dark surfaces, whose ratio is noise, count as little changed."""
-
-FIRST_CODE = 1 / (255 * 12.92)
-"""Added to a ratio that is followed, which `DARK_LIGHT` would draw to 1: a lamp that goes out leaves codes of 0."""
-
+DARK_LIGHT = 1 / 512  # Added on both sides of a judged ratio: dark surfaces, which are noise, count as little changed
+FIRST_CODE = 1 / (255 * 12.92)  # Added to a followed ratio, which DARK_LIGHT would draw to 1: lamps that go out leave 0
 UNCHANGED_STOPS = 0.25  # A surface that changed by less may as well have kept its light
-
-SURELY_UNCHANGED = 0.05
-"""Share of its encoded colour by which what changes by less is unchanged: a quarter of a stop is 7 % or more."""
-
+SURELY_UNCHANGED = 0.05  # Of its encoded colour: what changes by less is unchanged; a quarter of a stop is 7 % or more
 ROUNDED_UP = 1 + 1e-12  # Shares that are just enough are so in whatever order they are worked out
 
 

@@ -2,12 +2,11 @@
 
 The spheres are a mirror, matte silver (roughness 0.3271) and grey diffuse, seen by an orthographic camera that looks
 horizontally along +Y: +X is to the right, +Z is up, and the mirror's centre shows what lies behind the camera, at -Y.
+Every sphere reflects all light (no tint, no loss, no shadow): constant light of radiance L shows L everywhere, and
+the three differ only in how far they spread light.
+
 What each pixel shows is a linear function of the nine coefficients, so the whole picture is one matrix product, fast
 enough for a metric over thousands of lights. Rejected: rendering the spheres, which needs a renderer and has noise.
-
-Every sphere reflects all light (no tint, no loss, no shadow): constant light of radiance L shows L everywhere, and
-the three differ only in how far they spread light. Not here: bands above the second, and the pictures' errors, which
-`xihenet.metrics` measures.
 """
 
 from __future__ import annotations
@@ -25,10 +24,7 @@ from xihenet.sh_basis import basis, checked_sh, per_coefficient
 
 SPHERES = ("mirror", "matte silver", "grey diffuse")
 SILVER_ROUGHNESS = 0.3271  # Of the usual three-sphere protocol
-
-BACKGROUND = 0.21
-"""sRGB-encoded grey around the pictures: dark enough for dim light, bright enough for black to stand out."""
-
+BACKGROUND = 0.21  # sRGB grey around the pictures: dark enough for dim light, bright enough for black to stand out
 VIEW = np.array([0.0, 1.0, 0.0])
 ORDER = 2
 N_LOBE_NODES = 128

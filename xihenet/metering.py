@@ -9,8 +9,8 @@ gain by the mean and then lets "constraints" on quantiles of the histogram corre
 (utils/raspberrypi/ctt/ctt_pisp.py) is an upper bound: between the quantiles 0.98 and 1 the mean is at most 0.8 of
 white. At most 1.6 % of a picture can then be clipped. Makers of phones publish no numbers.
 
-Ours, and not libcamera's: a pixel counts by its brightest channel, since a colour that clips in one channel is lost
-too; its lower bound (0.5 for the same pixels), which brightens dull pictures, is left out; and exposure is lowered by
+Ours, and not libcamera's: a pixel counts by its brightest channel, since what clips in one channel is lost too; the
+lower bound (0.5 for the same pixels), which brightens dull pictures, is left out; and exposure is lowered by
 `MOST_STOPS` at most. Rejected: no such limit, as a sun or a window that fills a twentieth of the picture would black
 out the room; and setting aside what is far beyond white, as then more light could ask for more exposure.
 """
@@ -28,9 +28,7 @@ from xihenet.records import ArrayF32, ArrayF64
 Metering = Literal["highlights", "key"]
 METERINGS: tuple[Metering, ...] = get_args(Metering)
 
-KEY_LUMINANCE = 0.12
-"""Metering brings a session's luminance here. Meters are calibrated for 12 to 18 %; the low end spares lamps."""
-
+KEY_LUMINANCE = 0.12  # Of a session. Meters are calibrated for 12 to 18 %; the low end spares lamps.
 DARKEST = 1 / 20  # Of the key: what is darker counts as this dark to the meter. It is code 18 of 255 in the picture.
 
 BRIGHTEST_SHARE, BRIGHTEST_MEAN = 0.02, 0.8
@@ -41,9 +39,7 @@ MOST_STOPS = 2
 seven example scenes this leaves 12 % clipped of 34 %. A stop more leaves 2 %, in pictures that no phone would show."""
 
 BISECTIONS = 60  # Of the key: all that float64 can hold of it
-
 SMALLEST_KEY = 1e-300  # A darker session has no light to meter, and its exposure would not fit a float
-
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Of linear Rec.709, ITU-R BT.709
 
 

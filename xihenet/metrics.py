@@ -50,19 +50,12 @@ class AngularError:
 
     A black pixel has no hue. It is left out of the mean and counted, so that a prediction that is black in places
     cannot pass as right there.
-
-    Parameters
-    ----------
-    mean_deg : weighted mean over the pixels where both colours have a direction; None if there are none
-    n_pixels : pixels with a weight above 0, black ones included
-    n_black_prediction : of these, pixels whose prediction is black and whose truth is not
-    n_black_truth : of these, pixels whose truth is black, whatever the prediction
     """
 
-    mean_deg: float | None
-    n_pixels: int
-    n_black_prediction: int
-    n_black_truth: int
+    mean_deg: float | None  # weighted mean over the pixels where both colours have a direction; None without any
+    n_pixels: int  # with a weight above 0, black ones included
+    n_black_prediction: int  # of these, pixels whose prediction is black and whose truth is not
+    n_black_truth: int  # of these, pixels whose truth is black, whatever the prediction
 
 
 def shc_rmse(a: ArrayLike, b: ArrayLike) -> float:

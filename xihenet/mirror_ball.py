@@ -8,8 +8,6 @@ picture are sampled evenly in polar angle instead: a lamp above a table had up t
 Pixels within RIM of the rim are not looked at. They lie in part outside of the ball; and Cycles, which takes the
 footprint of a ray from its neighbours, finds none there: textures and bumps below came out black, which was 1 to 3 % of
 the light above a table. What they would see, straight down, is taken from the pixels just inside.
-
-Not here: panoramas, which pictures and files are in; see `panorama`.
 """
 
 from __future__ import annotations
@@ -25,10 +23,7 @@ from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt
 from xihenet.sh_basis import basis
 
 FINEST = 2048  # Cells along a side, at the most, in which a pixel's mean of a basis function is taken
-
-RIM = 1.5
-"""Pixels between the rim and the middle of the outermost pixel that counts: its whole neighbour lies on the ball."""
-
+RIM = 1.5  # Pixels from the rim to the middle of the outermost one that counts: its whole neighbour lies on the ball
 CELLS = 8  # The same along a pixel's side, where the picture is small
 
 

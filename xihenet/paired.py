@@ -30,22 +30,14 @@ T_975 = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 
 
 @dataclass(frozen=True)
 class PairedDifference:
-    """How much the first of two methods has more than the second.
+    """How much the first of two methods has more than the second."""
 
-    Parameters
-    ----------
-    mean : of first - second over pairs
-    low, high : of the 95 % confidence interval of that mean; None for a single pair
-    n_pairs, n_groups : that it stands on; one group says nothing of others
-    share_lower : of the pairs in which the first is lower
-    """
-
-    mean: float
-    low: float | None
+    mean: float  # of first - second over pairs
+    low: float | None  # of the 95 % confidence interval of that mean; None for a single pair
     high: float | None
     n_pairs: int
-    n_groups: int
-    share_lower: float
+    n_groups: int  # one says nothing of others
+    share_lower: float  # of the pairs in which the first is lower
 
     @property
     def is_clear(self) -> bool:
@@ -66,15 +58,9 @@ def paired_difference(
 ) -> PairedDifference:
     """The mean difference of `first` and `second`, and its 95 % confidence interval.
 
-    Parameters
-    ----------
-    first, second : (P,) values of the same P things, finite
-    groups : (P,) which of them belong together. With one group alone pairs are drawn instead
-    rng : draws; the same seed gives the same interval
-
-    Raises
-    ------
-    ValueError for lengths that differ, no pair at all, or values that are not finite
+    All are of the same P things: finite values, and which `groups` belong together; with one group alone pairs are
+    drawn instead. The same seed of `rng` gives the same interval. ValueError for lengths that differ, no pair at all,
+    or values that are not finite.
     """
     a, b = np.asarray(first, np.float64), np.asarray(second, np.float64)
     if not len(a) == len(b) == len(groups) or not len(a):

@@ -3,11 +3,11 @@
 Convention: row 0 is straight up (+Z). From the left edge to the right the columns look along -Y, -X, +Y (the middle),
 +X and -Y again: what lies to the right of the middle is +X, as in Blender's upright equirectangular camera.
 
-Projection integrates every basis function over every texel instead of sampling it at the texel's centre. Samples
-weighted by solid angle leak: of a constant light in 8 rows, 1.5 % of the l = 0 coefficient turns up in l = 2. The
-integrals of all texels add up to the integral over the sphere by construction, so constant light is exact at any size,
-1 x 1 included. In azimuth the integral is elementary. In the polar angle each function times the area element
-is a trigonometric polynomial of degree order + 1: its Fourier series is finite and is integrated term by term.
+Projection integrates every basis function over every texel. Samples at the centres, weighted by solid angle, leak: of a
+constant light in 8 rows, 1.5 % of the l = 0 coefficient turns up in l = 2. The integrals of all texels add up to that
+over the sphere by construction, so constant light is exact at any size, 1 x 1 included. In azimuth the integral is
+elementary; in the polar angle each function times the area element is a trigonometric polynomial of degree order + 1,
+whose Fourier series is finite and is integrated term by term.
 """
 
 from __future__ import annotations

@@ -1,12 +1,10 @@
-"""Which choices are worth considering, when each has an error and a cost?
+"""Which choices are worth considering, when each has an error and a cost? Both are better the smaller they are.
 
 A choice is dominated if another is no worse in both and better in one; those that are not form the front. Ties stay
 together: two choices of equal error and equal cost are both on it, or both off. The front is that of the plain numbers,
 with no tolerance, so that anyone who has them finds the same one. How far it can be trusted is a question of its own:
 `front_share` measures it again and again on resampled measurements, and `flickering` compares whole runs. Rejected: a
 margin within which choices count as equal, which makes being on the front depend on a number that nobody has measured.
-
-Both errors and costs are better the smaller they are. Nothing here knows what they are of.
 """
 
 from __future__ import annotations
@@ -55,15 +53,9 @@ def front_share(
 ) -> ArrayF64:
     """In what share of resampled measurements each choice is on the front: near 0 or 1 for one that does not flicker.
 
-    Parameters
-    ----------
-    square_errors : (P, C) squared error of each choice at P places; a choice's error is the root of their mean
-    costs : (R, C) cost of each choice in R rounds; a choice's cost is the median
-    rng : rounds and places are drawn with replacement, whole: what disturbs a round disturbs all choices alike
-
-    Returns
-    -------
-    (C,) 0 to 1. ValueError without a place, a round or a resample, and for NaN.
+    A choice's error is the root of the mean of its squared errors (P, C) at P places, its cost the median of (R, C)
+    over R rounds. Rounds and places are drawn with replacement, whole: what disturbs a round disturbs all choices
+    alike. (C,) 0 to 1. ValueError without a place, a round or a resample, and for NaN.
     """
     squares, rounds = np.asarray(square_errors, np.float64), np.asarray(costs, np.float64)
     if squares.ndim != 2 or rounds.ndim != 2 or squares.shape[1] != rounds.shape[1]:

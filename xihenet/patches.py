@@ -1,14 +1,13 @@
 """The patch of surface that a pixel shows: where it ends, how it is turned, and which points lie on it.
 
 From a position just above a table that the camera sees at a flat angle, neighbouring pixels lie farther apart than
-anchors do, and the floor shows between them. So pixels that are sparse among the anchors are taken for what they are,
-pieces of surface that reach half-way to their neighbours, and are cut into points as densely as the anchors ask. Each
-point has its pixel's colour.
+anchors do, and the floor shows between them. So pixels that are sparse among the anchors are taken for pieces of
+surface that reach half-way to their neighbours, and are cut into points of their colour as densely as the anchors ask.
 
 Which pixels? Those that are the nearest of their anchor and alone in its cell, along a row or a column of the picture,
-beside another such one. This asks the anchors that are found anyway and knows neither metres nor the lens; elsewhere
-nothing is changed. A sparse pixel behind the nearest one of its cell has no patch: in seven rooms as good as no more
-leaked without those (0.1 % of the anchors at most), for half of the cost.
+beside another such one. This knows neither metres nor the lens, and changes nothing elsewhere. A sparse pixel behind
+the nearest one of its cell has no patch: in seven rooms as good as no more leaked without those (0.1 % of the anchors
+at most), for half of the cost.
 
 What is one surface? Over the pixels of a plane the inverse of the distance to the camera is linear (along the optical
 axis exactly, along the ray nearly, over three pixels). So two neighbours are on one surface if a third beside them, on
@@ -20,11 +19,9 @@ two surfaces stays unknown. Pixels without a usable point pass on no side, and a
 Rejected: an upsampled depth image, which costs as much for what is far, where nothing is gained; and quads between four
 pixels, which lose half a pixel along every edge, and there the leaks are. Not in the paper.
 
-Patches cost more than was aimed at, 1.25 times the time of unprojecting and sampling without them: on 2026-11-22, with
-256x192 pixels and 1280 anchors, 1.5 to 1.7 times in eight views of two furnished scenes and 1.4 in a noisy box (minima
-of interleaved repetitions; `addon_tests/bench/steps.py` prints such ratios). Fitting takes a quarter of it, what the
-anchors show another, cutting and the competition of the cut points the rest: many small calls of NumPy on some 700
-pixels, of which no single one stands out.
+Aimed at was 1.25 times the time of unprojecting and sampling without patches. It is 1.5 to 1.7 times in eight views of
+two furnished scenes and 1.4 in a noisy box (2026-11-22, 256x192 pixels, 1280 anchors, minima of interleaved
+repetitions; `addon_tests/bench/steps.py` prints such ratios): many small calls of NumPy, none of which stands out.
 """
 
 from __future__ import annotations
@@ -41,52 +38,31 @@ POINT_GAP = 0.7
 0.5 costs twice the points and left as many leaks in seven rooms."""
 
 MOST_ALONG = 32  # Points along one side of a patch, at most
-
-SAME_SURFACE = 0.25, 0.003
-"""How far a third pixel may be off the line of two: share of their difference, and share of the inverse distance."""
-
-LEVEL_SHARE = 0.25
-"""Of the height by which a step along the ray would differ: two pixels closer in height are on one level surface."""
-
-NEAREST_M, FARTHEST_M = 1e-6, 1e6
-"""Patches are made of points between these distances; float32 can hold the fourth powers that are needed."""
+SAME_SURFACE = 0.25, 0.003  # A third pixel off the line of two: share of their difference, of the inverse distance
+LEVEL_SHARE = 0.25  # Of the height by which a step along the ray would differ: closer in height is one level surface
+NEAREST_M, FARTHEST_M = 1e-6, 1e6  # Patches are of points between; float32 can hold the fourth powers that are needed
 
 
 @dataclass(frozen=True, eq=False)
 class SeenGrid:
-    """The points of one picture as seen from a position.
-
-    Parameters
-    ----------
-    grid : how they lie in the picture
-    columns : (3, P) x, y and z relative to the position
-    distance_m : (P,) from the position, infinite for points that cannot be used
-    camera : (3,) the camera relative to the position
-    has_holes : some points cannot be used, or are farther than FARTHEST_M
-    """
+    """The points of one picture as seen from a position."""
 
     grid: PixelGrid
-    columns: ArrayF32
-    distance_m: ArrayF32
-    camera: ArrayF32
-    has_holes: bool
+    columns: ArrayF32  # (3, P) x, y and z relative to the position
+    distance_m: ArrayF32  # (P,) from the position, infinite for points that cannot be used
+    camera: ArrayF32  # (3,) relative to the position
+    has_holes: bool  # some points cannot be used, or are farther than FARTHEST_M
 
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """The patches of Q pixels, in metres relative to the position.
+    """The patches of Q pixels, in metres relative to the position."""
 
-    Parameters
-    ----------
-    centre : (3, Q) the pixels' points
-    to_border : (2, 3, 2, Q) from there to the pixel's borders: first those to the left and above, then those to the
-        right and below; 0 along an axis of the picture on which no neighbour is of the same surface
-    is_edge : (Q,) on some side of the pixel no neighbour is of the same surface
-    """
-
-    centre: ArrayF32
+    centre: ArrayF32  # (3, Q) the pixels' points
+    # (2, 3, 2, Q) from there to the pixel's borders: first those to the left and above, then those to the right and
+    # below; 0 along an axis of the picture on which no neighbour is of the same surface.
     to_border: ArrayF32
-    is_edge: ArrayBool
+    is_edge: ArrayBool  # (Q,) on some side of the pixel no neighbour is of the same surface
 
     def chosen(self, which: ArrayInt) -> Patches:
         """Those of these numbers."""

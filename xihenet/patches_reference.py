@@ -15,22 +15,13 @@ from xihenet.records import AnchorSurfaces, ArrayBool, ArrayF64, ArrayInt, Pixel
 
 @dataclass(frozen=True, eq=False)
 class PlainPicture:
-    """The P points of a picture, relative to the position.
-
-    Parameters
-    ----------
-    grid : how they lie in the picture
-    points : (P, 3)
-    is_usable : (P,) neither at the position nor without a place or a colour
-    anchors : (P,) nearest to each
-    camera : (3,) relative to the position
-    """
+    """The P points of a picture, relative to the position."""
 
     grid: PixelGrid
-    points: ArrayF64
-    is_usable: ArrayBool
-    anchors: ArrayInt
-    camera: ArrayF64
+    points: ArrayF64  # (P, 3)
+    is_usable: ArrayBool  # (P,) neither at the position nor without a place or a colour
+    anchors: ArrayInt  # (P,) nearest to each
+    camera: ArrayF64  # (3,)
 
     def patch_points(self, winners: ArrayInt) -> list[tuple[int, ArrayF64]]:
         """The points of all patches that are cut, each with its pixel.

@@ -15,12 +15,9 @@ import numpy as np
 from xihenet.records import ArrayInt
 
 MOST_PIXELS = 50_000_000  # Of a picture that is read: the 48 megapixels that phones store are below it
-
 LONGEST_SIDE = 65_535
 MOST_POINTS = 2**21  # Pixels of a frame: full HD stays whole, anything larger is thinned to so many
-
-SAME_ASPECT = 0.01
-"""Sizes whose ratios of width to height differ by less show the same field: rounding moves 256x144 by 0.4 %."""
+SAME_ASPECT = 0.01  # Ratios of width to height that differ by less show one field: rounding moves 256x144 by 0.4 %
 
 
 class TooLarge(ValueError):

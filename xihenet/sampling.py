@@ -2,16 +2,13 @@
 
 Unit-sphere sampling, the paper's choice: every point is projected to the unit sphere around the position, goes to its
 nearest anchor, and the nearest point wins the anchor, since it hides what lies behind it. Distance and colour of an
-anchor always come from one and the same point. `sample_unit_sphere_reference` is the same in a readable loop.
-
-Where points are the pixels of a picture and lie sparser than the anchors, as on a table at a flat angle, the patches
-of surface that they show compete as well, cut into points: see `patches`. All else is sampled as if there were none.
+anchor always come from one and the same point. `sample_unit_sphere_reference` is the same in a readable loop. Where the
+pixels of a picture lie sparser than the anchors, as on a table at a flat angle, the patches of surface that they show
+compete as well, cut into points: see `patches`. All else is sampled as if there were none.
 
 Distance and point number are packed into one 64-bit key, so that a single minimum per anchor yields the winner, and
-points that are equally near are told apart by their number. Sorting by distance was rejected: it takes longer than
-all the rest.
-
-Uniform random and farthest-point sampling are here as the paper's baselines. Not here: merging with earlier frames.
+points that are equally near are told apart by their number. Rejected: sorting by distance, which takes longer than all
+the rest. Uniform random and farthest-point sampling are here as the paper's baselines, merging is not.
 """
 
 from __future__ import annotations
@@ -49,30 +46,17 @@ def sample_unit_sphere(
     method: NearestMethod = "exact",
     table_size: tuple[int, int] = TABLE_SIZE,
 ) -> UnitSphereCloud:
-    """Give each anchor the colour and the distance of the nearest point in its direction.
+    """Give each anchor the colour and the ray distance of the nearest point in its direction.
 
-    Parameters
-    ----------
-    cloud : points in the world frame
-    position_m : (3,) finite, world frame, metres: where the light is wanted
-    lattice : the anchors
-    method, table_size : how the nearest anchor is found, see `AnchorLattice.nearest`
+    The cloud's points and `position_m` (3,), where the light is wanted, are in the world frame, metres; ValueError
+    unless the position is finite. `method` and `table_size` as of `AnchorLattice.nearest`.
 
-    Returns
-    -------
-    UnitSphereCloud with ray distances from the position, and with `surfaces` if the cloud has a grid. Points that are
-    NaN or infinite, that lie at the position itself, whose distance overflows float32, or whose colour is NaN or
-    infinite are left out and counted. Of points with the same distance in float32 the first one wins. Colours are
-    clipped to [0, 1].
+    With `surfaces` if the cloud has a grid. Points that are NaN or infinite, that lie at the position itself, whose
+    distance overflows float32, or whose colour is NaN or infinite are left out and counted. Of points with the same
+    distance in float32 the first one wins. Colours are clipped to [0, 1].
 
-    Notes
-    -----
     Distances are within 4e-7 of their size plus 2^-48 of the position's distance from the origin (1e-11 m at 10 km)
     plus the step of the smallest float32, 1e-45 m; a point nearer than that may pass for one at the position itself.
-
-    Raises
-    ------
-    ValueError : if the position is not three finite numbers
     """
     position = checked_position(position_m)
     columns = _relative_columns(cloud.points_m, position)
@@ -176,12 +160,8 @@ def sample_uniform(cloud: PointCloud, n: int, rng: np.random.Generator) -> Point
 def sample_farthest(cloud: PointCloud, n: int, rng: np.random.Generator) -> PointCloud:
     """`n` points of which each is the farthest from those before it, the first at random; all if there are no more.
 
-    Points and colours that are NaN or infinite are left out. Needs the package `fpsample`.
-
-    Raises
-    ------
-    ValueError : for a negative `n`
-    ImportError : without `fpsample`, naming the extra that brings it
+    Points and colours that are NaN or infinite are left out. ValueError for a negative `n`; ImportError without the
+    package `fpsample`, naming the extra that brings it.
     """
     try:
         import fpsample
