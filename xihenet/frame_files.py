@@ -88,7 +88,11 @@ def read_frame(
         raise ValueError(f"{path} is no OpenEXR file: a colour image needs a 16-bit image of plane depth as well")
     if not (np.isfinite(depth_scale) and depth_scale > 0):
         raise ValueError(f"depth scale: expected a positive number of metres per unit, got {depth_scale}")
-    return _image_frame(path, plane_depth, depth_scale, camera, 1.0 if exposure is None else exposure)
+    plane_depth_m, field = read_plane_depth(plane_depth, depth_scale)
+    srgb_u8 = read_colour(path, plane_depth, field, *plane_depth_m.shape)
+    fix = "0 and, in 16 bits, 65535 stand for none, check the image"
+    taken_with = 1.0 if exposure is None else exposure
+    return _frame(srgb_u8, sound_plane_depth(plane_depth_m), field, camera, taken_with, plane_depth, fix)
 
 
 def read_camera(path: Path) -> FrameCamera:
@@ -291,12 +295,3 @@ def _frame_channels(channels: Mapping[str, object], path: Path) -> tuple[list[st
 def _found(channels: Mapping[str, object]) -> str:
     names = sorted(channels)
     return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
-
-
-def _image_frame(
-    colour_path: Path, plane_depth_path: Path, depth_scale: float, camera: FrameCamera, exposure: float
-) -> RgbdFrame:
-    plane_depth_m, field = read_plane_depth(plane_depth_path, depth_scale)
-    srgb_u8 = read_colour(colour_path, plane_depth_path, field, *plane_depth_m.shape)
-    fix = "0 and, in 16 bits, 65535 stand for none, check the image"
-    return _frame(srgb_u8, sound_plane_depth(plane_depth_m), field, camera, exposure, plane_depth_path, fix)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,8 @@ from xihenet.colour import srgb_to_linear
 from xihenet.picture_size import MOST_PIXELS, MOST_POINTS, TooLarge, check_size, picked_pixels, same_field
 from xihenet.records import ArrayF32, ArrayF64, ArrayU8
 
+# Those that take no more than ten bytes a pixel to read (a progressive JPEG); WebP takes sixteen.
 IMAGE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM")
-"""Those that take no more than ten bytes a pixel to read (a progressive JPEG); WebP takes sixteen."""
 
 START_OF_SCAN, MOST_SCANS = b"\xff\xda", 64  # Encoders make some ten; phones' files of several pictures have more
 PIXELS_IN_STRIP, MOST_ROWS_IN_STRIP = 2**19, 128
@@ -34,14 +34,11 @@ ORIENTATION_TAG = 0x0112
 def read_plane_depth(path: Path, depth_scale: float) -> tuple[ArrayF32, tuple[int, int]]:
     """Plane depth (H, W) of a grey image of 16 or 32 bits, and the width and height of the whole image.
 
-    0 where there is none; thinned where there are more than MOST_POINTS. Raises as `_loaded`.
+    0 where there is none; thinned where there are more than MOST_POINTS. Raises as `_loading`.
     """
-
-    def check(image: Any) -> None:
+    with _loading(path) as image:
         if not image.mode.startswith("I"):
             raise ValueError(f"{path}: expected a grey image of 16 bits, got pixels of mode {image.mode}")
-
-    image = _loaded(path, check)
     rows, columns = picked_pixels(image.height, image.width, MOST_POINTS)
     picked, top = [], 0
     for strip in _strips(image):
@@ -57,11 +54,10 @@ def read_plane_depth(path: Path, depth_scale: float) -> tuple[ArrayF32, tuple[in
 def read_colour(path: Path, beside: Path, field: tuple[int, int], height: int, width: int) -> ArrayU8:
     """(height, width, 3) sRGB of an image of the same field as `beside`, which has `field` (width, height) pixels.
 
-    Grey becomes equal channels, alpha is left out, and of 16 bits the upper 8 are taken. Raises as `_loaded`, and
+    Grey becomes equal channels, alpha is left out, and of 16 bits the upper 8 are taken. Raises as `_loading`, and
     ValueError for another ratio of width to height.
     """
-
-    def check(image: Any) -> None:
+    with _loading(path) as image:
         if image.mode.startswith(("I", "F")):
             raise ValueError(f"{path}: expected a colour image of 8 bits, got pixels of mode {image.mode}")
         if not same_field(image.width, image.height, *field):
@@ -69,8 +65,6 @@ def read_colour(path: Path, beside: Path, field: tuple[int, int], height: int, w
                 f"{path} has {image.width}x{image.height} pixels and {beside} {field[0]}x{field[1]}: "
                 "expected the same ratio of width to height, of one field of view"
             )
-
-    image = _loaded(path, check)
     if image.size == (width, height):
         return np.asarray(image.convert("RGB"))
     strips = (LINEAR_BY_BYTE[strip] for strip in _strips(image, "RGB"))
@@ -116,8 +110,9 @@ def _averaged_rows(image: NDArray[Any], n_rows: int) -> ArrayF64:
     return np.diff(at_edges, axis=0) * (n_rows / len(image))
 
 
-def _loaded(path: Path, check: Callable[[Any], None]) -> Any:
-    """The picture in memory, once `check` has seen its header.
+@contextlib.contextmanager
+def _loading(path: Path) -> Iterator[Any]:
+    """A picture of which the block may judge the header; its pixels are in memory after it.
 
     OSError if the file cannot be opened; ImportError without Pillow; ValueError if it is no image, is cut short, has
     too many pixels, or is stored turned.
@@ -132,7 +127,7 @@ def _loaded(path: Path, check: Callable[[Any], None]) -> Any:
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             image = Image.open(content, formats=IMAGE_FORMATS)
         check_size(path, image.height, image.width)
-        check(image)
+        yield image
         # Each scan of a progressive JPEG goes over all pixels, and an empty one takes ten bytes.
         if image.format in ("JPEG", "MPO") and path.read_bytes().count(START_OF_SCAN) > MOST_SCANS:
             raise ValueError(f"{path}: it has more than {MOST_SCANS} scans: save it as a plain JPEG")
@@ -141,7 +136,6 @@ def _loaded(path: Path, check: Callable[[Any], None]) -> Any:
             orientation = image.getexif().get(ORIENTATION_TAG, 1)
     if orientation != 1:
         raise ValueError(f"{path} is stored turned, as its EXIF orientation says: save it upright and without the mark")
-    return image
 
 
 @contextlib.contextmanager
