@@ -28,28 +28,23 @@ ArrayInt = NDArray[np.intp]
 TriggerReason = Literal["first", "colour", "coverage", "none"]
 
 
-def _checked(name: str, values: ArrayLike, dtype: Any, shape: tuple[int | None, ...]) -> NDArray[Any]:
-    """A read-only view of `values` as `dtype`; None in `shape` stands for any length."""
-    if isinstance(values, np.ndarray) and values.dtype == dtype:
-        array = values
-    else:
-        with np.errstate(over="ignore"):  # What float32 cannot hold becomes infinite, which each record judges.
-            array = np.asarray(values, dtype=dtype)
-    if array.ndim != len(shape) or any(
-        want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
-    ):
-        expected = "(" + ", ".join("any" if want is None else str(want) for want in shape) + ")"
-        raise ValueError(f"{name}: expected an array of shape {expected}, got {array.shape}")
-    view = array.view()
-    view.flags.writeable = False
-    return view
-
-
 def _keep(record: object, dtype: Any, **shapes: tuple[int | None, ...]) -> None:
-    """Check and convert arrays of a frozen dataclass while it is being made; `shapes` by name as for `_checked`."""
+    """Check arrays of a record while it is made, and keep read-only views as `dtype`; None in a shape is any length."""
     for name, shape in shapes.items():
-        array = _checked(f"{type(record).__name__}.{name}", getattr(record, name), dtype, shape)
-        object.__setattr__(record, name, array)
+        array = getattr(record, name)
+        if not (isinstance(array, np.ndarray) and array.dtype == dtype):
+            with np.errstate(over="ignore"):  # What float32 cannot hold becomes infinite, which each record judges.
+                array = np.asarray(array, dtype=dtype)
+        if array.ndim != len(shape) or any(
+            want not in (None, got) for want, got in zip(shape, array.shape, strict=True)
+        ):
+            expected = "(" + ", ".join("any" if want is None else str(want) for want in shape) + ")"
+            raise ValueError(
+                f"{type(record).__name__}.{name}: expected an array of shape {expected}, got {array.shape}"
+            )
+        view = array.view()
+        view.flags.writeable = False
+        object.__setattr__(record, name, view)
 
 
 @dataclass(frozen=True)
@@ -260,22 +255,14 @@ class UnitSphereCloud:
 
 @dataclass(frozen=True)
 class TriggerDecision:
-    """Whether a new estimate is worth its cost, and why.
+    """Whether a new estimate is worth its cost, and why."""
 
-    Parameters
-    ----------
-    fire : make a new estimate
-    reason : "first" without a previous cloud, "colour", "coverage", or "none"
-    change : the largest pooled colour change or, for "coverage", the newly seen share of the sphere; None for "first"
-    threshold : what `change` was held against
-    n_changed_anchors : anchors whose own pooled change exceeds the threshold, or newly seen anchors for "coverage"
-    """
-
-    fire: bool
-    reason: TriggerReason
+    fire: bool  # make a new estimate
+    reason: TriggerReason  # "first" without a previous cloud
+    # The largest pooled colour change or, for "coverage", the newly seen share of the sphere; None for "first".
     change: float | None
-    threshold: float
-    n_changed_anchors: int = 0
+    threshold: float  # what `change` was held against
+    n_changed_anchors: int = 0  # whose own pooled change exceeds the threshold, or newly seen ones for "coverage"
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,29 +307,20 @@ class LightEstimate:
 
 @dataclass(frozen=True, eq=False)
 class StepReport:
-    """What one step of the chain did for one position.
-
-    Parameters
-    ----------
-    decision : of the trigger
-    estimate : the new light, or None if the trigger did not fire
-    stage_ms : milliseconds per stage: unproject, sample, merge, trigger, encode, estimate; only stages that ran
-    payload_bytes : size of the encoded cloud, 0 if none was encoded
-    coverage : share of the anchors set in the temporary buffer
-    invalid : points of this frame that were left out and distances that were clamped, by reason
-    unknown_because : reason of `xihenet.invalid.UNKNOWN` why this frame could not tell the light, so that the last one
-        stays; empty where it could, or where the trigger saw no need
-    n_followed_anchors : anchors out of view whose colour was changed as the light in view did, a guess
-    """
+    """What one step of the chain did for one position."""
 
     decision: TriggerDecision
-    estimate: LightEstimate | None
+    estimate: LightEstimate | None  # None if the trigger did not fire
+    # Milliseconds per stage: unproject, sample, merge, trigger, encode, estimate; only stages that ran.
     stage_ms: Mapping[str, float] = field(default_factory=dict)
-    payload_bytes: int = 0
-    coverage: float = 0.0
+    payload_bytes: int = 0  # of the encoded cloud, 0 if none was encoded
+    coverage: float = 0.0  # share of the anchors set in the temporary buffer
+    # Points of this frame that were left out and distances that were clamped, by reason.
     invalid: Counts = field(default_factory=dict)
+    # Reason of `xihenet.invalid.UNKNOWN` why this frame could not tell the light, so that the last one stays; empty
+    # where it could, or where the trigger saw no need.
     unknown_because: str = ""
-    n_followed_anchors: int = 0
+    n_followed_anchors: int = 0  # out of view, whose colour was changed as the light in view did, a guess
 
     @property
     def n_invalid_points(self) -> int:
