@@ -54,7 +54,10 @@ def agreement(first: ArrayF32 | ArrayF64, second: ArrayF32 | ArrayF64) -> Agreem
     channels = [side.mean(axis=(1, 2)) for side in sides]
     blocks = [_block_means(side) for side in sides]
     squares = _differences_in_errors(blocks[0], blocks[1], scale) ** 2
-    expected, variance = _moments_of_squared_student(2 * (len(first) - 1))
+    # Mean and variance of t^2 for Student's t of so many degrees of freedom, more than 4.
+    freedom = 2 * (len(first) - 1)
+    expected = freedom / (freedom - 2)
+    variance = 3 * freedom**2 / ((freedom - 2) * (freedom - 4)) - expected**2
     excess = (squares.sum() - expected * squares.size) / np.sqrt(variance * squares.size)
     relative = (sides[1].mean() - sides[0].mean()) / scale if scale > 0 else 0.0
     errors = np.abs(_differences_in_errors(channels[0], channels[1], scale)).max()
@@ -78,10 +81,3 @@ def _differences_in_errors(first: ArrayF64, second: ArrayF64, scale: float) -> A
     with np.errstate(divide="ignore", invalid="ignore"):
         found: ArrayF64 = np.where(is_light, difference / error, 0.0)
     return found
-
-
-def _moments_of_squared_student(freedom: int) -> tuple[float, float]:
-    """Mean and variance of t^2 for Student's t of so many degrees of freedom, more than 4."""
-    mean = freedom / (freedom - 2)
-    fourth = 3 * freedom**2 / ((freedom - 2) * (freedom - 4))
-    return mean, fourth - mean**2

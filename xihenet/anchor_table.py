@@ -197,15 +197,6 @@ def _without_losers(cells: _Cells) -> _Cells:
     return _Cells(cells.layer, cells.row, cells.column, lengths, cells.anchors[kept], cells.scores[:, :, kept])
 
 
-def _reached(cells: _Cells, n_side: int) -> ArrayBool:
-    """Which cells of a grid of `n_side` have a point with |x| + |y| <= 1."""
-    # The corner nearest to the middle of the layer decides, counted in cells from there.
-    half = n_side // 2
-    across, along = (np.where(i < half, half - 1 - i, i - half) for i in (cells.row, cells.column))
-    is_reached: ArrayBool = across + along <= half
-    return is_reached
-
-
 def _halved(cells: _Cells, n_side: int) -> _Cells:
     """The four quarters of each cell of a grid of `n_side`, without the candidates that cannot win there."""
     grid = np.empty((3, 3, len(cells.anchors)), np.float32)
@@ -217,7 +208,9 @@ def _halved(cells: _Cells, n_side: int) -> _Cells:
     for i, j in np.ndindex(2, 2):
         scores = grid[i : i + 2, j : j + 2]
         quarter = _Cells(cells.layer, 2 * cells.row + i, 2 * cells.column + j, cells.lengths, cells.anchors, scores)
-        quarters.append(_without_losers(quarter.select(_reached(quarter, 2 * n_side))))
+        # Only where |x| + |y| <= 1 somewhere: the corner nearest to the middle, in quarters from there, decides.
+        x, y = (np.where(k < n_side, n_side - 1 - k, k - n_side) for k in (quarter.column, quarter.row))
+        quarters.append(_without_losers(quarter.select(x + y <= n_side)))
     return _Cells(*(np.concatenate([getattr(q, part.name) for q in quarters], axis=-1) for part in fields(_Cells)))
 
 

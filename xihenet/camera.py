@@ -90,7 +90,10 @@ def unproject_frame(frame: RgbdFrame, *, reference_exposure: float | None = None
     """
     points = _unprojected(frame)
     gain = 1.0 if reference_exposure is None else reference_exposure / frame.exposure
-    srgb = _reencoded(frame.srgb_u8, gain)
+    if gain == 1.0:  # The same bits as the table's, in a quarter of the time of asking it.
+        srgb = np.divide(frame.srgb_u8, np.float32(255), dtype=np.float32)
+    else:
+        srgb = _reencoded_bytes(gain).take(frame.srgb_u8)
     grid = PixelGrid(frame.intrinsics.height, frame.intrinsics.width, frame.world_from_camera[:3, 3])
     return PointCloud(points.reshape(3, -1).T, srgb.reshape(-1, 3), invalid_pixels(frame), grid)
 
@@ -216,13 +219,6 @@ def _ray_slopes(intrinsics: Intrinsics) -> tuple[ArrayF32, ArrayF32]:
     """x per column (W,) and y per row (H,) of the ray with plane depth 1 through each pixel centre, in the camera."""
     rays = pixel_rays(intrinsics).astype(np.float32)
     return rays[0, :, 0].copy(), rays[:, 0, 1].copy()
-
-
-def _reencoded(srgb_u8: ArrayU8, gain: float) -> ArrayF32:
-    """(..., 3) colours of bytes whose light is multiplied by `gain` and clipped."""
-    if gain == 1.0:  # The same bits as the table's, in a quarter of the time of asking it.
-        return np.divide(srgb_u8, np.float32(255), dtype=np.float32)
-    return _reencoded_bytes(gain).take(srgb_u8)
 
 
 @functools.lru_cache(maxsize=64)

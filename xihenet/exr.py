@@ -26,16 +26,16 @@ from xihenet.records import ArrayF32
 MAGIC = b"\x76\x2f\x31\x01"
 PIXEL_TYPES: tuple[str, ...] = ("<u4", "<f2", "<f4")  # NumPy's names of UINT, HALF and FLOAT, by their numbers
 
+# At the numbers that stand for them; newer ones are called by their number.
 COMPRESSIONS = (
     "none", "RLE", "ZIPS", "ZIP", "PIZ", "PXR24", "B44", "B44A", "DWAA", "DWAB", "HTJ2K256", "HTJ2K32", "LJ2K", "ZSTD"
 )  # fmt: skip
-"""At the numbers that stand for them; newer ones are called by their number."""
 
 ROWS_IN_CHUNK = {"none": 1, "ZIPS": 1, "ZIP": 16}  # Rows that are stored together, where they can be read here
 TILED, LONG_NAMES, DEEP, MULTI_PART = 0x200, 0x400, 0x800, 0x1000
 MAX_SHORT_NAME = 31
+# Bytes, and how many times the file's: a small file that says that it holds more than both is not unpacked.
 LARGEST_UNPACKED, LARGEST_RATIO = 2**28, 100
-"""Bytes, and how many times the file's: a small file that says that it holds more than both is not unpacked."""
 
 ZLIB_LEVEL = 4  # Of 256x192 pixels of noise, levels 1 to 4 take the same time and space
 
@@ -87,7 +87,20 @@ def read_exr(
     """
     content = _content(path)
     with _errors_of(path):
-        return _read(content, names, most_pixels)
+        parts, at = _parts(content)
+        for part in parts:
+            if part.other:
+                raise OtherExr(part.other)
+        is_multi_part = bool(_flags(content) & MULTI_PART)
+        channels: dict[str, ArrayF32] = {}
+        for number, part in enumerate(parts):
+            offsets = np.frombuffer(content, "<u8", part.n_chunks, at).tolist()
+            at += 8 * part.n_chunks
+            chunks = _chunks(content, part, offsets, number if is_multi_part else None)
+            wanted = [name for name, _ in part.channels if names is None or name in names]
+            if wanted:
+                channels |= _channels_of(part, chunks, wanted, most_pixels)
+        return channels
 
 
 def write_exr(path: Path, channels: Mapping[str, NDArray[Any]], *, compression: str = "ZIP") -> None:
@@ -122,23 +135,6 @@ def _errors_of(path: Path) -> Iterator[None]:
         raise type(error)(f"{path}: {error}") from error
     except (ValueError, KeyError, IndexError, OverflowError, struct.error, zlib.error) as error:
         raise ValueError(f"{path}: its pixels cannot be read, it may be cut short: save it again") from error
-
-
-def _read(content: bytes, names: Collection[str] | None, most_pixels: int | None) -> dict[str, ArrayF32]:
-    parts, at = _parts(content)
-    for part in parts:
-        if part.other:
-            raise OtherExr(part.other)
-    is_multi_part = bool(_flags(content) & MULTI_PART)
-    channels: dict[str, ArrayF32] = {}
-    for number, part in enumerate(parts):
-        offsets = np.frombuffer(content, "<u8", part.n_chunks, at).tolist()
-        at += 8 * part.n_chunks
-        chunks = _chunks(content, part, offsets, number if is_multi_part else None)
-        wanted = [name for name, _ in part.channels if names is None or name in names]
-        if wanted:
-            channels |= _channels_of(part, chunks, wanted, most_pixels)
-    return channels
 
 
 def _flags(content: bytes) -> int:

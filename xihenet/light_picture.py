@@ -105,21 +105,16 @@ def light_picture(sh_radiance: ArrayLike, *, panorama_height: int = 256, margin:
     grey = float(srgb_to_linear(BACKGROUND))
     page = np.full((panorama_height + size + 3 * margin, width + 2 * margin, 3), grey)
     page[margin : margin + panorama_height, margin : margin + width] = evaluate_panorama(light, panorama_height, width)
+    fine = N_SUBPIXELS * size  # for smooth edges
+    shown = np.where(sphere_mask(fine)[..., None], np.clip(three_spheres(light, fine), 0, 1), grey)
+    spheres = shown.reshape(len(SPHERES), size, N_SUBPIXELS, size, N_SUBPIXELS, 3).mean(axis=(2, 4))
     top = 2 * margin + panorama_height
-    for place, sphere in enumerate(_spheres_on_grey(light, size, grey)):
+    for place, sphere in enumerate(spheres):
         # The last sphere ends where the panorama ends, also where a third is no whole number of pixels.
         left = margin + round(place * (width - size) / 2)
         page[top : top + size, left : left + size] = sphere
     encoded: ArrayU8 = np.rint(linear_to_srgb(page) * 255).astype(np.uint8)
     return encoded
-
-
-def _spheres_on_grey(sh_radiance: ArrayF64, size: int, grey: float) -> ArrayF64:
-    """(3, size, size, 3) linear in [0, 1]: the spheres on their background, with smooth edges."""
-    fine = N_SUBPIXELS * size
-    shown = np.where(sphere_mask(fine)[..., None], np.clip(three_spheres(sh_radiance, fine), 0, 1), grey)
-    smooth: ArrayF64 = shown.reshape(len(SPHERES), size, N_SUBPIXELS, size, N_SUBPIXELS, 3).mean(axis=(2, 4))
-    return smooth
 
 
 def _picture_plane(size: int) -> tuple[ArrayF64, ArrayF64]:

@@ -21,6 +21,7 @@ from xihenet.npz_files import read_npz
 from xihenet.records import Intrinsics, RgbdFrame
 
 INVALID = "invalid_"  # Begins the name of the number that belongs to a reason
+FRAME_FILES = "frame_*.npz"
 
 
 class EnvironmentScanner(Protocol):
@@ -98,7 +99,7 @@ class SessionRecorder:
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        if any(_recorded_files(folder)):
+        if any(folder.glob(FRAME_FILES)):
             raise FileExistsError(f"{folder}: already holds a recording; choose another folder")
         self.folder = folder
         self.n_frames = 0
@@ -116,7 +117,7 @@ class ReplayScanner:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.files = sorted(_recorded_files(folder))
+        self.files = sorted(folder.glob(FRAME_FILES))
         if not self.files:
             raise FileNotFoundError(f"{folder}: no recorded frames (frame_*.npz) in this folder")
         self._frames = iter(self)
@@ -130,7 +131,3 @@ class ReplayScanner:
     def acquire_environment_scan(self) -> RgbdFrame:
         """The next frame of the recording."""
         return next(self._frames)
-
-
-def _recorded_files(folder: Path) -> Iterator[Path]:
-    return folder.glob("frame_*.npz")
