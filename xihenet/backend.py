@@ -32,8 +32,7 @@ class InferenceBackend(LightBackend, Protocol):
     Distances beyond `farthest_m` are clamped by it, which is counted; infinite where none are.
     """
 
-    @property
-    def farthest_m(self) -> float: ...
+    farthest_m: float
 
     def estimate_with_error(
         self, cloud: UnitSphereCloud, context: EstimateContext | None = None

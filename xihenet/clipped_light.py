@@ -26,9 +26,9 @@ from xihenet.records import ArrayBool, ArrayF32, ArrayF64
 
 NEIGHBOURHOOD = 3  # Pixels along a side over which light beside lamps is smoothed
 
+# The same for all light where there is no denoiser: the median of such means, which keeps the edges of what is white.
+# Of all pictures together, since a few rays say little.
 MEDIANS = 5
-"""The same for all light where there is no denoiser: the median of such means, which keeps the edges of what is white.
-Of all pictures together, since a few rays say little."""
 
 
 def clipped_sh(

@@ -147,7 +147,7 @@ class XiheController:
             context = EstimateContext(frame, points, position.position_m, truth_sh, self.reference_exposure)
             with clock.stage("estimate"):
                 fired = followed.fired()
-                estimate = self._estimate(fired, context)
+                estimate = self._estimate(fired.persistent, context)
             unknown_because = estimate.unknown_because
             invalid = {**invalid, **self._clamped(followed.temporary, fired.persistent)}
             if estimate.is_valid:
@@ -173,9 +173,8 @@ class XiheController:
         changed = (temporary.srgb != before.temporary.srgb) | (persistent.srgb != before.persistent.srgb)
         return replace(after, persistent=persistent), int(np.count_nonzero(changed.any(axis=1)))
 
-    def _estimate(self, buffers: PositionBuffers, context: EstimateContext) -> LightEstimate:
-        """The light from the persistent cloud."""
-        return estimate_light(self.backend, buffers.persistent, context, self.reference_exposure or 1.0)
+    def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> LightEstimate:
+        return estimate_light(self.backend, cloud, context, self.reference_exposure or 1.0)
 
     def _clamped(self, sent: UnitSphereCloud, used: UnitSphereCloud) -> Counts:
         """Distances that the wire or the network takes for others."""
@@ -192,10 +191,9 @@ class XiheController:
             raise ValueError("estimate_at: no frame yet; call step(frame) first")
         points = unproject_frame(self._frame, reference_exposure=self.reference_exposure)
         sampled = self._sample(points, position_m)
-        buffers = PositionBuffers.empty(len(sampled)).with_frame(sampled).fired()
         position = np.asarray(position_m, np.float64)
         context = EstimateContext(self._frame, points, position, None, self.reference_exposure)
-        return self._estimate(buffers, context)
+        return self._estimate(sampled, context)
 
     def start_recording(self, path: str | Path) -> None:
         """Keep every frame that `step` gets in the folder `path`; FileExistsError if that holds a recording."""

@@ -35,24 +35,17 @@ ROUNDED_UP = 1 + 1e-12  # Shares that are just enough are so in whatever order t
 
 @dataclass(frozen=True)
 class LightFollowing:
-    """When what is not seen follows a change of the light.
+    """When what is not seen follows a change of the light."""
 
-    Parameters
-    ----------
-    smallest_stops : median change of a channel, in stops, from which the rest follows; walks through rooms whose light
-        did not change had one of 0.35 once
-    agreeing_share : of the anchors that can be asked, as many must have changed in that direction by a quarter of the
-        median or more: what moves through the picture changes some, a lamp all
-    smallest_share : share of the sphere that has to be seen again and can be asked
-    same_distance : two distances in one direction that differ by no more than this share are those of one surface
-    most_unchanged : no larger share may have changed by less than UNCHANGED_STOPS; 1 does not ask
-    """
-
+    # Median change of a channel, in stops, from which the rest follows; walks through rooms whose light did not change
+    # had one of 0.35 once.
     smallest_stops: float = 0.5
+    # Of the anchors that can be asked, as many must have changed in that direction by a quarter of the median or more:
+    # what moves through the picture changes some, a lamp all.
     agreeing_share: float = 0.9
-    smallest_share: float = 0.05
-    same_distance: float = 0.02
-    most_unchanged: float = 1.0
+    smallest_share: float = 0.05  # of the sphere that has to be seen again and can be asked
+    same_distance: float = 0.02  # share by which two distances in one direction may differ that are of one surface
+    most_unchanged: float = 1.0  # no larger share may have changed by less than UNCHANGED_STOPS; 1 does not ask
 
     def __post_init__(self) -> None:
         if not 0 < self.smallest_stops < np.inf:
@@ -72,9 +65,8 @@ def follow_light(old: UnitSphereCloud, new: UnitSphereCloud, settings: LightFoll
     stale = old.is_set & ~new.is_set
     if factor is None or not stale.any():
         return old
-    followed = np.minimum(srgb_to_linear(old.srgb[stale].astype(np.float64)) * factor, 1.0)
     srgb = old.srgb.copy()
-    srgb[stale] = linear_to_srgb(followed)
+    srgb[stale] = linear_to_srgb(srgb_to_linear(old.srgb[stale].astype(np.float64)) * factor)
     return replace(old, srgb=srgb)
 
 

@@ -33,9 +33,9 @@ import numpy as np
 
 from xihenet.records import AnchorSurfaces, ArrayBool, ArrayF32, ArrayF64, ArrayInt, PixelGrid
 
+# In anchor spacings, sqrt(4 pi / N): as far apart are the points of a patch, at most. Cells are 0.9 wide and more; 0.5
+# costs twice the points and left as many leaks in seven rooms.
 POINT_GAP = 0.7
-"""In anchor spacings, sqrt(4 pi / N): as far apart are the points of a patch, at most. Cells are 0.9 wide and more;
-0.5 costs twice the points and left as many leaks in seven rooms."""
 
 MOST_ALONG = 32  # Points along one side of a patch, at most
 SAME_SURFACE = 0.25, 0.003  # A third pixel off the line of two: share of their difference, of the inverse distance

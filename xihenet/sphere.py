@@ -70,10 +70,7 @@ class AnchorLattice:
         return self.nearest_to_columns(columns, method, table_size)
 
     def nearest_to_columns(
-        self,
-        columns: ArrayF32 | ArrayF64,
-        method: NearestMethod = "exact",
-        table_size: tuple[int, int] = TABLE_SIZE,
+        self, columns: ArrayF32 | ArrayF64, method: NearestMethod = "exact", table_size: tuple[int, int] = TABLE_SIZE
     ) -> ArrayInt:
         """As `nearest`, for (3, P) contiguous x, y and z: a fifth faster, for those who have them that way."""
         if method not in ("exact", "table", "brute"):
