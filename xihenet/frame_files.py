@@ -232,8 +232,7 @@ def read_exr_channels(
 ) -> dict[str, ArrayF32]:
     """As `exr.read_exr`, and by the OpenEXR package what only that reads, where it is installed.
 
-    OSError if the file cannot be opened; ValueError if it is none, is cut short, or is in a form that needs the
-    package.
+    OSError if the file cannot be opened; ValueError if it is none, is cut short, or is in a form that needs it.
     """
     try:
         return exr.read_exr(path, names, most_pixels=most_pixels)

@@ -94,8 +94,7 @@ def light_picture(sh_radiance: ArrayLike, *, panorama_height: int = 256, margin:
 
     `sh_radiance` (9, 3) are radiance coefficients carrying an exposure, as estimates do; the margin is around and
     between the pictures, in pixels. (H, W, 3) uint8 sRGB on neutral grey, as Blender's Standard view shows it: clipped
-    at 1, negative light as black. ValueError for another shape, NaN, infinity, or a panorama too small for three
-    spheres.
+    at 1, negative light as black. ValueError for another shape, NaN, infinity, or no room for three spheres.
     """
     light = _checked_order_2(sh_radiance)
     width = 2 * panorama_height

@@ -122,8 +122,7 @@ def project_panorama(radiance: ArrayLike, order: int = 2) -> ArrayF64:
 def evaluate_panorama(sh_radiance: ArrayLike, height: int, width: int) -> ArrayF64:
     """The radiance that ((order + 1)^2, 3) describe, at the texel centres of a panorama: a picture of an estimate.
 
-    (H, W, 3) float64, linear and not clipped: a finite series rings, so values may be negative. ValueError without a
-    texel.
+    (H, W, 3) float64, linear, not clipped: a finite series rings, so values may be negative. ValueError without texels.
     """
     coefficients, order = checked_sh(sh_radiance)
     directions = panorama_directions(height, width).reshape(-1, 3)

@@ -72,8 +72,7 @@ def legendre_factors(z: ArrayF64, order: int) -> ArrayF64:
 
     (order + 1, order + 1, P), indexed [l, m] for 0 <= m <= l, zero elsewhere, normalisation included: the basis
     function (l, m) is the factor (l, |m|) times sin(theta)^|m| times cos(m phi) or sin(|m| phi). Three-term recurrence
-    in l of the fully normalised associated Legendre functions (Holmes and Featherstone 2002), the power of sin(theta)
-    taken out.
+    in l of the fully normalised associated Legendre functions (Holmes and Featherstone 2002), without sin(theta)^|m|.
     """
     factors = np.zeros((order + 1, order + 1, len(z)))
     m_above_0 = np.arange(1, order + 1)
