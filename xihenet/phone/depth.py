@@ -1,7 +1,7 @@
 """Plane depth as a real range sensor measures it: range, noise, grain, steps and bleeding edges.
 
-Each function takes a plane depth (H, W) in metres and one settings section and returns a new one; no section, or a
-section that changes nothing, returns the very array it was given. Pixels without a valid plane depth (0, negative, NaN,
+Each function takes a plane depth (H, W) in metres and one settings section and returns a new one, or the very array it
+was given where that changes nothing. Pixels without a valid plane depth (0, negative, NaN,
 infinite, a renderer's miss) come out with the same bytes: no effect makes up a surface where there was none.
 
 Lengths in pixels belong to the sensor's own width; callers scale them (`pixel_scale`), so that a small preview shows
@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xihenet.camera import valid_plane_depth
-from xihenet.phone.facts import Required, SessionFacts, known
-from xihenet.phone.settings import Section, number
+from xihenet.phone.settings import Required, Section, SessionFacts, known, number
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64
 
 
@@ -39,7 +38,6 @@ class RangeLimits(Section):
             raise ValueError(f"farthest_m: expected more than nearest_m ({self.nearest_m:g}), got {self.farthest_m:g}")
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """Surfaces beyond the sensor's range."""
         farthest_m, nearest_m = (known(m, "how far the room goes") for m in (facts.farthest_m, facts.nearest_m))
         if farthest_m > self.farthest_m:
             return True, f"the room goes {farthest_m:.1f} m away, the sensor reaches {self.farthest_m:g} m"
@@ -70,7 +68,6 @@ class DistanceNoise(Section):
     shift_px: float = number("px", 0.0, 10.0)
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """Errors that take points to other anchors."""
         beyond_m = max(known(facts.farthest_m, "how far the room goes") - self.growth_from_m, 0.0)
         if self.shift_px and known(facts.widest_step_m, "whether one thing stands before another"):
             return True, "things stand before others, and at their edges the sensor mixes the two"
@@ -84,7 +81,6 @@ class Quantisation(Section):
     step_m: float = number("m", 0.0, 1.0)
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """Steps that take points to other anchors."""
         return facts.moves_points(self.step_m / 2, "rounding")
 
 
@@ -96,14 +92,11 @@ class EdgeBleeding(Section):
     span_m: float = number("m", 0.0, 100.0)
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """A surface in front of another."""
         return facts.has_step_over(self.span_m) if self.radius_px > 0 else (False, "the sensor keeps edges sharp")
 
 
-def cut_range(plane_depth_m: ArrayF32, settings: RangeLimits | None) -> ArrayF32:
+def cut_range(plane_depth_m: ArrayF32, settings: RangeLimits) -> ArrayF32:
     """0 where the sensor does not reach; the rest, and what was invalid before, keeps its bytes."""
-    if settings is None:
-        return plane_depth_m
     beyond = (plane_depth_m < settings.nearest_m) | (plane_depth_m > settings.farthest_m)
     return cleared(plane_depth_m, beyond)
 
@@ -123,15 +116,13 @@ def noise_sigma_m(plane_depth_m: ArrayF32, settings: DistanceNoise) -> ArrayF64:
 
 
 def add_noise(
-    plane_depth_m: ArrayF32, settings: DistanceNoise | None, rng: np.random.Generator, *, pixel_scale: float = 1.0
+    plane_depth_m: ArrayF32, settings: DistanceNoise, rng: np.random.Generator, *, pixel_scale: float = 1.0
 ) -> ArrayF32:
     """Plane depth as the sensor measures it: each pixel reads a place nearby, with an error that grows with distance.
 
     A surface never comes nearer than half its true distance: noise alone neither turns it behind the camera nor makes
     a hole. `pixel_scale` is the picture's width over the sensor's.
     """
-    if settings is None:
-        return plane_depth_m
     read_m = _shifted(plane_depth_m, settings.shift_px * pixel_scale, rng)
     sigma_m = noise_sigma_m(plane_depth_m, settings)
     if not sigma_m.any():
@@ -160,21 +151,21 @@ def grained_noise(shape: tuple[int, ...], grain_px: float, rng: np.random.Genera
     return _lerped(along[:, column], along[:, column + 1], column_share[None, :])
 
 
-def quantise(plane_depth_m: ArrayF32, settings: Quantisation | None) -> ArrayF32:
+def quantise(plane_depth_m: ArrayF32, settings: Quantisation) -> ArrayF32:
     """Plane depth rounded to the sensor's step; what is nearer than half a step keeps one step, so it stays valid."""
-    if settings is None or settings.step_m == 0:
+    if settings.step_m == 0:
         return plane_depth_m
     valid = valid_plane_depth(plane_depth_m)
     steps = np.rint(np.where(valid, plane_depth_m.astype(np.float64), 1.0) / settings.step_m)
     return np.where(valid, (np.maximum(steps, 1.0) * settings.step_m).astype(np.float32), plane_depth_m)
 
 
-def bleed_edges(plane_depth_m: ArrayF32, settings: EdgeBleeding | None, *, pixel_scale: float = 1.0) -> ArrayF32:
+def bleed_edges(plane_depth_m: ArrayF32, settings: EdgeBleeding, *, pixel_scale: float = 1.0) -> ArrayF32:
     """Points that float between a near surface and the far one behind it, as a smoothed depth map has them.
 
     The window is 2 r + 1 pixels wide, r = radius_px * pixel_scale rounded, at least 1; its mean is over valid pixels.
     """
-    if settings is None or settings.radius_px == 0:
+    if settings.radius_px == 0:
         return plane_depth_m
     radius = max(1, math.floor(settings.radius_px * pixel_scale + 0.5))
     valid = valid_plane_depth(plane_depth_m)
@@ -198,21 +189,13 @@ def window_span_m(plane_depth_m: ArrayF32, radius: int) -> ArrayF32:
 
 def _over_window(values: NDArray[Any], radius: int, combine: np.ufunc) -> NDArray[Any]:
     """`combine` of all values within `radius`, one axis after the other."""
-    for axis in (0, 1):
+    for _ in range(2):
         result = values.copy()
-        for shift in range(1, min(radius, values.shape[axis] - 1) + 1):
-            low, high = _shifted_pair(axis, shift)
-            combine(result[low], values[high], out=result[low])
-            combine(result[high], values[low], out=result[high])
-        values = result
+        for shift in range(1, min(radius, len(values) - 1) + 1):
+            combine(result[:-shift], values[shift:], out=result[:-shift])
+            combine(result[shift:], values[:-shift], out=result[shift:])
+        values = result.T
     return values
-
-
-def _shifted_pair(axis: int, shift: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
-    """Indices of all but the last `shift` places along `axis`, and of all but the first."""
-    whole = slice(None)
-    low, high = slice(None, -shift), slice(shift, None)
-    return ((low, whole), (high, whole)) if axis == 0 else ((whole, low), (whole, high))
 
 
 def _shifted(plane_depth_m: ArrayF32, shift_px: float, rng: np.random.Generator) -> ArrayF32:

@@ -21,8 +21,7 @@ from numpy.typing import ArrayLike
 
 from xihenet.camera import encode_exposed
 from xihenet.colour import srgb_to_linear
-from xihenet.phone.facts import Required, SessionFacts, known
-from xihenet.phone.settings import Section, number
+from xihenet.phone.settings import Required, Section, SessionFacts, known, number
 from xihenet.records import ArrayF64, RgbdFrame
 
 SMALL_STOPS = 1 / 3
@@ -38,7 +37,6 @@ class AutoExposure(Section):
     brightest_stops: float = number("stops above the reference", 0.0, 20.0)
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """Frames that ask for different exposures."""
         stops = known(facts.brightness_change_stops, "how much the brightness changes along the path")
         return stops > SMALL_STOPS, f"along the path the brightness changes by {stops:.1f} stops"
 

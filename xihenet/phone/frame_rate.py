@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from xihenet.phone.facts import Required, SessionFacts, known
-from xihenet.phone.settings import Section, number
+from xihenet.phone.settings import Required, Section, SessionFacts, known, number
 from xihenet.records import ArrayBool
 
 
@@ -24,7 +23,6 @@ class FrameRate(Section):
     width_px: float = number("px", 1.0, 100000.0)
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """A path with more frames than the phone delivers."""
         rate_hz = known(facts.frame_rate_hz, "the frame rate of the camera path")
         if rate_hz > self.rate_hz:
             return True, f"the path has {rate_hz:g} frames per second, the phone delivers {self.rate_hz:g}"

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.camera import LUMINANCE
-from xihenet.phone.facts import Required, SessionFacts, known
-from xihenet.phone.settings import Section, number
+from xihenet.phone.settings import Required, Section, SessionFacts, known, number
 from xihenet.records import ArrayF64
 
 WHITE_K = 6504.0
@@ -62,7 +61,6 @@ class LightSensor(Section):
             raise ValueError(f"highest_k: expected more than lowest_k ({self.lowest_k:g}), got {self.highest_k:g}")
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """Light that changes, which the sensor then follows."""
         changes = known(facts.light_changes, "whether any light changes")
         return changes, "some light changes" if changes else "no light changes"
 

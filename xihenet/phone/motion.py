@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.camera import pixel_rays, valid_plane_depth
-from xihenet.phone.facts import Required, SessionFacts, known
-from xihenet.phone.settings import Section, number, switch
+from xihenet.phone.settings import Required, Section, SessionFacts, known, number, switch
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, RgbdFrame
 
 DRIFT_STEP_S = 0.05
@@ -61,7 +60,6 @@ class PoseDrift(Section):
     yaw_deg_per_sqrt_s: float = number("degrees per square root of s", 0.0, 90.0)
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """A walk long enough for tracking to be wrong."""
         if facts.is_still:
             return False, "the camera does not move"
         duration_s = known(facts.duration_s, "how long the session is")

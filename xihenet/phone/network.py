@@ -14,6 +14,7 @@ resumed meets the same network.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,8 +23,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihenet.phone.facts import Required, SessionFacts, known
-from xihenet.phone.settings import Section, count, number
+from xihenet.phone.settings import Required, Section, SessionFacts, known, number
 from xihenet.records import ArrayF64, ArrayInt, LightEstimate
 
 REFERENCE_PAYLOAD_BYTES = 4249
@@ -53,7 +53,7 @@ class Link(Section):
     uplink_bit_per_s: float = number("bit/s", 1.0, 1e12)
     loss: float = number("of the requests", 0.0, 1.0)
     resend_s: float = number("s", 0.0, 60.0)
-    n_sends: int = count(1, 100)
+    n_sends: int = number("", 1, 100, kind=int)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -61,7 +61,6 @@ class Link(Section):
             raise ValueError(f"floor_s: expected at most median_s ({self.median_s:g}), got {self.floor_s:g}")
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """Something that changes while an estimate is under way."""
         if facts.is_still and facts.light_changes is False:
             return False, "neither the camera nor the light changes while an estimate is under way"
         for fact in (facts.is_still, facts.light_changes):
@@ -70,49 +69,40 @@ class Link(Section):
         return True, f"estimates arrive some {usual_ms:.0f} ms after the frame they are of"
 
 
-_PROCESSING_S = 0.01227
-"""20.67 ms end to end, the paper's best on university WiFi, less its 8.4 ms of network time."""
+_preset = functools.partial(Link, processing_s=0.01227, resend_s=0.2, n_sends=3)
+"""Processing: 20.67 ms end to end, the paper's best on university WiFi, less its 8.4 ms of network time."""
 
 LINKS: Mapping[str, Link] = MappingProxyType(
     {
-        "wifi": Link(
+        "wifi": _preset(
             source="the paper: 8.4 ms network time on university WiFi; four positions cost 1.28 x one, hence the "
             "uplink (0.28 x 8.4 ms for 3 x 4,249 bytes); end to end 20.67 ms at best, under 24.04 ms on every device, "
             "hence floor and spread. Loss 0.1 %: the best WiFi in Codavel's table of real-world links. Time-out: "
             "the lower limit of TCP on Linux",
-            processing_s=_PROCESSING_S,
             median_s=0.0084,
             floor_s=0.006,
             spread=0.3,
             uplink_bit_per_s=43e6,
             loss=0.001,
-            resend_s=0.2,
-            n_sends=3,
         ),
-        "home": Link(
+        "home": _preset(
             source="25 ms and 0.2 % loss: WiFi in the USA in Codavel's table of real-world links; the paper says that "
             "residential WiFi took several times as long as the university's. Chosen: floor at half the median, "
             "spread 0.5, 10 Mbit/s uplink",
-            processing_s=_PROCESSING_S,
             median_s=0.025,
             floor_s=0.0125,
             spread=0.5,
             uplink_bit_per_s=10e6,
             loss=0.002,
-            resend_s=0.2,
-            n_sends=3,
         ),
-        "lte": Link(
+        "lte": _preset(
             source="the paper: 79.2 ms end to end on LTE, less the processing. Loss 0.5 %: 4G in the USA in Codavel's "
             "table of real-world links. Chosen: floor at half the median, spread 0.6, 8 Mbit/s uplink",
-            processing_s=_PROCESSING_S,
             median_s=0.0669,
             floor_s=0.03345,
             spread=0.6,
             uplink_bit_per_s=8e6,
             loss=0.005,
-            resend_s=0.2,
-            n_sends=3,
         ),
     }
 )

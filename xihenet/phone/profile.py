@@ -19,13 +19,12 @@ from xihenet.effects import Requirement
 from xihenet.metering import Metering, checked_metering
 from xihenet.phone.depth import DistanceNoise, EdgeBleeding, Quantisation, RangeLimits
 from xihenet.phone.exposure import AutoExposure
-from xihenet.phone.facts import SessionFacts
 from xihenet.phone.frame_rate import FrameRate
 from xihenet.phone.holes import DarkHoles, GlossyHoles, GrazingHoles, SpanHoles, TransparentHoles
 from xihenet.phone.light_sensor import LightSensor
 from xihenet.phone.motion import PoseDrift, RollingShutter
 from xihenet.phone.network import Link
-from xihenet.phone.settings import Section, section_from_table
+from xihenet.phone.settings import Section, SessionFacts, section_from_table
 
 PROFILES_FOLDER = Path(__file__).parent / "profiles"
 
