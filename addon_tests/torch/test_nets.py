@@ -6,9 +6,10 @@ import torch
 
 from xihenet.estimators.lattice import Lattice
 from xihenet.estimators.lattice_format import LatticeArchitecture
-from xihenet.estimators.pointconv import PointConvArchitecture
+from xihenet.estimators.pointconv_network import PointConvArchitecture
 from xihenet.estimators.weights_format import save_weights
-from xihenet.nets.lattice import LatticeNet, weights_of
+from xihenet.nets import weights_of
+from xihenet.nets.lattice import LatticeNet
 from xihenet.nets.pointconv import PointConvNet, farthest_points
 
 SMALL = PointConvArchitecture(centroids=(32, 8), n_neighbours=8)

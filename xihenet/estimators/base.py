@@ -13,7 +13,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihenet.records import AnchorSurfaces, ArrayF64, PointCloud, RgbdFrame, UnitSphereCloud
+from xihenet.records import AnchorSurfaces, ArrayBool, ArrayF32, ArrayF64, PointCloud, RgbdFrame, UnitSphereCloud
 
 Target = Literal["ldr", "hdr"]
 
@@ -97,6 +97,18 @@ class Estimator(ABC):
         parts = zip(colours, distances, known, turned, strict=True)
         clouds = (UnitSphereCloud(c, d, k, surfaces=s) for c, d, k, s in parts)
         return np.array([self.estimate(cloud) for cloud in clouds]).reshape(-1, 9, 3)
+
+    def _checked_shapes(
+        self, srgb: ArrayLike, distance_m: ArrayLike, known: ArrayBool
+    ) -> tuple[ArrayF32, ArrayF32, ArrayBool]:
+        """The arrays of a batch as float32; ValueError for shapes that do not fit `estimate_batch`."""
+        with np.errstate(over="ignore"):  # What float32 cannot hold becomes infinite.
+            colours, distances = np.asarray(srgb, np.float32), np.asarray(distance_m, np.float32)
+        expected = (len(known) if known.ndim else 0, self.n_anchors)
+        if known.shape != expected or distances.shape != expected or colours.shape != (*expected, 3):
+            shapes = f"{colours.shape}, {distances.shape} and {known.shape}"
+            raise ValueError(f"{self.name}: expected (B, n, 3), (B, n), (B, n) with n = {self.n_anchors}, got {shapes}")
+        return colours, distances, known
 
     def _check_size(self, cloud: UnitSphereCloud) -> None:
         if len(cloud) != self.n_anchors:

@@ -37,7 +37,6 @@ SMALLEST_SHARE = 1e-6
 SEEN_ENOUGH = 0.01  # Share of the sphere from which an estimate counts more than the ambient sensor.
 SMALLEST_ERROR = 1e-4
 WHITE_L00 = float(np.sqrt(4 * np.pi))  # Of light that is 1 from everywhere.
-N_DIRECTION_FEATURES = 3
 SQUARED_BAND = np.repeat(np.arange(3.0), [1, 3, 5]) ** 2
 
 # OpenBLAS wakes its threads above 2^18 multiplications, which stalls on a busy machine.
@@ -134,16 +133,10 @@ class Lattice(Estimator):
     def _checked_batch(
         self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike
     ) -> tuple[ArrayF32, ArrayF32, ArrayBool]:
-        with np.errstate(over="ignore"):  # What float32 cannot hold becomes infinite, and is refused below.
-            colours, distances = np.asarray(srgb, np.float32), np.asarray(distance_m, np.float32)
         known = np.asarray(is_set)
         if known.dtype != bool and not np.isin(known, (0, 1)).all():
             raise ValueError(f"lattice: expected is_set to be true or false, got {known.dtype} of other values")
-        known = known.astype(bool, copy=False)
-        expected = (len(known), self.n_anchors) if known.ndim else (0, self.n_anchors)
-        if known.shape != expected or distances.shape != expected or colours.shape != (*expected, 3):
-            shapes = f"{colours.shape}, {distances.shape} and {known.shape}"
-            raise ValueError(f"lattice: expected (B, n, 3), (B, n), (B, n) with n = {self.n_anchors}, got {shapes}")
+        colours, distances, known = self._checked_shapes(srgb, distance_m, known.astype(bool, copy=False))
         if known.size and not (colours.min() >= 0 and colours.max() <= 1):
             raise ValueError("lattice: expected colours in [0, 1], got values outside or NaN")
         if known.size and not (distances.min() >= 0 and distances.max() < np.inf):

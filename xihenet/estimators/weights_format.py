@@ -29,6 +29,8 @@ FORMAT_VERSION = 1
 WEIGHTS_FOLDER = Path(__file__).resolve().parents[1] / "weights"
 """Where the shipped ones lie, as `<estimator>_<target>.npz`."""
 
+IN_HEADER = ("estimator", "architecture", "target", "data", "seed", "figures", "n_points")
+
 LARGEST_HEADER = 2**20
 """Bytes; the shipped ones take 2300."""
 
@@ -94,16 +96,8 @@ class NetworkWeights(Generic[AnyArchitecture]):
 
 def save_weights(path: Path, weights: NetworkWeights[Any], *, is_half: bool = False) -> None:
     """Write `weights` whole or not at all; as float16 if `is_half`. ValueError for what float16 cannot hold."""
-    header = {
-        "format": FORMAT_VERSION,
-        "estimator": weights.estimator,
-        "architecture": asdict(weights.architecture),
-        "target": weights.target,
-        "data": weights.data,
-        "seed": weights.seed,
-        "figures": dict(weights.figures),
-        "n_points": weights.n_points,
-    }
+    header = {"format": FORMAT_VERSION, **{name: getattr(weights, name) for name in IN_HEADER}}
+    header["architecture"] = asdict(weights.architecture)
     content: dict[str, Any] = {"header": np.array(json.dumps(header))}
     for name, array in weights.arrays.items():
         if is_half and np.abs(array).max(initial=0) > np.finfo(np.float16).max:
@@ -158,16 +152,9 @@ def _weights_from(
     for name, array in content.items():
         if array.dtype not in (np.float16, np.float32):
             raise ValueError(f"{name}: expected float16 or float32, got {array.dtype}")
-    return NetworkWeights(
-        architecture,
-        header["target"],
-        {name: np.asarray(array, np.float32) for name, array in content.items()},
-        header.get("data", ""),
-        header.get("seed", 0),
-        header.get("figures", {}),
-        header.get("estimator", "lattice"),
-        header.get("n_points"),
-    )
+    arrays = {name: np.asarray(array, np.float32) for name, array in content.items()}
+    notes = {name: header[name] for name in ("data", "seed", "figures", "estimator", "n_points") if name in header}
+    return NetworkWeights(architecture, header["target"], arrays, **notes)
 
 
 def _header_from(content: dict[str, NDArray[Any]], estimator: str) -> dict[str, Any]:

@@ -16,7 +16,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from xihenet.estimators.base import Target
 from xihenet.estimators.lattice import (
     CLIPPED_FROM,
     CONTRAST_SCALE,
@@ -27,7 +26,7 @@ from xihenet.estimators.lattice import (
     SMALLEST_SHARE,
     SQUARED_BAND,
 )
-from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights
+from xihenet.estimators.lattice_format import LatticeArchitecture
 from xihenet.estimators.lattice_tables import N_SH, anchor_tables, pooling_table, quadrature_matrix
 from xihenet.sh import FACING_OFFSET, L1_VARIANCE, LEAST_WEIGHT, RESIDUAL_NOISE, SMALLEST_PENALTY
 
@@ -165,12 +164,6 @@ class LatticeNet(nn.Module):  # type: ignore[misc]
 def linear_from_srgb(srgb: Tensor) -> Tensor:
     """`xihenet.colour.srgb_to_linear` for colours in [0, 1]."""
     return torch.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-
-
-def weights_of(net: LatticeNet, target: Target, **notes: object) -> LatticeWeights:
-    """What `xihenet.estimators.lattice_format.save_weights` keeps; `notes` are its data, seed and figures."""
-    arrays = {name: value.detach().cpu().numpy().astype(np.float32) for name, value in net.state_dict().items()}
-    return LatticeWeights(net.architecture, target, arrays, **notes)  # type: ignore[arg-type]
 
 
 def _table(name: str, n: int, n_coarse: int) -> np.ndarray:  # type: ignore[type-arg]

@@ -20,12 +20,10 @@ from __future__ import annotations
 import itertools
 from typing import NamedTuple, cast
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
-from xihenet.estimators.base import Target
-from xihenet.estimators.pointconv import PointConvArchitecture, PointConvWeights
+from xihenet.estimators.pointconv_network import PointConvArchitecture
 
 _FAR = 1e9
 _NEIGHBOURS_AT_ONCE = 8192  # rows of some 100 numbers: larger blocks leave the cache, smaller ones gain nothing
@@ -150,12 +148,6 @@ def farthest_points(points: Tensor, squared: Tensor, known: Tensor, n: int) -> t
             chosen.append(index)
             is_new.append(value > 0)
         return torch.stack(chosen, 1), torch.stack(is_new, 1)
-
-
-def weights_of(net: PointConvNet, target: Target, **notes: object) -> PointConvWeights:
-    """What `save_weights` keeps; `notes` are its estimator, data, seed, figures and n_points."""
-    arrays = {name: value.detach().cpu().numpy().astype(np.float32) for name, value in net.state_dict().items()}
-    return PointConvWeights(net.architecture, target, arrays, **notes)  # type: ignore[arg-type]
 
 
 def _known_first(points: Tensor, colours: Tensor, known: Tensor) -> tuple[Tensor, Tensor, Tensor]:
