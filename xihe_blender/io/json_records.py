@@ -173,10 +173,10 @@ def _describe_record(kind: Any, found: dict[str, Json]) -> dict[str, Json]:
 
 
 def _texts_of_fields(docstring: str) -> dict[str, str]:
-    """What a NumPy docstring says of each parameter; names that share a line share its text."""
-    _, _, parameters = docstring.partition("----------\n")
+    """What a docstring says of each field below its first paragraph; names that share a line share its text."""
+    _, _, fields = docstring.partition("\n\n")
     texts = {}
-    for entry in re.split(r"\n(?=\S)", "\n" + parameters):
+    for entry in re.split(r"\n(?=\S)", fields):
         names, _, text = entry.partition(" : ")
         texts.update({name.strip(): " ".join(text.split()) for name in names.split(",")})
     return texts

@@ -4,8 +4,8 @@ Strict JSON: no NaN and no Infinity, None where a value is undefined. Lengths ar
 name says `ms`. Coefficients are nine triples (R, G, B) of radiance SH in the order l*l + l + m, real and orthonormal,
 axes as in Blender's world; they carry `settings.reference_exposure`, and dividing by it gives scene radiance.
 
-docs/results.schema.json is made from these records (`python -m xihe_blender.io.run_results`). Nothing here needs NumPy
-or Blender, since the panel reads results too.
+docs/results.schema.json is made from these records, whose docstrings describe their fields
+(`python -m xihe_blender.io.run_results`). Nothing here needs NumPy or Blender, since the panel reads results too.
 """
 
 from __future__ import annotations
@@ -32,8 +32,6 @@ Counts = dict[str, int]
 class Fault:
     """Something in the scene that cannot be lit or believed as it stands (docs/odd_scenes.md).
 
-    Parameters
-    ----------
     name : of the data-block
     n : how often
     said : a sentence for the reader, also among the notes
@@ -48,8 +46,6 @@ class Fault:
 class SceneResult:
     """The scene that was run.
 
-    Parameters
-    ----------
     file, name, camera : of the scene, None for no camera
     fps : frames per second
     virtual_objects : names, in the order of the results
@@ -70,8 +66,6 @@ class SceneResult:
 class EffectResult:
     """One thing that was or was not simulated: of light transport, the phone or the session.
 
-    Parameters
-    ----------
     name, state, reason : what, whether, and why
     parameters : what Cycles was set to, or the profile's numbers
     origin : who decided
@@ -88,8 +82,6 @@ class EffectResult:
 class PhoneErrors:
     """What the phone's effects do to the light: mean SHC RMSE over probes and frames.
 
-    Parameters
-    ----------
     all_on : with all of them
     perfect : with none
     without : with all but one, by its name; None for the frame rate
@@ -104,8 +96,6 @@ class PhoneErrors:
 class PhoneResult:
     """The phone of the run.
 
-    Parameters
-    ----------
     name, summary : of its profile (docs/phone.md)
     shc_rmse : None where none of its effects is on
     """
@@ -119,8 +109,6 @@ class PhoneResult:
 class SampleCounts:
     """Samples per pixel, and pictures of the light probe at most.
 
-    Parameters
-    ----------
     capture, truth, comparison : of captures, of light probes, of compared pictures
     """
 
@@ -133,8 +121,6 @@ class SampleCounts:
 class NoiseLevels:
     """Relative noise; None where the number of samples was given.
 
-    Parameters
-    ----------
     capture : what captures have
     truth : what light probes aim at
     trigger : the change of colour that the trigger would see in noise alone
@@ -149,8 +135,6 @@ class NoiseLevels:
 class RunSettings:
     """What was asked for, and what came of it.
 
-    Parameters
-    ----------
     estimator, preset, target, seed, phone, network, n_anchors, codec : as in the command line; no network is None
     size : of captures and comparisons, width and height
     frames : of the path
@@ -193,8 +177,6 @@ class RunSettings:
 class CaptureRender:
     """The render of one capture.
 
-    Parameters
-    ----------
     rendered : for this frame
     same_as : the earlier frame whose pixels it would have had again; None where it was rendered
     samples : it has
@@ -211,8 +193,6 @@ class CaptureRender:
 class ProbeRender(CaptureRender):
     """The render of one light probe (docs/reference_light.md).
 
-    Parameters
-    ----------
     rendered, same_as, samples, noise : as for a capture
     expected_error : the noise and what is not noise
     is_capped : whether the preset's most samples left it above `settings.noise.truth`
@@ -226,8 +206,6 @@ class ProbeRender(CaptureRender):
 class Rendering:
     """What was rendered for a frame.
 
-    Parameters
-    ----------
     capture : what the phone would see
     probes : the light probe of each position in view, by its name
     """
@@ -240,8 +218,6 @@ class Rendering:
 class ProbeResult:
     """One estimation position in one frame.
 
-    Parameters
-    ----------
     name, object : of the position and of the virtual object that it stands for
     position_m : world
     coverage : share of the anchors that are set
@@ -295,8 +271,6 @@ class ProbeResult:
 class Metrics:
     """A method's picture against the ground truth; None where undefined.
 
-    Parameters
-    ----------
     psnr : dB
     ssim, rmse, si_rmse : structural similarity, root mean square error, and the latter at the best common scale
     angular_deg : mean angle between colours
@@ -316,8 +290,6 @@ METRICS = tuple(field.name for field in fields(Metrics))
 class ComparedFrame:
     """The pictures of one frame, beside the ground truth.
 
-    Parameters
-    ----------
     pictures : paths in the run's folder, by kind; `captured` is what the phone saw
     comparison : by method
     n_hueless_pixels : by method, black pixels that `angular_deg` leaves out
@@ -336,8 +308,6 @@ class ComparedFrame:
 class FrameResult:
     """One frame of the path. Not active where no position is in view, or the phone does not deliver it.
 
-    Parameters
-    ----------
     frame, time_s : its number, and when it is
     active : whether it was captured; else nothing is rendered, and `probes` is empty
     is_delivered : false where the phone is slower than the scene
@@ -373,8 +343,6 @@ class FrameResult:
 class LightChange:
     """From a frame on, an object's light.
 
-    Parameters
-    ----------
     frame : from which on
     sh : the mean over the object's positions
     """
@@ -387,8 +355,6 @@ class LightChange:
 class InvalidCounts:
     """What was left out or is undefined in a run, by reason (docs/invalid_data.md).
 
-    Parameters
-    ----------
     pixels, points, lights : in sums
     metrics : without a value, by metric
     hues : black pixels, by method
@@ -405,8 +371,6 @@ class InvalidCounts:
 class Summary:
     """The run in a few numbers; means over what is defined.
 
-    Parameters
-    ----------
     n_frames, n_active_frames, n_compared_frames : of the path
     n_reused_captures, n_reused_probes, n_reused_comparisons : taken from an earlier frame
     n_estimates, fired_share : triggers, and their share of all steps
@@ -454,8 +418,6 @@ class Summary:
 class RunResults:
     """All of results.json.
 
-    Parameters
-    ----------
     schema_version : of the file
     software : versions, and the `command` that was typed
     machine : platform, processor, cores, the device Cycles used

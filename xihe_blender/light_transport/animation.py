@@ -1,7 +1,4 @@
-"""Animation: what changes from frame to frame, so that what stands still is judged once, and what moves anew.
-
-Values are not predicted from F-curves: at each frame the evaluated scene has them, drivers, NLA and Python included.
-"""
+"""Animation: what changes from frame to frame, so that what stands still is judged once, and what moves anew."""
 
 from __future__ import annotations
 
@@ -20,7 +17,9 @@ def is_animated(block: bpy.types.ID | None) -> bool:
     tree = block if isinstance(block, bpy.types.NodeTree) else getattr(block, "node_tree", None)
     groups = [node.node_tree for node in tree.nodes if hasattr(node, "node_tree")] if tree is not None else []
     own_tree = [] if tree is block else [tree]
-    return _has_animation(block) or any(is_animated(inner) for inner in (*own_tree, *groups))
+    animation = getattr(block, "animation_data", None)
+    has_any = animation is not None and (animation.action or animation.drivers or animation.nla_tracks)
+    return bool(has_any) or any(is_animated(inner) for inner in (*own_tree, *groups))
 
 
 def is_film(image: bpy.types.Image | None) -> bool:
@@ -32,11 +31,6 @@ def shows_a_film(tree: bpy.types.NodeTree | None) -> bool:
     """Whether a node of `tree`, or of a group in it, shows an image that is another one in each frame."""
     nodes = tree.nodes if tree is not None else ()
     return any(is_film(getattr(n, "image", None)) or shows_a_film(getattr(n, "node_tree", None)) for n in nodes)
-
-
-def _has_animation(block: Any) -> bool:
-    animation = getattr(block, "animation_data", None)
-    return animation is not None and bool(animation.action or animation.drivers or animation.nla_tracks)
 
 
 def placement(instances: Iterable[Any]) -> tuple[int, int]:

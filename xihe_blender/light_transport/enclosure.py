@@ -123,19 +123,15 @@ def _diffuse_direction(normal: Vector, rng: np.random.Generator) -> Vector:
     return direction.normalized() if direction.length > 1e-6 else normal
 
 
-def bounces_needed(weights: ArrayF64, *, at_least: int = 2, at_most: int = MAX_BOUNCES) -> int:
-    """Diffuse bounces after which no more than LEFT_OUT of what `carried` gives is left out.
+def bounces_needed(weights: ArrayF64) -> int:
+    """Diffuse bounces, at least 2, after which no more than LEFT_OUT of what `carried` gives is left out.
 
-    With n bounces light of the first n + 1 surfaces is seen.
+    With n bounces light of the first n + 1 surfaces is seen. What all surfaces together would carry are those walked
+    to, and the rest as it goes on from the last ones.
     """
-    total = _whole(weights)
-    left_out = 1.0 - np.cumsum(weights) / total if total > 0 else np.zeros(len(weights))
-    enough = np.flatnonzero(left_out <= LEFT_OUT)
-    return int(np.clip(enough[0] if len(enough) else at_most, at_least, at_most))
-
-
-def _whole(weights: ArrayF64) -> float:
-    """What all surfaces together would carry: those walked to, and the rest as it goes on from the last ones."""
     before, last = weights[-2], weights[-1]
     kept = min(last / before, 0.99) if before > 0 else 0.0
-    return float(weights.sum() + last * kept / (1 - kept))
+    total = float(weights.sum() + last * kept / (1 - kept))
+    left_out = 1.0 - np.cumsum(weights) / total if total > 0 else np.zeros(len(weights))
+    enough = np.flatnonzero(left_out <= LEFT_OUT)
+    return int(np.clip(enough[0] if len(enough) else MAX_BOUNCES, 2, MAX_BOUNCES))

@@ -21,8 +21,6 @@ from xihe_blender.light_transport.nodes import Interaction
 from xihe_blender.light_transport.transport_survey import TransportSurvey
 from xihenet.effects import Requirement, Setting
 
-N_NAMED = 2
-
 
 @dataclass(frozen=True, eq=False)
 class SceneFacts:
@@ -175,6 +173,6 @@ def _rendered(kind: str, found: Sequence[str], what_they_do: str = "") -> str:
 
 
 def _named(found: Sequence[str]) -> str:
-    """The first few, and how many more."""
-    more = f" and {len(found) - N_NAMED} more" if len(found) > N_NAMED else ""
-    return ", ".join(found[:N_NAMED]) + more
+    """The first two, and how many more."""
+    more = f" and {len(found) - 2} more" if len(found) > 2 else ""
+    return ", ".join(found[:2]) + more

@@ -27,29 +27,26 @@ BOX_TRIANGLES = np.array(
     + [[1, 5, 7], [1, 7, 3]]
 )
 """Of the corners in the order of `np.ndindex(2, 2, 2)`."""
+BOX_ORDER = [0, 1, 3, 2, 4, 5, 7, 6]
+"""Blender's order of a bounding box' corners (x, then z, then y turn by turn), as `np.ndindex(2, 2, 2)` has them."""
 
 Look = tuple[str, float | None]
 """A surface in words, and its albedo, which is None where light passes."""
-
-SlotLook = Callable[[bpy.types.Object, int], Look]
-"""That of a material slot of an evaluated object."""
 
 
 class Solids:
     """The surfaces of an evaluated graph, in metres; holds nothing of it, so that it may outlive it.
 
-    Parameters
-    ----------
-    is_met : whether rays meet an instance of the graph
-    look : asked for every slot that a face has
-
-    Attributes
-    ----------
-    met : what rays have met so far, in words
-    is_exact : whether no instance counts as a box
+    `is_met` says whether rays meet an instance, `look` is asked for every slot that a face has. `met` is what rays have
+    met so far, in words; `is_exact` whether no instance counts as a box.
     """
 
-    def __init__(self, depsgraph: bpy.types.Depsgraph, is_met: Callable[[Any], bool], look: SlotLook) -> None:
+    def __init__(
+        self,
+        depsgraph: bpy.types.Depsgraph,
+        is_met: Callable[[Any], bool],
+        look: Callable[[bpy.types.Object, int], Look],
+    ) -> None:
         points, triangles, surfaces = [np.zeros((0, 3))], [np.zeros((0, 3), np.intp)], [np.zeros(0, np.intp)]
         looks: dict[Look, int] = {}
         n_points = n_triangles = 0
@@ -72,12 +69,9 @@ class Solids:
         self._tree = BVHTree.FromPolygons(self._points.tolist(), self._triangles.tolist(), all_triangles=True)
 
     def nearest(self, place: Vector, direction: Vector) -> tuple[Vector, Vector, float | None] | None:
-        """The first surface from `place` along the unit vector `direction`, in the world.
+        """The first surface from `place` along the unit vector `direction`, in the world; None if there is none.
 
-        Returns
-        -------
-        where, its unit normal (as the mesh has it, not towards the ray), and its albedo, which is None where light
-        passes; None in all if there is no surface
+        Where, its unit normal (as the mesh has it, not towards the ray), and its albedo, None where light passes.
         """
         where, normal, triangle, _ = self._tree.ray_cast(place, direction)
         if where is None:
@@ -124,7 +118,3 @@ def undivided_mesh(item: bpy.types.Object) -> bpy.types.Mesh:
     """
     is_only_divided = bool(item.modifiers) and all(modifier.type == "SUBSURF" for modifier in item.modifiers)
     return item.original.data if is_only_divided else item.data
-
-
-BOX_ORDER = [0, 1, 3, 2, 4, 5, 7, 6]
-"""Blender's order of a bounding box' corners (x, then z, then y turn by turn), as `np.ndindex(2, 2, 2)` has them."""

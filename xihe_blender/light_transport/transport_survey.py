@@ -24,7 +24,7 @@ import numpy as np
 
 from xihe_blender.light_transport.animation import is_animated, placement
 from xihe_blender.light_transport.enclosure import Ray, aim, carried, rays_all_round, rays_through_picture
-from xihe_blender.light_transport.inspection import SceneInspection, open_inspection
+from xihe_blender.light_transport.inspection import SceneInspection
 from xihe_blender.light_transport.nodes import Interaction, Shading, light_emits, material_shading, world_shading
 from xihe_blender.light_transport.solids import Look, Solids, undivided_mesh
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES
@@ -69,30 +69,19 @@ class TransportSurvey:
 
     def which(self, *interactions: Interaction) -> list[str]:
         """What has any of `interactions`, in words."""
-        return list(
-            dict.fromkeys(words for interaction in interactions for words in self.surfaces.get(interaction, ()))
-        )
-
-
-def survey_transport(
-    scene: bpy.types.Scene, frames: Sequence[int], camera: bpy.types.Object | None, positions: Sequence[Sequence[float]]
-) -> TransportSurvey:
-    """Look at `scene` at each of `frames`; see `TransportSurvey`.
-
-    Parameters
-    ----------
-    camera : one whose view counts; None takes the scene's at each frame, markers that switch it included
-    positions : (K, 3) world, metres: where light probes stand. Empty is legal
-    """
-    survey = TransportSurveyor(frames, positions, camera)
-    with open_inspection(scene) as inspection:
-        for frame in frames:
-            inspection.look_at(frame, survey.look_at)
-        return survey.ended(inspection, has_motion_blur=scene.render.use_motion_blur)
+        found = [words for interaction in interactions for words in self.surfaces.get(interaction, ())]
+        return list(dict.fromkeys(found))
 
 
 class TransportSurveyor:
-    """Gathers a `TransportSurvey`, one evaluated frame after the other; parameters as of `survey_transport`."""
+    """Gathers a `TransportSurvey`, one evaluated frame after the other.
+
+    Parameters
+    ----------
+    frames : that will be looked at
+    positions : (K, 3) world, metres: where light probes stand. Empty is legal
+    camera : one whose view counts; None takes the scene's at each frame, markers that switch it included
+    """
 
     def __init__(
         self, frames: Sequence[int], positions: Sequence[Sequence[float]], camera: bpy.types.Object | None = None
