@@ -64,7 +64,7 @@ class PhoneCamera:
         self.profile, self.seed, self.effects = profile, seed, chosen
 
     def settings(self, kind: type[SectionT]) -> SectionT | None:
-        """Settings of an effect that is on, else None."""
+        """Of an effect that is on, else None."""
         found = (self.profile.sections[effect] for effect in self.effects)
         return next((section for section in found if isinstance(section, kind)), None)
 
@@ -157,7 +157,6 @@ class PhoneCamera:
         return expose(frame, _tracked(track.exposure, frame.frame, "exposure"), radiance)
 
     def _with_light(self, frame: RgbdFrame, track: SessionTrack | None) -> RgbdFrame:
-        """A frame without an ambient sensor stays without."""
         sensor = self.settings(LightSensor)
         if sensor is None or frame.ambient is None:
             return frame

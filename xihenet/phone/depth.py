@@ -50,14 +50,8 @@ class RangeLimits(Section):
 class DistanceNoise(Section):
     """Standard deviation sigma_m + growth * max(z - growth_from_m, 0) ** growth_power, z in metres.
 
-    Parameters
-    ----------
-    sigma_m : near the sensor
-    growth : metres per metre ** growth_power
-    growth_from_m : where growth begins
-    growth_power : 1 for time of flight, 2 for triangulation
-    grain_px : distance over which the noise is smooth; 1 or less makes it independent from pixel to pixel
-    shift_px : standard deviation of the place on the sensor that a pixel really reads; 0 for none
+    The power is 1 for time of flight, 2 for triangulation. The noise is smooth over `grain_px`; 1 or less makes it
+    independent from pixel to pixel. `shift_px` is the standard deviation of the place that a pixel really reads.
     """
 
     sigma_m: float = number("m", 0.0, 1.0)

@@ -62,13 +62,9 @@ def follow_exposure(
 ) -> ArrayF64:
     """(N,) the exposure of each frame of a session.
 
-    Parameters
-    ----------
-    times_s : (N,) seconds, never decreasing
-    metered : (N,) the exposure that each frame's own light asks for, such as `camera.metered_exposure` gives
-    reference : the session's exposure; clamps lie around it
-
-    The first frame is metered well (a phone's preview ran before); each later one only knows the frames before it.
+    `times_s` (N,) never decrease; `metered` (N,) is what each frame's own light asks for, as `camera.metered_exposure`
+    gives it; clamps lie around `reference`, the session's exposure. The first frame is metered well (a phone's preview
+    ran before); each later one only knows the frames before it.
     """
     if len(times_s) != len(metered):
         raise ValueError(f"follow_exposure: expected as many times as meterings, got {len(times_s)} and {len(metered)}")
@@ -88,13 +84,12 @@ def expose(frame: RgbdFrame, exposure: float, radiance: ArrayLike | None = None)
     """
     if exposure == frame.exposure:
         return frame
-    if radiance is None:
-        light_of_byte = srgb_to_linear(np.arange(256) / 255.0) / frame.exposure
-        return replace(frame, srgb_u8=encode_exposed(light_of_byte, exposure)[frame.srgb_u8], exposure=exposure)
-    return replace(frame, srgb_u8=encode_exposed(radiance, exposure), exposure=exposure)
+    if radiance is not None:
+        return replace(frame, srgb_u8=encode_exposed(radiance, exposure), exposure=exposure)
+    light_of_byte = srgb_to_linear(np.arange(256) / 255.0) / frame.exposure
+    return replace(frame, srgb_u8=encode_exposed(light_of_byte, exposure)[frame.srgb_u8], exposure=exposure)
 
 
 def _clamped(exposure: float, reference: float, settings: AutoExposure) -> float:
     lowest = reference * math.pow(2.0, -settings.darkest_stops)
-    highest = reference * math.pow(2.0, settings.brightest_stops)
-    return min(max(exposure, lowest), highest)
+    return min(max(exposure, lowest), reference * math.pow(2.0, settings.brightest_stops))

@@ -35,16 +35,10 @@ RGB_FROM_XYZ = np.array(
 
 @dataclass(frozen=True, kw_only=True)
 class LightSensor(Section):
-    """How late, how rough and in which steps the sensor answers.
+    """How late, how rough and in which steps the sensor answers; a step of 0 for none.
 
-    Parameters
-    ----------
-    time_constant_s : of collecting light
-    gain_error : fixed for a device, uniform, plus or minus
-    noise : new in every reading, standard deviation
-    intensity_step : relative, since such sensors switch their gain; 0 for none
-    temperature_step_k : 0 for none
-    lowest_k, highest_k : range of colour temperatures
+    `gain_error` is fixed for a device, uniform, plus or minus; `noise` new in every reading, a standard deviation.
+    `intensity_step` is relative, since such sensors switch their gain.
     """
 
     time_constant_s: float = number("s", 0.0, 60.0)
@@ -92,9 +86,8 @@ def colour_temperature_k(radiance: ArrayLike) -> float:
 def colour_of_temperature(temperature_k: float) -> ArrayF64:
     """(3,) linear Rec.709 of luminance 1 at a colour temperature; 6504 K is white; held where the fit is valid."""
     white = _black_body(WHITE_K)
-    colour = np.maximum(_black_body(float(np.clip(temperature_k, LOWEST_K, HIGHEST_K))) / white, 0.0)
-    relative: ArrayF64 = colour / float(LUMINANCE @ colour)
-    return relative
+    colour: ArrayF64 = np.maximum(_black_body(float(np.clip(temperature_k, LOWEST_K, HIGHEST_K))) / white, 0.0)
+    return colour / float(LUMINANCE @ colour)
 
 
 def read_light(

@@ -142,10 +142,8 @@ def drift_at(time_s: float, settings: PoseDrift, seed: int | Sequence[int]) -> t
     steps = np.random.default_rng(seed).normal(size=(n_steps, 4))
     walked = steps[:-1].sum(axis=0) + (place - (n_steps - 1)) * steps[-1]
     walked *= np.sqrt(DRIFT_STEP_S)
-    return (
-        walked[:3] * (settings.position_m_per_sqrt_s / np.sqrt(3)),
-        float(walked[3] * np.radians(settings.yaw_deg_per_sqrt_s)),
-    )
+    yaw = float(walked[3] * np.radians(settings.yaw_deg_per_sqrt_s))
+    return walked[:3] * (settings.position_m_per_sqrt_s / np.sqrt(3)), yaw
 
 
 def drift_pose(frame: RgbdFrame, settings: PoseDrift | None, seed: int | Sequence[int]) -> RgbdFrame:

@@ -37,13 +37,11 @@ class Link(Section):
     Parameters
     ----------
     processing_s : on the device and the server together
-    median_s : of the network time of one cloud, there and back
-    floor_s : the network is never faster
+    median_s, floor_s : of the network time of one cloud, there and back; it is never below the floor
     spread : standard deviation of the logarithm of what lies above the floor
     uplink_bit_per_s : for bytes beyond one cloud
     loss : share of the requests that are lost, each time they are sent
-    resend_s : after this a lost request is sent again
-    n_sends : after so many it is given up
+    resend_s, n_sends : after this a lost request is sent again; after so many it is given up
     """
 
     processing_s: float = number("s", 0.0, 60.0)
@@ -113,12 +111,8 @@ def arrival_frames(
 ) -> ArrayF64:
     """(N,) when the estimate of each triggered frame arrives, seconds; infinite if it was lost for good.
 
-    Parameters
-    ----------
-    trigger_times_s : (N,) any order; N may be 0
-    payload_bytes : (N,) or one number, what is sent up, >= 0
-    link : None for a phone that estimates by itself: everything arrives at once
-    rng : each request draws the same amount, so a request's luck does not depend on the link's loss
+    `trigger_times_s` (N,) are in any order; N may be 0. `payload_bytes`, (N,) or one number >= 0, are sent up. Without
+    a link everything arrives at once. Each request draws the same from `rng`, so its luck is not that of the link.
     """
     asked_s = np.asarray(trigger_times_s, np.float64)
     if link is None:
@@ -160,12 +154,8 @@ class Request:
 class EstimatesUnderWay:
     """The estimates of one session, each kept with the time of its arrival; the light is the youngest of those there.
 
-    An answer that is overtaken by a later one is of no use any more; one that was lost never arrives.
-
-    Parameters
-    ----------
-    link : to the edge server; None for a phone that estimates by itself: everything arrives at once
-    seed : of the session, a whole number >= 0
+    An answer that is overtaken by a later one is of no use any more; one that was lost never arrives. Without a `link`
+    everything arrives at once. `seed`, a whole number >= 0, is that of the session.
     """
 
     def __init__(self, link: Link | None, seed: int) -> None:

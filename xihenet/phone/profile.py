@@ -1,8 +1,7 @@
 """Profiles of phones, as data files: what each sensor does, with the source of every number.
 
 A profile is a TOML file with a name, a summary, its metering (highlights where it says none) and one table for each
-effect that the device has; a table that is missing means that the device does not have the effect. Users add their own
-file and pass its path.
+effect that the device has. Users add their own file and pass its path.
 Chosen: tables named as the effects are, so that a plan, a profile and a report use one vocabulary.
 Rejected: profiles in Python, which users could not add without touching the package.
 """
@@ -55,14 +54,9 @@ PHONE_EFFECTS = (*EFFECTS, NETWORK)
 
 @dataclass(frozen=True)
 class PhoneProfile:
-    """A device; each effect's settings, or none where the device does not have the effect.
+    """A device; `sections` are settings by the names of EFFECTS, of those that the device has.
 
-    Parameters
-    ----------
-    name : as people call the device
-    summary : one line
-    sections : settings by the names of EFFECTS
-    metering : how it finds its exposure, locked for the session or, with `auto_exposure`, frame by frame
+    `metering` is how it finds its exposure, locked for the session or, with `auto_exposure`, frame by frame.
     """
 
     name: str
@@ -101,7 +95,6 @@ class PhoneProfile:
 
 
 def profile_names() -> list[str]:
-    """The profiles that come with the package."""
     return sorted(file.stem for file in PROFILES_FOLDER.glob("*.toml"))
 
 

@@ -90,7 +90,7 @@ class SessionFacts:
         return self.fastest_m_per_s == 0 and self.fastest_turn_deg_per_s == 0
 
     def moves_points(self, by_m: float, what: str) -> Required:
-        """Whether `what`, which moves points `by_m`, takes any from its anchor, nearest to an estimation position."""
+        """Whether `what`, which moves points `by_m`, takes any from its anchor."""
         if by_m == 0:
             return False, f"{what} is none"
         clearance_m = known(self.clearance_m, "how near surfaces come to the virtual objects")
@@ -113,7 +113,6 @@ def number(unit: str, low: float, high: float, *, kind: type = float) -> Any:
 
 
 def switch() -> Any:
-    """A field that is true or false."""
     return field(metadata={"kind": bool, "expected": "true or false"})
 
 
@@ -121,9 +120,7 @@ def switch() -> Any:
 class Section:
     """Settings of one sensor effect; making one raises ValueError naming the field that is wrong.
 
-    Parameters
-    ----------
-    source : where the numbers come from, or that they were chosen and why; not empty
+    `source` says where the numbers come from, or that they were chosen and why; it is not empty.
     """
 
     source: str = field(metadata={"kind": str, "expected": "some text"})
