@@ -20,10 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
-from xihenet.estimators.lattice import WEIGHTS_FOLDER, Lattice
+from xihenet.estimators.lattice import Lattice
 from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights, load_weights
 from xihenet.estimators.pointconv import XiheNet
-from xihenet.estimators.weights_format import save_weights
+from xihenet.estimators.weights_format import WEIGHTS_FOLDER, save_weights
 from xihenet.records import UnitSphereCloud
 
 N_ANCHORS = 1280

@@ -138,7 +138,7 @@ def measured():
     ball(scene, "Vase", (0.5, 0.3, 1.0), glass())
     bpy.context.view_layer.update()
     before = snapshot()
-    with few_costs(set(MEASURED), n_seeds=3):
+    with few_costs(MEASURED, n_seeds=3):
         effects = run_blocking(effects_of_run(scene, PrevisSettings(), budget_s=1e9))
     return effects, differences(before, snapshot())
 

@@ -197,18 +197,11 @@ def _camera_digest(camera: bpy.types.Object | None, depsgraph: bpy.types.Depsgra
 
 @dataclass(frozen=True)
 class RenderReuse:
-    """Which earlier frame of a run holds a render that would come out the same; made by `plan_render_reuse`.
+    """Which earlier frame of a run holds a render that would come out the same; made by `plan_render_reuse`."""
 
-    Parameters
-    ----------
-    states : of the scene, by frame
-    captures : for each captured frame, the frame that holds its capture: an earlier one, or itself
-    probes : the same for the panorama of each light probe, by frame and name; it does not depend on the camera
-    """
-
-    states: Mapping[int, SceneState]
-    captures: Mapping[int, int]
-    probes: Mapping[tuple[int, str], int]
+    states: Mapping[int, SceneState]  # of the scene, by frame
+    captures: Mapping[int, int]  # for each captured frame, the frame that holds its capture: an earlier one, or itself
+    probes: Mapping[tuple[int, str], int]  # the same for each light probe, which does not depend on the camera, by name
 
     def comparison(self, frame: int, *made_from: bytes) -> tuple[Any, ...]:
         """Equal for frames whose comparisons are, which are made from capture and lights, `made_from`, as well."""

@@ -42,30 +42,20 @@ MAX_AIMED_AT = 20
 class TransportSurvey:
     """What light can reach over the inspected frames.
 
-    Parameters
-    ----------
-    surfaces : for each interaction, what has it, in words ("material 'Glass' on 'Vase'"), in the order it was found
-    unreached : what has subsurface, where no ray of the camera or a probe reaches any of it; `surfaces` is without it
-    strands : objects with hair
-    n_lights : the most lamps, emitting objects and emitting worlds at any one frame
-    has_lamps : whether there are lamps, switched on at any frame
-    emitters : names of the emitting objects
-    world : what the world may do
-    defocused : cameras with depth of field
-    is_moving : something stands otherwise in one frame than in another
-    carried : (N_SURFACES,) of each walk of light; see `enclosure`
+    `surfaces` have an interaction, in words ("material 'Glass' on 'Vase'"), in the order in which they were found;
+    without those `unreached`, of which no ray of the camera or a probe reaches the subsurface.
     """
 
     surfaces: dict[Interaction, list[str]] = field(default_factory=dict)
     unreached: list[str] = field(default_factory=list)
-    strands: list[str] = field(default_factory=list)
-    n_lights: int = 0
-    has_lamps: bool = False
-    emitters: list[str] = field(default_factory=list)
-    world: Interaction = Interaction.NOTHING
-    defocused: list[str] = field(default_factory=list)
-    is_moving: bool = False
-    carried: list[ArrayF64] = field(default_factory=list)
+    strands: list[str] = field(default_factory=list)  # objects with hair
+    n_lights: int = 0  # the most lamps, emitting objects and emitting worlds at any one frame
+    has_lamps: bool = False  # whether there are lamps, switched on at any frame
+    emitters: list[str] = field(default_factory=list)  # names of the emitting objects
+    world: Interaction = Interaction.NOTHING  # what the world may do
+    defocused: list[str] = field(default_factory=list)  # cameras with depth of field
+    is_moving: bool = False  # something stands otherwise in one frame than in another
+    carried: list[ArrayF64] = field(default_factory=list)  # (N_SURFACES,) of each walk of light; see `enclosure`
 
     def which(self, *interactions: Interaction) -> list[str]:
         """What has any of `interactions`, in words."""

@@ -20,22 +20,13 @@ Target = Literal["ldr", "hdr"]
 
 @dataclass(frozen=True, eq=False)
 class EstimateContext:
-    """What an estimator may use besides the cloud; every part is optional.
+    """What an estimator may use besides the cloud; every part is optional."""
 
-    Parameters
-    ----------
-    frame : the capture of this moment, for its ambient light sensor
-    points : the raw point cloud of this moment
-    position_m : (3,) estimation position, world, metres
-    truth_sh : (9, 3) coefficients of the light probe rendered at the position, carrying the session's exposure
-    reference_exposure : the session's exposure; None stands for the frame's own
-    """
-
-    frame: RgbdFrame | None = None
-    points: PointCloud | None = None
-    position_m: ArrayF64 | None = None
-    truth_sh: ArrayF64 | None = None
-    reference_exposure: float | None = None
+    frame: RgbdFrame | None = None  # the capture of this moment, for its ambient light sensor
+    points: PointCloud | None = None  # the raw ones of this moment
+    position_m: ArrayF64 | None = None  # (3,) estimation position, world, metres
+    truth_sh: ArrayF64 | None = None  # (9, 3) of the light probe rendered there, carrying the session's exposure
+    reference_exposure: float | None = None  # the session's exposure; None stands for the frame's own
 
 
 class NotFinite(ValueError):
@@ -43,12 +34,9 @@ class NotFinite(ValueError):
 
 
 class Estimator(ABC):
-    """One way to know the light at a position.
+    """One way to know the light at a position, from clouds of `n_anchors`.
 
-    Parameters
-    ----------
-    n_anchors : anchors of the clouds that will come in
-    target : "ldr" estimates light clipped at 1 after exposure, as the paper trains; "hdr" the whole light
+    The `target` "ldr" is light clipped at 1 after exposure, as the paper trains; "hdr" the whole light.
     """
 
     name: ClassVar[str]

@@ -23,12 +23,9 @@ SMALLEST_RAW = 1e-6
 
 @dataclass(frozen=True)
 class Calibration:
-    """From a raw expected error to one that can be believed.
+    """Expected SHC RMSE = factor x raw^power x exp(slope x coverage).
 
-    Parameters
-    ----------
-    factor, power, slope : expected SHC RMSE = factor x raw^power x exp(slope x coverage)
-    quantiles : for each of `SHARES_ASKED`, the multiple of the expected error below which that share stays
+    `quantiles` are, for each of `SHARES_ASKED`, the multiple of the expected error below which that share stays.
     """
 
     factor: float

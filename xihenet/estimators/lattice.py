@@ -24,7 +24,7 @@ from xihenet.estimators.base import EstimateContext, Estimator, NotFinite, Targe
 from xihenet.estimators.calibration import Calibration
 from xihenet.estimators.lattice_format import LatticeWeights, load_weights
 from xihenet.estimators.lattice_tables import N_SH, anchor_tables, pooling_matrix, quadrature_matrix, slot_order
-from xihenet.estimators.weights_format import WEIGHTS_FOLDER
+from xihenet.estimators.weights_format import loaded_for
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, UnitSphereCloud
 from xihenet.sh import FACING_OFFSET, L1_VARIANCE, LEAST_WEIGHT, RESIDUAL_NOISE, SMALLEST_PENALTY
 
@@ -59,14 +59,8 @@ _SQUARED_BANDS = np.diag(SQUARED_BAND)
 class Lattice(Estimator):
     """The lattice network with weights trained for one target; any number of anchors.
 
-    Parameters
-    ----------
-    n_anchors, target : as for every estimator
-    weights : file of weights; None takes the one shipped for the target
-
-    Raises
-    ------
-    ValueError : if the file is missing, broken, of another version, or was trained for the other target
+    `weights` is a file; None takes the one shipped for the target. ValueError if it is missing, broken, of another
+    version, or was trained for the other target.
     """
 
     name = "lattice"
@@ -74,10 +68,7 @@ class Lattice(Estimator):
 
     def __init__(self, n_anchors: int = 1280, target: Target = "ldr", *, weights: Path | None = None) -> None:
         super().__init__(n_anchors, target)
-        path = WEIGHTS_FOLDER / f"lattice_{target}.npz" if weights is None else weights
-        loaded = load_weights(path)
-        if loaded.target != target:
-            raise ValueError(f"{path}: expected weights for the target {target!r}, got {loaded.target!r}")
+        loaded = loaded_for(self, weights, load_weights)
         self._network = LatticeNetwork(loaded, n_anchors)
         self._calibration = Calibration.from_figures(loaded.figures)
         self._sensor = Ambient(n_anchors, target)
@@ -85,18 +76,13 @@ class Lattice(Estimator):
     def estimate_with_error(
         self, cloud: UnitSphereCloud, context: EstimateContext | None = None
     ) -> tuple[ArrayF64, float | None]:
-        """As `estimate`, and the SHC RMSE that is expected of it.
-
-        With a frame in the context, a cloud of which next to nothing is set leans on the phone's sensor; see
-        `lean_on_sensor`.
-        """
+        """With a frame in the context, a cloud of which next to nothing is set leans on the phone's sensor."""
         self._check_size(cloud)
         facing = None if cloud.surfaces is None else cloud.surfaces.facing[None]
         light, raw_error = self._run(cloud.srgb[None], cloud.distance_m[None], cloud.is_set[None], facing)
-        if context is not None and context.frame is not None:
-            sensed = self._sensor.estimate(cloud, context)
-            light = lean_on_sensor(light, cloud.is_set.mean(keepdims=True), sensed[None])
         coverage = cloud.is_set.mean(keepdims=True)
+        if context is not None and context.frame is not None:
+            light = lean_on_sensor(light, coverage, self._sensor.estimate(cloud, context)[None])
         return self._checked(light[0]), float(self._calibration.expected(raw_error, coverage)[0])
 
     def estimate_batch(

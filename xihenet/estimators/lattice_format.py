@@ -18,30 +18,21 @@ N_ERROR_HIDDEN = 32
 class LatticeArchitecture:
     """Sizes of the network; the defaults make 265,077 parameters.
 
-    Parameters
-    ----------
-    levels : anchors of the three coarser lattices; radiance is predicted in the directions of the second
-    stem, fine, middle, coarse : features per anchor of the input and of the three levels
-    narrow : features of each of the coarsest anchors that go into the dense layers, which know their places
-    hidden, code : sizes of the dense layers
-    spread : features that the code gives to each direction of the output, each by weights of its own
-    decoder : features per direction before the radiance
-    knows_facing : how surfaces face the position weighs the projection and is told to the network
-    is_exposure_normalised : colours are taken relative to the mean of the set anchors and the light scaled back
+    `levels` are anchors of the three coarser lattices; radiance is predicted in the directions of the second.
     """
 
     levels: tuple[int, int, int] = (320, 80, 20)
-    stem: int = 16
+    stem: int = 16  # features per anchor of the input, and then of the three levels
     fine: int = 32
     middle: int = 64
     coarse: int = 64
-    narrow: int = 24
-    hidden: int = 256
-    code: int = 128
-    spread: int = 8
-    decoder: int = 48
-    is_exposure_normalised: bool = True
-    knows_facing: bool = True
+    narrow: int = 24  # features of each of the coarsest anchors that go into the dense layers, which know their places
+    hidden: int = 256  # of the first dense layer
+    code: int = 128  # of the second
+    spread: int = 8  # features that the code gives to each direction of the output, each by weights of its own
+    decoder: int = 48  # features per direction before the radiance
+    is_exposure_normalised: bool = True  # colours are relative to the mean of the set anchors, the light scaled back
+    knows_facing: bool = True  # how surfaces face the position weighs the projection and is told to the network
 
     def __post_init__(self) -> None:
         switches = {"is_exposure_normalised": self.is_exposure_normalised, "knows_facing": self.knows_facing}

@@ -25,10 +25,8 @@ N_SH = 9
 class PoolingTable:
     """Which fine anchors each coarse anchor stands for.
 
-    Parameters
-    ----------
-    members : (n_coarse, k) numbers of fine anchors; `n_fine`, one past the last, fills rows with fewer
-    counts : (n_coarse,) float32, members of each row, at least 1
+    `members` (n_coarse, k) are numbers of fine anchors; `n_fine`, one past the last, fills rows with fewer. `counts`
+    (n_coarse,), float32, are the members of each row, at least 1.
     """
 
     members: ArrayInt
@@ -37,14 +35,10 @@ class PoolingTable:
 
 @dataclass(frozen=True, eq=False)
 class AnchorTables:
-    """What is known of a lattice of n anchors.
+    """What is known of a lattice of n anchors, float32: directions (n, 3) and basis (n, 9).
 
-    Parameters
-    ----------
-    directions : (n, 3) float32
-    basis : (n, 9) float32
-    basis_products : (n, 81) float32, products of each two basis functions: their sum over the set anchors is the
-        matrix of the least squares
+    `basis_products` (n, 81) are of each two basis functions: their sum over the set anchors is the matrix of the least
+    squares.
     """
 
     directions: ArrayF32
@@ -80,21 +74,13 @@ class SlotOrder:
     """The same pooling by adding blocks: each coarse anchor's first member, then the second of those that have one.
 
     Coarse anchors are ordered by falling number of members, so that each further block lies on the first so many.
-
-    Parameters
-    ----------
-    coarse : (n_coarse,) numbers of the coarse anchors in that order
-    fine : (m,) numbers of the fine anchors, block by block; m is above `n_fine` where a fine one stands in for several
-    lengths : of the blocks
-    counts : (n_coarse,) float32, members of each coarse anchor, at least 1
-    is_first : (m,) float32, 1 but for a fine anchor that came before
     """
 
-    coarse: ArrayInt
-    fine: ArrayInt
-    lengths: tuple[int, ...]
-    counts: ArrayF32
-    is_first: ArrayF32
+    coarse: ArrayInt  # (n_coarse,) numbers of the coarse anchors in that order
+    fine: ArrayInt  # (m,) numbers of the fine anchors, block by block; more than all where one stands in for several
+    lengths: tuple[int, ...]  # of the blocks
+    counts: ArrayF32  # (n_coarse,) float32, members of each coarse anchor, at least 1
+    is_first: ArrayF32  # (m,) float32, 1 but for a fine anchor that came before
 
     def sums(self, values: ArrayF32, axis: int) -> ArrayF32:
         """Sums over each coarse anchor's members along `axis`, which holds the m fine anchors in order."""

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from xihenet.estimators.base import EstimateContext, Estimator, Target
 from xihenet.estimators.pointconv_network import PointConvNetwork, load_pointconv_weights
-from xihenet.estimators.weights_format import WEIGHTS_FOLDER
+from xihenet.estimators.weights_format import loaded_for
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, UnitSphereCloud
 from xihenet.sampling import has_usable_points, sample_uniform
 from xihenet.sphere import AnchorLattice
@@ -25,24 +25,15 @@ DRAWING_SEED = 0
 class _PointConv(Estimator):
     """What the two share: weights are found, checked and put into the network.
 
-    Parameters
-    ----------
-    n_anchors, target : as for every estimator
-    weights : file of weights; None takes the one shipped for the target
-
-    Raises
-    ------
-    ValueError : if the file is missing, broken, of another version, or was trained for another estimator or target
+    `weights` is a file; None takes the one shipped for the target. ValueError if it is missing, broken, of another
+    version, or was trained for another estimator or target.
     """
 
     farthest_m = FARTHEST_M
 
     def __init__(self, n_anchors: int = 1280, target: Target = "ldr", *, weights: Path | None = None) -> None:
         super().__init__(n_anchors, target)
-        path = WEIGHTS_FOLDER / f"{self.name}_{target}.npz" if weights is None else weights
-        loaded = load_pointconv_weights(path, self.name)
-        if loaded.target != target:
-            raise ValueError(f"{path}: expected weights for the target {target!r}, got {loaded.target!r}")
+        loaded = loaded_for(self, weights, lambda path: load_pointconv_weights(path, self.name))
         self._n_points_trained_with = loaded.n_points
         self._keeps_unset_at_origin = loaded.architecture.keeps_unset_at_origin
         self._network = PointConvNetwork(loaded)

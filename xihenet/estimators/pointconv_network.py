@@ -28,24 +28,14 @@ _LOWEST_EXPONENT = np.float32(-80)
 
 @dataclass(frozen=True)
 class PointConvArchitecture:
-    """Sizes of the network; the defaults are the paper's and make 1,511,021 parameters.
+    """Sizes of the network; the defaults are the paper's and make 1,511,021 parameters."""
 
-    Parameters
-    ----------
-    centroids : points kept by the first and by the second block
-    n_neighbours : points around each centroid
-    n_weights : outputs of the function that makes weights from relative positions
-    bandwidth : of the density's Gaussian, relative to the cloud's mean distance
-    keeps_unset_at_origin : unset anchors enter as black points at the origin, as in the reference
-    is_bfloat16_in_training : matrix products in bfloat16 while it trains, where the processor has them; never after
-    """
-
-    centroids: tuple[int, int] = (128, 32)
-    n_neighbours: int = 32
-    n_weights: int = 16
-    bandwidth: float = 0.1
-    keeps_unset_at_origin: bool = False
-    is_bfloat16_in_training: bool = False
+    centroids: tuple[int, int] = (128, 32)  # points kept by the first and by the second block
+    n_neighbours: int = 32  # points around each centroid
+    n_weights: int = 16  # outputs of the function that makes weights from relative positions
+    bandwidth: float = 0.1  # of the density's Gaussian, relative to the cloud's mean distance
+    keeps_unset_at_origin: bool = False  # unset anchors enter as black points at the origin, as in the reference
+    is_bfloat16_in_training: bool = False  # matrix products while it trains, where the processor has them
 
     def __post_init__(self) -> None:
         sizes = [*self.centroids, self.n_neighbours, self.n_weights]

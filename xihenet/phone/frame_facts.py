@@ -32,17 +32,11 @@ MOST = ("focal_px", "farthest_m", "widest_step_m", "steepest_deg")
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FrameFacts(SessionFacts):
-    """Those of LEAST and MOST, of one frame; a distance is None without valid plane depth, or without a position.
-
-    Parameters
-    ----------
-    time_s, world_from_camera : of the frame
-    stops : logarithm to base 2 of the exposure that the frame asks for
-    """
+    """Those of LEAST and MOST, of one frame; a distance is None without valid plane depth, or without a position."""
 
     time_s: float
     world_from_camera: ArrayF64
-    stops: float
+    stops: float  # logarithm to base 2 of the exposure that the frame asks for
 
 
 def facts_of_session(each: Sequence[FrameFacts], **known: Any) -> SessionFacts:

@@ -27,18 +27,13 @@ from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, Intrinsics,
 class SurfaceFacts:
     """What the caller knows of the surface in each pixel of one frame; None where it does not.
 
-    Parameters
-    ----------
-    normals : (H, W, 3) world, any length; a normal that is 0 or not finite counts as facing the camera
-    roughness : (H, W) 0 for a mirror, 1 for chalk
-    transmission : (H, W) share of the light that goes through
-    reflectance : (H, W) share that comes back, at the sensor's wavelength or as grey
+    A normal, of any length, that is 0 or not finite counts as facing the camera.
     """
 
-    normals: ArrayF32 | None = None
-    roughness: ArrayF32 | None = None
-    transmission: ArrayF32 | None = None
-    reflectance: ArrayF32 | None = None
+    normals: ArrayF32 | None = None  # (H, W, 3) world
+    roughness: ArrayF32 | None = None  # (H, W) 0 for a mirror, 1 for chalk
+    transmission: ArrayF32 | None = None  # (H, W) share of the light that goes through
+    reflectance: ArrayF32 | None = None  # (H, W) share that comes back, at the sensor's wavelength or as grey
 
     def checked_for(self, intrinsics: Intrinsics) -> SurfaceFacts:
         """Itself; ValueError naming the array whose size is not that of the picture."""

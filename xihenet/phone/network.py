@@ -32,26 +32,16 @@ REFERENCE_PAYLOAD_BYTES = 4249
 
 @dataclass(frozen=True, kw_only=True)
 class Link(Section):
-    """A way to the edge server.
+    """A way to the edge server."""
 
-    Parameters
-    ----------
-    processing_s : on the device and the server together
-    median_s, floor_s : of the network time of one cloud, there and back; it is never below the floor
-    spread : standard deviation of the logarithm of what lies above the floor
-    uplink_bit_per_s : for bytes beyond one cloud
-    loss : share of the requests that are lost, each time they are sent
-    resend_s, n_sends : after this a lost request is sent again; after so many it is given up
-    """
-
-    processing_s: float = number("s", 0.0, 60.0)
-    median_s: float = number("s", 0.0, 60.0)
-    floor_s: float = number("s", 0.0, 60.0)
-    spread: float = number("", 0.0, 5.0)
-    uplink_bit_per_s: float = number("bit/s", 1.0, 1e12)
-    loss: float = number("of the requests", 0.0, 1.0)
-    resend_s: float = number("s", 0.0, 60.0)
-    n_sends: int = number("", 1, 100, kind=int)
+    processing_s: float = number("s", 0.0, 60.0)  # on the device and the server together
+    median_s: float = number("s", 0.0, 60.0)  # of the network time of one cloud, there and back
+    floor_s: float = number("s", 0.0, 60.0)  # which is never below this
+    spread: float = number("", 0.0, 5.0)  # standard deviation of the logarithm of what lies above the floor
+    uplink_bit_per_s: float = number("bit/s", 1.0, 1e12)  # for bytes beyond one cloud
+    loss: float = number("of the requests", 0.0, 1.0)  # share of the requests that are lost, each time they are sent
+    resend_s: float = number("s", 0.0, 60.0)  # after this a lost request is sent again
+    n_sends: int = number("", 1, 100, kind=int)  # after so many it is given up
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -41,41 +41,24 @@ def known(fact: Known | None, what: str) -> Known:
 
 @dataclass(frozen=True)
 class SessionFacts:
-    """What is known of a session, over all its frames; None for what is not.
+    """What is known of a session, over all its frames; None for what is not."""
 
-    Parameters
-    ----------
-    frame_rate_hz : of the camera path
-    duration_s : first to last frame
-    n_anchors : of the estimates
-    focal_px : of the capture, the longer of the two
-    nearest_m, farthest_m : plane depth of any surface in view
-    clearance_m : from an estimation position to the nearest surface in view
-    fastest_m_per_s, fastest_turn_deg_per_s : of the camera
-    widest_step_m : largest step of plane depth between neighbouring pixels
-    darkest_grey : of the pictures (sRGB-encoded), or of the materials in view, whichever the sensor is judged by
-    smoothest_roughness, highest_transmission : of any material in view; 1 and 0 where none is smooth or clear
-    steepest_deg : largest angle between a surface in view and the camera facing it
-    brightness_change_stops : largest less smallest exposure that the frames ask for
-    light_changes : whether any light is animated, driven or switched
-    """
-
-    frame_rate_hz: float | None = None
-    duration_s: float | None = None
-    n_anchors: int = 1280
-    focal_px: float | None = None
-    nearest_m: float | None = None
-    farthest_m: float | None = None
-    clearance_m: float | None = None
-    fastest_m_per_s: float | None = None
-    fastest_turn_deg_per_s: float | None = None
-    widest_step_m: float | None = None
-    darkest_grey: float | None = None
-    smoothest_roughness: float | None = None
-    highest_transmission: float | None = None
-    steepest_deg: float | None = None
-    brightness_change_stops: float | None = None
-    light_changes: bool | None = None
+    frame_rate_hz: float | None = None  # of the camera path
+    duration_s: float | None = None  # first to last frame
+    n_anchors: int = 1280  # of the estimates
+    focal_px: float | None = None  # of the capture, the longer of the two
+    nearest_m: float | None = None  # plane depth of any surface in view
+    farthest_m: float | None = None  # the same
+    clearance_m: float | None = None  # from an estimation position to the nearest surface in view
+    fastest_m_per_s: float | None = None  # of the camera
+    fastest_turn_deg_per_s: float | None = None  # of the camera
+    widest_step_m: float | None = None  # largest step of plane depth between neighbouring pixels
+    darkest_grey: float | None = None  # of the pictures (sRGB-encoded), or of materials where the sensor goes by these
+    smoothest_roughness: float | None = None  # of any material in view; 1 where none is smooth
+    highest_transmission: float | None = None  # of any material in view; 0 where none is clear
+    steepest_deg: float | None = None  # largest angle between a surface in view and the camera facing it
+    brightness_change_stops: float | None = None  # largest less smallest exposure that the frames ask for
+    light_changes: bool | None = None  # whether any light is animated, driven or switched
 
     @property
     def small_angle(self) -> float:
