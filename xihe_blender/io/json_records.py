@@ -2,8 +2,9 @@
 
 Dataclasses, tuples, dicts with names as keys, `Literal`, `X | None` and plain values, nested as one likes. A reader
 takes what is missing from the defaults and leaves out what it does not know, so that older and newer files can be read.
-A field marked ABSENT stays out of the JSON while it is None; the fields of a record marked INLINE stand among those of
-the record around it, which is None if none of them does. Not for NaN or Infinity, which JSON does not have.
+What a field holds is `Annotated`, or an entry below the first paragraph of the docstring. A field marked ABSENT stays
+out of the JSON while it is None; the fields of a record marked INLINE stand among those of the record around it, which
+is None if none of them does. Not for NaN or Infinity, which JSON does not have.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def from_json(kind: type[Record], content: Json) -> Record:
 
 
 def json_schema(kind: type) -> dict[str, Json]:
-    """A JSON schema (draft 2020-12) of a record; descriptions are those of its docstring."""
+    """A JSON schema (draft 2020-12) of a record, with descriptions."""
     found: dict[str, Json] = {}
     _describe(kind, found)
     return {
@@ -151,7 +152,10 @@ def _describe(kind: Any, found: dict[str, Json]) -> dict[str, Json]:
 
 def _describe_record(kind: Any, found: dict[str, Json]) -> dict[str, Json]:
     docstring = inspect.cleandoc(kind.__doc__)
-    texts: dict[str, str] = {}
+    hints = typing.get_type_hints(kind, include_extras=True)
+    texts: dict[str, str] = {
+        name: hint.__metadata__[0] for name, hint in hints.items() if hasattr(hint, "__metadata__")
+    }
     for base in reversed(kind.__mro__):
         texts |= _texts_of_fields(inspect.cleandoc(base.__doc__ or ""))
     fields = dataclasses.fields(kind)
