@@ -10,8 +10,15 @@ from xihenet.estimators import weights_format
 from xihenet.estimators.ambient import constant_light
 from xihenet.estimators.base import EstimateContext
 from xihenet.estimators.lattice import Lattice
-from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights, load_weights
-from xihenet.estimators.lattice_tables import pooling_matrix, pooling_table, quadrature_matrix, slot_order
+from xihenet.estimators.lattice_format import (
+    LatticeArchitecture,
+    LatticeWeights,
+    load_weights,
+    pooling_matrix,
+    pooling_table,
+    quadrature_matrix,
+    slot_order,
+)
 from xihenet.estimators.projection import Projection
 from xihenet.estimators.weights_format import save_weights
 from xihenet.npz_files import read_npz

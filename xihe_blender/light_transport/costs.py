@@ -53,13 +53,12 @@ class _Variant:
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """A working scene that renders any variant."""
+    """A working scene that renders any variant: mean radiance, and seconds."""
 
     scene: bpy.types.Scene
     mean: Callable[[ArrayF64], float]
 
     def render(self, variant: _Variant, seed: int) -> tuple[float, float]:
-        """Mean radiance, and seconds."""
         apply_effects(self.scene, cycles_settings(variant.plan))
         self.scene.cycles.seed = seed
         rendered = render_passes(self.scene)

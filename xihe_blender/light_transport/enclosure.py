@@ -10,8 +10,6 @@ Chosen: as many rays leave each surface as came to the first, drawn from those t
 Rejected: to follow each ray until it is lost, by which few are left for a corner in an open place, and none for its
 third bounce.
 
-What a walk meets is also what light can reach: `aim` adds rays at what no ray of it happened to meet.
-
 Source: a closed room whose walls of albedo a all glow alike leaves out a^(n + 1) of its light with n bounces, which is
 what the walk says. A lamp sampled directly leaves out less: measured in a closed room of albedo 0.7, against 12 bounces
 a picture is 24 % (n = 2), 11 % (4) and 2 % (8) too dark, and the walk says 34, 17 and 4 %, on the careful side.
@@ -67,10 +65,7 @@ def rays_through_picture(camera: bpy.types.Object, scene: bpy.types.Scene) -> li
 
 
 def carried(solids: Solids, rays: Sequence[Ray], rng: np.random.Generator) -> tuple[ArrayF64, list[Ray]]:
-    """(N_SURFACES,) share of `rays` that reach a k-th surface, weakened on the way; and where they did, with normals.
-
-    All 0, and nowhere, without rays.
-    """
+    """(N_SURFACES,) share of `rays` that reach a k-th surface, weakened on the way, and where, with normals."""
     weights, reached = np.zeros(N_SURFACES), []
     weight = 1.0
     for surface in range(N_SURFACES):

@@ -25,14 +25,9 @@ def required_effects(
     *,
     frames: Sequence[int] | None = None,
 ) -> dict[str, Requirement]:
-    """What `scene` itself requires, effect by effect; it stays as it is.
+    """What `scene`, room and virtual objects, itself requires, effect by effect; it stays as it is.
 
-    Parameters
-    ----------
-    scene : room and virtual objects
-    camera : the phone; None takes the scene's camera at each frame
-    positions : (K, 3) world, metres: where light probes stand
-    frames : frames to judge, each of them evaluated; None takes the scene's range and step
+    `camera` and `positions` are as in `TransportSurveyor`; each of `frames` is judged, None takes the scene's range.
     """
     chosen = range(scene.frame_start, scene.frame_end + 1, scene.frame_step) if frames is None else frames
     surveyor = TransportSurveyor(list(chosen), positions, camera)

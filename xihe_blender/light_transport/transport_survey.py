@@ -80,13 +80,10 @@ class TransportSurveyor:
         self.walked = sorted({frames[0], frames[len(frames) // 2], frames[-1]})
         self.found = TransportSurvey()
         self.placements: set[tuple[int, int]] = set()
-        self.leaky: set[str] = set()
-        """Surfaces, in words, which light passes in ways that the walks do not."""
+        self.leaky: set[str] = set()  # surfaces, in words, which light passes in ways that the walks do not
         self.views: list[Ray] = rays_all_round(positions)
-        self.reached: list[Ray] = []
-        """Places on surfaces that the walks met, with their normals."""
-        self.still: dict[Any, Shading] = {}
-        """Shading of what no animation changes, by original data-block."""
+        self.reached: list[Ray] = []  # places on surfaces that the walks met, with their normals
+        self.still: dict[Any, Shading] = {}  # of what no animation changes, by original data-block
         self.solids: dict[int, Solids] = {}
         """By how all stands: where only the phone moves, two are made, with the virtual objects and without."""
 

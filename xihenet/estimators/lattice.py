@@ -22,8 +22,15 @@ from numpy.typing import ArrayLike, NDArray
 from xihenet.estimators.ambient import Ambient
 from xihenet.estimators.base import EstimateContext, Estimator, NotFinite, Target
 from xihenet.estimators.calibration import Calibration
-from xihenet.estimators.lattice_format import LatticeWeights, load_weights
-from xihenet.estimators.lattice_tables import N_SH, anchor_tables, pooling_matrix, quadrature_matrix, slot_order
+from xihenet.estimators.lattice_format import (
+    N_SH,
+    LatticeWeights,
+    anchor_tables,
+    load_weights,
+    pooling_matrix,
+    quadrature_matrix,
+    slot_order,
+)
 from xihenet.estimators.weights_format import loaded_for
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, UnitSphereCloud
 from xihenet.sh import FACING_OFFSET, L1_VARIANCE, LEAST_WEIGHT, RESIDUAL_NOISE, SMALLEST_PENALTY

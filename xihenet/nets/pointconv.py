@@ -7,8 +7,6 @@ at the origin, where they are one point repeated hundreds of times (`keeps_unset
 layers are normalised per point and not per batch, so that one cloud gives what it gives in a batch; and there is no
 ReLU at the end, because coefficients of l >= 1 are negative half of the time.
 
-Uniform and farthest-point samples enter as points too: only the sampling tells `pointar` from `xihenet`.
-
 Written for two cores. Of the first layer of each block, points and centroids are passed before neighbours are gathered
 (it is linear, so their difference after it is what it makes of the difference); density and weights are multiplied
 where they are narrow; unset points are cut off; and a few clouds at a time are convolved, so that what lies between
@@ -60,16 +58,14 @@ class PointConvNet(nn.Module):  # type: ignore[misc]
 class Neighbourhoods(NamedTuple):
     """What does not depend on weights: who is near whom. S centroids with k neighbours each.
 
-    places (B, N, 3) relative to the cloud's size; inverse_density (B, N); centroids (B, S) and near (B, S, k) numbers
-    of points; is_centroid (B, S), False where the known points were used up. Points that are not known are near only
-    where others are missing, and have an inverse density of 0.
+    Points that are not known are near only where others are missing, and have an inverse density of 0.
     """
 
-    places: Tensor
-    inverse_density: Tensor
-    centroids: Tensor
-    is_centroid: Tensor
-    near: Tensor
+    places: Tensor  # (B, N, 3) relative to the cloud's size
+    inverse_density: Tensor  # (B, N)
+    centroids: Tensor  # (B, S) numbers of points
+    is_centroid: Tensor  # (B, S), False where the known points were used up
+    near: Tensor  # (B, S, k) numbers of points
 
 
 class PointConvBlock(nn.Module):  # type: ignore[misc]
@@ -103,7 +99,7 @@ class PointConvBlock(nn.Module):  # type: ignore[misc]
         return _rows(points_m, around.centroids), convolved * around.is_centroid[..., None], around.is_centroid
 
     def neighbourhoods(self, points_m: Tensor, known: Tensor) -> Neighbourhoods:
-        """Centroids, their neighbours and the density, from points_m (B, N, 3) and known (B, N)."""
+        """From points_m (B, N, 3) and known (B, N)."""
         with torch.no_grad():
             # Relative to the cloud's size: rooms differ by a factor of ten, and a bandwidth in metres would fit one.
             size = (points_m.norm(dim=2) * known).sum(1) / known.sum(1).clamp(min=1)

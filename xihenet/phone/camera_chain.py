@@ -21,8 +21,7 @@ from numpy.typing import ArrayLike
 from xihenet.camera import valid_plane_depth
 from xihenet.invalid import added, counted
 from xihenet.phone import depth
-from xihenet.phone.exposure import AutoExposure, expose, follow_exposure
-from xihenet.phone.frame_rate import FrameRate
+from xihenet.phone.exposure import AutoExposure, FrameRate, expose, follow_exposure
 from xihenet.phone.holes import Holes, SeenSurfaces, SurfaceFacts
 from xihenet.phone.light_sensor import LightSensor, ambient_of_reading, follow_light, read_light
 from xihenet.phone.motion import CameraMotion, PoseDrift, RollingShutter, drift_pose, read_rows
@@ -74,13 +73,8 @@ class PhoneCamera:
     ) -> SessionTrack:  # fmt: skip
         """Exposure and light sensor over a session of N frames. A longer session has the same beginning.
 
-        Parameters
-        ----------
-        frames : (N,) frame numbers
-        times_s : (N,) never decreasing
-        metered : (N,) the exposure that each frame's light asks for, as `camera.metered_exposure` gives it
-        ambient : (N, 3) linear scene radiance, what each frame's light sensor would read at once
-        reference : the session's exposure
+        `frames` are their numbers; the rest is as in `follow_exposure`, and `ambient` (N, 3), linear scene radiance,
+        is what each frame's light sensor would read at once.
         """
         exposure: dict[int, float] = {}
         light: dict[int, ArrayF64] = {}

@@ -4,7 +4,6 @@ Perfect frames, few and small ones will do, give distances, edges, darkness, ang
 picture shows (roughness, transmission, which lights are animated) the caller adds; what it leaves out stays not known,
 and its effects stay on. Chosen: extremes over all pixels, so that a fact errs towards simulating.
 A long session need not be held in memory: `facts_of_frame` as each frame comes, `facts_of_session` at the end.
-Not here: frames that were not given. Facts from every tenth frame are about every tenth frame.
 """
 
 from __future__ import annotations

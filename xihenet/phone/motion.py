@@ -4,7 +4,7 @@ Rolling shutter: the rows of a picture are read from top to bottom; the middle o
 pixel of the result looks up the rendered frame, through the plane depth, at the place that its row's camera saw
 (gather, three fixed-point steps). Rejected: scattering the rendered pixels forward, which leaves cracks between rows
 that look like the sensor's holes; and rendering every row, which costs a render per row. Near depth edges a pixel whose
-surface was hidden from the middle row shows its neighbour instead. `row_poses` serves a renderer that can do better.
+surface was hidden from the middle row shows its neighbour instead.
 
 Pose drift: tracking walks away at random in position and in yaw; gravity holds pitch and roll. The walk is a function
 of seed and time alone, so frames can be asked for in any order. Not here: jumps when tracking recognises a place.

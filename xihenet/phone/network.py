@@ -7,9 +7,8 @@ sent again after a time-out, and given up after a few: it is then late, or never
 Chosen: three presets fitted to the paper's figures. Its medians already hold the bytes of one cloud (4,249 in the
 paper's encoding), so only bytes beyond those cost more. Rejected: a queue per packet, which the figures cannot fix.
 
-The delay is in this one place, after the chain, which stays as it is. Rejected: a backend that waits, since the chain
-would then have to know the time. What a request suffers comes from (seed, frame, position) alone, so a run that is
-resumed meets the same network.
+The delay is in this one place, after the chain. Rejected: a backend that waits, since the chain would then have to know
+the time. What a request suffers comes from (seed, frame, position) alone, so a run that is resumed meets the same.
 """
 
 from __future__ import annotations

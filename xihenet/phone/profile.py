@@ -17,8 +17,7 @@ from types import MappingProxyType
 from xihenet.effects import Requirement
 from xihenet.metering import Metering, checked_metering
 from xihenet.phone.depth import DistanceNoise, EdgeBleeding, Quantisation, RangeLimits
-from xihenet.phone.exposure import AutoExposure
-from xihenet.phone.frame_rate import FrameRate
+from xihenet.phone.exposure import AutoExposure, FrameRate
 from xihenet.phone.holes import DarkHoles, GlossyHoles, GrazingHoles, SpanHoles, TransparentHoles
 from xihenet.phone.light_sensor import LightSensor
 from xihenet.phone.motion import PoseDrift, RollingShutter
