@@ -16,8 +16,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import write_json
 from xihenet.json_files import read_json
 
-NOT_COMPARED = "software"
-"""Written down for the reader alone."""
+NOT_COMPARED = "software"  # written down for the reader alone
 
 
 @dataclass(frozen=True)

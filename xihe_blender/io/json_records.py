@@ -19,13 +19,11 @@ import typing
 from collections.abc import Mapping
 from typing import Any, Literal, TypeVar, Union
 
-Json = Any
-"""What `json.loads` gives."""
-
+Json = Any  # what `json.loads` gives
 Record = TypeVar("Record")
 ABSENT = {"json": "absent"}
 INLINE = {"json": "inline"}
-PLAIN = {bool: "boolean", int: "integer", float: "number", str: "string"}
+PLAIN = {bool: "boolean", int: "integer", float: "number", str: "string", type(None): "null"}
 
 
 def as_json(value: object) -> Json:
@@ -131,7 +129,7 @@ def _describe(kind: Any, found: dict[str, Json]) -> dict[str, Json]:
     """A schema of `kind`; records are put into `found`, by name."""
     origin, of = typing.get_origin(kind), typing.get_args(kind)
     if dataclasses.is_dataclass(kind):
-        name = str(getattr(kind, "__name__", kind))
+        name = typing.cast(type, kind).__name__
         if name not in found:
             found[name] = {}
             found[name] = _describe_record(kind, found)
@@ -147,15 +145,13 @@ def _describe(kind: Any, found: dict[str, Json]) -> dict[str, Json]:
         return {"type": "array", "prefixItems": items, "items": False, "minItems": len(of)}
     if origin is dict:
         return {"type": "object", "additionalProperties": _describe(of[1], found)}
-    return {"type": "null" if kind is type(None) else PLAIN[kind]}
+    return {"type": PLAIN[kind]}
 
 
 def _describe_record(kind: Any, found: dict[str, Json]) -> dict[str, Json]:
     docstring = inspect.cleandoc(kind.__doc__)
-    hints = typing.get_type_hints(kind, include_extras=True)
-    texts: dict[str, str] = {
-        name: hint.__metadata__[0] for name, hint in hints.items() if hasattr(hint, "__metadata__")
-    }
+    hints = typing.get_type_hints(kind, include_extras=True).items()
+    texts = {name: str(hint.__metadata__[0]) for name, hint in hints if hasattr(hint, "__metadata__")}
     for base in reversed(kind.__mro__):
         texts |= _texts_of_fields(inspect.cleandoc(base.__doc__ or ""))
     fields = dataclasses.fields(kind)

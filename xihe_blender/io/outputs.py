@@ -10,7 +10,6 @@ import contextlib
 import csv
 import errno
 import functools
-import io
 import json
 import math
 import os
@@ -42,16 +41,13 @@ class RunOutputs:
 
     results = _at("results.json")
     report = _at("report.html")
-    settings = _at("work", "settings.json")
-    """What the stored work below was made with: a run resumes only where it is the same."""
+    settings = _at("work", "settings.json")  # of the work below: a run resumes only where they are the same
+    # What a resumed run takes over: the exposure that was metered, the plan of effects that renders go by, the numbers
+    # of samples, and what is known of each frame before any is captured.
     exposure = _at("work", "exposure.json")
-    """The exposure that was metered, so that a resumed run has the same without rendering."""
     effects = _at("work", "effects.json")
-    """The plan of effects, so that a resumed run renders by the same one."""
     sample_count = _at("work", "sample_count.json")
-    """The numbers of samples, so that a resumed run renders with the same ones."""
     survey = _at("work", "survey.json")
-    """What is known of each frame before any is captured, so that a resumed run need not look at the scene."""
 
     @property
     def lit_blend(self) -> Path:
@@ -146,12 +142,10 @@ def write_picture(path: Path, picture: ArrayF64 | ArrayU8) -> None:
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> None:
     """Write a table, whole or not at all; what is None or missing is empty."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, restval="", extrasaction="ignore", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    with written_whole(path) as beside:
-        beside.write_text(text.getvalue(), encoding="utf-8")
+    with written_whole(path) as beside, beside.open("w", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, columns, restval="", extrasaction="ignore", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 def write_json(path: Path, content: Any) -> None:

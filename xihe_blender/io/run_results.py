@@ -26,7 +26,9 @@ SCHEMA_VERSION: Literal[1] = 1
 Rgb = tuple[float, float, float]
 Coefficients = tuple[Rgb, ...]
 Plain = str | int | float | bool | None
+Parameters = dict[str, Plain | tuple[Plain, ...]]
 Counts = dict[str, int]
+ByMethod = dict[str, float | None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,14 +42,11 @@ class Fault:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneResult:
-    """The scene that was run.
+    """The scene that was run."""
 
-    file, name, camera : of the scene, None for no camera
-    """
-
-    file: str
-    name: str
-    camera: str | None
+    file: Annotated[str, "of the scene"]
+    name: Annotated[str, "of the scene"]
+    camera: Annotated[str | None, "None for no camera"]
     fps: Annotated[float, "frames per second"]
     virtual_objects: Annotated[tuple[str, ...], "names, in the order of the results"]
     view_transform: Annotated[str, "the scene's own; pictures are made with Standard"]
@@ -56,16 +55,12 @@ class SceneResult:
 
 @dataclass(frozen=True, kw_only=True)
 class EffectResult:
-    """One thing that was or was not simulated: of light transport, the phone or the session.
+    """One thing that was or was not simulated: of light transport, the phone or the session."""
 
-    name, state, reason : what, whether, and why
-    parameters : what Cycles was set to, or the profile's numbers
-    """
-
-    name: str
-    state: Literal["on", "off"]
-    reason: str
-    parameters: dict[str, Plain | tuple[Plain, ...]] = field(default_factory=dict)
+    name: Annotated[str, "of the effect"]
+    state: Annotated[Literal["on", "off"], "whether it was simulated"]
+    reason: Annotated[str, "why"]
+    parameters: Annotated[Parameters, "what Cycles was set to, or the profile's numbers"] = field(default_factory=dict)
     origin: Annotated[Literal["auto", "user"], "who decided"] = "auto"
 
 
@@ -89,14 +84,11 @@ class PhoneResult:
 
 @dataclass(frozen=True, kw_only=True)
 class SampleCounts:
-    """Samples per pixel, and pictures of the light probe at most.
+    """Samples per pixel, and pictures of the light probe at most."""
 
-    capture, truth, comparison : of captures, of light probes, of compared pictures
-    """
-
-    capture: int
-    truth: int
-    comparison: int
+    capture: Annotated[int, "of captures"]
+    truth: Annotated[int, "of light probes"]
+    comparison: Annotated[int, "of compared pictures"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,28 +102,23 @@ class NoiseLevels:
 
 @dataclass(frozen=True, kw_only=True)
 class RunSettings:
-    """What was asked for, and what came of it.
+    """What was asked for, and what came of it."""
 
-    estimator, preset, target, seed, phone, network, n_anchors, codec : as in the command line; no network is
-        None
-    trigger, following : numbers of the trigger, with noise added to theta, and of light that follows; None for neither
-    """
-
-    estimator: str
-    preset: str
-    target: Literal["ldr", "hdr"]
+    estimator: Annotated[str, "as in the command line"]
+    preset: Annotated[str, "as in the command line"]
+    target: Annotated[Literal["ldr", "hdr"], "as in the command line"]
     size: Annotated[tuple[int, int], "of captures and comparisons, width and height"]
     frames: Annotated[tuple[int, ...], "of the path"]
-    n_anchors: int
-    codec: str
-    seed: int
-    phone: str = "perfect"
-    network: str | None = None
+    n_anchors: Annotated[int, "as in the command line"]
+    codec: Annotated[str, "as in the command line"]
+    seed: Annotated[int, "as in the command line"]
+    phone: Annotated[str, "as in the command line"] = "perfect"
+    network: Annotated[str | None, "as in the command line; None for none"] = None
     effect_choices: Annotated[dict[str, str], "on or off by effect, where the user chose"] = field(default_factory=dict)
     reference_exposure: Annotated[float, "of the session; coefficients carry it"]
     metering: Annotated[str | None, "how it was found; None where it was given"] = None
-    trigger: dict[str, Plain]
-    following: dict[str, Plain] | None = None
+    trigger: Annotated[dict[str, Plain], "numbers of the trigger, with noise added to theta"]
+    following: Annotated[dict[str, Plain] | None, "numbers of light that follows; None where none does"] = None
     samples: Annotated[SampleCounts, "see there"]
     noise_target: Annotated[float | None, "what was aimed at; None where the number of samples was given"] = None
     noise: Annotated[NoiseLevels, "see there"]
@@ -153,10 +140,7 @@ class CaptureRender:
 
 @dataclass(frozen=True, kw_only=True)
 class ProbeRender(CaptureRender):
-    """The render of one light probe (docs/reference_light.md).
-
-    rendered, same_as, samples, noise : as for a capture
-    """
+    """The render of one light probe (docs/reference_light.md)."""
 
     expected_error: Annotated[float | None, "the noise and what is not noise"] = None
     is_capped: Annotated[bool, "whether the preset's most samples left it above `settings.noise.truth`"] = False
@@ -174,10 +158,6 @@ class Rendering:
 class ProbeResult:
     """One estimation position in one frame.
 
-    invalid : these and clamped distances, by reason (docs/invalid_data.md)
-    arrival_frame : the first at or after the arrival; None also where the path ends before
-    latency_ms : from trigger to arrival; None where no estimate was made or it was lost
-    shc_rmse, ambient_shc_rmse : root mean square difference from it, of `sh` and of the ambient light
     share_above_white : of the light what lies above white at the session's exposure or comes from lamps that cameras do
         not see; None without light
     """
@@ -193,32 +173,29 @@ class ProbeResult:
     n_changed_anchors: Annotated[int, "above it"]
     n_skipped_points: Annotated[int, "points of this frame that were left out"] = 0
     n_invalid_points: Annotated[int, "the same number"] = 0
-    invalid: Counts = field(default_factory=dict)
+    invalid: Annotated[Counts, "these, and clamped distances (docs/invalid_data.md)"] = field(default_factory=dict)
     is_valid: Annotated[bool, "false where the light could not be known, so that the last one stays"] = True
     unknown_because: Annotated[str | None, "why, else None"] = None
     light_frame: Annotated[int | None, "whose estimate is in force; None for the ambient light"] = None
     n_followed_anchors: Annotated[int, "directions out of view that were changed as the light in view was"] = 0
     payload_bytes: Annotated[int, "sent; 0 where nothing fired"]
-    arrival_frame: int | None = None
-    latency_ms: float | None = None
+    arrival_frame: Annotated[int | None, "first at or after the arrival; None also where the path ends before"] = None
+    latency_ms: Annotated[float | None, "from trigger to arrival; None without an estimate or where it was lost"] = None
     sh: Annotated[Coefficients, "the light in force, the ambient one until a valid estimate has arrived"]
     sh_truth: Annotated[Coefficients, "the light probe's, for `settings.target`"]
-    shc_rmse: float
-    ambient_shc_rmse: float | None = None
+    shc_rmse: Annotated[float, "root mean square difference of `sh` from it"]
+    ambient_shc_rmse: Annotated[float | None, "the same of the ambient light"] = None
     share_above_white: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Metrics:
-    """A method's picture against the ground truth; None where undefined.
-
-    ssim, rmse, si_rmse : structural similarity, root mean square error, and the latter at the best common scale
-    """
+    """A method's picture against the ground truth; None where undefined."""
 
     psnr: Annotated[float | None, "dB"]
-    ssim: float | None
-    rmse: float | None
-    si_rmse: float | None
+    ssim: Annotated[float | None, "structural similarity"]
+    rmse: Annotated[float | None, "root mean square error"]
+    si_rmse: Annotated[float | None, "root mean square error at the best common scale"]
     angular_deg: Annotated[float | None, "mean angle between colours"]
 
 
@@ -238,10 +215,7 @@ class ComparedFrame:
 
 @dataclass(frozen=True, kw_only=True)
 class FrameResult:
-    """One frame of the path. Not active where no position is in view, or the phone does not deliver it.
-
-    compared : see ComparedFrame; its fields stand among the frame's own in the file
-    """
+    """One frame of the path. Not active where no position is in view, or the phone does not deliver it."""
 
     frame: Annotated[int, "its number"]
     time_s: Annotated[float, "when it is"]
@@ -257,7 +231,7 @@ class FrameResult:
     invalid: Annotated[Counts, "pixels that gave no point or were clamped, by reason"] = field(default_factory=dict)
     probes: Annotated[tuple[ProbeResult, ...], "see there"] = ()
     rendering: Annotated[Rendering | None, "see there"] = field(default=None, metadata=ABSENT)
-    compared: ComparedFrame | None = field(default=None, metadata=INLINE)
+    compared: ComparedFrame | None = field(default=None, metadata=INLINE)  # its fields stand among these in the file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -270,64 +244,52 @@ class LightChange:
 
 @dataclass(frozen=True, kw_only=True)
 class InvalidCounts:
-    """What was left out or is undefined in a run, by reason (docs/invalid_data.md).
+    """What was left out or is undefined in a run, by reason (docs/invalid_data.md)."""
 
-    pixels, points, lights : in sums
-    """
-
-    pixels: Counts
-    points: Counts
-    lights: Counts
+    pixels: Annotated[Counts, "in sums"]
+    points: Annotated[Counts, "in sums"]
+    lights: Annotated[Counts, "in sums"]
     metrics: Annotated[Counts, "without a value, by metric"]
     hues: Annotated[Counts, "black pixels, by method"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """The run in a few numbers; means over what is defined.
+    """The run in a few numbers; means over what is defined."""
 
-    n_frames, n_active_frames, n_compared_frames : of the path
-    n_reused_captures, n_reused_probes, n_reused_comparisons : taken from an earlier frame
-    mean_shc_rmse, ambient_shc_rmse, mean_coverage, share_above_white : over positions and frames
-    n_invalid_pixels, n_invalid_points, n_followed_anchors, n_unknown_lights, invalid : sums
-    render_s, comparison_render_s, pilot_s : of captures and light probes, of compared pictures, of choosing samples
-    rmse_against_ambient : by method, its picture's error over that of the ambient light
-    """
-
-    n_frames: int
-    n_active_frames: int
-    n_compared_frames: int
-    n_reused_captures: int = 0
-    n_reused_probes: int = 0
-    n_reused_comparisons: int = 0
+    n_frames: Annotated[int, "of the path"]
+    n_active_frames: Annotated[int, "of the path"]
+    n_compared_frames: Annotated[int, "of the path"]
+    n_reused_captures: Annotated[int, "taken from an earlier frame"] = 0
+    n_reused_probes: Annotated[int, "taken from an earlier frame"] = 0
+    n_reused_comparisons: Annotated[int, "taken from an earlier frame"] = 0
     n_estimates: Annotated[int, "triggers"]
     fired_share: Annotated[float | None, "of triggers among all steps"]
-    mean_shc_rmse: float | None
-    ambient_shc_rmse: float | None = None
-    share_above_white: float | None = None
+    mean_shc_rmse: Annotated[float | None, "over positions and frames"]
+    ambient_shc_rmse: Annotated[float | None, "over positions and frames"] = None
+    share_above_white: Annotated[float | None, "over positions and frames"] = None
     n_capped_probes: Annotated[int, "light probes noisier than aimed at"] = 0
-    mean_coverage: float | None
+    mean_coverage: Annotated[float | None, "over positions and frames"]
     mean_step_ms: Annotated[float | None, "a frame's steps without rendering"]
     payload_bytes: Annotated[int, "sent"]
     mean_latency_ms: Annotated[float | None, "of the estimates that arrive"] = None
     n_lost: Annotated[int, "estimates that never arrived"] = 0
-    n_invalid_pixels: int = 0
-    n_invalid_points: int = 0
-    n_followed_anchors: int = 0
-    n_unknown_lights: int = 0
-    invalid: InvalidCounts
-    render_s: float
-    comparison_render_s: float = 0.0
+    n_invalid_pixels: Annotated[int, "sum"] = 0
+    n_invalid_points: Annotated[int, "sum"] = 0
+    n_followed_anchors: Annotated[int, "sum"] = 0
+    n_unknown_lights: Annotated[int, "sum"] = 0
+    invalid: Annotated[InvalidCounts, "sums"]
+    render_s: Annotated[float, "of captures and light probes"]
+    comparison_render_s: Annotated[float, "of compared pictures"] = 0.0
     overhead_share: Annotated[float | None, "work over rendering"] = None
-    rmse_against_ambient: dict[str, float | None] = field(default_factory=dict)
-    pilot_s: float = 0.0
+    rmse_against_ambient: Annotated[ByMethod, "its error over that of the ambient light"] = field(default_factory=dict)
+    pilot_s: Annotated[float, "of choosing samples"] = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunResults:
     """All of results.json.
 
-    settings, scene, effects, phone, summary : see there
     lights : by virtual object, what its world is keyed with wherever its light changes; empty for one that nothing lit,
         since no position was ever in view
     comparison : by method, the mean over compared frames. `truth` is the rendered light probe as an SH world, the whole
@@ -337,14 +299,14 @@ class RunResults:
     schema_version: Annotated[Literal[1], "of the file"] = SCHEMA_VERSION
     software: Annotated[dict[str, str], "versions, and the `command` that was typed"]
     machine: Annotated[dict[str, str | int | None], "platform, processor, cores, the device Cycles used"]
-    settings: RunSettings
-    scene: SceneResult
-    effects: tuple[EffectResult, ...]
-    phone: PhoneResult
+    settings: Annotated[RunSettings, "see there"]
+    scene: Annotated[SceneResult, "see there"]
+    effects: Annotated[tuple[EffectResult, ...], "see there"]
+    phone: Annotated[PhoneResult, "see there"]
     frames: Annotated[tuple[FrameResult, ...], "one entry per frame of the path"]
     lights: dict[str, tuple[LightChange, ...]]
     comparison: dict[str, Metrics]
-    summary: Summary
+    summary: Annotated[Summary, "see there"]
     notes: Annotated[tuple[str, ...], "what a reader has to know, in sentences"] = ()
 
     @property

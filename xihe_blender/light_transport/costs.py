@@ -65,8 +65,7 @@ class _View:
         return self.mean(first_layer(rendered)[0].astype(np.float64)), rendered.render_s
 
 
-Opened = Callable[[_Variant], contextlib.AbstractContextManager[_View]]
-"""Opens one kind of view, set up for a variant."""
+Opened = Callable[[_Variant], contextlib.AbstractContextManager[_View]]  # opens one kind of view, set up for a variant
 
 
 def measure_costs(

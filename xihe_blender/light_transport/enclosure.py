@@ -29,21 +29,16 @@ from xihenet.records import ArrayF64
 from xihenet.sphere import AnchorLattice
 
 N_RAYS = 100
-MAX_BOUNCES = 32
-"""Of any kind, as in Blender's own preset "Full Global Illumination"."""
-
+MAX_BOUNCES = 32  # of any kind, as in Blender's own preset "Full Global Illumination"
 N_SURFACES = MAX_BOUNCES + 2
-GRAZING = 0.01
-"""Cosine to the normal, below which a ray may slip along a face and past the edge of the next."""
-
+GRAZING = 0.01  # cosine to the normal, below which a ray may slip along a face and past the edge of the next
 MAX_PASSED = 8
 OFFSET_M = 1e-4
 LEFT_OUT = 2e-4
 """Share of the light that may be cut. The mean of a small picture over 16 seeds is known to some 3e-4, where a cut of
 1e-3 was seen. Late bounces are nearly free, since Cycles ends weak paths by chance: 32 in place of 8 cost 0 to 5 %."""
 
-Ray = tuple[Vector, Vector]
-"""Where it starts, and its direction, in the world, metres."""
+Ray = tuple[Vector, Vector]  # where it starts, and its direction, in the world, metres
 
 
 def rays_all_round(origins: Sequence[Sequence[float]]) -> list[Ray]:

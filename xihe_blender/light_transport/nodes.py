@@ -17,9 +17,7 @@ from typing import Any
 
 import bpy
 
-Groups = tuple[Any, ...]
-"""The group nodes that have been entered, outermost first."""
-
+Groups = tuple[Any, ...]  # the group nodes that have been entered, outermost first
 UNKNOWN_ALBEDO = 0.8
 """Of a colour that cannot be read off: a bright wall paint. Guessing too dark would cut bounces that are needed."""
 
@@ -342,8 +340,7 @@ def _displaces(socket: Any) -> bool:
 # ---------------------------------------------------------------------------------------------------------- roughness
 
 REFLECTING = ("BSDF_GLOSSY", "BSDF_METALLIC", "BSDF_GLASS", "BSDF_REFRACTION", "BSDF_PRINCIPLED")
-DULL = {*SIMPLE, "EMISSION", "BACKGROUND"} - {*REFLECTING}
-"""Shaders without a mirror in them; 1 stands for these."""
+DULL = {*SIMPLE, "EMISSION", "BACKGROUND"} - {*REFLECTING}  # shaders without a mirror in them; 1 stands for these
 
 
 def smoothest_roughness(material: bpy.types.Material | None) -> float | None:

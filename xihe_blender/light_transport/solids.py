@@ -30,8 +30,7 @@ BOX_TRIANGLES = np.array(
 BOX_ORDER = [0, 1, 3, 2, 4, 5, 7, 6]
 """Blender's order of a bounding box' corners (x, then z, then y turn by turn), as `np.ndindex(2, 2, 2)` has them."""
 
-Look = tuple[str, float | None]
-"""A surface in words, and its albedo, which is None where light passes."""
+Look = tuple[str, float | None]  # a surface in words, and its albedo, which is None where light passes
 
 
 class Solids:

@@ -34,8 +34,7 @@ RAYS = ("camera", "diffuse", "glossy", "transmission", "volume_scatter")
 PASSED = Interaction.TRANSPARENT | Interaction.REFRACTION
 LEAKY = Interaction.TRANSLUCENT | Interaction.DISPLACEMENT
 N_AIMED = 1000
-MAX_AIMED_AT = 20
-"""Surfaces; 0.02 s for each in a room of few triangles."""
+MAX_AIMED_AT = 20  # surfaces; 0.02 s for each in a room of few triangles
 
 
 @dataclass

@@ -109,20 +109,17 @@ def shape_of(item: bpy.types.Object) -> Iterator[bytes]:
 def _geometry(data: Any) -> Iterator[bytes]:
     for attribute in data.attributes:
         yield f"{attribute.name} {attribute.domain} {attribute.data_type} {len(attribute.data)}".encode()
-        if attribute.data_type != "STRING":
-            yield _attribute(attribute)
+        if attribute.data_type == "STRING":
+            continue
+        if attribute.data_type not in ATTRIBUTES:
+            raise UnreadableError(attribute.data_type)
+        yield _array(attribute.data, *ATTRIBUTES[attribute.data_type])
     if hasattr(data, "polygons"):
         yield _array(data.polygons, "loop_start", np.int32, 1)
         if data.has_custom_normals:
             yield _array(data.corner_normals, "vector", np.float32, 3)
     if hasattr(data, "curve_offset_data"):
         yield _array(data.curve_offset_data, "value", np.int32, 1)
-
-
-def _attribute(attribute: Any) -> bytes:
-    if attribute.data_type not in ATTRIBUTES:
-        raise UnreadableError(attribute.data_type)
-    return _array(attribute.data, *ATTRIBUTES[attribute.data_type])
 
 
 def _array(collection: Any, name: str, dtype: type, width: int) -> bytes:

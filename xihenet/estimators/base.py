@@ -40,10 +40,8 @@ class Estimator(ABC):
     """
 
     name: ClassVar[str]
-    needs: ClassVar[frozenset[str]] = frozenset()
-    """Fields of `EstimateContext` that this estimator is made for."""
-    farthest_m: ClassVar[float] = np.inf
-    """Distances beyond are taken for this one."""
+    needs: ClassVar[frozenset[str]] = frozenset()  # fields of `EstimateContext` that this estimator is made for
+    farthest_m: ClassVar[float] = np.inf  # distances beyond are taken for this one
 
     def __init__(self, n_anchors: int = 1280, target: Target = "ldr") -> None:
         if n_anchors < 1:

@@ -22,8 +22,7 @@ from xihenet.records import ArrayF32, ArrayInt
 _SMALLEST_SIZE = np.float32(1e-3)
 _SMALLEST_SUM = np.float32(1e-6)
 _NORMALISING = np.float32(1e-5)
-_LOWEST_EXPONENT = np.float32(-80)
-"""Below it exp gives denormal numbers, ten times as slowly."""
+_LOWEST_EXPONENT = np.float32(-80)  # below it exp gives denormal numbers, ten times as slowly
 
 
 @dataclass(frozen=True)

@@ -117,7 +117,8 @@ class PhoneCamera:
         plane_depth_m, holes_made = self._measured(ranged, known)
         if plane_depth_m is not seen.plane_depth_m:
             seen = replace(seen, plane_depth_m=plane_depth_m)
-        seen = self._exposed(seen, radiance, track)
+        if track is not None and self.settings(AutoExposure):
+            seen = expose(seen, _tracked(track.exposure, seen.frame, "exposure"), radiance)
         seen = drift_pose(seen, self.settings(PoseDrift), [self.seed, SEEDS["pose_drift"]])
         n_lost |= holes_made
         if any(n_lost.values()):
@@ -144,11 +145,6 @@ class PhoneCamera:
         if steps := self.settings(depth.Quantisation):
             z = depth.quantise(z, steps)
         return z, n_lost
-
-    def _exposed(self, frame: RgbdFrame, radiance: ArrayF32 | None, track: SessionTrack | None) -> RgbdFrame:
-        if track is None or not self.settings(AutoExposure):
-            return frame
-        return expose(frame, _tracked(track.exposure, frame.frame, "exposure"), radiance)
 
     def _with_light(self, frame: RgbdFrame, track: SessionTrack | None) -> RgbdFrame:
         sensor = self.settings(LightSensor)

@@ -25,8 +25,7 @@ from xihenet.colour import srgb_to_linear
 from xihenet.phone.settings import Required, Section, SessionFacts, known, number
 from xihenet.records import ArrayBool, ArrayF64, RgbdFrame
 
-SMALL_STOPS = 1 / 3
-"""The smallest step on a camera's exposure dial."""
+SMALL_STOPS = 1 / 3  # the smallest step on a camera's exposure dial
 
 
 @dataclass(frozen=True, kw_only=True)

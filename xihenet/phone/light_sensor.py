@@ -21,9 +21,7 @@ from xihenet.phone.settings import Required, Section, SessionFacts, known, numbe
 from xihenet.records import ArrayF64
 
 WHITE_K = 6504.0
-LOWEST_K, HIGHEST_K = 1667.0, 25000.0
-"""Where the black-body fit holds."""
-
+LOWEST_K, HIGHEST_K = 1667.0, 25000.0  # where the black-body fit holds
 XYZ_FROM_RGB = np.array(
     [[0.4123908, 0.3575843, 0.1804808], [0.2126390, 0.7151687, 0.0721923], [0.0193308, 0.1191948, 0.9505322]]
 )

@@ -23,13 +23,10 @@ from xihenet.camera import pixel_rays, valid_plane_depth
 from xihenet.phone.settings import Required, Section, SessionFacts, known, number, switch
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, RgbdFrame
 
-DRIFT_STEP_S = 0.05
-"""Grid of the random walk; between its nodes the drift is a straight line."""
-
+DRIFT_STEP_S = 0.05  # grid of the random walk; between its nodes the drift is a straight line
 N_FIXED_POINT_STEPS = 3
 
-SMALL_SHIFT_PX = 0.5
-"""Rows that are off by less than this show the same pixels."""
+SMALL_SHIFT_PX = 0.5  # rows that are off by less than this show the same pixels
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -47,8 +47,7 @@ EFFECTS: Mapping[str, type[Section]] = MappingProxyType(
 """Every sensor effect and its settings, in the order in which they are shown."""
 
 NETWORK = "network"
-PHONE_EFFECTS = (*EFFECTS, NETWORK)
-"""Of the phone and the session; the network belongs to no phone."""
+PHONE_EFFECTS = (*EFFECTS, NETWORK)  # of the phone and the session; the network belongs to no phone
 
 
 @dataclass(frozen=True)
@@ -102,18 +101,13 @@ def load_profile(name_or_path: str | Path) -> PhoneProfile:
 
     ValueError names the file and the key that is wrong, or lists the names there are.
     """
-    if str(name_or_path) in profile_names():
-        return _read_profile(PROFILES_FOLDER / f"{name_or_path}.toml")
-    path = Path(name_or_path)
+    names = profile_names()
+    path = PROFILES_FOLDER / f"{name_or_path}.toml" if str(name_or_path) in names else Path(name_or_path)
     if not path.is_file():
         raise ValueError(
-            f"there is no phone profile {str(name_or_path)!r}: choose one of {', '.join(profile_names())}, "
+            f"there is no phone profile {str(name_or_path)!r}: choose one of {', '.join(names)}, "
             "or give the path of a .toml file"
         )
-    return _read_profile(path)
-
-
-def _read_profile(path: Path) -> PhoneProfile:
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:

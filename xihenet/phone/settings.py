@@ -21,9 +21,7 @@ from xihenet.effects import Requirement
 
 SectionT = TypeVar("SectionT", bound="Section")
 Known = TypeVar("Known")
-Required = tuple[bool, str]
-"""Whether an effect is required, and why, for a lighting artist."""
-
+Required = tuple[bool, str]  # whether an effect is required, and why, for a lighting artist
 SMALL_SHARE = 0.1
 """Of the angle between two anchors: a point that moves less stays with its anchor about nine times out of ten."""
 
