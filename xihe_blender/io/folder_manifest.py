@@ -21,15 +21,12 @@ NOT_COMPARED = "software"  # written down for the reader alone
 
 @dataclass(frozen=True)
 class FolderManifest:
-    """A folder, and what is to be done in it.
-
-    `provenance` is all that decides the numbers, as JSON holds it; what stands under "settings" is compared one by one.
-    """
+    """A folder, and what is to be done in it."""
 
     folder: Path
     file: Path  # in the folder; holds `provenance`, and belongs to nothing but this kind of work
     what: str  # the kind of work, as in "holds a run with another seed"
-    provenance: dict[str, Any]
+    provenance: dict[str, Any]  # all that decides the numbers, as JSON holds it; its "settings" are compared one by one
     results: Sequence[Path] = ()  # where they are there and `file` is not, the folder is somebody else's
 
     def check(self) -> bool:

@@ -27,11 +27,11 @@ LookAt = Callable[[bpy.types.Depsgraph], None]
 
 
 class SceneInspection:
-    """A working scene to be looked at, with the virtual objects until they are left out; made by `open_inspection`."""
+    """A working scene to be looked at, with the virtual objects until they are excluded; made by `open_inspection`."""
 
     def __init__(self, working: bpy.types.Scene, virtual: bpy.types.Collection | None) -> None:
         self.working, self.virtual = working, virtual
-        self._exclude_virtual(is_excluded=False)
+        self.exclude_virtual_objects(is_excluded=False)
 
     def look_at(self, frame: int, *looks: LookAt) -> None:
         """Call each of `looks` with the render dependency graph at `frame`, which is gone when this returns.
@@ -41,11 +41,8 @@ class SceneInspection:
         self.working.frame_current = frame
         _look_once(self.working, looks)
 
-    def leave_out_virtual_objects(self) -> None:
-        """From now on there is only the room, as captures and light probes show it."""
-        self._exclude_virtual(is_excluded=True)
-
-    def _exclude_virtual(self, *, is_excluded: bool) -> None:
+    def exclude_virtual_objects(self, *, is_excluded: bool) -> None:
+        """Whether from now on there is only the room, as captures and light probes show it."""
         if self.virtual is not None:
             root = self.working.view_layers[0].layer_collection
             exclude_collection(root, self.virtual, is_excluded=is_excluded)

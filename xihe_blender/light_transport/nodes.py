@@ -109,9 +109,6 @@ def light_emits(light: bpy.types.Light) -> bool:
     return output is not None and bool(_surface(output.inputs["Surface"]).interactions & A.EMISSION)
 
 
-# -------------------------------------------------------------------------------------------------------------- inputs
-
-
 def has_nodes(block: bpy.types.ID) -> bool:
     """From 5.0 on all materials and worlds are made of nodes, and the switch is deprecated."""
     return block.node_tree is not None and (bpy.app.version >= (5, 0, 0) or block.use_nodes)
@@ -196,9 +193,6 @@ def sides(node: Any, groups: Groups) -> list[Any]:
     if factor is None or 0 < factor < 1:
         return [node.inputs[-2], node.inputs[-1]]
     return [node.inputs[-1 if factor >= 1 else -2]]
-
-
-# -------------------------------------------------------------------------------------------------- colours, shaders
 
 
 def _albedo(node: Any, name: str, groups: Groups) -> float:
@@ -302,9 +296,6 @@ def _principled_base(node: Any, groups: Groups) -> Interaction:
     return interactions
 
 
-# ---------------------------------------------------------------------------------------------- volume, displacement
-
-
 VOLUME_WEIGHTS = {
     "VOLUME_ABSORPTION": ("Density",),
     "VOLUME_SCATTER": ("Density",),
@@ -336,8 +327,6 @@ def _displaces(socket: Any) -> bool:
     values = [largest(node, name, groups) for name in ("Height", "Midlevel")]
     return node.type == "VECTOR_DISPLACEMENT" or None in values or values[0] != values[1]
 
-
-# ---------------------------------------------------------------------------------------------------------- roughness
 
 REFLECTING = ("BSDF_GLOSSY", "BSDF_METALLIC", "BSDF_GLASS", "BSDF_REFRACTION", "BSDF_PRINCIPLED")
 DULL = {*SIMPLE, "EMISSION", "BACKGROUND"} - {*REFLECTING}  # shaders without a mirror in them; 1 stands for these

@@ -20,8 +20,7 @@ from typing import Any
 
 import bpy
 
-from xihe_blender.light_transport.animation import is_animated, is_film
-from xihe_blender.light_transport.values import UnreadableError, shape_of, values_of
+from xihe_blender.light_transport.animation import UnreadableError, is_animated, is_film, shape_of, values_of
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, virtual_collection
 
 HANDLERS = ("frame_change_pre", "frame_change_post", "depsgraph_update_pre", "depsgraph_update_post", "render_pre")
@@ -36,12 +35,9 @@ SHADERS = {"MATERIAL", "NODETREE", "WORLD", "LIGHT", "TEXTURE"}
 
 @dataclass(frozen=True)
 class SceneState:
-    """Digests of one frame; equal where a render would be equal, different where it may differ.
+    """Digests of one frame; equal where a render would be equal, different where it may differ."""
 
-    `room` is of all that lights the room: everything but the camera and the virtual objects, which have their own.
-    """
-
-    room: str
+    room: str  # of all that lights the room: everything but the camera and the virtual objects
     virtual: str
     camera: str
 

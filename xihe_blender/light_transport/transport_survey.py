@@ -23,10 +23,18 @@ import bpy
 import numpy as np
 
 from xihe_blender.light_transport.animation import is_animated, placement
-from xihe_blender.light_transport.enclosure import Ray, aim, carried, rays_all_round, rays_through_picture
+from xihe_blender.light_transport.enclosure import (
+    Look,
+    Ray,
+    Solids,
+    aim,
+    carried,
+    rays_all_round,
+    rays_through_picture,
+    undivided_mesh,
+)
 from xihe_blender.light_transport.inspection import SceneInspection
 from xihe_blender.light_transport.nodes import Interaction, Shading, light_emits, material_shading, world_shading
-from xihe_blender.light_transport.solids import Look, Solids, undivided_mesh
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES
 from xihenet.records import ArrayF64
 
@@ -108,7 +116,7 @@ class TransportSurveyor:
         """
         if len(self.frames) == 1 and has_motion_blur:
             inspection.look_at(self.frames[0] + 1, self.look_for_movement)
-        inspection.leave_out_virtual_objects()
+        inspection.exclude_virtual_objects(is_excluded=True)
         for frame in self.walked:
             inspection.look_at(frame, self.walk_room)
         self.found.is_moving = len(self.placements) > 1

@@ -30,12 +30,9 @@ N_ERROR_HIDDEN = 32
 
 @dataclass(frozen=True)
 class LatticeArchitecture:
-    """Sizes of the network; the defaults make 265,077 parameters.
+    """Sizes of the network; the defaults make 265,077 parameters."""
 
-    `levels` are anchors of the three coarser lattices; radiance is predicted in the directions of the second.
-    """
-
-    levels: tuple[int, int, int] = (320, 80, 20)
+    levels: tuple[int, int, int] = (320, 80, 20)  # anchors of the coarser lattices; radiance is predicted on the second
     stem: int = 16  # features per anchor of the input, and then of the three levels
     fine: int = 32
     middle: int = 64
@@ -82,10 +79,6 @@ class LatticeArchitecture:
             shapes[f"{name}.weight"], shapes[f"{name}.bias"] = (n_out, n_in), (n_out,)
         return shapes
 
-    def n_parameters(self) -> int:
-        """Weights and biases together."""
-        return sum((n_in + 1) * n_out for n_in, n_out in self.layer_sizes().values())
-
 
 LatticeWeights = NetworkWeights[LatticeArchitecture]
 
@@ -102,27 +95,19 @@ def _lattice_architecture(sizes: dict[str, Any]) -> LatticeArchitecture:
 
 @dataclass(frozen=True, eq=False)
 class PoolingTable:
-    """Which fine anchors each coarse anchor stands for.
+    """Which fine anchors each coarse anchor stands for."""
 
-    `members` (n_coarse, k) are numbers of fine anchors; `n_fine`, one past the last, fills rows with fewer. `counts`
-    (n_coarse,), float32, are the members of each row, at least 1.
-    """
-
-    members: ArrayInt
-    counts: ArrayF32
+    members: ArrayInt  # (n_coarse, k) numbers of fine anchors; `n_fine`, one past the last, fills rows with fewer
+    counts: ArrayF32  # (n_coarse,) members of each row, at least 1
 
 
 @dataclass(frozen=True, eq=False)
 class AnchorTables:
-    """What is known of a lattice of n anchors, float32: directions (n, 3) and basis (n, 9).
+    """What is known of a lattice of n anchors."""
 
-    `basis_products` (n, 81) are of each two basis functions: their sum over the set anchors is the matrix of the least
-    squares.
-    """
-
-    directions: ArrayF32
-    basis: ArrayF32
-    basis_products: ArrayF32
+    directions: ArrayF32  # (n, 3)
+    basis: ArrayF32  # (n, 9)
+    basis_products: ArrayF32  # (n, 81) of each two: their sum over the set anchors is the matrix of the least squares
 
 
 @lru_cache(maxsize=16)

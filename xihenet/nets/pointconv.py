@@ -93,7 +93,8 @@ class PointConvBlock(nn.Module):  # type: ignore[misc]
             of_points = first(torch.cat([around.places, features.float()], -1))
             of_centroids = middle @ first.weight[:, :3].T
         parts = (of_points, of_centroids, share, relative, around.near)
-        n_at_once = self._clouds_at_once(around.near)
+        n_clouds, n_centroids, k = around.near.shape
+        n_at_once = n_clouds if around.near.is_cuda else max(1, _NEIGHBOURS_AT_ONCE // (n_centroids * k))
         blocks = zip(*(part.split(n_at_once) for part in parts), strict=True)
         convolved = torch.cat([self._convolve(*block) for block in blocks])
         return _rows(points_m, around.centroids), convolved * around.is_centroid[..., None], around.is_centroid
@@ -120,10 +121,6 @@ class PointConvBlock(nn.Module):  # type: ignore[misc]
         features = self.per_point[1:](first)
         weights = self.weights(relative) * _gather(share, near)
         return cast(Tensor, self.combine(torch.matmul(features.transpose(2, 3), weights).flatten(2)))
-
-    def _clouds_at_once(self, near: Tensor) -> int:
-        n_clouds, n_centroids, k = map(int, near.shape)
-        return n_clouds if near.is_cuda else max(1, _NEIGHBOURS_AT_ONCE // (n_centroids * k))
 
 
 def farthest_points(points: Tensor, squared: Tensor, known: Tensor, n: int) -> tuple[Tensor, Tensor]:

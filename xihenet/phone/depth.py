@@ -48,18 +48,14 @@ class RangeLimits(Section):
 
 @dataclass(frozen=True, kw_only=True)
 class DistanceNoise(Section):
-    """Standard deviation sigma_m + growth * max(z - growth_from_m, 0) ** growth_power, z in metres.
-
-    The power is 1 for time of flight, 2 for triangulation. The noise is smooth over `grain_px`; 1 or less makes it
-    independent from pixel to pixel. `shift_px` is the standard deviation of the place that a pixel really reads.
-    """
+    """Standard deviation sigma_m + growth * max(z - growth_from_m, 0) ** growth_power, z in metres."""
 
     sigma_m: float = number("m", 0.0, 1.0)
     growth: float = number("m per m^power", 0.0, 1.0)
     growth_from_m: float = number("m", 0.0, 100.0)
-    growth_power: float = number("", 1.0, 4.0)
-    grain_px: float = number("px", 0.0, 1000.0)
-    shift_px: float = number("px", 0.0, 10.0)
+    growth_power: float = number("", 1.0, 4.0)  # 1 for time of flight, 2 for triangulation
+    grain_px: float = number("px", 0.0, 1000.0)  # over which it is smooth; 1 or less makes pixels independent
+    shift_px: float = number("px", 0.0, 10.0)  # standard deviation of the place on the sensor that a pixel really reads
 
     def required_by(self, facts: SessionFacts) -> Required:
         beyond_m = max(known(facts.farthest_m, "how far the room goes") - self.growth_from_m, 0.0)
@@ -138,8 +134,8 @@ def grained_noise(shape: tuple[int, ...], grain_px: float, rng: np.random.Genera
     height, width = shape
     if grain_px <= 1.0:
         return rng.normal(size=(height, width))
-    row, row_share = _grid_places(height, grain_px, rng)
-    column, column_share = _grid_places(width, grain_px, rng)
+    row, row_share = _split((np.arange(height) + 0.5) / grain_px + rng.random())
+    column, column_share = _split((np.arange(width) + 0.5) / grain_px + rng.random())
     nodes = rng.normal(size=(int(row[-1]) + 2, int(column[-1]) + 2))
     along = _lerped(nodes[row], nodes[row + 1], row_share[:, None])
     return _lerped(along[:, column], along[:, column + 1], column_share[None, :])
@@ -197,8 +193,9 @@ def _shifted(plane_depth_m: ArrayF32, shift_px: float, rng: np.random.Generator)
     if shift_px == 0:
         return plane_depth_m
     height, width = plane_depth_m.shape
-    row, down = _place(np.arange(height)[:, None] + rng.normal(scale=shift_px, size=(height, width)), height)
-    column, right = _place(np.arange(width)[None, :] + rng.normal(scale=shift_px, size=(height, width)), width)
+    rows = np.arange(height)[:, None] + rng.normal(scale=shift_px, size=(height, width))
+    columns = np.arange(width)[None, :] + rng.normal(scale=shift_px, size=(height, width))
+    (row, down), (column, right) = _split(np.clip(rows, 0, height - 1)), _split(np.clip(columns, 0, width - 1))
     next_row, next_column = np.minimum(row + 1, height - 1), np.minimum(column + 1, width - 1)
     valid = valid_plane_depth(plane_depth_m)
     readable = valid & valid[row, column] & valid[row, next_column] & valid[next_row, column]
@@ -210,16 +207,8 @@ def _shifted(plane_depth_m: ArrayF32, shift_px: float, rng: np.random.Generator)
     return np.where(readable, read_m, plane_depth_m)
 
 
-def _place(position: ArrayF64, size: int) -> tuple[NDArray[np.intp], ArrayF64]:
-    """Whole pixel below a position, held inside the picture, and the share towards the next."""
-    inside = np.clip(position, 0, size - 1)
-    whole = inside.astype(np.intp)
-    return whole, inside - whole
-
-
-def _grid_places(size: int, pitch: float, rng: np.random.Generator) -> tuple[NDArray[np.intp], ArrayF64]:
-    """For each pixel the grid node before it and the share towards the next; the grid's start is random."""
-    position = (np.arange(size) + 0.5) / pitch + rng.random()
+def _split(position: ArrayF64) -> tuple[NDArray[np.intp], ArrayF64]:
+    """The whole place before each position >= 0, and the share towards the next."""
     whole = position.astype(np.intp)
     return whole, position - whole
 

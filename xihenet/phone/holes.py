@@ -25,12 +25,9 @@ from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, Intrinsics,
 
 @dataclass(frozen=True, eq=False)
 class SurfaceFacts:
-    """What the caller knows of the surface in each pixel of one frame; None where it does not.
+    """What the caller knows of the surface in each pixel of one frame; None where it does not."""
 
-    A normal, of any length, that is 0 or not finite counts as facing the camera.
-    """
-
-    normals: ArrayF32 | None = None  # (H, W, 3) world
+    normals: ArrayF32 | None = None  # (H, W, 3) world, any length; one that is 0 or not finite faces the camera
     roughness: ArrayF32 | None = None  # (H, W) 0 for a mirror, 1 for chalk
     transmission: ArrayF32 | None = None  # (H, W) share of the light that goes through
     reflectance: ArrayF32 | None = None  # (H, W) share that comes back, at the sensor's wavelength or as grey

@@ -33,16 +33,12 @@ RGB_FROM_XYZ = np.array(
 
 @dataclass(frozen=True, kw_only=True)
 class LightSensor(Section):
-    """How late, how rough and in which steps the sensor answers; a step of 0 for none.
-
-    `gain_error` is fixed for a device, uniform, plus or minus; `noise` new in every reading, a standard deviation.
-    `intensity_step` is relative, since such sensors switch their gain.
-    """
+    """How late, how rough and in which steps the sensor answers; a step of 0 for none."""
 
     time_constant_s: float = number("s", 0.0, 60.0)
-    gain_error: float = number("of the reading", 0.0, 0.9)
-    noise: float = number("of the reading", 0.0, 0.9)
-    intensity_step: float = number("of the reading", 0.0, 0.9)
+    gain_error: float = number("of the reading", 0.0, 0.9)  # fixed for a device, uniform, plus or minus
+    noise: float = number("of the reading", 0.0, 0.9)  # new in every reading, standard deviation
+    intensity_step: float = number("of the reading", 0.0, 0.9)  # relative, since such sensors switch their gain
     temperature_step_k: float = number("K", 0.0, 2000.0)
     lowest_k: float = number("K", LOWEST_K, HIGHEST_K)
     highest_k: float = number("K", LOWEST_K, HIGHEST_K)

@@ -52,15 +52,12 @@ PHONE_EFFECTS = (*EFFECTS, NETWORK)  # of the phone and the session; the network
 
 @dataclass(frozen=True)
 class PhoneProfile:
-    """A device; `sections` are settings by the names of EFFECTS, of those that the device has.
-
-    `metering` is how it finds its exposure, locked for the session or, with `auto_exposure`, frame by frame.
-    """
+    """A device."""
 
     name: str
     summary: str
-    sections: Mapping[str, Section]
-    metering: Metering = "highlights"
+    sections: Mapping[str, Section]  # settings by the names of EFFECTS, of those that the device has
+    metering: Metering = "highlights"  # of an exposure locked for the session or, with `auto_exposure`, of each frame
 
     def __post_init__(self) -> None:
         for key, text in (("name", self.name), ("summary", self.summary)):

@@ -99,11 +99,9 @@ def switch() -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """Settings of one sensor effect; making one raises ValueError naming the field that is wrong.
+    """Settings of one sensor effect; making one raises ValueError naming the field that is wrong."""
 
-    `source` says where the numbers come from, or that they were chosen and why; it is not empty.
-    """
-
+    # Where the numbers come from, or that they were chosen and why.
     source: str = field(metadata={"kind": str, "expected": "some text"})
 
     def __post_init__(self) -> None:
