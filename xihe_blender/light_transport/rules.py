@@ -98,14 +98,13 @@ def _depth_of_field(s: SceneFacts) -> Requirement:
 
 
 def _light_tree(s: SceneFacts) -> Requirement:
-    n = s.survey.n_lights
-    is_on = n > 1 or bool(s.survey.emitters)
-    reason = f"the scene has {n} lights, counting glowing objects and the world" if n > 1 else "the scene has one light"
-    if n == 1 and s.survey.emitters:
-        reason = f"the only light is {_named(s.survey.emitters)}, which glows: each of its faces counts as a light"
-    elif n == 0:
-        reason = "the scene has no light"
-    return Requirement(is_on, reason, {"use_light_tree": True}, {"use_light_tree": False})
+    n, emitters = s.survey.n_lights, s.survey.emitters
+    reason = "the scene has one light" if n else "the scene has no light"
+    if n > 1:
+        reason = f"the scene has {n} lights, counting glowing objects and the world"
+    elif n == 1 and emitters:
+        reason = f"the only light is {_named(emitters)}, which glows: each of its faces counts as a light"
+    return Requirement(n > 1 or bool(emitters), reason, {"use_light_tree": True}, {"use_light_tree": False})
 
 
 def _environment_sampling(s: SceneFacts) -> Requirement:

@@ -7,10 +7,9 @@ at the origin, where they are one point repeated hundreds of times (`keeps_unset
 layers are normalised per point and not per batch, so that one cloud gives what it gives in a batch; and there is no
 ReLU at the end, because coefficients of l >= 1 are negative half of the time.
 
-Written for two cores. Of the first layer of each block, points and centroids are passed before neighbours are gathered
-(it is linear, so their difference after it is what it makes of the difference); density and weights are multiplied
-where they are narrow; unset points are cut off; and a few clouds at a time are convolved, so that what lies between
-the layers stays in the cache. The plain form stands in the tests, which hold the two together.
+Written for two cores. Points and centroids pass the first layer of each block, which is linear, before neighbours are
+gathered; density and weights are multiplied where they are narrow; unset points are cut off; and a few clouds at a time
+are convolved, so that they stay in the cache. The plain form stands in the tests, which hold the two together.
 """
 
 from __future__ import annotations

@@ -17,7 +17,6 @@ import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -59,40 +58,38 @@ class Link(Section):
 _preset = functools.partial(Link, processing_s=0.01227, resend_s=0.2, n_sends=3)
 """Processing: 20.67 ms end to end, the paper's best on university WiFi, less its 8.4 ms of network time."""
 
-LINKS: Mapping[str, Link] = MappingProxyType(
-    {
-        "wifi": _preset(
-            source="the paper: 8.4 ms network time on university WiFi; four positions cost 1.28 x one, hence the "
-            "uplink (0.28 x 8.4 ms for 3 x 4,249 bytes); end to end 20.67 ms at best, under 24.04 ms on every device, "
-            "hence floor and spread. Loss 0.1 %: the best WiFi in Codavel's table of real-world links. Time-out: "
-            "the lower limit of TCP on Linux",
-            median_s=0.0084,
-            floor_s=0.006,
-            spread=0.3,
-            uplink_bit_per_s=43e6,
-            loss=0.001,
-        ),
-        "home": _preset(
-            source="25 ms and 0.2 % loss: WiFi in the USA in Codavel's table of real-world links; the paper says that "
-            "residential WiFi took several times as long as the university's. Chosen: floor at half the median, "
-            "spread 0.5, 10 Mbit/s uplink",
-            median_s=0.025,
-            floor_s=0.0125,
-            spread=0.5,
-            uplink_bit_per_s=10e6,
-            loss=0.002,
-        ),
-        "lte": _preset(
-            source="the paper: 79.2 ms end to end on LTE, less the processing. Loss 0.5 %: 4G in the USA in Codavel's "
-            "table of real-world links. Chosen: floor at half the median, spread 0.6, 8 Mbit/s uplink",
-            median_s=0.0669,
-            floor_s=0.03345,
-            spread=0.6,
-            uplink_bit_per_s=8e6,
-            loss=0.005,
-        ),
-    }
-)
+LINKS: Mapping[str, Link] = {
+    "wifi": _preset(
+        source="the paper: 8.4 ms network time on university WiFi; four positions cost 1.28 x one, hence the "
+        "uplink (0.28 x 8.4 ms for 3 x 4,249 bytes); end to end 20.67 ms at best, under 24.04 ms on every device, "
+        "hence floor and spread. Loss 0.1 %: the best WiFi in Codavel's table of real-world links. Time-out: "
+        "the lower limit of TCP on Linux",
+        median_s=0.0084,
+        floor_s=0.006,
+        spread=0.3,
+        uplink_bit_per_s=43e6,
+        loss=0.001,
+    ),
+    "home": _preset(
+        source="25 ms and 0.2 % loss: WiFi in the USA in Codavel's table of real-world links; the paper says that "
+        "residential WiFi took several times as long as the university's. Chosen: floor at half the median, "
+        "spread 0.5, 10 Mbit/s uplink",
+        median_s=0.025,
+        floor_s=0.0125,
+        spread=0.5,
+        uplink_bit_per_s=10e6,
+        loss=0.002,
+    ),
+    "lte": _preset(
+        source="the paper: 79.2 ms end to end on LTE, less the processing. Loss 0.5 %: 4G in the USA in Codavel's "
+        "table of real-world links. Chosen: floor at half the median, spread 0.6, 8 Mbit/s uplink",
+        median_s=0.0669,
+        floor_s=0.03345,
+        spread=0.6,
+        uplink_bit_per_s=8e6,
+        loss=0.005,
+    ),
+}
 
 
 def arrival_frames(

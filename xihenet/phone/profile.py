@@ -12,7 +12,6 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 
 from xihenet.effects import Requirement
 from xihenet.metering import Metering, checked_metering
@@ -26,24 +25,22 @@ from xihenet.phone.settings import Section, SessionFacts, section_from_table
 
 PROFILES_FOLDER = Path(__file__).parent / "profiles"
 
-EFFECTS: Mapping[str, type[Section]] = MappingProxyType(
-    {
-        "frame_rate": FrameRate,
-        "rolling_shutter": RollingShutter,
-        "auto_exposure": AutoExposure,
-        "edge_bleeding": EdgeBleeding,
-        "noise": DistanceNoise,
-        "range": RangeLimits,
-        "quantisation": Quantisation,
-        "dark_holes": DarkHoles,
-        "glossy_holes": GlossyHoles,
-        "transparent_holes": TransparentHoles,
-        "grazing_holes": GrazingHoles,
-        "span_holes": SpanHoles,
-        "pose_drift": PoseDrift,
-        "light_sensor": LightSensor,
-    }
-)
+EFFECTS: Mapping[str, type[Section]] = {
+    "frame_rate": FrameRate,
+    "rolling_shutter": RollingShutter,
+    "auto_exposure": AutoExposure,
+    "edge_bleeding": EdgeBleeding,
+    "noise": DistanceNoise,
+    "range": RangeLimits,
+    "quantisation": Quantisation,
+    "dark_holes": DarkHoles,
+    "glossy_holes": GlossyHoles,
+    "transparent_holes": TransparentHoles,
+    "grazing_holes": GrazingHoles,
+    "span_holes": SpanHoles,
+    "pose_drift": PoseDrift,
+    "light_sensor": LightSensor,
+}
 """Every sensor effect and its settings, in the order in which they are shown."""
 
 NETWORK = "network"
