@@ -330,10 +330,7 @@ class RunResults:
 
 
 def read_results(folder: Path) -> RunResults:
-    """The results of the run in `folder`, read once and kept while the file is the same.
-
-    UserError if there are none, or none that this version wrote.
-    """
+    """The results of the run in `folder`, anew where the file changed; UserError if none that this version wrote."""
     file = folder / "results.json"
     try:
         return _read(file, file.stat().st_mtime_ns)

@@ -71,10 +71,7 @@ def shows_a_film(tree: bpy.types.NodeTree | None) -> bool:
 
 
 def placement(instances: Iterable[Any]) -> tuple[int, int]:
-    """Two numbers that differ between frames in which anything stands otherwise: of surfaces, and of all else.
-
-    Deformation is noticed by its bounding box.
-    """
+    """Two numbers that differ where anything stands, or its bounding box is, otherwise: of surfaces, and all else."""
     total = [0, 0]
     for instance in instances:
         box = tuple(tuple(corner) for corner in instance.object.bound_box)

@@ -61,10 +61,7 @@ PointConvWeights = NetworkWeights[PointConvArchitecture]
 
 
 def load_pointconv_weights(path: Path, estimator: str) -> PointConvWeights:
-    """Read and check the PointConv weights of `estimator`; ValueError naming the file, and what to do if it is missing.
-
-    See `xihenet.estimators.weights_format.read_weights`.
-    """
+    """Read and check PointConv weights of `estimator`; ValueError naming the file, and what to do if it is missing."""
     if not path.exists():
         raise ValueError(
             f"{path}: expected {estimator} weights, found no file: those for ldr are shipped; "

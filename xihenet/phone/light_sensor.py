@@ -62,10 +62,7 @@ class LightReading:
 
 
 def colour_temperature_k(radiance: ArrayLike) -> float:
-    """Correlated colour temperature of linear Rec.709 (3,) (McCamy 1992), held where the black-body fit is valid.
-
-    Black light has no temperature and counts as white.
-    """
+    """Correlated colour temperature of linear Rec.709 (3,) (McCamy 1992), clipped to its range; white for black."""
     xyz = XYZ_FROM_RGB @ np.asarray(radiance, np.float64)
     total = float(xyz.sum())
     if not (np.isfinite(total) and total > 0):

@@ -128,10 +128,7 @@ def read_rows(
 
 
 def drift_at(time_s: float, settings: PoseDrift, seed: int | Sequence[int]) -> tuple[ArrayF64, float]:
-    """Position error (3,) in metres and yaw error in radians after `time_s`; none at and before the start.
-
-    The same for the same seed and time, whatever was asked before.
-    """
+    """Position error (3,) in metres and yaw error in radians, by seed and time alone; none at and before the start."""
     if not time_s > 0:
         return np.zeros(3), 0.0
     place = time_s / DRIFT_STEP_S

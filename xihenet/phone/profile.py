@@ -91,10 +91,7 @@ def profile_names() -> list[str]:
 
 
 def load_profile(name_or_path: str | Path) -> PhoneProfile:
-    """A profile by its name, or from a TOML file of the user's.
-
-    ValueError names the file and the key that is wrong, or lists the names there are.
-    """
+    """A profile by its name, or from a user's TOML file; ValueError names file and key, or lists the names."""
     names = profile_names()
     path = PROFILES_FOLDER / f"{name_or_path}.toml" if str(name_or_path) in names else Path(name_or_path)
     if not path.is_file():

@@ -123,10 +123,7 @@ class Section:
 
 
 def section_from_table(kind: type[SectionT], table: object) -> SectionT:
-    """The section that `table` (a table of a TOML file) describes.
-
-    ValueError names the key that is unknown, missing, of the wrong type or out of range.
-    """
+    """The section that a table of a TOML file describes; ValueError names the key that is unknown, missing or wrong."""
     if not isinstance(table, Mapping):
         raise ValueError(f"expected a table of settings, got {table!r:.80}")
     names = sorted(part.name for part in dataclasses.fields(kind))
