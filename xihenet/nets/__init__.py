@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from torch import nn
 
 from xihenet.estimators.base import Target
 from xihenet.estimators.weights_format import NetworkWeights
 
 
-def weights_of(net: nn.Module, target: Target, **notes: Any) -> NetworkWeights[Any]:
-    """What `save_weights` keeps of a network; `notes` are its estimator, data, seed, figures and n_points."""
+def weights_of(net: Any, target: Target, **notes: Any) -> NetworkWeights[Any]:
+    """What `save_weights` keeps of a torch network; `notes` are its estimator, data, seed, figures and n_points."""
     arrays = {name: value.detach().cpu().numpy().astype(np.float32) for name, value in net.state_dict().items()}
     return NetworkWeights(net.architecture, target, arrays, **notes)
