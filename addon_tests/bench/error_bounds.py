@@ -29,8 +29,7 @@ from xihenet.estimators.lattice import (
     Lattice,
     _linear,
 )
-from xihenet.estimators.lattice_format import LatticeWeights, load_weights
-from xihenet.estimators.lattice_tables import pooling_matrix, quadrature_matrix
+from xihenet.estimators.lattice_format import LatticeWeights, load_weights, pooling_matrix, quadrature_matrix
 from xihenet.estimators.weights_format import WEIGHTS_FOLDER
 from xihenet.metrics import shc_rmse
 from xihenet.mirror_ball import panorama_of_ball

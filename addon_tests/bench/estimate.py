@@ -20,10 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
-from xihenet.estimators.lattice import WEIGHTS_FOLDER, Lattice
+from xihenet.estimators.lattice import Lattice
 from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights, load_weights
 from xihenet.estimators.pointconv import XiheNet
-from xihenet.estimators.weights_format import save_weights
+from xihenet.estimators.weights_format import WEIGHTS_FOLDER, save_weights
 from xihenet.records import UnitSphereCloud
 
 N_ANCHORS = 1280
@@ -54,12 +54,13 @@ def torch_candidates(weights: LatticeWeights) -> dict[str, tuple[int, Callable[[
         return {}
     import torch
 
-    from xihenet.nets.batch import net_from_weights
+    from xihenet.nets.lattice import LatticeNet
     from xihenet.nets.pointconv import PointConvNet
 
     torch.set_grad_enabled(False)
     torch.set_num_threads(2)
-    net, paper = net_from_weights(weights), PointConvNet().eval()
+    net, paper = LatticeNet(weights.architecture).eval(), PointConvNet().eval()
+    net.load_state_dict({name: torch.from_numpy(array) for name, array in weights.arrays.items()})
     candidates: dict[str, tuple[int, Callable[[], object]]] = {}
     for size in BATCHES[1:]:
         parts = [torch.from_numpy(part) for part in random_clouds(size, N_ANCHORS)]

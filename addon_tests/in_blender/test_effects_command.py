@@ -138,7 +138,7 @@ def measured():
     ball(scene, "Vase", (0.5, 0.3, 1.0), glass())
     bpy.context.view_layer.update()
     before = snapshot()
-    with few_costs({costs.BASELINE, *MEASURED}, n_seeds=3):
+    with few_costs(MEASURED, n_seeds=3):
         effects = run_blocking(effects_of_run(scene, PrevisSettings(), budget_s=1e9))
     return effects, differences(before, snapshot())
 
@@ -150,7 +150,7 @@ def without_a_denoiser():
 
 def test_every_effect_that_a_setting_switches_is_measured():
     scene = room_with_a_virtual_sphere(n_frames=1)
-    variants = set(VARIANTS(required_effects(scene), {})) - {costs.BASELINE}
+    variants = set(VARIANTS(required_effects(scene), {}))
     assert set(RULES) - variants == COSTLESS | without_a_denoiser()
 
 
@@ -183,7 +183,7 @@ def test_leaving_out_what_the_scene_does_not_call_for_changes_nothing(measured):
 @pytest.mark.slow
 def test_the_plan_is_shown_before_the_costs_and_each_cost_as_it_is_known(blend):
     names = {"diffuse bounces", "volumes"}
-    with few_costs({costs.BASELINE, *names}, n_seeds=2):
+    with few_costs(names, n_seeds=2):
         shown = xihe_here("effects", blend, "--budget", "600").stdout
     plan, of_each = shown.split("\n\n")[:2]
     required = plan_light_transport(open_blend(blend))

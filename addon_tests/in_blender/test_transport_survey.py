@@ -18,7 +18,7 @@ from effect_scenes import (
 )
 from tiny_scenes import box, empty_scene, material, phone
 
-from xihe_blender.light_transport import cycles_settings, plan_light_transport, transport_survey
+from xihe_blender.light_transport import cycles_settings, plan_light_transport, required_effects, transport_survey
 from xihe_blender.light_transport.enclosure import carried, rays_all_round
 from xihenet.effects import names_that_are_on
 
@@ -201,7 +201,7 @@ def test_no_ray_of_a_walk_leaves_a_closed_room_through_a_corner(monkeypatch):
     monkeypatch.setattr(transport_survey, "Solids", lambda *given: made.append(unspied(*given)) or made[-1])
     scene = bright_room(0.95)
     box(scene, "Around it", (0, 0, 1.5), (20, 20, 20))
-    transport_survey.survey_transport(scene, [1], None, [])
+    required_effects(scene, frames=[1])
     for seed in range(30):
         _, reached = carried(made[0], rays_all_round([(0, 0, 1)]), np.random.default_rng(seed))
         assert all(max(abs(place.x), abs(place.y), abs(place.z - 1.5) + 0.5) <= 2 for place, _ in reached)

@@ -51,12 +51,8 @@ def messy(seed, size=(13, 17)):
 @pytest.mark.parametrize(
     "effect",
     [
-        lambda z: cut_range(z, None),
-        lambda z: add_noise(z, None, np.random.default_rng(0)),
         lambda z: add_noise(z, noise(), np.random.default_rng(0)),
-        lambda z: quantise(z, None),
         lambda z: quantise(z, Quantisation(source="test", step_m=0)),
-        lambda z: bleed_edges(z, None),
         lambda z: bleed_edges(z, EdgeBleeding(source="test", radius_px=0, span_m=0)),
         lambda z: bleed_edges(z, EdgeBleeding(source="test", radius_px=2, span_m=99)),
     ],

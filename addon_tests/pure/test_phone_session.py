@@ -5,8 +5,7 @@ import pytest
 
 from xihenet.camera import LUMINANCE, encode_exposed
 from xihenet.colour import srgb_to_linear
-from xihenet.phone.exposure import AutoExposure, expose, follow_exposure, step_exposure
-from xihenet.phone.frame_rate import FrameRate, delivered_frames
+from xihenet.phone.exposure import AutoExposure, FrameRate, delivered_frames, expose, follow_exposure, step_exposure
 from xihenet.phone.light_sensor import (
     LightSensor,
     ambient_of_reading,

@@ -8,10 +8,16 @@ import pytest
 from xihenet.backend import LocalBackend, estimate_light
 from xihenet.estimators.base import EstimateContext
 from xihenet.estimators.lattice_format import load_weights
-from xihenet.estimators.pointconv import PointAR, PointConvArchitecture, PointConvWeights, XiheNet
-from xihenet.estimators.pointconv_network import _farthest_points, _squared_distances
+from xihenet.estimators.pointconv import PointAR, XiheNet
+from xihenet.estimators.pointconv_network import (
+    PointConvArchitecture,
+    PointConvWeights,
+    _farthest_points,
+    _squared_distances,
+)
 from xihenet.estimators.weights_format import save_weights
 from xihenet.records import PointCloud, UnitSphereCloud
+from xihenet.sphere import AnchorLattice
 
 N = 256
 ESTIMATORS = {"xihenet": XiheNet, "pointar": PointAR}
@@ -212,7 +218,8 @@ def test_points_that_stand_where_another_stands_are_no_centroids_of_their_own():
 def test_the_order_of_the_points_changes_nothing(files):
     srgb, distance_m, is_set = (part[4] for part in random_clouds())
     estimator = XiheNet(N, weights=files["xihenet"])
-    points, light = estimator._points(distance_m), estimator.estimate(UnitSphereCloud(srgb, distance_m, is_set))
+    light = estimator.estimate(UnitSphereCloud(srgb, distance_m, is_set))
+    points = AnchorLattice(N).directions.astype(np.float32) * distance_m[:, None]
     for seed in range(3):
         order = np.random.default_rng(seed).permutation(N)
         np.testing.assert_allclose(estimator._light(points[order], srgb[order], is_set[order]), light, atol=1e-5)

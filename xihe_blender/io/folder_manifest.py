@@ -16,28 +16,18 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import write_json
 from xihenet.json_files import read_json
 
-NOT_COMPARED = "software"
-"""Written down for the reader alone."""
+NOT_COMPARED = "software"  # written down for the reader alone
 
 
 @dataclass(frozen=True)
 class FolderManifest:
-    """A folder, and what is to be done in it.
-
-    Parameters
-    ----------
-    folder : of the results
-    file : in the folder; holds `provenance`, and belongs to nothing but this kind of work
-    what : the kind of work, as in "holds a run with another seed"
-    provenance : all that decides the numbers, as JSON holds it; what stands under "settings" is compared one by one
-    results : files that say that the folder is somebody else's, where they are there and `file` is not
-    """
+    """A folder, and what is to be done in it."""
 
     folder: Path
-    file: Path
-    what: str
-    provenance: dict[str, Any]
-    results: Sequence[Path] = ()
+    file: Path  # in the folder; holds `provenance`, and belongs to nothing but this kind of work
+    what: str  # the kind of work, as in "holds a run with another seed"
+    provenance: dict[str, Any]  # all that decides the numbers, as JSON holds it; its "settings" are compared one by one
+    results: Sequence[Path] = ()  # where they are there and `file` is not, the folder is somebody else's
 
     def check(self) -> bool:
         """Whether the folder is taken already, for the same; UserError if it holds anything else."""

@@ -2,8 +2,9 @@
 
 Dataclasses, tuples, dicts with names as keys, `Literal`, `X | None` and plain values, nested as one likes. A reader
 takes what is missing from the defaults and leaves out what it does not know, so that older and newer files can be read.
-A field marked ABSENT stays out of the JSON while it is None; the fields of a record marked INLINE stand among those of
-the record around it, which is None if none of them does. Not for NaN or Infinity, which JSON does not have.
+What a field holds is `Annotated`, or an entry below the first paragraph of the docstring. A field marked ABSENT stays
+out of the JSON while it is None; the fields of a record marked INLINE stand among those of the record around it, which
+is None if none of them does. Not for NaN or Infinity, which JSON does not have.
 """
 
 from __future__ import annotations
@@ -18,13 +19,11 @@ import typing
 from collections.abc import Mapping
 from typing import Any, Literal, TypeVar, Union
 
-Json = Any
-"""What `json.loads` gives."""
-
+Json = Any  # what `json.loads` gives
 Record = TypeVar("Record")
 ABSENT = {"json": "absent"}
 INLINE = {"json": "inline"}
-PLAIN = {bool: "boolean", int: "integer", float: "number", str: "string"}
+PLAIN = {bool: "boolean", int: "integer", float: "number", str: "string", type(None): "null"}
 
 
 def as_json(value: object) -> Json:
@@ -50,7 +49,7 @@ def from_json(kind: type[Record], content: Json) -> Record:
 
 
 def json_schema(kind: type) -> dict[str, Json]:
-    """A JSON schema (draft 2020-12) of a record; descriptions are those of its docstring."""
+    """A JSON schema (draft 2020-12) of a record, with descriptions."""
     found: dict[str, Json] = {}
     _describe(kind, found)
     return {
@@ -130,7 +129,7 @@ def _describe(kind: Any, found: dict[str, Json]) -> dict[str, Json]:
     """A schema of `kind`; records are put into `found`, by name."""
     origin, of = typing.get_origin(kind), typing.get_args(kind)
     if dataclasses.is_dataclass(kind):
-        name = str(getattr(kind, "__name__", kind))
+        name = typing.cast(type, kind).__name__
         if name not in found:
             found[name] = {}
             found[name] = _describe_record(kind, found)
@@ -146,12 +145,13 @@ def _describe(kind: Any, found: dict[str, Json]) -> dict[str, Json]:
         return {"type": "array", "prefixItems": items, "items": False, "minItems": len(of)}
     if origin is dict:
         return {"type": "object", "additionalProperties": _describe(of[1], found)}
-    return {"type": "null" if kind is type(None) else PLAIN[kind]}
+    return {"type": PLAIN[kind]}
 
 
 def _describe_record(kind: Any, found: dict[str, Json]) -> dict[str, Json]:
     docstring = inspect.cleandoc(kind.__doc__)
-    texts: dict[str, str] = {}
+    hints = typing.get_type_hints(kind, include_extras=True).items()
+    texts = {name: str(hint.__metadata__[0]) for name, hint in hints if hasattr(hint, "__metadata__")}
     for base in reversed(kind.__mro__):
         texts |= _texts_of_fields(inspect.cleandoc(base.__doc__ or ""))
     fields = dataclasses.fields(kind)
@@ -173,10 +173,10 @@ def _describe_record(kind: Any, found: dict[str, Json]) -> dict[str, Json]:
 
 
 def _texts_of_fields(docstring: str) -> dict[str, str]:
-    """What a NumPy docstring says of each parameter; names that share a line share its text."""
-    _, _, parameters = docstring.partition("----------\n")
+    """What a docstring says of each field below its first paragraph; names that share a line share its text."""
+    _, _, fields = docstring.partition("\n\n")
     texts = {}
-    for entry in re.split(r"\n(?=\S)", "\n" + parameters):
+    for entry in re.split(r"\n(?=\S)", fields):
         names, _, text = entry.partition(" : ")
         texts.update({name.strip(): " ".join(text.split()) for name in names.split(",")})
     return texts

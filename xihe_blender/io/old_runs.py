@@ -19,9 +19,7 @@ from pathlib import Path
 from xihenet.formats import format_bytes, format_count
 
 NAME = re.compile(r".+_\d{8}-\d{6}(_\d+)?")
-SETTINGS = Path("work", "settings.json")
-"""As in `outputs`, which is not imported here: it needs NumPy."""
-
+SETTINGS = Path("work", "settings.json")  # as in `outputs`, which is not imported here: it needs NumPy
 ABANDONED_S = 24 * 3600.0
 
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 import contextlib
 import csv
 import errno
-import io
+import functools
 import json
 import math
 import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,10 @@ MAX_STEM = 40
 """Characters of an object's name in a file name: Blender 5 allows 255 bytes, as much as a whole file name may have."""
 
 
+def _at(*parts: str) -> functools.cached_property[Path]:
+    return functools.cached_property(lambda outputs: outputs.folder.joinpath(*parts))
+
+
 @dataclass(frozen=True)
 class RunOutputs:
     """The files of one run below `folder`. `scene` is the stem of the .blend."""
@@ -35,42 +39,19 @@ class RunOutputs:
     folder: Path
     scene: str
 
-    @property
-    def results(self) -> Path:
-        return self.folder / "results.json"
-
-    @property
-    def report(self) -> Path:
-        return self.folder / "report.html"
+    results = _at("results.json")
+    report = _at("report.html")
+    settings = _at("work", "settings.json")  # of the work below: a run resumes only where they are the same
+    # What a resumed run takes over: the exposure that was metered, the plan of effects that renders go by, the numbers
+    # of samples, and what is known of each frame before any is captured.
+    exposure = _at("work", "exposure.json")
+    effects = _at("work", "effects.json")
+    sample_count = _at("work", "sample_count.json")
+    survey = _at("work", "survey.json")
 
     @property
     def lit_blend(self) -> Path:
         return self.folder / f"{self.scene}_lit.blend"
-
-    @property
-    def settings(self) -> Path:
-        """What the stored work below was made with: a run resumes only where it is the same."""
-        return self.folder / "work" / "settings.json"
-
-    @property
-    def exposure(self) -> Path:
-        """The exposure that was metered, so that a resumed run has the same without rendering."""
-        return self.folder / "work" / "exposure.json"
-
-    @property
-    def effects(self) -> Path:
-        """The plan of effects, so that a resumed run renders by the same one."""
-        return self.folder / "work" / "effects.json"
-
-    @property
-    def sample_count(self) -> Path:
-        """The numbers of samples, so that a resumed run renders with the same ones."""
-        return self.folder / "work" / "sample_count.json"
-
-    @property
-    def survey(self) -> Path:
-        """What is known of each frame before any is captured, so that a resumed run need not look at the scene."""
-        return self.folder / "work" / "survey.json"
 
     def capture(self, frame: int) -> Path:
         """Colour and plane depth of one frame, as recorded."""
@@ -111,12 +92,6 @@ class RunOutputs:
     def relative(self, path: Path) -> str:
         """`path` as results.json names it: relative to the run's folder, with forward slashes."""
         return path.relative_to(self.folder).as_posix()
-
-
-def as_json(record: Any) -> dict[str, Any]:
-    """A dataclass as it comes back from a file."""
-    same: dict[str, Any] = json.loads(json.dumps(asdict(record)))
-    return same
 
 
 def _file_stem(name: str) -> str:
@@ -167,12 +142,10 @@ def write_picture(path: Path, picture: ArrayF64 | ArrayU8) -> None:
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> None:
     """Write a table, whole or not at all; what is None or missing is empty."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, restval="", extrasaction="ignore", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    with written_whole(path) as beside:
-        beside.write_text(text.getvalue(), encoding="utf-8")
+    with written_whole(path) as beside, beside.open("w", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, columns, restval="", extrasaction="ignore", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 def write_json(path: Path, content: Any) -> None:

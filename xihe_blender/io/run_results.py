@@ -4,8 +4,9 @@ Strict JSON: no NaN and no Infinity, None where a value is undefined. Lengths ar
 name says `ms`. Coefficients are nine triples (R, G, B) of radiance SH in the order l*l + l + m, real and orthonormal,
 axes as in Blender's world; they carry `settings.reference_exposure`, and dividing by it gives scene radiance.
 
-docs/results.schema.json is made from these records (`python -m xihe_blender.io.run_results`). Nothing here needs NumPy
-or Blender, since the panel reads results too.
+docs/results.schema.json is made from these records (`python -m xihe_blender.io.run_results`). What a field holds stands
+beside it, or in the docstring where several share it or it takes long. Nothing here needs NumPy or Blender, since the
+panel reads results too.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import functools
 import json
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import ABSENT, INLINE, from_json, json_schema
@@ -25,288 +26,177 @@ SCHEMA_VERSION: Literal[1] = 1
 Rgb = tuple[float, float, float]
 Coefficients = tuple[Rgb, ...]
 Plain = str | int | float | bool | None
+Parameters = dict[str, Plain | tuple[Plain, ...]]
 Counts = dict[str, int]
+ByMethod = dict[str, float | None]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """Something in the scene that cannot be lit or believed as it stands (docs/odd_scenes.md).
+    """Something in the scene that cannot be lit or believed as it stands (docs/odd_scenes.md)."""
 
-    Parameters
-    ----------
-    name : of the data-block
-    n : how often
-    said : a sentence for the reader, also among the notes
-    """
-
-    name: str
-    n: int
-    said: str
+    name: Annotated[str, "of the data-block"]
+    n: Annotated[int, "how often"]
+    said: Annotated[str, "a sentence for the reader, also among the notes"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class SceneResult:
-    """The scene that was run.
+    """The scene that was run."""
 
-    Parameters
-    ----------
-    file, name, camera : of the scene, None for no camera
-    fps : frames per second
-    virtual_objects : names, in the order of the results
-    view_transform : the scene's own; pictures are made with Standard
-    faults : see there
-    """
-
-    file: str
-    name: str
-    camera: str | None
-    fps: float
-    virtual_objects: tuple[str, ...]
-    view_transform: str
-    faults: tuple[Fault, ...] = ()
+    file: Annotated[str, "of the scene"]
+    name: Annotated[str, "of the scene"]
+    camera: Annotated[str | None, "None for no camera"]
+    fps: Annotated[float, "frames per second"]
+    virtual_objects: Annotated[tuple[str, ...], "names, in the order of the results"]
+    view_transform: Annotated[str, "the scene's own; pictures are made with Standard"]
+    faults: Annotated[tuple[Fault, ...], "see there"] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class EffectResult:
-    """One thing that was or was not simulated: of light transport, the phone or the session.
+    """One thing that was or was not simulated: of light transport, the phone or the session."""
 
-    Parameters
-    ----------
-    name, state, reason : what, whether, and why
-    parameters : what Cycles was set to, or the profile's numbers
-    origin : who decided
-    """
-
-    name: str
-    state: Literal["on", "off"]
-    reason: str
-    parameters: dict[str, Plain | tuple[Plain, ...]] = field(default_factory=dict)
-    origin: Literal["auto", "user"] = "auto"
+    name: Annotated[str, "of the effect"]
+    state: Annotated[Literal["on", "off"], "whether it was simulated"]
+    reason: Annotated[str, "why"]
+    parameters: Annotated[Parameters, "what Cycles was set to, or the profile's numbers"] = field(default_factory=dict)
+    origin: Annotated[Literal["auto", "user"], "who decided"] = "auto"
 
 
 @dataclass(frozen=True, kw_only=True)
 class PhoneErrors:
-    """What the phone's effects do to the light: mean SHC RMSE over probes and frames.
+    """What the phone's effects do to the light: mean SHC RMSE over probes and frames."""
 
-    Parameters
-    ----------
-    all_on : with all of them
-    perfect : with none
-    without : with all but one, by its name; None for the frame rate
-    """
-
-    all_on: float | None
-    perfect: float | None
-    without: dict[str, float | None]
+    all_on: Annotated[float | None, "with all of them"]
+    perfect: Annotated[float | None, "with none"]
+    without: Annotated[dict[str, float | None], "with all but one, by its name; None for the frame rate"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PhoneResult:
-    """The phone of the run.
+    """The phone of the run."""
 
-    Parameters
-    ----------
-    name, summary : of its profile (docs/phone.md)
-    shc_rmse : None where none of its effects is on
-    """
-
-    name: str
-    summary: str
-    shc_rmse: PhoneErrors | None = None
+    name: Annotated[str, "of its profile (docs/phone.md)"]
+    summary: Annotated[str, "of its profile (docs/phone.md)"]
+    shc_rmse: Annotated[PhoneErrors | None, "None where none of its effects is on"] = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class SampleCounts:
-    """Samples per pixel, and pictures of the light probe at most.
+    """Samples per pixel, and pictures of the light probe at most."""
 
-    Parameters
-    ----------
-    capture, truth, comparison : of captures, of light probes, of compared pictures
-    """
-
-    capture: int
-    truth: int
-    comparison: int
+    capture: Annotated[int, "of captures"]
+    truth: Annotated[int, "of light probes"]
+    comparison: Annotated[int, "of compared pictures"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseLevels:
-    """Relative noise; None where the number of samples was given.
+    """Relative noise; None where the number of samples was given."""
 
-    Parameters
-    ----------
-    capture : what captures have
-    truth : what light probes aim at
-    trigger : the change of colour that the trigger would see in noise alone
-    """
-
-    capture: float | None
-    truth: float | None
-    trigger: float | None = None
+    capture: Annotated[float | None, "what captures have"]
+    truth: Annotated[float | None, "what light probes aim at"]
+    trigger: Annotated[float | None, "the change of colour that the trigger would see in noise alone"] = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunSettings:
-    """What was asked for, and what came of it.
+    """What was asked for, and what came of it."""
 
-    Parameters
-    ----------
-    estimator, preset, target, seed, phone, network, n_anchors, codec : as in the command line; no network is None
-    size : of captures and comparisons, width and height
-    frames : of the path
-    effect_choices : on or off by effect, where the user chose
-    reference_exposure : of the session; coefficients carry it
-    metering : how it was found; None where it was given
-    trigger, following : numbers of the trigger, with noise added to theta, and of light that follows; None for neither
-    samples, noise : see there
-    noise_target : what was aimed at; None where the number of samples was given
-    truth_size : pixels of the light probe's pictures
-    comparison_step : every so many-th active frame was compared
-    comparison_view_transform, error_map_full_scale : of the pictures
-    """
-
-    estimator: str
-    preset: str
-    target: Literal["ldr", "hdr"]
-    size: tuple[int, int]
-    frames: tuple[int, ...]
-    n_anchors: int
-    codec: str
-    seed: int
-    phone: str = "perfect"
-    network: str | None = None
-    effect_choices: dict[str, str] = field(default_factory=dict)
-    reference_exposure: float
-    metering: str | None = None
-    trigger: dict[str, Plain]
-    following: dict[str, Plain] | None = None
-    samples: SampleCounts
-    noise_target: float | None = None
-    noise: NoiseLevels
-    truth_size: tuple[int, int]
-    comparison_step: int
-    comparison_view_transform: str
-    error_map_full_scale: float
+    estimator: Annotated[str, "as in the command line"]
+    preset: Annotated[str, "as in the command line"]
+    target: Annotated[Literal["ldr", "hdr"], "as in the command line"]
+    size: Annotated[tuple[int, int], "of captures and comparisons, width and height"]
+    frames: Annotated[tuple[int, ...], "of the path"]
+    n_anchors: Annotated[int, "as in the command line"]
+    codec: Annotated[str, "as in the command line"]
+    seed: Annotated[int, "as in the command line"]
+    phone: Annotated[str, "as in the command line"] = "perfect"
+    network: Annotated[str | None, "as in the command line; None for none"] = None
+    effect_choices: Annotated[dict[str, str], "on or off by effect, where the user chose"] = field(default_factory=dict)
+    reference_exposure: Annotated[float, "of the session; coefficients carry it"]
+    metering: Annotated[str | None, "how it was found; None where it was given"] = None
+    trigger: Annotated[dict[str, Plain], "numbers of the trigger, with noise added to theta"]
+    following: Annotated[dict[str, Plain] | None, "numbers of light that follows; None where none does"] = None
+    samples: Annotated[SampleCounts, "see there"]
+    noise_target: Annotated[float | None, "what was aimed at; None where the number of samples was given"] = None
+    noise: Annotated[NoiseLevels, "see there"]
+    truth_size: Annotated[tuple[int, int], "pixels of the light probe's pictures"]
+    comparison_step: Annotated[int, "every so many-th active frame was compared"]
+    comparison_view_transform: Annotated[str, "of the pictures"]
+    error_map_full_scale: Annotated[float, "of the pictures"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureRender:
-    """The render of one capture.
+    """The render of one capture."""
 
-    Parameters
-    ----------
-    rendered : for this frame
-    same_as : the earlier frame whose pixels it would have had again; None where it was rendered
-    samples : it has
-    noise : expected at these, relative to the light; None where it was not measured
-    """
-
-    rendered: bool
-    same_as: int | None
-    samples: int
-    noise: float | None
+    rendered: Annotated[bool, "for this frame"]
+    same_as: Annotated[int | None, "the earlier frame whose pixels it would have had again; None where it was rendered"]
+    samples: Annotated[int, "it has"]
+    noise: Annotated[float | None, "expected at these, relative to the light; None where it was not measured"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProbeRender(CaptureRender):
-    """The render of one light probe (docs/reference_light.md).
+    """The render of one light probe (docs/reference_light.md)."""
 
-    Parameters
-    ----------
-    rendered, same_as, samples, noise : as for a capture
-    expected_error : the noise and what is not noise
-    is_capped : whether the preset's most samples left it above `settings.noise.truth`
-    """
-
-    expected_error: float | None = None
-    is_capped: bool = False
+    expected_error: Annotated[float | None, "the noise and what is not noise"] = None
+    is_capped: Annotated[bool, "whether the preset's most samples left it above `settings.noise.truth`"] = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rendering:
-    """What was rendered for a frame.
+    """What was rendered for a frame."""
 
-    Parameters
-    ----------
-    capture : what the phone would see
-    probes : the light probe of each position in view, by its name
-    """
-
-    capture: CaptureRender
-    probes: dict[str, ProbeRender]
+    capture: Annotated[CaptureRender, "what the phone would see"]
+    probes: Annotated[dict[str, ProbeRender], "the light probe of each position in view, by its name"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProbeResult:
     """One estimation position in one frame.
 
-    Parameters
-    ----------
-    name, object : of the position and of the virtual object that it stands for
-    position_m : world
-    coverage : share of the anchors that are set
-    fired, reason : whether an estimate was asked for, and why
-    change : what the trigger compared with `threshold`; None for `first`
-    threshold : None where nothing was compared
-    n_changed_anchors : above it
-    n_skipped_points, n_invalid_points : points of this frame that were left out; the same number
-    invalid : these and clamped distances, by reason (docs/invalid_data.md)
-    is_valid : false where the light could not be known, so that the last one stays
-    unknown_because : why, else None
-    light_frame : whose estimate is in force; None for the ambient light
-    n_followed_anchors : directions out of view that were changed as the light in view was
-    payload_bytes : sent; 0 where nothing fired
-    arrival_frame : the first at or after the arrival; None also where the path ends before
-    latency_ms : from trigger to arrival; None where no estimate was made or it was lost
-    sh : the light in force, the ambient one until a valid estimate has arrived
-    sh_truth : the light probe's, for `settings.target`
-    shc_rmse, ambient_shc_rmse : root mean square difference from it, of `sh` and of the ambient light
-    share_above_white : of the light what lies above white at the session's exposure or comes from lamps that cameras
-        do not see; None without light
+    share_above_white : of the light what lies above white at the session's exposure or comes from lamps that cameras do
+        not see; None without light
     """
 
-    name: str
-    object: str
-    position_m: tuple[float, float, float]
-    coverage: float
-    fired: bool
-    reason: Literal["first", "colour", "coverage", "none"]
-    change: float | None
-    threshold: float | None
-    n_changed_anchors: int
-    n_skipped_points: int = 0
-    n_invalid_points: int = 0
-    invalid: Counts = field(default_factory=dict)
-    is_valid: bool = True
-    unknown_because: str | None = None
-    light_frame: int | None = None
-    n_followed_anchors: int = 0
-    payload_bytes: int
-    arrival_frame: int | None = None
-    latency_ms: float | None = None
-    sh: Coefficients
-    sh_truth: Coefficients
-    shc_rmse: float
-    ambient_shc_rmse: float | None = None
+    name: Annotated[str, "of the position"]
+    object: Annotated[str, "the virtual object that it stands for"]
+    position_m: Annotated[tuple[float, float, float], "world"]
+    coverage: Annotated[float, "share of the anchors that are set"]
+    fired: Annotated[bool, "whether an estimate was asked for"]
+    reason: Annotated[Literal["first", "colour", "coverage", "none"], "why an estimate was asked for"]
+    change: Annotated[float | None, "what the trigger compared with `threshold`; None for `first`"]
+    threshold: Annotated[float | None, "None where nothing was compared"]
+    n_changed_anchors: Annotated[int, "above it"]
+    n_skipped_points: Annotated[int, "points of this frame that were left out"] = 0
+    n_invalid_points: Annotated[int, "the same number"] = 0
+    invalid: Annotated[Counts, "these, and clamped distances (docs/invalid_data.md)"] = field(default_factory=dict)
+    is_valid: Annotated[bool, "false where the light could not be known, so that the last one stays"] = True
+    unknown_because: Annotated[str | None, "why, else None"] = None
+    light_frame: Annotated[int | None, "whose estimate is in force; None for the ambient light"] = None
+    n_followed_anchors: Annotated[int, "directions out of view that were changed as the light in view was"] = 0
+    payload_bytes: Annotated[int, "sent; 0 where nothing fired"]
+    arrival_frame: Annotated[int | None, "first at or after the arrival; None also where the path ends before"] = None
+    latency_ms: Annotated[float | None, "from trigger to arrival; None without an estimate or where it was lost"] = None
+    sh: Annotated[Coefficients, "the light in force, the ambient one until a valid estimate has arrived"]
+    sh_truth: Annotated[Coefficients, "the light probe's, for `settings.target`"]
+    shc_rmse: Annotated[float, "root mean square difference of `sh` from it"]
+    ambient_shc_rmse: Annotated[float | None, "the same of the ambient light"] = None
     share_above_white: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Metrics:
-    """A method's picture against the ground truth; None where undefined.
+    """A method's picture against the ground truth; None where undefined."""
 
-    Parameters
-    ----------
-    psnr : dB
-    ssim, rmse, si_rmse : structural similarity, root mean square error, and the latter at the best common scale
-    angular_deg : mean angle between colours
-    """
-
-    psnr: float | None
-    ssim: float | None
-    rmse: float | None
-    si_rmse: float | None
-    angular_deg: float | None
+    psnr: Annotated[float | None, "dB"]
+    ssim: Annotated[float | None, "structural similarity"]
+    rmse: Annotated[float | None, "root mean square error"]
+    si_rmse: Annotated[float | None, "root mean square error at the best common scale"]
+    angular_deg: Annotated[float | None, "mean angle between colours"]
 
 
 METRICS = tuple(field.name for field in fields(Metrics))
@@ -314,172 +204,110 @@ METRICS = tuple(field.name for field in fields(Metrics))
 
 @dataclass(frozen=True, kw_only=True)
 class ComparedFrame:
-    """The pictures of one frame, beside the ground truth.
+    """The pictures of one frame, beside the ground truth."""
 
-    Parameters
-    ----------
-    pictures : paths in the run's folder, by kind; `captured` is what the phone saw
-    comparison : by method
-    n_hueless_pixels : by method, black pixels that `angular_deg` leaves out
-    comparison_render_s : 0 where it was taken over
-    comparison_same_as : the frame that it was taken over from, or None
-    """
-
-    pictures: dict[str, str]
-    comparison: dict[str, Metrics]
-    n_hueless_pixels: Counts
-    comparison_render_s: float
-    comparison_same_as: int | None
+    pictures: Annotated[dict[str, str], "paths in the run's folder, by kind; `captured` is what the phone saw"]
+    comparison: Annotated[dict[str, Metrics], "by method"]
+    n_hueless_pixels: Annotated[Counts, "by method, black pixels that `angular_deg` leaves out"]
+    comparison_render_s: Annotated[float, "0 where it was taken over"]
+    comparison_same_as: Annotated[int | None, "the frame that it was taken over from, or None"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameResult:
-    """One frame of the path. Not active where no position is in view, or the phone does not deliver it.
+    """One frame of the path. Not active where no position is in view, or the phone does not deliver it."""
 
-    Parameters
-    ----------
-    frame, time_s : its number, and when it is
-    active : whether it was captured; else nothing is rendered, and `probes` is empty
-    is_delivered : false where the phone is slower than the scene
-    exposure : of the phone's frame
-    render_s, work_s : of capture and light probes, and of all else
-    stage_ms : by stage, summed over positions
-    ambient_radiance : of the phone's light sensor
-    n_invalid_pixels : without plane depth
-    n_lost_pixels : of these, what each effect of the phone took
-    invalid : pixels that gave no point or were clamped, by reason
-    probes, rendering : see there
-    compared : see ComparedFrame; its fields stand among the frame's own in the file
-    """
-
-    frame: int
-    time_s: float
-    active: bool
-    is_delivered: bool = True
-    exposure: float | None = field(default=None, metadata=ABSENT)
-    render_s: float = 0.0
-    work_s: float = 0.0
-    stage_ms: dict[str, float] = field(default_factory=dict)
-    ambient_radiance: Rgb | None = None
-    n_invalid_pixels: int = 0
-    n_lost_pixels: Counts = field(default_factory=dict)
-    invalid: Counts = field(default_factory=dict)
-    probes: tuple[ProbeResult, ...] = ()
-    rendering: Rendering | None = field(default=None, metadata=ABSENT)
-    compared: ComparedFrame | None = field(default=None, metadata=INLINE)
+    frame: Annotated[int, "its number"]
+    time_s: Annotated[float, "when it is"]
+    active: Annotated[bool, "whether it was captured; else nothing is rendered, and `probes` is empty"]
+    is_delivered: Annotated[bool, "false where the phone is slower than the scene"] = True
+    exposure: Annotated[float | None, "of the phone's frame"] = field(default=None, metadata=ABSENT)
+    render_s: Annotated[float, "of capture and light probes"] = 0.0
+    work_s: Annotated[float, "of all else"] = 0.0
+    stage_ms: Annotated[dict[str, float], "by stage, summed over positions"] = field(default_factory=dict)
+    ambient_radiance: Annotated[Rgb | None, "of the phone's light sensor"] = None
+    n_invalid_pixels: Annotated[int, "without plane depth"] = 0
+    n_lost_pixels: Annotated[Counts, "of these, what each effect of the phone took"] = field(default_factory=dict)
+    invalid: Annotated[Counts, "pixels that gave no point or were clamped, by reason"] = field(default_factory=dict)
+    probes: Annotated[tuple[ProbeResult, ...], "see there"] = ()
+    rendering: Annotated[Rendering | None, "see there"] = field(default=None, metadata=ABSENT)
+    compared: ComparedFrame | None = field(default=None, metadata=INLINE)  # its fields stand among these in the file
 
 
 @dataclass(frozen=True, kw_only=True)
 class LightChange:
-    """From a frame on, an object's light.
+    """From a frame on, an object's light."""
 
-    Parameters
-    ----------
-    frame : from which on
-    sh : the mean over the object's positions
-    """
-
-    frame: int
-    sh: Coefficients
+    frame: Annotated[int, "from which on"]
+    sh: Annotated[Coefficients, "the mean over the object's positions"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class InvalidCounts:
-    """What was left out or is undefined in a run, by reason (docs/invalid_data.md).
+    """What was left out or is undefined in a run, by reason (docs/invalid_data.md)."""
 
-    Parameters
-    ----------
-    pixels, points, lights : in sums
-    metrics : without a value, by metric
-    hues : black pixels, by method
-    """
-
-    pixels: Counts
-    points: Counts
-    lights: Counts
-    metrics: Counts
-    hues: Counts
+    pixels: Annotated[Counts, "in sums"]
+    points: Annotated[Counts, "in sums"]
+    lights: Annotated[Counts, "in sums"]
+    metrics: Annotated[Counts, "without a value, by metric"]
+    hues: Annotated[Counts, "black pixels, by method"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """The run in a few numbers; means over what is defined.
+    """The run in a few numbers; means over what is defined."""
 
-    Parameters
-    ----------
-    n_frames, n_active_frames, n_compared_frames : of the path
-    n_reused_captures, n_reused_probes, n_reused_comparisons : taken from an earlier frame
-    n_estimates, fired_share : triggers, and their share of all steps
-    mean_shc_rmse, ambient_shc_rmse, mean_coverage, share_above_white : over positions and frames
-    n_capped_probes : light probes noisier than aimed at
-    mean_step_ms : a frame's steps without rendering
-    payload_bytes : sent
-    mean_latency_ms, n_lost : of the estimates that arrive, and how many never did
-    n_invalid_pixels, n_invalid_points, n_followed_anchors, n_unknown_lights, invalid : sums
-    render_s, comparison_render_s, pilot_s : of captures and light probes, of compared pictures, of choosing samples
-    overhead_share : work over rendering
-    rmse_against_ambient : by method, its picture's error over that of the ambient light
-    """
-
-    n_frames: int
-    n_active_frames: int
-    n_compared_frames: int
-    n_reused_captures: int = 0
-    n_reused_probes: int = 0
-    n_reused_comparisons: int = 0
-    n_estimates: int
-    fired_share: float | None
-    mean_shc_rmse: float | None
-    ambient_shc_rmse: float | None = None
-    share_above_white: float | None = None
-    n_capped_probes: int = 0
-    mean_coverage: float | None
-    mean_step_ms: float | None
-    payload_bytes: int
-    mean_latency_ms: float | None = None
-    n_lost: int = 0
-    n_invalid_pixels: int = 0
-    n_invalid_points: int = 0
-    n_followed_anchors: int = 0
-    n_unknown_lights: int = 0
-    invalid: InvalidCounts
-    render_s: float
-    comparison_render_s: float = 0.0
-    overhead_share: float | None = None
-    rmse_against_ambient: dict[str, float | None] = field(default_factory=dict)
-    pilot_s: float = 0.0
+    n_frames: Annotated[int, "of the path"]
+    n_active_frames: Annotated[int, "of the path"]
+    n_compared_frames: Annotated[int, "of the path"]
+    n_reused_captures: Annotated[int, "taken from an earlier frame"] = 0
+    n_reused_probes: Annotated[int, "taken from an earlier frame"] = 0
+    n_reused_comparisons: Annotated[int, "taken from an earlier frame"] = 0
+    n_estimates: Annotated[int, "triggers"]
+    fired_share: Annotated[float | None, "of triggers among all steps"]
+    mean_shc_rmse: Annotated[float | None, "over positions and frames"]
+    ambient_shc_rmse: Annotated[float | None, "over positions and frames"] = None
+    share_above_white: Annotated[float | None, "over positions and frames"] = None
+    n_capped_probes: Annotated[int, "light probes noisier than aimed at"] = 0
+    mean_coverage: Annotated[float | None, "over positions and frames"]
+    mean_step_ms: Annotated[float | None, "a frame's steps without rendering"]
+    payload_bytes: Annotated[int, "sent"]
+    mean_latency_ms: Annotated[float | None, "of the estimates that arrive"] = None
+    n_lost: Annotated[int, "estimates that never arrived"] = 0
+    n_invalid_pixels: Annotated[int, "sum"] = 0
+    n_invalid_points: Annotated[int, "sum"] = 0
+    n_followed_anchors: Annotated[int, "sum"] = 0
+    n_unknown_lights: Annotated[int, "sum"] = 0
+    invalid: Annotated[InvalidCounts, "sums"]
+    render_s: Annotated[float, "of captures and light probes"]
+    comparison_render_s: Annotated[float, "of compared pictures"] = 0.0
+    overhead_share: Annotated[float | None, "work over rendering"] = None
+    rmse_against_ambient: Annotated[ByMethod, "its error over that of the ambient light"] = field(default_factory=dict)
+    pilot_s: Annotated[float, "of choosing samples"] = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunResults:
     """All of results.json.
 
-    Parameters
-    ----------
-    schema_version : of the file
-    software : versions, and the `command` that was typed
-    machine : platform, processor, cores, the device Cycles used
-    settings, scene, effects, phone, summary : see there
-    frames : one entry per frame of the path
-    lights : by virtual object, what its world is keyed with wherever its light changes; empty for one that nothing
-        lit, since no position was ever in view
+    lights : by virtual object, what its world is keyed with wherever its light changes; empty for one that nothing lit,
+        since no position was ever in view
     comparison : by method, the mean over compared frames. `truth` is the rendered light probe as an SH world, the whole
         light, whatever the target: the best that order 2 can do, not the path-traced picture it is compared with
-    notes : what a reader has to know, in sentences
     """
 
-    schema_version: Literal[1] = SCHEMA_VERSION
-    software: dict[str, str]
-    machine: dict[str, str | int | None]
-    settings: RunSettings
-    scene: SceneResult
-    effects: tuple[EffectResult, ...]
-    phone: PhoneResult
-    frames: tuple[FrameResult, ...]
+    schema_version: Annotated[Literal[1], "of the file"] = SCHEMA_VERSION
+    software: Annotated[dict[str, str], "versions, and the `command` that was typed"]
+    machine: Annotated[dict[str, str | int | None], "platform, processor, cores, the device Cycles used"]
+    settings: Annotated[RunSettings, "see there"]
+    scene: Annotated[SceneResult, "see there"]
+    effects: Annotated[tuple[EffectResult, ...], "see there"]
+    phone: Annotated[PhoneResult, "see there"]
+    frames: Annotated[tuple[FrameResult, ...], "one entry per frame of the path"]
     lights: dict[str, tuple[LightChange, ...]]
     comparison: dict[str, Metrics]
-    summary: Summary
-    notes: tuple[str, ...] = ()
+    summary: Annotated[Summary, "see there"]
+    notes: Annotated[tuple[str, ...], "what a reader has to know, in sentences"] = ()
 
     @property
     def active_frames(self) -> list[FrameResult]:
@@ -502,10 +330,7 @@ class RunResults:
 
 
 def read_results(folder: Path) -> RunResults:
-    """The results of the run in `folder`, read once and kept while the file is the same.
-
-    UserError if there are none, or none that this version wrote.
-    """
+    """The results of the run in `folder`, anew where the file changed; UserError if none that this version wrote."""
     file = folder / "results.json"
     try:
         return _read(file, file.stat().st_mtime_ns)

@@ -32,13 +32,10 @@ from xihe_blender.scene.state import scene_kept
 from xihenet.effects import Change, Effect, EffectCost, Requirement, plan_effects
 from xihenet.records import ArrayF64
 
-PROBE_SAMPLES = 2
-"""Rays in each pixel of the reference probe's picture of all light."""
-
+PROBE_SAMPLES = 2  # rays in each pixel of the reference probe's picture of all light
 PICTURE = RenderSettings((48, 36), samples=8, denoise=False)
 N_SEEDS, APART_SEEDS, FEWEST_SEEDS = 6, 4, 2
 BUDGET_S = 60.0
-BASELINE = "the plan"
 
 OWN_SCENE = frozenset({"motion blur", "denoising"})
 """Effects that are switched in a scene of their own, without taking turns: motion blur ends the process where geometry
@@ -50,27 +47,25 @@ class _Variant:
     """A plan to measure: the run's own, or that with one effect switched; `has_effect` says which way round."""
 
     plan: Mapping[str, Effect]
-    has_effect: bool
+    has_effect: bool = False
     denoise: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """A working scene that renders any variant."""
+    """A working scene that renders any variant: mean radiance, and seconds."""
 
     scene: bpy.types.Scene
     mean: Callable[[ArrayF64], float]
 
     def render(self, variant: _Variant, seed: int) -> tuple[float, float]:
-        """Mean radiance, and seconds."""
         apply_effects(self.scene, cycles_settings(variant.plan))
         self.scene.cycles.seed = seed
         rendered = render_passes(self.scene)
         return self.mean(first_layer(rendered)[0].astype(np.float64)), rendered.render_s
 
 
-Opened = Callable[[_Variant], contextlib.AbstractContextManager[_View]]
-"""Opens one kind of view, set up for a variant."""
+Opened = Callable[[_Variant], contextlib.AbstractContextManager[_View]]  # opens one kind of view, set up for a variant
 
 
 def measure_costs(
@@ -85,6 +80,8 @@ def measure_costs(
 ) -> Job[dict[str, EffectCost]]:
     """What every effect that a setting switches costs and changes; `scene` stays as it is.
 
+    By name of the effect; empty with nothing to look from.
+
     Parameters
     ----------
     required, choices : what the scene requires and what the user wants; see `plan_effects`
@@ -92,13 +89,9 @@ def measure_costs(
     frame : at which to render
     budget_s : seconds, shared among the effects; each that is begun has FEWEST_SEEDS, and the others have no cost
     on_cost : called with the name of each effect as soon as its cost is known
-
-    Returns
-    -------
-    costs by name of the effect, without those that no setting of a scene switches; empty with nothing to look from
     """
     variants, deadline = _variants(required, choices), time.perf_counter() + budget_s
-    baseline = variants.pop(BASELINE)
+    baseline = _Variant(plan_effects(required, choices))
     kinds: dict[str, Opened] = {}
     if scene.camera is not None:
         kinds["picture"] = lambda variant: _picture(scene, variant, frame)
@@ -138,8 +131,7 @@ def _in_turns(view: _View, sides: tuple[_Variant, _Variant], stop_at: float, pro
     """
     rounds: list[list[tuple[float, float]]] = []
     for seed in range(N_SEEDS + 1):
-        order = (0, 1) if seed % 2 else (1, 0)
-        found = {side: view.render(sides[side], seed) for side in order}
+        found = {side: view.render(sides[side], seed) for side in ((0, 1) if seed % 2 else (1, 0))}
         rounds.append([found[0], found[1]])
         yield progress
         if len(rounds) > FEWEST_SEEDS and time.perf_counter() > stop_at:
@@ -161,9 +153,8 @@ def _apart(shared: _View, baseline: _Variant, opened: Opened, variant: _Variant,
 
 
 def _variants(required: Mapping[str, Requirement], choices: Mapping[str, str]) -> dict[str, _Variant]:
-    """The plan, and it with one effect the other way round for each effect that has settings of two kinds."""
-    plan = plan_effects(required, choices)
-    variants = {BASELINE: _Variant(plan, has_effect=False)}
+    """The plan with one effect the other way round, for each effect that has settings of two kinds."""
+    plan, variants = plan_effects(required, choices), {}
     for name, one in required.items():
         if one.on != one.off:
             # Nothing else is denoised, so that denoising itself is the one to add.

@@ -11,7 +11,7 @@ A look costs 10 to 30 ms per frame in the example scenes.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 
 import bpy
 
@@ -23,29 +23,49 @@ from xihe_blender.scene.virtual_objects import virtual_collection
 SCENE_NAME = "Xihe Effects"
 ENGINE = "XIHE_INSPECTION"
 
-LookAt = Callable[[bpy.types.Depsgraph], None]
-
 
 class SceneInspection:
-    """A working scene to be looked at, with the virtual objects until they are left out; made by `open_inspection`."""
+    """A working scene to be looked at, with the virtual objects until they are excluded; made by `open_inspection`."""
 
     def __init__(self, working: bpy.types.Scene, virtual: bpy.types.Collection | None) -> None:
         self.working, self.virtual = working, virtual
-        self._exclude_virtual(is_excluded=False)
+        self.exclude_virtual_objects(is_excluded=False)
 
-    def look_at(self, frame: int, *looks: LookAt) -> None:
+    def look_at(self, frame: int, *looks: Callable[[bpy.types.Depsgraph], None]) -> None:
         """Call each of `looks` with the render dependency graph at `frame`, which is gone when this returns.
 
         UserError where Blender cannot evaluate the scene; what a look raises is raised here.
         """
         self.working.frame_current = frame
-        _look_once(self.working, looks)
+        failures: list[BaseException] = []
 
-    def leave_out_virtual_objects(self) -> None:
-        """From now on there is only the room, as captures and light probes show it."""
-        self._exclude_virtual(is_excluded=True)
+        class Inspection(bpy.types.RenderEngine):  # type: ignore[misc]
+            bl_idname = ENGINE
+            bl_label = "Xihe Inspection"
 
-    def _exclude_virtual(self, *, is_excluded: bool) -> None:
+            def render(self, depsgraph: bpy.types.Depsgraph) -> None:
+                try:
+                    for look in looks:
+                        look(depsgraph)
+                except BaseException as error:  # noqa: BLE001 - Blender would print it and go on; it is raised below
+                    failures.append(error)
+
+        bpy.utils.register_class(Inspection)
+        try:
+            self.working.render.engine = ENGINE
+            with bpy.context.temp_override(scene=self.working):
+                bpy.ops.render.render()
+        except RuntimeError as error:
+            raise UserError(f"Blender could not evaluate {self.working.name!r}: {str(error).strip()}") from error
+        finally:
+            self.working.render.engine = "CYCLES"
+            bpy.utils.unregister_class(Inspection)
+        if failures:
+            # Its frames hold the graph, which is gone: a debugger that showed it would crash Blender.
+            raise failures[0].with_traceback(None)
+
+    def exclude_virtual_objects(self, *, is_excluded: bool) -> None:
+        """Whether from now on there is only the room, as captures and light probes show it."""
         if self.virtual is not None:
             root = self.working.view_layers[0].layer_collection
             exclude_collection(root, self.virtual, is_excluded=is_excluded)
@@ -75,32 +95,3 @@ def _scene_with_a_camera(scene: bpy.types.Scene) -> Iterator[bpy.types.Scene]:
     finally:
         bpy.data.objects.remove(stand_in)
         bpy.data.cameras.remove(data)
-
-
-def _look_once(working: bpy.types.Scene, looks: Sequence[LookAt]) -> None:
-    failures: list[BaseException] = []
-
-    class Inspection(bpy.types.RenderEngine):  # type: ignore[misc]
-        bl_idname = ENGINE
-        bl_label = "Xihe Inspection"
-
-        def render(self, depsgraph: bpy.types.Depsgraph) -> None:
-            try:
-                for look in looks:
-                    look(depsgraph)
-            except BaseException as error:  # noqa: BLE001 - Blender would print it and go on; it is raised below
-                failures.append(error)
-
-    bpy.utils.register_class(Inspection)
-    try:
-        working.render.engine = ENGINE
-        with bpy.context.temp_override(scene=working):
-            bpy.ops.render.render()
-    except RuntimeError as error:
-        raise UserError(f"Blender could not evaluate {working.name!r}: {str(error).strip()}") from error
-    finally:
-        working.render.engine = "CYCLES"
-        bpy.utils.unregister_class(Inspection)
-    if failures:
-        # Its frames hold the graph, which is gone: a debugger that showed it would crash Blender.
-        raise failures[0].with_traceback(None)

@@ -17,17 +17,7 @@ from typing import Any
 
 import bpy
 
-from xihe_blender.light_transport.sockets import (
-    Groups,
-    constant,
-    has_nodes,
-    is_whole,
-    largest,
-    may_be_positive,
-    origin,
-    sides,
-)
-
+Groups = tuple[Any, ...]  # the group nodes that have been entered, outermost first
 UNKNOWN_ALBEDO = 0.8
 """Of a colour that cannot be read off: a bright wall paint. Guessing too dark would cut bounces that are needed."""
 
@@ -101,7 +91,6 @@ def material_shading(material: bpy.types.Material | None) -> Shading:
 
 
 def world_shading(world: bpy.types.World | None) -> Shading:
-    """What `world` may do: emit, emit differently by direction, fill space with a volume."""
     if world is None:
         return NOTHING
     if not has_nodes(world):
@@ -120,7 +109,90 @@ def light_emits(light: bpy.types.Light) -> bool:
     return output is not None and bool(_surface(output.inputs["Surface"]).interactions & A.EMISSION)
 
 
-# ------------------------------------------------------------------------------------------------------------- colours
+def has_nodes(block: bpy.types.ID) -> bool:
+    """From 5.0 on all materials and worlds are made of nodes, and the switch is deprecated."""
+    return block.node_tree is not None and (bpy.app.version >= (5, 0, 0) or block.use_nodes)
+
+
+def origin(socket: Any, groups: Groups) -> tuple[Any, Groups]:
+    """Where the value of the input `socket` comes from: an output socket, or an input socket that nothing feeds.
+
+    A muted node without a way through, an empty group and a link that is muted or invalid feed nothing, and then the
+    input's own value counts.
+    """
+    while (out := _linked_output(socket)) is not None:
+        node = out.node
+        before = socket
+        if node.mute:
+            through = [link.from_socket for link in node.internal_links if link.to_socket == out]
+            socket = through[0] if through else None
+        elif node.type == "REROUTE":
+            socket = node.inputs[0]
+        elif node.type == "GROUP_INPUT" and groups:
+            socket, groups = _by_identifier(groups[-1].inputs, out.identifier), groups[:-1]
+        elif hasattr(node, "node_tree"):
+            socket, groups = _group_output(node, out.identifier), (*groups, node)
+        else:
+            return out, groups
+        if socket is None:
+            return before, groups
+    return socket, groups
+
+
+def _linked_output(socket: Any) -> Any:
+    """The output socket that a working link brings into the input `socket`; None without one."""
+    if not socket.is_linked:
+        return None
+    working = (link for link in socket.links if link.is_valid and not link.is_muted and link.from_socket.enabled)
+    return next((link.from_socket for link in working), None)
+
+
+def _group_output(node: Any, identifier: str) -> Any:
+    """The input of the active Group Output inside the group `node` that feeds its output `identifier`."""
+    nodes = node.node_tree.nodes if node.node_tree is not None else ()
+    output = next((inner for inner in nodes if inner.type == "GROUP_OUTPUT" and inner.is_active_output), None)
+    return None if output is None else _by_identifier(output.inputs, identifier)
+
+
+def _by_identifier(sockets: Any, identifier: str) -> Any:
+    return next((socket for socket in sockets if socket.identifier == identifier), None)
+
+
+def constant(socket: Any, groups: Groups) -> Any:
+    """The value of an input, where it is the same everywhere: a number or a tuple (R, G, B). None: may be anything."""
+    found, _ = origin(socket, groups)
+    if found.is_output and found.node.type not in ("VALUE", "RGB"):
+        return None
+    value = found.default_value
+    return tuple(value)[:3] if hasattr(value, "__len__") else value
+
+
+def largest(node: Any, name: str, groups: Groups) -> float | None:
+    """The largest channel of the input `name`; 0 where the node has none of that name, None if it may be anything."""
+    return _largest_of(node.inputs[name], groups) if name in node.inputs else 0.0
+
+
+def _largest_of(socket: Any, groups: Groups) -> float | None:
+    value = constant(socket, groups)
+    return float(max(value)) if isinstance(value, tuple) else value
+
+
+def may_be_positive(node: Any, name: str, groups: Groups) -> bool:
+    value = largest(node, name, groups)
+    return value is None or value > 0
+
+
+def is_whole(node: Any, name: str, groups: Groups) -> bool:
+    value = largest(node, name, groups)
+    return value is not None and value >= 1
+
+
+def sides(node: Any, groups: Groups) -> list[Any]:
+    """The shader inputs that an Add or a Mix Shader lets through: both, but for a mix by a constant 0 or 1."""
+    factor = constant(node.inputs[0], groups) if node.type == "MIX_SHADER" else None
+    if factor is None or 0 < factor < 1:
+        return [node.inputs[-2], node.inputs[-1]]
+    return [node.inputs[-1 if factor >= 1 else -2]]
 
 
 def _albedo(node: Any, name: str, groups: Groups) -> float:
@@ -130,20 +202,16 @@ def _albedo(node: Any, name: str, groups: Groups) -> float:
 
 def _brightest(socket: Any, groups: Groups) -> float:
     """The largest channel that a colour can have: of a constant, a colour ramp, or a mix of these; else a guess."""
-    value = constant(socket, groups)
+    value = _largest_of(socket, groups)
     if value is not None:
-        return float(max(value) if isinstance(value, tuple) else value)
+        return value
     out, groups = origin(socket, groups)
     node = out.node
     if node.type == "VALTORGB":
         return float(max(max(element.color[:3]) for element in node.color_ramp.elements))
     if node.type == "MIX" and node.data_type == "RGBA" and node.blend_type in ("MIX", "MULTIPLY"):
-        sides = [side for side in node.inputs if side.identifier in ("A_Color", "B_Color")]
-        return max(_brightest(side, groups) for side in sides)
+        return max(_brightest(side, groups) for side in node.inputs if side.identifier in ("A_Color", "B_Color"))
     return UNKNOWN_ALBEDO
-
-
-# ------------------------------------------------------------------------------------------------------------- shaders
 
 
 def _shaders(socket: Any, groups: Groups = (), *, varies: bool = False) -> Iterator[tuple[Any, Groups, bool]]:
@@ -228,7 +296,12 @@ def _principled_base(node: Any, groups: Groups) -> Interaction:
     return interactions
 
 
-# ---------------------------------------------------------------------------------------------- volume, displacement
+VOLUME_WEIGHTS = {
+    "VOLUME_ABSORPTION": ("Density",),
+    "VOLUME_SCATTER": ("Density",),
+    "PRINCIPLED_VOLUME": ("Density", "Emission Strength", "Blackbody Intensity"),
+    "EMISSION": ("Strength",),
+}
 
 
 def _volume(socket: Any) -> Shading:
@@ -237,12 +310,7 @@ def _volume(socket: Any) -> Shading:
 
 
 def _fills(node: Any, groups: Groups) -> bool:
-    weights = {
-        "VOLUME_ABSORPTION": ("Density",),
-        "VOLUME_SCATTER": ("Density",),
-        "PRINCIPLED_VOLUME": ("Density", "Emission Strength", "Blackbody Intensity"),
-        "EMISSION": ("Strength",),
-    }.get(node.type)
+    weights = VOLUME_WEIGHTS.get(node.type)
     return weights is None or any(may_be_positive(node, name, groups) for name in weights)
 
 
@@ -260,14 +328,8 @@ def _displaces(socket: Any) -> bool:
     return node.type == "VECTOR_DISPLACEMENT" or None in values or values[0] != values[1]
 
 
-# ---------------------------------------------------------------------------------------------------------- roughness
-
 REFLECTING = ("BSDF_GLOSSY", "BSDF_METALLIC", "BSDF_GLASS", "BSDF_REFRACTION", "BSDF_PRINCIPLED")
-DULL = (
-    "BSDF_DIFFUSE", "BSDF_SHEEN", "BSDF_TOON", "BSDF_TRANSLUCENT", "BSDF_TRANSPARENT", "BSDF_RAY_PORTAL",
-    "SUBSURFACE_SCATTERING", "BSDF_HAIR", "BSDF_HAIR_PRINCIPLED", "HOLDOUT", "EMISSION", "BACKGROUND",
-)  # fmt: skip
-"""Shaders without a mirror in them; 1 stands for these."""
+DULL = {*SIMPLE, "EMISSION", "BACKGROUND"} - {*REFLECTING}  # shaders without a mirror in them; 1 stands for these
 
 
 def smoothest_roughness(material: bpy.types.Material | None) -> float | None:

@@ -40,10 +40,7 @@ def remembered_overrides(scene: bpy.types.Scene) -> dict[str, str]:
 
 
 def overrides_in_force(scene: bpy.types.Scene, overrides: Mapping[str, str]) -> dict[str, str]:
-    """{effect: "on" or "off"}: `overrides` win over what `scene` remembers, of which "auto" makes nothing.
-
-    UserError as of `checked`.
-    """
+    """`checked`: `overrides` win over what `scene` remembers, of which "auto" makes nothing. UserError as of there."""
     return checked({**remembered_overrides(scene), **overrides})
 
 

@@ -9,9 +9,10 @@ import bpy
 
 from xihe_blender.capture.render import RenderSettings, can_denoise, working_scene
 from xihe_blender.light_transport.enclosure import MAX_BOUNCES
+from xihe_blender.light_transport.inspection import open_inspection
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.light_transport.rules import RULES, SceneFacts
-from xihe_blender.light_transport.transport_survey import TransportSurvey, survey_transport
+from xihe_blender.light_transport.transport_survey import TransportSurvey, TransportSurveyor
 from xihenet.effects import Effect, Requirement, plan_effects
 
 BOUNCES = ("diffuse_bounces", "glossy_bounces", "transmission_bounces", "volume_bounces")
@@ -24,21 +25,21 @@ def required_effects(
     *,
     frames: Sequence[int] | None = None,
 ) -> dict[str, Requirement]:
-    """What `scene` itself requires, effect by effect; it stays as it is.
+    """What `scene`, room and virtual objects, itself requires, effect by effect; it stays as it is.
 
-    Parameters
-    ----------
-    scene : room and virtual objects
-    camera : the phone; None takes the scene's camera at each frame
-    positions : (K, 3) world, metres: where light probes stand
-    frames : frames to judge, each of them evaluated; None takes the scene's range and step
+    `camera` and `positions` are as in `TransportSurveyor`; each of `frames` is judged, None takes the scene's range.
     """
     chosen = range(scene.frame_start, scene.frame_end + 1, scene.frame_step) if frames is None else frames
-    return required_by_survey(scene, survey_transport(scene, list(chosen), camera, positions))
+    surveyor = TransportSurveyor(list(chosen), positions, camera)
+    with open_inspection(scene) as inspection:
+        for frame in chosen:
+            inspection.look_at(frame, surveyor.look_at)
+        survey = surveyor.ended(inspection, has_motion_blur=scene.render.use_motion_blur)
+    return required_by_survey(scene, survey)
 
 
 def required_by_survey(scene: bpy.types.Scene, survey: TransportSurvey) -> dict[str, Requirement]:
-    """The same, where it is known what light can survey."""
+    """The same, where the scene has been surveyed."""
     with working_scene(scene, "Xihe Effects", RenderSettings((4, 4), samples=1)) as working:
         facts = SceneFacts(survey, scene, can_denoise(working))
     return {name: rule(facts) for name, rule in RULES.items()}
@@ -52,11 +53,7 @@ def plan_light_transport(
     frames: Sequence[int] | None = None,
     overrides: Mapping[str, str] | None = None,
 ) -> dict[str, Effect]:
-    """The effects of light transport in a run; the parameters are those of `required_effects`, and what the user wants.
-
-    `overrides` (effect: "auto", "on" or "off") win over what the .blend remembers, which wins over the scene. UserError
-    for an unknown effect or state, or an effect that no setting of a scene can switch.
-    """
+    """The effects of light transport in a run, by `required_effects` and `overrides_in_force`."""
     choices = overrides_in_force(scene, overrides or {})
     return plan_effects(required_effects(scene, camera, positions, frames=frames), choices)
 

@@ -20,8 +20,7 @@ from typing import Any
 
 import bpy
 
-from xihe_blender.light_transport.animation import is_animated, is_film
-from xihe_blender.light_transport.values import UnreadableError, shape_of, values_of
+from xihe_blender.light_transport.animation import UnreadableError, is_animated, is_film, shape_of, values_of
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, virtual_collection
 
 HANDLERS = ("frame_change_pre", "frame_change_post", "depsgraph_update_pre", "depsgraph_update_post", "render_pre")
@@ -30,21 +29,15 @@ FIXED = {"ARRAY", "BEVEL", "DECIMATE", "EDGE_SPLIT", "MIRROR", "MULTIRES", "REME
          "SUBSURF", "TRIANGULATE", "WEIGHTED_NORMAL", "WELD", "WIREFRAME"}  # fmt: skip
 """Modifiers that give the same shape in every frame, where nothing is animated and they follow no other object."""
 
+MATRICES = {"matrix_world", "matrix_local", "matrix_basis", "matrix_parent_inverse"}
 SHADERS = {"MATERIAL", "NODETREE", "WORLD", "LIGHT", "TEXTURE"}
 
 
 @dataclass(frozen=True)
 class SceneState:
-    """Digests of one frame; equal where a render would be equal, different where it may differ.
+    """Digests of one frame; equal where a render would be equal, different where it may differ."""
 
-    Parameters
-    ----------
-    room : of all that lights the room: everything but the camera and the virtual objects
-    virtual : of the virtual objects
-    camera : of the scene's camera: where it is, its lens, its focus
-    """
-
-    room: str
+    room: str  # of all that lights the room: everything but the camera and the virtual objects
     virtual: str
     camera: str
 
@@ -52,11 +45,6 @@ class SceneState:
 def each_its_own(frames: Iterable[int]) -> dict[int, SceneState]:
     """States of which no two are equal, where nothing is known of the frames."""
     return {frame: SceneState(*[f"frame {frame}"] * 3) for frame in frames}
-
-
-def _is_ours(handler: object) -> bool:
-    """The panel's own handlers only take notice."""
-    return str(getattr(handler, "__module__", "")).startswith("xihe_blender.")
 
 
 class StateSurvey:
@@ -68,8 +56,9 @@ class StateSurvey:
         users = bpy.data.user_map(key_types={"OBJECT"}, value_types=SHADERS)
         self.in_shaders = {item for item, of_item in users.items() if of_item}
         """Objects whose place a texture follows."""
-        handlers = (handler for name in HANDLERS for handler in getattr(bpy.app.handlers, name))
-        self.is_sure = all(map(_is_ours, handlers))
+        handlers = [handler for name in HANDLERS for handler in getattr(bpy.app.handlers, name)]
+        # The panel's own handlers only take notice.
+        self.is_sure = all(str(getattr(one, "__module__", "")).startswith("xihe_blender.") for one in handlers)
         self.states: dict[int, SceneState] = {}
 
     def look_at(self, depsgraph: bpy.types.Depsgraph) -> None:
@@ -89,17 +78,14 @@ class StateSurvey:
                 is_apart = block.original in self.virtual or block.type == "CAMERA"
                 if not is_apart or block.original in self.in_shaders:
                     room.add(block.name_full, _matrix(block))
-                self._object_values(virtual if block.original in self.virtual else room, block)
+                if block.type != "CAMERA" and is_animated(block.original):
+                    values = (entry for entry in values_of(block) if entry[0] not in MATRICES)
+                    (virtual if block.original in self.virtual else room).add(block.name_full, *values)
             elif not isinstance(block, bpy.types.Camera):
                 _add_block(room, block)
         self._instances(depsgraph, room, virtual)
-        self.states[frame] = SceneState(room.hex(), virtual.hex(), _camera_digest(camera, depsgraph))
-
-    def _object_values(self, digest: _Digest, item: bpy.types.Object) -> None:
-        """Visibility, colour and custom properties. A camera's own are none of the room's, nor is its place."""
-        if item.type != "CAMERA" and is_animated(item.original):
-            moved = {"matrix_world", "matrix_local", "matrix_basis", "matrix_parent_inverse"}
-            digest.add(item.name_full, *(entry for entry in values_of(item) if entry[0] not in moved))
+        digests = room, virtual, _camera_digest(camera, depsgraph)
+        self.states[frame] = SceneState(*(digest.hash.hexdigest() for digest in digests))
 
     def _instances(self, depsgraph: bpy.types.Depsgraph, room: _Digest, virtual: _Digest) -> None:
         read: set[tuple[int, int]] = set()
@@ -129,9 +115,6 @@ class _Digest:
     def never_the_same(self) -> None:
         self.add("frame", self.frame)
 
-    def hex(self) -> str:
-        return self.hash.hexdigest()
-
 
 def _matrix(item: Any) -> tuple[float, ...]:
     """Rounded to a micrometre: an F-curve between two equal keys gives their value to the last bit but one."""
@@ -140,19 +123,15 @@ def _matrix(item: Any) -> tuple[float, ...]:
 
 def _add_block(digest: _Digest, block: bpy.types.ID) -> None:
     """What a data-block other than an object may change from frame to frame."""
-    if isinstance(block, bpy.types.Image):
-        is_moving = is_film(block)
-    elif isinstance(block, bpy.types.Volume):
-        is_moving = block.is_sequence
-    else:
-        is_moving = False
-    if is_moving:
+    is_image, is_volume = isinstance(block, bpy.types.Image), isinstance(block, bpy.types.Volume)
+    if (is_image and is_film(block)) or (is_volume and block.is_sequence):
         digest.never_the_same()
+    elif not is_animated(block.original):
+        return
     elif isinstance(block, bpy.types.Scene):
-        if is_animated(block.original):
-            parts = [block, block.cycles, block.render, block.view_layers[0]]
-            digest.add(*(entry for part in parts for entry in _scene_values(part)))
-    elif is_animated(block.original):
+        parts = [block, block.cycles, block.render, block.view_layers[0]]
+        digest.add(*(entry for part in parts for entry in _scene_values(part)))
+    else:
         digest.add(block.name_full, *values_of(block))
 
 
@@ -191,9 +170,9 @@ def _may_deform(item: bpy.types.Object) -> bool:
         return bool(item.modifiers)
     if item.type != "MESH" or item.data.shape_keys is not None or is_animated(item.data):
         return True
-    return any(modifier.type not in FIXED or _follows_an_object(modifier) for modifier in item.modifiers) or (
-        bool(item.modifiers) and is_animated(item)
-    )
+    if item.modifiers and is_animated(item):
+        return True
+    return any(modifier.type not in FIXED or _follows_an_object(modifier) for modifier in item.modifiers)
 
 
 def _follows_an_object(modifier: bpy.types.Modifier) -> bool:
@@ -201,7 +180,7 @@ def _follows_an_object(modifier: bpy.types.Modifier) -> bool:
     return any(isinstance(getattr(modifier, name), bpy.types.Object) for name in pointers)
 
 
-def _camera_digest(camera: bpy.types.Object | None, depsgraph: bpy.types.Depsgraph) -> str:
+def _camera_digest(camera: bpy.types.Object | None, depsgraph: bpy.types.Depsgraph) -> _Digest:
     digest = _Digest(depsgraph.scene.frame_current)
     if camera is not None:
         evaluated = camera.evaluated_get(depsgraph)
@@ -209,23 +188,16 @@ def _camera_digest(camera: bpy.types.Object | None, depsgraph: bpy.types.Depsgra
         focus = evaluated.data.dof.focus_object
         if focus is not None:
             digest.add(_matrix(focus.evaluated_get(depsgraph)))
-    return digest.hex()
+    return digest
 
 
 @dataclass(frozen=True)
 class RenderReuse:
-    """Which earlier frame of a run holds a render that would come out the same; made by `plan_render_reuse`.
+    """Which earlier frame of a run holds a render that would come out the same; made by `plan_render_reuse`."""
 
-    Parameters
-    ----------
-    states : of the scene, by frame
-    captures : for each captured frame, the frame that holds its capture: an earlier one, or itself
-    probes : the same for the panorama of each light probe, by frame and name; it does not depend on the camera
-    """
-
-    states: Mapping[int, SceneState]
-    captures: Mapping[int, int]
-    probes: Mapping[tuple[int, str], int]
+    states: Mapping[int, SceneState]  # of the scene, by frame
+    captures: Mapping[int, int]  # for each captured frame, the frame that holds its capture: an earlier one, or itself
+    probes: Mapping[tuple[int, str], int]  # the same for each light probe, which does not depend on the camera, by name
 
     def comparison(self, frame: int, *made_from: bytes) -> tuple[Any, ...]:
         """Equal for frames whose comparisons are, which are made from capture and lights, `made_from`, as well."""

@@ -21,8 +21,6 @@ from xihe_blender.light_transport.nodes import Interaction
 from xihe_blender.light_transport.transport_survey import TransportSurvey
 from xihenet.effects import Requirement, Setting
 
-N_NAMED = 2
-
 
 @dataclass(frozen=True, eq=False)
 class SceneFacts:
@@ -100,14 +98,13 @@ def _depth_of_field(s: SceneFacts) -> Requirement:
 
 
 def _light_tree(s: SceneFacts) -> Requirement:
-    n = s.survey.n_lights
-    is_on = n > 1 or bool(s.survey.emitters)
-    reason = f"the scene has {n} lights, counting glowing objects and the world" if n > 1 else "the scene has one light"
-    if n == 1 and s.survey.emitters:
-        reason = f"the only light is {_named(s.survey.emitters)}, which glows: each of its faces counts as a light"
-    elif n == 0:
-        reason = "the scene has no light"
-    return Requirement(is_on, reason, {"use_light_tree": True}, {"use_light_tree": False})
+    n, emitters = s.survey.n_lights, s.survey.emitters
+    reason = "the scene has one light" if n else "the scene has no light"
+    if n > 1:
+        reason = f"the scene has {n} lights, counting glowing objects and the world"
+    elif n == 1 and emitters:
+        reason = f"the only light is {_named(emitters)}, which glows: each of its faces counts as a light"
+    return Requirement(n > 1 or bool(emitters), reason, {"use_light_tree": True}, {"use_light_tree": False})
 
 
 def _environment_sampling(s: SceneFacts) -> Requirement:
@@ -175,6 +172,6 @@ def _rendered(kind: str, found: Sequence[str], what_they_do: str = "") -> str:
 
 
 def _named(found: Sequence[str]) -> str:
-    """The first few, and how many more."""
-    more = f" and {len(found) - N_NAMED} more" if len(found) > N_NAMED else ""
-    return ", ".join(found[:N_NAMED]) + more
+    """The first two, and how many more."""
+    more = f" and {len(found) - 2} more" if len(found) > 2 else ""
+    return ", ".join(found[:2]) + more

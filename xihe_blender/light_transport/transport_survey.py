@@ -23,10 +23,18 @@ import bpy
 import numpy as np
 
 from xihe_blender.light_transport.animation import is_animated, placement
-from xihe_blender.light_transport.enclosure import Ray, aim, carried, rays_all_round, rays_through_picture
-from xihe_blender.light_transport.inspection import SceneInspection, open_inspection
+from xihe_blender.light_transport.enclosure import (
+    Look,
+    Ray,
+    Solids,
+    aim,
+    carried,
+    rays_all_round,
+    rays_through_picture,
+    undivided_mesh,
+)
+from xihe_blender.light_transport.inspection import SceneInspection
 from xihe_blender.light_transport.nodes import Interaction, Shading, light_emits, material_shading, world_shading
-from xihe_blender.light_transport.solids import Look, Solids, undivided_mesh
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES
 from xihenet.records import ArrayF64
 
@@ -34,65 +42,43 @@ RAYS = ("camera", "diffuse", "glossy", "transmission", "volume_scatter")
 PASSED = Interaction.TRANSPARENT | Interaction.REFRACTION
 LEAKY = Interaction.TRANSLUCENT | Interaction.DISPLACEMENT
 N_AIMED = 1000
-MAX_AIMED_AT = 20
-"""Surfaces; 0.02 s for each in a room of few triangles."""
+MAX_AIMED_AT = 20  # surfaces; 0.02 s for each in a room of few triangles
 
 
 @dataclass
 class TransportSurvey:
     """What light can reach over the inspected frames.
 
-    Parameters
-    ----------
-    surfaces : for each interaction, what has it, in words ("material 'Glass' on 'Vase'"), in the order it was found
-    unreached : what has subsurface, where no ray of the camera or a probe reaches any of it; `surfaces` is without it
-    strands : objects with hair
-    n_lights : the most lamps, emitting objects and emitting worlds at any one frame
-    has_lamps : whether there are lamps, switched on at any frame
-    emitters : names of the emitting objects
-    world : what the world may do
-    defocused : cameras with depth of field
-    is_moving : something stands otherwise in one frame than in another
-    carried : (N_SURFACES,) of each walk of light; see `enclosure`
+    `surfaces` have an interaction, in words ("material 'Glass' on 'Vase'"), in the order in which they were found;
+    without those `unreached`, of which no ray of the camera or a probe reaches the subsurface.
     """
 
     surfaces: dict[Interaction, list[str]] = field(default_factory=dict)
     unreached: list[str] = field(default_factory=list)
-    strands: list[str] = field(default_factory=list)
-    n_lights: int = 0
-    has_lamps: bool = False
-    emitters: list[str] = field(default_factory=list)
-    world: Interaction = Interaction.NOTHING
-    defocused: list[str] = field(default_factory=list)
-    is_moving: bool = False
-    carried: list[ArrayF64] = field(default_factory=list)
+    strands: list[str] = field(default_factory=list)  # objects with hair
+    n_lights: int = 0  # the most lamps, emitting objects and emitting worlds at any one frame
+    has_lamps: bool = False  # whether there are lamps, switched on at any frame
+    emitters: list[str] = field(default_factory=list)  # names of the emitting objects
+    world: Interaction = Interaction.NOTHING  # what the world may do
+    defocused: list[str] = field(default_factory=list)  # cameras with depth of field
+    is_moving: bool = False  # something stands otherwise in one frame than in another
+    carried: list[ArrayF64] = field(default_factory=list)  # (N_SURFACES,) of each walk of light; see `enclosure`
 
     def which(self, *interactions: Interaction) -> list[str]:
         """What has any of `interactions`, in words."""
-        return list(
-            dict.fromkeys(words for interaction in interactions for words in self.surfaces.get(interaction, ()))
-        )
-
-
-def survey_transport(
-    scene: bpy.types.Scene, frames: Sequence[int], camera: bpy.types.Object | None, positions: Sequence[Sequence[float]]
-) -> TransportSurvey:
-    """Look at `scene` at each of `frames`; see `TransportSurvey`.
-
-    Parameters
-    ----------
-    camera : one whose view counts; None takes the scene's at each frame, markers that switch it included
-    positions : (K, 3) world, metres: where light probes stand. Empty is legal
-    """
-    survey = TransportSurveyor(frames, positions, camera)
-    with open_inspection(scene) as inspection:
-        for frame in frames:
-            inspection.look_at(frame, survey.look_at)
-        return survey.ended(inspection, has_motion_blur=scene.render.use_motion_blur)
+        found = [words for interaction in interactions for words in self.surfaces.get(interaction, ())]
+        return list(dict.fromkeys(found))
 
 
 class TransportSurveyor:
-    """Gathers a `TransportSurvey`, one evaluated frame after the other; parameters as of `survey_transport`."""
+    """Gathers a `TransportSurvey`, one evaluated frame after the other.
+
+    Parameters
+    ----------
+    frames : that will be looked at
+    positions : (K, 3) world, metres: where light probes stand. Empty is legal
+    camera : one whose view counts; None takes the scene's at each frame, markers that switch it included
+    """
 
     def __init__(
         self, frames: Sequence[int], positions: Sequence[Sequence[float]], camera: bpy.types.Object | None = None
@@ -101,13 +87,10 @@ class TransportSurveyor:
         self.walked = sorted({frames[0], frames[len(frames) // 2], frames[-1]})
         self.found = TransportSurvey()
         self.placements: set[tuple[int, int]] = set()
-        self.leaky: set[str] = set()
-        """Surfaces, in words, which light passes in ways that the walks do not."""
+        self.leaky: set[str] = set()  # surfaces, in words, which light passes in ways that the walks do not
         self.views: list[Ray] = rays_all_round(positions)
-        self.reached: list[Ray] = []
-        """Places on surfaces that the walks met, with their normals."""
-        self.still: dict[Any, Shading] = {}
-        """Shading of what no animation changes, by original data-block."""
+        self.reached: list[Ray] = []  # places on surfaces that the walks met, with their normals
+        self.still: dict[Any, Shading] = {}  # of what no animation changes, by original data-block
         self.solids: dict[int, Solids] = {}
         """By how all stands: where only the phone moves, two are made, with the virtual objects and without."""
 
@@ -133,7 +116,7 @@ class TransportSurveyor:
         """
         if len(self.frames) == 1 and has_motion_blur:
             inspection.look_at(self.frames[0] + 1, self.look_for_movement)
-        inspection.leave_out_virtual_objects()
+        inspection.exclude_virtual_objects(is_excluded=True)
         for frame in self.walked:
             inspection.look_at(frame, self.walk_room)
         self.found.is_moving = len(self.placements) > 1

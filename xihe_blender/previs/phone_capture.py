@@ -43,7 +43,7 @@ from xihenet.phone import (
     facts_of_frame,
     facts_of_session,
 )
-from xihenet.phone.frame_rate import FrameRate, delivered_frames
+from xihenet.phone.exposure import FrameRate, delivered_frames
 from xihenet.records import ArrayF32, ArrayF64, RgbdFrame
 
 SURFACE_EFFECTS = frozenset({"dark_holes", "glossy_holes", "transparent_holes"})

@@ -29,10 +29,7 @@ def names() -> list[str]:
 
 
 def load(name: str, n_anchors: int = 1280, target: Target = "ldr") -> Estimator:
-    """The estimator registered as `name`, for clouds of `n_anchors` anchors.
-
-    ValueError for an unknown name, an illegal number of anchors or target.
-    """
+    """The estimator of that name, for clouds of `n_anchors`; ValueError for an unknown name or illegal other values."""
     if name not in _REGISTRY:
         raise ValueError(f"there is no estimator {name!r}; choose one of {', '.join(names())}")
     module, class_name = _REGISTRY[name]

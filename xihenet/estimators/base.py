@@ -13,29 +13,20 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihenet.records import AnchorSurfaces, ArrayF64, PointCloud, RgbdFrame, UnitSphereCloud
+from xihenet.records import AnchorSurfaces, ArrayBool, ArrayF32, ArrayF64, PointCloud, RgbdFrame, UnitSphereCloud
 
 Target = Literal["ldr", "hdr"]
 
 
 @dataclass(frozen=True, eq=False)
 class EstimateContext:
-    """What an estimator may use besides the cloud; every part is optional.
+    """What an estimator may use besides the cloud; every part is optional."""
 
-    Parameters
-    ----------
-    frame : the capture of this moment, for its ambient light sensor
-    points : the raw point cloud of this moment
-    position_m : (3,) estimation position, world, metres
-    truth_sh : (9, 3) coefficients of the light probe rendered at the position, carrying the session's exposure
-    reference_exposure : the session's exposure; None stands for the frame's own
-    """
-
-    frame: RgbdFrame | None = None
-    points: PointCloud | None = None
-    position_m: ArrayF64 | None = None
-    truth_sh: ArrayF64 | None = None
-    reference_exposure: float | None = None
+    frame: RgbdFrame | None = None  # the capture of this moment, for its ambient light sensor
+    points: PointCloud | None = None  # the raw ones of this moment
+    position_m: ArrayF64 | None = None  # (3,) estimation position, world, metres
+    truth_sh: ArrayF64 | None = None  # (9, 3) of the light probe rendered there, carrying the session's exposure
+    reference_exposure: float | None = None  # the session's exposure; None stands for the frame's own
 
 
 class NotFinite(ValueError):
@@ -43,19 +34,14 @@ class NotFinite(ValueError):
 
 
 class Estimator(ABC):
-    """One way to know the light at a position.
+    """One way to know the light at a position, from clouds of `n_anchors`.
 
-    Parameters
-    ----------
-    n_anchors : anchors of the clouds that will come in
-    target : "ldr" estimates light clipped at 1 after exposure, as the paper trains; "hdr" the whole light
+    The `target` "ldr" is light clipped at 1 after exposure, as the paper trains; "hdr" the whole light.
     """
 
     name: ClassVar[str]
-    needs: ClassVar[frozenset[str]] = frozenset()
-    """Fields of `EstimateContext` that this estimator is made for."""
-    farthest_m: ClassVar[float] = np.inf
-    """Distances beyond are taken for this one."""
+    needs: ClassVar[frozenset[str]] = frozenset()  # fields of `EstimateContext` that this estimator is made for
+    farthest_m: ClassVar[float] = np.inf  # distances beyond are taken for this one
 
     def __init__(self, n_anchors: int = 1280, target: Target = "ldr") -> None:
         if n_anchors < 1:
@@ -97,6 +83,18 @@ class Estimator(ABC):
         parts = zip(colours, distances, known, turned, strict=True)
         clouds = (UnitSphereCloud(c, d, k, surfaces=s) for c, d, k, s in parts)
         return np.array([self.estimate(cloud) for cloud in clouds]).reshape(-1, 9, 3)
+
+    def _checked_shapes(
+        self, srgb: ArrayLike, distance_m: ArrayLike, known: ArrayBool
+    ) -> tuple[ArrayF32, ArrayF32, ArrayBool]:
+        """The arrays of a batch as float32; ValueError for shapes that do not fit `estimate_batch`."""
+        with np.errstate(over="ignore"):  # What float32 cannot hold becomes infinite.
+            colours, distances = np.asarray(srgb, np.float32), np.asarray(distance_m, np.float32)
+        expected = (len(known) if known.ndim else 0, self.n_anchors)
+        if known.shape != expected or distances.shape != expected or colours.shape != (*expected, 3):
+            shapes = f"{colours.shape}, {distances.shape} and {known.shape}"
+            raise ValueError(f"{self.name}: expected (B, n, 3), (B, n), (B, n) with n = {self.n_anchors}, got {shapes}")
+        return colours, distances, known
 
     def _check_size(self, cloud: UnitSphereCloud) -> None:
         if len(cloud) != self.n_anchors:

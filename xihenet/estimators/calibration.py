@@ -23,18 +23,12 @@ SMALLEST_RAW = 1e-6
 
 @dataclass(frozen=True)
 class Calibration:
-    """From a raw expected error to one that can be believed.
-
-    Parameters
-    ----------
-    factor, power, slope : expected SHC RMSE = factor x raw^power x exp(slope x coverage)
-    quantiles : for each of `SHARES_ASKED`, the multiple of the expected error below which that share stays
-    """
+    """Expected SHC RMSE = factor x raw^power x exp(slope x coverage)."""
 
     factor: float
     power: float
     slope: float
-    quantiles: tuple[float, ...]
+    quantiles: tuple[float, ...]  # multiples of the expected error below which each of `SHARES_ASKED` stays
 
     def __post_init__(self) -> None:
         numbers = (self.factor, *self.quantiles)

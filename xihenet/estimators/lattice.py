@@ -22,9 +22,16 @@ from numpy.typing import ArrayLike, NDArray
 from xihenet.estimators.ambient import Ambient
 from xihenet.estimators.base import EstimateContext, Estimator, NotFinite, Target
 from xihenet.estimators.calibration import Calibration
-from xihenet.estimators.lattice_format import LatticeWeights, load_weights
-from xihenet.estimators.lattice_tables import N_SH, anchor_tables, pooling_matrix, quadrature_matrix, slot_order
-from xihenet.estimators.weights_format import WEIGHTS_FOLDER
+from xihenet.estimators.lattice_format import (
+    N_SH,
+    LatticeWeights,
+    anchor_tables,
+    load_weights,
+    pooling_matrix,
+    quadrature_matrix,
+    slot_order,
+)
+from xihenet.estimators.weights_format import loaded_for
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, UnitSphereCloud
 from xihenet.sh import FACING_OFFSET, L1_VARIANCE, LEAST_WEIGHT, RESIDUAL_NOISE, SMALLEST_PENALTY
 
@@ -37,7 +44,6 @@ SMALLEST_SHARE = 1e-6
 SEEN_ENOUGH = 0.01  # Share of the sphere from which an estimate counts more than the ambient sensor.
 SMALLEST_ERROR = 1e-4
 WHITE_L00 = float(np.sqrt(4 * np.pi))  # Of light that is 1 from everywhere.
-N_DIRECTION_FEATURES = 3
 SQUARED_BAND = np.repeat(np.arange(3.0), [1, 3, 5]) ** 2
 
 # OpenBLAS wakes its threads above 2^18 multiplications, which stalls on a busy machine.
@@ -60,14 +66,8 @@ _SQUARED_BANDS = np.diag(SQUARED_BAND)
 class Lattice(Estimator):
     """The lattice network with weights trained for one target; any number of anchors.
 
-    Parameters
-    ----------
-    n_anchors, target : as for every estimator
-    weights : file of weights; None takes the one shipped for the target
-
-    Raises
-    ------
-    ValueError : if the file is missing, broken, of another version, or was trained for the other target
+    `weights` is a file; None takes the one shipped for the target. ValueError if it is missing, broken, of another
+    version, or was trained for the other target.
     """
 
     name = "lattice"
@@ -75,10 +75,7 @@ class Lattice(Estimator):
 
     def __init__(self, n_anchors: int = 1280, target: Target = "ldr", *, weights: Path | None = None) -> None:
         super().__init__(n_anchors, target)
-        path = WEIGHTS_FOLDER / f"lattice_{target}.npz" if weights is None else weights
-        loaded = load_weights(path)
-        if loaded.target != target:
-            raise ValueError(f"{path}: expected weights for the target {target!r}, got {loaded.target!r}")
+        loaded = loaded_for(self, weights, load_weights)
         self._network = LatticeNetwork(loaded, n_anchors)
         self._calibration = Calibration.from_figures(loaded.figures)
         self._sensor = Ambient(n_anchors, target)
@@ -86,18 +83,13 @@ class Lattice(Estimator):
     def estimate_with_error(
         self, cloud: UnitSphereCloud, context: EstimateContext | None = None
     ) -> tuple[ArrayF64, float | None]:
-        """As `estimate`, and the SHC RMSE that is expected of it.
-
-        With a frame in the context, a cloud of which next to nothing is set leans on the phone's sensor; see
-        `lean_on_sensor`.
-        """
+        """With a frame in the context, a cloud of which next to nothing is set leans on the phone's sensor."""
         self._check_size(cloud)
         facing = None if cloud.surfaces is None else cloud.surfaces.facing[None]
         light, raw_error = self._run(cloud.srgb[None], cloud.distance_m[None], cloud.is_set[None], facing)
-        if context is not None and context.frame is not None:
-            sensed = self._sensor.estimate(cloud, context)
-            light = lean_on_sensor(light, cloud.is_set.mean(keepdims=True), sensed[None])
         coverage = cloud.is_set.mean(keepdims=True)
+        if context is not None and context.frame is not None:
+            light = lean_on_sensor(light, coverage, self._sensor.estimate(cloud, context)[None])
         return self._checked(light[0]), float(self._calibration.expected(raw_error, coverage)[0])
 
     def estimate_batch(
@@ -134,16 +126,10 @@ class Lattice(Estimator):
     def _checked_batch(
         self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike
     ) -> tuple[ArrayF32, ArrayF32, ArrayBool]:
-        with np.errstate(over="ignore"):  # What float32 cannot hold becomes infinite, and is refused below.
-            colours, distances = np.asarray(srgb, np.float32), np.asarray(distance_m, np.float32)
         known = np.asarray(is_set)
         if known.dtype != bool and not np.isin(known, (0, 1)).all():
             raise ValueError(f"lattice: expected is_set to be true or false, got {known.dtype} of other values")
-        known = known.astype(bool, copy=False)
-        expected = (len(known), self.n_anchors) if known.ndim else (0, self.n_anchors)
-        if known.shape != expected or distances.shape != expected or colours.shape != (*expected, 3):
-            shapes = f"{colours.shape}, {distances.shape} and {known.shape}"
-            raise ValueError(f"lattice: expected (B, n, 3), (B, n), (B, n) with n = {self.n_anchors}, got {shapes}")
+        colours, distances, known = self._checked_shapes(srgb, distance_m, known.astype(bool, copy=False))
         if known.size and not (colours.min() >= 0 and colours.max() <= 1):
             raise ValueError("lattice: expected colours in [0, 1], got values outside or NaN")
         if known.size and not (distances.min() >= 0 and distances.max() < np.inf):

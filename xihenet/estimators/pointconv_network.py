@@ -8,42 +8,94 @@ are gathered. All is float32. Rejected: batches, which gain nothing here, since 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from xihenet.records import ArrayBool, ArrayF32, ArrayInt
+from xihenet.estimators.weights_format import NetworkWeights, read_weights
+from xihenet.records import ArrayF32, ArrayInt
 
 _SMALLEST_SIZE = np.float32(1e-3)
 _SMALLEST_SUM = np.float32(1e-6)
 _NORMALISING = np.float32(1e-5)
-_LOWEST_EXPONENT = np.float32(-80)
-"""Below it exp gives denormal numbers, ten times as slowly."""
+_LOWEST_EXPONENT = np.float32(-80)  # below it exp gives denormal numbers, ten times as slowly
+
+
+@dataclass(frozen=True)
+class PointConvArchitecture:
+    """Sizes of the network; the defaults are the paper's and make 1,511,021 parameters."""
+
+    centroids: tuple[int, int] = (128, 32)  # points kept by the first and by the second block
+    n_neighbours: int = 32  # points around each centroid
+    n_weights: int = 16  # outputs of the function that makes weights from relative positions
+    bandwidth: float = 0.1  # of the density's Gaussian, relative to the cloud's mean distance
+    keeps_unset_at_origin: bool = False  # unset anchors enter as black points at the origin, as in the reference
+    is_bfloat16_in_training: bool = False  # matrix products while it trains, where the processor has them
+
+    def __post_init__(self) -> None:
+        sizes = [*self.centroids, self.n_neighbours, self.n_weights]
+        if len(sizes) != 4 or any(type(size) is not int or not 1 <= size <= 65_536 for size in sizes):
+            raise ValueError(f"architecture: expected two blocks and sizes of 1 to 65536, got {asdict(self)}")
+        if type(self.bandwidth) is not float or not 0 < self.bandwidth < math.inf:
+            raise ValueError(f"architecture: expected a positive bandwidth, got {self.bandwidth!r}")
+        switches = self.keeps_unset_at_origin, self.is_bfloat16_in_training
+        if any(type(switch) is not bool for switch in switches):
+            raise ValueError(f"architecture: expected switches that are true or false, got {switches}")
+
+    def array_shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shape of each array of a weights file, by the name that torch gives it."""
+        shapes: dict[str, tuple[int, ...]] = {}
+        for block, n_in, widths in (("block_1", 3, (64, 128)), ("block_2", 128, (128, 256))):
+            shapes |= _dense_shapes(f"{block}.per_point", n_in + 3, *widths)
+            shapes |= _dense_shapes(f"{block}.weights", 3, 8, self.n_weights)
+            shapes |= _dense_shapes(f"{block}.density", 1, 8, 1)
+            shapes |= _dense_shapes(f"{block}.combine", self.n_weights * widths[1], widths[1])
+        return shapes | _dense_shapes("head", 512, 256) | {"head.3.weight": (27, 256), "head.3.bias": (27,)}
+
+
+PointConvWeights = NetworkWeights[PointConvArchitecture]
+
+
+def load_pointconv_weights(path: Path, estimator: str) -> PointConvWeights:
+    """Read and check PointConv weights of `estimator`; ValueError naming the file, and what to do if it is missing."""
+    if not path.exists():
+        raise ValueError(
+            f"{path}: expected {estimator} weights, found no file: those for ldr are shipped; "
+            "choose another estimator, or train the network and export it with `xihe train` and `xihe train export`"
+        )
+    return read_weights(path, estimator, _architecture_from)
+
+
+def _architecture_from(sizes: dict[str, Any]) -> PointConvArchitecture:
+    return PointConvArchitecture(**{**sizes, "centroids": tuple(sizes["centroids"])})
+
+
+def _dense_shapes(name: str, *widths: int) -> dict[str, tuple[int, ...]]:
+    """Linear layers at every third place, each with its normalisation behind it unless it has a single output."""
+    shapes: dict[str, tuple[int, ...]] = {}
+    for i, (n_in, n_out) in enumerate(itertools.pairwise(widths)):
+        shapes[f"{name}.{3 * i}.weight"], shapes[f"{name}.{3 * i}.bias"] = (n_out, n_in), (n_out,)
+        if n_out > 1:
+            shapes[f"{name}.{3 * i + 1}.weight"] = shapes[f"{name}.{3 * i + 1}.bias"] = (n_out,)
+    return shapes
 
 
 class PointConvNetwork:
-    """The network with these arrays, named as `PointConvArchitecture.array_shapes` names them.
+    """The network with these weights."""
 
-    Parameters
-    ----------
-    arrays : float32
-    centroids : points that are kept by the first and by the second block
-    n_neighbours : points around each
-    bandwidth : of the density's Gaussian, relative to the cloud's mean distance
-    """
-
-    def __init__(
-        self, arrays: Mapping[str, ArrayF32], centroids: tuple[int, int], n_neighbours: int, bandwidth: float
-    ) -> None:
-        self._arrays, self._centroids = arrays, centroids
-        self._n_neighbours, self._bandwidth = n_neighbours, bandwidth
+    def __init__(self, weights: PointConvWeights) -> None:
+        self._arrays, self._sizes = weights.arrays, weights.architecture
 
     def light(self, points_m: ArrayF32, srgb: ArrayF32) -> ArrayF32:
         """(9, 3) from the known points (P, 3), relative to the position, and their colours (P, 3); P may be 0."""
         summary = np.zeros(512, np.float32)
         if len(points_m):
-            points_m, features = self._block("block_1", self._centroids[0], points_m, srgb)
-            _, features = self._block("block_2", self._centroids[1], points_m, features)
+            points_m, features = self._block("block_1", self._sizes.centroids[0], points_m, srgb)
+            _, features = self._block("block_2", self._sizes.centroids[1], points_m, features)
             summary = np.concatenate([features.mean(axis=0), features.max(axis=0)])
         return self._dense("head", summary[None]).reshape(9, 3)
 
@@ -52,9 +104,9 @@ class PointConvNetwork:
         # Relative to the cloud's size: rooms differ by a factor of ten, and a bandwidth in metres would fit one.
         places = points_m / max(_SMALLEST_SIZE, np.sqrt(np.einsum("pi,pi->p", points_m, points_m)).mean())
         squared = _squared_distances(places)
-        share = self._dense(f"{block}.density", _inverse_density(squared, self._bandwidth)[:, None])
+        share = self._dense(f"{block}.density", _inverse_density(squared, self._sizes.bandwidth)[:, None])
         centroids = _farthest_points(places, squared, n_centroids)
-        near = _nearest(squared[centroids], self._n_neighbours)
+        near = _nearest(squared[centroids], self._sizes.n_neighbours)
         middle = places[centroids]
 
         first = f"{block}.per_point.0"
@@ -63,7 +115,7 @@ class PointConvNetwork:
         per_neighbour = self._normalised(f"{block}.per_point.1", of_points[near] - of_centroids[:, None])
         per_neighbour = self._dense(f"{block}.per_point", per_neighbour, first=3)
         weights = self._dense(f"{block}.weights", places[near] - middle[:, None])
-        weights *= share[near] / np.float32(self._n_neighbours)
+        weights *= share[near] / np.float32(self._sizes.n_neighbours)
         mixed = per_neighbour.swapaxes(1, 2) @ weights
         return points_m[centroids], self._dense(f"{block}.combine", mixed.reshape(len(centroids), -1))
 
@@ -135,12 +187,3 @@ def _nearest(squared: ArrayF32, k: int) -> ArrayInt:
         return np.broadcast_to(np.arange(squared.shape[1]), squared.shape)
     nearest: ArrayInt = np.argpartition(squared, k - 1, axis=1)[:, :k]
     return nearest
-
-
-def known_points(
-    points_m: ArrayF32, srgb: ArrayF32, is_set: ArrayBool, keeps_unset_at_origin: bool
-) -> tuple[ArrayF32, ArrayF32]:
-    """What enters the network of one cloud: its set points, or all with the unset ones black and at the origin."""
-    if keeps_unset_at_origin:
-        return points_m * is_set[:, None], srgb * is_set[:, None]
-    return points_m[is_set], srgb[is_set]

@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from xihenet.estimators.base import Target
+from xihenet.estimators.base import Estimator, Target
 from xihenet.json_files import parse_json
 from xihenet.npz_files import npz_sizes, read_npz
 from xihenet.records import ArrayF32
@@ -29,15 +29,12 @@ FORMAT_VERSION = 1
 WEIGHTS_FOLDER = Path(__file__).resolve().parents[1] / "weights"
 """Where the shipped ones lie, as `<estimator>_<target>.npz`."""
 
-LARGEST_HEADER = 2**20
-"""Bytes; the shipped ones take 2300."""
+IN_HEADER = ("estimator", "architecture", "target", "data", "seed", "figures", "n_points")
 
-LARGEST_NETWORK = 2**27
-"""Bytes of all arrays; the largest that is shipped takes 6 MB."""
-
-LARGEST_NPY_HEADER = 1024
-"""Bytes before the numbers of an array: 128, of longer shapes a few more."""
-
+# Bytes:
+LARGEST_HEADER = 2**20  # the shipped ones take 2300
+LARGEST_NETWORK = 2**27  # all arrays; the largest that is shipped takes 6 MB
+LARGEST_NPY_HEADER = 1024  # before the numbers of an array: 128, of longer shapes a few more
 FLOAT32_BYTES = 4
 
 
@@ -55,26 +52,16 @@ AnyArchitecture = TypeVar("AnyArchitecture", bound=Architecture)
 
 @dataclass(frozen=True, eq=False)
 class NetworkWeights(Generic[AnyArchitecture]):
-    """Everything a weights file holds.
-
-    Parameters
-    ----------
-    architecture : sizes
-    target : "ldr" or "hdr", the light the network was trained to give
-    arrays : float32, named and shaped as `architecture.array_shapes` says
-    data, seed, figures : what it was trained on, from which seed, and what it reached; for people to read
-    estimator : name of the estimator it was trained for
-    n_points : anchors or points of the clouds it was trained with, or None where that is not known
-    """
+    """Everything a weights file holds."""
 
     architecture: AnyArchitecture
-    target: Target
-    arrays: Mapping[str, ArrayF32]
-    data: str = ""
+    target: Target  # what the network was trained to give
+    arrays: Mapping[str, ArrayF32]  # float32, named and shaped as `architecture.array_shapes` says
+    data: str = ""  # what it was trained on; this and the next two are for people to read
     seed: int = 0
-    figures: Mapping[str, Any] = field(default_factory=dict)
-    estimator: str = "lattice"
-    n_points: int | None = None
+    figures: Mapping[str, Any] = field(default_factory=dict)  # what it reached
+    estimator: str = "lattice"  # name of the one that it was trained for
+    n_points: int | None = None  # anchors or points of the clouds it was trained with, or None where that is not known
 
     def __post_init__(self) -> None:
         if self.target not in ("ldr", "hdr"):
@@ -94,16 +81,8 @@ class NetworkWeights(Generic[AnyArchitecture]):
 
 def save_weights(path: Path, weights: NetworkWeights[Any], *, is_half: bool = False) -> None:
     """Write `weights` whole or not at all; as float16 if `is_half`. ValueError for what float16 cannot hold."""
-    header = {
-        "format": FORMAT_VERSION,
-        "estimator": weights.estimator,
-        "architecture": asdict(weights.architecture),
-        "target": weights.target,
-        "data": weights.data,
-        "seed": weights.seed,
-        "figures": dict(weights.figures),
-        "n_points": weights.n_points,
-    }
+    header = {"format": FORMAT_VERSION, **{name: getattr(weights, name) for name in IN_HEADER}}
+    header["architecture"] = asdict(weights.architecture)
     content: dict[str, Any] = {"header": np.array(json.dumps(header))}
     for name, array in weights.arrays.items():
         if is_half and np.abs(array).max(initial=0) > np.finfo(np.float16).max:
@@ -138,6 +117,17 @@ def read_weights(
         raise ValueError(f"{path}: not the {estimator} weights this version reads: {error}") from None
 
 
+def loaded_for(
+    estimator: Estimator, path: Path | None, load: Callable[[Path], NetworkWeights[AnyArchitecture]]
+) -> NetworkWeights[AnyArchitecture]:
+    """The weights that `load` reads, of the shipped file without a path; ValueError for those of another target."""
+    path = path or WEIGHTS_FOLDER / f"{estimator.name}_{estimator.target}.npz"
+    loaded = load(path)
+    if loaded.target != estimator.target:
+        raise ValueError(f"{path}: expected weights for the target {estimator.target!r}, got {loaded.target!r}")
+    return loaded
+
+
 def _check_sizes(sizes: Mapping[str, int], shapes: Mapping[str, tuple[int, ...]]) -> None:
     """ValueError unless the file holds these arrays alone, none larger than its shape says: nothing is unpacked yet."""
     if set(sizes) - {"header"} != set(shapes):
@@ -158,20 +148,12 @@ def _weights_from(
     for name, array in content.items():
         if array.dtype not in (np.float16, np.float32):
             raise ValueError(f"{name}: expected float16 or float32, got {array.dtype}")
-    return NetworkWeights(
-        architecture,
-        header["target"],
-        {name: np.asarray(array, np.float32) for name, array in content.items()},
-        header.get("data", ""),
-        header.get("seed", 0),
-        header.get("figures", {}),
-        header.get("estimator", "lattice"),
-        header.get("n_points"),
-    )
+    arrays = {name: np.asarray(array, np.float32) for name, array in content.items()}
+    notes = {name: header[name] for name in ("data", "seed", "figures", "estimator", "n_points") if name in header}
+    return NetworkWeights(architecture, header["target"], arrays, **notes)
 
 
 def _header_from(content: dict[str, NDArray[Any]], estimator: str) -> dict[str, Any]:
-    """The header of weights for `estimator`."""
     if "header" not in content or content["header"].dtype.kind != "U":
         raise ValueError("expected a header in JSON, got none")
     header = parse_json(content["header"].item())

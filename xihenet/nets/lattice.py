@@ -16,7 +16,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from xihenet.estimators.base import Target
 from xihenet.estimators.lattice import (
     CLIPPED_FROM,
     CONTRAST_SCALE,
@@ -27,18 +26,16 @@ from xihenet.estimators.lattice import (
     SMALLEST_SHARE,
     SQUARED_BAND,
 )
-from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights
-from xihenet.estimators.lattice_tables import N_SH, anchor_tables, pooling_table, quadrature_matrix
+from xihenet.estimators.lattice_format import N_SH, LatticeArchitecture, anchor_tables, pooling_table, quadrature_matrix
 from xihenet.sh import FACING_OFFSET, L1_VARIANCE, LEAST_WEIGHT, RESIDUAL_NOISE, SMALLEST_PENALTY
 
 
 class LatticeNet(nn.Module):  # type: ignore[misc]
-    """See the module. Starts as the plain projection: the layers that change it start at 0.
+    """Starts as the plain projection: the layers that change it start at 0.
 
-    `forward(srgb (B, N, 3), distance_m (B, N), is_set (B, N), facing (B, N) or None)`
-    gives (B, 9, 3) coefficients and (B,) expected errors;
-    N may differ from call to call. Anchors that are not set must be 0. The expected error sends no gradient into the
-    layers that make the light.
+    `forward(srgb (B, N, 3), distance_m (B, N), is_set (B, N), facing (B, N) or None)` gives (B, 9, 3) coefficients and
+    (B,) expected errors; N may differ from call to call. Anchors that are not set must be 0. The expected error sends
+    no gradient into the layers that make the light.
     """
 
     def __init__(self, architecture: LatticeArchitecture | None = None) -> None:
@@ -52,7 +49,6 @@ class LatticeNet(nn.Module):  # type: ignore[misc]
         self._on_device: dict[tuple[str, int, int, torch.device], Tensor] = {}
 
     def layer(self, name: str) -> nn.Linear:
-        """The linear layer of that name."""
         return cast(nn.Linear, self.get_submodule(name))
 
     def forward(
@@ -86,7 +82,7 @@ class LatticeNet(nn.Module):  # type: ignore[misc]
     def _project(self, residual: Tensor, counted: Tensor, mean: Tensor) -> Tensor:
         """(B, 9, 3): `xihenet.sh.project_anchors` for a batch, its small systems in float64."""
         n, device = counted.shape[1], counted.device
-        products = self._constant("products", n, 0, device)
+        products = self._constant("basis_products", n, 0, device)
         gram = (counted @ products).reshape(-1, N_SH, N_SH).double() * (4 * np.pi / n)
         penalty = (1 - counted.double().mean(1)) * RESIDUAL_NOISE / L1_VARIANCE + SMALLEST_PENALTY
         identity = torch.eye(N_SH, dtype=torch.float64, device=device)
@@ -113,8 +109,7 @@ class LatticeNet(nn.Module):  # type: ignore[misc]
             *self._placed_inputs(projection, by_scale, srgb.shape[1]),
         ]
         features, weight = torch.relu(self.layer("stem")(torch.cat(inputs, 2))), known[..., None]
-        levels = []
-        n_fine = srgb.shape[1]
+        levels, n_fine = [], srgb.shape[1]
         for name, n_coarse in zip(("fine", "middle", "coarse"), self.architecture.levels, strict=True):
             pooled, weight = self._pool(features, weight, n_fine, n_coarse)
             placed = self._placed_inputs(projection, by_scale, n_coarse)
@@ -158,29 +153,15 @@ class LatticeNet(nn.Module):  # type: ignore[misc]
         """A table as a tensor, kept per device; no part of the state that is saved."""
         key = (name, n, n_coarse, device)
         if key not in self._on_device:
-            self._on_device[key] = torch.tensor(_table(name, n, n_coarse), device=device)
+            tables = pooling_table(n, n_coarse) if n_coarse else anchor_tables(n)
+            table = quadrature_matrix(n) if name == "quadrature" else getattr(tables, name)
+            self._on_device[key] = torch.tensor(table, device=device)
         return self._on_device[key]
 
 
 def linear_from_srgb(srgb: Tensor) -> Tensor:
     """`xihenet.colour.srgb_to_linear` for colours in [0, 1]."""
     return torch.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-
-
-def weights_of(net: LatticeNet, target: Target, **notes: object) -> LatticeWeights:
-    """What `xihenet.estimators.lattice_format.save_weights` keeps; `notes` are its data, seed and figures."""
-    arrays = {name: value.detach().cpu().numpy().astype(np.float32) for name, value in net.state_dict().items()}
-    return LatticeWeights(net.architecture, target, arrays, **notes)  # type: ignore[arg-type]
-
-
-def _table(name: str, n: int, n_coarse: int) -> np.ndarray:  # type: ignore[type-arg]
-    if name == "quadrature":
-        return quadrature_matrix(n)
-    if name in ("members", "counts"):
-        pooling = pooling_table(n, n_coarse)
-        return pooling.members if name == "members" else pooling.counts
-    tables = anchor_tables(n)
-    return {"basis": tables.basis, "products": tables.basis_products, "directions": tables.directions}[name]
 
 
 def _contrast(residual: Tensor, n_set: Tensor, level: Tensor) -> Tensor:

@@ -7,12 +7,9 @@ at the origin, where they are one point repeated hundreds of times (`keeps_unset
 layers are normalised per point and not per batch, so that one cloud gives what it gives in a batch; and there is no
 ReLU at the end, because coefficients of l >= 1 are negative half of the time.
 
-Uniform and farthest-point samples enter as points too: only the sampling tells `pointar` from `xihenet`.
-
-Written for two cores. Of the first layer of each block, points and centroids are passed before neighbours are gathered
-(it is linear, so their difference after it is what it makes of the difference); density and weights are multiplied
-where they are narrow; unset points are cut off; and a few clouds at a time are convolved, so that what lies between
-the layers stays in the cache. The plain form stands in the tests, which hold the two together.
+Written for two cores. Points and centroids pass the first layer of each block, which is linear, before neighbours are
+gathered; density and weights are multiplied where they are narrow; unset points are cut off; and a few clouds at a time
+are convolved, so that they stay in the cache. The plain form stands in the tests, which hold the two together.
 """
 
 from __future__ import annotations
@@ -20,12 +17,10 @@ from __future__ import annotations
 import itertools
 from typing import NamedTuple, cast
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
-from xihenet.estimators.base import Target
-from xihenet.estimators.pointconv import PointConvArchitecture, PointConvWeights
+from xihenet.estimators.pointconv_network import PointConvArchitecture
 
 _FAR = 1e9
 _NEIGHBOURS_AT_ONCE = 8192  # rows of some 100 numbers: larger blocks leave the cache, smaller ones gain nothing
@@ -62,16 +57,14 @@ class PointConvNet(nn.Module):  # type: ignore[misc]
 class Neighbourhoods(NamedTuple):
     """What does not depend on weights: who is near whom. S centroids with k neighbours each.
 
-    places (B, N, 3) relative to the cloud's size; inverse_density (B, N); centroids (B, S) and near (B, S, k) numbers
-    of points; is_centroid (B, S), False where the known points were used up. Points that are not known are near only
-    where others are missing, and have an inverse density of 0.
+    Points that are not known are near only where others are missing, and have an inverse density of 0.
     """
 
-    places: Tensor
-    inverse_density: Tensor
-    centroids: Tensor
-    is_centroid: Tensor
-    near: Tensor
+    places: Tensor  # (B, N, 3) relative to the cloud's size
+    inverse_density: Tensor  # (B, N)
+    centroids: Tensor  # (B, S) numbers of points
+    is_centroid: Tensor  # (B, S), False where the known points were used up
+    near: Tensor  # (B, S, k) numbers of points
 
 
 class PointConvBlock(nn.Module):  # type: ignore[misc]
@@ -99,13 +92,14 @@ class PointConvBlock(nn.Module):  # type: ignore[misc]
             of_points = first(torch.cat([around.places, features.float()], -1))
             of_centroids = middle @ first.weight[:, :3].T
         parts = (of_points, of_centroids, share, relative, around.near)
-        n_at_once = self._clouds_at_once(around.near)
+        n_clouds, n_centroids, k = around.near.shape
+        n_at_once = n_clouds if around.near.is_cuda else max(1, _NEIGHBOURS_AT_ONCE // (n_centroids * k))
         blocks = zip(*(part.split(n_at_once) for part in parts), strict=True)
         convolved = torch.cat([self._convolve(*block) for block in blocks])
         return _rows(points_m, around.centroids), convolved * around.is_centroid[..., None], around.is_centroid
 
     def neighbourhoods(self, points_m: Tensor, known: Tensor) -> Neighbourhoods:
-        """Centroids, their neighbours and the density, from points_m (B, N, 3) and known (B, N)."""
+        """From points_m (B, N, 3) and known (B, N)."""
         with torch.no_grad():
             # Relative to the cloud's size: rooms differ by a factor of ten, and a bandwidth in metres would fit one.
             size = (points_m.norm(dim=2) * known).sum(1) / known.sum(1).clamp(min=1)
@@ -127,10 +121,6 @@ class PointConvBlock(nn.Module):  # type: ignore[misc]
         weights = self.weights(relative) * _gather(share, near)
         return cast(Tensor, self.combine(torch.matmul(features.transpose(2, 3), weights).flatten(2)))
 
-    def _clouds_at_once(self, near: Tensor) -> int:
-        n_clouds, n_centroids, k = map(int, near.shape)
-        return n_clouds if near.is_cuda else max(1, _NEIGHBOURS_AT_ONCE // (n_centroids * k))
-
 
 def farthest_points(points: Tensor, squared: Tensor, known: Tensor, n: int) -> tuple[Tensor, Tensor]:
     """(B, n) numbers of points of which each is the farthest from those before, and whether it is a new one.
@@ -150,12 +140,6 @@ def farthest_points(points: Tensor, squared: Tensor, known: Tensor, n: int) -> t
             chosen.append(index)
             is_new.append(value > 0)
         return torch.stack(chosen, 1), torch.stack(is_new, 1)
-
-
-def weights_of(net: PointConvNet, target: Target, **notes: object) -> PointConvWeights:
-    """What `save_weights` keeps; `notes` are its estimator, data, seed, figures and n_points."""
-    arrays = {name: value.detach().cpu().numpy().astype(np.float32) for name, value in net.state_dict().items()}
-    return PointConvWeights(net.architecture, target, arrays, **notes)  # type: ignore[arg-type]
 
 
 def _known_first(points: Tensor, colours: Tensor, known: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,14 +21,13 @@ from numpy.typing import ArrayLike
 from xihenet.camera import valid_plane_depth
 from xihenet.invalid import added, counted
 from xihenet.phone import depth
-from xihenet.phone.exposure import AutoExposure, expose, follow_exposure
-from xihenet.phone.frame_rate import FrameRate
+from xihenet.phone.exposure import AutoExposure, FrameRate, expose, follow_exposure
 from xihenet.phone.holes import Holes, SeenSurfaces, SurfaceFacts
 from xihenet.phone.light_sensor import LightSensor, ambient_of_reading, follow_light, read_light
 from xihenet.phone.motion import CameraMotion, PoseDrift, RollingShutter, drift_pose, read_rows
 from xihenet.phone.profile import PhoneProfile
 from xihenet.phone.settings import Section
-from xihenet.records import ArrayBool, ArrayF32, ArrayF64, RgbdFrame
+from xihenet.records import ArrayF32, ArrayF64, RgbdFrame
 
 SectionT = TypeVar("SectionT", bound=Section)
 TrackedT = TypeVar("TrackedT")
@@ -49,13 +48,9 @@ class SessionTrack:
 
 
 class PhoneCamera:
-    """A phone with a seed.
+    """The device of `profile` with the `seed` (0 or more) of a session.
 
-    Parameters
-    ----------
-    profile : the device
-    seed : of the session, a whole number >= 0
-    effects : names of those to simulate; None for all that the device has. ValueError for one that it has not
+    `effects` are names of those to simulate; None takes all that the device has. ValueError for one that it has not.
     """
 
     def __init__(self, profile: PhoneProfile, seed: int, *, effects: Collection[str] | None = None) -> None:
@@ -68,7 +63,7 @@ class PhoneCamera:
         self.profile, self.seed, self.effects = profile, seed, chosen
 
     def settings(self, kind: type[SectionT]) -> SectionT | None:
-        """Settings of an effect that is on, else None."""
+        """Of an effect that is on, else None."""
         found = (self.profile.sections[effect] for effect in self.effects)
         return next((section for section in found if isinstance(section, kind)), None)
 
@@ -78,33 +73,21 @@ class PhoneCamera:
     ) -> SessionTrack:  # fmt: skip
         """Exposure and light sensor over a session of N frames. A longer session has the same beginning.
 
-        Parameters
-        ----------
-        frames : (N,) frame numbers
-        times_s : (N,) never decreasing
-        metered : (N,) the exposure that each frame's light asks for, as `camera.metered_exposure` gives it
-        ambient : (N, 3) linear scene radiance, what each frame's light sensor would read at once
-        reference : the session's exposure
+        `frames` are their numbers; the rest is as in `follow_exposure`, and `ambient` (N, 3), linear scene radiance,
+        is what each frame's light sensor would read at once.
         """
         exposure: dict[int, float] = {}
         light: dict[int, ArrayF64] = {}
-        auto_exposure = self.settings(AutoExposure)
-        if auto_exposure:
+        if auto_exposure := self.settings(AutoExposure):
             followed = follow_exposure(times_s, metered, reference=reference, settings=auto_exposure)
             exposure = dict(zip(frames, followed.tolist(), strict=True))
-        sensor = self.settings(LightSensor)
-        if sensor:
+        if sensor := self.settings(LightSensor):
             light = dict(zip(frames, follow_light(times_s, ambient, sensor), strict=True))
         return SessionTrack(exposure, light)
 
-    def see(
-        self, frame: RgbdFrame, *, facts: SurfaceFacts | None = None, motion: CameraMotion | None = None,
-        radiance: ArrayF32 | None = None, track: SessionTrack | None = None,
-    ) -> RgbdFrame:  # fmt: skip
-        """What the phone delivers of `frame`; the frame itself if nothing changes it. See `see_and_count`."""
-        if not self.effects:
-            return frame
-        return self.see_and_count(frame, facts=facts, motion=motion, radiance=radiance, track=track)[0]
+    def see(self, frame: RgbdFrame, **given: Any) -> RgbdFrame:
+        """The frame of `see_and_count`, which takes the same; `frame` itself if nothing changes it."""
+        return self.see_and_count(frame, **given)[0]
 
     def see_and_count(
         self, frame: RgbdFrame, *, facts: SurfaceFacts | None = None, motion: CameraMotion | None = None,
@@ -130,11 +113,12 @@ class PhoneCamera:
             radiance = radiance.reshape(-1, 3)[source]
         if source is not None and shutter is not None and shutter.reads_plane_depth:
             ranged, known = seen, known.taken_from(source)
-            n_lost["rolling_shutter"] = max(_n_invalid(seen.plane_depth_m) - _n_invalid(frame.plane_depth_m), 0)
+            n_lost["rolling_shutter"] = max(_n_lost(frame.plane_depth_m, seen.plane_depth_m), 0)
         plane_depth_m, holes_made = self._measured(ranged, known)
         if plane_depth_m is not seen.plane_depth_m:
             seen = replace(seen, plane_depth_m=plane_depth_m)
-        seen = self._exposed(seen, radiance, track)
+        if track is not None and self.settings(AutoExposure):
+            seen = expose(seen, _tracked(track.exposure, seen.frame, "exposure"), radiance)
         seen = drift_pose(seen, self.settings(PoseDrift), [self.seed, SEEDS["pose_drift"]])
         n_lost |= holes_made
         if any(n_lost.values()):
@@ -144,30 +128,25 @@ class PhoneCamera:
 
     def _measured(self, frame: RgbdFrame, facts: SurfaceFacts) -> tuple[ArrayF32, dict[str, int]]:
         """The plane depth that the range sensor gives, and how many pixels each effect took, counted once."""
-        scale = self._pixel_scale(frame)
-        z = depth.bleed_edges(frame.plane_depth_m, self.settings(depth.EdgeBleeding), pixel_scale=scale)
-        noise = self.settings(depth.DistanceNoise)
-        if noise:
+        z, scale = frame.plane_depth_m, self._pixel_scale(frame)
+        if bleeding := self.settings(depth.EdgeBleeding):
+            z = depth.bleed_edges(z, bleeding, pixel_scale=scale)
+        if noise := self.settings(depth.DistanceNoise):
             z = depth.add_noise(z, noise, self._rng("noise", frame.frame), pixel_scale=scale)
         seen, n_lost = SeenSurfaces(frame, facts, z), {}
         for effect in HOLES:
             section = self.profile.sections[effect] if effect in self.effects else None
             if isinstance(section, Holes):
-                z, n_lost[effect] = _cleared_and_counted(z, section.mask(seen))
-        limits = self.settings(depth.RangeLimits)
-        before = _n_invalid(z) if limits else 0
-        z = depth.cut_range(z, limits)
-        if limits:
-            n_lost["range"] = _n_invalid(z) - before
-        return depth.quantise(z, self.settings(depth.Quantisation)), n_lost
-
-    def _exposed(self, frame: RgbdFrame, radiance: ArrayF32 | None, track: SessionTrack | None) -> RgbdFrame:
-        if track is None or not self.settings(AutoExposure):
-            return frame
-        return expose(frame, _tracked(track.exposure, frame.frame, "exposure"), radiance)
+                before, z = z, depth.cleared(z, section.mask(seen))
+                n_lost[effect] = _n_lost(before, z)
+        if limits := self.settings(depth.RangeLimits):
+            before, z = z, depth.cut_range(z, limits)
+            n_lost["range"] = _n_lost(before, z)
+        if steps := self.settings(depth.Quantisation):
+            z = depth.quantise(z, steps)
+        return z, n_lost
 
     def _with_light(self, frame: RgbdFrame, track: SessionTrack | None) -> RgbdFrame:
-        """A frame without an ambient sensor stays without."""
         sensor = self.settings(LightSensor)
         if sensor is None or frame.ambient is None:
             return frame
@@ -195,10 +174,6 @@ def _tracked(values: Mapping[int, TrackedT], frame: int, what: str) -> TrackedT:
     return values[frame]
 
 
-def _n_invalid(plane_depth_m: ArrayF32) -> int:
-    return int(plane_depth_m.size - np.count_nonzero(valid_plane_depth(plane_depth_m)))
-
-
-def _cleared_and_counted(plane_depth_m: ArrayF32, is_hole: ArrayBool) -> tuple[ArrayF32, int]:
-    n_lost = int(np.count_nonzero(is_hole & valid_plane_depth(plane_depth_m)))
-    return depth.cleared(plane_depth_m, is_hole), n_lost
+def _n_lost(before_m: ArrayF32, after_m: ArrayF32) -> int:
+    """How many more pixels were valid before."""
+    return int(np.count_nonzero(valid_plane_depth(before_m)) - np.count_nonzero(valid_plane_depth(after_m)))

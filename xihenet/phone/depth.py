@@ -1,7 +1,7 @@
 """Plane depth as a real range sensor measures it: range, noise, grain, steps and bleeding edges.
 
-Each function takes a plane depth (H, W) in metres and one settings section and returns a new one; no section, or a
-section that changes nothing, returns the very array it was given. Pixels without a valid plane depth (0, negative, NaN,
+Each function takes a plane depth (H, W) in metres and one settings section and returns a new one, or the very array it
+was given where that changes nothing. Pixels without a valid plane depth (0, negative, NaN,
 infinite, a renderer's miss) come out with the same bytes: no effect makes up a surface where there was none.
 
 Lengths in pixels belong to the sensor's own width; callers scale them (`pixel_scale`), so that a small preview shows
@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xihenet.camera import valid_plane_depth
-from xihenet.phone.facts import Required, SessionFacts, known
-from xihenet.phone.settings import Section, number
+from xihenet.phone.settings import Required, Section, SessionFacts, known, number
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64
 
 
@@ -39,7 +38,6 @@ class RangeLimits(Section):
             raise ValueError(f"farthest_m: expected more than nearest_m ({self.nearest_m:g}), got {self.farthest_m:g}")
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """Surfaces beyond the sensor's range."""
         farthest_m, nearest_m = (known(m, "how far the room goes") for m in (facts.farthest_m, facts.nearest_m))
         if farthest_m > self.farthest_m:
             return True, f"the room goes {farthest_m:.1f} m away, the sensor reaches {self.farthest_m:g} m"
@@ -50,27 +48,16 @@ class RangeLimits(Section):
 
 @dataclass(frozen=True, kw_only=True)
 class DistanceNoise(Section):
-    """Standard deviation sigma_m + growth * max(z - growth_from_m, 0) ** growth_power, z in metres.
-
-    Parameters
-    ----------
-    sigma_m : near the sensor
-    growth : metres per metre ** growth_power
-    growth_from_m : where growth begins
-    growth_power : 1 for time of flight, 2 for triangulation
-    grain_px : distance over which the noise is smooth; 1 or less makes it independent from pixel to pixel
-    shift_px : standard deviation of the place on the sensor that a pixel really reads; 0 for none
-    """
+    """Standard deviation sigma_m + growth * max(z - growth_from_m, 0) ** growth_power, z in metres."""
 
     sigma_m: float = number("m", 0.0, 1.0)
     growth: float = number("m per m^power", 0.0, 1.0)
     growth_from_m: float = number("m", 0.0, 100.0)
-    growth_power: float = number("", 1.0, 4.0)
-    grain_px: float = number("px", 0.0, 1000.0)
-    shift_px: float = number("px", 0.0, 10.0)
+    growth_power: float = number("", 1.0, 4.0)  # 1 for time of flight, 2 for triangulation
+    grain_px: float = number("px", 0.0, 1000.0)  # over which it is smooth; 1 or less makes pixels independent
+    shift_px: float = number("px", 0.0, 10.0)  # standard deviation of the place on the sensor that a pixel really reads
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """Errors that take points to other anchors."""
         beyond_m = max(known(facts.farthest_m, "how far the room goes") - self.growth_from_m, 0.0)
         if self.shift_px and known(facts.widest_step_m, "whether one thing stands before another"):
             return True, "things stand before others, and at their edges the sensor mixes the two"
@@ -84,7 +71,6 @@ class Quantisation(Section):
     step_m: float = number("m", 0.0, 1.0)
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """Steps that take points to other anchors."""
         return facts.moves_points(self.step_m / 2, "rounding")
 
 
@@ -96,14 +82,11 @@ class EdgeBleeding(Section):
     span_m: float = number("m", 0.0, 100.0)
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """A surface in front of another."""
         return facts.has_step_over(self.span_m) if self.radius_px > 0 else (False, "the sensor keeps edges sharp")
 
 
-def cut_range(plane_depth_m: ArrayF32, settings: RangeLimits | None) -> ArrayF32:
+def cut_range(plane_depth_m: ArrayF32, settings: RangeLimits) -> ArrayF32:
     """0 where the sensor does not reach; the rest, and what was invalid before, keeps its bytes."""
-    if settings is None:
-        return plane_depth_m
     beyond = (plane_depth_m < settings.nearest_m) | (plane_depth_m > settings.farthest_m)
     return cleared(plane_depth_m, beyond)
 
@@ -123,15 +106,13 @@ def noise_sigma_m(plane_depth_m: ArrayF32, settings: DistanceNoise) -> ArrayF64:
 
 
 def add_noise(
-    plane_depth_m: ArrayF32, settings: DistanceNoise | None, rng: np.random.Generator, *, pixel_scale: float = 1.0
+    plane_depth_m: ArrayF32, settings: DistanceNoise, rng: np.random.Generator, *, pixel_scale: float = 1.0
 ) -> ArrayF32:
     """Plane depth as the sensor measures it: each pixel reads a place nearby, with an error that grows with distance.
 
     A surface never comes nearer than half its true distance: noise alone neither turns it behind the camera nor makes
     a hole. `pixel_scale` is the picture's width over the sensor's.
     """
-    if settings is None:
-        return plane_depth_m
     read_m = _shifted(plane_depth_m, settings.shift_px * pixel_scale, rng)
     sigma_m = noise_sigma_m(plane_depth_m, settings)
     if not sigma_m.any():
@@ -153,28 +134,28 @@ def grained_noise(shape: tuple[int, ...], grain_px: float, rng: np.random.Genera
     height, width = shape
     if grain_px <= 1.0:
         return rng.normal(size=(height, width))
-    row, row_share = _grid_places(height, grain_px, rng)
-    column, column_share = _grid_places(width, grain_px, rng)
+    row, row_share = _split((np.arange(height) + 0.5) / grain_px + rng.random())
+    column, column_share = _split((np.arange(width) + 0.5) / grain_px + rng.random())
     nodes = rng.normal(size=(int(row[-1]) + 2, int(column[-1]) + 2))
     along = _lerped(nodes[row], nodes[row + 1], row_share[:, None])
     return _lerped(along[:, column], along[:, column + 1], column_share[None, :])
 
 
-def quantise(plane_depth_m: ArrayF32, settings: Quantisation | None) -> ArrayF32:
+def quantise(plane_depth_m: ArrayF32, settings: Quantisation) -> ArrayF32:
     """Plane depth rounded to the sensor's step; what is nearer than half a step keeps one step, so it stays valid."""
-    if settings is None or settings.step_m == 0:
+    if settings.step_m == 0:
         return plane_depth_m
     valid = valid_plane_depth(plane_depth_m)
     steps = np.rint(np.where(valid, plane_depth_m.astype(np.float64), 1.0) / settings.step_m)
     return np.where(valid, (np.maximum(steps, 1.0) * settings.step_m).astype(np.float32), plane_depth_m)
 
 
-def bleed_edges(plane_depth_m: ArrayF32, settings: EdgeBleeding | None, *, pixel_scale: float = 1.0) -> ArrayF32:
+def bleed_edges(plane_depth_m: ArrayF32, settings: EdgeBleeding, *, pixel_scale: float = 1.0) -> ArrayF32:
     """Points that float between a near surface and the far one behind it, as a smoothed depth map has them.
 
     The window is 2 r + 1 pixels wide, r = radius_px * pixel_scale rounded, at least 1; its mean is over valid pixels.
     """
-    if settings is None or settings.radius_px == 0:
+    if settings.radius_px == 0:
         return plane_depth_m
     radius = max(1, math.floor(settings.radius_px * pixel_scale + 0.5))
     valid = valid_plane_depth(plane_depth_m)
@@ -198,21 +179,13 @@ def window_span_m(plane_depth_m: ArrayF32, radius: int) -> ArrayF32:
 
 def _over_window(values: NDArray[Any], radius: int, combine: np.ufunc) -> NDArray[Any]:
     """`combine` of all values within `radius`, one axis after the other."""
-    for axis in (0, 1):
+    for _ in range(2):
         result = values.copy()
-        for shift in range(1, min(radius, values.shape[axis] - 1) + 1):
-            low, high = _shifted_pair(axis, shift)
-            combine(result[low], values[high], out=result[low])
-            combine(result[high], values[low], out=result[high])
-        values = result
+        for shift in range(1, min(radius, len(values) - 1) + 1):
+            combine(result[:-shift], values[shift:], out=result[:-shift])
+            combine(result[shift:], values[:-shift], out=result[shift:])
+        values = result.T
     return values
-
-
-def _shifted_pair(axis: int, shift: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
-    """Indices of all but the last `shift` places along `axis`, and of all but the first."""
-    whole = slice(None)
-    low, high = slice(None, -shift), slice(shift, None)
-    return ((low, whole), (high, whole)) if axis == 0 else ((whole, low), (whole, high))
 
 
 def _shifted(plane_depth_m: ArrayF32, shift_px: float, rng: np.random.Generator) -> ArrayF32:
@@ -220,8 +193,9 @@ def _shifted(plane_depth_m: ArrayF32, shift_px: float, rng: np.random.Generator)
     if shift_px == 0:
         return plane_depth_m
     height, width = plane_depth_m.shape
-    row, down = _place(np.arange(height)[:, None] + rng.normal(scale=shift_px, size=(height, width)), height)
-    column, right = _place(np.arange(width)[None, :] + rng.normal(scale=shift_px, size=(height, width)), width)
+    rows = np.arange(height)[:, None] + rng.normal(scale=shift_px, size=(height, width))
+    columns = np.arange(width)[None, :] + rng.normal(scale=shift_px, size=(height, width))
+    (row, down), (column, right) = _split(np.clip(rows, 0, height - 1)), _split(np.clip(columns, 0, width - 1))
     next_row, next_column = np.minimum(row + 1, height - 1), np.minimum(column + 1, width - 1)
     valid = valid_plane_depth(plane_depth_m)
     readable = valid & valid[row, column] & valid[row, next_column] & valid[next_row, column]
@@ -233,16 +207,8 @@ def _shifted(plane_depth_m: ArrayF32, shift_px: float, rng: np.random.Generator)
     return np.where(readable, read_m, plane_depth_m)
 
 
-def _place(position: ArrayF64, size: int) -> tuple[NDArray[np.intp], ArrayF64]:
-    """Whole pixel below a position, held inside the picture, and the share towards the next."""
-    inside = np.clip(position, 0, size - 1)
-    whole = inside.astype(np.intp)
-    return whole, inside - whole
-
-
-def _grid_places(size: int, pitch: float, rng: np.random.Generator) -> tuple[NDArray[np.intp], ArrayF64]:
-    """For each pixel the grid node before it and the share towards the next; the grid's start is random."""
-    position = (np.arange(size) + 0.5) / pitch + rng.random()
+def _split(position: ArrayF64) -> tuple[NDArray[np.intp], ArrayF64]:
+    """The whole place before each position >= 0, and the share towards the next."""
     whole = position.astype(np.intp)
     return whole, position - whole
 

@@ -1,13 +1,14 @@
-"""Exposure of each frame of a phone that meters by itself and lags behind.
+"""Frames of a session in time: which of them the phone delivers, and the exposure of each, which lags behind.
 
-A small state machine on the logarithm of the exposure: each frame moves it towards what the frame before asked for,
-exponentially in time, within clamps around the session's reference. What the reference exposure does to a picture is
-the frame's own encoding (`camera.encode_exposed`).
+A scene may be animated at any rate; a phone delivers at its own. Chosen: of each interval of the phone's clock the
+first frame of the scene, so that nothing is invented. Rejected: blending frames, which no range sensor does.
 
-Chosen: an exponential approach in stops, as open camera stacks filter theirs; a doubling of the light is then followed
-as fast as a halving. Rejected: a full model of shutter time and gain, of which only the product reaches the picture.
-The whole session is one pure function of its meterings that never looks ahead: a run that is resumed, or whose frames
-are seen in another order, gets the same exposures.
+The exposure of a phone that meters by itself is a small state machine on its logarithm: each frame moves it towards
+what the frame before asked for, exponentially in time, within clamps around the session's reference. Chosen: an
+exponential approach in stops, as open camera stacks filter theirs; a doubling of the light is then followed as fast as
+a halving. Rejected: a full model of shutter time and gain, of which only the product reaches the picture. The whole
+session is one pure function of its meterings that never looks ahead: a run that is resumed, or whose frames are seen in
+another order, gets the same exposures.
 """
 
 from __future__ import annotations
@@ -21,12 +22,33 @@ from numpy.typing import ArrayLike
 
 from xihenet.camera import encode_exposed
 from xihenet.colour import srgb_to_linear
-from xihenet.phone.facts import Required, SessionFacts, known
-from xihenet.phone.settings import Section, number
-from xihenet.records import ArrayF64, RgbdFrame
+from xihenet.phone.settings import Required, Section, SessionFacts, known, number
+from xihenet.records import ArrayBool, ArrayF64, RgbdFrame
 
-SMALL_STOPS = 1 / 3
-"""The smallest step on a camera's exposure dial."""
+SMALL_STOPS = 1 / 3  # the smallest step on a camera's exposure dial
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameRate(Section):
+    """Frames per second, and the width of the range sensor's picture, which lengths in pixels refer to."""
+
+    rate_hz: float = number("Hz", 0.1, 1000.0)
+    width_px: float = number("px", 1.0, 100000.0)
+
+    def required_by(self, facts: SessionFacts) -> Required:
+        rate_hz = known(facts.frame_rate_hz, "the frame rate of the camera path")
+        if rate_hz > self.rate_hz:
+            return True, f"the path has {rate_hz:g} frames per second, the phone delivers {self.rate_hz:g}"
+        return False, f"the phone delivers {self.rate_hz:g} frames per second, the path has {rate_hz:g}"
+
+
+def delivered_frames(times_s: Sequence[float], settings: FrameRate | None) -> ArrayBool:
+    """(N,) which frames of a session at `times_s`, never decreasing, reach the app; all without a frame rate."""
+    if settings is None or not len(times_s):
+        return np.ones(len(times_s), bool)
+    # A frame a rounding error before its tick still belongs to it.
+    ticks = np.floor((np.asarray(times_s, np.float64) - times_s[0]) * settings.rate_hz + 1e-6)
+    return np.concatenate([[True], np.diff(ticks) > 0])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +60,6 @@ class AutoExposure(Section):
     brightest_stops: float = number("stops above the reference", 0.0, 20.0)
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """Frames that ask for different exposures."""
         stops = known(facts.brightness_change_stops, "how much the brightness changes along the path")
         return stops > SMALL_STOPS, f"along the path the brightness changes by {stops:.1f} stops"
 
@@ -64,13 +85,9 @@ def follow_exposure(
 ) -> ArrayF64:
     """(N,) the exposure of each frame of a session.
 
-    Parameters
-    ----------
-    times_s : (N,) seconds, never decreasing
-    metered : (N,) the exposure that each frame's own light asks for, such as `camera.metered_exposure` gives
-    reference : the session's exposure; clamps lie around it
-
-    The first frame is metered well (a phone's preview ran before); each later one only knows the frames before it.
+    `times_s` (N,) never decrease; `metered` (N,) is what each frame's own light asks for, as `camera.metered_exposure`
+    gives it; clamps lie around `reference`, the session's exposure. The first frame is metered well (a phone's preview
+    ran before); each later one only knows the frames before it.
     """
     if len(times_s) != len(metered):
         raise ValueError(f"follow_exposure: expected as many times as meterings, got {len(times_s)} and {len(metered)}")
@@ -90,13 +107,12 @@ def expose(frame: RgbdFrame, exposure: float, radiance: ArrayLike | None = None)
     """
     if exposure == frame.exposure:
         return frame
-    if radiance is None:
-        light_of_byte = srgb_to_linear(np.arange(256) / 255.0) / frame.exposure
-        return replace(frame, srgb_u8=encode_exposed(light_of_byte, exposure)[frame.srgb_u8], exposure=exposure)
-    return replace(frame, srgb_u8=encode_exposed(radiance, exposure), exposure=exposure)
+    if radiance is not None:
+        return replace(frame, srgb_u8=encode_exposed(radiance, exposure), exposure=exposure)
+    light_of_byte = srgb_to_linear(np.arange(256) / 255.0) / frame.exposure
+    return replace(frame, srgb_u8=encode_exposed(light_of_byte, exposure)[frame.srgb_u8], exposure=exposure)
 
 
 def _clamped(exposure: float, reference: float, settings: AutoExposure) -> float:
     lowest = reference * math.pow(2.0, -settings.darkest_stops)
-    highest = reference * math.pow(2.0, settings.brightest_stops)
-    return min(max(exposure, lowest), highest)
+    return min(max(exposure, lowest), reference * math.pow(2.0, settings.brightest_stops))

@@ -4,13 +4,12 @@ Perfect frames, few and small ones will do, give distances, edges, darkness, ang
 picture shows (roughness, transmission, which lights are animated) the caller adds; what it leaves out stays not known,
 and its effects stay on. Chosen: extremes over all pixels, so that a fact errs towards simulating.
 A long session need not be held in memory: `facts_of_frame` as each frame comes, `facts_of_session` at the end.
-Not here: frames that were not given. Facts from every tenth frame are about every tenth frame.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,9 +19,9 @@ from numpy.typing import ArrayLike
 from xihenet.camera import metered_exposure, unproject_frame, valid_plane_depth
 from xihenet.colour import srgb_to_linear
 from xihenet.phone.depth import window_span_m
-from xihenet.phone.facts import SessionFacts
 from xihenet.phone.holes import SurfaceFacts, facing_cosines
 from xihenet.phone.motion import turn_between
+from xihenet.phone.settings import SessionFacts
 from xihenet.records import ArrayF64, RgbdFrame
 
 LEAST = ("nearest_m", "clearance_m", "darkest_grey")
@@ -30,29 +29,13 @@ MOST = ("focal_px", "farthest_m", "widest_step_m", "steepest_deg")
 """Facts of frames of which the smallest, or the largest, is that of the session."""
 
 
-@dataclass(frozen=True, eq=False)
-class FrameFacts:
-    """Of one frame; None where it has no valid plane depth, or where no position was given.
-
-    Parameters
-    ----------
-    time_s, focal_px, world_from_camera : of the frame
-    nearest_m, farthest_m : plane depth of any surface
-    clearance_m : from an estimation position to the nearest surface
-    widest_step_m, steepest_deg, darkest_grey : see SessionFacts
-    stops : logarithm to base 2 of the exposure that the frame asks for
-    """
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FrameFacts(SessionFacts):
+    """Those of LEAST and MOST, of one frame; a distance is None without valid plane depth, or without a position."""
 
     time_s: float
-    focal_px: float
     world_from_camera: ArrayF64
-    nearest_m: float | None
-    farthest_m: float | None
-    clearance_m: float | None
-    widest_step_m: float
-    steepest_deg: float
-    darkest_grey: float
-    stops: float
+    stops: float  # logarithm to base 2 of the exposure that the frame asks for
 
 
 def facts_of_session(each: Sequence[FrameFacts], **known: Any) -> SessionFacts:
@@ -65,14 +48,16 @@ def facts_of_session(each: Sequence[FrameFacts], **known: Any) -> SessionFacts:
     if not each:
         raise ValueError("facts_of_session: expected at least one frame, got none")
     stops = [facts.stops for facts in each]
-    found: dict[str, Any] = {name: _extreme(min, each, name) for name in LEAST}
-    found |= {name: _extreme(max, each, name) for name in MOST}
+    found: dict[str, Any] = {}
+    for extreme, names in ((min, LEAST), (max, MOST)):
+        for name in names:
+            values = [getattr(facts, name) for facts in each]
+            found[name] = extreme((value for value in values if value is not None), default=None)
     found |= {"duration_s": each[-1].time_s - each[0].time_s, "brightness_change_stops": max(stops) - min(stops)}
     return SessionFacts(**(found | _motion_facts(each) | known))
 
 
 def _motion_facts(each: Sequence[FrameFacts]) -> dict[str, float]:
-    """Frame rate and fastest motion between neighbouring frames; nothing if two have the same time, or for one."""
     steps_s = np.diff([facts.time_s for facts in each])
     if not len(steps_s) or steps_s.min() <= 0:
         return {}
@@ -111,8 +96,3 @@ def _clearance_m(frame: RgbdFrame, positions_m: ArrayF64) -> float:
     """From any position to the nearest point that the frame saw."""
     points = unproject_frame(frame).points_m.astype(np.float64)
     return min(float(np.nanmin(np.linalg.norm(points - position, axis=1))) for position in positions_m)
-
-
-def _extreme(of: Callable[..., float], each: Sequence[FrameFacts], name: str) -> float | None:
-    """The smallest or largest of a fact of frames; None where none has it."""
-    return of((value for facts in each if (value := getattr(facts, name)) is not None), default=None)

@@ -19,27 +19,18 @@ import numpy as np
 
 from xihenet.camera import pixel_rays, valid_plane_depth
 from xihenet.phone.depth import window_span_m
-from xihenet.phone.facts import Required, SessionFacts, known
-from xihenet.phone.settings import Section, number
+from xihenet.phone.settings import Required, Section, SessionFacts, known, number
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, Intrinsics, RgbdFrame
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceFacts:
-    """What the caller knows of the surface in each pixel of one frame; None where it does not.
+    """What the caller knows of the surface in each pixel of one frame; None where it does not."""
 
-    Parameters
-    ----------
-    normals : (H, W, 3) world, any length; a normal that is 0 or not finite counts as facing the camera
-    roughness : (H, W) 0 for a mirror, 1 for chalk
-    transmission : (H, W) share of the light that goes through
-    reflectance : (H, W) share that comes back, at the sensor's wavelength or as grey
-    """
-
-    normals: ArrayF32 | None = None
-    roughness: ArrayF32 | None = None
-    transmission: ArrayF32 | None = None
-    reflectance: ArrayF32 | None = None
+    normals: ArrayF32 | None = None  # (H, W, 3) world, any length; one that is 0 or not finite faces the camera
+    roughness: ArrayF32 | None = None  # (H, W) 0 for a mirror, 1 for chalk
+    transmission: ArrayF32 | None = None  # (H, W) share of the light that goes through
+    reflectance: ArrayF32 | None = None  # (H, W) share that comes back, at the sensor's wavelength or as grey
 
     def checked_for(self, intrinsics: Intrinsics) -> SurfaceFacts:
         """Itself; ValueError naming the array whose size is not that of the picture."""
@@ -52,14 +43,9 @@ class SurfaceFacts:
 
     def taken_from(self, source: ArrayInt) -> SurfaceFacts:
         """The facts of pixels `source` (H, W), each a place in row order."""
-        return SurfaceFacts(**{name: _taken(values, source) for name, values in vars(self).items()})
-
-
-def _taken(values: ArrayF32 | None, source: ArrayInt) -> ArrayF32 | None:
-    if values is None:
-        return None
-    flat = values.reshape(source.size, *values.shape[2:])
-    return flat[source]
+        known = {name: values for name, values in vars(self).items() if values is not None}
+        flat = {name: values.reshape(source.size, *values.shape[2:]) for name, values in known.items()}
+        return SurfaceFacts(**{name: values[source] for name, values in flat.items()})
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +78,6 @@ class DarkHoles(Holes):
     below_grey: float = number("of white", 0.0, 1.0)
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """Surfaces too dark for the sensor."""
         grey = known(facts.darkest_grey, "how dark the darkest surface is")
         if grey < self.below_grey:
             return True, f"some surfaces are darker ({grey:.2f}) than the sensor needs"
@@ -113,7 +98,6 @@ class GlossyHoles(Holes):
     beyond_deg: float = number("degrees", 0.0, 90.0)
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """Surfaces that mirror the sensor's light away."""
         if known(facts.smoothest_roughness, "how glossy the glossiest surface is") < self.below_roughness:
             return True, "there are surfaces that mirror the sensor's light away"
         return False, "no surface in view is glossy enough to mirror the sensor's light away"
@@ -133,7 +117,6 @@ class TransparentHoles(Holes):
     above_transmission: float = number("of the light", 0.0, 1.0)
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """Surfaces that the sensor's light goes through."""
         if known(facts.highest_transmission, "whether anything is transparent") > self.above_transmission:
             return True, "the sensor's light goes through something in view"
         return False, "no transmissive material is visible to the camera"
@@ -152,7 +135,6 @@ class GrazingHoles(Holes):
     beyond_deg: float = number("degrees", 0.0, 90.0)
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """Surfaces seen almost from the side."""
         steepest_deg = known(facts.steepest_deg, "how flat the camera looks along surfaces")
         if steepest_deg > self.beyond_deg:
             return True, f"some surfaces are turned {steepest_deg:.0f} degrees away from the camera"
@@ -169,7 +151,6 @@ class SpanHoles(Holes):
     span_m: float = number("m", 0.0, 100.0)
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """A surface far in front of another."""
         return facts.has_step_over(self.span_m)
 
     def mask(self, seen: SeenSurfaces) -> ArrayBool:

@@ -17,14 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.camera import LUMINANCE
-from xihenet.phone.facts import Required, SessionFacts, known
-from xihenet.phone.settings import Section, number
+from xihenet.phone.settings import Required, Section, SessionFacts, known, number
 from xihenet.records import ArrayF64
 
 WHITE_K = 6504.0
-LOWEST_K, HIGHEST_K = 1667.0, 25000.0
-"""Where the black-body fit holds."""
-
+LOWEST_K, HIGHEST_K = 1667.0, 25000.0  # where the black-body fit holds
 XYZ_FROM_RGB = np.array(
     [[0.4123908, 0.3575843, 0.1804808], [0.2126390, 0.7151687, 0.0721923], [0.0193308, 0.1191948, 0.9505322]]
 )
@@ -36,22 +33,12 @@ RGB_FROM_XYZ = np.array(
 
 @dataclass(frozen=True, kw_only=True)
 class LightSensor(Section):
-    """How late, how rough and in which steps the sensor answers.
-
-    Parameters
-    ----------
-    time_constant_s : of collecting light
-    gain_error : fixed for a device, uniform, plus or minus
-    noise : new in every reading, standard deviation
-    intensity_step : relative, since such sensors switch their gain; 0 for none
-    temperature_step_k : 0 for none
-    lowest_k, highest_k : range of colour temperatures
-    """
+    """How late, how rough and in which steps the sensor answers; a step of 0 for none."""
 
     time_constant_s: float = number("s", 0.0, 60.0)
-    gain_error: float = number("of the reading", 0.0, 0.9)
-    noise: float = number("of the reading", 0.0, 0.9)
-    intensity_step: float = number("of the reading", 0.0, 0.9)
+    gain_error: float = number("of the reading", 0.0, 0.9)  # fixed for a device, uniform, plus or minus
+    noise: float = number("of the reading", 0.0, 0.9)  # new in every reading, standard deviation
+    intensity_step: float = number("of the reading", 0.0, 0.9)  # relative, since such sensors switch their gain
     temperature_step_k: float = number("K", 0.0, 2000.0)
     lowest_k: float = number("K", LOWEST_K, HIGHEST_K)
     highest_k: float = number("K", LOWEST_K, HIGHEST_K)
@@ -62,7 +49,6 @@ class LightSensor(Section):
             raise ValueError(f"highest_k: expected more than lowest_k ({self.lowest_k:g}), got {self.highest_k:g}")
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """Light that changes, which the sensor then follows."""
         changes = known(facts.light_changes, "whether any light changes")
         return changes, "some light changes" if changes else "no light changes"
 
@@ -76,10 +62,7 @@ class LightReading:
 
 
 def colour_temperature_k(radiance: ArrayLike) -> float:
-    """Correlated colour temperature of linear Rec.709 (3,) (McCamy 1992), held where the black-body fit is valid.
-
-    Black light has no temperature and counts as white.
-    """
+    """Correlated colour temperature of linear Rec.709 (3,) (McCamy 1992), clipped to its range; white for black."""
     xyz = XYZ_FROM_RGB @ np.asarray(radiance, np.float64)
     total = float(xyz.sum())
     if not (np.isfinite(total) and total > 0):
@@ -94,9 +77,8 @@ def colour_temperature_k(radiance: ArrayLike) -> float:
 def colour_of_temperature(temperature_k: float) -> ArrayF64:
     """(3,) linear Rec.709 of luminance 1 at a colour temperature; 6504 K is white; held where the fit is valid."""
     white = _black_body(WHITE_K)
-    colour = np.maximum(_black_body(float(np.clip(temperature_k, LOWEST_K, HIGHEST_K))) / white, 0.0)
-    relative: ArrayF64 = colour / float(LUMINANCE @ colour)
-    return relative
+    colour: ArrayF64 = np.maximum(_black_body(float(np.clip(temperature_k, LOWEST_K, HIGHEST_K))) / white, 0.0)
+    return colour / float(LUMINANCE @ colour)
 
 
 def read_light(

@@ -4,7 +4,7 @@ Rolling shutter: the rows of a picture are read from top to bottom; the middle o
 pixel of the result looks up the rendered frame, through the plane depth, at the place that its row's camera saw
 (gather, three fixed-point steps). Rejected: scattering the rendered pixels forward, which leaves cracks between rows
 that look like the sensor's holes; and rendering every row, which costs a render per row. Near depth edges a pixel whose
-surface was hidden from the middle row shows its neighbour instead. `row_poses` serves a renderer that can do better.
+surface was hidden from the middle row shows its neighbour instead.
 
 Pose drift: tracking walks away at random in position and in yaw; gravity holds pitch and roll. The walk is a function
 of seed and time alone, so frames can be asked for in any order. Not here: jumps when tracking recognises a place.
@@ -20,17 +20,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.camera import pixel_rays, valid_plane_depth
-from xihenet.phone.facts import Required, SessionFacts, known
-from xihenet.phone.settings import Section, number, switch
+from xihenet.phone.settings import Required, Section, SessionFacts, known, number, switch
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, RgbdFrame
 
-DRIFT_STEP_S = 0.05
-"""Grid of the random walk; between its nodes the drift is a straight line."""
-
+DRIFT_STEP_S = 0.05  # grid of the random walk; between its nodes the drift is a straight line
 N_FIXED_POINT_STEPS = 3
 
-SMALL_SHIFT_PX = 0.5
-"""Rows that are off by less than this show the same pixels."""
+SMALL_SHIFT_PX = 0.5  # rows that are off by less than this show the same pixels
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +57,6 @@ class PoseDrift(Section):
     yaw_deg_per_sqrt_s: float = number("degrees per square root of s", 0.0, 90.0)
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """A walk long enough for tracking to be wrong."""
         if facts.is_still:
             return False, "the camera does not move"
         duration_s = known(facts.duration_s, "how long the session is")
@@ -133,10 +128,7 @@ def read_rows(
 
 
 def drift_at(time_s: float, settings: PoseDrift, seed: int | Sequence[int]) -> tuple[ArrayF64, float]:
-    """Position error (3,) in metres and yaw error in radians after `time_s`; none at and before the start.
-
-    The same for the same seed and time, whatever was asked before.
-    """
+    """Position error (3,) in metres and yaw error in radians, by seed and time alone; none at and before the start."""
     if not time_s > 0:
         return np.zeros(3), 0.0
     place = time_s / DRIFT_STEP_S
@@ -144,10 +136,8 @@ def drift_at(time_s: float, settings: PoseDrift, seed: int | Sequence[int]) -> t
     steps = np.random.default_rng(seed).normal(size=(n_steps, 4))
     walked = steps[:-1].sum(axis=0) + (place - (n_steps - 1)) * steps[-1]
     walked *= np.sqrt(DRIFT_STEP_S)
-    return (
-        walked[:3] * (settings.position_m_per_sqrt_s / np.sqrt(3)),
-        float(walked[3] * np.radians(settings.yaw_deg_per_sqrt_s)),
-    )
+    yaw = float(walked[3] * np.radians(settings.yaw_deg_per_sqrt_s))
+    return walked[:3] * (settings.position_m_per_sqrt_s / np.sqrt(3)), yaw
 
 
 def drift_pose(frame: RgbdFrame, settings: PoseDrift | None, seed: int | Sequence[int]) -> RgbdFrame:

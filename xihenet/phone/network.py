@@ -7,23 +7,21 @@ sent again after a time-out, and given up after a few: it is then late, or never
 Chosen: three presets fitted to the paper's figures. Its medians already hold the bytes of one cloud (4,249 in the
 paper's encoding), so only bytes beyond those cost more. Rejected: a queue per packet, which the figures cannot fix.
 
-The delay is in this one place, after the chain, which stays as it is. Rejected: a backend that waits, since the chain
-would then have to know the time. What a request suffers comes from (seed, frame, position) alone, so a run that is
-resumed meets the same network.
+The delay is in this one place, after the chain. Rejected: a backend that waits, since the chain would then have to know
+the time. What a request suffers comes from (seed, frame, position) alone, so a run that is resumed meets the same.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihenet.phone.facts import Required, SessionFacts, known
-from xihenet.phone.settings import Section, count, number
+from xihenet.phone.settings import Required, Section, SessionFacts, known, number
 from xihenet.records import ArrayF64, ArrayInt, LightEstimate
 
 REFERENCE_PAYLOAD_BYTES = 4249
@@ -32,28 +30,16 @@ REFERENCE_PAYLOAD_BYTES = 4249
 
 @dataclass(frozen=True, kw_only=True)
 class Link(Section):
-    """A way to the edge server.
+    """A way to the edge server."""
 
-    Parameters
-    ----------
-    processing_s : on the device and the server together
-    median_s : of the network time of one cloud, there and back
-    floor_s : the network is never faster
-    spread : standard deviation of the logarithm of what lies above the floor
-    uplink_bit_per_s : for bytes beyond one cloud
-    loss : share of the requests that are lost, each time they are sent
-    resend_s : after this a lost request is sent again
-    n_sends : after so many it is given up
-    """
-
-    processing_s: float = number("s", 0.0, 60.0)
-    median_s: float = number("s", 0.0, 60.0)
-    floor_s: float = number("s", 0.0, 60.0)
-    spread: float = number("", 0.0, 5.0)
-    uplink_bit_per_s: float = number("bit/s", 1.0, 1e12)
-    loss: float = number("of the requests", 0.0, 1.0)
-    resend_s: float = number("s", 0.0, 60.0)
-    n_sends: int = count(1, 100)
+    processing_s: float = number("s", 0.0, 60.0)  # on the device and the server together
+    median_s: float = number("s", 0.0, 60.0)  # of the network time of one cloud, there and back
+    floor_s: float = number("s", 0.0, 60.0)  # which is never below this
+    spread: float = number("", 0.0, 5.0)  # standard deviation of the logarithm of what lies above the floor
+    uplink_bit_per_s: float = number("bit/s", 1.0, 1e12)  # for bytes beyond one cloud
+    loss: float = number("of the requests", 0.0, 1.0)  # share of the requests that are lost, each time they are sent
+    resend_s: float = number("s", 0.0, 60.0)  # after this a lost request is sent again
+    n_sends: int = number("", 1, 100, kind=int)  # after so many it is given up
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -61,7 +47,6 @@ class Link(Section):
             raise ValueError(f"floor_s: expected at most median_s ({self.median_s:g}), got {self.floor_s:g}")
 
     def required_by(self, facts: SessionFacts) -> Required:
-        """Something that changes while an estimate is under way."""
         if facts.is_still and facts.light_changes is False:
             return False, "neither the camera nor the light changes while an estimate is under way"
         for fact in (facts.is_still, facts.light_changes):
@@ -70,52 +55,41 @@ class Link(Section):
         return True, f"estimates arrive some {usual_ms:.0f} ms after the frame they are of"
 
 
-_PROCESSING_S = 0.01227
-"""20.67 ms end to end, the paper's best on university WiFi, less its 8.4 ms of network time."""
+_preset = functools.partial(Link, processing_s=0.01227, resend_s=0.2, n_sends=3)
+"""Processing: 20.67 ms end to end, the paper's best on university WiFi, less its 8.4 ms of network time."""
 
-LINKS: Mapping[str, Link] = MappingProxyType(
-    {
-        "wifi": Link(
-            source="the paper: 8.4 ms network time on university WiFi; four positions cost 1.28 x one, hence the "
-            "uplink (0.28 x 8.4 ms for 3 x 4,249 bytes); end to end 20.67 ms at best, under 24.04 ms on every device, "
-            "hence floor and spread. Loss 0.1 %: the best WiFi in Codavel's table of real-world links. Time-out: "
-            "the lower limit of TCP on Linux",
-            processing_s=_PROCESSING_S,
-            median_s=0.0084,
-            floor_s=0.006,
-            spread=0.3,
-            uplink_bit_per_s=43e6,
-            loss=0.001,
-            resend_s=0.2,
-            n_sends=3,
-        ),
-        "home": Link(
-            source="25 ms and 0.2 % loss: WiFi in the USA in Codavel's table of real-world links; the paper says that "
-            "residential WiFi took several times as long as the university's. Chosen: floor at half the median, "
-            "spread 0.5, 10 Mbit/s uplink",
-            processing_s=_PROCESSING_S,
-            median_s=0.025,
-            floor_s=0.0125,
-            spread=0.5,
-            uplink_bit_per_s=10e6,
-            loss=0.002,
-            resend_s=0.2,
-            n_sends=3,
-        ),
-        "lte": Link(
-            source="the paper: 79.2 ms end to end on LTE, less the processing. Loss 0.5 %: 4G in the USA in Codavel's "
-            "table of real-world links. Chosen: floor at half the median, spread 0.6, 8 Mbit/s uplink",
-            processing_s=_PROCESSING_S,
-            median_s=0.0669,
-            floor_s=0.03345,
-            spread=0.6,
-            uplink_bit_per_s=8e6,
-            loss=0.005,
-            resend_s=0.2,
-            n_sends=3,
-        ),
-    }
-)
+LINKS: Mapping[str, Link] = {
+    "wifi": _preset(
+        source="the paper: 8.4 ms network time on university WiFi; four positions cost 1.28 x one, hence the "
+        "uplink (0.28 x 8.4 ms for 3 x 4,249 bytes); end to end 20.67 ms at best, under 24.04 ms on every device, "
+        "hence floor and spread. Loss 0.1 %: the best WiFi in Codavel's table of real-world links. Time-out: "
+        "the lower limit of TCP on Linux",
+        median_s=0.0084,
+        floor_s=0.006,
+        spread=0.3,
+        uplink_bit_per_s=43e6,
+        loss=0.001,
+    ),
+    "home": _preset(
+        source="25 ms and 0.2 % loss: WiFi in the USA in Codavel's table of real-world links; the paper says that "
+        "residential WiFi took several times as long as the university's. Chosen: floor at half the median, "
+        "spread 0.5, 10 Mbit/s uplink",
+        median_s=0.025,
+        floor_s=0.0125,
+        spread=0.5,
+        uplink_bit_per_s=10e6,
+        loss=0.002,
+    ),
+    "lte": _preset(
+        source="the paper: 79.2 ms end to end on LTE, less the processing. Loss 0.5 %: 4G in the USA in Codavel's "
+        "table of real-world links. Chosen: floor at half the median, spread 0.6, 8 Mbit/s uplink",
+        median_s=0.0669,
+        floor_s=0.03345,
+        spread=0.6,
+        uplink_bit_per_s=8e6,
+        loss=0.005,
+    ),
+}
 
 
 def arrival_frames(
@@ -123,12 +97,8 @@ def arrival_frames(
 ) -> ArrayF64:
     """(N,) when the estimate of each triggered frame arrives, seconds; infinite if it was lost for good.
 
-    Parameters
-    ----------
-    trigger_times_s : (N,) any order; N may be 0
-    payload_bytes : (N,) or one number, what is sent up, >= 0
-    link : None for a phone that estimates by itself: everything arrives at once
-    rng : each request draws the same amount, so a request's luck does not depend on the link's loss
+    `trigger_times_s` (N,) are in any order; N may be 0. `payload_bytes`, (N,) or one number >= 0, are sent up. Without
+    a link everything arrives at once. Each request draws the same from `rng`, so its luck is not that of the link.
     """
     asked_s = np.asarray(trigger_times_s, np.float64)
     if link is None:
@@ -170,12 +140,8 @@ class Request:
 class EstimatesUnderWay:
     """The estimates of one session, each kept with the time of its arrival; the light is the youngest of those there.
 
-    An answer that is overtaken by a later one is of no use any more; one that was lost never arrives.
-
-    Parameters
-    ----------
-    link : to the edge server; None for a phone that estimates by itself: everything arrives at once
-    seed : of the session, a whole number >= 0
+    An answer that is overtaken by a later one is of no use any more; one that was lost never arrives. Without a `link`
+    everything arrives at once. `seed`, a whole number >= 0, is that of the session.
     """
 
     def __init__(self, link: Link | None, seed: int) -> None:

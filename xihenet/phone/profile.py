@@ -1,8 +1,7 @@
 """Profiles of phones, as data files: what each sensor does, with the source of every number.
 
 A profile is a TOML file with a name, a summary, its metering (highlights where it says none) and one table for each
-effect that the device has; a table that is missing means that the device does not have the effect. Users add their own
-file and pass its path.
+effect that the device has. Users add their own file and pass its path.
 Chosen: tables named as the effects are, so that a plan, a profile and a report use one vocabulary.
 Rejected: profiles in Python, which users could not add without touching the package.
 """
@@ -13,63 +12,49 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 
 from xihenet.effects import Requirement
 from xihenet.metering import Metering, checked_metering
 from xihenet.phone.depth import DistanceNoise, EdgeBleeding, Quantisation, RangeLimits
-from xihenet.phone.exposure import AutoExposure
-from xihenet.phone.facts import SessionFacts
-from xihenet.phone.frame_rate import FrameRate
+from xihenet.phone.exposure import AutoExposure, FrameRate
 from xihenet.phone.holes import DarkHoles, GlossyHoles, GrazingHoles, SpanHoles, TransparentHoles
 from xihenet.phone.light_sensor import LightSensor
 from xihenet.phone.motion import PoseDrift, RollingShutter
 from xihenet.phone.network import Link
-from xihenet.phone.settings import Section, section_from_table
+from xihenet.phone.settings import Section, SessionFacts, section_from_table
 
 PROFILES_FOLDER = Path(__file__).parent / "profiles"
 
-EFFECTS: Mapping[str, type[Section]] = MappingProxyType(
-    {
-        "frame_rate": FrameRate,
-        "rolling_shutter": RollingShutter,
-        "auto_exposure": AutoExposure,
-        "edge_bleeding": EdgeBleeding,
-        "noise": DistanceNoise,
-        "range": RangeLimits,
-        "quantisation": Quantisation,
-        "dark_holes": DarkHoles,
-        "glossy_holes": GlossyHoles,
-        "transparent_holes": TransparentHoles,
-        "grazing_holes": GrazingHoles,
-        "span_holes": SpanHoles,
-        "pose_drift": PoseDrift,
-        "light_sensor": LightSensor,
-    }
-)
+EFFECTS: Mapping[str, type[Section]] = {
+    "frame_rate": FrameRate,
+    "rolling_shutter": RollingShutter,
+    "auto_exposure": AutoExposure,
+    "edge_bleeding": EdgeBleeding,
+    "noise": DistanceNoise,
+    "range": RangeLimits,
+    "quantisation": Quantisation,
+    "dark_holes": DarkHoles,
+    "glossy_holes": GlossyHoles,
+    "transparent_holes": TransparentHoles,
+    "grazing_holes": GrazingHoles,
+    "span_holes": SpanHoles,
+    "pose_drift": PoseDrift,
+    "light_sensor": LightSensor,
+}
 """Every sensor effect and its settings, in the order in which they are shown."""
 
 NETWORK = "network"
-PHONE_EFFECTS = (*EFFECTS, NETWORK)
-"""Of the phone and the session; the network belongs to no phone."""
+PHONE_EFFECTS = (*EFFECTS, NETWORK)  # of the phone and the session; the network belongs to no phone
 
 
 @dataclass(frozen=True)
 class PhoneProfile:
-    """A device; each effect's settings, or none where the device does not have the effect.
-
-    Parameters
-    ----------
-    name : as people call the device
-    summary : one line
-    sections : settings by the names of EFFECTS
-    metering : how it finds its exposure, locked for the session or, with `auto_exposure`, frame by frame
-    """
+    """A device."""
 
     name: str
     summary: str
-    sections: Mapping[str, Section]
-    metering: Metering = "highlights"
+    sections: Mapping[str, Section]  # settings by the names of EFFECTS, of those that the device has
+    metering: Metering = "highlights"  # of an exposure locked for the session or, with `auto_exposure`, of each frame
 
     def __post_init__(self) -> None:
         for key, text in (("name", self.name), ("summary", self.summary)):
@@ -102,27 +87,18 @@ class PhoneProfile:
 
 
 def profile_names() -> list[str]:
-    """The profiles that come with the package."""
     return sorted(file.stem for file in PROFILES_FOLDER.glob("*.toml"))
 
 
 def load_profile(name_or_path: str | Path) -> PhoneProfile:
-    """A profile by its name, or from a TOML file of the user's.
-
-    ValueError names the file and the key that is wrong, or lists the names there are.
-    """
-    if str(name_or_path) in profile_names():
-        return _read_profile(PROFILES_FOLDER / f"{name_or_path}.toml")
-    path = Path(name_or_path)
+    """A profile by its name, or from a user's TOML file; ValueError names file and key, or lists the names."""
+    names = profile_names()
+    path = PROFILES_FOLDER / f"{name_or_path}.toml" if str(name_or_path) in names else Path(name_or_path)
     if not path.is_file():
         raise ValueError(
-            f"there is no phone profile {str(name_or_path)!r}: choose one of {', '.join(profile_names())}, "
+            f"there is no phone profile {str(name_or_path)!r}: choose one of {', '.join(names)}, "
             "or give the path of a .toml file"
         )
-    return _read_profile(path)
-
-
-def _read_profile(path: Path) -> PhoneProfile:
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:

@@ -18,9 +18,9 @@ from torch import Tensor, nn
 from xihenet.codec import facing_of_codes
 from xihenet.estimators.base import Target
 from xihenet.estimators.lattice_format import LatticeArchitecture
-from xihenet.estimators.pointconv import PointConvArchitecture
-from xihenet.estimators.weights_format import NetworkWeights, save_weights
-from xihenet.nets import lattice, pointconv
+from xihenet.estimators.pointconv_network import PointConvArchitecture
+from xihenet.estimators.weights_format import save_weights
+from xihenet.nets import weights_of
 from xihenet.nets.lattice import LatticeNet
 from xihenet.nets.pointconv import PointConvNet
 from xihenet.records import ArrayInt
@@ -155,11 +155,6 @@ def export_network(
     """
     loaded = load_network(trained)
     notes = {"data": data, "seed": loaded.seed, "figures": figures or {}, "n_points": n_points}
-    weights: NetworkWeights[Any]
-    if isinstance(loaded.net, LatticeNet):
-        weights = lattice.weights_of(loaded.net, loaded.target, **notes)
-    else:
-        assert isinstance(loaded.net, PointConvNet)
-        weights = pointconv.weights_of(loaded.net, loaded.target, estimator=loaded.estimator, **notes)
+    weights = weights_of(loaded.net, loaded.target, estimator=loaded.estimator, **notes)
     out.parent.mkdir(parents=True, exist_ok=True)
     save_weights(out, weights, is_half=is_half)
