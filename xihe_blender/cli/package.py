@@ -12,7 +12,6 @@ from xihenet.formats import format_bytes
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What can be typed."""
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for xihe-<version>.zip")
 
 

@@ -11,7 +11,6 @@ from xihe_blender.errors import UserError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What can be typed."""
     parser.add_argument("action", choices=("build",), help="build the .blend files from their scripts")
 
 
