@@ -7,6 +7,7 @@ methods.
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -33,7 +34,7 @@ from xihenet.formats import (
 
 # name, direction that is better, unit
 METRICS = (
-    ("psnr", "up", "dB"),
+    ("psnr", "up", " (dB)"),
     ("ssim", "up", ""),
     ("rmse", "down", ""),
     ("si_rmse", "down", ""),
@@ -44,17 +45,16 @@ _BETTER = {"up": "\N{UPWARDS ARROW} higher is better", "down": "\N{DOWNWARDS ARR
 
 def numbers_section(results: RunResults) -> str:
     """All tables, from the comparison to the command."""
-    parts = [
-        _comparison(results),
-        block("Probes", _probes(Timeline.of(results))),
-        block("Effects", _effects(results.effects)),
-        block("Phone", _phone(results)),
-        block("What was invalid, and why", _invalid(results)),
-        block("Notes", _notes(results.notes)),
-        block("Command", _command(results.software.get("command", ""))),
-        _facts(results),
-    ]
-    return "".join(parts)
+    blocks = {
+        "Comparison with the ground truth": _comparison(results),
+        "Probes": _probes(Timeline.of(results)),
+        "Effects": _effects(results.effects),
+        "Phone": _phone(results),
+        "What was invalid, and why": _invalid(results),
+        "Notes": _notes(results.notes),
+        "Command": _command(results.software.get("command", "")),
+    }
+    return "".join(itertools.starmap(block, blocks.items())) + _facts(results)
 
 
 # ----------------------------------------------------------------------------------------------------- comparison
@@ -63,14 +63,15 @@ def numbers_section(results: RunResults) -> str:
 def _comparison(results: RunResults) -> str:
     comparison = results.comparison
     if not comparison:
-        return block("Comparison with the ground truth", "<p>No frame was compared with the ground truth.</p>")
+        return "<p>No frame was compared with the ground truth.</p>"
     methods = sorted(comparison, key=lambda m: (m == "truth", m == "ambient"))
     columns = [_metric_column(comparison, methods, name, way) for name, way, _ in METRICS]
     rows = [
         [_method_name(results.settings.estimator, m), *(column[i] for column in columns), _closer_cell(comparison, m)]
         for i, m in enumerate(methods)
     ]
-    head = ["method", *(_metric_head(*metric) for metric in METRICS), "rmse against <code>ambient</code>"]
+    heads = [f'{name}{unit}<span class="way">{_BETTER[way]}</span>' for name, way, unit in METRICS]
+    head = ["method", *heads, "rmse against <code>ambient</code>"]
     about = (
         "Averages over the compared frames, inside the virtual objects. psnr and ssim are taken on the sRGB pictures,"
         " the others on linear colour."
@@ -78,11 +79,7 @@ def _comparison(results: RunResults) -> str:
     star = "\N{BLACK STAR} marks the best method that a phone could run; <code>truth</code> is not one."
     honest = "No image metric tracks human preference: look at the pictures before you trust a ranking."
     notes = f'<p class="quiet">{star} {honest}</p>{_null_reasons(comparison, methods)}'
-    return block("Comparison with the ground truth", f"<p>{about}</p>{table(head, rows, 'stacking comparison')}{notes}")
-
-
-def _metric_head(name: str, way: str, unit: str) -> str:
-    return f'{name}{f" ({unit})" if unit else ""}<span class="way">{_BETTER[way]}</span>'
+    return f"<p>{about}</p>{table(head, rows, 'stacking comparison')}{notes}"
 
 
 def _method_name(estimator: str, method: str) -> str:
@@ -248,13 +245,9 @@ def _invalid(results: RunResults) -> str:
 
 
 def _notes(notes: Sequence[str]) -> str:
-    listed = "".join(f"<li>{_with_code(escape(note))}</li>" for note in notes)
-    return f"<ul>{listed}</ul>" if listed else ""
-
-
-def _with_code(words: str) -> str:
-    """Escaped words, with what stands between backticks set as code."""
-    return re.sub("`([^`]+)`", r"<code>\1</code>", words)
+    """A list, with what stands between backticks set as code."""
+    with_code = (re.sub("`([^`]+)`", r"<code>\1</code>", escape(note)) for note in notes)
+    return f"<ul>{''.join(f'<li>{note}</li>' for note in with_code)}</ul>" if notes else ""
 
 
 def _command(command: str) -> str:
