@@ -62,13 +62,12 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> int:
         scheduler=options.scheduler,
         frontier=options.frontier,
     )
-    batch = run_blocking(job, when_news(progress_line(stderr)))
-    for what, reason in batch.failed.items():
-        print(f"xihe: {what}: {reason}", file=stderr)
-    n_trials, n_units = len(batch.results.trials), len(batch.results.units)
-    print(f"{n_trials} trials in {n_units} units, {batch.n_done_now} of them done now", file=stdout)
+    results, n_done_now = run_blocking(job, when_news(progress_line(stderr)))
+    for one in results.failed:
+        print(f"xihe: {one.what}: {one.reason}", file=stderr)
+    print(f"{len(results.trials)} trials in {len(results.units)} units, {n_done_now} of them done now", file=stdout)
     print(options.out / "report.html", file=stdout)
-    return EXIT_IN_PART if batch.failed else 0
+    return EXIT_IN_PART if results.failed else 0
 
 
 def _absolute_profile(phone: str) -> str:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
 from xihe_blender.io.json_records import as_json
@@ -12,15 +11,6 @@ from xihe_blender.lab.batch.grid import BatchSettings, Unit, UnitAsked, check_se
 from xihe_blender.lab.batch.report import write_report
 from xihe_blender.lab.batch.results import BatchFolder, BatchResults, batch_results, read_frontier
 from xihe_blender.lab.workers.dask_workers import Work, dashboard, open_dask_workers
-
-
-@dataclass(frozen=True)
-class Batch:
-    """What came of a batch: its results, and what is wrong with the scenes and units that could not be done."""
-
-    results: BatchResults
-    failed: Mapping[str, str]
-    n_done_now: int
 
 
 def evaluate_batch(
@@ -32,8 +22,8 @@ def evaluate_batch(
     n_workers: int | None = None,
     scheduler: str | None = None,
     frontier: Path | None = None,
-) -> Job[Batch]:
-    """Evaluate what is not done yet, and write tables and report over all that is.
+) -> Job[tuple[BatchResults, int]]:
+    """Evaluate what is not done yet, and write tables and report over all that is: these, and how many are new.
 
     Parameters
     ----------
@@ -52,8 +42,7 @@ def evaluate_batch(
     kept = BatchFolder(folder.resolve())
     manifest = kept.manifest(settings)
     manifest.check()
-    units, broken = planned_units(scenes, seeds)
-    failed = {str(scene): reason for scene, reason in broken.items()}
+    units, failed = planned_units(scenes, seeds)
     missing = [unit for unit in units if kept.result(unit) is None]
     if missing:
         with open_dask_workers(None if n_workers is None else min(n_workers, len(missing)), scheduler) as workers:
@@ -67,7 +56,7 @@ def evaluate_batch(
     results = batch_results(kept, settings, units, failed)
     kept.write_tables(results)
     write_report(kept, results, measured)
-    return Batch(results, failed, sum(kept.result(unit) is not None for unit in missing))
+    return results, sum(kept.result(unit) is not None for unit in missing)
 
 
 def _work(kept: BatchFolder, settings: BatchSettings, missing: Sequence[Unit]) -> list[Work]:

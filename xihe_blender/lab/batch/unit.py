@@ -28,7 +28,7 @@ import bpy
 import numpy as np
 
 from xihe_blender.compare.methods import Comparer, display, error_map, load_ground_truth, measure, open_comparer
-from xihe_blender.io.json_records import Json, as_json, from_json
+from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import RunOutputs, write_json, write_picture
 from xihe_blender.io.run_results import METRICS, FrameResult, Metrics
@@ -39,6 +39,7 @@ from xihe_blender.lab.batch.results import (
     TrialFigures,
     TrialFrame,
     TriggerFigures,
+    UnitDone,
     worst_frame,
     worst_picture,
 )
@@ -61,15 +62,6 @@ WITHOUT_ANCHORS = ("ambient", "truth")
 
 Light = Mapping[str, ArrayF64]
 """(9, 3) coefficients by virtual object."""
-
-
-@dataclass(frozen=True)
-class UnitDone:
-    """What came of a unit: by trial its figures and the chain's mean time, and the seconds that all renders took."""
-
-    trials: tuple[TrialFigures, ...]
-    step_ms: tuple[float | None, ...]
-    render_s: float
 
 
 @dataclass(frozen=True)
@@ -103,9 +95,9 @@ def evaluate_unit(
         swept = [trigger_sweep(run, walked) for run, walked in zip(runs, walks, strict=True)]
         by_trial, compared_s = yield from compare_unit(runs, walks)
     return UnitDone(
-        tuple(map(trial_figures, runs, walks, by_trial, swept)),
-        tuple(map(_mean_step_ms, walks)),
-        sum(entry.render_s for entry in walks[0].frames) + compared_s,
+        trials=tuple(map(trial_figures, runs, walks, by_trial, swept)),
+        step_ms=tuple(map(_mean_step_ms, walks)),
+        render_s=sum(entry.render_s for entry in walks[0].frames) + compared_s,
     )
 
 
@@ -139,7 +131,8 @@ def compare_unit(
     }
     first_of: dict[tuple[Any, ...], int] = {}
     sources = {frame: first_of.setdefault(_made_from(first, frame, lights[frame]), frame) for frame in frames}
-    kept = {frame: kept_json(first.outputs.compared(frame), _compared_trials) for frame in first_of.values()}
+    read = functools.partial(from_json, ComparedTrials)
+    kept = {frame: kept_json(first.outputs.compared(frame), read) for frame in first_of.values()}
     missing = [frame for frame, content in kept.items() if content is None]
     by_trial: list[dict[int, Metrics]] = [{} for _ in runs]
     with contextlib.ExitStack() as stack:
@@ -158,10 +151,6 @@ def compare_unit(
             for index in trials[frame]:
                 by_trial[index][frame] = content.metrics[str(index)]
     return by_trial, sum(content.render_s for content in kept.values() if content is not None)
-
-
-def _compared_trials(content: Json) -> ComparedTrials:
-    return from_json(ComparedTrials, content)
 
 
 def _made_from(run: PreparedRun, frame: int, lights: Mapping[str, Light]) -> tuple[Any, ...]:
@@ -257,10 +246,9 @@ def trigger_sweep(run: PreparedRun, walked: WalkedPath) -> list[TriggerFigures]:
     active = [entry for entry in walked.frames if entry.active]
     if run.settings.estimator in WITHOUT_ANCHORS or not active:
         return []
-    own = run.settings.trigger
+    own, link = run.settings.trigger, walked.phone.link_in_use
     triggers = [replace(own, theta=f * own.theta, coverage_theta=min(1.0, f * own.coverage_theta)) for f in FACTORS]
     settings = [replace(run.settings, trigger=trigger) for trigger in triggers]
-    link = walked.phone.link_in_use
     sessions = [PhoneSession(run.plan, one, run.exposure, run.estimator, link) for one in settings]
     errors: list[list[float]] = [[] for _ in FACTORS]
     n_fired = [0] * len(FACTORS)
