@@ -21,7 +21,6 @@ from xihe_blender.lab.frontier.choices import FULL, RenderCandidate
 from xihe_blender.lab.frontier.compute import KINDS
 from xihe_blender.lab.frontier.records import RenderChoice
 from xihe_blender.lab.frontier.rendering import COMPUTED_BY, RenderStudy, View, measure_rendering
-from xihe_blender.lab.frontier.steps import part_of
 from xihe_blender.lab.frontier.study import SceneStudy, prepare, survey_scene
 from xihe_blender.lab.frontier.timing import Quartiles
 from xihe_blender.previs.plan import evenly_chosen
@@ -39,7 +38,7 @@ def measured(file, folder, effort, seed):
     plan, survey = survey_scene(scene)
     study = SceneStudy(scene, file.stem, plan, survey, folder / file.stem, False, seed, effort)
     with scene_kept():
-        prepared = run_blocking(part_of(1, 0, 1, prepare(study)))
+        prepared = run_blocking(prepare(study))
         capture = RenderSettings(plan.size, 1, seed, light_transport=prepared.light_transport)
         with open_scanner(scene, capture) as scanner:
             scanner.exposure = prepared.exposure
@@ -52,7 +51,7 @@ def measured(file, folder, effort, seed):
             exhaustive = RenderChoice(plan.size, effort.reference_samples)
             renders = RenderStudy(scanner, views, choices, exhaustive, effort, seed, study.folder)
             nothing = dict.fromkeys(COMPUTED_BY, 0.0)
-            alone, _ = run_blocking(part_of(1, 0, 1, measure_rendering(renders, nothing, rng)))
+            alone, _ = run_blocking(measure_rendering(renders, nothing, rng))
     return alone, [len(view.positions_m) * effort.n_seeds for view in views]
 
 

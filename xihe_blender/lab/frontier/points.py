@@ -135,12 +135,12 @@ def groups(points: Sequence[FrontierPoint]) -> list[tuple[str, str, str]]:
 
 def format_dominated(points: Sequence[FrontierPoint]) -> list[str]:
     """A sentence for each choice of one group that is never worth taking, told what to take instead."""
-    by_label = {point.label: point for point in points if point.on_front}
-    pairs = [(point, by_label[point.instead]) for point in points if point.instead is not None and not point.flickers]
+    by_label = {p.label: p for p in points if p.on_front}
+    pairs = [(p, by_label[p.instead]) for p in points if p.instead is not None and not p.flickers]
     return [
-        f"{point.name}: {better.name} has {_of(better.error, point.error)} of the error in "
-        f"{_of(better.time_ms, point.time_ms)} of the time"
-        for point, better in pairs
+        f"{p.name}: {better.name} has {_of(better.error, p.error)} of the error in "
+        f"{_of(better.time_ms, p.time_ms)} of the time"
+        for p, better in pairs
     ]
 
 
@@ -166,10 +166,9 @@ def family(points: Sequence[FrontierPoint], names: Sequence[str]) -> list[Fronti
 
 def _rank(value: Json) -> tuple[int, float, str]:
     """Numbers, then words, then nothing set: for bounces that means all of them."""
-    if isinstance(value, int | float):
-        return 0, float(value), ""
-    if isinstance(value, list):
-        return 0, float(value[0]), ""
+    number = value[0] if isinstance(value, list) else value
+    if isinstance(number, int | float):
+        return 0, float(number), ""
     return (2, 0.0, "") if value is None else (1, 0.0, str(value))
 
 
@@ -182,6 +181,6 @@ def format_choice(point: FrontierPoint, names: Sequence[str]) -> str:
 def _format_setting(value: Json, name: str) -> str:
     if value is None:
         return {"max_bounces": "all", "table_size": ""}.get(name, "none")
-    if isinstance(value, bool):
-        return format_setting(value)
-    return "x".join(map(str, value)) if isinstance(value, list) else str(value)
+    if isinstance(value, list):
+        return "x".join(map(str, value))
+    return format_setting(value) if isinstance(value, bool) else str(value)

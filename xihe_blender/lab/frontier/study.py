@@ -28,7 +28,7 @@ from xihe_blender.io.json_records import Json, as_json
 from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.provenance import machine, software
-from xihe_blender.jobs import Job, Progress
+from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.lab.frontier import rendering
 from xihe_blender.lab.frontier.answers import answers
 from xihe_blender.lab.frontier.choices import FULL, QUICK, compute_choices, render_choices
@@ -44,7 +44,6 @@ from xihe_blender.lab.frontier.records import (
     StudySize,
 )
 from xihe_blender.lab.frontier.report import report_page
-from xihe_blender.lab.frontier.steps import Steps, part_of
 from xihe_blender.lab.frontier.timing import Quartiles
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
@@ -84,8 +83,7 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
     if not 0 <= settings.seed <= MAX_SEED:
         raise UserError(f"a seed of {settings.seed} is out of Cycles' range: give 0 to {MAX_SEED}")
     names = [file.stem for file in files]
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
+    if twice := [name for name in names if names.count(name) > 1]:
         raise UserError(f"two scenes are named {twice[0]!r}: results go by name, so rename one")
     for file in files:
         survey_scene(open_blend(file), settings.size)
@@ -100,15 +98,8 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
     kept = []
     for number, file in enumerate(files):
         path = out / "work" / file.stem / "measured.json"
-        one = kept_json(path, functools.partial(kept_scene, file.stem))
-        if one is None:
-            scene = open_blend(file)
-            study_size = settings.study_size or (QUICK if settings.is_quick else FULL)
-            surveyed = survey_scene(scene, settings.size)
-            study = SceneStudy(scene, file.stem, *surveyed, path.parent, settings.is_quick, settings.seed, study_size)
-            one = yield from measure_scene(study, float(number), float(len(files)))
-            write_json(path, as_json(one))
-        kept.append(one)
+        job = part_of(len(files), number, 1, measure_file(file, path.parent, settings), file.stem)
+        kept.append((yield from rendering.kept_or_done(path, functools.partial(kept_scene, file.stem), job)))
     points = [p for name, one in zip(names, kept, strict=True) for p in points_of(name, one.fronts, settings.seed)]
     found = Frontier(
         software=software(command),
@@ -159,14 +150,22 @@ class Prepared:
     presets: Mapping[str, RenderChoice]
 
 
-def measure_scene(study: SceneStudy, done: float, whole: float) -> Job[MeasuredScene]:
-    """All that was measured on a scene; of `whole` units of work, of which `done` are done before, it is one."""
-    rng = np.random.default_rng(study.seed)
-    study_size, size = study.study_size, study.plan.size
+def measure_file(file: Path, folder: Path, settings: FrontierSettings) -> Job[MeasuredScene]:
+    """All that is measured on the scene in `file`; work is kept in `folder`."""
+    scene = open_blend(file)
+    study_size = settings.study_size or (QUICK if settings.is_quick else FULL)
+    surveyed = survey_scene(scene, settings.size)
+    study = SceneStudy(scene, file.stem, *surveyed, folder, settings.is_quick, settings.seed, study_size)
+    return (yield from measure_scene(study))
 
-    def share(name: str, steps: Steps[Result]) -> Job[Result]:
+
+def measure_scene(study: SceneStudy) -> Job[MeasuredScene]:
+    rng = np.random.default_rng(study.seed)
+    study_size, size, done = study.study_size, study.plan.size, 0.0
+
+    def share(name: str, job: Job[Result]) -> Job[Result]:
         nonlocal done
-        result = yield from part_of(whole, done, SHARES[name], steps, study.name)
+        result = yield from part_of(1, done, SHARES[name], job)
         done += SHARES[name]
         return result
 
@@ -215,18 +214,18 @@ def measure_scene(study: SceneStudy, done: float, whole: float) -> Job[MeasuredS
         views=tuple(view.frame for view in renders.views),
         presets=dict(prepared.presets),
     )
-    yield Progress(done, whole, f"{study.name}: measured")
+    yield Progress(done, 1, "measured")
     render, total = (*rendered, *pictured), (*together, *with_computing)
     return MeasuredScene(fronts={"render": render, "compute": tuple(computed), "total": total}, scene=scene)
 
 
-def prepare(study: SceneStudy) -> Steps[Prepared]:
+def prepare(study: SceneStudy) -> Job[Prepared]:
     """Measure it as a run does, or read what a run that was stopped has measured."""
     path, scene, plan = study.folder / "prepared.json", study.scene, study.plan
     kept = kept_json(path, functools.partial(kept_preparation, plan, study.survey))
     if kept is not None:
         return kept
-    yield 0.0, "metering the exposure, looking for effects"
+    yield Progress(0, 1, "metering the exposure, looking for effects")
     exposure = meter_exposure(scene, plan.frames, study.seed)
     effects = plan_effects(study.survey.required, overrides_in_force(scene, {}))
     views, samples = pilot_views(plan, study.survey), {}
@@ -234,7 +233,7 @@ def prepare(study: SceneStudy) -> Steps[Prepared]:
         words = "never has a virtual object in view: move the camera's path, or objects"
         raise UserError(f"scene {scene.name!r} {words}")
     for index, (name, preset) in enumerate(PRESETS.items()):
-        yield (1 + index) / (1 + len(PRESETS)), f"measuring how many samples {name} takes"
+        yield Progress(1 + index, 1 + len(PRESETS), f"measuring how many samples {name} takes")
         settings = PrevisSettings(preset=name, seed=study.seed)
         capture = settings.capture(plan.size, pilot_samples(preset))
         capture = replace(capture, light_transport=cycles_settings(effects))
@@ -252,7 +251,7 @@ def kept_preparation(plan: PrevisPlan, survey: SceneSurvey, content: Json) -> Pr
     return Prepared(positive_exposure(content), cycles_settings(effects_kept(survey, content["effects"])), presets)
 
 
-def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Steps[Walk]:
+def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Job[Walk]:
     """Captures, and light probes at the positions in view, of frames spread over the path."""
     plan = study.plan
     positions = {probe.name: probe.position_m for probe in plan.probes}
@@ -265,7 +264,7 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Step
     frames, truths = [], []
     with open_reference_probe(study.scene, list(positions.values()), probes) as probe:
         for index, (frame, active) in enumerate(chosen):
-            yield index / len(chosen), f"capturing frame {frame} and its light probes"
+            yield Progress(index, len(chosen), f"capturing frame {frame} and its light probes")
             path = study.folder / f"walk_{frame:04d}.npz"
             captured = read_kept(path, load_frame)
             if captured is None:
