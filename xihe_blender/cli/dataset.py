@@ -36,7 +36,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
-    """Do the action that was typed."""
     options.act(options, stdout, stderr)
 
 

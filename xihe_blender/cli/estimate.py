@@ -10,20 +10,19 @@ import argparse
 import contextlib
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from xihe_blender.cli.arguments import adder, one_of, settings_from
+from xihe_blender.cli.arguments import adder, one_of
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import finite_or_none, written_whole
 from xihenet import __version__, estimators
 from xihenet.backend import LocalBackend, estimate_light
 from xihenet.camera import in_view, project_points, unproject_frame
-from xihenet.estimators import EstimateContext, Estimator, Target
+from xihenet.estimators import EstimateContext, Estimator
 from xihenet.frame_files import FrameCamera, read_camera, read_frame
 from xihenet.invalid import CLAMPED, Counts, counted, format_reason, n_left_out
 from xihenet.light_picture import light_picture
@@ -40,29 +39,6 @@ BEHIND = 1.1
 """A position at more than so many times the distance of what is seen there lies behind it: sensors err by less."""
 
 Position = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class EstimateSettings:
-    """What to estimate, and how.
-
-    Parameters
-    ----------
-    positions_m : where, in the world of the camera file, metres; at least one
-    estimator : registered name, any but "truth"
-    target : light that is estimated, clipped at white ("ldr") or not ("hdr")
-    n_anchors : directions that light is gathered in
-    exposure, depth_scale : see `xihenet.frame_files.read_frame`
-    is_deringed : whether the light is made fit to be looked at, see `xihenet.sh.dering_for_display`
-    """
-
-    positions_m: Sequence[Position]
-    estimator: str
-    target: Target
-    n_anchors: int
-    exposure: float | None
-    depth_scale: float
-    is_deringed: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,25 +60,6 @@ class PlacedEstimate:
     invalid: Counts
 
 
-@dataclass(frozen=True)
-class FrameFacts:
-    """What was read, for a user to see whether it is what was meant.
-
-    Parameters
-    ----------
-    size : width and height in pixels
-    nearest_m, farthest_m : plane depth
-    metres_per_unit : that was assumed of the file's numbers
-    intrinsics_given_for : width and height, where they had to be scaled to `size`
-    """
-
-    size: tuple[int, int]
-    nearest_m: float
-    farthest_m: float
-    metres_per_unit: float
-    intrinsics_given_for: tuple[int, int] | None
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = adder(parser)
     megapixels = f"{MOST_PIXELS // 10**6} megapixels at most"
@@ -114,22 +71,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     others = one_of(name for name in estimators.names() if name != "truth")
     add("frame FRAME", f"OpenEXR with colour and Z, or a colour image with --plane-depth; {megapixels}", Path)
     add("--camera FILE.json", "intrinsics and pose of the camera", Path, required=True)
-    add(
-        "--at X,Y,Z",
-        "position in metres; may be repeated",
-        position,
-        action="append",
-        required=True,
-        dest="positions_m",
-    )
+    add("--at X,Y,Z", "position in metres; may be repeated", position, action="append", required=True)
     add("--plane-depth FILE", "16-bit image of distances along the optical axis; 0 or 65535: none", Path)
     add("--depth-scale METRES", "metres per unit of the 16-bit image; default: 0.001", float, default=1e-3)
     add("--exposure FACTOR", "exposure of the frame; default: metered for OpenEXR, 1 for images", float)
     add("--estimator NAME", others, default=estimators.DEFAULT)
     add("--target", "ldr: light clipped at white; hdr: all of it", choices=("ldr", "hdr"), default="ldr")
     anchors = "number of directions in which light is gathered; default: 1280"
-    add("--anchors N", anchors, int, default=1280, dest="n_anchors")
-    add("--dering", dering, action="store_true", dest="is_deringed")
+    add("--anchors N", anchors, int, default=1280)
+    add("--dering", dering, action="store_true")
     add("--json", "print JSON and nothing else on stdout", action="store_true")
     add("--out DIR", out, Path)
 
@@ -145,45 +95,55 @@ def position(text: str) -> Position:
     return x, y, z
 
 
-def estimate_from_files(
-    frame_path: Path, camera_path: Path, plane_depth_path: Path | None, settings: EstimateSettings
-) -> tuple[RgbdFrame, FrameFacts, list[PlacedEstimate]]:
-    """The frame, and the light at every position. UserError, naming the fix, for files or settings that will not do."""
-    scale, exposure = settings.depth_scale, settings.exposure
+def estimate_from_files(options: argparse.Namespace) -> tuple[RgbdFrame, dict[str, Any], list[PlacedEstimate]]:
+    """The frame, what was read of it, and the light at every position.
+
+    UserError, naming the fix, for files or options that will not do.
+    """
+    scale = options.depth_scale
     try:
-        estimator = _loaded(settings)
-        camera = read_camera(camera_path)
-        frame = read_frame(frame_path, camera, plane_depth=plane_depth_path, depth_scale=scale, exposure=exposure)
+        estimator = _loaded(options)
+        camera = read_camera(options.camera)
+        frame = read_frame(
+            options.frame, camera, plane_depth=options.plane_depth, depth_scale=scale, exposure=options.exposure
+        )
     except (ValueError, ImportError) as error:
         raise UserError(str(error)) from error
     except OSError as error:
         raise UserError(f"cannot read {error.filename} ({error.strerror}): give a file that can be read") from error
-    points, lattice = unproject_frame(frame), AnchorLattice(settings.n_anchors)
-    placed = [_estimate_at(p, frame, camera, points, estimator, lattice) for p in settings.positions_m]
-    if settings.is_deringed:
+    points, lattice = unproject_frame(frame), AnchorLattice(options.anchors)
+    placed = [_estimate_at(p, frame, camera, points, estimator, lattice) for p in options.at]
+    if options.dering:
         placed = [replace(one, light=_deringed(one.light)) for one in placed]
-    return frame, _frame_facts(frame, camera, 1.0 if plane_depth_path is None else scale), placed
+    return frame, _frame_facts(frame, camera, 1.0 if options.plane_depth is None else scale), placed
 
 
 def _deringed(light: LightEstimate) -> LightEstimate:
     return replace(light, sh_radiance=dering_for_display(light.sh_radiance))
 
 
-def _frame_facts(frame: RgbdFrame, camera: FrameCamera, unit_m: float) -> FrameFacts:
+def _frame_facts(frame: RgbdFrame, camera: FrameCamera, unit_m: float) -> dict[str, Any]:
+    """What was read, for a user to see whether it is what was meant, where 1 was taken for `unit_m` metres."""
     seen = frame.plane_depth_m[frame.plane_depth_m > 0]
     given, used = camera.intrinsics, frame.intrinsics
     size, given_size = (used.width, used.height), (given.width, given.height)
-    return FrameFacts(size, float(seen.min()), float(seen.max()), unit_m, None if size == given_size else given_size)
+    return {
+        "size": size,
+        "nearest_m": float(seen.min()),
+        "farthest_m": float(seen.max()),
+        "metres_per_unit": unit_m,
+        "intrinsics_given_for": None if size == given_size else given_size,
+    }
 
 
-def _loaded(settings: EstimateSettings) -> Estimator:
-    if settings.estimator == "truth":
+def _loaded(options: argparse.Namespace) -> Estimator:
+    if options.estimator == "truth":
         raise UserError(
             "truth is a light probe rendered in Blender, which a single frame does not have: choose another --estimator"
         )
-    if not 1 <= settings.n_anchors <= MAX_ANCHORS:
-        raise UserError(f"--anchors: expected 1 to {MAX_ANCHORS}, got {settings.n_anchors}")
-    return estimators.load(settings.estimator, settings.n_anchors, settings.target)
+    if not 1 <= options.anchors <= MAX_ANCHORS:
+        raise UserError(f"--anchors: expected 1 to {MAX_ANCHORS}, got {options.anchors}")
+    return estimators.load(options.estimator, options.anchors, options.target)
 
 
 def _estimate_at(
@@ -210,19 +170,19 @@ def _behind_m(position_m: ArrayF64, frame: RgbdFrame) -> float:
 
 
 def as_json(
-    settings: EstimateSettings, exposure: float, facts: FrameFacts, placed: list[PlacedEstimate]
+    options: argparse.Namespace, exposure: float, facts: dict[str, Any], placed: list[PlacedEstimate]
 ) -> dict[str, Any]:
     """What `estimate.json` holds; every number is finite."""
     return {
         "schema_version": SCHEMA_VERSION,
         "software": {"xihe": __version__, "numpy": np.__version__},
-        "estimator": settings.estimator,
-        "target": settings.target,
+        "estimator": options.estimator,
+        "target": options.target,
         "exposure": exposure,
-        "frame": asdict(facts),
-        "n_anchors": settings.n_anchors,
+        "frame": facts,
+        "n_anchors": options.anchors,
         "sh_axes": "right-handed, +Z up",
-        "is_deringed": settings.is_deringed,
+        "is_deringed": options.dering,
         "positions": [
             {
                 "position_m": list(one.position_m),
@@ -242,17 +202,15 @@ def as_json(
     }
 
 
-def as_table(facts: FrameFacts, placed: list[PlacedEstimate]) -> str:
+def as_table(facts: dict[str, Any], placed: list[PlacedEstimate]) -> str:
     """The same for a reader: what was read, then a line on how far to trust each position and its coefficients."""
-    width, height = facts.size
     read = (
-        f"frame of {width}x{height} pixels, plane depth from {facts.nearest_m:.4g} m to {facts.farthest_m:.4g} m "
-        f"(1 in the file is {facts.metres_per_unit:g} m)"
+        "frame of {size[0]}x{size[1]} pixels, plane depth from {nearest_m:.4g} m to {farthest_m:.4g} m "
+        "(1 in the file is {metres_per_unit:g} m)"
     )
-    if facts.intrinsics_given_for is not None:
-        given_width, given_height = facts.intrinsics_given_for
-        read += f"\nintrinsics given for {given_width}x{given_height} pixels, scaled to these"
-    return "\n\n".join([read, *map(_position_table, placed)])
+    if facts["intrinsics_given_for"] is not None:
+        read += "\nintrinsics given for {intrinsics_given_for[0]}x{intrinsics_given_for[1]} pixels, scaled to these"
+    return "\n\n".join([read.format_map(facts), *map(_position_table, placed)])
 
 
 def _position_table(one: PlacedEstimate) -> str:
@@ -312,10 +270,8 @@ def write_estimates(folder: Path, content: dict[str, Any], placed: list[PlacedEs
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
-    """The command: options in, files and text out."""
-    settings = settings_from(options, EstimateSettings)
-    frame, facts, placed = estimate_from_files(options.frame, options.camera, options.plane_depth, settings)
-    content = as_json(settings, frame.exposure, facts, placed)
+    frame, facts, placed = estimate_from_files(options)
+    content = as_json(options, frame.exposure, facts, placed)
     written = [] if options.out is None else write_estimates(options.out, content, placed)
     for line in warnings_about(placed):
         print(f"xihe: warning: {line}", file=stderr)

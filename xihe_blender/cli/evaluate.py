@@ -6,19 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from xihe_blender.cli.arguments import (
-    ESTIMATORS,
-    NETWORK,
-    SIZE,
-    TARGET,
-    adder,
-    frame_range,
-    names,
-    one_of,
-    picture_size,
-    settings_from,
-    whole_numbers,
-)
+from xihe_blender.cli import arguments
 from xihe_blender.cli.progress import EXIT_IN_PART, progress_line, when_news
 from xihe_blender.errors import UserError
 from xihe_blender.lab.batch.grid import DEFAULT_ESTIMATORS, BatchSettings
@@ -26,20 +14,20 @@ from xihenet.phone import profile_names
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add = adder(parser)
-    estimators = f"{ESTIMATORS}; default: lattice,projection,ambient,truth"
+    add = arguments.adder(parser)
+    estimators = f"{arguments.ESTIMATORS}; default: lattice,projection,ambient,truth"
     samples = "samples of every capture and light probe; default: as many as the preset's noise target needs"
     add("scenes SCENE.blend", "scenes with animated cameras", Path, nargs="+")
     add("--out DIR", "folder of the batch; a stopped batch in it is resumed", Path, required=True)
-    add("--estimators A,B", estimators, names, default=DEFAULT_ESTIMATORS)
-    add("--profiles A,B", "phones: " + one_of([*profile_names(), "FILE.toml"]), names)
-    add("--seeds N,M", "the room is rendered once for each seed; default: 0", whole_numbers, default=(0,))
+    add("--estimators A,B", estimators, arguments.names, default=DEFAULT_ESTIMATORS)
+    add("--profiles A,B", "phones: " + arguments.one_of([*profile_names(), "FILE.toml"]), arguments.names)
+    add("--seeds N,M", "the room is rendered once for each seed; default: 0", arguments.whole_numbers, default=(0,))
     add("--preset NAME", "draft (default), balanced or accurate: how much is rendered", default="draft")
-    add("--frames A:B[:S]", "frames of each path; default: the scene's range and step", frame_range)
-    add("--size WxH", SIZE, picture_size)
-    add("--target", TARGET, choices=("ldr", "hdr"), default="ldr")
+    add("--frames A:B[:S]", "frames of each path; default: the scene's range and step", arguments.frame_range)
+    add("--size WxH", arguments.SIZE, arguments.picture_size)
+    add("--target", arguments.TARGET, choices=("ldr", "hdr"), default="ldr")
     add("--samples N", samples, int)
-    add("--network NAME", NETWORK)
+    add("--network NAME", arguments.NETWORK)
     add("--workers N", "processes on this machine, one thread each; default: one per core", int)
     add("--scheduler ADDRESS", "Dask scheduler whose workers do the work, such as tcp://host:8786")
     add("--frontier DIR", "results of xihe frontier to include in the report; default: those in --out", Path)
@@ -56,7 +44,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> int:
     job = evaluate_batch(
         options.scenes,
         options.out,
-        settings_from(options, BatchSettings, phones=phones),
+        arguments.settings_from(options, BatchSettings, phones=phones),
         options.seeds,
         n_workers=options.workers,
         scheduler=options.scheduler,

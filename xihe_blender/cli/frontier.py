@@ -20,7 +20,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
-    """Measure, and print what the presets cost and where the report is."""
     from xihe_blender.jobs import run_blocking
     from xihe_blender.lab.frontier.records import FrontierSettings
     from xihe_blender.lab.frontier.study import frontier

@@ -16,7 +16,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
-    """The command: options in, the zip's path and size out."""
     if options.out.exists() and not options.out.is_dir():
         raise UserError(f"{options.out} is a file: give a folder with --out")
     path = build_extension(options.out)

@@ -6,21 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from xihe_blender.cli.arguments import (
-    EFFECT,
-    ESTIMATORS,
-    FRAMES,
-    NETWORK,
-    PHONES,
-    SCENE,
-    SIZE,
-    TARGET,
-    adder,
-    frame_range,
-    names,
-    picture_size,
-    settings_from,
-)
+from xihe_blender.cli import arguments
 from xihe_blender.cli.progress import progress_line
 from xihe_blender.jobs import run_blocking
 from xihenet import estimators
@@ -30,34 +16,33 @@ SAMPLES = "samples of every capture, and pictures of every light probe, whatever
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add = adder(parser)
-    add("scene SCENE.blend", SCENE, Path)
+    add = arguments.adder(parser)
+    add("scene SCENE.blend", arguments.SCENE, Path)
     add("--out DIR", "folder of the run; a stopped run in it is resumed", Path, required=True)
-    add("--frames A:B[:S]", FRAMES, frame_range)
-    add("--objects A,B", "virtual objects; default: all", names)
-    add("--estimator NAME", f"{ESTIMATORS}; default: {estimators.DEFAULT}", default=estimators.DEFAULT)
+    add("--frames A:B[:S]", arguments.FRAMES, arguments.frame_range)
+    add("--objects A,B", "virtual objects; default: all", arguments.names)
+    add("--estimator NAME", f"{arguments.ESTIMATORS}; default: {estimators.DEFAULT}", default=estimators.DEFAULT)
     add("--preset NAME", "draft, balanced or accurate: how much is rendered", default="balanced")
-    add("--size WxH", SIZE, picture_size)
-    add("--target", TARGET, choices=("ldr", "hdr"), default="ldr")
+    add("--size WxH", arguments.SIZE, arguments.picture_size)
+    add("--target", arguments.TARGET, choices=("ldr", "hdr"), default="ldr")
     add("--exposure FACTOR", "exposure of the phone, locked; default: metered", float)
     add("--metering NAME", "highlights, as phones do, or key; default: the phone's own")
-    add("--phone NAME|FILE.toml", PHONES, default="perfect")
-    add("--network NAME", NETWORK)
+    add("--phone NAME|FILE.toml", arguments.PHONES, default="perfect")
+    add("--network NAME", arguments.NETWORK)
     add("--seed N", "the same seed gives the same numbers", int, default=0)
-    add("--effect NAME=on|off|auto", EFFECT, dest="overrides", action="append", default=[])
-    add_one = adder(parser.add_mutually_exclusive_group())
+    add("--effect NAME=on|off|auto", arguments.EFFECT, dest="overrides", action="append", default=[])
+    add_one = arguments.adder(parser.add_mutually_exclusive_group())
     add_one("--noise-target SHARE", NOISE_TARGET, float)
     add_one("--samples N", SAMPLES, int)
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
-    """Do it, and say what came of it in one line."""
     from xihe_blender.light_transport.overrides import parsed_overrides
     from xihe_blender.previs.previs import previs
     from xihe_blender.previs.settings import PrevisSettings
     from xihe_blender.scene.blend_file import open_blend
 
-    settings = settings_from(options, PrevisSettings, effect_choices=parsed_overrides(options.overrides))
+    settings = arguments.settings_from(options, PrevisSettings, effect_choices=parsed_overrides(options.overrides))
     scene = open_blend(options.scene)
     job = previs(scene, options.out, settings, blend_file=options.scene, command=options.command_line)
     results = run_blocking(job, progress_line(stderr))

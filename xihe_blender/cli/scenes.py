@@ -15,7 +15,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
-    """Build them; UserError where this is no checkout."""
     script = Path(__file__).resolve().parents[2] / "blend_scenes" / "build_all.py"
     if not script.exists():
         raise UserError(f"{script} is not there: build the scenes from a checkout of the project")

@@ -44,7 +44,6 @@ _BETTER = {"up": "\N{UPWARDS ARROW} higher is better", "down": "\N{DOWNWARDS ARR
 
 
 def numbers_section(results: RunResults) -> str:
-    """All tables, from the comparison to the command."""
     blocks = {
         "Comparison with the ground truth": _comparison(results),
         "Probes": _probes(Timeline.of(results)),

@@ -44,15 +44,10 @@ CHOICES = (
 
 @dataclass(frozen=True)
 class Measured:
-    """A choice, its errors and its time.
+    """A choice, its label in words, and the preset, if any, whose choice it is.
 
-    Parameters
-    ----------
-    label : the choice in words
-    settings : the choice
-    square_errors : squared errors by kind, one for each place; another number of places for another kind
-    times_ms : processor time of a frame, one for each round; see `timing`
-    preset : whose choice it is, or None
+    Squared errors are by kind, one for each place, of which another kind may have another number; processor times of a
+    frame one for each round, see `timing`.
     """
 
     label: str

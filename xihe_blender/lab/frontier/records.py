@@ -210,7 +210,6 @@ class FrontierPoint:
 
     @property
     def kind(self) -> str:
-        """Of its error."""
         return self.settings.error_kind
 
     @property

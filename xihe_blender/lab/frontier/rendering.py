@@ -58,16 +58,9 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class RenderStudy:
-    """What rendering is measured with.
+    """What rendering is measured with: a scanner at the session's exposure, at least one view, and the ways to render.
 
-    Parameters
-    ----------
-    scanner : of the scene, at the session's exposure
-    views : where; at least one
-    choices : the ways to render, and `exhaustive`, which all are held against
-    study_size : see there
-    seed : of the run
-    folder : keeps what is rendered, so that a run that was stopped goes on
+    All are held against `exhaustive`; `folder` keeps what is rendered, so that a run that was stopped goes on.
     """
 
     scanner: CyclesScanner
