@@ -176,12 +176,6 @@ def worst_cases(trials: Sequence[Trial], n: int) -> list[WorstCase]:
     return sorted(worst.values(), key=lambda case: case.psnr)[:n]
 
 
-def frame_values(trials: Sequence[Trial], measure: Measure, estimator: str) -> list[float]:
-    """The measure of every frame of an estimator's trials."""
-    frames = [frame for trial in chosen(trials, estimator=estimator) for frame in trial.frames]
-    return [value for frame in frames if (value := measure.of(frame)) is not None]
-
-
 # ---------------------------------------------------------------------------------------------- in words
 
 

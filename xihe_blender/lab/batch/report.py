@@ -46,7 +46,9 @@ def write_report(folder: BatchFolder, results: BatchResults, frontier: Frontier 
 
 def report_page(folder: BatchFolder, results: BatchResults, frontier: Frontier | None) -> str:
     trials, lead = results.trials, "No trial could be done."
-    sections = [("failed", "What could not be done", _failed(results))] if results.failed else []
+    failed = "".join(f"<li>{code(one.what)}: {escape(one.reason)}</li>" for one in results.failed)
+    warning = f'<div class="block warning"><ul>{failed}</ul></div>'
+    sections = [("failed", "What could not be done", warning)] if failed else []
     if trials:
         lead = answers.what_it_stands_on(trials)
         sections += [
@@ -55,14 +57,9 @@ def report_page(folder: BatchFolder, results: BatchResults, frontier: Frontier |
             ("often", "How often must it run?", _how_often(trials)),
             *_from_frontier(frontier),
             ("worst", "Worst cases", _worst(folder, trials)),
-            ("numbers", "Numbers", _numbers(trials) + _costs(results.units)),
+            ("numbers", "Numbers", _by_scene(trials) + _quantiles(trials) + _costs(results.units)),
         ]
     return document("Batch evaluation", f'<p class="lead">{lead}</p>', sections, has_links=False, style=LAB_STYLE)
-
-
-def _failed(results: BatchResults) -> str:
-    rows = "".join(f"<li>{code(one.what)}: {escape(one.reason)}</li>" for one in results.failed)
-    return f'<div class="block warning"><ul>{rows}</ul></div>'
 
 
 def _answered(words: str, *plots: str) -> str:
@@ -122,20 +119,18 @@ def _pairs_table(trials: Sequence[Trial]) -> str:
 
 
 def _phones(trials: Sequence[Trial]) -> str:
-    rows = _intervals(answers.phone_differences(trials, MEASURES[0]), answers.names_of(trials, "phone"))
+    names, phones = (answers.names_of(trials, key) for key in ("estimator", "phone"))
+    rows = _intervals(answers.phone_differences(trials, MEASURES[0]), phones)
     about = "The same scene and seed through two phones, with 95 % intervals of the mean. Left: the first is better."
     title = "Coefficient error: differences between phones"
     plot = drawings.differences(rows, title=title, about=about, axis_name="no unit")
-    return _answered(answers.is_a_better_phone_worth_it(trials), plot) + (_phone_table(trials) if rows else "")
+    means = [(code(name), *(_mean_error(trials, estimator=name, phone=phone) for phone in phones)) for name in names]
+    head = ("mean coefficient error", *map(escape, phones))
+    return _answered(answers.is_a_better_phone_worth_it(trials), plot) + (table(head, means) if rows else "")
 
 
-def _phone_table(trials: Sequence[Trial]) -> str:
-    phones = answers.names_of(trials, "phone")
-    rows = []
-    for name in answers.names_of(trials, "estimator"):
-        means = [mean(answers.values_of(trials, MEASURES[0], estimator=name, phone=phone)) for phone in phones]
-        rows.append((code(name), *map(format_number, means)))
-    return table(("mean coefficient error", *(escape(phone) for phone in phones)), rows)
+def _mean_error(trials: Sequence[Trial], **which: str) -> str:
+    return format_number(mean(answers.values_of(trials, MEASURES[0], **which)))
 
 
 def _how_often(trials: Sequence[Trial]) -> str:
@@ -260,28 +255,24 @@ def _picture(path: Path) -> str:
 # ----------------------------------------------------------------------------------------------------------- numbers
 
 
-def _numbers(trials: Sequence[Trial]) -> str:
-    return _by_scene(trials) + "".join(_quantiles(trials, measure) for measure in MEASURES)
-
-
 def _by_scene(trials: Sequence[Trial]) -> str:
-    names = answers.names_of(trials, "estimator")
-    rows = []
-    for scene in answers.names_of(trials, "scene"):
-        means = [mean(answers.values_of(trials, MEASURES[0], estimator=name, scene=scene)) for name in names]
-        rows.append((escape(scene), *map(format_number, means)))
-    return block("Mean coefficient error by scene", table(("scene", *(code(name) for name in names)), rows, "stacking"))
+    names, scenes = (answers.names_of(trials, key) for key in ("estimator", "scene"))
+    rows = [(escape(scene), *(_mean_error(trials, estimator=n, scene=scene) for n in names)) for scene in scenes]
+    return block("Mean coefficient error by scene", table(("scene", *map(code, names)), rows, "stacking"))
 
 
-def _quantiles(trials: Sequence[Trial], measure: Measure) -> str:
-    rows = []
-    for name in answers.names_of(trials, "estimator"):
-        values = answers.frame_values(trials, measure, name)
-        if values:
-            quantiles = np.percentile(values, [0, 10, 50, 90, 100])
-            rows.append((code(name), str(len(values)), *(format_number(float(value)) for value in quantiles)))
-    header = ("estimator", "frames", "least", "10 %", "median", "90 %", "most")
-    return block(f"{measure.title}, over all frames", table(header, rows, "stacking"))
+def _quantiles(trials: Sequence[Trial]) -> str:
+    """A table of each measure."""
+    header, blocks = ("estimator", "frames", "least", "10 %", "median", "90 %", "most"), ""
+    for measure in MEASURES:
+        rows = []
+        for name in answers.names_of(trials, "estimator"):
+            frames = [frame for trial in answers.chosen(trials, estimator=name) for frame in trial.frames]
+            if values := [value for frame in frames if (value := measure.of(frame)) is not None]:
+                quantiles = map(format_number, np.percentile(values, [0, 10, 50, 90, 100]).tolist())
+                rows.append((code(name), str(len(values)), *quantiles))
+        blocks += block(f"{measure.title}, over all frames", table(header, rows, "stacking"))
+    return blocks
 
 
 def _costs(units: Sequence[UnitRow]) -> str:

@@ -19,7 +19,7 @@ import contextlib
 import functools
 import operator
 import statistics
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -31,8 +31,8 @@ from xihe_blender.compare.methods import Comparer, display, error_map, load_grou
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import RunOutputs, write_json, write_picture
-from xihe_blender.io.run_results import METRICS, FrameResult, Metrics
-from xihe_blender.jobs import Job, Progress, run_blocking
+from xihe_blender.io.run_results import METRICS, FrameResult, Metrics, ProbeResult
+from xihe_blender.jobs import Job, run_blocking
 from xihe_blender.lab.batch.grid import BatchSettings
 from xihe_blender.lab.batch.results import (
     WORST_KINDS,
@@ -87,7 +87,9 @@ def evaluate_unit(
             # The first trial measures, and the others read what it left.
             wanted = settings.of_trial(phone, estimator, seed)
             runs.append((yield from prepare_run(scene, plan, survey, outputs, wanted, load_estimator(wanted))))
-        yield from _capture_all(runs[:: len(settings.estimators)])
+        # Every frame that any phone captures, with what any needs beside it.
+        first, needs = runs[0], functools.reduce(operator.or_, (run.needs for run in runs))
+        yield from render_path(replace(first, needs=needs, reuse=render_reuse(first.survey, first.effects, needs)))
         walks = []
         for index, run in enumerate(runs):
             walks.append(run_blocking(walk_path(run)))
@@ -99,14 +101,6 @@ def evaluate_unit(
         step_ms=tuple(map(_mean_step_ms, walks)),
         render_s=sum(entry.render_s for entry in walks[0].frames) + compared_s,
     )
-
-
-def _capture_all(runs: Sequence[PreparedRun]) -> Generator[Progress, None, None]:
-    """Render every frame that any phone captures, with what any needs beside it; `runs` has one for each phone."""
-    first = runs[0]
-    needs = functools.reduce(operator.or_, (run.needs for run in runs))
-    shared = replace(first, needs=needs, reuse=render_reuse(first.survey, first.effects, needs))
-    yield from render_path(shared)
 
 
 def _mean_step_ms(walked: WalkedPath) -> float | None:
@@ -178,11 +172,8 @@ def _compared(
         picture = compared.methods[trial]
         metrics[trial] = Metrics(**measure(picture, compared.ground_truth, compared.weights))
         if worst_frame({**so_far[int(trial)], frame: metrics[trial]}) == frame:
-            shown = (
-                display(compared.ground_truth),
-                display(picture),
-                error_map(picture, compared.ground_truth, compared.weights),
-            )
+            error = error_map(picture, compared.ground_truth, compared.weights)
+            shown = (display(compared.ground_truth), display(picture), error)
             for kind, pixels in zip(WORST_KINDS, shown, strict=True):
                 write_picture(worst_picture(run.outputs.folder, int(trial), kind), pixels)
     return ComparedTrials(metrics, compared.render_s)
@@ -197,9 +188,9 @@ def trial_figures(
     """One trial: its means, its frames, and what a more or less eager trigger would have done."""
     active = [entry for entry in walked.frames if entry.active]
     probes = [probe for entry in active for probe in entry.probes]
-    n_fired = sum(probe.fired for probe in probes)
     not_compared = Metrics(**dict.fromkeys(METRICS))
     frames = tuple(_trial_frame(entry, compared.get(entry.frame, not_compared)) for entry in active)
+    n_fired = sum(frame.n_fired for frame in frames)
     return TrialFigures(
         phone=run.settings.phone,
         estimator=run.settings.estimator,
@@ -208,8 +199,7 @@ def trial_figures(
         n_compared_frames=len(compared),
         n_estimates=n_fired,
         estimates_per_minute=estimates_per_minute(walked, n_fired),
-        shc_rmse=mean(probe.shc_rmse for probe in probes),
-        coverage=mean(probe.coverage for probe in probes),
+        **_means(probes),
         **{metric: mean(getattr(frame, metric) for frame in frames) for metric in METRICS},
         payload_bytes=sum(probe.payload_bytes for probe in probes),
         frames=frames,
@@ -218,14 +208,12 @@ def trial_figures(
 
 
 def _trial_frame(entry: FrameResult, compared: Metrics) -> TrialFrame:
-    return TrialFrame(
-        frame=entry.frame,
-        time_s=entry.time_s,
-        n_fired=sum(probe.fired for probe in entry.probes),
-        shc_rmse=mean(probe.shc_rmse for probe in entry.probes),
-        coverage=mean(probe.coverage for probe in entry.probes),
-        **vars(compared),
-    )
+    n_fired = sum(probe.fired for probe in entry.probes)
+    return TrialFrame(frame=entry.frame, time_s=entry.time_s, n_fired=n_fired, **_means(entry.probes), **vars(compared))
+
+
+def _means(probes: Sequence[ProbeResult]) -> dict[str, float | None]:
+    return {name: mean(getattr(probe, name) for probe in probes) for name in ("shc_rmse", "coverage")}
 
 
 def estimates_per_minute(walked: WalkedPath, n_fired: int) -> float | None:

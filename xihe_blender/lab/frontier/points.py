@@ -169,13 +169,13 @@ def _rank(value: Json) -> tuple[int, float, str]:
 
 def format_choice(point: FrontierPoint, names: Sequence[str]) -> str:
     """Its settings of these names: "table 1024x512", "512", "all"."""
-    settings = as_json(point.settings)
-    return " ".join(filter(None, (_format_setting(settings[name], name) for name in names)))
-
-
-def _format_setting(value: Json, name: str) -> str:
-    if value is None:
-        return {"max_bounces": "all", "table_size": ""}.get(name, "none")
-    if isinstance(value, list):
-        return "x".join(map(str, value))
-    return format_setting(value) if isinstance(value, bool) else str(value)
+    settings, words = as_json(point.settings), []
+    for name in names:
+        value = settings[name]
+        if value is None:
+            words.append({"max_bounces": "all", "table_size": ""}.get(name, "none"))
+        elif isinstance(value, list):
+            words.append("x".join(map(str, value)))
+        else:
+            words.append(format_setting(value) if isinstance(value, bool) else str(value))
+    return " ".join(filter(None, words))

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -30,13 +30,14 @@ from xihe_blender.io.json_records import Json, as_json, from_json
 from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.outputs import write_json
 from xihe_blender.jobs import Job, Progress, part_of
-from xihe_blender.lab.frontier.choices import EXHAUSTIVE, RenderCandidate
+from xihe_blender.lab.frontier.choices import EXHAUSTIVE, FULL, QUICK, RenderCandidate
 from xihe_blender.lab.frontier.compute import N_COEFFICIENTS, ChoiceBackend, light_of_frame, square_errors
 from xihe_blender.lab.frontier.points import Measured
-from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice, RenderChoice, StudySize
+from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice, FrontierSettings, RenderChoice, StudySize
 from xihe_blender.lab.frontier.timing import timed
 from xihe_blender.previs.plan import PrevisPlan
 from xihe_blender.previs.settings import PRESETS
+from xihe_blender.previs.survey import SceneSurvey
 from xihenet.metrics import image_rmse
 from xihenet.recording import load_frame, save_frame
 from xihenet.records import ArrayF64, RgbdFrame
@@ -57,24 +58,38 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
-class RenderStudy:
-    """What rendering is measured with: a scanner at the session's exposure, at least one view, and the ways to render.
+class SceneStudy:
+    """One scene to measure: the open scene, its plan, the survey of its path, and where its work is kept."""
 
-    All are held against `exhaustive`; `folder` keeps what is rendered, so that a run that was stopped goes on.
+    scene: bpy.types.Scene
+    name: str
+    plan: PrevisPlan
+    survey: SceneSurvey
+    folder: Path
+    settings: FrontierSettings
+
+    @property
+    def study_size(self) -> StudySize:
+        return self.settings.study_size or (QUICK if self.settings.is_quick else FULL)
+
+
+@dataclass(frozen=True, eq=False)
+class RenderStudy(SceneStudy):
+    """What rendering is measured with: a scanner at the session's exposure, which captures as `capture` says.
+
+    There is at least one view, and all choices are held against `exhaustive`.
     """
 
     scanner: CyclesScanner
+    capture: RenderSettings
     views: Sequence[View]
     choices: Sequence[RenderCandidate]
     exhaustive: RenderChoice
-    study_size: StudySize
-    seed: int
-    folder: Path
 
     @property
     def exhaustive_seed(self) -> int:
         """One that no other render has."""
-        return (self.seed + self.study_size.n_seeds) % MAX_SEED
+        return (self.settings.seed + self.study_size.n_seeds) % MAX_SEED
 
     def reference(self, view: View) -> Path:
         return self.folder / f"exhaustive_{view.frame:04d}.npz"
@@ -190,7 +205,7 @@ def _render_round(
     done = 0.0
     for number in rng.permutation(len(choices)):
         yield Progress(done, 1, f"rendering frame {view.frame}: {choices[number].label}")
-        frame, ms = timed(rendered, scanner, choices[number], (study.seed + seed) % MAX_SEED)
+        frame, ms = timed(rendered, scanner, choices[number], (study.settings.seed + seed) % MAX_SEED)
         lights = _lights(backends, frame, view, scanner.exposure)
         taken[study.choices[number].key] = Taken(ms, {by.label: np.array(lights[by]).tolist() for by in COMPUTED_BY})
         done += costs[number] / costs.sum()
@@ -266,26 +281,16 @@ def picture_choices(presets: Mapping[str, RenderChoice]) -> list[PictureChoice]:
     return [*own, *(PictureChoice(RenderCandidate(presets["balanced"]), n) for n in others)]
 
 
-@dataclass(frozen=True, eq=False)
-class PictureStudy:
-    """What pictures are measured with; `settings` are those of a comparison, with the scene's light transport."""
-
-    renders: RenderStudy
-    plan: PrevisPlan
-    settings: RenderSettings
-    choices: Sequence[PictureChoice]
-
-
 def measure_pictures(
-    study: PictureStudy, rng: np.random.Generator
+    study: RenderStudy, choices: Sequence[PictureChoice], rng: np.random.Generator
 ) -> Job[tuple[list[Measured], dict[str, tuple[float, ...]]]]:
     """The choices, and by estimator the squared errors of its pictures at the views."""
     rounds: list[PicturesTaken] = []
-    views = study.renders.views[: study.renders.study_size.n_picture_views]
-    read = functools.partial(kept_pictures, study.choices)
+    views = study.views[: study.study_size.n_picture_views]
+    read = functools.partial(kept_pictures, choices)
     for number, view in enumerate(views):
-        path = study.renders.folder / f"pictures_{view.frame:04d}.json"
-        job = part_of(len(views), number, 1, _view_measured(study, view, rng))
+        path = study.folder / f"pictures_{view.frame:04d}.json"
+        job = part_of(len(views), number, 1, _view_measured(study, choices, view, rng))
         rounds.append((yield from kept_or_done(path, read, job)))
     if not rounds:
         return [], {}
@@ -297,7 +302,7 @@ def measure_pictures(
             tuple(one.choices[choice.key].ms for one in rounds),
             choice.capture.preset,
         )
-        for choice in study.choices
+        for choice in choices
     ]
     return measured, {by.label: tuple(one.estimators[by.label] for one in rounds) for by in METHODS}
 
@@ -312,25 +317,27 @@ def kept_pictures(choices: Sequence[PictureChoice], content: Json) -> PicturesTa
     return taken
 
 
-def _view_measured(study: PictureStudy, view: View, rng: np.random.Generator) -> Job[PicturesTaken]:
-    renders = study.renders
+def _view_measured(
+    study: RenderStudy, choices: Sequence[PictureChoice], view: View, rng: np.random.Generator
+) -> Job[PicturesTaken]:
     yield Progress(0, 1, f"comparing frame {view.frame} exhaustively")
-    renders.scanner.move_to(view.frame)
-    captured = load_frame(renders.reference(view))
+    study.scanner.move_to(view.frame)
+    captured = load_frame(study.reference(view))
     lights = {by.label: _lights_of_objects(study, by, captured) for by in METHODS}
-    with open_comparer(renders.scanner.scene, study.plan.objects, list(lights), study.settings) as comparer:
+    comparison = replace(study.capture, samples=1)
+    with open_comparer(study.scanner.scene, study.plan.objects, list(lights), comparison) as comparer:
         # With all methods, on all cores, by another seed.
-        _set_up(comparer, renders.exhaustive.samples, renders.exhaustive_seed, n_threads=0)
+        _set_up(comparer, study.exhaustive.samples, study.exhaustive_seed, n_threads=0)
         truth = comparer.render_comparison(captured, lights)
     of_estimators = {by: _square_rmse(truth.methods[by], truth.ground_truth, truth.weights) for by in lights}
     taken: dict[str, PictureTaken] = {}
     base = METHODS[0].label
-    with open_comparer(renders.scanner.scene, study.plan.objects, [base], study.settings) as comparer:
-        _set_up(comparer, 1, renders.seed)
+    with open_comparer(study.scanner.scene, study.plan.objects, [base], comparison) as comparer:
+        _set_up(comparer, 1, study.settings.seed)
         comparer.render_comparison(captured, {base: lights[base]})
-        for number in rng.permutation(len(study.choices)):
-            choice = study.choices[number]
-            share = 0.4 + 0.6 * len(taken) / len(study.choices)
+        for number in rng.permutation(len(choices)):
+            choice = choices[number]
+            share = 0.4 + 0.6 * len(taken) / len(choices)
             yield Progress(share, 1, f"comparing frame {view.frame}: {choice.label}")
             made, ms = timed(_made, study, choice, comparer)
             squares = [
@@ -341,12 +348,11 @@ def _view_measured(study: PictureStudy, view: View, rng: np.random.Generator) ->
     return PicturesTaken(taken, of_estimators)
 
 
-def _made(study: PictureStudy, choice: PictureChoice, comparer: Comparer) -> Comparison:
+def _made(study: RenderStudy, choice: PictureChoice, comparer: Comparer) -> Comparison:
     """All that a run does for one frame: the capture, its light, both pictures."""
-    captured = rendered(study.renders.scanner, choice.capture.choice, study.renders.seed)
-    _set_up(comparer, choice.samples, study.renders.seed)
-    base = METHODS[0]
-    return comparer.render_comparison(captured, {base.label: _lights_of_objects(study, base, captured)})
+    captured = rendered(study.scanner, choice.capture.choice, study.settings.seed)
+    _set_up(comparer, choice.samples, study.settings.seed)
+    return comparer.render_comparison(captured, {METHODS[0].label: _lights_of_objects(study, METHODS[0], captured)})
 
 
 def _set_up(comparer: Comparer, samples: int, seed: int, *, n_threads: int = 1) -> None:
@@ -355,9 +361,9 @@ def _set_up(comparer: Comparer, samples: int, seed: int, *, n_threads: int = 1) 
         use_threads(scene, n_threads)
 
 
-def _lights_of_objects(study: PictureStudy, by: ComputeChoice, captured: RgbdFrame) -> dict[str, ArrayF64]:
+def _lights_of_objects(study: RenderStudy, by: ComputeChoice, captured: RgbdFrame) -> dict[str, ArrayF64]:
     """(9, 3) by virtual object: the mean over its positions, from this frame alone."""
-    backend, exposure = ChoiceBackend(by), study.renders.scanner.exposure
+    backend, exposure = ChoiceBackend(by), study.scanner.exposure
     means: dict[str, ArrayF64] = {}
     for item in study.plan.objects:
         positions_m = [probe.position_m for probe in study.plan.probes_of(item.name)]

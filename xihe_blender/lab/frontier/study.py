@@ -29,9 +29,8 @@ from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress, part_of
-from xihe_blender.lab.frontier import rendering
 from xihe_blender.lab.frontier.answers import answers
-from xihe_blender.lab.frontier.choices import FULL, QUICK, compute_choices, render_choices
+from xihe_blender.lab.frontier.choices import compute_choices, render_choices
 from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, N_COEFFICIENTS, ORDER, Walk, loaded, measure_compute
 from xihe_blender.lab.frontier.points import MeasuredScene, kept_scene, points_of
 from xihe_blender.lab.frontier.records import (
@@ -41,7 +40,15 @@ from xihe_blender.lab.frontier.records import (
     FrontierScene,
     FrontierSettings,
     RenderChoice,
-    StudySize,
+)
+from xihe_blender.lab.frontier.rendering import (
+    RenderStudy,
+    SceneStudy,
+    View,
+    kept_or_done,
+    measure_pictures,
+    measure_rendering,
+    picture_choices,
 )
 from xihe_blender.lab.frontier.report import report_page
 from xihe_blender.lab.frontier.timing import Quartiles
@@ -98,8 +105,8 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
     kept = []
     for number, file in enumerate(files):
         path = out / "work" / file.stem / "measured.json"
-        job = part_of(len(files), number, 1, measure_file(file, path.parent, settings), file.stem)
-        kept.append((yield from rendering.kept_or_done(path, functools.partial(kept_scene, file.stem), job)))
+        job = part_of(len(files), number, 1, measure_scene(file, path.parent, settings), file.stem)
+        kept.append((yield from kept_or_done(path, functools.partial(kept_scene, file.stem), job)))
     points = [p for name, one in zip(names, kept, strict=True) for p in points_of(name, one.fronts, settings.seed)]
     found = Frontier(
         software=software(command),
@@ -124,23 +131,6 @@ def _table_row(point: FrontierPoint) -> Mapping[str, object]:
     return {**vars(point), "error_kind": kind, "settings": json.dumps(settings)}
 
 
-# ---------------------------------------------------------------------------------------------- of one scene
-
-
-@dataclass(frozen=True, eq=False)
-class SceneStudy:
-    """One scene to measure: the open scene, its plan, the survey of its path, and where its work is kept."""
-
-    scene: bpy.types.Scene
-    name: str
-    plan: PrevisPlan
-    survey: SceneSurvey
-    folder: Path
-    is_quick: bool
-    seed: int
-    study_size: StudySize
-
-
 @dataclass(frozen=True)
 class Prepared:
     """What a run would settle before its first frame."""
@@ -150,17 +140,11 @@ class Prepared:
     presets: Mapping[str, RenderChoice]
 
 
-def measure_file(file: Path, folder: Path, settings: FrontierSettings) -> Job[MeasuredScene]:
+def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[MeasuredScene]:
     """All that is measured on the scene in `file`; work is kept in `folder`."""
     scene = open_blend(file)
-    study_size = settings.study_size or (QUICK if settings.is_quick else FULL)
-    surveyed = survey_scene(scene, settings.size)
-    study = SceneStudy(scene, file.stem, *surveyed, folder, settings.is_quick, settings.seed, study_size)
-    return (yield from measure_scene(study))
-
-
-def measure_scene(study: SceneStudy) -> Job[MeasuredScene]:
-    rng = np.random.default_rng(study.seed)
+    study = SceneStudy(scene, file.stem, *survey_scene(scene, settings.size), folder, settings)
+    rng = np.random.default_rng(settings.seed)
     study_size, size, done = study.study_size, study.plan.size, 0.0
 
     def share(name: str, job: Job[Result]) -> Job[Result]:
@@ -171,40 +155,32 @@ def measure_scene(study: SceneStudy) -> Job[MeasuredScene]:
 
     with scene_kept():
         prepared = yield from share("preparing", prepare(study))
-        capture = RenderSettings(size, study_size.walk_samples, study.seed, light_transport=prepared.light_transport)
-        with open_scanner(study.scene, capture) as scanner:
+        presets, transport = prepared.presets, prepared.light_transport
+        capture = RenderSettings(size, study_size.walk_samples, settings.seed, light_transport=transport)
+        with open_scanner(scene, capture) as scanner:
             scanner.exposure = prepared.exposure
             walk = yield from share("walking", _walk(study, prepared, scanner))
-            backends, missing = loaded(compute_choices(is_quick=study.is_quick))
+            backends, missing = loaded(compute_choices(is_quick=settings.is_quick))
             computed = yield from share("computing", measure_compute(backends, walk, study_size.n_rounds, rng))
             seen = evenly_chosen(list(zip(walk.frames, walk.active, strict=True)), study_size.n_views)
-            renders = rendering.RenderStudy(
-                scanner,
-                [rendering.View(frame.frame, [walk.positions[name] for name in names]) for frame, names in seen],
-                render_choices(prepared.presets, size, study_size, is_quick=study.is_quick),
-                RenderChoice(size, study_size.reference_samples),
-                study_size,
-                study.seed,
-                study.folder,
+            renders = RenderStudy(
+                **vars(study),
+                scanner=scanner,
+                capture=capture,
+                views=[View(frame.frame, [walk.positions[name] for name in names]) for frame, names in seen],
+                choices=render_choices(presets, size, study_size, is_quick=settings.is_quick),
+                exhaustive=RenderChoice(size, study_size.reference_samples),
             )
-            computing_ms = {
-                choice: Quartiles.of(one.times_ms).median for choice, one in zip(backends, computed, strict=True)
-            }
-            rendered, together = yield from share("rendering", rendering.measure_rendering(renders, computing_ms, rng))
-            comparison = replace(capture, samples=1)
-            pictures = rendering.PictureStudy(
-                renders, study.plan, comparison, rendering.picture_choices(prepared.presets)
-            )
-            pictured, estimators = yield from share("pictures", rendering.measure_pictures(pictures, rng))
-    computed = [
-        replace(one, square_errors={**one.square_errors, "picture" + AGAINST_TRUTH: estimators[one.label]})
-        if one.label in estimators
-        else one
-        for one in computed
-    ]
+            medians = [Quartiles.of(one.times_ms).median for one in computed]
+            computing_ms = dict(zip(backends, medians, strict=True))
+            rendered, together = yield from share("rendering", measure_rendering(renders, computing_ms, rng))
+            job = measure_pictures(renders, picture_choices(presets), rng)
+            pictured, estimators = yield from share("pictures", job)
+    of_pictures = {label: {"picture" + AGAINST_TRUTH: errors} for label, errors in estimators.items()}
+    computed = [replace(one, square_errors=one.square_errors | of_pictures.get(one.label, {})) for one in computed]
     added = computing_ms[ComputeChoice()]
     with_computing = [replace(one, times_ms=tuple(ms + added for ms in one.times_ms)) for one in pictured]
-    scene = FrontierScene(
+    measured = FrontierScene(
         name=study.name,
         missing_estimators=tuple(missing),
         exposure=prepared.exposure,
@@ -212,11 +188,11 @@ def measure_scene(study: SceneStudy) -> Job[MeasuredScene]:
         n_walk_frames=len(walk.frames),
         n_places=walk.n_places,
         views=tuple(view.frame for view in renders.views),
-        presets=dict(prepared.presets),
+        presets=dict(presets),
     )
     yield Progress(done, 1, "measured")
     render, total = (*rendered, *pictured), (*together, *with_computing)
-    return MeasuredScene(fronts={"render": render, "compute": tuple(computed), "total": total}, scene=scene)
+    return MeasuredScene(fronts={"render": render, "compute": tuple(computed), "total": total}, scene=measured)
 
 
 def prepare(study: SceneStudy) -> Job[Prepared]:
@@ -226,7 +202,7 @@ def prepare(study: SceneStudy) -> Job[Prepared]:
     if kept is not None:
         return kept
     yield Progress(0, 1, "metering the exposure, looking for effects")
-    exposure = meter_exposure(scene, plan.frames, study.seed)
+    exposure = meter_exposure(scene, plan.frames, study.settings.seed)
     effects = plan_effects(study.survey.required, overrides_in_force(scene, {}))
     views, samples = pilot_views(plan, study.survey), {}
     if not views:
@@ -234,7 +210,7 @@ def prepare(study: SceneStudy) -> Job[Prepared]:
         raise UserError(f"scene {scene.name!r} {words}")
     for index, (name, preset) in enumerate(PRESETS.items()):
         yield Progress(1 + index, 1 + len(PRESETS), f"measuring how many samples {name} takes")
-        settings = PrevisSettings(preset=name, seed=study.seed)
+        settings = PrevisSettings(preset=name, seed=study.settings.seed)
         capture = settings.capture(plan.size, pilot_samples(preset))
         capture = replace(capture, light_transport=cycles_settings(effects))
         samples[name] = samples_taken(preset, capture_noise(scene, views, capture, exposure, settings.n_anchors))
@@ -257,7 +233,7 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Job[
     positions = {probe.name: probe.position_m for probe in plan.probes}
     chosen = evenly_chosen(list(study.survey.in_view.items()), study.study_size.n_walk_frames)
     probes = ProbeSettings(
-        max_samples=study.study_size.probe_samples, noise_target=PROBE_NOISE, seed=study.seed,
+        max_samples=study.study_size.probe_samples, noise_target=PROBE_NOISE, seed=study.settings.seed,
         light_transport=prepared.light_transport, order=ORDER,
     )  # fmt: skip
     indices = {name: index for index, name in enumerate(positions)}
