@@ -114,12 +114,9 @@ def estimate_from_files(options: argparse.Namespace) -> tuple[RgbdFrame, dict[st
     points, lattice = unproject_frame(frame), AnchorLattice(options.anchors)
     placed = [_estimate_at(p, frame, camera, points, estimator, lattice) for p in options.at]
     if options.dering:
-        placed = [replace(one, light=_deringed(one.light)) for one in placed]
+        deringed = [replace(one.light, sh_radiance=dering_for_display(one.light.sh_radiance)) for one in placed]
+        placed = [replace(one, light=light) for one, light in zip(placed, deringed, strict=True)]
     return frame, _frame_facts(frame, camera, 1.0 if options.plane_depth is None else scale), placed
-
-
-def _deringed(light: LightEstimate) -> LightEstimate:
-    return replace(light, sh_radiance=dering_for_display(light.sh_radiance))
 
 
 def _frame_facts(frame: RgbdFrame, camera: FrameCamera, unit_m: float) -> dict[str, Any]:

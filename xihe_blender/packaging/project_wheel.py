@@ -54,7 +54,10 @@ def project_wheel(checkout: Path = CHECKOUT) -> tuple[str, bytes]:
     settings = tomllib.loads((checkout / "pyproject.toml").read_text(encoding="utf-8"))
     project = settings["project"]
     contents = _packages(checkout, settings["tool"]["setuptools"])
-    version = f"{__version__}+{_digest(contents)[:8]}"
+    digest = hashlib.sha256()
+    for name, content in sorted(contents.items()):
+        digest.update(f"{name}\0{len(content)}\0".encode() + content)
+    version = f"{__version__}+{digest.hexdigest()[:8]}"
     stem = f"{project['name'].replace('-', '_')}-{version}"
     info = f"{stem}.dist-info"
     contents[f"{info}/METADATA"] = _metadata(project, version)
@@ -79,24 +82,17 @@ def _packages(checkout: Path, setuptools: dict[str, Any]) -> Contents:
     return {file.relative_to(checkout).as_posix(): file.read_bytes() for file in files}
 
 
-def _digest(contents: Contents) -> str:
-    digest = hashlib.sha256()
-    for name, content in sorted(contents.items()):
-        digest.update(f"{name}\0{len(content)}\0".encode() + content)
-    return digest.hexdigest()
-
-
 def _metadata(project: dict[str, Any], version: str) -> bytes:
-    lines = [
-        "Metadata-Version: 2.4",
-        f"Name: {project['name']}",
-        f"Version: {version}",
-        f"Summary: {project['description']}",
-        f"License-Expression: {project['license']}",
-        "License-File: LICENSE",
-        f"Requires-Python: {project['requires-python']}",
-    ]
-    return ("\n".join(lines) + "\n").encode()
+    lines = {
+        "Metadata-Version": "2.4",
+        "Name": project["name"],
+        "Version": version,
+        "Summary": project["description"],
+        "License-Expression": project["license"],
+        "License-File": "LICENSE",
+        "Requires-Python": project["requires-python"],
+    }
+    return "".join(f"{name}: {value}\n" for name, value in lines.items()).encode()
 
 
 def _record(contents: Contents, own_name: str) -> bytes:

@@ -46,7 +46,11 @@ def report_page(results: RunResults, outputs: RunOutputs) -> str:
 
 def format_result(results: RunResults) -> str:
     """What the run showed, in two or three plain sentences of HTML."""
-    return " ".join(filter(None, [_what_was_done(results), _how_close(results), _how_close_truth(results)]))
+    sentences = [_what_was_done(results), _how_close(results)]
+    closer = closeness(results.comparison, "truth")
+    if closer is not None and results.settings.estimator != "truth":
+        sentences.append(f"Lit by the rendered light probe itself, {code('truth')}, they {_against_ambient(closer)}.")
+    return " ".join(sentences)
 
 
 def _what_was_done(results: RunResults) -> str:
@@ -79,19 +83,12 @@ def _how_close(results: RunResults) -> str:
 
 def _against_ambient(closer: float) -> str:
     """`closeness` as the verb and the rest of a sentence: "are 31 % closer to the ground truth than with ambient"."""
-    words, ambient = format_closeness(closer), "<code>ambient</code>"
+    words = format_closeness(closer)
     if words == "as close":
-        return f"are as close to the ground truth as with {ambient}"
+        return "are as close to the ground truth as with <code>ambient</code>"
     if "times" in words:
-        return f"have {words} that they have with {ambient}"
-    return f"are {words} {'to' if closer > 0 else 'from'} the ground truth than with {ambient}"
-
-
-def _how_close_truth(results: RunResults) -> str:
-    closer = closeness(results.comparison, "truth")
-    if closer is None or results.settings.estimator == "truth":
-        return ""
-    return f"Lit by the rendered light probe itself, {code('truth')}, they {_against_ambient(closer)}."
+        return f"have {words} that they have with <code>ambient</code>"
+    return f"are {words} {'to' if closer > 0 else 'from'} the ground truth than with <code>ambient</code>"
 
 
 def _key_figures(results: RunResults) -> str:

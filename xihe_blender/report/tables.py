@@ -88,25 +88,17 @@ def _method_name(estimator: str, method: str) -> str:
 
 def _metric_column(comparison: Mapping[str, Metrics], methods: Sequence[str], name: str, way: str) -> list[str]:
     values: dict[str, float | None] = {method: getattr(comparison[method], name) for method in methods}
-    known = {method: value for method, value in values.items() if value is not None}
-    rivals = [value for method, value in known.items() if method != "truth"]
+    rivals = [value for method, value in values.items() if value is not None and method != "truth"]
     best = (max if way == "up" else min)(rivals) if len(rivals) > 1 else None
-    decimals = _column_decimals(list(known.values()))
+    # Enough for three digits of the smallest.
+    smallest = min((abs(value) for value in values.values() if value), default=1.0)
+    decimals = min(8, max(2, 2 - math.floor(math.log10(smallest))))
     cells = []
     for method, value in values.items():
-        if value is None:
-            cells.append(DASH)
-            continue
-        shown = f'<data value="{value!r}">{value:,.{decimals}f}</data>'
-        is_best = value == best and method != "truth"
+        shown = DASH if value is None else f'<data value="{value!r}">{value:,.{decimals}f}</data>'
+        is_best = value is not None and value == best and method != "truth"
         cells.append(f'<strong class="best">\N{BLACK STAR} {shown}</strong>' if is_best else shown)
     return cells
-
-
-def _column_decimals(values: Sequence[float]) -> int:
-    """Decimals that show the smallest value that is not 0 with three format_number digits: 2 to 8."""
-    smallest = min((abs(value) for value in values if value), default=1.0)
-    return min(8, max(2, 2 - math.floor(math.log10(smallest))))
 
 
 def _closer_cell(comparison: Mapping[str, Metrics], method: str) -> str:
@@ -175,17 +167,13 @@ def _coefficients(name: str, last: ProbeResult) -> str:
 
 
 def _effects(effects: Sequence[EffectResult]) -> str:
-    rows = [
-        [code(effect.name), f'<span class="state">{effect.state}</span>', escape(effect.reason), _set_to(effect)]
-        for effect in effects
-    ]
+    rows = []
+    for effect in effects:
+        settings = as_json(effect.parameters).items()
+        set_to = ", ".join(code(f"{name} {format_setting(value)}") for name, value in settings) or DASH
+        state = f'<span class="state">{effect.state}</span>'
+        rows.append([code(effect.name), state, escape(effect.reason), set_to])
     return table(["effect", "state", "why", "set to"], rows, "words") if rows else ""
-
-
-def _set_to(effect: EffectResult) -> str:
-    """What an effect was set to: "diffuse_bounces 17", "farthest_m 5"; a dash where nothing sets it."""
-    settings = as_json(effect.parameters).items()
-    return ", ".join(code(f"{name} {format_setting(value)}") for name, value in settings) or DASH
 
 
 def _phone(results: RunResults) -> str:
@@ -258,16 +246,12 @@ def _command(command: str) -> str:
 def _facts(results: RunResults) -> str:
     groups = {name: as_json(getattr(results, name)) for name in ("settings", "scene", "summary", "software", "machine")}
     groups["software"].pop("command", None)
-    blocks = [block(name.capitalize(), _fact_table(facts)) for name, facts in groups.items() if facts]
-    return f'<div class="facts">{"".join(blocks)}</div>'
-
-
-def _fact_table(facts: Json) -> str:
-    rows = "".join(
-        f'<tr><th scope="row">{escape(name).replace(".", ".<wbr>")}</th><td>{value}</td></tr>'
-        for name, value in _flat(facts)
-    )
-    return f'<table class="pairs"><tbody>{rows}</tbody></table>'
+    blocks = ""
+    for group, facts in groups.items():
+        names = [(escape(name).replace(".", ".<wbr>"), value) for name, value in _flat(facts)]
+        rows = "".join(f'<tr><th scope="row">{name}</th><td>{value}</td></tr>' for name, value in names)
+        blocks += block(group.capitalize(), rows and f'<table class="pairs"><tbody>{rows}</tbody></table>')
+    return f'<div class="facts">{blocks}</div>'
 
 
 def _flat(facts: Json, prefix: str = "") -> list[tuple[str, str]]:

@@ -17,11 +17,11 @@ def evaluate_batch(
     scenes: Sequence[Path],
     folder: Path,
     settings: BatchSettings,
-    seeds: Sequence[int] = (0,),
+    seeds: Sequence[int],
     *,
-    n_workers: int | None = None,
-    scheduler: str | None = None,
-    frontier: Path | None = None,
+    n_workers: int | None,
+    scheduler: str | None,
+    frontier: Path | None,
 ) -> Job[tuple[BatchResults, int]]:
     """Evaluate what is not done yet, and write tables and report over all that is: these, and how many are new.
 
@@ -33,9 +33,7 @@ def evaluate_batch(
     scheduler : address of a Dask scheduler whose workers do it
     frontier : a frontier.json, or its folder, for the report; None takes one in `folder`
 
-    Raises
-    ------
-    UserError for settings that make no sense, a folder with another batch, a scheduler that cannot help
+    UserError for settings that make no sense, a folder with another batch, a scheduler that cannot help.
     """
     check_settings(settings, seeds)
     measured = read_frontier(frontier, folder)

@@ -70,12 +70,6 @@ class Walk:
     def n_places(self) -> int:
         return sum(map(len, self.active))
 
-    def start(self, n_frames: int) -> Walk:
-        """The first frames of it, or all."""
-        return replace(
-            self, frames=self.frames[:n_frames], active=self.active[:n_frames], truths=self.truths[:n_frames]
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class Walked:
@@ -180,7 +174,8 @@ def measure_compute(
     """Errors and times of each way to compute; the exhaustive one must be among them."""
     walked: dict[ComputeChoice, Walked] = {}
     # The walk's start is enough for brute force, which takes 40 times as long and nearly the same in every frame.
-    start = walk.start(N_BRUTE_FRAMES)
+    n = N_BRUTE_FRAMES
+    start = replace(walk, frames=walk.frames[:n], active=walk.active[:n], truths=walk.truths[:n])
 
     def frame_ms(choice: ComputeChoice) -> float:
         return walk_through(choice, backends[choice], start if choice.nearest == "brute" else walk).frame_ms
