@@ -105,6 +105,19 @@ def run_blocking(job: Job[Result], on_progress: Callable[[Progress, float], None
                 raise KeyboardInterrupt
 
 
+def part_of(whole: float, done: float, share: float, job: Job[Result], scene: str = "") -> Job[Result]:
+    """`job` as `share` of the units of `whole`, of which `done` are done before it."""
+    prefix = f"{scene}: " if scene else ""
+    with contextlib.closing(job):
+        while True:
+            try:
+                own = next(job)
+            except StopIteration as finished:
+                result: Result = finished.value
+                return result
+            yield Progress(done + share * (own.done / own.total), whole, prefix + own.doing)
+
+
 @contextlib.contextmanager
 def interrupted_between_steps() -> Iterator[Callable[[], bool]]:
     """Hold Ctrl-C back during the block; the function given says whether it came. A second Ctrl-C is not held back.

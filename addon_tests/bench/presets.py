@@ -19,10 +19,9 @@ from xihe_blender.io.blender_output import blender_output_aside
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.frontier.choices import FULL, RenderCandidate
 from xihe_blender.lab.frontier.compute import KINDS
-from xihe_blender.lab.frontier.records import RenderChoice
-from xihe_blender.lab.frontier.rendering import COMPUTED_BY, RenderStudy, View, measure_rendering
-from xihe_blender.lab.frontier.steps import part_of
-from xihe_blender.lab.frontier.study import SceneStudy, prepare, survey_scene
+from xihe_blender.lab.frontier.records import FrontierSettings, RenderChoice
+from xihe_blender.lab.frontier.rendering import COMPUTED_BY, RenderStudy, SceneStudy, View, measure_rendering
+from xihe_blender.lab.frontier.study import prepare, survey_scene
 from xihe_blender.lab.frontier.timing import Quartiles
 from xihe_blender.previs.plan import evenly_chosen
 from xihe_blender.scene.blend_file import open_blend
@@ -37,9 +36,10 @@ def measured(file, folder, effort, seed):
     """What `measure_rendering` gives for the presets on one scene, and how many errors belong to one view."""
     scene, rng = open_blend(file), np.random.default_rng(seed)
     plan, survey = survey_scene(scene)
-    study = SceneStudy(scene, file.stem, plan, survey, folder / file.stem, False, seed, effort)
+    settings = FrontierSettings(seed=seed, study_size=effort)
+    study = SceneStudy(scene, file.stem, plan, survey, folder / file.stem, settings)
     with scene_kept():
-        prepared = run_blocking(part_of(1, 0, 1, prepare(study)))
+        prepared = run_blocking(prepare(study))
         capture = RenderSettings(plan.size, 1, seed, light_transport=prepared.light_transport)
         with open_scanner(scene, capture) as scanner:
             scanner.exposure = prepared.exposure
@@ -50,9 +50,11 @@ def measured(file, folder, effort, seed):
             ]
             choices = [RenderCandidate(choice, name) for name, choice in prepared.presets.items()]
             exhaustive = RenderChoice(plan.size, effort.reference_samples)
-            renders = RenderStudy(scanner, views, choices, exhaustive, effort, seed, study.folder)
+            renders = RenderStudy(
+                **vars(study), scanner=scanner, capture=capture, views=views, choices=choices, exhaustive=exhaustive
+            )
             nothing = dict.fromkeys(COMPUTED_BY, 0.0)
-            alone, _ = run_blocking(part_of(1, 0, 1, measure_rendering(renders, nothing, rng)))
+            alone, _ = run_blocking(measure_rendering(renders, nothing, rng))
     return alone, [len(view.positions_m) * effort.n_seeds for view in views]
 
 

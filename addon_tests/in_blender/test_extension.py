@@ -7,8 +7,8 @@ from pathlib import Path
 import bpy
 import pytest
 
-from xihe_blender.packaging.archive import packed
 from xihe_blender.packaging.extension import build_extension
+from xihe_blender.packaging.project_wheel import packed
 
 VALIDATOR = Path(bpy.utils.system_resource("SCRIPTS")) / "addons_core/bl_pkg/cli/blender_ext.py"
 

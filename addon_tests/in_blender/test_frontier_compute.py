@@ -37,7 +37,7 @@ def test_candidates_take_turns_and_the_first_round_does_not_count(n_candidates, 
 
     candidates = [lambda number=number: candidate(number) for number in range(n_candidates)]
     measured, yielded = drained(interleaved(candidates, n_rounds, np.random.default_rng(seed)))
-    assert yielded == list(range(n_rounds + 1))
+    assert [progress.done for progress in yielded] == list(range(1, n_rounds + 2))
     for start in range(0, len(calls), max(1, n_candidates)):
         assert sorted(calls[start : start + n_candidates]) == list(range(n_candidates))
     assert measured == [[100 * number + turn for turn in range(2, n_rounds + 2)] for number in range(n_candidates)]

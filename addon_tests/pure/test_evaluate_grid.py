@@ -52,7 +52,7 @@ def test_a_scene_that_cannot_be_read_does_not_stop_the_others(tmp_path):
     scenes = [tmp_path / name for name in ("a.blend", "none.blend", "b.blend")]
     units, broken = planned_units(scenes, (0, 1))
     assert [(unit.scene.name, unit.seed) for unit in units] == [(n, s) for n in ("a.blend", "b.blend") for s in (0, 1)]
-    assert list(broken) == [tmp_path / "none.blend"]
+    assert list(broken) == [str(tmp_path / "none.blend")]
 
 
 def test_the_same_scene_twice_is_one_unit_and_another_of_its_name_is_not(tmp_path):

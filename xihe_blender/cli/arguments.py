@@ -1,4 +1,4 @@
-"""What does one typed argument of `xihe` mean? Text turned into frames, sizes, names and numbers.
+"""Options of `xihe`: how they are added to a parser, what typed text means, those that several commands share.
 
 For argparse, whose one line to the user is that of the ArgumentTypeError.
 """
@@ -6,9 +6,37 @@ For argparse, whose one line to the user is that of the ArgumentTypeError.
 from __future__ import annotations
 
 import argparse
+import inspect
 import re
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
+
+from xihenet import estimators
+from xihenet.phone import LINKS, profile_names
 
 MAX_FRAME = 1048574
+Settings = TypeVar("Settings")
+
+
+def adder(parser: argparse._ActionsContainer) -> Callable[..., None]:
+    """A function that adds arguments to `parser`, as docs/cli.md shows them: `add("--out DIR", "folder", Path)`.
+
+    Without a word for its value an argument is a switch, or has `choices`; what else is given goes to argparse.
+    """
+
+    def add(argument: str, words: str, kind: Callable[[str], object] = str, **more: Any) -> None:
+        name, _, value = argument.partition(" ")
+        if value:
+            more |= {"metavar": value, "type": kind}
+        parser.add_argument(name, help=words, **more)
+
+    return add
+
+
+def settings_from(options: argparse.Namespace, kind: Callable[..., Settings], **others: Any) -> Settings:
+    """The settings record `kind` with all options that are named as its fields are, and `others`."""
+    fields = inspect.signature(kind).parameters
+    return kind(**{name: value for name, value in vars(options).items() if name in fields} | others)
 
 
 def frame_range(text: str) -> tuple[int, ...]:
@@ -16,13 +44,12 @@ def frame_range(text: str) -> tuple[int, ...]:
     match = re.fullmatch(r"(-?\d+)(?::(-?\d+)(?::(\d+))?)?", text)
     if match is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not a range of frames: give A:B or A:B:S, such as 1:24:2")
-    first, last, step = (None if part is None else int(part) for part in match.groups())
-    assert first is not None
+    first, last, step = int(match[1]), int(match[2] or match[1]), int(match[3] or 1)
     if step == 0:
         raise argparse.ArgumentTypeError(f"{text!r} has a step of 0: give 1 or more")
-    if max(abs(first), abs(last or 0)) > MAX_FRAME:
+    if max(abs(first), abs(last)) > MAX_FRAME:
         raise argparse.ArgumentTypeError(f"{text!r} goes beyond Blender's last frame, {MAX_FRAME}")
-    return tuple(range(first, (first if last is None else last) + 1, step or 1))
+    return tuple(range(first, last + 1, step))
 
 
 def picture_size(text: str) -> tuple[int, int]:
@@ -44,3 +71,19 @@ def whole_numbers(text: str) -> tuple[int, ...]:
         return tuple(int(number) for number in names(text))
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"{text!r}: give whole numbers with commas between them") from error
+
+
+def one_of(names: Iterable[str]) -> str:
+    """Names to choose from: "wifi, home or lte"."""
+    *most, last = names
+    return f"{', '.join(most)} or {last}"
+
+
+EFFECT = "simulate an effect or leave it out, whatever the scene needs; may be repeated, is not saved"
+ESTIMATORS = one_of(estimators.names())
+FRAMES = "frames of the path; default: the scene's range and step"
+NETWORK = f"{one_of(LINKS)}: estimates arrive late; default: at once"
+PHONES = one_of([*profile_names(), "your own file"])
+SCENE = "scene with an animated camera"
+SIZE = "size of captured pictures; default: 256x192, or 192x256 if the scene is upright"
+TARGET = "light to compare coefficients with: clipped at white (ldr, the default) or all of it (hdr)"

@@ -9,6 +9,7 @@ on `xihe train` needs torch; without it that part is left out.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
 from collections.abc import Iterator
 
@@ -33,45 +34,34 @@ Progress is shown on stderr. With `XIHE_VERBOSE=1`, so is what Blender itself pr
 
 def document() -> str:
     """The page; without its last part, on training, where torch is missing."""
-    return "\n".join([HEAD, *pages()])
-
-
-def pages() -> Iterator[str]:
-    """A section for each sub-command; those of `train`, which needs torch, come last."""
-    for name in sorted(COMMANDS):
+    pages = [HEAD]
+    for name, (parser, summary) in sorted(_sub_commands(_parser()).items()):
         if name != "train":
-            yield from sections(_choices(_parser())[name], COMMANDS[name])
-    try:
+            pages += sections(parser, summary)
+    with contextlib.suppress(ImportError):
         from xihenet.training.__main__ import _parser as parser_of_training
-    except ImportError:
-        return
-    yield from sections(parser_of_training(), COMMANDS["train"])
+
+        pages += sections(parser_of_training(), COMMANDS["train"])
+    return "\n".join(pages)
 
 
 def sections(parser: argparse.ArgumentParser, summary: str) -> Iterator[str]:
     """Markdown of one parser, then of its own sub-commands."""
-    below = _choices(parser)
     yield f"## {parser.prog}\n\n{summary[:1].upper()}{summary[1:]}.\n"
-    if below:
-        summaries = {action.dest: action.help or "" for action in _actions_of_choices(parser)}
-        for name, one in below.items():
-            yield from sections(one, summaries[name])
-        return
-    positionals = " ".join(_metavar(action) for action in parser._actions if not action.option_strings)
-    yield f"    {parser.prog} {positionals} [options]\n".replace("  [", " [")
-    yield "| argument | meaning |\n| --- | --- |"
-    yield "\n".join(_row(action) for action in parser._actions if action.dest != "help") + "\n"
+    below = _sub_commands(parser)
+    for one in below.values():
+        yield from sections(*one)
+    if not below:
+        positionals = " ".join(_metavar(action) for action in parser._actions if not action.option_strings)
+        yield f"    {parser.prog} {positionals} [options]\n".replace("  [", " [")
+        yield "| argument | meaning |\n| --- | --- |"
+        yield "\n".join(_row(action) for action in parser._actions if action.dest != "help") + "\n"
 
 
-def _choices(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
-    """The parsers of its sub-commands, by name."""
+def _sub_commands(parser: argparse.ArgumentParser) -> dict[str, tuple[argparse.ArgumentParser, str]]:
+    """The parser and the summary of each, by name."""
     found = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
-    return dict(found[0].choices) if found else {}
-
-
-def _actions_of_choices(parser: argparse.ArgumentParser) -> list[argparse.Action]:
-    found = next(action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
-    return list(found._choices_actions)
+    return {one.dest: (all_of.choices[one.dest], one.help or "") for all_of in found for one in all_of._choices_actions}
 
 
 def _metavar(action: argparse.Action) -> str:
@@ -87,13 +77,10 @@ def _metavar(action: argparse.Action) -> str:
 def _row(action: argparse.Action) -> str:
     words = (action.help or "").replace("<", "&lt;")
     has_default = action.nargs != 0 and action.default not in (None, "", [], ()) and "default" not in words
-    parts = [words, f"default: {action.default}" if has_default else "", "required" if _is_required(action) else ""]
+    is_required = bool(action.option_strings) and action.required
+    parts = [words, f"default: {action.default}" if has_default else "", "required" if is_required else ""]
     name = f"{', '.join(action.option_strings)} {_metavar(action)}".strip().replace("|", "\\|")
     return f"| `{name}` | {'; '.join(filter(None, parts))} |"
-
-
-def _is_required(action: argparse.Action) -> bool:
-    return bool(action.option_strings) and action.required
 
 
 if __name__ == "__main__":

@@ -10,20 +10,19 @@ import argparse
 import contextlib
 import json
 import math
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from xihe_blender.cli.shared_options import one_of
+from xihe_blender.cli.arguments import adder, one_of
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import finite_or_none, written_whole
 from xihenet import __version__, estimators
 from xihenet.backend import LocalBackend, estimate_light
 from xihenet.camera import in_view, project_points, unproject_frame
-from xihenet.estimators import EstimateContext, Estimator, Target
+from xihenet.estimators import EstimateContext, Estimator
 from xihenet.frame_files import FrameCamera, read_camera, read_frame
 from xihenet.invalid import CLAMPED, Counts, counted, format_reason, n_left_out
 from xihenet.light_picture import light_picture
@@ -39,32 +38,7 @@ MAX_ANCHORS = 65536
 BEHIND = 1.1
 """A position at more than so many times the distance of what is seen there lies behind it: sensors err by less."""
 
-SH_AXES = "right-handed, +Z up"
-
 Position = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class EstimateSettings:
-    """What to estimate, and how.
-
-    Parameters
-    ----------
-    positions_m : where, in the world of the camera file, metres; at least one
-    estimator : registered name, any but "truth"
-    target : light that is estimated, clipped at white ("ldr") or not ("hdr")
-    n_anchors : directions that light is gathered in
-    exposure, depth_scale : see `xihenet.frame_files.read_frame`
-    is_deringed : whether the light is made fit to be looked at, see `xihenet.sh.dering_for_display`
-    """
-
-    positions_m: tuple[Position, ...]
-    estimator: str = estimators.DEFAULT
-    target: Target = "ldr"
-    n_anchors: int = 1280
-    exposure: float | None = None
-    depth_scale: float = 1e-3
-    is_deringed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,86 +60,28 @@ class PlacedEstimate:
     invalid: Counts
 
 
-@dataclass(frozen=True)
-class FrameFacts:
-    """What was read, for a user to see whether it is what was meant.
-
-    Parameters
-    ----------
-    size : width and height in pixels
-    nearest_m, farthest_m : plane depth
-    metres_per_unit : that was assumed of the file's numbers
-    intrinsics_given_for : width and height, where they had to be scaled to `size`
-    """
-
-    size: tuple[int, int]
-    nearest_m: float
-    farthest_m: float
-    metres_per_unit: float
-    intrinsics_given_for: tuple[int, int] | None
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What can be typed."""
-    add = parser.add_argument
-    frame = (
-        f"OpenEXR with colour and Z, or a colour image with --plane-depth; {MOST_PIXELS // 10**6} megapixels at most"
-    )
-    add("frame", type=Path, metavar="FRAME", help=frame)
-    add("--camera", type=Path, required=True, metavar="FILE.json", help="intrinsics and pose of the camera")
-    add(
-        "--at",
-        type=position,
-        action="append",
-        required=True,
-        metavar="X,Y,Z",
-        help="position in metres; may be repeated",
-    )
-    add(
-        "--plane-depth",
-        type=Path,
-        metavar="FILE",
-        help="16-bit image of distances along the optical axis; 0 or 65535: none",
-    )
-    add(
-        "--depth-scale",
-        type=float,
-        default=1e-3,
-        metavar="METRES",
-        help="metres per unit of the 16-bit image; default: 0.001",
-    )
-    add(
-        "--exposure",
-        type=float,
-        metavar="FACTOR",
-        help="exposure of the frame; default: metered for OpenEXR, 1 for images",
-    )
-    add(
-        "--estimator",
-        default=estimators.DEFAULT,
-        metavar="NAME",
-        help=one_of(n for n in estimators.names() if n != "truth"),
-    )
-    add("--target", choices=("ldr", "hdr"), default="ldr", help="ldr: light clipped at white; hdr: all of it")
-    add(
-        "--anchors",
-        type=int,
-        default=1280,
-        metavar="N",
-        help="number of directions in which light is gathered; default: 1280",
-    )
+    add = adder(parser)
+    megapixels = f"{MOST_PIXELS // 10**6} megapixels at most"
     dering = (
         "make the light fit to be looked at, nowhere negative, by smoothing each colour as little as needed: changes 1 "
         "light of lattice in 5 and costs 0 percent of error; with --target hdr 1 in 2, and up to 1 percent"
     )
-    add("--dering", action="store_true", help=dering)
-    add("--json", action="store_true", help="print JSON and nothing else on stdout")
-    add(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="folder for estimate.json and a picture of each light: its panorama and three lit spheres",
-    )
+    out = "folder for estimate.json and a picture of each light: its panorama and three lit spheres"
+    others = one_of(name for name in estimators.names() if name != "truth")
+    add("frame FRAME", f"OpenEXR with colour and Z, or a colour image with --plane-depth; {megapixels}", Path)
+    add("--camera FILE.json", "intrinsics and pose of the camera", Path, required=True)
+    add("--at X,Y,Z", "position in metres; may be repeated", position, action="append", required=True)
+    add("--plane-depth FILE", "16-bit image of distances along the optical axis; 0 or 65535: none", Path)
+    add("--depth-scale METRES", "metres per unit of the 16-bit image; default: 0.001", float, default=1e-3)
+    add("--exposure FACTOR", "exposure of the frame; default: metered for OpenEXR, 1 for images", float)
+    add("--estimator NAME", others, default=estimators.DEFAULT)
+    add("--target", "ldr: light clipped at white; hdr: all of it", choices=("ldr", "hdr"), default="ldr")
+    anchors = "number of directions in which light is gathered; default: 1280"
+    add("--anchors N", anchors, int, default=1280)
+    add("--dering", dering, action="store_true")
+    add("--json", "print JSON and nothing else on stdout", action="store_true")
+    add("--out DIR", out, Path)
 
 
 def position(text: str) -> Position:
@@ -179,69 +95,58 @@ def position(text: str) -> Position:
     return x, y, z
 
 
-def estimate_from_files(
-    frame_path: Path, camera_path: Path, plane_depth_path: Path | None, settings: EstimateSettings
-) -> tuple[RgbdFrame, FrameFacts, list[PlacedEstimate]]:
-    """The frame, and the light at every position. UserError, naming the fix, for files or settings that will not do."""
-    with _mistakes_as_user_errors():
-        estimator = _loaded(settings)
-        camera = read_camera(camera_path)
-        frame = read_frame(
-            frame_path,
-            camera,
-            plane_depth=plane_depth_path,
-            depth_scale=settings.depth_scale,
-            exposure=settings.exposure,
-        )
-    points, lattice = unproject_frame(frame), AnchorLattice(settings.n_anchors)
-    unit_m = 1.0 if plane_depth_path is None else settings.depth_scale
-    placed = [_estimate_at(p, frame, camera, points, estimator, lattice) for p in settings.positions_m]
-    if settings.is_deringed:
-        placed = [replace(one, light=_deringed(one.light)) for one in placed]
-    return frame, frame_facts(frame, camera, unit_m), placed
+def estimate_from_files(options: argparse.Namespace) -> tuple[RgbdFrame, dict[str, Any], list[PlacedEstimate]]:
+    """The frame, what was read of it, and the light at every position.
 
-
-def _deringed(light: LightEstimate) -> LightEstimate:
-    return replace(light, sh_radiance=dering_for_display(light.sh_radiance))
-
-
-def frame_facts(frame: RgbdFrame, camera: FrameCamera, unit_m: float) -> FrameFacts:
-    """What was read from files whose unit of plane depth was taken for `unit_m` metres."""
-    seen = frame.plane_depth_m[frame.plane_depth_m > 0]
-    given, used = camera.intrinsics, frame.intrinsics
-    size, given_size = (used.width, used.height), (given.width, given.height)
-    return FrameFacts(size, float(seen.min()), float(seen.max()), unit_m, None if size == given_size else given_size)
-
-
-def _loaded(settings: EstimateSettings) -> Estimator:
-    if settings.estimator == "truth":
-        raise UserError(
-            "truth is a light probe rendered in Blender, which a single frame does not have: choose another --estimator"
-        )
-    if not 1 <= settings.n_anchors <= MAX_ANCHORS:
-        raise UserError(f"--anchors: expected 1 to {MAX_ANCHORS}, got {settings.n_anchors}")
-    return estimators.load(settings.estimator, settings.n_anchors, settings.target)
-
-
-@contextlib.contextmanager
-def _mistakes_as_user_errors() -> Iterator[None]:
-    """What the science says of bad input, as one line for the user."""
+    UserError, naming the fix, for files or options that will not do.
+    """
+    scale = options.depth_scale
     try:
-        yield
+        estimator = _loaded(options)
+        camera = read_camera(options.camera)
+        frame = read_frame(
+            options.frame, camera, plane_depth=options.plane_depth, depth_scale=scale, exposure=options.exposure
+        )
     except (ValueError, ImportError) as error:
         raise UserError(str(error)) from error
     except OSError as error:
         raise UserError(f"cannot read {error.filename} ({error.strerror}): give a file that can be read") from error
+    points, lattice = unproject_frame(frame), AnchorLattice(options.anchors)
+    placed = [_estimate_at(p, frame, camera, points, estimator, lattice) for p in options.at]
+    if options.dering:
+        deringed = [replace(one.light, sh_radiance=dering_for_display(one.light.sh_radiance)) for one in placed]
+        placed = [replace(one, light=light) for one, light in zip(placed, deringed, strict=True)]
+    return frame, _frame_facts(frame, camera, 1.0 if options.plane_depth is None else scale), placed
+
+
+def _frame_facts(frame: RgbdFrame, camera: FrameCamera, unit_m: float) -> dict[str, Any]:
+    """What was read, for a user to see whether it is what was meant, where 1 was taken for `unit_m` metres."""
+    seen = frame.plane_depth_m[frame.plane_depth_m > 0]
+    given, used = camera.intrinsics, frame.intrinsics
+    size, given_size = (used.width, used.height), (given.width, given.height)
+    return {
+        "size": size,
+        "nearest_m": float(seen.min()),
+        "farthest_m": float(seen.max()),
+        "metres_per_unit": unit_m,
+        "intrinsics_given_for": None if size == given_size else given_size,
+    }
+
+
+def _loaded(options: argparse.Namespace) -> Estimator:
+    if options.estimator == "truth":
+        raise UserError(
+            "truth is a light probe rendered in Blender, which a single frame does not have: choose another --estimator"
+        )
+    if not 1 <= options.anchors <= MAX_ANCHORS:
+        raise UserError(f"--anchors: expected 1 to {MAX_ANCHORS}, got {options.anchors}")
+    return estimators.load(options.estimator, options.anchors, options.target)
 
 
 def _estimate_at(
-    position_m: Position,
-    frame: RgbdFrame,
-    camera: FrameCamera,
-    points: PointCloud,
-    estimator: Estimator,
+    position_m: Position, frame: RgbdFrame, camera: FrameCamera, points: PointCloud, estimator: Estimator,
     lattice: AnchorLattice,
-) -> PlacedEstimate:
+) -> PlacedEstimate:  # fmt: skip
     in_blender_m = camera.blender_from_file @ position_m
     cloud = sample_unit_sphere(points, in_blender_m, lattice)
     context = EstimateContext(frame, points, in_blender_m, None, frame.exposure)
@@ -262,19 +167,19 @@ def _behind_m(position_m: ArrayF64, frame: RgbdFrame) -> float:
 
 
 def as_json(
-    settings: EstimateSettings, exposure: float, facts: FrameFacts, placed: list[PlacedEstimate]
+    options: argparse.Namespace, exposure: float, facts: dict[str, Any], placed: list[PlacedEstimate]
 ) -> dict[str, Any]:
     """What `estimate.json` holds; every number is finite."""
     return {
         "schema_version": SCHEMA_VERSION,
         "software": {"xihe": __version__, "numpy": np.__version__},
-        "estimator": settings.estimator,
-        "target": settings.target,
+        "estimator": options.estimator,
+        "target": options.target,
         "exposure": exposure,
-        "frame": asdict(facts),
-        "n_anchors": settings.n_anchors,
-        "sh_axes": SH_AXES,
-        "is_deringed": settings.is_deringed,
+        "frame": facts,
+        "n_anchors": options.anchors,
+        "sh_axes": "right-handed, +Z up",
+        "is_deringed": options.dering,
         "positions": [
             {
                 "position_m": list(one.position_m),
@@ -294,21 +199,15 @@ def as_json(
     }
 
 
-def as_table(facts: FrameFacts, placed: list[PlacedEstimate]) -> str:
+def as_table(facts: dict[str, Any], placed: list[PlacedEstimate]) -> str:
     """The same for a reader: what was read, then a line on how far to trust each position and its coefficients."""
-    return "\n\n".join([_frame_table(facts), *(_position_table(one) for one in placed)])
-
-
-def _frame_table(facts: FrameFacts) -> str:
-    width, height = facts.size
-    rows = [
-        f"frame of {width}x{height} pixels, plane depth from {facts.nearest_m:.4g} m to {facts.farthest_m:.4g} m "
-        f"(1 in the file is {facts.metres_per_unit:g} m)"
-    ]
-    if facts.intrinsics_given_for is not None:
-        given_width, given_height = facts.intrinsics_given_for
-        rows.append(f"intrinsics given for {given_width}x{given_height} pixels, scaled to these")
-    return "\n".join(rows)
+    read = (
+        "frame of {size[0]}x{size[1]} pixels, plane depth from {nearest_m:.4g} m to {farthest_m:.4g} m "
+        "(1 in the file is {metres_per_unit:g} m)"
+    )
+    if facts["intrinsics_given_for"] is not None:
+        read += "\nintrinsics given for {intrinsics_given_for[0]}x{intrinsics_given_for[1]} pixels, scaled to these"
+    return "\n\n".join([read.format_map(facts), *map(_position_table, placed)])
 
 
 def _position_table(one: PlacedEstimate) -> str:
@@ -318,18 +217,15 @@ def _position_table(one: PlacedEstimate) -> str:
         facts.append(f"expected error {light.expected_error:.3f}")
     if not light.is_valid:
         facts.append(f"the light cannot be known: {format_reason(light.unknown_because)}")
-    head = f"{_format_position(one.position_m)}: {', '.join(facts)}"
-    rows = [_format_invalid(one.invalid)] if one.invalid else []
+    rows = [f"{_format_position(one.position_m)}: {', '.join(facts)}"]
+    if one.invalid:
+        reasons = [f"{n} ({format_reason(reason)})" for reason, n in one.invalid.items()]
+        rows.append(f"points left out or clamped: {'; '.join(reasons)}")
     rows.append(" l  m      red    green     blue")
     bands = [(band, m) for band in range(3) for m in range(-band, band + 1)]
     for (band, m), (red, green, blue) in zip(bands, light.sh_radiance, strict=True):
         rows.append(f"{band:2d} {m:2d} {red:8.4f} {green:8.4f} {blue:8.4f}")
-    return "\n".join([head, *rows])
-
-
-def _format_invalid(invalid: Counts) -> str:
-    """Such as "points left out or clamped: 12 (no distance was measured: ...)"."""
-    return "points left out or clamped: " + "; ".join(f"{n} ({format_reason(reason)})" for reason, n in invalid.items())
+    return "\n".join(rows)
 
 
 def warnings_about(placed: list[PlacedEstimate]) -> list[str]:
@@ -371,18 +267,8 @@ def write_estimates(folder: Path, content: dict[str, Any], placed: list[PlacedEs
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
-    """The command: options in, files and text out."""
-    settings = EstimateSettings(
-        positions_m=tuple(options.at),
-        estimator=options.estimator,
-        target=options.target,
-        n_anchors=options.anchors,
-        exposure=options.exposure,
-        depth_scale=options.depth_scale,
-        is_deringed=options.dering,
-    )
-    frame, facts, placed = estimate_from_files(options.frame, options.camera, options.plane_depth, settings)
-    content = as_json(settings, frame.exposure, facts, placed)
+    frame, facts, placed = estimate_from_files(options)
+    content = as_json(options, frame.exposure, facts, placed)
     written = [] if options.out is None else write_estimates(options.out, content, placed)
     for line in warnings_about(placed):
         print(f"xihe: warning: {line}", file=stderr)

@@ -1,4 +1,4 @@
-"""The sub-command `xihe frontier`: what it takes and prints."""
+"""`xihe frontier`: what it takes and prints."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from xihe_blender.cli.arguments import adder
 from xihe_blender.cli.progress import progress_line
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What can be typed."""
-    add = parser.add_argument
-    add("scenes", type=Path, nargs="+", metavar="SCENE.blend", help="scenes with animated cameras")
-    add("--out", type=Path, required=True, metavar="DIR", help="folder of the results; a stopped run in it is resumed")
-    add("--quick", action="store_true", help="fewer settings, one frame: about 2 minutes a scene instead of 15")
-    add("--seed", type=int, default=0, metavar="N", help="the same seed gives the same numbers")
+    add = adder(parser)
+    quick = "fewer settings, one frame: about 2 minutes a scene instead of 15"
+    add("scenes SCENE.blend", "scenes with animated cameras", Path, nargs="+")
+    add("--out DIR", "folder of the results; a stopped run in it is resumed", Path, required=True)
+    add("--quick", quick, action="store_true")
+    add("--seed N", "the same seed gives the same numbers", int, default=0)
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
-    """Measure, and print what the presets cost and where the report is."""
     from xihe_blender.jobs import run_blocking
     from xihe_blender.lab.frontier.records import FrontierSettings
     from xihe_blender.lab.frontier.study import frontier

@@ -100,7 +100,6 @@ def with_positions_bound(typed: Sequence[str]) -> list[str]:
 
 
 def _failed(message: str) -> int:
-    """Say in one line what the user can mend, and return the exit code for it."""
     print(f"xihe: {' '.join(message.split())}", file=sys.stderr)
     return EXIT_USER_ERROR
 

@@ -12,12 +12,10 @@ from xihenet.formats import format_bytes
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What can be typed."""
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for xihe-<version>.zip")
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
-    """The command: options in, the zip's path and size out."""
     if options.out.exists() and not options.out.is_dir():
         raise UserError(f"{options.out} is a file: give a folder with --out")
     path = build_extension(options.out)

@@ -11,12 +11,10 @@ from xihe_blender.errors import UserError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What can be typed."""
     parser.add_argument("action", choices=("build",), help="build the .blend files from their scripts")
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
-    """Build them; UserError where this is no checkout."""
     script = Path(__file__).resolve().parents[2] / "blend_scenes" / "build_all.py"
     if not script.exists():
         raise UserError(f"{script} is not there: build the scenes from a checkout of the project")

@@ -16,8 +16,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from xihe_blender.io.outputs import written_whole
-from xihe_blender.packaging.archive import Contents, packed
-from xihe_blender.packaging.project_wheel import CHECKOUT, project_wheel
+from xihe_blender.packaging.project_wheel import CHECKOUT, Contents, packed, project_wheel
 from xihenet import __version__
 
 MANIFEST = Path(__file__).parents[1] / "blender_manifest.toml"
@@ -46,19 +45,16 @@ def unregister():
 
 
 def build_extension(out: Path, *, checkout: Path = CHECKOUT) -> Path:
-    """Write the extension into the folder `out`, whole or not at all; the path of the zip.
+    """Write the extension into the folder `out`, made if needed, whole or not at all; the path of the zip.
 
-    Parameters
-    ----------
-    out : made if needed; a zip of the same version in it is replaced
-    checkout : the project's own files
-
-    UserError names the fix; OSError where a folder cannot be written.
+    A zip of the same version is replaced. UserError where `checkout` is none; OSError where a folder cannot be written.
     """
     name, content = project_wheel(checkout)
+    generated = f'version = "{__version__}"\nwheels = ["./wheels/{name}"]\n\n'
     contents: Contents = {
         f"wheels/{name}": content,
-        "blender_manifest.toml": _manifest(name),
+        # TOML wants single values before its tables: what is known only now stands in front of the template.
+        "blender_manifest.toml": (generated + MANIFEST.read_text(encoding="utf-8")).encode(),
         "__init__.py": REGISTERS_FROM_THE_WHEEL.format(version=__version__).encode(),
         "LICENSE": (checkout / "LICENSE").read_bytes(),
     }
@@ -66,9 +62,3 @@ def build_extension(out: Path, *, checkout: Path = CHECKOUT) -> Path:
     with written_whole(path) as beside:
         beside.write_bytes(packed(contents))
     return path
-
-
-def _manifest(wheel: str) -> bytes:
-    """The template with what is known only now in front of it: TOML wants single values before its tables."""
-    generated = f'version = "{__version__}"\nwheels = ["./wheels/{wheel}"]\n\n'
-    return (generated + MANIFEST.read_text(encoding="utf-8")).encode()

@@ -13,32 +13,56 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import io
 import tomllib
+import zipfile
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
 from xihe_blender.errors import UserError
-from xihe_blender.packaging.archive import Contents, packed
 from xihenet import __version__
 
 CHECKOUT = Path(__file__).resolve().parents[2]
+EARLIEST = (1980, 1, 1, 0, 0, 0)
+"""Of the times that a zip can tell."""
+
+Contents = dict[str, bytes]
+"""{name inside, with forward slashes: content} of all files of a zip."""
+
+
+def packed(contents: Contents) -> bytes:
+    """The zip of `contents`, the same to the last byte every time: sorted, without times and owners.
+
+    What is compressed already is stored as it is.
+    """
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, content in sorted(contents.items()):
+            entry = zipfile.ZipInfo(name, EARLIEST)
+            entry.create_system = 3  # Unix, on every system, so that the rights below are understood.
+            entry.external_attr = 0o100644 << 16
+            entry.compress_type = zipfile.ZIP_STORED if name.endswith((".whl", ".png")) else zipfile.ZIP_DEFLATED
+            archive.writestr(entry, content, compresslevel=9)
+    return buffer.getvalue()
 
 
 def project_wheel(checkout: Path = CHECKOUT) -> tuple[str, bytes]:
     """File name and content of the wheel. UserError where `checkout` is none."""
-    if not (checkout / "pyproject.toml").exists() or not (checkout / "LICENSE").exists():
+    if not all((checkout / name).exists() for name in ("pyproject.toml", "LICENSE")):
         raise UserError(f"{checkout} is no checkout of the project: package it from one")
     settings = tomllib.loads((checkout / "pyproject.toml").read_text(encoding="utf-8"))
     project = settings["project"]
     contents = _packages(checkout, settings["tool"]["setuptools"])
-    version = f"{__version__}+{_digest(contents)[:8]}"
+    digest = hashlib.sha256()
+    for name, content in sorted(contents.items()):
+        digest.update(f"{name}\0{len(content)}\0".encode() + content)
+    version = f"{__version__}+{digest.hexdigest()[:8]}"
     stem = f"{project['name'].replace('-', '_')}-{version}"
     info = f"{stem}.dist-info"
     contents[f"{info}/METADATA"] = _metadata(project, version)
-    contents[f"{info}/WHEEL"] = (
-        b"Wheel-Version: 1.0\nGenerator: xihe package\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
-    )
+    wheel = "Wheel-Version: 1.0\nGenerator: xihe package\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+    contents[f"{info}/WHEEL"] = wheel.encode()
     contents[f"{info}/licenses/LICENSE"] = (checkout / "LICENSE").read_bytes()
     contents[f"{info}/RECORD"] = _record(contents, f"{info}/RECORD")
     return f"{stem}-py3-none-any.whl", packed(contents)
@@ -58,25 +82,17 @@ def _packages(checkout: Path, setuptools: dict[str, Any]) -> Contents:
     return {file.relative_to(checkout).as_posix(): file.read_bytes() for file in files}
 
 
-def _digest(contents: Contents) -> str:
-    """One hash of all names and contents."""
-    digest = hashlib.sha256()
-    for name, content in sorted(contents.items()):
-        digest.update(f"{name}\0{len(content)}\0".encode() + content)
-    return digest.hexdigest()
-
-
 def _metadata(project: dict[str, Any], version: str) -> bytes:
-    lines = [
-        "Metadata-Version: 2.4",
-        f"Name: {project['name']}",
-        f"Version: {version}",
-        f"Summary: {project['description']}",
-        f"License-Expression: {project['license']}",
-        "License-File: LICENSE",
-        f"Requires-Python: {project['requires-python']}",
-    ]
-    return ("\n".join(lines) + "\n").encode()
+    lines = {
+        "Metadata-Version": "2.4",
+        "Name": project["name"],
+        "Version": version,
+        "Summary": project["description"],
+        "License-Expression": project["license"],
+        "License-File": "LICENSE",
+        "Requires-Python": project["requires-python"],
+    }
+    return "".join(f"{name}: {value}\n" for name, value in lines.items()).encode()
 
 
 def _record(contents: Contents, own_name: str) -> bytes:

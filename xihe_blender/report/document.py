@@ -60,7 +60,6 @@ def with_units_kept(words: str) -> str:
 
 
 def write_document(path: Path, page: str) -> None:
-    """Write it whole or not at all."""
     with written_whole(path) as beside:
         # Blender's names may hold bytes that are no text; they must not cost the user the report.
         beside.write_bytes(page.encode("utf-8", errors="replace"))

@@ -7,7 +7,6 @@ every probe, so reasons that pixels have are told once, as pixels.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 
 from xihe_blender.io.run_results import InvalidCounts, ProbeResult, RunResults
 from xihe_blender.report.timeline import Timeline
@@ -43,16 +42,14 @@ def format_undefined(metric: str) -> str:
 
 def _comparison_rows(counts: InvalidCounts) -> list[list[str]]:
     """Metrics without a value in a frame, and pixels without a hue."""
-    times = {name: f"{n:,} time{'' if n == 1 else 's'}" for name, n in counts.metrics.items()}
-    rows = [
-        [code(name), how_often, f"it {format_undefined(name)}", "left out of the mean over frames"]
-        for name, how_often in times.items()
-    ]
+    rows = []
+    for name, n in counts.metrics.items():
+        times = f"{n:,} time{'' if n == 1 else 's'}"
+        rows.append([code(name), times, f"it {format_undefined(name)}", "left out of the mean over frames"])
     hue = "black in its picture or in the ground truth, so there is no hue"
-    return rows + [
-        [f"pixels of {code(method)}", f"{n:,}", hue, f"left out of {code('angular_deg')}"]
-        for method, n in counts.hues.items()
-    ]
+    for method, n in counts.hues.items():
+        rows.append([f"pixels of {code(method)}", f"{n:,}", hue, f"left out of {code('angular_deg')}"])
+    return rows
 
 
 def _row(what: str, reason: str, n: int, of_all: int, became: str) -> list[str]:
@@ -65,11 +62,8 @@ def _row(what: str, reason: str, n: int, of_all: int, became: str) -> list[str]:
 def _why(reason: str | None) -> str:
     if not reason:
         return "reason not recorded"
-    return (
-        escape(format_reason(reason))
-        if reason in {**LEFT_OUT, **CLAMPED, **UNKNOWN}
-        else f"{code(reason)} of the phone"
-    )
+    is_ours = reason in {**LEFT_OUT, **CLAMPED, **UNKNOWN}
+    return escape(format_reason(reason)) if is_ours else f"{code(reason)} of the phone"
 
 
 def _light_rows(timeline: Timeline) -> list[list[str]]:
@@ -79,17 +73,16 @@ def _light_rows(timeline: Timeline) -> list[list[str]]:
         for probe in frame.probes:
             if not probe.is_valid:
                 kept.setdefault((probe.name, probe.unknown_because), []).append((frame.frame, probe.light_frame))
-    return [
-        [f"light at {escape(name)}", escape(format_frames([n for n, _ in of_one])), _why(reason), _stayed(of_one)]
-        for (name, reason), of_one in kept.items()
-    ]
-
-
-def _stayed(frames_and_sources: Iterable[tuple[int, int | None]]) -> str:
-    sources = dict.fromkeys(source for _, source in frames_and_sources)
-    return format_list(
-        ["the ambient light was used instead" if s is None else f"the light of frame {s} was kept" for s in sources]
-    )
+    rows = []
+    for (name, reason), of_one in kept.items():
+        sources = dict.fromkeys(source for _, source in of_one)
+        instead = [
+            f"the light of frame {s} was kept" if s is not None else "the ambient light was used instead"
+            for s in sources
+        ]
+        frames = escape(format_frames([number for number, _ in of_one]))
+        rows.append([f"light at {escape(name)}", frames, _why(reason), format_list(instead)])
+    return rows
 
 
 def format_kept(probe: ProbeResult) -> str:

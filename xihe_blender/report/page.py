@@ -10,7 +10,7 @@ from __future__ import annotations
 from pathlib import Path, PurePosixPath
 
 from xihe_blender.io.outputs import RunOutputs
-from xihe_blender.io.run_results import RunResults, Summary
+from xihe_blender.io.run_results import RunResults
 from xihe_blender.report.document import SCRIPT, document, write_document
 from xihe_blender.report.pictures import pictures_section
 from xihe_blender.report.plots import plots_section
@@ -20,23 +20,12 @@ from xihenet.formats import DASH, format_bytes, format_count, format_number, for
 
 
 def write_report(results: RunResults, outputs: RunOutputs) -> Path:
-    """Write the page that the user opens first; OSError where it cannot be written.
-
-    Parameters
-    ----------
-    results : of the run
-    outputs : the run's files; pictures are read from there, one that is missing is named in the page
-
-    Returns
-    -------
-    `outputs.report`, whole
-    """
+    """Write `outputs.report`, whole, with the pictures in `outputs`; OSError where it cannot be written."""
     write_document(outputs.report, report_page(results, outputs))
     return outputs.report
 
 
 def report_page(results: RunResults, outputs: RunOutputs) -> str:
-    """The page as text."""
     name = escape(PurePosixPath(results.scene.file.replace("\\", "/")).stem)
     sections = [
         ("pictures", "Pictures", pictures_section(results, outputs)),
@@ -57,7 +46,11 @@ def report_page(results: RunResults, outputs: RunOutputs) -> str:
 
 def format_result(results: RunResults) -> str:
     """What the run showed, in two or three plain sentences of HTML."""
-    return " ".join(filter(None, [_what_was_done(results), _how_close(results), _how_close_truth(results)]))
+    sentences = [_what_was_done(results), _how_close(results)]
+    closer = closeness(results.comparison, "truth")
+    if closer is not None and results.settings.estimator != "truth":
+        sentences.append(f"Lit by the rendered light probe itself, {code('truth')}, they {_against_ambient(closer)}.")
+    return " ".join(sentences)
 
 
 def _what_was_done(results: RunResults) -> str:
@@ -66,9 +59,8 @@ def _what_was_done(results: RunResults) -> str:
     sentence = f"Over {over} the phone made {format_count(n_estimates, 'estimate')}"
     if n_estimates == 0 and not results.active_frames:
         return f"{sentence}: no probe was in view."
-    return (
-        f"{sentence} of the light around {format_count(n_objects, 'virtual object')}." if n_objects else f"{sentence}."
-    )
+    around = f" of the light around {format_count(n_objects, 'virtual object')}" if n_objects else ""
+    return f"{sentence}{around}."
 
 
 def _how_close(results: RunResults) -> str:
@@ -82,11 +74,8 @@ def _how_close(results: RunResults) -> str:
     if estimator == "ambient" or ambient is None:
         return f"{lit} differ from the ground truth by an rmse of {format_number(own)}."
     if ambient == 0:
-        ending = (
-            "match the ground truth exactly, as they do"
-            if own == 0
-            else "differ from the ground truth, which they match"
-        )
+        match = "match the ground truth exactly, as they do"
+        ending = match if own == 0 else "differ from the ground truth, which they match"
         return f"{lit} {ending} with <code>ambient</code>."
     numbers = f"rmse {format_number(own)} against {format_number(ambient)}"
     return f"{lit} {_against_ambient(1.0 - own / ambient)} ({numbers})."
@@ -94,40 +83,30 @@ def _how_close(results: RunResults) -> str:
 
 def _against_ambient(closer: float) -> str:
     """`closeness` as the verb and the rest of a sentence: "are 31 % closer to the ground truth than with ambient"."""
-    words, ambient = format_closeness(closer), "<code>ambient</code>"
+    words = format_closeness(closer)
     if words == "as close":
-        return f"are as close to the ground truth as with {ambient}"
+        return "are as close to the ground truth as with <code>ambient</code>"
     if "times" in words:
-        return f"have {words} that they have with {ambient}"
-    return f"are {words} {'to' if closer > 0 else 'from'} the ground truth than with {ambient}"
-
-
-def _how_close_truth(results: RunResults) -> str:
-    closer = closeness(results.comparison, "truth")
-    if closer is None or results.settings.estimator == "truth":
-        return ""
-    return f"Lit by the rendered light probe itself, {code('truth')}, they {_against_ambient(closer)}."
+        return f"have {words} that they have with <code>ambient</code>"
+    return f"are {words} {'to' if closer > 0 else 'from'} the ground truth than with <code>ambient</code>"
 
 
 def _key_figures(results: RunResults) -> str:
     summary = results.summary
+    ambient, overhead = summary.ambient_shc_rmse, summary.overhead_share
+    against = "" if ambient is None else f"; {format_number(ambient)} with <code>ambient</code>"
+    around = "" if overhead is None else f", plus {format_percent(overhead)} for all other work"
     estimates = f"estimate{'' if summary.n_estimates == 1 else 's'} in {format_count(len(results.frames), 'frame')}"
     figures = [
         (str(summary.n_estimates), estimates),
-        _error_figure(summary),
+        (format_number(summary.mean_shc_rmse), f"mean coefficient error (SHC RMSE){against}"),
         _closeness_figure(results),
         (format_quantity(summary.mean_step_ms, "ms"), "mean time of one step, without rendering"),
         (format_bytes(sum(probe.payload_bytes for probe in results.probes)), "sent to the estimator in total"),
-        _render_figure(summary),
+        (format_quantity(summary.render_s, "s"), f"of rendering{around}"),
     ]
     shown = "".join(f"<div><dt>{label}</dt><dd>{value}</dd></div>" for value, label in figures)
     return f'<dl class="figures">{shown}</dl>'
-
-
-def _error_figure(summary: Summary) -> tuple[str, str]:
-    ambient = summary.ambient_shc_rmse
-    against = "" if ambient is None else f"; {format_number(ambient)} with <code>ambient</code>"
-    return format_number(summary.mean_shc_rmse), f"mean coefficient error (SHC RMSE){against}"
 
 
 def _closeness_figure(results: RunResults) -> tuple[str, str]:
@@ -136,9 +115,3 @@ def _closeness_figure(results: RunResults) -> tuple[str, str]:
     direction = "further from" if rounded < 0 else "closer to"
     value = DASH if closer is None else format_percent(abs(rounded))
     return value, f"{direction} the ground truth than <code>ambient</code> (rmse)"
-
-
-def _render_figure(summary: Summary) -> tuple[str, str]:
-    overhead = summary.overhead_share
-    around = "" if overhead is None else f", plus {format_percent(overhead)} for all other work"
-    return format_quantity(summary.render_s, "s"), f"of rendering{around}"

@@ -56,24 +56,16 @@ def pictures_section(results: RunResults, outputs: RunOutputs) -> str:
     return f'{_choosing_rules(len(chosen))}<div class="viewer">{viewer}</div>{notes}'
 
 
-def choose_frames(frames: Sequence[FrameResult], limit: int = MAX_FRAMES) -> list[FrameResult]:
-    """At most `limit` of `frames`, ascending: first those at which an estimate was made.
-
-    These and the others are spread evenly.
-    """
+def choose_frames(frames: Sequence[FrameResult]) -> list[FrameResult]:
+    """At most MAX_FRAMES, ascending: first those at which an estimate was made, then the others, both spread evenly."""
     chosen: list[FrameResult] = []
     for group in ([frame for frame in frames if fired_probes(frame)], frames):
-        _spread(chosen, group, limit)
+        left = [frame for frame in group if frame not in chosen]
+        while left and len(chosen) < MAX_FRAMES:
+            farthest = max(left, key=lambda f: min((abs(f.frame - c.frame) for c in chosen), default=0))
+            chosen.append(farthest)
+            left.remove(farthest)
     return sorted(chosen, key=lambda frame: frame.frame)
-
-
-def _spread(chosen: list[FrameResult], group: Sequence[FrameResult], limit: int) -> None:
-    """Add frames of `group` to `chosen`, each time the one that is farthest from all that are chosen already."""
-    left = [frame for frame in group if frame not in chosen]
-    while left and len(chosen) < limit:
-        farthest = max(left, key=lambda f: min((abs(f.frame - c.frame) for c in chosen), default=0))
-        chosen.append(farthest)
-        left.remove(farthest)
 
 
 def picture_kinds(compared: Iterable[ComparedFrame], estimator: str) -> list[str]:
@@ -112,13 +104,9 @@ def _kind_meaning(kind: str, error_full_scale: float) -> str:
 
 def _choosing_rules(n_chosen: int) -> str:
     """CSS by which the checked radio button shows its strip and lights up its label."""
-
-    def selectors(pattern: str) -> str:
-        return ",".join(pattern.format(i=i) for i in range(n_chosen))
-
-    shown = selectors("#f{i}:checked~.moments>#m{i}")
-    lit = selectors("#f{i}:checked~.scrubber>[for=f{i}]")
-    focused = selectors("#f{i}:focus-visible~.scrubber>[for=f{i}]")
+    shown = ",".join(f"#f{i}:checked~.moments>#m{i}" for i in range(n_chosen))
+    lit = ",".join(f"#f{i}:checked~.scrubber>[for=f{i}]" for i in range(n_chosen))
+    focused = ",".join(f"#f{i}:focus-visible~.scrubber>[for=f{i}]" for i in range(n_chosen))
     return (
         f"<style>{shown}{{display:block}}{lit}{{background:var(--ink);color:var(--paper)}}"
         f"{focused}{{outline:3px solid var(--accent);outline-offset:2px}}</style>"
@@ -141,9 +129,8 @@ def _strip(
     index: int, frame: FrameResult, compared: ComparedFrame, meanings: Mapping[str, str], outputs: RunOutputs
 ) -> str:
     figures = "".join(_figure(kind, meaning, frame.frame, compared, outputs) for kind, meaning in meanings.items())
-    heading = format_moment(frame)
     return (
-        f'<article class="moment" id="m{index}"><h3>{heading[0].upper()}{heading[1:]}</h3>'
+        f'<article class="moment" id="m{index}"><h3>{format_moment(frame).capitalize()}</h3>'
         f'<p class="quiet">{_what_happened(frame)}</p><div class="strip">{figures}</div></article>'
     )
 
@@ -152,20 +139,17 @@ def _what_happened(frame: FrameResult) -> str:
     sentences = []
     for reason in dict.fromkeys(probe.reason for probe in fired_probes(frame)):
         names = [escape(probe.name) for probe in fired_probes(frame) if probe.reason == reason]
-        sentences.append(
-            f"{icon(reason_shape(reason))} Estimate made for {format_list(names)}: {format_trigger(reason)}."
-        )
-    for probe in frame.probes:
-        if not probe.is_valid:
-            sentences.append(f"{icon(reason_shape(KEPT))} {escape(probe.name)}{format_kept(probe)}.")
+        made = f"Estimate made for {format_list(names)}: {format_trigger(reason)}."
+        sentences.append(f"{icon(reason_shape(reason))} {made}")
+    unknown = [probe for probe in frame.probes if not probe.is_valid]
+    sentences += [f"{icon(reason_shape(KEPT))} {escape(probe.name)}{format_kept(probe)}." for probe in unknown]
     return " ".join(sentences) or "No new estimate was needed; the last one stays in use."
 
 
 def _figure(kind: str, meaning: str, number: int, compared: ComparedFrame, outputs: RunOutputs) -> str:
     name = kind_label(kind)
-    title = (
-        escape(name[0].upper() + name[1:]) if kind in ("captured", "ground_truth") or _is_error(kind) else code(name)
-    )
+    is_method = kind not in ("captured", "ground_truth") and not _is_error(kind)
+    title = code(name) if is_method else escape(name[0].upper() + name[1:])
     rmse = rmse_of(compared.comparison, kind)
     figure = "" if rmse is None else f' <span class="figure-number">rmse {format_number(rmse)}</span>'
     picture = _embedded(kind, number, compared, outputs)

@@ -6,6 +6,7 @@ one shape per reason for which an estimate was made. Hovering a frame's column n
 
 from __future__ import annotations
 
+import itertools
 import math
 import statistics
 from collections.abc import Callable, Sequence
@@ -50,10 +51,9 @@ CHAIN = {
     "apply": "the virtual objects are lit by the estimate",
     "compare": "the result is compared with path-traced ground truth",
 }
+_STAGES_LISTED = "".join(f"<li><b>{stage}</b>: {words}</li>" for stage, words in CHAIN.items())
 _CHAIN_LISTED = (
-    '<details class="chain"><summary>The stages of the chain, in order</summary><ol>'
-    + "".join(f"<li><b>{stage}</b>: {words}</li>" for stage, words in CHAIN.items())
-    + "</ol></details>"
+    f'<details class="chain"><summary>The stages of the chain, in order</summary><ol>{_STAGES_LISTED}</ol></details>'
 )
 
 
@@ -62,9 +62,9 @@ def plots_section(results: RunResults) -> str:
     timeline = Timeline.of(results)
     if not timeline.frames:
         return "<p>The results hold no frame, so there is nothing to plot.</p>"
-    plots = [_error_plot(timeline, results.summary.ambient_shc_rmse), _change_plot(timeline), _coverage_plot(timeline)]
-    plots += [_stage_plot(timeline), _payload_plot(timeline)]
-    return f'{_shared_legend(timeline)}<div class="plots">{"".join(plots)}</div>{_CHAIN_LISTED}'
+    plots = _error_plot(timeline, results.summary.ambient_shc_rmse) + _change_plot(timeline) + _coverage_plot(timeline)
+    plots += _stage_plot(timeline) + _payload_plot(timeline)
+    return f'{_shared_legend(timeline)}<div class="plots">{plots}</div>{_CHAIN_LISTED}'
 
 
 def _shared_legend(timeline: Timeline) -> str:
@@ -118,15 +118,15 @@ def _frame_axis(timeline: Timeline) -> str:
 
 
 def _columns(timeline: Timeline, hover: Sequence[str]) -> str:
-    columns = []
-    for index, (frame, words) in enumerate(zip(timeline.frames, hover, strict=True)):
-        left, right = timeline.edges_percent[index : index + 2]
+    columns = '<line class="now" y1="0" y2="100%"/>'
+    edges = itertools.pairwise(timeline.edges_percent)
+    for frame, (left, right), words in zip(timeline.frames, edges, hover, strict=True):
         words = words if frame.active or words else "no probe in view"
-        columns.append(
+        columns += (
             f'<rect class="column" x="{left:.3f}%" y="0" width="{right - left:.3f}%" height="{HEIGHT_PX}">'
             f"<title>{format_moment(frame)}\n{words}</title></rect>"
         )
-    return '<line class="now" y1="0" y2="100%"/>' + "".join(columns)
+    return columns
 
 
 def _curves(timeline: Timeline, axis: Axis, value_of: Value) -> str:
@@ -165,7 +165,7 @@ def _hover(timeline: Timeline, describe: Callable[[ProbeResult], str]) -> list[s
     """Per frame one line for each probe in view: its key, its name, what `describe` says, whether one was made."""
     return [
         "\n".join(
-            f"{index + 1} {escape(name)}: {describe(probe)}{_format_fired(probe)}"
+            f"{index + 1} {escape(name)}: {describe(probe)}{_format_made(probe)}{format_kept(probe)}"
             for index, name in enumerate(timeline.probe_names)
             if (probe := probe_in(frame, name))
         )
@@ -173,9 +173,8 @@ def _hover(timeline: Timeline, describe: Callable[[ProbeResult], str]) -> list[s
     ]
 
 
-def _format_fired(probe: ProbeResult) -> str:
-    made = f", estimate made: {format_trigger(probe.reason)}" if probe.fired else ""
-    return made + format_kept(probe)
+def _format_made(probe: ProbeResult) -> str:
+    return f", estimate made: {format_trigger(probe.reason)}" if probe.fired else ""
 
 
 def _limit(axis: Axis, value: float, words: str) -> tuple[str, str]:
@@ -189,15 +188,12 @@ def _limit(axis: Axis, value: float, words: str) -> tuple[str, str]:
 
 
 def _error_plot(timeline: Timeline, ambient: float | None) -> str:
-    def error(probe: ProbeResult) -> float:
-        return probe.shc_rmse
-
-    axis = linear_axis(0, max([*map(error, timeline.probes), ambient or 0.0]))
-    drawing, below = _curves(timeline, axis, error), ""
+    axis = linear_axis(0, max([*(probe.shc_rmse for probe in timeline.probes), ambient or 0.0]))
+    drawing, below = _curves(timeline, axis, lambda probe: probe.shc_rmse), ""
     if drawing and ambient is not None:
         limit, below = _limit(axis, ambient, f"<code>ambient</code>, mean over the run: {format_number(ambient)}")
         drawing = limit + drawing
-    hover = _hover(timeline, lambda probe: format_number(error(probe)))
+    hover = _hover(timeline, lambda probe: format_number(probe.shc_rmse))
     about = "SHC RMSE between the coefficients in use and the rendered light probe. No unit; 0 is a perfect estimate."
     return plot(timeline, axis, drawing, hover, title="Coefficient error", about=about, below=below)
 
@@ -298,9 +294,8 @@ def _cut_off_marks(timeline: Timeline, axis: Axis, totals: Sequence[float]) -> s
         if total > axis.high:
             side, shift = ("start", 8) if x < 50 else ("end", -8)
             words = f'<text class="cut" x="{shift}" y="0" text-anchor="{side}">{format_quantity(total, "ms")}</text>'
-            marks += (
-                f'<svg x="{x:.3f}%" y="-9" width="1" height="1"><path class="cut" d="M0-5L5 4L-5 4Z"/>{words}</svg>'
-            )
+            arrow = f'<path class="cut" d="M0-5L5 4L-5 4Z"/>{words}'
+            marks += f'<svg x="{x:.3f}%" y="-9" width="1" height="1">{arrow}</svg>'
     return marks
 
 
@@ -337,8 +332,5 @@ def _payload_plot(timeline: Timeline) -> str:
     drawing += "".join(_mark(timeline, x, axis.y(p.payload_bytes), p) for x, p in sent)
     total = f"{format_bytes(sum(p.payload_bytes for _, p in sent))} in all" if sent else "Nothing was sent"
     about = f"Size of each encoded cloud, as it would be sent to the estimator. {total}."
-    return plot(timeline, axis, drawing, _hover(timeline, _format_payload), title="Payload", about=about)
-
-
-def _format_payload(probe: ProbeResult) -> str:
-    return format_bytes(probe.payload_bytes) if probe.payload_bytes else "nothing sent"
+    hover = _hover(timeline, lambda p: format_bytes(p.payload_bytes) if p.payload_bytes else "nothing sent")
+    return plot(timeline, axis, drawing, hover, title="Payload", about=about)

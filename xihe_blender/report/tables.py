@@ -7,6 +7,7 @@ methods.
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -33,7 +34,7 @@ from xihenet.formats import (
 
 # name, direction that is better, unit
 METRICS = (
-    ("psnr", "up", "dB"),
+    ("psnr", "up", " (dB)"),
     ("ssim", "up", ""),
     ("rmse", "down", ""),
     ("si_rmse", "down", ""),
@@ -43,18 +44,16 @@ _BETTER = {"up": "\N{UPWARDS ARROW} higher is better", "down": "\N{DOWNWARDS ARR
 
 
 def numbers_section(results: RunResults) -> str:
-    """All tables, from the comparison to the command."""
-    parts = [
-        _comparison(results),
-        block("Probes", _probes(Timeline.of(results))),
-        block("Effects", _effects(results.effects)),
-        block("Phone", _phone(results)),
-        block("What was invalid, and why", _invalid(results)),
-        block("Notes", _notes(results.notes)),
-        block("Command", _command(results.software.get("command", ""))),
-        _facts(results),
-    ]
-    return "".join(parts)
+    blocks = {
+        "Comparison with the ground truth": _comparison(results),
+        "Probes": _probes(Timeline.of(results)),
+        "Effects": _effects(results.effects),
+        "Phone": _phone(results),
+        "What was invalid, and why": _invalid(results),
+        "Notes": _notes(results.notes),
+        "Command": _command(results.software.get("command", "")),
+    }
+    return "".join(itertools.starmap(block, blocks.items())) + _facts(results)
 
 
 # ----------------------------------------------------------------------------------------------------- comparison
@@ -63,14 +62,15 @@ def numbers_section(results: RunResults) -> str:
 def _comparison(results: RunResults) -> str:
     comparison = results.comparison
     if not comparison:
-        return block("Comparison with the ground truth", "<p>No frame was compared with the ground truth.</p>")
+        return "<p>No frame was compared with the ground truth.</p>"
     methods = sorted(comparison, key=lambda m: (m == "truth", m == "ambient"))
     columns = [_metric_column(comparison, methods, name, way) for name, way, _ in METRICS]
     rows = [
         [_method_name(results.settings.estimator, m), *(column[i] for column in columns), _closer_cell(comparison, m)]
         for i, m in enumerate(methods)
     ]
-    head = ["method", *(_metric_head(*metric) for metric in METRICS), "rmse against <code>ambient</code>"]
+    heads = [f'{name}{unit}<span class="way">{_BETTER[way]}</span>' for name, way, unit in METRICS]
+    head = ["method", *heads, "rmse against <code>ambient</code>"]
     about = (
         "Averages over the compared frames, inside the virtual objects. psnr and ssim are taken on the sRGB pictures,"
         " the others on linear colour."
@@ -78,11 +78,7 @@ def _comparison(results: RunResults) -> str:
     star = "\N{BLACK STAR} marks the best method that a phone could run; <code>truth</code> is not one."
     honest = "No image metric tracks human preference: look at the pictures before you trust a ranking."
     notes = f'<p class="quiet">{star} {honest}</p>{_null_reasons(comparison, methods)}'
-    return block("Comparison with the ground truth", f"<p>{about}</p>{table(head, rows, 'stacking comparison')}{notes}")
-
-
-def _metric_head(name: str, way: str, unit: str) -> str:
-    return f'{name}{f" ({unit})" if unit else ""}<span class="way">{_BETTER[way]}</span>'
+    return f"<p>{about}</p>{table(head, rows, 'stacking comparison')}{notes}"
 
 
 def _method_name(estimator: str, method: str) -> str:
@@ -92,25 +88,17 @@ def _method_name(estimator: str, method: str) -> str:
 
 def _metric_column(comparison: Mapping[str, Metrics], methods: Sequence[str], name: str, way: str) -> list[str]:
     values: dict[str, float | None] = {method: getattr(comparison[method], name) for method in methods}
-    known = {method: value for method, value in values.items() if value is not None}
-    rivals = [value for method, value in known.items() if method != "truth"]
+    rivals = [value for method, value in values.items() if value is not None and method != "truth"]
     best = (max if way == "up" else min)(rivals) if len(rivals) > 1 else None
-    decimals = _column_decimals(list(known.values()))
+    # Enough for three digits of the smallest.
+    smallest = min((abs(value) for value in values.values() if value), default=1.0)
+    decimals = min(8, max(2, 2 - math.floor(math.log10(smallest))))
     cells = []
     for method, value in values.items():
-        if value is None:
-            cells.append(DASH)
-            continue
-        shown = f'<data value="{value!r}">{value:,.{decimals}f}</data>'
-        is_best = value == best and method != "truth"
+        shown = DASH if value is None else f'<data value="{value!r}">{value:,.{decimals}f}</data>'
+        is_best = value is not None and value == best and method != "truth"
         cells.append(f'<strong class="best">\N{BLACK STAR} {shown}</strong>' if is_best else shown)
     return cells
-
-
-def _column_decimals(values: Sequence[float]) -> int:
-    """Decimals that show the smallest value that is not 0 with three format_number digits: 2 to 8."""
-    smallest = min((abs(value) for value in values if value), default=1.0)
-    return min(8, max(2, 2 - math.floor(math.log10(smallest))))
 
 
 def _closer_cell(comparison: Mapping[str, Metrics], method: str) -> str:
@@ -179,17 +167,13 @@ def _coefficients(name: str, last: ProbeResult) -> str:
 
 
 def _effects(effects: Sequence[EffectResult]) -> str:
-    rows = [
-        [code(effect.name), f'<span class="state">{effect.state}</span>', escape(effect.reason), _set_to(effect)]
-        for effect in effects
-    ]
+    rows = []
+    for effect in effects:
+        settings = as_json(effect.parameters).items()
+        set_to = ", ".join(code(f"{name} {format_setting(value)}") for name, value in settings) or DASH
+        state = f'<span class="state">{effect.state}</span>'
+        rows.append([code(effect.name), state, escape(effect.reason), set_to])
     return table(["effect", "state", "why", "set to"], rows, "words") if rows else ""
-
-
-def _set_to(effect: EffectResult) -> str:
-    """What an effect was set to: "diffuse_bounces 17", "farthest_m 5"; a dash where nothing sets it."""
-    settings = as_json(effect.parameters).items()
-    return ", ".join(code(f"{name} {format_setting(value)}") for name, value in settings) or DASH
 
 
 def _phone(results: RunResults) -> str:
@@ -248,13 +232,9 @@ def _invalid(results: RunResults) -> str:
 
 
 def _notes(notes: Sequence[str]) -> str:
-    listed = "".join(f"<li>{_with_code(escape(note))}</li>" for note in notes)
-    return f"<ul>{listed}</ul>" if listed else ""
-
-
-def _with_code(words: str) -> str:
-    """Escaped words, with what stands between backticks set as code."""
-    return re.sub("`([^`]+)`", r"<code>\1</code>", words)
+    """A list, with what stands between backticks set as code."""
+    with_code = (re.sub("`([^`]+)`", r"<code>\1</code>", escape(note)) for note in notes)
+    return f"<ul>{''.join(f'<li>{note}</li>' for note in with_code)}</ul>" if notes else ""
 
 
 def _command(command: str) -> str:
@@ -266,16 +246,12 @@ def _command(command: str) -> str:
 def _facts(results: RunResults) -> str:
     groups = {name: as_json(getattr(results, name)) for name in ("settings", "scene", "summary", "software", "machine")}
     groups["software"].pop("command", None)
-    blocks = [block(name.capitalize(), _fact_table(facts)) for name, facts in groups.items() if facts]
-    return f'<div class="facts">{"".join(blocks)}</div>'
-
-
-def _fact_table(facts: Json) -> str:
-    rows = "".join(
-        f'<tr><th scope="row">{escape(name).replace(".", ".<wbr>")}</th><td>{value}</td></tr>'
-        for name, value in _flat(facts)
-    )
-    return f'<table class="pairs"><tbody>{rows}</tbody></table>'
+    blocks = ""
+    for group, facts in groups.items():
+        names = [(escape(name).replace(".", ".<wbr>"), value) for name, value in _flat(facts)]
+        rows = "".join(f'<tr><th scope="row">{name}</th><td>{value}</td></tr>' for name, value in names)
+        blocks += block(group.capitalize(), rows and f'<table class="pairs"><tbody>{rows}</tbody></table>')
+    return f'<div class="facts">{blocks}</div>'
 
 
 def _flat(facts: Json, prefix: str = "") -> list[tuple[str, str]]:

@@ -22,7 +22,6 @@ N_COLOURS = 6
 
 
 def format_trigger(reason: str) -> str:
-    """Why an estimate was made."""
     return REASONS.get(reason, reason)
 
 
@@ -64,7 +63,6 @@ class Timeline:
 
     @property
     def probes(self) -> list[ProbeResult]:
-        """Of all frames."""
         return [probe for frame in self.frames for probe in frame.probes]
 
     def values(self, name: str, value_of: Value) -> list[float | None]:
@@ -110,7 +108,6 @@ def probe_in(frame: FrameResult, name: str) -> ProbeResult | None:
 
 
 def fired_probes(frame: FrameResult) -> list[ProbeResult]:
-    """The probes for which an estimate was made in `frame`."""
     return [probe for probe in frame.probes if probe.fired]
 
 

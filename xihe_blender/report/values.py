@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping
 
 from xihe_blender.io.run_results import Metrics
 from xihenet.formats import format_percent
@@ -24,34 +23,10 @@ def code(value: object) -> str:
     return f"<code>{escape(value)}</code>"
 
 
-def finite(value: Any) -> float | None:
-    """`value` as a float; None for null, NaN, infinity and everything that is not a number."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        return None
-    return float(value)
-
-
-def finite_only(values: Iterable[Any]) -> list[float]:
-    """The numbers among `values`."""
-    return [number for number in map(finite, values) if number is not None]
-
-
-def mean(values: Iterable[Any]) -> float | None:
-    """Mean of the numbers among `values`, None where there are none."""
-    numbers = finite_only(values)
+def mean(values: Iterable[float | None]) -> float | None:
+    """Of those that are finite numbers; None where there are none."""
+    numbers = [value for value in values if value is not None and math.isfinite(value)]
     return math.fsum(numbers) / len(numbers) if numbers else None
-
-
-def mapping(source: Any, key: str) -> Mapping[str, Any]:
-    """The object at `key`; empty where it is missing or null."""
-    value = source.get(key)
-    return value if isinstance(value, Mapping) else {}
-
-
-def items(source: Any, key: str) -> Sequence[Any]:
-    """The list at `key`; empty where it is missing or null."""
-    value = source.get(key)
-    return value if isinstance(value, list | tuple) else ()
 
 
 def rmse_of(comparison: Mapping[str, Metrics], method: str) -> float | None:

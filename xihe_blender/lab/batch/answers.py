@@ -119,13 +119,9 @@ def against_the_best(trials: Sequence[Trial], measure: Measure) -> list[Comparis
 
 @dataclass(frozen=True)
 class TriggerPoint:
-    """What a trigger scaled by `factor` does on average over trials.
+    """What a trigger scaled by `factor` does on average over trials: estimates, SHC RMSE.
 
-    Parameters
-    ----------
-    per_minute : estimates for a position in view
-    error : mean SHC RMSE
-    more : error than with an estimate in every frame; None for that itself
+    `more` is the error that it has more than one that estimates in every frame; None for that itself.
     """
 
     factor: float
@@ -137,8 +133,8 @@ class TriggerPoint:
 
 def trigger_points(trials: Sequence[Trial], estimator: str) -> list[TriggerPoint]:
     """By rising threshold; empty for an estimator that no trigger matters to."""
-    known = [trial for trial in chosen(trials, estimator=estimator) if trial.thetas]
-    known = [trial for trial in known if all(one.per_minute is not None for one in trial.thetas)]
+    own = [trial for trial in chosen(trials, estimator=estimator) if trial.thetas]
+    known = [trial for trial in own if all(one.per_minute is not None for one in trial.thetas)]
     eager = [trial.thetas[0].shc_rmse for trial in known]
     scenes = [trial.scene for trial in known]
     points = []
@@ -174,17 +170,10 @@ def worst_cases(trials: Sequence[Trial], n: int) -> list[WorstCase]:
         if not known or trial.estimator in NOT_FOR_SHIPPING:
             continue
         psnr, number, rmse = min(known, key=lambda one: one[:2])
-        case = WorstCase(trial, number, psnr, rmse)
         which = trial.scene, trial.estimator
-        if which not in worst or case.psnr < worst[which].psnr:
-            worst[which] = case
+        if which not in worst or psnr < worst[which].psnr:
+            worst[which] = WorstCase(trial, number, psnr, rmse)
     return sorted(worst.values(), key=lambda case: case.psnr)[:n]
-
-
-def frame_values(trials: Sequence[Trial], measure: Measure, estimator: str) -> list[float]:
-    """The measure of every frame of an estimator's trials."""
-    frames = [frame for trial in chosen(trials, estimator=estimator) for frame in trial.frames]
-    return [value for frame in frames if (value := measure.of(frame)) is not None]
 
 
 # ---------------------------------------------------------------------------------------------- in words
@@ -192,11 +181,8 @@ def frame_values(trials: Sequence[Trial], measure: Measure, estimator: str) -> l
 
 def format_interval(difference: PairedDifference) -> str:
     """ "+0.021 (95 %: +0.010 to +0.030)"."""
-    if difference.low is None:
-        return f"{format_signed(difference.mean)} (one pair)"
-    return (
-        f"{format_signed(difference.mean)} (95 %: {format_signed(difference.low)} to {format_signed(difference.high)})"
-    )
+    low, middle, high = map(format_signed, (difference.low, difference.mean, difference.high))
+    return f"{middle} (one pair)" if difference.low is None else f"{middle} (95 %: {low} to {high})"
 
 
 def what_it_stands_on(trials: Sequence[Trial]) -> str:
@@ -215,7 +201,6 @@ def what_it_stands_on(trials: Sequence[Trial]) -> str:
 
 
 def which_estimator(trials: Sequence[Trial]) -> str:
-    """Which estimator should I ship?"""
     measure, picture = MEASURES
     names = ranked(trials, measure, shippable(trials))
     if not names:
@@ -228,9 +213,9 @@ def which_estimator(trials: Sequence[Trial]) -> str:
     clear = [one.first for one in rivals if one.difference.is_clear]
     words = f"Ship {code(best)}: its mean coefficient error, {error}, is the lowest"
     words += f", clearly below that of {format_list([code(name) for name in clear])}" if clear else ""
-    open_ones = [one for one in rivals if not one.difference.is_clear]
-    for one in open_ones:
-        words += f"; against {code(one.first)} the difference, {format_interval(one.difference)}, may be chance"
+    for one in rivals:
+        if not one.difference.is_clear:
+            words += f"; against {code(one.first)} the difference, {format_interval(one.difference)}, may be chance"
     return f"{words}. {_in_the_picture(trials, picture, best)}"
 
 
@@ -241,17 +226,19 @@ def _in_the_picture(trials: Sequence[Trial], picture: Measure, best: str) -> str
     if first == best:
         rivals = [one for one in against_the_best(trials, picture) if one.first in shippable(trials)]
         chance = [code(one.first) for one in rivals if not one.difference.is_clear]
-        return (
-            f"It has the best pictures too{f', by what may be chance against {format_list(chance)}' if chance else ''}."
-        )
+        how_sure = f", by what may be chance against {format_list(chance)}" if chance else ""
+        return f"It has the best pictures too{how_sure}."
     one = compared(trials, picture, "estimator", first, best)
     assert one is not None
-    sure = "and that is clear" if one.difference.is_clear else "which may be chance"
-    return f"In the pictures {code(first)} is ahead by {format_interval(one.difference)} dB, {sure}."
+    ahead = f"{code(first)} is ahead by {format_interval(one.difference)} dB"
+    return f"In the pictures {ahead}, {_how_sure(one.difference)}."
+
+
+def _how_sure(difference: PairedDifference) -> str:
+    return "and that is clear" if difference.is_clear else "which may be chance"
 
 
 def is_a_better_phone_worth_it(trials: Sequence[Trial]) -> str:
-    """Is a better phone worth it?"""
     found = phone_differences(trials, MEASURES[0])
     if not found:
         return "One phone was tried. Give two or more, such as <code>--profiles perfect,ipad_pro_lidar</code>."
@@ -266,12 +253,10 @@ def _better_phone(trials: Sequence[Trial], best: str, one: Comparison) -> str:
     better, worse = (one.first, one.second) if difference.mean < 0 else (one.second, one.first)
     own = mean(values_of(trials, MEASURES[0], estimator=best, phone=worse))
     share = "" if not own else f", {format_percent(abs(difference.mean) / own)} of it"
-    interval = format_interval(difference)
-    sure = "and that is clear" if difference.is_clear else "which may be chance"
     less = format_number(abs(difference.mean), 2)
     return (
-        f"{code(better)} has {less} less coefficient error than {code(worse)}{share}, {sure}; "
-        f"{escape(one.first)} {MINUS} {escape(one.second)}: {interval}"
+        f"{code(better)} has {less} less coefficient error than {code(worse)}{share}, {_how_sure(difference)}; "
+        f"{escape(one.first)} {MINUS} {escape(one.second)}: {format_interval(difference)}"
     )
 
 
@@ -286,16 +271,15 @@ def phone_differences(trials: Sequence[Trial], measure: Measure) -> list[Compari
 
 
 def how_often(trials: Sequence[Trial]) -> str:
-    """How often must it run?"""
     best = best_of(trials, MEASURES[0])
     points = trigger_points(trials, best) if best is not None else []
     if not points:
         return "No estimator that looks at the room was tried on a path that sees an object."
     always, own, least = points[0], next(point for point in points if point.factor == 1), laziest_as_good(points)
+    own_error, least_error = format_number(own.error), format_number(least.error)
     words = (
-        f"With {code(best)}, the trigger as it is asks {_rate(own)} per position in view, for an error of "
-        f"{format_number(own.error)}; an estimate in every frame is {_rate(always)}, for "
-        f"{format_number(always.error)}. "
+        f"With {code(best)}, the trigger as it is asks {_rate(own)} per position in view, for an error of {own_error}; "
+        f"an estimate in every frame is {_rate(always)}, for {format_number(always.error)}. "
     )
     limit = f"within {format_number(100 * AS_GOOD, 1)} % of that"
     if least.factor == 0:
@@ -304,9 +288,7 @@ def how_often(trials: Sequence[Trial]) -> str:
         return words + f"It is the laziest that stays {limit}."
     times = f"{least.factor:g} times the thresholds (theta {least.theta:g})"
     sure = "" if least.more is None or least.more.is_clear else ", which cannot be told from chance"
-    return words + (
-        f"The laziest trigger that stays {limit} has {times}: {_rate(least)}, for {format_number(least.error)}{sure}."
-    )
+    return words + f"The laziest trigger that stays {limit} has {times}: {_rate(least)}, for {least_error}{sure}."
 
 
 def _rate(point: TriggerPoint) -> str:

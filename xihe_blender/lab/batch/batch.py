@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
 from xihe_blender.io.json_records import as_json
@@ -14,26 +13,17 @@ from xihe_blender.lab.batch.results import BatchFolder, BatchResults, batch_resu
 from xihe_blender.lab.workers.dask_workers import Work, dashboard, open_dask_workers
 
 
-@dataclass(frozen=True)
-class Batch:
-    """What came of a batch: its results, and what is wrong with the scenes and units that could not be done."""
-
-    results: BatchResults
-    failed: Mapping[str, str]
-    n_done_now: int
-
-
 def evaluate_batch(
     scenes: Sequence[Path],
     folder: Path,
     settings: BatchSettings,
-    seeds: Sequence[int] = (0,),
+    seeds: Sequence[int],
     *,
-    n_workers: int | None = None,
-    scheduler: str | None = None,
-    frontier: Path | None = None,
-) -> Job[Batch]:
-    """Evaluate what is not done yet, and write tables and report over all that is.
+    n_workers: int | None,
+    scheduler: str | None,
+    frontier: Path | None,
+) -> Job[tuple[BatchResults, int]]:
+    """Evaluate what is not done yet, and write tables and report over all that is: these, and how many are new.
 
     Parameters
     ----------
@@ -43,17 +33,14 @@ def evaluate_batch(
     scheduler : address of a Dask scheduler whose workers do it
     frontier : a frontier.json, or its folder, for the report; None takes one in `folder`
 
-    Raises
-    ------
-    UserError for settings that make no sense, a folder with another batch, a scheduler that cannot help
+    UserError for settings that make no sense, a folder with another batch, a scheduler that cannot help.
     """
     check_settings(settings, seeds)
     measured = read_frontier(frontier, folder)
     kept = BatchFolder(folder.resolve())
     manifest = kept.manifest(settings)
     manifest.check()
-    units, broken = planned_units(scenes, seeds)
-    failed = {str(scene): reason for scene, reason in broken.items()}
+    units, failed = planned_units(scenes, seeds)
     missing = [unit for unit in units if kept.result(unit) is None]
     if missing:
         with open_dask_workers(None if n_workers is None else min(n_workers, len(missing)), scheduler) as workers:
@@ -67,7 +54,7 @@ def evaluate_batch(
     results = batch_results(kept, settings, units, failed)
     kept.write_tables(results)
     write_report(kept, results, measured)
-    return Batch(results, failed, sum(kept.result(unit) is not None for unit in missing))
+    return results, sum(kept.result(unit) is not None for unit in missing)
 
 
 def _work(kept: BatchFolder, settings: BatchSettings, missing: Sequence[Unit]) -> list[Work]:

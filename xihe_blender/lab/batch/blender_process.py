@@ -35,7 +35,6 @@ class AbandonedError(Exception):
 
 
 def main() -> int:
-    """Do what stdin says."""
     # Ctrl-C reaches the whole group of processes; the batch decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     asked = from_json(UnitAsked, json.load(sys.stdin))

@@ -65,14 +65,7 @@ class BatchSettings:
 
 @dataclass(frozen=True)
 class Unit:
-    """One scene with one seed.
-
-    Parameters
-    ----------
-    scene : the .blend
-    seed : of everything that is random
-    digest : of the .blend's content
-    """
+    """One .blend, whose content has this digest, with one seed."""
 
     scene: Path
     seed: int
@@ -94,15 +87,15 @@ class UnitAsked:
     settings: BatchSettings
 
 
-def planned_units(scenes: Sequence[Path], seeds: Sequence[int]) -> tuple[list[Unit], dict[Path, str]]:
-    """Every scene with every seed, each once, and what is wrong with files that cannot be read."""
+def planned_units(scenes: Sequence[Path], seeds: Sequence[int]) -> tuple[list[Unit], dict[str, str]]:
+    """Every scene with every seed, each once, and by name what is wrong with files that cannot be read."""
     units: dict[str, Unit] = {}
-    broken = {}
+    broken: dict[str, str] = {}
     for scene in scenes:
         try:
             digest = hashlib.sha256(scene.read_bytes()).hexdigest()
         except OSError as error:
-            broken[scene] = error.strerror or str(error)
+            broken[str(scene)] = error.strerror or str(error)
             continue
         for seed in seeds:
             unit = Unit(scene.resolve(), seed, digest)

@@ -41,31 +41,25 @@ WITHOUT_FRONTIER = (
 
 
 def write_report(folder: BatchFolder, results: BatchResults, frontier: Frontier | None) -> None:
-    """Write the page, whole or not at all."""
     write_document(folder.report, report_page(folder, results, frontier))
 
 
 def report_page(folder: BatchFolder, results: BatchResults, frontier: Frontier | None) -> str:
-    """The page as text."""
-    trials = results.trials
-    sections = [("failed", "What could not be done", _failed(results))] if results.failed else []
+    trials, lead = results.trials, "No trial could be done."
+    failed = "".join(f"<li>{code(one.what)}: {escape(one.reason)}</li>" for one in results.failed)
+    warning = f'<div class="block warning"><ul>{failed}</ul></div>'
+    sections = [("failed", "What could not be done", warning)] if failed else []
     if trials:
+        lead = answers.what_it_stands_on(trials)
         sections += [
             ("estimator", "Which estimator should I ship?", _estimators(trials)),
             ("phone", "Is a better phone worth it?", _phones(trials)),
             ("often", "How often must it run?", _how_often(trials)),
             *_from_frontier(frontier),
             ("worst", "Worst cases", _worst(folder, trials)),
-            ("numbers", "Numbers", _numbers(trials) + _costs(results.units)),
+            ("numbers", "Numbers", _by_scene(trials) + _quantiles(trials) + _costs(results.units)),
         ]
-    lead = answers.what_it_stands_on(trials) if trials else "No trial could be done."
-    opening = f'<p class="lead">{lead}</p>'
-    return document("Batch evaluation", opening, sections, has_links=False, style=LAB_STYLE)
-
-
-def _failed(results: BatchResults) -> str:
-    rows = "".join(f"<li>{code(one.what)}: {escape(one.reason)}</li>" for one in results.failed)
-    return f'<div class="block warning"><ul>{rows}</ul></div>'
+    return document("Batch evaluation", f'<p class="lead">{lead}</p>', sections, has_links=False, style=LAB_STYLE)
 
 
 def _answered(words: str, *plots: str) -> str:
@@ -85,11 +79,10 @@ def _estimators(trials: Sequence[Trial]) -> str:
 def _distribution(trials: Sequence[Trial], measure: Measure) -> str:
     rows = []
     for index, name in enumerate(answers.names_of(trials, "estimator")):
-        known = [(measure.of(trial), trial) for trial in answers.chosen(trials, estimator=name)]
         dots = [
             (value, f"{t.scene}, seed {t.seed}, {t.phone}: {format_number(value)}")
-            for value, t in known
-            if value is not None
+            for t in answers.chosen(trials, estimator=name)
+            if (value := measure.of(t)) is not None
         ]
         rows.append((name, index, dots))
     better = "Further left is better." if measure.is_better_low else "Further right is better."
@@ -98,10 +91,8 @@ def _distribution(trials: Sequence[Trial], measure: Measure) -> str:
 
 def _against_the_best(trials: Sequence[Trial], measure: Measure) -> str:
     rows = _intervals(answers.against_the_best(trials, measure), answers.names_of(trials, "estimator"))
-    side = (
-        "Right of the dashed line the first has more error" if measure.is_better_low else "Right: the first is better"
-    )
-    about = f"Paired differences of the same scene, seed and phone, with 95 % intervals of their mean. {side}."
+    about = "Paired differences of the same scene, seed and phone, with 95 % intervals of their mean. Right"
+    about += " of the dashed line the first has more error." if measure.is_better_low else ": the first is better."
     title = f"{measure.title}: differences"
     return drawings.differences(rows, title=title, about=about, axis_name=measure.unit or "no unit")
 
@@ -121,37 +112,32 @@ def _pairs_table(trials: Sequence[Trial]) -> str:
         for one in answers.against_the_best(trials, measure):
             d = one.difference
             better = d.share_lower if measure.is_better_low else 1 - d.share_lower
-            cells = [escape(measure.title), answers.format_interval(d), f"{round(better * d.n_pairs)} of {d.n_pairs}"]
-            rows.append((f"{code(one.first)} against {code(one.second)}", *cells))
+            first_is_better = f"{round(better * d.n_pairs)} of {d.n_pairs}"
+            pair = f"{code(one.first)} against {code(one.second)}"
+            rows.append((pair, escape(measure.title), answers.format_interval(d), first_is_better))
     return table(("pair", "measure", "mean difference", "first is better"), rows, "words stacking")
 
 
 def _phones(trials: Sequence[Trial]) -> str:
-    rows = _intervals(answers.phone_differences(trials, MEASURES[0]), answers.names_of(trials, "phone"))
+    names, phones = (answers.names_of(trials, key) for key in ("estimator", "phone"))
+    rows = _intervals(answers.phone_differences(trials, MEASURES[0]), phones)
     about = "The same scene and seed through two phones, with 95 % intervals of the mean. Left: the first is better."
     title = "Coefficient error: differences between phones"
     plot = drawings.differences(rows, title=title, about=about, axis_name="no unit")
-    return _answered(answers.is_a_better_phone_worth_it(trials), plot) + (_phone_table(trials) if rows else "")
+    means = [(code(name), *(_mean_error(trials, estimator=name, phone=phone) for phone in phones)) for name in names]
+    head = ("mean coefficient error", *map(escape, phones))
+    return _answered(answers.is_a_better_phone_worth_it(trials), plot) + (table(head, means) if rows else "")
 
 
-def _phone_table(trials: Sequence[Trial]) -> str:
-    phones, names = answers.names_of(trials, "phone"), answers.names_of(trials, "estimator")
-    rows = [
-        (
-            code(name),
-            *(format_number(mean(answers.values_of(trials, MEASURES[0], estimator=name, phone=p))) for p in phones),
-        )
-        for name in names
-    ]
-    return table(("mean coefficient error", *(escape(phone) for phone in phones)), rows)
+def _mean_error(trials: Sequence[Trial], **which: str) -> str:
+    return format_number(mean(answers.values_of(trials, MEASURES[0], **which)))
 
 
 def _how_often(trials: Sequence[Trial]) -> str:
-    known = {name: answers.trigger_points(trials, name) for name in answers.names_of(trials, "estimator")}
     lines, rows = [], []
-    for index, (name, points) in enumerate(known.items()):
+    for index, name in enumerate(answers.names_of(trials, "estimator")):
         dots = []
-        for p in points:
+        for p in answers.trigger_points(trials, name):
             error, more = format_number(p.error), "" if p.more is None else answers.format_interval(p.more)
             words = f"{name}, theta {p.theta:g}: {p.per_minute:.0f} a minute, error {error}"
             dots.append((p.per_minute, p.error, words))
@@ -185,14 +171,12 @@ def _from_frontier(frontier: Frontier | None) -> list[tuple[str, str, str]]:
 def _by_anchors(frontier: Frontier) -> str:
     """A plot with a dot for each number in the answer."""
     known = _points(frontier, "compute", "coefficients_truth")
-    own = [
-        point
-        for scene in answers.names_of(known, "scene")
-        for point in family(answers.chosen(known, scene=scene), ("n_anchors",))
-    ]
-    by_anchors = sorted(own, key=lambda point: point.computing.n_anchors)
+    own: list[FrontierPoint] = []
+    for scene in answers.names_of(known, "scene"):
+        own += family(answers.chosen(known, scene=scene), ("n_anchors",))
+    own.sort(key=lambda point: point.computing.n_anchors)
     return _error_against_time(
-        [(f"{point.computing.n_anchors} anchors", point) for point in by_anchors],
+        [(f"{point.computing.n_anchors} anchors", point) for point in own],
         "Computing: error against time, by anchors",
         "against the rendered light probe, of choices that differ only in their anchors",
         is_joined=False,
@@ -223,10 +207,9 @@ def _error_against_time(
 ) -> str:
     """Points, each with the name of its curve or cloud; `about` ends the sentence on their error."""
     clouds: dict[str, list[tuple[float, float, str]]] = {}
-    for name, point in points:
-        amounts = f"{format_percent(point.error, 3)} in {format_milliseconds(point.time_ms)}"
-        words = f"{point.scene}, {point.label}: {amounts}"
-        clouds.setdefault(name, []).append((point.time_ms, point.error, words))
+    for name, p in points:
+        words = f"{p.scene}, {p.label}: {format_percent(p.error, 3)} in {format_milliseconds(p.time_ms)}"
+        clouds.setdefault(name, []).append((p.time_ms, p.error, words))
     return drawings.curves(
         [(name, index, sorted(cloud)) for index, (name, cloud) in enumerate(clouds.items())],
         title=title,
@@ -242,14 +225,11 @@ def _error_against_time(
 
 
 def _worst(folder: BatchFolder, trials: Sequence[Trial]) -> str:
-    cases = answers.worst_cases(trials, N_WORST)
+    cases = "".join(_case(folder, case) for case in answers.worst_cases(trials, N_WORST))
     if not cases:
         return "<p>No picture was compared.</p>"
-    about = (
-        "<p>The worst frame of an estimator in a scene, by psnr on the objects. Estimators that no phone could run "
-        "are left out.</p>"
-    )
-    return about + f'<div class="cases">{"".join(_case(folder, case) for case in cases)}</div>'
+    about = "The worst frame of an estimator in a scene, by psnr on the objects."
+    return f'<p>{about} Estimators that no phone could run are left out.</p><div class="cases">{cases}</div>'
 
 
 def _case(folder: BatchFolder, case: answers.WorstCase) -> str:
@@ -275,28 +255,24 @@ def _picture(path: Path) -> str:
 # ----------------------------------------------------------------------------------------------------------- numbers
 
 
-def _numbers(trials: Sequence[Trial]) -> str:
-    return _by_scene(trials) + "".join(_quantiles(trials, measure) for measure in MEASURES)
-
-
 def _by_scene(trials: Sequence[Trial]) -> str:
-    names = answers.names_of(trials, "estimator")
-    rows = []
-    for scene in answers.names_of(trials, "scene"):
-        means = [mean(answers.values_of(trials, MEASURES[0], estimator=name, scene=scene)) for name in names]
-        rows.append((escape(scene), *(format_number(value) for value in means)))
-    return block("Mean coefficient error by scene", table(("scene", *(code(name) for name in names)), rows, "stacking"))
+    names, scenes = (answers.names_of(trials, key) for key in ("estimator", "scene"))
+    rows = [(escape(scene), *(_mean_error(trials, estimator=n, scene=scene) for n in names)) for scene in scenes]
+    return block("Mean coefficient error by scene", table(("scene", *map(code, names)), rows, "stacking"))
 
 
-def _quantiles(trials: Sequence[Trial], measure: Measure) -> str:
-    rows = []
-    for name in answers.names_of(trials, "estimator"):
-        values = answers.frame_values(trials, measure, name)
-        if values:
-            quantiles = np.percentile(values, [0, 10, 50, 90, 100])
-            rows.append((code(name), str(len(values)), *(format_number(float(value)) for value in quantiles)))
-    header = ("estimator", "frames", "least", "10 %", "median", "90 %", "most")
-    return block(f"{measure.title}, over all frames", table(header, rows, "stacking"))
+def _quantiles(trials: Sequence[Trial]) -> str:
+    """A table of each measure."""
+    header, blocks = ("estimator", "frames", "least", "10 %", "median", "90 %", "most"), ""
+    for measure in MEASURES:
+        rows = []
+        for name in answers.names_of(trials, "estimator"):
+            frames = [frame for trial in answers.chosen(trials, estimator=name) for frame in trial.frames]
+            if values := [value for frame in frames if (value := measure.of(frame)) is not None]:
+                quantiles = map(format_number, np.percentile(values, [0, 10, 50, 90, 100]).tolist())
+                rows.append((code(name), str(len(values)), *quantiles))
+        blocks += block(f"{measure.title}, over all frames", table(header, rows, "stacking"))
+    return blocks
 
 
 def _costs(units: Sequence[UnitRow]) -> str:

@@ -133,20 +133,30 @@ class UnitCost:
 
 
 @dataclass(frozen=True, kw_only=True)
-class UnitResult:
-    """All of a unit's result.json.
+class UnitDone:
+    """What came of a unit.
 
     Parameters
     ----------
     trials : of all phones and estimators, in the order of the batch
     step_ms : the chain's mean time by trial; None where nothing was in view
     render_s : of everything
-    cost : see there
     """
 
     trials: tuple[TrialFigures, ...]
     step_ms: tuple[float | None, ...]
     render_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnitResult(UnitDone):
+    """All of a unit's result.json.
+
+    Parameters
+    ----------
+    cost : see there
+    """
+
     cost: UnitCost
 
 
@@ -301,7 +311,7 @@ class BatchFolder:
         return FolderManifest(self.path, self.path / "batch.json", "a batch", as_json(content), results)
 
     def write_tables(self, results: BatchResults) -> None:
-        """Write results.json and the tables. trials.csv and frames.csv hold nothing that another run would change."""
+        """And results.json. trials.csv and frames.csv hold nothing that another run would change."""
         frames = [{**vars(trial), **vars(frame)} for trial in results.trials for frame in trial.frames]
         write_csv(self.path / "trials.csv", [vars(trial) for trial in results.trials], TRIAL_COLUMNS)
         write_csv(self.path / "frames.csv", frames, FRAME_COLUMNS)
@@ -313,8 +323,7 @@ def batch_results(
     folder: BatchFolder, settings: BatchSettings, units: Sequence[Unit], failed: Mapping[str, str]
 ) -> BatchResults:
     """Everything that is done, in the order in which it was asked for."""
-    trials: list[Trial] = []
-    rows: list[UnitRow] = []
+    trials, rows = list[Trial](), list[UnitRow]()
     for unit, scene in zip(units, _scene_names(units), strict=True):
         result = folder.result(unit)
         if result is not None:
@@ -332,10 +341,10 @@ def batch_results(
 
 def _scene_names(units: Sequence[Unit]) -> list[str]:
     """The stem of each unit's .blend, with a piece of its digest where another file has the same."""
-    files = {(unit.scene.stem, unit.digest) for unit in units}
-    n_of_stem = Counter(stem for stem, _ in files)
-    names = [(unit.scene.stem, unit.digest[:8]) for unit in units]
-    return [stem if n_of_stem[stem] == 1 else f"{stem} {digest}" for stem, digest in names]
+    n_of_stem = Counter(stem for stem, _ in {(unit.scene.stem, unit.digest) for unit in units})
+    return [
+        unit.scene.stem if n_of_stem[unit.scene.stem] == 1 else f"{unit.scene.stem} {unit.digest[:8]}" for unit in units
+    ]
 
 
 def read_frontier(given: Path | None, folder: Path) -> Frontier | None:
@@ -343,18 +352,19 @@ def read_frontier(given: Path | None, folder: Path) -> Frontier | None:
 
     UserError if the one given cannot be read, or the one in `folder` is there and damaged.
     """
-    file = folder if given is None else given
-    file = file / "frontier.json" if file.is_dir() or given is None else file
+    file = given or folder
+    if given is None or given.is_dir():
+        file /= "frontier.json"
     try:
         return from_json(Frontier, read_json(file))
     except (OSError, ValueError, TypeError) as error:
         if given is not None:
-            words = f"--frontier {given}: no frontier can be read there ({error}): run xihe frontier"
-        elif isinstance(error, OSError):
+            raise UserError(
+                f"--frontier {given}: no frontier can be read there ({error}): run xihe frontier"
+            ) from error
+        if isinstance(error, OSError):
             return None
-        else:
-            words = f"{file} is damaged: run xihe frontier again, or delete it"
-        raise UserError(words) from error
+        raise UserError(f"{file} is damaged: run xihe frontier again, or delete it") from error
 
 
 def batch_schema() -> Json:

@@ -19,7 +19,7 @@ import contextlib
 import functools
 import operator
 import statistics
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,17 +28,18 @@ import bpy
 import numpy as np
 
 from xihe_blender.compare.methods import Comparer, display, error_map, load_ground_truth, measure, open_comparer
-from xihe_blender.io.json_records import Json, as_json, from_json
+from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import RunOutputs, write_json, write_picture
-from xihe_blender.io.run_results import METRICS, FrameResult, Metrics
-from xihe_blender.jobs import Job, Progress, run_blocking
+from xihe_blender.io.run_results import METRICS, FrameResult, Metrics, ProbeResult
+from xihe_blender.jobs import Job, run_blocking
 from xihe_blender.lab.batch.grid import BatchSettings
 from xihe_blender.lab.batch.results import (
     WORST_KINDS,
     TrialFigures,
     TrialFrame,
     TriggerFigures,
+    UnitDone,
     worst_frame,
     worst_picture,
 )
@@ -64,15 +65,6 @@ Light = Mapping[str, ArrayF64]
 
 
 @dataclass(frozen=True)
-class UnitDone:
-    """What came of a unit: by trial its figures and the chain's mean time, and the seconds that all renders took."""
-
-    trials: tuple[TrialFigures, ...]
-    step_ms: tuple[float | None, ...]
-    render_s: float
-
-
-@dataclass(frozen=True)
 class ComparedTrials:
     """The pictures of a frame: metrics by the number of the trial, and the seconds that rendering all of them took."""
 
@@ -95,7 +87,9 @@ def evaluate_unit(
             # The first trial measures, and the others read what it left.
             wanted = settings.of_trial(phone, estimator, seed)
             runs.append((yield from prepare_run(scene, plan, survey, outputs, wanted, load_estimator(wanted))))
-        yield from _capture_all(runs[:: len(settings.estimators)])
+        # Every frame that any phone captures, with what any needs beside it.
+        first, needs = runs[0], functools.reduce(operator.or_, (run.needs for run in runs))
+        yield from render_path(replace(first, needs=needs, reuse=render_reuse(first.survey, first.effects, needs)))
         walks = []
         for index, run in enumerate(runs):
             walks.append(run_blocking(walk_path(run)))
@@ -103,18 +97,10 @@ def evaluate_unit(
         swept = [trigger_sweep(run, walked) for run, walked in zip(runs, walks, strict=True)]
         by_trial, compared_s = yield from compare_unit(runs, walks)
     return UnitDone(
-        tuple(map(trial_figures, runs, walks, by_trial, swept)),
-        tuple(map(_mean_step_ms, walks)),
-        sum(entry.render_s for entry in walks[0].frames) + compared_s,
+        trials=tuple(map(trial_figures, runs, walks, by_trial, swept)),
+        step_ms=tuple(map(_mean_step_ms, walks)),
+        render_s=sum(entry.render_s for entry in walks[0].frames) + compared_s,
     )
-
-
-def _capture_all(runs: Sequence[PreparedRun]) -> Generator[Progress, None, None]:
-    """Render every frame that any phone captures, with what any needs beside it; `runs` has one for each phone."""
-    first = runs[0]
-    needs = functools.reduce(operator.or_, (run.needs for run in runs))
-    shared = replace(first, needs=needs, reuse=render_reuse(first.survey, first.effects, needs))
-    yield from render_path(shared)
 
 
 def _mean_step_ms(walked: WalkedPath) -> float | None:
@@ -139,7 +125,8 @@ def compare_unit(
     }
     first_of: dict[tuple[Any, ...], int] = {}
     sources = {frame: first_of.setdefault(_made_from(first, frame, lights[frame]), frame) for frame in frames}
-    kept = {frame: kept_json(first.outputs.compared(frame), _compared_trials) for frame in first_of.values()}
+    read = functools.partial(from_json, ComparedTrials)
+    kept = {frame: kept_json(first.outputs.compared(frame), read) for frame in first_of.values()}
     missing = [frame for frame, content in kept.items() if content is None]
     by_trial: list[dict[int, Metrics]] = [{} for _ in runs]
     with contextlib.ExitStack() as stack:
@@ -158,10 +145,6 @@ def compare_unit(
             for index in trials[frame]:
                 by_trial[index][frame] = content.metrics[str(index)]
     return by_trial, sum(content.render_s for content in kept.values() if content is not None)
-
-
-def _compared_trials(content: Json) -> ComparedTrials:
-    return from_json(ComparedTrials, content)
 
 
 def _made_from(run: PreparedRun, frame: int, lights: Mapping[str, Light]) -> tuple[Any, ...]:
@@ -189,11 +172,8 @@ def _compared(
         picture = compared.methods[trial]
         metrics[trial] = Metrics(**measure(picture, compared.ground_truth, compared.weights))
         if worst_frame({**so_far[int(trial)], frame: metrics[trial]}) == frame:
-            shown = (
-                display(compared.ground_truth),
-                display(picture),
-                error_map(picture, compared.ground_truth, compared.weights),
-            )
+            error = error_map(picture, compared.ground_truth, compared.weights)
+            shown = (display(compared.ground_truth), display(picture), error)
             for kind, pixels in zip(WORST_KINDS, shown, strict=True):
                 write_picture(worst_picture(run.outputs.folder, int(trial), kind), pixels)
     return ComparedTrials(metrics, compared.render_s)
@@ -208,9 +188,9 @@ def trial_figures(
     """One trial: its means, its frames, and what a more or less eager trigger would have done."""
     active = [entry for entry in walked.frames if entry.active]
     probes = [probe for entry in active for probe in entry.probes]
-    n_fired = sum(probe.fired for probe in probes)
     not_compared = Metrics(**dict.fromkeys(METRICS))
     frames = tuple(_trial_frame(entry, compared.get(entry.frame, not_compared)) for entry in active)
+    n_fired = sum(frame.n_fired for frame in frames)
     return TrialFigures(
         phone=run.settings.phone,
         estimator=run.settings.estimator,
@@ -219,8 +199,7 @@ def trial_figures(
         n_compared_frames=len(compared),
         n_estimates=n_fired,
         estimates_per_minute=estimates_per_minute(walked, n_fired),
-        shc_rmse=mean(probe.shc_rmse for probe in probes),
-        coverage=mean(probe.coverage for probe in probes),
+        **_means(probes),
         **{metric: mean(getattr(frame, metric) for frame in frames) for metric in METRICS},
         payload_bytes=sum(probe.payload_bytes for probe in probes),
         frames=frames,
@@ -229,14 +208,12 @@ def trial_figures(
 
 
 def _trial_frame(entry: FrameResult, compared: Metrics) -> TrialFrame:
-    return TrialFrame(
-        frame=entry.frame,
-        time_s=entry.time_s,
-        n_fired=sum(probe.fired for probe in entry.probes),
-        shc_rmse=mean(probe.shc_rmse for probe in entry.probes),
-        coverage=mean(probe.coverage for probe in entry.probes),
-        **vars(compared),
-    )
+    n_fired = sum(probe.fired for probe in entry.probes)
+    return TrialFrame(frame=entry.frame, time_s=entry.time_s, n_fired=n_fired, **_means(entry.probes), **vars(compared))
+
+
+def _means(probes: Sequence[ProbeResult]) -> dict[str, float | None]:
+    return {name: mean(getattr(probe, name) for probe in probes) for name in ("shc_rmse", "coverage")}
 
 
 def estimates_per_minute(walked: WalkedPath, n_fired: int) -> float | None:
@@ -257,10 +234,9 @@ def trigger_sweep(run: PreparedRun, walked: WalkedPath) -> list[TriggerFigures]:
     active = [entry for entry in walked.frames if entry.active]
     if run.settings.estimator in WITHOUT_ANCHORS or not active:
         return []
-    own = run.settings.trigger
+    own, link = run.settings.trigger, walked.phone.link_in_use
     triggers = [replace(own, theta=f * own.theta, coverage_theta=min(1.0, f * own.coverage_theta)) for f in FACTORS]
     settings = [replace(run.settings, trigger=trigger) for trigger in triggers]
-    link = walked.phone.link_in_use
     sessions = [PhoneSession(run.plan, one, run.exposure, run.estimator, link) for one in settings]
     errors: list[list[float]] = [[] for _ in FACTORS]
     n_fired = [0] * len(FACTORS)

@@ -42,14 +42,10 @@ N_STEPS = 9
 
 @dataclass(frozen=True)
 class Calibration:
-    """What presets cost here.
+    """What presets cost here, measured on the file with the stem `scene`.
 
-    Parameters
-    ----------
-    scene : stem of the file it was measured on
-    frame_s : seconds that the capture of one frame takes, by preset
-    samples : per pixel of it, by preset
-    step_ms : milliseconds that the chain takes for one position
+    By preset the seconds that the capture of one frame takes, and its samples per pixel; and the milliseconds that the
+    chain takes for one position.
     """
 
     scene: str

@@ -13,16 +13,17 @@ that one lacks were 0.
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.lab.frontier.choices import EXHAUSTIVE
 from xihe_blender.lab.frontier.points import Measured
 from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice
-from xihe_blender.lab.frontier.steps import Steps, mapped_steps, within
 from xihe_blender.lab.frontier.timing import Clock, interleaved, torch_on_one_thread
 from xihe_blender.previs.sample_count import SMALLEST_LIGHT
 from xihe_blender.previs.settings import PREVIS_TRIGGER
@@ -68,15 +69,6 @@ class Walk:
     @property
     def n_places(self) -> int:
         return sum(map(len, self.active))
-
-    def start(self, n_frames: int) -> Walk:
-        """The first frames of it, or all."""
-        return replace(
-            self, frames=self.frames[:n_frames], active=self.active[:n_frames], truths=self.truths[:n_frames]
-        )
-
-    def truth_by_place(self) -> list[ArrayF64]:
-        return [truths[name] for truths, names in zip(self.truths, self.active, strict=True) for name in names]
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,47 +170,31 @@ def loaded(choices: list[ComputeChoice]) -> tuple[dict[ComputeChoice, ChoiceBack
 
 def measure_compute(
     backends: dict[ComputeChoice, ChoiceBackend], walk: Walk, n_rounds: int, rng: np.random.Generator
-) -> Steps[list[Measured]]:
+) -> Job[list[Measured]]:
     """Errors and times of each way to compute; the exhaustive one must be among them."""
-    lights: dict[ComputeChoice, list[ArrayF64]] = {}
-    estimates: dict[ComputeChoice, int] = {}
+    walked: dict[ComputeChoice, Walked] = {}
     # The walk's start is enough for brute force, which takes 40 times as long and nearly the same in every frame.
-    start = walk.start(N_BRUTE_FRAMES)
-    candidates = [
-        lambda choice=choice, backend=backend, timed=start if choice.nearest == "brute" else walk: (
-            walk_through(choice, backend, timed).frame_ms
-        )
-        for choice, backend in backends.items()
-    ]
-    rounds = mapped_steps(
-        interleaved(candidates, n_rounds, rng),
-        lambda done: ((done + 1) / (n_rounds + 1), f"timing {len(candidates)} ways to compute, round {done}"),
-    )
+    n = N_BRUTE_FRAMES
+    start = replace(walk, frames=walk.frames[:n], active=walk.active[:n], truths=walk.truths[:n])
+
+    def frame_ms(choice: ComputeChoice) -> float:
+        return walk_through(choice, backends[choice], start if choice.nearest == "brute" else walk).frame_ms
+
+    rounds = interleaved([functools.partial(frame_ms, choice) for choice in backends], n_rounds, rng)
     with torch_on_one_thread():
         for number, (choice, backend) in enumerate(backends.items()):
-            yield 0.2 * number / len(backends), f"computing: {choice.label}"
-            walked = walk_through(choice, backend, walk)
-            lights[choice], estimates[choice] = list(walked.lights), walked.n_estimates
-        times = dict(zip(backends, (yield from within(0.2, 0.8, rounds)), strict=True))
-    truth = walk.truth_by_place()
-    return [
-        Measured(
-            choice.label,
-            ChoiceSettings(computing=choice, estimates=estimates[choice], steps=walk.n_places),
-            _errors(choice, lights, truth),
-            tuple(times[choice]),
-        )
-        for choice in backends
-    ]
-
-
-def _errors(
-    choice: ComputeChoice, lights: dict[ComputeChoice, list[ArrayF64]], truth: list[ArrayF64]
-) -> dict[str, tuple[float, ...]]:
-    against_truth = {kind + AGAINST_TRUTH: e for kind, e in square_errors(lights[choice], truth).items()}
-    if choice.estimator != EXHAUSTIVE.estimator:
-        return against_truth
-    return square_errors(lights[choice], lights[EXHAUSTIVE]) | against_truth
+            yield Progress(0.2 * number / len(backends), 1, f"computing: {choice.label}")
+            walked[choice] = walk_through(choice, backend, walk)
+        times_ms = yield from part_of(1, 0.2, 0.8, rounds)
+    truth = [truths[name] for truths, names in zip(walk.truths, walk.active, strict=True) for name in names]
+    measured = []
+    for (choice, own), of_choice in zip(walked.items(), times_ms, strict=True):
+        settings = ChoiceSettings(computing=choice, estimates=own.n_estimates, steps=walk.n_places)
+        against_truth = {kind + AGAINST_TRUTH: each for kind, each in square_errors(own.lights, truth).items()}
+        comparable = choice.estimator == EXHAUSTIVE.estimator
+        errors = square_errors(own.lights, walked[EXHAUSTIVE].lights) if comparable else {}
+        measured.append(Measured(choice.label, settings, errors | against_truth, tuple(of_choice)))
+    return measured
 
 
 # -------------------------------------------------------------------------------------------------- errors
@@ -240,11 +216,10 @@ def square_errors(lights: Sequence[ArrayF64], references: Sequence[ArrayF64]) ->
     """
     pairs = [(padded(light), padded(reference)) for light, reference in zip(lights, references, strict=True)]
     normals = AnchorLattice(N_NORMALS).directions
+    lit = [(irradiance(light, normals), irradiance(reference, normals)) for light, reference in pairs]
     return {
-        "coefficients": tuple(_square(a, b, SMALLEST_LIGHT) for a, b in pairs),
-        "irradiance": tuple(
-            _square(irradiance(a, normals), irradiance(b, normals), _SMALLEST_IRRADIANCE) for a, b in pairs
-        ),
+        "coefficients": tuple(_square(*pair, SMALLEST_LIGHT) for pair in pairs),
+        "irradiance": tuple(_square(*pair, _SMALLEST_IRRADIANCE) for pair in lit),
     }
 
 

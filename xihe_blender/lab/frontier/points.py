@@ -44,15 +44,10 @@ CHOICES = (
 
 @dataclass(frozen=True)
 class Measured:
-    """A choice, its errors and its time.
+    """A choice, its label in words, and the preset, if any, whose choice it is.
 
-    Parameters
-    ----------
-    label : the choice in words
-    settings : the choice
-    square_errors : squared errors by kind, one for each place; another number of places for another kind
-    times_ms : processor time of a frame, one for each round; see `timing`
-    preset : whose choice it is, or None
+    Squared errors are by kind, one for each place, of which another kind may have another number; processor times of a
+    frame one for each round, see `timing`.
     """
 
     label: str
@@ -135,12 +130,12 @@ def groups(points: Sequence[FrontierPoint]) -> list[tuple[str, str, str]]:
 
 def format_dominated(points: Sequence[FrontierPoint]) -> list[str]:
     """A sentence for each choice of one group that is never worth taking, told what to take instead."""
-    by_label = {point.label: point for point in points if point.on_front}
-    pairs = [(point, by_label[point.instead]) for point in points if point.instead is not None and not point.flickers]
+    by_label = {p.label: p for p in points if p.on_front}
+    pairs = [(p, by_label[p.instead]) for p in points if p.instead is not None and not p.flickers]
     return [
-        f"{point.name}: {better.name} has {_of(better.error, point.error)} of the error in "
-        f"{_of(better.time_ms, point.time_ms)} of the time"
-        for point, better in pairs
+        f"{p.name}: {better.name} has {_of(better.error, p.error)} of the error in "
+        f"{_of(better.time_ms, p.time_ms)} of the time"
+        for p, better in pairs
     ]
 
 
@@ -166,22 +161,21 @@ def family(points: Sequence[FrontierPoint], names: Sequence[str]) -> list[Fronti
 
 def _rank(value: Json) -> tuple[int, float, str]:
     """Numbers, then words, then nothing set: for bounces that means all of them."""
-    if isinstance(value, int | float):
-        return 0, float(value), ""
-    if isinstance(value, list):
-        return 0, float(value[0]), ""
+    number = value[0] if isinstance(value, list) else value
+    if isinstance(number, int | float):
+        return 0, float(number), ""
     return (2, 0.0, "") if value is None else (1, 0.0, str(value))
 
 
 def format_choice(point: FrontierPoint, names: Sequence[str]) -> str:
     """Its settings of these names: "table 1024x512", "512", "all"."""
-    settings = as_json(point.settings)
-    return " ".join(filter(None, (_format_setting(settings[name], name) for name in names)))
-
-
-def _format_setting(value: Json, name: str) -> str:
-    if value is None:
-        return {"max_bounces": "all", "table_size": ""}.get(name, "none")
-    if isinstance(value, bool):
-        return format_setting(value)
-    return "x".join(map(str, value)) if isinstance(value, list) else str(value)
+    settings, words = as_json(point.settings), []
+    for name in names:
+        value = settings[name]
+        if value is None:
+            words.append({"max_bounces": "all", "table_size": ""}.get(name, "none"))
+        elif isinstance(value, list):
+            words.append("x".join(map(str, value)))
+        else:
+            words.append(format_setting(value) if isinstance(value, bool) else str(value))
+    return " ".join(filter(None, words))

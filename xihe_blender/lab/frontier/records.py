@@ -7,7 +7,6 @@ Errors are shares of the light, times milliseconds. docs/frontier.schema.json is
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -58,24 +57,17 @@ class ComputeChoice:
     @property
     def label(self) -> str:
         """What differs from the base, in words."""
-        return ", ".join(self._words(ComputeChoice())) or "base"
-
-    def _words(self, base: ComputeChoice) -> Iterator[str]:
-        if self.estimator != base.estimator:
-            yield self.estimator
-        if self.order != base.order:
-            yield f"order {self.order}"
-        if self.n_anchors != base.n_anchors:
-            yield f"{self.n_anchors} anchors"
-        if self.nearest != base.nearest:
-            size = "" if self.table_size is None else f" {self.table_size[0]}x{self.table_size[1]}"
-            yield {"table": f"table{size}", "brute": "brute force"}.get(self.nearest, self.nearest)
-        if self.every_pixel != base.every_pixel:
-            yield f"1 pixel in {self.every_pixel**2}"
-        if self.theta != base.theta:
-            yield f"theta {self.theta:g}"
-        if self.wire is not None:
-            yield f"over the wire as {self.wire}"
+        base, size = ComputeChoice(), "" if self.table_size is None else f" {self.table_size[0]}x{self.table_size[1]}"
+        words = {
+            "estimator": self.estimator,
+            "order": f"order {self.order}",
+            "n_anchors": f"{self.n_anchors} anchors",
+            "nearest": {"table": f"table{size}", "brute": "brute force"}.get(self.nearest, self.nearest),
+            "every_pixel": f"1 pixel in {self.every_pixel**2}",
+            "theta": f"theta {self.theta:g}",
+            "wire": f"over the wire as {self.wire}",
+        }
+        return ", ".join(told for name, told in words.items() if getattr(self, name) != getattr(base, name)) or "base"
 
     @property
     def cells(self) -> tuple[int, int]:
@@ -103,10 +95,10 @@ class RenderChoice:
     @property
     def label(self) -> str:
         """In words: "128x96, 16 samples, 4 bounces"."""
-        words = [f"{self.size[0]}x{self.size[1]}", format_count(self.samples, "sample")]
+        words = f"{self.size[0]}x{self.size[1]}, {format_count(self.samples, 'sample')}"
         if self.max_bounces is not None:
-            words.append(f"{self.max_bounces} bounce{'' if self.max_bounces == 1 else 's'}")
-        return ", ".join([*words, *([] if self.is_denoised else ["not denoised"])])
+            words += f", {self.max_bounces} bounce{'' if self.max_bounces == 1 else 's'}"
+        return words if self.is_denoised else f"{words}, not denoised"
 
 
 @dataclass(frozen=True)
@@ -218,7 +210,6 @@ class FrontierPoint:
 
     @property
     def kind(self) -> str:
-        """Of its error."""
         return self.settings.error_kind
 
     @property

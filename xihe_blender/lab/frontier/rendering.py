@@ -15,9 +15,10 @@ square of the displayed, sRGB-encoded colour inside the objects. Estimators are 
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import bpy
 import numpy as np
@@ -28,18 +29,20 @@ from xihe_blender.compare.methods import Comparer, Comparison, display, open_com
 from xihe_blender.io.json_records import Json, as_json, from_json
 from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.outputs import write_json
-from xihe_blender.lab.frontier.choices import EXHAUSTIVE, RenderCandidate
+from xihe_blender.jobs import Job, Progress, part_of
+from xihe_blender.lab.frontier.choices import EXHAUSTIVE, FULL, QUICK, RenderCandidate
 from xihe_blender.lab.frontier.compute import N_COEFFICIENTS, ChoiceBackend, light_of_frame, square_errors
 from xihe_blender.lab.frontier.points import Measured
-from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice, RenderChoice, StudySize
-from xihe_blender.lab.frontier.steps import Steps, within
+from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice, FrontierSettings, RenderChoice, StudySize
 from xihe_blender.lab.frontier.timing import timed
 from xihe_blender.previs.plan import PrevisPlan
 from xihe_blender.previs.settings import PRESETS
+from xihe_blender.previs.survey import SceneSurvey
 from xihenet.metrics import image_rmse
 from xihenet.recording import load_frame, save_frame
 from xihenet.records import ArrayF64, RgbdFrame
 
+Kept = TypeVar("Kept")
 METHODS = tuple(ComputeChoice(estimator=name) for name in ("lattice", "projection", "ambient"))
 LADDER = (2, 8, 64)
 COMPUTED_BY = (ComputeChoice(), ComputeChoice(n_anchors=512), ComputeChoice(n_anchors=2048))
@@ -55,32 +58,41 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
-class RenderStudy:
-    """What rendering is measured with.
+class SceneStudy:
+    """One scene to measure: the open scene, its plan, the survey of its path, and where its work is kept."""
 
-    Parameters
-    ----------
-    scanner : of the scene, at the session's exposure
-    views : where; at least one
-    choices : the ways to render, and `exhaustive`, which all are held against
-    study_size : see there
-    seed : of the run
-    folder : keeps what is rendered, so that a run that was stopped goes on
+    scene: bpy.types.Scene
+    name: str
+    plan: PrevisPlan
+    survey: SceneSurvey
+    folder: Path
+    settings: FrontierSettings
+
+    @property
+    def study_size(self) -> StudySize:
+        return self.settings.study_size or (QUICK if self.settings.is_quick else FULL)
+
+
+@dataclass(frozen=True, eq=False)
+class RenderStudy(SceneStudy):
+    """What rendering is measured with: a scanner at the session's exposure, which captures as `capture` says.
+
+    There is at least one view, and all choices are held against `exhaustive`.
     """
 
     scanner: CyclesScanner
+    capture: RenderSettings
     views: Sequence[View]
     choices: Sequence[RenderCandidate]
     exhaustive: RenderChoice
-    study_size: StudySize
-    seed: int
-    folder: Path
+
+    @property
+    def exhaustive_seed(self) -> int:
+        """One that no other render has."""
+        return (self.settings.seed + self.study_size.n_seeds) % MAX_SEED
 
     def reference(self, view: View) -> Path:
         return self.folder / f"exhaustive_{view.frame:04d}.npz"
-
-    def round(self, view: View, seed: int) -> Path:
-        return self.folder / f"round_{view.frame:04d}_{seed}.json"
 
 
 @dataclass(frozen=True)
@@ -95,28 +107,35 @@ Round = Mapping[str, Taken]
 """Every choice once, by its key."""
 
 
+def kept_or_done(path: Path, read: Callable[[Json], Kept], job: Job[Kept]) -> Job[Kept]:
+    """What `read` makes of the JSON in the file; the result of `job`, which is written there, if there is none."""
+    kept = kept_json(path, read)
+    if kept is None:
+        kept = yield from job
+        write_json(path, as_json(kept))
+    return kept
+
+
 def measure_rendering(
     study: RenderStudy, computing_ms: Mapping[ComputeChoice, float], rng: np.random.Generator
-) -> Steps[tuple[list[Measured], list[Measured]]]:
+) -> Job[tuple[list[Measured], list[Measured]]]:
     """Ways to render alone, and together with ways to compute, whose milliseconds per frame are known."""
     backends = {choice: ChoiceBackend(choice) for choice in COMPUTED_BY}
     all_backends = {**backends, EXHAUSTIVE: ChoiceBackend(EXHAUSTIVE)}
     rounds: list[Round] = []
     truths: list[dict[ComputeChoice, list[ArrayF64]]] = []
-    n_parts = len(study.views) * (1 + study.study_size.n_seeds)
+    n_seeds = study.study_size.n_seeds
+    n_parts = len(study.views) * (1 + n_seeds)
     for number, view in enumerate(study.views):
-        before = number * (1 + study.study_size.n_seeds)
-        yield before / n_parts, f"rendering frame {view.frame} exhaustively"
+        before = number * (1 + n_seeds)
+        yield Progress(before, n_parts, f"rendering frame {view.frame} exhaustively")
         exhaustive = _kept_reference(study, view)
-        truths += [_lights(all_backends, exhaustive, view, study.scanner.exposure)] * study.study_size.n_seeds
-        for seed in range(study.study_size.n_seeds):
-            path = study.round(view, seed)
-            taken = kept_json(path, functools.partial(kept_round, study.choices, len(view.positions_m)))
-            if taken is None:
-                steps = _render_round(study, view, seed, backends, rng)
-                taken = yield from within((before + 1 + seed) / n_parts, 1 / n_parts, steps)
-                write_json(path, as_json(taken))
-            rounds.append(taken)
+        truths += [_lights(all_backends, exhaustive, view, study.scanner.exposure)] * n_seeds
+        read = functools.partial(kept_round, study.choices, len(view.positions_m))
+        for seed in range(n_seeds):
+            job = part_of(n_parts, before + 1 + seed, 1, _render_round(study, view, seed, backends, rng))
+            path = study.folder / f"round_{view.frame:04d}_{seed}.json"
+            rounds.append((yield from kept_or_done(path, read, job)))
     alone = [_measured(choice, COMPUTED_BY[0], rounds, truths) for choice in study.choices]
     together = [
         _measured(choice, by, rounds, truths, computing_ms[by]) for choice in study.choices for by in COMPUTED_BY
@@ -140,9 +159,8 @@ def _kept_reference(study: RenderStudy, view: View) -> RgbdFrame:
     if kept is not None:
         return kept
     study.scanner.move_to(view.frame)
-    seed = (study.seed + study.study_size.n_seeds) % MAX_SEED
     path.parent.mkdir(parents=True, exist_ok=True)
-    save_frame(path, rendered(study.scanner, study.exhaustive, seed, n_threads=0))
+    save_frame(path, rendered(study.scanner, study.exhaustive, study.exhaustive_seed, n_threads=0))
     return load_frame(path)
 
 
@@ -177,8 +195,8 @@ def use_threads(scene: bpy.types.Scene, n_threads: int) -> None:
 
 def _render_round(
     study: RenderStudy, view: View, seed: int, backends: Mapping[ComputeChoice, ChoiceBackend], rng: np.random.Generator
-) -> Steps[Round]:
-    """Every choice once, by its key, in random order."""
+) -> Job[Round]:
+    """In random order."""
     scanner, taken = study.scanner, dict[str, Taken]()
     scanner.move_to(view.frame)
     rendered(scanner, RenderChoice((16, 16), 1, is_denoised=False), seed)
@@ -186,8 +204,8 @@ def _render_round(
     costs = np.array([choice.samples * choice.size[0] * choice.size[1] for choice in choices], float)
     done = 0.0
     for number in rng.permutation(len(choices)):
-        yield done, f"rendering frame {view.frame}: {choices[number].label}"
-        frame, ms = timed(rendered, scanner, choices[number], (study.seed + seed) % MAX_SEED)
+        yield Progress(done, 1, f"rendering frame {view.frame}: {choices[number].label}")
+        frame, ms = timed(rendered, scanner, choices[number], (study.settings.seed + seed) % MAX_SEED)
         lights = _lights(backends, frame, view, scanner.exposure)
         taken[study.choices[number].key] = Taken(ms, {by.label: np.array(lights[by]).tolist() for by in COMPUTED_BY})
         done += costs[number] / costs.sum()
@@ -263,29 +281,17 @@ def picture_choices(presets: Mapping[str, RenderChoice]) -> list[PictureChoice]:
     return [*own, *(PictureChoice(RenderCandidate(presets["balanced"]), n) for n in others)]
 
 
-@dataclass(frozen=True, eq=False)
-class PictureStudy:
-    """What pictures are measured with; `settings` are those of a comparison, with the scene's light transport."""
-
-    renders: RenderStudy
-    plan: PrevisPlan
-    settings: RenderSettings
-    choices: Sequence[PictureChoice]
-
-
 def measure_pictures(
-    study: PictureStudy, rng: np.random.Generator
-) -> Steps[tuple[list[Measured], dict[str, tuple[float, ...]]]]:
+    study: RenderStudy, choices: Sequence[PictureChoice], rng: np.random.Generator
+) -> Job[tuple[list[Measured], dict[str, tuple[float, ...]]]]:
     """The choices, and by estimator the squared errors of its pictures at the views."""
     rounds: list[PicturesTaken] = []
-    views = study.renders.views[: study.renders.study_size.n_picture_views]
+    views = study.views[: study.study_size.n_picture_views]
+    read = functools.partial(kept_pictures, choices)
     for number, view in enumerate(views):
-        path = study.renders.folder / f"pictures_{view.frame:04d}.json"
-        taken = kept_json(path, functools.partial(kept_pictures, study.choices))
-        if taken is None:
-            taken = yield from within(number / len(views), 1 / len(views), _view_measured(study, view, rng))
-            write_json(path, as_json(taken))
-        rounds.append(taken)
+        path = study.folder / f"pictures_{view.frame:04d}.json"
+        job = part_of(len(views), number, 1, _view_measured(study, choices, view, rng))
+        rounds.append((yield from kept_or_done(path, read, job)))
     if not rounds:
         return [], {}
     measured = [
@@ -296,7 +302,7 @@ def measure_pictures(
             tuple(one.choices[choice.key].ms for one in rounds),
             choice.capture.preset,
         )
-        for choice in study.choices
+        for choice in choices
     ]
     return measured, {by.label: tuple(one.estimators[by.label] for one in rounds) for by in METHODS}
 
@@ -311,28 +317,28 @@ def kept_pictures(choices: Sequence[PictureChoice], content: Json) -> PicturesTa
     return taken
 
 
-def _view_measured(study: PictureStudy, view: View, rng: np.random.Generator) -> Steps[PicturesTaken]:
-    renders = study.renders
-    yield 0.0, f"comparing frame {view.frame} exhaustively"
-    renders.scanner.move_to(view.frame)
-    captured = load_frame(renders.reference(view))
+def _view_measured(
+    study: RenderStudy, choices: Sequence[PictureChoice], view: View, rng: np.random.Generator
+) -> Job[PicturesTaken]:
+    yield Progress(0, 1, f"comparing frame {view.frame} exhaustively")
+    study.scanner.move_to(view.frame)
+    captured = load_frame(study.reference(view))
     lights = {by.label: _lights_of_objects(study, by, captured) for by in METHODS}
-    with open_comparer(renders.scanner.scene, study.plan.objects, list(lights), study.settings) as comparer:
+    comparison = replace(study.capture, samples=1)
+    with open_comparer(study.scanner.scene, study.plan.objects, list(lights), comparison) as comparer:
         # With all methods, on all cores, by another seed.
-        seed = (renders.seed + renders.study_size.n_seeds) % MAX_SEED
-        _set_up(comparer, renders.exhaustive.samples, seed, n_threads=0)
+        _set_up(comparer, study.exhaustive.samples, study.exhaustive_seed, n_threads=0)
         truth = comparer.render_comparison(captured, lights)
-    of_estimators = {
-        by.label: _square_rmse(truth.methods[by.label], truth.ground_truth, truth.weights) for by in METHODS
-    }
+    of_estimators = {by: _square_rmse(truth.methods[by], truth.ground_truth, truth.weights) for by in lights}
     taken: dict[str, PictureTaken] = {}
     base = METHODS[0].label
-    with open_comparer(renders.scanner.scene, study.plan.objects, [base], study.settings) as comparer:
-        _set_up(comparer, 1, renders.seed)
+    with open_comparer(study.scanner.scene, study.plan.objects, [base], comparison) as comparer:
+        _set_up(comparer, 1, study.settings.seed)
         comparer.render_comparison(captured, {base: lights[base]})
-        for number in rng.permutation(len(study.choices)):
-            choice = study.choices[number]
-            yield 0.4 + 0.6 * len(taken) / len(study.choices), f"comparing frame {view.frame}: {choice.label}"
+        for number in rng.permutation(len(choices)):
+            choice = choices[number]
+            share = 0.4 + 0.6 * len(taken) / len(choices)
+            yield Progress(share, 1, f"comparing frame {view.frame}: {choice.label}")
             made, ms = timed(_made, study, choice, comparer)
             squares = [
                 _square_rmse(made.methods[base], truth.methods[base], truth.weights),
@@ -342,12 +348,11 @@ def _view_measured(study: PictureStudy, view: View, rng: np.random.Generator) ->
     return PicturesTaken(taken, of_estimators)
 
 
-def _made(study: PictureStudy, choice: PictureChoice, comparer: Comparer) -> Comparison:
+def _made(study: RenderStudy, choice: PictureChoice, comparer: Comparer) -> Comparison:
     """All that a run does for one frame: the capture, its light, both pictures."""
-    captured = rendered(study.renders.scanner, choice.capture.choice, study.renders.seed)
-    _set_up(comparer, choice.samples, study.renders.seed)
-    base = METHODS[0]
-    return comparer.render_comparison(captured, {base.label: _lights_of_objects(study, base, captured)})
+    captured = rendered(study.scanner, choice.capture.choice, study.settings.seed)
+    _set_up(comparer, choice.samples, study.settings.seed)
+    return comparer.render_comparison(captured, {METHODS[0].label: _lights_of_objects(study, METHODS[0], captured)})
 
 
 def _set_up(comparer: Comparer, samples: int, seed: int, *, n_threads: int = 1) -> None:
@@ -356,17 +361,15 @@ def _set_up(comparer: Comparer, samples: int, seed: int, *, n_threads: int = 1) 
         use_threads(scene, n_threads)
 
 
-def _lights_of_objects(study: PictureStudy, by: ComputeChoice, captured: RgbdFrame) -> dict[str, ArrayF64]:
+def _lights_of_objects(study: RenderStudy, by: ComputeChoice, captured: RgbdFrame) -> dict[str, ArrayF64]:
     """(9, 3) by virtual object: the mean over its positions, from this frame alone."""
-    backend, exposure = ChoiceBackend(by), study.renders.scanner.exposure
-
-    def light_of(name: str) -> ArrayF64:
-        positions_m = [probe.position_m for probe in study.plan.probes_of(name)]
+    backend, exposure = ChoiceBackend(by), study.scanner.exposure
+    means: dict[str, ArrayF64] = {}
+    for item in study.plan.objects:
+        positions_m = [probe.position_m for probe in study.plan.probes_of(item.name)]
         lights = [light_of_frame(by, backend, captured, position_m, exposure)[:9] for position_m in positions_m]
-        mean: ArrayF64 = np.mean(lights, axis=0)
-        return mean
-
-    return {item.name: light_of(item.name) for item in study.plan.objects}
+        means[item.name] = np.mean(lights, axis=0)
+    return means
 
 
 def _square_rmse(picture: ArrayF64, truth: ArrayF64, weights: ArrayF64) -> float:

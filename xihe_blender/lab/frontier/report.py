@@ -38,7 +38,6 @@ FOOT_PX = 386
 
 
 def report_page(frontier: Frontier) -> str:
-    """The page as text."""
     names = [scene.name for scene in frontier.scenes]
     n_choices = len({(p.front, p.label) for p in frontier.points})
     presets = [p for p in frontier.points if p.preset is not None]

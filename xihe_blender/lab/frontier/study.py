@@ -28,10 +28,9 @@ from xihe_blender.io.json_records import Json, as_json
 from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.provenance import machine, software
-from xihe_blender.jobs import Job, Progress
-from xihe_blender.lab.frontier import rendering
+from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.lab.frontier.answers import answers
-from xihe_blender.lab.frontier.choices import FULL, QUICK, compute_choices, render_choices
+from xihe_blender.lab.frontier.choices import compute_choices, render_choices
 from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, N_COEFFICIENTS, ORDER, Walk, loaded, measure_compute
 from xihe_blender.lab.frontier.points import MeasuredScene, kept_scene, points_of
 from xihe_blender.lab.frontier.records import (
@@ -41,10 +40,17 @@ from xihe_blender.lab.frontier.records import (
     FrontierScene,
     FrontierSettings,
     RenderChoice,
-    StudySize,
+)
+from xihe_blender.lab.frontier.rendering import (
+    RenderStudy,
+    SceneStudy,
+    View,
+    kept_or_done,
+    measure_pictures,
+    measure_rendering,
+    picture_choices,
 )
 from xihe_blender.lab.frontier.report import report_page
-from xihe_blender.lab.frontier.steps import Steps, part_of
 from xihe_blender.lab.frontier.timing import Quartiles
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
@@ -84,8 +90,7 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
     if not 0 <= settings.seed <= MAX_SEED:
         raise UserError(f"a seed of {settings.seed} is out of Cycles' range: give 0 to {MAX_SEED}")
     names = [file.stem for file in files]
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
+    if twice := [name for name in names if names.count(name) > 1]:
         raise UserError(f"two scenes are named {twice[0]!r}: results go by name, so rename one")
     for file in files:
         survey_scene(open_blend(file), settings.size)
@@ -100,15 +105,8 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
     kept = []
     for number, file in enumerate(files):
         path = out / "work" / file.stem / "measured.json"
-        one = kept_json(path, functools.partial(kept_scene, file.stem))
-        if one is None:
-            scene = open_blend(file)
-            study_size = settings.study_size or (QUICK if settings.is_quick else FULL)
-            surveyed = survey_scene(scene, settings.size)
-            study = SceneStudy(scene, file.stem, *surveyed, path.parent, settings.is_quick, settings.seed, study_size)
-            one = yield from measure_scene(study, float(number), float(len(files)))
-            write_json(path, as_json(one))
-        kept.append(one)
+        job = part_of(len(files), number, 1, measure_scene(file, path.parent, settings), file.stem)
+        kept.append((yield from kept_or_done(path, functools.partial(kept_scene, file.stem), job)))
     points = [p for name, one in zip(names, kept, strict=True) for p in points_of(name, one.fronts, settings.seed)]
     found = Frontier(
         software=software(command),
@@ -133,23 +131,6 @@ def _table_row(point: FrontierPoint) -> Mapping[str, object]:
     return {**vars(point), "error_kind": kind, "settings": json.dumps(settings)}
 
 
-# ---------------------------------------------------------------------------------------------- of one scene
-
-
-@dataclass(frozen=True, eq=False)
-class SceneStudy:
-    """One scene to measure: the open scene, its plan, the survey of its path, and where its work is kept."""
-
-    scene: bpy.types.Scene
-    name: str
-    plan: PrevisPlan
-    survey: SceneSurvey
-    folder: Path
-    is_quick: bool
-    seed: int
-    study_size: StudySize
-
-
 @dataclass(frozen=True)
 class Prepared:
     """What a run would settle before its first frame."""
@@ -159,53 +140,47 @@ class Prepared:
     presets: Mapping[str, RenderChoice]
 
 
-def measure_scene(study: SceneStudy, done: float, whole: float) -> Job[MeasuredScene]:
-    """All that was measured on a scene; of `whole` units of work, of which `done` are done before, it is one."""
-    rng = np.random.default_rng(study.seed)
-    study_size, size = study.study_size, study.plan.size
+def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[MeasuredScene]:
+    """All that is measured on the scene in `file`; work is kept in `folder`."""
+    scene = open_blend(file)
+    study = SceneStudy(scene, file.stem, *survey_scene(scene, settings.size), folder, settings)
+    rng = np.random.default_rng(settings.seed)
+    study_size, size, done = study.study_size, study.plan.size, 0.0
 
-    def share(name: str, steps: Steps[Result]) -> Job[Result]:
+    def share(name: str, job: Job[Result]) -> Job[Result]:
         nonlocal done
-        result = yield from part_of(whole, done, SHARES[name], steps, study.name)
+        result = yield from part_of(1, done, SHARES[name], job)
         done += SHARES[name]
         return result
 
     with scene_kept():
         prepared = yield from share("preparing", prepare(study))
-        capture = RenderSettings(size, study_size.walk_samples, study.seed, light_transport=prepared.light_transport)
-        with open_scanner(study.scene, capture) as scanner:
+        presets, transport = prepared.presets, prepared.light_transport
+        capture = RenderSettings(size, study_size.walk_samples, settings.seed, light_transport=transport)
+        with open_scanner(scene, capture) as scanner:
             scanner.exposure = prepared.exposure
             walk = yield from share("walking", _walk(study, prepared, scanner))
-            backends, missing = loaded(compute_choices(is_quick=study.is_quick))
+            backends, missing = loaded(compute_choices(is_quick=settings.is_quick))
             computed = yield from share("computing", measure_compute(backends, walk, study_size.n_rounds, rng))
             seen = evenly_chosen(list(zip(walk.frames, walk.active, strict=True)), study_size.n_views)
-            renders = rendering.RenderStudy(
-                scanner,
-                [rendering.View(frame.frame, [walk.positions[name] for name in names]) for frame, names in seen],
-                render_choices(prepared.presets, size, study_size, is_quick=study.is_quick),
-                RenderChoice(size, study_size.reference_samples),
-                study_size,
-                study.seed,
-                study.folder,
+            renders = RenderStudy(
+                **vars(study),
+                scanner=scanner,
+                capture=capture,
+                views=[View(frame.frame, [walk.positions[name] for name in names]) for frame, names in seen],
+                choices=render_choices(presets, size, study_size, is_quick=settings.is_quick),
+                exhaustive=RenderChoice(size, study_size.reference_samples),
             )
-            computing_ms = {
-                choice: Quartiles.of(one.times_ms).median for choice, one in zip(backends, computed, strict=True)
-            }
-            rendered, together = yield from share("rendering", rendering.measure_rendering(renders, computing_ms, rng))
-            comparison = replace(capture, samples=1)
-            pictures = rendering.PictureStudy(
-                renders, study.plan, comparison, rendering.picture_choices(prepared.presets)
-            )
-            pictured, estimators = yield from share("pictures", rendering.measure_pictures(pictures, rng))
-    computed = [
-        replace(one, square_errors={**one.square_errors, "picture" + AGAINST_TRUTH: estimators[one.label]})
-        if one.label in estimators
-        else one
-        for one in computed
-    ]
+            medians = [Quartiles.of(one.times_ms).median for one in computed]
+            computing_ms = dict(zip(backends, medians, strict=True))
+            rendered, together = yield from share("rendering", measure_rendering(renders, computing_ms, rng))
+            job = measure_pictures(renders, picture_choices(presets), rng)
+            pictured, estimators = yield from share("pictures", job)
+    of_pictures = {label: {"picture" + AGAINST_TRUTH: errors} for label, errors in estimators.items()}
+    computed = [replace(one, square_errors=one.square_errors | of_pictures.get(one.label, {})) for one in computed]
     added = computing_ms[ComputeChoice()]
     with_computing = [replace(one, times_ms=tuple(ms + added for ms in one.times_ms)) for one in pictured]
-    scene = FrontierScene(
+    measured = FrontierScene(
         name=study.name,
         missing_estimators=tuple(missing),
         exposure=prepared.exposure,
@@ -213,29 +188,29 @@ def measure_scene(study: SceneStudy, done: float, whole: float) -> Job[MeasuredS
         n_walk_frames=len(walk.frames),
         n_places=walk.n_places,
         views=tuple(view.frame for view in renders.views),
-        presets=dict(prepared.presets),
+        presets=dict(presets),
     )
-    yield Progress(done, whole, f"{study.name}: measured")
+    yield Progress(done, 1, "measured")
     render, total = (*rendered, *pictured), (*together, *with_computing)
-    return MeasuredScene(fronts={"render": render, "compute": tuple(computed), "total": total}, scene=scene)
+    return MeasuredScene(fronts={"render": render, "compute": tuple(computed), "total": total}, scene=measured)
 
 
-def prepare(study: SceneStudy) -> Steps[Prepared]:
+def prepare(study: SceneStudy) -> Job[Prepared]:
     """Measure it as a run does, or read what a run that was stopped has measured."""
     path, scene, plan = study.folder / "prepared.json", study.scene, study.plan
     kept = kept_json(path, functools.partial(kept_preparation, plan, study.survey))
     if kept is not None:
         return kept
-    yield 0.0, "metering the exposure, looking for effects"
-    exposure = meter_exposure(scene, plan.frames, study.seed)
+    yield Progress(0, 1, "metering the exposure, looking for effects")
+    exposure = meter_exposure(scene, plan.frames, study.settings.seed)
     effects = plan_effects(study.survey.required, overrides_in_force(scene, {}))
     views, samples = pilot_views(plan, study.survey), {}
     if not views:
         words = "never has a virtual object in view: move the camera's path, or objects"
         raise UserError(f"scene {scene.name!r} {words}")
     for index, (name, preset) in enumerate(PRESETS.items()):
-        yield (1 + index) / (1 + len(PRESETS)), f"measuring how many samples {name} takes"
-        settings = PrevisSettings(preset=name, seed=study.seed)
+        yield Progress(1 + index, 1 + len(PRESETS), f"measuring how many samples {name} takes")
+        settings = PrevisSettings(preset=name, seed=study.settings.seed)
         capture = settings.capture(plan.size, pilot_samples(preset))
         capture = replace(capture, light_transport=cycles_settings(effects))
         samples[name] = samples_taken(preset, capture_noise(scene, views, capture, exposure, settings.n_anchors))
@@ -252,20 +227,20 @@ def kept_preparation(plan: PrevisPlan, survey: SceneSurvey, content: Json) -> Pr
     return Prepared(positive_exposure(content), cycles_settings(effects_kept(survey, content["effects"])), presets)
 
 
-def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Steps[Walk]:
+def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Job[Walk]:
     """Captures, and light probes at the positions in view, of frames spread over the path."""
     plan = study.plan
     positions = {probe.name: probe.position_m for probe in plan.probes}
     chosen = evenly_chosen(list(study.survey.in_view.items()), study.study_size.n_walk_frames)
     probes = ProbeSettings(
-        max_samples=study.study_size.probe_samples, noise_target=PROBE_NOISE, seed=study.seed,
+        max_samples=study.study_size.probe_samples, noise_target=PROBE_NOISE, seed=study.settings.seed,
         light_transport=prepared.light_transport, order=ORDER,
     )  # fmt: skip
     indices = {name: index for index, name in enumerate(positions)}
     frames, truths = [], []
     with open_reference_probe(study.scene, list(positions.values()), probes) as probe:
         for index, (frame, active) in enumerate(chosen):
-            yield index / len(chosen), f"capturing frame {frame} and its light probes"
+            yield Progress(index, len(chosen), f"capturing frame {frame} and its light probes")
             path = study.folder / f"walk_{frame:04d}.npz"
             captured = read_kept(path, load_frame)
             if captured is None:

@@ -15,11 +15,13 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import ParamSpec, TypeVar
 
 import numpy as np
+
+from xihe_blender.jobs import Job, Progress
 
 Clock = Callable[[], float]
 Arguments = ParamSpec("Arguments")
@@ -66,11 +68,10 @@ def torch_on_one_thread() -> Iterator[None]:
 
 def interleaved(
     candidates: Sequence[Callable[[], float]], n_rounds: int, rng: np.random.Generator
-) -> Generator[int, None, list[list[float]]]:
-    """Measure every candidate in each of `n_rounds` rounds, after one to warm up.
+) -> Job[list[list[float]]]:
+    """What each candidate gives, round by round, in `n_rounds` rounds after one to warm up.
 
-    Each candidate measures itself when it is called, so that it can leave out what does not count. Yields the number
-    of rounds that are done, and returns what each candidate gave, round by round.
+    Each candidate measures itself when it is called, so that it can leave out what does not count.
     """
     measured: list[list[float]] = [[] for _ in candidates]
     for done in range(n_rounds + 1):
@@ -78,5 +79,5 @@ def interleaved(
             value = candidates[number]()
             if done > 0:
                 measured[number].append(value)
-        yield done
+        yield Progress(done + 1, n_rounds + 1, f"timing {len(candidates)} ways to compute, round {done}")
     return measured
