@@ -12,7 +12,6 @@ import bpy
 import numpy as np
 
 from xihe_blender.lab.props import furniture, surfaces
-from xihe_blender.lab.props.bedding import add_bed, add_bench
 from xihe_blender.lab.props.furniture import Place, at
 from xihe_blender.lab.props.shapes import Solid, add_solid, ball, box, box_between, cylinder, joined, revolved
 from xihe_blender.lab.rooms.materials import material_of
@@ -58,11 +57,11 @@ def _sofa(room: Collection, name: str, piece: Piece, m: list[Material], place: P
 
 
 def _bed(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
-    add_bed(room, name, piece.size[0] - 0.2, m[0], m[1], m[2], place=place)
+    furniture.add_bed(room, name, piece.size[0] - 0.2, m[0], m[1], m[2], place=place)
 
 
 def _bench(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
-    add_bench(room, name, piece.size, m[0], m[1], place=place)
+    furniture.add_bench(room, name, piece.size, m[0], m[1], place=place)
 
 
 def _bookcase(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
