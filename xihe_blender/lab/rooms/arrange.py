@@ -64,7 +64,7 @@ class Floor:
                 continue
             draw = float(rng.choice([0.0, 0.5, 1.0])) if rng.random() < 0.35 else float(rng.random())
             x, y = wall.point(0.03 + size[0] / 2 + draw * room, size[1] / 2 + WALL_GAP_M)
-            if piece := self.add(Piece(kind, x, y, z, wall.turn_deg, size, finishes, _seed(rng))):
+            if piece := self.add(Piece(kind, x, y, z, wall.turn_deg, size, finishes, piece_seed(rng))):
                 return piece
         return None
 
@@ -77,7 +77,7 @@ class Floor:
         for _ in range(TRIES):
             x, y = float(rng.uniform(bounds.x0, bounds.x1)), float(rng.uniform(bounds.y0, bounds.y1))
             turn = float(rng.uniform(0, 360)) if free_turn else 90.0 * float(rng.integers(4))
-            if piece := self.add(Piece(kind, x, y, 0.0, turn, size, finishes, _seed(rng)), gap_m):
+            if piece := self.add(Piece(kind, x, y, 0.0, turn, size, finishes, piece_seed(rng)), gap_m):
                 return piece
         return None
 
@@ -88,7 +88,7 @@ class Floor:
         """A piece at an offset in another's own frame, turned relative to it."""
         x, y = local_point(other, offset)
         turn = (other.turn_deg + turn_deg) % 360
-        return self.add(Piece(kind, x, y, 0.0, turn, size, finishes, _seed(rng)), 0.01)
+        return self.add(Piece(kind, x, y, 0.0, turn, size, finishes, piece_seed(rng)), 0.01)
 
     def on_top(
         self, rng: Rng, support: Piece, kind: str, size: Size, finishes: tuple[Finish, ...], *, free_turn: bool = True
@@ -104,7 +104,7 @@ class Floor:
             offset = tuple(float(rng.uniform(-r + half, r - half)) for r in reach)
             x, y = local_point(support, (offset[0], offset[1]))
             turned = (support.turn_deg + turn) % 360
-            if piece := self.add(Piece(kind, x, y, support.top_m, turned, size, finishes, _seed(rng)), 0.01):
+            if piece := self.add(Piece(kind, x, y, support.top_m, turned, size, finishes, piece_seed(rng)), 0.01):
                 return piece
         return None
 
@@ -133,5 +133,6 @@ def blocks_hole(piece: Piece, outline: Outline, holes: tuple[Hole, ...]) -> bool
     return False
 
 
-def _seed(rng: Rng) -> int:
+def piece_seed(rng: Rng) -> int:
+    """A seed for what is drawn when the piece is built."""
     return int(rng.integers(2**31))
