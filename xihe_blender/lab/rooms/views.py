@@ -62,6 +62,10 @@ class RoomRays:
                 from_behind[i] = normal.dot(direction) > 0
         return distances, from_behind
 
+    def cast_around(self, origin: ArrayF64, n_rays: int) -> tuple[ArrayF64, ArrayBool]:
+        """As `cast`, evenly in all directions."""
+        return self.cast(origin, AnchorLattice(n_rays).directions.astype(np.float64))
+
     def floor_below(self, x: float, y: float, from_z: float) -> float | None:
         """Height of the surface below a point, or None if it does not face up."""
         hit, place, normal, *_ = self.scene.ray_cast(self.depsgraph, (x, y, from_z), (0.0, 0.0, -1.0))
@@ -97,7 +101,7 @@ def _draw_position(rng: Rng, room: Room, rays: RoomRays, over: Rect | None) -> A
 
 def is_clear(rays: RoomRays, position: ArrayF64) -> bool:
     """Whether a position is outside of everything and nothing is nearer than MIN_CLEARANCE_M."""
-    distances, from_behind = rays.cast(position, AnchorLattice(N_CLEARANCE_RAYS).directions.astype(np.float64))
+    distances, from_behind = rays.cast_around(position, N_CLEARANCE_RAYS)
     return bool(distances.min() > MIN_CLEARANCE_M and from_behind.mean() < MAX_BEHIND_SHARE)
 
 
@@ -107,6 +111,11 @@ class PhoneView:
 
     world_from_camera: ArrayF64
     fov_deg: float
+
+    @property
+    def place_m(self) -> ArrayF64:
+        """(3,) where the phone is."""
+        return self.world_from_camera[:3, 3]
 
 
 def sample_views(rng: Rng, room: Room, rays: RoomRays, positions_m: ArrayF64) -> list[PhoneView]:
@@ -169,25 +178,20 @@ def hand_held_pose(place: tuple[float, float, float], yaw: float, pitch: float, 
 
 def sees_something(rays: RoomRays, view: PhoneView, median_m: float) -> bool:
     """Whether the phone is free of things and its picture is not filled by something close."""
-    place = view.world_from_camera[:3, 3]
-    around, behind = rays.cast(place, AnchorLattice(N_PHONE_RAYS).directions.astype(np.float64))
+    around, behind = rays.cast_around(view.place_m, N_PHONE_RAYS)
     if around.min() < PHONE_CLEARANCE_M or behind.mean() > MAX_BEHIND_SHARE:
         return False
     slope = math.tan(math.radians(view.fov_deg) / 2)
     u, v = np.meshgrid(np.linspace(-1, 1, 7) * slope, np.linspace(-0.75, 0.75, 5) * slope)
     directions = np.stack([u.ravel(), v.ravel(), np.full(u.size, -1.0)], -1)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    distances, _ = rays.cast(place, directions @ view.world_from_camera[:3, :3].T)
+    distances, _ = rays.cast(view.place_m, directions @ view.world_from_camera[:3, :3].T)
     return bool(np.median(distances) > median_m and (distances < 0.4).mean() < 0.1)
 
 
-def lines_of_sight(rays: RoomRays, views: list[PhoneView], positions_m: ArrayF64) -> ArrayBool:
-    """(V, P) bool: nothing stands between the phone and the position."""
-    free = np.zeros((len(views), len(positions_m)), bool)
-    for i, view in enumerate(views):
-        gap = positions_m - view.world_from_camera[:3, 3]
-        distance = np.linalg.norm(gap, axis=1)
-        for j in range(len(positions_m)):
-            hit, _ = rays.cast(view.world_from_camera[:3, 3], gap[j : j + 1] / distance[j])
-            free[i, j] = hit[0] > distance[j]
+def are_unhidden(rays: RoomRays, positions_m: ArrayF64, place_m: ArrayF64) -> ArrayBool:
+    """(P,) bool: nothing stands between positions (P, 3) and a place (3,)."""
+    gaps = positions_m - place_m
+    distances = np.linalg.norm(gaps, axis=1)
+    free: ArrayBool = rays.cast(place_m, gaps / distances[:, None])[0] > distances
     return free

@@ -20,9 +20,15 @@ import numpy as np
 from xihe_blender.lab.rooms.arrange import Rng
 from xihe_blender.lab.rooms.free_floor import FreeFloor, Route
 from xihe_blender.lab.rooms.room_data import Room
-from xihe_blender.lab.rooms.views import N_PHONE_RAYS, PHONE_CLEARANCE_M, PhoneView, RoomRays, hand_held_pose
+from xihe_blender.lab.rooms.views import (
+    N_PHONE_RAYS,
+    PHONE_CLEARANCE_M,
+    PhoneView,
+    RoomRays,
+    are_unhidden,
+    hand_held_pose,
+)
 from xihenet.records import ArrayF64
-from xihenet.sphere import AnchorLattice
 
 MARGINS_M = (0.4, 0.3, 0.2)
 """Between a walker and what stands around, the most comfortable first."""
@@ -96,7 +102,7 @@ def _clear_walks(
         order = [int(i) for i in rng.permutation(len(positions_m))]
         route = floor.route(_stops(rng, floor, rays, positions_m[order], float(heights_m.mean())))
         walk = _walked(rng, route, heights_m, positions_m, order, fov_deg)
-        struck_m = _struck(rays, np.stack([view.world_from_camera[:3, 3] for view in walk]))
+        struck_m = _struck(rays, np.stack([view.place_m for view in walk]))
         if len(struck_m):
             floor = floor.without(struck_m[:, :2], STRUCK_RADIUS_M)
         else:
@@ -117,15 +123,14 @@ def _struck(rays: RoomRays, places_m: ArrayF64) -> ArrayF64:
 
     Over free floor nothing is big enough for the phone to be inside of it and clear of it, so nothing else is asked.
     """
-    around = AnchorLattice(N_PHONE_RAYS).directions.astype(np.float64)
-    nearest_m = np.array([rays.cast(place, around)[0].min() for place in places_m])
+    nearest_m = np.array([rays.cast_around(place, N_PHONE_RAYS)[0].min() for place in places_m])
     return places_m[nearest_m < PHONE_CLEARANCE_M]
 
 
 def _standing_walk(rng: Rng, positions_m: ArrayF64, views: list[PhoneView], n_frames: int) -> list[PhoneView]:
     """All frames from the place of the view that is nearest to the height of a walk."""
-    places = [view.world_from_camera[:3, 3] for view in views]
-    place = min(places, key=lambda p: abs(p[2] - (LOWEST_M + HIGHEST_M) / 2))
+    middle_m = (LOWEST_M + HIGHEST_M) / 2
+    place = min((view.place_m for view in views), key=lambda place: abs(place[2] - middle_m))
     order = [int(i) for i in rng.permutation(len(positions_m))]
     route = Route.through(place[None, :2])
     return _walked(rng, route, np.full(n_frames, place[2]), positions_m, order, views[0].fov_deg)
@@ -150,10 +155,7 @@ def _stop(rng: Rng, floor: FreeFloor, rays: RoomRays, position: ArrayF64, height
     gaps = np.linalg.norm(places - position[:2], axis=1)
     near = places[(gaps > LOOK_FROM_M[0]) & (gaps < LOOK_FROM_M[1])]
     for place in rng.permutation(near)[:12]:
-        sight = position - (*place, height_m)
-        distance = float(np.linalg.norm(sight))
-        hit, _ = rays.cast(np.array((*place, height_m)), sight[None] / distance)
-        if hit[0] > distance:
+        if are_unhidden(rays, position[None], np.array((*place, height_m))).all():
             return np.asarray(place)
     middle = sum(LOOK_FROM_M) / 2
     return np.asarray(places[int(np.abs(gaps - middle).argmin())])
