@@ -11,25 +11,20 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from xihe_blender.lab.rooms.outline import Outline, Point, Rect
-from xihe_blender.lab.rooms.room_data import Finish, Hole, Piece, Slope, ceiling_height
+from xihe_blender.lab.rooms.outline import Outline, Point
+from xihe_blender.lab.rooms.room_data import Finish, Hole, Piece, Shell, Size
 
 Rng = np.random.Generator
-Size = tuple[float, float, float]
 TRIES = 20
 DOOR_REACH_M, GAP_M, WALL_GAP_M = 0.9, 0.03, 0.02
 FLAT_M = 0.02
 """Lower than this is a rug or a mat: other things stand on it."""
 
 
-@dataclass
-class Floor:
+@dataclass(frozen=True)
+class Floor(Shell):
     """A room being furnished. `pieces` grows; nothing else changes."""
 
-    outline: Outline
-    height: float
-    slopes: tuple[Slope, ...]
-    holes: tuple[Hole, ...]
     pieces: list[Piece] = field(default_factory=list)
 
     def add(self, piece: Piece, gap_m: float = GAP_M) -> Piece | None:
@@ -41,16 +36,11 @@ class Floor:
 
     def _is_free(self, piece: Piece, gap_m: float) -> bool:
         rect = piece.footprint
-        if not self.outline.holds_rect(rect) or self._ceiling_over(rect) < piece.top_m + 0.04:
+        if not self.outline.holds_rect(rect) or self.ceiling_over(rect) < piece.top_m + 0.04:
             return False
         if piece.size[2] < FLAT_M:
             return True
         return not (blocks_hole(piece, self.outline, self.holes) or any(collide(piece, p, gap_m) for p in self.pieces))
-
-    def _ceiling_over(self, rect: Rect) -> float:
-        """The lowest ceiling over a rectangle: slopes fall towards walls, so it is over a corner."""
-        corners = [(x, y) for x in (rect.x0, rect.x1) for y in (rect.y0, rect.y1)]
-        return min(ceiling_height(self.outline, self.height, self.slopes, corner) for corner in corners)
 
     def against_wall(
         self, rng: Rng, kind: str, size: Size, finishes: tuple[Finish, ...], *, z: float = 0.0, tries: int = TRIES
@@ -94,15 +84,14 @@ class Floor:
         self, rng: Rng, support: Piece, kind: str, size: Size, finishes: tuple[Finish, ...], *, free_turn: bool = True
     ) -> Piece | None:
         """A small thing on the flat top of another, away from its edge."""
-        w, d, _ = support.size
         turn = float(rng.uniform(0, 360)) if free_turn else 0.0
-        reach = [side / 2 - 0.03 for side in (w, d)]
-        half = math.hypot(size[0], size[1]) / 2 if free_turn else max(size[0], size[1]) / 2
-        if min(reach) <= half:
+        half = (math.hypot(*size[:2]) if free_turn else max(size[:2])) / 2
+        across, along = (side / 2 - 0.03 for side in support.size[:2])
+        if min(across, along) <= half:
             return None
         for _ in range(6):
-            offset = tuple(float(rng.uniform(-r + half, r - half)) for r in reach)
-            x, y = local_point(support, (offset[0], offset[1]))
+            offset = float(rng.uniform(-across + half, across - half)), float(rng.uniform(-along + half, along - half))
+            x, y = local_point(support, offset)
             turned = (support.turn_deg + turn) % 360
             if piece := self.add(Piece(kind, x, y, support.top_m, turned, size, finishes, piece_seed(rng)), 0.01):
                 return piece

@@ -216,9 +216,8 @@ def add_daylight(scene: bpy.types.Scene, things: Collection, room: Room) -> None
     lighting.set_panorama(scene, f"{daylight.panorama}.exr", strength=daylight.strength, turn_deg=daylight.turn_deg)
     if daylight.sun is not None:
         lighting.add_sun(things, **asdict(daylight.sun))
-    for hole in room.holes:
-        if not hole.is_door:
-            add_portal(things, room, hole)
+    for window in room.windows:
+        add_portal(things, room, window)
 
 
 def add_portal(things: Collection, room: Room, hole: Hole) -> None:

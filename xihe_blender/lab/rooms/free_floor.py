@@ -129,11 +129,9 @@ def _standing(room: Room) -> list[Rect]:
 
 
 def _is_walkable(room: Room, place: tuple[float, float], margin_m: float, blocked: Sequence[Rect]) -> bool:
-    x, y = place
-    if any(rect.x0 < x < rect.x1 and rect.y0 < y < rect.y1 for rect in blocked):
-        return False
-    around = Rect.around((x, y), (2 * margin_m, 2 * margin_m))
-    return room.outline.holds_rect(around) and room.ceiling_at((x, y)) > HEAD_M
+    around = Rect.around(place, (2 * margin_m, 2 * margin_m))
+    is_blocked = any(rect.holds(place) for rect in blocked)
+    return not is_blocked and room.outline.holds_rect(around) and room.ceiling_at(place) > HEAD_M
 
 
 def _largest_part(is_free: ArrayBool) -> ArrayBool:

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from xihe_blender.lab.rooms import palette
-from xihe_blender.lab.rooms.arrange import TRIES, Floor, Rng, Size, local_point, piece_seed
-from xihe_blender.lab.rooms.room_data import Finish, Piece
+from xihe_blender.lab.rooms.arrange import TRIES, Floor, Rng, local_point, piece_seed
+from xihe_blender.lab.rooms.room_data import Finish, Piece, Size
 
 CHAIR = (0.5, 0.57, 0.9)
 SUPPORTS = frozenset(

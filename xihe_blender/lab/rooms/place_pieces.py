@@ -12,15 +12,22 @@ import numpy as np
 
 from xihe_blender.lab.props import Collection, Material, furniture, surfaces
 from xihe_blender.lab.props.furniture import Place, at
-from xihe_blender.lab.props.shapes import Solid, add_solid, ball, box, box_between, cylinder, joined, revolved
-from xihe_blender.lab.rooms.arrange import Size, local_point
+from xihe_blender.lab.props.shapes import add_solid, ball, box, box_between, cylinder, joined, revolved
+from xihe_blender.lab.rooms.arrange import local_point
 from xihe_blender.lab.rooms.materials import material_of
-from xihe_blender.lab.rooms.room_data import Piece
+from xihe_blender.lab.rooms.room_data import LAMP_KINDS, Piece
 
 Maker: TypeAlias = Callable[[Collection, str, Piece, list[Material], Place], None]
-LAMP_KINDS = frozenset({"floor_lamp", "table_lamp"})
 BOXES = {"cupboard": 0.004, "mirror": 0.0, "rug": 0.0, "crate": 0.008, "pillar": 0.0, "box": 0.003}
 """What is a box, and by how many metres its edges are rounded."""
+
+TURNED = {
+    "vase": (0.5, 24, ((0, 0), (0.6, 0), (1, 0.35), (0.85, 0.6), (0.4, 0.85), (0.5, 1))),
+    "bowl": (0.5, 32, ((0, 0), (0.5, 0), (0.85, 0.4), (1, 1), (0.92, 1), (0.75, 0.45), (0, 0.2))),
+    "mug": (0.42, 24, ((0, 0), (1, 0), (1, 1), (0.9, 1), (0.9, 0.1), (0, 0.1))),
+    "pouf": (0.5, 32, ((0, 0), (0.92, 0), (1, 0.15), (1, 0.82), (0.9, 0.97), (0, 1))),
+}
+"""What is turned: radius as a share of the width, segments, and the profile as shares of radius and height."""
 
 
 def place_piece(room: Collection, name: str, piece: Piece) -> None:
@@ -108,12 +115,6 @@ def _plant(room: Collection, name: str, piece: Piece, m: list[Material], place: 
                         spread=0.42 * w, pot_radius=min(0.17, 0.1 + 0.05 * h), n_leaves=18)  # fmt: skip
 
 
-def _pouf(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
-    r, h = piece.size[0] / 2, piece.size[2]
-    profile = [(0, 0), (0.92 * r, 0), (r, 0.15 * h), (r, 0.82 * h), (0.9 * r, 0.97 * h), (0, h)]
-    add_solid(room, name, revolved(profile, 32), m[0], smooth=True, **place)
-
-
 def _picture(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
     w, d, h = piece.size
     mount = surfaces.plain(f"{name} mount", (0.74, 0.73, 0.7), roughness=0.8)
@@ -138,53 +139,35 @@ def _screen(room: Collection, name: str, piece: Piece, m: list[Material], place:
         add_solid(room, f"{name} picture", box((w - 0.03, 0.002, h - 0.1), (0, -0.017, middle)), glow, **place)
 
 
-def _solid(make: Callable[[Size], Solid], *, smooth: bool = True, bevel_m: float = 0.0) -> Maker:
-    """A maker of things that are one solid of one material, from their extents."""
-
-    def maker(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
-        add_solid(room, name, make(piece.size), m[0], smooth=smooth, bevel_m=bevel_m, **place)
-
-    return maker
+def _ball(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
+    d = piece.size[0]
+    add_solid(room, name, ball(d / 2, (0, 0, d / 2), 32), m[0], smooth=True, **place)
 
 
-def _upright_box(size: Size) -> Solid:
-    return box(size, (0, 0, size[2] / 2))
-
-
-def _vase(size: Size) -> Solid:
-    r, h = size[0] / 2, size[2]
-    return revolved([(0, 0), (0.6 * r, 0), (r, 0.35 * h), (0.85 * r, 0.6 * h), (0.4 * r, 0.85 * h), (0.5 * r, h)], 24)
-
-
-def _bowl(size: Size) -> Solid:
-    r, h = size[0] / 2, size[2]
-    inside = [(0.92 * r, h), (0.75 * r, 0.45 * h), (0, 0.2 * h)]
-    return revolved([(0, 0), (0.5 * r, 0), (0.85 * r, 0.4 * h), (r, h), *inside], 32)
-
-
-def _mug(size: Size) -> Solid:
-    r, h = 0.42 * size[0], size[2]
-    return revolved([(0, 0), (r, 0), (r, h), (0.9 * r, h), (0.9 * r, 0.1 * h), (0, 0.1 * h)], 24)
-
-
-def _ball(size: Size) -> Solid:
-    return ball(size[0] / 2, (0, 0, size[0] / 2), 32)
-
-
-def _book_pile(size: Size) -> Solid:
-    w, d, h = size
+def _book_pile(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
+    w, d, h = piece.size
     n = max(2, round(h / 0.03))
-    turns = [7 * ((i * 5) % 3 - 1) for i in range(n)]
     book = box((0.85 * w, 0.65 * d, 0.95 * h / n))
-    return joined([book.turned(turn).moved((0, 0, h * (i + 0.5) / n)) for i, turn in enumerate(turns)])
+    books = [book.turned(7 * ((i * 5) % 3 - 1)).moved((0, 0, h * (i + 0.5) / n)) for i in range(n)]
+    add_solid(room, name, joined(books), m[0], **place)
+
+
+def _box(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
+    solid = box(piece.size, (0, 0, piece.size[2] / 2))
+    add_solid(room, name, solid, m[0], bevel_m=BOXES[piece.kind], **place)
+
+
+def _turned(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
+    w, _, h = piece.size
+    share, n_segments, profile = TURNED[piece.kind]
+    solid = revolved([(r * (share * w), z * h) for r, z in profile], n_segments)
+    add_solid(room, name, solid, m[0], smooth=True, **place)
 
 
 MAKERS: dict[str, Maker] = {
     "table": _table, "desk": _table, "coffee_table": _table, "round_table": _round_table, "chair": _chair,
     "sofa": _sofa, "armchair": _sofa, "bed": _bed, "bench": _bench, "bookcase": _bookcase, "sideboard": _cabinet,
-    "wardrobe": _cabinet, "chest": _cabinet, "counter": _counter, "tub": _tub, "plant": _plant,
-    "pouf": _pouf, "picture": _picture, "radiator": _radiator, "screen": _screen,
-    **{kind: _solid(_upright_box, smooth=False, bevel_m=bevel_m) for kind, bevel_m in BOXES.items()},
-    "vase": _solid(_vase), "bowl": _solid(_bowl), "mug": _solid(_mug), "ball": _solid(_ball),
-    "book_pile": _solid(_book_pile, smooth=False),
+    "wardrobe": _cabinet, "chest": _cabinet, "counter": _counter, "tub": _tub, "plant": _plant, "picture": _picture,
+    "radiator": _radiator, "screen": _screen, "ball": _ball, "book_pile": _book_pile,
+    **dict.fromkeys(BOXES, _box), **dict.fromkeys(TURNED, _turned),
 }  # fmt: skip

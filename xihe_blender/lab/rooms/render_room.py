@@ -20,7 +20,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.lab.rooms.build_room import build_room
 from xihe_blender.lab.rooms.rooms import room_generator, sample_room, walk_generator
 from xihe_blender.lab.rooms.store import FORMAT_VERSION, METERING, ArrayF16, StoredRoom, as_float16
-from xihe_blender.lab.rooms.views import PhoneView, RoomRays, RoomTooFull, are_unhidden, sample_positions, sample_views
+from xihe_blender.lab.rooms.views import PhoneView, RoomRays, RoomTooFull, sample_positions, sample_views
 from xihe_blender.lab.rooms.walk import sample_walk
 from xihenet import __version__
 from xihenet.camera import encode_exposed, in_view, valid_plane_depth
@@ -86,7 +86,7 @@ def make_room(seed: int, index: int, settings: RoomRenderSettings, *, walk: int 
             continue
         if walk is not None:
             views = sample_walk(walk_generator(seed, index), room, rays, positions_m, views, walk)
-        is_unhidden = np.stack([are_unhidden(rays, positions_m, view.place_m) for view in views])
+        is_unhidden = np.stack([rays.reach(view.place_m, positions_m) for view in views])
         pictures = render_views(scene, views, settings.view)
         exposure = metered_exposure([p.radiance for p in pictures], METERING) * room.exposure_gain
         probe = settings.probe(split_of((seed, index)))

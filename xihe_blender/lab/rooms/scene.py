@@ -19,24 +19,10 @@ from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import meter_exposure, open_scanner, phone_camera, sized_for
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import Job, Progress
+from xihe_blender.lab.rooms import store
 from xihe_blender.lab.rooms.build import write_manifest
-from xihe_blender.lab.rooms.render_room import (
-    Picture,
-    RoomRenderSettings,
-    reference_lights,
-    stored_room,
-    take_picture,
-)
-from xihe_blender.lab.rooms.store import (
-    FORMAT_VERSION,
-    MAX_FLOAT16,
-    METERING,
-    load_room,
-    room_path,
-    save_room,
-    stored_indices,
-)
-from xihe_blender.lab.rooms.views import RoomRays, are_unhidden
+from xihe_blender.lab.rooms.render_room import Picture, RoomRenderSettings, reference_lights, stored_room, take_picture
+from xihe_blender.lab.rooms.views import RoomRays
 from xihe_blender.previs.plan import plan_previs, planned_frames
 from xihe_blender.previs.scene_faults import faults_at_frame
 from xihe_blender.previs.settings import PrevisSettings
@@ -84,14 +70,13 @@ def add_scene(
     chosen = planned_frames(scene, frames)
     size = sized_for(scene, settings.view).size
     positions_m = scene_positions(scene, chosen, at)
-    write_manifest(
-        folder, {"format": FORMAT_VERSION, "scenes": True, "render": list(settings.numbers), "metering": METERING}
-    )
-    path = room_path(folder, _place_for(folder, name))
+    shared = {"render": list(settings.numbers), "metering": store.METERING}
+    write_manifest(folder, {"format": store.FORMAT_VERSION, "scenes": True, **shared})
+    path = store.room_path(folder, _place_for(folder, name))
     total = len(chosen) + len(positions_m) + 1
     with scene_kept():
         yield Progress(0, total, "metering")
-        exposure = meter_exposure(scene, chosen, metering=METERING)
+        exposure = meter_exposure(scene, chosen, metering=store.METERING)
         _check_can_be_stored(scene, exposure)
         pictures, is_unhidden = [], []
         for picture, unhidden in _pictures(scene, chosen, RenderSettings(size, settings.view_samples), positions_m):
@@ -104,7 +89,7 @@ def add_scene(
             yield Progress(len(pictures) + len(lights), total, f"{len(lights)} of {len(positions_m)} positions")
         room = stored_room(pictures, exposure, positions_m, np.stack(is_unhidden), lights, seed=scene_seed(name),
                            kind=name, regime=SCENE_REGIME)  # fmt: skip
-        save_room(path, room)
+        store.save_room(path, room)
     yield Progress(total, total, f"{path.name} written")
     return path
 
@@ -112,10 +97,10 @@ def add_scene(
 def _check_can_be_stored(scene: bpy.types.Scene, exposure: float) -> None:
     """UserError if a file of half floats cannot hold the light that `exposure` shows, from black to white."""
     white = 1 / exposure
-    if white > MAX_FLOAT16 or white * DARKEST_SHOWN < SMALLEST_FLOAT16:
+    if white > store.MAX_FLOAT16 or white * DARKEST_SHOWN < SMALLEST_FLOAT16:
         raise UserError(
             f"scene {scene.name!r} has its white at a radiance of {white:.3g}, which a data set cannot hold: "
-            f"bring its lights between {SMALLEST_FLOAT16 / DARKEST_SHOWN:.2g} and {MAX_FLOAT16:g}"
+            f"bring its lights between {SMALLEST_FLOAT16 / DARKEST_SHOWN:.2g} and {store.MAX_FLOAT16:g}"
         )
 
 
@@ -157,15 +142,15 @@ def _pictures(
             first = first or intrinsics
             if not np.isclose([intrinsics.fx, intrinsics.cx, intrinsics.cy], [first.fx, first.cx, first.cy]).all():
                 raise UserError(f"the camera zooms before frame {frame}: give --frames with one focal length")
-            is_unhidden = are_unhidden(RoomRays.of(scanner.scene), positions_m, pose[:3, 3])
+            is_unhidden = RoomRays.of(scanner.scene).reach(pose[:3, 3], positions_m)
             yield take_picture(scanner.scene, intrinsics, pose), is_unhidden
 
 
 def _place_for(folder: Path, name: str) -> int:
     """The number of the scene `name` in `folder`, or the next free one. UserError for a file that is damaged."""
-    there = list(stored_indices(folder))
+    there = list(store.stored_indices(folder))
     try:
-        of_that_name = [index for index in there if load_room(room_path(folder, index)).kind == name]
+        of_that_name = [index for index in there if store.load_room(store.room_path(folder, index)).kind == name]
     except ValueError as error:
         raise UserError(f"{error}: delete it to go on") from error
     return of_that_name[0] if of_that_name else max(there, default=-1) + 1

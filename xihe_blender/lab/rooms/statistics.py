@@ -34,8 +34,6 @@ REAL_RANGE = (-1.09, 1.98)
 REAL_COVERAGE = {"mean": 607 / 1280, "5 %": 107 / 1280, "50 %": 642 / 1280, "95 %": 887 / 1280}
 """Share of 1280 anchors set by one view; from the paper's artefact."""
 
-COVERAGE_PERCENTILES = {"5 %": 5, "50 %": 50, "95 %": 95}
-
 
 @dataclass(frozen=True, eq=False)
 class LightStatistics:
@@ -51,10 +49,7 @@ class LightStatistics:
 
 def light_statistics(rooms: Iterable[StoredRoom], n_anchors: int = 1280) -> LightStatistics:
     """Statistics over the pairs that count. ValueError if there is none."""
-    lattice = AnchorLattice(n_anchors)
-    lights: list[ArrayF64] = []
-    shares: list[float] = []
-    n_rooms = 0
+    lattice, lights, shares, n_rooms = AnchorLattice(n_anchors), [], [], 0
     for room in rooms:
         n_rooms += 1
         for view in range(len(room.srgb_u8)):
@@ -71,8 +66,7 @@ def light_statistics(rooms: Iterable[StoredRoom], n_anchors: int = 1280) -> Ligh
         sh[:, 0].mean(axis=0),
         {name: sh[:, index].std(axis=0) for name, index in BANDS.items()},
         (float(sh.min()), float(sh.max())),
-        {"mean": float(np.mean(shares))}
-        | {name: float(np.percentile(shares, p)) for name, p in COVERAGE_PERCENTILES.items()},
+        {"mean": float(np.mean(shares)), **{f"{p} %": float(np.percentile(shares, p)) for p in (5, 50, 95)}},
     )
 
 

@@ -84,11 +84,10 @@ class StoredRoom:
 
     def frame(self, view: int) -> RgbdFrame:
         """One view as the chain takes it; the sensed ambient light is the picture's mean, as in a capture."""
-        colour = self.srgb_u8[view]
-        plane_depth_m: ArrayF32 = self.plane_depth_m[view].astype(np.float32)
+        colour, plane_depth_m = self.srgb_u8[view], self.plane_depth_m[view].astype(np.float32)
         ambient = sensed_ambient(colour, self.exposure)
-        return RgbdFrame(colour, plane_depth_m, self.pinhole, self.world_from_camera[view], self.exposure, ambient,
-                         frame=view)  # fmt: skip
+        pose = self.world_from_camera[view]
+        return RgbdFrame(colour, plane_depth_m, self.pinhole, pose, self.exposure, ambient, frame=view)
 
 
 def as_float16(values: NDArray[Any]) -> ArrayF16:
@@ -99,9 +98,8 @@ def as_float16(values: NDArray[Any]) -> ArrayF16:
 
 def save_room(path: Path, room: StoredRoom) -> None:
     """Write `room` whole or not at all. OSError if it cannot be written."""
-    content: dict[str, Any] = {f.name: getattr(room, f.name) for f in fields(room)}
     with written_whole(path) as beside:
-        np.savez_compressed(beside, **content)
+        np.savez_compressed(beside, **vars(room))
 
 
 def load_room(path: Path) -> StoredRoom:
@@ -111,8 +109,7 @@ def load_room(path: Path) -> StoredRoom:
         if "panoramas" in stored:
             raise ValueError("its format is that of an older version: build the data set again")
         content: dict[str, Any] = {f.name: stored[f.name] for f in fields(StoredRoom)}
-        for name in ("exposure", "kind", "regime", "versions"):
-            content[name] = content[name].item()
+        content |= {name: content[name].item() for name in ("exposure", "kind", "regime", "versions")}
     except (KeyError, ValueError) as error:
         raise ValueError(f"{path}: not a room of a data set ({error})") from None
     return StoredRoom(**content)

@@ -18,7 +18,7 @@ from mathutils import Vector
 
 from xihe_blender.lab.rooms.arrange import Rng
 from xihe_blender.lab.rooms.outline import Rect
-from xihe_blender.lab.rooms.room_data import Room
+from xihe_blender.lab.rooms.room_data import Piece, Room
 from xihenet.records import ArrayBool, ArrayF64
 from xihenet.sphere import AnchorLattice
 
@@ -65,6 +65,13 @@ class RoomRays:
     def cast_around(self, origin: ArrayF64, n_rays: int) -> tuple[ArrayF64, ArrayBool]:
         """As `cast`, evenly in all directions."""
         return self.cast(origin, AnchorLattice(n_rays).directions.astype(np.float64))
+
+    def reach(self, place_m: ArrayF64, positions_m: ArrayF64) -> ArrayBool:
+        """(P,) bool: nothing stands between a place (3,) and positions (P, 3)."""
+        gaps = positions_m - place_m
+        distances = np.linalg.norm(gaps, axis=1)
+        free: ArrayBool = self.cast(place_m, gaps / distances[:, None])[0] > distances
+        return free
 
     def floor_below(self, x: float, y: float, from_z: float) -> float | None:
         """Height of the surface below a point, or None if it does not face up."""
@@ -151,16 +158,13 @@ def _draw_view(rng: Rng, room: Room, target: ArrayF64 | None, fov_deg: float) ->
         pitch = math.atan2(below, float(np.hypot(*ahead))) + math.radians(float(rng.normal(6, 8)))
     if not room.outline.holds((x, y)) or height > room.ceiling_at((x, y)) - 0.15:
         return None
-    if any(_is_in_box(room, i, (x, y, height)) for i in range(len(room.pieces))):
+    if any(_is_in_box(piece, (x, y, height)) for piece in room.pieces):
         return None
     return PhoneView(hand_held_pose((x, y, height), yaw, min(max(pitch, -1.1), 0.5), roll), fov_deg)
 
 
-def _is_in_box(room: Room, i: int, place: tuple[float, float, float]) -> bool:
-    piece = room.pieces[i]
-    rect = piece.footprint.grown(0.08)
-    is_over = rect.x0 < place[0] < rect.x1 and rect.y0 < place[1] < rect.y1
-    return is_over and piece.z - 0.1 < place[2] < piece.top_m + 0.2
+def _is_in_box(piece: Piece, place: tuple[float, float, float]) -> bool:
+    return piece.footprint.grown(0.08).holds(place[:2]) and piece.z - 0.1 < place[2] < piece.top_m + 0.2
 
 
 def hand_held_pose(place: tuple[float, float, float], yaw: float, pitch: float, roll: float) -> ArrayF64:
@@ -187,11 +191,3 @@ def sees_something(rays: RoomRays, view: PhoneView, median_m: float) -> bool:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     distances, _ = rays.cast(view.place_m, directions @ view.world_from_camera[:3, :3].T)
     return bool(np.median(distances) > median_m and (distances < 0.4).mean() < 0.1)
-
-
-def are_unhidden(rays: RoomRays, positions_m: ArrayF64, place_m: ArrayF64) -> ArrayBool:
-    """(P,) bool: nothing stands between positions (P, 3) and a place (3,)."""
-    gaps = positions_m - place_m
-    distances = np.linalg.norm(gaps, axis=1)
-    free: ArrayBool = rays.cast(place_m, gaps / distances[:, None])[0] > distances
-    return free

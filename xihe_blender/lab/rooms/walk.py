@@ -20,14 +20,7 @@ import numpy as np
 from xihe_blender.lab.rooms.arrange import Rng
 from xihe_blender.lab.rooms.free_floor import FreeFloor, Route
 from xihe_blender.lab.rooms.room_data import Room
-from xihe_blender.lab.rooms.views import (
-    N_PHONE_RAYS,
-    PHONE_CLEARANCE_M,
-    PhoneView,
-    RoomRays,
-    are_unhidden,
-    hand_held_pose,
-)
+from xihe_blender.lab.rooms.views import N_PHONE_RAYS, PHONE_CLEARANCE_M, PhoneView, RoomRays, hand_held_pose
 from xihenet.records import ArrayF64
 
 MARGINS_M = (0.4, 0.3, 0.2)
@@ -155,7 +148,7 @@ def _stop(rng: Rng, floor: FreeFloor, rays: RoomRays, position: ArrayF64, height
     gaps = np.linalg.norm(places - position[:2], axis=1)
     near = places[(gaps > LOOK_FROM_M[0]) & (gaps < LOOK_FROM_M[1])]
     for place in rng.permutation(near)[:12]:
-        if are_unhidden(rays, position[None], np.array((*place, height_m))).all():
+        if rays.reach(np.array((*place, height_m)), position[None]).all():
             return np.asarray(place)
     middle = sum(LOOK_FROM_M) / 2
     return np.asarray(places[int(np.abs(gaps - middle).argmin())])

@@ -190,7 +190,7 @@ def run_module(work: Work) -> str | None:
         finally:
             process.kill()
             process.wait()
-        words = _last_line(errors)
+        words = last_line(errors)
     if code in (0, EXIT_CANNOT_BE_DONE):
         return words if code else None
     raise BlenderDiedError(words if words and code > 0 else f"Blender ended with exit code {code}")
@@ -210,7 +210,8 @@ def _pass_on(process: subprocess.Popen[str], work: Work) -> None:
             worker.log_event(TOPIC, (work.name, float(line)))
 
 
-def _last_line(errors: IO[bytes]) -> str:
+def last_line(errors: IO[bytes]) -> str:
+    """Of what a process wrote to stderr; empty for none."""
     errors.seek(0)
     return next(reversed(errors.read().decode(errors="replace").strip().splitlines()), "")
 
