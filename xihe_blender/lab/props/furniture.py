@@ -53,10 +53,8 @@ def add_round_table(
     edge = [(0, h - 0.03), (r - 0.01, h - 0.03), (r, h - 0.02), (r, h - 0.005), (r - 0.005, h), (0, h)]
     add_solid(room, f"{name} top", revolved(edge, 48), top, smooth=True, **place)
     angles = np.radians([90, 210, 330])
-    legs = [
-        tube((0.95 * r * c, 0.95 * r * s, 0), (0.5 * r * c, 0.5 * r * s, h - 0.03), 0.016)
-        for c, s in zip(np.cos(angles).tolist(), np.sin(angles).tolist(), strict=True)
-    ]
+    feet = np.stack([np.cos(angles), np.sin(angles)], -1)
+    legs = [tube((0.95 * r * c, 0.95 * r * s, 0), (0.5 * r * c, 0.5 * r * s, h - 0.03), 0.016) for c, s in feet]
     add_solid(room, f"{name} legs", joined(legs), foot, smooth=True, **place)
 
 
@@ -226,10 +224,8 @@ def add_cabinet(
 ) -> None:
     """A sideboard, wardrobe or bedside chest: a body on short feet, doors towards -Y, knobs."""
     x, y, z = size
-    carcass = [
-        box_between((-x / 2, -y / 2 + 0.02, 0.08), (x / 2, y / 2, z)),
-        box_between((-x / 2 + 0.04, -y / 2 + 0.06, 0), (x / 2 - 0.04, y / 2 - 0.04, 0.08)),
-    ]
+    carcass = [box_between((-x / 2, -y / 2 + 0.02, 0.08), (x / 2, y / 2, z))]
+    carcass.append(box_between((-x / 2 + 0.04, -y / 2 + 0.06, 0), (x / 2 - 0.04, y / 2 - 0.04, 0.08)))
     leaf = (x - 0.02) / doors
     for i in range(doors):
         low = -x / 2 + 0.01 + leaf * i

@@ -96,11 +96,8 @@ def add_pendant(
     """A pendant lamp that is switched off, hanging from the place's height."""
     dome = [(0.2, -drop), (0.185, -drop + 0.07), (0.13, -drop + 0.14), (0.05, -drop + 0.18), (0.0, -drop + 0.185)]
     add_solid(room, f"{name} shell", revolved(dome, 40), shell, smooth=True, **place)
-    parts = [
-        tube((0, 0, -drop + 0.17), (0, 0, 0), 0.004, 8),
-        cylinder(0.05, 0.03).moved((0, 0, -0.03)),
-        ball(0.045, (0, 0, -drop + 0.06), 24),
-    ]
+    parts = [tube((0, 0, -drop + 0.17), (0, 0, 0), 0.004, 8), cylinder(0.05, 0.03).moved((0, 0, -0.03))]
+    parts.append(ball(0.045, (0, 0, -drop + 0.06), 24))
     add_solid(room, f"{name} cord", joined(parts), cord, smooth=True, **place)
 
 

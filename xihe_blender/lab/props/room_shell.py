@@ -137,7 +137,7 @@ def add_window(
 def add_door(
     collection: Collection, room: Walls, opening: Opening, leaf: Material, frame: Material, handle: Material
 ) -> None:
-    """A closed door with two panels, a frame and a handle."""
+    """A closed door with two panels."""
     wall, low, high, top = opening.wall, opening.low, opening.high, opening.top
     slabs = [room.wall_box(wall, (low, high), (0.03, 0.07), (0.0, top))]
     for bottom_z, top_z in ((0.2, 0.95), (1.08, top - 0.2)):

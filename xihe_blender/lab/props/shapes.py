@@ -51,7 +51,6 @@ class Solid:
 
 
 def joined(solids: Sequence[Solid]) -> Solid:
-    """All solids as one."""
     vertices: list[tuple[float, float, float]] = []
     faces: list[tuple[int, ...]] = []
     for solid in solids:
@@ -68,7 +67,6 @@ def box(size: Vector, centre: Vector = (0.0, 0.0, 0.0)) -> Solid:
 
 
 def box_between(low: Vector, high: Vector) -> Solid:
-    """The axis-aligned box from its low to its high corner."""
     size = [b - a for a, b in zip(low, high, strict=True)]
     return box(size, [(a + b) / 2 for a, b in zip(low, high, strict=True)])
 
@@ -101,7 +99,6 @@ def cylinder(radius: float, height: float, n_segments: int = 24) -> Solid:
 
 
 def ball(radius: float, centre: Vector = (0.0, 0.0, 0.0), n_segments: int = 48) -> Solid:
-    """A sphere."""
     angles = np.linspace(-np.pi / 2, np.pi / 2, n_segments // 2 + 1)
     profile = [(radius * math.cos(a), radius * math.sin(a)) for a in angles.tolist()]
     profile[0], profile[-1] = (0.0, -radius), (0.0, radius)

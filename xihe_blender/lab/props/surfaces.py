@@ -41,7 +41,6 @@ class Nodes:
         return node
 
     def set(self, node: Any, inputs: Mapping[str | int, Any]) -> None:
-        """Give inputs of a node their values or links."""
         for name, value in inputs.items():
             socket = node.inputs[name]
             if isinstance(value, bpy.types.NodeSocket):
@@ -50,7 +49,6 @@ class Nodes:
                 socket.default_value = (*value, 1.0) if socket.type == "RGBA" and len(value) == 3 else value
 
     def ramp(self, factor: Any, *stops: tuple[float, Colour]) -> Any:
-        """Colours along a factor."""
         node = self.add("ValToRGB", {0: factor})
         elements = node.color_ramp.elements
         while len(elements) < len(stops):
@@ -79,14 +77,23 @@ class Shader(Nodes):
         """A noise between 0 and 1."""
         return self.add("TexNoise", {"Vector": self.position(stretch), "Scale": scale, "Detail": detail}).outputs[0]
 
-    def relief(self, height: Any, distance_m: float, strength: float = 0.5) -> None:
-        """Bump the surface by a height between 0 and 1."""
-        bump = self.add("Bump", {"Height": height, "Distance": distance_m, "Strength": strength})
-        self.set(self.surface, {"Normal": bump.outputs[0]})
+    def coloured(self, colour: Any, height: Any = None, distance_m: float = 0.0, strength: float = 0.0) -> Material:
+        """The material in a colour; a height between 0 and 1 bumps it."""
+        self.set(self.surface, {"Base Color": colour})
+        if height is not None:
+            bump = self.add("Bump", {"Height": height, "Distance": distance_m, "Strength": strength})
+            self.set(self.surface, {"Normal": bump.outputs[0]})
+        return self.material
+
+    def translucent(self, colour: Any, share: float) -> Material:
+        """The material, through which a share of the light comes in a colour."""
+        through = self.add("BsdfTranslucent", {"Color": colour})
+        mixed = self.add("MixShader", {0: share, 1: self.surface.outputs[0], 2: through.outputs[0]})
+        self.set(self.output, {"Surface": mixed.outputs[0]})
+        return self.material
 
 
 def shade(colour: Colour, factor: float) -> tuple[float, ...]:
-    """The colour made brighter or darker."""
     return tuple(min(0.85, c * factor) for c in colour)
 
 
@@ -99,9 +106,7 @@ def paint(name: str, colour: Colour, *, mottling: float = 0.06, roughness: float
     """Painted plaster: broad, faint stains and a little roller grain."""
     shader = Shader(name, roughness=roughness, specular_ior_level=0.3)
     stains = shader.ramp(shader.noise(0.8), (0.3, shade(colour, 1 - mottling)), (0.7, shade(colour, 1 + mottling)))
-    shader.set(shader.surface, {"Base Color": stains})
-    shader.relief(shader.noise(90.0), 0.002, 0.15)
-    return shader.material
+    return shader.coloured(stains, shader.noise(90.0), 0.002, 0.15)
 
 
 def wood(name: str, dark: Colour, light: Colour, *, grain: str = "X", roughness: float = 0.45) -> Material:
@@ -109,25 +114,21 @@ def wood(name: str, dark: Colour, light: Colour, *, grain: str = "X", roughness:
     shader = Shader(name, roughness=roughness, specular_ior_level=0.4)
     stretch = tuple(0.06 if axis == grain else 1.0 for axis in "XYZ")
     rings = shader.noise(14.0, stretch=stretch, detail=5.0)
-    shader.set(shader.surface, {"Base Color": shader.ramp(rings, (0.3, dark), (0.7, light))})
-    shader.relief(rings, 0.002, 0.2)
-    return shader.material
+    return shader.coloured(shader.ramp(rings, (0.3, dark), (0.7, light)), rings, 0.002, 0.2)
 
 
 def planks(name: str, dark: Colour, light: Colour, *, width_m: float = 0.14) -> Material:
     """A plank floor: each board its own tone, grain along X, dark joints."""
     shader = Shader(name, specular_ior_level=0.4)
-    tones: Inputs = {"Color1": dark, "Color2": light, "Mortar": shade(dark, 0.25)}
-    joints: Inputs = {"Mortar Size": 0.003, "Mortar Smooth": 0.1}
-    sizes: Inputs = {"Scale": 1.0, "Brick Width": 1.3, "Row Height": width_m}
-    boards = shader.add("TexBrick", {"Vector": shader.position(), **tones, **joints, **sizes}, offset=0.37)
+    tones: Inputs = {"Color1": dark, "Color2": light, "Mortar": shade(dark, 0.25), "Scale": 1.0}
+    sizes: Inputs = {"Mortar Size": 0.003, "Mortar Smooth": 0.1, "Brick Width": 1.3, "Row Height": width_m}
+    boards = shader.add("TexBrick", {"Vector": shader.position(), **tones, **sizes}, offset=0.37)
     grain = shader.noise(9.0, stretch=(0.08, 1.0, 1.0), detail=6.0)
     fibres = shader.ramp(grain, (0.25, (0.62, 0.6, 0.58)), (0.75, (1.0, 1.0, 1.0)))
     mixed = shader.add("Mix", {0: 1.0, 6: boards.outputs[0], 7: fibres}, data_type="RGBA", blend_type="MULTIPLY")
     gloss = shader.add("MapRange", {0: grain, 3: 0.32, 4: 0.5})
-    shader.set(shader.surface, {"Base Color": mixed.outputs[2], "Roughness": gloss.outputs[0]})
-    shader.relief(boards.outputs[1], -0.002, 0.4)
-    return shader.material
+    shader.set(shader.surface, {"Roughness": gloss.outputs[0]})
+    return shader.coloured(mixed.outputs[2], boards.outputs[1], -0.002, 0.4)
 
 
 def masonry(
@@ -147,9 +148,7 @@ def masonry(
     bricks = shader.add("TexBrick", {"Vector": place, **colours, **sizes}, offset=offset)
     stains = shader.ramp(shader.noise(2.5, detail=6.0), (0.25, (0.7, 0.68, 0.66)), (0.75, (1.0, 1.0, 1.0)))
     mixed = shader.add("Mix", {0: 1.0, 6: bricks.outputs[0], 7: stains}, data_type="RGBA", blend_type="MULTIPLY")
-    shader.set(shader.surface, {"Base Color": mixed.outputs[2]})
-    shader.relief(bricks.outputs[1], -0.006, 0.6)
-    return shader.material
+    return shader.coloured(mixed.outputs[2], bricks.outputs[1], -0.006, 0.6)
 
 
 def fabric(name: str, colour: Colour, *, weave_per_m: float = 160.0, contrast: float = 0.25) -> Material:
@@ -157,9 +156,7 @@ def fabric(name: str, colour: Colour, *, weave_per_m: float = 160.0, contrast: f
     shader = Shader(name, roughness=0.95, specular_ior_level=0.1, sheen_weight=0.15)
     wear = shader.noise(7.0, detail=5.0)
     tones = shader.ramp(wear, (0.3, shade(colour, 1 - contrast)), (0.7, shade(colour, 1 + contrast)))
-    shader.set(shader.surface, {"Base Color": tones})
-    shader.relief(shader.noise(weave_per_m), 0.004, 0.35)
-    return shader.material
+    return shader.coloured(tones, shader.noise(weave_per_m), 0.004, 0.35)
 
 
 def carpet(name: str, ground: Colour, figure: Colour, line: Colour) -> Material:
@@ -172,45 +169,32 @@ def carpet(name: str, ground: Colour, figure: Colour, line: Colour) -> Material:
     ]  # fmt: skip
     crossing = shader.add("Math", {0: waves[0], 1: waves[1]}, operation="MULTIPLY").outputs[0]
     pattern = shader.ramp(crossing, (0.0, figure), (0.12, line), (0.17, ground), (0.6, ground), (0.66, figure))
-    shader.set(shader.surface, {"Base Color": pattern})
-    shader.relief(shader.noise(220.0), 0.006, 0.5)
-    return shader.material
+    return shader.coloured(pattern, shader.noise(220.0), 0.006, 0.5)
 
 
 def coloured_by_face(name: str) -> Material:
     """Takes the colour attribute `Colour` of the mesh: one material and one object for a shelf of books."""
     shader = Shader(name, roughness=0.6, specular_ior_level=0.3)
-    tint = shader.add("Attribute", attribute_name="Colour")
-    shader.set(shader.surface, {"Base Color": tint.outputs["Color"]})
-    return shader.material
+    return shader.coloured(shader.add("Attribute", attribute_name="Colour").outputs["Color"])
 
 
 def foliage(name: str, dark: Colour, light: Colour) -> Material:
     """Leaves: light comes through them a little."""
     shader = Shader(name, roughness=0.5, specular_ior_level=0.4)
     tones = shader.ramp(shader.noise(6.0), (0.3, dark), (0.7, light))
-    shader.set(shader.surface, {"Base Color": tones})
-    through = shader.add("BsdfTranslucent", {"Color": tones})
-    mixed = shader.add("MixShader", {0: 0.3, 1: shader.surface.outputs[0], 2: through.outputs[0]})
-    shader.set(shader.output, {"Surface": mixed.outputs[0]})
-    return shader.material
+    shader.coloured(tones)
+    return shader.translucent(tones, 0.3)
 
 
 def curtain_cloth(name: str, colour: Colour) -> Material:
     """Cloth that daylight shines through."""
-    shader = Shader(name, base_color=colour, roughness=1.0, specular_ior_level=0.0)
-    through = shader.add("BsdfTranslucent", {"Color": colour})
-    mixed = shader.add("MixShader", {0: 0.4, 1: shader.surface.outputs[0], 2: through.outputs[0]})
-    shader.set(shader.output, {"Surface": mixed.outputs[0]})
-    return shader.material
+    return Shader(name, base_color=colour, roughness=1.0, specular_ior_level=0.0).translucent(colour, 0.4)
 
 
 def painting(name: str, stops: Sequence[tuple[float, Colour]], *, scale: float = 1.7) -> Material:
     """An abstract picture: bands of colour along a warped noise."""
     shader = Shader(name, roughness=0.6, specular_ior_level=0.2)
-    warped = shader.noise(scale, stretch=(0.6, 0.6, 1.4), detail=1.5)
-    shader.set(shader.surface, {"Base Color": shader.ramp(warped, *stops)})
-    return shader.material
+    return shader.coloured(shader.ramp(shader.noise(scale, stretch=(0.6, 0.6, 1.4), detail=1.5), *stops))
 
 
 def glowing(name: str, kelvin: float, radiance: float) -> Material:

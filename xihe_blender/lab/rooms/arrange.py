@@ -11,14 +11,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from xihe_blender.lab.rooms.outline import Outline, Point
+from xihe_blender.lab.rooms.outline import Outline, Point, Rect
 from xihe_blender.lab.rooms.room_data import Finish, Hole, Piece, Shell, Size
 
 Rng = np.random.Generator
 TRIES = 20
 DOOR_REACH_M, GAP_M, WALL_GAP_M = 0.9, 0.03, 0.02
-FLAT_M = 0.02
-"""Lower than this is a rug or a mat: other things stand on it."""
+FLAT_M = 0.02  # Lower than this is a rug or a mat: other things stand on it
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,7 @@ class Floor(Shell):
         """A piece that stands free in the room."""
         bounds = self.outline.bounds.grown(-margin_m)
         for _ in range(TRIES):
-            x, y = float(rng.uniform(bounds.x0, bounds.x1)), float(rng.uniform(bounds.y0, bounds.y1))
+            x, y = draw_point(rng, bounds)
             turn = float(rng.uniform(0, 360)) if free_turn else 90.0 * float(rng.integers(4))
             if piece := self.add(Piece(kind, x, y, 0.0, turn, size, finishes, piece_seed(rng)), gap_m):
                 return piece
@@ -96,6 +95,10 @@ class Floor(Shell):
             if piece := self.add(Piece(kind, x, y, support.top_m, turned, size, finishes, piece_seed(rng)), 0.01):
                 return piece
         return None
+
+
+def draw_point(rng: Rng, area: Rect) -> Point:
+    return float(rng.uniform(area.x0, area.x1)), float(rng.uniform(area.y0, area.y1))
 
 
 def local_point(piece: Piece, offset: Point) -> Point:

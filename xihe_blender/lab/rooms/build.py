@@ -32,14 +32,9 @@ POLL_S = 0.25
 MAX_ROOMS = 1_000_000
 MAX_WALK = 240
 WORKER = "xihe_blender.lab.rooms.worker"
-ROOMS_AT_A_TIME = 8
-"""That a worker of a scheduler is asked for: half a minute of work for a second of loading Blender."""
-
-_Worker = tuple[subprocess.Popen[bytes], IO[bytes]]
-"""A process, and what it wrote to stderr."""
-
-MANIFEST = "dataset.json"
-"""What the rooms in a folder are made with."""
+ROOMS_AT_A_TIME = 8  # That a worker of a scheduler is asked for: half a minute of work for a second of loading Blender
+_Worker = tuple[subprocess.Popen[bytes], IO[bytes]]  # A process, and what it wrote to stderr
+MANIFEST = "dataset.json"  # What the rooms in a folder are made with
 
 
 @dataclass(frozen=True)
@@ -80,7 +75,6 @@ class BuildSettings:
             raise UserError(f"--rooms {self.n_rooms}: none of these rooms is in the split {self.split}, give more")
 
     def wanted(self) -> list[int]:
-        """The numbers of the rooms to make."""
         return [i for i in range(self.n_rooms) if self.split is None or split_of((self.seed, i)) == self.split]
 
     @property
@@ -109,13 +103,12 @@ def build_dataset(folder: Path, settings: BuildSettings) -> Job[int]:
 def _in_processes(folder: Path, settings: BuildSettings, missing: Sequence[int]) -> Iterator[Progress]:
     """Make the `missing` rooms in processes of this machine. UserError, in its own words, if one failed."""
     n_workers = min(settings.n_workers or n_cores(), len(missing))
+    cores = cores_of_their_own(n_workers)
     with contextlib.ExitStack() as stack:
-        workers = [
-            stack.enter_context(_worker(folder, settings, missing[i::n_workers], core))
-            for i, core in enumerate(cores_of_their_own(n_workers))
-        ]
+        making = [_worker(folder, settings, missing[i::n_workers], core) for i, core in enumerate(cores)]
+        workers = [stack.enter_context(worker) for worker in making]
         try:
-            yield from _watched(folder, settings, missing, workers)
+            yield from _watched(folder, len(settings.wanted()), missing, workers)
         finally:
             # All are told before any is waited for: each finishes the room that it is at.
             for process, _ in workers:
@@ -138,8 +131,7 @@ def _over_dask(folder: Path, settings: BuildSettings, missing: Sequence[int]) ->
 
 def write_manifest(folder: Path, provenance: dict[str, Any]) -> None:
     """Write what the data set is made with, or check that it is what is there; clear what killed workers left."""
-    software = {NOT_COMPARED: f"xihe {__version__}"}
-    FolderManifest(folder, folder / MANIFEST, "rooms", {**provenance, **software}).take()
+    FolderManifest(folder, folder / MANIFEST, "rooms", {**provenance, NOT_COMPARED: f"xihe {__version__}"}).take()
     for part in folder.glob(".room_*.npz"):
         part.unlink(missing_ok=True)
 
@@ -150,11 +142,8 @@ def missing_rooms(folder: Path, wanted: Iterable[int]) -> list[int]:
     return [i for i in wanted if i not in there]
 
 
-def _watched(
-    folder: Path, settings: BuildSettings, missing: Sequence[int], workers: list[_Worker]
-) -> Iterator[Progress]:
+def _watched(folder: Path, n_wanted: int, missing: Sequence[int], workers: list[_Worker]) -> Iterator[Progress]:
     """Progress until all workers have ended."""
-    n_wanted = len(settings.wanted())
     while True:
         codes = [process.poll() for process, _ in workers]
         left = len(missing_rooms(folder, missing))

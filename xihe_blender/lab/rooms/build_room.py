@@ -21,9 +21,7 @@ from xihe_blender.lab.rooms.room_data import Hole, Lamp, Room, Slope
 
 WALL_M, SLAB_M, FACE_GAP_M = 0.25, 0.2, 0.001
 CURTAIN_TONES = ((0.7, 0.68, 0.63), (0.45, 0.42, 0.4), (0.3, 0.36, 0.42), (0.6, 0.5, 0.42), (0.42, 0.48, 0.42))
-SHADE_PER_WATT = 1 / 14
-"""Radiance of a lampshade per watt of its bulb, from the shipped scenes."""
-
+SHADE_PER_WATT = 1 / 14  # Radiance of a lampshade per watt of its bulb, from the shipped scenes
 JUG: lighting.Profile = (
     (0, 0), (0.16, 0), (0.16, 0.03), (0.05, 0.07), (0.15, 0.27), (0.12, 0.42), (0.03, 0.54), (0.025, 0.66),
 )  # fmt: skip
@@ -32,7 +30,7 @@ JUG: lighting.Profile = (
 
 @dataclass(frozen=True)
 class PlanWalls(Walls):
-    """The walls of a plan, named by their numbers, as `room_shell` wants them."""
+    """The walls of a plan, named by their numbers."""
 
     outline: Outline
     height: float
@@ -87,9 +85,8 @@ def add_shell(things: Collection, room: Room) -> None:
     """Floor, ceiling with its slopes, walls, skirting, windows, doors."""
     openings = tuple(Opening(str(h.wall), h.low, h.high, h.bottom, h.top, h.is_door) for h in room.holes)
     walls = PlanWalls(room.outline, room.height, openings)
-    trim = material_of("Trim", room.trim)
+    trim, ceiling = material_of("Trim", room.trim), material_of("Ceiling", room.ceiling)
     b = room.outline.bounds.grown(WALL_M)
-    ceiling = material_of("Ceiling", room.ceiling)
     add_solid(things, "Floor", box_between((b.x0, b.y0, -SLAB_M), (b.x1, b.y1, 0)), material_of("Floor", room.floor))
     lid = box_between((b.x0, b.y0, room.height), (b.x1, b.y1, room.height + SLAB_M))
     add_solid(things, "Ceiling", lid, ceiling)
@@ -131,8 +128,8 @@ def add_covering(things: Collection, room: Room, hole: Hole) -> None:
         side = max(0.22, 0.22 * width)
         drop = top - 0.03 if seed % 2 else top - hole.bottom + 0.1
         for i, along in enumerate((hole.low - 0.1 + side / 2, hole.high + 0.1 - side / 2)):
-            x, y = wall.point(min(max(along, side / 2 + 0.02), wall.length - side / 2 - 0.02), 0.1)
-            place = furniture.at(x, y, top, wall.turn_deg)
+            within = min(max(along, side / 2 + 0.02), wall.length - side / 2 - 0.02)
+            place = furniture.at(*wall.point(within, 0.1), top, wall.turn_deg)
             furniture.add_curtain(things, f"{name} {i}", side, drop, cloth, place=place, seed=seed + i)
     elif is_sheer:
         place = furniture.at(*wall.point(middle, 0.1), top, wall.turn_deg)

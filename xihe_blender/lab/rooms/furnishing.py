@@ -13,9 +13,7 @@ from xihe_blender.lab.rooms.arrange import TRIES, Floor, Rng, local_point, piece
 from xihe_blender.lab.rooms.room_data import Finish, Piece, Size
 
 CHAIR = (0.5, 0.57, 0.9)
-SUPPORTS = frozenset(
-    {"coffee_table", "round_table", "desk", "table", "sideboard", "chest", "counter", "crate", "bench"}
-)
+SUPPORTS = ("coffee_table", "round_table", "desk", "table", "sideboard", "chest", "counter", "crate", "bench")
 WHITE_GLAZE = Finish("plain", (0.8, 0.8, 0.79), roughness=0.08)
 MIRROR_GLASS = Finish("metal", (0.85, 0.85, 0.85), roughness=0.02)
 Maker = Callable[[Rng, Floor], object]
@@ -25,7 +23,6 @@ Extent = float | tuple[float, float]
 
 
 def span(rng: Rng, low: float, high: float) -> float:
-    """A number between two others."""
     return float(rng.uniform(low, high))
 
 
@@ -153,7 +150,6 @@ def _worktop(rng: Rng) -> Finish:
 
 
 def add_rug(rng: Rng, floor: Floor) -> None:
-    """A rug with a pattern."""
     look = Finish("carpet", palette.pick(rng, palette.CLOTHS), palette.pick(rng, palette.CLOTHS), 1.0)
     floor.anywhere(rng, "rug", (span(rng, 1.2, 2.8), span(rng, 0.9, 2.0), 0.012), (look,))
 
@@ -165,7 +161,6 @@ def add_round_table(rng: Rng, floor: Floor) -> None:
 
 
 def add_desk(rng: Rng, floor: Floor) -> None:
-    """A desk with its chair."""
     size = (span(rng, 1.0, 1.8), span(rng, 0.6, 0.8), span(rng, 0.71, 0.76))
     desk = floor.against_wall(rng, "desk", size, (palette.board_finish(rng), palette.metal_finish(rng)), tries=25)
     if desk is None:
@@ -206,7 +201,6 @@ def add_crate(rng: Rng, floor: Floor) -> None:
 
 
 def add_pouf(rng: Rng, floor: Floor) -> None:
-    """A round upholstered stool."""
     d = span(rng, 0.4, 0.6)
     floor.anywhere(rng, "pouf", (d, d, span(rng, 0.36, 0.48)), (palette.cloth_finish(rng),))
 
@@ -224,10 +218,9 @@ def add_armchair(rng: Rng, floor: Floor) -> None:
 
 
 def add_radiators(rng: Rng, floor: Floor) -> None:
-    """Radiators under windows, where there is room."""
     white = (Finish("plain", (0.75, 0.75, 0.73), roughness=0.3),)
-    for hole in floor.holes:
-        if hole.is_door or hole.bottom < 0.7 or rng.random() < 0.4:
+    for hole in floor.windows:
+        if hole.bottom < 0.7 or rng.random() < 0.4:
             continue
         wall = floor.outline.walls[hole.wall]
         width = min(hole.high - hole.low, 1.4)
@@ -251,7 +244,6 @@ def add_things_on_tops(rng: Rng, floor: Floor) -> None:
 
 
 def add_trinket(rng: Rng, floor: Floor, support: Piece) -> None:
-    """One small thing."""
     kind = str(rng.choice(["vase", "bowl", "book_pile", "box", "ball", "mug"]))
     d = span(rng, 0.06, 0.2)
     look = palette.metal_finish(rng) if rng.random() < 0.25 else palette.glaze_finish(rng)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from xihe_blender.lab.rooms.arrange import Floor, Rng
+from xihe_blender.lab.rooms.arrange import Floor, Rng, draw_point
 from xihe_blender.lab.rooms.outline import Point, Rect
 from xihe_blender.lab.rooms.room_data import LAMP_KINDS, Daylight, Lamp, Sun
 
@@ -130,7 +130,7 @@ def _some_place(rng: Rng, floor: Floor) -> Point:
     """A point under the ceiling at its full height, if a few draws find one."""
     b = floor.outline.bounds.grown(-0.3)
     for _ in range(50):
-        place = float(rng.uniform(b.x0, b.x1)), float(rng.uniform(b.y0, b.y1))
+        place = draw_point(rng, b)
         if _is_free_above(floor, place):
             return place
     return floor.outline.walls[0].point(floor.outline.walls[0].length / 2, 0.5)

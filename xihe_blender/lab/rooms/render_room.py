@@ -51,7 +51,6 @@ class RoomRenderSettings:
         return RenderSettings(self.view_size, self.view_samples)
 
     def probe(self, split: Split = "test") -> ProbeSettings:
-        """Of a room of that split."""
         size = self.train_probe_size if split == "train" else self.probe_size
         return ProbeSettings(size, self.probe_samples, noise_target=None)
 

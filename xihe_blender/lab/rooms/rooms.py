@@ -43,7 +43,6 @@ def walk_generator(seed: int, index: int) -> Rng:
 
 
 def sample_room(rng: Rng) -> Room:
-    """One room with all that is in it."""
     kind = str(rng.choice(list(KIND_SHARES), p=list(KIND_SHARES.values())))
     shell = sample_shell(rng, kind)
     floor = Floor(**vars(shell))

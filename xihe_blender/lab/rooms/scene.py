@@ -32,19 +32,9 @@ from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.records import ArrayBool, ArrayF64, Intrinsics
 
 SCENE_REGIME = "scene"
-SMALLEST_FLOAT16 = 2.0**-21
-"""Of which half floats still tell eighths."""
-
-DARKEST_SHOWN = 3e-4
-"""Of white: the first code above black in a picture of 8 bits."""
-
-SCENE_SEED = 2**31 - 1
-"""In the place of the data set's seed."""
-
-
-def scene_seed(name: str) -> tuple[int, int]:
-    """What a scene has for a seed: the same for the same name, whenever and wherever."""
-    return SCENE_SEED, zlib.crc32(name.encode())
+SMALLEST_FLOAT16 = 2.0**-21  # Of which half floats still tell eighths
+DARKEST_SHOWN = 3e-4  # Of white: the first code above black in a picture of 8 bits
+SCENE_SEED = 2**31 - 1  # In the place of the data set's seed; the room's number is the CRC-32 of the scene's name
 
 
 def add_scene(
@@ -87,8 +77,8 @@ def add_scene(
         for light in reference_lights(scene, positions_m, settings.probe(), chosen[-1], exposure):
             lights.append(light)
             yield Progress(len(pictures) + len(lights), total, f"{len(lights)} of {len(positions_m)} positions")
-        room = stored_room(pictures, exposure, positions_m, np.stack(is_unhidden), lights, seed=scene_seed(name),
-                           kind=name, regime=SCENE_REGIME)  # fmt: skip
+        room = stored_room(pictures, exposure, positions_m, np.stack(is_unhidden), lights,
+                           seed=(SCENE_SEED, zlib.crc32(name.encode())), kind=name, regime=SCENE_REGIME)  # fmt: skip
         store.save_room(path, room)
     yield Progress(total, total, f"{path.name} written")
     return path

@@ -23,9 +23,7 @@ from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 
 BANDS = {"L00": [0], "l=1 up": [2], "l=1 sides": [1, 3], "l=2": [4, 5, 6, 7, 8]}
-REAL_MEAN_L00 = (0.93, 0.86, 0.76)
-"""RGB; from the paper's artefact, 2,037 test items."""
-
+REAL_MEAN_L00 = (0.93, 0.86, 0.76)  # RGB; from the paper's artefact, 2,037 test items
 REAL_SPREAD = {"L00": "0.23 / 0.21 / 0.26", "l=1 up": "0.20 / 0.21 / 0.22", "l=1 sides": "0.09 to 0.10",
                "l=2": "0.05 to 0.09"}  # fmt: skip
 """Standard deviations over the same items, RGB or the range over coefficients and channels."""
@@ -105,7 +103,6 @@ def _numbers(values: ArrayF64 | ArrayF32 | Sequence[float]) -> str:
 
 
 def main() -> None:
-    """The command line: the table, and which panoramas are faulty."""
     parser = argparse.ArgumentParser(prog="python -m xihe_blender.lab.rooms.statistics", description="Light of rooms.")
     parser.add_argument("folder", type=Path, metavar="DIR")
     folder = parser.parse_args().folder

@@ -24,9 +24,7 @@ from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, Intrinsics, 
 ArrayF16 = NDArray[np.float16]
 FORMAT_VERSION = 2
 
-METERING: Metering = "highlights"
-"""Of every room; a folder that was begun with another is not gone on with."""
-
+METERING: Metering = "highlights"  # Of every room; a folder that was begun with another is not gone on with
 MAX_FLOAT16 = 65504.0
 
 
@@ -49,7 +47,7 @@ class StoredRoom:
     sh_noise : (P, 2) float64, expected relative error of the two; 0 where it is not known
     is_in_view : (V, P) bool, the position projects into the picture: the pair counts
     is_unhidden : (V, P) bool, nothing stands between the phone and the position
-    seed : (2,) int64, of the data set and the room's number; of a scene see `scene_seed`
+    seed : (2,) int64, of the data set and the room's number; of a scene see SCENE_SEED
     kind, regime : of the room and its light, in words; of a scene its name and SCENE_REGIME
     versions : of the format, this software and Blender
     """
@@ -74,7 +72,6 @@ class StoredRoom:
 
     @property
     def pinhole(self) -> Intrinsics:
-        """The intrinsics as a record."""
         width, height, *rest = self.intrinsics.tolist()
         return Intrinsics(int(width), int(height), *rest)
 
@@ -116,7 +113,6 @@ def load_room(path: Path) -> StoredRoom:
 
 
 def room_path(folder: Path, index: int) -> Path:
-    """The file of room `index`."""
     return folder / f"room_{index:06d}.npz"
 
 

@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from xihe_blender.lab.rooms.arrange import Rng
+from xihe_blender.lab.rooms.arrange import Rng, draw_point
 from xihe_blender.lab.rooms.outline import Rect
 from xihe_blender.lab.rooms.room_data import Piece, Room
 from xihenet.records import ArrayBool, ArrayF64
@@ -24,9 +24,7 @@ from xihenet.sphere import AnchorLattice
 
 N_VIEWS, N_POSITIONS = 5, 4
 VIEW_TRIES, POSITION_TRIES = 300, 300
-MIN_CLEARANCE_M = 0.035
-"""Nearer than this nothing may be to a position: the surface below is 5 cm away at least."""
-
+MIN_CLEARANCE_M = 0.035  # Nearer than this nothing may be to a position: the surface below is 5 cm away at least
 PHONE_CLEARANCE_M = 0.25
 MAX_BEHIND_SHARE = 0.12
 POSITION_SPACING_M = 0.35
@@ -84,32 +82,27 @@ def sample_positions(rng: Rng, room: Room, rays: RoomRays) -> ArrayF64:
     found: list[ArrayF64] = []
     pieces = [p for p in room.pieces if p.z < 0.1 and 0.2 < p.top_m < 1.25]
     for _ in range(POSITION_TRIES):
-        over = pieces[int(rng.integers(len(pieces)))].footprint if pieces and rng.random() < 0.6 else None
-        position = _draw_position(rng, room, rays, over)
+        is_over_a_piece = pieces and rng.random() < 0.6
+        area = pieces[int(rng.integers(len(pieces)))].footprint if is_over_a_piece else room.outline.bounds.grown(-0.1)
+        position = _draw_position(rng, room, rays, area)
         if position is None or any(np.linalg.norm(position - other) < POSITION_SPACING_M for other in found):
             continue
-        if is_clear(rays, position):
+        distances, from_behind = rays.cast_around(position, N_CLEARANCE_RAYS)
+        if distances.min() > MIN_CLEARANCE_M and from_behind.mean() < MAX_BEHIND_SHARE:
             found.append(position)
         if len(found) == N_POSITIONS:
             return np.array(found)
     raise RoomTooFull(f"only {len(found)} of {N_POSITIONS} placement positions found")
 
 
-def _draw_position(rng: Rng, room: Room, rays: RoomRays, over: Rect | None) -> ArrayF64 | None:
-    """A point 5 to 10 cm above whatever is highest below 1.4 m at a random place, or None."""
-    area = room.outline.bounds.grown(-0.1) if over is None else over
-    x, y = float(rng.uniform(area.x0, area.x1)), float(rng.uniform(area.y0, area.y1))
+def _draw_position(rng: Rng, room: Room, rays: RoomRays, area: Rect) -> ArrayF64 | None:
+    """A point 5 to 10 cm above whatever is highest below 1.4 m at a random place of `area`, or None."""
+    x, y = draw_point(rng, area)
     lift = float(rng.uniform(0.05, 0.1))
     if not room.outline.holds_rect(Rect.around((x, y), (0.12, 0.12))):
         return None
     surface = rays.floor_below(x, y, min(1.4, room.ceiling_at((x, y)) - 0.1))
     return None if surface is None else np.array([x, y, surface + lift])
-
-
-def is_clear(rays: RoomRays, position: ArrayF64) -> bool:
-    """Whether a position is outside of everything and nothing is nearer than MIN_CLEARANCE_M."""
-    distances, from_behind = rays.cast_around(position, N_CLEARANCE_RAYS)
-    return bool(distances.min() > MIN_CLEARANCE_M and from_behind.mean() < MAX_BEHIND_SHARE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,8 +123,7 @@ def sample_views(rng: Rng, room: Room, rays: RoomRays, positions_m: ArrayF64) ->
     fov_deg = float(rng.uniform(60, 72))
     views: list[PhoneView] = []
     for attempt in range(VIEW_TRIES):
-        is_aimed = len(views) < N_VIEWS - 1
-        target = positions_m[len(views) % len(positions_m)] if is_aimed else None
+        target = positions_m[len(views) % len(positions_m)] if len(views) < N_VIEWS - 1 else None
         view = _draw_view(rng, room, target, fov_deg)
         # A small room has no place from which all is far away: ask for less as the tries go on.
         if view is not None and sees_something(rays, view, 1.1 - 0.6 * attempt / VIEW_TRIES):
@@ -146,7 +138,7 @@ def _draw_view(rng: Rng, room: Room, target: ArrayF64 | None, fov_deg: float) ->
     area = room.outline.bounds.grown(-PHONE_CLEARANCE_M)
     if area.x1 <= area.x0 or area.y1 <= area.y0:
         return None
-    x, y = float(rng.uniform(area.x0, area.x1)), float(rng.uniform(area.y0, area.y1))
+    x, y = draw_point(rng, area)
     height = float(rng.uniform(1.0, 1.8))
     yaw, pitch = float(rng.uniform(0, 2 * math.pi)), math.radians(float(rng.normal(-18, 12)))
     roll = math.radians(float(rng.normal(0, 4)))

@@ -23,31 +23,21 @@ from xihe_blender.lab.rooms.room_data import Room
 from xihe_blender.lab.rooms.views import N_PHONE_RAYS, PHONE_CLEARANCE_M, PhoneView, RoomRays, hand_held_pose
 from xihenet.records import ArrayF64
 
-MARGINS_M = (0.4, 0.3, 0.2)
-"""Between a walker and what stands around, the most comfortable first."""
-
+MARGINS_M = (0.4, 0.3, 0.2)  # Between a walker and what stands around, the most comfortable first
 MIN_AREA_M2 = 0.5
 DRAWS = 6
 STRUCK_RADIUS_M = 0.25
 LOWEST_M, HIGHEST_M = 1.2, 1.7
-LOOK_FROM_M = (0.9, 2.4)
-"""How far from a position, sideways, one stands to look at it."""
-
+LOOK_FROM_M = (0.9, 2.4)  # How far from a position, sideways, one stands to look at it
 SPEED_M_S = (0.5, 0.8)
-STANDING_SPEED = 0.15
-"""Share of the speed that is left while turning around: people shift their feet."""
-
+STANDING_SPEED = 0.15  # Share of the speed that is left while turning around: people shift their feet
 MAX_TURN_DEG, MAX_TILT_DEG, EASE = 30.0, 16.0, 0.8
 """Per frame; `EASE` is the share of what is left to turn that is turned at once."""
 
 LOWEST_PITCH_DEG, HIGHEST_PITCH_DEG = -35.0, 20.0
-LOWEST_LOOK_DEG = -50.0
-"""To look at what is near, one looks further down than while turning around."""
-
+LOWEST_LOOK_DEG = -50.0  # To look at what is near, one looks further down than while turning around
 SWEEP_DEG = (120.0, 220.0)
-DWELL_FRAMES, PATIENCE_FRAMES = 2, 6
-"""Frames for which a look lasts once its aim is reached, and at most."""
-
+DWELL_FRAMES, PATIENCE_FRAMES = 2, 6  # Frames for which a look lasts once its aim is reached, and at most
 REACHED_DEG = 12.0
 
 
@@ -107,8 +97,8 @@ def _fewest_sightings(walk: list[PhoneView], positions_m: ArrayF64) -> int:
     slope = math.tan(math.radians(walk[0].fov_deg) / 2)
     poses = np.stack([view.world_from_camera for view in walk])
     seen = np.einsum("fij,fpi->fpj", poses[:, :3, :3], positions_m[None] - poses[:, None, :3, 3])
-    reach = -seen[..., 2] * slope
-    return int(((np.abs(seen[..., 0]) < reach) & (np.abs(seen[..., 1]) < 0.75 * reach)).sum(axis=0).min())
+    across, up, reach = np.abs(seen[..., 0]), np.abs(seen[..., 1]), -seen[..., 2] * slope
+    return int(((across < reach) & (up < 0.75 * reach)).sum(axis=0).min())
 
 
 def _struck(rays: RoomRays, places_m: ArrayF64) -> ArrayF64:
@@ -132,8 +122,7 @@ def _standing_walk(rng: Rng, positions_m: ArrayF64, views: list[PhoneView], n_fr
 def _heights(rng: Rng, n_frames: int) -> ArrayF64:
     """(F,) how high the phone is held: as one person does, slowly up and down."""
     middle, swing = rng.uniform(LOWEST_M + 0.1, HIGHEST_M - 0.1), rng.uniform(0.03, 0.1)
-    wave = np.sin(2 * math.pi * (np.arange(n_frames) / rng.uniform(9, 20) + rng.random()))
-    return np.asarray(middle + swing * wave)
+    return np.asarray(middle + swing * np.sin(2 * math.pi * (np.arange(n_frames) / rng.uniform(9, 20) + rng.random())))
 
 
 def _stops(rng: Rng, floor: FreeFloor, rays: RoomRays, positions_m: ArrayF64, height_m: float) -> ArrayF64:
@@ -150,8 +139,7 @@ def _stop(rng: Rng, floor: FreeFloor, rays: RoomRays, position: ArrayF64, height
     for place in rng.permutation(near)[:12]:
         if rays.reach(np.array((*place, height_m)), position[None]).all():
             return np.asarray(place)
-    middle = sum(LOOK_FROM_M) / 2
-    return np.asarray(places[int(np.abs(gaps - middle).argmin())])
+    return np.asarray(places[int(np.abs(gaps - sum(LOOK_FROM_M) / 2).argmin())])
 
 
 def _goals(rng: Rng, order: list[int]) -> Iterator[Look | Sweep]:
@@ -190,10 +178,9 @@ def _walked(
 
 def _hand(rng: Rng, n_frames: int) -> ArrayF64:
     """(F, 3) degrees of yaw, pitch and roll by which a hand is off, each frame much like the one before."""
-    noise = rng.normal(0, 1, (n_frames, 3)) * (1.5, 1.2, 2.0)
-    off = np.zeros((n_frames, 3))
-    for frame in range(n_frames):
-        off[frame] = noise[frame] + (0.6 * off[frame - 1] if frame else 0.0)
+    off: ArrayF64 = rng.normal(0, 1, (n_frames, 3)) * (1.5, 1.2, 2.0)
+    for frame in range(1, n_frames):
+        off[frame] += 0.6 * off[frame - 1]
     return off
 
 
@@ -208,7 +195,6 @@ def _there_and_back(walked_m: float, length_m: float) -> float:
 def _wanted(
     goal: Look | Sweep, gaze: tuple[float, float] | None, place: ArrayF64, positions_m: ArrayF64, frame: int
 ) -> tuple[float, float]:
-    """Yaw and pitch that the goal asks for."""
     if isinstance(goal, Look):
         ahead = positions_m[goal.place] - place
         yaw = math.degrees(math.atan2(-ahead[0], ahead[1])) + goal.aside_deg
