@@ -13,8 +13,9 @@ import bpy
 import numpy as np
 from staging import N_FRAMES, add_virtual, main, open_stage, walk_phone
 
-from xihe_blender.lab.props.bedding import add_bed, add_bench
 from xihe_blender.lab.props.furniture import (
+    add_bed,
+    add_bench,
     add_cabinet,
     add_chair,
     add_curtain,

@@ -1,4 +1,4 @@
-"""What stands in a room: tables, chairs, sofas, shelves, lamps' bodies, plants, curtains, pictures, radiators.
+"""What stands in a room: tables, chairs, sofas, beds, shelves, plants, curtains, pictures, radiators.
 
 Each function puts one piece into a collection, standing on `location` with its front towards -Y before the turn, and
 takes its materials as arguments, so that a scene chooses its own palette. Pieces are a few objects of one material
@@ -8,32 +8,27 @@ each. Randomness (books, leaves) comes from a generator argument.
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any, TypeAlias
+from typing import Any
 
 import bpy
 import numpy as np
+from numpy.typing import NDArray
 
-from xihe_blender.lab.props.shapes import (
-    Solid,
-    Vector,
-    add_solid,
-    box,
-    box_between,
-    cylinder,
-    joined,
-    revolved,
-    sheet,
-    tube,
-)
+from xihe_blender.lab.props import Collection, Material, Vector
+from xihe_blender.lab.props.shapes import Solid, add_solid, box, box_between, cylinder, joined, revolved, sheet, tube
 
-Material: TypeAlias = bpy.types.Material
-Collection: TypeAlias = bpy.types.Collection
 Place = dict[str, Any]
+BED_LENGTH_M, MATTRESS_TOP_M = 2.0, 0.52
 
 
 def at(x: float, y: float, z: float = 0.0, turn_deg: float = 0.0) -> Place:
     """Where a piece stands and how it is turned, as keyword arguments."""
     return {"location": (x, y, z), "turn_deg": turn_deg}
+
+
+def _posts(width: float, height: float, x: float, y: float) -> list[Solid]:
+    """Four square legs of a `width` around the points (±x, ±y)."""
+    return [box((width, width, height), (a, b, height / 2)) for a in (-x, x) for b in (-y, y)]
 
 
 def add_table(
@@ -43,35 +38,23 @@ def add_table(
     x, y, z = size
     board = box_between((-x / 2, -y / 2, z - 0.035), (x / 2, y / 2, z))
     add_solid(room, f"{name} top", board, top, bevel_m=0.008, **place)
-    reach = (x / 2 - leg_m, y / 2 - leg_m)
-    posts = [
-        box((leg_m, leg_m, z - 0.035), (a, b, (z - 0.035) / 2))
-        for a in (-reach[0], reach[0])
-        for b in (-reach[1], reach[1])
-    ]
-    rails = [box((2 * reach[0], 0.022, 0.08), (0, s * reach[1], z - 0.075)) for s in (-1, 1)]
-    rails += [box((0.022, 2 * reach[1], 0.08), (s * reach[0], 0, z - 0.075)) for s in (-1, 1)]
-    add_solid(room, f"{name} legs", joined(posts + rails), legs, bevel_m=0.006, **place)
+    a, b = x / 2 - leg_m, y / 2 - leg_m
+    frame = _posts(leg_m, z - 0.035, a, b)
+    frame += [box((2 * a, 0.022, 0.08), (0, s * b, z - 0.075)) for s in (-1, 1)]
+    frame += [box((0.022, 2 * b, 0.08), (s * a, 0, z - 0.075)) for s in (-1, 1)]
+    add_solid(room, f"{name} legs", joined(frame), legs, bevel_m=0.006, **place)
 
 
 def add_round_table(
     room: Collection, name: str, radius: float, height: float, top: Material, foot: Material, *, place: Place
 ) -> None:
     """A round side table on three slanted legs."""
-    edge = [
-        (0, height - 0.03),
-        (radius - 0.01, height - 0.03),
-        (radius, height - 0.02),
-        (radius, height - 0.005),
-        (radius - 0.005, height),
-        (0, height),
-    ]
+    r, h = radius, height
+    edge = [(0, h - 0.03), (r - 0.01, h - 0.03), (r, h - 0.02), (r, h - 0.005), (r - 0.005, h), (0, h)]
     add_solid(room, f"{name} top", revolved(edge, 48), top, smooth=True, **place)
     angles = np.radians([90, 210, 330])
-    legs = [
-        tube((0.95 * radius * c, 0.95 * radius * s, 0), (0.5 * radius * c, 0.5 * radius * s, height - 0.03), 0.016)
-        for c, s in zip(np.cos(angles).tolist(), np.sin(angles).tolist(), strict=True)
-    ]
+    feet = np.stack([np.cos(angles), np.sin(angles)], -1)
+    legs = [tube((0.95 * r * c, 0.95 * r * s, 0), (0.5 * r * c, 0.5 * r * s, h - 0.03), 0.016) for c, s in feet]
     add_solid(room, f"{name} legs", joined(legs), foot, smooth=True, **place)
 
 
@@ -101,16 +84,16 @@ def cushion(width: float, length: float, height: float) -> Solid:
     puff = np.where(np.maximum(abs(x), abs(y)) > 0.45, 0.32, 0.5) + 0.12 * (np.maximum(abs(x), abs(y)) < 0.1)
     faces = [np.stack([x * width, y * length, s * puff * height], -1) for s in (1, -1)]
     top, bottom = sheet(faces[0]), sheet(faces[1][:, ::-1])
-    rim = (
-        [(0, i) for i in range(4)]
-        + [(i, 4) for i in range(4)]
-        + [(4, 4 - i) for i in range(4)]
-        + [(4 - i, 0) for i in range(4)]
-    )
-    upper = [r * 5 + c for r, c in rim]
-    lower = [25 + r * 5 + (4 - c) for r, c in rim]
-    sides = [(lower[i], lower[(i + 1) % 16], upper[(i + 1) % 16], upper[i]) for i in range(16)]
-    return Solid(top.vertices + bottom.vertices, joined([top, bottom]).faces + tuple(sides))
+    index = np.arange(25).reshape(5, 5)
+    upper, lower = _rim(index), _rim(25 + index[:, ::-1])
+    sides = [(lower[i - 1], lower[i], upper[i], upper[i - 1]) for i in [*range(1, 16), 0]]
+    both = joined([top, bottom])
+    return Solid(both.vertices, (*both.faces, *sides))
+
+
+def _rim(grid: NDArray[np.int_]) -> list[int]:
+    """What lies along the edge of a grid, once around."""
+    return [int(i) for side in (grid[0, :-1], grid[:-1, -1], grid[-1, :0:-1], grid[:0:-1, 0]) for i in side]
 
 
 def add_sofa(
@@ -124,10 +107,10 @@ def add_sofa(
     place: Place,
 ) -> None:
     """A sofa with arms, one seat and one back cushion per 0.7 m, and throw cushions of the given materials."""
-    half, body = width / 2, []
-    body.append(box_between((-half + 0.05, -0.4, 0.12), (half - 0.05, 0.4, 0.3)))
+    half = width / 2
+    body = [box_between((-half + 0.05, -0.4, 0.12), (half - 0.05, 0.4, 0.3))]
     body += [
-        box_between((s * half - 0.18 * (s > 0), -0.42, 0.12), (s * half + 0.18 * (s < 0), 0.42, 0.58)) for s in (-1, 1)
+        box_between((x, -0.42, 0.12), (end, 0.42, 0.58)) for x, end in ((-half, -half + 0.18), (half - 0.18, half))
     ]
     body.append(box_between((-half + 0.1, 0.26, 0.12), (half - 0.1, 0.44, 0.78)))
     add_solid(room, f"{name} body", joined(body), cloth, bevel_m=0.045, smooth=True, **place)
@@ -135,14 +118,8 @@ def add_sofa(
     seat = (width - 0.38) / n
     for i in range(n):
         x = -half + 0.19 + seat * (i + 0.5)
-        add_solid(
-            room,
-            f"{name} seat {i + 1}",
-            cushion(seat, 0.72, 0.19).moved((x, -0.09, 0.39)),
-            cloth,
-            subdivisions=2,
-            **place,
-        )
+        below = cushion(seat, 0.72, 0.19).moved((x, -0.09, 0.39))
+        add_solid(room, f"{name} seat {i + 1}", below, cloth, subdivisions=2, **place)
         back = cushion(seat, 0.44, 0.18).turned(78, "X").moved((x, 0.2, 0.66))
         add_solid(room, f"{name} back {i + 1}", back, cloth, subdivisions=2, **place)
     for i, material in enumerate(cushions):
@@ -153,15 +130,55 @@ def add_sofa(
     add_solid(room, f"{name} feet", joined(stubs), feet, smooth=True, **place)
 
 
+def add_bed(
+    room: Collection, name: str, width: float, frame: Material, linen: Material, blanket: Material, *, place: Place
+) -> None:
+    """A double bed, its head at +Y: frame, mattress, four pillows, a blanket over the lower two thirds."""
+    x, y = width / 2, BED_LENGTH_M / 2
+    parts = [box_between((-x - 0.04, y, 0), (x + 0.04, y + 0.05, 1.05)), box((2 * x + 0.06, 2 * y, 0.14), (0, 0, 0.25))]
+    parts += [box((0.07, 0.07, 0.2), (s * (x - 0.05), -y + 0.08, 0.1)) for s in (-1, 1)]
+    add_solid(room, f"{name} frame", joined(parts), frame, bevel_m=0.012, **place)
+    mattress = box_between((-x, -y + 0.01, 0.3), (x, y - 0.01, MATTRESS_TOP_M))
+    add_solid(room, f"{name} mattress", mattress, linen, bevel_m=0.05, smooth=True, **place)
+    pillows = ((-0.38, y - 0.16, 48), (0.38, y - 0.16, 48), (-0.4, y - 0.42, 22), (0.39, y - 0.4, 24))
+    for i, (px, py, tilt) in enumerate(pillows):
+        pillow = cushion(0.68, 0.44, 0.17).turned(tilt, "X").turned(-4 + 3 * i)
+        lying = pillow.moved((px * width / 1.6, py, MATTRESS_TOP_M + (0.2 if i < 2 else 0.12)))
+        add_solid(room, f"{name} pillow {i + 1}", lying, linen, subdivisions=2, **place)
+    add_solid(room, f"{name} blanket", _blanket(width, 1.45), blanket, smooth=True, subdivisions=1, **place)
+
+
+def _blanket(width: float, length: float) -> Solid:
+    """A blanket that lies on the mattress, hangs over both sides and the foot, and creases."""
+    u, v = np.meshgrid(np.linspace(-1, 1, 41), np.linspace(0, 1, 31))
+    reach, foot = width / 2 + 0.28, length + 0.25
+    across, along = u * reach, -BED_LENGTH_M / 2 + length - v * foot
+    over_side = np.clip(abs(across) - width / 2 - 0.02, 0, None)
+    over_foot = np.clip(-BED_LENGTH_M / 2 - 0.02 - along, 0, None)
+    crease = 0.008 * np.sin(9 * across + 4 * along) + 0.007 * np.sin(5 * across - 11 * along + 1.0)
+    x = np.sign(across) * np.minimum(abs(across), width / 2 + 0.02 + 0.12 * over_side) + 2 * crease * (over_side > 0)
+    y = np.maximum(along, -BED_LENGTH_M / 2 - 0.02 - 0.12 * over_foot) + 2 * crease * (over_foot > 0)
+    z = MATTRESS_TOP_M + 0.025 + crease - np.maximum(over_side, over_foot)
+    return sheet(np.stack([x, y, z], -1)[::-1])
+
+
+def add_bench(room: Collection, name: str, size: Vector, cloth: Material, legs: Material, *, place: Place) -> None:
+    """An upholstered bench on four legs, of full extents `size`; its seat is flat, so that things stand on it."""
+    x, y, z = size
+    seat = box_between((-x / 2, -y / 2, z - 0.12), (x / 2, y / 2, z))
+    add_solid(room, f"{name} seat", seat, cloth, bevel_m=0.025, smooth=True, **place)
+    posts = _posts(0.045, z - 0.12, x / 2 - 0.06, y / 2 - 0.05)
+    add_solid(room, f"{name} legs", joined(posts), legs, bevel_m=0.005, **place)
+
+
 def add_bookcase(
     room: Collection, name: str, size: Vector, body: Material, books: Material, rng: np.random.Generator,
     *, place: Place, n_shelves: int = 5,
 ) -> None:  # fmt: skip
     """An open bookcase, its back at +Y, filled with rows of books that leave gaps. `books` reads a face colour."""
     x, y, z = size
-    boards = [
-        box_between((s * x / 2 - 0.025 * (s > 0), -y / 2, 0), (s * x / 2 + 0.025 * (s < 0), y / 2, z)) for s in (-1, 1)
-    ]
+    sides = ((-x / 2, -x / 2 + 0.025), (x / 2 - 0.025, x / 2))
+    boards = [box_between((low, -y / 2, 0), (high, y / 2, z)) for low, high in sides]
     boards.append(box_between((-x / 2, y / 2 - 0.012, 0), (x / 2, y / 2, z)))
     levels = np.linspace(0.06, z - 0.025, n_shelves + 1).tolist()
     boards += [box_between((-x / 2 + 0.025, -y / 2, h), (x / 2 - 0.025, y / 2, h + 0.025)) for h in levels]
@@ -182,9 +199,8 @@ def book_row(width: float, height: float, row_y: float, rng: np.random.Generator
         x += thick
     if width - x > 0.14:
         tall = height * 0.75
-        row.append(
-            box((0.03, row_y * 0.65, tall)).turned(-14, "Y").moved((corner[0] + x + 0.09, 0.02, corner[2] + tall / 2))
-        )
+        leaning = box((0.03, row_y * 0.65, tall)).turned(-14, "Y")
+        row.append(leaning.moved((corner[0] + x + 0.09, 0.02, corner[2] + tall / 2)))
     return row
 
 
@@ -208,31 +224,20 @@ def add_cabinet(
 ) -> None:
     """A sideboard, wardrobe or bedside chest: a body on short feet, doors towards -Y, knobs."""
     x, y, z = size
-    carcass = [
-        box_between((-x / 2, -y / 2 + 0.02, 0.08), (x / 2, y / 2, z)),
-        box_between((-x / 2 + 0.04, -y / 2 + 0.06, 0), (x / 2 - 0.04, y / 2 - 0.04, 0.08)),
-    ]
+    carcass = [box_between((-x / 2, -y / 2 + 0.02, 0.08), (x / 2, y / 2, z))]
+    carcass.append(box_between((-x / 2 + 0.04, -y / 2 + 0.06, 0), (x / 2 - 0.04, y / 2 - 0.04, 0.08)))
     leaf = (x - 0.02) / doors
     for i in range(doors):
         low = -x / 2 + 0.01 + leaf * i
         carcass.append(box_between((low + 0.004, -y / 2, 0.1), (low + leaf - 0.004, -y / 2 + 0.02, z - 0.03)))
     add_solid(room, name, joined(carcass), body, bevel_m=0.004, **place)
-    grips = []
-    for i in range(doors):
-        side = leaf - 0.05 if i % 2 == 0 else 0.05
-        grips.append(box((0.014, 0.03, 0.12), (-x / 2 + 0.01 + leaf * i + side, -y / 2 - 0.015, 0.55 * z)))
+    sides = [-x / 2 + 0.01 + leaf * i + (0.05 if i % 2 else leaf - 0.05) for i in range(doors)]
+    grips = [box((0.014, 0.03, 0.12), (side, -y / 2 - 0.015, 0.55 * z)) for side in sides]
     add_solid(room, f"{name} handles", joined(grips), knobs, bevel_m=0.004, **place)
 
 
 def add_picture(
-    room: Collection,
-    name: str,
-    size: tuple[float, float],
-    picture: Material,
-    frame: Material,
-    mount: Material,
-    *,
-    place: Place,
+    room: Collection, name: str, size: Vector, picture: Material, frame: Material, mount: Material, *, place: Place
 ) -> None:
     """A framed picture with a mount; its back is at y = 0, its centre at the place's height."""
     x, z = size

@@ -8,101 +8,86 @@ Colours of lamps are black bodies at a stated temperature. Bulbs are spheres of 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import bpy
 
+from xihe_blender.lab.props import Collection, Material, Vector
 from xihe_blender.lab.props.furniture import Place
-from xihe_blender.lab.props.shapes import Vector, add_solid, ball, cylinder, joined, revolved, tube
-from xihe_blender.lab.props.surfaces import glowing
+from xihe_blender.lab.props.shapes import add_solid, ball, cylinder, joined, revolved, tube
+from xihe_blender.lab.props.surfaces import Nodes, glowing, plain
 
-Material: TypeAlias = bpy.types.Material
-Collection: TypeAlias = bpy.types.Collection
+Profile = Sequence[tuple[float, float]]
+LAMP_FOOT: Profile = (
+    (0, 0), (0.15, 0), (0.16, 0.03), (0.05, 0.07), (0.17, 0.25), (0.14, 0.42), (0.03, 0.54), (0.025, 0.66),
+)  # fmt: skip
+"""Of a table lamp: radius and height, as shares of the lamp's height."""
+
+
+def add_light(room: Collection, name: str, kind: str, location: Vector = (0, 0, 0), **look: Any) -> bpy.types.Object:
+    """A light of one of Blender's kinds; `look` names properties of its data, as in energy=40."""
+    light = bpy.data.lights.new(name, kind)
+    for key, value in look.items():
+        setattr(light, key, value)
+    thing = bpy.data.objects.new(name, light)
+    thing.location = location
+    room.objects.link(thing)
+    return thing
+
+
+def tint_light(light: bpy.types.Light, kelvin: float) -> None:
+    """Give a light a black body's colour; its node is named "Temperature" for keying."""
+    nodes = Nodes(light)
+    tint = nodes.add("Blackbody", {0: kelvin}, name="Temperature", label="Temperature")
+    nodes.set(nodes.first("EMISSION"), {"Color": tint.outputs[0]})
 
 
 def add_bulb(
     room: Collection, name: str, location: Vector, *, kelvin: float, watts: float, radius: float = 0.06
 ) -> bpy.types.Object:
-    """A round point light with a black body's colour; its node is named "Temperature" for keying."""
-    light = bpy.data.lights.new(name, "POINT")
-    light.energy, light.shadow_soft_size = watts, radius
-    if light.node_tree is None:  # from 5.0 on a new light may have its nodes, and asking for them warns
-        light.use_nodes = True
-    nodes, links = light.node_tree.nodes, light.node_tree.links
-    tint = nodes.new("ShaderNodeBlackbody")
-    tint.name = tint.label = "Temperature"
-    tint.inputs[0].default_value = kelvin
-    emission = next(node for node in nodes if node.type == "EMISSION")
-    links.new(tint.outputs[0], emission.inputs["Color"])
-    bulb = bpy.data.objects.new(name, light)
-    bulb.location = location
-    room.objects.link(bulb)
+    """A round point light with a black body's colour."""
+    bulb = add_light(room, name, "POINT", location, energy=watts, shadow_soft_size=radius)
+    tint_light(bulb.data, kelvin)
     return bulb
 
 
-def add_shade(
-    room: Collection, name: str, profile: list[tuple[float, float]], shade: Material, *, place: Place
-) -> bpy.types.Object:
-    """A lampshade of revolution that lets the bulb's light pass."""
-    thing = add_solid(room, name, revolved(profile, 40), shade, smooth=True, **place)
-    thing.visible_shadow = False
-    return thing
+def shade_cloth(name: str, kelvin: float, radiance: float) -> Material:
+    """A lit shade glows; one with a radiance of 0 is white cloth."""
+    return glowing(name, kelvin, radiance) if radiance > 0 else plain(name, (0.7, 0.67, 0.6), roughness=0.9)
+
+
+def _add_shaded_bulb(
+    room: Collection, name: str, profile: Profile, bulb_m: float, *,
+    place: Place, kelvin: float, watts: float, radiance: float,
+) -> bpy.types.Object | None:  # fmt: skip
+    """A shade of revolution that lets light pass, and the bulb in it, `bulb_m` above the place; None without power."""
+    cloth = shade_cloth(f"{name} shade", kelvin, radiance)
+    shade = add_solid(room, f"{name} shade", revolved(profile, 40), cloth, smooth=True, **place)
+    shade.visible_shadow = False
+    x, y, z = place["location"]
+    return add_bulb(room, f"{name} light", (x, y, z + bulb_m), kelvin=kelvin, watts=watts) if watts > 0 else None
 
 
 def add_table_lamp(
-    room: Collection,
-    name: str,
-    body: Material,
-    *,
-    place: Place,
-    kelvin: float,
-    watts: float,
-    radiance: float,
-    height: float = 0.5,
-) -> bpy.types.Object:
-    """A ceramic foot with a conical shade; returns the light."""
+    room: Collection, name: str, body: Material, *,
+    place: Place, height: float = 0.5, foot: Profile = LAMP_FOOT, **light: float,
+) -> bpy.types.Object | None:  # fmt: skip
+    """A ceramic foot with a conical shade; `light` is kelvin, watts and the shade's radiance. Returns the light."""
     h = height
-    foot = [
-        (0, 0),
-        (0.15 * h, 0),
-        (0.16 * h, 0.03 * h),
-        (0.05 * h, 0.07 * h),
-        (0.17 * h, 0.25 * h),
-        (0.14 * h, 0.42 * h),
-        (0.03 * h, 0.54 * h),
-        (0.025 * h, 0.66 * h),
-    ]
-    add_solid(room, f"{name} foot", revolved(foot, 32), body, smooth=True, **place)
-    add_shade(
-        room,
-        f"{name} shade",
-        [(0.32 * h, 0.55 * h), (0.2 * h, h)],
-        glowing(f"{name} shade", kelvin, radiance),
-        place=place,
-    )
-    x, y, z = place["location"]
-    return add_bulb(room, f"{name} light", (x, y, z + 0.75 * h), kelvin=kelvin, watts=watts)
+    turned = revolved([(r * h, z * h) for r, z in foot], 32)
+    add_solid(room, f"{name} foot", turned, body, smooth=True, **place)
+    return _add_shaded_bulb(room, name, [(0.32 * h, 0.55 * h), (0.2 * h, h)], 0.75 * h, place=place, **light)
 
 
 def add_floor_lamp(
-    room: Collection,
-    name: str,
-    metal: Material,
-    *,
-    place: Place,
-    kelvin: float,
-    watts: float,
-    radiance: float,
-    height: float = 1.6,
-) -> bpy.types.Object:
-    """A pole on a round foot with a drum shade; returns the light."""
+    room: Collection, name: str, metal: Material, *, place: Place, height: float = 1.6, **light: float
+) -> bpy.types.Object | None:
+    """A pole on a round foot with a drum shade; otherwise as `add_table_lamp`."""
     pole = [cylinder(0.15, 0.02, 32), tube((0, 0, 0.01), (0, 0, height - 0.1), 0.011)]
     add_solid(room, f"{name} pole", joined(pole), metal, smooth=True, **place)
-    shade = glowing(f"{name} shade", kelvin, radiance)
-    add_shade(room, f"{name} shade", [(0.21, height - 0.3), (0.17, height)], shade, place=place)
-    x, y, z = place["location"]
-    return add_bulb(room, f"{name} light", (x, y, z + height - 0.15), kelvin=kelvin, watts=watts)
+    return _add_shaded_bulb(room, name, [(0.21, height - 0.3), (0.17, height)], height - 0.15, place=place, **light)
 
 
 def add_pendant(
@@ -111,11 +96,8 @@ def add_pendant(
     """A pendant lamp that is switched off, hanging from the place's height."""
     dome = [(0.2, -drop), (0.185, -drop + 0.07), (0.13, -drop + 0.14), (0.05, -drop + 0.18), (0.0, -drop + 0.185)]
     add_solid(room, f"{name} shell", revolved(dome, 40), shell, smooth=True, **place)
-    parts = [
-        tube((0, 0, -drop + 0.17), (0, 0, 0), 0.004, 8),
-        cylinder(0.05, 0.03).moved((0, 0, -0.03)),
-        ball(0.045, (0, 0, -drop + 0.06), 24),
-    ]
+    parts = [tube((0, 0, -drop + 0.17), (0, 0, 0), 0.004, 8), cylinder(0.05, 0.03).moved((0, 0, -0.03))]
+    parts.append(ball(0.045, (0, 0, -drop + 0.06), 24))
     add_solid(room, f"{name} cord", joined(parts), cord, smooth=True, **place)
 
 
@@ -123,42 +105,24 @@ def add_sun(
     room: Collection, *, azimuth_deg: float, elevation_deg: float, irradiance: float, tint: Vector = (1.0, 0.93, 0.82)
 ) -> None:
     """A sun that shines from an azimuth (anticlockwise from +X) and elevation; its disc is 1 degree wide."""
-    light = bpy.data.lights.new("Sun", "SUN")
-    light.energy, light.angle, light.color = irradiance, math.radians(1.0), tint
-    sun = bpy.data.objects.new("Sun", light)
+    sun = add_light(room, "Sun", "SUN", energy=irradiance, angle=math.radians(1.0), color=tint)
     sun.rotation_euler = (math.radians(90 - elevation_deg), 0.0, math.radians(azimuth_deg + 90))
-    room.objects.link(sun)
 
 
-class WorldNodes:
-    """A scene's new world with an empty colour, ready for nodes."""
+def new_world(scene: bpy.types.Scene, strength: float, map_size: int) -> Nodes:
+    """The nodes of a new world of `scene` with an empty colour."""
+    world = scene.world = bpy.data.worlds.new("Outside")
+    # A fixed importance map: AUTOMATIC sizes it from the graph and takes seconds per change.
+    world.cycles.sampling_method, world.cycles.sample_map_resolution = "MANUAL", map_size
+    nodes = Nodes(world)
+    nodes.set(nodes.first("BACKGROUND"), {"Strength": strength})
+    return nodes
 
-    def __init__(self, scene: bpy.types.Scene, strength: float, map_size: int = 256) -> None:
-        world = bpy.data.worlds.new("Outside")
-        scene.world = world
-        if world.node_tree is None:
-            world.use_nodes = True
-        # A fixed importance map: AUTOMATIC sizes it from the graph and takes seconds per change.
-        world.cycles.sampling_method, world.cycles.sample_map_resolution = "MANUAL", map_size
-        self.nodes, self.links = world.node_tree.nodes, world.node_tree.links
-        self.background = next(node for node in self.nodes if node.type == "BACKGROUND")
-        self.background.inputs["Strength"].default_value = strength
 
-    def along(self, direction: Any, axis: Vector, span: tuple[float, float]) -> Any:
-        """A value that goes from the first to the second of `span` as the direction turns from -axis to +axis."""
-        product = self.nodes.new("ShaderNodeVectorMath")
-        product.operation = "DOT_PRODUCT"
-        self.links.new(direction, product.inputs[0])
-        product.inputs[1].default_value = axis
-        scaled = self.nodes.new("ShaderNodeMapRange")
-        self.links.new(product.outputs["Value"], scaled.inputs["Value"])
-        scaled.inputs["From Min"].default_value = -1.0
-        scaled.inputs["To Min"].default_value, scaled.inputs["To Max"].default_value = span
-        return scaled.outputs[0]
-
-    def colour(self, socket: Any) -> None:
-        """What the world emits."""
-        self.links.new(socket, self.background.inputs["Color"])
+def _along(nodes: Nodes, direction: Any, axis: Vector, span: tuple[float, float]) -> Any:
+    """A value that goes from the first to the second of `span` as the direction turns from -axis to +axis."""
+    product = nodes.add("VectorMath", {0: direction, 1: axis}, operation="DOT_PRODUCT").outputs["Value"]
+    return nodes.add("MapRange", {"Value": product, "From Min": -1.0, "To Min": span[0], "To Max": span[1]}).outputs[0]
 
 
 def set_sky(
@@ -177,34 +141,25 @@ def set_sky(
     bright_azimuth_deg : the side of the sun (anticlockwise from +X), five times as bright as the opposite side. Where
         that is the window's side, Cycles sends its samples through the window more often. None: the same all round.
     """
-    world = WorldNodes(scene, strength)
-    direction = world.nodes.new("ShaderNodeTexCoord").outputs["Generated"]
-    ramp = world.nodes.new("ShaderNodeValToRGB")
-    elements = ramp.color_ramp.elements
-    while len(elements) < len(stops):
-        elements.new(0.5)
-    for element, (place, colour) in zip(elements, stops, strict=True):
-        element.position, element.color = place, (*colour, 1.0)
-    world.links.new(world.along(direction, (0.0, 0.0, 1.0), (0.0, 1.0)), ramp.inputs[0])
-    world.colour(ramp.outputs[0])
+    nodes = new_world(scene, strength, 256)
+    background = nodes.first("BACKGROUND")
+    direction = nodes.add("TexCoord").outputs["Generated"]
+    nodes.set(background, {"Color": nodes.ramp(_along(nodes, direction, (0.0, 0.0, 1.0), (0.0, 1.0)), *stops)})
     if bright_azimuth_deg is not None:
         azimuth = math.radians(bright_azimuth_deg)
         side = (math.cos(azimuth), math.sin(azimuth), 0.0)
-        level = world.along(direction, side, (0.2 * strength, strength))
-        world.links.new(level, world.background.inputs["Strength"])
+        nodes.set(background, {"Strength": _along(nodes, direction, side, (0.2 * strength, strength))})
 
 
 def set_panorama(scene: bpy.types.Scene, file_name: str, *, strength: float, turn_deg: float = 0.0) -> None:
     """One of the CC0 panoramas that Blender ships in its studio lights, packed into the file."""
     folder = Path(bpy.utils.system_resource("DATAFILES", path="studiolights/world"))
-    world = WorldNodes(scene, strength, 1024)
-    picture = world.nodes.new("ShaderNodeTexEnvironment")
-    picture.image = bpy.data.images.load(str(folder / file_name))
-    picture.image.pack()
+    image = bpy.data.images.load(str(folder / file_name))
+    image.pack()
     # Where the packing machine keeps its files is nobody's business.
-    picture.image.filepath = picture.image.packed_files[0].filepath = f"//{file_name}"
-    turn = world.nodes.new("ShaderNodeMapping")
-    turn.inputs["Rotation"].default_value[2] = math.radians(turn_deg)
-    world.links.new(world.nodes.new("ShaderNodeTexCoord").outputs["Generated"], turn.inputs["Vector"])
-    world.links.new(turn.outputs[0], picture.inputs["Vector"])
-    world.colour(picture.outputs["Color"])
+    image.filepath = image.packed_files[0].filepath = f"//{file_name}"
+    nodes = new_world(scene, strength, 1024)
+    direction = nodes.add("TexCoord").outputs["Generated"]
+    turned = nodes.add("Mapping", {"Vector": direction, "Rotation": (0.0, 0.0, math.radians(turn_deg))})
+    picture = nodes.add("TexEnvironment", {"Vector": turned.outputs[0]}, image=image)
+    nodes.set(nodes.first("BACKGROUND"), {"Color": picture.outputs["Color"]})

@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
-import bpy
 import numpy as np
 
+from xihe_blender.lab.props import Collection, Material, Vector
 from xihe_blender.lab.props.furniture import Place
-from xihe_blender.lab.props.shapes import Solid, Vector, add_solid, box, box_between, joined
-
-Material: TypeAlias = bpy.types.Material
-Collection: TypeAlias = bpy.types.Collection
+from xihe_blender.lab.props.shapes import Solid, add_solid, box, box_between, joined
 
 
 def add_bench(room: Collection, name: str, width: float, slats: Material, iron: Material, *, place: Place) -> None:
     """A garden bench with slats, its back at +Y."""
     boards = [box((width, 0.085, 0.03), (0, -0.22 + 0.1 * i, 0.44)) for i in range(5)]
-    boards += [
-        box((width, 0.03, 0.09)).turned(-12, "X").moved((0, 0.25 + 0.024 * i, 0.56 + 0.12 * i)) for i in range(3)
-    ]
+    back = box((width, 0.03, 0.09)).turned(-12, "X")
+    boards += [back.moved((0, 0.25 + 0.024 * i, 0.56 + 0.12 * i)) for i in range(3)]
     add_solid(room, f"{name} slats", joined(boards), slats, bevel_m=0.006, **place)
     sides = []
     for x in (-width / 2 + 0.15, width / 2 - 0.15):
@@ -44,8 +38,9 @@ def add_planter(
     add_solid(room, f"{name} shrubs", joined(bushes), leaves, **place)
 
 
-def shrub(radius: float, rng: np.random.Generator, *, n_leaves: int = 420, leaf_m: float = 0.09) -> Solid:
+def shrub(radius: float, rng: np.random.Generator) -> Solid:
     """Small leaves scattered near the surface of an uneven ball, facing roughly outwards."""
+    n_leaves, leaf_m = 420, 0.09
     out = rng.normal(size=(n_leaves, 3))
     out /= np.linalg.norm(out, axis=1, keepdims=True)
     uneven = 1 + 0.12 * np.sin(5 * out[:, :1] + 2) + 0.12 * np.sin(6 * out[:, 1:2]) + 0.1 * np.sin(7 * out[:, 2:])
@@ -54,13 +49,10 @@ def shrub(radius: float, rng: np.random.Generator, *, n_leaves: int = 420, leaf_
     along *= leaf_m / np.linalg.norm(along, axis=1, keepdims=True)
     across = np.cross(out, along) * 0.5
     corners = np.stack([middles - along, middles + across, middles + along, middles - across], axis=1)
-    faces = np.arange(4 * n_leaves).reshape(-1, 4)
-    return Solid(tuple(map(tuple, corners.reshape(-1, 3).tolist())), tuple(map(tuple, faces.tolist())))
+    return Solid.of(corners, np.arange(4 * n_leaves).reshape(-1, 4).tolist())
 
 
-def low_wall(
-    start: tuple[float, float], end: tuple[float, float], height: float, thickness: float
-) -> tuple[Solid, Solid]:
+def low_wall(start: Vector, end: Vector, height: float, thickness: float) -> tuple[Solid, Solid]:
     """A wall along X or Y between two points, and its coping."""
     low = (min(start[0], end[0]) - thickness / 2, min(start[1], end[1]) - thickness / 2)
     high = (max(start[0], end[0]) + thickness / 2, max(start[1], end[1]) + thickness / 2)

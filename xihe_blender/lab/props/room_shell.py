@@ -10,14 +10,13 @@ by the side it stands on: "+x", "-x", "+y", "-y". Along a wall, the position run
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Protocol, TypeAlias
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
 
-import bpy
-
+from xihe_blender.lab.props import Collection, Material
 from xihe_blender.lab.props.shapes import Solid, add_solid, box_between, joined
 
-Material: TypeAlias = bpy.types.Material
+Span = tuple[float, float]
 SKIRTING_HEIGHT_M, SKIRTING_THICKNESS_M = 0.09, 0.015
 
 
@@ -33,53 +32,46 @@ class Opening:
     is_door: bool = False
 
 
-class Walls(Protocol):
+class Walls(ABC):
     """Walls by name, with openings: `Room` here, other plans elsewhere."""
 
-    @property
-    def height(self) -> float: ...
+    height: float
+    wall_m: float
+    openings: tuple[Opening, ...]
 
-    @property
-    def wall_m(self) -> float: ...
-
-    @property
-    def openings(self) -> tuple[Opening, ...]: ...
-
-    def inner_ends(self, wall: str) -> tuple[float, float]:
+    @abstractmethod
+    def inner_ends(self, wall: str) -> Span:
         """From where to where the wall's inner face runs, along the wall."""
 
-    def outer_ends(self, wall: str) -> tuple[float, float]:
+    @abstractmethod
+    def outer_ends(self, wall: str) -> Span:
         """From where to where its masonry runs: past the inner face where it closes a corner."""
 
-    def wall_box(
-        self, wall: str, along: tuple[float, float], out: tuple[float, float], up: tuple[float, float]
-    ) -> Solid:
+    @abstractmethod
+    def wall_box(self, wall: str, along: Span, out: Span, up: Span) -> Solid:
         """A box on a wall: ranges along it, outwards from its inner face (negative is inside), and up."""
 
 
 @dataclass(frozen=True)
-class Room:
+class Room(Walls):
     """Inside measures in metres."""
 
     width: float
     length: float
     height: float
     wall_m: float = 0.25
-    openings: tuple[Opening, ...] = field(default=())
+    openings: tuple[Opening, ...] = ()
 
-    def inner_ends(self, wall: str) -> tuple[float, float]:
+    def inner_ends(self, wall: str) -> Span:
         half = (self.length if wall[1] == "x" else self.width) / 2
         return -half, half
 
-    def outer_ends(self, wall: str) -> tuple[float, float]:
+    def outer_ends(self, wall: str) -> Span:
         low, high = self.inner_ends(wall)
         extra = self.wall_m if wall[1] == "x" else 0.0
         return low - extra, high + extra
 
-    def wall_box(
-        self, wall: str, along: tuple[float, float], out: tuple[float, float], up: tuple[float, float]
-    ) -> Solid:
-        """A box on a wall: ranges along it, outwards from its inner face (negative is inside), and up."""
+    def wall_box(self, wall: str, along: Span, out: Span, up: Span) -> Solid:
         sign = 1 if wall[0] == "+" else -1
         face = sign * (self.width if wall[1] == "x" else self.length) / 2
         across = sorted((face + sign * out[0], face + sign * out[1]))
@@ -88,7 +80,7 @@ class Room:
 
 
 def add_shell(
-    collection: bpy.types.Collection, room: Room, *, floor: Material, walls: dict[str, Material], ceiling: Material
+    collection: Collection, room: Room, *, floor: Material, walls: dict[str, Material], ceiling: Material
 ) -> None:
     """Floor slab, ceiling slab and the walls; a wall without a material is left out."""
     half_x, half_y = room.width / 2 + room.wall_m, room.length / 2 + room.wall_m
@@ -105,46 +97,35 @@ def wall_solid(room: Walls, wall: str) -> Solid:
     edge, end = room.outer_ends(wall)
     out, pieces = (0.0, room.wall_m), []
     for hole in sorted((o for o in room.openings if o.wall == wall), key=lambda o: o.low):
+        width = (hole.low, hole.high)
         pieces.append(room.wall_box(wall, (edge, hole.low), out, (0.0, room.height)))
         if hole.bottom > 0:
-            pieces.append(room.wall_box(wall, (hole.low, hole.high), out, (0.0, hole.bottom)))
-        pieces.append(room.wall_box(wall, (hole.low, hole.high), out, (hole.top, room.height)))
+            pieces.append(room.wall_box(wall, width, out, (0.0, hole.bottom)))
+        pieces.append(room.wall_box(wall, width, out, (hole.top, room.height)))
         edge = hole.high
     return joined([*pieces, room.wall_box(wall, (edge, end), out, (0.0, room.height))])
 
 
-def add_skirting(collection: bpy.types.Collection, room: Walls, material: Material, walls: str = "+x -x +y -y") -> None:
+def add_skirting(collection: Collection, room: Walls, material: Material, walls: str = "+x -x +y -y") -> None:
     """Skirting boards along the walls, interrupted at doors."""
-    boards = []
+    boards, out, up = [], (-SKIRTING_THICKNESS_M, 0.0), (0.0, SKIRTING_HEIGHT_M)
     for wall in walls.split():
         edge, end = room.inner_ends(wall)
         for door in sorted((o for o in room.openings if o.wall == wall and o.is_door), key=lambda o: o.low):
-            boards.append(_board(room, wall, edge, door.low - 0.07))
+            boards.append(room.wall_box(wall, (edge, door.low - 0.07), out, up))
             edge = door.high + 0.07
-        boards.append(_board(room, wall, edge, end))
+        boards.append(room.wall_box(wall, (edge, end), out, up))
     add_solid(collection, "Skirting", joined(boards), material, bevel_m=0.004)
 
 
-def _board(room: Walls, wall: str, low: float, high: float) -> Solid:
-    return room.wall_box(wall, (low, high), (-SKIRTING_THICKNESS_M, 0.0), (0.0, SKIRTING_HEIGHT_M))
-
-
 def add_window(
-    collection: bpy.types.Collection,
-    room: Walls,
-    opening: Opening,
-    frame: Material,
-    sill: Material,
-    n_casements: int = 2,
+    collection: Collection, room: Walls, opening: Opening, frame: Material, sill: Material, n_casements: int = 2
 ) -> None:
     """A frame with upright bars and one crossbar, set into the reveal, and an inner sill."""
     out = (0.1, 0.16)
     low, high, bottom, top = opening.low, opening.high, opening.bottom, opening.top
-    bars = [
-        room.wall_box(opening.wall, (low, high), out, (bottom, bottom + 0.06)),
-        room.wall_box(opening.wall, (low, high), out, (top - 0.06, top)),
-        room.wall_box(opening.wall, (low, high), out, (top - 0.5, top - 0.45)),
-    ]
+    heights = ((bottom, bottom + 0.06), (top - 0.06, top), (top - 0.5, top - 0.45))
+    bars = [room.wall_box(opening.wall, (low, high), out, up) for up in heights]
     for i in range(n_casements + 1):
         middle = low + 0.03 + (high - low - 0.06) * i / n_casements
         bars.append(room.wall_box(opening.wall, (middle - 0.03, middle + 0.03), out, (bottom, top)))
@@ -154,11 +135,10 @@ def add_window(
 
 
 def add_door(
-    collection: bpy.types.Collection, room: Walls, opening: Opening, leaf: Material, frame: Material, handle: Material
+    collection: Collection, room: Walls, opening: Opening, leaf: Material, frame: Material, handle: Material
 ) -> None:
-    """A closed door with two panels, a frame and a handle."""
-    low, high, top = opening.low, opening.high, opening.top
-    wall = opening.wall
+    """A closed door with two panels."""
+    wall, low, high, top = opening.wall, opening.low, opening.high, opening.top
     slabs = [room.wall_box(wall, (low, high), (0.03, 0.07), (0.0, top))]
     for bottom_z, top_z in ((0.2, 0.95), (1.08, top - 0.2)):
         slabs.append(room.wall_box(wall, (low + 0.14, high - 0.14), (0.015, 0.04), (bottom_z, top_z)))

@@ -19,7 +19,8 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-Vector = Sequence[float]
+from xihe_blender.lab.props import Collection, Material, Vector
+
 BOX_FACES = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5))
 SHARP_ANGLE = math.radians(40)
 
@@ -31,8 +32,12 @@ class Solid:
     vertices: tuple[tuple[float, float, float], ...]
     faces: tuple[tuple[int, ...], ...]
 
+    @classmethod
+    def of(cls, points: NDArray[Any], faces: Sequence[Sequence[int]]) -> Solid:
+        """The solid of points (..., 3)."""
+        return cls(tuple(map(tuple, points.reshape(-1, 3).tolist())), tuple(map(tuple, faces)))
+
     def moved(self, offset: Vector) -> Solid:
-        """The same solid, shifted."""
         x, y, z = offset
         return Solid(tuple((a + x, b + y, c + z) for a, b, c in self.vertices), self.faces)
 
@@ -42,11 +47,10 @@ class Solid:
         points = np.array(self.vertices)
         c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
         points[:, [i, j]] = points[:, [i, j]] @ np.array([[c, s], [-s, c]])
-        return Solid(tuple(map(tuple, points.tolist())), self.faces)
+        return Solid.of(points, self.faces)
 
 
 def joined(solids: Sequence[Solid]) -> Solid:
-    """All solids as one."""
     vertices: list[tuple[float, float, float]] = []
     faces: list[tuple[int, ...]] = []
     for solid in solids:
@@ -63,7 +67,6 @@ def box(size: Vector, centre: Vector = (0.0, 0.0, 0.0)) -> Solid:
 
 
 def box_between(low: Vector, high: Vector) -> Solid:
-    """The axis-aligned box from its low to its high corner."""
     size = [b - a for a, b in zip(low, high, strict=True)]
     return box(size, [(a + b) / 2 for a, b in zip(low, high, strict=True)])
 
@@ -86,10 +89,8 @@ def revolved(profile: Sequence[tuple[float, float]], n_segments: int = 32) -> So
 
 def _band(low: list[int], high: list[int], n: int) -> list[tuple[int, ...]]:
     """Faces between two rings, of which either may be a single point."""
-    quads = [
-        (low[i % len(low)], low[(i + 1) % len(low)], high[(i + 1) % len(high)], high[i % len(high)]) for i in range(n)
-    ]
-    return [tuple(dict.fromkeys(quad)) for quad in quads]
+    lower, upper = (np.resize(ring, n + 1).tolist() for ring in (low, high))
+    return [tuple(dict.fromkeys((lower[i], lower[i + 1], upper[i + 1], upper[i]))) for i in range(n)]
 
 
 def cylinder(radius: float, height: float, n_segments: int = 24) -> Solid:
@@ -98,7 +99,6 @@ def cylinder(radius: float, height: float, n_segments: int = 24) -> Solid:
 
 
 def ball(radius: float, centre: Vector = (0.0, 0.0, 0.0), n_segments: int = 48) -> Solid:
-    """A sphere."""
     angles = np.linspace(-np.pi / 2, np.pi / 2, n_segments // 2 + 1)
     profile = [(radius * math.cos(a), radius * math.sin(a)) for a in angles.tolist()]
     profile[0], profile[-1] = (0.0, -radius), (0.0, radius)
@@ -113,7 +113,7 @@ def tube(start: Vector, end: Vector, radius: float, n_segments: int = 12) -> Sol
     side /= np.linalg.norm(side)
     frame = np.stack([side, np.cross(along, side), along])
     upright = cylinder(radius, float(np.linalg.norm(b - a)), n_segments)
-    return Solid(tuple(map(tuple, (np.array(upright.vertices) @ frame + a).tolist())), upright.faces)
+    return Solid.of(np.array(upright.vertices) @ frame + a, upright.faces)
 
 
 def sheet(grid: NDArray[Any]) -> Solid:
@@ -121,21 +121,13 @@ def sheet(grid: NDArray[Any]) -> Solid:
     rows, columns = grid.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)
     quads = np.stack([index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]], axis=-1).reshape(-1, 4)
-    return Solid(tuple(map(tuple, grid.reshape(-1, 3).tolist())), tuple(map(tuple, quads.tolist())))
+    return Solid.of(grid, quads.tolist())
 
 
 def add_solid(
-    collection: bpy.types.Collection,
-    name: str,
-    solid: Solid,
-    material: bpy.types.Material,
-    *,
-    location: Vector = (0.0, 0.0, 0.0),
-    turn_deg: float = 0.0,
-    bevel_m: float = 0.0,
-    subdivisions: int = 0,
-    smooth: bool = False,
-) -> bpy.types.Object:
+    collection: Collection, name: str, solid: Solid, material: Material, *, location: Vector = (0.0, 0.0, 0.0),
+    turn_deg: float = 0.0, bevel_m: float = 0.0, subdivisions: int = 0, smooth: bool = False,
+) -> bpy.types.Object:  # fmt: skip
     """Make an object of `solid` in `collection`.
 
     Parameters
@@ -153,17 +145,12 @@ def add_solid(
         if not subdivisions:
             mesh.set_sharp_from_angle(angle=SHARP_ANGLE)
     thing = bpy.data.objects.new(name, mesh)
-    thing.location = location
-    thing.rotation_euler = (0.0, 0.0, math.radians(turn_deg))
+    thing.location, thing.rotation_euler = location, (0.0, 0.0, math.radians(turn_deg))
     collection.objects.link(thing)
-    _add_modifiers(thing, bevel_m, subdivisions)
-    return thing
-
-
-def _add_modifiers(thing: bpy.types.Object, bevel_m: float, subdivisions: int) -> None:
     if bevel_m:
         bevel = thing.modifiers.new("Rounded edges", "BEVEL")
         bevel.width, bevel.segments, bevel.limit_method = bevel_m, 2, "ANGLE"
     if subdivisions:
         smoothing = thing.modifiers.new("Soft shape", "SUBSURF")
         smoothing.levels = smoothing.render_levels = subdivisions
+    return thing

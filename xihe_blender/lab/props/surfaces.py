@@ -14,23 +14,23 @@ from typing import Any, TypeAlias
 
 import bpy
 
+from xihe_blender.lab.props import Material
+
 Colour: TypeAlias = Sequence[float]
 Inputs: TypeAlias = dict[str | int, Any]
 
 
-class Shader:
-    """A material under construction: adds nodes and links their inputs, the Principled shader first."""
+class Nodes:
+    """The nodes of a material, a light or a world under construction."""
 
-    def __init__(self, name: str, **look: Any) -> None:
-        self.material = bpy.data.materials.new(name)
-        if self.material.node_tree is None:  # from 5.0 on a new material has its nodes, and asking for them warns
-            self.material.use_nodes = True
-        self.nodes = self.material.node_tree.nodes
-        self.surface = next(node for node in self.nodes if node.type == "BSDF_PRINCIPLED")
-        self.output = next(node for node in self.nodes if node.type == "OUTPUT_MATERIAL")
-        self.set(
-            self.surface, {key.replace("_", " ").title().replace("Ior", "IOR"): value for key, value in look.items()}
-        )
+    def __init__(self, owner: Any) -> None:
+        if owner.node_tree is None:  # from 5.0 on what is new has its nodes, and asking for them warns
+            owner.use_nodes = True
+        self.nodes, self.links = owner.node_tree.nodes, owner.node_tree.links
+
+    def first(self, kind: str) -> Any:
+        """The first node of a type: what is new has some."""
+        return next(node for node in self.nodes if node.type == kind)
 
     def add(self, kind: str, inputs: Mapping[str | int, Any] | None = None, **properties: Any) -> Any:
         """A new node of `ShaderNode<kind>`; an input is a value or another node's socket."""
@@ -41,26 +41,14 @@ class Shader:
         return node
 
     def set(self, node: Any, inputs: Mapping[str | int, Any]) -> None:
-        """Give inputs of a node their values or links."""
         for name, value in inputs.items():
             socket = node.inputs[name]
             if isinstance(value, bpy.types.NodeSocket):
-                self.material.node_tree.links.new(value, socket)
+                self.links.new(value, socket)
             else:
                 socket.default_value = (*value, 1.0) if socket.type == "RGBA" and len(value) == 3 else value
 
-    def position(self, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> Any:
-        """Object-space coordinates, stretched."""
-        mapping = self.add("Mapping", {"Vector": self.add("TexCoord").outputs["Object"], "Scale": scale})
-        return mapping.outputs["Vector"]
-
-    def noise(self, scale: float, *, stretch: Sequence[float] = (1.0, 1.0, 1.0), detail: float = 3.0) -> Any:
-        """A noise between 0 and 1."""
-        node = self.add("TexNoise", {"Vector": self.position(stretch), "Scale": scale, "Detail": detail})
-        return node.outputs[0]
-
     def ramp(self, factor: Any, *stops: tuple[float, Colour]) -> Any:
-        """Colours along a factor."""
         node = self.add("ValToRGB", {0: factor})
         elements = node.color_ramp.elements
         while len(elements) < len(stops):
@@ -69,68 +57,84 @@ class Shader:
             element.position, element.color = place, (*colour, 1.0)
         return node.outputs[0]
 
-    def relief(self, height: Any, distance_m: float, strength: float = 0.5) -> None:
-        """Bump the surface by a height between 0 and 1."""
-        bump = self.add("Bump", {"Height": height, "Distance": distance_m, "Strength": strength})
-        self.set(self.surface, {"Normal": bump.outputs[0]})
+
+class Shader(Nodes):
+    """A material under construction; `look` names inputs of its Principled shader, as in roughness=0.3."""
+
+    def __init__(self, name: str, **look: Any) -> None:
+        self.material = bpy.data.materials.new(name)
+        super().__init__(self.material)
+        self.surface, self.output = self.first("BSDF_PRINCIPLED"), self.first("OUTPUT_MATERIAL")
+        names = {key: key.replace("_", " ").title().replace("Ior", "IOR") for key in look}
+        self.set(self.surface, {names[key]: value for key, value in look.items()})
+
+    def position(self, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> Any:
+        """Object-space coordinates, stretched."""
+        mapping = self.add("Mapping", {"Vector": self.add("TexCoord").outputs["Object"], "Scale": scale})
+        return mapping.outputs["Vector"]
+
+    def noise(self, scale: float, *, stretch: Sequence[float] = (1.0, 1.0, 1.0), detail: float = 3.0) -> Any:
+        """A noise between 0 and 1."""
+        return self.add("TexNoise", {"Vector": self.position(stretch), "Scale": scale, "Detail": detail}).outputs[0]
+
+    def coloured(self, colour: Any, height: Any = None, distance_m: float = 0.0, strength: float = 0.0) -> Material:
+        """The material in a colour; a height between 0 and 1 bumps it."""
+        self.set(self.surface, {"Base Color": colour})
+        if height is not None:
+            bump = self.add("Bump", {"Height": height, "Distance": distance_m, "Strength": strength})
+            self.set(self.surface, {"Normal": bump.outputs[0]})
+        return self.material
+
+    def translucent(self, colour: Any, share: float) -> Material:
+        """The material, through which a share of the light comes in a colour."""
+        through = self.add("BsdfTranslucent", {"Color": colour})
+        mixed = self.add("MixShader", {0: share, 1: self.surface.outputs[0], 2: through.outputs[0]})
+        self.set(self.output, {"Surface": mixed.outputs[0]})
+        return self.material
 
 
 def shade(colour: Colour, factor: float) -> tuple[float, ...]:
-    """The colour made brighter or darker."""
     return tuple(min(0.85, c * factor) for c in colour)
 
 
-def plain(name: str, colour: Colour, **look: Any) -> bpy.types.Material:
+def plain(name: str, colour: Colour, **look: Any) -> Material:
     """One colour; `look` names further Principled inputs, as in roughness=0.3."""
     return Shader(name, base_color=colour, **{"roughness": 0.5, **look}).material
 
 
-def paint(name: str, colour: Colour, *, mottling: float = 0.06, roughness: float = 0.75) -> bpy.types.Material:
+def paint(name: str, colour: Colour, *, mottling: float = 0.06, roughness: float = 0.75) -> Material:
     """Painted plaster: broad, faint stains and a little roller grain."""
     shader = Shader(name, roughness=roughness, specular_ior_level=0.3)
     stains = shader.ramp(shader.noise(0.8), (0.3, shade(colour, 1 - mottling)), (0.7, shade(colour, 1 + mottling)))
-    shader.set(shader.surface, {"Base Color": stains})
-    shader.relief(shader.noise(90.0), 0.002, 0.15)
-    return shader.material
+    return shader.coloured(stains, shader.noise(90.0), 0.002, 0.15)
 
 
-def wood(name: str, dark: Colour, light: Colour, *, grain: str = "X", roughness: float = 0.45) -> bpy.types.Material:
+def wood(name: str, dark: Colour, light: Colour, *, grain: str = "X", roughness: float = 0.45) -> Material:
     """Wood with the grain along an object axis."""
     shader = Shader(name, roughness=roughness, specular_ior_level=0.4)
     stretch = tuple(0.06 if axis == grain else 1.0 for axis in "XYZ")
     rings = shader.noise(14.0, stretch=stretch, detail=5.0)
-    shader.set(shader.surface, {"Base Color": shader.ramp(rings, (0.3, dark), (0.7, light))})
-    shader.relief(rings, 0.002, 0.2)
-    return shader.material
+    return shader.coloured(shader.ramp(rings, (0.3, dark), (0.7, light)), rings, 0.002, 0.2)
 
 
-def planks(
-    name: str, dark: Colour, light: Colour, *, length_m: float = 1.3, width_m: float = 0.14
-) -> bpy.types.Material:
+def planks(name: str, dark: Colour, light: Colour, *, width_m: float = 0.14) -> Material:
     """A plank floor: each board its own tone, grain along X, dark joints."""
     shader = Shader(name, specular_ior_level=0.4)
-    tones: Inputs = {"Color1": dark, "Color2": light, "Mortar": shade(dark, 0.25)}
-    joints: Inputs = {
-        "Scale": 1.0,
-        "Mortar Size": 0.003,
-        "Mortar Smooth": 0.1,
-        "Brick Width": length_m,
-        "Row Height": width_m,
-    }
-    boards = shader.add("TexBrick", {"Vector": shader.position(), **tones, **joints}, offset=0.37)
+    tones: Inputs = {"Color1": dark, "Color2": light, "Mortar": shade(dark, 0.25), "Scale": 1.0}
+    sizes: Inputs = {"Mortar Size": 0.003, "Mortar Smooth": 0.1, "Brick Width": 1.3, "Row Height": width_m}
+    boards = shader.add("TexBrick", {"Vector": shader.position(), **tones, **sizes}, offset=0.37)
     grain = shader.noise(9.0, stretch=(0.08, 1.0, 1.0), detail=6.0)
     fibres = shader.ramp(grain, (0.25, (0.62, 0.6, 0.58)), (0.75, (1.0, 1.0, 1.0)))
     mixed = shader.add("Mix", {0: 1.0, 6: boards.outputs[0], 7: fibres}, data_type="RGBA", blend_type="MULTIPLY")
     gloss = shader.add("MapRange", {0: grain, 3: 0.32, 4: 0.5})
-    shader.set(shader.surface, {"Base Color": mixed.outputs[2], "Roughness": gloss.outputs[0]})
-    shader.relief(boards.outputs[1], -0.002, 0.4)
-    return shader.material
+    shader.set(shader.surface, {"Roughness": gloss.outputs[0]})
+    return shader.coloured(mixed.outputs[2], boards.outputs[1], -0.002, 0.4)
 
 
 def masonry(
     name: str, tones: tuple[Colour, Colour, Colour], brick_m: tuple[float, float], *, joint_m: float = 0.01,
     upright: bool = False, offset: float = 0.5, roughness: float = 0.85,
-) -> bpy.types.Material:  # fmt: skip
+) -> Material:  # fmt: skip
     """Bricks, slabs or tiles of two tones and a joint colour, laid flat in XY or upright in XZ and YZ."""
     shader = Shader(name, roughness=roughness, specular_ior_level=0.3)
     place = shader.position()
@@ -139,31 +143,23 @@ def masonry(
         along = shader.add("Math", {0: parts[0], 1: parts[1]}, operation="ADD").outputs[0]
         place = shader.add("CombineXYZ", {0: along, 1: parts[2]}).outputs[0]
     colours: Inputs = dict(zip(("Color1", "Color2", "Mortar"), tones, strict=True))
-    sizes: Inputs = {
-        "Scale": 1.0,
-        "Mortar Size": joint_m / 2,
-        "Brick Width": brick_m[0],
-        "Row Height": brick_m[1],
-    }
+    width_m, height_m = brick_m
+    sizes: Inputs = {"Scale": 1.0, "Mortar Size": joint_m / 2, "Brick Width": width_m, "Row Height": height_m}
     bricks = shader.add("TexBrick", {"Vector": place, **colours, **sizes}, offset=offset)
     stains = shader.ramp(shader.noise(2.5, detail=6.0), (0.25, (0.7, 0.68, 0.66)), (0.75, (1.0, 1.0, 1.0)))
     mixed = shader.add("Mix", {0: 1.0, 6: bricks.outputs[0], 7: stains}, data_type="RGBA", blend_type="MULTIPLY")
-    shader.set(shader.surface, {"Base Color": mixed.outputs[2]})
-    shader.relief(bricks.outputs[1], -0.006, 0.6)
-    return shader.material
+    return shader.coloured(mixed.outputs[2], bricks.outputs[1], -0.006, 0.6)
 
 
-def fabric(name: str, colour: Colour, *, weave_per_m: float = 160.0, contrast: float = 0.25) -> bpy.types.Material:
+def fabric(name: str, colour: Colour, *, weave_per_m: float = 160.0, contrast: float = 0.25) -> Material:
     """Woven cloth: patches of wear, a weave in the relief, a little sheen."""
     shader = Shader(name, roughness=0.95, specular_ior_level=0.1, sheen_weight=0.15)
     wear = shader.noise(7.0, detail=5.0)
     tones = shader.ramp(wear, (0.3, shade(colour, 1 - contrast)), (0.7, shade(colour, 1 + contrast)))
-    shader.set(shader.surface, {"Base Color": tones})
-    shader.relief(shader.noise(weave_per_m), 0.004, 0.35)
-    return shader.material
+    return shader.coloured(tones, shader.noise(weave_per_m), 0.004, 0.35)
 
 
-def carpet(name: str, ground: Colour, figure: Colour, line: Colour) -> bpy.types.Material:
+def carpet(name: str, ground: Colour, figure: Colour, line: Colour) -> Material:
     """A rug with rows of lozenges: two crossing waves, cut into steps."""
     shader = Shader(name, roughness=1.0, specular_ior_level=0.0)
     waves = [
@@ -173,62 +169,47 @@ def carpet(name: str, ground: Colour, figure: Colour, line: Colour) -> bpy.types
     ]  # fmt: skip
     crossing = shader.add("Math", {0: waves[0], 1: waves[1]}, operation="MULTIPLY").outputs[0]
     pattern = shader.ramp(crossing, (0.0, figure), (0.12, line), (0.17, ground), (0.6, ground), (0.66, figure))
-    shader.set(shader.surface, {"Base Color": pattern})
-    shader.relief(shader.noise(220.0), 0.006, 0.5)
-    return shader.material
+    return shader.coloured(pattern, shader.noise(220.0), 0.006, 0.5)
 
 
-def coloured_by_face(name: str, attribute: str = "Colour", roughness: float = 0.6) -> bpy.types.Material:
-    """Takes a colour attribute of the mesh: one material and one object for a shelf of books."""
-    shader = Shader(name, roughness=roughness, specular_ior_level=0.3)
-    tint = shader.add("Attribute", attribute_name=attribute)
-    shader.set(shader.surface, {"Base Color": tint.outputs["Color"]})
-    return shader.material
+def coloured_by_face(name: str) -> Material:
+    """Takes the colour attribute `Colour` of the mesh: one material and one object for a shelf of books."""
+    shader = Shader(name, roughness=0.6, specular_ior_level=0.3)
+    return shader.coloured(shader.add("Attribute", attribute_name="Colour").outputs["Color"])
 
 
-def foliage(name: str, dark: Colour, light: Colour) -> bpy.types.Material:
+def foliage(name: str, dark: Colour, light: Colour) -> Material:
     """Leaves: light comes through them a little."""
     shader = Shader(name, roughness=0.5, specular_ior_level=0.4)
     tones = shader.ramp(shader.noise(6.0), (0.3, dark), (0.7, light))
-    shader.set(shader.surface, {"Base Color": tones})
-    through = shader.add("BsdfTranslucent", {"Color": tones})
-    mixed = shader.add("MixShader", {0: 0.3, 1: shader.surface.outputs[0], 2: through.outputs[0]})
-    shader.set(shader.output, {"Surface": mixed.outputs[0]})
-    return shader.material
+    shader.coloured(tones)
+    return shader.translucent(tones, 0.3)
 
 
-def curtain_cloth(name: str, colour: Colour) -> bpy.types.Material:
+def curtain_cloth(name: str, colour: Colour) -> Material:
     """Cloth that daylight shines through."""
-    shader = Shader(name, base_color=colour, roughness=1.0, specular_ior_level=0.0)
-    through = shader.add("BsdfTranslucent", {"Color": colour})
-    mixed = shader.add("MixShader", {0: 0.4, 1: shader.surface.outputs[0], 2: through.outputs[0]})
-    shader.set(shader.output, {"Surface": mixed.outputs[0]})
-    return shader.material
+    return Shader(name, base_color=colour, roughness=1.0, specular_ior_level=0.0).translucent(colour, 0.4)
 
 
-def painting(name: str, stops: Sequence[tuple[float, Colour]], *, scale: float = 1.7) -> bpy.types.Material:
+def painting(name: str, stops: Sequence[tuple[float, Colour]], *, scale: float = 1.7) -> Material:
     """An abstract picture: bands of colour along a warped noise."""
     shader = Shader(name, roughness=0.6, specular_ior_level=0.2)
-    warped = shader.noise(scale, stretch=(0.6, 0.6, 1.4), detail=1.5)
-    shader.set(shader.surface, {"Base Color": shader.ramp(warped, *stops)})
-    return shader.material
+    return shader.coloured(shader.ramp(shader.noise(scale, stretch=(0.6, 0.6, 1.4), detail=1.5), *stops))
 
 
-def glowing(name: str, kelvin: float, radiance: float) -> bpy.types.Material:
+def glowing(name: str, kelvin: float, radiance: float) -> Material:
     """A lit lampshade: emits a black body's colour at about this luminance; the node is named for keying.
 
     It reflects next to nothing: a shade that the bulb lights from 10 cm away is itself a fierce light that only chance
     hits find, and gave four fifths of the noise of a lamp-lit room (RMSE 0.086 against 0.020 at 16 samples).
     """
     shader = Shader(name, base_color=(0.03, 0.03, 0.03), roughness=0.9, specular_ior_level=0.0)
-    tint = shader.add("Blackbody", {0: kelvin})
-    tint.name = tint.label = "Temperature"
+    tint = shader.add("Blackbody", {0: kelvin}, name="Temperature", label="Temperature")
     shader.set(shader.surface, {"Emission Color": tint.outputs[0], "Emission Strength": radiance})
     return shader.material
 
 
-def glowing_evenly(name: str, radiance: float) -> bpy.types.Material:
+def glowing_evenly(name: str, radiance: float) -> Material:
     """A light panel of a known radiance, the same in all channels, that reflects nothing."""
-    return Shader(
-        name, base_color=(0.0, 0.0, 0.0), specular_ior_level=0.0, emission_color=(1, 1, 1), emission_strength=radiance
-    ).material
+    black = {"base_color": (0.0, 0.0, 0.0), "specular_ior_level": 0.0}
+    return Shader(name, **black, emission_color=(1, 1, 1), emission_strength=radiance).material

@@ -12,24 +12,18 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from xihe_blender.lab.rooms.outline import Outline, Point, Rect
-from xihe_blender.lab.rooms.room_data import Finish, Hole, Piece, Slope, ceiling_height
+from xihe_blender.lab.rooms.room_data import Finish, Hole, Piece, Shell, Size
 
 Rng = np.random.Generator
-Size = tuple[float, float, float]
 TRIES = 20
 DOOR_REACH_M, GAP_M, WALL_GAP_M = 0.9, 0.03, 0.02
-FLAT_M = 0.02
-"""Lower than this is a rug or a mat: other things stand on it."""
+FLAT_M = 0.02  # Lower than this is a rug or a mat: other things stand on it
 
 
-@dataclass
-class Floor:
+@dataclass(frozen=True)
+class Floor(Shell):
     """A room being furnished. `pieces` grows; nothing else changes."""
 
-    outline: Outline
-    height: float
-    slopes: tuple[Slope, ...]
-    holes: tuple[Hole, ...]
     pieces: list[Piece] = field(default_factory=list)
 
     def add(self, piece: Piece, gap_m: float = GAP_M) -> Piece | None:
@@ -41,16 +35,11 @@ class Floor:
 
     def _is_free(self, piece: Piece, gap_m: float) -> bool:
         rect = piece.footprint
-        if not self.outline.holds_rect(rect) or self._ceiling_over(rect) < piece.top_m + 0.04:
+        if not self.outline.holds_rect(rect) or self.ceiling_over(rect) < piece.top_m + 0.04:
             return False
         if piece.size[2] < FLAT_M:
             return True
         return not (blocks_hole(piece, self.outline, self.holes) or any(collide(piece, p, gap_m) for p in self.pieces))
-
-    def _ceiling_over(self, rect: Rect) -> float:
-        """The lowest ceiling over a rectangle: slopes fall towards walls, so it is over a corner."""
-        corners = [(x, y) for x in (rect.x0, rect.x1) for y in (rect.y0, rect.y1)]
-        return min(ceiling_height(self.outline, self.height, self.slopes, corner) for corner in corners)
 
     def against_wall(
         self, rng: Rng, kind: str, size: Size, finishes: tuple[Finish, ...], *, z: float = 0.0, tries: int = TRIES
@@ -64,7 +53,7 @@ class Floor:
                 continue
             draw = float(rng.choice([0.0, 0.5, 1.0])) if rng.random() < 0.35 else float(rng.random())
             x, y = wall.point(0.03 + size[0] / 2 + draw * room, size[1] / 2 + WALL_GAP_M)
-            if piece := self.add(Piece(kind, x, y, z, wall.turn_deg, size, finishes, _seed(rng))):
+            if piece := self.add(Piece(kind, x, y, z, wall.turn_deg, size, finishes, piece_seed(rng))):
                 return piece
         return None
 
@@ -75,9 +64,9 @@ class Floor:
         """A piece that stands free in the room."""
         bounds = self.outline.bounds.grown(-margin_m)
         for _ in range(TRIES):
-            x, y = float(rng.uniform(bounds.x0, bounds.x1)), float(rng.uniform(bounds.y0, bounds.y1))
+            x, y = draw_point(rng, bounds)
             turn = float(rng.uniform(0, 360)) if free_turn else 90.0 * float(rng.integers(4))
-            if piece := self.add(Piece(kind, x, y, 0.0, turn, size, finishes, _seed(rng)), gap_m):
+            if piece := self.add(Piece(kind, x, y, 0.0, turn, size, finishes, piece_seed(rng)), gap_m):
                 return piece
         return None
 
@@ -88,25 +77,28 @@ class Floor:
         """A piece at an offset in another's own frame, turned relative to it."""
         x, y = local_point(other, offset)
         turn = (other.turn_deg + turn_deg) % 360
-        return self.add(Piece(kind, x, y, 0.0, turn, size, finishes, _seed(rng)), 0.01)
+        return self.add(Piece(kind, x, y, 0.0, turn, size, finishes, piece_seed(rng)), 0.01)
 
     def on_top(
         self, rng: Rng, support: Piece, kind: str, size: Size, finishes: tuple[Finish, ...], *, free_turn: bool = True
     ) -> Piece | None:
         """A small thing on the flat top of another, away from its edge."""
-        w, d, _ = support.size
         turn = float(rng.uniform(0, 360)) if free_turn else 0.0
-        reach = [side / 2 - 0.03 for side in (w, d)]
-        half = math.hypot(size[0], size[1]) / 2 if free_turn else max(size[0], size[1]) / 2
-        if min(reach) <= half:
+        half = (math.hypot(*size[:2]) if free_turn else max(size[:2])) / 2
+        across, along = (side / 2 - 0.03 for side in support.size[:2])
+        if min(across, along) <= half:
             return None
         for _ in range(6):
-            offset = tuple(float(rng.uniform(-r + half, r - half)) for r in reach)
-            x, y = local_point(support, (offset[0], offset[1]))
+            offset = float(rng.uniform(-across + half, across - half)), float(rng.uniform(-along + half, along - half))
+            x, y = local_point(support, offset)
             turned = (support.turn_deg + turn) % 360
-            if piece := self.add(Piece(kind, x, y, support.top_m, turned, size, finishes, _seed(rng)), 0.01):
+            if piece := self.add(Piece(kind, x, y, support.top_m, turned, size, finishes, piece_seed(rng)), 0.01):
                 return piece
         return None
+
+
+def draw_point(rng: Rng, area: Rect) -> Point:
+    return float(rng.uniform(area.x0, area.x1)), float(rng.uniform(area.y0, area.y1))
 
 
 def local_point(piece: Piece, offset: Point) -> Point:
@@ -133,5 +125,6 @@ def blocks_hole(piece: Piece, outline: Outline, holes: tuple[Hole, ...]) -> bool
     return False
 
 
-def _seed(rng: Rng) -> int:
+def piece_seed(rng: Rng) -> int:
+    """A seed for what is drawn when the piece is built."""
     return int(rng.integers(2**31))

@@ -14,7 +14,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
@@ -22,7 +22,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import NOT_COMPARED, FolderManifest
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.lab.rooms.store import FORMAT_VERSION, METERING, stored_indices
-from xihe_blender.lab.workers.dask_workers import Work, open_dask_workers
+from xihe_blender.lab.workers.dask_workers import Work, last_line, open_dask_workers
 from xihe_blender.lab.workers.one_core import child_environment, cores_of_their_own, n_cores, on_core
 from xihe_blender.lab.workers.processes import module_command
 from xihenet import __version__
@@ -32,11 +32,9 @@ POLL_S = 0.25
 MAX_ROOMS = 1_000_000
 MAX_WALK = 240
 WORKER = "xihe_blender.lab.rooms.worker"
-ROOMS_AT_A_TIME = 8
-"""That a worker of a scheduler is asked for: half a minute of work for a second of loading Blender."""
-
-MANIFEST = "dataset.json"
-"""What the rooms in a folder are made with."""
+ROOMS_AT_A_TIME = 8  # That a worker of a scheduler is asked for: half a minute of work for a second of loading Blender
+_Worker = tuple[subprocess.Popen[bytes], IO[bytes]]  # A process, and what it wrote to stderr
+MANIFEST = "dataset.json"  # What the rooms in a folder are made with
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,7 @@ class BuildSettings:
     n_rooms: int
     seed: int = 0
     n_workers: int | None = None
-    render: tuple[int, ...] = field(default=(128, 96, 4, 160, 2, 80))
+    render: tuple[int, ...] = (128, 96, 4, 160, 2, 80)
     walk: int | None = None
     split: Split | None = None
     scheduler: str | None = None
@@ -77,9 +75,7 @@ class BuildSettings:
             raise UserError(f"--rooms {self.n_rooms}: none of these rooms is in the split {self.split}, give more")
 
     def wanted(self) -> list[int]:
-        """The numbers of the rooms to make."""
-        everything = range(self.n_rooms)
-        return [i for i in everything if self.split is None or split_of((self.seed, i)) == self.split]
+        return [i for i in range(self.n_rooms) if self.split is None or split_of((self.seed, i)) == self.split]
 
     @property
     def provenance(self) -> dict[str, Any]:
@@ -96,41 +92,36 @@ def build_dataset(folder: Path, settings: BuildSettings) -> Job[int]:
     write_manifest(folder, settings.provenance)
     wanted = settings.wanted()
     missing = missing_rooms(folder, wanted)
-    if settings.scheduler is None:
-        yield from _in_processes(folder, settings, wanted, missing)
-    else:
-        yield from _over_dask(folder.resolve(), settings, missing)
+    make = _in_processes if settings.scheduler is None else _over_dask
+    yield from make(folder, settings, missing)
     left = missing_rooms(folder, wanted)
     if left:
         raise UserError(f"{len(left)} rooms were not made, the first is {left[0]}: run the same command again")
     return len(missing)
 
 
-def _in_processes(
-    folder: Path, settings: BuildSettings, wanted: Sequence[int], missing: Sequence[int]
-) -> Iterator[Progress]:
-    """Make the `missing` rooms in processes of this machine."""
-    n_workers = min(settings.n_workers or n_cores(), max(1, len(missing)))
-    shares = [missing[i::n_workers] for i in range(n_workers)] if missing else []
+def _in_processes(folder: Path, settings: BuildSettings, missing: Sequence[int]) -> Iterator[Progress]:
+    """Make the `missing` rooms in processes of this machine. UserError, in its own words, if one failed."""
+    n_workers = min(settings.n_workers or n_cores(), len(missing))
+    cores = cores_of_their_own(n_workers)
     with contextlib.ExitStack() as stack:
-        workers = [
-            stack.enter_context(_worker(folder, settings, share, core))
-            for share, core in zip(shares, cores_of_their_own(n_workers), strict=False)
-        ]
+        making = [_worker(folder, settings, missing[i::n_workers], core) for i, core in enumerate(cores)]
+        workers = [stack.enter_context(worker) for worker in making]
         try:
-            yield from _watch(folder, wanted, len(missing), workers)
+            yield from _watched(folder, len(settings.wanted()), missing, workers)
         finally:
             # All are told before any is waited for: each finishes the room that it is at.
-            for worker in workers:
-                worker.process.terminate()
+            for process, _ in workers:
+                process.terminate()
 
 
 def _over_dask(folder: Path, settings: BuildSettings, missing: Sequence[int]) -> Iterator[Progress]:
     """Make the `missing` rooms, some at a time, on the workers of a scheduler. UserError if one fails."""
+    if not missing:
+        return
+    folder = folder.resolve()
     shares = [missing[i : i + ROOMS_AT_A_TIME] for i in range(0, len(missing), ROOMS_AT_A_TIME)]
     work = [Work(f"room {share[0]}", WORKER, tuple(_arguments(folder, settings, share))) for share in shares]
-    if not work:
-        return
     with open_dask_workers(None, settings.scheduler) as workers:
         workers.check_workers(str(folder), [])
         yield from workers.run(work, "share of rooms")
@@ -140,8 +131,7 @@ def _over_dask(folder: Path, settings: BuildSettings, missing: Sequence[int]) ->
 
 def write_manifest(folder: Path, provenance: dict[str, Any]) -> None:
     """Write what the data set is made with, or check that it is what is there; clear what killed workers left."""
-    software = {NOT_COMPARED: f"xihe {__version__}"}
-    FolderManifest(folder, folder / MANIFEST, "rooms", {**provenance, **software}).take()
+    FolderManifest(folder, folder / MANIFEST, "rooms", {**provenance, NOT_COMPARED: f"xihe {__version__}"}).take()
     for part in folder.glob(".room_*.npz"):
         part.unlink(missing_ok=True)
 
@@ -152,44 +142,31 @@ def missing_rooms(folder: Path, wanted: Iterable[int]) -> list[int]:
     return [i for i in wanted if i not in there]
 
 
-def _watch(folder: Path, wanted: Sequence[int], n_missing: int, workers: list[_Worker]) -> Iterator[Progress]:
-    """Yield progress until all workers have ended. UserError, in its own words, if one failed."""
+def _watched(folder: Path, n_wanted: int, missing: Sequence[int], workers: list[_Worker]) -> Iterator[Progress]:
+    """Progress until all workers have ended."""
     while True:
-        has_ended = all(worker.process.poll() is not None for worker in workers)
-        done = n_missing - len(missing_rooms(folder, wanted))
-        yield Progress(done, max(n_missing, 1), f"{len(wanted) - n_missing + done} of {len(wanted)} rooms")
-        for worker in workers:
-            if worker.process.poll() not in (None, 0):
-                raise UserError(f"a worker ended: {worker.last_words()}; run the same command again to resume")
-        if has_ended:
+        codes = [process.poll() for process, _ in workers]
+        left = len(missing_rooms(folder, missing))
+        yield Progress(len(missing) - left, max(len(missing), 1), f"{n_wanted - left} of {n_wanted} rooms")
+        for code, (_, errors) in zip(codes, workers, strict=True):
+            if code not in (None, 0):
+                words = (last_line(errors) if code > 0 else "") or f"exit code {code}"
+                raise UserError(f"a worker ended: {words}; run the same command again to resume")
+        if None not in codes:
             return
         time.sleep(POLL_S)
-
-
-@dataclass(frozen=True, eq=False)
-class _Worker:
-    process: subprocess.Popen[bytes]
-    errors: IO[bytes]
-
-    def last_words(self) -> str:
-        """The last line that it wrote to stderr."""
-        self.errors.seek(0)
-        lines = self.errors.read().decode(errors="replace").strip().splitlines()
-        code = self.process.returncode
-        return lines[-1] if lines and code > 0 else f"exit code {code}"
 
 
 @contextlib.contextmanager
 def _worker(folder: Path, settings: BuildSettings, indices: Sequence[int], core: int | None) -> Iterator[_Worker]:
     """A process that makes the rooms `indices`; it has ended when the block has, whatever happens."""
     command = [*module_command(WORKER), *_arguments(folder, settings, indices)]
+    nothing, environment = subprocess.DEVNULL, child_environment()
     with tempfile.TemporaryFile() as errors:
         with on_core(core):
-            process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors, env=child_environment()
-            )
+            process = subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=errors, env=environment)
         try:
-            yield _Worker(process, errors)
+            yield process, errors
         finally:
             process.terminate()
             process.wait()

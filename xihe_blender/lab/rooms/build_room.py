@@ -6,50 +6,48 @@ rooms. Portals stand in the windows: without them nearly all samples of the sky 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TypeAlias
+from dataclasses import asdict, dataclass
 
 import bpy
 from mathutils import Vector as BlenderVector
 
-from xihe_blender.lab.props import furniture, lighting, surfaces
-from xihe_blender.lab.props.room_shell import Opening, add_door, add_skirting, add_window, wall_solid
-from xihe_blender.lab.props.shapes import Solid, add_solid, ball, box, box_between, cylinder, joined, revolved, tube
+from xihe_blender.lab.props import Collection, Material, furniture, lighting, surfaces
+from xihe_blender.lab.props.room_shell import Opening, Span, Walls, add_door, add_skirting, add_window, wall_solid
+from xihe_blender.lab.props.shapes import Solid, add_solid, ball, box, box_between, cylinder, tube
 from xihe_blender.lab.rooms.materials import material_of
 from xihe_blender.lab.rooms.outline import Outline
 from xihe_blender.lab.rooms.place_pieces import place_piece
 from xihe_blender.lab.rooms.room_data import Hole, Lamp, Room, Slope
 
-Collection: TypeAlias = bpy.types.Collection
-Material: TypeAlias = bpy.types.Material
 WALL_M, SLAB_M, FACE_GAP_M = 0.25, 0.2, 0.001
 CURTAIN_TONES = ((0.7, 0.68, 0.63), (0.45, 0.42, 0.4), (0.3, 0.36, 0.42), (0.6, 0.5, 0.42), (0.42, 0.48, 0.42))
-SHADE_PER_WATT = 1 / 14
-"""Radiance of a lampshade per watt of its bulb, from the shipped scenes."""
+SHADE_PER_WATT = 1 / 14  # Radiance of a lampshade per watt of its bulb, from the shipped scenes
+JUG: lighting.Profile = (
+    (0, 0), (0.16, 0), (0.16, 0.03), (0.05, 0.07), (0.15, 0.27), (0.12, 0.42), (0.03, 0.54), (0.025, 0.66),
+)  # fmt: skip
+"""The foot of a table lamp, as shares of its height."""
 
 
 @dataclass(frozen=True)
-class PlanWalls:
-    """The walls of a plan, named by their numbers, as `room_shell` wants them."""
+class PlanWalls(Walls):
+    """The walls of a plan, named by their numbers."""
 
     outline: Outline
     height: float
     openings: tuple[Opening, ...]
     wall_m: float = WALL_M
 
-    def inner_ends(self, wall: str) -> tuple[float, float]:
+    def inner_ends(self, wall: str) -> Span:
         return 0.0, self.outline.walls[int(wall)].length
 
-    def outer_ends(self, wall: str) -> tuple[float, float]:
+    def outer_ends(self, wall: str) -> Span:
         edge = self.outline.walls[int(wall)]
         # At a corner that juts into the room each wall ends a little early, or its end would lie in the other's face.
         before = self.wall_m if edge.starts_convex else -FACE_GAP_M
         after = self.wall_m if edge.ends_convex else -FACE_GAP_M
         return -before, edge.length + after
 
-    def wall_box(
-        self, wall: str, along: tuple[float, float], out: tuple[float, float], up: tuple[float, float]
-    ) -> Solid:
+    def wall_box(self, wall: str, along: Span, out: Span, up: Span) -> Solid:
         rect = self.outline.walls[int(wall)].rect(along, (-out[0], -out[1]))
         return box_between((rect.x0, rect.y0, up[0]), (rect.x1, rect.y1, up[1]))
 
@@ -67,7 +65,9 @@ def build_room(room: Room) -> bpy.types.Scene:
     for i, piece in enumerate(room.pieces):
         place_piece(things, f"{piece.kind} {i}", piece)
     for i, lamp in enumerate(room.lamps):
-        add_lamp(things, f"{lamp.kind} lamp {i}", lamp)
+        name = f"{lamp.kind} lamp {i}"
+        metal = surfaces.plain(f"{name} metal", (0.3, 0.29, 0.27), metallic=1.0, roughness=0.35)
+        LAMP_MAKERS[lamp.kind](things, name, lamp, metal)
     add_daylight(scene, things, room)
     remove_relief()
     return scene
@@ -85,9 +85,8 @@ def add_shell(things: Collection, room: Room) -> None:
     """Floor, ceiling with its slopes, walls, skirting, windows, doors."""
     openings = tuple(Opening(str(h.wall), h.low, h.high, h.bottom, h.top, h.is_door) for h in room.holes)
     walls = PlanWalls(room.outline, room.height, openings)
-    trim = material_of("Trim", room.trim)
+    trim, ceiling = material_of("Trim", room.trim), material_of("Ceiling", room.ceiling)
     b = room.outline.bounds.grown(WALL_M)
-    ceiling = material_of("Ceiling", room.ceiling)
     add_solid(things, "Floor", box_between((b.x0, b.y0, -SLAB_M), (b.x1, b.y1, 0)), material_of("Floor", room.floor))
     lid = box_between((b.x0, b.y0, room.height), (b.x1, b.y1, room.height + SLAB_M))
     add_solid(things, "Ceiling", lid, ceiling)
@@ -110,123 +109,97 @@ def slope_solid(room: Room, slope: Slope) -> Solid:
     wall = room.outline.walls[slope.wall]
     section = [(-WALL_M, slope.knee_m - WALL_M * (room.height - slope.knee_m) / slope.reach_m)]
     section += [(slope.reach_m, room.height), (-WALL_M, room.height)]
-    ends = [[(*wall.point(along, inwards), up) for inwards, up in section] for along in (-WALL_M, wall.length + WALL_M)]
-    first, last = ends
-    faces = ((0, 1, 2), (5, 4, 3), (0, 3, 4, 1), (1, 4, 5, 2), (2, 5, 3, 0))
-    return Solid(tuple(first + last), faces)
+    ends = (-WALL_M, wall.length + WALL_M)
+    corners = tuple((*wall.point(along, inwards), up) for along in ends for inwards, up in section)
+    return Solid(corners, ((0, 1, 2), (5, 4, 3), (0, 3, 4, 1), (1, 4, 5, 2), (2, 5, 3, 0)))
 
 
 def add_covering(things: Collection, room: Room, hole: Hole) -> None:
     """Curtains at both sides, a sheer over the whole window, or a blind over its upper part."""
+    if hole.covering == "none":
+        return
     wall = room.outline.walls[hole.wall]
-    width, seed = hole.high - hole.low, round(1000 * hole.low) + hole.wall
+    width, middle, seed = hole.high - hole.low, (hole.low + hole.high) / 2, round(1000 * hole.low) + hole.wall
     name, top = f"Covering {hole.wall} {hole.low:.2f}", min(hole.top + 0.1, room.height - 0.06)
-    tone = CURTAIN_TONES[seed % len(CURTAIN_TONES)]
+    is_sheer = hole.covering == "sheer"
+    tone = (0.8, 0.79, 0.76) if is_sheer else CURTAIN_TONES[seed % len(CURTAIN_TONES)]
+    cloth = surfaces.curtain_cloth(name, tone)
     if hole.covering == "curtains":
-        cloth, side = surfaces.curtain_cloth(name, tone), max(0.22, 0.22 * width)
+        side = max(0.22, 0.22 * width)
         drop = top - 0.03 if seed % 2 else top - hole.bottom + 0.1
         for i, along in enumerate((hole.low - 0.1 + side / 2, hole.high + 0.1 - side / 2)):
-            x, y = wall.point(min(max(along, side / 2 + 0.02), wall.length - side / 2 - 0.02), 0.1)
-            place = furniture.at(x, y, top, wall.turn_deg)
+            within = min(max(along, side / 2 + 0.02), wall.length - side / 2 - 0.02)
+            place = furniture.at(*wall.point(within, 0.1), top, wall.turn_deg)
             furniture.add_curtain(things, f"{name} {i}", side, drop, cloth, place=place, seed=seed + i)
-    elif hole.covering == "sheer":
-        x, y = wall.point((hole.low + hole.high) / 2, 0.1)
-        place, cloth = furniture.at(x, y, top, wall.turn_deg), surfaces.curtain_cloth(name, (0.8, 0.79, 0.76))
+    elif is_sheer:
+        place = furniture.at(*wall.point(middle, 0.1), top, wall.turn_deg)
         furniture.add_curtain(things, name, width, top - hole.bottom + 0.05, cloth, place=place, seed=seed)
-    elif hole.covering == "blind":
-        x, y = wall.point((hole.low + hole.high) / 2, 0.02)
-        share = 0.25 + 0.6 * (seed % 97) / 97
-        drop = share * (hole.top - hole.bottom)
-        cloth = surfaces.curtain_cloth(name, tone)
+    else:
+        drop = (0.25 + 0.6 * (seed % 97) / 97) * (hole.top - hole.bottom)
         panel = box((width + 0.04, 0.008, drop), (0, 0, -drop / 2))
-        add_solid(things, name, panel, cloth, **furniture.at(x, y, hole.top + 0.02, wall.turn_deg))
+        place = furniture.at(*wall.point(middle, 0.02), hole.top + 0.02, wall.turn_deg)
+        add_solid(things, name, panel, cloth, **place)
 
 
-def add_lamp(things: Collection, name: str, lamp: Lamp) -> None:
-    """A lamp's body, and its light where it is lit."""
-    metal = surfaces.plain(f"{name} metal", (0.3, 0.29, 0.27), metallic=1.0, roughness=0.35)
-    LAMP_MAKERS[lamp.kind](things, name, lamp, metal)
+def _place(lamp: Lamp) -> furniture.Place:
+    return furniture.at(lamp.x, lamp.y, lamp.z)
 
 
-def _shade(name: str, lamp: Lamp, per_watt: float = SHADE_PER_WATT) -> Material:
-    """A lit shade glows; one that is not is white cloth."""
-    if lamp.watts > 0:
-        return surfaces.glowing(name, lamp.kelvin, lamp.watts * per_watt)
-    return surfaces.plain(name, (0.7, 0.67, 0.6), roughness=0.9)
+def _shaded(lamp: Lamp) -> dict[str, float]:
+    """What a lamp with a shade shines with."""
+    return {"kelvin": lamp.kelvin, "watts": lamp.watts, "radiance": lamp.watts * SHADE_PER_WATT}
 
 
-def _bulb(things: Collection, name: str, lamp: Lamp, height: float, radius: float = 0.06) -> None:
+def _bulb(things: Collection, name: str, lamp: Lamp, height: float, radius: float) -> None:
     if lamp.watts > 0:
         place = (lamp.x, lamp.y, height)
-        lighting.add_bulb(things, name, place, kelvin=lamp.kelvin, watts=lamp.watts, radius=radius)
+        lighting.add_bulb(things, f"{name} light", place, kelvin=lamp.kelvin, watts=lamp.watts, radius=radius)
 
 
 def _floor_lamp(things: Collection, name: str, lamp: Lamp, metal: Material) -> None:
-    h, place = lamp.size_m, furniture.at(lamp.x, lamp.y, lamp.z)
-    pole = [cylinder(0.15, 0.02, 32), tube((0, 0, 0.01), (0, 0, h - 0.1), 0.011)]
-    add_solid(things, f"{name} pole", joined(pole), metal, smooth=True, **place)
-    lighting.add_shade(things, f"{name} shade", [(0.21, h - 0.3), (0.17, h)], _shade(name, lamp), place=place)
-    _bulb(things, f"{name} light", lamp, lamp.z + h - 0.15)
+    lighting.add_floor_lamp(things, name, metal, place=_place(lamp), height=lamp.size_m, **_shaded(lamp))
 
 
 def _table_lamp(things: Collection, name: str, lamp: Lamp, metal: Material) -> None:
-    h, place = lamp.size_m, furniture.at(lamp.x, lamp.y, lamp.z)
-    foot = [(0, 0), (0.16, 0), (0.16, 0.03), (0.05, 0.07), (0.15, 0.27), (0.12, 0.42), (0.03, 0.54), (0.025, 0.66)]
-    add_solid(things, f"{name} foot", revolved([(r * h, z * h) for r, z in foot], 32), metal, smooth=True, **place)
-    shade = [(0.32 * h, 0.55 * h), (0.2 * h, h)]
-    lighting.add_shade(things, f"{name} shade", shade, _shade(name, lamp), place=place)
-    _bulb(things, f"{name} light", lamp, lamp.z + 0.75 * h)
+    lighting.add_table_lamp(things, name, metal, place=_place(lamp), height=lamp.size_m, foot=JUG, **_shaded(lamp))
 
 
 def _pendant(things: Collection, name: str, lamp: Lamp, metal: Material) -> None:
     """An opaque dome that shines down."""
-    place = furniture.at(lamp.x, lamp.y, lamp.z)
-    lighting.add_pendant(things, name, metal, metal, place=place, drop=lamp.size_m + 0.1)
-    _bulb(things, f"{name} light", lamp, lamp.z - lamp.size_m - 0.09, 0.05)
+    lighting.add_pendant(things, name, metal, metal, place=_place(lamp), drop=lamp.size_m + 0.1)
+    _bulb(things, name, lamp, lamp.z - lamp.size_m - 0.09, 0.05)
 
 
 def _globe(things: Collection, name: str, lamp: Lamp, metal: Material) -> None:
     """A glowing ball on a cord, its light spread over the whole of it."""
-    radius = 0.14
-    middle = lamp.z - lamp.size_m
-    globe = add_solid(
-        things, f"{name} shade", ball(radius, (0, 0, 0), 32), _shade(name, lamp, 1 / 9), smooth=True,
-        location=(lamp.x, lamp.y, middle),
-    )  # fmt: skip
+    radius, middle = 0.14, lamp.z - lamp.size_m
+    cloth = lighting.shade_cloth(f"{name} shade", lamp.kelvin, lamp.watts / 9)
+    place = furniture.at(lamp.x, lamp.y, middle)
+    globe = add_solid(things, f"{name} shade", ball(radius, n_segments=32), cloth, smooth=True, **place)
     globe.visible_shadow = False
     cord = tube((lamp.x, lamp.y, middle + radius), (lamp.x, lamp.y, lamp.z), 0.006, 8)
     add_solid(things, f"{name} cord", cord, metal)
-    _bulb(things, f"{name} light", lamp, middle, 0.12)
+    _bulb(things, name, lamp, middle, 0.12)
 
 
 def _ceiling_light(things: Collection, name: str, lamp: Lamp, shape: str) -> None:
-    """An area light just under the ceiling, facing down."""
-    light = bpy.data.lights.new(name, "AREA")
-    light.shape, light.size, light.energy = shape, lamp.size_m, lamp.watts
-    if light.node_tree is None:  # from 5.0 on a new light may have its nodes, and asking for them warns
-        light.use_nodes = True
-    tint = light.node_tree.nodes.new("ShaderNodeBlackbody")
-    tint.inputs[0].default_value = lamp.kelvin
-    emission = next(node for node in light.node_tree.nodes if node.type == "EMISSION")
-    light.node_tree.links.new(tint.outputs[0], emission.inputs["Color"])
-    thing = bpy.data.objects.new(name, light)
-    thing.location = (lamp.x, lamp.y, lamp.z - 0.025)
-    things.objects.link(thing)
+    """An area light just under the ceiling, facing down, where the lamp is lit."""
+    if lamp.watts > 0:
+        place, look = (lamp.x, lamp.y, lamp.z - 0.025), {"shape": shape, "size": lamp.size_m, "energy": lamp.watts}
+        lighting.tint_light(lighting.add_light(things, name, "AREA", place, **look).data, lamp.kelvin)
 
 
 def _panel(things: Collection, name: str, lamp: Lamp, metal: Material) -> None:
     s = lamp.size_m
     frame = box((s + 0.04, s + 0.04, 0.02), (lamp.x, lamp.y, lamp.z - 0.01))
     add_solid(things, f"{name} frame", frame, surfaces.plain(name, (0.75, 0.75, 0.74)))
-    if lamp.watts > 0:
-        _ceiling_light(things, name, lamp, "SQUARE")
+    _ceiling_light(things, name, lamp, "SQUARE")
 
 
 def _spot(things: Collection, name: str, lamp: Lamp, metal: Material) -> None:
     ring = cylinder(0.6 * lamp.size_m, 0.02).moved((lamp.x, lamp.y, lamp.z - 0.02))
     add_solid(things, f"{name} ring", ring, metal, smooth=True)
-    if lamp.watts > 0:
-        _ceiling_light(things, name, lamp, "DISK")
+    _ceiling_light(things, name, lamp, "DISK")
 
 
 LAMP_MAKERS = {
@@ -239,22 +212,17 @@ def add_daylight(scene: bpy.types.Scene, things: Collection, room: Room) -> None
     daylight = room.daylight
     lighting.set_panorama(scene, f"{daylight.panorama}.exr", strength=daylight.strength, turn_deg=daylight.turn_deg)
     if daylight.sun is not None:
-        sun = daylight.sun
-        lighting.add_sun(things, azimuth_deg=sun.azimuth_deg, elevation_deg=sun.elevation_deg,
-                         irradiance=sun.irradiance, tint=sun.tint)  # fmt: skip
-    for hole in room.holes:
-        if not hole.is_door:
-            add_portal(things, room, hole)
+        lighting.add_sun(things, **asdict(daylight.sun))
+    for window in room.windows:
+        add_portal(things, room, window)
 
 
 def add_portal(things: Collection, room: Room, hole: Hole) -> None:
     """A light portal at the outside of a window, facing in."""
     wall = room.outline.walls[hole.wall]
-    light = bpy.data.lights.new("Portal", "AREA")
-    light.shape, light.size, light.size_y = "RECTANGLE", hole.high - hole.low, hole.top - hole.bottom
-    light.cycles.is_portal = True
-    portal = bpy.data.objects.new("Portal", light)
-    portal.location = (*wall.point((hole.low + hole.high) / 2, -0.2), (hole.bottom + hole.top) / 2)
+    place = (*wall.point((hole.low + hole.high) / 2, -0.2), (hole.bottom + hole.top) / 2)
+    size = {"shape": "RECTANGLE", "size": hole.high - hole.low, "size_y": hole.top - hole.bottom}
+    portal = lighting.add_light(things, "Portal", "AREA", place, **size)
+    portal.data.cycles.is_portal = True
     inwards = BlenderVector((-wall.outward[0], -wall.outward[1], 0.0))
     portal.rotation_euler = inwards.to_track_quat("-Z", "Y").to_euler()
-    things.objects.link(portal)

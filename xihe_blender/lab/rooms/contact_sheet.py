@@ -35,12 +35,6 @@ def contact_sheet(rooms: Sequence[StoredRoom], n_columns: int = 6) -> ArrayU8:
     return sheet
 
 
-def write_contact_sheet(path: Path, rooms: Sequence[StoredRoom], n_columns: int = 6) -> None:
-    """Write the sheet as PNG, whole or not at all. OSError if it cannot be written."""
-    with written_whole(path) as beside:
-        write_png(beside, contact_sheet(rooms, n_columns))
-
-
 def _tile(room: StoredRoom) -> ArrayU8:
     """The view that sees most positions, over the panorama of a position that it sees."""
     seen = room.is_in_view & room.is_unhidden
@@ -50,20 +44,19 @@ def _tile(room: StoredRoom) -> ArrayU8:
     panorama = encode_exposed(room.panorama(position, picture.shape[1] // 4), room.exposure)
     factor = picture.shape[1] // panorama.shape[1]
     enlarged = panorama.repeat(factor, axis=0).repeat(factor, axis=1)
-    below = np.zeros((enlarged.shape[0], picture.shape[1], 3), np.uint8)
-    below[:, : enlarged.shape[1]] = enlarged
-    return np.concatenate([picture, below])
+    missing = picture.shape[1] - enlarged.shape[1]
+    return np.concatenate([picture, np.pad(enlarged, ((0, 0), (0, missing), (0, 0)))])
 
 
 def main() -> None:
-    """The command line."""
     parser = argparse.ArgumentParser(prog="python -m xihe_blender.lab.rooms.contact_sheet", description="Show rooms.")
     parser.add_argument("folder", type=Path, metavar="DIR")
     parser.add_argument("picture", type=Path, metavar="PICTURE.png")
     parser.add_argument("--rooms", type=int, default=24, metavar="N", help="how many, from the first; default: 24")
     options = parser.parse_args()
     indices = list(stored_indices(options.folder))[: options.rooms]
-    write_contact_sheet(options.picture, [load_room(room_path(options.folder, i)) for i in indices])
+    with written_whole(options.picture) as beside:
+        write_png(beside, contact_sheet([load_room(room_path(options.folder, i)) for i in indices]))
 
 
 if __name__ == "__main__":

@@ -23,12 +23,8 @@ from xihenet.records import ArrayBool, ArrayF64, ArrayInt
 
 Cell = tuple[int, int]
 CELL_M = 0.1
-HEAD_M = 1.9
-"""What is higher than this is no obstacle to a person, and under a lower ceiling nobody walks."""
-
-FLOOR_LAMP_M = 0.45
-"""Across a floor lamp's shade, the widest part of it."""
-
+HEAD_M = 1.9  # What is higher than this is no obstacle to a person, and under a lower ceiling nobody walks
+FLOOR_LAMP_M = 0.45  # Across a floor lamp's shade, the widest part of it
 N_SMOOTHINGS = 80
 NEIGHBOURS = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dy or dx]
 
@@ -45,10 +41,10 @@ class FreeFloor:
         """The largest connected part of the floor that keeps `margin_m` from walls and from what stands on it."""
         bounds = room.outline.bounds
         n_columns, n_rows = (math.ceil(side / CELL_M) for side in (bounds.x1 - bounds.x0, bounds.y1 - bounds.y0))
-        floor = cls((bounds.x0, bounds.y0), np.zeros((n_rows, n_columns), bool))
+        whole = cls((bounds.x0, bounds.y0), np.ones((n_rows, n_columns), bool))
         blocked = [rect.grown(margin_m) for rect in _standing(room)]
-        free = [_is_walkable(room, (x, y), margin_m, blocked) for x, y in floor._centres(np.ones_like(floor.is_free))]
-        return replace(floor, is_free=_largest_part(np.reshape(free, floor.is_free.shape)))
+        free = [_is_walkable(room, (x, y), margin_m, blocked) for x, y in whole.places_m]
+        return replace(whole, is_free=_largest_part(np.reshape(free, whole.is_free.shape)))
 
     @property
     def area_m2(self) -> float:
@@ -57,12 +53,11 @@ class FreeFloor:
     @property
     def places_m(self) -> ArrayF64:
         """(K, 2) middles of the free cells."""
-        return self._centres(self.is_free)
+        return self._middles(np.argwhere(self.is_free))
 
-    def _centres(self, chosen: ArrayBool) -> ArrayF64:
-        rows, columns = np.nonzero(chosen)
-        centres: ArrayF64 = np.stack([columns, rows], axis=-1) * CELL_M + np.array(self.corner_m) + CELL_M / 2
-        return centres
+    def _middles(self, cells: ArrayInt) -> ArrayF64:
+        middles: ArrayF64 = cells[:, ::-1] * CELL_M + np.array(self.corner_m) + CELL_M / 2
+        return middles
 
     def cells(self, places_m: ArrayF64) -> ArrayInt:
         """(N, 2) row and column of places (N, 2), cut to what there is."""
@@ -72,13 +67,12 @@ class FreeFloor:
 
     def holds(self, places_m: ArrayF64) -> ArrayBool:
         """(N,) bool: which places (N, 2) lie in free cells."""
-        rows, columns = self.cells(places_m).T
-        held: ArrayBool = self.is_free[rows, columns]
+        held: ArrayBool = self.is_free[tuple(self.cells(places_m).T)]
         return held
 
     def without(self, places_m: ArrayF64, radius_m: float) -> FreeFloor:
         """The largest part that is left without what is nearer than `radius_m` to any of places (N, 2)."""
-        every = self._centres(np.ones_like(self.is_free))
+        every = self._middles(np.argwhere(np.ones_like(self.is_free)))
         gaps = np.linalg.norm(every[:, None] - places_m[None], axis=-1).min(axis=1)
         return replace(self, is_free=_largest_part(self.is_free & (gaps > radius_m).reshape(self.is_free.shape)))
 
@@ -88,8 +82,7 @@ class FreeFloor:
         way = [cells[0]]
         for start, end in itertools.pairwise(cells):
             way += _shortest(self.is_free, start, end)[1:]
-        places = np.array([(column, row) for row, column in way]) * CELL_M + np.array(self.corner_m) + CELL_M / 2
-        return Route.through(self._smooth(places))
+        return Route.through(self._smooth(self._middles(np.array(way))))
 
     def _smooth(self, places_m: ArrayF64) -> ArrayF64:
         """Pull each place towards the middle of its neighbours, as long as it stays on free floor."""
@@ -124,21 +117,19 @@ class Route:
 def _standing(room: Room) -> list[Rect]:
     """What stands in a walker's way on the floor."""
     pieces = [piece.footprint for piece in room.pieces if piece.size[2] >= FLAT_M and piece.z < HEAD_M]
-    lamps = [lamp for lamp in room.lamps if lamp.kind == "floor"]
-    return pieces + [Rect.around((lamp.x, lamp.y), (FLOOR_LAMP_M, FLOOR_LAMP_M)) for lamp in lamps]
+    lamps = [(lamp.x, lamp.y) for lamp in room.lamps if lamp.kind == "floor"]
+    return pieces + [Rect.around(place, (FLOOR_LAMP_M, FLOOR_LAMP_M)) for place in lamps]
 
 
 def _is_walkable(room: Room, place: tuple[float, float], margin_m: float, blocked: Sequence[Rect]) -> bool:
-    x, y = place
-    if any(rect.x0 < x < rect.x1 and rect.y0 < y < rect.y1 for rect in blocked):
-        return False
-    around = Rect.around((x, y), (2 * margin_m, 2 * margin_m))
-    return room.outline.holds_rect(around) and room.ceiling_at((x, y)) > HEAD_M
+    around = Rect.around(place, (2 * margin_m, 2 * margin_m))
+    is_blocked = any(rect.holds(place) for rect in blocked)
+    return not is_blocked and room.outline.holds_rect(around) and room.ceiling_at(place) > HEAD_M
 
 
 def _largest_part(is_free: ArrayBool) -> ArrayBool:
     """The largest set of free cells that touch at sides or corners; the first of equals."""
-    unseen = set(zip(*(index.tolist() for index in np.nonzero(is_free)), strict=True))
+    unseen: set[Cell] = set(map(tuple, np.argwhere(is_free).tolist()))
     largest: list[Cell] = []
     for seed in sorted(unseen):
         if seed not in unseen:

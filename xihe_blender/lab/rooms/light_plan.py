@@ -7,13 +7,13 @@ is divided out, so that a room's daylight is what its regime says.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from xihe_blender.lab.rooms.arrange import Floor, Rng
+from xihe_blender.lab.rooms.arrange import Floor, Rng, draw_point
 from xihe_blender.lab.rooms.outline import Point, Rect
-from xihe_blender.lab.rooms.room_data import Daylight, Lamp, Piece, Sun, ceiling_height
+from xihe_blender.lab.rooms.room_data import LAMP_KINDS, Daylight, Lamp, Sun
 
 MEAN_RADIANCE = {"city": 0.93, "courtyard": 0.77, "forest": 0.77, "night": 0.16, "sunrise": 0.64, "sunset": 0.51}
 """Over the whole sphere, measured on the files that Blender 4.5 ships."""
@@ -50,16 +50,14 @@ def sample_regime(rng: Rng, *, has_window: bool) -> str:
     """A regime by its share; a room without a window has its lamps on."""
     if not has_window:
         return "evening"
-    names = list(REGIMES)
-    return names[int(rng.choice(len(names), p=[REGIMES[name].share for name in names]))]
+    return list(REGIMES)[int(rng.choice(len(REGIMES), p=[regime.share for regime in REGIMES.values()]))]
 
 
 def sample_daylight(rng: Rng, floor: Floor, regime: Regime) -> Daylight:
     """A panorama, turned and scaled, and perhaps a sun that shines through a window."""
     panorama = str(rng.choice(regime.panoramas))
     radiance = float(np.exp(rng.uniform(*np.log(regime.sky))))
-    windows = [hole for hole in floor.holes if not hole.is_door]
-    sun = None
+    sun, windows = None, floor.windows
     if windows and rng.random() < regime.sun_chance:
         x, y = floor.outline.walls[windows[int(rng.integers(len(windows)))].wall].outward
         azimuth = float(np.degrees(np.arctan2(y, x)) + rng.uniform(-55, 55))
@@ -73,8 +71,8 @@ def sample_lamps(rng: Rng, floor: Floor, kind: str, regime: Regime, daylight_in:
     """Every lamp of the room; unlit ones have 0 W. `daylight_in` scales ceiling lamps: they hold against the day."""
     kelvin = float(np.clip(rng.normal(*ROOM_KELVIN), 1500, 7500))
     fixed = _ceiling_lamps(rng, floor, kind)
-    placed = [_from_piece(piece) for piece in floor.pieces if piece.kind in ("floor_lamp", "table_lamp")]
-    lamps = [*fixed, *placed]
+    placed = [piece for piece in floor.pieces if piece.kind in LAMP_KINDS]
+    lamps = [*fixed, *(Lamp(LAMP_KINDS[p.kind], p.x, p.y, p.z, p.size[2], 0.0, 0.0) for p in placed)]
     is_dark = regime.sky[1] < 1.0
     if not lamps and is_dark:
         lamps = [_hung(floor, "globe", _some_place(rng, floor), 0.25)]
@@ -90,16 +88,12 @@ def _lit(rng: Rng, lamp: Lamp, room_kelvin: float, daylight_in: float) -> Lamp:
     watts = float(np.exp(rng.uniform(np.log(12), np.log(60)))) * POWER[lamp.kind]
     if lamp.kind not in ("table", "floor"):
         watts *= max(1.0, daylight_in)
-    return Lamp(lamp.kind, lamp.x, lamp.y, lamp.z, lamp.size_m, kelvin * float(rng.uniform(0.94, 1.06)), watts)
-
-
-def _from_piece(piece: Piece) -> Lamp:
-    return Lamp(piece.kind.removesuffix("_lamp"), piece.x, piece.y, piece.z, piece.size[2], 0.0, 0.0)
+    return replace(lamp, kelvin=kelvin * float(rng.uniform(0.94, 1.06)), watts=watts)
 
 
 def _hung(floor: Floor, kind: str, place: Point, size_m: float) -> Lamp:
     """A lamp, not lit yet, fixed to the ceiling over a point of the floor."""
-    return Lamp(kind, *place, ceiling_height(floor.outline, floor.height, floor.slopes, place), size_m, 0.0, 0.0)
+    return Lamp(kind, *place, floor.ceiling_at(place), size_m, 0.0, 0.0)
 
 
 def _ceiling_lamps(rng: Rng, floor: Floor, kind: str) -> list[Lamp]:
@@ -136,7 +130,7 @@ def _some_place(rng: Rng, floor: Floor) -> Point:
     """A point under the ceiling at its full height, if a few draws find one."""
     b = floor.outline.bounds.grown(-0.3)
     for _ in range(50):
-        place = float(rng.uniform(b.x0, b.x1)), float(rng.uniform(b.y0, b.y1))
+        place = draw_point(rng, b)
         if _is_free_above(floor, place):
             return place
     return floor.outline.walls[0].point(floor.outline.walls[0].length / 2, 0.5)
@@ -144,16 +138,7 @@ def _some_place(rng: Rng, floor: Floor) -> Point:
 
 def _is_free_above(floor: Floor, place: Point) -> bool:
     """Whether the ceiling over a point is flat and no piece reaches up to where a lamp would hang."""
-    tall = [p.footprint.grown(0.3) for p in floor.pieces if p.top_m > floor.height - 0.9]
-    return _has_flat_ceiling(floor, place) and not any(_inside(r, place) for r in tall)
-
-
-def _has_flat_ceiling(floor: Floor, place: Point) -> bool:
     around = Rect.around(place, (1.0, 1.0))
-    corners = [(x, y) for x in (around.x0, around.x1) for y in (around.y0, around.y1)]
-    is_flat = all(ceiling_height(floor.outline, floor.height, floor.slopes, c) > floor.height - 1e-6 for c in corners)
-    return is_flat and floor.outline.holds_rect(around)
-
-
-def _inside(rect: Rect, place: Point) -> bool:
-    return rect.x0 < place[0] < rect.x1 and rect.y0 < place[1] < rect.y1
+    if floor.ceiling_over(around) <= floor.height - 1e-6 or not floor.outline.holds_rect(around):
+        return False
+    return not any(p.footprint.grown(0.3).holds(place) for p in floor.pieces if p.top_m > floor.height - 0.9)

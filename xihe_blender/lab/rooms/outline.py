@@ -9,7 +9,6 @@ Frames: metres, +Z up. Along a wall the position runs from its start to its end;
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -31,12 +30,24 @@ class Rect:
         (x, y), (w, d) = centre, size
         return cls(x - w / 2, y - d / 2, x + w / 2, y + d / 2)
 
+    @classmethod
+    def between(cls, one: Point, other: Point) -> Rect:
+        """The rectangle with two points at opposite corners."""
+        return cls(*map(min, one, other), *map(max, one, other))
+
     @property
     def centre(self) -> Point:
         return (self.x0 + self.x1) / 2, (self.y0 + self.y1) / 2
 
+    @property
+    def corners(self) -> list[Point]:
+        return [(x, y) for x in (self.x0, self.x1) for y in (self.y0, self.y1)]
+
+    def holds(self, point: Point) -> bool:
+        """Whether a point lies inside, and not on an edge."""
+        return self.x0 < point[0] < self.x1 and self.y0 < point[1] < self.y1
+
     def grown(self, margin: float) -> Rect:
-        """The same, larger by `margin` on each side."""
         return Rect(self.x0 - margin, self.y0 - margin, self.x1 + margin, self.y1 + margin)
 
     def overlaps(self, other: Rect) -> bool:
@@ -80,10 +91,9 @@ class Wall:
         (ax, ay), (ox, oy) = self.along, self.outward
         return self.start[0] + ax * along - ox * inwards, self.start[1] + ay * along - oy * inwards
 
-    def rect(self, along: tuple[float, float], inwards: tuple[float, float]) -> Rect:
+    def rect(self, along: Point, inwards: Point) -> Rect:
         """The rectangle between two distances along the wall and two into the room."""
-        a, b = self.point(along[0], inwards[0]), self.point(along[1], inwards[1])
-        return Rect(min(a[0], b[0]), min(a[1], b[1]), max(a[0], b[0]), max(a[1], b[1]))
+        return Rect.between(self.point(along[0], inwards[0]), self.point(along[1], inwards[1]))
 
 
 @dataclass(frozen=True)
@@ -93,28 +103,28 @@ class Outline:
     corners: tuple[Point, ...]
 
     def __post_init__(self) -> None:
-        n = len(self.corners)
-        steps = [
-            (b[0] - a[0], b[1] - a[1]) for a, b in zip(self.corners, self.corners[1:] + self.corners[:1], strict=True)
-        ]
-        if n < 4 or any((dx == 0) == (dy == 0) for dx, dy in steps):
+        if len(self.corners) < 4 or any((a[0] == b[0]) == (a[1] == b[1]) for a, b in self._edges):
             raise ValueError(f"Outline: expected four or more walls along x or y, got the corners {self.corners}")
         if self.area <= 0:
             raise ValueError("Outline: expected corners in anticlockwise order, got clockwise")
 
+    @cached_property
+    def _edges(self) -> list[tuple[Point, Point]]:
+        return list(zip(self.corners, self.corners[1:] + self.corners[:1], strict=True))
+
     @property
     def area(self) -> float:
         """Square metres; negative for a clockwise order."""
-        pairs = zip(self.corners, self.corners[1:] + self.corners[:1], strict=True)
-        return sum(a[0] * b[1] - b[0] * a[1] for a, b in pairs) / 2
+        return sum(a[0] * b[1] - b[0] * a[1] for a, b in self._edges) / 2
 
     @cached_property
     def walls(self) -> tuple[Wall, ...]:
-        n, c = len(self.corners), self.corners
-        return tuple(Wall(c[i], c[(i + 1) % n], self._is_convex(i), self._is_convex((i + 1) % n)) for i in range(n))
+        convex = [self._is_convex(i) for i in range(len(self._edges))]
+        return tuple(Wall(*edge, convex[i - 1], convex[i]) for i, edge in enumerate(self._edges))
 
     def _is_convex(self, i: int) -> bool:
-        a, b, c = self.corners[i - 1], self.corners[i], self.corners[(i + 1) % len(self.corners)]
+        """At the end of edge `i`."""
+        (a, b), (_, c) = self._edges[i], self._edges[(i + 1) % len(self._edges)]
         return (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0]) > 0
 
     @property
@@ -126,21 +136,11 @@ class Outline:
     def holds(self, point: Point) -> bool:
         """Whether a point lies inside (by the parity of walls crossed towards +x)."""
         x, y = point
-        crossings = 0
-        for wall in self.walls:
-            (x0, y0), (_, y1) = wall.start, wall.end
-            crossings += (y0 > y) != (y1 > y) and x0 > x
-        return crossings % 2 == 1
+        return sum((y0 > y) != (y1 > y) and x0 > x for (x0, y0), (_, y1) in self._edges) % 2 == 1
 
     def holds_rect(self, rect: Rect) -> bool:
         """Whether a rectangle lies inside as a whole: its middle does, and no wall passes through it."""
-        return self.holds(rect.centre) and not any(_passes_through(wall, rect) for wall in self.walls)
-
-
-def _passes_through(wall: Wall, rect: Rect) -> bool:
-    """Whether a wall's edge runs through the inside of a rectangle."""
-    xs, ys = sorted((wall.start[0], wall.end[0])), sorted((wall.start[1], wall.end[1]))
-    return xs[0] < rect.x1 and xs[1] > rect.x0 and ys[0] < rect.y1 and ys[1] > rect.y0
+        return self.holds(rect.centre) and not any(Rect.between(*edge).overlaps(rect) for edge in self._edges)
 
 
 def box_plan(width: float, length: float) -> Outline:
@@ -155,7 +155,7 @@ def l_plan(width: float, length: float, cut: Point) -> Outline:
     return Outline(((-x, -y), (x, -y), (x, y - cut[1]), (x - cut[0], y - cut[1]), (x - cut[0], y), (-x, y)))
 
 
-def alcove_plan(width: float, length: float, span: tuple[float, float], reach: float) -> Outline:
+def alcove_plan(width: float, length: float, span: Point, reach: float) -> Outline:
     """A rectangle with an alcove in its +y wall: between two x, `reach` metres out."""
     x, y = width / 2, length / 2
     low, high = span
@@ -164,7 +164,7 @@ def alcove_plan(width: float, length: float, span: tuple[float, float], reach: f
 
 def turned(outline: Outline, quarters: int) -> Outline:
     """The plan turned anticlockwise by quarter turns, so that no direction is favoured."""
-    corners: Sequence[Point] = outline.corners
+    corners = outline.corners
     for _ in range(quarters % 4):
-        corners = [(-y, x) for x, y in corners]
-    return Outline(tuple(corners))
+        corners = tuple((-y, x) for x, y in corners)
+    return Outline(corners)

@@ -7,12 +7,12 @@ walls are what tints the light. Albedo stays below 0.85.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
+from xihe_blender.lab.rooms.arrange import Rng
 from xihe_blender.lab.rooms.room_data import Colour, Finish
-
-Rng = np.random.Generator
 
 LIGHT_WALLS: tuple[Colour, ...] = (
     (0.75, 0.73, 0.68), (0.78, 0.77, 0.75), (0.7, 0.66, 0.58), (0.66, 0.68, 0.68), (0.72, 0.65, 0.52),
@@ -44,6 +44,10 @@ TILES: tuple[tuple[Colour, Colour], ...] = (
 )  # fmt: skip
 
 
+def one_of(rng: Rng, options: Sequence[Any]) -> Any:
+    return options[int(rng.integers(len(options)))]
+
+
 def jittered(rng: Rng, colour: Colour, amount: float = 0.12) -> Colour:
     """The colour a little brighter or darker, and a little off in hue."""
     factors = np.exp(rng.normal(0, amount, 1) + rng.normal(0, amount / 3, 3))
@@ -53,19 +57,12 @@ def jittered(rng: Rng, colour: Colour, amount: float = 0.12) -> Colour:
 
 def pick(rng: Rng, colours: Sequence[Colour]) -> Colour:
     """One of the colours, jittered, and faded towards its own grey: most things at home are not as sold."""
-    return jittered(rng, faded(colours[int(rng.integers(len(colours)))], float(rng.uniform(0.3, 0.9))))
+    return jittered(rng, faded(one_of(rng, colours), float(rng.uniform(0.3, 0.9))))
 
 
 def wall_colour(rng: Rng) -> Colour:
     """A light wall. Nearly grey: light that is reflected five times shows a tint five times as strong."""
-    tone = LIGHT_WALLS[int(rng.integers(len(LIGHT_WALLS)))]
-    return jittered(rng, faded(tone, float(rng.uniform(0.4, 0.95))), 0.08)
-
-
-def lighter(colour: Colour) -> Colour:
-    """Half as bright again."""
-    r, g, b = (min(0.8, 1.5 * c) for c in colour)
-    return r, g, b
+    return jittered(rng, faded(one_of(rng, LIGHT_WALLS), float(rng.uniform(0.4, 0.95))), 0.08)
 
 
 def faded(colour: Colour, share: float) -> Colour:
@@ -76,15 +73,13 @@ def faded(colour: Colour, share: float) -> Colour:
 
 
 def wood_finish(rng: Rng, roughness: float | None = None) -> Finish:
-    """Wood with two tones."""
-    dark, light = (faded(tone, 0.62) for tone in WOODS[int(rng.integers(len(WOODS)))])
+    dark, light = (faded(tone, 0.62) for tone in one_of(rng, WOODS))
     worn = float(rng.uniform(0.2, 0.6)) if roughness is None else roughness
     return Finish("wood", jittered(rng, dark), jittered(rng, light), worn)
 
 
 def lacquer_finish(rng: Rng) -> Finish:
-    """Painted board: white as often as not."""
-    colour = (0.74, 0.74, 0.72) if rng.random() < 0.55 else CLOTHS[int(rng.integers(len(CLOTHS)))]
+    colour = (0.74, 0.74, 0.72) if rng.random() < 0.55 else one_of(rng, CLOTHS)
     return Finish("plain", jittered(rng, colour), roughness=float(rng.uniform(0.15, 0.6)))
 
 
@@ -108,12 +103,10 @@ def cloth_finish(rng: Rng) -> Finish:
 
 
 def metal_finish(rng: Rng) -> Finish:
-    """Steel, brass, black iron, chrome or copper."""
     return Finish("metal", pick(rng, METALS), roughness=float(rng.uniform(0.08, 0.5)))
 
 
 def glaze_finish(rng: Rng) -> Finish:
-    """Glazed or matt ceramic."""
     return Finish("plain", pick(rng, CLOTHS + LIGHT_WALLS[:4]), roughness=float(rng.uniform(0.05, 0.6)))
 
 
@@ -122,13 +115,13 @@ def floor_finish(rng: Rng, kind: str) -> Finish:
     draw = float(rng.random()) if kind not in ("bathroom", "kitchen") else 0.55 + 0.2 * float(rng.random())
     gloss = float(rng.choice([0.08, 0.25, 0.45, 0.7]))
     if draw < 0.55:
-        dark, light = (faded(tone, 0.7) for tone in WOODS[int(rng.integers(len(WOODS)))])
+        dark, light = (faded(tone, 0.7) for tone in one_of(rng, WOODS))
         if rng.random() < 0.5:
-            dark, light = lighter(dark), lighter(light)
+            dark, light = np.minimum(0.8, 1.5 * np.array([dark, light]))
         return Finish("planks", jittered(rng, dark), jittered(rng, light), gloss, float(rng.uniform(0.08, 0.22)))
     if draw < 0.75:
-        first, second = TILES[int(rng.integers(len(TILES)))]
-        return Finish("tiles", jittered(rng, first), jittered(rng, second), gloss, float(rng.choice([0.2, 0.33, 0.6])))
+        first, second = (jittered(rng, tone) for tone in one_of(rng, TILES))
+        return Finish("tiles", first, second, gloss, float(rng.choice([0.2, 0.33, 0.6])))
     if draw < 0.92:
         return Finish("fabric", pick(rng, CARPETS), roughness=1.0, scale=200.0)
     return Finish("plain", jittered(rng, (0.4, 0.39, 0.38)), roughness=gloss)
@@ -139,8 +132,8 @@ def wall_finishes(rng: Rng, kind: str, n_walls: int) -> tuple[Finish, ...]:
     base = Finish("paint", wall_colour(rng), roughness=float(rng.uniform(0.5, 0.9)))
     draw = rng.random()
     if kind in ("bathroom", "kitchen") and draw < 0.5:
-        first, second = TILES[int(rng.integers(len(TILES)))]
-        base = Finish("wall tiles", jittered(rng, first), jittered(rng, second), float(rng.uniform(0.1, 0.4)), 0.2)
+        first, second = (jittered(rng, tone) for tone in one_of(rng, TILES))
+        base = Finish("wall tiles", first, second, float(rng.uniform(0.1, 0.4)), 0.2)
     elif draw < 0.09:
         base = Finish("paint", pick(rng, STRONG_WALLS), roughness=0.7)
     elif draw < 0.13:
@@ -154,7 +147,6 @@ def wall_finishes(rng: Rng, kind: str, n_walls: int) -> tuple[Finish, ...]:
 
 
 def ceiling_finish(rng: Rng) -> Finish:
-    """White, nearly always."""
     if rng.random() < 0.9:
         return Finish("paint", jittered(rng, (0.78, 0.77, 0.75), 0.06), roughness=0.8)
     return wood_finish(rng, 0.6) if rng.random() < 0.5 else Finish("paint", wall_colour(rng), roughness=0.8)

@@ -8,19 +8,26 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeAlias
 
-import bpy
 import numpy as np
 
-from xihe_blender.lab.props import furniture, surfaces
-from xihe_blender.lab.props.bedding import add_bed, add_bench
+from xihe_blender.lab.props import Collection, Material, furniture, surfaces
 from xihe_blender.lab.props.furniture import Place, at
-from xihe_blender.lab.props.shapes import Solid, add_solid, ball, box, box_between, cylinder, joined, revolved
+from xihe_blender.lab.props.shapes import add_solid, ball, box, box_between, cylinder, joined, revolved
+from xihe_blender.lab.rooms.arrange import local_point
 from xihe_blender.lab.rooms.materials import material_of
-from xihe_blender.lab.rooms.room_data import Piece
+from xihe_blender.lab.rooms.room_data import LAMP_KINDS, Piece
 
-Collection: TypeAlias = bpy.types.Collection
-Material: TypeAlias = bpy.types.Material
-LAMP_KINDS = frozenset({"floor_lamp", "table_lamp"})
+Maker: TypeAlias = Callable[[Collection, str, Piece, list[Material], Place], None]
+BOXES = {"cupboard": 0.004, "mirror": 0.0, "rug": 0.0, "crate": 0.008, "pillar": 0.0, "box": 0.003}
+"""What is a box, and by how many metres its edges are rounded."""
+
+TURNED = {
+    "vase": (0.5, 24, ((0, 0), (0.6, 0), (1, 0.35), (0.85, 0.6), (0.4, 0.85), (0.5, 1))),
+    "bowl": (0.5, 32, ((0, 0), (0.5, 0), (0.85, 0.4), (1, 1), (0.92, 1), (0.75, 0.45), (0, 0.2))),
+    "mug": (0.42, 24, ((0, 0), (1, 0), (1, 1), (0.9, 1), (0.9, 0.1), (0, 0.1))),
+    "pouf": (0.5, 32, ((0, 0), (0.92, 0), (1, 0.15), (1, 0.82), (0.9, 0.97), (0, 1))),
+}
+"""What is turned: radius as a share of the width, segments, and the profile as shares of radius and height."""
 
 
 def place_piece(room: Collection, name: str, piece: Piece) -> None:
@@ -28,11 +35,7 @@ def place_piece(room: Collection, name: str, piece: Piece) -> None:
     if piece.kind in LAMP_KINDS:
         return
     materials = [material_of(f"{name} {i}", finish) for i, finish in enumerate(piece.finishes)]
-    place = at(piece.x, piece.y, piece.z, piece.turn_deg)
-    MAKERS[piece.kind](room, name, piece, materials, place)
-
-
-Maker: TypeAlias = Callable[[Collection, str, Piece, list[Material], Place], None]
+    MAKERS[piece.kind](room, name, piece, materials, at(piece.x, piece.y, piece.z, piece.turn_deg))
 
 
 def _generator(piece: Piece) -> np.random.Generator:
@@ -58,45 +61,41 @@ def _sofa(room: Collection, name: str, piece: Piece, m: list[Material], place: P
 
 
 def _bed(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
-    add_bed(room, name, piece.size[0] - 0.2, m[0], m[1], m[2], place=place)
+    furniture.add_bed(room, name, piece.size[0] - 0.2, m[0], m[1], m[2], place=place)
 
 
 def _bench(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
-    add_bench(room, name, piece.size, m[0], m[1], place=place)
+    furniture.add_bench(room, name, piece.size, m[0], m[1], place=place)
 
 
 def _bookcase(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
+    books, rng = surfaces.coloured_by_face(f"{name} books"), _generator(piece)
     n_shelves = max(2, round(piece.size[2] / 0.38))
-    books = surfaces.coloured_by_face(f"{name} books")
-    rng = _generator(piece)
     furniture.add_bookcase(room, name, piece.size, m[0], books, rng, place=place, n_shelves=n_shelves)
 
 
 def _cabinet(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
     w, d, h = piece.size
     # Handles stand out by 3 cm in front: inside the piece's extents.
-    inner = furniture.at(*_shifted(piece, 0.015), piece.z, piece.turn_deg)
-    furniture.add_cabinet(room, name, (w, d - 0.03, h), m[0], m[1], place=inner, doors=max(1, round(w / 0.55)))
+    inner = _shifted(piece, 0.015)
+    furniture.add_cabinet(room, name, (w, d - 0.03, h), m[0], m[1], place=inner, doors=_n_doors(w))
 
 
-def _shifted(piece: Piece, back_m: float) -> tuple[float, float]:
-    """The piece's place, moved towards its back."""
-    turn = np.radians(piece.turn_deg)
-    return float(piece.x - np.sin(turn) * back_m), float(piece.y + np.cos(turn) * back_m)
+def _n_doors(width: float) -> int:
+    return max(1, round(width / 0.55))
+
+
+def _shifted(piece: Piece, back_m: float, up_m: float = 0.0) -> Place:
+    """The piece's place, moved towards its back and up."""
+    return at(*local_point(piece, (0.0, back_m)), piece.z + up_m, piece.turn_deg)
 
 
 def _counter(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
     w, d, h = piece.size
-    inner = furniture.at(*_shifted(piece, 0.015), piece.z, piece.turn_deg)
-    doors = max(1, round(w / 0.55))
-    furniture.add_cabinet(room, name, (w, d - 0.05, h - 0.04), m[0], m[2], place=inner, doors=doors)
+    inner = _shifted(piece, 0.015)
+    furniture.add_cabinet(room, name, (w, d - 0.05, h - 0.04), m[0], m[2], place=inner, doors=_n_doors(w))
     top = box_between((-w / 2, -d / 2, h - 0.04), (w / 2, d / 2, h))
     add_solid(room, f"{name} top", top, m[1], bevel_m=0.004, **place)
-
-
-def _cupboard(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
-    w, d, h = piece.size
-    add_solid(room, name, box((w, d, h), (0, 0, h / 2)), m[0], bevel_m=0.004, **place)
 
 
 def _tub(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
@@ -105,10 +104,8 @@ def _tub(room: Collection, name: str, piece: Piece, m: list[Material], place: Pl
     walls += [box((w, 0.07, h), (0, s * (d / 2 - 0.035), h / 2)) for s in (-1, 1)]
     walls += [box((0.08, d, h), (s * (w / 2 - 0.04), 0, h / 2)) for s in (-1, 1)]
     add_solid(room, name, joined(walls), m[0], bevel_m=0.02, smooth=True, **place)
-    tap = joined(
-        [cylinder(0.015, 0.12).moved((w / 2 - 0.04, 0, h)), box((0.14, 0.025, 0.025), (w / 2 - 0.1, 0, h + 0.11))]
-    )
-    add_solid(room, f"{name} tap", tap, m[1], smooth=True, **place)
+    tap = [cylinder(0.015, 0.12).moved((w / 2 - 0.04, 0, h)), box((0.14, 0.025, 0.025), (w / 2 - 0.1, 0, h + 0.11))]
+    add_solid(room, f"{name} tap", joined(tap), m[1], smooth=True, **place)
 
 
 def _plant(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
@@ -118,90 +115,59 @@ def _plant(room: Collection, name: str, piece: Piece, m: list[Material], place: 
                         spread=0.42 * w, pot_radius=min(0.17, 0.1 + 0.05 * h), n_leaves=18)  # fmt: skip
 
 
-def _pouf(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
-    r, h = piece.size[0] / 2, piece.size[2]
-    profile = [(0, 0), (0.92 * r, 0), (r, 0.15 * h), (r, 0.82 * h), (0.9 * r, 0.97 * h), (0, h)]
-    add_solid(room, name, revolved([(float(a), float(b)) for a, b in profile], 32), m[0], smooth=True, **place)
-
-
 def _picture(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
     w, d, h = piece.size
     mount = surfaces.plain(f"{name} mount", (0.74, 0.73, 0.7), roughness=0.8)
-    hung = at(*_shifted(piece, d / 2), piece.z + h / 2, piece.turn_deg)
+    hung = _shifted(piece, d / 2, h / 2)
     furniture.add_picture(room, name, (w - 0.06, h - 0.06), m[0], m[1], mount, place=hung)
 
 
 def _radiator(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
-    hung = at(*_shifted(piece, piece.size[1] / 2), 0.0, piece.turn_deg)
-    furniture.add_radiator(room, name, piece.size[0], piece.size[2] - 0.14, m[0], place=hung)
+    w, d, h = piece.size
+    furniture.add_radiator(room, name, w, h - 0.14, m[0], place=_shifted(piece, d / 2))
 
 
 def _screen(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
     w, d, h = piece.size
-    parts = [box((w, 0.03, h - 0.06), (0, 0, 0.06 + (h - 0.06) / 2)), box((0.05, 0.03, 0.08), (0, 0.02, 0.04))]
+    middle = 0.06 + (h - 0.06) / 2
+    parts = [box((w, 0.03, h - 0.06), (0, 0, middle)), box((0.05, 0.03, 0.08), (0, 0.02, 0.04))]
     parts.append(box((0.3 * w, d, 0.012), (0, 0, 0.006)))
     add_solid(room, name, joined(parts), m[0], bevel_m=0.004, **place)
     rng = _generator(piece)
     if rng.random() < 0.35:
         glow = surfaces.glowing(f"{name} picture", 7000.0, float(rng.uniform(0.3, 1.5)))
-        add_solid(
-            room, f"{name} picture", box((w - 0.03, 0.002, h - 0.1), (0, -0.017, 0.06 + (h - 0.06) / 2)), glow, **place
-        )
+        add_solid(room, f"{name} picture", box((w - 0.03, 0.002, h - 0.1), (0, -0.017, middle)), glow, **place)
 
 
-def _solid(make: Callable[[tuple[float, float, float]], Solid], *, smooth: bool = True, bevel_m: float = 0.0) -> Maker:
-    """A maker of things that are one solid of one material, from their extents."""
-
-    def maker(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
-        add_solid(room, name, make(piece.size), m[0], smooth=smooth, bevel_m=bevel_m, **place)
-
-    return maker
+def _ball(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
+    d = piece.size[0]
+    add_solid(room, name, ball(d / 2, (0, 0, d / 2), 32), m[0], smooth=True, **place)
 
 
-def _upright_box(size: tuple[float, float, float]) -> Solid:
-    return box(size, (0, 0, size[2] / 2))
-
-
-def _vase(size: tuple[float, float, float]) -> Solid:
-    r, h = size[0] / 2, size[2]
-    return revolved([(0, 0), (0.6 * r, 0), (r, 0.35 * h), (0.85 * r, 0.6 * h), (0.4 * r, 0.85 * h), (0.5 * r, h)], 24)
-
-
-def _bowl(size: tuple[float, float, float]) -> Solid:
-    r, h = size[0] / 2, size[2]
-    return revolved(
-        [(0, 0), (0.5 * r, 0), (0.85 * r, 0.4 * h), (r, h), (0.92 * r, h), (0.75 * r, 0.45 * h), (0, 0.2 * h)], 32
-    )
-
-
-def _mug(size: tuple[float, float, float]) -> Solid:
-    r, h = 0.42 * size[0], size[2]
-    return revolved([(0, 0), (r, 0), (r, h), (0.9 * r, h), (0.9 * r, 0.1 * h), (0, 0.1 * h)], 24)
-
-
-def _ball(size: tuple[float, float, float]) -> Solid:
-    return ball(size[0] / 2, (0, 0, size[0] / 2), 32)
-
-
-def _book_pile(size: tuple[float, float, float]) -> Solid:
-    w, d, h = size
+def _book_pile(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
+    w, d, h = piece.size
     n = max(2, round(h / 0.03))
-    turns = [7 * ((i * 5) % 3 - 1) for i in range(n)]
-    return joined(
-        [
-            box((0.85 * w, 0.65 * d, 0.95 * h / n)).turned(t).moved((0, 0, h * (i + 0.5) / n))
-            for i, t in enumerate(turns)
-        ]
-    )
+    book = box((0.85 * w, 0.65 * d, 0.95 * h / n))
+    books = [book.turned(7 * ((i * 5) % 3 - 1)).moved((0, 0, h * (i + 0.5) / n)) for i in range(n)]
+    add_solid(room, name, joined(books), m[0], **place)
+
+
+def _box(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
+    solid = box(piece.size, (0, 0, piece.size[2] / 2))
+    add_solid(room, name, solid, m[0], bevel_m=BOXES[piece.kind], **place)
+
+
+def _turned(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
+    w, _, h = piece.size
+    share, n_segments, profile = TURNED[piece.kind]
+    solid = revolved([(r * (share * w), z * h) for r, z in profile], n_segments)
+    add_solid(room, name, solid, m[0], smooth=True, **place)
 
 
 MAKERS: dict[str, Maker] = {
     "table": _table, "desk": _table, "coffee_table": _table, "round_table": _round_table, "chair": _chair,
     "sofa": _sofa, "armchair": _sofa, "bed": _bed, "bench": _bench, "bookcase": _bookcase, "sideboard": _cabinet,
-    "wardrobe": _cabinet, "chest": _cabinet, "counter": _counter, "cupboard": _cupboard, "tub": _tub, "plant": _plant,
-    "pouf": _pouf, "picture": _picture, "radiator": _radiator, "screen": _screen,
-    "mirror": _solid(_upright_box, smooth=False), "rug": _solid(_upright_box, smooth=False),
-    "crate": _solid(_upright_box, smooth=False, bevel_m=0.008), "pillar": _solid(_upright_box, smooth=False),
-    "box": _solid(_upright_box, smooth=False, bevel_m=0.003), "vase": _solid(_vase), "bowl": _solid(_bowl),
-    "mug": _solid(_mug), "ball": _solid(_ball), "book_pile": _solid(_book_pile, smooth=False),
+    "wardrobe": _cabinet, "chest": _cabinet, "counter": _counter, "tub": _tub, "plant": _plant, "picture": _picture,
+    "radiator": _radiator, "screen": _screen, "ball": _ball, "book_pile": _book_pile,
+    **dict.fromkeys(BOXES, _box), **dict.fromkeys(TURNED, _turned),
 }  # fmt: skip

@@ -6,9 +6,8 @@ The phone's exposure is metered on the views themselves, as a capture meters it 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import astuple, dataclass
 
 import bpy
 import numpy as np
@@ -19,17 +18,9 @@ from xihe_blender.capture.render import RenderSettings, render_passes
 from xihe_blender.capture.scanner import first_layer, open_scanner, phone_camera
 from xihe_blender.errors import UserError
 from xihe_blender.lab.rooms.build_room import build_room
-from xihe_blender.lab.rooms.room_data import Room
 from xihe_blender.lab.rooms.rooms import room_generator, sample_room, walk_generator
-from xihe_blender.lab.rooms.store import FORMAT_VERSION, METERING, StoredRoom, as_float16
-from xihe_blender.lab.rooms.views import (
-    PhoneView,
-    RoomRays,
-    RoomTooFull,
-    lines_of_sight,
-    sample_positions,
-    sample_views,
-)
+from xihe_blender.lab.rooms.store import FORMAT_VERSION, METERING, ArrayF16, StoredRoom, as_float16
+from xihe_blender.lab.rooms.views import PhoneView, RoomRays, RoomTooFull, sample_positions, sample_views
 from xihe_blender.lab.rooms.walk import sample_walk
 from xihenet import __version__
 from xihenet.camera import encode_exposed, in_view, valid_plane_depth
@@ -60,7 +51,6 @@ class RoomRenderSettings:
         return RenderSettings(self.view_size, self.view_samples)
 
     def probe(self, split: Split = "test") -> ProbeSettings:
-        """Of a room of that split."""
         size = self.train_probe_size if split == "train" else self.probe_size
         return ProbeSettings(size, self.probe_samples, noise_target=None)
 
@@ -95,84 +85,87 @@ def make_room(seed: int, index: int, settings: RoomRenderSettings, *, walk: int 
             continue
         if walk is not None:
             views = sample_walk(walk_generator(seed, index), room, rays, positions_m, views, walk)
-        is_unhidden = lines_of_sight(rays, views, positions_m)
+        is_unhidden = np.stack([rays.reach(view.place_m, positions_m) for view in views])
         pictures = render_views(scene, views, settings.view)
-        exposure = metered_exposure(pictures.radiance, METERING) * room.exposure_gain
-        lights = render_probes(scene, positions_m, settings.probe(split_of((seed, index))), exposure)
-        return _as_stored(room, (seed, index), views, pictures, exposure, positions_m, lights, is_unhidden)
+        exposure = metered_exposure([p.radiance for p in pictures], METERING) * room.exposure_gain
+        probe = settings.probe(split_of((seed, index)))
+        lights = list(reference_lights(scene, positions_m, probe, scene.frame_current, exposure))
+        return stored_room(pictures, exposure, positions_m, is_unhidden, lights, seed=(seed, index), kind=room.kind,
+                           regime=room.regime)  # fmt: skip
     raise UserError(f"room {index} of seed {seed}: no place for phone and objects in {MAX_REDRAWS} draws")
 
 
 @dataclass(frozen=True, eq=False)
-class Pictures:
-    """What the views give: radiance (V, H, W, 3), plane depth (V, H, W) in metres, the camera."""
+class Picture:
+    """One frame: radiance (H, W, 3), plane depth (H, W) or 0 where no surface was seen, the camera and its pose."""
 
     radiance: ArrayF32
-    plane_depth_m: ArrayF32
+    plane_depth_m: ArrayF16
     intrinsics: Intrinsics
+    world_from_camera: ArrayF64
 
 
-def render_views(scene: bpy.types.Scene, views: list[PhoneView], settings: RenderSettings) -> Pictures:
+def take_picture(scene: bpy.types.Scene, intrinsics: Intrinsics, world_from_camera: ArrayF64) -> Picture:
+    """Render the scene of a scanner, whose camera is this one."""
+    radiance, plane_depth_m = first_layer(render_passes(scene))
+    seen = np.where(valid_plane_depth(plane_depth_m), plane_depth_m, np.float32(0))
+    return Picture(radiance, as_float16(seen), intrinsics, world_from_camera)
+
+
+def render_views(scene: bpy.types.Scene, views: list[PhoneView], settings: RenderSettings) -> list[Picture]:
     """Render each view; all have the same field of view."""
     data = bpy.data.cameras.new("Phone")
     data.sensor_fit, data.angle = "HORIZONTAL", math.radians(views[0].fov_deg)
     data.clip_start, data.clip_end = 0.02, 200.0
     scene.camera = bpy.data.objects.new("Phone", data)
     scene.collection.objects.link(scene.camera)
-    radiance, plane_depth_m = [], []
+    pictures = []
     with open_scanner(scene, settings) as scanner:
         for view in views:
             scene.camera.matrix_world = Matrix(view.world_from_camera.tolist())
             intrinsics, _ = phone_camera(scanner.scene)
-            colour, distance = first_layer(render_passes(scanner.scene))
-            radiance.append(colour)
-            plane_depth_m.append(np.where(valid_plane_depth(distance), distance, np.float32(0)))
-    return Pictures(np.stack(radiance), np.stack(plane_depth_m), intrinsics)
+            pictures.append(take_picture(scanner.scene, intrinsics, view.world_from_camera))
+    return pictures
 
 
-def render_probes(
-    scene: bpy.types.Scene, positions_m: ArrayF64, settings: ProbeSettings, exposure: float
-) -> list[ReferenceLight]:
-    """The reference light at each position."""
+def reference_lights(
+    scene: bpy.types.Scene, positions_m: ArrayF64, settings: ProbeSettings, frame: int, exposure: float
+) -> Iterator[ReferenceLight]:
+    """The reference light at each position, one after the other."""
     with open_reference_probe(scene, positions_m, settings) as probe:
-        return [probe.light_at(place, scene.frame_current, exposure) for place in range(len(positions_m))]
+        for place in range(len(positions_m)):
+            yield probe.light_at(place, frame, exposure)
 
 
-def stored_lights(lights: Sequence[ReferenceLight]) -> dict[str, Any]:
-    """What a `StoredRoom` keeps of them."""
-    return {
-        "balls": as_float16(np.stack([_at_half_size(light.ball) for light in lights])),
-        "sh_ldr": np.stack([light.measured.ldr for light in lights]),
-        "sh_hdr": np.stack([light.measured.hdr for light in lights]),
-        "sh_noise": np.array([[light.measured.ldr_noise or 0.0, light.measured.hdr_noise or 0.0] for light in lights]),
-    }
+def stored_room(
+    pictures: Sequence[Picture], exposure: float, positions_m: ArrayF64, is_unhidden: ArrayBool,
+    lights: Sequence[ReferenceLight], *, seed: tuple[int, int], kind: str, regime: str,
+) -> StoredRoom:  # fmt: skip
+    """What is kept of V pictures, and of the light at P positions of which nothing hides some (V, P)."""
+    radiance = np.stack([picture.radiance for picture in pictures])
+    measured = [light.measured for light in lights]
+    return StoredRoom(
+        srgb_u8=encode_exposed(radiance, exposure),
+        radiance=as_float16(radiance),
+        plane_depth_m=np.stack([picture.plane_depth_m for picture in pictures]),
+        world_from_camera=np.stack([picture.world_from_camera for picture in pictures]),
+        intrinsics=np.array(astuple(pictures[0].intrinsics), np.float64),
+        exposure=exposure,
+        positions_m=positions_m,
+        balls=as_float16(np.stack([_at_half_size(light.ball) for light in lights])),
+        sh_ldr=np.stack([light.ldr for light in measured]),
+        sh_hdr=np.stack([light.hdr for light in measured]),
+        sh_noise=np.array([[light.ldr_noise or 0.0, light.hdr_noise or 0.0] for light in measured]),
+        is_in_view=np.stack([in_view(positions_m, p.intrinsics, p.world_from_camera) for p in pictures]),
+        is_unhidden=is_unhidden,
+        seed=np.array(seed, np.int64),
+        kind=kind,
+        regime=regime,
+        versions=f"format {FORMAT_VERSION}, xihe {__version__}, Blender {bpy.app.version_string}",
+    )
 
 
 def _at_half_size(picture: ArrayF32) -> ArrayF32:
     n = len(picture) // 2
     half: ArrayF32 = picture.reshape(n, 2, n, 2, 3).mean(axis=(1, 3))
     return half
-
-
-def _as_stored(
-    room: Room, seed: tuple[int, int], views: list[PhoneView], pictures: Pictures, exposure: float,
-    positions_m: ArrayF64, lights: Sequence[ReferenceLight], is_unhidden: ArrayBool,
-) -> StoredRoom:  # fmt: skip
-    poses = np.stack([view.world_from_camera for view in views])
-    camera = pictures.intrinsics
-    return StoredRoom(
-        srgb_u8=encode_exposed(pictures.radiance, exposure),
-        radiance=as_float16(pictures.radiance),
-        plane_depth_m=as_float16(pictures.plane_depth_m),
-        world_from_camera=poses,
-        intrinsics=np.array([camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy], np.float64),
-        exposure=exposure,
-        positions_m=positions_m,
-        **stored_lights(lights),
-        is_in_view=np.stack([in_view(positions_m, camera, pose) for pose in poses]),
-        is_unhidden=is_unhidden,
-        seed=np.array(seed, np.int64),
-        kind=room.kind,
-        regime=room.regime,
-        versions=f"format {FORMAT_VERSION}, xihe {__version__}, Blender {bpy.app.version_string}",
-    )

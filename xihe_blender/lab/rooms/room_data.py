@@ -11,6 +11,10 @@ from dataclasses import dataclass
 
 from xihe_blender.lab.rooms.outline import Outline, Point, Rect
 
+LAMP_KINDS = {"floor_lamp": "floor", "table_lamp": "table"}
+"""Of pieces that only keep the place of a lamp: the lamp's kind."""
+
+Size = tuple[float, float, float]
 Colour = tuple[float, float, float]
 
 
@@ -57,7 +61,7 @@ class Piece:
     y: float
     z: float
     turn_deg: float
-    size: tuple[float, float, float]
+    size: Size
     finishes: tuple[Finish, ...]
     seed: int
 
@@ -107,15 +111,40 @@ class Daylight:
 
 
 @dataclass(frozen=True)
-class Room:
-    """All that a room is made of. `exposure_gain` is the phone's error in metering."""
+class Shell:
+    """A room with nothing in it."""
 
-    kind: str
-    regime: str
     outline: Outline
     height: float
     slopes: tuple[Slope, ...]
     holes: tuple[Hole, ...]
+
+    @property
+    def windows(self) -> list[Hole]:
+        return [hole for hole in self.holes if not hole.is_door]
+
+    def ceiling_at(self, point: Point) -> float:
+        """Metres from the floor to the ceiling over a point, slopes included."""
+        lowest = self.height
+        for slope in self.slopes:
+            wall = self.outline.walls[slope.wall]
+            (ox, oy), (sx, sy) = wall.outward, wall.start
+            inwards = -((point[0] - sx) * ox + (point[1] - sy) * oy)
+            if inwards < slope.reach_m:
+                lowest = min(lowest, slope.knee_m + (self.height - slope.knee_m) * max(inwards, 0.0) / slope.reach_m)
+        return lowest
+
+    def ceiling_over(self, rect: Rect) -> float:
+        """The lowest ceiling over a rectangle: slopes fall towards walls, so it is over a corner."""
+        return min(self.ceiling_at(corner) for corner in rect.corners)
+
+
+@dataclass(frozen=True)
+class Room(Shell):
+    """All that a room is made of. `exposure_gain` is the phone's error in metering."""
+
+    kind: str
+    regime: str
     pieces: tuple[Piece, ...]
     lamps: tuple[Lamp, ...]
     daylight: Daylight
@@ -124,19 +153,3 @@ class Room:
     ceiling: Finish
     trim: Finish
     exposure_gain: float
-
-    def ceiling_at(self, point: Point) -> float:
-        """Height of the ceiling over a point of the floor."""
-        return ceiling_height(self.outline, self.height, self.slopes, point)
-
-
-def ceiling_height(outline: Outline, height: float, slopes: tuple[Slope, ...], point: Point) -> float:
-    """Metres from the floor to the ceiling over a point, slopes included."""
-    lowest = height
-    for slope in slopes:
-        wall = outline.walls[slope.wall]
-        (ox, oy), (sx, sy) = wall.outward, wall.start
-        inwards = -((point[0] - sx) * ox + (point[1] - sy) * oy)
-        if inwards < slope.reach_m:
-            lowest = min(lowest, slope.knee_m + (height - slope.knee_m) * max(inwards, 0.0) / slope.reach_m)
-    return lowest

@@ -2,9 +2,12 @@
 
 Chosen: rules for plan, furniture, materials and light that are drawn independently where they can be, because what a
 network lacks is distinct rooms. Rejected: a few hand-made rooms with jitter, which a network learns by heart.
+An opening that does not fit is drawn again a few times and then left out.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,13 +15,18 @@ from xihe_blender.lab.rooms import palette
 from xihe_blender.lab.rooms.arrange import Floor, Rng
 from xihe_blender.lab.rooms.furnishing import furnish
 from xihe_blender.lab.rooms.light_plan import REGIMES, sample_daylight, sample_lamps, sample_regime
-from xihe_blender.lab.rooms.room_data import Room
-from xihe_blender.lab.rooms.shape import sample_holes, sample_outline, sample_slopes
+from xihe_blender.lab.rooms.outline import Outline, alcove_plan, box_plan, l_plan, turned
+from xihe_blender.lab.rooms.room_data import Hole, Room, Shell, Slope
 
 KIND_SHARES = {
     "living": 0.25, "bedroom": 0.18, "dining": 0.12, "study": 0.1, "kitchen": 0.12, "bathroom": 0.07, "office": 0.09,
     "hall": 0.07,
 }  # fmt: skip
+KIND_SIZES = {
+    "living": (3.2, 7.5), "bedroom": (2.8, 5.0), "dining": (3.0, 6.0), "study": (2.4, 4.5),
+    "kitchen": (2.4, 5.0), "bathroom": (2.0, 3.4), "office": (3.5, 8.0), "hall": (2.0, 6.0),
+}  # fmt: skip
+CORNER_M, DOOR_TOP_M = 0.12, 2.02
 EXPOSURE_GAIN, EXPOSURE_SPREAD = 1.35, 0.12
 """Median of what a phone gives more light than our metering, which takes the low end of the meters' range, and the
 standard deviation of its log."""
@@ -35,27 +43,115 @@ def walk_generator(seed: int, index: int) -> Rng:
 
 
 def sample_room(rng: Rng) -> Room:
-    """One room with all that is in it."""
     kind = str(rng.choice(list(KIND_SHARES), p=list(KIND_SHARES.values())))
-    outline = sample_outline(rng, kind)
-    tall = rng.random() < 0.15
-    height = float(rng.uniform(2.8, 3.6)) if tall else float(rng.uniform(2.25, 2.8))
-    slopes = sample_slopes(rng, outline, height)
-    holes = sample_holes(rng, outline, height, slopes)
-    floor = Floor(outline, height, slopes, holes)
+    shell = sample_shell(rng, kind)
+    floor = Floor(**vars(shell))
     furnish(rng, floor, kind)
-    windows = [hole for hole in holes if not hole.is_door]
-    regime_name = sample_regime(rng, has_window=bool(windows))
+    regime_name = sample_regime(rng, has_window=bool(shell.windows))
     regime = REGIMES[regime_name]
     daylight = sample_daylight(rng, floor, regime)
-    glass_share = sum((w.high - w.low) * (w.top - w.bottom) for w in windows) / outline.area
+    glass_share = sum((w.high - w.low) * (w.top - w.bottom) for w in shell.windows) / shell.outline.area
     sky = float(np.sqrt(regime.sky[0] * regime.sky[1]))
     lamps = sample_lamps(rng, floor, kind, regime, sky * glass_share * 6.0)
     return Room(
-        kind, regime_name, outline, height, slopes, holes, tuple(floor.pieces), lamps, daylight,
+        **vars(shell),
+        kind=kind,
+        regime=regime_name,
+        pieces=tuple(floor.pieces),
+        lamps=lamps,
+        daylight=daylight,
         floor=palette.floor_finish(rng, kind),
-        walls=palette.wall_finishes(rng, kind, len(outline.walls)),
+        walls=palette.wall_finishes(rng, kind, len(shell.outline.walls)),
         ceiling=palette.ceiling_finish(rng),
         trim=palette.trim_finish(rng),
         exposure_gain=float(EXPOSURE_GAIN * np.exp(rng.normal(0.0, EXPOSURE_SPREAD))),
-    )  # fmt: skip
+    )
+
+
+def sample_shell(rng: Rng, kind: str) -> Shell:
+    """Plan and height, then slopes, then openings."""
+    outline = sample_outline(rng, kind)
+    is_tall = rng.random() < 0.15
+    height = float(rng.uniform(2.8, 3.6)) if is_tall else float(rng.uniform(2.25, 2.8))
+    bare = Shell(outline, height, sample_slopes(rng, outline), ())
+    return replace(bare, holes=sample_holes(rng, bare))
+
+
+def sample_outline(rng: Rng, kind: str) -> Outline:
+    """A box (half of the rooms), an L or a room with an alcove, turned at random."""
+    low, high = KIND_SIZES[kind]
+    width, length = (float(v) for v in rng.uniform(low, high, 2))
+    draw = rng.random()
+    if draw < 0.25 and min(width, length) > 3.2:
+        cut = float(rng.uniform(0.25, 0.5)) * width, float(rng.uniform(0.25, 0.5)) * length
+        plan = l_plan(width, length, cut)
+    elif draw < 0.5 and width > 2.6:
+        span = sorted(float(v) for v in rng.uniform(-width / 2 + 0.2, width / 2 - 0.2, 2))
+        middle = (span[0] + span[1]) / 2
+        half = min(max(0.5, (span[1] - span[0]) / 2), width / 2 - 0.2)
+        middle = float(np.clip(middle, -width / 2 + 0.15 + half, width / 2 - 0.15 - half))
+        plan = alcove_plan(width, length, (middle - half, middle + half), float(rng.uniform(0.4, 1.4)))
+    else:
+        plan = box_plan(width, length)
+    return turned(plan, int(rng.integers(4)))
+
+
+def sample_slopes(rng: Rng, outline: Outline) -> tuple[Slope, ...]:
+    """None for most rooms; one slope or a gable of two for some boxes."""
+    if len(outline.corners) != 4 or rng.random() > 0.3:
+        return ()
+    first = int(rng.integers(4))
+    across = outline.walls[(first + 1) % 4].length
+    knee = float(rng.uniform(0.8, 1.7))
+    if rng.random() < 0.35:
+        reach = across * float(rng.uniform(0.35, 0.5))
+        return Slope(first, knee, reach), Slope((first + 2) % 4, knee, reach)
+    return (Slope(first, knee, across * float(rng.uniform(0.3, 0.9))),)
+
+
+def sample_holes(rng: Rng, bare: Shell) -> tuple[Hole, ...]:
+    """One door, and none to five windows (none is rare)."""
+    holes: list[Hole] = []
+    walls, sloped = bare.outline.walls, {slope.wall for slope in bare.slopes}
+    n_windows = int(rng.choice(6, p=[0.05, 0.35, 0.3, 0.17, 0.09, 0.04]))
+    favourite = int(rng.integers(len(walls)))
+    for i in range(1 + n_windows):
+        for _ in range(12):
+            same_wall = i > 1 and rng.random() < 0.5
+            wall = favourite if same_wall else int(rng.integers(len(walls)))
+            room = walls[wall].length - 2 * CORNER_M
+            hole = _door(rng, wall, room) if i == 0 else _window(rng, wall, room, bare.height)
+            if hole is not None and wall not in sloped and _fits(hole, holes, bare):
+                holes.append(hole)
+                favourite = wall if i == 1 else favourite
+                break
+    return tuple(holes)
+
+
+def _door(rng: Rng, wall: int, room: float) -> Hole | None:
+    """Within the `room` that a wall has along it."""
+    width = float(rng.uniform(0.75, 0.95))
+    if room < width:
+        return None
+    low = CORNER_M + float(rng.uniform(0, room - width))
+    return Hole(wall, low, low + width, 0.0, DOOR_TOP_M, is_door=True)
+
+
+def _window(rng: Rng, wall: int, room: float, height: float) -> Hole | None:
+    width = min(float(rng.choice([0.6, 0.9, 1.2, 1.6, 2.2, 3.2])) * float(rng.uniform(0.85, 1.2)), room)
+    if width < 0.5:
+        return None
+    low = CORNER_M + float(rng.uniform(0, room - width))
+    bottom = 0.05 if rng.random() < 0.18 else float(rng.uniform(0.5, 1.15))
+    top = min(height - 0.15, bottom + 2.3, max(bottom + 0.75, float(rng.uniform(1.9, 2.6))))
+    covering = str(rng.choice(["none", "curtains", "sheer", "blind"], p=[0.5, 0.25, 0.12, 0.13]))
+    return Hole(wall, low, low + width, bottom, top, False, covering, max(1, round(width / 0.75)))
+
+
+def _fits(hole: Hole, others: list[Hole], bare: Shell) -> bool:
+    """Whether a hole keeps clear of the others on its wall and stays below the ceiling."""
+    wall = bare.outline.walls[hole.wall]
+    if any(o.wall == hole.wall and o.low < hole.high + 0.25 and hole.low < o.high + 0.25 for o in others):
+        return False
+    ends = (wall.point(hole.low, 0.0), wall.point(hole.high, 0.0))
+    return hole.top > hole.bottom + 0.4 and min(map(bare.ceiling_at, ends)) > hole.top + 0.12

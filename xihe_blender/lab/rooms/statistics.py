@@ -23,9 +23,7 @@ from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 
 BANDS = {"L00": [0], "l=1 up": [2], "l=1 sides": [1, 3], "l=2": [4, 5, 6, 7, 8]}
-REAL_MEAN_L00 = (0.93, 0.86, 0.76)
-"""RGB; from the paper's artefact, 2,037 test items."""
-
+REAL_MEAN_L00 = (0.93, 0.86, 0.76)  # RGB; from the paper's artefact, 2,037 test items
 REAL_SPREAD = {"L00": "0.23 / 0.21 / 0.26", "l=1 up": "0.20 / 0.21 / 0.22", "l=1 sides": "0.09 to 0.10",
                "l=2": "0.05 to 0.09"}  # fmt: skip
 """Standard deviations over the same items, RGB or the range over coefficients and channels."""
@@ -33,8 +31,6 @@ REAL_SPREAD = {"L00": "0.23 / 0.21 / 0.26", "l=1 up": "0.20 / 0.21 / 0.22", "l=1
 REAL_RANGE = (-1.09, 1.98)
 REAL_COVERAGE = {"mean": 607 / 1280, "5 %": 107 / 1280, "50 %": 642 / 1280, "95 %": 887 / 1280}
 """Share of 1280 anchors set by one view; from the paper's artefact."""
-
-COVERAGE_PERCENTILES = {"5 %": 5, "50 %": 50, "95 %": 95}
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +47,7 @@ class LightStatistics:
 
 def light_statistics(rooms: Iterable[StoredRoom], n_anchors: int = 1280) -> LightStatistics:
     """Statistics over the pairs that count. ValueError if there is none."""
-    lattice = AnchorLattice(n_anchors)
-    lights: list[ArrayF64] = []
-    shares: list[float] = []
-    n_rooms = 0
+    lattice, lights, shares, n_rooms = AnchorLattice(n_anchors), [], [], 0
     for room in rooms:
         n_rooms += 1
         for view in range(len(room.srgb_u8)):
@@ -71,8 +64,7 @@ def light_statistics(rooms: Iterable[StoredRoom], n_anchors: int = 1280) -> Ligh
         sh[:, 0].mean(axis=0),
         {name: sh[:, index].std(axis=0) for name, index in BANDS.items()},
         (float(sh.min()), float(sh.max())),
-        {"mean": float(np.mean(shares))}
-        | {name: float(np.percentile(shares, p)) for name, p in COVERAGE_PERCENTILES.items()},
+        {"mean": float(np.mean(shares)), **{f"{p} %": float(np.percentile(shares, p)) for p in (5, 50, 95)}},
     )
 
 
@@ -111,7 +103,6 @@ def _numbers(values: ArrayF64 | ArrayF32 | Sequence[float]) -> str:
 
 
 def main() -> None:
-    """The command line: the table, and which panoramas are faulty."""
     parser = argparse.ArgumentParser(prog="python -m xihe_blender.lab.rooms.statistics", description="Light of rooms.")
     parser.add_argument("folder", type=Path, metavar="DIR")
     folder = parser.parse_args().folder

@@ -24,9 +24,7 @@ from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, Intrinsics, 
 ArrayF16 = NDArray[np.float16]
 FORMAT_VERSION = 2
 
-METERING: Metering = "highlights"
-"""Of every room; a folder that was begun with another is not gone on with."""
-
+METERING: Metering = "highlights"  # Of every room; a folder that was begun with another is not gone on with
 MAX_FLOAT16 = 65504.0
 
 
@@ -49,7 +47,7 @@ class StoredRoom:
     sh_noise : (P, 2) float64, expected relative error of the two; 0 where it is not known
     is_in_view : (V, P) bool, the position projects into the picture: the pair counts
     is_unhidden : (V, P) bool, nothing stands between the phone and the position
-    seed : (2,) int64, of the data set and the room's number; of a scene see `scene_seed`
+    seed : (2,) int64, of the data set and the room's number; of a scene see SCENE_SEED
     kind, regime : of the room and its light, in words; of a scene its name and SCENE_REGIME
     versions : of the format, this software and Blender
     """
@@ -74,7 +72,6 @@ class StoredRoom:
 
     @property
     def pinhole(self) -> Intrinsics:
-        """The intrinsics as a record."""
         width, height, *rest = self.intrinsics.tolist()
         return Intrinsics(int(width), int(height), *rest)
 
@@ -84,11 +81,10 @@ class StoredRoom:
 
     def frame(self, view: int) -> RgbdFrame:
         """One view as the chain takes it; the sensed ambient light is the picture's mean, as in a capture."""
-        colour = self.srgb_u8[view]
-        plane_depth_m: ArrayF32 = self.plane_depth_m[view].astype(np.float32)
+        colour, plane_depth_m = self.srgb_u8[view], self.plane_depth_m[view].astype(np.float32)
         ambient = sensed_ambient(colour, self.exposure)
-        return RgbdFrame(colour, plane_depth_m, self.pinhole, self.world_from_camera[view], self.exposure, ambient,
-                         frame=view)  # fmt: skip
+        pose = self.world_from_camera[view]
+        return RgbdFrame(colour, plane_depth_m, self.pinhole, pose, self.exposure, ambient, frame=view)
 
 
 def as_float16(values: NDArray[Any]) -> ArrayF16:
@@ -99,9 +95,8 @@ def as_float16(values: NDArray[Any]) -> ArrayF16:
 
 def save_room(path: Path, room: StoredRoom) -> None:
     """Write `room` whole or not at all. OSError if it cannot be written."""
-    content: dict[str, Any] = {f.name: getattr(room, f.name) for f in fields(room)}
     with written_whole(path) as beside:
-        np.savez_compressed(beside, **content)
+        np.savez_compressed(beside, **vars(room))
 
 
 def load_room(path: Path) -> StoredRoom:
@@ -111,15 +106,13 @@ def load_room(path: Path) -> StoredRoom:
         if "panoramas" in stored:
             raise ValueError("its format is that of an older version: build the data set again")
         content: dict[str, Any] = {f.name: stored[f.name] for f in fields(StoredRoom)}
-        for name in ("exposure", "kind", "regime", "versions"):
-            content[name] = content[name].item()
+        content |= {name: content[name].item() for name in ("exposure", "kind", "regime", "versions")}
     except (KeyError, ValueError) as error:
         raise ValueError(f"{path}: not a room of a data set ({error})") from None
     return StoredRoom(**content)
 
 
 def room_path(folder: Path, index: int) -> Path:
-    """The file of room `index`."""
     return folder / f"room_{index:06d}.npz"
 
 

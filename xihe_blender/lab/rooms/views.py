@@ -16,17 +16,15 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from xihe_blender.lab.rooms.arrange import Rng
+from xihe_blender.lab.rooms.arrange import Rng, draw_point
 from xihe_blender.lab.rooms.outline import Rect
-from xihe_blender.lab.rooms.room_data import Room
+from xihe_blender.lab.rooms.room_data import Piece, Room
 from xihenet.records import ArrayBool, ArrayF64
 from xihenet.sphere import AnchorLattice
 
 N_VIEWS, N_POSITIONS = 5, 4
 VIEW_TRIES, POSITION_TRIES = 300, 300
-MIN_CLEARANCE_M = 0.035
-"""Nearer than this nothing may be to a position: the surface below is 5 cm away at least."""
-
+MIN_CLEARANCE_M = 0.035  # Nearer than this nothing may be to a position: the surface below is 5 cm away at least
 PHONE_CLEARANCE_M = 0.25
 MAX_BEHIND_SHARE = 0.12
 POSITION_SPACING_M = 0.35
@@ -62,6 +60,17 @@ class RoomRays:
                 from_behind[i] = normal.dot(direction) > 0
         return distances, from_behind
 
+    def cast_around(self, origin: ArrayF64, n_rays: int) -> tuple[ArrayF64, ArrayBool]:
+        """As `cast`, evenly in all directions."""
+        return self.cast(origin, AnchorLattice(n_rays).directions.astype(np.float64))
+
+    def reach(self, place_m: ArrayF64, positions_m: ArrayF64) -> ArrayBool:
+        """(P,) bool: nothing stands between a place (3,) and positions (P, 3)."""
+        gaps = positions_m - place_m
+        distances = np.linalg.norm(gaps, axis=1)
+        free: ArrayBool = self.cast(place_m, gaps / distances[:, None])[0] > distances
+        return free
+
     def floor_below(self, x: float, y: float, from_z: float) -> float | None:
         """Height of the surface below a point, or None if it does not face up."""
         hit, place, normal, *_ = self.scene.ray_cast(self.depsgraph, (x, y, from_z), (0.0, 0.0, -1.0))
@@ -73,32 +82,27 @@ def sample_positions(rng: Rng, room: Room, rays: RoomRays) -> ArrayF64:
     found: list[ArrayF64] = []
     pieces = [p for p in room.pieces if p.z < 0.1 and 0.2 < p.top_m < 1.25]
     for _ in range(POSITION_TRIES):
-        over = pieces[int(rng.integers(len(pieces)))].footprint if pieces and rng.random() < 0.6 else None
-        position = _draw_position(rng, room, rays, over)
+        is_over_a_piece = pieces and rng.random() < 0.6
+        area = pieces[int(rng.integers(len(pieces)))].footprint if is_over_a_piece else room.outline.bounds.grown(-0.1)
+        position = _draw_position(rng, room, rays, area)
         if position is None or any(np.linalg.norm(position - other) < POSITION_SPACING_M for other in found):
             continue
-        if is_clear(rays, position):
+        distances, from_behind = rays.cast_around(position, N_CLEARANCE_RAYS)
+        if distances.min() > MIN_CLEARANCE_M and from_behind.mean() < MAX_BEHIND_SHARE:
             found.append(position)
         if len(found) == N_POSITIONS:
             return np.array(found)
     raise RoomTooFull(f"only {len(found)} of {N_POSITIONS} placement positions found")
 
 
-def _draw_position(rng: Rng, room: Room, rays: RoomRays, over: Rect | None) -> ArrayF64 | None:
-    """A point 5 to 10 cm above whatever is highest below 1.4 m at a random place, or None."""
-    area = room.outline.bounds.grown(-0.1) if over is None else over
-    x, y = float(rng.uniform(area.x0, area.x1)), float(rng.uniform(area.y0, area.y1))
+def _draw_position(rng: Rng, room: Room, rays: RoomRays, area: Rect) -> ArrayF64 | None:
+    """A point 5 to 10 cm above whatever is highest below 1.4 m at a random place of `area`, or None."""
+    x, y = draw_point(rng, area)
     lift = float(rng.uniform(0.05, 0.1))
     if not room.outline.holds_rect(Rect.around((x, y), (0.12, 0.12))):
         return None
     surface = rays.floor_below(x, y, min(1.4, room.ceiling_at((x, y)) - 0.1))
     return None if surface is None else np.array([x, y, surface + lift])
-
-
-def is_clear(rays: RoomRays, position: ArrayF64) -> bool:
-    """Whether a position is outside of everything and nothing is nearer than MIN_CLEARANCE_M."""
-    distances, from_behind = rays.cast(position, AnchorLattice(N_CLEARANCE_RAYS).directions.astype(np.float64))
-    return bool(distances.min() > MIN_CLEARANCE_M and from_behind.mean() < MAX_BEHIND_SHARE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,14 +112,18 @@ class PhoneView:
     world_from_camera: ArrayF64
     fov_deg: float
 
+    @property
+    def place_m(self) -> ArrayF64:
+        """(3,) where the phone is."""
+        return self.world_from_camera[:3, 3]
+
 
 def sample_views(rng: Rng, room: Room, rays: RoomRays, positions_m: ArrayF64) -> list[PhoneView]:
     """N_VIEWS views of which all but the last are pointed at a position. RoomTooFull if there are not as many."""
     fov_deg = float(rng.uniform(60, 72))
     views: list[PhoneView] = []
     for attempt in range(VIEW_TRIES):
-        is_aimed = len(views) < N_VIEWS - 1
-        target = positions_m[len(views) % len(positions_m)] if is_aimed else None
+        target = positions_m[len(views) % len(positions_m)] if len(views) < N_VIEWS - 1 else None
         view = _draw_view(rng, room, target, fov_deg)
         # A small room has no place from which all is far away: ask for less as the tries go on.
         if view is not None and sees_something(rays, view, 1.1 - 0.6 * attempt / VIEW_TRIES):
@@ -130,7 +138,7 @@ def _draw_view(rng: Rng, room: Room, target: ArrayF64 | None, fov_deg: float) ->
     area = room.outline.bounds.grown(-PHONE_CLEARANCE_M)
     if area.x1 <= area.x0 or area.y1 <= area.y0:
         return None
-    x, y = float(rng.uniform(area.x0, area.x1)), float(rng.uniform(area.y0, area.y1))
+    x, y = draw_point(rng, area)
     height = float(rng.uniform(1.0, 1.8))
     yaw, pitch = float(rng.uniform(0, 2 * math.pi)), math.radians(float(rng.normal(-18, 12)))
     roll = math.radians(float(rng.normal(0, 4)))
@@ -142,16 +150,13 @@ def _draw_view(rng: Rng, room: Room, target: ArrayF64 | None, fov_deg: float) ->
         pitch = math.atan2(below, float(np.hypot(*ahead))) + math.radians(float(rng.normal(6, 8)))
     if not room.outline.holds((x, y)) or height > room.ceiling_at((x, y)) - 0.15:
         return None
-    if any(_is_in_box(room, i, (x, y, height)) for i in range(len(room.pieces))):
+    if any(_is_in_box(piece, (x, y, height)) for piece in room.pieces):
         return None
     return PhoneView(hand_held_pose((x, y, height), yaw, min(max(pitch, -1.1), 0.5), roll), fov_deg)
 
 
-def _is_in_box(room: Room, i: int, place: tuple[float, float, float]) -> bool:
-    piece = room.pieces[i]
-    rect = piece.footprint.grown(0.08)
-    is_over = rect.x0 < place[0] < rect.x1 and rect.y0 < place[1] < rect.y1
-    return is_over and piece.z - 0.1 < place[2] < piece.top_m + 0.2
+def _is_in_box(piece: Piece, place: tuple[float, float, float]) -> bool:
+    return piece.footprint.grown(0.08).holds(place[:2]) and piece.z - 0.1 < place[2] < piece.top_m + 0.2
 
 
 def hand_held_pose(place: tuple[float, float, float], yaw: float, pitch: float, roll: float) -> ArrayF64:
@@ -169,25 +174,12 @@ def hand_held_pose(place: tuple[float, float, float], yaw: float, pitch: float, 
 
 def sees_something(rays: RoomRays, view: PhoneView, median_m: float) -> bool:
     """Whether the phone is free of things and its picture is not filled by something close."""
-    place = view.world_from_camera[:3, 3]
-    around, behind = rays.cast(place, AnchorLattice(N_PHONE_RAYS).directions.astype(np.float64))
+    around, behind = rays.cast_around(view.place_m, N_PHONE_RAYS)
     if around.min() < PHONE_CLEARANCE_M or behind.mean() > MAX_BEHIND_SHARE:
         return False
     slope = math.tan(math.radians(view.fov_deg) / 2)
     u, v = np.meshgrid(np.linspace(-1, 1, 7) * slope, np.linspace(-0.75, 0.75, 5) * slope)
     directions = np.stack([u.ravel(), v.ravel(), np.full(u.size, -1.0)], -1)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    distances, _ = rays.cast(place, directions @ view.world_from_camera[:3, :3].T)
+    distances, _ = rays.cast(view.place_m, directions @ view.world_from_camera[:3, :3].T)
     return bool(np.median(distances) > median_m and (distances < 0.4).mean() < 0.1)
-
-
-def lines_of_sight(rays: RoomRays, views: list[PhoneView], positions_m: ArrayF64) -> ArrayBool:
-    """(V, P) bool: nothing stands between the phone and the position."""
-    free = np.zeros((len(views), len(positions_m)), bool)
-    for i, view in enumerate(views):
-        gap = positions_m - view.world_from_camera[:3, 3]
-        distance = np.linalg.norm(gap, axis=1)
-        for j in range(len(positions_m)):
-            hit, _ = rays.cast(view.world_from_camera[:3, 3], gap[j : j + 1] / distance[j])
-            free[i, j] = hit[0] > distance[j]
-    return free

@@ -22,33 +22,22 @@ from xihe_blender.lab.rooms.free_floor import FreeFloor, Route
 from xihe_blender.lab.rooms.room_data import Room
 from xihe_blender.lab.rooms.views import N_PHONE_RAYS, PHONE_CLEARANCE_M, PhoneView, RoomRays, hand_held_pose
 from xihenet.records import ArrayF64
-from xihenet.sphere import AnchorLattice
 
-MARGINS_M = (0.4, 0.3, 0.2)
-"""Between a walker and what stands around, the most comfortable first."""
-
+MARGINS_M = (0.4, 0.3, 0.2)  # Between a walker and what stands around, the most comfortable first
 MIN_AREA_M2 = 0.5
 DRAWS = 6
 STRUCK_RADIUS_M = 0.25
 LOWEST_M, HIGHEST_M = 1.2, 1.7
-LOOK_FROM_M = (0.9, 2.4)
-"""How far from a position, sideways, one stands to look at it."""
-
+LOOK_FROM_M = (0.9, 2.4)  # How far from a position, sideways, one stands to look at it
 SPEED_M_S = (0.5, 0.8)
-STANDING_SPEED = 0.15
-"""Share of the speed that is left while turning around: people shift their feet."""
-
+STANDING_SPEED = 0.15  # Share of the speed that is left while turning around: people shift their feet
 MAX_TURN_DEG, MAX_TILT_DEG, EASE = 30.0, 16.0, 0.8
 """Per frame; `EASE` is the share of what is left to turn that is turned at once."""
 
 LOWEST_PITCH_DEG, HIGHEST_PITCH_DEG = -35.0, 20.0
-LOWEST_LOOK_DEG = -50.0
-"""To look at what is near, one looks further down than while turning around."""
-
+LOWEST_LOOK_DEG = -50.0  # To look at what is near, one looks further down than while turning around
 SWEEP_DEG = (120.0, 220.0)
-DWELL_FRAMES, PATIENCE_FRAMES = 2, 6
-"""Frames for which a look lasts once its aim is reached, and at most."""
-
+DWELL_FRAMES, PATIENCE_FRAMES = 2, 6  # Frames for which a look lasts once its aim is reached, and at most
 REACHED_DEG = 12.0
 
 
@@ -96,7 +85,7 @@ def _clear_walks(
         order = [int(i) for i in rng.permutation(len(positions_m))]
         route = floor.route(_stops(rng, floor, rays, positions_m[order], float(heights_m.mean())))
         walk = _walked(rng, route, heights_m, positions_m, order, fov_deg)
-        struck_m = _struck(rays, np.stack([view.world_from_camera[:3, 3] for view in walk]))
+        struck_m = _struck(rays, np.stack([view.place_m for view in walk]))
         if len(struck_m):
             floor = floor.without(struck_m[:, :2], STRUCK_RADIUS_M)
         else:
@@ -108,8 +97,8 @@ def _fewest_sightings(walk: list[PhoneView], positions_m: ArrayF64) -> int:
     slope = math.tan(math.radians(walk[0].fov_deg) / 2)
     poses = np.stack([view.world_from_camera for view in walk])
     seen = np.einsum("fij,fpi->fpj", poses[:, :3, :3], positions_m[None] - poses[:, None, :3, 3])
-    reach = -seen[..., 2] * slope
-    return int(((np.abs(seen[..., 0]) < reach) & (np.abs(seen[..., 1]) < 0.75 * reach)).sum(axis=0).min())
+    across, up, reach = np.abs(seen[..., 0]), np.abs(seen[..., 1]), -seen[..., 2] * slope
+    return int(((across < reach) & (up < 0.75 * reach)).sum(axis=0).min())
 
 
 def _struck(rays: RoomRays, places_m: ArrayF64) -> ArrayF64:
@@ -117,15 +106,14 @@ def _struck(rays: RoomRays, places_m: ArrayF64) -> ArrayF64:
 
     Over free floor nothing is big enough for the phone to be inside of it and clear of it, so nothing else is asked.
     """
-    around = AnchorLattice(N_PHONE_RAYS).directions.astype(np.float64)
-    nearest_m = np.array([rays.cast(place, around)[0].min() for place in places_m])
+    nearest_m = np.array([rays.cast_around(place, N_PHONE_RAYS)[0].min() for place in places_m])
     return places_m[nearest_m < PHONE_CLEARANCE_M]
 
 
 def _standing_walk(rng: Rng, positions_m: ArrayF64, views: list[PhoneView], n_frames: int) -> list[PhoneView]:
     """All frames from the place of the view that is nearest to the height of a walk."""
-    places = [view.world_from_camera[:3, 3] for view in views]
-    place = min(places, key=lambda p: abs(p[2] - (LOWEST_M + HIGHEST_M) / 2))
+    middle_m = (LOWEST_M + HIGHEST_M) / 2
+    place = min((view.place_m for view in views), key=lambda place: abs(place[2] - middle_m))
     order = [int(i) for i in rng.permutation(len(positions_m))]
     route = Route.through(place[None, :2])
     return _walked(rng, route, np.full(n_frames, place[2]), positions_m, order, views[0].fov_deg)
@@ -134,8 +122,7 @@ def _standing_walk(rng: Rng, positions_m: ArrayF64, views: list[PhoneView], n_fr
 def _heights(rng: Rng, n_frames: int) -> ArrayF64:
     """(F,) how high the phone is held: as one person does, slowly up and down."""
     middle, swing = rng.uniform(LOWEST_M + 0.1, HIGHEST_M - 0.1), rng.uniform(0.03, 0.1)
-    wave = np.sin(2 * math.pi * (np.arange(n_frames) / rng.uniform(9, 20) + rng.random()))
-    return np.asarray(middle + swing * wave)
+    return np.asarray(middle + swing * np.sin(2 * math.pi * (np.arange(n_frames) / rng.uniform(9, 20) + rng.random())))
 
 
 def _stops(rng: Rng, floor: FreeFloor, rays: RoomRays, positions_m: ArrayF64, height_m: float) -> ArrayF64:
@@ -150,13 +137,9 @@ def _stop(rng: Rng, floor: FreeFloor, rays: RoomRays, position: ArrayF64, height
     gaps = np.linalg.norm(places - position[:2], axis=1)
     near = places[(gaps > LOOK_FROM_M[0]) & (gaps < LOOK_FROM_M[1])]
     for place in rng.permutation(near)[:12]:
-        sight = position - (*place, height_m)
-        distance = float(np.linalg.norm(sight))
-        hit, _ = rays.cast(np.array((*place, height_m)), sight[None] / distance)
-        if hit[0] > distance:
+        if rays.reach(np.array((*place, height_m)), position[None]).all():
             return np.asarray(place)
-    middle = sum(LOOK_FROM_M) / 2
-    return np.asarray(places[int(np.abs(gaps - middle).argmin())])
+    return np.asarray(places[int(np.abs(gaps - sum(LOOK_FROM_M) / 2).argmin())])
 
 
 def _goals(rng: Rng, order: list[int]) -> Iterator[Look | Sweep]:
@@ -195,10 +178,9 @@ def _walked(
 
 def _hand(rng: Rng, n_frames: int) -> ArrayF64:
     """(F, 3) degrees of yaw, pitch and roll by which a hand is off, each frame much like the one before."""
-    noise = rng.normal(0, 1, (n_frames, 3)) * (1.5, 1.2, 2.0)
-    off = np.zeros((n_frames, 3))
-    for frame in range(n_frames):
-        off[frame] = noise[frame] + (0.6 * off[frame - 1] if frame else 0.0)
+    off: ArrayF64 = rng.normal(0, 1, (n_frames, 3)) * (1.5, 1.2, 2.0)
+    for frame in range(1, n_frames):
+        off[frame] += 0.6 * off[frame - 1]
     return off
 
 
@@ -213,7 +195,6 @@ def _there_and_back(walked_m: float, length_m: float) -> float:
 def _wanted(
     goal: Look | Sweep, gaze: tuple[float, float] | None, place: ArrayF64, positions_m: ArrayF64, frame: int
 ) -> tuple[float, float]:
-    """Yaw and pitch that the goal asks for."""
     if isinstance(goal, Look):
         ahead = positions_m[goal.place] - place
         yaw = math.degrees(math.atan2(-ahead[0], ahead[1])) + goal.aside_deg

@@ -11,7 +11,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 from xihe_blender.errors import UserError
@@ -19,21 +19,18 @@ from xihe_blender.lab.rooms.render_room import RoomRenderSettings, make_room
 from xihe_blender.lab.rooms.store import room_path, save_room
 
 
-def make_rooms(
-    folder: Path, seed: int, indices: Sequence[int], settings: RoomRenderSettings, walk: int | None,
-    is_stopped: Callable[[], bool],
-) -> None:  # fmt: skip
+def make_rooms(options: argparse.Namespace, is_stopped: Callable[[], bool]) -> None:
     """Make the rooms that are not there yet; stops between rooms when told to, or when its parent process is gone."""
-    parent = os.getppid()
-    for index in indices:
+    parent, settings = os.getppid(), RoomRenderSettings.of(options.settings)
+    for index in map(int, options.rooms.split(",")):
         if is_stopped() or os.getppid() != parent:
             return
-        path = room_path(folder, index)
+        path = room_path(options.out, index)
         if not path.exists():
-            save_room(path, make_room(seed, index, settings, walk=walk))
+            save_room(path, make_room(options.seed, index, settings, walk=options.walk))
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> int:
     """The command line; what went wrong is the last line on stderr."""
     parser = argparse.ArgumentParser(prog="python -m xihe_blender.lab.rooms.worker", description="Make rooms.")
     parser.add_argument("--out", type=Path, required=True)
@@ -41,16 +38,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rooms", required=True, help="numbers, separated by commas")
     parser.add_argument("--settings", type=int, nargs=6, required=True, metavar="N", help="sizes and samples")
     parser.add_argument("--walk", type=int, metavar="F", help="frames of a walk in place of free views")
-    options = parser.parse_args(arguments)
+    options = parser.parse_args()
     # Ctrl-C reaches the whole group of processes; the build decides what it means. Told to end, finish the room:
     # a process that dies while Cycles renders leaves its temporary files behind.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda _signal, _frame: stop.set())
-    settings = RoomRenderSettings.of(options.settings)
-    indices = [int(i) for i in options.rooms.split(",")]
     try:
-        make_rooms(options.out, options.seed, indices, settings, options.walk, stop.is_set)
+        make_rooms(options, stop.is_set)
     except (UserError, OSError) as error:
         print(" ".join(str(error).split()), file=sys.stderr)
         return 2

@@ -40,12 +40,8 @@ POLL_S = 0.25
 CONNECT_S = 10.0
 ALONE_S = 30.0
 N_RETRIES = 2
-EXIT_CANNOT_BE_DONE = 2
-"""Of a module that has said on stderr what the user can mend."""
-
-TOPIC = "xihe"
-"""Of the events that tell how far a piece of work is."""
-
+EXIT_CANNOT_BE_DONE = 2  # Of a module that has said on stderr what the user can mend
+TOPIC = "xihe"  # Of the events that tell how far a piece of work is
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
@@ -121,12 +117,10 @@ class DaskWorkers:
         `noun` says what one of them is.
         """
         self.client.subscribe_topic(TOPIC, self._hear)
-        futures: dict[str, Future[str | None]] = {
-            one.name: self.client.submit(
-                run_module, one, key=f"{one.name}-{time.time_ns()}", pure=False, priority=-place, retries=N_RETRIES
-            )
-            for place, one in enumerate(work)
-        }
+        futures: dict[str, Future[str | None]] = {}
+        for place, one in enumerate(work):
+            once = {"key": f"{one.name}-{time.time_ns()}", "pure": False}
+            futures[one.name] = self.client.submit(run_module, one, priority=-place, retries=N_RETRIES, **once)
         try:
             yield from self._watched(futures, noun)
         finally:
@@ -142,8 +136,8 @@ class DaskWorkers:
             # By the percent, or a batch of thousands would tell of nothing else.
             done = len(futures) * math.floor(100 * share) / 100
             n_workers = len(self.client.ncores())
-            workers = format_count(n_workers, "worker")
-            yield Progress(done, len(futures), f"{n_done} of {format_count(len(futures), noun)}, {workers}")
+            told = f"{n_done} of {format_count(len(futures), noun)}, {format_count(n_workers, 'worker')}"
+            yield Progress(done, len(futures), told)
             alone_since = time.monotonic() if n_workers else alone_since
             if self.is_local and time.monotonic() - alone_since > ALONE_S:
                 raise UserError("no worker is left: run the same command again, it goes on from here")
@@ -159,13 +153,11 @@ class DaskWorkers:
 
 
 def _why_it_failed(future: Future[str | None]) -> str | None:
-    if future.status == "finished":
-        reason: str | None = future.result()
-        return reason
     if future.status == "error":
         error = future.exception()
         return f"{type(error).__name__}: {' '.join(str(error).split())}"
-    return f"was {future.status}"
+    reason: str | None = future.result() if future.status == "finished" else f"was {future.status}"
+    return reason
 
 
 # --------------------------------------------------------------------------------------- on a worker's machine
@@ -176,13 +168,11 @@ def run_module(work: Work) -> str | None:
 
     BlenderDiedError for what may go better next time.
     """
-    command = [sys.executable, "-m", work.module, *work.arguments]
+    command, environment = [sys.executable, "-m", work.module, *work.arguments], {**child_environment(), **ONE_THREAD}
     piped = subprocess.PIPE if work.told is not None else subprocess.DEVNULL
     with tempfile.TemporaryFile() as errors, free_core() as core:
         with on_core(core):
-            process = subprocess.Popen(
-                command, stdin=piped, stdout=piped, stderr=errors, env={**child_environment(), **ONE_THREAD}, text=True
-            )
+            process = subprocess.Popen(command, stdin=piped, stdout=piped, stderr=errors, env=environment, text=True)
         try:
             if work.told is not None:
                 _pass_on(process, work)
@@ -190,7 +180,7 @@ def run_module(work: Work) -> str | None:
         finally:
             process.kill()
             process.wait()
-        words = _last_line(errors)
+        words = last_line(errors)
     if code in (0, EXIT_CANNOT_BE_DONE):
         return words if code else None
     raise BlenderDiedError(words if words and code > 0 else f"Blender ended with exit code {code}")
@@ -210,7 +200,8 @@ def _pass_on(process: subprocess.Popen[str], work: Work) -> None:
             worker.log_event(TOPIC, (work.name, float(line)))
 
 
-def _last_line(errors: IO[bytes]) -> str:
+def last_line(errors: IO[bytes]) -> str:
+    """Of what a process wrote to stderr; empty for none."""
     errors.seek(0)
     return next(reversed(errors.read().decode(errors="replace").strip().splitlines()), "")
 
@@ -239,17 +230,13 @@ def open_dask_workers(n_workers: int | None, address: str | None) -> Iterator[Da
     UserError where Dask is missing, or nobody answers at `address`.
     """
     try:
-        import distributed
+        import distributed  # noqa: F401
     except ImportError as error:
         raise UserError("Dask is not installed: pip install 'xihe-blender[evaluate]'") from error
     for name in ("distributed", "tornado.application"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
-    with contextlib.ExitStack() as stack:
-        if address is None:
-            cluster = stack.enter_context(_local_cluster(n_workers))
-            yield DaskWorkers(stack.enter_context(distributed.Client(cluster)), is_local=True)
-        else:
-            yield DaskWorkers(stack.enter_context(_client_of(address)), is_local=False)
+    with _local_client(n_workers) if address is None else _client_of(address) as client:
+        yield DaskWorkers(client, is_local=address is None)
 
 
 def dashboard(workers: DaskWorkers) -> str:
@@ -264,21 +251,18 @@ def dashboard(workers: DaskWorkers) -> str:
 
 
 @contextlib.contextmanager
-def _local_cluster(n_workers: int | None) -> Iterator[Any]:
+def _local_client(n_workers: int | None) -> Iterator[Client]:
     import dask
-    from distributed import LocalCluster
+    from distributed import Client, LocalCluster
 
     # A port that is free, or two batches could not run beside each other. No limit: Dask would count in Blender's
     # memory, and pause workers for it.
     settings = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "memory_limit": 0, "processes": True}
+    settings |= {"n_workers": n_workers or n_cores(), "threads_per_worker": 1, "silence_logs": logging.CRITICAL}
     # And no profile of workers that only wait: it grows by the second, for an hour.
-    with (
-        dask.config.set({"distributed.worker.profile.enabled": False}),
-        LocalCluster(
-            n_workers=n_workers or n_cores(), threads_per_worker=1, silence_logs=logging.CRITICAL, **settings
-        ) as cluster,
-    ):
-        yield cluster
+    without_profile = dask.config.set({"distributed.worker.profile.enabled": False})
+    with without_profile, LocalCluster(**settings) as cluster, Client(cluster) as client:
+        yield client
 
 
 @contextlib.contextmanager

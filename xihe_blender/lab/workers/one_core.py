@@ -19,8 +19,7 @@ from pathlib import Path
 
 def child_environment() -> dict[str, str]:
     """This process' environment, so that a child finds the same packages as this one."""
-    root = str(Path(__file__).resolve().parents[3])
-    paths = [root, *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
+    paths = [str(Path(__file__).resolve().parents[3]), os.environ.get("PYTHONPATH")]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}
 
 

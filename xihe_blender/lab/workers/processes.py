@@ -33,10 +33,8 @@ def module_command(module: str) -> list[str]:
     """
     if not is_whole_blender():
         return [sys.executable, "-m", module]
-    script = str(Path(__file__).resolve())
-    return [
-        bpy.app.binary_path, "--background", "--factory-startup", "--python", script, "--", json.dumps(sys.path), module
-    ]  # fmt: skip
+    start = [bpy.app.binary_path, "--background", "--factory-startup", "--python", str(Path(__file__).resolve())]
+    return [*start, "--", json.dumps(sys.path), module]
 
 
 def leave_blender(code: int) -> NoReturn:
