@@ -42,6 +42,11 @@ def case(name: str, *values: Any) -> Any:
     return pytest.param(*values, id=name)
 
 
+def row(name: str, given: Any, ask: Callable[[Any], Any], must: Must, naive: Callable[[Any], Any] | None = None) -> Any:
+    """A row of a test that takes all that `comes_out` does."""
+    return case(name, given, ask, must, naive)
+
+
 @pytest.fixture
 def comes_out(request):
     """True where `ask(given)` is what must come out and the naive answer is not; else AssertionError says what came."""

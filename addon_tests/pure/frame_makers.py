@@ -45,6 +45,16 @@ def write_exr(path, radiance, plane_depth_m, colour="{}", plane_depth="Z"):
     return write_channels(path, channels | ({plane_depth: plane_depth_m} if plane_depth else {}))
 
 
+def write_by_package(path, channels, compression):
+    """As `write_channels`, by the OpenEXR package, in a compression that only it may write."""
+    import OpenEXR
+
+    header = {"compression": getattr(OpenEXR, f"{compression}_COMPRESSION"), "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, {name: np.ascontiguousarray(pixels) for name, pixels in channels.items()}) as file:
+        file.write(str(path))
+    return path
+
+
 def write_image(path, pixels):
     Image.fromarray(pixels).save(path)
     return path

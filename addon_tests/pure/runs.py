@@ -1,7 +1,5 @@
 """Made-up results of a run: complete as results.json has them, and changed where a test cares."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Lights, lattices and directions that the tests of spherical harmonics share."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,6 +9,7 @@ from numpy.typing import NDArray
 from xihenet.colour import linear_to_srgb
 from xihenet.records import UnitSphereCloud
 from xihenet.sh import basis
+from xihenet.sphere import AnchorLattice
 
 F64 = NDArray[np.float64]
 
@@ -21,19 +20,14 @@ CONSTANT = np.sqrt(4 * np.pi)
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """Anchors on a Fibonacci spiral from pole to pole, turned by `rotation`."""
+    """The anchors of a lattice turned by `rotation`."""
 
     n: int
     rotation: F64 = field(default_factory=lambda: np.eye(3))
 
     @property
     def directions(self) -> F64:
-        i = np.arange(self.n)
-        z = 1 - 2 * i / max(self.n - 1, 1)
-        azimuth = i * np.pi * (3 - np.sqrt(5))
-        radius = np.sqrt(1 - z * z)
-        upright = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
-        return np.asarray(upright @ self.rotation.T)
+        return AnchorLattice(self.n).directions @ self.rotation.T
 
 
 LATTICE = Lattice(1280)
@@ -63,9 +57,11 @@ def sunny(value: float, height: int = 64, width: int = 128, sky: float = 0.2) ->
     return radiance
 
 
-def random_rotation(seed: int) -> F64:
-    turned, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
-    return np.asarray(turned * np.linalg.det(turned))
+def windowed(light: F64, kept: float) -> F64:
+    """Light whose band l = 1 keeps this share, and band l that to the power of l (l + 1) / 2."""
+    order = round(np.sqrt(len(light))) - 1
+    bands = np.repeat(np.arange(order + 1), 2 * np.arange(order + 1) + 1)
+    return light * kept ** (bands * (bands + 1) / 2)[:, None]
 
 
 def distant_light(direction: tuple[float, float, float] | F64, order: int = 2) -> F64:

@@ -4,8 +4,6 @@ Each reader gets files that were right once and are cut, changed or spliced, and
 them with the errors that its docstring names; what it accepts must hold what it promises. `make fuzz` tries more.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import tempfile
@@ -20,8 +18,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from addon_tests.fuzz import CORPUS, kept_where_it_breaks, some_examples
-from addon_tests.pure.frame_makers import box_radiance_and_plane_depth, write_exr
+from addon_tests.pure.frame_makers import box_radiance_and_plane_depth, write_exr, write_image
 from addon_tests.pure.hard_cases.random_payloads import is_taken_for_something_else, random_payload
+from addon_tests.pure.weights_files import random_arrays
 from xihenet.codec import METHODS, encode_cloud
 from xihenet.estimators.lattice import Lattice
 from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights, load_weights
@@ -34,9 +33,6 @@ from xihenet.records import Intrinsics, RgbdFrame, UnitSphereCloud
 Reader = Callable[[bytes], object]
 N_ANCHORS = 40
 SMALLEST = LatticeArchitecture((3, 2, 2), *[1] * 8)
-
-
-# ------------------------------------------------------------------------------------------------- files that are right
 
 
 @cache
@@ -53,30 +49,20 @@ def some_frame() -> RgbdFrame:
     return RgbdFrame(colours, rng.uniform(0, 5, (3, 4)), Intrinsics(4, 3, 2.0, 2.0, 2.0, 1.5), np.eye(4), 0.3)
 
 
-def some_weights() -> LatticeWeights:
-    rng = np.random.default_rng(0)
-    arrays = {name: rng.normal(size=shape).astype(np.float32) for name, shape in SMALLEST.array_shapes().items()}
-    return LatticeWeights(SMALLEST, "ldr", arrays)
-
-
 def write_frame(path: Path) -> None:
     save_frame(path, some_frame())
 
 
 def write_weights(path: Path) -> None:
-    save_weights(path, some_weights())
+    save_weights(path, LatticeWeights(SMALLEST, "ldr", random_arrays(SMALLEST)))
 
 
 def write_colour(path: Path) -> None:
-    from PIL import Image
-
-    Image.fromarray(some_frame().srgb_u8).save(path)
+    write_image(path, some_frame().srgb_u8)
 
 
 def write_plane_depth(path: Path) -> None:
-    from PIL import Image
-
-    Image.fromarray(np.full((3, 4), 2000, np.uint16)).save(path)
+    write_image(path, np.full((3, 4), 2000, np.uint16))
 
 
 def write_linear_frame(path: Path) -> None:
@@ -92,9 +78,6 @@ def some_payload(method: Any) -> bytes:
     known = rng.random(N_ANCHORS) < 0.3
     colours = rng.random((N_ANCHORS, 3)) * known[:, None]
     return encode_cloud(UnitSphereCloud(colours, rng.random(N_ANCHORS) * known, known), method)
-
-
-# ------------------------------------------------------------------------------------------------------------- readers
 
 
 def from_file(read: Callable[[Path], object], suffix: str) -> Reader:
@@ -157,9 +140,6 @@ def right_camera(beside: Path) -> Any:
     return read_camera(path)
 
 
-# ----------------------------------------------------------------------------------------------------- files that break
-
-
 @st.composite
 def broken(draw: st.DrawFn, right: bytes) -> bytes:
     """Bytes that were right once: a few of them others, some cut out or doubled, the end missing; or any bytes."""
@@ -204,25 +184,32 @@ ANY_ARRAY = st.one_of(
 )
 
 
-@st.composite
-def changed_members(draw: st.DrawFn, right: bytes) -> bytes:
-    """An .npz of the right form, some of whose arrays are others, or missing, or more."""
+def unpacked(right: bytes) -> dict[str, Any]:
     with np.load(io.BytesIO(right)) as stored:
-        content = {name: stored[name] for name in stored.files}
-    for name in draw(st.lists(st.sampled_from([*sorted(content), "more"]), min_size=1, max_size=3)):
-        content[name] = draw(ANY_ARRAY)
-    if draw(st.integers(0, 3)) == 0:
-        content.pop(draw(st.sampled_from(sorted(content))))
+        return dict(stored)
+
+
+def packed(content: dict[str, Any]) -> bytes:
     file = io.BytesIO()
     np.savez(file, **content)
     return file.getvalue()
 
 
 @st.composite
+def changed_members(draw: st.DrawFn, right: bytes) -> bytes:
+    """An .npz of the right form, some of whose arrays are others, or missing, or more."""
+    content = unpacked(right)
+    for name in draw(st.lists(st.sampled_from([*sorted(content), "more"]), min_size=1, max_size=3)):
+        content[name] = draw(ANY_ARRAY)
+    if draw(st.integers(0, 3)) == 0:
+        content.pop(draw(st.sampled_from(sorted(content))))
+    return packed(content)
+
+
+@st.composite
 def changed_header(draw: st.DrawFn) -> bytes:
     """A weights file whose JSON header says something else."""
-    with np.load(io.BytesIO(written(write_weights, ".npz"))) as stored:
-        content = {name: stored[name] for name in stored.files}
+    content = unpacked(written(write_weights, ".npz"))
     header = json.loads(content["header"].item())
     for name in draw(st.lists(st.sampled_from(sorted(header)), min_size=1, max_size=2)):
         header[name] = draw(ANY_JSON)
@@ -230,9 +217,7 @@ def changed_header(draw: st.DrawFn) -> bytes:
         header["architecture"] = dict(json.loads(content["header"].item())["architecture"])
         header["architecture"][draw(st.sampled_from(sorted(header["architecture"])))] = draw(ANY_JSON)
     content["header"] = np.array(json.dumps(header if draw(st.integers(0, 9)) else draw(ANY_JSON)))
-    file = io.BytesIO()
-    np.savez(file, **content)
-    return file.getvalue()
+    return packed(content)
 
 
 def readers() -> dict[str, tuple[st.SearchStrategy[bytes], Reader]]:
@@ -251,8 +236,6 @@ def readers() -> dict[str, tuple[st.SearchStrategy[bytes], Reader]]:
         "plane_depth_image": (broken(written(write_plane_depth, ".png")), from_file(plane_depth_frame_of, ".png")),
     }
 
-
-# --------------------------------------------------------------------------------------------------------------- tests
 
 READERS = readers()
 FOUND = sorted(CORPUS.glob("*.bin"))

@@ -1,7 +1,5 @@
 """What must hold at every numerical stage for any input that a record can hold; `make fuzz` tries more of it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,6 +8,7 @@ from hypothesis.extra import numpy as nps
 
 from addon_tests.fuzz import some_examples
 from addon_tests.pure.hard_cases.hard_clouds import estimator
+from addon_tests.pure.made import pose_of
 from xihenet.buffers import merge
 from xihenet.camera import encode_exposed, metered_exposure, project_points, unproject_frame
 from xihenet.metrics import angular_error_deg, image_rmse, psnr, shc_rmse, si_rmse, ssim
@@ -48,8 +47,7 @@ def frames(draw: st.DrawFn) -> RgbdFrame:
     colours = draw(nps.arrays(np.uint8, (2, 3, 3)))
     depths = draw(nps.arrays(np.float32, (2, 3), elements=ANY32))
     turn, _ = np.linalg.qr(draw(nps.arrays(np.float64, (3, 3), elements=st.floats(-1, 1))) + 3 * np.eye(3))
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = turn, draw(nps.arrays(np.float64, 3, elements=st.floats(-1e4, 1e4)))
+    pose = pose_of(turn, draw(nps.arrays(np.float64, 3, elements=st.floats(-1e4, 1e4))))
     focal = draw(st.floats(0.01, 1e4))
     camera = Intrinsics(3, 2, focal, focal, draw(st.floats(-10, 10)), draw(st.floats(-10, 10)))
     return RgbdFrame(colours, depths, camera, pose, draw(st.floats(1e-6, 1e6)))

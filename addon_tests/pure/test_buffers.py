@@ -3,15 +3,11 @@
 import numpy as np
 import pytest
 
+from addon_tests.pure.made import random_cloud
 from xihenet.buffers import PositionBuffers, merge
 from xihenet.records import AnchorSurfaces, UnitSphereCloud
 
 N = 64
-
-
-def random_cloud(rng, n=N):
-    is_set = rng.random(n) < 0.5
-    return UnitSphereCloud(rng.random((n, 3)) * is_set[:, None], rng.random(n) * is_set, is_set)
 
 
 def same(a, b):
@@ -21,7 +17,7 @@ def same(a, b):
 @pytest.mark.parametrize("seed", range(10))
 def test_new_wins_on_every_anchor_that_it_sets_and_old_stays_elsewhere(seed):
     rng = np.random.default_rng(seed)
-    old, new = random_cloud(rng), random_cloud(rng)
+    old, new = random_cloud(rng, N), random_cloud(rng, N)
     merged = merge(old, new)
     for anchor in range(N):
         source = new if new.is_set[anchor] else old
@@ -30,22 +26,16 @@ def test_new_wins_on_every_anchor_that_it_sets_and_old_stays_elsewhere(seed):
         assert merged.is_set[anchor] == source.is_set[anchor]
 
 
-def test_merging_is_idempotent_associative_and_neutral_on_nothing():
-    rng = np.random.default_rng(1)
-    a, b, c, nothing = random_cloud(rng), random_cloud(rng), random_cloud(rng), UnitSphereCloud.empty(N)
-    assert same(merge(a, a), a) and same(merge(a, nothing), a) and same(merge(nothing, a), a)
-    assert same(merge(merge(a, b), c), merge(a, merge(b, c)))
-
-
 def test_firing_moves_what_was_seen_into_the_persistent_cloud_and_starts_anew():
     rng = np.random.default_rng(3)
-    first, second, third = random_cloud(rng), random_cloud(rng), random_cloud(rng)
+    first, second, third = random_cloud(rng, N), random_cloud(rng, N), random_cloud(rng, N)
     buffers = PositionBuffers.empty(N).with_frame(first).with_frame(second)
     assert not buffers.persistent.is_set.any() and same(buffers.temporary, merge(first, second))
     fired = buffers.fired()
     assert same(fired.persistent, merge(first, second)) and not fired.temporary.is_set.any()
     again = fired.with_frame(third)
     assert same(again.fired().persistent, merge(merge(first, second), third))
+    assert same(again.last_seen(), again.fired().persistent)
     assert again.coverage() == again.fired().persistent.is_set.mean()
 
 
@@ -60,7 +50,7 @@ def with_surfaces(cloud, rng):
 @pytest.mark.parametrize("has_new", [False, True])
 def test_surfaces_go_with_their_anchors_and_are_unknown_where_nobody_looked(has_old, has_new):
     rng = np.random.default_rng(7)
-    old, new = random_cloud(rng), random_cloud(rng)
+    old, new = random_cloud(rng, N), random_cloud(rng, N)
     old, new = (with_surfaces(cloud, rng) if has else cloud for cloud, has in ((old, has_old), (new, has_new)))
     merged = merge(old, new)
     if not (has_old or has_new):
@@ -71,10 +61,3 @@ def test_surfaces_go_with_their_anchors_and_are_unknown_where_nobody_looked(has_
             source = (new if new.is_set[anchor] else old).surfaces
             expected = 0 if source is None else getattr(source, name)[anchor]
             assert (getattr(merged.surfaces, name)[anchor] == expected).all()
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_what_was_last_seen_is_both_clouds_merged(seed):
-    rng = np.random.default_rng(seed)
-    old, new = random_cloud(rng), random_cloud(rng)
-    assert same(PositionBuffers(temporary=new, persistent=old).last_seen(), merge(old, new))

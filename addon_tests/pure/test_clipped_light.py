@@ -1,7 +1,5 @@
 """Clipped light from noisy pictures: the mean of min(light, 1), whatever the noise, and lamps smaller than a pixel."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

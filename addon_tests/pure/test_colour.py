@@ -1,7 +1,5 @@
 """The sRGB transfer: known values, round trips, clipping."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,34 +9,34 @@ RNG_SEED = 11
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_every_8_bit_code_survives_a_round_trip(dtype: type) -> None:
+def test_every_8_bit_code_survives_a_round_trip(dtype):
     codes = np.arange(256)
     encoded = linear_to_srgb(srgb_to_linear((codes / 255).astype(dtype)))
     assert encoded.dtype == dtype
     assert np.array_equal(np.rint(encoded * 255), codes)
 
 
-def test_linear_light_survives_a_round_trip() -> None:
+def test_linear_light_survives_a_round_trip():
     light = np.random.default_rng(RNG_SEED).random(5000) ** 4
     # The standard's two thresholds meet to 1e-7 only; within that gap a value may take the other branch back.
     np.testing.assert_allclose(srgb_to_linear(linear_to_srgb(light)), light, rtol=0, atol=1e-7)
 
 
-def test_black_mid_grey_and_white_have_their_published_values() -> None:
+def test_black_mid_grey_and_white_have_their_published_values():
     np.testing.assert_allclose(srgb_to_linear([0.0, 0.04045, 0.5, 1.0]), [0, 0.0031308, 0.21404114, 1], atol=1e-7)
 
 
-def test_the_curve_rises_everywhere() -> None:
+def test_the_curve_rises_everywhere():
     assert (np.diff(srgb_to_linear(np.linspace(0, 1, 4001))) > 0).all()
 
 
-def test_values_outside_0_to_1_are_clipped_and_nan_stays() -> None:
+def test_values_outside_0_to_1_are_clipped_and_nan_stays():
     values = np.array([-np.inf, -0.5, 1.5, np.inf, np.nan])
     for transfer in (srgb_to_linear, linear_to_srgb):
         np.testing.assert_allclose(transfer(values), [0, 0, 1, 1, np.nan], atol=1e-15)
 
 
-def test_integers_and_shapes_are_accepted_and_the_input_is_left_alone() -> None:
+def test_integers_and_shapes_are_accepted_and_the_input_is_left_alone():
     codes = np.array([[0, 1]])
     assert srgb_to_linear(codes).tolist() == [[0.0, 1.0]]
     assert linear_to_srgb(np.empty((0, 3))).shape == (0, 3)

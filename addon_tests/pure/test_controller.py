@@ -1,8 +1,11 @@
 """The chain of a session, driven with frames made of a painted sphere around the phone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from addon_tests.pure.made import UPRIGHT, about_z, frame_of, pose_of
 from xihenet import estimators
 from xihenet.backend import LocalBackend
 from xihenet.buffers import merge
@@ -10,7 +13,7 @@ from xihenet.camera import unproject_frame
 from xihenet.codec import encode_cloud
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.recording import ReplayScanner
-from xihenet.records import Intrinsics, RgbdFrame
+from xihenet.records import Intrinsics
 from xihenet.sampling import sample_unit_sphere
 from xihenet.trigger import TriggerSettings
 
@@ -18,14 +21,10 @@ N = 320
 CAMERA = Intrinsics(48, 36, 30.0, 30.0, 24.0, 18.0)
 
 
-def looking(yaw, level=0.5, frame=0, exposure=1.0, height=0.0):
+def looking(yaw, level=0.5, frame=0, exposure=1.0):
     """The phone at the origin, turned by `yaw` about +Z from looking along +Y, sees a wall 3 m away."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    pose = np.eye(4)
-    pose[:3, :3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
-    pose[2, 3] = height
-    colours = np.full((36, 48, 3), round(255 * level), np.uint8)
-    return RgbdFrame(colours, np.full((36, 48), 3.0), CAMERA, pose, exposure, [level] * 3, frame / 30, frame)
+    taken = {"exposure": exposure, "ambient": [level] * 3, "time_s": frame / 30, "frame": frame}
+    return frame_of(np.full((36, 48), 3.0), CAMERA, pose_of(about_z(yaw) @ UPRIGHT), round(255 * level), **taken)
 
 
 def session(estimator="projection", **settings):
@@ -103,9 +102,7 @@ def test_a_change_of_the_cameras_exposure_alone_does_not_fire():
 
 def test_nothing_to_see_gives_an_estimate_that_says_it_is_not_valid():
     controller = session()
-    frame = looking(0.0)
-    blind = RgbdFrame(frame.srgb_u8, np.zeros((36, 48)), CAMERA, frame.world_from_camera)
-    report = controller.step(blind)["Vase"]
+    report = controller.step(replace(looking(0.0), plane_depth_m=np.zeros((36, 48))))["Vase"]
     assert not report.decision.fire and report.n_invalid_points == 36 * 48
     assert controller.light("Vase") is None
     assert not controller.estimate_at((0, 1.5, 0)).is_valid

@@ -1,7 +1,5 @@
 """Light that is looked at: nowhere negative, by the smallest window, whichever way the room is turned."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as nps
 
 from addon_tests.fuzz import some_examples
-from addon_tests.pure.sh_samples import F64, distant_light, random_directions, random_light, random_rotation
+from addon_tests.pure.made import random_rotation
+from addon_tests.pure.sh_samples import F64, distant_light, random_directions, random_light, windowed
 from xihenet.sh import basis, dering_for_display, irradiance, rotate
 
 CONSTANT = np.eye(9)[:, [0, 0, 0]]
@@ -33,15 +32,8 @@ def radiance(light: F64) -> F64:
     return basis(DIRECTIONS, round(np.sqrt(len(light))) - 1) @ light
 
 
-def windowed(light: F64, kept: float) -> F64:
-    """Whose band l = 1 keeps this share."""
-    order = round(np.sqrt(len(light))) - 1
-    bands = np.repeat(np.arange(order + 1), 2 * np.arange(order + 1) + 1)
-    return light * kept ** (bands * (bands + 1) / 2)[:, None]
-
-
 @pytest.mark.parametrize("light", RINGING)
-def test_it_is_nowhere_negative_and_each_channel_has_the_smallest_window(light: F64) -> None:
+def test_it_is_nowhere_negative_and_each_channel_has_the_smallest_window(light):
     shown = dering_for_display(light)
     assert (radiance(light).min(axis=0) < 0).all()
     assert (radiance(shown).min(axis=0) >= -1e-3 * radiance(shown).max(axis=0)).all()
@@ -54,7 +46,7 @@ def test_it_is_nowhere_negative_and_each_channel_has_the_smallest_window(light: 
 
 @some_examples()
 @given(light=LIGHT)
-def test_whatever_the_light_nothing_is_negative_and_no_surface_is_lit_negatively(light: F64) -> None:
+def test_whatever_the_light_nothing_is_negative_and_no_surface_is_lit_negatively(light):
     shown, tolerance = dering_for_display(light), 2e-3 * max(np.abs(light).max(), 1e-300)
     assert radiance(shown).min() >= -tolerance and irradiance(shown, DIRECTIONS[:500]).min() >= -tolerance
     np.testing.assert_array_equal(shown[0], np.where(light[0] >= 0, light[0], 0))
@@ -63,7 +55,7 @@ def test_whatever_the_light_nothing_is_negative_and_no_surface_is_lit_negatively
 
 @pytest.mark.parametrize("light", RINGING)
 @pytest.mark.parametrize("seed", range(3))
-def test_a_turned_room_gives_the_turned_light(light: F64, seed: int) -> None:
+def test_a_turned_room_gives_the_turned_light(light, seed):
     turn = random_rotation(seed)
     difference = dering_for_display(rotate(light, turn)) - rotate(dering_for_display(light), turn)
     # What is left is the grid of directions that is checked.
@@ -71,12 +63,12 @@ def test_a_turned_room_gives_the_turned_light(light: F64, seed: int) -> None:
 
 
 @pytest.mark.parametrize("light", [np.zeros((9, 3)), CONSTANT, CONSTANT + 0.05 * random_light()])
-def test_light_that_is_nowhere_negative_stays_to_the_bit(light: F64) -> None:
+def test_light_that_is_nowhere_negative_stays_to_the_bit(light):
     assert radiance(light).min() >= 0
     np.testing.assert_array_equal(dering_for_display(light), light)
 
 
-def test_a_dark_channel_that_rings_takes_nothing_off_the_others() -> None:
+def test_a_dark_channel_that_rings_takes_nothing_off_the_others():
     light = np.zeros((9, 3))
     light[0], light[3] = [1.0, 1.0, 0.01], [0.3, 0.1, 0.02]
     shown = dering_for_display(light)
@@ -84,12 +76,12 @@ def test_a_dark_channel_that_rings_takes_nothing_off_the_others() -> None:
     assert 0 < shown[3, 2] < light[3, 2]
 
 
-def test_a_channel_of_negative_light_is_black() -> None:
+def test_a_channel_of_negative_light_is_black():
     shown = dering_for_display(CONSTANT * [1.0, -1.0, 1.0])
     assert shown[0].tolist() == [1.0, 0.0, 1.0] and not shown[1:].any()
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_light_that_is_no_number_is_refused(value: float) -> None:
+def test_light_that_is_no_number_is_refused(value):
     with pytest.raises(ValueError, match="expected finite coefficients"):
         dering_for_display(np.full((9, 3), value))

@@ -8,12 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from addon_tests.pure.frame_makers import (
-    box_radiance_and_plane_depth,
-    write_camera,
-    write_exr,
-    write_image,
-)
+from addon_tests.pure.frame_makers import box_radiance_and_plane_depth, write_camera, write_exr, write_image
 from xihe_blender.cli.main import main
 from xihenet import __version__, estimators, sh
 from xihenet.camera import encode_exposed, unproject_frame
@@ -61,22 +56,27 @@ def read_strictly(text):
     return json.loads(text, parse_constant=no_constant)
 
 
+@pytest.fixture
+def answer(capfd):
+    """Runs the command: the JSON that it prints, and what it says beside that."""
+
+    def run(*arguments):
+        assert estimate(*arguments, "--json") == 0
+        said = capfd.readouterr()
+        return read_strictly(said.out), said.err
+
+    return run
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("frame")
     write_camera(folder / "camera.json")
     write_exr(folder / "frame.exr", RADIANCE, PLANE_DEPTH_M)
     write_exr(folder / "no_z.exr", RADIANCE, PLANE_DEPTH_M, plane_depth=None)
-    write_exr(folder / "nothing.exr", RADIANCE, PLANE_DEPTH_M * 0)
     write_image(folder / "colour.png", COLOUR)
     write_image(folder / "plane_depth.png", MILLIMETRES)
-    write_image(folder / "cropped.png", COLOUR[:, :20])
-    write_camera(folder / "singular.json", world_from_camera=[[0] * 4] * 3 + [[0, 0, 0, 1]])
-    write_camera(folder / "scaled.json", world_from_camera=np.diag([2, 2, 2, 1]).tolist())
-    write_camera(folder / "nan.json", fx=float("nan"))
-    write_camera(folder / "long.json", fx=10**400)
     write_camera(folder / "misspelt.json", convension="opencv")
-    (folder / "deep.json").write_text("[" * 200_000)
     (folder / "text.exr").write_text("a shopping list")
     return folder
 
@@ -104,16 +104,15 @@ def test_without_blender_a_mistake_is_one_line_and_exit_2(folder):
     assert done.stderr.startswith("xihe: cannot read") and done.stderr.count("\n") == 1
 
 
-def test_the_estimator_and_the_anchors_that_were_asked_for_are_used(exr, folder, capfd):
+def test_the_estimator_and_the_anchors_that_were_asked_for_are_used(exr, folder, answer):
     frame = read_frame(folder / "frame.exr", read_camera(folder / "camera.json"))
     cloud = sample_unit_sphere(unproject_frame(frame), (0, 2, -0.3), AnchorLattice(640))
-    assert estimate(*exr, "--at", AT, "--json", "--anchors", 640, "--estimator", "projection") == 0
-    content = read_strictly(capfd.readouterr().out)
+    content, _ = answer(*exr, "--at", AT, "--anchors", 640, "--estimator", "projection")
     expected = estimators.load("projection", 640).estimate(cloud)
     np.testing.assert_allclose(content["positions"][0]["sh_radiance"], expected, rtol=1e-12)
     assert content["exposure"] == frame.exposure
-    assert estimate(*exr, "--at", AT, "--json", "--estimator", "ambient") == 0
-    flat = np.array(read_strictly(capfd.readouterr().out)["positions"][0]["sh_radiance"])
+    content, _ = answer(*exr, "--at", AT, "--estimator", "ambient")
+    flat = np.array(content["positions"][0]["sh_radiance"])
     assert flat[0].all() and not flat[1:].any()
 
 
@@ -131,9 +130,8 @@ def test_light_is_fit_to_be_looked_at_only_if_asked_for(exr, tmp_path, monkeypat
     assert (plain / "light_0.png").read_bytes() != (shown / "light_0.png").read_bytes()
 
 
-def test_the_json_says_all_there_is_to_say(exr, capfd):
-    assert estimate(*exr, "--at", AT, "--at=-1,2,0", "--json", "--target", "hdr", "--estimator", "projection") == 0
-    content = read_strictly(capfd.readouterr().out)
+def test_the_json_says_all_there_is_to_say(exr, answer):
+    content, _ = answer(*exr, "--at", AT, "--at=-1,2,0", "--target", "hdr", "--estimator", "projection")
     positions = content.pop("positions")
     assert content.pop("exposure") > 0
     assert content.pop("frame") == {
@@ -156,61 +154,52 @@ def test_the_json_says_all_there_is_to_say(exr, capfd):
         assert one["behind_m"] == 0
 
 
-def test_red_walls_on_the_right_light_the_right(exr, capfd):
-    assert estimate(*exr, "--at", AT, "--json") == 0
-    light = np.array(read_strictly(capfd.readouterr().out)["positions"][0]["sh_radiance"])
+def test_red_walls_on_the_right_light_the_right(exr, answer):
+    content, _ = answer(*exr, "--at", AT)
+    light = np.array(content["positions"][0]["sh_radiance"])
     right, left = sh.basis([(1, 1, 0), (-1, 1, 0)]) @ light
     assert right[0] > left[0] + 0.05 and left[2] > right[2] + 0.05
 
 
-def test_images_give_the_light_that_the_exr_gives(exr, images, capfd):
-    assert estimate(*exr, "--at", AT, "--json", "--exposure", 1) == 0
-    assert estimate(*images, "--at", AT, "--json") == 0
-    from_exr, from_images = capfd.readouterr().out.split("\n}\n{\n")
-    of_exr, of_images = read_strictly(from_exr + "}"), read_strictly("{" + from_images)
+def test_images_give_the_light_that_the_exr_gives(exr, images, answer):
+    of_exr, _ = answer(*exr, "--at", AT, "--exposure", 1)
+    of_images, _ = answer(*images, "--at", AT)
     assert of_exr["exposure"] == of_images["exposure"] == 1
     np.testing.assert_allclose(
         of_images["positions"][0]["sh_radiance"], of_exr["positions"][0]["sh_radiance"], atol=0.01
     )
 
 
-def test_positions_are_in_the_world_of_the_camera_file_and_light_is_upright(exr, folder, capfd):
+def test_positions_are_in_the_world_of_the_camera_file_and_light_is_upright(exr, folder, answer):
     write_camera(folder / "y_up.json", world_from_camera=np.eye(4).tolist(), up="y")
-    assert estimate(*exr, "--at", "0.2,2,-0.3", "--json") == 0
-    of_z_up = read_strictly(capfd.readouterr().out)["positions"][0]
-    assert estimate(folder / "frame.exr", "--camera", folder / "y_up.json", "--at", "0.2,-0.3,-2", "--json") == 0
-    of_y_up = read_strictly(capfd.readouterr().out)["positions"][0]
+    z_up, _ = answer(*exr, "--at", "0.2,2,-0.3")
+    y_up, _ = answer(folder / "frame.exr", "--camera", folder / "y_up.json", "--at", "0.2,-0.3,-2")
+    (of_z_up,), (of_y_up,) = z_up["positions"], y_up["positions"]
     assert of_y_up["position_m"] == [0.2, -0.3, -2] and of_y_up["in_view"]
     np.testing.assert_allclose(of_y_up["sh_radiance"], of_z_up["sh_radiance"], atol=1e-6)
 
 
-def test_a_position_outside_of_the_view_is_estimated_with_a_warning(exr, capfd):
-    assert estimate(*exr, "--at", "0,-2,0", "--at", AT, "--json") == 0
-    said = capfd.readouterr()
-    content = read_strictly(said.out)
+def test_a_position_outside_of_the_view_is_estimated_with_a_warning(exr, answer):
+    content, said = answer(*exr, "--at", "0,-2,0", "--at", AT)
     assert [one["in_view"] for one in content["positions"]] == [False, True]
     assert content["positions"][0]["is_valid"]
-    assert said.err.splitlines() == [
-        "xihe: warning: 0,-2,0 is not in the frame's view: its light is estimated from other surfaces"
-    ]
+    assert said == "xihe: warning: 0,-2,0 is not in the frame's view: its light is estimated from other surfaces\n"
 
 
-def test_a_position_behind_what_is_seen_there_is_estimated_with_a_warning(exr, capfd):
+def test_a_position_behind_what_is_seen_there_is_estimated_with_a_warning(exr, answer):
     # The wall is at 3 m: what lies in it, or behind it by less than sensors err, is let pass.
-    assert estimate(*exr, "--at", "0,4,0", "--at", "0,3,0", "--at", "0,3.25,0", "--json") == 0
-    said = capfd.readouterr()
-    assert [one["behind_m"] for one in read_strictly(said.out)["positions"]] == [pytest.approx(1.0), 0, 0]
-    (line,) = said.err.splitlines()
+    content, said = answer(*exr, "--at", "0,4,0", "--at", "0,3,0", "--at", "0,3.25,0")
+    assert [one["behind_m"] for one in content["positions"]] == [pytest.approx(1.0), 0, 0]
+    (line,) = said.splitlines()
     assert line.startswith("xihe: warning: 0,4,0 lies 1 m behind the surface seen there")
 
 
-def test_a_position_in_front_of_a_hole_is_behind_nothing(folder, capfd):
+def test_a_position_in_front_of_a_hole_is_behind_nothing(folder, answer):
     holes = write_exr(folder / "holes.exr", RADIANCE, np.where(PLANE_DEPTH_M == 3, 0, PLANE_DEPTH_M))
-    assert estimate(holes, "--camera", folder / "camera.json", "--at", "0,4,0", "--json") == 0
-    assert capfd.readouterr().err == ""
+    assert answer(holes, "--camera", folder / "camera.json", "--at", "0,4,0")[1] == ""
 
 
-def test_what_was_read_is_told_in_metres_with_the_unit_that_was_assumed(folder, images, capfd):
+def test_what_was_read_is_told_in_metres_with_the_unit_that_was_assumed(folder, images, answer, capfd):
     assert estimate(*images, "--at", "0,20,-3", "--depth-scale", 0.01) == 0
     said = "frame of 32x24 pixels, plane depth from 15 m to 30 m (1 in the file is 0.01 m)"
     assert capfd.readouterr().out.startswith(f"{said}\n\n0,20,-3: in view")
@@ -218,33 +207,29 @@ def test_what_was_read_is_told_in_metres_with_the_unit_that_was_assumed(folder, 
     camera = write_camera(folder / "larger.json", **larger)
     assert estimate(*images[:-1], camera, "--at", AT) == 0
     assert capfd.readouterr().out.splitlines()[1] == "intrinsics given for 320x240 pixels, scaled to these"
-    assert estimate(*images[:-1], camera, "--at", AT, "--json") == 0
-    assert read_strictly(capfd.readouterr().out)["frame"]["intrinsics_given_for"] == [320, 240]
+    assert answer(*images[:-1], camera, "--at", AT)[0]["frame"]["intrinsics_given_for"] == [320, 240]
 
 
-def test_a_position_that_begins_with_a_minus_needs_no_equals_sign(exr, capfd):
-    assert estimate(*exr, "--at", "-0.5,2,0", "--at", "-.5,2,0", "--json") == 0
-    positions = read_strictly(capfd.readouterr().out)["positions"]
-    assert [one["position_m"] for one in positions] == [[-0.5, 2, 0]] * 2
+def test_a_position_that_begins_with_a_minus_needs_no_equals_sign(exr, answer):
+    content, _ = answer(*exr, "--at", "-0.5,2,0", "--at", "-.5,2,0")
+    assert [one["position_m"] for one in content["positions"]] == [[-0.5, 2, 0]] * 2
 
 
-def test_the_table_holds_the_numbers_of_the_json(exr, capfd):
-    assert estimate(*exr, "--at", AT, "--at", "0,-2,0", "--json") == 0
-    positions = read_strictly(capfd.readouterr().out)["positions"]
+def test_the_table_holds_the_numbers_of_the_json(exr, answer, capfd):
+    content, _ = answer(*exr, "--at", AT, "--at", "0,-2,0")
     assert estimate(*exr, "--at", AT, "--at", "0,-2,0") == 0
     _, first, second = capfd.readouterr().out.strip().split("\n\n")
-    for table, one in ((first, positions[0]), (second, positions[1])):
+    for table, one in zip((first, second), content["positions"], strict=True):
         numbers = [[float(word) for word in line.split()] for line in table.splitlines()[2:]]
         np.testing.assert_allclose(np.array(numbers)[:, 2:], one["sh_radiance"], atol=5.1e-5)
         assert [row[0] ** 2 + row[0] + row[1] for row in numbers] == list(range(9))
     assert first.startswith(f"{AT}: in view, ") and second.startswith("0,-2,0: not in view, ")
 
 
-def test_a_folder_gets_the_json_and_a_picture_of_each_light(exr, tmp_path, capfd):
+def test_a_folder_gets_the_json_and_a_picture_of_each_light(exr, tmp_path, answer):
     out = tmp_path / "new" / "folder"
-    assert estimate(*exr, "--at", AT, "--at", "0.5,2,0", "--out", out, "--json") == 0
-    content = read_strictly((out / "estimate.json").read_text(encoding="utf-8"))
-    assert content == read_strictly(capfd.readouterr().out)
+    content, _ = answer(*exr, "--at", AT, "--at", "0.5,2,0", "--out", out)
+    assert content == read_strictly((out / "estimate.json").read_text(encoding="utf-8"))
     assert sorted(path.name for path in out.iterdir()) == ["estimate.json", "light_0.png", "light_1.png"]
     for place, one in enumerate(content["positions"]):
         assert (out / f"light_{place}.png").read_bytes() == encode_png(light_picture(one["sh_radiance"]))
@@ -269,8 +254,6 @@ def test_where_one_picture_cannot_be_written_nothing_is(exr, tmp_path, capfd):
     assert [path.name for path in tmp_path.iterdir()] == ["light_1.png"]
 
 
-# ------------------------------------------------------------------------------------------------------------ mistakes
-
 EXR = ["frame.exr", "--camera", "camera.json"]
 IMAGES = ["colour.png", "--plane-depth", "plane_depth.png", "--camera", "camera.json"]
 
@@ -288,16 +271,8 @@ IMAGES = ["colour.png", "--plane-depth", "plane_depth.png", "--camera", "camera.
         (["frame.exr", "--camera", "none.json", "--at", AT], "none.json (No such file or directory)"),
         ([".", "--camera", "camera.json", "--at", AT], "(Is a directory)"),
         (["text.exr", "--camera", "camera.json", "--at", AT], "is no OpenEXR file"),
-        (["text.exr", "--plane-depth", *IMAGES[2:], "--at", AT], "expected an image"),
         (["no_z.exr", "--camera", "camera.json", "--at", AT], "save the Z pass"),
-        (["nothing.exr", "--camera", "camera.json", "--at", AT], "no pixel has a valid plane depth"),
-        (["frame.exr", "--camera", "singular.json", "--at", AT], "singular"),
-        (["frame.exr", "--camera", "scaled.json", "--at", AT], "without scale or shear"),
-        (["frame.exr", "--camera", "nan.json", "--at", AT], "focal lengths must be positive"),
-        (["frame.exr", "--camera", "long.json", "--at", AT], "focal lengths must be positive"),
         (["frame.exr", "--camera", "misspelt.json", "--at", AT], "did you mean 'convention'"),
-        (["frame.exr", "--camera", "deep.json", "--at", AT], "nested too deeply"),
-        (["cropped.png", *IMAGES[1:], "--at", AT], "expected the same ratio"),
         (["colour.png", "--camera", "camera.json", "--at", AT], "plane depth"),
         ([*IMAGES, "--at", AT, "--depth-scale", "0"], "depth scale"),
         ([*EXR, "--at", AT, "--exposure", "-1"], "exposure"),
@@ -320,17 +295,13 @@ def test_a_mistake_gets_one_line_that_names_it_and_leaves_nothing(folder, monkey
     assert sorted(folder.rglob("*")) == before
 
 
-# ------------------------------------------------------------------------------------------------------- invalid data
-
-
-def test_pixels_that_give_no_point_are_counted_by_reason(folder, capfd):
+def test_pixels_that_give_no_point_are_counted_by_reason(folder, answer, capfd):
     radiance, plane_depth_m = RADIANCE.copy(), PLANE_DEPTH_M.copy()
     radiance[0, :2], radiance[1, 0, 1], radiance[1, 1] = np.nan, -1.0, np.inf
     plane_depth_m[2, :3], plane_depth_m[3, 0], plane_depth_m[4, :4] = 1e10, np.nan, 0.0
     broken = write_exr(folder / "broken.exr", radiance, plane_depth_m)
     asked = [broken, "--camera", folder / "camera.json", "--at", AT]
-    assert estimate(*asked, "--json") == 0
-    (one,) = read_strictly(capfd.readouterr().out)["positions"]
+    (one,) = answer(*asked)[0]["positions"]
     assert one["invalid"] == {
         "not_finite": 1, "no_surface": 3, "no_distance": 4, "colour_not_finite": 2,
         "negative_colour": 1, "infinite_colour": 1,
@@ -340,19 +311,17 @@ def test_pixels_that_give_no_point_are_counted_by_reason(folder, capfd):
     assert "points left out or clamped: 1 (a plane depth or a position that is NaN" in capfd.readouterr().out
 
 
-def test_a_light_that_cannot_be_known_is_black_and_says_why(folder, capfd):
+def test_a_light_that_cannot_be_known_is_black_and_says_why(folder, answer, capfd):
     plane_depth_m = np.zeros_like(PLANE_DEPTH_M)
     plane_depth_m[5, 7] = 2.0
     alone = write_exr(folder / "alone.exr", RADIANCE, plane_depth_m)
     frame = read_frame(alone, read_camera(folder / "camera.json"))
     at = unproject_frame(frame).points_m[5 * RADIANCE.shape[1] + 7].astype(float).tolist()
     asked = [alone, "--camera", folder / "camera.json", f"--at={','.join(map(repr, at))}"]
-    assert estimate(*asked, "--json") == 0
-    (one,) = read_strictly(capfd.readouterr().out)["positions"]
+    (one,) = answer(*asked)[0]["positions"]
     assert (one["is_valid"], one["unknown_because"], one["coverage"]) == (False, "nothing_seen", 0)
     assert one["invalid"] == {"no_distance": plane_depth_m.size - 1, "at_probe": 1}
     assert not np.any(one["sh_radiance"]) and one["expected_error"] is None
     assert estimate(*asked) == 0
     assert "the light cannot be known: no surface was seen from there" in capfd.readouterr().out
-    assert estimate(*asked, "--json", "--estimator", "ambient") == 0
-    assert read_strictly(capfd.readouterr().out)["positions"][0]["is_valid"]
+    assert answer(*asked, "--estimator", "ambient")[0]["positions"][0]["is_valid"]

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from xihenet import estimators, sh
+from addon_tests.pure.made import frame_of
+from xihenet import estimators
 from xihenet.colour import linear_to_srgb
 from xihenet.estimators import EstimateContext
-from xihenet.records import Intrinsics, RgbdFrame, UnitSphereCloud
+from xihenet.records import UnitSphereCloud
 from xihenet.sphere import AnchorLattice
 
 N = 320
@@ -28,8 +29,7 @@ def constant_sh(radiance):
 
 
 def frame(ambient, exposure=1.0):
-    colours = np.zeros((1, 1, 3), np.uint8)
-    return RgbdFrame(colours, np.ones((1, 1)), Intrinsics(1, 1, 1, 1, 0.5, 0.5), np.eye(4), exposure, ambient)
+    return frame_of(np.ones((1, 1)), ambient=ambient, exposure=exposure)
 
 
 def context_for(name, radiance=RADIANCE):
@@ -42,12 +42,6 @@ def test_under_constant_light_every_estimator_gives_that_light(name, seed):
     seen = np.random.default_rng(seed).random(N) < 0.4
     estimate = estimators.load(name, N).estimate(constant_cloud(seen), context_for(name))
     np.testing.assert_allclose(estimate, constant_sh(RADIANCE), atol=1e-6)
-
-
-@pytest.mark.parametrize("name", EXACT)
-def test_nothing_seen_gives_finite_light(name):
-    estimate = estimators.load(name, N).estimate(UnitSphereCloud.empty(N), context_for(name))
-    assert estimate.shape == (9, 3) and np.isfinite(estimate).all()
 
 
 @pytest.mark.parametrize("name", [name for name in EXACT if name != "truth"])
@@ -103,14 +97,6 @@ def test_ambient_is_clipped_at_white_for_ldr_alone():
     for target, expected in (("ldr", [0.5, 1.0, 1.0]), ("hdr", [0.5, 2.0, 7.0])):
         estimate = estimators.load("ambient", N, target).estimate(UnitSphereCloud.empty(N), context)
         np.testing.assert_allclose(estimate, constant_sh(expected))
-
-
-def test_projection_finds_the_light_of_a_whole_sphere():
-    rng = np.random.default_rng(5)
-    light = rng.normal(size=(9, 3)) * 0.05 + constant_sh([0.5, 0.5, 0.5])
-    radiance = sh.basis(LATTICE.directions) @ light
-    cloud = UnitSphereCloud(linear_to_srgb(radiance), np.ones(N), np.ones(N, bool))
-    np.testing.assert_allclose(estimators.load("projection", N).estimate(cloud), light, atol=1e-5)
 
 
 def test_truth_without_its_probe_is_refused():

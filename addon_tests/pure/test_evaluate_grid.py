@@ -1,11 +1,7 @@
 """Which trials make up a batch, and whose folder it is."""
 
-import ast
 import json
-import subprocess
-import sys
 from dataclasses import fields, replace
-from pathlib import Path
 
 import pytest
 from jsonschema import Draft202012Validator
@@ -30,8 +26,8 @@ from xihe_blender.lab.batch.results import (
     result_file,
     worst_frame,
 )
+from xihenet import __version__
 
-ROOT = Path(__file__).resolve().parents[2]
 SETTINGS = BatchSettings(estimators=("lattice", "ambient"), phones=("perfect", "ipad_pro_lidar"), frames=(1, 2))
 
 
@@ -70,32 +66,15 @@ def test_a_folder_goes_on_with_the_same_settings_alone(tmp_path):
     with pytest.raises(UserError, match="another size"):
         folder.manifest(replace(SETTINGS, size=(32, 24))).take()
     content = json.loads((tmp_path / "out" / "batch.json").read_text())
+    assert content["xihe"] == __version__
     assert from_json(BatchManifest, content).settings == SETTINGS
     Draft202012Validator(json_schema(BatchManifest)).validate(content)
-
-
-@pytest.mark.parametrize(
-    ("content", "says"),
-    [
-        ('{"format": 1, "xihe": "0.0.1"}', "version of xihe"),
-        ("[]", r"batch\.json is damaged"),
-        ("{", r"batch\.json is damaged"),
-        ("null", r"batch\.json is damaged"),
-    ],
-)
-def test_a_folder_of_another_version_or_that_is_damaged_is_refused(tmp_path, content, says):
-    (tmp_path / "batch.json").write_text(content)
-    with pytest.raises(UserError, match=says):
-        BatchFolder(tmp_path).manifest(SETTINGS).take()
-    assert (tmp_path / "batch.json").read_text() == content
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path):
     (tmp_path / "results.json").write_text("{}")
     with pytest.raises(UserError, match="not from a batch"):
         BatchFolder(tmp_path).manifest(SETTINGS).take()
-    with pytest.raises(UserError, match="is a file"):
-        BatchFolder(tmp_path / "results.json").manifest(SETTINGS).take()
 
 
 def test_only_units_that_are_done_and_not_damaged_are_in_the_results(tmp_path, caplog):
@@ -148,25 +127,3 @@ def test_a_frontier_that_is_given_must_be_there(tmp_path):
             read_frontier(None, tmp_path)
     write_json(tmp_path / "frontier.json", as_json(frontier()))
     assert read_frontier(None, tmp_path) == read_frontier(tmp_path / "frontier.json", tmp_path) == frontier()
-
-
-@pytest.mark.wheel_only("a whole Blender's Python has no Dask")
-def test_a_worker_never_loads_blender():
-    code = "import sys, xihe_blender.lab.workers.dask_workers; print({'bpy', 'torch'} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
-    assert done.stdout.strip() == "set()"
-
-
-def test_only_what_spreads_the_work_knows_dask():
-    knows = [
-        file.name
-        for file in sorted((ROOT / "xihe_blender").rglob("*.py"))
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Import | ast.ImportFrom)
-        and any(name.split(".")[0] in ("dask", "distributed") for name in _names(node))
-    ]
-    assert set(knows) == {"dask_workers.py"}
-
-
-def _names(node):
-    return [node.module or ""] if isinstance(node, ast.ImportFrom) else [alias.name for alias in node.names]

@@ -1,8 +1,12 @@
 """What facing does to `projection`, and how it travels."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from addon_tests.pure.made import random_cloud, random_rotation, without_surfaces
+from addon_tests.pure.sh_samples import Lattice
 from xihenet import estimators
 from xihenet.codec import METHODS, decode_cloud, encode_cloud
 from xihenet.light_change import LightFollowing, follow_light
@@ -14,27 +18,11 @@ LATTICE = AnchorLattice(1280)
 OURS = "uint8_float16_facing_stripped"
 
 
-def random_cloud(seed, share=0.5, n=1280, facing=None):
+def faced_cloud(seed, share=0.5, n=1280, facing=None):
     rng = np.random.default_rng(seed)
-    is_set = rng.random(n) < share
     facing = rng.uniform(-1, 1, n) if facing is None else np.full(n, facing)
-    return UnitSphereCloud(
-        rng.random((n, 3)) * is_set[:, None],
-        rng.uniform(0.1, 5, n) * is_set,
-        is_set,
-        surfaces=AnchorSurfaces.of_facing(facing * is_set),
-    )
-
-
-def without_surfaces(cloud):
-    return UnitSphereCloud(cloud.srgb, cloud.distance_m, cloud.is_set)
-
-
-class Turned:
-    """Directions of a lattice after a rotation."""
-
-    def __init__(self, rotation):
-        self.directions = LATTICE.directions @ rotation.T
+    cloud = random_cloud(rng, n, share)
+    return replace(cloud, surfaces=AnchorSurfaces.of_facing(facing * cloud.is_set))
 
 
 def test_weights_rise_with_facing_and_are_never_0():
@@ -44,7 +32,7 @@ def test_weights_rise_with_facing_and_are_never_0():
 
 @pytest.mark.parametrize("share", [0.001, 0.1, 0.5, 1.0])
 def test_constant_light_stays_constant_whatever_faces_where(share):
-    cloud = random_cloud(0, share)
+    cloud = faced_cloud(0, share)
     cloud = UnitSphereCloud(
         cloud.is_set[:, None] * np.full(3, 0.5), cloud.distance_m, cloud.is_set, surfaces=cloud.surfaces
     )
@@ -55,14 +43,14 @@ def test_constant_light_stays_constant_whatever_faces_where(share):
 
 
 def test_surfaces_that_all_face_alike_and_fully_change_nothing():
-    cloud = random_cloud(1, facing=1.0)
+    cloud = faced_cloud(1, facing=1.0)
     np.testing.assert_allclose(
         project_anchors(cloud, LATTICE), project_anchors(without_surfaces(cloud), LATTICE), atol=1e-12
     )
 
 
 def test_nothing_but_surfaces_that_face_away_gives_a_finite_light_near_that_of_points():
-    cloud = random_cloud(2, facing=-1.0)
+    cloud = faced_cloud(2, facing=-1.0)
     light, plain = project_anchors(cloud, LATTICE), project_anchors(without_surfaces(cloud), LATTICE)
     assert np.isfinite(light).all()
     np.testing.assert_allclose(light[0], plain[0], rtol=0.05)
@@ -81,15 +69,14 @@ def test_what_faces_away_counts_less():
 
 
 def test_a_turned_room_gives_the_turned_light():
-    rotation = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
-    rotation *= np.sign(np.linalg.det(rotation))
-    cloud = random_cloud(4)
-    turned = project_anchors(cloud, Turned(rotation))
+    rotation = random_rotation(3)
+    cloud = faced_cloud(4)
+    turned = project_anchors(cloud, Lattice(1280, rotation))
     np.testing.assert_allclose(turned, rotate(project_anchors(cloud, LATTICE), rotation), atol=1e-9)
 
 
 def test_a_batch_takes_facing_by_name_and_equals_single_estimates():
-    clouds = [random_cloud(seed) for seed in range(3)]
+    clouds = [faced_cloud(seed) for seed in range(3)]
     projection = estimators.load("projection")
     arrays = [np.stack([getattr(c, name) for c in clouds]) for name in ("srgb", "distance_m", "is_set")]
     facing = np.stack([c.surfaces.facing for c in clouds])
@@ -107,7 +94,7 @@ def test_a_batch_takes_facing_by_name_and_equals_single_estimates():
 
 
 def test_facing_travels_in_one_more_byte_and_the_papers_records_stay_as_they_are():
-    cloud = random_cloud(5)
+    cloud = faced_cloud(5)
     assert METHODS[OURS].bytes_per_record == 8
     again = decode_cloud(encode_cloud(cloud, OURS), 1280, OURS)
     assert np.abs(again.surfaces.facing - cloud.surfaces.facing).max() <= 0.5 / 127 + 1e-6
@@ -117,7 +104,7 @@ def test_facing_travels_in_one_more_byte_and_the_papers_records_stay_as_they_are
 
 
 def test_where_nobody_looked_the_wire_says_so():
-    cloud = without_surfaces(random_cloud(6))
+    cloud = without_surfaces(faced_cloud(6))
     assert decode_cloud(encode_cloud(cloud, OURS), 1280, OURS).surfaces is None
 
 
@@ -127,7 +114,7 @@ def test_a_facing_that_no_encoder_writes_is_refused():
 
 
 def test_following_the_light_keeps_surfaces():
-    old = random_cloud(7)
+    old = faced_cloud(7)
     dark = UnitSphereCloud(old.srgb * 0.3, old.distance_m, old.is_set)
     half = np.arange(1280) < 640
     new = UnitSphereCloud(dark.srgb * half[:, None], dark.distance_m * half, dark.is_set & half)

@@ -1,7 +1,5 @@
 """Numbers as text, and as places in a plot."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -24,7 +22,7 @@ from xihenet.formats import (
 from xihenet.svg import linear_axis, log_axis
 
 
-def test_numbers_keep_their_value_when_they_become_text() -> None:
+def test_numbers_keep_their_value_when_they_become_text():
     rng = np.random.default_rng(7)
     for value in [*(10.0 ** rng.uniform(-12, 12, 200)), *(-(10.0 ** rng.uniform(-3, 3, 50))), 0.09996, 99.96, 0.0]:
         assert float(format_number(value).replace(",", "")) == pytest.approx(value, rel=6e-3)
@@ -45,11 +43,11 @@ def test_numbers_keep_their_value_when_they_become_text() -> None:
         (7500, "2 h 5 min"),
     ],
 )
-def test_a_time_to_wait_is_rounded(seconds: float, words: str) -> None:
+def test_a_time_to_wait_is_rounded(seconds, words):
     assert format_duration(seconds) == words
 
 
-def test_amounts_have_their_units_and_nouns() -> None:
+def test_amounts_have_their_units_and_nouns():
     assert [format_bytes(n) for n in (None, 0, 999, 1500, 2_340_000, 5e9)] == [
         "\N{EN DASH}", "0 bytes", "999 bytes", "1.50 kB", "2.34 MB", "5.00 GB",
     ]  # fmt: skip
@@ -61,7 +59,7 @@ def test_amounts_have_their_units_and_nouns() -> None:
     assert [format_signed(value) for value in (0.0214, -3.0, 0)] == ["+0.021", "\N{MINUS SIGN}3.0", "0"]
 
 
-def test_an_axis_covers_its_values_in_a_few_round_steps() -> None:
+def test_an_axis_covers_its_values_in_a_few_round_steps():
     for largest in [0.0, 5e-324, 1e-9, 0.049, 0.1, 0.2, 0.3, 1, 7, 8, 1234.5, 9.99e8]:
         axis = linear_axis(0, largest)
         assert axis.ticks[0] == 0 and axis.ticks[-1] == axis.high
@@ -71,14 +69,14 @@ def test_an_axis_covers_its_values_in_a_few_round_steps() -> None:
 
 
 @given(st.lists(st.floats(1e-6, 1e6), min_size=1, max_size=5))
-def test_a_logarithmic_axis_holds_its_values_and_has_ticks_in_order(values: list[float]) -> None:
+def test_a_logarithmic_axis_holds_its_values_and_has_ticks_in_order(values):
     axis = log_axis(values, str)
     assert all(0 < axis.share(value) < 1 for value in values)
     places = [axis.share(tick) for tick in axis.ticks]
     assert places == sorted(places) and len(set(places)) == len(places) > 0
 
 
-def test_a_line_has_a_gap_where_there_is_no_point() -> None:
+def test_a_line_has_a_gap_where_there_is_no_point():
     assert svg.line([], "s0") == svg.line([None], "s0") == ""
     assert 'd="M0.00 1.00L100.00 2.00M300.00 3.00"' in svg.line([(0, 1), (10, 2), None, (30, 3)], "s0")
     assert "&lt;b&gt;" in svg.dot(1, 2, "s0", "<b>")

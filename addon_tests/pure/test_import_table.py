@@ -1,13 +1,16 @@
 """Rooms of the two packages, and which of them may import which: what is not in the table is an error, circles too."""
 
-from __future__ import annotations
-
 import ast
+import importlib
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+import xihenet
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENE = {"errors", "io", "scene"}
@@ -37,19 +40,27 @@ MAY_IMPORT = {
 }
 """Of `xihe_blender`: for each room, or loose file, those below it that it knows."""
 
+BLENDER = {"bpy", "bmesh", "mathutils", "bpy_extras"}
+TORCH_ROOMS = {"nets", "training", "edge"}
+
 
 def imported(source: str) -> Iterator[str]:
-    """Modules of `xihe_blender` that a file imports, anywhere in it: "scene.units" for `xihe_blender.scene.units`."""
+    """What a file imports, anywhere in it: "numpy.typing.NDArray" for `from numpy.typing import NDArray`."""
     for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.ImportFrom) and node.module == "xihe_blender":
+        if isinstance(node, ast.Import):
             yield from (name.name for name in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("xihe_blender."):
-            for name in node.names:
-                inside = f"{node.module}.{name.name}".removeprefix("xihe_blender.")
-                is_module = (ROOT / "xihe_blender" / inside.replace(".", "/")).with_suffix(".py").exists()
-                yield inside if is_module else node.module.removeprefix("xihe_blender.")
-        elif isinstance(node, ast.Import):
-            yield from (n.name.removeprefix("xihe_blender.") for n in node.names if n.name.startswith("xihe_blender."))
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            yield from (f"{node.module}.{name.name}" for name in node.names)
+
+
+def packages(file: Path) -> set[str]:
+    """Top-level packages that a file imports."""
+    return {name.split(".")[0] for name in imported(file.read_text(encoding="utf-8"))}
+
+
+def ours(source: str) -> Iterator[str]:
+    """What a file imports of `xihe_blender`, without that word."""
+    return (name.removeprefix("xihe_blender.") for name in imported(source) if name.startswith("xihe_blender."))
 
 
 def room_of(module: str) -> str:
@@ -63,7 +74,7 @@ def arrows_against_the_table(sources: dict[str, str]) -> list[str]:
     return [
         f"{module} imports {other}"
         for module, source in sources.items()
-        for other in imported(source)
+        for other in ours(source)
         if room_of(other) != room_of(module) and room_of(other) not in MAY_IMPORT[room_of(module)]
     ]
 
@@ -91,14 +102,16 @@ def test_an_arrow_against_the_table_is_seen(line):
     assert arrows_against_the_table({**our_sources(), "scene.units": line})
 
 
-def test_the_table_has_no_circles():
+def circle_among(needs: dict[str, set[str]]) -> list[str]:
+    """What is left when all has been taken away that needs nothing but what was taken away before."""
     known: set[str] = set()
-    left = dict(MAY_IMPORT)
-    while left:
-        lowest = {room for room, below in left.items() if below <= known}
-        assert lowest, f"a circle among {sorted(left)}"
+    while lowest := {name for name, below in needs.items() if name not in known and below <= known}:
         known |= lowest
-        left = {room: below for room, below in left.items() if room not in known}
+    return sorted(needs.keys() - known)
+
+
+def test_the_table_has_no_circles():
+    assert not circle_among(MAY_IMPORT)
 
 
 def test_the_conventions_name_every_room():
@@ -108,16 +121,12 @@ def test_the_conventions_name_every_room():
 
 def test_modules_of_a_room_have_no_circles():
     sources = our_sources()
-    needs = {
-        name: {other for other in imported(source) if other in sources} - {name} for name, source in sources.items()
-    }
-    known: set[str] = set()
-    while left := {name: below for name, below in needs.items() if name not in known}:
-        lowest = {name for name, below in left.items() if below <= known}
-        if not lowest:
-            break
-        known |= lowest
-    assert not sorted(left)
+
+    def module_of(name):
+        return name if name in sources else name.rpartition(".")[0]
+
+    needs = {name: set(map(module_of, ours(source))) & sources.keys() - {name} for name, source in sources.items()}
+    assert not circle_among(needs)
 
 
 def test_few_files_lie_loose_at_the_top():
@@ -125,15 +134,80 @@ def test_few_files_lie_loose_at_the_top():
     assert len(loose) <= 5, loose
 
 
-def test_the_science_knows_no_blender():
+def test_the_science_knows_no_blender_and_torch_stays_in_its_rooms():
     for path in (ROOT / "xihenet").rglob("*.py"):
-        named = {name.split(".")[0] for name in _all_imports(path.read_text())}
-        assert not named & {"bpy", "mathutils", "xihe_blender"}, path
+        assert not packages(path) & {*BLENDER, "xihe_blender"}, path
+        assert "torch" not in packages(path) or TORCH_ROOMS & set(path.parts), path
 
 
-def _all_imports(source: str) -> Iterator[str]:
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            yield node.module
-        elif isinstance(node, ast.Import):
-            yield from (name.name for name in node.names)
+def test_only_what_spreads_the_work_knows_dask():
+    knows = [path.name for path in (ROOT / "xihe_blender").rglob("*.py") if packages(path) & {"dask", "distributed"}]
+    assert knows == ["dask_workers.py"]
+
+
+def test_the_report_never_asks_for_blender():
+    of_io = (f"xihe_blender.io.{name}" for name in ("json_records", "outputs", "run_results"))
+    own = ("xihe_blender.report", *of_io, "xihenet.formats", "xihenet.invalid", "xihenet.svg")
+    report = list((ROOT / "xihe_blender" / "report").glob("*.py"))
+    assert "page.py" in [path.name for path in report]
+    for path in (*report, ROOT / "xihenet" / "formats.py", ROOT / "xihenet" / "svg.py"):
+        assert not packages(path) & {*BLENDER, "numpy"}, path
+        names = [name for name in imported(path.read_text(encoding="utf-8")) if name.startswith("xihe")]
+        assert all(name.startswith(own) for name in names), path
+
+
+# ---------------------------------------------------------------------------------------------- what an import brings
+
+
+def said_by_python(code: str) -> str:
+    """What a fresh Python prints."""
+    command = [sys.executable, "-W", "error", "-c", code]
+    return subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout.strip()
+
+
+@pytest.mark.parametrize(
+    ("code", "heavy"),
+    [
+        pytest.param("import xihe_blender, xihe_blender.errors", {"torch", "OpenEXR", "numpy", "bpy"}, id="the add-on"),
+        pytest.param(
+            "import xihenet.controller, xihenet.metrics, xihenet.estimators as e; [e.load(n) for n in e.names()]",
+            {"scipy", "torch", "fpsample", "OpenEXR", "bpy"},
+            id="the science",
+        ),
+        pytest.param(
+            "import xihe_blender.lab.workers.dask_workers",
+            {"bpy", "torch"},
+            id="a worker",
+            marks=pytest.mark.wheel_only("a whole Blender's Python has no Dask"),
+        ),
+    ],
+)
+def test_an_import_brings_nothing_heavy(code, heavy):
+    assert said_by_python(f"import sys; {code}; print({heavy} & {{m.split('.')[0] for m in sys.modules}})") == "set()"
+
+
+def test_importing_xihenet_imports_nothing():
+    code = "import sys, xihenet; print(sorted(m for m in sys.modules if m == 'numpy' or m.startswith('xihenet')))"
+    assert said_by_python(code) == "['xihenet']"
+
+
+def test_a_session_runs_where_there_is_no_blender():
+    script, room = "docs/session_without_blender.py", "addon_tests/data/test_rooms/room_000033.npz"
+    code = f"import sys, runpy; sys.modules['bpy'] = None; runpy.run_path('{script}')['main']('{room}')"
+    assert said_by_python(code).count("seen, mean radiance") == 2
+
+
+def test_the_public_names_are_what_type_checkers_are_told():
+    tree = ast.parse((ROOT / "xihenet" / "__init__.py").read_text(encoding="utf-8"))
+    declared = {
+        alias.name: getattr(importlib.import_module(node.module), alias.name)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("xihenet.")
+        for alias in node.names
+    }
+    offered = {name for names in xihenet._MODULES.values() for name in names}
+    assert declared.keys() == offered
+    assert all(getattr(xihenet, name) is declared[name] and name in dir(xihenet) for name in offered)
+    assert all(getattr(xihenet, name).__name__ == f"xihenet.{name}" for name in xihenet._MODULES)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = xihenet.nothing

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from addon_tests.pure.made import UPRIGHT, about_z, frame_of, pose_of
 from xihenet import estimators
 from xihenet.backend import LocalBackend, as_inference_backend, estimate_light
 from xihenet.camera import invalid_pixels, sound_plane_depth, unproject_frame, valid_plane_depth
@@ -18,7 +19,7 @@ from xihenet.estimators import EstimateContext, Estimator
 from xihenet.invalid import CLAMPED, LEFT_OUT, UNKNOWN, added, counted, format_reason, left_out
 from xihenet.phone import PhoneCamera, load_profile
 from xihenet.recording import load_frame, save_frame
-from xihenet.records import Intrinsics, LightEstimate, PointCloud, RgbdFrame, UnitSphereCloud
+from xihenet.records import Intrinsics, LightEstimate, PointCloud, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere, sample_unit_sphere_reference
 from xihenet.sphere import AnchorLattice
 
@@ -35,11 +36,7 @@ manifests = st.dictionaries(st.sampled_from([*LEFT_OUT, *CLAMPED, "range"]), st.
 def frame(plane_depth_m=2.0, invalid=None, **changes):
     """The phone at the origin looking down."""
     plane_depth_m = np.broadcast_to(np.float32(plane_depth_m), (HEIGHT, WIDTH))
-    colours = np.full((HEIGHT, WIDTH, 3), 128, np.uint8)
-    return RgbdFrame(colours, plane_depth_m, CAMERA, np.eye(4), invalid=invalid or {}, **changes)
-
-
-# -------------------------------------------------------------------------------------------------- pixels and points
+    return frame_of(plane_depth_m, CAMERA, invalid=invalid or {}, **changes)
 
 
 @settings(max_examples=150, deadline=None)
@@ -100,12 +97,6 @@ def test_what_the_phone_takes_is_told_by_the_effect_that_took_it(name):
     assert invalid_pixels(seen) == counted(**n_lost) | {"no_surface": WIDTH}
 
 
-def test_reasons_are_recorded_with_a_frame(tmp_path):
-    seen = frame(0.0, {"no_surface": 40, "range": 8, "negative_colour": 3})
-    save_frame(tmp_path / "frame.npz", seen)
-    assert load_frame(tmp_path / "frame.npz").invalid == seen.invalid
-
-
 @pytest.mark.parametrize("count", [0, -1, 1.5, np.nan, [1, 2], "one"])
 def test_a_recorded_count_that_is_none_is_refused(tmp_path, count):
     save_frame(tmp_path / "frame.npz", frame())
@@ -114,9 +105,6 @@ def test_a_recorded_count_that_is_none_is_refused(tmp_path, count):
     np.savez(tmp_path / "frame.npz", **fields, invalid_range=count)
     with pytest.raises(ValueError, match=r"frame\.npz: not a recorded frame \(invalid_range"):
         load_frame(tmp_path / "frame.npz")
-
-
-# ---------------------------------------------------------------------------------------------------------------- wire
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -137,9 +125,6 @@ def test_a_colour_without_a_distance_on_the_wire_is_counted():
     assert decoded.invalid == {"colour_without_distance": 1} and decoded.is_set.tolist() == [True, False, True]
 
 
-# --------------------------------------------------------------------------------------------------------------- light
-
-
 class Scripted(Estimator):
     """Gives one answer after the other."""
 
@@ -156,11 +141,8 @@ class Scripted(Estimator):
 
 def turned(yaw, plane_depth_m=2.0, number=0):
     """The phone looks past a position 1 m ahead, at another part of the wall for each yaw."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    pose = np.eye(4)
-    pose[:3, :3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
     depths = np.full((HEIGHT, WIDTH), plane_depth_m)
-    return RgbdFrame(np.full((HEIGHT, WIDTH, 3), 128, np.uint8), depths, CAMERA, pose, frame=number)
+    return frame_of(depths, CAMERA, pose_of(about_z(yaw) @ UPRIGHT), frame=number)
 
 
 @pytest.mark.parametrize("broken", [np.nan, np.inf, -np.inf])
@@ -237,9 +219,6 @@ def test_any_answer_of_any_backend_becomes_a_light_that_is_finite_or_not_valid(a
 def test_an_estimate_with_a_reason_that_does_not_fit_is_refused(is_valid, reason):
     with pytest.raises(ValueError, match=r"LightEstimate\.unknown_because"):
         LightEstimate(np.zeros((9, 3)), 1.0, 0.5, "none", is_valid, None, reason)
-
-
-# -------------------------------------------------------------------------------------------------------------- counts
 
 
 @given(st.lists(st.dictionaries(st.sampled_from([*LEFT_OUT, *CLAMPED, *UNKNOWN]), st.integers(1, 10**12))))

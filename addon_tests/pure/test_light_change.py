@@ -5,9 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from addon_tests.pure.made import UPRIGHT, about_z, pose_of
 from xihenet import estimators
 from xihenet.backend import LocalBackend
 from xihenet.buffers import merge
+from xihenet.camera import pixel_rays
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.light_change import LightFollowing, _cannot_agree, follow_light, light_change
@@ -123,19 +125,13 @@ def test_settings_without_sense_are_refused(wrong):
         LightFollowing(**wrong)
 
 
-# -------------------------------------------------------------------------------------------------------------- session
-
 CAMERA = Intrinsics(48, 36, 24.0, 24.0, 24.0, 18.0)
 POSITION = (0.0, 1.0, 0.0)
 
 
 def looking(yaw, light, number):
     """The phone at the origin, turned by `yaw` about +Z, in a striped sphere of 3 m that is lit by `light`."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    pose = np.eye(4)
-    pose[:3, :3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
-    x, y = np.meshgrid((np.arange(48) + 0.5 - 24) / 24, -(np.arange(36) + 0.5 - 18) / 24)
-    rays = np.stack([x, y, -np.ones_like(x)], axis=-1)
+    pose, rays = pose_of(about_z(yaw) @ UPRIGHT), pixel_rays(CAMERA)
     plane_depth_m = 3 / np.linalg.norm(rays, axis=-1)
     world = (rays * plane_depth_m[..., None]) @ pose[:3, :3].T
     albedo = 0.3 + 0.1 * np.sin(2 * world[..., :1] + world[..., 1:2]) * np.ones(3)

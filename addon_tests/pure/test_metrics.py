@@ -1,7 +1,5 @@
 """The errors: known answers, invariances, and the input on which published metric code breaks."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable
@@ -9,10 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from xihenet.metrics import (
-    _local_ssim,
     angular_error,
     angular_error_deg,
     image_rmse,
@@ -46,10 +42,7 @@ def blob(size: tuple[int, int] = (12, 15)) -> Image:
     return np.clip(5.5 - np.hypot(row - size[0] / 2, column - size[1] / 2), 0, 1)
 
 
-# ---- coefficients
-
-
-def test_shc_rmse_has_known_answers() -> None:
+def test_shc_rmse_has_known_answers():
     assert shc_rmse(np.zeros((9, 3)), np.full((9, 3), -0.5)) == 0.5
     one_off = np.zeros((9, 3))
     one_off[4, 1] = 1
@@ -57,11 +50,8 @@ def test_shc_rmse_has_known_answers() -> None:
     assert shc_rmse(one_off, one_off) == 0
 
 
-# ---- normalised RMSE
-
-
 @pytest.mark.parametrize("mask", [FULL, blob() > 0], ids=["all", "blob"])
-def test_normalized_rmse_is_that_of_pictures_brought_to_their_percentiles(mask: NDArray[np.bool_]) -> None:
+def test_normalized_rmse_is_that_of_pictures_brought_to_their_percentiles(mask):
     a, b = images()
     ranged = [
         (image[mask] - np.percentile(image[mask], 0.01)) / np.subtract(*np.percentile(image[mask], (99.9, 0.01)))
@@ -72,7 +62,7 @@ def test_normalized_rmse_is_that_of_pictures_brought_to_their_percentiles(mask: 
 
 
 @pytest.mark.parametrize(("factor", "offset"), [(1e-300, 0.0), (0.25, 0.0), (3.0, 7.0), (1e300, 1e299)])
-def test_normalized_rmse_sees_neither_exposure_nor_black_level(factor: float, offset: float) -> None:
+def test_normalized_rmse_sees_neither_exposure_nor_black_level(factor, offset):
     a, b = images()
     expected = normalized_rmse(a, b, FULL)
     assert normalized_rmse(factor * a + offset, b, FULL) == pytest.approx(expected, rel=1e-9)
@@ -80,7 +70,7 @@ def test_normalized_rmse_sees_neither_exposure_nor_black_level(factor: float, of
 
 
 @pytest.mark.parametrize("value", [0.0, 0.3, -1e200])
-def test_a_picture_of_one_value_has_no_range_and_no_normalized_rmse(value: float) -> None:
+def test_a_picture_of_one_value_has_no_range_and_no_normalized_rmse(value):
     a, _ = images()
     constant = np.full_like(a, value)
     assert normalized_rmse(constant, a, FULL) is None and normalized_rmse(a, constant, FULL) is None
@@ -89,11 +79,8 @@ def test_a_picture_of_one_value_has_no_range_and_no_normalized_rmse(value: float
     assert normalized_rmse(lamp, lamp, np.ones((100, 100))) is None
 
 
-# ---- all image metrics
-
-
 @EVERY_METRIC
-def test_equal_images_score_exactly_perfect(metric: Metric) -> None:
+def test_equal_images_score_exactly_perfect(metric):
     perfect = {"psnr": None, "ssim": 1.0}.get(metric.__name__, 0.0)
     for seed, mask in ((1, FULL), (2, blob())):
         image = images(seed)[0]
@@ -102,7 +89,7 @@ def test_equal_images_score_exactly_perfect(metric: Metric) -> None:
 
 
 @EVERY_METRIC
-def test_what_lies_outside_the_mask_has_no_influence(metric: Metric) -> None:
+def test_what_lies_outside_the_mask_has_no_influence(metric):
     a, b = images()
     mask = blob()
     expected = metric(a, b, mask)
@@ -114,20 +101,20 @@ def test_what_lies_outside_the_mask_has_no_influence(metric: Metric) -> None:
 
 
 @EVERY_METRIC
-def test_a_bool_mask_and_weights_of_0_and_1_agree(metric: Metric) -> None:
+def test_a_bool_mask_and_weights_of_0_and_1_agree(metric):
     a, b = images()
     mask = blob() > 0.5
     assert metric(a, b, mask) == metric(a, b, mask.astype(np.float32))
 
 
 @EVERY_METRIC
-def test_half_the_weight_everywhere_changes_nothing(metric: Metric) -> None:
+def test_half_the_weight_everywhere_changes_nothing(metric):
     a, b = images()
     assert metric(a, b, blob() / 2) == pytest.approx(metric(a, b, blob()), rel=1e-12)
 
 
 @EVERY_METRIC
-def test_turned_and_mirrored_pictures_score_the_same(metric: Metric) -> None:
+def test_turned_and_mirrored_pictures_score_the_same(metric):
     a, b = images()
     mask = blob()
     expected = metric(a, b, mask)
@@ -137,7 +124,7 @@ def test_turned_and_mirrored_pictures_score_the_same(metric: Metric) -> None:
 
 @EVERY_METRIC
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_pixels_inside_the_mask_that_are_not_finite_are_refused_with_their_number(metric: Metric, value: float) -> None:
+def test_pixels_inside_the_mask_that_are_not_finite_are_refused_with_their_number(metric, value):
     a, b = images()
     a[5, 6, 1] = a[5, 6, 2] = a[6, 6, 0] = value
     with pytest.raises(ValueError, match=r"prediction: .* 2 pixels"):
@@ -147,7 +134,7 @@ def test_pixels_inside_the_mask_that_are_not_finite_are_refused_with_their_numbe
 
 
 @EVERY_METRIC
-def test_shapes_that_differ_are_refused(metric: Metric) -> None:
+def test_shapes_that_differ_are_refused(metric):
     a, b = images()
     for prediction, truth, mask in (
         (a[1:], b, FULL),
@@ -161,7 +148,7 @@ def test_shapes_that_differ_are_refused(metric: Metric) -> None:
 
 @EVERY_METRIC
 @pytest.mark.parametrize("weight", [-0.1, 1.1, np.nan, np.inf])
-def test_weights_outside_0_to_1_are_refused(metric: Metric, weight: float) -> None:
+def test_weights_outside_0_to_1_are_refused(metric, weight):
     a, b = images()
     mask = blob()
     mask[0, 0] = weight
@@ -170,36 +157,21 @@ def test_weights_outside_0_to_1_are_refused(metric: Metric, weight: float) -> No
 
 
 @EVERY_METRIC
-def test_every_answer_fits_in_json(metric: Metric) -> None:
+def test_every_answer_fits_in_json(metric):
     a, _ = images()
     black = np.zeros_like(a)
     answers = [metric(p, g, FULL) for p in (a, black, a / 1e9) for g in (a, black, np.ones_like(a))]
     assert json.loads(json.dumps(answers, allow_nan=False)) == answers
 
 
-# ---- linear colour
-
-
-def test_image_rmse_is_the_weighted_root_mean_square() -> None:
+def test_image_rmse_is_the_weighted_root_mean_square():
     truth = np.zeros((1, 3, 3))
     prediction = np.array([[[3.0, 3, 3], [0, 0, 4], [9, 9, 9]]])
     expected = math.sqrt((3 * 9 * 1.0 + 16 * 0.5) / (3 * 1.5))
     assert image_rmse(prediction, truth, [[1, 0.5, 0]]) == pytest.approx(expected, rel=1e-14)
 
 
-@pytest.mark.parametrize("factor", [1e-200, 1e-6, 0.3, 7.0, 1e6])
-def test_si_rmse_does_not_see_the_predictions_scale(factor: float) -> None:
-    a, b = images()
-    assert si_rmse(a * factor, b, blob()) == pytest.approx(si_rmse(a, b, blob()), rel=1e-12)
-    assert si_rmse(a * factor, a, blob()) == pytest.approx(0, abs=1e-15)
-
-
-def test_si_rmse_of_a_scaled_float32_copy_is_0_up_to_its_rounding() -> None:
-    image = images()[0].astype(np.float32)
-    assert si_rmse(image * np.float32(0.3), image, FULL) == pytest.approx(0, abs=1e-7)
-
-
-def test_si_rmse_is_the_smallest_rmse_over_all_factors() -> None:
+def test_si_rmse_is_the_smallest_rmse_over_all_factors():
     a, b = images()
     factors = np.linspace(0, 2, 20001)
     best = min(float(np.sqrt(np.mean((f * a - b) ** 2))) for f in factors)
@@ -207,29 +179,16 @@ def test_si_rmse_is_the_smallest_rmse_over_all_factors() -> None:
     assert si_rmse(a, b, FULL) <= best
 
 
-def test_si_rmse_of_a_black_prediction_is_the_truths_own_size() -> None:
-    truth = images()[1]
-    assert si_rmse(np.zeros_like(truth), truth, FULL) == pytest.approx(np.sqrt(np.mean(truth**2)), rel=1e-14)
-    assert si_rmse(truth, np.zeros_like(truth), FULL) == 0
-
-
 @pytest.mark.parametrize(
     ("colour", "degrees"),
     [((2, 0, 0), 0), ((0, 1, 0), 90), ((1, 1, 0), 45), ((-1, 0, 0), 180), ((1, 1e-9, 0), math.degrees(1e-9))],
 )
-def test_angles_between_known_colours(colour: tuple[float, float, float], degrees: float) -> None:
+def test_angles_between_known_colours(colour, degrees):
     red = np.array([[[0.5, 0, 0]]])
     assert angular_error_deg(np.array([[colour]]), red, [[True]]) == pytest.approx(degrees, rel=1e-12)
 
 
-@pytest.mark.parametrize("factor", [1e-200, 1e-3, 1e3, 1e200])
-def test_the_angle_does_not_see_brightness(factor: float) -> None:
-    a, b = images()
-    assert angular_error_deg(a * factor, b, blob()) == pytest.approx(angular_error_deg(a, b, blob()), rel=1e-12)
-    assert angular_error_deg(a * factor, a, blob()) == pytest.approx(0, abs=1e-13)
-
-
-def test_black_pixels_are_counted_and_not_hidden() -> None:
+def test_black_pixels_are_counted_and_not_hidden():
     prediction = np.array([[[0, 0, 0], [0, 1, 0], [1, 0, 0], [0, 0, 0], [0, 0, 0.0]]])
     truth = np.array([[[1, 0, 0], [1, 0, 0], [0, 0, 0], [0, 0, 0], [9, 9, 9.0]]])
     error = angular_error(prediction, truth, [[1, 1, 1, 1, 0]])
@@ -237,16 +196,13 @@ def test_black_pixels_are_counted_and_not_hidden() -> None:
     assert error.mean_deg == pytest.approx(90)
 
 
-def test_the_mean_angle_is_weighted() -> None:
+def test_the_mean_angle_is_weighted():
     prediction = np.array([[[1, 0, 0], [0, 1, 0.0]]])
     truth = np.array([[[1, 0, 0], [1, 0, 0.0]]])
     assert angular_error_deg(prediction, truth, [[0.75, 0.25]]) == pytest.approx(22.5)
 
 
-# ---- displayed pictures
-
-
-def test_psnr_has_known_answers() -> None:
+def test_psnr_has_known_answers():
     grey = np.full((4, 4, 3), 0.5)
     mask = np.ones((4, 4))
     assert psnr(grey + 0.1, grey, mask) == pytest.approx(20)
@@ -255,7 +211,7 @@ def test_psnr_has_known_answers() -> None:
 
 @DISPLAY_METRIC
 @pytest.mark.parametrize("value", [-0.01, 1.01, 40.0])
-def test_linear_colour_handed_to_a_display_metric_is_refused(metric: Metric, value: float) -> None:
+def test_linear_colour_handed_to_a_display_metric_is_refused(metric, value):
     a, b = images()
     a[5, 6] = value
     with pytest.raises(ValueError, match=r"\[0, 1\], got 1 pixels"):
@@ -283,42 +239,12 @@ def ssim_by_loops(a: Image, b: Image, mask: Image) -> float:
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_ssim_equals_a_plain_loop_at_borders_and_mask_edges(seed: int) -> None:
+def test_ssim_equals_a_plain_loop_at_borders_and_mask_edges(seed):
     a, b = images(seed)
     b = np.clip(0.7 * a + 0.3 * b, 0, 1)
     scattered = np.clip(np.random.default_rng(seed + 10).random(FULL.shape) - 0.7, 0, 1)
     for mask in (FULL.astype(float), blob(), scattered):
         assert ssim(a, b, mask) == pytest.approx(ssim_by_loops(a, b, mask), rel=1e-10)
-
-
-def test_ssim_is_the_published_one_where_windows_lie_wholly_inside() -> None:
-    a, b = images(4, (40, 44))
-    b = np.clip(a + 0.1 * (b - 0.5), 0, 1)
-
-    def smooth(image: Image) -> Image:
-        return np.asarray(gaussian_filter(image, 1.5, truncate=3.5))
-
-    x, y = a @ [0.2126, 0.7152, 0.0722], b @ [0.2126, 0.7152, 0.0722]
-    mx, my = smooth(x), smooth(y)
-    sxx, syy, sxy = smooth(x * x) - mx**2, smooth(y * y) - my**2, smooth(x * y) - mx * my
-    local = (2 * mx * my + 1e-4) * (2 * sxy + 9e-4) / ((mx**2 + my**2 + 1e-4) * (sxx + syy + 9e-4))
-    inside = (slice(5, -5), slice(5, -5))
-    np.testing.assert_allclose(_local_ssim(x, y, np.ones(x.shape))[inside], local[inside], rtol=1e-10)
-
-
-def test_ssim_falls_with_noise_and_is_negative_for_the_negative_picture() -> None:
-    a, noise = images(5)
-    scores = [ssim(a, np.clip(a + level * (noise - 0.5), 0, 1), FULL) for level in (0.0, 0.1, 0.5, 1.0)]
-    assert scores == sorted(scores, reverse=True)
-    assert ssim(a, 1 - a, FULL) < 0
-
-
-def test_ssim_works_on_an_image_smaller_than_its_window() -> None:
-    a, b = images(6, (1, 1))
-    assert ssim(a, b, [[True]]) == pytest.approx(ssim_by_loops(a, b, np.ones((1, 1))), rel=1e-12)
-
-
-# --------------------------------------------------------------------------------------------- light above white
 
 
 def test_half_of_the_light_above_white_is_half():

@@ -5,6 +5,7 @@ import sys
 import numpy as np
 import pytest
 
+from addon_tests.pure.frame_makers import write_by_package
 from xihenet.frame_files import read_exr_channels
 from xihenet.openexr_package import is_installed, read_by_package
 
@@ -18,25 +19,16 @@ def channels():
     return {name: rng.random((48, 64)).astype(np.float32) for name in NAMES}
 
 
-def write(path, channels, compression):
-    import OpenEXR
-
-    header = {"compression": getattr(OpenEXR, f"{compression}_COMPRESSION"), "type": OpenEXR.scanlineimage}
-    with OpenEXR.File(header, {name: OpenEXR.Channel(pixels) for name, pixels in channels.items()}) as file:
-        file.write(str(path))
-    return path
-
-
 @pytest.mark.parametrize("compression", ["PIZ", "RLE"])
 def test_what_other_compressions_hold_is_read_without_loss(tmp_path, channels, compression):
-    read = read_exr_channels(write(tmp_path / "a.exr", channels, compression))
+    read = read_exr_channels(write_by_package(tmp_path / "a.exr", channels, compression))
     assert read.keys() == channels.keys()
     for name, pixels in channels.items():
         assert np.array_equal(read[name], pixels)
 
 
 def test_it_agrees_with_our_own_reader(tmp_path, channels):
-    path = write(tmp_path / "a.exr", channels, "ZIP")
+    path = write_by_package(tmp_path / "a.exr", channels, "ZIP")
     ours, theirs = read_exr_channels(path), read_by_package(path)
     assert ours.keys() == theirs.keys() == channels.keys()
     assert all(np.array_equal(ours[name], theirs[name]) for name in NAMES)

@@ -64,9 +64,6 @@ def wheel():
     return project_wheel()
 
 
-# ------------------------------------------------------------------------------------------------------------- the zip
-
-
 def test_the_zip_holds_manifest_registration_licence_and_one_small_wheel_and_nothing_else(built, wheel):
     with zipfile.ZipFile(built) as archive:
         names = archive.namelist()
@@ -89,9 +86,6 @@ def test_the_manifest_says_who_it_is_and_asks_for_files_alone(manifest):
 def test_the_same_input_makes_the_same_bytes(built, tmp_path):
     again = build_extension(tmp_path / "out", checkout=copy_of_the_checkout(tmp_path / "checkout"))
     assert again.read_bytes() == built.read_bytes()
-
-
-# ------------------------------------------------------------------------------------------------ this project's wheel
 
 
 def test_the_wheel_holds_every_file_of_both_packages(wheel):
@@ -143,9 +137,6 @@ def test_another_content_makes_another_version_of_the_wheel(wheel, tmp_path):
 def test_what_is_no_checkout_is_refused(tmp_path):
     with pytest.raises(UserError, match="is no checkout of the project"):
         project_wheel(tmp_path)
-
-
-# -------------------------------------------------------------------------------------------------- whole or not at all
 
 
 def test_a_zip_that_cannot_be_written_leaves_the_one_before(tmp_path):

@@ -1,22 +1,11 @@
 """Panoramas: exact integrals over texels, and the directions that the convention says."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from addon_tests.pure.sh_samples import AXES, CONSTANT, EVERY_AXIS, F64, random_light
+from addon_tests.pure.sh_samples import AXES, CONSTANT, EVERY_AXIS, F64
 from xihenet.panorama import evaluate_panorama, panorama_directions, project_panorama, solid_angles
-from xihenet.sh import basis, irradiance, rotate
-
-
-@pytest.mark.parametrize("size", [(1, 1), (1, 7), (2, 1), (2, 3), (4, 8), (5, 9), (32, 64), (257, 512)])
-@pytest.mark.parametrize("order", [0, 2, 10])
-def test_constant_light_is_exact_at_any_panorama_size(size: tuple[int, int], order: int) -> None:
-    level = np.array([1.7, 0.25, -3.0])
-    expected = np.zeros(((order + 1) ** 2, 3))
-    expected[0] = CONSTANT * level
-    np.testing.assert_allclose(project_panorama(np.tile(level, (*size, 1)), order), expected, rtol=0, atol=1e-12)
+from xihenet.sh import basis, irradiance
 
 
 def gauss_texel_integrals(height: int, width: int, order: int) -> F64:
@@ -35,7 +24,7 @@ def gauss_texel_integrals(height: int, width: int, order: int) -> F64:
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 2), (2, 3), (3, 4), (4, 8)])
-def test_every_texels_integral_equals_brute_force(size: tuple[int, int]) -> None:
+def test_every_texels_integral_equals_brute_force(size):
     expected = gauss_texel_integrals(*size, order=4)
     for row in range(size[0]):
         for column in range(size[1]):
@@ -44,7 +33,7 @@ def test_every_texels_integral_equals_brute_force(size: tuple[int, int]) -> None
             np.testing.assert_allclose(project_panorama(lamp, 4)[:, 1], expected[row, column], rtol=0, atol=1e-11)
 
 
-def test_the_integrals_of_all_texels_add_up_and_solid_angles_are_theirs() -> None:
+def test_the_integrals_of_all_texels_add_up_and_solid_angles_are_theirs():
     for height, width in ((1, 1), (3, 5), (64, 32)):
         angles = solid_angles(height, width)
         assert angles.shape == (height, width)
@@ -54,7 +43,7 @@ def test_the_integrals_of_all_texels_add_up_and_solid_angles_are_theirs() -> Non
     assert project_panorama(lamp, 0)[0, 0] == pytest.approx(solid_angles(6, 4)[1, 2] / CONSTANT, rel=1e-12)
 
 
-def test_the_panorama_looks_where_the_convention_says() -> None:
+def test_the_panorama_looks_where_the_convention_says():
     directions = panorama_directions(3, 4000)
     columns = {"-Y": 0, "-X": 1000, "+Y": 2000, "+X": 3000}
     for name, column in columns.items():
@@ -68,7 +57,7 @@ def test_the_panorama_looks_where_the_convention_says() -> None:
 
 
 @EVERY_AXIS
-def test_a_lamp_on_one_side_of_the_panorama_lights_that_side(axis: tuple[float, float, float]) -> None:
+def test_a_lamp_on_one_side_of_the_panorama_lights_that_side(axis):
     side = panorama_directions(40, 80) @ np.array(axis)
     lamp = np.repeat((side > 0.95)[..., None].astype(float), 3, axis=2)
     light = project_panorama(lamp)
@@ -79,30 +68,14 @@ def test_a_lamp_on_one_side_of_the_panorama_lights_that_side(axis: tuple[float, 
     assert brightest @ np.array(axis) > 0.99
 
 
-def test_projecting_a_picture_of_coefficients_gives_them_back() -> None:
-    light = random_light(4)
-    errors = [np.abs(project_panorama(evaluate_panorama(light, n, 2 * n), 4) - light).max() for n in (32, 64, 128)]
-    assert errors[2] < 2e-3
-    assert errors[0] / errors[1] == pytest.approx(4, rel=0.05)
-    assert errors[1] / errors[2] == pytest.approx(4, rel=0.05)
-
-
-def test_projection_is_linear_and_takes_float32() -> None:
+def test_projection_is_linear_and_takes_float32():
     a, b = np.random.default_rng(5).normal(size=(2, 8, 16, 3))
     np.testing.assert_allclose(project_panorama(2 * a - b), 2 * project_panorama(a) - project_panorama(b), atol=1e-13)
     single = a.astype(np.float32)
     np.testing.assert_array_equal(project_panorama(single), project_panorama(single.astype(float)))
 
 
-def test_a_column_shift_is_a_turn_about_z() -> None:
-    image = np.random.default_rng(6).random((8, 12, 3))
-    angle = -2 * np.pi / 12  # Content moves to the right, that is clockwise seen from above.
-    turn = [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
-    shifted = project_panorama(np.roll(image, 1, axis=1), 3)
-    np.testing.assert_allclose(shifted, rotate(project_panorama(image, 3), turn), atol=1e-13)
-
-
-def test_bad_panoramas_are_refused() -> None:
+def test_bad_panoramas_are_refused():
     image = np.ones((4, 8, 3))
     image[1, 1, 0] = image[2, 2] = np.nan
     image[0, 0, 2] = np.inf

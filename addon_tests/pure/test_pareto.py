@@ -25,18 +25,6 @@ def test_the_front_is_what_no_other_choice_dominates(rows):
     assert on_front(rows[:, 0], rows[:, 1]).tolist() == front_by_pairs(rows)
 
 
-@given(choices, st.randoms(use_true_random=False))
-def test_the_order_of_the_choices_does_not_matter(rows, random):
-    order = list(range(len(rows)))
-    random.shuffle(order)
-    assert on_front(*rows[order].T).tolist() == on_front(*rows.T)[order].tolist()
-
-
-@given(choices)
-def test_error_and_cost_play_the_same_part(rows):
-    assert on_front(rows[:, 0], rows[:, 1]).tolist() == on_front(rows[:, 1], rows[:, 0]).tolist()
-
-
 @given(choices)
 def test_a_dominated_choice_is_told_one_of_the_front_to_take_instead(rows):
     is_on_front, instead = on_front(*rows.T), dominators(*rows.T)

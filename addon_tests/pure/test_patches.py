@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from xihenet.camera import unproject_frame
+from addon_tests.pure.made import pose_of
+from xihenet.camera import pixel_rays, unproject_frame
 from xihenet.records import Intrinsics, PixelGrid, PointCloud, RgbdFrame
 from xihenet.sampling import sample_unit_sphere, sample_unit_sphere_reference
 from xihenet.sphere import AnchorLattice
@@ -18,12 +19,8 @@ RED, BLUE = np.uint8([255, 0, 0]), np.uint8([0, 0, 255])
 def frame_of_a_table(width=64, height=48, pitch=0.3, has_table=True, seed=None):
     """A red table of 1.2 x 1 m at 0.7 m on a blue floor, before a blue wall at 6 m; `seed` drops pixels and colours."""
     camera = Intrinsics(width, height, 0.9 * width, 0.9 * width, width / 2, height / 2)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([[1, 0, 0], [0, np.sin(pitch), np.cos(pitch)], [0, -np.cos(pitch), np.sin(pitch)]], axis=1)
-    pose[2, 3] = CAMERA_M
-    x = (np.arange(width) + 0.5 - camera.cx) / camera.fx
-    y = -(np.arange(height) + 0.5 - camera.cy) / camera.fy
-    rays = np.stack(np.broadcast_arrays(x, y[:, None], -1.0), axis=-1) @ pose[:3, :3].T
+    axes = np.stack([[1, 0, 0], [0, np.sin(pitch), np.cos(pitch)], [0, -np.cos(pitch), np.sin(pitch)]], axis=1)
+    rays = pixel_rays(camera) @ axes.T
     with np.errstate(divide="ignore"):  # A ray along the floor never meets it.
         wall, floor, table = 6 / rays[..., 1], -CAMERA_M / rays[..., 2], (TABLE_M - CAMERA_M) / rays[..., 2]
     depth = np.minimum(np.where(wall > 0, wall, np.inf), np.where(floor > 0, floor, np.inf))
@@ -35,7 +32,7 @@ def frame_of_a_table(width=64, height=48, pitch=0.3, has_table=True, seed=None):
         rng = np.random.default_rng(seed)
         depth[rng.random(depth.shape) < 0.05] = np.nan
         colours = rng.integers(0, 256, colours.shape, np.uint8)
-    return RgbdFrame(colours, depth, camera, pose)
+    return RgbdFrame(colours, depth, camera, pose_of(axes, [0, 0, CAMERA_M]))
 
 
 def without_grid(cloud):
@@ -164,7 +161,7 @@ def test_the_table_faces_the_position_above_it_and_the_side_that_was_seen_is_kno
 
 def test_turning_room_and_position_about_the_vertical_turns_patches_with_it():
     frame = frame_of_a_table(40, 30)
-    quarter = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    quarter = pose_of([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
     turned = RgbdFrame(frame.srgb_u8, frame.plane_depth_m, frame.intrinsics, quarter @ frame.world_from_camera)
     here = sample_unit_sphere(unproject_frame(frame), ABOVE_TABLE, LATTICE)
     there = sample_unit_sphere(unproject_frame(turned), quarter[:3, :3] @ ABOVE_TABLE, LATTICE)

@@ -45,11 +45,6 @@ def test_a_phone_with_nothing_on_gives_the_very_frame(name):
     assert PhoneCamera(load_profile(name), 3, effects=()).see(frame, motion=MOTION) is frame
 
 
-def test_the_perfect_phone_gives_the_very_frame():
-    frame = frame_of(1)
-    assert PhoneCamera(load_profile("perfect"), 3).see(frame, motion=MOTION) is frame
-
-
 @pytest.mark.parametrize("name", ["ipad_pro_lidar", "iphone_lidar", "azure_kinect"])
 @pytest.mark.parametrize("size", [(48, 64), (1, 1), (1, 7), (5, 1)])
 def test_any_effect_alone_changes_nothing_that_is_not_its_own(name, size):

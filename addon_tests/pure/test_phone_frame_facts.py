@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from addon_tests.pure import made
+from addon_tests.pure.made import pose_of
 from xihenet.phone import PhoneCamera, facts_of_frame, facts_of_session, load_profile
-from xihenet.records import Intrinsics, RgbdFrame
+from xihenet.records import Intrinsics
 
 CAMERA = Intrinsics(40, 30, 35.0, 35.0, 20.0, 15.0)
 HOLES = {"dark_holes", "grazing_holes", "span_holes", "range", "glossy_holes", "transparent_holes"}
@@ -15,12 +17,10 @@ def facts_from_frames(frames, positions_m, **known):
 
 
 def frame_of(plane_depth_m, *, colour=128, time_s=0.0, x=0.0, yaw_deg=0.0, number=0):
-    pose = np.eye(4)
     c, s = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
-    pose[:3, :3] = [[c, 0, s], [0, 1, 0], [-s, 0, c]]
-    pose[0, 3] = x
-    picture = np.full((30, 40, 3), colour, np.uint8)
-    return RgbdFrame(picture, np.broadcast_to(plane_depth_m, (30, 40)), CAMERA, pose, 0.5, None, time_s, number)
+    pose = pose_of([[c, 0, s], [0, 1, 0], [-s, 0, c]], [x, 0, 0])
+    plane_depth_m = np.broadcast_to(plane_depth_m, (30, 40))
+    return made.frame_of(plane_depth_m, CAMERA, pose, colour, exposure=0.5, time_s=time_s, frame=number)
 
 
 def random_session(seed):

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from addon_tests.pure.made import frame_of, pose_of, random_rotation
+from xihenet.camera import pixel_rays
 from xihenet.phone.holes import (
     DarkHoles,
     GlossyHoles,
@@ -13,38 +15,22 @@ from xihenet.phone.holes import (
     TransparentHoles,
     facing_cosines,
 )
-from xihenet.records import Intrinsics, RgbdFrame
+from xihenet.records import Intrinsics
 
 DARK = DarkHoles(source="test", below_grey=15 / 255)
 GLOSSY = GlossyHoles(source="test", below_roughness=0.1, beyond_deg=15)
 CLEAR = TransparentHoles(source="test", above_transmission=0.5)
 GRAZING = GrazingHoles(source="test", beyond_deg=80)
 CAMERA = Intrinsics(40, 30, 35.0, 35.0, 20.0, 15.0)
+RAYS = pixel_rays(CAMERA)
 
 
-def rotation(rng):
-    matrix, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    return matrix * np.sign(np.linalg.det(matrix))
-
-
-def rays():
-    x = (np.arange(40) + 0.5 - 20) / 35
-    y = -(np.arange(30) + 0.5 - 15) / 35
-    return np.stack(np.broadcast_arrays(x[None], y[:, None], -1.0), axis=-1)
-
-
-def frame_of(plane_depth_m, pose=None, intrinsics=CAMERA):
-    colour = np.full((intrinsics.height, intrinsics.width, 3), 128, np.uint8)
-    return RgbdFrame(colour, plane_depth_m, intrinsics, np.eye(4) if pose is None else pose)
-
-
-def seen_surfaces(plane_depth_m, facts=None, colour=None):
+def seen_surfaces(plane_depth_m, facts=None, colour=0):
     """A frame of any size as the sensor sees it, all of it along the camera's axis."""
     z = np.asarray(plane_depth_m, np.float32)
     height, width = z.shape
     intrinsics = Intrinsics(width, height, 1e6, 1e6, width / 2, height / 2)
-    frame = RgbdFrame(np.zeros((height, width, 3), np.uint8) if colour is None else colour, z, intrinsics, np.eye(4))
-    return SeenSurfaces(frame, facts or SurfaceFacts(), z)
+    return SeenSurfaces(frame_of(z, intrinsics, srgb_u8=colour), facts or SurfaceFacts(), z)
 
 
 def holes_of(settings, frame, facts=None):
@@ -54,8 +40,8 @@ def holes_of(settings, frame, facts=None):
 def plane_seen(normal, through):
     """Plane depth of a plane in camera axes, and the true cosine in each pixel."""
     normal = np.asarray(normal, float) / np.linalg.norm(normal)
-    z = (normal @ through) / (rays() @ normal)
-    return z, np.abs(rays() @ normal) / np.linalg.norm(rays(), axis=2)
+    z = (normal @ through) / (RAYS @ normal)
+    return z, np.abs(RAYS @ normal) / np.linalg.norm(RAYS, axis=2)
 
 
 @pytest.mark.parametrize("normal", [(0, 0, 1), (0.3, -0.2, 1), (1, 0.5, 1), (0.9, 0, 0.35)])
@@ -63,7 +49,7 @@ def test_cosines_from_plane_depth_are_those_of_the_plane(normal):
     z, expected = plane_seen(normal, np.array([0, 0, -3.0]))
     # Where the plane leaves the view through its own horizon there is nothing to compare.
     seen = (z > 0) & (z < 50)
-    got = facing_cosines(frame_of(np.where(seen, z, 0)), SurfaceFacts())
+    got = facing_cosines(frame_of(np.where(seen, z, 0), CAMERA), SurfaceFacts())
     inner = seen & np.roll(seen, 1, 0) & np.roll(seen, -1, 0) & np.roll(seen, 1, 1) & np.roll(seen, -1, 1)
     assert inner.mean() > 0.4
     np.testing.assert_allclose(got[inner], expected[inner], atol=2e-3)
@@ -72,40 +58,38 @@ def test_cosines_from_plane_depth_are_those_of_the_plane(normal):
 @pytest.mark.parametrize("seed", range(5))
 def test_given_normals_are_in_the_world_and_need_no_unit_length(seed):
     rng = np.random.default_rng(seed)
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation(rng), rng.normal(size=3)
+    pose = pose_of(random_rotation(rng), rng.normal(size=3))
     normals = rng.normal(size=(30, 40, 3))
-    rays_in_world = rays() @ pose[:3, :3].T
+    rays_in_world = RAYS @ pose[:3, :3].T
     expected = (
-        np.abs(np.sum(normals * rays_in_world, 2)) / np.linalg.norm(normals, axis=2) / np.linalg.norm(rays(), axis=2)
+        np.abs(np.sum(normals * rays_in_world, 2)) / np.linalg.norm(normals, axis=2) / np.linalg.norm(RAYS, axis=2)
     )
-    got = facing_cosines(frame_of(np.ones((30, 40)), pose), SurfaceFacts(normals=normals))
+    got = facing_cosines(frame_of(np.ones((30, 40)), CAMERA, pose), SurfaceFacts(normals=normals))
     np.testing.assert_allclose(got, expected, atol=1e-12)
 
 
 def test_normals_that_are_no_direction_count_as_facing():
     normals = np.zeros((30, 40, 3))
     normals[0, 0] = np.nan
-    assert (facing_cosines(frame_of(np.ones((30, 40))), SurfaceFacts(normals=normals)) == 1).all()
+    assert (facing_cosines(frame_of(np.ones((30, 40)), CAMERA), SurfaceFacts(normals=normals)) == 1).all()
 
 
 def test_a_depth_edge_is_not_taken_for_a_grazing_surface():
     z = np.full((30, 40), 1.0)
     z[:, 20:] = 4.0
     z[15:] = 2.0
-    assert not holes_of(GRAZING, frame_of(z)).any()
+    assert not holes_of(GRAZING, frame_of(z, CAMERA)).any()
 
 
 @pytest.mark.parametrize("value", [0.0, np.nan, np.inf, 2.0])
 def test_one_pixel_faces_the_camera(value):
-    single = Intrinsics(1, 1, 1, 1, 0.5, 0.5)
-    assert facing_cosines(frame_of(np.full((1, 1), value), intrinsics=single), SurfaceFacts())[0, 0] == 1
+    assert facing_cosines(frame_of(np.full((1, 1), value)), SurfaceFacts())[0, 0] == 1
 
 
 def test_the_share_of_grazing_holes_on_a_floor_is_the_one_of_geometry():
     z, cosine = plane_seen((0, 1, 0), np.array([0, -0.15, 0.0]))
     seen = (z > 0) & (z < 1.5)
-    holes = holes_of(GRAZING, frame_of(np.where(seen, z, 0)))
+    holes = holes_of(GRAZING, frame_of(np.where(seen, z, 0), CAMERA))
     expected = cosine < np.cos(np.radians(80))
     inner = seen & np.roll(seen, 1, 0)
     assert expected[inner].any() and not expected[inner].all()

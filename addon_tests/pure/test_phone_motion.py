@@ -3,6 +3,9 @@
 import numpy as np
 import pytest
 
+from addon_tests.pure import made
+from addon_tests.pure.made import pose_of
+from xihenet.camera import pixel_rays
 from xihenet.phone.motion import (
     CameraMotion,
     PoseDrift,
@@ -32,19 +35,14 @@ def turned(vector):
 
 def some_pose(seed):
     rng = np.random.default_rng(seed)
-    pose = np.eye(4)
     # Within some 30 degrees of looking at the wall below.
-    pose[:3, :3] = turned([0, 0, rng.uniform(-3, 3)]) @ turned(rng.uniform(-0.3, 0.3, 3))
-    pose[:3, 3] = rng.uniform(-0.5, 0.5, 3)
-    return pose
+    axes = turned([0, 0, rng.uniform(-3, 3)]) @ turned(rng.uniform(-0.3, 0.3, 3))
+    return pose_of(axes, rng.uniform(-0.5, 0.5, 3))
 
 
 def wall_seen(poses):
     """Colour (smooth in the world) and plane depth of a wall at world z = -3, each row seen by its own pose."""
-    x = (np.arange(64) + 0.5 - 32) / 50
-    y = -(np.arange(48) + 0.5 - 24) / 50
-    rays = np.stack(np.broadcast_arrays(x[None], y[:, None], -1.0), axis=-1)
-    directions = np.einsum("hij,hwj->hwi", poses[:, :3, :3], rays)
+    directions = np.einsum("hij,hwj->hwi", poses[:, :3, :3], pixel_rays(CAMERA))
     z = (-3 - poses[:, None, 2, 3]) / directions[..., 2]
     points = poses[:, None, :3, 3] + directions * z[..., None]
     colour = 128 + 100 * np.stack([np.sin(points[..., 0]), np.sin(points[..., 1]), np.cos(points[..., 0])], -1)
@@ -84,30 +82,27 @@ def test_each_row_shows_what_its_own_camera_saw(motion, seed):
 
 def test_a_sideways_move_shears_the_picture_by_the_known_number_of_pixels():
     column_of_pixel = np.broadcast_to(np.arange(64, dtype=np.uint8)[None, :, None], (48, 64, 3))
-    frame = RgbdFrame(column_of_pixel.copy(), np.full((48, 64), 2.0), CAMERA, np.eye(4))
+    frame = made.frame_of(np.full((48, 64), 2.0), CAMERA, srgb_u8=column_of_pixel)
     read, _ = read_rows(frame, CameraMotion(np.array([4.0, 0, 0]), np.zeros(3)), SHUTTER)
     shift = read.srgb_u8[:, 32, 0].astype(float) - 32
     expected = 50 * 4.0 * ((np.arange(48) + 0.5) / 48 - 0.5) * 0.03 / 2.0
     assert np.abs(shift - expected).max() <= 0.5 + 1e-6
 
 
-@pytest.mark.parametrize("motion", [None, STILL])
-def test_a_still_camera_gives_the_frame_itself(motion):
+AT_ONCE = RollingShutter(source="test", readout_s=0, reads_plane_depth=True)
+PAN = MOTIONS["a pan"]
+
+
+@pytest.mark.parametrize(("motion", "shutter"), [(None, SHUTTER), (STILL, SHUTTER), (PAN, None), (PAN, AT_ONCE)])
+def test_without_motion_or_readout_the_frame_is_given_itself(motion, shutter):
     frame = frame_of(some_pose(1))
-    assert read_rows(frame, motion, SHUTTER) == (frame, None)
-
-
-def test_no_shutter_or_no_readout_gives_the_frame_itself():
-    frame, motion = frame_of(some_pose(1)), MOTIONS["a pan"]
-    at_once = RollingShutter(source="test", readout_s=0, reads_plane_depth=True)
-    assert read_rows(frame, motion, None) == (frame, None)
-    assert read_rows(frame, motion, at_once) == (frame, None)
+    assert read_rows(frame, motion, shutter) == (frame, None)
 
 
 def test_a_global_shutter_for_plane_depth_leaves_it_alone():
     colour_only = RollingShutter(source="test", readout_s=0.03, reads_plane_depth=False)
     frame = frame_of(some_pose(2))
-    read, _ = read_rows(frame, MOTIONS["a pan"], colour_only)
+    read, _ = read_rows(frame, PAN, colour_only)
     assert read.plane_depth_m.tobytes() == frame.plane_depth_m.tobytes()
     assert read.srgb_u8.tobytes() != frame.srgb_u8.tobytes()
 
@@ -125,12 +120,12 @@ def test_invalid_pixels_stay_invalid_wherever_they_end_up(value):
 
 
 def test_a_frame_without_any_plane_depth_is_still_read():
-    read, _ = read_rows(frame_of(np.eye(4), np.zeros((48, 64))), MOTIONS["a pan"], SHUTTER)
+    read, _ = read_rows(frame_of(np.eye(4), np.zeros((48, 64))), PAN, SHUTTER)
     assert not read.plane_depth_m.any()
 
 
 def test_one_pixel_is_its_own_middle_row():
-    frame = RgbdFrame(np.full((1, 1, 3), 9, np.uint8), np.ones((1, 1)), Intrinsics(1, 1, 1, 1, 0.5, 0.5), np.eye(4))
+    frame = made.frame_of(np.ones((1, 1)))
     read, _ = read_rows(frame, MOTIONS["all at once"], SHUTTER)
     assert read.srgb_u8.tobytes() == frame.srgb_u8.tobytes()
     np.testing.assert_allclose(read.plane_depth_m, frame.plane_depth_m)

@@ -32,42 +32,28 @@ def _quoted(value):
     return f"'''{value}'''" if isinstance(value, str) else repr(value)
 
 
-def test_the_four_devices_ship():
+def test_the_four_devices_ship_and_the_perfect_one_has_no_effect():
     assert profile_names() == ["azure_kinect", "ipad_pro_lidar", "iphone_lidar", "perfect"]
+    assert load_profile("perfect").effects == frozenset()
 
 
 @pytest.mark.parametrize("name", profile_names())
-def test_every_shipped_number_has_a_source(name):
+def test_every_shipped_number_has_a_source_and_highlights_are_protected(name):
     profile = load_profile(name)
-    assert profile.name and profile.summary
+    assert profile.name and profile.summary and profile.metering == "highlights"
+    assert 'metering = "highlights"' in (PROFILES_FOLDER / f"{name}.toml").read_text(encoding="utf-8")
     assert all(len(section.source) > 20 for section in profile.sections.values())
 
 
 @pytest.mark.parametrize("name", profile_names())
-def test_a_profile_written_and_read_again_is_the_same(name, tmp_path):
+def test_a_profile_written_and_read_again_or_sent_to_another_process_is_the_same(name, tmp_path):
     profile = load_profile(name)
-    assert load_profile(written(tmp_path, as_toml(profile))) == profile
-
-
-@pytest.mark.parametrize("name", profile_names())
-def test_a_profile_can_be_sent_to_another_process(name):
-    profile = load_profile(name)
-    assert pickle.loads(pickle.dumps(profile)) == profile
-
-
-@pytest.mark.parametrize("name", profile_names())
-def test_every_shipped_phone_protects_highlights(name):
-    assert 'metering = "highlights"' in (PROFILES_FOLDER / f"{name}.toml").read_text(encoding="utf-8")
-    assert load_profile(name).metering == "highlights"
+    assert load_profile(written(tmp_path, as_toml(profile))) == profile == pickle.loads(pickle.dumps(profile))
 
 
 def test_a_profile_that_says_nothing_of_metering_protects_highlights(tmp_path):
     assert load_profile(written(tmp_path, HEAD)).metering == "highlights"
     assert load_profile(written(tmp_path, HEAD + 'metering = "key"')).metering == "key"
-
-
-def test_the_perfect_phone_has_no_effect():
-    assert load_profile("perfect").effects == frozenset()
 
 
 def test_published_figures_are_in_the_profiles():
@@ -136,8 +122,3 @@ def test_a_profile_refuses_settings_of_another_effect():
     limits = RangeLimits(source="mine", nearest_m=0, farthest_m=1)
     with pytest.raises(ValueError, match="noise: expected DistanceNoise"):
         PhoneProfile("Mine", "A phone", {"noise": limits})
-
-
-def test_the_wheel_carries_the_profiles():
-    text = (PROFILES_FOLDER.parents[2] / "pyproject.toml").read_text(encoding="utf-8")
-    assert '"phone/profiles/*.toml"' in text

@@ -5,10 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from addon_tests.pure.made import frame_of, pose_of
 from xihenet.effects import names_that_are_on, plan_effects
 from xihenet.phone import EFFECTS, LINKS, PHONE_EFFECTS, PhoneCamera, SessionFacts, load_profile, profile_names
 from xihenet.phone.motion import motion_between, read_rows
-from xihenet.records import Intrinsics, RgbdFrame
+from xihenet.records import Intrinsics
 
 CALM = SessionFacts(
     frame_rate_hz=24, duration_s=10, focal_px=200, nearest_m=1.0, farthest_m=3.0, clearance_m=2.5, fastest_m_per_s=0.0,
@@ -81,7 +82,7 @@ def test_a_room_of_three_metres_needs_no_range_cut_and_the_cut_would_change_noth
     profile = load_profile("ipad_pro_lidar")
     assert not required(CALM, "range").is_required
     z = np.random.default_rng(0).uniform(1, 3, (20, 20))
-    frame = RgbdFrame(np.zeros((20, 20, 3), np.uint8), z, Intrinsics(20, 20, 20, 20, 10, 10), np.eye(4))
+    frame = frame_of(z, Intrinsics(20, 20, 20, 20, 10, 10))
     seen = PhoneCamera(profile, 0, effects={"range"}).see(frame)
     assert seen.plane_depth_m.tobytes() == frame.plane_depth_m.tobytes()
 
@@ -92,11 +93,9 @@ def test_where_rolling_shutter_is_left_out_no_row_shifts_by_a_pixel(speed_m_per_
     facts = dataclasses.replace(CALM, fastest_m_per_s=speed_m_per_s, fastest_turn_deg_per_s=turn_deg_per_s)
     shutter = load_profile("ipad_pro_lidar").sections["rolling_shutter"]
     columns = np.broadcast_to(np.arange(200, dtype=np.uint8)[None, :, None], (40, 200, 3))
-    frame = RgbdFrame(columns.copy(), np.full((40, 200), 1.0), Intrinsics(200, 40, 200, 200, 100, 20), np.eye(4))
-    later = np.eye(4)
-    angle = np.radians(turn_deg_per_s)
-    later[:3, :3] = [[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]]
-    later[0, 3] = speed_m_per_s
+    frame = frame_of(np.ones((40, 200)), Intrinsics(200, 40, 200, 200, 100, 20), srgb_u8=columns)
+    c, s = np.cos(np.radians(turn_deg_per_s)), np.sin(np.radians(turn_deg_per_s))
+    later = pose_of([[c, 0, -s], [0, 1, 0], [s, 0, c]], [speed_m_per_s, 0, 0])
     read, _ = read_rows(frame, motion_between(np.eye(4), later, 1.0), shutter)
     shift = np.abs(read.srgb_u8[:, 60:140, 0].astype(int) - columns[:, 60:140, 0])
     is_on, reason = shutter.required_by(facts)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from addon_tests.pure.made import frame_of
 from xihenet.camera import LUMINANCE, encode_exposed
 from xihenet.colour import srgb_to_linear
 from xihenet.phone.exposure import AutoExposure, FrameRate, delivered_frames, expose, follow_exposure, step_exposure
@@ -15,7 +16,6 @@ from xihenet.phone.light_sensor import (
     read_light,
 )
 from xihenet.phone.network import LINKS, REFERENCE_PAYLOAD_BYTES, Link, arrival_frames, first_frame_after
-from xihenet.records import Intrinsics, RgbdFrame
 
 AUTO = AutoExposure(source="test", time_constant_s=0.5, darkest_stops=3, brightest_stops=2)
 SENSOR = LightSensor(
@@ -25,9 +25,8 @@ SENSOR = LightSensor(
 TIMES_S = np.arange(30) / 30
 
 
-def frame_of(srgb_u8, exposure=1.0):
-    height, width = srgb_u8.shape[:2]
-    return RgbdFrame(srgb_u8, np.ones((height, width)), Intrinsics(width, height, 1, 1, 0, 0), np.eye(4), exposure)
+def seen(srgb_u8, exposure=1.0):
+    return frame_of(np.ones(srgb_u8.shape[:2]), srgb_u8=srgb_u8, exposure=exposure)
 
 
 def test_exposure_goes_63_percent_of_the_way_in_one_time_constant():
@@ -77,22 +76,21 @@ def test_time_must_go_on():
 
 def test_exposing_from_radiance_is_the_frames_own_encoding():
     radiance = np.random.default_rng(0).uniform(0, 3, (5, 6, 3)).astype(np.float32)
-    frame = frame_of(encode_exposed(radiance, 0.5), 0.5)
-    seen = expose(frame, 0.2, radiance)
-    assert seen.exposure == 0.2
-    np.testing.assert_array_equal(seen.srgb_u8, encode_exposed(radiance, 0.2))
+    exposed = expose(seen(encode_exposed(radiance, 0.5), 0.5), 0.2, radiance)
+    assert exposed.exposure == 0.2
+    np.testing.assert_array_equal(exposed.srgb_u8, encode_exposed(radiance, 0.2))
 
 
 def test_exposing_from_bytes_scales_light_and_keeps_what_was_clipped():
     every_byte = np.arange(256, dtype=np.uint8).reshape(1, 256, 1).repeat(3, axis=2)
-    seen = expose(frame_of(every_byte, 1.0), 0.5)
+    exposed = expose(seen(every_byte), 0.5)
     expected = srgb_to_linear(every_byte / 255.0) * 0.5
-    assert np.abs(srgb_to_linear(seen.srgb_u8 / 255.0) - expected).max() < 0.003
-    assert seen.srgb_u8[0, 255, 0] == 188
+    assert np.abs(srgb_to_linear(exposed.srgb_u8 / 255.0) - expected).max() < 0.003
+    assert exposed.srgb_u8[0, 255, 0] == 188
 
 
 def test_the_same_exposure_gives_the_frame_itself():
-    frame = frame_of(np.zeros((1, 1, 3), np.uint8), 0.3)
+    frame = seen(np.zeros((1, 1, 3), np.uint8), 0.3)
     assert expose(frame, 0.3) is frame
 
 

@@ -1,10 +1,9 @@
 """The PointConv estimators and their weights files, with random weights; those of torch are compared elsewhere."""
 
-import json
-
 import numpy as np
 import pytest
 
+from addon_tests.pure.weights_files import changed_file, random_arrays, with_header, without
 from xihenet.backend import LocalBackend, estimate_light
 from xihenet.estimators.base import EstimateContext
 from xihenet.estimators.lattice_format import load_weights
@@ -21,15 +20,6 @@ from xihenet.sphere import AnchorLattice
 
 N = 256
 ESTIMATORS = {"xihenet": XiheNet, "pointar": PointAR}
-
-
-def random_arrays(architecture, seed=0):
-    """Weights that keep values about as large as they come in."""
-    rng = np.random.default_rng(seed)
-    return {
-        name: rng.normal(0, 1 / np.sqrt(shape[-1]), shape).astype(np.float32)
-        for name, shape in architecture.array_shapes().items()
-    }
 
 
 @pytest.fixture(scope="module")
@@ -72,14 +62,11 @@ def nasty_clouds(n=N):
     return srgb * is_set[..., None], distance_m * is_set, is_set
 
 
-def test_nasty_clouds_give_finite_light(files):
-    light = XiheNet(N, weights=files["xihenet"]).estimate_batch(*nasty_clouds())
+def test_nasty_clouds_give_finite_light_and_no_clouds_none(files):
+    estimator = XiheNet(N, weights=files["xihenet"])
+    light = estimator.estimate_batch(*nasty_clouds())
     assert light.shape == (8, 9, 3) and np.isfinite(light).all()
-
-
-def test_a_batch_without_clouds_is_legal(files):
-    parts = [part[:0] for part in random_clouds()]
-    assert XiheNet(N, weights=files["xihenet"]).estimate_batch(*parts).shape == (0, 9, 3)
+    assert estimator.estimate_batch(*(part[:0] for part in nasty_clouds())).shape == (0, 9, 3)
 
 
 def test_what_stands_at_unset_anchors_changes_nothing(files):
@@ -156,21 +143,6 @@ def test_pointar_says_what_it_needs(files):
         estimator.estimate_batch(*random_clouds())
 
 
-@pytest.mark.parametrize("kept", [0, 10, 0.5, 0.99])
-def test_a_truncated_file_is_refused_by_name(tmp_path, files, kept):
-    content = files["xihenet"].read_bytes()
-    (tmp_path / "cut.npz").write_bytes(content[: int(kept * len(content)) if isinstance(kept, float) else kept])
-    with pytest.raises(ValueError, match=r"cut\.npz: expected an \.npz of xihenet weights"):
-        XiheNet(N, weights=tmp_path / "cut.npz")
-
-
-def with_header(**changes):
-    def change(content):
-        content["header"] = np.array(json.dumps(json.loads(content["header"].item()) | changes))
-
-    return change
-
-
 CHANGES = {
     "NaN": (lambda content: content["head.3.weight"].fill(np.nan), "head.3.weight: expected finite weights"),
     "another estimator": (with_header(estimator="pointar"), "expected weights of 'xihenet', got 'pointar'"),
@@ -184,19 +156,15 @@ CHANGES = {
         with_header(architecture={"centroids": [32, 8], "keeps_unset_at_origin": "no"}),
         "true or false",
     ),
-    "a missing array": (lambda content: content.pop("head.0.bias"), "arrays: expected"),
+    "a missing array": (without("head.0.bias"), "arrays: expected"),
 }
 
 
 @pytest.mark.parametrize("name", CHANGES)
-def test_a_changed_file_is_refused_with_what_was_expected(tmp_path, files, name):
+def test_a_changed_file_is_refused_with_what_was_expected(files, name):
     change, message = CHANGES[name]
-    with np.load(files["xihenet"]) as stored:
-        content = dict(stored)
-    change(content)
-    np.savez(tmp_path / "changed.npz", **content)
     with pytest.raises(ValueError, match=rf"changed\.npz: .*{message}"):
-        XiheNet(N, weights=tmp_path / "changed.npz")
+        XiheNet(N, weights=changed_file(files["xihenet"], change))
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)

@@ -1,7 +1,5 @@
 """Is the report whole, safe and true to the results, whatever of them is undefined?"""
 
-from __future__ import annotations
-
 import base64
 import json
 import math
@@ -167,7 +165,7 @@ class Page(HTMLParser):
         {"n_frames": 300, "names": tuple(f"Object {i}" for i in range(12)), "compare_every": 60, "size": (9, 16)},
     ],
 )
-def test_the_page_is_balanced_and_needs_nothing_from_outside(tmp_path: Path, made: dict[str, Any]) -> None:
+def test_the_page_is_balanced_and_needs_nothing_from_outside(tmp_path, made):
     page = Page(page_of(*synthetic(tmp_path, **made)))
     sources = [source for tag in ("img", "script", "iframe") for source in page.attributes(tag, "src")]
     assert all(source.startswith("data:image/png;base64,") for source in sources)
@@ -179,7 +177,7 @@ def test_the_page_is_balanced_and_needs_nothing_from_outside(tmp_path: Path, mad
     assert not re.search(r"\b(None|nan|inf|NaN)\b", page.text)
 
 
-def test_the_same_results_give_the_same_bytes(tmp_path: Path) -> None:
+def test_the_same_results_give_the_same_bytes(tmp_path):
     content, outputs = synthetic(tmp_path, n_frames=8)
     results = from_json(RunResults, content)
     first = report.write_report(results, outputs).read_bytes()
@@ -188,13 +186,13 @@ def test_the_same_results_give_the_same_bytes(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["pictures", "report.html"]
 
 
-def test_a_run_without_frames_still_makes_a_page(tmp_path: Path) -> None:
+def test_a_run_without_frames_still_makes_a_page(tmp_path):
     page = Page(page_of(runs.content(), RunOutputs(tmp_path, "room")))
     assert "Over no frames the phone made no estimates" in page.text
     assert "nothing to plot" in page.text and "This run made no pictures" in page.text
 
 
-def test_what_is_undefined_is_a_dash_or_a_gap(tmp_path: Path) -> None:
+def test_what_is_undefined_is_a_dash_or_a_gap(tmp_path):
     results, outputs = synthetic(tmp_path, inactive=(3,))
     compared = [frame["comparison"] for frame in results["frames"] if "comparison" in frame]
     for comparison in (results["comparison"], *compared):
@@ -220,7 +218,7 @@ def test_what_is_undefined_is_a_dash_or_a_gap(tmp_path: Path) -> None:
         {"software": {"command": ["xihe", "previs"]}},
     ],
 )
-def test_what_no_run_leaves_is_refused_when_it_is_read(tmp_path: Path, wrong: dict[str, Any]) -> None:
+def test_what_no_run_leaves_is_refused_when_it_is_read(tmp_path, wrong):
     file = tmp_path / "results.json"
     write_json(file, runs.content())
     assert read_results(tmp_path) == runs.results()
@@ -229,7 +227,7 @@ def test_what_no_run_leaves_is_refused_when_it_is_read(tmp_path: Path, wrong: di
         read_results(tmp_path)
 
 
-def test_names_are_shown_as_text_and_never_become_markup(tmp_path: Path) -> None:
+def test_names_are_shown_as_text_and_never_become_markup(tmp_path):
     results, outputs = synthetic(tmp_path, n_frames=4, names=(NASTY_NAME,))
     results["scene"]["name"] = results["scene"]["file"] = results["notes"][0] = NASTY_NAME
     results["effects"][0] |= {"name": NASTY_NAME, "reason": NASTY_NAME, "parameters": {NASTY_NAME: NASTY_NAME}}
@@ -246,7 +244,7 @@ def test_names_are_shown_as_text_and_never_become_markup(tmp_path: Path) -> None
     assert NASTY_NAME in page.attributes("option", "value")
 
 
-def test_a_name_that_is_no_text_does_not_cost_the_report(tmp_path: Path) -> None:
+def test_a_name_that_is_no_text_does_not_cost_the_report(tmp_path):
     results, outputs = synthetic(tmp_path, n_frames=2, names=("broken \udcff name",))
     assert "broken ? name" in Page(page_of(results, outputs)).text
 
@@ -254,7 +252,7 @@ def test_a_name_that_is_no_text_does_not_cost_the_report(tmp_path: Path) -> None
 # ------------------------------------------------------------------------------------------------------- pictures
 
 
-def test_embedded_pictures_are_the_files_byte_for_byte(tmp_path: Path) -> None:
+def test_embedded_pictures_are_the_files_byte_for_byte(tmp_path):
     results, outputs = synthetic(tmp_path, n_frames=8)
     page = Page(page_of(results, outputs))
     embedded = {base64.b64decode(src.partition(",")[2]) for src in page.attributes("img", "src")}
@@ -264,7 +262,7 @@ def test_embedded_pictures_are_the_files_byte_for_byte(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [None, b"", b"not a picture, but long enough to be one"])
-def test_a_missing_or_broken_picture_is_named(tmp_path: Path, content: bytes | None) -> None:
+def test_a_missing_or_broken_picture_is_named(tmp_path, content):
     results, outputs = synthetic(tmp_path, n_frames=2)
     lost = outputs.picture("ambient", 1)
     lost.unlink() if content is None else lost.write_bytes(content)
@@ -274,7 +272,7 @@ def test_a_missing_or_broken_picture_is_named(tmp_path: Path, content: bytes | N
     assert ("1 picture missing: pictures/ambient_0001.png" in page.text) == (content is None)
 
 
-def test_a_file_outside_the_run_is_not_embedded(tmp_path: Path) -> None:
+def test_a_file_outside_the_run_is_not_embedded(tmp_path):
     results, outputs = synthetic(tmp_path / "run", n_frames=1)
     write_png(tmp_path / "private.png", np.zeros((4, 4, 3), np.uint8))
     results["frames"][0]["pictures"]["truth"] = "../private.png"
@@ -282,7 +280,7 @@ def test_a_file_outside_the_run_is_not_embedded(tmp_path: Path) -> None:
     assert base64.b64encode((tmp_path / "private.png").read_bytes()).decode() not in page
 
 
-def test_frames_left_out_are_named_and_every_estimate_is_kept(tmp_path: Path) -> None:
+def test_frames_left_out_are_named_and_every_estimate_is_kept(tmp_path):
     results, outputs = synthetic(tmp_path, n_frames=60, compare_every=1)
     page = Page(page_of(results, outputs))
     shown = [int(frame) for frame in page.attributes("input", "data-frame")]
@@ -296,7 +294,7 @@ def test_frames_left_out_are_named_and_every_estimate_is_kept(tmp_path: Path) ->
 # --------------------------------------------------------------------------------------------------------- tables
 
 
-def test_every_number_of_the_comparison_is_the_one_in_the_results(tmp_path: Path) -> None:
+def test_every_number_of_the_comparison_is_the_one_in_the_results(tmp_path):
     results, outputs = synthetic(tmp_path, n_frames=4)
     rng = np.random.default_rng(11)
     for metrics in results["comparison"].values():
@@ -309,7 +307,7 @@ def test_every_number_of_the_comparison_is_the_one_in_the_results(tmp_path: Path
         assert float(shown.replace(",", "")) == pytest.approx(float(value), rel=6e-3, abs=6e-9)
 
 
-def test_the_best_of_each_column_is_marked_and_truth_never_is(tmp_path: Path) -> None:
+def test_the_best_of_each_column_is_marked_and_truth_never_is(tmp_path):
     results, outputs = synthetic(tmp_path, n_frames=4)
     results["comparison"]["ambient"] |= {"ssim": 0.99, "angular_deg": 1.25}
     cells = dict(re.findall(r"<tr><th scope=\"row\"><code>(\w+)</code>(.*?)</tr>", page_of(results, outputs)))
@@ -319,7 +317,7 @@ def test_the_best_of_each_column_is_marked_and_truth_never_is(tmp_path: Path) ->
     assert marked["truth"] == []
 
 
-def test_an_undefined_metric_is_a_dash_with_its_reason(tmp_path: Path) -> None:
+def test_an_undefined_metric_is_a_dash_with_its_reason(tmp_path):
     results, outputs = synthetic(tmp_path, n_frames=4)
     results["comparison"]["truth"]["psnr"] = None
     results["comparison"]["projection"]["angular_deg"] = None
@@ -328,7 +326,7 @@ def test_an_undefined_metric_is_a_dash_with_its_reason(tmp_path: Path) -> None:
     assert "angular_deg of projection is undefined where one of the colours is black" in text
 
 
-def test_the_page_says_what_metrics_cannot_do_and_how_it_was_made(tmp_path: Path) -> None:
+def test_the_page_says_what_metrics_cannot_do_and_how_it_was_made(tmp_path):
     results, outputs = synthetic(tmp_path, n_frames=4)
     text = Page(page_of(results, outputs)).text
     assert "No image metric tracks human preference" in text
@@ -337,7 +335,7 @@ def test_the_page_says_what_metrics_cannot_do_and_how_it_was_made(tmp_path: Path
     assert all(effect["reason"] in text for effect in results["effects"])
 
 
-def test_the_table_of_effects_says_what_cycles_was_set_to(tmp_path: Path) -> None:
+def test_the_table_of_effects_says_what_cycles_was_set_to(tmp_path):
     results, outputs = synthetic(tmp_path, n_frames=4)
     cycles = {"diffuse_bounces": 17, "use_light_tree": True, "use_fast_gi": False}
     phone = {"farthest_m": 5.0, "noise_at_1_m": 0.0019, "uplink_bit_per_s": 8e6, "link": "lte"}
@@ -348,7 +346,7 @@ def test_the_table_of_effects_says_what_cycles_was_set_to(tmp_path: Path) -> Non
     assert "farthest_m 5.0" not in text
 
 
-def test_the_last_coefficients_of_a_probe_are_in_the_page(tmp_path: Path) -> None:
+def test_the_last_coefficients_of_a_probe_are_in_the_page(tmp_path):
     results, outputs = synthetic(tmp_path, n_frames=4, inactive=(3,))
     last = results["frames"][2]["probes"][0]
     text = Page(page_of(results, outputs)).text
@@ -356,7 +354,7 @@ def test_the_last_coefficients_of_a_probe_are_in_the_page(tmp_path: Path) -> Non
         assert all(f"{value:.4f}".replace("-", "\N{MINUS SIGN}") in text for value in triple)
 
 
-def test_a_run_without_a_probe_in_view_says_so(tmp_path: Path) -> None:
+def test_a_run_without_a_probe_in_view_says_so(tmp_path):
     results, outputs = synthetic(tmp_path, n_frames=6, inactive=tuple(range(6)))
     text = Page(page_of(results, outputs)).text
     assert "Over 6 frames the phone made no estimates: no probe was in view." in text
@@ -366,7 +364,7 @@ def test_a_run_without_a_probe_in_view_says_so(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------------------- plots and numbers
 
 
-def test_hovering_a_frame_tells_each_probes_value(tmp_path: Path) -> None:
+def test_hovering_a_frame_tells_each_probes_value(tmp_path):
     results, outputs = synthetic(tmp_path, n_frames=5, inactive=(2,))
     whole = page_of(results, outputs)
     for frame in results["frames"]:
@@ -375,7 +373,7 @@ def test_hovering_a_frame_tells_each_probes_value(tmp_path: Path) -> None:
     assert whole.count("frame 3 (0.07\u202fs)\nno probe in view") == 5
 
 
-def test_what_is_undefined_or_out_of_view_is_a_gap_in_the_curve(tmp_path: Path) -> None:
+def test_what_is_undefined_or_out_of_view_is_a_gap_in_the_curve(tmp_path):
     results, outputs = synthetic(tmp_path, n_frames=9, names=("Vase",))
     assert _pieces_and_lines(page_of(results, outputs)) == [(1, 8), (1, 7), (1, 8)]
     results["frames"][4]["probes"][0]["change"] = None
@@ -389,7 +387,7 @@ def _pieces_and_lines(page: str) -> list[tuple[int, int]]:
     return [(path.count("M"), path.count("L")) for path in re.findall(r'<path class="line s0 d0" d="([^"]+)"', page)]
 
 
-def test_one_slow_frame_does_not_flatten_the_others(tmp_path: Path) -> None:
+def test_one_slow_frame_does_not_flatten_the_others(tmp_path):
     results, outputs = synthetic(tmp_path, n_frames=12)
     totals = [sum(frame["stage_ms"].values()) for frame in results["frames"]]
     page = Page(page_of(results, outputs))

@@ -1,7 +1,5 @@
 """Rooms as data: what is sampled could stand in a house."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -102,13 +100,7 @@ def test_a_plan_turned_by_a_quarter_keeps_its_area_and_what_it_holds(plan):
             assert other.holds((c * x - s * y, s * x + c * y)) == plan.holds((x, y))
 
 
-@given(
-    plan=st.sampled_from(PLANS),
-    x=st.floats(-3, 3),
-    y=st.floats(-3, 3),
-    w=st.floats(0.01, 4),
-    d=st.floats(0.01, 4),
-)
+@given(plan=st.sampled_from(PLANS), x=st.floats(-3, 3), y=st.floats(-3, 3), w=st.floats(0.01, 4), d=st.floats(0.01, 4))
 def test_a_plan_holds_a_rectangle_only_if_it_holds_points_all_over_it(plan, x, y, w, d):
     rect = Rect.around((x, y), (w, d))
     grid = itertools.product(np.linspace(rect.x0, rect.x1, 7)[1:-1], np.linspace(rect.y0, rect.y1, 7)[1:-1])

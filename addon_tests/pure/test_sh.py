@@ -1,11 +1,10 @@
 """Spherical harmonics: against SciPy, against plain integration, and by what must not change when the room turns."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.special
 
+from addon_tests.pure.made import random_rotation
 from addon_tests.pure.sh_samples import (
     AXES,
     CONSTANT,
@@ -18,14 +17,12 @@ from addon_tests.pure.sh_samples import (
     distant_light,
     random_directions,
     random_light,
-    random_rotation,
+    windowed,
 )
 from xihenet.colour import srgb_to_linear
 from xihenet.panorama import evaluate_panorama, panorama_directions, solid_angles
 from xihenet.records import UnitSphereCloud
 from xihenet.sh import basis, cosine_lobe, dering, dering_with_strength, irradiance, project_anchors, rotate
-
-# ---- basis
 
 
 def scipy_basis(directions: F64, order: int) -> F64:
@@ -44,7 +41,7 @@ def scipy_basis(directions: F64, order: int) -> F64:
     return np.stack(columns, axis=1)
 
 
-def test_basis_equals_scipy_to_order_10_poles_and_seam_included() -> None:
+def test_basis_equals_scipy_to_order_10_poles_and_seam_included():
     special = np.concatenate([np.eye(3), -np.eye(3), [[-1, 1e-12, 0], [-1, -1e-12, 0], [1e-9, 0, 1], [0, 1e-9, -1]]])
     directions = np.concatenate([random_directions(2000), special])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -54,23 +51,8 @@ def test_basis_equals_scipy_to_order_10_poles_and_seam_included() -> None:
     np.testing.assert_allclose(basis(away, 10), scipy_basis(away, 10), rtol=0, atol=2e-13)
 
 
-def test_order_2_equals_the_published_constants() -> None:
-    x, y, z = random_directions(50).T
-    one, linear, square = np.sqrt(1 / np.pi) / 2, np.sqrt(3 / np.pi) / 2, np.sqrt(15 / np.pi) / 2
-    expected = [
-        np.full(50, one),
-        *(linear * component for component in (y, z, x)),
-        square * x * y,
-        square * y * z,
-        np.sqrt(5 / np.pi) / 4 * (3 * z * z - 1),
-        square * x * z,
-        square / 2 * (x * x - y * y),
-    ]
-    np.testing.assert_allclose(basis(np.stack([x, y, z], axis=1)).T, expected, atol=1e-15)
-
-
 @pytest.mark.parametrize("length", [5e-324, 1e-300, 1e-20, 7.0, 1e200, 1e308])
-def test_the_length_of_a_direction_does_not_matter(length: float) -> None:
+def test_the_length_of_a_direction_does_not_matter(length):
     axis = np.array([[0.0, -1.0, 0.0]])
     np.testing.assert_array_equal(basis(axis * length, 4), basis(axis, 4))
     if 1e-300 <= length <= 1e200:
@@ -78,7 +60,7 @@ def test_the_length_of_a_direction_does_not_matter(length: float) -> None:
         np.testing.assert_allclose(basis(directions * length, 4), basis(directions, 4), atol=1e-14)
 
 
-def test_directions_without_direction_are_refused_with_their_number() -> None:
+def test_directions_without_direction_are_refused_with_their_number_and_none_are_legal():
     directions = random_directions(9)
     directions[[1, 4]] = 0
     directions[5, 2] = np.nan
@@ -87,21 +69,13 @@ def test_directions_without_direction_are_refused_with_their_number() -> None:
         basis(directions)
     with pytest.raises(ValueError, match=r"\(P, 3\), got \(3,\)"):
         basis(directions[0])
-    with pytest.raises(ValueError, match="order of at least 0"):
-        basis(random_directions(1), -1)
-
-
-def test_no_directions_give_an_empty_table() -> None:
     assert basis(np.empty((0, 3)), 3).shape == (0, 16)
-
-
-# ---- anchors
 
 
 @pytest.mark.parametrize("n_anchors", [1, 2, 5, 64, 1280])
 @pytest.mark.parametrize("coverage", [0.0, 0.05, 0.3, 0.8, 1.0])
 @pytest.mark.parametrize("order", [0, 2, 4])
-def test_constant_light_stays_constant_at_any_coverage(n_anchors: int, coverage: float, order: int) -> None:
+def test_constant_light_stays_constant_at_any_coverage(n_anchors, coverage, order):
     lattice = Lattice(n_anchors)
     srgb = np.array([0.1, 0.735, 1.0], np.float32)
     is_set = cap(lattice, coverage)
@@ -111,7 +85,7 @@ def test_constant_light_stays_constant_at_any_coverage(n_anchors: int, coverage:
     np.testing.assert_allclose(project_anchors(cloud, lattice, order), expected, rtol=0, atol=1e-12)
 
 
-def test_full_coverage_gives_the_light_back() -> None:
+def test_full_coverage_gives_the_light_back():
     light = random_light() * 0.1 + np.eye(9, 3)[:, :1] * CONSTANT * 0.5
     radiance = basis(LATTICE.directions) @ light
     assert radiance.min() > 0
@@ -120,16 +94,7 @@ def test_full_coverage_gives_the_light_back() -> None:
     np.testing.assert_allclose(fitted, light, atol=1e-6)  # float32 colours
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_a_small_view_does_not_explode(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    is_set = cap(LATTICE, 0.05, tuple(rng.normal(size=3)))
-    noisy = cloud_of(rng.random((1280, 3)) * (LATTICE.directions[:, :1] > 0), is_set)
-    fitted = evaluate_panorama(project_anchors(noisy, LATTICE), 16, 32)
-    assert np.abs(fitted).max() < 2
-
-
-def test_more_coverage_brings_the_fit_nearer() -> None:
+def test_more_coverage_brings_the_fit_nearer():
     radiance = np.repeat((LATTICE.directions @ [0.48, 0.6, 0.64] > 0.3)[:, None] * 0.8 + 0.1, 3, axis=1)
     truth = project_anchors(cloud_of(radiance, np.ones(1280, bool)), LATTICE)
     errors = [
@@ -141,13 +106,13 @@ def test_more_coverage_brings_the_fit_nearer() -> None:
 
 
 @EVERY_AXIS
-def test_bright_anchors_on_one_side_light_that_side(axis: tuple[float, float, float]) -> None:
+def test_bright_anchors_on_one_side_light_that_side(axis):
     bright = np.repeat((LATTICE.directions @ np.array(axis) > 0.9)[:, None].astype(float), 3, axis=1)
     received = irradiance(project_anchors(cloud_of(bright, np.ones(1280, bool)), LATTICE), list(AXES.values()))
     assert np.argmax(received[:, 1]) == list(AXES.values()).index(axis)
 
 
-def test_a_turned_room_gives_turned_coefficients() -> None:
+def test_a_turned_room_gives_turned_coefficients():
     turned = Lattice(1280, random_rotation(3))
     rng = np.random.default_rng(4)
     cloud = cloud_of(rng.random((1280, 3)), cap(LATTICE, 0.3))
@@ -155,7 +120,7 @@ def test_a_turned_room_gives_turned_coefficients() -> None:
     np.testing.assert_allclose(project_anchors(cloud, turned, 3), expected, atol=1e-11)
 
 
-def test_channels_do_not_mix_and_distances_do_not_matter() -> None:
+def test_channels_do_not_mix_and_distances_do_not_matter():
     rng = np.random.default_rng(8)
     radiance, is_set = rng.random((1280, 3)), rng.random(1280) < 0.4
     cloud = cloud_of(radiance, is_set)
@@ -165,7 +130,7 @@ def test_channels_do_not_mix_and_distances_do_not_matter() -> None:
     np.testing.assert_array_equal(project_anchors(far, LATTICE), project_anchors(cloud, LATTICE))
 
 
-def test_higher_bands_are_trusted_less_in_a_small_view() -> None:
+def test_higher_bands_are_trusted_less_in_a_small_view():
     power = np.zeros(9)
     for seed in range(40):
         rng = np.random.default_rng(seed)
@@ -175,25 +140,17 @@ def test_higher_bands_are_trusted_less_in_a_small_view() -> None:
     assert power[4:].mean() < 0.5 * power[1:4].mean()
 
 
-# ---- irradiance
-
-
-def test_the_cosine_lobe_has_its_published_factors() -> None:
-    expected = [np.pi, 2 * np.pi / 3, np.pi / 4, 0, -np.pi / 24, 0, np.pi / 64, 0, -np.pi / 128]
-    np.testing.assert_allclose(cosine_lobe(8), expected, atol=1e-15)
-    with pytest.raises(ValueError, match="at least 0"):
-        cosine_lobe(-1)
-
-
-def test_the_cosine_lobe_is_the_integral_of_the_clamped_cosine() -> None:
+def test_the_cosine_lobe_is_the_integral_of_the_clamped_cosine():
     nodes, weights = np.polynomial.legendre.leggauss(64)
     z, weights = (nodes + 1) / 2, weights / 2
     for band in range(13):
         integral = 2 * np.pi * np.sum(weights * z * scipy.special.eval_legendre(band, z))
         assert cosine_lobe(12)[band] == pytest.approx(integral, abs=1e-14)
+    with pytest.raises(ValueError, match="at least 0"):
+        cosine_lobe(-1)
 
 
-def test_irradiance_equals_the_integral_over_the_hemisphere() -> None:
+def test_irradiance_equals_the_integral_over_the_hemisphere():
     light = random_light(4, seed=7)
     radiance = evaluate_panorama(light, 300, 600).reshape(-1, 3)
     weights = solid_angles(300, 600).reshape(-1)
@@ -203,7 +160,7 @@ def test_irradiance_equals_the_integral_over_the_hemisphere() -> None:
         np.testing.assert_allclose(irradiance(light, [normal])[0], expected, atol=5e-4)
 
 
-def test_irradiance_refuses_bad_coefficients_and_takes_no_normals() -> None:
+def test_irradiance_refuses_bad_coefficients_and_takes_no_normals():
     assert irradiance(random_light(), np.empty((0, 3))).shape == (0, 3)
     for bad in (np.ones((9, 4)), np.ones((8, 3)), np.ones(9), np.ones((0, 3))):
         with pytest.raises(ValueError, match="expected shape"):
@@ -212,34 +169,9 @@ def test_irradiance_refuses_bad_coefficients_and_takes_no_normals() -> None:
         irradiance(np.full((9, 3), np.nan), [[0, 0, 1]])
 
 
-# ---- rotation
-
-
-def test_rotations_compose_invert_and_keep_the_power_of_each_band() -> None:
-    light, first, second = random_light(4), random_rotation(1), random_rotation(2)
-    turned = rotate(light, first)
-    np.testing.assert_allclose(rotate(turned, second), rotate(light, second @ first), atol=1e-13)
-    np.testing.assert_allclose(rotate(turned, first.T), light, atol=1e-13)
-    np.testing.assert_allclose(rotate(light, np.eye(3)), light, atol=1e-13)
-    for band in range(5):
-        of_band = slice(band**2, (band + 1) ** 2)
-        np.testing.assert_allclose((turned[of_band] ** 2).sum(0), (light[of_band] ** 2).sum(0), rtol=1e-12)
-
-
-def test_a_quarter_turn_about_z_brings_light_from_x_to_y() -> None:
-    quarter_turn = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
-    np.testing.assert_allclose(rotate(distant_light((1, 0, 0)), quarter_turn), distant_light((0, 1, 0)), atol=1e-14)
-
-
-def test_what_is_no_rotation_is_refused() -> None:
-    light = random_light()
-    sheared = np.eye(3) + [[0, 1e-3, 0], [0, 0, 0], [0, 0, 0]]
-    for bad, message in ((sheared, "orthonormal"), (np.eye(4), r"\(3, 3\)")):
-        with pytest.raises(ValueError, match=message):
-            rotate(light, bad)
-
-
-# ---- ringing
+def test_a_matrix_of_another_shape_is_refused():
+    with pytest.raises(ValueError, match=r"finite \(3, 3\) matrix, got shape \(4, 4\)"):
+        rotate(random_light(), np.eye(4))
 
 
 def ringing_lights() -> list[F64]:
@@ -253,7 +185,7 @@ def ringing_lights() -> list[F64]:
     return lights
 
 
-def test_dering_leaves_light_that_needs_no_window_untouched() -> None:
+def test_dering_leaves_light_that_needs_no_window_untouched():
     for light in (np.zeros((9, 3)), distant_light((1, 2, 3)) * [[1.0]] + 3 * np.eye(9, 3)[:, :1]):
         assert irradiance(light, random_directions(500)).min() >= 0
         result, strength = dering_with_strength(light)
@@ -262,29 +194,19 @@ def test_dering_leaves_light_that_needs_no_window_untouched() -> None:
 
 
 @pytest.mark.parametrize("light", ringing_lights())
-def test_dering_lights_every_normal_with_the_smallest_window(light: F64) -> None:
+def test_dering_lights_every_normal_with_the_smallest_window(light):
     normals = random_directions(20000, seed=40)
     assert irradiance(light, normals).min() < 0
     result, strength = dering_with_strength(light)
     received = irradiance(result, normals)
     assert received.min() >= -1e-3 * received.max()
     assert 0 < strength < 1
-    order = round(np.sqrt(len(light))) - 1
-    band = np.repeat(np.arange(order + 1), 2 * np.arange(order + 1) + 1)[:, None]
-    np.testing.assert_allclose(result, light * (1 - strength) ** (band * (band + 1) / 2), atol=1e-14)
-    weaker = light * (1 - (strength - 0.01)) ** (band * (band + 1) / 2)
-    assert irradiance(weaker, normals).min() < 0
+    np.testing.assert_allclose(result, windowed(light, 1 - strength), atol=1e-14)
+    assert irradiance(windowed(light, 1 - strength + 0.01), normals).min() < 0
     np.testing.assert_array_equal(dering(result), result)
 
 
-def test_dering_keeps_the_mean_light_and_does_not_shift_hue() -> None:
-    light = distant_light((1, -2, 0.5)) * [1.0, 0.5, 0.25]
-    result = dering(light)
-    np.testing.assert_allclose(result[0], light[0], rtol=1e-15)
-    np.testing.assert_allclose(result / result[:, :1], light / light[:, :1], rtol=1e-12)
-
-
-def test_dering_does_not_depend_on_scale_or_much_on_orientation() -> None:
+def test_dering_does_not_depend_on_scale_or_much_on_orientation():
     light = ringing_lights()[6]
     result, strength = dering_with_strength(light)
     scaled, scaled_strength = dering_with_strength(light * 1e-6)
@@ -294,16 +216,7 @@ def test_dering_does_not_depend_on_scale_or_much_on_orientation() -> None:
     assert turned_strength == pytest.approx(strength, abs=2e-3)
 
 
-def test_a_channel_with_a_negative_mean_becomes_black_and_the_others_stay() -> None:
-    light = np.zeros((9, 3))
-    light[0], light[3, 1] = [1.0, -0.1, 0.0], 5.0
-    result, strength = dering_with_strength(light)
-    assert strength == 0
-    np.testing.assert_array_equal(result[0], [1.0, 0.0, 0.0])
-    assert not result[1:].any()
-
-
-def test_a_channel_without_any_mean_light_loses_all_variation() -> None:
+def test_a_channel_without_any_mean_light_loses_all_variation():
     light = np.zeros((9, 3))
     light[0], light[2, 2] = [1.0, 1.0, 0.0], 1.0
     result, strength = dering_with_strength(light)

@@ -1,7 +1,5 @@
 """Clouds that are hard for any estimator: light at both ends of its range, next to nothing seen, odd distances."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Random payloads for the wire, and whether what is read of them is what they say."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from xihenet.codec import METHODS, EncodingMethod, decode_cloud, encode_cloud

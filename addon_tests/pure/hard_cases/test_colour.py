@@ -1,13 +1,11 @@
 """Hard cases of colour: 8 bits, exposure, and light from 1e-320 to infinity."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
 
-from addon_tests.hard_case import at_most, case, equal, near, refused, that
+from addon_tests.hard_case import Must, at_most, equal, near, refused, row, that
 from xihenet.camera import encode_exposed, metered_exposure, unproject_frame
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.records import Intrinsics, RgbdFrame
@@ -28,42 +26,6 @@ def encoded_by_hand(given: tuple[Any, float]) -> list[int]:
 
 
 SUN = 2e5
-LIGHTS = [
-    case("black is 0", [0.0], 1.0, [0]),
-    case("white is 255", [1.0], 1.0, [255]),
-    case("a saturated red of 1e6 stays red", [1e6, 0.0, 0.0], 1.0, [255, 0, 0]),
-    case("a saturated blue of 1e-6 is black and does not wrap", [0.0, 0.0, 1e-6], 1.0, [0, 0, 0]),
-    case("light of 1e-6 is seen under an exposure of 1e6", [1e-6], 1e6, [255]),
-    case("light of 1e6 is white", [1e6], 1.0, [255]),
-    case("a sun of 2e5 is white", [SUN], 1.0, [255]),
-    case("a sun of 2e5 is grey under an exposure of 1e-6", [SUN], 1e-6, [124]),
-    case("infinite light is white", [np.inf], 1.0, [255]),
-    case("infinite light is black under an exposure of 0", [np.inf, 1.0], 0.0, [0, 0]),
-    case("a NaN pixel is black", [np.nan, 1.0], 1.0, [0, 255]),
-    case("light of minus infinity is black", [-np.inf, -1.0], 1.0, [0, 0]),
-    case("denormal light is black", [5e-324, -5e-324], 1.0, [0, 0]),
-    case("light of 1e300 is white under an exposure of 1e300", [1e300, 0.0], 1e300, [255, 0]),
-    case("light of 1e300 is seen under an exposure of 1e-300", [1e300], 1e-300, [255]),
-]
-
-
-@pytest.mark.parametrize("light, exposure, codes", LIGHTS)
-def test_light_is_encoded(light, exposure, codes, comes_out):
-    assert comes_out((light, exposure), encoded, equal(codes), encoded_by_hand)
-
-
-@pytest.mark.parametrize("light, exposure", [case("denormal light is seen under a huge exposure", [1e-310], 1e308)])
-def test_light_is_encoded_in_float64(light, exposure, comes_out):
-    assert comes_out((light, exposure), encoded, equal([25]), lambda given: encoded((np.float32(light), exposure)))
-
-
-@pytest.mark.parametrize("exposure", [case(f"an exposure of {e} is refused", e) for e in (np.nan, np.inf, -1.0)])
-def test_an_exposure_that_is_none_is_refused(exposure, comes_out):
-    assert comes_out(([0.5], exposure), encoded, refused("expected a finite exposure"))
-
-
-# ------------------------------------------------------------------------------------------------------ the curve
-
 CODES = np.arange(256)
 AROUND = np.arange(-50, 51) * 1e-12
 
@@ -73,63 +35,6 @@ def step_with_the_other_threshold(join: float) -> float:
     light = 0.04045 + AROUND
     return np.abs(np.diff(np.where(light <= 0.04045, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055))).max()
 
-
-CURVE = [
-    case(
-        "every 8-bit code comes back through float32 as well",
-        CODES,
-        lambda codes: np.rint(linear_to_srgb(srgb_to_linear(np.float32(codes) / np.float32(255))) * 255),
-        equal(CODES.astype(np.float32)),
-        None,
-    ),
-    case(
-        "the two pieces of the curve meet without a step",
-        0.0031308,
-        lambda join: np.abs(np.diff(linear_to_srgb(join + AROUND))).max(),
-        at_most(1e-7),
-        step_with_the_other_threshold,
-    ),
-    case(
-        "codes are rounded at their edges and not cut off",
-        srgb_to_linear((CODES[:-1] + 0.501) / 255),
-        lambda light: encode_exposed(light, 1.0).tolist(),
-        equal((CODES[:-1] + 1).tolist()),
-        None,
-    ),
-    case(
-        "float32 decodes within 3e-7 of float64",
-        np.linspace(0, 1, 10001),
-        lambda srgb: np.abs(srgb_to_linear(srgb.astype(np.float32)) - srgb_to_linear(srgb)).max(),
-        at_most(3e-7),
-        lambda srgb: np.abs(srgb.astype(np.float16).astype(float) ** 2.4 - srgb_to_linear(srgb)).max(),
-    ),
-    case(
-        "encoding the smallest float32 keeps it above 0",
-        np.float32(1e-45),
-        lambda light: float(linear_to_srgb(light)),
-        that("above 0, below 1e-43", lambda came: 0 < came < 1e-43),
-        lambda light: float(1.055 * light ** (1 / 2.4) - 0.055),
-    ),
-    case(
-        "NaN stays NaN beside colours that do not",
-        np.array([np.nan, -1.0, 2.0]),
-        lambda srgb: np.isnan(srgb_to_linear(srgb)).tolist() + srgb_to_linear(srgb)[1:].tolist(),
-        equal([True, False, False, 0.0, 1.0]),
-        None,
-    ),
-]
-
-
-def test_every_8_bit_code_comes_back_after_decoding_and_encoding(comes_out):
-    assert comes_out(CODES, lambda codes: encode_exposed(srgb_to_linear(codes / 255), 1.0), equal(CODES))
-
-
-@pytest.mark.parametrize("given, ask, must, naive", CURVE)
-def test_the_curve_holds_at_its_edges(given, ask, must, naive, comes_out):
-    assert comes_out(given, ask, must, naive)
-
-
-# ------------------------------------------------------------------------------------------------------- metering
 
 GREY = np.full((6, 8, 3), 0.12)
 
@@ -171,76 +76,30 @@ def by_maximum(pictures: list[np.ndarray]) -> float:
     return float(1.0 / max(np.max(picture) for picture in pictures))
 
 
+def by_key(name: str, pictures: list[np.ndarray], must: Must, naive: Any) -> Any:
+    return row(name, pictures, lambda pictures: metered_exposure(pictures, "key"), must, naive)
+
+
+def by_highlights(name: str, pictures: list[np.ndarray], must: Must, naive: Any) -> Any:
+    return row(name, pictures, lambda pictures: metered_exposure(pictures, "highlights"), must, naive)
+
+
 def dark_room(share: float) -> Any:
     name = f"darkness that fills {share:.0%} of a room does not blow out the rest"
     must = that("at least 1, and half of the room below white", lambda exposure: 1 <= exposure <= 1 / 0.12 + 1e-9)
-    return case(name, [part_of_a_room(share, 0.0)], must, by_logarithm)
+    return by_key(name, [part_of_a_room(share, 0.0)], must, by_logarithm)
 
 
 def sunny_room(share: float, within: float) -> Any:
     name = f"a sun of 2e5 that fills {share:.0%} of a room does not black it out"
-    return case(name, [part_of_a_room(share, SUN)], near(1.0, within), by_logarithm)
+    return by_key(name, [part_of_a_room(share, SUN)], near(1.0, within), by_logarithm)
 
 
 def sunny_room_by_highlights(share: float) -> Any:
     name = f"a sun of 2e5 that fills {share:.0%} of a room darkens it by two stops and no more"
     must = that("two stops below key", lambda exposure: 0.1 < exposure < 0.26)
-    return case(name, [part_of_a_room(share, SUN)], must, by_maximum)
+    return by_highlights(name, [part_of_a_room(share, SUN)], must, by_maximum)
 
-
-NEAR_1 = near(1.0, 0.3)
-BOTH_INFINITIES = [np.inf, -np.inf, 0]
-BY_KEY = [
-    case("a black frame is metered as 1", [GREY * 0], equal(1.0), by_mean),
-    case("no frame is metered as 1", [], equal(1.0), by_mean),
-    case("a frame without pixels is metered as 1", [GREY[:0]], equal(1.0), by_mean),
-    case("one NaN pixel does not decide the exposure", with_pixel(np.nan), NEAR_1, by_mean),
-    case("one infinite pixel does not decide the exposure", with_pixel(np.inf), NEAR_1, by_mean),
-    case("one pixel of both infinities does not decide the exposure", with_pixel(BOTH_INFINITIES), NEAR_1, by_mean),
-    case("a sun of 2e5 in four pixels does not black out the room", [with_sun()], near(1.0, 0.01), by_mean),
-    *(sunny_room(share, within) for share, within in ((0.01, 0.05), (0.05, 0.15), (0.2, 0.5))),
-    *map(dark_room, (0.4, 0.7, 0.99)),
-    case("one negative pixel does not decide the exposure", with_pixel(-10.0), near(1.1, 0.2), by_mean),
-    case(
-        "a frame of the smallest float32 has a finite exposure",
-        [np.full((6, 8, 3), 1e-45, np.float32)],
-        near(8.56e43, 1e41),
-        lambda pictures: float(np.float32(0.12) / np.mean(pictures[0])),
-    ),
-    case("light too dim for any exposure is metered as 1", [np.full((6, 8, 3), 1e-320)], equal(1.0), by_mean),
-]
-BY_HIGHLIGHTS = [
-    case("a black frame is metered as 1 by highlights", [GREY * 0], equal(1.0), by_maximum),
-    case("no frame is metered as 1 by highlights", [], equal(1.0), by_maximum),
-    case("one NaN pixel does not lower the exposure", with_pixel(np.nan), NEAR_1, by_maximum),
-    case("one infinite pixel does not lower the exposure", with_pixel(np.inf), NEAR_1, by_maximum),
-    case(
-        "a lamp of 1 % of the picture may clip",
-        [part_of_a_room(0.01, 50.0)],
-        that("at most a stop below key", lambda exposure: 0.45 < exposure < 1.05),
-        by_maximum,
-    ),
-    case(
-        "a window of a fifth of the picture that is four times white does not clip",
-        [part_of_a_room(0.2, 4.0)],
-        near(0.8 / 4.0, 1e-9),
-        by_mean,
-    ),
-    *map(sunny_room_by_highlights, (0.05, 0.2)),
-]
-
-
-@pytest.mark.parametrize("pictures, must, naive", BY_KEY)
-def test_metering_by_key_is_not_led_astray(pictures, must, naive, comes_out):
-    assert comes_out(pictures, lambda pictures: metered_exposure(pictures, "key"), must, naive)
-
-
-@pytest.mark.parametrize("pictures, must, naive", BY_HIGHLIGHTS)
-def test_metering_by_highlights_is_not_led_astray(pictures, must, naive, comes_out):
-    assert comes_out(pictures, lambda pictures: metered_exposure(pictures, "highlights"), must, naive)
-
-
-# ----------------------------------------------------------------------------------------- re-exposing a frame
 
 PINHOLE = Intrinsics(4, 1, 4.0, 4.0, 2.0, 0.5)
 FOUR_CODES = np.array([0, 1, 128, 255])
@@ -265,17 +124,139 @@ def upper_piece(given: tuple[float, float]) -> list[float]:
     return (1.055 * (srgb_to_linear(FOUR_CODES / 255) * given[1]) ** (1 / 2.4) - 0.055).tolist()
 
 
-WHITE_BUT_BLACK = equal([0.0, 1.0, 1.0, 1.0])
+def re_exposes(name: str, exposure: float, reference: float, must: Must, naive: Any = None) -> Any:
+    return row(name, (exposure, reference), re_exposed, must, naive)
+
+
+def encoded_in_float32(given: tuple[Any, float]) -> list[int]:
+    return encoded((np.float32(given[0]), given[1]))
+
+
+LIGHTS = [
+    ("black is 0", [0.0], 1.0, [0]),
+    ("white is 255", [1.0], 1.0, [255]),
+    ("a saturated red of 1e6 stays red", [1e6, 0.0, 0.0], 1.0, [255, 0, 0]),
+    ("a saturated blue of 1e-6 is black and does not wrap", [0.0, 0.0, 1e-6], 1.0, [0, 0, 0]),
+    ("light of 1e-6 is seen under an exposure of 1e6", [1e-6], 1e6, [255]),
+    ("light of 1e6 is white", [1e6], 1.0, [255]),
+    ("a sun of 2e5 is white", [SUN], 1.0, [255]),
+    ("a sun of 2e5 is grey under an exposure of 1e-6", [SUN], 1e-6, [124]),
+    ("infinite light is white", [np.inf], 1.0, [255]),
+    ("infinite light is black under an exposure of 0", [np.inf, 1.0], 0.0, [0, 0]),
+    ("a NaN pixel is black", [np.nan, 1.0], 1.0, [0, 255]),
+    ("light of minus infinity is black", [-np.inf, -1.0], 1.0, [0, 0]),
+    ("denormal light is black", [5e-324, -5e-324], 1.0, [0, 0]),
+    ("light of 1e300 is white under an exposure of 1e300", [1e300, 0.0], 1e300, [255, 0]),
+    ("light of 1e300 is seen under an exposure of 1e-300", [1e300], 1e-300, [255]),
+]
+CURVE = [
+    row(
+        "every 8 bit code comes back after decoding and encoding",
+        CODES,
+        lambda codes: encode_exposed(srgb_to_linear(codes / 255), 1.0),
+        equal(CODES),
+    ),
+    row(
+        "every 8-bit code comes back through float32 as well",
+        CODES,
+        lambda codes: np.rint(linear_to_srgb(srgb_to_linear(np.float32(codes) / np.float32(255))) * 255),
+        equal(CODES.astype(np.float32)),
+    ),
+    row(
+        "the two pieces of the curve meet without a step",
+        0.0031308,
+        lambda join: np.abs(np.diff(linear_to_srgb(join + AROUND))).max(),
+        at_most(1e-7),
+        step_with_the_other_threshold,
+    ),
+    row(
+        "codes are rounded at their edges and not cut off",
+        srgb_to_linear((CODES[:-1] + 0.501) / 255),
+        lambda light: encode_exposed(light, 1.0).tolist(),
+        equal((CODES[:-1] + 1).tolist()),
+    ),
+    row(
+        "float32 decodes within 3e-7 of float64",
+        np.linspace(0, 1, 10001),
+        lambda srgb: np.abs(srgb_to_linear(srgb.astype(np.float32)) - srgb_to_linear(srgb)).max(),
+        at_most(3e-7),
+        lambda srgb: np.abs(srgb.astype(np.float16).astype(float) ** 2.4 - srgb_to_linear(srgb)).max(),
+    ),
+    row(
+        "encoding the smallest float32 keeps it above 0",
+        np.float32(1e-45),
+        lambda light: float(linear_to_srgb(light)),
+        that("above 0, below 1e-43", lambda came: 0 < came < 1e-43),
+        lambda light: float(1.055 * light ** (1 / 2.4) - 0.055),
+    ),
+    row(
+        "NaN stays NaN beside colours that do not",
+        np.array([np.nan, -1.0, 2.0]),
+        lambda srgb: np.isnan(srgb_to_linear(srgb)).tolist() + srgb_to_linear(srgb)[1:].tolist(),
+        equal([True, False, False, 0.0, 1.0]),
+    ),
+]
+NEAR_1 = near(1.0, 0.3)
+BOTH_INFINITIES = [np.inf, -np.inf, 0]
+BY_KEY = [
+    by_key("a black frame is metered as 1", [GREY * 0], equal(1.0), by_mean),
+    by_key("no frame is metered as 1", [], equal(1.0), by_mean),
+    by_key("a frame without pixels is metered as 1", [GREY[:0]], equal(1.0), by_mean),
+    by_key("one NaN pixel does not decide the exposure", with_pixel(np.nan), NEAR_1, by_mean),
+    by_key("one infinite pixel does not decide the exposure", with_pixel(np.inf), NEAR_1, by_mean),
+    by_key("one pixel of both infinities does not decide the exposure", with_pixel(BOTH_INFINITIES), NEAR_1, by_mean),
+    by_key("a sun of 2e5 in four pixels does not black out the room", [with_sun()], near(1.0, 0.01), by_mean),
+    *(sunny_room(share, within) for share, within in ((0.01, 0.05), (0.05, 0.15), (0.2, 0.5))),
+    *map(dark_room, (0.4, 0.7, 0.99)),
+    by_key("one negative pixel does not decide the exposure", with_pixel(-10.0), near(1.1, 0.2), by_mean),
+    by_key(
+        "a frame of the smallest float32 has a finite exposure",
+        [np.full((6, 8, 3), 1e-45, np.float32)],
+        near(8.56e43, 1e41),
+        lambda pictures: float(np.float32(0.12) / np.mean(pictures[0])),
+    ),
+    by_key("light too dim for any exposure is metered as 1", [np.full((6, 8, 3), 1e-320)], equal(1.0), by_mean),
+]
+BY_HIGHLIGHTS = [
+    by_highlights("a black frame is metered as 1 by highlights", [GREY * 0], equal(1.0), by_maximum),
+    by_highlights("no frame is metered as 1 by highlights", [], equal(1.0), by_maximum),
+    by_highlights("one NaN pixel does not lower the exposure", with_pixel(np.nan), NEAR_1, by_maximum),
+    by_highlights("one infinite pixel does not lower the exposure", with_pixel(np.inf), NEAR_1, by_maximum),
+    by_highlights(
+        "a lamp of 1 % of the picture may clip",
+        [part_of_a_room(0.01, 50.0)],
+        that("at most a stop below key", lambda exposure: 0.45 < exposure < 1.05),
+        by_maximum,
+    ),
+    by_highlights(
+        "a window of a fifth of the picture that is four times white does not clip",
+        [part_of_a_room(0.2, 4.0)],
+        near(0.8 / 4.0, 1e-9),
+        by_mean,
+    ),
+    *map(sunny_room_by_highlights, (0.05, 0.2)),
+]
+WHITE, A_QUARTER = equal([0.0, 1.0, 1.0, 1.0]), near(QUARTER, 1e-6)
 EXPOSURES = [
-    case("1e300 times the exposure keeps black and makes all else white", 1e-300, 1.0, WHITE_BUT_BLACK, encoded_scaled),
-    case("a 1e300th of the exposure makes all black", 1.0, 1e-300, near([0.0] * 4, 1e-290), upper_piece),
-    case("a quarter of the exposure is a quarter of the linear light", 1.0, 0.25, near(QUARTER, 1e-6), encoded_scaled),
-    case("a reference exposure of 0 is refused", 1.0, 0.0, refused("expected a positive, finite exposure"), None),
-    case("a ratio of exposures beyond float64 is refused", 1e-320, 1.0, refused("a ratio of inf"), None),
-    case("a frame of exposure 0 is refused", 0.0, 1.0, refused("expected a positive factor"), None),
+    re_exposes("1e300 times the exposure keeps black and makes all else white", 1e-300, 1.0, WHITE, encoded_scaled),
+    re_exposes("a 1e300th of the exposure makes all black", 1.0, 1e-300, near([0.0] * 4, 1e-290), upper_piece),
+    re_exposes("a quarter of the exposure is a quarter of the linear light", 1.0, 0.25, A_QUARTER, encoded_scaled),
+    re_exposes("a reference exposure of 0 is refused", 1.0, 0.0, refused("expected a positive, finite exposure")),
+    re_exposes("a ratio of exposures beyond float64 is refused", 1e-320, 1.0, refused("a ratio of inf")),
+    re_exposes("a frame of exposure 0 is refused", 0.0, 1.0, refused("expected a positive factor")),
+]
+NO_EXPOSURE = refused("expected a finite exposure")
+CASES = [
+    *(row(name, (light, exposure), encoded, equal(codes), encoded_by_hand) for name, light, exposure, codes in LIGHTS),
+    row("denormal light is seen under a huge exposure", ([1e-310], 1e308), encoded, equal([25]), encoded_in_float32),
+    *(row(f"an exposure of {e} is refused", ([0.5], e), encoded, NO_EXPOSURE) for e in (np.nan, np.inf, -1.0)),
+    *CURVE,
+    *BY_KEY,
+    *BY_HIGHLIGHTS,
+    *EXPOSURES,
 ]
 
 
-@pytest.mark.parametrize("exposure, reference, must, naive", EXPOSURES)
-def test_a_frame_is_re_exposed(exposure, reference, must, naive, comes_out):
-    assert comes_out((exposure, reference), re_exposed, must, naive)
+@pytest.mark.parametrize("given, ask, must, naive", CASES)
+def test_hard_case(given, ask, must, naive, comes_out):
+    assert comes_out(given, ask, must, naive)

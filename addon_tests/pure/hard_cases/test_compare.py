@@ -1,7 +1,5 @@
 """Hard cases of the metrics: black, equal, scaled, masked away, broken, and a single pixel."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -18,8 +16,6 @@ OTHER = RNG.random((8, 8, 3))
 BLACK, GREY = np.zeros((8, 8, 3)), np.full((8, 8, 3), 0.5)
 UNDEFINED = that("None", lambda came: came is None)
 Given = tuple[Any, Any, Any]
-
-# -------------------------------------------------------------------------------------------------- naive versions
 
 
 def rmse_by_hand(given: Given) -> float:
@@ -64,11 +60,11 @@ METRICS = {
 }
 
 
-def score(metric: str, name: str, given: Given, must: Must, naive: Any = None) -> Any:
+def score(metric: str, name: str, prediction: Any, truth: Any, must: Must, naive: Any = None, mask: Any = MASK) -> Any:
     function, by_hand = METRICS[metric]
     sentence = f"the {metric} of {name}" + ("" if " is " in name else " is right")
     naive = None if must.is_refusal else naive or by_hand
-    return case(sentence, given, lambda given: function(*given), must, naive)
+    return case(sentence, (prediction, truth, mask), lambda given: function(*given), must, naive)
 
 
 def nan_outside(image: np.ndarray) -> np.ndarray:
@@ -78,128 +74,88 @@ def nan_outside(image: np.ndarray) -> np.ndarray:
     return broken
 
 
+def rmse_of_samples(given: Given) -> float:
+    return float(np.std(given[0] - given[1], ddof=1))
+
+
+def rmse_or_1(given: Given) -> float:
+    return rmse_by_hand(given) or 1.0
+
+
+def rmse_in_float32(given: Given) -> float:
+    return float(np.sqrt(np.cumsum(given[0].astype(np.float32) ** 2, dtype=np.float32)[-1] / given[0].size))
+
+
+def angle_of_other_colours(given: Given) -> float:
+    return angle_by_hand((given[0] + 1e-3, given[1] * [1, 1, 0.99], given[2]))
+
+
+def ssim_rounded(given: Given) -> float:
+    return float(np.float32(ssim_by_hand(given)) * np.float32(0.999999))
+
+
 RIGHT_HALF = np.repeat([0.0, 1.0], 4) * np.ones((8, 1))
-ONE = np.full((1, 1, 3), 0.25), np.full((1, 1, 3), 0.75), np.ones((1, 1))
-EMPTY = PICTURE, OTHER, MASK * 0
+DARK_PIXEL, BRIGHT_PIXEL, ONE = np.full((1, 1, 3), 0.25), np.full((1, 1, 3), 0.75), np.ones((1, 1))
+YELLOW, YELLOW_DEG = GREY * [1, 1, 0], np.degrees(np.arctan2(1, np.sqrt(2)))
+HUE_DEG = np.degrees(1e-9 / 0.5 * np.sqrt(2) / 3)
 TEXTURE = 1e-9 * PICTURE
-NONE_AT_ALL = np.zeros((0, 0, 3)), np.zeros((0, 0, 3)), np.zeros((0, 0))
+NO_PIXELS, NO_MASK = np.zeros((0, 0, 3)), np.zeros((0, 0))
+MILLION, ALL = np.full((1000, 1000, 3), 0.1), np.ones((1000, 1000))
+HALF_GREY, HALF_DIM = nan_outside(GREY), nan_outside(GREY / 2)
+NAN_INSIDE = "pictures that are NaN inside the mask is refused with their number"
+REFUSED_NAN = refused("prediction: expected finite colour inside the mask, got 32")
+REFUSED_MASK = refused("mask: expected bool or weights in [0, 1]")
+REFUSED_LINEAR = refused("expected sRGB-encoded colour in [0, 1], got 64 pixels")
+SI, ANGLE = "scale-invariant RMSE", "angular error"
 
 PICTURES = [
-    *(score(metric, "pictures under an empty mask is undefined", EMPTY, UNDEFINED) for metric in METRICS),
-    *(score(metric, "pictures without pixels is undefined", NONE_AT_ALL, UNDEFINED) for metric in METRICS),
+    *(score(m, "pictures under an empty mask is undefined", PICTURE, OTHER, UNDEFINED, mask=MASK * 0) for m in METRICS),
+    *(score(m, "pictures without pixels is undefined", NO_PIXELS, NO_PIXELS, UNDEFINED, mask=NO_MASK) for m in METRICS),
     *(
-        score(
-            metric,
-            "pictures that are NaN outside the mask",
-            (nan_outside(GREY), nan_outside(GREY / 2), RIGHT_HALF),
-            near(value, 1e-6),
-        )
-        for metric, value in (("RMSE", 0.25), ("PSNR", 12.0412))
+        score(m, "pictures that are NaN outside the mask", HALF_GREY, HALF_DIM, near(value, 1e-6), mask=RIGHT_HALF)
+        for m, value in (("RMSE", 0.25), ("PSNR", 12.0412))
     ),
+    *(score(m, NAN_INSIDE, nan_outside(PICTURE), PICTURE, REFUSED_NAN) for m in METRICS),
+    score("RMSE", "one pixel", DARK_PIXEL, BRIGHT_PIXEL, equal(0.5), rmse_of_samples, ONE),
+    score("SSIM", "one pixel is that of its luminance alone", DARK_PIXEL, BRIGHT_PIXEL, near(0.6001, 1e-3), mask=ONE),
+    score("PSNR", "equal pictures is undefined", PICTURE, PICTURE, UNDEFINED),
+    score("SSIM", "equal pictures is exactly 1", PICTURE, PICTURE, equal(1.0), ssim_rounded),
+    score("SSIM", "equal constant pictures is exactly 1", GREY, GREY, equal(1.0)),
+    score("SSIM", "black pictures is exactly 1", BLACK, BLACK, equal(1.0)),
+    score(ANGLE, "equal pictures is exactly 0", PICTURE, PICTURE, equal(0.0)),
+    score(ANGLE, "a picture and its double is 0", PICTURE, PICTURE * 2, at_most(1e-13)),
+    score(ANGLE, "hues that differ by 1e-9", GREY, GREY + [1e-9, 0, 0], near(HUE_DEG, 1e-12)),
+    score(ANGLE, "a black prediction is undefined and not perfect", BLACK, PICTURE, UNDEFINED),
+    score(ANGLE, "a black truth is undefined", PICTURE, BLACK, UNDEFINED),
+    score(ANGLE, "opposite colours", GREY, -GREY, equal(180.0), angle_of_other_colours),
+    score(ANGLE, "denormal colours", GREY * 1e-320, YELLOW, near(YELLOW_DEG, 0.1)),
+    score(ANGLE, "colours of 1e200", GREY * 1e200, YELLOW, near(YELLOW_DEG, 1e-9)),
+    score(SI, "an exactly scaled picture is 0", PICTURE * 3, PICTURE, at_most(1e-15)),
+    score(SI, "a picture scaled to 1e-200 is 0", PICTURE * 1e-200, PICTURE, at_most(1e-15)),
+    score(SI, "a picture scaled to 1e200 is 0", PICTURE * 1e200, PICTURE, at_most(1e-15)),
+    score(SI, "a black prediction is the truth's own size", BLACK, GREY, equal(0.5)),
+    score(SI, "black pictures is 0", BLACK, BLACK, equal(0.0)),
+    score("RMSE", "pictures that differ by 1e200", GREY * 2e200, BLACK, near(1.0e200, 1e186)),
+    score("RMSE", "pictures that differ by 1e-200 is not 0", GREY * 2e-200, BLACK, near(1.0e-200, 1e-214), rmse_or_1),
+    score(
+        "RMSE", "a million pixels of a tenth is a tenth", MILLION, MILLION * 0, near(0.1, 1e-12), rmse_in_float32, ALL
+    ),
+    score("PSNR", "pictures that differ by 1e-200 is finite", GREY * 2e-200, BLACK, near(4000.0, 1e-6)),
+    score("PSNR", "linear light above 1 is refused", GREY * 4, GREY, REFUSED_LINEAR),
+    score("SSIM", "flat pictures with a texture of 1e-9", GREY + TEXTURE, GREY - TEXTURE, near(1.0, 1e-6)),
+    score("SSIM", "black and white", BLACK, BLACK + 1, near(1e-4, 1e-6)),
     *(
-        score(
-            metric,
-            "pictures that are NaN inside the mask is refused with their number",
-            (nan_outside(PICTURE), PICTURE, MASK),
-            refused("prediction: expected finite colour inside the mask, got 32"),
-        )
-        for metric in METRICS
+        score(m, "grey and black under a mask of 5e-324", GREY, BLACK, near(value, 1e-3), mask=MASK * 5e-324)
+        for m, value in (("RMSE", 0.5), ("PSNR", 6.0206), ("SSIM", 4e-4))
     ),
-    score("RMSE", "one pixel", ONE, equal(0.5), lambda given: float(np.std(given[0] - given[1], ddof=1))),
-    score("SSIM", "one pixel is that of its luminance alone", ONE, near(0.6001, 1e-3)),
-    score("PSNR", "equal pictures is undefined", (PICTURE, PICTURE, MASK), UNDEFINED),
-    score(
-        "SSIM",
-        "equal pictures is exactly 1",
-        (PICTURE, PICTURE, MASK),
-        equal(1.0),
-        lambda given: float(np.float32(ssim_by_hand(given)) * np.float32(0.999999)),
-    ),
-    score("SSIM", "equal constant pictures is exactly 1", (GREY, GREY, MASK), equal(1.0)),
-    score("SSIM", "black pictures is exactly 1", (BLACK, BLACK, MASK), equal(1.0)),
-    score("angular error", "equal pictures is exactly 0", (PICTURE, PICTURE, MASK), equal(0.0)),
-    score("angular error", "a picture and its double is 0", (PICTURE, PICTURE * 2, MASK), at_most(1e-13)),
-    score(
-        "angular error",
-        "hues that differ by 1e-9",
-        (GREY, GREY + [1e-9, 0, 0], MASK),
-        near(np.degrees(1e-9 / 0.5 * np.sqrt(2) / 3), 1e-12),
-    ),
-    score("angular error", "a black prediction is undefined and not perfect", (BLACK, PICTURE, MASK), UNDEFINED),
-    score("angular error", "a black truth is undefined", (PICTURE, BLACK, MASK), UNDEFINED),
-    score(
-        "angular error",
-        "opposite colours",
-        (GREY, -GREY, MASK),
-        equal(180.0),
-        lambda given: angle_by_hand((given[0] + 1e-3, given[1] * [1, 1, 0.99], given[2])),
-    ),
-    score(
-        "angular error",
-        "denormal colours",
-        (GREY * 1e-320, GREY * [1, 1, 0], MASK),
-        near(np.degrees(np.arctan2(1, np.sqrt(2))), 0.1),
-    ),
-    score(
-        "angular error",
-        "colours of 1e200",
-        (GREY * 1e200, GREY * [1, 1, 0], MASK),
-        near(np.degrees(np.arctan2(1, np.sqrt(2))), 1e-9),
-    ),
-    score("scale-invariant RMSE", "an exactly scaled picture is 0", (PICTURE * 3, PICTURE, MASK), at_most(1e-15)),
-    score("scale-invariant RMSE", "a picture scaled to 1e-200 is 0", (PICTURE * 1e-200, PICTURE, MASK), at_most(1e-15)),
-    score("scale-invariant RMSE", "a picture scaled to 1e200 is 0", (PICTURE * 1e200, PICTURE, MASK), at_most(1e-15)),
-    score("scale-invariant RMSE", "a black prediction is the truth's own size", (BLACK, GREY, MASK), equal(0.5)),
-    score("scale-invariant RMSE", "black pictures is 0", (BLACK, BLACK, MASK), equal(0.0)),
-    score("RMSE", "pictures that differ by 1e200", (GREY * 2e200, BLACK, MASK), near(1.0e200, 1e186)),
-    score(
-        "RMSE",
-        "pictures that differ by 1e-200 is not 0",
-        (GREY * 2e-200, BLACK, MASK),
-        near(1.0e-200, 1e-214),
-        lambda given: rmse_by_hand(given) or 1.0,
-    ),
-    score(
-        "RMSE",
-        "a million pixels of a tenth is a tenth",
-        (np.full((1000, 1000, 3), 0.1), np.zeros((1000, 1000, 3)), np.ones((1000, 1000))),
-        near(0.1, 1e-12),
-        lambda given: float(np.sqrt(np.cumsum(given[0].astype(np.float32) ** 2, dtype=np.float32)[-1] / given[0].size)),
-    ),
-    score("PSNR", "pictures that differ by 1e-200 is finite", (GREY * 2e-200, BLACK, MASK), near(4000.0, 1e-6)),
-    score(
-        "PSNR",
-        "linear light above 1 is refused",
-        (GREY * 4, GREY, MASK),
-        refused("expected sRGB-encoded colour in [0, 1], got 64 pixels"),
-    ),
-    score("SSIM", "flat pictures with a texture of 1e-9", (GREY + TEXTURE, GREY - TEXTURE, MASK), near(1.0, 1e-6)),
-    score("SSIM", "black and white", (BLACK, BLACK + 1, MASK), near(1e-4, 1e-6)),
-    *(
-        score(metric, "grey and black under a mask of 5e-324", (GREY, BLACK, MASK * 5e-324), near(value, 1e-3), naive)
-        for metric, value, naive in (("RMSE", 0.5, None), ("PSNR", 6.0206, None), ("SSIM", 4e-4, None))
-    ),
-    score(
-        "RMSE",
-        "a mask with NaN is refused",
-        (GREY, BLACK, MASK * np.nan),
-        refused("mask: expected bool or weights in [0, 1]"),
-    ),
-    score(
-        "RMSE",
-        "a mask of 255 is refused",
-        (GREY, BLACK, MASK * 255),
-        refused("mask: expected bool or weights in [0, 1]"),
-    ),
+    score("RMSE", "a mask with NaN is refused", GREY, BLACK, REFUSED_MASK, mask=MASK * np.nan),
+    score("RMSE", "a mask of 255 is refused", GREY, BLACK, REFUSED_MASK, mask=MASK * 255),
 ]
 
 
 @pytest.mark.parametrize("given, ask, must, naive", PICTURES)
 def test_a_score_of_pictures_is_right_or_undefined(given, ask, must, naive, comes_out):
     assert comes_out(given, ask, must, naive)
-
-
-# --------------------------------------------------------------------------------------------- counts, coefficients
 
 
 def blacks(given: Given) -> tuple[int, int, int]:
@@ -226,18 +182,14 @@ HALF_BLACK = np.where(RIGHT_HALF[..., None] > 0, GREY, BLACK)
 
 
 @pytest.mark.parametrize(
-    "given, must",
+    "truth, must",
     [
-        case("black pixels of a prediction are counted", (HALF_BLACK, GREY, MASK), equal((64, 32, 0))),
-        case(
-            "black pixels of the truth are counted, whatever the prediction",
-            (HALF_BLACK, BLACK, MASK),
-            equal((64, 0, 64)),
-        ),
+        case("black pixels of a prediction are counted", GREY, equal((64, 32, 0))),
+        case("black pixels of the truth are counted, whatever the prediction", BLACK, equal((64, 0, 64))),
     ],
 )
-def test_black_pixels_are_counted(given, must, comes_out):
-    assert comes_out(given, blacks, must, blacks_by_hand)
+def test_black_pixels_are_counted(truth, must, comes_out):
+    assert comes_out((HALF_BLACK, truth, MASK), blacks, must, blacks_by_hand)
 
 
 def test_coefficients_that_differ_by_1e200_have_that_error(comes_out):

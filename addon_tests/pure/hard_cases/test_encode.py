@@ -1,7 +1,5 @@
 """Hard cases of the wire: distances beyond half floats, every half float, and bytes that anyone may have sent."""
 
-from __future__ import annotations
-
 import struct
 from functools import partial
 from typing import Any
@@ -9,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from addon_tests.hard_case import at_most, case, equal, near, refused, that
+from addon_tests.hard_case import at_most, equal, near, refused, row, that
 from addon_tests.pure.hard_cases.random_payloads import random_payload, taken_for_something_else
 from xihenet.codec import METHODS, EncodingMethod, decode_cloud, encode_cloud
 from xihenet.records import UnitSphereCloud
@@ -36,9 +34,6 @@ def decoded_by_hand(payload: bytes, n: int = N) -> dict[int, tuple[float, float]
     return {anchor % n: (grey / 255, distance_m) for anchor, grey, _, _, distance_m in rows}
 
 
-# -------------------------------------------------------------------------------------------------------- distances
-
-
 def carried(distance_m: float) -> float:
     """A distance after the wire; 0 says that the anchor came back unset."""
     return float(decode_cloud(encode_cloud(full_cloud(1, 0.5, distance_m)), 1).distance_m[0])
@@ -48,29 +43,6 @@ def carried_by_hand(distance_m: float) -> float:
     """Naive: cast to a half float, with 0 for "not set"."""
     return float(np.float32(distance_m).astype(np.float16))
 
-
-LARGEST, SMALLEST = 65504.0, 2.0**-24
-DISTANCES = [
-    case(f"a distance of {sent:g} m arrives as {arrives:g} m", sent, equal(arrives))
-    for sent, arrives in (
-        (65520.0, LARGEST),
-        (65535.0, LARGEST),
-        (1e10, LARGEST),
-        (3e38, LARGEST),
-        (2.9e-8, SMALLEST),
-        (1e-30, SMALLEST),
-        (float(np.float32(1e-45)), SMALLEST),
-        (0.0, SMALLEST),
-    )
-]
-
-
-@pytest.mark.parametrize("given, must", DISTANCES)
-def test_a_distance_beyond_half_floats_is_the_nearest_one_that_they_hold(given, must, comes_out):
-    assert comes_out(given, carried, must, carried_by_hand)
-
-
-# ------------------------------------------------------------------------------------------------------ half floats
 
 PATTERNS = np.arange(65536, dtype=np.uint16)
 VALUES = PATTERNS.view(np.float16).astype(np.float32)
@@ -105,23 +77,21 @@ def wrong_patterns_by_hand(method: EncodingMethod) -> int:
     return int((~LEGAL).sum())
 
 
-HALVES = [case(f"every half float is a distance or refused in {method}", method) for method in (STRIPPED, WHOLE)]
-
-
-@pytest.mark.parametrize("given", HALVES)
-def test_every_half_float_is_a_distance_or_refused(given, comes_out):
-    assert comes_out(given, wrong_patterns, equal(0), wrong_patterns_by_hand)
-
-
-# ----------------------------------------------------------------------------------------------------- what is lost
-
-
-def largest_error(method: EncodingMethod, part: str) -> float:
+def there_and_back(method: EncodingMethod) -> tuple[UnitSphereCloud, UnitSphereCloud]:
+    """A random cloud before and after the wire."""
     rng = np.random.default_rng(1)
     cloud = UnitSphereCloud(rng.random((N, 3)), 10 ** rng.uniform(-3, 4, N), np.ones(N, bool))
-    again = decode_cloud(encode_cloud(cloud, method), N, method)
-    if part == "srgb":
-        return float(np.abs(again.srgb - cloud.srgb).max())
+    return cloud, decode_cloud(encode_cloud(cloud, method), N, method)
+
+
+def largest_error_of_colour(method: EncodingMethod) -> float:
+    cloud, again = there_and_back(method)
+    return float(np.abs(again.srgb - cloud.srgb).max())
+
+
+def largest_error(method: EncodingMethod) -> float:
+    """Of distances, relative to them."""
+    cloud, again = there_and_back(method)
     return float((np.abs(again.distance_m - cloud.distance_m) / cloud.distance_m).max())
 
 
@@ -142,35 +112,13 @@ def codes_of(srgb: list[float]) -> list[int]:
     return np.frombuffer(encode_cloud(cloud, WHOLE), METHODS[WHOLE].record)["srgb"][:, 0].tolist()
 
 
-def test_8_bits_lose_half_a_code_of_colour(comes_out):
-    assert comes_out(STRIPPED, partial(largest_error, part="srgb"), at_most(0.5001 / 255), cut_off)
-
-
-def test_half_floats_lose_a_2048th_of_a_distance(comes_out):
-    assert comes_out(STRIPPED, partial(largest_error, part="distance_m"), at_most(2.0**-11), kept_distance)
-
-
-def test_float32_loses_nothing(comes_out):
-    assert comes_out("float32_stripped", partial(largest_error, part="distance_m"), equal(0.0), kept_distance)
-
-
-def test_colours_at_the_edges_of_codes_are_rounded(comes_out):
-    assert comes_out(
-        [0.0, 0.49 / 255, 0.51 / 255, 254.51 / 255, 1 - 1e-7, 1.0], codes_of, equal([0, 0, 1, 255, 255, 255])
-    )
-
-
-def test_a_black_anchor_is_carried_and_not_dropped(comes_out):
-    assert comes_out(full_cloud(3, 0.0), lambda cloud: int(decode_cloud(encode_cloud(cloud), 3).is_set.sum()), equal(3))
-
-
-# ------------------------------------------------------------------------------------------------------------ bytes
-
-
 def read(payload: bytes, n: int = N, method: EncodingMethod = STRIPPED) -> tuple[int, float]:
     """Set anchors and the largest distance."""
     cloud = decode_cloud(payload, n, method)
     return int(cloud.is_set.sum()), float(cloud.distance_m.max(initial=0))
+
+
+read_whole, read_one = partial(read, method=WHOLE), partial(read, n=1, method=WHOLE)
 
 
 def read_by_hand(payload: bytes, n: int = N) -> tuple[int, float]:
@@ -187,134 +135,11 @@ def float_record(**changes: Any) -> bytes:
     return record.tobytes()
 
 
-def read_float(payload: bytes) -> tuple[int, float]:
-    return read(payload, N, "float32_stripped")
-
-
-TWO = records((3, 10, 1.0), (7, 20, 2.0))
-
-
-def test_an_empty_payload_sets_nothing(comes_out):
-    assert comes_out(b"", read, equal((0, 0.0)), read_by_hand)
-
-
-BYTES = [
-    case(
-        "unsorted anchors are the same cloud",
-        records((7, 20, 2.0), (3, 10, 1.0)),
-        lambda payload: decode_cloud(payload, N).distance_m[[3, 7]].tolist(),
-        equal([1.0, 2.0]),
-        None,
-    ),
-    case(
-        "a distance of minus 0 is 0 and set",
-        records((3, 10, -0.0)),
-        lambda payload: (read(payload), bool(np.signbit(decode_cloud(payload, N).distance_m[3]))),
-        that("one anchor set, no sign", lambda came: came == ((1, 0.0), False)),
-        lambda payload: ((1, 0.0), bool(np.signbit(decoded_by_hand(payload)[3][1]))),
-    ),
-]
-
-
-def test_anchor_65535_of_65536_is_carried(comes_out):
-    assert comes_out(65_536, lambda n: bool(decode_cloud(encode_cloud(full_cloud(n)), n).is_set[-1]), equal(True))
-
-
-def test_65537_anchors_are_carried_where_there_is_no_index(comes_out):
-    assert comes_out(65_537, lambda n: len(decode_cloud(encode_cloud(full_cloud(n), WHOLE), n, WHOLE)), equal(65_537))
-
-
-def test_a_distance_of_minus_0_is_not_set_where_there_is_no_index(comes_out):
-    assert comes_out(b"\x09\x09\x09\x00\x80", partial(read, n=1, method=WHOLE), equal((0, 0.0)))
-
-
-def test_a_colour_beside_distance_0_is_dropped_where_there_is_no_index(comes_out):
-    assert comes_out(
-        b"\xff\xff\xff\x00\x00", lambda payload: float(decode_cloud(payload, 1, WHOLE).srgb.max()), equal(0.0)
-    )
-
-
-@pytest.mark.parametrize("given, ask, must, naive", BYTES)
-def test_odd_bytes_are_read_as_they_are_meant(given, ask, must, naive, comes_out):
-    assert comes_out(given, ask, must, naive)
-
-
-def test_an_empty_payload_is_refused_where_each_anchor_has_a_record(comes_out):
-    assert comes_out(b"", partial(read, method=WHOLE), refused("expected 6400 bytes, got 0"))
-
-
-def test_more_records_than_anchors_are_refused(comes_out):
-    assert comes_out(records(*[(0, 0, 1.0)] * 5), partial(read, n=4), refused("at most 28 bytes, got 35"))
-
-
-def test_65537_anchors_are_refused_where_an_index_has_16_bits(comes_out):
-    assert comes_out(65_537, lambda n: len(encode_cloud(full_cloud(n))), refused("at most 65536 anchors, got 65537"))
-
-
-def test_an_unknown_method_is_refused(comes_out):
-    assert comes_out(
-        "uint8", lambda method: encode_cloud(full_cloud(1), method), refused("expected a method out of float32")
-    )
-
-
-WRONG_BYTES = [
-    case("a payload cut short by one byte is refused", TWO[:-1], refused("multiple of 7 bytes, got 13")),
-    case("a payload with one byte too many is refused", TWO + b"\0", refused("multiple of 7 bytes, got 15")),
-    case(
-        "an anchor that comes twice is refused",
-        records((3, 10, 1.0), (3, 20, 2.0)),
-        refused("record 1: expected each anchor once, got 3"),
-    ),
-    case(
-        "the first anchor out of range is refused",
-        records((0, 1, 1.0), (1280, 1, 1.0)),
-        refused("record 1: expected an anchor below 1280, got 1280"),
-    ),
-    case("anchor 65,535 is out of range", records((65535, 1, 1.0)), refused("record 0: expected an anchor below 1280")),
-]
-
-
-@pytest.mark.parametrize("given, must", WRONG_BYTES)
-def test_bytes_that_are_no_records_are_refused(given, must, comes_out):
-    assert comes_out(given, read, must)
-
-
-WRONG_FLOATS = [
-    case(f"a float32 {name} is refused", float_record(**change), refused(words))
-    for name, change, words in (
-        ("distance of NaN", {"distance_m": np.nan}, "a finite distance"),
-        ("distance of infinity", {"distance_m": np.inf}, "a finite distance"),
-        ("distance just below 0", {"distance_m": np.float32(-1e-45)}, "a finite distance"),
-        ("colour of NaN", {"srgb": np.nan}, "colours in [0, 1]"),
-        ("colour just above 1", {"srgb": np.nextafter(np.float32(1), np.float32(2))}, "colours in [0, 1]"),
-        ("colour just below 0", {"srgb": np.float32(-1e-45)}, "colours in [0, 1]"),
-    )
-]
-
-
-@pytest.mark.parametrize("given, must", WRONG_FLOATS)
-def test_floats_that_are_no_anchor_are_refused(given, must, comes_out):
-    assert comes_out(given, read_float, must)
-
-
-# ----------------------------------------------------------------------------- random bytes, and what changed since
-
-
 def taken_by_hand(given: tuple[int, EncodingMethod]) -> int:
     """Naive: how many payloads the reader without checks takes for another number of records."""
     rng = np.random.default_rng(2)
     payloads = [random_payload(rng, STRIPPED) for _ in range(given[0])]
     return sum(len(decoded_by_hand(payload, 40)) * 7 != len(payload) for payload in payloads)
-
-
-RANDOM = [
-    case(f"none of 3,000 random payloads of {method} is taken for something else", (3000, method)) for method in METHODS
-]
-
-
-@pytest.mark.parametrize("given", RANDOM)
-def test_random_bytes_are_not_taken_for_something_else(given, comes_out):
-    assert comes_out(given, taken_for_something_else, equal(0), taken_by_hand)
 
 
 def changed_since(value: float) -> list[float]:
@@ -325,13 +150,103 @@ def changed_since(value: float) -> list[float]:
     return decode_cloud(encode_cloud(cloud), 1).srgb[0].tolist()
 
 
-def changed_since_by_hand(value: float) -> list[float]:
+def wrapped(value: float) -> list[float]:
     return (np.rint(np.full(3, value, np.float32) * 255).astype(np.uint8) / 255).tolist()
 
 
-def test_a_colour_that_turned_nan_since_it_was_checked_is_refused(comes_out):
-    assert comes_out(np.nan, changed_since, refused("expected a cloud without NaN"))
+def encoded_by(method: Any) -> bytes:
+    return encode_cloud(full_cloud(1), method)
 
 
-def test_a_colour_that_grew_beyond_1_since_it_was_checked_does_not_wrap(comes_out):
-    assert comes_out(1.2, changed_since, near([1.0] * 3, 0), changed_since_by_hand)
+def whole_length(cloud: UnitSphereCloud) -> int:
+    return len(decode_cloud(encode_cloud(cloud, WHOLE), len(cloud), WHOLE))
+
+
+def colour_of(payload: bytes) -> float:
+    return float(decode_cloud(payload, 1, WHOLE).srgb.max())
+
+
+def at_3_and_7(payload: bytes) -> list[float]:
+    return decode_cloud(payload, N).distance_m[[3, 7]].tolist()
+
+
+def minus_0(payload: bytes) -> tuple[tuple[int, float], bool]:
+    return read(payload), bool(np.signbit(decode_cloud(payload, N).distance_m[3]))
+
+
+def minus_0_by_hand(payload: bytes) -> tuple[tuple[int, float], bool]:
+    return (1, 0.0), bool(np.signbit(decoded_by_hand(payload)[3][1]))
+
+
+def n_set(cloud: UnitSphereCloud) -> int:
+    """After the wire."""
+    return int(decode_cloud(encode_cloud(cloud), len(cloud)).is_set.sum())
+
+
+TWO = records((3, 10, 1.0), (7, 20, 2.0))
+EDGES = [0.0, 0.49 / 255, 0.51 / 255, 254.51 / 255, 1 - 1e-7, 1.0]
+LARGEST, SMALLEST = 65504.0, 2.0**-24
+SENT = {
+    65520.0: LARGEST, 65535.0: LARGEST, 1e10: LARGEST, 3e38: LARGEST,
+    2.9e-8: SMALLEST, 1e-30: SMALLEST, float(np.float32(1e-45)): SMALLEST, 0.0: SMALLEST,
+}  # fmt: skip
+NO_DISTANCE, NO_COLOUR = refused("a finite distance"), refused("colours in [0, 1]")
+NO_FLOATS = [
+    ("distance of NaN", {"distance_m": np.nan}, NO_DISTANCE),
+    ("distance of infinity", {"distance_m": np.inf}, NO_DISTANCE),
+    ("distance just below 0", {"distance_m": np.float32(-1e-45)}, NO_DISTANCE),
+    ("colour of NaN", {"srgb": np.nan}, NO_COLOUR),
+    ("colour just above 1", {"srgb": np.nextafter(np.float32(1), np.float32(2))}, NO_COLOUR),
+    ("colour just below 0", {"srgb": np.float32(-1e-45)}, NO_COLOUR),
+]
+TWICE, BEYOND = records((3, 10, 1.0), (3, 20, 2.0)), records((0, 1, 1.0), (1280, 1, 1.0))
+EMPTY, FIVE = "expected 6400 bytes, got 0", "at most 28 bytes, got 35"
+RANGE, TOO_MANY = "expected an anchor below 1280", "at most 65536 anchors, got 65537"
+TURNED_NAN, WHITE = "expected a cloud without NaN", near([1.0] * 3, 0)
+SET_WITHOUT_SIGN = that("one anchor set, no sign", lambda came: came == ((1, 0.0), False))
+TAKEN = taken_for_something_else, equal(0), taken_by_hand
+CASES = [
+    *(
+        row(f"a distance of {sent:g} m arrives as {arrives:g} m", sent, carried, equal(arrives), carried_by_hand)
+        for sent, arrives in SENT.items()
+    ),
+    *(
+        row(f"every half float is a distance or refused in {m}", m, wrong_patterns, equal(0), wrong_patterns_by_hand)
+        for m in (STRIPPED, WHOLE)
+    ),
+    row("8 bits lose half a code of colour", STRIPPED, largest_error_of_colour, at_most(0.5001 / 255), cut_off),
+    row("half floats lose a 2048th of a distance", STRIPPED, largest_error, at_most(2.0**-11), kept_distance),
+    row("float32 loses nothing", "float32_stripped", largest_error, equal(0.0), kept_distance),
+    row("colours at the edges of codes are rounded", EDGES, codes_of, equal([0, 0, 1, 255, 255, 255])),
+    row("a black anchor is carried and not dropped", full_cloud(3, 0.0), n_set, equal(3)),
+    row("an empty payload sets nothing", b"", read, equal((0, 0.0)), read_by_hand),
+    row("anchor 65535 of 65536 is carried", full_cloud(65_536), lambda cloud: n_set(cloud) == 65_536, equal(True)),
+    row("65537 anchors are carried where there is no index", full_cloud(65_537), whole_length, equal(65_537)),
+    row("a distance of minus 0 is not set where there is no index", b"\x09\x09\x09\x00\x80", read_one, equal((0, 0.0))),
+    row(
+        "a colour beside distance 0 is dropped where there is no index", b"\xff\xff\xff\x00\x00", colour_of, equal(0.0)
+    ),
+    row("unsorted anchors are the same cloud", records((7, 20, 2.0), (3, 10, 1.0)), at_3_and_7, equal([1.0, 2.0])),
+    row("a distance of minus 0 is 0 and set", records((3, 10, -0.0)), minus_0, SET_WITHOUT_SIGN, minus_0_by_hand),
+    row("an empty payload is refused where each anchor has a record", b"", read_whole, refused(EMPTY)),
+    row("more records than anchors are refused", records(*[(0, 0, 1.0)] * 5), partial(read, n=4), refused(FIVE)),
+    row("65537 anchors are refused where an index has 16 bits", full_cloud(65_537), n_set, refused(TOO_MANY)),
+    row("an unknown method is refused", "uint8", encoded_by, refused("expected a method out of float32")),
+    row("a payload cut short by one byte is refused", TWO[:-1], read, refused("multiple of 7 bytes, got 13")),
+    row("a payload with one byte too many is refused", TWO + b"\0", read, refused("multiple of 7 bytes, got 15")),
+    row("an anchor that comes twice is refused", TWICE, read, refused("record 1: expected each anchor once, got 3")),
+    row("the first anchor out of range is refused", BEYOND, read, refused(f"record 1: {RANGE}, got 1280")),
+    row("anchor 65,535 is out of range", records((65535, 1, 1.0)), read, refused(f"record 0: {RANGE}")),
+    *(
+        row(f"a float32 {name} is refused", float_record(**change), partial(read, method="float32_stripped"), must)
+        for name, change, must in NO_FLOATS
+    ),
+    *(row(f"none of 3,000 random payloads of {m} is taken for something else", (3000, m), *TAKEN) for m in METHODS),
+    row("a colour that turned nan since it was checked is refused", np.nan, changed_since, refused(TURNED_NAN)),
+    row("a colour that grew beyond 1 since it was checked does not wrap", 1.2, changed_since, WHITE, wrapped),
+]
+
+
+@pytest.mark.parametrize("given, ask, must, naive", CASES)
+def test_hard_case(given, ask, must, naive, comes_out):
+    assert comes_out(given, ask, must, naive)

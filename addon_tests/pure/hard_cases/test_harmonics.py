@@ -1,22 +1,17 @@
 """Hard cases of spherical harmonics: poles, tiny turns, suns that ring, matrices that are no rotation."""
 
-from __future__ import annotations
-
 from math import factorial
 from typing import Any
 
 import numpy as np
 import pytest
 
-from addon_tests.hard_case import at_most, case, near, refused, that
+from addon_tests.hard_case import at_most, near, refused, row, that
 from addon_tests.pure.sh_samples import CONSTANT, light, random_directions, random_light, sunny
 from xihenet.sh import basis, cosine_lobe, evaluate_panorama, panorama_directions, project_panorama, solid_angles
 
 STAGE = "harmonics"
 UNIT_NORMALS = random_directions(2000)
-
-
-# -------------------------------------------------------------------------------------------------------- the basis
 
 
 def legendre_by_hand(band: int, m: int, z: float) -> float:
@@ -62,67 +57,6 @@ def any_basis(directions: Any) -> int:
     return len(basis(directions))
 
 
-POWERS = [case(f"bands to order {order} keep their power at poles and seam", order) for order in (1, 2, 5, 10, 100)]
-
-
-@pytest.mark.parametrize("given", POWERS)
-def test_bands_keep_their_power(given, comes_out):
-    assert comes_out(given, power, at_most(1e-11), power_by_hand)
-
-
-ORDERS = [
-    case(
-        "order 0 is constant",
-        0,
-        lambda order: basis(UNIT_NORMALS[:4], order)[:, 0],
-        near([1 / CONSTANT] * 4, 1e-16),
-        lambda order: basis(UNIT_NORMALS[:4], order + 1)[:, 1],
-    ),
-    case(
-        "the cosine lobe of order 2000 is finite and falls",
-        2000,
-        lambda order: float(abs(cosine_lobe(order)[order])),
-        that("above 0, below 1e-4", lambda came: 0 < came < 1e-4),
-        lambda order: float(factorial(order)) / (2.0**order * float(factorial(order // 2)) ** 2),
-    ),
-]
-
-
-@pytest.mark.parametrize("given, ask, must, naive", ORDERS)
-def test_any_order_has_its_basis(given, ask, must, naive, comes_out):
-    assert comes_out(given, ask, must, naive)
-
-
-LENGTHS = [case(f"directions {length:g} long have the same basis", length) for length in (1e-200, 1e200)]
-
-
-@pytest.mark.parametrize("given", LENGTHS)
-def test_a_direction_of_any_length_has_the_same_basis(given, comes_out):
-    assert comes_out(given, basis_of_length, at_most(1e-12), basis_by_norm)
-
-
-NO_DIRECTIONS = [
-    case(f"a direction {name} is refused", [[0, 0, 1.0], direction])
-    for name, direction in (
-        ("of length 0", [0.0, 0, 0]),
-        ("with NaN", [np.nan, 0, 1]),
-        ("with infinity", [np.inf, 0, 1]),
-    )
-]
-
-
-@pytest.mark.parametrize("given", NO_DIRECTIONS)
-def test_a_direction_that_is_none_is_refused(given, comes_out):
-    assert comes_out(given, any_basis, refused("got 1 that are zero, NaN or infinite"))
-
-
-def test_an_order_below_0_is_refused(comes_out):
-    assert comes_out(-1, lambda order: basis(UNIT_NORMALS, order), refused("at least 0"))
-
-
-# -------------------------------------------------------------------------------------------------------- panoramas
-
-
 def panorama_by_samples(radiance: np.ndarray, order: int = 2) -> np.ndarray:
     """Naive: texel centres weighted by their solid angle."""
     height, width, _ = radiance.shape
@@ -164,71 +98,90 @@ def pole_power_by_hand(row: int) -> float:
     return float(np.abs(edges[row] - edges[row + 1]) * (2 * np.pi / 1024) / solid_angles(512, 1024)[row, 0]) ** 2
 
 
-CONSTANT_PANORAMAS = [
-    case(f"constant light in {width} x {height} texels is constant", (height, width), naive)
-    for (height, width), naive in (
-        ((1, 1), leak_by_samples),
-        ((1, 2), leak_by_samples),
-        ((2, 1), leak_by_samples),
-        ((3, 5), leak_by_samples),
-        ((8, 16), leak_by_samples),
-        ((2048, 4096), small_leak),
-    )
-]
+def mean_of_bright_and_dim(dim: float) -> float:
+    """Twice the mean radiance of a bright half above a dim one, without the bright half's share."""
+    radiance = np.concatenate([np.full((4, 16, 3), 1e6), np.full((4, 16, 3), dim)])
+    return float(project_panorama(radiance)[0, 0] / CONSTANT - 5e5) * 2
 
 
-@pytest.mark.parametrize("given, naive", CONSTANT_PANORAMAS)
-def test_constant_light_is_constant_in_a_panorama_of_any_size(given, naive, comes_out):
-    assert comes_out(given, leak, at_most(1e-12), naive)
+def mean_in_float32(dim: float) -> float:
+    return float((np.float32(1e6) + np.float32(dim)) / 2 - 5e5) * 2
 
 
-def test_a_lit_texel_at_the_upper_pole_has_its_whole_power(comes_out):
-    assert comes_out(0, pole_power, near(1.0, 1e-4), pole_power_by_hand)
+def mean_of_texels(sky: np.ndarray, dtype: Any = np.float16) -> float:
+    """Naive: in half floats."""
+    return float((sky[..., 0].astype(dtype) * solid_angles(64, 128)).sum() / (4 * np.pi))
 
 
-def test_a_lit_texel_at_the_lower_pole_has_its_whole_power(comes_out):
-    assert comes_out(511, pole_power, near(1.0, 1e-4), pole_power_by_hand)
+def last_of_lobe(order: int) -> float:
+    return float(abs(cosine_lobe(order)[order]))
 
 
-PANORAMAS = [
-    case(
-        "a sun of 2e5 in one texel is kept whole",
-        sunny(2e5),
-        lambda sky: float(project_panorama(sky)[0, 0] / CONSTANT),
-        near(float((sunny(2e5)[..., 0] * solid_angles(64, 128)).sum() / (4 * np.pi)), 1e-10),
-        lambda sky: float((sky[..., 0].astype(np.float16) * solid_angles(64, 128)).sum() / (4 * np.pi)),
+def lobe_by_factorials(order: int) -> float:
+    return float(factorial(order)) / (2.0**order * float(factorial(order // 2)) ** 2)
+
+
+ONE_NAN = "got 1 pixels with NaN"
+FALLS = that("above 0, below 1e-4", lambda came: 0 < came < 1e-4)
+NO_DIRECTION = refused("got 1 that are zero, NaN or infinite")
+NO_DIRECTIONS = {"of length 0": [0.0, 0, 0], "with NaN": [np.nan, 0, 1], "with infinity": [np.inf, 0, 1]}
+EXACT, WHOLE = at_most(1e-12), near(1.0, 1e-4)
+SIZES = dict.fromkeys(((1, 1), (1, 2), (2, 1), (3, 5), (8, 16)), leak_by_samples) | {(2048, 4096): small_leak}
+BRIGHT_TEXEL = sunny(2e5)
+CASES = [
+    *(
+        row(f"bands to order {n} keep their power at poles and seam", n, power, at_most(1e-11), power_by_hand)
+        for n in (1, 2, 5, 10, 100)
     ),
-    case(
+    row(
+        "order 0 is constant",
+        0,
+        lambda order: basis(UNIT_NORMALS[:4], order)[:, 0],
+        near([1 / CONSTANT] * 4, 1e-16),
+        lambda order: basis(UNIT_NORMALS[:4], order + 1)[:, 1],
+    ),
+    row("the cosine lobe of order 2000 is finite and falls", 2000, last_of_lobe, FALLS, lobe_by_factorials),
+    *(
+        row(f"directions {length:g} long have the same basis", length, basis_of_length, EXACT, basis_by_norm)
+        for length in (1e-200, 1e200)
+    ),
+    *(
+        row(f"a direction {name} is refused", [[0, 0, 1.0], direction], any_basis, NO_DIRECTION)
+        for name, direction in NO_DIRECTIONS.items()
+    ),
+    row("an order below 0 is refused", -1, lambda order: basis(UNIT_NORMALS, order), refused("at least 0")),
+    *(
+        row(f"constant light in {width} x {height} texels is constant", (height, width), leak, EXACT, naive)
+        for (height, width), naive in SIZES.items()
+    ),
+    row("a lit texel at the upper pole has its whole power", 0, pole_power, WHOLE, pole_power_by_hand),
+    row("a lit texel at the lower pole has its whole power", 511, pole_power, WHOLE, pole_power_by_hand),
+    row(
+        "a sun of 2e5 in one texel is kept whole",
+        BRIGHT_TEXEL,
+        lambda sky: float(project_panorama(sky)[0, 0] / CONSTANT),
+        near(mean_of_texels(BRIGHT_TEXEL, float), 1e-10),
+        mean_of_texels,
+    ),
+    row(
         "light of 1e6 beside light of 1e-6 does not lose the dim side",
         1e-6,
-        lambda dim: (
-            float(
-                project_panorama(np.concatenate([np.full((4, 16, 3), 1e6), np.full((4, 16, 3), dim)]))[0, 0] / CONSTANT
-                - 5e5
-            )
-            * 2
-        ),
+        mean_of_bright_and_dim,
         near(1e-6, 2e-9),
-        lambda dim: float((np.float32(1e6) + np.float32(dim)) / 2 - 5e5) * 2,
+        mean_in_float32,
     ),
-    case(
+    row(
         "a panorama of coefficients gives them back",
         random_light(2),
         lambda sh: project_panorama(evaluate_panorama(sh, 256, 512)),
         near(random_light(2), 3e-4),
         lambda sh: panorama_by_samples(evaluate_panorama(sh, 4, 8)),
     ),
+    row("a panorama without texels is refused", np.zeros((0, 4, 3)), project_panorama, refused("at least one texel")),
+    row("a panorama with one nan is refused with its number", sunny(np.nan), project_panorama, refused(ONE_NAN)),
 ]
 
 
-@pytest.mark.parametrize("given, ask, must, naive", PANORAMAS)
-def test_a_panorama_keeps_all_its_light(given, ask, must, naive, comes_out):
+@pytest.mark.parametrize("given, ask, must, naive", CASES)
+def test_hard_case(given, ask, must, naive, comes_out):
     assert comes_out(given, ask, must, naive)
-
-
-def test_a_panorama_without_texels_is_refused(comes_out):
-    assert comes_out(np.zeros((0, 4, 3)), project_panorama, refused("at least one texel"))
-
-
-def test_a_panorama_with_one_nan_is_refused_with_its_number(comes_out):
-    assert comes_out(sunny(np.nan), project_panorama, refused("got 1 pixels with NaN"))

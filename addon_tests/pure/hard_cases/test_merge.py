@@ -1,7 +1,5 @@
 """Hard cases of merging: order, drift, things that move, and what nobody has looked at since."""
 
-from __future__ import annotations
-
 from functools import reduce
 from itertools import permutations
 from typing import Any
@@ -9,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from addon_tests.hard_case import case, equal, refused
+from addon_tests.hard_case import equal, refused, row
 from xihenet.buffers import PositionBuffers, merge
 from xihenet.records import UnitSphereCloud
 
@@ -97,108 +95,67 @@ def after_fires_forgetting(n: int) -> np.ndarray:
 
 
 NOTHING = UnitSphereCloud.empty(N)
-
-
-def test_clouds_that_share_no_anchor_merge_alike_in_any_order(comes_out):
-    assert comes_out(THIRDS, all_orders, equal(1), all_orders_averaged)
-
-
-def test_what_was_seen_once_outlives_a_thousand_fires(comes_out):
-    assert comes_out(1000, after_fires, equal(parts(FIRST)), after_fires_forgetting)
-
-
-MERGING = [
-    case(
+BALL, WALL = cloud_of(ALL, 0.2, 1.0), cloud_of(ALL, 0.8, 5.0)
+LAMP, LAMP_OFF, AT_0_M = cloud_of(ALL, 1.0), cloud_of(ALL, 0.0), cloud_of(ALL, 0.2, 0.0)
+SKIPPED = UnitSphereCloud(np.zeros((1, 3)), np.zeros(1), np.zeros(1, bool), {"at_probe": 7})
+CASES = [
+    row("clouds that share no anchor merge alike in any order", THIRDS, all_orders, equal(1), all_orders_averaged),
+    row("what was seen once outlives a thousand fires", 1000, after_fires, equal(parts(FIRST)), after_fires_forgetting),
+    row("nothing merged with nothing is nothing", [NOTHING, NOTHING], lambda both: merged(both).sum(), equal(0.0)),
+    row(
         "1e-45 m and 3e38 m stand side by side",
         (1e-45, 3e38),
         lambda distances: merged(wide(distances))[:, 3],
         equal(np.where(EVEN, np.float32(1e-45), np.float32(3e38))),
-        None,
     ),
-    case(
+    row(
         "65,536 anchors merge anchor by anchor",
         65_536,
         lambda n: int(merge(cloud_of(np.arange(n) == 0), cloud_of(np.arange(n) == n - 1)).is_set.sum()),
         equal(2),
-        None,
     ),
-    case(
+    row(
         "skipped points of a thousand frames are those of the last frame",
-        [UnitSphereCloud(np.zeros((1, 3)), np.zeros(1), np.zeros(1, bool), {"at_probe": 7})] * 1000,
+        [SKIPPED] * 1000,
         lambda clouds: reduce(merge, clouds).n_invalid_points,
         equal(7),
-        None,
     ),
-]
-
-
-def test_nothing_merged_with_nothing_is_nothing(comes_out):
-    assert comes_out([NOTHING, NOTHING], lambda clouds: merged(clouds).sum(), equal(0.0))
-
-
-@pytest.mark.parametrize("given, ask, must, naive", MERGING)
-def test_merging_keeps_what_was_seen(given, ask, must, naive, comes_out):
-    assert comes_out(given, ask, must, naive)
-
-
-MERGED = [
-    case(
+    row(
         "where clouds share anchors the last one wins",
         [FIRST, SECOND, FIRST],
+        merged,
         equal(np.where(FIRST.is_set[:, None], parts(FIRST), parts(SECOND))),
         averaged,
     ),
-    case("a thousand merges of the same two clouds do not drift", BY_TURNS, equal(merged([FIRST, SECOND])), averaged),
-    case("a cloud merged with itself a thousand times is itself", [FIRST] * 1000, equal(parts(FIRST)), None),
-    case(
-        "a ball that moves away shows the wall behind it",
-        [cloud_of(ALL, 0.2, 1.0), cloud_of(ALL, 0.8, 5.0)],
-        equal(parts(cloud_of(ALL, 0.8, 5.0))),
-        nearest_kept,
-    ),
-    case(
-        "a ball that moves in hides the wall behind it",
-        [cloud_of(ALL, 0.8, 5.0), cloud_of(ALL, 0.2, 1.0)],
-        equal(parts(cloud_of(ALL, 0.2, 1.0))),
+    row(
+        "a thousand merges of the same two clouds do not drift",
+        BY_TURNS,
+        merged,
+        equal(merged([FIRST, SECOND])),
         averaged,
     ),
-    case(
-        "a lamp that goes out goes out",
-        [cloud_of(ALL, 1.0), cloud_of(ALL, 0.0)],
-        equal(parts(cloud_of(ALL, 0.0))),
-        brighter_kept,
-    ),
-    case(
+    row("a cloud merged with itself a thousand times is itself", [FIRST] * 1000, merged, equal(parts(FIRST))),
+    row("a ball that moves away shows the wall behind it", [BALL, WALL], merged, equal(parts(WALL)), nearest_kept),
+    row("a ball that moves in hides the wall behind it", [WALL, BALL], merged, equal(parts(BALL)), averaged),
+    row("a lamp that goes out goes out", [LAMP, LAMP_OFF], merged, equal(parts(LAMP_OFF)), brighter_kept),
+    row(
         "what was seen once is there after a thousand frames of other things",
         [cloud_of(EVEN), *[cloud_of(~EVEN)] * 1000],
+        merged,
         equal(parts(cloud_of(ALL))),
         averaged,
     ),
-    case("frames that see nothing change nothing", [FIRST, *[NOTHING] * 1000], equal(parts(FIRST)), averaged),
-    case(
-        "a surface at distance 0 is seen",
-        [cloud_of(ALL, 0.8, 5.0), cloud_of(ALL, 0.2, 0.0)],
-        equal(parts(cloud_of(ALL, 0.2, 0.0))),
-        distance_says_set,
+    row("frames that see nothing change nothing", [FIRST, *[NOTHING] * 1000], merged, equal(parts(FIRST)), averaged),
+    row("a surface at distance 0 is seen", [WALL, AT_0_M], merged, equal(parts(AT_0_M)), distance_says_set),
+    row(
+        "a cloud of one anchor is not stretched over another lattice",
+        (1, N),
+        lambda sizes: merge(*map(UnitSphereCloud.empty, sizes)),
+        refused("as many anchors, got 1 and 64"),
     ),
 ]
 
 
-@pytest.mark.parametrize("given, must, naive", MERGED)
-def test_the_last_cloud_wins_where_it_saw_something(given, must, naive, comes_out):
-    assert comes_out(given, merged, must, naive)
-
-
-OTHERS = [
-    case(
-        "a cloud of one anchor is not stretched over another lattice",
-        (1, N),
-        lambda sizes: merge(UnitSphereCloud.empty(sizes[0]), UnitSphereCloud.empty(sizes[1])),
-        refused("as many anchors, got 1 and 64"),
-    )
-]
-
-
-@pytest.mark.parametrize("given, ask, must", OTHERS)
-def test_a_cloud_of_another_lattice_is_refused(given, ask, must, comes_out):
-    assert comes_out(given, ask, must)
+@pytest.mark.parametrize("given, ask, must, naive", CASES)
+def test_hard_case(given, ask, must, naive, comes_out):
+    assert comes_out(given, ask, must, naive)

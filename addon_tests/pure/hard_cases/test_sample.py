@@ -1,18 +1,13 @@
 """Hard cases of sampling: directions without an angle, distances without a square, clouds of none and of millions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from addon_tests.hard_case import at_most, case, equal, refused
+from addon_tests.hard_case import at_most, equal, refused, row
 from addon_tests.pure.sh_samples import random_directions
 from xihenet.sphere import AnchorLattice
 
 STAGE = "sample"
-
-
-# ------------------------------------------------------------------ the nearest anchor: cosine lost against the best
 
 
 def lost(directions: np.ndarray, anchors: np.ndarray, lattice: AnchorLattice) -> float:
@@ -87,19 +82,18 @@ DIRECTIONS = {
     "65,535 anchors": (65_535, random_directions(200), lost_by_the_table),
     "65,535 anchors, in float32": (65_535, random_directions(200).astype(np.float32), lost_by_the_table),
 }
-NEAREST = [
-    case(f"the anchor is the nearest one for {name}", (n, directions), naive)
-    for name, (n, directions, naive) in DIRECTIONS.items()
-]
-
-
-@pytest.mark.parametrize("given, naive", NEAREST)
-def test_the_anchor_is_the_nearest_one(given, naive, comes_out):
-    assert comes_out(given, lost_exactly, BEST, naive)
-
-
-LATTICES = [
-    case(
+CASES = [
+    *(
+        row(f"the anchor is the nearest one for {name}", (n, directions), lost_exactly, BEST, naive)
+        for name, (n, directions, naive) in DIRECTIONS.items()
+    ),
+    row(
+        "a single anchor points up where the lattices formula divides by 0",
+        1,
+        lambda n: AnchorLattice(n).directions,
+        equal(np.array([[0.0, 0.0, 1.0]])),
+    ),
+    row(
         "directions of any length find the same anchor",
         random_directions(50),
         lambda units: max(
@@ -107,23 +101,12 @@ LATTICES = [
             for length in (1e-300, 1e-30, 1e30, 1e300)
         ),
         equal(0),
-        None,
-    )
+    ),
+    row("65537 anchors are refused since an index has 16 bits", 65_537, AnchorLattice, refused("expected 1 to 65536")),
+    row("no anchor is refused", 0, AnchorLattice, refused("expected 1 to 65536")),
 ]
 
 
-def test_a_single_anchor_points_up_where_the_lattices_formula_divides_by_0(comes_out):
-    assert comes_out(1, lambda n: AnchorLattice(n).directions, equal(np.array([[0.0, 0.0, 1.0]])))
-
-
-@pytest.mark.parametrize("given, ask, must, naive", LATTICES)
-def test_a_lattice_has_directions_for_any_length(given, ask, must, naive, comes_out):
+@pytest.mark.parametrize("given, ask, must, naive", CASES)
+def test_hard_case(given, ask, must, naive, comes_out):
     assert comes_out(given, ask, must, naive)
-
-
-def test_65537_anchors_are_refused_since_an_index_has_16_bits(comes_out):
-    assert comes_out(65_537, AnchorLattice, refused("expected 1 to 65536"))
-
-
-def test_no_anchor_is_refused(comes_out):
-    assert comes_out(0, AnchorLattice, refused("expected 1 to 65536"))

@@ -1,13 +1,11 @@
 """Hard cases of points: at the probe, beyond float32, broken, in crowds and by millions; and of probes far away."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
 
-from addon_tests.hard_case import at_most, case, equal, near, refused, that
+from addon_tests.hard_case import at_most, equal, near, refused, row, that
 from addon_tests.pure.sh_samples import random_directions
 from xihenet.completeness import joint_entropy
 from xihenet.records import PointCloud
@@ -16,8 +14,6 @@ from xihenet.sphere import AnchorLattice
 
 STAGE = "sample"
 HERE = np.zeros(3)
-
-# ------------------------------------------------------------------------------------------- points and their clouds
 
 ALONG = np.array([0.6, 0.0, 0.8])
 
@@ -62,41 +58,6 @@ def set_at(distance_m: float, share: float = 2e-7) -> Any:
 
 
 SMALLEST = float(np.float32(1e-45))
-POINTS = [
-    case("a point at the probe itself is skipped and counted", [0, 0, 0], SKIPPED, seen_by_hand),
-    case("a point 1e-30 m away sets its anchor", single(1e-30), set_at(1e-30), seen_by_hand),
-    case("a point as near as float32 can be sets its anchor", [0, 0, SMALLEST], set_at(SMALLEST), seen_by_hand),
-    case("a point 1e30 m away sets its anchor", single(1e30), set_at(1e30), seen_by_hand),
-    case("a point 3e38 m away sets its anchor", [0, 0, 3e38], set_at(3e38), seen_by_hand),
-    case("a point whose distance float32 cannot hold is skipped", [3e38, 3e38, 3e38], SKIPPED, seen_by_hand),
-    case("a point that float32 cannot hold is skipped", [1e39, 0, 0], SKIPPED, seen_by_hand),
-    case("a NaN point is skipped", [np.nan, 0, 0], SKIPPED, seen_by_hand),
-    case("an infinite point is skipped", [np.inf, 0, 1], SKIPPED, seen_by_hand),
-    case("a point 65,535 m away keeps its distance", single(65535), set_at(65535), seen_in_half),
-    case("a point 1e10 m away keeps its distance", single(1e10), set_at(1e10), seen_in_half),
-    case("an empty cloud sets nothing", [], equal((0, 0, 0.0)), seen_by_hand),
-    case("a cloud of NaN alone sets nothing", [[np.nan] * 3] * 5, equal((0, 5, 0.0)), seen_by_hand),
-    case(
-        "one good point among broken ones is found",
-        [[np.nan] * 3, [0, 0, 2], [np.inf] * 3, [0, 0, 0]],
-        equal((1, 3, 2.0)),
-        seen_by_hand,
-    ),
-    case(
-        "points at 1e-30 m and 1e30 m do not disturb each other",
-        [single(1e-30), (-ALONG * 1e30).tolist()],
-        that("two anchors set", lambda came: came[:2] == (2, 0)),
-        seen_by_hand,
-    ),
-]
-
-
-@pytest.mark.parametrize("given, must, naive", POINTS)
-def test_a_point_sets_its_anchor_or_is_counted(given, must, naive, comes_out):
-    assert comes_out(given, seen, must, naive)
-
-
-# ------------------------------------------------------------------------------------------- which point wins
 
 
 def last_wins(points: np.ndarray, n: int = 64) -> np.ndarray:
@@ -138,74 +99,6 @@ SHUFFLED = np.random.default_rng(5).permutation(4096)
 SPREAD = random_directions(4096, 6) * np.random.default_rng(7).uniform(1, 9, (4096, 1))
 
 
-def test_of_equally_near_points_the_first_one_gives_the_colour(comes_out):
-    assert comes_out(None, tie, equal(0.25), lambda _: dict(zip([0, 0, 0], [0.25, 0.75, 1.0], strict=True))[0])
-
-
-WINNING = [
-    case(
-        "10,000 points in one anchor give the nearest one",
-        crowd(10_000),
-        lambda points: sampled(points).distance_m.max(),
-        near(np.linalg.norm(crowd(10_000), axis=1).min(), 1e-6),
-        lambda points: last_wins(points).max(),
-    ),
-    case(
-        "4 million points give each anchor its nearest one",
-        4_000_000,
-        metres_from_the_nearest,
-        at_most(2e-6),
-        lambda n: float(np.abs(last_wins(millions(n)) - least_distances(millions(n))).max()),
-    ),
-    case(
-        "shuffled points give the same cloud",
-        SHUFFLED,
-        lambda order: float(np.abs(sampled(SPREAD).distance_m - sampled(SPREAD[order]).distance_m).max()),
-        equal(0.0),
-        None,
-    ),
-    case(
-        "a lattice of one anchor takes the nearest of all points",
-        SPREAD,
-        lambda points: sampled(points, n=1).distance_m.tolist(),
-        near([np.linalg.norm(SPREAD, axis=1).min()], 1e-6),
-        lambda points: last_wins(points, 1).tolist(),
-    ),
-    case(
-        "colours beyond white and below black are clipped",
-        ([single(1), single(-1)], [[1.5] * 3, [-0.5] * 3]),
-        lambda given: sorted(sampled(*given).srgb.max(axis=1)[sampled(*given).is_set].tolist()),
-        equal([0.0, 1.0]),
-        None,
-    ),
-    case(
-        "a NaN colour is skipped and does not hide the point behind it",
-        ([single(1), single(2)], [[np.nan] * 3, [0.5] * 3]),
-        lambda given: (float(sampled(*given).distance_m.max()), sampled(*given).n_invalid_points),
-        equal((2.0, 1)),
-        None,
-    ),
-]
-
-
-def test_azimuth_pi_and_minus_pi_are_one_direction(comes_out):
-    assert comes_out([[-1, 0.0, 0.1], [-1, -0.0, 0.1]], lambda points: int(sampled(points).is_set.sum()), equal(1))
-
-
-def test_points_on_both_poles_set_the_first_and_the_last_anchor(comes_out):
-    assert comes_out(
-        [[0, 0, 3], [0, 0, -4]], lambda points: np.flatnonzero(sampled(points).is_set).tolist(), equal([0, 63])
-    )
-
-
-@pytest.mark.parametrize("given, ask, must, naive", WINNING)
-def test_the_nearest_point_wins(given, ask, must, naive, comes_out):
-    assert comes_out(given, ask, must, naive)
-
-
-# ---------------------------------------------------------------------------------------------- where the probe is
-
-
 def metres_off_at(position_m: np.ndarray) -> float:
     """Error of the distance to a point 0.1 m beside a position, against float64 on the point as it is stored."""
     point = (position_m + [0.06, 0.0, 0.08]).astype(np.float32)
@@ -220,40 +113,8 @@ def metres_off_by_hand(position_m: np.ndarray) -> float:
     return abs(float(distance) - float(np.linalg.norm(point.astype(float) - position_m)))
 
 
-def test_10_km_from_the_origin_distances_are_right_to_a_tenth_of_a_micrometre(comes_out):
-    assert comes_out(np.array([10000.0003, -10000.0003, 10000.0003]), metres_off_at, at_most(1e-7), metres_off_by_hand)
-
-
-def test_1000_km_from_the_origin_distances_are_right_to_a_tenth_of_a_micrometre(comes_out):
-    assert comes_out(np.array([1e6 + 0.01, 0, 1e6 - 0.02]), metres_off_at, at_most(1e-7), metres_off_by_hand)
-
-
-PLACES = [
-    case(
-        "a probe where float32 ends sees nothing and counts it",
-        [1e39, 0, 0],
-        lambda place: (
-            int(sampled([single(1)] * 3, position_m=place).is_set.sum()),
-            sampled([single(1)] * 3, position_m=place).n_invalid_points,
-        ),
-        equal((0, 3)),
-        None,
-    )
-]
-
-
-@pytest.mark.parametrize("given, ask, must, naive", PLACES)
-def test_distances_are_right_far_from_the_origin(given, ask, must, naive, comes_out):
-    assert comes_out(given, ask, must, naive)
-
-
-def test_a_nan_position_is_refused(comes_out):
-    assert comes_out(
-        [np.nan, 0, 0], lambda place: sampled([single(1)], position_m=place), refused("expected three finite numbers")
-    )
-
-
-# -------------------------------------------------------------------------------------------------- entropy, baselines
+def entropy_of(points_m: np.ndarray) -> float:
+    return joint_entropy(points_m, HERE)
 
 
 def entropy_by_hand(points_m: np.ndarray) -> float:
@@ -267,39 +128,135 @@ def entropy_by_hand(points_m: np.ndarray) -> float:
     return total
 
 
-ENTROPY = [
-    case(
-        f"the joint entropy of {name} is 0",
-        points,
-        lambda points: joint_entropy(points, HERE),
+def place_seen(place_m: list[float]) -> tuple[int, int]:
+    cloud = sampled([single(1)] * 3, position_m=place_m)
+    return int(cloud.is_set.sum()), cloud.n_invalid_points
+
+
+def behind_nan(given: tuple[Any, Any]) -> tuple[float, int]:
+    cloud = sampled(*given)
+    return float(cloud.distance_m.max()), cloud.n_invalid_points
+
+
+def brightest(given: tuple[Any, Any]) -> list[float]:
+    """Of each anchor that is set."""
+    cloud = sampled(*given)
+    return sorted(cloud.srgb.max(axis=1)[cloud.is_set].tolist())
+
+
+def last_of_dict(_: object) -> float:
+    return dict(zip([0, 0, 0], [0.25, 0.75, 1.0], strict=True))[0]
+
+
+def drawn(points: np.ndarray) -> int:
+    return len(sample_uniform(PointCloud(points, np.zeros((5, 3))), 3, np.random.default_rng(0)).points_m)
+
+
+POINTS = [
+    ("a point at the probe itself is skipped and counted", [0, 0, 0], SKIPPED, seen_by_hand),
+    ("a point 1e-30 m away sets its anchor", single(1e-30), set_at(1e-30), seen_by_hand),
+    ("a point as near as float32 can be sets its anchor", [0, 0, SMALLEST], set_at(SMALLEST), seen_by_hand),
+    ("a point 1e30 m away sets its anchor", single(1e30), set_at(1e30), seen_by_hand),
+    ("a point 3e38 m away sets its anchor", [0, 0, 3e38], set_at(3e38), seen_by_hand),
+    ("a point whose distance float32 cannot hold is skipped", [3e38, 3e38, 3e38], SKIPPED, seen_by_hand),
+    ("a point that float32 cannot hold is skipped", [1e39, 0, 0], SKIPPED, seen_by_hand),
+    ("a NaN point is skipped", [np.nan, 0, 0], SKIPPED, seen_by_hand),
+    ("an infinite point is skipped", [np.inf, 0, 1], SKIPPED, seen_by_hand),
+    ("a point 65,535 m away keeps its distance", single(65535), set_at(65535), seen_in_half),
+    ("a point 1e10 m away keeps its distance", single(1e10), set_at(1e10), seen_in_half),
+    ("an empty cloud sets nothing", [], equal((0, 0, 0.0)), seen_by_hand),
+    ("a cloud of NaN alone sets nothing", [[np.nan] * 3] * 5, equal((0, 5, 0.0)), seen_by_hand),
+    (
+        "one good point among broken ones is found",
+        [[np.nan] * 3, [0, 0, 2], [np.inf] * 3, [0, 0, 0]],
+        equal((1, 3, 2.0)),
+        seen_by_hand,
+    ),
+    (
+        "points at 1e-30 m and 1e30 m do not disturb each other",
+        [single(1e-30), (-ALONG * 1e30).tolist()],
+        that("two anchors set", lambda came: came[:2] == (2, 0)),
+        seen_by_hand,
+    ),
+]
+NO_ENTROPY = {
+    "no point": np.zeros((0, 3)),
+    "points at the position": np.zeros((4, 3)),
+    "points in one direction": np.outer([1.0, 1e-200, 1e200], ALONG),
+    "broken points": np.full((3, 3), np.nan),
+}
+NEAREST_OF_CROWD = near(np.linalg.norm(crowd(10_000), axis=1).min(), 1e-6)
+BOTH_POLES, BOTH_SIDES = [[0, 0, 3], [0, 0, -4]], [[-1, 0.0, 0.1], [-1, -0.0, 0.1]]
+FAR = {"10 km": [10000.0003, -10000.0003, 10000.0003], "1000 km": [1e6 + 0.01, 0, 1e6 - 0.02]}
+CASES = [
+    *(row(name, given, seen, must, naive) for name, given, must, naive in POINTS),
+    row("of equally near points the first one gives the colour", None, tie, equal(0.25), last_of_dict),
+    row("azimuth pi and minus pi are one direction", BOTH_SIDES, lambda points: seen(points)[0], equal(1)),
+    row(
+        "points on both poles set the first and the last anchor",
+        BOTH_POLES,
+        lambda points: np.flatnonzero(sampled(points).is_set).tolist(),
+        equal([0, 63]),
+    ),
+    row(
+        "10,000 points in one anchor give the nearest one",
+        crowd(10_000),
+        lambda points: sampled(points).distance_m.max(),
+        NEAREST_OF_CROWD,
+        lambda points: last_wins(points).max(),
+    ),
+    row(
+        "4 million points give each anchor its nearest one",
+        4_000_000,
+        metres_from_the_nearest,
+        at_most(2e-6),
+        lambda n: float(np.abs(last_wins(millions(n)) - least_distances(millions(n))).max()),
+    ),
+    row(
+        "shuffled points give the same cloud",
+        SHUFFLED,
+        lambda order: float(np.abs(sampled(SPREAD).distance_m - sampled(SPREAD[order]).distance_m).max()),
         equal(0.0),
-        entropy_by_hand,
-    )
-    for name, points in (
-        ("no point", np.zeros((0, 3))),
-        ("points at the position", np.zeros((4, 3))),
-        ("points in one direction", np.outer([1.0, 1e-200, 1e200], ALONG)),
-        ("broken points", np.full((3, 3), np.nan)),
-    )
+    ),
+    row(
+        "a lattice of one anchor takes the nearest of all points",
+        SPREAD,
+        lambda points: sampled(points, n=1).distance_m.tolist(),
+        near([np.linalg.norm(SPREAD, axis=1).min()], 1e-6),
+        lambda points: last_wins(points, 1).tolist(),
+    ),
+    row(
+        "colours beyond white and below black are clipped",
+        ([single(1), single(-1)], [[1.5] * 3, [-0.5] * 3]),
+        brightest,
+        equal([0.0, 1.0]),
+    ),
+    row(
+        "a NaN colour is skipped and does not hide the point behind it",
+        ([single(1), single(2)], [[np.nan] * 3, [0.5] * 3]),
+        behind_nan,
+        equal((2.0, 1)),
+    ),
+    *(
+        row(
+            f"{far} from the origin distances are right to a tenth of a micrometre",
+            np.array(place_m),
+            metres_off_at,
+            at_most(1e-7),
+            metres_off_by_hand,
+        )
+        for far, place_m in FAR.items()
+    ),
+    row("a probe where float32 ends sees nothing and counts it", [1e39, 0, 0], place_seen, equal((0, 3))),
+    row("a nan position is refused", [np.nan, 0, 0], place_seen, refused("expected three finite numbers")),
+    *(
+        row(f"the joint entropy of {name} is 0", points, entropy_of, equal(0.0), entropy_by_hand)
+        for name, points in NO_ENTROPY.items()
+    ),
+    row("drawing from broken points alone draws none", np.full((5, 3), np.nan), drawn, equal(0)),
 ]
 
 
-@pytest.mark.parametrize("given, ask, must, naive", ENTROPY)
-def test_the_joint_entropy_of_nothing_is_0(given, ask, must, naive, comes_out):
-    assert comes_out(given, ask, must, naive)
-
-
-BASELINES = [
-    case(
-        "drawing from broken points alone draws none",
-        np.full((5, 3), np.nan),
-        lambda points: len(sample_uniform(PointCloud(points, np.zeros((5, 3))), 3, np.random.default_rng(0)).points_m),
-        equal(0),
-        None,
-    )
-]
-
-
-@pytest.mark.parametrize("given, ask, must, naive", BASELINES)
-def test_nothing_is_drawn_from_broken_points(given, ask, must, naive, comes_out):
+@pytest.mark.parametrize("given, ask, must, naive", CASES)
+def test_hard_case(given, ask, must, naive, comes_out):
     assert comes_out(given, ask, must, naive)

@@ -1,14 +1,12 @@
 """Hard cases of the trigger: thresholds of 0 and of infinity, flicker, noise, and what is NaN."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from addon_tests.hard_case import case, equal, refused, that
+from addon_tests.hard_case import Must, equal, refused, row, that
 from xihenet.camera import encode_exposed, unproject_frame
 from xihenet.codec import decode_cloud, encode_cloud
 from xihenet.records import Intrinsics, PointCloud, RgbdFrame, TriggerDecision, UnitSphereCloud
@@ -34,7 +32,7 @@ def decided(given: tuple[Any, UnitSphereCloud, TriggerSettings]) -> str:
     return decide_trigger(previous, current, AnchorLattice(len(current)), settings).reason
 
 
-def decided_by_hand(given: tuple[Any, UnitSphereCloud, TriggerSettings]) -> str:
+def by_hand(given: tuple[Any, UnitSphereCloud, TriggerSettings]) -> str:
     """Naive: fires where the mean colour moves by as much as theta, unset anchors being black."""
     previous, current, settings = given
     change = ((current.srgb - previous.srgb) ** 2).max()
@@ -60,112 +58,8 @@ def on_the_wire(cloud: UnitSphereCloud) -> UnitSphereCloud:
     return decode_cloud(encode_cloud(cloud), len(cloud))
 
 
-FIRING = [
-    case("an identical cloud does not fire at theta 0", (ROOM, ROOM, TriggerSettings(theta=0)), NONE, decided_by_hand),
-    case(
-        "an identical cloud does not fire at theta 0 by the paper's rule",
-        (ROOM, ROOM, replace(REFERENCE, theta=0)),
-        NONE,
-        decided_by_hand,
-    ),
-    case(
-        "an identical cloud does not fire at theta 0 after the wire",
-        (on_the_wire(ROOM), on_the_wire(on_the_wire(ROOM)), TriggerSettings(theta=0)),
-        NONE,
-        decided_by_hand,
-    ),
-    case(
-        "a cloud against itself after the wire stays below theta 1e-5",
-        (ROOM, on_the_wire(ROOM), TriggerSettings(theta=1e-5)),
-        NONE,
-        None,
-    ),
-    case(
-        "one code of change fires at theta 0",
-        (cloud_of(128 / 255), cloud_of(129 / 255), TriggerSettings(theta=0)),
-        COLOUR,
-        None,
-    ),
-    case(
-        "black to white does not fire at an infinite theta",
-        (BLACK, WHITE, TriggerSettings(theta=np.inf)),
-        NONE,
-        excess_by_hand,
-    ),
-    case(
-        "black to white does not fire at theta 1, of which it is no more",
-        (BLACK, WHITE, TriggerSettings(theta=1)),
-        NONE,
-        decided_by_hand,
-    ),
-    case("black to white fires at theta just below 1", (BLACK, WHITE, TriggerSettings(theta=0.9999)), COLOUR, None),
-    case(
-        "a newly seen bright wall is coverage, not colour",
-        (DIM_HALF, DIM_ALL, DEFAULT),
-        equal("coverage"),
-        decided_by_hand,
-    ),
-    case("a newly seen bright wall is colour by the paper's rule", (DIM_HALF, DIM_ALL, REFERENCE), COLOUR, None),
-    case("no cloud before this one fires for being first", (None, BLACK, DEFAULT), equal("first"), None),
-    case(
-        "nothing seen does not fire for being first",
-        (None, UnitSphereCloud.empty(N), TriggerSettings(theta=0)),
-        NONE,
-        None,
-    ),
-    case(
-        "nothing seen against a full cloud does not fire by the paper's rule",
-        (WHITE, UnitSphereCloud.empty(N), replace(REFERENCE, theta=0)),
-        NONE,
-        decided_by_hand,
-    ),
-    case("a lattice of one anchor fires when it changes", (cloud_of(0, n=1), cloud_of(1, n=1), DEFAULT), COLOUR, None),
-    case(
-        "a window wider than the sphere is the sphere",
-        (BLACK, cloud_of(0.9), replace(DEFAULT, n_neighbours=10_000)),
-        COLOUR,
-        None,
-    ),
-    case(
-        "a lamp in one anchor is averaged over its window", (BLACK, cloud_of(ONE_LAMP), DEFAULT), NONE, decided_by_hand
-    ),
-    case(
-        "clouds that share no anchor do not change colour",
-        (cloud_of(1.0, HALF), cloud_of(0.1, ~HALF), replace(DEFAULT, theta=0, coverage_theta=1)),
-        NONE,
-        decided_by_hand,
-    ),
-    case(
-        "the whole sphere newly seen does not fire at a coverage threshold of 1",
-        (cloud_of(1.0, np.arange(N) == 0), WHITE, replace(DEFAULT, coverage_theta=1)),
-        NONE,
-        decided_by_hand,
-    ),
-]
-
-
-@pytest.mark.parametrize("given, must, naive", FIRING)
-def test_the_trigger_fires_for_its_reason(given, must, naive, comes_out):
-    assert comes_out(given, decided, must, naive)
-
-
-NO_ANCHORS = [
-    case(
-        "clouds without anchors do not fire",
-        (UnitSphereCloud.empty(0), UnitSphereCloud.empty(0), DEFAULT),
-        lambda given: decide_trigger(*given[:2], LATTICE, given[2]).reason,
-        NONE,
-        decided_by_hand,
-    )
-]
-
-
-@pytest.mark.parametrize("given, ask, must, naive", NO_ANCHORS)
-def test_nothing_does_not_fire(given, ask, must, naive, comes_out):
-    assert comes_out(given, ask, must, naive)
-
-
-# ------------------------------------------------------------------------------------------- flicker and thresholds
+def fires(name: str, previous: Any, current: UnitSphereCloud, settings: Any, must: Must, naive: Any = None) -> Any:
+    return row(name, (previous, current, settings), decided, must, naive)
 
 
 def fires_for_flicker(settings: TriggerSettings) -> int:
@@ -209,54 +103,6 @@ FALLS_ONCE = that(
 STEADY = TriggerSettings(theta=0.2, hysteresis=0.5)
 
 
-def test_firing_falls_once_as_theta_rises(comes_out):
-    assert comes_out("split", fires_over_theta, FALLS_ONCE, fires_over_dithered_theta)
-
-
-def test_firing_falls_once_as_theta_rises_by_the_papers_rule(comes_out):
-    assert comes_out("reference", fires_over_theta, FALLS_ONCE, fires_over_dithered_theta)
-
-
-THRESHOLDS = [
-    case(
-        "light that flickers around the threshold fires every other frame at most",
-        STEADY,
-        fires_for_flicker,
-        that("at most 50 of 100", lambda came: 0 < came <= 50),
-        lambda settings: fires_for_flicker(replace(settings, hysteresis=0.0)),
-    )
-]
-
-
-def test_light_far_above_the_threshold_fires_in_every_frame_in_spite_of_hysteresis(comes_out):
-    assert comes_out(STEADY, lambda settings: flickering(settings, 0.6), equal([True] * 10))
-
-
-@pytest.mark.parametrize("given, ask, must, naive", THRESHOLDS)
-def test_the_threshold_is_one(given, ask, must, naive, comes_out):
-    assert comes_out(given, ask, must, naive)
-
-
-WRONG_SETTINGS = [
-    case(f"{field} of {value} is refused", {field: value}, lambda wrong: TriggerSettings(**wrong), refused(field))
-    for field, value in (
-        ("theta", np.nan),
-        ("theta", -1.0),
-        ("hysteresis", np.inf),
-        ("ignored_share", 1.0),
-        ("n_neighbours", 0),
-    )
-]
-
-
-@pytest.mark.parametrize("given, ask, must", WRONG_SETTINGS)
-def test_settings_that_are_none_are_refused(given, ask, must, comes_out):
-    assert comes_out(given, ask, must)
-
-
-# ------------------------------------------------------------------------------------------------- NaN and mistakes
-
-
 def turned_nan(policy: Any) -> str:
     """A change everywhere, one anchor of which turns NaN in the caller's array after the record checked it."""
     srgb = np.full((N, 3), 0.9, np.float32)
@@ -289,32 +135,6 @@ def reason_with_lattice(n: int) -> str:
     return decide_trigger(BLACK, WHITE, AnchorLattice(n), DEFAULT).reason
 
 
-def test_one_anchor_that_turned_nan_does_not_keep_the_others_from_firing(comes_out):
-    assert comes_out("split", turned_nan, COLOUR, turned_nan_by_hand)
-
-
-def test_one_anchor_that_turned_nan_does_not_stop_the_papers_rule(comes_out):
-    assert comes_out("reference", turned_nan, COLOUR, turned_nan_by_hand)
-
-
-def test_one_nan_point_does_not_keep_a_changed_wall_from_firing(comes_out):
-    assert comes_out(np.nan, nan_pixel, COLOUR, nan_pixel_by_hand)
-
-
-def test_a_lattice_of_more_anchors_than_the_clouds_is_refused(comes_out):
-    assert comes_out(2 * N, reason_with_lattice, refused("the lattice has 512 anchors and the clouds 256"))
-
-
-def test_a_lattice_of_fewer_anchors_than_the_clouds_is_refused(comes_out):
-    assert comes_out(N // 2, reason_with_lattice, refused("the lattice has 128 anchors and the clouds 256"))
-
-
-def test_clouds_of_different_sizes_are_refused(comes_out):
-    assert comes_out((cloud_of(0.5, n=1), GREY, DEFAULT), decided, refused("1 and 256 anchors"))
-
-
-# ---------------------------------------------------------------------------------------------- exposure alone
-
 CAMERA = Intrinsics(48, 32, 24.0, 24.0, 24.0, 16.0)
 PICTURE = np.random.default_rng(8).uniform(0.02, 0.2, (4, 6, 3)).repeat(8, axis=0).repeat(8, axis=1)
 
@@ -325,26 +145,104 @@ def exposed_cloud(exposure: float, reference: float | None) -> UnitSphereCloud:
     return sample_unit_sphere(points, np.array([0.0, 0.0, -0.5]), LATTICE)
 
 
-def reason_for_exposure(exposure: float) -> TriggerDecision:
+def for_exposure(exposure: float) -> TriggerDecision:
     """The same room at two exposures, both brought to the session's."""
     return decide_trigger(exposed_cloud(1.0, 1.0), exposed_cloud(exposure, 1.0), LATTICE, TriggerSettings(theta=0.001))
 
 
-def reason_for_raw_exposure(exposure: float) -> TriggerDecision:
+def for_raw_exposure(exposure: float) -> TriggerDecision:
     """Naive: colours as they came."""
     return decide_trigger(
         exposed_cloud(1.0, None), exposed_cloud(exposure, None), LATTICE, TriggerSettings(theta=0.001)
     )
 
 
-EXPOSURES = [
-    case(f"an exposure {name} does not fire by itself", exposure)
-    for name, exposure in (("four times as long", 4.0), ("a quarter as long", 0.25), ("twice as long", 2.0))
+NOTHING, QUIET = UnitSphereCloud.empty(N), that("does not fire", lambda came: not came.fire)
+WIRED, SHARES = on_the_wire(ROOM), (cloud_of(1.0, HALF), cloud_of(0.1, ~HALF))
+FIRST_ALONE = cloud_of(1.0, np.arange(N) == 0)
+CODE_128, CODE_129 = cloud_of(128 / 255), cloud_of(129 / 255)
+AT_0, AT_1E_5, BELOW_1, AT_1, AT_INFINITY = (TriggerSettings(theta=theta) for theta in (0, 1e-5, 0.9999, 1, np.inf))
+PAPER_AT_0 = replace(REFERENCE, theta=0)
+NO_COVERAGE, WIDE = replace(DEFAULT, coverage_theta=1), replace(DEFAULT, n_neighbours=10_000)
+WRONG = [("theta", np.nan), ("theta", -1.0), ("hysteresis", np.inf), ("ignored_share", 1.0), ("n_neighbours", 0)]
+CASES = [
+    fires("an identical cloud does not fire at theta 0", ROOM, ROOM, AT_0, NONE, by_hand),
+    fires("an identical cloud does not fire at theta 0 by the paper's rule", ROOM, ROOM, PAPER_AT_0, NONE, by_hand),
+    fires("an identical cloud does not fire at theta 0 after the wire", WIRED, on_the_wire(WIRED), AT_0, NONE, by_hand),
+    fires("a cloud against itself after the wire stays below theta 1e-5", ROOM, WIRED, AT_1E_5, NONE),
+    fires("one code of change fires at theta 0", CODE_128, CODE_129, AT_0, COLOUR),
+    fires("black to white does not fire at an infinite theta", BLACK, WHITE, AT_INFINITY, NONE, excess_by_hand),
+    fires("black to white does not fire at theta 1, of which it is no more", BLACK, WHITE, AT_1, NONE, by_hand),
+    fires("black to white fires at theta just below 1", BLACK, WHITE, BELOW_1, COLOUR),
+    fires("a newly seen bright wall is coverage, not colour", DIM_HALF, DIM_ALL, DEFAULT, equal("coverage"), by_hand),
+    fires("a newly seen bright wall is colour by the paper's rule", DIM_HALF, DIM_ALL, REFERENCE, COLOUR),
+    fires("no cloud before this one fires for being first", None, BLACK, DEFAULT, equal("first")),
+    fires("nothing seen does not fire for being first", None, NOTHING, AT_0, NONE),
+    fires(
+        "nothing seen against a full cloud does not fire by the paper's rule", WHITE, NOTHING, PAPER_AT_0, NONE, by_hand
+    ),
+    fires("a lattice of one anchor fires when it changes", cloud_of(0, n=1), cloud_of(1, n=1), DEFAULT, COLOUR),
+    fires("a window wider than the sphere is the sphere", BLACK, DIM_ALL, WIDE, COLOUR),
+    fires("a lamp in one anchor is averaged over its window", BLACK, cloud_of(ONE_LAMP), DEFAULT, NONE, by_hand),
+    fires("clouds that share no anchor do not change colour", *SHARES, replace(NO_COVERAGE, theta=0), NONE, by_hand),
+    fires(
+        "the whole sphere newly seen does not fire at a coverage threshold of 1",
+        FIRST_ALONE,
+        WHITE,
+        NO_COVERAGE,
+        NONE,
+        by_hand,
+    ),
+    row(
+        "clouds without anchors do not fire",
+        (UnitSphereCloud.empty(0), UnitSphereCloud.empty(0), DEFAULT),
+        lambda given: decide_trigger(*given[:2], LATTICE, given[2]).reason,
+        NONE,
+        by_hand,
+    ),
+    *(
+        row(f"firing falls once as theta rises{by}", policy, fires_over_theta, FALLS_ONCE, fires_over_dithered_theta)
+        for by, policy in (("", "split"), (" by the papers rule", "reference"))
+    ),
+    row(
+        "light far above the threshold fires in every frame in spite of hysteresis",
+        STEADY,
+        lambda settings: flickering(settings, 0.6),
+        equal([True] * 10),
+    ),
+    row(
+        "light that flickers around the threshold fires every other frame at most",
+        STEADY,
+        fires_for_flicker,
+        that("at most 50 of 100", lambda came: 0 < came <= 50),
+        lambda settings: fires_for_flicker(replace(settings, hysteresis=0.0)),
+    ),
+    *(
+        row(f"{field} of {value} is refused", {field: value}, lambda wrong: TriggerSettings(**wrong), refused(field))
+        for field, value in WRONG
+    ),
+    *(
+        row(f"one anchor that turned nan does not {what}", policy, turned_nan, COLOUR, turned_nan_by_hand)
+        for what, policy in (("keep the others from firing", "split"), ("stop the papers rule", "reference"))
+    ),
+    row("one nan point does not keep a changed wall from firing", np.nan, nan_pixel, COLOUR, nan_pixel_by_hand),
+    *(
+        row(
+            f"a lattice of {fewer} anchors than the clouds is refused",
+            n,
+            reason_with_lattice,
+            refused(f"the lattice has {n} anchors and the clouds 256"),
+        )
+        for fewer, n in (("more", 512), ("fewer", 128))
+    ),
+    fires("clouds of different sizes are refused", cloud_of(0.5, n=1), GREY, DEFAULT, refused("1 and 256 anchors")),
+    *(
+        row(f"an exposure {longer} does not fire by itself", exposure, for_exposure, QUIET, for_raw_exposure)
+        for longer, exposure in (("four times as long", 4.0), ("a quarter as long", 0.25), ("twice as long", 2.0))
+    ),
 ]
 
 
-@pytest.mark.parametrize("given", EXPOSURES)
-def test_an_exposure_does_not_fire_by_itself(given, comes_out):
-    assert comes_out(
-        given, reason_for_exposure, that("does not fire", lambda came: not came.fire), reason_for_raw_exposure
-    )
+@pytest.mark.parametrize("given, ask, must, naive", CASES)
+def test_hard_case(given, ask, must, naive, comes_out):
+    assert comes_out(given, ask, must, naive)

@@ -1,13 +1,11 @@
 """Hard cases of the camera: turned, scaled, sheared, shifted, tiny, huge and far away, and of plane depths."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
 
-from addon_tests.hard_case import at_most, case, equal, near, refused, that
+from addon_tests.hard_case import at_most, equal, near, refused, row, that
 from xihenet.camera import in_view, project_points, ray_distance_from_plane_depth, unproject_frame
 from xihenet.records import Intrinsics, RgbdFrame
 
@@ -43,9 +41,6 @@ def wide(degrees: float) -> Intrinsics:
     return Intrinsics(64, 48, focal, focal, 32.0, 24.0)
 
 
-# ------------------------------------------------------------------------------------- there and back, in pixels
-
-
 def some_pixels(camera: Intrinsics) -> np.ndarray:
     """Up to 2000 pixels by number, first and last among them."""
     return np.unique(np.linspace(0, camera.width * camera.height - 1, 2000).astype(int))
@@ -62,7 +57,7 @@ def pixels_off(frame: RgbdFrame) -> float:
     return float(np.abs(there - centres(camera, number)).max())
 
 
-def pixels_off_upright(frame: RgbdFrame) -> float:
+def upright(frame: RgbdFrame) -> float:
     """Naive: takes the camera for a rotation that has +Z upwards in its picture, built from where it looks."""
     camera, number = frame.intrinsics, some_pixels(frame.intrinsics)
     back = frame.world_from_camera[:3, 2]
@@ -76,7 +71,7 @@ def pixels_off_upright(frame: RgbdFrame) -> float:
     return float(np.abs(np.stack([x, y], axis=1) - centres(camera, number)).max())
 
 
-def pixels_off_from_corners(frame: RgbdFrame) -> float:
+def from_corners(frame: RgbdFrame) -> float:
     """Naive: rays through the pixels' corners, one focal length, the principal point in the middle."""
     camera, number = frame.intrinsics, some_pixels(frame.intrinsics)
     corner = centres(camera, number) - 0.5 - np.array([camera.width, camera.height]) / 2
@@ -100,36 +95,6 @@ POSES = {
     "a sheared camera": LEVEL @ SHEAR,
     "a camera that is rolled, sheared and scaled": LEVEL @ turned("z", 80) @ np.diag([0.3, -2.0, 1.0]) @ OTHER_SHEAR,
 }
-SCALES = {"millimetres": 1e-3, "kilometres": 1e3}
-ON_THEIR_PIXELS = [
-    *(case(f"{name} lands on its own pixels", posed(axes)) for name, axes in POSES.items()),
-    *(
-        case(f"a camera in a scene in {name} lands on its own pixels", posed(LEVEL * scale, PLACE_M * scale))
-        for name, scale in SCALES.items()
-    ),
-]
-LENSES = [
-    case("a lens shifted far outside the picture comes back", Intrinsics(8, 6, 7.0, 7.0, -50.0, 300.0)),
-    case("pixels twice as high as wide comes back", Intrinsics(8, 6, 14.0, 7.0, 4.0, 3.0)),
-    case("a picture of one pixel comes back", Intrinsics(1, 1, 1.0, 1.0, 0.5, 0.5)),
-    case("a picture of one row comes back", Intrinsics(64, 1, 50.0, 50.0, 32.0, 0.5)),
-    case("a picture in 4K comes back", Intrinsics(3840, 2160, 3000.0, 3000.0, 1920.0, 1080.0)),
-    case("a field of view of 1 degree comes back", wide(1)),
-    case("a field of view of 179 degrees comes back", wide(179)),
-]
-
-
-@pytest.mark.parametrize("pose", ON_THEIR_PIXELS)
-def test_a_camera_of_any_pose_lands_on_its_own_pixels(pose, comes_out):
-    assert comes_out(shot(pose), pixels_off, at_most(1e-4), pixels_off_upright)
-
-
-@pytest.mark.parametrize("lens", LENSES)
-def test_pixels_come_back_through_any_lens(lens, comes_out):
-    assert comes_out(shot(posed(LEVEL), lens), pixels_off, at_most(1e-2), pixels_off_from_corners)
-
-
-# ---------------------------------------------------------------------------------------- far away, in metres
 
 
 def metres_off(frame: RgbdFrame) -> float:
@@ -145,22 +110,22 @@ def in_float64(frame: RgbdFrame) -> np.ndarray:
     return (seen @ frame.world_from_camera[:3, :3].T + frame.world_from_camera[:3, 3]).reshape(-1, 3)
 
 
-def metres_off_in_float32(frame: RgbdFrame) -> float:
+def in_float32(frame: RgbdFrame) -> float:
     """Naive: the camera's place is rounded, and then the points are."""
     near_origin = in_float64(shot(posed(frame.world_from_camera[:3, :3], 0), frame.intrinsics, frame.plane_depth_m))
     points = near_origin.astype(np.float32) + frame.world_from_camera[:3, 3].astype(np.float32)
     return float(np.linalg.norm(points - in_float64(frame), axis=1).max())
 
 
-def metres_off_in_float16(frame: RgbdFrame) -> float:
+def in_float16(frame: RgbdFrame) -> float:
     return float(np.linalg.norm(in_float64(frame).astype(np.float16) - in_float64(frame), axis=1).max())
 
 
-def finite_points(frame: RgbdFrame) -> int:
+def n_finite(frame: RgbdFrame) -> int:
     return int(np.isfinite(unproject_frame(frame).points_m).all(axis=1).sum())
 
 
-def unproject_by_hand(frame: RgbdFrame) -> int:
+def n_by_hand(frame: RgbdFrame) -> int:
     """Naive: a camera that float32 cannot hold is rounded all the same."""
     pose = frame.world_from_camera.astype(np.float32)
     return len(np.ones((6 * 8, 3), np.float32) @ pose[:3, :3].T + pose[:3, 3])
@@ -169,27 +134,6 @@ def unproject_by_hand(frame: RgbdFrame) -> int:
 FINE = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
 TURNED = LEVEL @ turned("z", 20)
 TEN_KM, ONE_KM = posed(TURNED, np.array([1, -1, 1]) * 10000.00045), posed(LEVEL, np.array([1, -1, 1]) * 1000.00003)
-FAR = [
-    case("10 km along each axis from the origin, points are right to a millimetre", TEN_KM, 1e-3),
-    case("1 km away, points are right to 0.1 mm", ONE_KM, 5.3e-5),
-]
-
-
-@pytest.mark.parametrize("pose, bound_m", FAR)
-def test_points_are_right_far_from_the_origin(pose, bound_m, comes_out):
-    assert comes_out(shot(pose, FINE, 3.3), metres_off, at_most(bound_m), metres_off_in_float32)
-
-
-def test_in_a_room_points_are_right_to_2_micrometres(comes_out):
-    assert comes_out(shot(posed(TURNED), FINE, 5.0), metres_off, at_most(2e-6), metres_off_in_float16)
-
-
-def test_a_camera_1e39_m_away_gives_points_that_are_not_finite_and_no_warning(comes_out):
-    assert comes_out(shot(posed(LEVEL, [1e39, 0, 0])), finite_points, equal(0), unproject_by_hand)
-
-
-# --------------------------------------------------------------------------------------- plane depths, in points
-
 FIRST_RAY = np.array([-3.5 / 7, 2.5 / 7, -1.0])
 
 
@@ -212,35 +156,17 @@ def relative_in_half(plane_depth_m: float) -> np.ndarray:
     return FIRST_RAY * float(np.array(plane_depth_m).astype(np.float16)) / plane_depth_m
 
 
-NO_POINTS = (0.0, -1.0, np.nan, np.inf, -np.inf, 1e10, 1e9)
-IS_NAN = that("NaN", lambda came: bool(np.isnan(came).all()))
+def ray(depth_m: float) -> np.float32:
+    """The ray distance of the first pixel at 179 degrees."""
+    return ray_distance_from_plane_depth(np.full((48, 64), depth_m, np.float32), wide(179))[0, 0]
 
 
-@pytest.mark.parametrize("depth_m", [case(f"a plane depth of {depth_m} is no point", depth_m) for depth_m in NO_POINTS])
-def test_a_plane_depth_that_is_none_is_no_point(depth_m, comes_out):
-    assert comes_out(depth_m, first_point, IS_NAN, first_point_by_hand)
+def ray_by_hand(depth_m: float) -> np.float32:
+    return np.float32(depth_m) * np.float32(100)
 
 
-@pytest.mark.parametrize("m", [case(f"a plane depth of {m:g} m is a point", m) for m in (65535.0, 9e8, 1e-8, 1e-30)])
-def test_a_plane_depth_of_any_size_is_a_point(m, comes_out):
-    assert comes_out(m, lambda m: first_point(m) / np.float32(m), near([-0.5, 2.5 / 7, -1.0], 1e-6), relative_in_half)
-
-
-CORNER = np.sqrt(1 + (31.5**2 + 23.5**2) / wide(179).fx ** 2)
-RAYS = [
-    case("at 179 degrees, rays to the corners are as long as float64 says", 1.0, near(CORNER, 2e-5)),
-    case("a plane depth of 3e38 gives no warning as a ray distance", 3e38, equal(np.float32(np.inf))),
-]
-
-
-@pytest.mark.parametrize("depth_m, must", RAYS)
-def test_a_ray_to_a_far_corner_is_long(depth_m, must, comes_out):
-    frame = np.full((48, 64), depth_m, np.float32)
-    by_float32 = lambda frame: frame[0, 0] * np.float32(100)  # noqa: E731
-    assert comes_out(frame, lambda frame: ray_distance_from_plane_depth(frame, wide(179))[0, 0], must, by_float32)
-
-
-# ----------------------------------------------------------------------------------- points to pixels, and refusals
+def with_pixels(size: tuple[int, int]) -> Intrinsics:
+    return Intrinsics(*size, 7.0, 7.0, 4.0, 3.0)
 
 
 def pixel_of(given: tuple[Any, np.ndarray]) -> np.ndarray:
@@ -258,7 +184,7 @@ def pixel_by_cofactors(given: tuple[Any, np.ndarray]) -> np.ndarray:
     return np.array([4.0, 3.0]) + 7 * seen[:2] * [1, -1] / -seen[2]
 
 
-def pixel_of_something_far(given: tuple[Any, np.ndarray]) -> np.ndarray:
+def pixel_far(given: tuple[Any, np.ndarray]) -> np.ndarray:
     """Naive: infinity is a large number."""
     return pixel_by_cofactors(([1e308, 0, -1e-5], given[1]))
 
@@ -275,46 +201,78 @@ def is_in_view_by_hand(point: Any) -> bool:
 
 AHEAD, HERE = [0, 0, -1.0], np.eye(4)
 FLAT = np.array([[1, 2, 3], [4, 5, 6], [7, 8, 9]]) * 0.1
-SCALED = [
-    case(f"a camera scaled by {scale:g} still projects", [scale, scale, -2.0 * scale], posed(np.eye(3) * scale, 0))
-    for scale in (1e-200, 1e-120, 1e120, 1e200)
+LENSES = {
+    "a lens shifted far outside the picture": Intrinsics(8, 6, 7.0, 7.0, -50.0, 300.0),
+    "pixels twice as high as wide": Intrinsics(8, 6, 14.0, 7.0, 4.0, 3.0),
+    "a picture of one pixel": Intrinsics(1, 1, 1.0, 1.0, 0.5, 0.5),
+    "a picture of one row": Intrinsics(64, 1, 50.0, 50.0, 32.0, 0.5),
+    "a picture in 4K": Intrinsics(3840, 2160, 3000.0, 3000.0, 1920.0, 1080.0),
+    "a field of view of 1 degree": wide(1),
+    "a field of view of 179 degrees": wide(179),
+}
+IN_A_ROOM, AWAY = shot(posed(TURNED), FINE, 5.0), shot(posed(LEVEL, [1e39, 0, 0]))
+OUT_OF_VIEW = {"a NaN point": [np.nan, 0, -1.0], "a point behind the camera": [0, 0, 2.0]}
+OUT_OF_VIEW["a point in the camera's own plane"] = [1, 0, 0.0]
+SCALED = {
+    scale: ([scale, scale, -2.0 * scale], posed(np.eye(3) * scale, 0)) for scale in (1e-200, 1e-120, 1e120, 1e200)
+}
+CORNER = np.sqrt(1 + (31.5**2 + 23.5**2) / wide(179).fx ** 2)
+IS_NAN = that("NaN", lambda came: bool(np.isnan(came).all()))
+LANDS = pixels_off, at_most(1e-4), upright
+RELATIVE = lambda m: first_point(m) / np.float32(m), near([-0.5, 2.5 / 7, -1.0], 1e-6), relative_in_half
+AT_0, IN_PLANE = (AHEAD, posed(np.zeros((3, 3)), 0)), (AHEAD, posed(FLAT, 0))
+CASES = [
+    *(row(f"{name} lands on its own pixels", shot(posed(axes)), *LANDS) for name, axes in POSES.items()),
+    *(
+        row(f"a camera in a scene in {unit} lands on its own pixels", shot(posed(LEVEL * m, PLACE_M * m)), *LANDS)
+        for unit, m in (("millimetres", 1e-3), ("kilometres", 1e3))
+    ),
+    *(
+        row(f"{name} comes back", shot(posed(LEVEL), lens), pixels_off, at_most(1e-2), from_corners)
+        for name, lens in LENSES.items()
+    ),
+    *(
+        row(f"{name}, points are right to {bound}", shot(pose, FINE, 3.3), metres_off, at_most(bound_m), in_float32)
+        for name, bound, pose, bound_m in (
+            ("10 km along each axis from the origin", "a millimetre", TEN_KM, 1e-3),
+            ("1 km away", "0.1 mm", ONE_KM, 5.3e-5),
+        )
+    ),
+    row("in a room points are right to 2 micrometres", IN_A_ROOM, metres_off, at_most(2e-6), in_float16),
+    row("a camera 1e39 m away gives points that are not finite and no warning", AWAY, n_finite, equal(0), n_by_hand),
+    *(
+        row(f"a plane depth of {depth_m} is no point", depth_m, first_point, IS_NAN, first_point_by_hand)
+        for depth_m in (0.0, -1.0, np.nan, np.inf, -np.inf, 1e10, 1e9)
+    ),
+    *(row(f"a plane depth of {m:g} m is a point", m, *RELATIVE) for m in (65535.0, 9e8, 1e-8, 1e-30)),
+    row("at 179 degrees, rays to the corners are as long as float64 says", 1.0, ray, near(CORNER, 2e-5), ray_by_hand),
+    row("a plane depth of 3e38 gives no warning as a ray distance", 3e38, ray, equal(np.float32(np.inf)), ray_by_hand),
+    *(
+        row(
+            f"a camera scaled by {scale:g} still projects", given, pixel_of, near([7.5, -0.5], 1e-9), pixel_by_cofactors
+        )
+        for scale, given in SCALED.items()
+    ),
+    row("a point at the camera itself has no pixel", ([0, 0, 0.0], HERE), pixel_of, IS_NAN, pixel_by_cofactors),
+    row(
+        "a point at infinity has no pixel and gives no warning", ([np.inf, 0, -1.0], HERE), pixel_of, IS_NAN, pixel_far
+    ),
+    row("a camera scaled to 0 is refused", AT_0, pixel_of, refused("is the camera scaled to 0?")),
+    row(
+        "a camera whose axes lie in one plane but for rounding is refused",
+        IN_PLANE,
+        pixel_of,
+        refused("lie in one plane"),
+    ),
+    *(
+        row(f"{name} is not in view", point, is_in_view, equal(False), is_in_view_by_hand)
+        for name, point in OUT_OF_VIEW.items()
+    ),
+    row("a pose with nan is refused", posed(np.eye(3) * np.nan), shot, refused("world_from_camera: expected finite")),
+    row("a picture without pixels is refused", (0, 6), with_pixels, refused("at least one pixel")),
 ]
-OUT_OF_VIEW = [
-    case("a NaN point is not in view", [np.nan, 0, -1.0]),
-    case("a point behind the camera is not in view", [0, 0, 2.0]),
-    case("a point in the camera's own plane is not in view", [1, 0, 0.0]),
-]
 
 
-@pytest.mark.parametrize("point, pose", SCALED)
-def test_a_camera_of_any_scale_projects(point, pose, comes_out):
-    assert comes_out((point, pose), pixel_of, near([7.5, -0.5], 1e-9), pixel_by_cofactors)
-
-
-def test_a_point_at_the_camera_itself_has_no_pixel(comes_out):
-    assert comes_out(([0, 0, 0.0], HERE), pixel_of, IS_NAN, pixel_by_cofactors)
-
-
-def test_a_point_at_infinity_has_no_pixel_and_gives_no_warning(comes_out):
-    assert comes_out(([np.inf, 0, -1.0], HERE), pixel_of, IS_NAN, pixel_of_something_far)
-
-
-def test_a_camera_scaled_to_0_is_refused(comes_out):
-    assert comes_out((AHEAD, posed(np.zeros((3, 3)), 0)), pixel_of, refused("is the camera scaled to 0?"))
-
-
-def test_a_camera_whose_axes_lie_in_one_plane_but_for_rounding_is_refused(comes_out):
-    assert comes_out((AHEAD, posed(FLAT, 0)), pixel_of, refused("lie in one plane"))
-
-
-@pytest.mark.parametrize("point", OUT_OF_VIEW)
-def test_a_point_that_no_pixel_shows_is_not_in_view(point, comes_out):
-    assert comes_out(point, is_in_view, equal(False), is_in_view_by_hand)
-
-
-def test_a_pose_with_nan_is_refused(comes_out):
-    assert comes_out(posed(np.eye(3) * np.nan), shot, refused("world_from_camera: expected finite"))
-
-
-def test_a_picture_without_pixels_is_refused(comes_out):
-    assert comes_out((0, 6), lambda size: Intrinsics(*size, 7.0, 7.0, 4.0, 3.0), refused("at least one pixel"))
+@pytest.mark.parametrize("given, ask, must, naive", CASES)
+def test_hard_case(given, ask, must, naive, comes_out):
+    assert comes_out(given, ask, must, naive)
