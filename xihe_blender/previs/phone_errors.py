@@ -50,11 +50,7 @@ def measure_phone(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, N
 
 
 def _mean_error(
-    run: PreparedRun,
-    phone: SimulatedPhone,
-    active: Sequence[FrameResult],
-    effects: frozenset[str],
-    link: Link | None,
+    run: PreparedRun, phone: SimulatedPhone, active: Sequence[FrameResult], effects: frozenset[str], link: Link | None
 ) -> float | None:
     """Mean SHC RMSE over probes and frames of a session with `effects` over `link`; None without a frame."""
     phone = replace(phone, of_camera=effects - {NETWORK})

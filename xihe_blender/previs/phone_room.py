@@ -20,6 +20,8 @@ from xihe_blender.light_transport.nodes import (
 )
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, virtual_collection
 
+LAMP_SHAPE = ("shadow_soft_size", "size", "size_y", "angle", "spot_size", "spot_blend")
+
 
 class RoomSurvey:
     """Gathers what the node trees and lights of a room say, one evaluated frame after the other.
@@ -64,7 +66,8 @@ class RoomSurvey:
             if not light_emits(item.data):
                 return set()
             self.is_driven |= item.data.node_tree is not None and is_animated(item.data.node_tree.original)
-            return {(item.name, place, item.data.energy, tuple(item.data.color), *_size(item.data))}
+            shape = (float(getattr(item.data, name, 0.0)) for name in LAMP_SHAPE)
+            return {(item.name, place, item.data.energy, tuple(item.data.color), *shape)}
         glowing = set()
         for slot in item.material_slots if item.type in GEOMETRY_TYPES else ():
             if slot.material is not None and self._material(slot.material, found):
@@ -75,23 +78,13 @@ class RoomSurvey:
     def _material(self, material: bpy.types.Material, found: dict[str, float | None]) -> bool:
         """Note the roughness of a material; whether it glows."""
         original = material.original
-        if original not in self._still:
-            roughness = (
-                smoothest_roughness(material),
-                bool(material_shading(material).interactions & Interaction.EMISSION),
-            )
-            if is_animated(original):
-                found[material.name] = roughness[0]
-                return roughness[1]
-            self._still[original] = roughness
-        found[material.name], glows = self._still[original]
+        known = self._still.get(original)
+        if known is None:
+            known = smoothest_roughness(material), bool(material_shading(material).interactions & Interaction.EMISSION)
+            if not is_animated(original):
+                self._still[original] = known
+        found[material.name], glows = known
         return glows
-
-
-def _size(light: bpy.types.Light) -> tuple[float, ...]:
-    """What shapes a lamp, besides its power."""
-    names = ("shadow_soft_size", "size", "size_y", "angle", "spot_size", "spot_blend")
-    return tuple(float(getattr(light, name, 0.0)) for name in names)
 
 
 def _may_change(block: bpy.types.ID) -> bool:

@@ -33,13 +33,8 @@ class SessionStep:
 class PhoneSession:
     """State of one session: the controller, and the estimates under way.
 
-    Parameters
-    ----------
-    plan : its estimation positions
-    settings : of the run
-    exposure : of the session; anchors and estimates carry it
-    estimator : of the run
-    link : over which estimates are asked for; None lets them arrive in their own frame
+    Anchors and estimates carry the session's `exposure`. Estimates are asked for over `link`; None lets them arrive in
+    their own frame.
     """
 
     def __init__(
