@@ -21,7 +21,6 @@ from typing import Any
 import bpy
 import numpy as np
 
-from xihe_blender.capture.phone_motion import fastest
 from xihe_blender.capture.phone_surfaces import load_surfaces, smoothest_in_view
 from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.outputs import RunOutputs
@@ -51,7 +50,7 @@ SURFACE_EFFECTS = frozenset({"dark_holes", "glossy_holes", "transparent_holes"})
 
 @dataclass(frozen=True)
 class CaptureNeeds:
-    """What a phone, or several that share captures, asks of the path.
+    """What a phone, or several that share captures, asks of the path; `|` gives what any of two asks for.
 
     Parameters
     ----------
@@ -65,7 +64,6 @@ class CaptureNeeds:
     surfaces: bool = False
 
     def __or__(self, other: CaptureNeeds) -> CaptureNeeds:
-        """What any of the two asks for."""
         return CaptureNeeds(
             self.delivered | other.delivered, self.radiance or other.radiance, self.surfaces or other.surfaces
         )
@@ -75,12 +73,8 @@ class CaptureNeeds:
 class ChosenPhone:
     """The phone and the network that the user chose for a run; made by `choose_phone`.
 
-    Parameters
-    ----------
-    profile, link, metering, n_anchors, seed : of the run
-    choices : "on" or "off" by effect, where the user decided
-    times_s : of the frames of the path, by number
-    frame_rate_hz : of the path where it is fastest
+    `choices` are "on" or "off" by effect, where the user decided, `times_s` those of the frames of the path, by number,
+    and `frame_rate_hz` is the path's where it is fastest.
     """
 
     profile: PhoneProfile
@@ -124,13 +118,18 @@ class ChosenPhone:
 
 def choose_phone(scene: bpy.types.Scene, survey: SceneSurvey, settings: PrevisSettings) -> ChosenPhone:
     """The phone of `settings` on a surveyed path; choices that `scene` remembers count. UserError as of `checked`."""
-    profile, link = settings.profile, settings.link
-    choices = overrides_in_force(scene, settings.effect_choices)
     times_s = {frame: one.time_s for frame, one in survey.frames.items()}
     steps_s = np.diff(list(times_s.values()))
-    rate_hz = 1 / float(steps_s.min()) if len(steps_s) else scene.render.fps / scene.render.fps_base
-    metering, n_anchors = settings.metering_in_force, settings.n_anchors
-    return ChosenPhone(profile, link, metering, n_anchors, settings.seed, choices, times_s, rate_hz)
+    return ChosenPhone(
+        settings.profile,
+        settings.link,
+        settings.metering_in_force,
+        settings.n_anchors,
+        settings.seed,
+        overrides_in_force(scene, settings.effect_choices),
+        times_s,
+        1 / float(steps_s.min()) if len(steps_s) else scene.render.fps / scene.render.fps_base,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,14 +178,8 @@ def facts_kept(phone: ChosenPhone, captured: RgbdFrame, positions_m: ArrayF64, o
 class SimulatedPhone:
     """The phone of a session, with the effects that are simulated; made by `simulate_phone`.
 
-    Parameters
-    ----------
-    chosen : what the user chose
-    survey : of the path
-    facts : of each captured frame, in order
-    exposure : of the session
-    effects : all that there are, by name
-    of_camera : names of those that change its frames
+    `facts` are of each captured frame, in order, `effects` all that there are, by name, and `of_camera` the names of
+    those that change its frames.
     """
 
     chosen: ChosenPhone
@@ -258,8 +251,8 @@ def _session_facts(chosen: ChosenPhone, survey: SceneSurvey, facts: Sequence[Cap
     known: dict[str, Any] = {
         **chosen.timing,
         "n_anchors": chosen.n_anchors,
-        "fastest_m_per_s": fastest([motion.velocity_m_per_s for motion in motions]),
-        "fastest_turn_deg_per_s": fastest([np.degrees(motion.turn_rad_per_s) for motion in motions]),
+        "fastest_m_per_s": max(float(np.linalg.norm(motion.velocity_m_per_s)) for motion in motions),
+        "fastest_turn_deg_per_s": max(float(np.linalg.norm(np.degrees(motion.turn_rad_per_s))) for motion in motions),
         "light_changes": survey.light_changes,
     }
     if not facts:

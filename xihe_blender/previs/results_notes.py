@@ -8,11 +8,10 @@ from collections.abc import Sequence
 import bpy
 
 from xihe_blender.apply.datablocks import PREFIX
-from xihe_blender.io.run_results import FrameResult, ProbeResult
+from xihe_blender.io.run_results import Fault, FrameResult, ProbeResult
 from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.sample_count import SampleCount
-from xihe_blender.previs.scene_faults import SceneFault
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.units import format_units
 from xihenet.formats import format_frames
@@ -26,7 +25,6 @@ FAINTEST = 1e-3
 
 
 def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone) -> list[str]:
-    """All of them."""
     return [
         *frame_notes(run.scene, frames),
         *faults_seen(run.survey.faults, frames, math.prod(run.plan.size)),
@@ -96,7 +94,7 @@ def unknown_light_notes(frames: Sequence[FrameResult]) -> list[str]:
     ]
 
 
-def faults_seen(faults: Sequence[SceneFault], frames: Sequence[FrameResult], n_pixels: int) -> list[str]:
+def faults_seen(faults: Sequence[Fault], frames: Sequence[FrameResult], n_pixels: int) -> list[str]:
     """What is wrong with the scene: as the survey found it, and as frames of `n_pixels` that are dark or empty show."""
     active = [entry for entry in frames if entry.active]
     blind = [e for e in active if e.n_invalid_pixels - sum(e.n_lost_pixels.values()) == n_pixels]

@@ -11,6 +11,7 @@ show; its frames are then derived from them, and estimates come back over its ne
 from __future__ import annotations
 
 import time
+from collections import defaultdict
 from collections.abc import Generator
 from dataclasses import dataclass, field
 
@@ -26,6 +27,8 @@ from xihe_blender.previs.phone_capture import CaptureFacts, SimulatedPhone, fact
 from xihe_blender.previs.phone_session import PhoneSession, SessionStep
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
+from xihenet.camera import invalid_pixels
+from xihenet.invalid import CLAMPED
 from xihenet.metrics import share_above_white
 from xihenet.records import ArrayF64, RgbdFrame
 
@@ -35,14 +38,7 @@ Lights = dict[str, dict[str, ArrayF64]]
 
 @dataclass(frozen=True, eq=False)
 class WalkedPath:
-    """What a walk brought.
-
-    Parameters
-    ----------
-    phone : of the run, with the effects that were simulated
-    frames : with what was rendered and estimated, not yet compared
-    lights : light in force by frame, from the first that was captured on
-    """
+    """What a walk brought: frames not yet compared, and the light in force from the first frame captured on."""
 
     phone: SimulatedPhone
     frames: list[FrameResult] = field(default_factory=list)
@@ -75,12 +71,7 @@ def _facts_of_captures(run: PreparedRun, renders: PathRenders, work_s: dict[int,
 
 
 class _Walk:
-    """The state of one walk while it is under way.
-
-    Parameters
-    ----------
-    captured_s : seconds of work on each frame before the walk, without rendering
-    """
+    """The state of one walk while it is under way; `captured_s` is the work on each frame before, without rendering."""
 
     def __init__(
         self, run: PreparedRun, phone: SimulatedPhone, renders: PathRenders, captured_s: dict[int, float]
@@ -96,30 +87,45 @@ class _Walk:
         start = time.perf_counter()
         rendered, time_s = self.renders.at(frame), self.run.survey.frames[frame].time_s
         if rendered is not None:
-            entry = self._active_frame(rendered, self.run.probes_in_view(frame), start)
+            entry = self._active_frame(rendered, start)
         else:
-            entry = results.inactive_frame(frame, time_s, is_delivered=frame in self.run.needs.delivered)
+            is_delivered = frame in self.run.needs.delivered
+            entry = FrameResult(frame=frame, time_s=time_s, active=False, is_delivered=is_delivered)
             if self.walked.lights:
                 self.walked.lights[frame] = self._lights_in_force(time_s)
         self.walked.frames.append(entry)
 
-    def _active_frame(self, rendered: FrameRenders, probes: list[Probe], start: float) -> FrameResult:
-        run, truth = self.run, self._truth(rendered)
+    def _active_frame(self, rendered: FrameRenders, start: float) -> FrameResult:
+        """A frame, as the phone saw it, that goes through the chain; `stage_ms` adds up its positions."""
+        run, target = self.run, self.run.settings.target
+        self.references |= rendered.references
+        truth = {name: light.of(target) for name, light in rendered.references.items()}
         seen, n_lost = self.phone.see(rendered.captured, run.outputs)
         if not np.array_equal(seen.srgb_u8, rendered.captured.srgb_u8):
             write_picture(run.outputs.picture("captured", seen.frame), seen.srgb_u8)
         step = self.session.step(seen, truth, list(truth))
         self.walked.lights[seen.frame] = self._lights_in_force(seen.time_s)
-        of_probes = [self._probe_result(probe, step, seen) for probe in probes]
+        probes = tuple(self._probe_result(probe, step, seen) for probe in run.probes_in_view(seen.frame))
         work_s = time.perf_counter() - start + self.captured_s.get(seen.frame, 0.0)
-        rendering = results.rendering(seen.frame, rendered.references, run)
-        times_s = rendered.render_s, work_s
-        return results.active_frame(seen, step.reports, of_probes, rendering, times_s, n_lost=n_lost)
-
-    def _truth(self, rendered: FrameRenders) -> dict[str, ArrayF64]:
-        """(9, 3) coefficients of the run's target by probe in view."""
-        self.references |= rendered.references
-        return {name: light.of(self.run.settings.target) for name, light in rendered.references.items()}
+        stage_ms: dict[str, float] = defaultdict(float)
+        for stage, ms in (item for report in step.reports.values() for item in report.stage_ms.items()):
+            stage_ms[stage] += ms
+        left_out = invalid_pixels(seen)
+        return FrameResult(
+            frame=seen.frame,
+            time_s=seen.time_s,
+            active=True,
+            exposure=seen.exposure,
+            render_s=rendered.render_s,
+            work_s=work_s,
+            stage_ms=stage_ms,
+            ambient_radiance=None if seen.ambient is None else results.as_rgb(seen.ambient),
+            n_invalid_pixels=sum(left_out.values()),
+            n_lost_pixels=n_lost,
+            invalid=left_out | {reason: n for reason, n in seen.invalid.items() if reason in CLAMPED},
+            probes=probes,
+            rendering=results.rendering(seen.frame, rendered.references, run),
+        )
 
     def _lights_in_force(self, time_s: float) -> Lights:
         """Light of every method on every virtual object: the mean over the object's estimation positions.

@@ -15,20 +15,23 @@ from typing import Any
 import bpy
 import numpy as np
 
-from xihe_blender.capture.phone_motion import CameraView, camera_motion
 from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import phone_camera
 from xihe_blender.errors import UserError
+from xihe_blender.io.run_results import Fault
 from xihe_blender.light_transport.inspection import open_inspection
 from xihe_blender.light_transport.plan import required_by_survey
 from xihe_blender.light_transport.render_reuse import SceneState, StateSurvey
 from xihe_blender.light_transport.transport_survey import TransportSurveyor
 from xihe_blender.previs.phone_room import RoomSurvey
 from xihe_blender.previs.plan import PrevisPlan, Probe
-from xihe_blender.previs.scene_faults import SceneFault, faults_at_frame, image_faults, place_faults
+from xihe_blender.previs.scene_faults import faults_at_frame, image_faults, place_faults
 from xihenet.camera import in_view
 from xihenet.effects import Requirement
-from xihenet.phone import CameraMotion
+from xihenet.phone import CameraMotion, motion_between
+from xihenet.records import ArrayF64, Intrinsics
+
+STILL = CameraMotion(np.zeros(3), np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +79,7 @@ class SceneSurvey:
     """
 
     frames: Mapping[int, SurveyedFrame]
-    faults: tuple[SceneFault, ...]
+    faults: tuple[Fault, ...]
     required: Mapping[str, Requirement]
     light_changes: bool
 
@@ -87,20 +90,25 @@ class SceneSurvey:
 
     def as_json(self) -> dict[str, Any]:
         """For `from_json`, to the last bit."""
-        return {
-            "frames": [one.as_json() for one in self.frames.values()],
-            "faults": [asdict(fault) for fault in self.faults],
-            "required": {name: asdict(requirement) for name, requirement in self.required.items()},
-            "light_changes": self.light_changes,
-        }
+        return asdict(self) | {"frames": [one.as_json() for one in self.frames.values()]}
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> SceneSurvey:
         """What `as_json` gave."""
         frames = map(SurveyedFrame.from_json, content["frames"])
-        faults = tuple(SceneFault(**fault) for fault in content["faults"])
+        faults = tuple(Fault(**fault) for fault in content["faults"])
         required = {name: Requirement(**requirement) for name, requirement in content["required"].items()}
         return cls({one.frame: one for one in frames}, faults, required, content["light_changes"])
+
+
+@dataclass(frozen=True, eq=False)
+class _CameraView:
+    """What the scene's camera is at one frame: which, its intrinsics and pose (4, 4) in metres, and the time."""
+
+    camera: bpy.types.Object
+    intrinsics: Intrinsics
+    world_from_camera: ArrayF64
+    time_s: float
 
 
 def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
@@ -110,7 +118,7 @@ def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
     """
     transport = TransportSurveyor(plan.frames, [probe.position_m.tolist() for probe in plan.probes])
     states, room = StateSurvey(scene), RoomSurvey(scene)
-    views: dict[int, CameraView] = {}
+    views: dict[int, _CameraView] = {}
     faults = image_faults(scene.world)
     settings = RenderSettings(plan.size, samples=1)
     with open_inspection(scene) as inspection, working_scene(scene, "Xihe Survey", settings) as working:
@@ -125,13 +133,14 @@ def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
                 inspection.look_at(frame, transport.look_at, states.look_at, room.look_at)
         surveyed = transport.ended(inspection, has_motion_blur=scene.render.use_motion_blur)
     required = required_by_survey(scene, surveyed)
-    faults += _faults_of_places(scene, plan, views)
+    cameras_m = np.stack([views[frame].world_from_camera[:3, 3] for frame in plan.frames])
+    faults += place_faults(scene, {probe.name: probe.position_m for probe in plan.probes}, cameras_m)
     frames = {
         frame: SurveyedFrame(
             frame,
             views[frame].time_s,
             _in_view(plan.probes, views[frame]),
-            camera_motion(frame, views),
+            _camera_motion(frame, views),
             states.states[frame],
             room.roughness[frame],
         )
@@ -146,21 +155,30 @@ def _with_neighbours(scene: bpy.types.Scene, frames: Sequence[int]) -> list[int]
     return sorted({*frames, *(frame for frame in beside if scene.frame_start <= frame <= scene.frame_end)})
 
 
-def _view(working: bpy.types.Scene) -> CameraView:
+def _view(working: bpy.types.Scene) -> _CameraView:
     """Of the phone's camera at the current frame; UserError as of `phone_camera`."""
     intrinsics, world_from_camera = phone_camera(working)
     time_s = (working.frame_current - working.frame_start) * working.render.fps_base / working.render.fps
-    return CameraView(working.camera, intrinsics, world_from_camera, time_s)
+    return _CameraView(working.camera, intrinsics, world_from_camera, time_s)
 
 
-def _in_view(probes: Sequence[Probe], view: CameraView) -> tuple[str, ...]:
+def _in_view(probes: Sequence[Probe], view: _CameraView) -> tuple[str, ...]:
     """Names of the `probes` that a camera sees."""
-    if not probes:
-        return ()
-    seen = in_view(np.stack([probe.position_m for probe in probes]), view.intrinsics, view.world_from_camera)
+    positions_m = np.array([probe.position_m for probe in probes]).reshape(-1, 3)
+    seen = in_view(positions_m, view.intrinsics, view.world_from_camera)
     return tuple(probe.name for probe, is_seen in zip(probes, seen, strict=True) if is_seen)
 
 
-def _faults_of_places(scene: bpy.types.Scene, plan: PrevisPlan, views: Mapping[int, CameraView]) -> list[SceneFault]:
-    cameras_m = np.stack([views[frame].world_from_camera[:3, 3] for frame in plan.frames])
-    return place_faults(scene, {probe.name: probe.position_m for probe in plan.probes}, cameras_m)
+def _camera_motion(frame: int, views: Mapping[int, _CameraView]) -> CameraMotion:
+    """How the camera moves in `frame`: evenly to the next one of `views`, or as from the one before.
+
+    A camera that is switched, or turned by half a circle within a frame, was cut and stands still, as one does of which
+    neither is known.
+    """
+    for before, after in ((frame, frame + 1), (frame - 1, frame)):
+        if before not in views or after not in views or views[before].camera != views[after].camera:
+            continue
+        start, end = views[before], views[after]
+        with contextlib.suppress(ValueError):
+            return motion_between(start.world_from_camera, end.world_from_camera, end.time_s - start.time_s)
+    return STILL
