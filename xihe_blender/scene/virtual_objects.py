@@ -73,7 +73,7 @@ def make_virtual(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) ->
     those that are virtual now. UserError, with nothing changed, for an object in a collection of another file
     """
     chosen = [item for item in objects if has_renderable_geometry(item)]
-    virtual, room = _collections_of(scene)
+    virtual, room = collections_of(scene)
     _check_are_own(chosen, [*virtual, *room])
     collection = virtual_collection(scene, create=bool(chosen))
     for item in chosen:
@@ -93,7 +93,7 @@ def make_room(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> li
     -------
     those that were virtual. UserError, with nothing changed, for an object in a collection of another file
     """
-    virtual, room = _collections_of(scene)
+    virtual, room = collections_of(scene)
     chosen = [item for item in objects if virtual & set(item.users_collection)]
     _check_are_own(chosen, [*virtual, *room])
     for item in chosen:
@@ -104,7 +104,7 @@ def make_room(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> li
     return chosen
 
 
-def _collections_of(scene: bpy.types.Scene) -> tuple[set[bpy.types.Collection], set[bpy.types.Collection]]:
+def collections_of(scene: bpy.types.Scene) -> tuple[set[bpy.types.Collection], set[bpy.types.Collection]]:
     """The collections of virtual objects, and those of the room."""
     collection = virtual_collection(scene)
     virtual = set() if collection is None else {collection, *collection.children_recursive}
