@@ -15,7 +15,7 @@ import bpy
 from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure
-from xihe_blender.io.json_records import Json, from_json
+from xihe_blender.io.json_records import Json, as_json, from_json
 from xihe_blender.io.kept_files import kept_json, kept_or_made
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import Progress
@@ -46,20 +46,8 @@ truth and of all methods, where a million samples of a capture are 1: measured i
 class PreparedRun:
     """All that is known of a run before its walk; the stages behind share it.
 
-    Parameters
-    ----------
-    scene : the user's
-    plan : frames, virtual objects, estimation positions
-    survey : of the path
-    outputs : files of the run
-    settings : the user's, with the trigger's theta above the noise of captures
-    estimator : of the run
-    exposure : of the session
-    effects : which effects of light transport are simulated
-    sample_count : samples of captures
-    phone : the one that the user chose
-    needs : what is captured, and kept beside captures
-    reuse : in which earlier frame a render would come out the same
+    `settings` are the user's, with the trigger's theta above the noise of captures. `needs` says what is captured, and
+    kept beside captures; `reuse` in which earlier frame a render would come out the same.
     """
 
     scene: bpy.types.Scene
@@ -132,8 +120,7 @@ def survey_run(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs) ->
     kept = kept_json(outputs.survey, SceneSurvey.from_json)
     if kept is not None and tuple(kept.frames) == tuple(plan.frames):
         return kept
-    if outputs.survey.exists():
-        outputs.survey.unlink()
+    outputs.survey.unlink(missing_ok=True)
     return survey_path(scene, plan)
 
 
@@ -150,20 +137,24 @@ def prepare_run(
         write_json(outputs.survey, survey.as_json())
     yield Progress(0, 1, "metering the exposure")
     exposure = _session_exposure(scene, plan, outputs, settings)
-    effects = _effects(scene, survey, outputs, settings)
+    choices = overrides_in_force(scene, settings.effect_choices)
+    effects = kept_or_made(
+        outputs.effects,
+        lambda content: effects_kept(survey, content),
+        lambda: effects_as_json(plan_effects(survey.required, choices)),
+    )
     yield Progress(0, 1, "measuring how many samples it takes")
     transport = cycles_settings(effects)
-    measured = kept_or_made(
+    count = kept_or_made(
         outputs.sample_count,
         lambda content: from_json(SampleCount, content),
-        lambda: measure_sample_count(scene, plan, survey, settings, exposure, transport).as_json(),
+        lambda: as_json(measure_sample_count(scene, plan, survey, settings, exposure, transport)),
     )
-    settings = replace(settings, trigger=above_noise(settings.trigger, measured.capture_change))
+    settings = replace(settings, trigger=above_noise(settings.trigger, count.capture_change))
     phone = choose_phone(scene, survey, settings)
-    reuse = render_reuse(survey, effects, phone.needs)
-    return PreparedRun(
-        scene, plan, survey, outputs, settings, estimator, exposure, effects, measured, phone, phone.needs, reuse
-    )
+    needs = phone.needs
+    reuse = render_reuse(survey, effects, needs)
+    return PreparedRun(scene, plan, survey, outputs, settings, estimator, exposure, effects, count, phone, needs, reuse)
 
 
 def render_reuse(survey: SceneSurvey, effects: Mapping[str, Effect], needs: CaptureNeeds) -> RenderReuse:
@@ -177,9 +168,7 @@ def render_reuse(survey: SceneSurvey, effects: Mapping[str, Effect], needs: Capt
 
 def above_noise(trigger: TriggerSettings, capture_change: float | None) -> TriggerSettings:
     """`trigger` with its theta above what noise alone changes, where that was measured: variances add up."""
-    if capture_change is None:
-        return trigger
-    return replace(trigger, theta=trigger.theta + NOISE_MARGIN * capture_change)
+    return replace(trigger, theta=trigger.theta + NOISE_MARGIN * (capture_change or 0.0))
 
 
 def _session_exposure(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs, settings: PrevisSettings) -> float:
@@ -200,18 +189,6 @@ def positive_exposure(content: Json) -> float:
     if not 0 < exposure < math.inf:
         raise ValueError(f"exposure: expected a positive factor, got {exposure}")
     return exposure
-
-
-def _effects(
-    scene: bpy.types.Scene, survey: SceneSurvey, outputs: RunOutputs, settings: PrevisSettings
-) -> dict[str, Effect]:
-    """The effects of light transport that the scene calls for, or the user."""
-    choices = overrides_in_force(scene, settings.effect_choices)
-    return kept_or_made(
-        outputs.effects,
-        lambda content: effects_kept(survey, content),
-        lambda: effects_as_json(plan_effects(survey.required, choices)),
-    )
 
 
 def effects_kept(survey: SceneSurvey, content: Json) -> dict[str, Effect]:
