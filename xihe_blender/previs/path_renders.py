@@ -33,13 +33,9 @@ from xihenet.records import RgbdFrame
 
 @dataclass(frozen=True, eq=False)
 class FrameRenders:
-    """The perfect capture of one frame and what stands at its light probes.
+    """The capture of one frame before the phone has a hand in it, and the reference lights by name of the probe.
 
-    Parameters
-    ----------
-    captured : before the phone has a hand in it
-    references : the reference light by name of the probe
-    render_s : seconds that rendering took, in whichever part of the run
+    `render_s` are the seconds that rendering took, in whichever part of the run.
     """
 
     captured: RgbdFrame
@@ -69,17 +65,22 @@ class PathRenders:
 
     def missing_captures(self) -> list[int]:
         """Frames whose captures are not kept, or are damaged."""
-        return [f for f in self.run.plan.frames if self.run.probes_in_view(f) and not all(self._is_captured(f))]
+        return [f for f in self.run.plan.frames if self.run.probes_in_view(f) and not self._is_captured(f)]
 
-    def _is_captured(self, frame: int) -> Iterator[bool]:
+    def _is_captured(self, frame: int) -> bool:
         """Whether each piece of a capture can be read."""
-        outputs = self.outputs
-        yield kept_json(outputs.times(frame), lambda content: float(content["render_s"])) is not None
-        yield read_kept(outputs.capture(frame), load_frame) is not None
+        if kept_json(self.outputs.times(frame), lambda content: float(content["render_s"])) is None:
+            return False
+        pieces: list[tuple[Path, Callable[[Path], object]]] = [(self.outputs.capture(frame), load_frame)]
+        pieces += self._beside_capture(frame)
+        return all(read_kept(path, read) is not None for path, read in pieces)
+
+    def _beside_capture(self, frame: int) -> Iterator[tuple[Path, Callable[[Path], object]]]:
+        """What is kept beside a capture for the phone, and how it is read."""
         if self.run.needs.radiance:
-            yield read_kept(outputs.radiance("captured", frame), read_radiance) is not None
+            yield self.outputs.radiance("captured", frame), read_radiance
         if self.run.needs.surfaces:
-            yield read_kept(outputs.surfaces(frame), load_surfaces) is not None
+            yield self.outputs.surfaces(frame), load_surfaces
 
     def missing_references(self) -> list[tuple[int, Probe]]:
         """Frames and probes in view whose reference light is not kept, or is damaged."""
@@ -100,8 +101,8 @@ class PathRenders:
             captured = scanner.acquire_environment_scan()
             self._keep_passes(frame, scanner)
             return captured, scanner.render_s
-        for path_at in self._beside_captures():
-            copy_whole(path_at(source), path_at(frame))
+        for (kept, _), (path, _) in zip(self._beside_capture(source), self._beside_capture(frame), strict=True):
+            copy_whole(kept, path)
         captured = load_frame(self.outputs.capture(source))
         return replace(captured, time_s=scanner.time_s, frame=frame), 0.0
 
@@ -113,13 +114,6 @@ class PathRenders:
         if self.run.needs.surfaces:
             passes, roughness = next(iter(rendered.layers.values())), self.run.survey.frames[frame].roughness
             save_surfaces(outputs.surfaces(frame), surfaces_in(passes, roughness))
-
-    def _beside_captures(self) -> Iterator[Callable[[int], Path]]:
-        """Where that is stored, by frame."""
-        if self.run.needs.radiance:
-            yield functools.partial(self.outputs.radiance, "captured")
-        if self.run.needs.surfaces:
-            yield self.outputs.surfaces
 
     def measure(self, frame: int, probe: Probe, reference_probe: ReferenceProbe) -> None:
         """Keep the reference light at `probe` in `frame`."""
