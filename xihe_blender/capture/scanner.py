@@ -18,7 +18,14 @@ from dataclasses import dataclass, field, replace
 import bpy
 import numpy as np
 
-from xihe_blender.capture.render import Rendered, RenderSettings, exclude_collection, render_passes, working_scene
+from xihe_blender.capture.render import (
+    Rendered,
+    RenderSettings,
+    exclude_collection,
+    render_passes,
+    stacked_rgb,
+    working_scene,
+)
 from xihe_blender.errors import UserError
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_collection
@@ -104,8 +111,7 @@ def leave_out_virtual_objects(working: bpy.types.Scene, scene: bpy.types.Scene) 
 
 def first_layer(rendered: Rendered) -> tuple[ArrayF32, ArrayF32]:
     """Radiance (H, W, 3) and plane depth (H, W) of a render with one view layer."""
-    passes = next(iter(rendered.layers.values()))
-    return np.stack([passes[f"Combined.{c}"] for c in "RGB"], axis=-1), passes["Depth.Z"]
+    return stacked_rgb(rendered.passes), rendered.passes["Depth.Z"]
 
 
 def phone_camera(scene: bpy.types.Scene) -> tuple[Intrinsics, ArrayF64]:

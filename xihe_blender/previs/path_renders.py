@@ -112,8 +112,8 @@ class PathRenders:
         if self.run.needs.radiance:
             write_radiance(outputs.radiance("captured", frame), first_layer(rendered)[0])
         if self.run.needs.surfaces:
-            passes, roughness = next(iter(rendered.layers.values())), self.run.survey.frames[frame].roughness
-            save_surfaces(outputs.surfaces(frame), surfaces_in(passes, roughness))
+            roughness = self.run.survey.frames[frame].roughness
+            save_surfaces(outputs.surfaces(frame), surfaces_in(rendered.passes, roughness))
 
     def measure(self, frame: int, probe: Probe, reference_probe: ReferenceProbe) -> None:
         """Keep the reference light at `probe` in `frame`."""

@@ -131,9 +131,9 @@ def _facts(
             yield Progress(done, len(plan.frames), f"looking at frame {frame} as the phone does")
             if frame in needs.delivered and frame in survey.in_view:
                 scanner.move_to(frame)
-                captured, passes = scanner.acquire_environment_scan(), next(iter(scanner.rendered.layers.values()))
-                surfaces = surfaces_in(passes, survey.frames[frame].roughness) if needs.surfaces else None
-                radiance = first_layer(scanner.rendered)[0] if needs.radiance else None
+                captured, rendered = scanner.acquire_environment_scan(), scanner.rendered
+                surfaces = surfaces_in(rendered.passes, survey.frames[frame].roughness) if needs.surfaces else None
+                radiance = first_layer(rendered)[0] if needs.radiance else None
                 facts[frame] = facts_of_capture(captured, positions_m, phone.metering, surfaces, radiance)
     return facts
 
