@@ -111,11 +111,10 @@ def _mesh_faults(mesh: bpy.types.Mesh) -> Iterator[Fault]:
         yield Fault(name=mesh.name, n=n_broken, said=said)
 
 
-def image_faults(world: bpy.types.World | None) -> list[Fault]:
+def image_faults(world: bpy.types.World | None) -> Iterator[Fault]:
     """Environment textures of `world` with negative pixels, or ones that are NaN or infinite, black to Cycles."""
     nodes = world.node_tree.nodes if world is not None and has_nodes(world) else ()
     images = dict.fromkeys(node.image for node in nodes if node.type == "TEX_ENVIRONMENT")
-    faults = []
     for image in images:
         if image is None or is_film(image):
             continue
@@ -125,8 +124,7 @@ def image_faults(world: bpy.types.World | None) -> list[Fault]:
             (n_negative, "are negative: they darken what Cycles renders."),
         ):
             if n:
-                faults.append(Fault(name=image.name, n=n, said=f"{n} pixels of image {image.name!r} {what}"))
-    return faults
+                yield Fault(name=image.name, n=n, said=f"{n} pixels of image {image.name!r} {what}")
 
 
 def _broken_and_negative(image: bpy.types.Image) -> tuple[int, int]:
@@ -152,16 +150,16 @@ def _counted(pixels: ArrayF32) -> tuple[int, int, float, float]:
     return int(n_broken), int(n_negative), float(-known.clip(max=0).sum()), float(known.clip(min=0).sum())
 
 
-def place_faults(scene: bpy.types.Scene, positions_m: dict[str, ArrayF64], cameras_m: ArrayF64) -> list[Fault]:
+def place_faults(scene: bpy.types.Scene, positions_m: dict[str, ArrayF64], cameras_m: ArrayF64) -> Iterator[Fault]:
     """Estimation positions so far from the world's origin that float32 rounds them, or from every camera (F, 3)."""
-    faults, metres = [], metres_per_unit(scene)
+    metres = metres_per_unit(scene)
     for name, position_m in positions_m.items():
         step_m = float(np.spacing(np.float32(np.abs(position_m / metres).max()))) * metres
         if step_m > COARSEST_M:
             said = f"{name!r} lies so far from the world's origin that Blender's coordinates have steps of "
-            faults.append(Fault(name=name, n=1, said=f"{said}{step_m:.2g} m."))
+            yield Fault(name=name, n=1, said=f"{said}{step_m:.2g} m.")
     if not positions_m:
-        return faults
+        return
     offsets = cameras_m[:, None] - np.stack(list(positions_m.values()))
     nearest_m = float(np.linalg.norm(offsets, axis=-1).min())
     if not NEAREST_M <= nearest_m <= FARTHEST_M:
@@ -169,5 +167,4 @@ def place_faults(scene: bpy.types.Scene, positions_m: dict[str, ArrayF64], camer
             f"The phone's smallest distance from a virtual object is {nearest_m:.3g} m: "
             f"is the unit scale (Scene > Units) right? One Blender unit is {metres:g} m."
         )
-        faults.append(Fault(name=scene.name, n=1, said=said))
-    return faults
+        yield Fault(name=scene.name, n=1, said=said)

@@ -119,7 +119,7 @@ def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
     transport = TransportSurveyor(plan.frames, [probe.position_m.tolist() for probe in plan.probes])
     states, room = StateSurvey(scene), RoomSurvey(scene)
     views: dict[int, _CameraView] = {}
-    faults = image_faults(scene.world)
+    faults = list(image_faults(scene.world))
     settings = RenderSettings(plan.size, samples=1)
     with open_inspection(scene) as inspection, working_scene(scene, "Xihe Survey", settings) as working:
         for frame in _with_neighbours(scene, plan.frames):
