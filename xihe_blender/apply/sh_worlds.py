@@ -12,8 +12,10 @@ lighting back and the Graph Editor shows it; timeline markers show the triggers.
 
 from __future__ import annotations
 
+import functools
 import zlib
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import bpy
 import numpy as np
@@ -208,7 +210,10 @@ def _make_node_group() -> bpy.types.NodeTree:
 
 
 class _GroupBuilder:
-    """Writes the basis as math nodes: sum over i of coefficient_i x Y_i(direction), times the gain."""
+    """Writes the basis as math nodes: sum over i of coefficient_i x Y_i(direction), times the gain.
+
+    Operands are sockets or numbers.
+    """
 
     def __init__(self, group: bpy.types.NodeTree) -> None:
         self.nodes, self.links = group.nodes, group.links
@@ -219,20 +224,17 @@ class _GroupBuilder:
         direction = self.nodes.new("ShaderNodeTexCoord").outputs["Generated"]
         separate = self.nodes.new("ShaderNodeSeparateXYZ")
         self.links.new(direction, separate.inputs[0])
-        x, y, z = separate.outputs
         total = None
-        for name, basis in zip(COEFFICIENTS, self._basis(x, y, z), strict=True):
-            scaled = self._vector("SCALE", inputs.outputs[name], scale=basis)
-            total = scaled if total is None else self._vector("ADD", total, scaled)
-        radiance = self._vector("SCALE", total, scale=inputs.outputs[GAIN])
-        self.links.new(radiance, self.nodes.new("NodeGroupOutput").inputs[0])
+        for name, basis in zip(COEFFICIENTS, self._basis(*separate.outputs), strict=True):
+            scaled = self._scaled(inputs.outputs[name], basis)
+            total = scaled if total is None else self._math("ShaderNodeVectorMath", "ADD", total, scaled)
+        self.links.new(self._scaled(total, inputs.outputs[GAIN]), self.nodes.new("NodeGroupOutput").inputs[0])
         for place, node in enumerate(self.nodes):
             node.location = (180 * (place // 8), -160 * (place % 8))
 
-    def _basis(self, x: object, y: object, z: object) -> list[object]:
-        """The nine basis functions; numbers and sockets alike are what `_scalar` takes."""
-        zonal = self._scalar("SUBTRACT", self._product(3.0, z, z), 1.0)
-        xx_minus_yy = self._scalar("SUBTRACT", self._product(x, x), self._product(y, y))
+    def _basis(self, x: Any, y: Any, z: Any) -> list[Any]:
+        zonal = self._math("ShaderNodeMath", "SUBTRACT", self._product(3.0, z, z), 1.0)
+        xx_minus_yy = self._math("ShaderNodeMath", "SUBTRACT", self._product(x, x), self._product(y, y))
         return [
             _Y0,
             self._product(_Y1, y),
@@ -245,31 +247,23 @@ class _GroupBuilder:
             self._product(_Y2 / 2, xx_minus_yy),
         ]
 
-    def _product(self, *factors: object) -> object:
-        result = factors[0]
-        for factor in factors[1:]:
-            result = self._scalar("MULTIPLY", result, factor)
-        return result
+    def _product(self, *factors: Any) -> Any:
+        return functools.reduce(functools.partial(self._math, "ShaderNodeMath", "MULTIPLY"), factors)
 
-    def _scalar(self, operation: str, first: object, second: object) -> object:
-        node = self.nodes.new("ShaderNodeMath")
+    def _scaled(self, vector: Any, scale: Any) -> bpy.types.NodeSocket:
+        scaled = self._math("ShaderNodeVectorMath", "SCALE", vector)
+        self._feed(scaled.node.inputs["Scale"], scale)
+        return scaled
+
+    def _math(self, kind: str, operation: str, *operands: Any) -> bpy.types.NodeSocket:
+        node = self.nodes.new(kind)
         node.operation = operation
-        self._feed(node.inputs[0], first)
-        self._feed(node.inputs[1], second)
+        for socket, operand in zip(node.inputs, operands, strict=False):
+            self._feed(socket, operand)
         return node.outputs[0]
 
-    def _vector(self, operation: str, first: object, second: object = None, *, scale: object = None) -> object:
-        node = self.nodes.new("ShaderNodeVectorMath")
-        node.operation = operation
-        self._feed(node.inputs[0], first)
-        if second is not None:
-            self._feed(node.inputs[1], second)
-        if scale is not None:
-            self._feed(node.inputs["Scale"], scale)
-        return node.outputs["Vector"]
-
-    def _feed(self, socket: bpy.types.NodeSocket, source: object) -> None:
+    def _feed(self, socket: bpy.types.NodeSocket, source: Any) -> None:
         if isinstance(source, bpy.types.NodeSocket):
             self.links.new(source, socket)
         else:
-            socket.default_value = float(source)  # type: ignore[arg-type]
+            socket.default_value = float(source)

@@ -83,7 +83,8 @@ def box_cell_centres(low_m: ArrayF64, high_m: ArrayF64, spacing_m: float) -> Arr
 
 def world_box_corners(object: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> ArrayF64:
     """Box corners (8 n, 3), in Blender units, of all that `object` puts into the render; its origin if nothing."""
-    boxes = [_instance_corners(i) for i in depsgraph.object_instances if _belongs_to(i, object)]
+    instances = (instance for instance in depsgraph.object_instances if _belongs_to(instance, object))
+    boxes = [_transformed(instance.object.bound_box, instance.matrix_world) for instance in instances]
     evaluated = object.evaluated_get(depsgraph)
     if not boxes and object.type in GEOMETRY_TYPES:
         # Not among the instances: hidden in this view layer, which does not move it.
@@ -94,10 +95,6 @@ def world_box_corners(object: bpy.types.Object, depsgraph: bpy.types.Depsgraph) 
 def _belongs_to(instance: Any, object: bpy.types.Object) -> bool:
     source = instance.parent if instance.is_instance else instance.object
     return source is not None and source.original == object and instance.object.type in GEOMETRY_TYPES
-
-
-def _instance_corners(instance: Any) -> ArrayF64:
-    return _transformed(instance.object.bound_box, instance.matrix_world)
 
 
 def _transformed(corners: Any, world_from_object: Any) -> ArrayF64:

@@ -20,24 +20,16 @@ RIG_LOOKS: dict[str, dict[str, Any]] = {
 def add_three_sphere_rig(
     scene: bpy.types.Scene, location: tuple[float, float, float], radius_m: float = 0.06
 ) -> list[bpy.types.Object]:
-    """Put the usual three comparison spheres side by side along X, resting on `location`.
+    """Put mirror, matte silver and diffuse sphere side by side along X, each a virtual object of its own.
 
-    Mirror, matte silver (roughness 0.3271) and grey diffuse (albedo 0.5, no specular) are what the field's
-    comparisons render: together they show sharp reflections, the main light's direction and the irradiance.
+    They are what the field's comparisons render: together they show sharp reflections, the main light's direction and
+    the irradiance.
 
     Parameters
     ----------
     scene : gets the virtual collection if it has none
     location : world point under the middle sphere, Blender units, as the 3D cursor has it
-    radius_m : of each sphere, positive
-
-    Returns
-    -------
-    three objects, each a virtual object of its own: mirror, matte silver, diffuse
-
-    Raises
-    ------
-    ValueError : if `radius_m` is not positive and finite
+    radius_m : of each sphere; ValueError if it is not positive and finite
     """
     if not (np.isfinite(radius_m) and radius_m > 0):
         raise ValueError(f"add_three_sphere_rig: radius_m must be positive and finite, got {radius_m}")
