@@ -188,17 +188,6 @@ def pilot_views(plan: PrevisPlan, survey: SceneSurvey) -> list[tuple[int, list[A
     return evenly_chosen(views, min(N_PILOT_FRAMES, math.ceil(len(views) / FRAMES_PER_PILOT)))
 
 
-def capture_noise(
-    scene: bpy.types.Scene,
-    views: Sequence[tuple[int, list[ArrayF64]]],
-    settings: RenderSettings,
-    exposure: float,
-    n_anchors: int,
-) -> NoiseModel:
-    """The noise model of captures, measured at `views` from `settings.samples` samples upwards."""
-    return measure_captures(scene, views, settings, exposure, n_anchors, TriggerSettings())[0]
-
-
 def measure_captures(
     scene: bpy.types.Scene,
     views: Sequence[tuple[int, list[ArrayF64]]],
