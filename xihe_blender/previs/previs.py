@@ -2,9 +2,6 @@
 
     camera path -> capture -> unproject -> sample -> merge -> trigger -> encode -> estimate -> apply -> compare
 
-`previs` is a generator that yields progress and returns the results; see `jobs`. It surveys the path, prepares the run,
-walks the path, compares pictures, applies the light to the scene's timeline, and writes results and report.
-
 What was rendered is kept in the run's folder, file by file. A run that was stopped goes on from there; the cheap stages
 are simply done again, so a resumed run has the numbers of an undisturbed one.
 """
@@ -27,10 +24,9 @@ from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs import results
 from xihe_blender.previs.compare_path import compare_path
 from xihe_blender.previs.lit_blend import apply_lights, light_changes, save_lit_blend
-from xihe_blender.previs.phone_errors import measure_phone
 from xihe_blender.previs.plan import PrevisPlan, plan_previs
 from xihe_blender.previs.prepare import prepare_run, survey_run
-from xihe_blender.previs.run_chain import walk_path
+from xihe_blender.previs.run_chain import measure_phone, walk_path
 from xihe_blender.previs.settings import PrevisSettings, load_estimator
 from xihe_blender.report import write_report
 from xihe_blender.scene.state import scene_kept
@@ -46,7 +42,6 @@ def previs(
     ----------
     scene : with a camera path and virtual objects; stays as it is, but for worlds and markers named "Xihe ..."
     out : folder of the run, made if needed. The same run is resumed; ValueError-like mistakes are UserError
-    settings : what to do
     blend_file : where the scene comes from, for the results; None takes the open file
     command : what the user typed, for the report
 

@@ -17,14 +17,13 @@ from xihe_blender.io.outputs import finite_or_none
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.phone_capture import SimulatedPhone
-from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.results_notes import notes
-from xihe_blender.previs.results_summary import mean_comparison, summary
+from xihe_blender.report.values import mean
 from xihenet.effects import Effect, Requirement, effects_as_json, plan_effects
-from xihenet.metrics import shc_rmse
+from xihenet.invalid import added, counted
 from xihenet.phone import Request, first_frame_after
-from xihenet.records import ArrayF64, StepReport
+from xihenet.records import ArrayF64
 
 AS_SET = ("estimator", "preset", "target", "n_anchors", "seed", "phone", "network")
 """Settings that results hold under the same names."""
@@ -56,49 +55,6 @@ def _probe_render(frame: int, source: int, light: MeasuredLight, run: PreparedRu
         **_render(frame, source, samples, noise),
         expected_error=finite_or_none(light.expected_error(target)),
         is_capped=is_too_noisy and samples >= aim.max_samples,
-    )
-
-
-def probe_result(
-    probe: Probe,
-    step: StepReport,
-    arrives: tuple[int | None, float | None],
-    *,
-    lights: tuple[ArrayF64, ArrayF64, ArrayF64],
-    light_frame: int | None,
-    share_above_white: float | None,
-) -> records.ProbeResult:
-    """What one step did at one position.
-
-    `arrives` is as of `arrival`. `lights` are (9, 3) each: in force after the step, estimated in `light_frame`; the
-    probe's own; the ambient one.
-    """
-    decision, (light, truth, ambient) = step.decision, lights
-    return records.ProbeResult(
-        name=probe.name,
-        object=probe.object_name,
-        position_m=as_rgb(probe.position_m),
-        coverage=step.coverage,
-        fired=decision.fire,
-        reason=decision.reason,
-        change=finite_or_none(decision.change),
-        threshold=finite_or_none(decision.threshold),
-        n_changed_anchors=decision.n_changed_anchors,
-        n_skipped_points=step.n_invalid_points,
-        n_invalid_points=step.n_invalid_points,
-        invalid=dict(step.invalid),
-        is_valid=not step.unknown_because,
-        unknown_because=step.unknown_because or None,
-        light_frame=light_frame,
-        n_followed_anchors=step.n_followed_anchors,
-        payload_bytes=step.payload_bytes,
-        arrival_frame=arrives[0],
-        latency_ms=arrives[1],
-        sh=as_coefficients(light),
-        sh_truth=as_coefficients(truth),
-        shc_rmse=shc_rmse(light, truth),
-        ambient_shc_rmse=shc_rmse(ambient, truth),
-        share_above_white=share_above_white,
     )
 
 
@@ -145,7 +101,7 @@ def assemble(
     file, command : where the scene comes from, and what the user typed
     """
     scene, profile = run.scene, run.phone.profile
-    comparison = mean_comparison(frames)
+    comparison = _mean_comparison(frames)
     effects = effects_as_json({**run.effects, **_other_effects(scene), **phone.effects})
     return records.RunResults(
         software=software(command),
@@ -168,7 +124,7 @@ def assemble(
             for name, of_one in lights.items()
         },
         comparison=comparison,
-        summary=summary(frames, comparison, run.sample_count.pilot_s),
+        summary=_summary(frames, comparison, run.sample_count.pilot_s),
         notes=tuple(notes(run, frames, phone)),
     )
 
@@ -214,3 +170,73 @@ def _cycles_device(scene: bpy.types.Scene) -> str:
     addon = bpy.context.preferences.addons.get("cycles")
     kind = addon.preferences.compute_device_type if addon and scene.cycles.device != "CPU" else "NONE"
     return "CPU" if kind == "NONE" else str(kind)
+
+
+def _mean_comparison(frames: Sequence[records.FrameResult]) -> dict[str, records.Metrics]:
+    """Every metric of every method, averaged over the compared frames in which it is defined."""
+    compared = [frame.compared.comparison for frame in frames if frame.compared is not None]
+    methods = list(compared[0]) if compared else []
+    return {
+        name: records.Metrics(
+            **{metric: mean(getattr(of_frame[name], metric) for of_frame in compared) for metric in records.METRICS}
+        )
+        for name in methods
+    }
+
+
+def _summary(
+    frames: Sequence[records.FrameResult], comparison: Mapping[str, records.Metrics], pilot_s: float
+) -> records.Summary:
+    """The run in a few numbers."""
+    active = [frame for frame in frames if frame.active]
+    probes = [probe for frame in active for probe in frame.probes]
+    compared = [frame.compared for frame in frames if frame.compared is not None]
+    renderings = [frame.rendering for frame in active if frame.rendering is not None]
+    lights = [light for rendering in renderings for light in rendering.probes.values()]
+    render_s, work_s = sum(frame.render_s for frame in active), sum(frame.work_s for frame in active)
+    return records.Summary(
+        n_frames=len(frames),
+        n_active_frames=len(active),
+        n_compared_frames=len(compared),
+        n_reused_captures=sum(not rendering.capture.rendered for rendering in renderings),
+        n_reused_probes=sum(not light.rendered for light in lights),
+        n_reused_comparisons=sum(of_frame.comparison_same_as is not None for of_frame in compared),
+        n_estimates=sum(probe.fired for probe in probes),
+        fired_share=mean(float(probe.fired) for probe in probes),
+        mean_shc_rmse=mean(probe.shc_rmse for probe in probes),
+        ambient_shc_rmse=mean(probe.ambient_shc_rmse for probe in probes),
+        share_above_white=mean(probe.share_above_white for probe in probes),
+        n_capped_probes=sum(light.is_capped for light in lights),
+        mean_coverage=mean(probe.coverage for probe in probes),
+        mean_step_ms=mean(sum(frame.stage_ms.values()) for frame in active),
+        payload_bytes=sum(probe.payload_bytes for probe in probes),
+        mean_latency_ms=mean(probe.latency_ms for probe in probes if probe.fired),
+        n_lost=sum(probe.fired and probe.latency_ms is None for probe in probes),
+        n_invalid_pixels=sum(frame.n_invalid_pixels for frame in active),
+        n_invalid_points=sum(probe.n_invalid_points for probe in probes),
+        n_followed_anchors=sum(probe.n_followed_anchors for probe in probes),
+        n_unknown_lights=sum(not probe.is_valid for probe in probes),
+        invalid=records.InvalidCounts(
+            pixels=added(frame.invalid for frame in active),
+            points=added(probe.invalid for probe in probes),
+            lights=added({probe.unknown_because: 1} for probe in probes if probe.unknown_because is not None),
+            metrics=added(undefined for of_frame in compared for undefined in _undefined(of_frame.comparison)),
+            hues=added(counted(**of_frame.n_hueless_pixels) for of_frame in compared),
+        ),
+        render_s=render_s,
+        comparison_render_s=sum(of_frame.comparison_render_s for of_frame in compared),
+        overhead_share=work_s / render_s if render_s else None,
+        rmse_against_ambient={
+            name: _ratio(metrics.rmse, comparison["ambient"].rmse) for name, metrics in comparison.items()
+        },
+        pilot_s=pilot_s,
+    )
+
+
+def _undefined(comparison: Mapping[str, records.Metrics]) -> list[dict[str, int]]:
+    """Once for each method's metric that has no value."""
+    return [{name: 1} for metrics in comparison.values() for name in records.METRICS if getattr(metrics, name) is None]
+
+
+def _ratio(value: float | None, reference: float | None) -> float | None:
+    return value / reference if value is not None and reference else None

@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Generator
-from dataclasses import dataclass, field
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from xihe_blender.capture.reference_probe import MeasuredLight
-from xihe_blender.io.outputs import write_picture
-from xihe_blender.io.run_results import FrameResult, ProbeResult
+from xihe_blender.io.outputs import finite_or_none, write_picture
+from xihe_blender.io.run_results import FrameResult, PhoneErrors, ProbeResult
 from xihe_blender.jobs import Progress
 from xihe_blender.previs import results
 from xihe_blender.previs.path_renders import FrameRenders, PathRenders, render_path
@@ -27,10 +27,16 @@ from xihe_blender.previs.phone_capture import CaptureFacts, SimulatedPhone, fact
 from xihe_blender.previs.phone_session import PhoneSession, SessionStep
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
+from xihe_blender.report.values import mean
 from xihenet.camera import invalid_pixels
 from xihenet.invalid import CLAMPED
-from xihenet.metrics import share_above_white
+from xihenet.metrics import share_above_white, shc_rmse
+from xihenet.phone import NETWORK, Link
+from xihenet.recording import load_frame
 from xihenet.records import ArrayF64, RgbdFrame
+
+NOT_REPEATED = "frame_rate"
+"""Frames that the phone did not deliver were never captured."""
 
 Lights = dict[str, dict[str, ArrayF64]]
 """(9, 3) coefficients by method and virtual object."""
@@ -83,7 +89,6 @@ class _Walk:
         """The last reference light of each probe."""
 
     def step(self, frame: int) -> None:
-        """Go on to `frame`."""
         start = time.perf_counter()
         rendered, time_s = self.renders.at(frame), self.run.survey.frames[frame].time_s
         if rendered is not None:
@@ -143,13 +148,73 @@ class _Walk:
         return {self.run.settings.estimator: estimated, "ambient": ambient, "truth": truth}
 
     def _probe_result(self, probe: Probe, step: SessionStep, seen: RgbdFrame) -> ProbeResult:
-        reference = self.references[probe.name]
+        """What one step did at one position, and the light in force there after it."""
+        report, reference = step.reports[probe.name], self.references[probe.name]
         light, truth = self.session.light(probe.name, seen.time_s), reference.of(self.run.settings.target)
-        return results.probe_result(
-            probe,
-            step.reports[probe.name],
-            results.arrival(step.requests.get(probe.name), self.run.phone.times_s),
-            lights=(light, truth, step.ambient_sh),
+        arrival_frame, latency_ms = results.arrival(step.requests.get(probe.name), self.run.phone.times_s)
+        return ProbeResult(
+            name=probe.name,
+            object=probe.object_name,
+            position_m=results.as_rgb(probe.position_m),
+            coverage=report.coverage,
+            fired=report.decision.fire,
+            reason=report.decision.reason,
+            change=finite_or_none(report.decision.change),
+            threshold=finite_or_none(report.decision.threshold),
+            n_changed_anchors=report.decision.n_changed_anchors,
+            n_skipped_points=report.n_invalid_points,
+            n_invalid_points=report.n_invalid_points,
+            invalid=dict(report.invalid),
+            is_valid=not report.unknown_because,
+            unknown_because=report.unknown_because or None,
             light_frame=self.session.light_frame(probe.name, seen.time_s),
+            n_followed_anchors=report.n_followed_anchors,
+            payload_bytes=report.payload_bytes,
+            arrival_frame=arrival_frame,
+            latency_ms=latency_ms,
+            sh=results.as_coefficients(light),
+            sh_truth=results.as_coefficients(truth),
+            shc_rmse=shc_rmse(light, truth),
+            ambient_shc_rmse=shc_rmse(step.ambient_sh, truth),
             share_above_white=share_above_white(reference.ldr, reference.hdr),
         )
+
+
+def measure_phone(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, None, PhoneErrors | None]:
+    """A job: the errors of a walk with the phone's effects, without each of them, and with a perfect phone.
+
+    Nothing is rendered: the phone sees the captures of the run again, and the whole chain runs on what it saw. So the
+    difference is what a user would gain by a phone without that flaw; since triggers may fire in other frames then, a
+    small one is chance. Rejected: errors of effects alone on a perfect phone, which say nothing of how they add up.
+
+    None for a phone without any effect; an error is None without an active frame.
+    """
+    phone = walked.phone
+    if not phone.on:
+        return None
+    active = [entry for entry in walked.frames if entry.active]
+    all_on = mean(probe.shc_rmse for entry in active for probe in entry.probes)
+    without: dict[str, float | None] = {}
+    for effect in [name for name in phone.effects if name in phone.on]:
+        yield run.progress("methods", 1, f"measuring the light without {effect}")
+        link = None if effect == NETWORK else phone.link_in_use
+        effects = phone.on - {effect}
+        without[effect] = None if effect == NOT_REPEATED else _mean_error(run, phone, active, effects, link)
+    yield run.progress("methods", 1, "measuring the light with a perfect phone")
+    perfect = _mean_error(run, phone, active, frozenset(), None)
+    return PhoneErrors(all_on=all_on, perfect=perfect, without=without)
+
+
+def _mean_error(
+    run: PreparedRun, phone: SimulatedPhone, active: Sequence[FrameResult], effects: frozenset[str], link: Link | None
+) -> float | None:
+    """Mean SHC RMSE over probes and frames of a session with `effects` over `link`; None without a frame."""
+    phone = replace(phone, of_camera=effects - {NETWORK})
+    session = PhoneSession(run.plan, run.settings, run.exposure, run.estimator, link)
+    errors = []
+    for entry in active:
+        seen, _ = phone.see(load_frame(run.outputs.capture(entry.frame)), run.outputs)
+        truth = {probe.name: np.array(probe.sh_truth) for probe in entry.probes}
+        session.step(seen, truth, list(truth))
+        errors += [shc_rmse(session.light(name, seen.time_s), light) for name, light in truth.items()]
+    return mean(errors)
