@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 
 from xihe_blender.capture.render import RenderSettings, working_scene
-from xihe_blender.capture.scanner import phone_camera
+from xihe_blender.capture.scanner import phone_camera, session_time_s
 from xihe_blender.errors import UserError
 from xihe_blender.io.run_results import Fault
 from xihe_blender.light_transport.inspection import open_inspection
@@ -36,15 +36,11 @@ STILL = CameraMotion(np.zeros(3), np.zeros(3))
 
 @dataclass(frozen=True, eq=False)
 class SurveyedFrame:
-    """One frame of the path.
+    """One frame of the path, at `time_s` of the session.
 
-    Parameters
-    ----------
-    frame, time_s : its number, and seconds of the session
-    in_view : names of the estimation positions that the camera sees
-    motion : of the camera while it takes the frame
-    state : digests of the scene, by which renders are used again
-    roughness : smoothest roughness by material name; None where it is not known
+    `in_view` names the estimation positions that the camera sees, `motion` is the camera's while it takes the frame,
+    `state` are digests of the scene, by which renders are used again, and `roughness` is the smoothest by material
+    name; None where it is not known.
     """
 
     frame: int
@@ -55,12 +51,10 @@ class SurveyedFrame:
     roughness: Mapping[str, float | None]
 
     def as_json(self) -> dict[str, Any]:
-        """For `from_json`, to the last bit."""
         return asdict(self) | {"motion": {name: vector.tolist() for name, vector in vars(self.motion).items()}}
 
     @classmethod
     def from_json(cls, row: Mapping[str, Any]) -> SurveyedFrame:
-        """What `as_json` gave."""
         motion = CameraMotion(**{name: np.array(vector, float).reshape(3) for name, vector in row["motion"].items()})
         read = {"in_view": tuple(row["in_view"]), "motion": motion, "state": SceneState(**row["state"])}
         return cls(**{**row, **read})
@@ -68,14 +62,10 @@ class SurveyedFrame:
 
 @dataclass(frozen=True, eq=False)
 class SceneSurvey:
-    """What a scene is like along a camera path.
+    """What a scene is like along a camera path: its frames by number, in order, and what holds for all of them.
 
-    Parameters
-    ----------
-    frames : of the path, by number, in order
-    faults : what is wrong with the scene and yet no reason to stop
-    required : what the scene requires, by effect of light transport
-    light_changes : whether a light of the room is not the same in all frames
+    `faults` are no reason to stop, `required` goes by effect of light transport, and `light_changes` says whether a
+    light of the room is not the same in all frames.
     """
 
     frames: Mapping[int, SurveyedFrame]
@@ -94,7 +84,6 @@ class SceneSurvey:
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> SceneSurvey:
-        """What `as_json` gave."""
         frames = map(SurveyedFrame.from_json, content["frames"])
         faults = tuple(Fault(**fault) for fault in content["faults"])
         required = {name: Requirement(**requirement) for name, requirement in content["required"].items()}
@@ -119,15 +108,17 @@ def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
     transport = TransportSurveyor(plan.frames, [probe.position_m.tolist() for probe in plan.probes])
     states, room = StateSurvey(scene), RoomSurvey(scene)
     views: dict[int, _CameraView] = {}
+    in_scene = range(scene.frame_start, scene.frame_end + 1)
+    visited = {frame + step for frame in plan.frames for step in (-1, 0, 1) if frame + step in in_scene}
     faults = list(image_faults(scene.world))
     settings = RenderSettings(plan.size, samples=1)
     with open_inspection(scene) as inspection, working_scene(scene, "Xihe Survey", settings) as working:
-        for frame in _with_neighbours(scene, plan.frames):
+        for frame in sorted(visited):
             working.frame_set(frame)
             is_on_path = frame in plan.frames
             # Beside the path the camera only tells how it moves: no phone's is one that was switched to.
             with contextlib.nullcontext() if is_on_path else contextlib.suppress(UserError):
-                views[frame] = _view(working)
+                views[frame] = _CameraView(working.camera, *phone_camera(working), session_time_s(working))
             if is_on_path:
                 faults += faults_at_frame(working.view_layers[0].depsgraph, is_first=frame == plan.frames[0])
                 inspection.look_at(frame, transport.look_at, states.look_at, room.look_at)
@@ -149,21 +140,7 @@ def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
     return SceneSurvey(frames, tuple(dict.fromkeys(faults)), required, room.light_changes)
 
 
-def _with_neighbours(scene: bpy.types.Scene, frames: Sequence[int]) -> list[int]:
-    """`frames`, and those before and after each that are within the scene's range."""
-    beside = {frame + step for frame in frames for step in (-1, 1)}
-    return sorted({*frames, *(frame for frame in beside if scene.frame_start <= frame <= scene.frame_end)})
-
-
-def _view(working: bpy.types.Scene) -> _CameraView:
-    """Of the phone's camera at the current frame; UserError as of `phone_camera`."""
-    intrinsics, world_from_camera = phone_camera(working)
-    time_s = (working.frame_current - working.frame_start) * working.render.fps_base / working.render.fps
-    return _CameraView(working.camera, intrinsics, world_from_camera, time_s)
-
-
 def _in_view(probes: Sequence[Probe], view: _CameraView) -> tuple[str, ...]:
-    """Names of the `probes` that a camera sees."""
     positions_m = np.array([probe.position_m for probe in probes]).reshape(-1, 3)
     seen = in_view(positions_m, view.intrinsics, view.world_from_camera)
     return tuple(probe.name for probe, is_seen in zip(probes, seen, strict=True) if is_seen)
