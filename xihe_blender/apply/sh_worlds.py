@@ -23,7 +23,6 @@ from numpy.typing import ArrayLike
 
 from xihe_blender.apply.datablocks import MARKER_PREFIX, NODE_GROUP_NAME, PREFIX, lights_by_sh, trigger_markers
 from xihe_blender.scene.virtual_objects import virtual_objects
-from xihenet.records import ArrayF64
 from xihenet.sh import dering_for_display
 
 MAX_NAME_BYTES = 63
@@ -42,7 +41,15 @@ def sh_node_group() -> bpy.types.NodeTree:
     Inputs: nine vectors (R, G, B of each coefficient, in the order l*l + l + m) and a gain. Output: radiance.
     """
     group = _local(bpy.data.node_groups, NODE_GROUP_NAME)
-    return group if group is not None else _make_node_group()
+    if group is None:
+        group = bpy.data.node_groups.new(NODE_GROUP_NAME, "ShaderNodeTree")
+        group.interface.new_socket("Radiance", in_out="OUTPUT", socket_type="NodeSocketColor")
+        for name in COEFFICIENTS:
+            group.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketVector")
+        gain = group.interface.new_socket(GAIN, in_out="INPUT", socket_type="NodeSocketFloat")
+        gain.default_value = 1.0
+        _GroupBuilder(group).build()
+    return group
 
 
 def make_sh_world(name: str) -> bpy.types.World:
@@ -81,7 +88,11 @@ def apply_sh_to_world(
     For a world that is looked at, `is_deringed` takes away what is negative, by `xihenet.sh.dering_for_display`.
     ValueError for another shape, numbers that are not finite, or an exposure that is not positive.
     """
-    coefficients = _checked(sh_radiance, exposure)
+    coefficients = np.asarray(sh_radiance, np.float64)
+    if coefficients.shape != (9, 3) or not np.isfinite(coefficients).all():
+        raise ValueError(f"expected finite coefficients of shape (9, 3), got shape {coefficients.shape}")
+    if not (np.isfinite(exposure) and exposure > 0):
+        raise ValueError(f"expected a positive exposure, got {exposure}")
     if is_deringed:
         coefficients = dering_for_display(coefficients)
     inputs = _inputs(world)
@@ -106,15 +117,11 @@ def key_sh_on_world(world: bpy.types.World, frame: int, sh_radiance: ArrayLike, 
 
 
 def world_name(virtual_object: str) -> str:
-    """Name of the world that lights a virtual object; see `name_within_limit`."""
-    return name_within_limit(f"{PREFIX}{virtual_object}")
-
-
-def name_within_limit(name: str) -> str:
-    """`name` in the 63 bytes that every Blender keeps of one.
+    """Name of the world that lights a virtual object, in the 63 bytes that every Blender keeps of one.
 
     A longer one is cut, and ends with a checksum of all of it: objects whose long names begin alike stay apart.
     """
+    name = f"{PREFIX}{virtual_object}"
     whole = name.encode()
     if len(whole) <= MAX_NAME_BYTES:
         return name
@@ -182,31 +189,11 @@ def _local(blocks: bpy.types.bpy_prop_collection, name: str) -> bpy.types.ID | N
     return blocks.get((name, None))
 
 
-def _checked(sh_radiance: ArrayLike, exposure: float) -> ArrayF64:
-    coefficients = np.asarray(sh_radiance, np.float64)
-    if coefficients.shape != (9, 3) or not np.isfinite(coefficients).all():
-        raise ValueError(f"expected finite coefficients of shape (9, 3), got shape {coefficients.shape}")
-    if not (np.isfinite(exposure) and exposure > 0):
-        raise ValueError(f"expected a positive exposure, got {exposure}")
-    return coefficients
-
-
 def _inputs(world: bpy.types.World) -> bpy.types.NodeInputs:
     node = world.node_tree.nodes.get(NODE_GROUP_NAME) if world.node_tree else None
     if node is None:
         raise ValueError(f"world {world.name!r} has no node {NODE_GROUP_NAME!r}: make it with make_sh_world")
     return node.inputs
-
-
-def _make_node_group() -> bpy.types.NodeTree:
-    group = bpy.data.node_groups.new(NODE_GROUP_NAME, "ShaderNodeTree")
-    group.interface.new_socket("Radiance", in_out="OUTPUT", socket_type="NodeSocketColor")
-    for name in COEFFICIENTS:
-        group.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketVector")
-    gain = group.interface.new_socket(GAIN, in_out="INPUT", socket_type="NodeSocketFloat")
-    gain.default_value = 1.0
-    _GroupBuilder(group).build()
-    return group
 
 
 class _GroupBuilder:

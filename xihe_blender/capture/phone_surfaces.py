@@ -18,7 +18,6 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from numpy.typing import NDArray
 
 from xihe_blender.io.outputs import written_whole
 from xihenet.npz_files import read_npz
@@ -120,11 +119,3 @@ def _scrambled(block: int) -> int:
 
 def _rotated(value: int, by: int) -> int:
     return (value << by | value >> 32 - by) & 0xFFFFFFFF
-
-
-def smoothest_in_view(surfaces: SurfaceFacts, valid: NDArray[np.bool_]) -> float | None:
-    """The smallest roughness of a picture's `valid` pixels; None if that of any is not known; 1 without a pixel."""
-    seen = surfaces.roughness[valid] if surfaces.roughness is not None else np.ones(0, np.float32)
-    if np.isnan(seen).any():
-        return None
-    return float(seen.min(initial=1.0))

@@ -121,11 +121,9 @@ class MeasuredLight:
     hdr_samples: int
 
     def of(self, target: Target) -> ArrayF64:
-        """The coefficients of one target."""
         return self.ldr if target == "ldr" else self.hdr
 
     def noise(self, target: Target) -> float | None:
-        """The noise of one target."""
         return self.ldr_noise if target == "ldr" else self.hdr_noise
 
     def expected_error(self, target: Target) -> float | None:
@@ -134,7 +132,6 @@ class MeasuredLight:
         return None if noise is None else math.hypot(noise, ERROR_BESIDE_NOISE)
 
     def samples(self, target: Target) -> int:
-        """The pictures taken of one target."""
         return self.ldr_samples if target == "ldr" else self.hdr_samples
 
     def as_json(self) -> dict[str, Any]:
@@ -319,8 +316,8 @@ def open_reference_probe(
         layer.use_pass_emit = layer.use_pass_environment = True
         # A box: with any wider filter pixels on the rim look past the ball more often than they should.
         working.cycles.pixel_filter_type = "BOX"
-        working.camera = stack.enter_context(_mirror_ball_camera())
-        balls = stack.enter_context(_balls(working, places))
+        working.camera = _mirror_ball_camera(stack)
+        balls = _put_balls(stack, working, places)
         for ball, item in zip(balls, objects or (), strict=False):
             if item is not None:
                 stack.enter_context(joined_light_links(scene, ball, item))
@@ -342,46 +339,37 @@ def _take_samples(scene: bpy.types.Scene, n: int) -> None:
         cycles.samples = max(SEQUENCE_LENGTH, 1 + n)
 
 
-@contextlib.contextmanager
-def _mirror_ball_camera() -> Iterator[bpy.types.Object]:
-    """A camera that sees the whole sphere, the middle of its picture straight up."""
+def _mirror_ball_camera(stack: contextlib.ExitStack) -> bpy.types.Object:
+    """A camera that sees the whole sphere, the middle of its picture straight up; gone with `stack`."""
     data = bpy.data.cameras.new(NAME)
+    # With its data the object goes too. It is in no collection: those are the user's, and Cycles needs none.
+    stack.callback(bpy.data.cameras.remove, data)
+    data.type = "PANO"
+    panorama: Any = data if hasattr(data, "panorama_type") else data.cycles
+    panorama.panorama_type = "MIRRORBALL"
     camera = bpy.data.objects.new(NAME, data)
-    try:
-        data.type = "PANO"
-        panorama: Any = data if hasattr(data, "panorama_type") else data.cycles
-        panorama.panorama_type = "MIRRORBALL"
-        camera.rotation_euler = (math.pi, 0.0, 0.0)
-        # Not linked to a collection: those are the user's. Cycles needs only the scene to point at it.
-        yield camera
-    finally:
-        bpy.data.objects.remove(camera)
-        bpy.data.cameras.remove(data)
+    camera.rotation_euler = (math.pi, 0.0, 0.0)
+    return camera
 
 
-@contextlib.contextmanager
-def _balls(scene: bpy.types.Scene, positions_m: ArrayF64) -> Iterator[list[bpy.types.Object]]:
-    """A ball at each position that camera rays alone can see, so that it neither shades nor lights anything."""
+def _put_balls(stack: contextlib.ExitStack, scene: bpy.types.Scene, positions_m: ArrayF64) -> list[bpy.types.Object]:
+    """Balls that camera rays alone can see, so that they neither shade nor light anything; gone with `stack`."""
     metres = metres_per_unit(scene)
     material = _cone_material()
-    balls: list[bpy.types.Object] = []
-    try:
-        for position in positions_m:
-            mesh = sphere_mesh(NAME, _ball_radius(position, metres) / metres, CONE_SEGMENTS, CONE_SEGMENTS // 2)
-            mesh.materials.append(material)
-            ball = bpy.data.objects.new(NAME, mesh)
-            balls.append(ball)
-            ball.location = tuple(position / metres)
-            for ray in ("diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
-                setattr(ball, f"visible_{ray}", False)
-            scene.collection.objects.link(ball)
-        yield balls
-    finally:
-        for ball in balls:
-            mesh = ball.data
-            bpy.data.objects.remove(ball)
-            bpy.data.meshes.remove(mesh)
-        bpy.data.materials.remove(material)
+    stack.callback(bpy.data.materials.remove, material)
+    balls = []
+    for position in positions_m:
+        mesh = sphere_mesh(NAME, _ball_radius(position, metres) / metres, CONE_SEGMENTS, CONE_SEGMENTS // 2)
+        # With its mesh the object goes too.
+        stack.callback(bpy.data.meshes.remove, mesh)
+        mesh.materials.append(material)
+        ball = bpy.data.objects.new(NAME, mesh)
+        ball.location = tuple(position / metres)
+        for ray in ("diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
+            setattr(ball, f"visible_{ray}", False)
+        scene.collection.objects.link(ball)
+        balls.append(ball)
+    return balls
 
 
 def _ball_radius(position_m: ArrayF64, metres: float) -> float:

@@ -43,14 +43,9 @@ _ERROR_STOPS = np.array([[0, 0, 4], [87, 16, 110], [188, 55, 84], [249, 142, 9],
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Pictures of one frame, (H, W, 3) linear at the session's exposure.
+    """Pictures of one frame, (H, W, 3) linear at the session's exposure: path-traced, and by method.
 
-    Parameters
-    ----------
-    ground_truth : path-traced
-    methods : by name, objects under the method's light over the captured frame
-    weights : (H, W) share of each pixel that virtual objects cover, 0 to 1
-    render_s : seconds Cycles took for all of them
+    `weights` (H, W) are the share of each pixel that virtual objects cover, 0 to 1; Cycles took `render_s` for all.
     """
 
     ground_truth: ArrayF64

@@ -88,23 +88,19 @@ class PathRenders:
         return [(f, probe) for f, probe in asked if kept_json(self.reference(probe, f), _kept_light) is None]
 
     def capture(self, frame: int, scanner: CyclesScanner) -> None:
-        """Keep the capture of `frame`, at which `scanner` is."""
-        captured, render_s = self._captured(frame, scanner)
-        save_frame(self.outputs.capture(frame), captured)
-        write_picture(self.outputs.picture("captured", frame), captured.srgb_u8)
-        write_json(self.outputs.times(frame), {"render_s": render_s})
-
-    def _captured(self, frame: int, scanner: CyclesScanner) -> tuple[RgbdFrame, float]:
-        """The capture, and the seconds that rendering it took; what is kept beside it is written."""
-        source = self.run.reuse.captures[frame]
+        """Keep the capture of `frame`, at which `scanner` is, and what the phone needs beside it."""
+        source, outputs = self.run.reuse.captures[frame], self.outputs
         if source == frame:
-            captured = scanner.acquire_environment_scan()
+            captured, render_s = scanner.acquire_environment_scan(), scanner.render_s
             self._keep_passes(frame, scanner)
-            return captured, scanner.render_s
-        for (kept, _), (path, _) in zip(self._beside_capture(source), self._beside_capture(frame), strict=True):
-            copy_whole(kept, path)
-        captured = load_frame(self.outputs.capture(source))
-        return replace(captured, time_s=scanner.time_s, frame=frame), 0.0
+        else:
+            for (kept, _), (path, _) in zip(self._beside_capture(source), self._beside_capture(frame), strict=True):
+                copy_whole(kept, path)
+            captured = replace(load_frame(outputs.capture(source)), time_s=scanner.time_s, frame=frame)
+            render_s = 0.0
+        save_frame(outputs.capture(frame), captured)
+        write_picture(outputs.picture("captured", frame), captured.srgb_u8)
+        write_json(outputs.times(frame), {"render_s": render_s})
 
     def _keep_passes(self, frame: int, scanner: CyclesScanner) -> None:
         """Store what the last render has for the phone, beside the capture itself."""

@@ -14,34 +14,23 @@ phone is no special case here, but its `sees` is false, and whoever asks that ne
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import bpy
 import numpy as np
 
-from xihe_blender.capture.phone_surfaces import load_surfaces, smoothest_in_view
+from xihe_blender.capture.phone_surfaces import load_surfaces
 from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.previs.survey import SceneSurvey
+from xihenet import phone as phones
 from xihenet.camera import valid_plane_depth
 from xihenet.effects import Effect, names_that_are_on, plan_effects
 from xihenet.metering import Metering, metered_exposure
-from xihenet.phone import (
-    NETWORK,
-    FrameFacts,
-    Link,
-    PhoneCamera,
-    PhoneProfile,
-    SessionFacts,
-    SessionTrack,
-    SurfaceFacts,
-    facts_of_frame,
-    facts_of_session,
-)
 from xihenet.phone.frame_rate import FrameRate, delivered_frames
 from xihenet.records import ArrayF32, ArrayF64, RgbdFrame
 
@@ -77,8 +66,8 @@ class ChosenPhone:
     and `frame_rate_hz` is the path's where it is fastest.
     """
 
-    profile: PhoneProfile
-    link: Link | None
+    profile: phones.PhoneProfile
+    link: phones.Link | None
     metering: Metering
     n_anchors: int
     seed: int
@@ -109,7 +98,7 @@ class ChosenPhone:
 
     def _delivered(self) -> frozenset[int]:
         section = self.profile.sections.get("frame_rate")
-        required = self.profile.required_effects(SessionFacts(**self.timing))
+        required = self.profile.required_effects(phones.SessionFacts(**self.timing))
         is_on = plan_effects(required, self.choices)["frame_rate"].state == "on"
         limit = section if is_on and isinstance(section, FrameRate) else None
         reaches = delivered_frames(list(self.times_s.values()), limit)
@@ -134,9 +123,13 @@ def choose_phone(scene: bpy.types.Scene, survey: SceneSurvey, settings: PrevisSe
 
 @dataclass(frozen=True, eq=False)
 class CaptureFacts:
-    """What one perfect capture says of the session; `ambient` (3,) is what its light sensor would read at once."""
+    """What one perfect capture says of the session.
 
-    of_frame: FrameFacts
+    `smoothest_roughness` is None where that of any pixel is not known; `ambient` (3,) is what the light sensor would
+    read at once.
+    """
+
+    of_frame: phones.FrameFacts
     smoothest_roughness: float | None
     highest_transmission: float
     metered: float
@@ -147,16 +140,17 @@ def facts_of_capture(
     captured: RgbdFrame,
     positions_m: ArrayF64,
     metering: Metering,
-    surfaces: SurfaceFacts | None,
+    surfaces: phones.SurfaceFacts | None,
     radiance: ArrayF32 | None,
 ) -> CaptureFacts:
     """Of a capture; surfaces and radiance (H, W, 3) only where the phone needs them."""
-    facts, roughness, transmission = facts_of_frame(captured, positions_m), None, 0.0
+    facts, roughness, transmission = phones.facts_of_frame(captured, positions_m), None, 0.0
     if surfaces is not None:
         valid = valid_plane_depth(captured.plane_depth_m)
-        assert surfaces.reflectance is not None and surfaces.transmission is not None
+        assert surfaces.reflectance is not None and surfaces.transmission is not None and surfaces.roughness is not None
         facts = replace(facts, darkest_grey=float(surfaces.reflectance[valid].min(initial=1.0)))
-        roughness = smoothest_in_view(surfaces, valid)
+        if not np.isnan(surfaces.roughness[valid]).any():
+            roughness = float(surfaces.roughness[valid].min(initial=1.0))
         transmission = float(surfaces.transmission[valid].max(initial=0.0))
     metered = captured.exposure
     if radiance is not None:
@@ -190,12 +184,11 @@ class SimulatedPhone:
     of_camera: frozenset[str]
 
     @functools.cached_property
-    def camera(self) -> PhoneCamera:
-        """What makes its frames of perfect ones."""
-        return PhoneCamera(self.chosen.profile, self.chosen.seed, effects=self.of_camera)
+    def camera(self) -> phones.PhoneCamera:
+        return phones.PhoneCamera(self.chosen.profile, self.chosen.seed, effects=self.of_camera)
 
     @functools.cached_property
-    def track(self) -> SessionTrack:
+    def track(self) -> phones.SessionTrack:
         """Exposure and light sensor over the captured frames."""
         facts = self.facts.values()
         return self.camera.follow(
@@ -208,12 +201,11 @@ class SimulatedPhone:
 
     @property
     def on(self) -> frozenset[str]:
-        """Names of the effects that are simulated."""
         return names_that_are_on(self.effects)
 
     @property
-    def link_in_use(self) -> Link | None:
-        return self.chosen.link if NETWORK in self.on else None
+    def link_in_use(self) -> phones.Link | None:
+        return self.chosen.link if phones.NETWORK in self.on else None
 
     def notes(self) -> list[str]:
         """What a reader has to know of the session, in plain sentences."""
@@ -241,12 +233,6 @@ def simulate_phone(
     chosen: ChosenPhone, survey: SceneSurvey, facts: Mapping[int, CaptureFacts], exposure: float
 ) -> SimulatedPhone:
     """Decide which effects are simulated, from all that is known; without `facts` what they could rule out is on."""
-    known = _session_facts(chosen, survey, list(facts.values()))
-    effects = plan_effects(chosen.profile.required_effects(known, chosen.link), chosen.choices)
-    return SimulatedPhone(chosen, survey, facts, exposure, effects, names_that_are_on(effects) - {NETWORK})
-
-
-def _session_facts(chosen: ChosenPhone, survey: SceneSurvey, facts: Sequence[CaptureFacts]) -> SessionFacts:
     motions = [one.motion for one in survey.frames.values()]
     known: dict[str, Any] = {
         **chosen.timing,
@@ -255,9 +241,11 @@ def _session_facts(chosen: ChosenPhone, survey: SceneSurvey, facts: Sequence[Cap
         "fastest_turn_deg_per_s": max(float(np.linalg.norm(np.degrees(motion.turn_rad_per_s))) for motion in motions),
         "light_changes": survey.light_changes,
     }
-    if not facts:
-        return SessionFacts(**known)
-    roughness = [one.smoothest_roughness for one in facts if one.smoothest_roughness is not None]
-    known["smoothest_roughness"] = min(roughness) if len(roughness) == len(facts) else None
-    known["highest_transmission"] = max(one.highest_transmission for one in facts)
-    return facts_of_session([one.of_frame for one in facts], **known)
+    session = phones.SessionFacts(**known)
+    if facts:
+        roughness = [one.smoothest_roughness for one in facts.values() if one.smoothest_roughness is not None]
+        known["smoothest_roughness"] = min(roughness) if len(roughness) == len(facts) else None
+        known["highest_transmission"] = max(one.highest_transmission for one in facts.values())
+        session = phones.facts_of_session([one.of_frame for one in facts.values()], **known)
+    effects = plan_effects(chosen.profile.required_effects(session, chosen.link), chosen.choices)
+    return SimulatedPhone(chosen, survey, facts, exposure, effects, names_that_are_on(effects) - {phones.NETWORK})

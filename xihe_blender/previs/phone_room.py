@@ -88,5 +88,4 @@ class RoomSurvey:
 
 
 def _may_change(block: bpy.types.ID) -> bool:
-    """Whether what glows is animated, or shows a film."""
     return is_animated(block) or shows_a_film(block.node_tree)

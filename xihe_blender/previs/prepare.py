@@ -6,6 +6,7 @@ and kept in the run's folder, so that a resumed run does the same without lookin
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass, replace
@@ -92,15 +93,15 @@ class PreparedRun:
     def progress(self, stage: str, done_share: float, doing: str) -> Progress:
         """That a share of `stage` is done, and all stages before it."""
         work = {name: max(units, 1e-9) for name, units in self.work.items()}
-        names = list(work)
-        left = {name: work[name] for name in names[names.index(stage) :]}
+        left = dict(itertools.dropwhile(lambda entry: entry[0] != stage, work.items()))
         left[stage] *= 1 - done_share
         total = sum(work.values())
         return Progress(total - sum(left.values()), total, doing, left)
 
     @property
     def capture(self) -> RenderSettings:
-        return self._simulated(self.settings.capture(self.plan.size, self.sample_count.capture_samples))
+        settings = self.settings.capture(self.plan.size, self.sample_count.capture_samples)
+        return replace(settings, light_transport=cycles_settings(self.effects))
 
     @property
     def reference(self) -> ProbeSettings:
@@ -108,11 +109,7 @@ class PreparedRun:
 
     @property
     def comparison(self) -> RenderSettings:
-        return self._simulated(self.settings.comparison(self.plan.size))
-
-    def _simulated(self, settings: RenderSettings) -> RenderSettings:
-        """`settings` with the run's light transport, one for capture, truth and comparison."""
-        return replace(settings, light_transport=cycles_settings(self.effects))
+        return replace(self.settings.comparison(self.plan.size), light_transport=cycles_settings(self.effects))
 
 
 def survey_run(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs) -> SceneSurvey:

@@ -115,8 +115,7 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
     yield Progress(1, 4, "measuring a capture")
     active = list(run.reuse.captures)
     if not active:
-        nothing = RenderTime(0.0, 0.0, 0)
-        return RunTime(prepared_s, len(run.plan.frames) + N_OTHER_STEPS, 0, 0, 0, nothing, nothing, nothing)
+        return RunTime(prepared_s, len(run.plan.frames) + N_OTHER_STEPS, 0, 0, 0, *[RenderTime(0.0, 0.0, 0)] * 3)
     frames = [active[k * len(active) // N_RENDERS] for k in range(N_RENDERS)]
     with open_scanner(run.scene, run.capture) as scanner:
         scanner.exposure = run.exposure

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
 
 import bpy
 import numpy as np
@@ -47,15 +46,6 @@ EMISSION_INPUTS = {
 """By type of node: the inputs that say how brightly it shines. Negative ones take light away."""
 
 
-class _Constant(NamedTuple):
-    """A number of the data-block `where`; `shines` if it says how brightly."""
-
-    where: str
-    name: str
-    value: float
-    shines: bool
-
-
 def faults_at_frame(depsgraph: bpy.types.Depsgraph, *, is_first: bool = True) -> list[Fault]:
     """Light that is negative, objects and vertices that are nowhere, at the frame of `depsgraph`.
 
@@ -80,26 +70,29 @@ def faults_at_frame(depsgraph: bpy.types.Depsgraph, *, is_first: bool = True) ->
     return faults + [fault for block in seen if isinstance(block, bpy.types.Mesh) for fault in _mesh_faults(block)]
 
 
-def _constants(blocks: Iterable[bpy.types.ID]) -> Iterator[_Constant]:
-    """The constants of all lamps, and of all shaders of materials and worlds, among `blocks`."""
+def _constants(blocks: Iterable[bpy.types.ID]) -> Iterator[tuple[str, str, float, bool]]:
+    """The constants of all lamps, and of all shaders of materials and worlds, among `blocks`.
+
+    Of each: what it belongs to, its name, its value, and whether it says how brightly something shines.
+    """
     for block in blocks:
         if isinstance(block, bpy.types.Light):
             where = f"lamp {block.name!r}"
-            yield from (_Constant(where, "Strength", float(value), True) for value in (block.energy, *block.color))
+            yield from ((where, "Strength", float(value), True) for value in (block.energy, *block.color))
         elif isinstance(block, bpy.types.Material | bpy.types.World):
             where = f"{block.bl_rna.name.lower()} {block.name!r}"
         else:
             continue
         if has_nodes(block):
             for socket in (socket for node in block.node_tree.nodes for socket in node.inputs):
-                yield from _socket_constants(where, socket)
+                shines = socket.name in EMISSION_INPUTS.get(socket.node.type, ())
+                yield from ((where, socket.name, number, shines) for number in _numbers(socket))
 
 
-def _socket_constants(where: str, socket: Any) -> Iterator[_Constant]:
+def _numbers(socket: bpy.types.NodeSocket) -> list[float]:
+    """What a socket is set to; nothing where it is no constant."""
     value = constant(socket, ()) if socket.type in ("VALUE", "RGBA", "VECTOR") else None
-    shines = socket.name in EMISSION_INPUTS.get(socket.node.type, ())
-    numbers = value if isinstance(value, tuple) else () if value is None else (value,)
-    yield from (_Constant(where, socket.name, float(number), shines) for number in numbers)
+    return [] if value is None else [float(number) for number in np.ravel(value)]
 
 
 def _mesh_faults(mesh: bpy.types.Mesh) -> Iterator[Fault]:
