@@ -19,18 +19,21 @@ from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import phone_camera, session_time_s
 from xihe_blender.errors import UserError
 from xihe_blender.io.run_results import Fault
+from xihe_blender.light_transport import nodes
+from xihe_blender.light_transport.animation import is_animated, shows_a_film
 from xihe_blender.light_transport.inspection import open_inspection
 from xihe_blender.light_transport.plan import required_by_survey
 from xihe_blender.light_transport.render_reuse import SceneState, StateSurvey
 from xihe_blender.light_transport.transport_survey import TransportSurveyor
-from xihe_blender.previs.phone_room import RoomSurvey
 from xihe_blender.previs.plan import PrevisPlan, Probe
 from xihe_blender.previs.scene_faults import faults_at_frame, image_faults, place_faults
+from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, virtual_collection
 from xihenet.camera import in_view
 from xihenet.effects import Requirement
 from xihenet.phone import CameraMotion, motion_between
 from xihenet.records import ArrayF64, Intrinsics
 
+LAMP_SHAPE = ("shadow_soft_size", "size", "size_y", "angle", "spot_size", "spot_blend")
 STILL = CameraMotion(np.zeros(3), np.zeros(3))
 
 
@@ -79,7 +82,6 @@ class SceneSurvey:
         return {frame: one.in_view for frame, one in self.frames.items() if one.in_view}
 
     def as_json(self) -> dict[str, Any]:
-        """For `from_json`, to the last bit."""
         return asdict(self) | {"frames": [one.as_json() for one in self.frames.values()]}
 
     @classmethod
@@ -159,3 +161,76 @@ def _camera_motion(frame: int, views: Mapping[int, _CameraView]) -> CameraMotion
         with contextlib.suppress(ValueError):
             return motion_between(start.world_from_camera, end.world_from_camera, end.time_s - start.time_s)
     return STILL
+
+
+class RoomSurvey:
+    """What a phone must know of the room besides its pictures: does any light change, and how smooth are the materials?
+
+    Both are read off node trees and lights as Cycles is given them, one evaluated frame after the other. Virtual
+    objects do not count: a capture shows neither them nor their light. `roughness` is the smoothest by material name,
+    for each frame; None where it is not known.
+    """
+
+    def __init__(self, scene: bpy.types.Scene) -> None:
+        virtual = virtual_collection(scene)
+        self.virtual = {item.name for item in virtual.all_objects} if virtual is not None else set()
+        self.lights: set[frozenset[Any]] = set()
+        """What each frame's lights are and where; one entry as long as none of it changes."""
+        self.is_driven = False
+        self.roughness: dict[int, dict[str, float | None]] = {}
+        self._still: dict[Any, tuple[float | None, bool]] = {}
+        """Roughness and glow of materials in which nothing is animated, by original data-block."""
+
+    @property
+    def light_changes(self) -> bool:
+        """Whether a lamp, a glowing object or the world is not the same in all frames."""
+        return len(self.lights) > 1 or self.is_driven
+
+    def look_at(self, depsgraph: bpy.types.Depsgraph) -> None:
+        lights: set[Any] = set()
+        found: dict[str, float | None] = {}
+        for instance in depsgraph.object_instances:
+            parents = {instance.object.name, instance.parent.name if instance.parent else ""}
+            if instance.show_self and not parents & self.virtual:
+                lights |= self._lights_of(instance, found)
+        world = depsgraph.scene_eval.world
+        if world is not None and nodes.world_shading(world).interactions & nodes.Interaction.EMISSION:
+            lights.add(world.name)
+            self.is_driven |= _may_change(world.original)
+        self.lights.add(frozenset(lights))
+        self.roughness[depsgraph.scene.frame_current] = found
+
+    def _lights_of(self, instance: Any, found: dict[str, float | None]) -> set[Any]:
+        """What glows about an instance, as something that differs where the light does; notes its materials."""
+        item = instance.object
+        place = tuple(map(tuple, instance.matrix_world))
+        if item.type == "LIGHT":
+            if not nodes.light_emits(item.data):
+                return set()
+            self.is_driven |= item.data.node_tree is not None and is_animated(item.data.node_tree.original)
+            shape = (float(getattr(item.data, name, 0.0)) for name in LAMP_SHAPE)
+            return {(item.name, place, item.data.energy, tuple(item.data.color), *shape)}
+        glowing = set()
+        for slot in item.material_slots if item.type in GEOMETRY_TYPES else ():
+            if slot.material is not None and self._material(slot.material, found):
+                self.is_driven |= _may_change(slot.material.original)
+                glowing.add((item.name, slot.material.name, place))
+        return glowing
+
+    def _material(self, material: bpy.types.Material, found: dict[str, float | None]) -> bool:
+        """Note the roughness of a material; whether it glows."""
+        original = material.original
+        known = self._still.get(original)
+        if known is None:
+            known = (
+                nodes.smoothest_roughness(material),
+                bool(nodes.material_shading(material).interactions & nodes.Interaction.EMISSION),
+            )
+            if not is_animated(original):
+                self._still[original] = known
+        found[material.name], glows = known
+        return glows
+
+
+def _may_change(block: bpy.types.ID) -> bool:
+    return is_animated(block) or shows_a_film(block.node_tree)
