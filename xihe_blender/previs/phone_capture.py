@@ -41,11 +41,8 @@ SURFACE_EFFECTS = frozenset({"dark_holes", "glossy_holes", "transparent_holes"})
 class CaptureNeeds:
     """What a phone, or several that share captures, asks of the path; `|` gives what any of two asks for.
 
-    Parameters
-    ----------
-    delivered : frames that reach the app at all
-    radiance : the picture in scene radiance is kept beside a capture, for an exposure of the phone's own
-    surfaces : so is what a range sensor meets in each pixel
+    `delivered` are frames that reach the app at all. With `radiance` the picture in scene radiance is kept beside a
+    capture, for an exposure of the phone's own, with `surfaces` what a range sensor meets in each pixel.
     """
 
     delivered: frozenset[int]
@@ -158,14 +155,6 @@ def facts_of_capture(
         facts = replace(facts, stops=float(np.log2(metered)))
     ambient = np.zeros(3) if captured.ambient is None else captured.ambient
     return CaptureFacts(facts, roughness, transmission, metered, ambient)
-
-
-def facts_kept(phone: ChosenPhone, captured: RgbdFrame, positions_m: ArrayF64, outputs: RunOutputs) -> CaptureFacts:
-    """`facts_of_capture` with what a run has kept beside the capture."""
-    needs, frame = phone.needs, captured.frame
-    surfaces = load_surfaces(outputs.surfaces(frame)) if needs.surfaces else None
-    radiance = read_radiance(outputs.radiance("captured", frame)) if needs.radiance else None
-    return facts_of_capture(captured, positions_m, phone.metering, surfaces, radiance)
 
 
 @dataclass(frozen=True, eq=False)

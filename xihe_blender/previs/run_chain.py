@@ -3,9 +3,8 @@
     capture -> unproject -> sample -> merge -> trigger -> encode -> estimate
 
 Each frame in which an estimation position is visible is captured, gets its light probes rendered and goes through the
-controller. A phone that is not perfect gets the whole path captured first, since the captures say what the session can
-show; its frames are then derived from them, and estimates come back over its network; see `phone_capture`,
-`phone_session`.
+controller. The frames of a phone that is not perfect are derived from the captures of the whole path, and estimates
+come back over its network; see `phone_capture`, `phone_session`.
 """
 
 from __future__ import annotations
@@ -17,23 +16,25 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from xihe_blender.capture.phone_surfaces import load_surfaces
 from xihe_blender.capture.reference_probe import MeasuredLight
+from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.outputs import finite_or_none, write_picture
 from xihe_blender.io.run_results import FrameResult, PhoneErrors, ProbeResult
 from xihe_blender.jobs import Progress
 from xihe_blender.previs import results
 from xihe_blender.previs.path_renders import FrameRenders, PathRenders, render_path
-from xihe_blender.previs.phone_capture import CaptureFacts, SimulatedPhone, facts_kept, simulate_phone
-from xihe_blender.previs.phone_session import PhoneSession, SessionStep
+from xihe_blender.previs.phone_capture import CaptureFacts, SimulatedPhone, facts_of_capture, simulate_phone
+from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.report.values import mean
 from xihenet.camera import invalid_pixels
 from xihenet.invalid import CLAMPED
 from xihenet.metrics import share_above_white, shc_rmse
-from xihenet.phone import NETWORK, Link
+from xihenet.phone import NETWORK, Link, Request
 from xihenet.recording import load_frame
-from xihenet.records import ArrayF64, RgbdFrame
+from xihenet.records import ArrayF64, StepReport
 
 NOT_REPEATED = "frame_rate"
 """Frames that the phone did not deliver were never captured."""
@@ -71,7 +72,10 @@ def _facts_of_captures(run: PreparedRun, renders: PathRenders, work_s: dict[int,
         start = time.perf_counter()
         rendered = renders.at(frame)
         if rendered is not None:
-            facts[frame] = facts_kept(run.phone, rendered.captured, positions_m, run.outputs)
+            surfaces = load_surfaces(run.outputs.surfaces(frame)) if run.needs.surfaces else None
+            radiance = read_radiance(run.outputs.radiance("captured", frame)) if run.needs.radiance else None
+            metering = run.phone.metering
+            facts[frame] = facts_of_capture(rendered.captured, positions_m, metering, surfaces, radiance)
             work_s[frame] = work_s.get(frame, 0.0) + time.perf_counter() - start
     return facts
 
@@ -108,12 +112,15 @@ class _Walk:
         seen, n_lost = self.phone.see(rendered.captured, run.outputs)
         if not np.array_equal(seen.srgb_u8, rendered.captured.srgb_u8):
             write_picture(run.outputs.picture("captured", seen.frame), seen.srgb_u8)
-        step = self.session.step(seen, truth, list(truth))
+        reports, requests = self.session.step(seen, truth, list(truth))
         self.walked.lights[seen.frame] = self._lights_in_force(seen.time_s)
-        probes = tuple(self._probe_result(probe, step, seen) for probe in run.probes_in_view(seen.frame))
+        probes = tuple(
+            self._probe_result(probe, reports[probe.name], requests.get(probe.name), seen.time_s)
+            for probe in run.probes_in_view(seen.frame)
+        )
         work_s = time.perf_counter() - start + self.captured_s.get(seen.frame, 0.0)
         stage_ms: dict[str, float] = defaultdict(float)
-        for stage, ms in (item for report in step.reports.values() for item in report.stage_ms.items()):
+        for stage, ms in (item for report in reports.values() for item in report.stage_ms.items()):
             stage_ms[stage] += ms
         left_out = invalid_pixels(seen)
         return FrameResult(
@@ -147,11 +154,11 @@ class _Walk:
         ambient = {item.name: ambient_sh for item in self.run.plan.objects}
         return {self.run.settings.estimator: estimated, "ambient": ambient, "truth": truth}
 
-    def _probe_result(self, probe: Probe, step: SessionStep, seen: RgbdFrame) -> ProbeResult:
+    def _probe_result(self, probe: Probe, report: StepReport, request: Request | None, time_s: float) -> ProbeResult:
         """What one step did at one position, and the light in force there after it."""
-        report, reference = step.reports[probe.name], self.references[probe.name]
-        light, truth = self.session.light(probe.name, seen.time_s), reference.of(self.run.settings.target)
-        arrival_frame, latency_ms = results.arrival(step.requests.get(probe.name), self.run.phone.times_s)
+        reference = self.references[probe.name]
+        light, truth = self.session.light(probe.name, time_s), reference.of(self.run.settings.target)
+        arrival_frame, latency_ms = results.arrival(request, self.run.phone.times_s)
         return ProbeResult(
             name=probe.name,
             object=probe.object_name,
@@ -167,7 +174,7 @@ class _Walk:
             invalid=dict(report.invalid),
             is_valid=not report.unknown_because,
             unknown_because=report.unknown_because or None,
-            light_frame=self.session.light_frame(probe.name, seen.time_s),
+            light_frame=self.session.light_frame(probe.name, time_s),
             n_followed_anchors=report.n_followed_anchors,
             payload_bytes=report.payload_bytes,
             arrival_frame=arrival_frame,
@@ -175,7 +182,7 @@ class _Walk:
             sh=results.as_coefficients(light),
             sh_truth=results.as_coefficients(truth),
             shc_rmse=shc_rmse(light, truth),
-            ambient_shc_rmse=shc_rmse(step.ambient_sh, truth),
+            ambient_shc_rmse=shc_rmse(self.session.ambient_sh, truth),
             share_above_white=share_above_white(reference.ldr, reference.hdr),
         )
 
