@@ -51,22 +51,12 @@ class CyclesScanner:
     exposure: float = 1.0
     rendered: Rendered = field(default_factory=lambda: Rendered({}, 0.0))
 
-    @property
-    def render_s(self) -> float:
-        """Seconds that rendering the last scan took."""
-        return self.rendered.render_s
-
-    @property
-    def time_s(self) -> float:
-        return session_time_s(self.scene)
-
     def move_to(self, frame: int) -> tuple[Intrinsics, ArrayF64]:
         """Go to `frame` of the path; what the camera there is, without rendering."""
         self.scene.frame_set(frame)
         return phone_camera(self.scene)
 
     def acquire_environment_scan(self) -> RgbdFrame:
-        """Render the current frame."""
         intrinsics, world_from_camera = phone_camera(self.scene)
         self.rendered = render_passes(self.scene)
         radiance, plane_depth_m = first_layer(self.rendered)
@@ -79,7 +69,7 @@ class CyclesScanner:
             world_from_camera,
             self.exposure,
             sensed_ambient(colour, self.exposure),
-            time_s=self.time_s,
+            time_s=session_time_s(self.scene),
             frame=self.scene.frame_current,
             invalid=invalid,
         )
