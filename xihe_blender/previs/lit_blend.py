@@ -6,6 +6,7 @@ its own keyed world, film transparent, ready to be put over the captured frames.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -98,10 +99,7 @@ def save_lit_blend(scene: bpy.types.Scene, plan: PrevisPlan, path: Path) -> None
 
 def _check_is_whole(path: Path, scene_name: str) -> None:
     """OSError if Blender cannot read back what it saved: it does not say so when the end of a file did not fit."""
-    try:
-        with bpy.data.libraries.load(str(path)) as (saved, _):
-            is_whole = scene_name in saved.scenes
-    except OSError:
-        is_whole = False
-    if not is_whole:
-        raise OSError(errno.ENOSPC, "Blender could save only a part of it", str(path))
+    with contextlib.suppress(OSError), bpy.data.libraries.load(str(path)) as (saved, _):
+        if scene_name in saved.scenes:
+            return
+    raise OSError(errno.ENOSPC, "Blender could save only a part of it", str(path))

@@ -98,7 +98,14 @@ def planned_objects(scene: bpy.types.Scene, wanted: Sequence[str] | None) -> lis
         )
     if wanted is not None and not wanted:
         raise UserError(f"no virtual object is chosen: choose among {', '.join(found)}, or leave --objects out for all")
-    _check_names_differ(items)
+    for item, other in itertools.pairwise(items):
+        # Results go by name, and an object of a linked library may have the name of another.
+        if item.name == other.name:
+            linked = item if item.library is not None else other
+            raise UserError(
+                f"two virtual objects are named {item.name!r}, one of them linked from {linked.library.filepath}: "
+                "rename one of them"
+            )
     unknown = [name for name in wanted or () if name not in found]
     if unknown:
         raise UserError(f"there is no virtual object {unknown[0]!r}: choose among {', '.join(found)}")
@@ -109,17 +116,6 @@ def planned_objects(scene: bpy.types.Scene, wanted: Sequence[str] | None) -> lis
         if home is not None:  # It would be captured, and would light itself.
             raise UserError(f"virtual object {item.name!r} is also in collection {home.name!r}: unlink it from there")
     return chosen
-
-
-def _check_names_differ(items: Sequence[bpy.types.Object]) -> None:
-    """Results go by name, and an object of a linked library may have the name of another."""
-    for item, other in itertools.pairwise(items):
-        if item.name == other.name:
-            linked = item if item.library is not None else other
-            raise UserError(
-                f"two virtual objects are named {item.name!r}, one of them linked from {linked.library.filepath}: "
-                "rename one of them"
-            )
 
 
 def _probes(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[Probe]:

@@ -133,7 +133,12 @@ def prepare_run(
     if not outputs.survey.exists():
         write_json(outputs.survey, survey.as_json())
     yield Progress(0, 1, "metering the exposure")
-    exposure = _session_exposure(scene, plan, outputs, settings)
+    metering, n_samples = settings.metering_in_force, settings.metering_samples
+    exposure = settings.exposure or kept_or_made(
+        outputs.exposure,
+        positive_exposure,
+        lambda: {"exposure": meter_exposure(scene, plan.frames, settings.seed, metering=metering, samples=n_samples)},
+    )
     choices = overrides_in_force(scene, settings.effect_choices)
     effects = kept_or_made(
         outputs.effects,
@@ -166,18 +171,6 @@ def render_reuse(survey: SceneSurvey, effects: Mapping[str, Effect], needs: Capt
 def above_noise(trigger: TriggerSettings, capture_change: float | None) -> TriggerSettings:
     """`trigger` with its theta above what noise alone changes, where that was measured: variances add up."""
     return replace(trigger, theta=trigger.theta + NOISE_MARGIN * (capture_change or 0.0))
-
-
-def _session_exposure(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs, settings: PrevisSettings) -> float:
-    """The exposure that the user gave, or that is metered."""
-    if settings.exposure is not None:
-        return settings.exposure
-    metering, samples = settings.metering_in_force, settings.metering_samples
-    return kept_or_made(
-        outputs.exposure,
-        positive_exposure,
-        lambda: {"exposure": meter_exposure(scene, plan.frames, settings.seed, metering=metering, samples=samples)},
-    )
 
 
 def positive_exposure(content: Json) -> float:

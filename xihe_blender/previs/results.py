@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -193,6 +194,9 @@ def _summary(
     compared = [frame.compared for frame in frames if frame.compared is not None]
     renderings = [frame.rendering for frame in active if frame.rendering is not None]
     lights = [light for rendering in renderings for light in rendering.probes.values()]
+    of_methods = [metrics for of_frame in compared for metrics in of_frame.comparison.values()]
+    undefined = Counter(name for metrics in of_methods for name in records.METRICS if getattr(metrics, name) is None)
+    ambient = comparison["ambient"].rmse if comparison else None
     render_s, work_s = sum(frame.render_s for frame in active), sum(frame.work_s for frame in active)
     return records.Summary(
         n_frames=len(frames),
@@ -220,23 +224,15 @@ def _summary(
             pixels=added(frame.invalid for frame in active),
             points=added(probe.invalid for probe in probes),
             lights=added({probe.unknown_because: 1} for probe in probes if probe.unknown_because is not None),
-            metrics=added(undefined for of_frame in compared for undefined in _undefined(of_frame.comparison)),
+            metrics=dict(undefined),
             hues=added(counted(**of_frame.n_hueless_pixels) for of_frame in compared),
         ),
         render_s=render_s,
         comparison_render_s=sum(of_frame.comparison_render_s for of_frame in compared),
         overhead_share=work_s / render_s if render_s else None,
         rmse_against_ambient={
-            name: _ratio(metrics.rmse, comparison["ambient"].rmse) for name, metrics in comparison.items()
+            name: None if metrics.rmse is None or not ambient else metrics.rmse / ambient
+            for name, metrics in comparison.items()
         },
         pilot_s=pilot_s,
     )
-
-
-def _undefined(comparison: Mapping[str, records.Metrics]) -> list[dict[str, int]]:
-    """Once for each method's metric that has no value."""
-    return [{name: 1} for metrics in comparison.values() for name in records.METRICS if getattr(metrics, name) is None]
-
-
-def _ratio(value: float | None, reference: float | None) -> float | None:
-    return value / reference if value is not None and reference else None

@@ -61,14 +61,10 @@ class RenderTime:
 
 @dataclass(frozen=True)
 class RunTime:
-    """What a run consists of, and how long each part takes.
+    """What a run consists of, and how long each part takes; renders that an earlier frame has already do not count.
 
-    Parameters
-    ----------
-    prepare_s : seconds until the first frame, and to load the scene for the first render of each kind
-    n_steps : points at which the run stops for others
-    n_captures, n_probes, n_comparisons : renders of each kind, those left out that an earlier frame has already
-    capture, probe, comparison : seconds of each
+    `prepare_s` is until the first frame, and to load the scene for the first render of each kind; `n_steps` are points
+    at which the run stops for others.
     """
 
     prepare_s: float
@@ -176,28 +172,27 @@ def _timed_comparison(
 
 
 def time_renders(
-    render: Callable[[int], object], frames: Sequence[int], samples: int, *scenes: bpy.types.Scene
+    render: Callable[[int], object], frames: Sequence[int], samples: int, scene: bpy.types.Scene
 ) -> tuple[float, RenderTime]:
-    """Seconds that the first render takes longer than the second, and the time of a render with `samples`.
+    """Seconds that the first render takes longer than the second, and the time of a render of `scene` with `samples`.
 
     Each is of another frame, as in a run: what moves has to be loaded again.
     """
+
+    def seconds(frame: int, n_samples: int) -> float:
+        scene.cycles.samples = n_samples
+        start = time.perf_counter()
+        render(frame)
+        return time.perf_counter() - start
+
     few = min(FEW_SAMPLES, samples)
-    first_s, one_s, few_s = (_seconds(render, *each, scenes) for each in zip(frames, (1, 1, few), strict=True))
+    first_s, one_s, few_s = (seconds(*each) for each in zip(frames, (1, 1, few), strict=True))
     per_sample_s = _slope(one_s, few_s, few)
     if few < samples and one_s + per_sample_s * (samples - 1) <= LONGEST_S:
-        per_sample_s = _slope(one_s, _seconds(render, frames[0], samples, scenes), samples)
+        per_sample_s = _slope(one_s, seconds(frames[0], samples), samples)
     return max(0.0, first_s - one_s), RenderTime(max(0.0, one_s - per_sample_s), per_sample_s, samples)
 
 
 def _slope(one_s: float, many_s: float, samples: int) -> float:
     """Seconds per sample, from a render with one and another with `samples`."""
     return max(0.0, many_s - one_s) / (samples - 1) if samples > 1 else 0.0
-
-
-def _seconds(render: Callable[[int], object], frame: int, samples: int, scenes: Sequence[bpy.types.Scene]) -> float:
-    for scene in scenes:
-        scene.cycles.samples = samples
-    start = time.perf_counter()
-    render(frame)
-    return time.perf_counter() - start
