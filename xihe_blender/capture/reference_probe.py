@@ -135,7 +135,6 @@ class MeasuredLight:
         return self.ldr_samples if target == "ldr" else self.hdr_samples
 
     def as_json(self) -> dict[str, Any]:
-        """For `from_json`, to the last bit."""
         return {**self.__dict__, "ldr": self.ldr.tolist(), "hdr": self.hdr.tolist()}
 
     @classmethod
@@ -150,13 +149,9 @@ class MeasuredLight:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceLight:
-    """The light at one position, with pictures of what camera rays see, in scene radiance.
+    """The light at one position, and what camera rays see there, in scene radiance; rendering took `render_s`.
 
-    Parameters
-    ----------
-    panorama : (H, 2H, 3) float32
-    ball : (N, N, 3) float32 the same as a mirror ball
-    render_s : seconds that rendering took
+    `panorama` is (H, 2H, 3) float32, `ball` (N, N, 3) float32, the same as a mirror ball.
     """
 
     measured: MeasuredLight

@@ -156,8 +156,7 @@ def in_front_of_room(object_plane_depth_m: ArrayF32, room_plane_depth_m: ArrayF3
     """(H, W): where an object is nearer than the room, or either is unknown (at a soft edge, through a window)."""
     reach = room_plane_depth_m * (1 + OCCLUSION_TOLERANCE) + OCCLUSION_TOLERANCE
     unknown = ~valid_plane_depth(room_plane_depth_m) | (object_plane_depth_m >= MISS_PLANE_DEPTH_M)
-    result: ArrayBool = unknown | (object_plane_depth_m <= reach)
-    return result
+    return unknown | (object_plane_depth_m <= reach)
 
 
 def measure(prediction: ArrayF64, ground_truth: ArrayF64, weights: ArrayF64) -> dict[str, float | None]:
@@ -180,8 +179,7 @@ def hueless_pixels(prediction: ArrayF64, ground_truth: ArrayF64, weights: ArrayF
 
 def display(picture: ArrayF64) -> ArrayF64:
     """Linear, exposed light as the Standard view transform shows it: clipped to [0, 1] and sRGB-encoded."""
-    encoded: ArrayF64 = linear_to_srgb(np.clip(picture, 0.0, 1.0))
-    return encoded
+    return linear_to_srgb(np.clip(picture, 0.0, 1.0))
 
 
 def error_map(prediction: ArrayF64, ground_truth: ArrayF64, weights: ArrayF64) -> ArrayF64:

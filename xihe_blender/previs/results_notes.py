@@ -13,7 +13,7 @@ from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.sample_count import SampleCount
 from xihe_blender.previs.settings import PrevisSettings
-from xihe_blender.scene.units import format_units
+from xihe_blender.scene.units import metres_per_unit
 from xihenet.formats import format_frames
 from xihenet.invalid import format_reason
 
@@ -47,9 +47,10 @@ def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult]) -> Iterat
     )
     yield "The shadow that a virtual object casts on the room is in the ground truth but not in the methods' pictures."
     yield "In the pictures, `truth` is all the light of the rendered probe as order-2 spherical harmonics, not clipped."
-    units = format_units(scene)
-    if units is not None:
-        yield units
+    metres = metres_per_unit(scene)
+    if metres != 1:
+        said = "as the scene's units say (Scene > Units); all lengths here are metres."
+        yield f"One Blender unit is {metres:g} m, {said}"
     n_scenes = sum(other == scene or not other.name.startswith(PREFIX) for other in bpy.data.scenes)
     if n_scenes > 1:
         yield f"The file has {n_scenes} scenes; this is a run of {scene.name!r} alone."
@@ -124,7 +125,6 @@ def dim_notes(scene: bpy.types.Scene, exposure: float) -> Iterator[str]:
 
 
 def _is_lit(entry: FrameResult) -> bool:
-    """Whether the phone's picture shows light."""
     return any(channel * (entry.exposure or 0) > FAINTEST for channel in entry.ambient_radiance or ())
 
 

@@ -122,14 +122,10 @@ def fit_noise(
 
 @dataclass(frozen=True)
 class SampleCount:
-    """Samples of captures, and what noise does at them; None where none was measured.
+    """Samples of captures, per pixel, and what noise does at them; None where that was not measured.
 
-    Parameters
-    ----------
-    capture_samples : per pixel
-    capture_noise : relative error of the light that is expected
-    pilot_s : seconds that measuring took
-    capture_change : what the trigger would take for a change of colour between two captures that differ in noise alone
+    `capture_noise` is the relative error of the light that is expected, `capture_change` what the trigger would take
+    for a change of colour between two captures that differ in noise alone. Measuring took `pilot_s`.
     """
 
     capture_samples: int
@@ -166,7 +162,6 @@ def measure_sample_count(
 
 
 def pilot_samples(preset: Preset) -> int:
-    """The pilot's smaller number of samples."""
     return max(1, preset.max_samples // SMALLEST_SHARE)
 
 

@@ -161,7 +161,6 @@ class PrevisSettings:
 
     @property
     def metering_in_force(self) -> Metering:
-        """The user's or the phone's."""
         return self.profile.metering if self.metering is None else self.metering
 
     @property

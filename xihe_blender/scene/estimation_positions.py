@@ -45,11 +45,6 @@ def estimation_positions(object: bpy.types.Object, depsgraph: bpy.types.Depsgrap
     depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
     corners = world_box_corners(object, depsgraph) * metres_per_unit(depsgraph.scene)
     low_m, high_m = corners.min(axis=0), corners.max(axis=0)
-    _check_box(object, low_m, high_m)
-    return box_cell_centres(low_m, high_m, SPACING_M)
-
-
-def _check_box(object: bpy.types.Object, low_m: ArrayF64, high_m: ArrayF64) -> None:
     if not np.isfinite([low_m, high_m]).all():
         raise UserError(
             f"virtual object {object.name!r} has no finite position: check its scale, its vertices and its constraints"
@@ -61,6 +56,7 @@ def _check_box(object: bpy.types.Object, low_m: ArrayF64, high_m: ArrayF64) -> N
             f"virtual object {object.name!r} is {size} m and would be estimated at {n_positions:.4g} positions: "
             "make it smaller, split it, or set the unit scale (Scene > Units) to the metres in a Blender unit"
         )
+    return box_cell_centres(low_m, high_m, SPACING_M)
 
 
 def cells_per_axis(low_m: ArrayF64, high_m: ArrayF64, spacing_m: float) -> ArrayF64:
