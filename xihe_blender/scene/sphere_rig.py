@@ -65,13 +65,12 @@ def _sphere_faces(n_around: int, n_rings: int) -> list[tuple[int, ...]]:
     ring = np.arange(n_around)
     after = np.roll(ring, -1)
     top, last = n_rings * n_around, (n_rings - 1) * n_around
-    faces: list[tuple[int, ...]] = [(top, a, b) for a, b in zip(ring.tolist(), after.tolist(), strict=True)]
-    faces += [(top + 1, last + b, last + a) for a, b in zip(ring.tolist(), after.tolist(), strict=True)]
-    for upper in range(0, last, n_around):
-        lower = upper + n_around
-        quads = np.stack([upper + ring, lower + ring, lower + after, upper + after], axis=-1)
-        faces += map(tuple, quads.tolist())
-    return faces
+    upper = n_around * np.arange(n_rings - 1)[:, None]
+    lower = upper + n_around
+    above = np.stack([np.full(n_around, top), ring, after], axis=-1)
+    below = np.stack([np.full(n_around, top + 1), last + after, last + ring], axis=-1)
+    between = np.stack([upper + ring, lower + ring, lower + after, upper + after], axis=-1).reshape(-1, 4)
+    return [tuple(face) for faces in (above, below, between) for face in faces.tolist()]
 
 
 def _rig_material(name: str, look: dict[str, Any]) -> bpy.types.Material:
