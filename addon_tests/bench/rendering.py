@@ -55,7 +55,7 @@ def overhead_table(n_frames: int) -> str:
             controller.step(captured)
             save_frame(Path(folder) / f"{frame}.npz", captured)
             walk_s.append(time.perf_counter() - start)
-            render_s.append(scanner.render_s)
+            render_s.append(scanner.rendered.render_s)
             start = time.perf_counter()
             bare.frame_set(frame)
             with bpy.context.temp_override(scene=bare):

@@ -13,8 +13,7 @@ from tiny_scenes import empty_scene, room_with_a_virtual_sphere
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.light_transport import plan_light_transport
-from xihe_blender.previs.phone_plan import plan_phone_effects
-from xihe_blender.previs.required_effects import effects_of_run, format_effects, positions_in
+from xihe_blender.previs.required_effects import effects_of_run, format_effects, plan_phone_effects, positions_in
 from xihenet.effects import effects_as_json
 from xihenet.phone import PHONE_EFFECTS
 

@@ -35,9 +35,9 @@ def add_box(name: str, collection: bpy.types.Collection, size: tuple[float, floa
     return add_object(name, mesh, collection)
 
 
-def positions_of(thing: bpy.types.Object, **settings: float) -> np.ndarray:
+def positions_of(thing: bpy.types.Object) -> np.ndarray:
     bpy.context.view_layer.update()
-    return estimation_positions(thing, bpy.context.evaluated_depsgraph_get(), **settings)
+    return estimation_positions(thing, bpy.context.evaluated_depsgraph_get())
 
 
 def test_the_collection_is_made_once_and_only_on_request(scene):
@@ -114,7 +114,7 @@ def test_a_long_object_is_split_evenly_along_its_world_axis(scene):
 def test_a_box_of_exactly_one_spacing_is_one_cell(scene):
     thing = add_box("Box", scene.collection, (1.0, 1.0, 1.0))
     thing.location = (0.1, 0.7, 123.3)
-    assert positions_of(thing, spacing_m=1.0).shape == (1, 3)
+    assert positions_of(thing).shape == (1, 3)
 
 
 def test_cells_cover_the_box_and_are_no_longer_than_the_spacing():
@@ -173,13 +173,6 @@ def test_an_object_without_a_finite_place_is_refused(scene):
     thing.location = (0.0, math.nan, 0.0)
     with pytest.raises(UserError, match="'Box' has no finite position"):
         positions_of(thing)
-
-
-@pytest.mark.parametrize("spacing_m", [0.0, -1.0, math.nan, math.inf])
-def test_a_useless_spacing_is_refused(scene, spacing_m):
-    thing = add_box("Box", scene.collection, (1, 1, 1))
-    with pytest.raises(ValueError, match="spacing_m must be positive"):
-        positions_of(thing, spacing_m=spacing_m)
 
 
 def test_the_rig_is_three_spheres_that_rest_on_the_place(scene):

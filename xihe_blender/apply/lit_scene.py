@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,14 +26,10 @@ PHONE = "Xihe Phone"
 
 @dataclass(frozen=True)
 class CapturedFrames:
-    """What is shown behind the objects.
+    """What is shown behind the objects: a PNG of each captured frame, by its number, at least one.
 
-    Parameters
-    ----------
-    pictures : PNG of each captured frame, by its number; at least one. Between two of them the earlier one stays
-    folder : where a picture for each frame is put, numbered from 1 on, as Blender reads image sequences
-    size : width and height of a picture
-    exposure : of the run
+    Between two of them the earlier one stays. A picture for each frame is put into `folder`, numbered from 1 on, as
+    Blender reads image sequences.
     """
 
     pictures: Mapping[int, Path]
@@ -91,7 +87,6 @@ def put_over_frames(lit: bpy.types.Scene, frames: CapturedFrames) -> None:
 
 
 def _phone_with(camera: bpy.types.Object, image: bpy.types.Image, frames: CapturedFrames) -> bpy.types.Object:
-    """A copy of `camera` with the sequence behind it."""
     phone = camera.copy()
     phone.data = camera.data.copy()
     phone.name = phone.data.name = PHONE
@@ -175,20 +170,13 @@ def remove_lit_scene() -> None:
         for window in manager.windows:
             if window.scene == lit and room is not None:
                 window.scene = room
-    own = {*_own_blocks(lit)}
+    own: set[bpy.types.ID | None] = {getattr(lit, "compositing_node_group", None)}
+    for camera in [item for item in lit.collection.objects if item.name.startswith(PHONE)]:
+        own |= {camera, camera.data, *(behind.image for behind in camera.data.background_images)}
     bpy.data.scenes.remove(lit)
     remove_lit_collections()
     # At once: with its data an object goes too.
-    bpy.data.batch_remove(own)
-
-
-def _own_blocks(lit: bpy.types.Scene) -> Iterator[bpy.types.ID]:
-    for camera in [item for item in lit.collection.objects if item.name.startswith(PHONE)]:
-        yield from {behind.image for behind in camera.data.background_images if behind.image is not None}
-        yield camera.data
-        yield camera
-    if getattr(lit, "compositing_node_group", None) is not None:
-        yield lit.compositing_node_group
+    bpy.data.batch_remove(own - {None})
 
 
 def set_up_lit_scene(

@@ -12,8 +12,10 @@ lighting back and the Graph Editor shows it; timeline markers show the triggers.
 
 from __future__ import annotations
 
+import functools
 import zlib
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import bpy
 import numpy as np
@@ -21,7 +23,6 @@ from numpy.typing import ArrayLike
 
 from xihe_blender.apply.datablocks import MARKER_PREFIX, NODE_GROUP_NAME, PREFIX, lights_by_sh, trigger_markers
 from xihe_blender.scene.virtual_objects import virtual_objects
-from xihenet.records import ArrayF64
 from xihenet.sh import dering_for_display
 
 MAX_NAME_BYTES = 63
@@ -40,7 +41,15 @@ def sh_node_group() -> bpy.types.NodeTree:
     Inputs: nine vectors (R, G, B of each coefficient, in the order l*l + l + m) and a gain. Output: radiance.
     """
     group = _local(bpy.data.node_groups, NODE_GROUP_NAME)
-    return group if group is not None else _make_node_group()
+    if group is None:
+        group = bpy.data.node_groups.new(NODE_GROUP_NAME, "ShaderNodeTree")
+        group.interface.new_socket("Radiance", in_out="OUTPUT", socket_type="NodeSocketColor")
+        for name in COEFFICIENTS:
+            group.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketVector")
+        gain = group.interface.new_socket(GAIN, in_out="INPUT", socket_type="NodeSocketFloat")
+        gain.default_value = 1.0
+        _GroupBuilder(group).build()
+    return group
 
 
 def make_sh_world(name: str) -> bpy.types.World:
@@ -79,7 +88,11 @@ def apply_sh_to_world(
     For a world that is looked at, `is_deringed` takes away what is negative, by `xihenet.sh.dering_for_display`.
     ValueError for another shape, numbers that are not finite, or an exposure that is not positive.
     """
-    coefficients = _checked(sh_radiance, exposure)
+    coefficients = np.asarray(sh_radiance, np.float64)
+    if coefficients.shape != (9, 3) or not np.isfinite(coefficients).all():
+        raise ValueError(f"expected finite coefficients of shape (9, 3), got shape {coefficients.shape}")
+    if not (np.isfinite(exposure) and exposure > 0):
+        raise ValueError(f"expected a positive exposure, got {exposure}")
     if is_deringed:
         coefficients = dering_for_display(coefficients)
     inputs = _inputs(world)
@@ -104,15 +117,11 @@ def key_sh_on_world(world: bpy.types.World, frame: int, sh_radiance: ArrayLike, 
 
 
 def world_name(virtual_object: str) -> str:
-    """Name of the world that lights a virtual object; see `name_within_limit`."""
-    return name_within_limit(f"{PREFIX}{virtual_object}")
-
-
-def name_within_limit(name: str) -> str:
-    """`name` in the 63 bytes that every Blender keeps of one.
+    """Name of the world that lights a virtual object, in the 63 bytes that every Blender keeps of one.
 
     A longer one is cut, and ends with a checksum of all of it: objects whose long names begin alike stay apart.
     """
+    name = f"{PREFIX}{virtual_object}"
     whole = name.encode()
     if len(whole) <= MAX_NAME_BYTES:
         return name
@@ -180,15 +189,6 @@ def _local(blocks: bpy.types.bpy_prop_collection, name: str) -> bpy.types.ID | N
     return blocks.get((name, None))
 
 
-def _checked(sh_radiance: ArrayLike, exposure: float) -> ArrayF64:
-    coefficients = np.asarray(sh_radiance, np.float64)
-    if coefficients.shape != (9, 3) or not np.isfinite(coefficients).all():
-        raise ValueError(f"expected finite coefficients of shape (9, 3), got shape {coefficients.shape}")
-    if not (np.isfinite(exposure) and exposure > 0):
-        raise ValueError(f"expected a positive exposure, got {exposure}")
-    return coefficients
-
-
 def _inputs(world: bpy.types.World) -> bpy.types.NodeInputs:
     node = world.node_tree.nodes.get(NODE_GROUP_NAME) if world.node_tree else None
     if node is None:
@@ -196,19 +196,11 @@ def _inputs(world: bpy.types.World) -> bpy.types.NodeInputs:
     return node.inputs
 
 
-def _make_node_group() -> bpy.types.NodeTree:
-    group = bpy.data.node_groups.new(NODE_GROUP_NAME, "ShaderNodeTree")
-    group.interface.new_socket("Radiance", in_out="OUTPUT", socket_type="NodeSocketColor")
-    for name in COEFFICIENTS:
-        group.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketVector")
-    gain = group.interface.new_socket(GAIN, in_out="INPUT", socket_type="NodeSocketFloat")
-    gain.default_value = 1.0
-    _GroupBuilder(group).build()
-    return group
-
-
 class _GroupBuilder:
-    """Writes the basis as math nodes: sum over i of coefficient_i x Y_i(direction), times the gain."""
+    """Writes the basis as math nodes: sum over i of coefficient_i x Y_i(direction), times the gain.
+
+    Operands are sockets or numbers.
+    """
 
     def __init__(self, group: bpy.types.NodeTree) -> None:
         self.nodes, self.links = group.nodes, group.links
@@ -219,20 +211,17 @@ class _GroupBuilder:
         direction = self.nodes.new("ShaderNodeTexCoord").outputs["Generated"]
         separate = self.nodes.new("ShaderNodeSeparateXYZ")
         self.links.new(direction, separate.inputs[0])
-        x, y, z = separate.outputs
         total = None
-        for name, basis in zip(COEFFICIENTS, self._basis(x, y, z), strict=True):
-            scaled = self._vector("SCALE", inputs.outputs[name], scale=basis)
-            total = scaled if total is None else self._vector("ADD", total, scaled)
-        radiance = self._vector("SCALE", total, scale=inputs.outputs[GAIN])
-        self.links.new(radiance, self.nodes.new("NodeGroupOutput").inputs[0])
+        for name, basis in zip(COEFFICIENTS, self._basis(*separate.outputs), strict=True):
+            scaled = self._scaled(inputs.outputs[name], basis)
+            total = scaled if total is None else self._math("ShaderNodeVectorMath", "ADD", total, scaled)
+        self.links.new(self._scaled(total, inputs.outputs[GAIN]), self.nodes.new("NodeGroupOutput").inputs[0])
         for place, node in enumerate(self.nodes):
             node.location = (180 * (place // 8), -160 * (place % 8))
 
-    def _basis(self, x: object, y: object, z: object) -> list[object]:
-        """The nine basis functions; numbers and sockets alike are what `_scalar` takes."""
-        zonal = self._scalar("SUBTRACT", self._product(3.0, z, z), 1.0)
-        xx_minus_yy = self._scalar("SUBTRACT", self._product(x, x), self._product(y, y))
+    def _basis(self, x: Any, y: Any, z: Any) -> list[Any]:
+        zonal = self._math("ShaderNodeMath", "SUBTRACT", self._product(3.0, z, z), 1.0)
+        xx_minus_yy = self._math("ShaderNodeMath", "SUBTRACT", self._product(x, x), self._product(y, y))
         return [
             _Y0,
             self._product(_Y1, y),
@@ -245,31 +234,23 @@ class _GroupBuilder:
             self._product(_Y2 / 2, xx_minus_yy),
         ]
 
-    def _product(self, *factors: object) -> object:
-        result = factors[0]
-        for factor in factors[1:]:
-            result = self._scalar("MULTIPLY", result, factor)
-        return result
+    def _product(self, *factors: Any) -> Any:
+        return functools.reduce(functools.partial(self._math, "ShaderNodeMath", "MULTIPLY"), factors)
 
-    def _scalar(self, operation: str, first: object, second: object) -> object:
-        node = self.nodes.new("ShaderNodeMath")
+    def _scaled(self, vector: Any, scale: Any) -> bpy.types.NodeSocket:
+        scaled = self._math("ShaderNodeVectorMath", "SCALE", vector)
+        self._feed(scaled.node.inputs["Scale"], scale)
+        return scaled
+
+    def _math(self, kind: str, operation: str, *operands: Any) -> bpy.types.NodeSocket:
+        node = self.nodes.new(kind)
         node.operation = operation
-        self._feed(node.inputs[0], first)
-        self._feed(node.inputs[1], second)
+        for socket, operand in zip(node.inputs, operands, strict=False):
+            self._feed(socket, operand)
         return node.outputs[0]
 
-    def _vector(self, operation: str, first: object, second: object = None, *, scale: object = None) -> object:
-        node = self.nodes.new("ShaderNodeVectorMath")
-        node.operation = operation
-        self._feed(node.inputs[0], first)
-        if second is not None:
-            self._feed(node.inputs[1], second)
-        if scale is not None:
-            self._feed(node.inputs["Scale"], scale)
-        return node.outputs["Vector"]
-
-    def _feed(self, socket: bpy.types.NodeSocket, source: object) -> None:
+    def _feed(self, socket: bpy.types.NodeSocket, source: Any) -> None:
         if isinstance(source, bpy.types.NodeSocket):
             self.links.new(source, socket)
         else:
-            socket.default_value = float(source)  # type: ignore[arg-type]
+            socket.default_value = float(source)

@@ -18,9 +18,10 @@ def joined_light_links(scene: bpy.types.Scene, standing_in: bpy.types.Object, it
 
     Collections of linked libraries cannot be changed: their links are left out, and `standing_in` is any other object.
     """
+    collections = dict.fromkeys(lamp.light_linking.receiver_collection for lamp in scene.objects)
     joined: list[bpy.types.Collection] = []
     try:
-        for receivers in _receiver_collections(scene):
+        for receivers in [collection for collection in collections if collection is not None]:
             state = _link_state(receivers, item)
             if state is not None and receivers.library is None and standing_in.name not in receivers.objects:
                 receivers.objects.link(standing_in)
@@ -31,11 +32,6 @@ def joined_light_links(scene: bpy.types.Scene, standing_in: bpy.types.Object, it
     finally:
         for receivers in joined:
             receivers.objects.unlink(standing_in)
-
-
-def _receiver_collections(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
-    found = (item.light_linking.receiver_collection for item in scene.objects)
-    return list(dict.fromkeys(collection for collection in found if collection is not None))
 
 
 def _link_state(receivers: bpy.types.Collection, item: bpy.types.Object) -> str | None:

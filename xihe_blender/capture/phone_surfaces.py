@@ -6,7 +6,7 @@ is, whose roughness the node tree tells. The picture stays the same bytes. Rejec
 a picture), and judging darkness by the picture, in which a bright wall at night is dark, though the sensor brings its
 own light.
 
-Not here: reading node trees, see `phone_room`; and roughness that a texture drives, which stays not known (NaN) and
+Not here: reading node trees, see `RoomSurvey`; and roughness that a texture drives, which stays not known (NaN) and
 makes no hole.
 """
 
@@ -18,7 +18,6 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from numpy.typing import NDArray
 
 from xihe_blender.io.outputs import written_whole
 from xihenet.npz_files import read_npz
@@ -40,8 +39,7 @@ COLOUR_PASSES = {
 def ask_for_surfaces(layer: bpy.types.ViewLayer) -> None:
     """Make renders of `layer`, one of a working scene's, bring the passes that `surfaces_in` reads."""
     layer.use_pass_diffuse_color = layer.use_pass_glossy_color = layer.use_pass_transmission_color = True
-    layer.use_pass_emit = True
-    layer.use_pass_cryptomatte_material = True
+    layer.use_pass_emit = layer.use_pass_cryptomatte_material = True
     layer.pass_cryptomatte_depth = 2
 
 
@@ -57,7 +55,10 @@ def surfaces_in(passes: Mapping[str, ArrayF32], roughness: Mapping[str, float | 
     # Colour passes of a lamp are black, but lamps are made of something.
     glows = grey["emission"] > 0
     sent_on = grey["diffuse"] + grey["glossy"] + grey["transmission"]
-    rough = _roughness_of(passes["CryptoMaterial00.r"], roughness)
+    material_ids = passes["CryptoMaterial00.r"]  # Of the one that covers most of each pixel.
+    rough = np.ones(material_ids.shape, np.float32)
+    for name, value in roughness.items():
+        rough[material_ids == cryptomatte_id(name)] = np.nan if value is None else value
     return SurfaceFacts(
         reflectance=np.where(glows, np.float32(1), np.minimum(sent_on, 1)).astype(np.float32),
         transmission=np.clip(grey["transmission"], 0, 1),
@@ -68,8 +69,7 @@ def surfaces_in(passes: Mapping[str, ArrayF32], roughness: Mapping[str, float | 
 def save_surfaces(path: Path, surfaces: SurfaceFacts) -> None:
     """Write what `surfaces_in` gave; OSError if that fails."""
     with written_whole(path) as beside:
-        known = {name: values for name, values in vars(surfaces).items() if values is not None}
-        np.savez_compressed(beside, **known)
+        np.savez_compressed(beside, **vars(surfaces))
 
 
 def load_surfaces(path: Path) -> SurfaceFacts:
@@ -84,14 +84,6 @@ def _grey(passes: Mapping[str, ArrayF32], names: Sequence[str]) -> ArrayF32:
     name = next(name for name in names if f"{name}.R" in passes)
     mean: ArrayF32 = sum(passes[f"{name}.{channel}"] for channel in "RGB") / np.float32(3)  # type: ignore[assignment]
     return mean
-
-
-def _roughness_of(material_ids: ArrayF32, roughness: Mapping[str, float | None]) -> ArrayF32:
-    """(H, W) of the material that covers most of each pixel."""
-    found = np.ones(material_ids.shape, np.float32)
-    for name, value in roughness.items():
-        found[material_ids == cryptomatte_id(name)] = np.nan if value is None else value
-    return found
 
 
 def cryptomatte_id(name: str) -> np.float32:
@@ -120,11 +112,3 @@ def _scrambled(block: int) -> int:
 
 def _rotated(value: int, by: int) -> int:
     return (value << by | value >> 32 - by) & 0xFFFFFFFF
-
-
-def smoothest_in_view(surfaces: SurfaceFacts, valid: NDArray[np.bool_]) -> float | None:
-    """The smallest roughness of a picture's `valid` pixels; None if that of any is not known; 1 without a pixel."""
-    seen = surfaces.roughness[valid] if surfaces.roughness is not None else np.ones(0, np.float32)
-    if np.isnan(seen).any():
-        return None
-    return float(seen.min(initial=1.0))

@@ -22,18 +22,17 @@ from __future__ import annotations
 
 import contextlib
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import bpy
 import numpy as np
 from numpy.typing import ArrayLike
 
 from xihe_blender.capture.light_links import joined_light_links
-from xihe_blender.capture.render import MAX_SEED, Rendered, RenderSettings, render_passes, working_scene
+from xihe_blender.capture.render import MAX_SEED, Rendered, RenderSettings, render_passes, stacked_rgb, working_scene
 from xihe_blender.capture.scanner import leave_out_virtual_objects
 from xihe_blender.scene.sphere_rig import sphere_mesh
 from xihe_blender.scene.units import metres_per_unit
@@ -72,9 +71,10 @@ ERROR_BESIDE_NOISE = 0.012
 """Relative, of a reference light without noise: what eleven rooms were off by against path-traced directions and baked
 irradiance, beyond the noise of both (docs/reference_light.md)."""
 
-
 SEQUENCE_LENGTH = 512
 """Of Cycles' sequence of samples; noise with 2, 64 and 4096 was as much, within its own spread."""
+
+Picture = TypeVar("Picture")
 
 
 @dataclass(frozen=True)
@@ -121,11 +121,9 @@ class MeasuredLight:
     hdr_samples: int
 
     def of(self, target: Target) -> ArrayF64:
-        """The coefficients of one target."""
         return self.ldr if target == "ldr" else self.hdr
 
     def noise(self, target: Target) -> float | None:
-        """The noise of one target."""
         return self.ldr_noise if target == "ldr" else self.hdr_noise
 
     def expected_error(self, target: Target) -> float | None:
@@ -134,11 +132,9 @@ class MeasuredLight:
         return None if noise is None else math.hypot(noise, ERROR_BESIDE_NOISE)
 
     def samples(self, target: Target) -> int:
-        """The pictures taken of one target."""
         return self.ldr_samples if target == "ldr" else self.hdr_samples
 
     def as_json(self) -> dict[str, Any]:
-        """For `from_json`, to the last bit."""
         return {**self.__dict__, "ldr": self.ldr.tolist(), "hdr": self.hdr.tolist()}
 
     @classmethod
@@ -153,14 +149,9 @@ class MeasuredLight:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceLight:
-    """The light at one position.
+    """The light at one position, and what camera rays see there, in scene radiance; rendering took `render_s`.
 
-    Parameters
-    ----------
-    measured : its coefficients
-    panorama : (H, 2H, 3) float32 scene radiance that camera rays see, for pictures
-    ball : (N, N, 3) float32 the same as a mirror ball
-    render_s : seconds that rendering took
+    `panorama` is (H, 2H, 3) float32, `ball` (N, N, 3) float32, the same as a mirror ball.
     """
 
     measured: MeasuredLight
@@ -181,135 +172,101 @@ class ReferenceProbe:
     def light_at(self, index: int, frame: int, exposure: float = 1.0) -> ReferenceLight:
         """The light at the `index`-th position in `frame`; `exposure` says where white is."""
         self.scene.frame_set(frame)
-        views, cones = _Views(exposure, self.settings.order), _Cones(exposure)
-        ldr, ldr_noise = self._measure(views, lambda number: self.view(index, number))
+        gain, order = np.float32(exposure), self.settings.order
+        views, ldr, ldr_noise = self._measure(
+            lambda number: _exposed_view(self.view(index, number), gain), lambda views: _lights_seen(views, None, order)
+        )
+        smooth = None
         if self.is_denoised:
-            views.take_judge(self.judge(index, views.n))
-            ldr, ldr_noise = _mean_and_noise(views.lights())
-        hdr, hdr_noise = self._measure(cones, lambda number: self.cones(index, number))
-        measured, ball = MeasuredLight(ldr, hdr, ldr_noise, hdr_noise, views.n, cones.n), views.ball
-        panorama = panorama_of_ball(ball, max(8, self.settings.size // 4))
-        return ReferenceLight(measured, panorama, ball, views.render_s + cones.render_s)
+            # The same once more, with half as many rays in each pixel as all pictures have: it says what is white.
+            rendered = self.view(index, -1, samples=max(2, len(views) // 2), is_denoised=True)
+            smooth = _exposed_view(rendered, gain)
+            ldr, ldr_noise = _mean_and_noise(_lights_seen(views, smooth.radiance, order))
+        cones, hdr, hdr_noise = self._measure(
+            lambda number: self._cones(index, number, gain), lambda cones: np.array([light for light, _ in cones])
+        )
+        seen: ArrayF32 = np.mean([view.radiance for view in views], axis=0) if smooth is None else smooth.radiance
+        ball = seen / gain
+        render_s = sum(view.render_s for view in views) + sum(cone_s for _, cone_s in cones)
+        return ReferenceLight(
+            MeasuredLight(ldr, hdr, ldr_noise, hdr_noise, len(views), len(cones)),
+            panorama_of_ball(ball, max(8, self.settings.size // 4)),
+            ball,
+            render_s if smooth is None else render_s + smooth.render_s,
+        )
 
-    def _measure(self, pictures: _Pictures, render: Callable[[int], Rendered]) -> tuple[ArrayF64, float | None]:
-        """Picture after picture, until their mean is good enough or as many as may be: that and its noise."""
+    def _measure(
+        self, take: Callable[[int], Picture], lights: Callable[[Sequence[Picture]], ArrayF64]
+    ) -> tuple[list[Picture], ArrayF64, float | None]:
+        """Picture after picture, until the mean of their lights is good enough or as many as may be; it and its noise.
+
+        `lights` are (n, coefficients, 3) of each picture.
+        """
         target, most = self.settings.noise_target, self.settings.max_samples
+        taken: list[Picture] = []
         while True:
             # A fifth more at a time: clipping looks at all of them anew.
-            enough_to_judge = max(min(FEWEST_SAMPLES, most), pictures.n + pictures.n // 5, pictures.n + 1)
-            for number in range(pictures.n, min(enough_to_judge, most)):
-                pictures.add(render(number))
-            light, noise = _mean_and_noise(pictures.lights())
-            if pictures.n >= most or (target is not None and noise is not None and noise <= target):
-                return light, noise
+            n = len(taken)
+            enough_to_judge = max(min(FEWEST_SAMPLES, most), n + n // 5, n + 1)
+            taken += [take(number) for number in range(n, min(enough_to_judge, most))]
+            light, noise = _mean_and_noise(lights(taken))
+            if len(taken) >= most or (target is not None and noise is not None and noise <= target):
+                return taken, light, noise
 
-    def view(self, index: int, number: int) -> Rendered:
+    def view(self, index: int, number: int, *, samples: int = 1, is_denoised: bool = False) -> Rendered:
         """What camera rays see in a mirror ball, from just outside of the ball of the cones."""
-        self._look_around(index)
-        self._next_seed(number)
-        return render_passes(self.scene)
+        start_m = max(CLIP_START_M, 2 * _ball_radius(self.positions_m[index], metres_per_unit(self.scene)))
+        self._look(index, (start_m, CLIP_END_M), samples, is_denoised=is_denoised)
+        return self._render(number)
 
-    def judge(self, index: int, n_pictures: int) -> Rendered:
-        """The same once more, denoised, with half as many rays in each pixel as that many pictures have."""
-        self._look_around(index, max(2, n_pictures // 2))
-        self.scene.cycles.use_denoising = True
-        self._next_seed(-1)
-        return render_passes(self.scene)
-
-    def _look_around(self, index: int, samples: int = 1) -> None:
-        start = max(CLIP_START_M, 2 * _ball_radius(self.positions_m[index], metres_per_unit(self.scene)))
-        self.scene.cycles.use_denoising = False
-        self._look(index, (start, CLIP_END_M), samples)
-
-    def cones(self, index: int, number: int) -> Rendered:
-        """All light: in each pixel of a mirror ball the mean over the cone around the opposite direction."""
+    def _cones(self, index: int, number: int, gain: np.float32) -> tuple[ArrayF64, float]:
+        """(9, 3) all light, exposed, and the seconds that it took."""
         self.look_at_cones(index)
-        self._next_seed(number)
-        return render_passes(self.scene)
+        rendered = self._render(number)
+        return light_of_cones(_rgb(rendered.passes, "Combined")) * gain, rendered.render_s
 
     def look_at_cones(self, index: int, samples: int = 1) -> None:
-        """Set the scene up to render them, with so many rays in each pixel."""
-        radius = _ball_radius(self.positions_m[index], metres_per_unit(self.scene))
-        self.scene.cycles.use_denoising = False
-        self._look(index, (radius / 4, 2 * radius), samples)
+        """Set the scene up to render all light: in each pixel of a mirror ball the mean over the cone opposite to it.
 
-    def _look(self, index: int, clip_m: tuple[float, float], samples: int = 1) -> None:
+        `samples` is the number of rays in each pixel.
+        """
+        radius_m = _ball_radius(self.positions_m[index], metres_per_unit(self.scene))
+        self._look(index, (radius_m / 4, 2 * radius_m), samples)
+
+    def _look(self, index: int, clip_m: tuple[float, float], samples: int, *, is_denoised: bool = False) -> None:
         scene, metres = self.scene, metres_per_unit(self.scene)
+        scene.cycles.use_denoising = is_denoised
         scene.camera.location = tuple(self.positions_m[index] / metres)
         scene.camera.data.clip_start, scene.camera.data.clip_end = (distance / metres for distance in clip_m)
         _take_samples(scene, samples)
 
-    def _next_seed(self, number: int) -> None:
+    def _render(self, number: int) -> Rendered:
         self.scene.cycles.seed = (self.settings.seed * SEED_STEP + number) % MAX_SEED
+        return render_passes(self.scene)
+
+
+class _View(NamedTuple):
+    """What camera rays see, (N, N, 3) exposed, and what of it shines by itself."""
+
+    radiance: ArrayF32
+    emission: ArrayF32
+    render_s: float
+
+
+def _exposed_view(rendered: Rendered, gain: np.float32) -> _View:
+    passes = rendered.passes
+    # From Blender 5 on their names are whole words.
+    lamps, sky = ("Emission", "Environment") if "Emission.R" in passes else ("Emit", "Env")
+    emission = (_rgb(passes, lamps) + _rgb(passes, sky)) * gain
+    return _View(_rgb(passes, "Combined") * gain, emission, rendered.render_s)
+
+
+def _lights_seen(views: Sequence[_View], smooth: ArrayF32 | None, order: int) -> ArrayF64:
+    return clipped_sh([view.radiance for view in views], [view.emission for view in views], smooth, order)
 
 
 def _mean_and_noise(lights: ArrayF64) -> tuple[ArrayF64, float | None]:
     return lights.mean(axis=0), relative_noise(lights, DARKEST_LIGHT)
-
-
-class _Pictures(ABC):
-    """Pictures of one index so far, and the light that each of them has."""
-
-    def __init__(self, exposure: float) -> None:
-        self.exposure, self.n, self.render_s = np.float32(exposure), 0, 0.0
-
-    def add(self, rendered: Rendered) -> None:
-        self._keep(next(iter(rendered.layers.values())))
-        self.n += 1
-        self.render_s += rendered.render_s
-
-    @abstractmethod
-    def _keep(self, passes: dict[str, ArrayF32]) -> None:
-        """Keep what matters of one more picture."""
-
-    @abstractmethod
-    def lights(self) -> ArrayF64:
-        """(n, coefficients, 3) of each picture."""
-
-
-class _Views(_Pictures):
-    """What camera rays see."""
-
-    def __init__(self, exposure: float, order: int) -> None:
-        super().__init__(exposure)
-        self.order = order
-        self.radiance: list[ArrayF32] = []
-        self.emission: list[ArrayF32] = []
-        self.smooth: ArrayF32 | None = None
-
-    def take_judge(self, rendered: Rendered) -> None:
-        """From now on a denoised picture says what is white."""
-        self.smooth = _rgb(next(iter(rendered.layers.values())), "Combined") * self.exposure
-        self.render_s += rendered.render_s
-
-    def _keep(self, passes: dict[str, ArrayF32]) -> None:
-        self.radiance.append(_rgb(passes, "Combined") * self.exposure)
-        # From Blender 5 on their names are whole words.
-        lamps, sky = ("Emission", "Environment") if "Emission.R" in passes else ("Emit", "Env")
-        self.emission.append((_rgb(passes, lamps) + _rgb(passes, sky)) * self.exposure)
-
-    def lights(self) -> ArrayF64:
-        return clipped_sh(self.radiance, self.emission, self.smooth, self.order)
-
-    @property
-    def ball(self) -> ArrayF32:
-        """Scene radiance, for pictures."""
-        seen: ArrayF32 = np.mean(self.radiance, axis=0) if self.smooth is None else self.smooth
-        return seen / self.exposure
-
-
-class _Cones(_Pictures):
-    """All light."""
-
-    def __init__(self, exposure: float) -> None:
-        super().__init__(exposure)
-        self.of_each: list[ArrayF64] = []
-
-    def _keep(self, passes: dict[str, ArrayF32]) -> None:
-        self.of_each.append(light_of_cones(_rgb(passes, "Combined")) * self.exposure)
-
-    def lights(self) -> ArrayF64:
-        return np.array(self.of_each)
 
 
 def light_of_cones(radiance: ArrayF32) -> ArrayF64:
@@ -350,9 +307,12 @@ def open_reference_probe(
         leave_out_virtual_objects(working, scene)
         # Markers that switch the camera would take the probe's place.
         working.timeline_markers.clear()
-        _ask_for_passes(working)
-        working.camera = stack.enter_context(_mirror_ball_camera())
-        balls = stack.enter_context(_balls(working, places))
+        layer = working.view_layers[0]
+        layer.use_pass_emit = layer.use_pass_environment = True
+        # A box: with any wider filter pixels on the rim look past the ball more often than they should.
+        working.cycles.pixel_filter_type = "BOX"
+        working.camera = _mirror_ball_camera(stack)
+        balls = _put_balls(stack, working, places)
         for ball, item in zip(balls, objects or (), strict=False):
             if item is not None:
                 stack.enter_context(joined_light_links(scene, ball, item))
@@ -374,53 +334,37 @@ def _take_samples(scene: bpy.types.Scene, n: int) -> None:
         cycles.samples = max(SEQUENCE_LENGTH, 1 + n)
 
 
-def _ask_for_passes(scene: bpy.types.Scene) -> None:
-    layer = scene.view_layers[0]
-    layer.use_pass_emit = layer.use_pass_environment = True
-    # A box: with any wider filter pixels on the rim look past the ball more often than they should.
-    scene.cycles.pixel_filter_type = "BOX"
-
-
-@contextlib.contextmanager
-def _mirror_ball_camera() -> Iterator[bpy.types.Object]:
-    """A camera that sees the whole sphere, the middle of its picture straight up."""
+def _mirror_ball_camera(stack: contextlib.ExitStack) -> bpy.types.Object:
+    """A camera that sees the whole sphere, the middle of its picture straight up; gone with `stack`."""
     data = bpy.data.cameras.new(NAME)
+    # With its data the object goes too. It is in no collection: those are the user's, and Cycles needs none.
+    stack.callback(bpy.data.cameras.remove, data)
+    data.type = "PANO"
+    panorama: Any = data if hasattr(data, "panorama_type") else data.cycles
+    panorama.panorama_type = "MIRRORBALL"
     camera = bpy.data.objects.new(NAME, data)
-    try:
-        data.type = "PANO"
-        panorama: Any = data if hasattr(data, "panorama_type") else data.cycles
-        panorama.panorama_type = "MIRRORBALL"
-        camera.rotation_euler = (math.pi, 0.0, 0.0)
-        # Not linked to a collection: those are the user's. Cycles needs only the scene to point at it.
-        yield camera
-    finally:
-        bpy.data.objects.remove(camera)
-        bpy.data.cameras.remove(data)
+    camera.rotation_euler = (math.pi, 0.0, 0.0)
+    return camera
 
 
-@contextlib.contextmanager
-def _balls(scene: bpy.types.Scene, positions_m: ArrayF64) -> Iterator[list[bpy.types.Object]]:
-    """A ball at each position that camera rays alone can see, so that it neither shades nor lights anything."""
+def _put_balls(stack: contextlib.ExitStack, scene: bpy.types.Scene, positions_m: ArrayF64) -> list[bpy.types.Object]:
+    """Balls that camera rays alone can see, so that they neither shade nor light anything; gone with `stack`."""
     metres = metres_per_unit(scene)
     material = _cone_material()
-    balls: list[bpy.types.Object] = []
-    try:
-        for position in positions_m:
-            mesh = sphere_mesh(NAME, _ball_radius(position, metres) / metres, CONE_SEGMENTS, CONE_SEGMENTS // 2)
-            mesh.materials.append(material)
-            ball = bpy.data.objects.new(NAME, mesh)
-            balls.append(ball)
-            ball.location = tuple(position / metres)
-            for ray in ("diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
-                setattr(ball, f"visible_{ray}", False)
-            scene.collection.objects.link(ball)
-        yield balls
-    finally:
-        for ball in balls:
-            mesh = ball.data
-            bpy.data.objects.remove(ball)
-            bpy.data.meshes.remove(mesh)
-        bpy.data.materials.remove(material)
+    stack.callback(bpy.data.materials.remove, material)
+    balls = []
+    for position in positions_m:
+        mesh = sphere_mesh(NAME, _ball_radius(position, metres) / metres, CONE_SEGMENTS, CONE_SEGMENTS // 2)
+        # With its mesh the object goes too.
+        stack.callback(bpy.data.meshes.remove, mesh)
+        mesh.materials.append(material)
+        ball = bpy.data.objects.new(NAME, mesh)
+        ball.location = tuple(position / metres)
+        for ray in ("diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
+            setattr(ball, f"visible_{ray}", False)
+        scene.collection.objects.link(ball)
+        balls.append(ball)
+    return balls
 
 
 def _ball_radius(position_m: ArrayF64, metres: float) -> float:
@@ -444,5 +388,4 @@ def _cone_material() -> bpy.types.Material:
 
 def _rgb(passes: dict[str, ArrayF32], name: str) -> ArrayF32:
     """A pass as a picture; a renderer's broken pixels are black, as they are on a screen."""
-    picture = np.stack([passes[f"{name}.{c}"] for c in "RGB"], axis=-1)
-    return np.nan_to_num(picture, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+    return np.nan_to_num(stacked_rgb(passes, name), copy=False, nan=0.0, posinf=0.0, neginf=0.0)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import contextlib
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -64,6 +64,16 @@ class Rendered:
 
     layers: dict[str, dict[str, ArrayF32]]
     render_s: float
+
+    @property
+    def passes(self) -> dict[str, ArrayF32]:
+        """Of the first view layer."""
+        return next(iter(self.layers.values()))
+
+
+def stacked_rgb(passes: Mapping[str, ArrayF32], name: str = "Combined") -> ArrayF32:
+    """A pass as a picture (H, W, 3)."""
+    return np.stack([passes[f"{name}.{c}"] for c in "RGB"], axis=-1)
 
 
 @contextlib.contextmanager
@@ -163,31 +173,20 @@ def render_passes(scene: bpy.types.Scene) -> Rendered:
 
 def _whole_picture(scene: bpy.types.Scene, path: Path) -> dict[str, dict[str, ArrayF32]]:
     """The passes of every view layer that renders. OSError if Blender, which does not say so, could not write them."""
-    try:
-        layers = _by_layer(read_exr(path)) if path.exists() else {}
-    except ValueError:
-        # Cut short where the disk was full.
-        layers = {}
+    layers: dict[str, dict[str, ArrayF32]] = {}
+    # Not there, or cut short where the disk was full.
+    with contextlib.suppress(FileNotFoundError, ValueError):
+        for name, pixels in read_exr(path).items():
+            # The name of a layer may have dots.
+            layer, pass_name, channel = name.rsplit(".", 2)
+            layers.setdefault(layer, {})[f"{pass_name}.{channel}"] = pixels
     if any("Depth.Z" not in layers.get(layer.name, ()) for layer in scene.view_layers if layer.use):
         raise OSError(f"Blender wrote no whole picture to {path}: free some space in the temporary folder")
-    for passes in layers.values():
-        passes["Depth.Z"] = _in_metres(passes["Depth.Z"], metres_per_unit(scene))
-    return layers
-
-
-def _in_metres(plane_depth: ArrayF32, metres: float) -> ArrayF32:
-    """Plane depth in Blender units as metres; misses stay what they are."""
-    if metres == 1:
-        return plane_depth
-    return np.where(plane_depth < MISS_PLANE_DEPTH_M, plane_depth * np.float32(metres), plane_depth)
-
-
-def _by_layer(channels: dict[str, ArrayF32]) -> dict[str, dict[str, ArrayF32]]:
-    """{"Layer.With.Dots.Combined.R": ...} as {"Layer.With.Dots": {"Combined.R": ...}}."""
-    layers: dict[str, dict[str, ArrayF32]] = {}
-    for name, pixels in channels.items():
-        layer, pass_name, channel = name.rsplit(".", 2)
-        layers.setdefault(layer, {})[f"{pass_name}.{channel}"] = pixels
+    metres = metres_per_unit(scene)
+    for passes in layers.values() if metres != 1 else ():
+        plane_depth = passes["Depth.Z"]
+        is_hit = plane_depth < MISS_PLANE_DEPTH_M
+        passes["Depth.Z"] = np.where(is_hit, plane_depth * np.float32(metres), plane_depth)
     return layers
 
 

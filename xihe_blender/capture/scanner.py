@@ -18,12 +18,18 @@ from dataclasses import dataclass, field, replace
 import bpy
 import numpy as np
 
-from xihe_blender.capture.render import Rendered, RenderSettings, exclude_collection, render_passes, working_scene
+from xihe_blender.capture.render import (
+    Rendered,
+    RenderSettings,
+    exclude_collection,
+    render_passes,
+    stacked_rgb,
+    working_scene,
+)
 from xihe_blender.errors import UserError
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.camera import encode_exposed, sensed_ambient, sound_plane_depth
-from xihenet.invalid import n_left_out
 from xihenet.metering import Metering, metered_exposure
 from xihenet.records import ArrayF32, ArrayF64, Intrinsics, RgbdFrame
 
@@ -38,27 +44,12 @@ METERING_SAMPLES = 32
 class CyclesScanner:
     """An `EnvironmentScanner` that renders; made by `open_scanner`.
 
-    Parameters
-    ----------
-    scene : the working scene
-    exposure : factor of the session
-    start_frame : frame at which the session's time is 0
-    n_invalid_pixels, render_s : of the last scan
-    rendered : all passes of the last scan
+    `scene` is the working scene, `exposure` the factor of the session; `rendered` are all passes of the last scan.
     """
 
     scene: bpy.types.Scene
     exposure: float = 1.0
-    start_frame: int = 0
-    n_invalid_pixels: int = 0
-    render_s: float = 0.0
     rendered: Rendered = field(default_factory=lambda: Rendered({}, 0.0))
-
-    @property
-    def time_s(self) -> float:
-        """Seconds of the session at the current frame."""
-        render = self.scene.render
-        return float((self.scene.frame_current - self.start_frame) * render.fps_base / render.fps)
 
     def move_to(self, frame: int) -> tuple[Intrinsics, ArrayF64]:
         """Go to `frame` of the path; what the camera there is, without rendering."""
@@ -66,14 +57,11 @@ class CyclesScanner:
         return phone_camera(self.scene)
 
     def acquire_environment_scan(self) -> RgbdFrame:
-        """Render the current frame."""
         intrinsics, world_from_camera = phone_camera(self.scene)
-        self.rendered = rendered = render_passes(self.scene)
-        radiance, plane_depth_m = first_layer(rendered)
+        self.rendered = render_passes(self.scene)
+        radiance, plane_depth_m = first_layer(self.rendered)
         colour = encode_exposed(radiance, self.exposure)
-        self.render_s = rendered.render_s
         sound_m, invalid = sound_plane_depth(plane_depth_m, radiance)
-        self.n_invalid_pixels = n_left_out(invalid)
         return RgbdFrame(
             colour,
             sound_m,
@@ -81,7 +69,7 @@ class CyclesScanner:
             world_from_camera,
             self.exposure,
             sensed_ambient(colour, self.exposure),
-            time_s=self.time_s,
+            time_s=session_time_s(self.scene),
             frame=self.scene.frame_current,
             invalid=invalid,
         )
@@ -92,7 +80,7 @@ def open_scanner(scene: bpy.types.Scene, settings: RenderSettings) -> Iterator[C
     """A scanner of the room in `scene` as the phone sees it: virtual objects are left out."""
     with working_scene(scene, SCENE_NAME, settings) as working:
         leave_out_virtual_objects(working, scene)
-        yield CyclesScanner(working, start_frame=scene.frame_start)
+        yield CyclesScanner(working)
 
 
 def leave_out_virtual_objects(working: bpy.types.Scene, scene: bpy.types.Scene) -> None:
@@ -104,8 +92,12 @@ def leave_out_virtual_objects(working: bpy.types.Scene, scene: bpy.types.Scene) 
 
 def first_layer(rendered: Rendered) -> tuple[ArrayF32, ArrayF32]:
     """Radiance (H, W, 3) and plane depth (H, W) of a render with one view layer."""
-    passes = next(iter(rendered.layers.values()))
-    return np.stack([passes[f"Combined.{c}"] for c in "RGB"], axis=-1), passes["Depth.Z"]
+    return stacked_rgb(rendered.passes), rendered.passes["Depth.Z"]
+
+
+def session_time_s(scene: bpy.types.Scene) -> float:
+    """Seconds of the session at the current frame."""
+    return float((scene.frame_current - scene.frame_start) * scene.render.fps_base / scene.render.fps)
 
 
 def phone_camera(scene: bpy.types.Scene) -> tuple[Intrinsics, ArrayF64]:

@@ -22,7 +22,7 @@ import numpy as np
 from xihe_blender.apply.datablocks import LIT_SCENE, PREFIX
 from xihe_blender.apply.lit_scene import remove_lit_collections, set_up_lit_scene
 from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world
-from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
+from xihe_blender.capture.render import RenderSettings, render_passes, stacked_rgb, working_scene
 from xihe_blender.capture.scanner import first_layer
 from xihe_blender.io.outputs import written_whole
 from xihenet.camera import MISS_PLANE_DEPTH_M, valid_plane_depth
@@ -43,14 +43,9 @@ _ERROR_STOPS = np.array([[0, 0, 4], [87, 16, 110], [188, 55, 84], [249, 142, 9],
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Pictures of one frame, (H, W, 3) linear at the session's exposure.
+    """Pictures of one frame, (H, W, 3) linear at the session's exposure: path-traced, and by method.
 
-    Parameters
-    ----------
-    ground_truth : path-traced
-    methods : by name, objects under the method's light over the captured frame
-    weights : (H, W) share of each pixel that virtual objects cover, 0 to 1
-    render_s : seconds Cycles took for all of them
+    `weights` (H, W) are the share of each pixel that virtual objects cover, 0 to 1; Cycles took `render_s` for all.
     """
 
     ground_truth: ArrayF64
@@ -101,13 +96,10 @@ class Comparer:
     def render_methods(
         self, captured: RgbdFrame, lights: Mapping[str, Mapping[str, ArrayF64]], truth: GroundTruth
     ) -> Comparison:
-        """Every method at the frame of `captured`, beside `truth`.
+        """Every method at the frame of `captured`, beside `truth`, which is of the same frame.
 
-        Parameters
-        ----------
-        captured : the phone's picture of the room; its exposure is used, its plane depth hides what lies behind
-        lights : (9, 3) radiance coefficients carrying `captured.exposure`, by method and virtual object
-        truth : of the same frame
+        The plane depth of `captured` hides what lies behind. `lights` are (9, 3) radiance coefficients that carry its
+        exposure, by method and virtual object.
         """
         for (method, name), world in self.worlds.items():
             apply_sh_to_world(world, lights[method][name], captured.exposure)
@@ -129,45 +121,32 @@ def open_comparer(
     """Everything needed to compare `methods` on the virtual `objects` of `scene`; all of it is gone afterwards."""
     keys = [(method, item.name) for method in methods for item in objects]
     # View layer names are cut at 63 bytes, so objects go by number.
-    layers = {key: f"{key[0]} {place}" for place, key in enumerate(keys)}
+    layers = {key: f"{key[0]} {number}" for number, key in enumerate(keys)}
+    worlds: dict[tuple[str, str], bpy.types.World] = {}
     with contextlib.ExitStack() as stack:
-        worlds = {key: stack.enter_context(_temporary_world(f"{PREFIX}{layers[key]}")) for key in keys}
+        for key, layer in layers.items():
+            worlds[key] = make_sh_world(f"{PREFIX}{layer}")
+            stack.callback(bpy.data.worlds.remove, worlds[key])
         truth = stack.enter_context(working_scene(scene, GROUND_TRUTH_SCENE, settings))
-        lit = stack.enter_context(_lit_scene(scene, settings))
-        set_up_lit_scene(lit, objects, {layers[key]: (key[1], worlds[key]) for key in keys})
+        stack.callback(remove_lit_collections)
+        lit = stack.enter_context(working_scene(scene, LIT_SCENE, settings))
+        set_up_lit_scene(lit, objects, {layer: (key[1], worlds[key]) for key, layer in layers.items()})
         yield Comparer(truth, lit, worlds, layers)
-
-
-@contextlib.contextmanager
-def _lit_scene(scene: bpy.types.Scene, settings: RenderSettings) -> Iterator[bpy.types.Scene]:
-    try:
-        with working_scene(scene, LIT_SCENE, settings) as lit:
-            yield lit
-    finally:
-        remove_lit_collections()
 
 
 def composite(
     background: ArrayF64, layers: Sequence[Mapping[str, ArrayF32]], captured: RgbdFrame
 ) -> tuple[ArrayF64, ArrayF64]:
-    """Objects over the captured frame.
+    """Objects over the captured frame: (H, W, 3) linear, exposed, and (H, W) the share of each pixel that they cover.
 
-    Parameters
-    ----------
-    background : (H, W, 3) linear, exposed
-    layers : passes of each object's view layer, scene radiance with premultiplied alpha
-    captured : for its exposure and plane depth
-
-    Returns
-    -------
-    picture : (H, W, 3) linear, exposed
-    weights : (H, W) share of each pixel that the objects cover
+    `background` is (H, W, 3) linear, exposed; `layers` are passes of each object's view layer, scene radiance with
+    premultiplied alpha; `captured` gives exposure and plane depth.
     """
     picture, weights = background.copy(), np.zeros(background.shape[:2])
     for passes in layers:
         visible = in_front_of_room(passes["Depth.Z"], captured.plane_depth_m)
         alpha = np.where(visible, passes["Combined.A"], 0.0)
-        colour = np.stack([passes[f"Combined.{c}"] for c in "RGB"], axis=-1).astype(np.float64)
+        colour = stacked_rgb(passes).astype(np.float64)
         picture += np.where(visible[..., None], colour * captured.exposure, 0.0) - alpha[..., None] * background
         weights += alpha
     return picture, np.clip(weights, 0.0, 1.0)
@@ -177,8 +156,7 @@ def in_front_of_room(object_plane_depth_m: ArrayF32, room_plane_depth_m: ArrayF3
     """(H, W): where an object is nearer than the room, or either is unknown (at a soft edge, through a window)."""
     reach = room_plane_depth_m * (1 + OCCLUSION_TOLERANCE) + OCCLUSION_TOLERANCE
     unknown = ~valid_plane_depth(room_plane_depth_m) | (object_plane_depth_m >= MISS_PLANE_DEPTH_M)
-    result: ArrayBool = unknown | (object_plane_depth_m <= reach)
-    return result
+    return unknown | (object_plane_depth_m <= reach)
 
 
 def measure(prediction: ArrayF64, ground_truth: ArrayF64, weights: ArrayF64) -> dict[str, float | None]:
@@ -201,8 +179,7 @@ def hueless_pixels(prediction: ArrayF64, ground_truth: ArrayF64, weights: ArrayF
 
 def display(picture: ArrayF64) -> ArrayF64:
     """Linear, exposed light as the Standard view transform shows it: clipped to [0, 1] and sRGB-encoded."""
-    encoded: ArrayF64 = linear_to_srgb(np.clip(picture, 0.0, 1.0))
-    return encoded
+    return linear_to_srgb(np.clip(picture, 0.0, 1.0))
 
 
 def error_map(prediction: ArrayF64, ground_truth: ArrayF64, weights: ArrayF64) -> ArrayF64:
@@ -210,12 +187,3 @@ def error_map(prediction: ArrayF64, ground_truth: ArrayF64, weights: ArrayF64) -
     difference = np.abs(display(prediction) - display(ground_truth)).mean(axis=-1) * (weights > 0)
     place = np.clip(difference / ERROR_AT_FULL_SCALE, 0.0, 1.0) * (len(_ERROR_STOPS) - 1)
     return np.stack([np.interp(place, range(len(_ERROR_STOPS)), _ERROR_STOPS[:, c]) for c in range(3)], axis=-1)
-
-
-@contextlib.contextmanager
-def _temporary_world(name: str) -> Iterator[bpy.types.World]:
-    world = make_sh_world(name)
-    try:
-        yield world
-    finally:
-        bpy.data.worlds.remove(world)

@@ -7,25 +7,17 @@ run kept it, taken over from an earlier frame where scene, camera, capture and l
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from xihe_blender.compare.methods import (
-    Comparer,
-    Comparison,
-    display,
-    error_map,
-    hueless_pixels,
-    load_ground_truth,
-    measure,
-    open_comparer,
-    save_ground_truth,
-)
+from xihe_blender.compare import methods
+from xihe_blender.compare.methods import Comparer, Comparison
 from xihe_blender.io.exr import write_radiance
-from xihe_blender.io.json_records import Json, as_json, from_json
+from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.outputs import RunOutputs, copy_whole, write_json, write_picture
 from xihe_blender.io.run_results import ComparedFrame, Metrics
@@ -36,6 +28,8 @@ from xihe_blender.previs.run_chain import Lights, WalkedPath
 from xihenet.json_files import read_json
 from xihenet.recording import load_frame
 
+_compared_in = functools.partial(from_json, ComparedFrame)
+
 
 def compare_path(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, None, dict[int, ComparedFrame]]:
     """A job: the comparison of each compared frame, by its number; pictures are written on the way."""
@@ -43,20 +37,20 @@ def compare_path(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, No
     frames = compared_frames(active, run.settings.preset_values.comparison_step)
     first: dict[tuple[Any, ...], int] = {}
     sources = {frame: first.setdefault(_made_from(run, frame, walked.lights[frame]), frame) for frame in frames}
-    kept = {frame: kept_json(outputs.compared(frame), _compared_from) for frame in frames}
+    kept = {frame: kept_json(outputs.compared(frame), _compared_in) for frame in frames}
     missing = [frame for frame in frames if kept[frame] is None]
     yield from _render_missing(run, walked, [frame for frame in missing if sources[frame] == frame])
     for frame in missing:
         if sources[frame] != frame:
             _take_over(outputs, sources[frame], frame)
-    return {frame: kept[frame] or _read(outputs, frame) for frame in frames}
+    return {frame: kept[frame] or _compared_in(read_json(outputs.compared(frame))) for frame in frames}
 
 
 def _render_missing(run: PreparedRun, walked: WalkedPath, missing: Sequence[int]) -> Iterator[Progress]:
     """All ground truths, then all methods, so that Cycles builds each of the two scenes once."""
     if not missing:
         return
-    with open_comparer(run.scene, run.plan.objects, run.methods, run.comparison) as comparer:
+    with methods.open_comparer(run.scene, run.plan.objects, run.methods, run.comparison) as comparer:
         yield from render_ground_truths(run, missing, comparer)
         for done, frame in enumerate(missing):
             yield run.progress("methods", done / len(missing), f"comparing frame {frame}")
@@ -68,8 +62,8 @@ def render_ground_truths(run: PreparedRun, frames: Sequence[int], comparer: Comp
     for done, frame in enumerate(frames):
         yield run.progress("ground truth", done / len(frames), f"rendering the ground truth of frame {frame}")
         path = run.outputs.ground_truth(frame)
-        if read_kept(path, load_ground_truth) is None:
-            save_ground_truth(path, comparer.render_ground_truth(frame))
+        if read_kept(path, methods.load_ground_truth) is None:
+            methods.save_ground_truth(path, comparer.render_ground_truth(frame))
 
 
 def _made_from(run: PreparedRun, frame: int, lights: Lights) -> tuple[Any, ...]:
@@ -80,7 +74,7 @@ def _made_from(run: PreparedRun, frame: int, lights: Lights) -> tuple[Any, ...]:
 
 
 def _take_over(outputs: RunOutputs, source: int, frame: int) -> None:
-    compared = _read(outputs, source)
+    compared = _compared_in(read_json(outputs.compared(source)))
     for method in ("ground_truth", *compared.comparison):
         copy_whole(outputs.radiance(method, source), outputs.radiance(method, frame))
     # What the phone saw has been written before; its exposure may differ.
@@ -91,27 +85,17 @@ def _take_over(outputs: RunOutputs, source: int, frame: int) -> None:
     write_json(outputs.compared(frame), as_json(taken_over))
 
 
-def _read(outputs: RunOutputs, frame: int) -> ComparedFrame:
-    return _compared_from(read_json(outputs.compared(frame)))
-
-
-def _compared_from(content: Json) -> ComparedFrame:
-    return from_json(ComparedFrame, content)
-
-
 def _compare_frame(run: PreparedRun, frame: int, lights: Lights, comparer: Comparer) -> None:
-    truth = load_ground_truth(run.outputs.ground_truth(frame))
+    truth = methods.load_ground_truth(run.outputs.ground_truth(frame))
     compared = comparer.render_methods(load_frame(run.outputs.capture(frame)), lights, truth)
+    metrics, n_hueless = {}, {}
+    for name, picture in compared.methods.items():
+        metrics[name] = Metrics(**methods.measure(picture, compared.ground_truth, compared.weights))
+        n_hueless[name] = methods.hueless_pixels(picture, compared.ground_truth, compared.weights)
     content = ComparedFrame(
         pictures=_write_pictures(run, frame, compared),
-        comparison={
-            name: Metrics(**measure(picture, compared.ground_truth, compared.weights))
-            for name, picture in compared.methods.items()
-        },
-        n_hueless_pixels={
-            name: hueless_pixels(picture, compared.ground_truth, compared.weights)
-            for name, picture in compared.methods.items()
-        },
+        comparison=metrics,
+        n_hueless_pixels=n_hueless,
         comparison_render_s=compared.render_s,
         comparison_same_as=None,
     )
@@ -122,9 +106,9 @@ def _compare_frame(run: PreparedRun, frame: int, lights: Lights, comparer: Compa
 def _write_pictures(run: PreparedRun, frame: int, compared: Comparison) -> dict[str, str]:
     """Paths by kind of picture, as results name them."""
     shown = {"ground_truth": compared.ground_truth, **compared.methods}
-    pictures = {kind: display(picture) for kind, picture in shown.items()}
+    pictures = {kind: methods.display(picture) for kind, picture in shown.items()}
     for method, picture in compared.methods.items():
-        pictures[f"error_{method}"] = error_map(picture, compared.ground_truth, compared.weights)
+        pictures[f"error_{method}"] = methods.error_map(picture, compared.ground_truth, compared.weights)
     for kind, picture in shown.items():
         write_radiance(run.outputs.radiance(kind, frame), (picture / run.exposure).astype(np.float32))
     for kind, picture in pictures.items():

@@ -6,6 +6,7 @@ its own keyed world, film transparent, ready to be put over the captured frames.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,16 +15,9 @@ import bpy
 import numpy as np
 from numpy.typing import ArrayLike
 
+from xihe_blender.apply import sh_worlds
 from xihe_blender.apply.datablocks import LIT_SCENE
 from xihe_blender.apply.lit_scene import remove_lit_collections, remove_lit_scene, set_up_lit_scene
-from xihe_blender.apply.sh_worlds import (
-    applied_worlds,
-    key_sh_on_world,
-    make_sh_world,
-    mark_trigger,
-    remove_trigger_markers,
-    world_name,
-)
 from xihe_blender.capture.render import can_denoise
 from xihe_blender.io.outputs import written_whole
 from xihe_blender.io.run_results import FrameResult
@@ -54,22 +48,19 @@ def apply_lights(
 ) -> None:
     """Key a world per virtual object at every frame at which its light changes; mark the triggers.
 
-    Parameters
-    ----------
-    changes : as of `light_changes`, carrying `exposure`; the pictures of the comparison are made with the same. Worlds
-        of earlier runs are keyed anew.
-    frames : as in results.json, for the triggers
+    `changes` are as of `light_changes`, carrying `exposure`; the pictures of the comparison are made with the same.
+    Worlds of earlier runs are keyed anew. `frames` are those of results.json, for the triggers.
     """
-    remove_trigger_markers(scene)
+    sh_worlds.remove_trigger_markers(scene)
     for name, of_one in changes.items():
-        world = make_sh_world(world_name(name))
+        world = sh_worlds.make_sh_world(sh_worlds.world_name(name))
         world.use_fake_user = True
         for frame, light in of_one:
-            key_sh_on_world(world, frame, light, exposure)
+            sh_worlds.key_sh_on_world(world, frame, light, exposure)
     for entry in frames:
         reasons = [probe.reason for probe in entry.probes if probe.fired]
         if reasons:
-            mark_trigger(scene, entry.frame, reasons)
+            sh_worlds.mark_trigger(scene, entry.frame, reasons)
 
 
 def make_lit_scene(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> bpy.types.Scene:
@@ -77,7 +68,7 @@ def make_lit_scene(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) 
 
     KeyError for an object without one.
     """
-    found = applied_worlds(scene)
+    found = sh_worlds.applied_worlds(scene)
     worlds = {item.name: found[item.name] for item in objects}
     lit = scene.copy()
     lit.name = LIT_SCENE
@@ -108,10 +99,7 @@ def save_lit_blend(scene: bpy.types.Scene, plan: PrevisPlan, path: Path) -> None
 
 def _check_is_whole(path: Path, scene_name: str) -> None:
     """OSError if Blender cannot read back what it saved: it does not say so when the end of a file did not fit."""
-    try:
-        with bpy.data.libraries.load(str(path)) as (saved, _):
-            is_whole = scene_name in saved.scenes
-    except OSError:
-        is_whole = False
-    if not is_whole:
-        raise OSError(errno.ENOSPC, "Blender could save only a part of it", str(path))
+    with contextlib.suppress(OSError), bpy.data.libraries.load(str(path)) as (saved, _):
+        if scene_name in saved.scenes:
+            return
+    raise OSError(errno.ENOSPC, "Blender could save only a part of it", str(path))

@@ -18,7 +18,7 @@ import numpy as np
 
 from xihe_blender.capture.phone_surfaces import ask_for_surfaces, load_surfaces, save_surfaces, surfaces_in
 from xihe_blender.capture.reference_probe import MeasuredLight, ReferenceProbe, open_reference_probe
-from xihe_blender.capture.scanner import CyclesScanner, first_layer, open_scanner
+from xihe_blender.capture.scanner import CyclesScanner, first_layer, open_scanner, session_time_s
 from xihe_blender.io.exr import read_radiance, write_radiance
 from xihe_blender.io.json_records import Json
 from xihe_blender.io.kept_files import kept_json, read_kept
@@ -33,13 +33,9 @@ from xihenet.records import RgbdFrame
 
 @dataclass(frozen=True, eq=False)
 class FrameRenders:
-    """The perfect capture of one frame and what stands at its light probes.
+    """The capture of one frame before the phone has a hand in it, and the reference lights by name of the probe.
 
-    Parameters
-    ----------
-    captured : before the phone has a hand in it
-    references : the reference light by name of the probe
-    render_s : seconds that rendering took, in whichever part of the run
+    `render_s` are the seconds that rendering took, in whichever part of the run.
     """
 
     captured: RgbdFrame
@@ -67,62 +63,44 @@ class PathRenders:
         references = {name: light for name, (light, _) in lights.items()}
         return FrameRenders(load_frame(self.outputs.capture(frame)), references, render_s)
 
-    def missing_captures(self) -> list[int]:
-        """Frames whose captures are not kept, or are damaged."""
-        return [f for f in self.run.plan.frames if self.run.probes_in_view(f) and not all(self._is_captured(f))]
-
-    def _is_captured(self, frame: int) -> Iterator[bool]:
+    def is_captured(self, frame: int) -> bool:
         """Whether each piece of a capture can be read."""
-        outputs = self.outputs
-        yield kept_json(outputs.times(frame), lambda content: float(content["render_s"])) is not None
-        yield read_kept(outputs.capture(frame), load_frame) is not None
+        if kept_json(self.outputs.times(frame), lambda content: float(content["render_s"])) is None:
+            return False
+        pieces: list[tuple[Path, Callable[[Path], object]]] = [(self.outputs.capture(frame), load_frame)]
+        pieces += self._beside_capture(frame)
+        return all(read_kept(path, read) is not None for path, read in pieces)
+
+    def _beside_capture(self, frame: int) -> Iterator[tuple[Path, Callable[[Path], object]]]:
+        """What is kept beside a capture for the phone, and how it is read."""
         if self.run.needs.radiance:
-            yield read_kept(outputs.radiance("captured", frame), read_radiance) is not None
+            yield self.outputs.radiance("captured", frame), read_radiance
         if self.run.needs.surfaces:
-            yield read_kept(outputs.surfaces(frame), load_surfaces) is not None
+            yield self.outputs.surfaces(frame), load_surfaces
 
-    def missing_references(self) -> list[tuple[int, Probe]]:
-        """Frames and probes in view whose reference light is not kept, or is damaged."""
-        asked = [(frame, probe) for frame in self.run.plan.frames for probe in self.run.probes_in_view(frame)]
-        return [(f, probe) for f, probe in asked if kept_json(self.reference(probe, f), _kept_light) is None]
-
-    def capture(self, frame: int, scanner: CyclesScanner) -> None:
-        """Keep the capture of `frame`, at which `scanner` is."""
-        captured, render_s = self._captured(frame, scanner)
-        save_frame(self.outputs.capture(frame), captured)
-        write_picture(self.outputs.picture("captured", frame), captured.srgb_u8)
-        write_json(self.outputs.times(frame), {"render_s": render_s})
-
-    def _captured(self, frame: int, scanner: CyclesScanner) -> tuple[RgbdFrame, float]:
-        """The capture, and the seconds that rendering it took; what is kept beside it is written."""
-        source = self.run.reuse.captures[frame]
+    def capture(self, frame: int, scanner: CyclesScanner) -> float:
+        """Keep the capture of `frame`, at which `scanner` is, and what belongs beside it; the seconds of rendering."""
+        source, outputs = self.run.reuse.captures[frame], self.outputs
         if source == frame:
-            captured = scanner.acquire_environment_scan()
-            self._keep_passes(frame, scanner)
-            return captured, scanner.render_s
-        for path_at in self._beside_captures():
-            copy_whole(path_at(source), path_at(frame))
-        captured = load_frame(self.outputs.capture(source))
-        return replace(captured, time_s=scanner.time_s, frame=frame), 0.0
+            captured, rendered = scanner.acquire_environment_scan(), scanner.rendered
+            render_s = rendered.render_s
+            if self.run.needs.radiance:
+                write_radiance(outputs.radiance("captured", frame), first_layer(rendered)[0])
+            if self.run.needs.surfaces:
+                roughness = self.run.survey.frames[frame].roughness
+                save_surfaces(outputs.surfaces(frame), surfaces_in(rendered.passes, roughness))
+        else:
+            for (kept, _), (path, _) in zip(self._beside_capture(source), self._beside_capture(frame), strict=True):
+                copy_whole(kept, path)
+            captured = replace(load_frame(outputs.capture(source)), time_s=session_time_s(scanner.scene), frame=frame)
+            render_s = 0.0
+        save_frame(outputs.capture(frame), captured)
+        write_picture(outputs.picture("captured", frame), captured.srgb_u8)
+        write_json(outputs.times(frame), {"render_s": render_s})
+        return render_s
 
-    def _keep_passes(self, frame: int, scanner: CyclesScanner) -> None:
-        """Store what the last render has for the phone, beside the capture itself."""
-        outputs, rendered = self.outputs, scanner.rendered
-        if self.run.needs.radiance:
-            write_radiance(outputs.radiance("captured", frame), first_layer(rendered)[0])
-        if self.run.needs.surfaces:
-            passes, roughness = next(iter(rendered.layers.values())), self.run.survey.frames[frame].roughness
-            save_surfaces(outputs.surfaces(frame), surfaces_in(passes, roughness))
-
-    def _beside_captures(self) -> Iterator[Callable[[int], Path]]:
-        """Where that is stored, by frame."""
-        if self.run.needs.radiance:
-            yield functools.partial(self.outputs.radiance, "captured")
-        if self.run.needs.surfaces:
-            yield self.outputs.surfaces
-
-    def measure(self, frame: int, probe: Probe, reference_probe: ReferenceProbe) -> None:
-        """Keep the reference light at `probe` in `frame`."""
+    def measure(self, frame: int, probe: Probe, reference_probe: ReferenceProbe) -> float:
+        """Keep the reference light at `probe` in `frame`; seconds of rendering."""
         source, index = self.run.reuse.probes[frame, probe.name], self.run.plan.probes.index(probe)
         panorama = functools.partial(self.outputs.probe, index, probe.name)
         if source == frame:
@@ -133,14 +111,13 @@ class PathRenders:
             measured, render_s = _kept_light(read_json(self.reference(probe, source)))[0], 0.0
             copy_whole(panorama(source), panorama(frame))
         write_json(self.reference(probe, frame), {"light": measured.as_json(), "render_s": render_s})
+        return render_s
 
     def reference(self, probe: Probe, frame: int) -> Path:
-        """Where that is kept."""
         return self.outputs.reference(self.run.plan.probes.index(probe), probe.name, frame)
 
 
 def _kept_light(content: Json) -> tuple[MeasuredLight, float]:
-    """What `PathRenders.measure` kept: the light, and seconds."""
     return MeasuredLight.from_json(content["light"]), float(content["render_s"])
 
 
@@ -153,7 +130,7 @@ def render_path(run: PreparedRun) -> Generator[Progress, None, dict[int, float]]
 
 
 def _capture_missing(run: PreparedRun, renders: PathRenders, work_s: dict[int, float]) -> Iterator[Progress]:
-    missing = renders.missing_captures()
+    missing = [frame for frame in run.plan.frames if run.probes_in_view(frame) and not renders.is_captured(frame)]
     if not missing:
         return
     with open_scanner(run.scene, run.capture) as scanner:
@@ -168,13 +145,13 @@ def _capture_missing(run: PreparedRun, renders: PathRenders, work_s: dict[int, f
             start = time.perf_counter()
             scanner.move_to(frame)
             if frame in missing:
-                renders.capture(frame, scanner)
-                rendered_s = scanner.render_s if run.reuse.captures[frame] == frame else 0.0
+                rendered_s = renders.capture(frame, scanner)
                 work_s[frame] = time.perf_counter() - start - rendered_s
 
 
 def _measure_missing(run: PreparedRun, renders: PathRenders, work_s: dict[int, float]) -> Iterator[Progress]:
-    missing = renders.missing_references()
+    asked = [(frame, probe) for frame in run.plan.frames for probe in run.probes_in_view(frame)]
+    missing = [(f, probe) for f, probe in asked if kept_json(renders.reference(probe, f), _kept_light) is None]
     if not missing:
         return
     probes, items = run.plan.probes, {item.name: item for item in run.plan.objects}
@@ -184,8 +161,7 @@ def _measure_missing(run: PreparedRun, renders: PathRenders, work_s: dict[int, f
         for (frame, probe), done_share in zip(missing, done_shares, strict=True):
             yield run.progress("reference light", done_share, f"measuring the light at {probe.name} in frame {frame}")
             start = time.perf_counter()
-            renders.measure(frame, probe, reference_probe)
-            _, rendered_s = _kept_light(read_json(renders.reference(probe, frame)))
+            rendered_s = renders.measure(frame, probe, reference_probe)
             work_s[frame] = work_s.get(frame, 0.0) + time.perf_counter() - start - rendered_s
 
 

@@ -14,35 +14,23 @@ phone is no special case here, but its `sees` is false, and whoever asks that ne
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import bpy
 import numpy as np
 
-from xihe_blender.capture.phone_motion import fastest
-from xihe_blender.capture.phone_surfaces import load_surfaces, smoothest_in_view
+from xihe_blender.capture.phone_surfaces import load_surfaces
 from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.previs.survey import SceneSurvey
+from xihenet import phone as phones
 from xihenet.camera import valid_plane_depth
 from xihenet.effects import Effect, names_that_are_on, plan_effects
 from xihenet.metering import Metering, metered_exposure
-from xihenet.phone import (
-    NETWORK,
-    FrameFacts,
-    Link,
-    PhoneCamera,
-    PhoneProfile,
-    SessionFacts,
-    SessionTrack,
-    SurfaceFacts,
-    facts_of_frame,
-    facts_of_session,
-)
 from xihenet.phone.exposure import FrameRate, delivered_frames
 from xihenet.records import ArrayF32, ArrayF64, RgbdFrame
 
@@ -51,13 +39,10 @@ SURFACE_EFFECTS = frozenset({"dark_holes", "glossy_holes", "transparent_holes"})
 
 @dataclass(frozen=True)
 class CaptureNeeds:
-    """What a phone, or several that share captures, asks of the path.
+    """What a phone, or several that share captures, asks of the path; `|` gives what any of two asks for.
 
-    Parameters
-    ----------
-    delivered : frames that reach the app at all
-    radiance : the picture in scene radiance is kept beside a capture, for an exposure of the phone's own
-    surfaces : so is what a range sensor meets in each pixel
+    `delivered` are frames that reach the app at all. With `radiance` the picture in scene radiance is kept beside a
+    capture, for an exposure of the phone's own, with `surfaces` what a range sensor meets in each pixel.
     """
 
     delivered: frozenset[int]
@@ -65,7 +50,6 @@ class CaptureNeeds:
     surfaces: bool = False
 
     def __or__(self, other: CaptureNeeds) -> CaptureNeeds:
-        """What any of the two asks for."""
         return CaptureNeeds(
             self.delivered | other.delivered, self.radiance or other.radiance, self.surfaces or other.surfaces
         )
@@ -75,16 +59,12 @@ class CaptureNeeds:
 class ChosenPhone:
     """The phone and the network that the user chose for a run; made by `choose_phone`.
 
-    Parameters
-    ----------
-    profile, link, metering, n_anchors, seed : of the run
-    choices : "on" or "off" by effect, where the user decided
-    times_s : of the frames of the path, by number
-    frame_rate_hz : of the path where it is fastest
+    `choices` are "on" or "off" by effect, where the user decided, `times_s` those of the frames of the path, by number,
+    and `frame_rate_hz` is the path's where it is fastest.
     """
 
-    profile: PhoneProfile
-    link: Link | None
+    profile: phones.PhoneProfile
+    link: phones.Link | None
     metering: Metering
     n_anchors: int
     seed: int
@@ -115,7 +95,7 @@ class ChosenPhone:
 
     def _delivered(self) -> frozenset[int]:
         section = self.profile.sections.get("frame_rate")
-        required = self.profile.required_effects(SessionFacts(**self.timing))
+        required = self.profile.required_effects(phones.SessionFacts(**self.timing))
         is_on = plan_effects(required, self.choices)["frame_rate"].state == "on"
         limit = section if is_on and isinstance(section, FrameRate) else None
         reaches = delivered_frames(list(self.times_s.values()), limit)
@@ -124,20 +104,29 @@ class ChosenPhone:
 
 def choose_phone(scene: bpy.types.Scene, survey: SceneSurvey, settings: PrevisSettings) -> ChosenPhone:
     """The phone of `settings` on a surveyed path; choices that `scene` remembers count. UserError as of `checked`."""
-    profile, link = settings.profile, settings.link
-    choices = overrides_in_force(scene, settings.effect_choices)
     times_s = {frame: one.time_s for frame, one in survey.frames.items()}
     steps_s = np.diff(list(times_s.values()))
-    rate_hz = 1 / float(steps_s.min()) if len(steps_s) else scene.render.fps / scene.render.fps_base
-    metering, n_anchors = settings.metering_in_force, settings.n_anchors
-    return ChosenPhone(profile, link, metering, n_anchors, settings.seed, choices, times_s, rate_hz)
+    return ChosenPhone(
+        settings.profile,
+        settings.link,
+        settings.metering_in_force,
+        settings.n_anchors,
+        settings.seed,
+        overrides_in_force(scene, settings.effect_choices),
+        times_s,
+        1 / float(steps_s.min()) if len(steps_s) else scene.render.fps / scene.render.fps_base,
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class CaptureFacts:
-    """What one perfect capture says of the session; `ambient` (3,) is what its light sensor would read at once."""
+    """What one perfect capture says of the session.
 
-    of_frame: FrameFacts
+    `smoothest_roughness` is None where that of any pixel is not known; `ambient` (3,) is what the light sensor would
+    read at once.
+    """
+
+    of_frame: phones.FrameFacts
     smoothest_roughness: float | None
     highest_transmission: float
     metered: float
@@ -148,16 +137,17 @@ def facts_of_capture(
     captured: RgbdFrame,
     positions_m: ArrayF64,
     metering: Metering,
-    surfaces: SurfaceFacts | None,
+    surfaces: phones.SurfaceFacts | None,
     radiance: ArrayF32 | None,
 ) -> CaptureFacts:
     """Of a capture; surfaces and radiance (H, W, 3) only where the phone needs them."""
-    facts, roughness, transmission = facts_of_frame(captured, positions_m), None, 0.0
+    facts, roughness, transmission = phones.facts_of_frame(captured, positions_m), None, 0.0
     if surfaces is not None:
         valid = valid_plane_depth(captured.plane_depth_m)
-        assert surfaces.reflectance is not None and surfaces.transmission is not None
+        assert surfaces.reflectance is not None and surfaces.transmission is not None and surfaces.roughness is not None
         facts = replace(facts, darkest_grey=float(surfaces.reflectance[valid].min(initial=1.0)))
-        roughness = smoothest_in_view(surfaces, valid)
+        if not np.isnan(surfaces.roughness[valid]).any():
+            roughness = float(surfaces.roughness[valid].min(initial=1.0))
         transmission = float(surfaces.transmission[valid].max(initial=0.0))
     metered = captured.exposure
     if radiance is not None:
@@ -167,26 +157,12 @@ def facts_of_capture(
     return CaptureFacts(facts, roughness, transmission, metered, ambient)
 
 
-def facts_kept(phone: ChosenPhone, captured: RgbdFrame, positions_m: ArrayF64, outputs: RunOutputs) -> CaptureFacts:
-    """`facts_of_capture` with what a run has kept beside the capture."""
-    needs, frame = phone.needs, captured.frame
-    surfaces = load_surfaces(outputs.surfaces(frame)) if needs.surfaces else None
-    radiance = read_radiance(outputs.radiance("captured", frame)) if needs.radiance else None
-    return facts_of_capture(captured, positions_m, phone.metering, surfaces, radiance)
-
-
 @dataclass(frozen=True, eq=False)
 class SimulatedPhone:
     """The phone of a session, with the effects that are simulated; made by `simulate_phone`.
 
-    Parameters
-    ----------
-    chosen : what the user chose
-    survey : of the path
-    facts : of each captured frame, in order
-    exposure : of the session
-    effects : all that there are, by name
-    of_camera : names of those that change its frames
+    `facts` are of each captured frame, in order, `effects` all that there are, by name, and `of_camera` the names of
+    those that change its frames.
     """
 
     chosen: ChosenPhone
@@ -197,12 +173,11 @@ class SimulatedPhone:
     of_camera: frozenset[str]
 
     @functools.cached_property
-    def camera(self) -> PhoneCamera:
-        """What makes its frames of perfect ones."""
-        return PhoneCamera(self.chosen.profile, self.chosen.seed, effects=self.of_camera)
+    def camera(self) -> phones.PhoneCamera:
+        return phones.PhoneCamera(self.chosen.profile, self.chosen.seed, effects=self.of_camera)
 
     @functools.cached_property
-    def track(self) -> SessionTrack:
+    def track(self) -> phones.SessionTrack:
         """Exposure and light sensor over the captured frames."""
         facts = self.facts.values()
         return self.camera.follow(
@@ -215,12 +190,11 @@ class SimulatedPhone:
 
     @property
     def on(self) -> frozenset[str]:
-        """Names of the effects that are simulated."""
         return names_that_are_on(self.effects)
 
     @property
-    def link_in_use(self) -> Link | None:
-        return self.chosen.link if NETWORK in self.on else None
+    def link_in_use(self) -> phones.Link | None:
+        return self.chosen.link if phones.NETWORK in self.on else None
 
     def notes(self) -> list[str]:
         """What a reader has to know of the session, in plain sentences."""
@@ -248,23 +222,19 @@ def simulate_phone(
     chosen: ChosenPhone, survey: SceneSurvey, facts: Mapping[int, CaptureFacts], exposure: float
 ) -> SimulatedPhone:
     """Decide which effects are simulated, from all that is known; without `facts` what they could rule out is on."""
-    known = _session_facts(chosen, survey, list(facts.values()))
-    effects = plan_effects(chosen.profile.required_effects(known, chosen.link), chosen.choices)
-    return SimulatedPhone(chosen, survey, facts, exposure, effects, names_that_are_on(effects) - {NETWORK})
-
-
-def _session_facts(chosen: ChosenPhone, survey: SceneSurvey, facts: Sequence[CaptureFacts]) -> SessionFacts:
     motions = [one.motion for one in survey.frames.values()]
     known: dict[str, Any] = {
         **chosen.timing,
         "n_anchors": chosen.n_anchors,
-        "fastest_m_per_s": fastest([motion.velocity_m_per_s for motion in motions]),
-        "fastest_turn_deg_per_s": fastest([np.degrees(motion.turn_rad_per_s) for motion in motions]),
+        "fastest_m_per_s": max(float(np.linalg.norm(motion.velocity_m_per_s)) for motion in motions),
+        "fastest_turn_deg_per_s": max(float(np.linalg.norm(np.degrees(motion.turn_rad_per_s))) for motion in motions),
         "light_changes": survey.light_changes,
     }
-    if not facts:
-        return SessionFacts(**known)
-    roughness = [one.smoothest_roughness for one in facts if one.smoothest_roughness is not None]
-    known["smoothest_roughness"] = min(roughness) if len(roughness) == len(facts) else None
-    known["highest_transmission"] = max(one.highest_transmission for one in facts)
-    return facts_of_session([one.of_frame for one in facts], **known)
+    session = phones.SessionFacts(**known)
+    if facts:
+        roughness = [one.smoothest_roughness for one in facts.values() if one.smoothest_roughness is not None]
+        known["smoothest_roughness"] = min(roughness) if len(roughness) == len(facts) else None
+        known["highest_transmission"] = max(one.highest_transmission for one in facts.values())
+        session = phones.facts_of_session([one.of_frame for one in facts.values()], **known)
+    effects = plan_effects(chosen.profile.required_effects(session, chosen.link), chosen.choices)
+    return SimulatedPhone(chosen, survey, facts, exposure, effects, names_that_are_on(effects) - {phones.NETWORK})

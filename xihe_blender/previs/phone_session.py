@@ -7,7 +7,6 @@ it, here alone. A run has one session; the report makes more of them, from the s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,25 +20,11 @@ from xihenet.phone import EstimatesUnderWay, Link, Request
 from xihenet.records import ArrayF64, RgbdFrame, StepReport, UnitSphereCloud
 
 
-@dataclass(frozen=True, eq=False)
-class SessionStep:
-    """What one frame brought: reports and requests by position, and the (9, 3) ambient light of the frame."""
-
-    reports: dict[str, StepReport]
-    requests: dict[str, Request]
-    ambient_sh: ArrayF64
-
-
 class PhoneSession:
     """State of one session: the controller, and the estimates under way.
 
-    Parameters
-    ----------
-    plan : its estimation positions
-    settings : of the run
-    exposure : of the session; anchors and estimates carry it
-    estimator : of the run
-    link : over which estimates are asked for; None lets them arrive in their own frame
+    Anchors and estimates carry the session's `exposure`. Estimates are asked for over `link`; None lets them arrive in
+    their own frame.
     """
 
     def __init__(
@@ -56,13 +41,13 @@ class PhoneSession:
         self.ambient_sh = np.zeros((9, 3))
         """Of the last frame."""
 
-    def step(self, seen: RgbdFrame, truth: dict[str, ArrayF64], active: Sequence[str]) -> SessionStep:
+    def step(
+        self, seen: RgbdFrame, truth: dict[str, ArrayF64], active: Sequence[str]
+    ) -> tuple[dict[str, StepReport], dict[str, Request]]:
         """Run the chain on a frame of the phone, and send for the estimates that it makes.
 
-        Parameters
-        ----------
-        truth : (9, 3) coefficients of the rendered probe by position
-        active : positions in view of the true camera, whatever pose the phone believes in
+        Gives reports and requests by position. `truth` are (9, 3) coefficients of the rendered probe by position,
+        `active` the positions in view of the true camera, whatever pose the phone believes in.
         """
         reports = self.controller.step(seen, truth, active=active)
         requests = {}
@@ -73,7 +58,7 @@ class PhoneSession:
                 )
         context = EstimateContext(frame=seen, reference_exposure=self.exposure)
         self.ambient_sh = self.ambient.estimate(self.unseen, context)
-        return SessionStep(reports, requests, self.ambient_sh)
+        return reports, requests
 
     def light(self, name: str, time_s: float) -> ArrayF64:
         """(9, 3) the light in force at a position: its last valid estimate that arrived, until then the ambient one."""

@@ -17,7 +17,7 @@ from xihe_blender.capture.scanner import phone_camera, sized_for
 from xihe_blender.errors import UserError
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.estimation_positions import estimation_positions
-from xihe_blender.scene.virtual_objects import COLLECTION_NAME, virtual_collection, virtual_objects
+from xihe_blender.scene.virtual_objects import COLLECTION_NAME, collections_of, virtual_objects
 from xihenet.records import ArrayF64
 
 Item = TypeVar("Item")
@@ -89,7 +89,8 @@ def planned_frames(scene: bpy.types.Scene, wanted: Sequence[int] | None) -> list
 
 def planned_objects(scene: bpy.types.Scene, wanted: Sequence[str] | None) -> list[bpy.types.Object]:
     """The virtual objects of the run. UserError if there is none, a name is unknown, or one is part of the room too."""
-    found = {item.name: item for item in virtual_objects(scene)}
+    items = virtual_objects(scene)
+    found = {item.name: item for item in items}
     if not found:
         raise UserError(
             f"scene {scene.name!r} has no virtual object: put the objects that the phone should insert into a "
@@ -97,35 +98,24 @@ def planned_objects(scene: bpy.types.Scene, wanted: Sequence[str] | None) -> lis
         )
     if wanted is not None and not wanted:
         raise UserError(f"no virtual object is chosen: choose among {', '.join(found)}, or leave --objects out for all")
-    _check_names_differ(virtual_objects(scene))
-    unknown = [name for name in wanted or () if name not in found]
-    if unknown:
-        raise UserError(f"there is no virtual object {unknown[0]!r}: choose among {', '.join(found)}")
-    chosen = [item for name, item in found.items() if wanted is None or name in wanted]
-    for item in chosen:
-        _check_is_not_in_the_room(scene, item)
-    return chosen
-
-
-def _check_names_differ(items: Sequence[bpy.types.Object]) -> None:
-    """Results go by name, and an object of a linked library may have the name of another."""
     for item, other in itertools.pairwise(items):
+        # Results go by name, and an object of a linked library may have the name of another.
         if item.name == other.name:
             linked = item if item.library is not None else other
             raise UserError(
                 f"two virtual objects are named {item.name!r}, one of them linked from {linked.library.filepath}: "
                 "rename one of them"
             )
-
-
-def _check_is_not_in_the_room(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
-    """An object that is linked into the room as well would be captured, and would light itself."""
-    virtual = virtual_collection(scene)
-    inside = {virtual, *virtual.children_recursive} if virtual is not None else set()
-    in_scene = {scene.collection, *scene.collection.children_recursive}
-    room = [home for home in item.users_collection if home in in_scene and home not in inside]
-    if room:
-        raise UserError(f"virtual object {item.name!r} is also in collection {room[0].name!r}: unlink it from there")
+    unknown = [name for name in wanted or () if name not in found]
+    if unknown:
+        raise UserError(f"there is no virtual object {unknown[0]!r}: choose among {', '.join(found)}")
+    chosen = [item for item in items if wanted is None or item.name in wanted]
+    _, room = collections_of(scene)
+    for item in chosen:
+        home = next((home for home in item.users_collection if home in room), None)
+        if home is not None:  # It would be captured, and would light itself.
+            raise UserError(f"virtual object {item.name!r} is also in collection {home.name!r}: unlink it from there")
+    return chosen
 
 
 def _probes(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[Probe]:

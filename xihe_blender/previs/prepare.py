@@ -6,6 +6,7 @@ and kept in the run's folder, so that a resumed run does the same without lookin
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass, replace
@@ -15,7 +16,7 @@ import bpy
 from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure
-from xihe_blender.io.json_records import Json, from_json
+from xihe_blender.io.json_records import Json, as_json, from_json
 from xihe_blender.io.kept_files import kept_json, kept_or_made
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import Progress
@@ -46,20 +47,8 @@ truth and of all methods, where a million samples of a capture are 1: measured i
 class PreparedRun:
     """All that is known of a run before its walk; the stages behind share it.
 
-    Parameters
-    ----------
-    scene : the user's
-    plan : frames, virtual objects, estimation positions
-    survey : of the path
-    outputs : files of the run
-    settings : the user's, with the trigger's theta above the noise of captures
-    estimator : of the run
-    exposure : of the session
-    effects : which effects of light transport are simulated
-    sample_count : samples of captures
-    phone : the one that the user chose
-    needs : what is captured, and kept beside captures
-    reuse : in which earlier frame a render would come out the same
+    `settings` are the user's, with the trigger's theta above the noise of captures. `needs` says what is captured, and
+    kept beside captures; `reuse` in which earlier frame a render would come out the same.
     """
 
     scene: bpy.types.Scene
@@ -104,15 +93,15 @@ class PreparedRun:
     def progress(self, stage: str, done_share: float, doing: str) -> Progress:
         """That a share of `stage` is done, and all stages before it."""
         work = {name: max(units, 1e-9) for name, units in self.work.items()}
-        names = list(work)
-        left = {name: work[name] for name in names[names.index(stage) :]}
+        left = dict(itertools.dropwhile(lambda entry: entry[0] != stage, work.items()))
         left[stage] *= 1 - done_share
         total = sum(work.values())
         return Progress(total - sum(left.values()), total, doing, left)
 
     @property
     def capture(self) -> RenderSettings:
-        return self._simulated(self.settings.capture(self.plan.size, self.sample_count.capture_samples))
+        settings = self.settings.capture(self.plan.size, self.sample_count.capture_samples)
+        return replace(settings, light_transport=cycles_settings(self.effects))
 
     @property
     def reference(self) -> ProbeSettings:
@@ -120,11 +109,7 @@ class PreparedRun:
 
     @property
     def comparison(self) -> RenderSettings:
-        return self._simulated(self.settings.comparison(self.plan.size))
-
-    def _simulated(self, settings: RenderSettings) -> RenderSettings:
-        """`settings` with the run's light transport, one for capture, truth and comparison."""
-        return replace(settings, light_transport=cycles_settings(self.effects))
+        return replace(self.settings.comparison(self.plan.size), light_transport=cycles_settings(self.effects))
 
 
 def survey_run(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs) -> SceneSurvey:
@@ -132,8 +117,7 @@ def survey_run(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs) ->
     kept = kept_json(outputs.survey, SceneSurvey.from_json)
     if kept is not None and tuple(kept.frames) == tuple(plan.frames):
         return kept
-    if outputs.survey.exists():
-        outputs.survey.unlink()
+    outputs.survey.unlink(missing_ok=True)
     return survey_path(scene, plan)
 
 
@@ -149,21 +133,30 @@ def prepare_run(
     if not outputs.survey.exists():
         write_json(outputs.survey, survey.as_json())
     yield Progress(0, 1, "metering the exposure")
-    exposure = _session_exposure(scene, plan, outputs, settings)
-    effects = _effects(scene, survey, outputs, settings)
+    metering, n_samples = settings.metering_in_force, settings.metering_samples
+    exposure = settings.exposure or kept_or_made(
+        outputs.exposure,
+        positive_exposure,
+        lambda: {"exposure": meter_exposure(scene, plan.frames, settings.seed, metering=metering, samples=n_samples)},
+    )
+    choices = overrides_in_force(scene, settings.effect_choices)
+    effects = kept_or_made(
+        outputs.effects,
+        lambda content: effects_kept(survey, content),
+        lambda: effects_as_json(plan_effects(survey.required, choices)),
+    )
     yield Progress(0, 1, "measuring how many samples it takes")
     transport = cycles_settings(effects)
-    measured = kept_or_made(
+    count = kept_or_made(
         outputs.sample_count,
         lambda content: from_json(SampleCount, content),
-        lambda: measure_sample_count(scene, plan, survey, settings, exposure, transport).as_json(),
+        lambda: as_json(measure_sample_count(scene, plan, survey, settings, exposure, transport)),
     )
-    settings = replace(settings, trigger=above_noise(settings.trigger, measured.capture_change))
+    settings = replace(settings, trigger=above_noise(settings.trigger, count.capture_change))
     phone = choose_phone(scene, survey, settings)
-    reuse = render_reuse(survey, effects, phone.needs)
-    return PreparedRun(
-        scene, plan, survey, outputs, settings, estimator, exposure, effects, measured, phone, phone.needs, reuse
-    )
+    needs = phone.needs
+    reuse = render_reuse(survey, effects, needs)
+    return PreparedRun(scene, plan, survey, outputs, settings, estimator, exposure, effects, count, phone, needs, reuse)
 
 
 def render_reuse(survey: SceneSurvey, effects: Mapping[str, Effect], needs: CaptureNeeds) -> RenderReuse:
@@ -177,21 +170,7 @@ def render_reuse(survey: SceneSurvey, effects: Mapping[str, Effect], needs: Capt
 
 def above_noise(trigger: TriggerSettings, capture_change: float | None) -> TriggerSettings:
     """`trigger` with its theta above what noise alone changes, where that was measured: variances add up."""
-    if capture_change is None:
-        return trigger
-    return replace(trigger, theta=trigger.theta + NOISE_MARGIN * capture_change)
-
-
-def _session_exposure(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs, settings: PrevisSettings) -> float:
-    """The exposure that the user gave, or that is metered."""
-    if settings.exposure is not None:
-        return settings.exposure
-    metering, samples = settings.metering_in_force, settings.metering_samples
-    return kept_or_made(
-        outputs.exposure,
-        positive_exposure,
-        lambda: {"exposure": meter_exposure(scene, plan.frames, settings.seed, metering=metering, samples=samples)},
-    )
+    return replace(trigger, theta=trigger.theta + NOISE_MARGIN * (capture_change or 0.0))
 
 
 def positive_exposure(content: Json) -> float:
@@ -200,18 +179,6 @@ def positive_exposure(content: Json) -> float:
     if not 0 < exposure < math.inf:
         raise ValueError(f"exposure: expected a positive factor, got {exposure}")
     return exposure
-
-
-def _effects(
-    scene: bpy.types.Scene, survey: SceneSurvey, outputs: RunOutputs, settings: PrevisSettings
-) -> dict[str, Effect]:
-    """The effects of light transport that the scene calls for, or the user."""
-    choices = overrides_in_force(scene, settings.effect_choices)
-    return kept_or_made(
-        outputs.effects,
-        lambda content: effects_kept(survey, content),
-        lambda: effects_as_json(plan_effects(survey.required, choices)),
-    )
 
 
 def effects_kept(survey: SceneSurvey, content: Json) -> dict[str, Effect]:

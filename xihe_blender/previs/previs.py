@@ -2,34 +2,35 @@
 
     camera path -> capture -> unproject -> sample -> merge -> trigger -> encode -> estimate -> apply -> compare
 
-`previs` is a generator that yields progress and returns the results; see `jobs`. It surveys the path, prepares the run,
-walks the path, compares pictures, applies the light to the scene's timeline, and writes results and report.
-
 What was rendered is kept in the run's folder, file by file. A run that was stopped goes on from there; the cheap stages
 are simply done again, so a resumed run has the numbers of an undisturbed one.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+import hashlib
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import bpy
 
-from xihe_blender.io.json_records import Json, as_json
+from xihe_blender.io.folder_manifest import FolderManifest
+from xihe_blender.io.json_records import Json, as_json, from_json
+from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import RunOutputs, write_json
+from xihe_blender.io.run_results import RunResults
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs import results
 from xihe_blender.previs.compare_path import compare_path
 from xihe_blender.previs.lit_blend import apply_lights, light_changes, save_lit_blend
-from xihe_blender.previs.phone_errors import measure_phone
-from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.plan import PrevisPlan, plan_previs
 from xihe_blender.previs.prepare import prepare_run, survey_run
-from xihe_blender.previs.run_chain import walk_path
-from xihe_blender.previs.run_folder import finished_results, run_manifest
+from xihe_blender.previs.run_chain import measure_phone, walk_path
 from xihe_blender.previs.settings import PrevisSettings, load_estimator
 from xihe_blender.report import write_report
 from xihe_blender.scene.state import scene_kept
+from xihenet import __version__
 
 
 def previs(
@@ -41,7 +42,6 @@ def previs(
     ----------
     scene : with a camera path and virtual objects; stays as it is, but for worlds and markers named "Xihe ..."
     out : folder of the run, made if needed. The same run is resumed; ValueError-like mistakes are UserError
-    settings : what to do
     blend_file : where the scene comes from, for the results; None takes the open file
     command : what the user typed, for the report
 
@@ -53,8 +53,10 @@ def previs(
     estimator = load_estimator(settings)
     file = blend_file or Path(bpy.data.filepath or "untitled.blend")
     outputs = RunOutputs(out, file.stem)
-    manifest = run_manifest(outputs, scene, file, settings, plan)
-    finished = finished_results(outputs) if manifest.check() else None
+    leaves = (outputs.results, outputs.report, outputs.lit_blend)
+    manifest = FolderManifest(outputs.folder, outputs.settings, "a run", _identity(scene, file, settings, plan), leaves)
+    is_whole = manifest.check() and all(path.exists() for path in leaves)
+    finished = kept_json(outputs.results, _checked_results) if is_whole else None
     if finished is not None:
         yield Progress(1, 1, f"this run is already done; delete {out} to do it again")
         return finished
@@ -78,4 +80,27 @@ def previs(
     write_report(found, outputs)
     content = as_json(found)
     write_json(outputs.results, content)
+    return content
+
+
+def _identity(scene: bpy.types.Scene, file: Path, settings: PrevisSettings, plan: PrevisPlan) -> dict[str, Any]:
+    """All that decides a run's numbers."""
+    return {
+        "xihe": __version__,
+        "blender": bpy.app.version_string,
+        "blend_sha256": hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else None,
+        "scene": scene.name,
+        "settings": asdict(settings),
+        # A file of the user's may have changed since.
+        "phone": asdict(settings.profile),
+        "preset": asdict(settings.preset_values),
+        "frames": plan.frames,
+        "size": plan.size,
+        "objects": [item.name for item in plan.objects],
+    }
+
+
+def _checked_results(content: Json) -> Json:
+    """The same; TypeError or ValueError if it is not what a run writes."""
+    from_json(RunResults, content)
     return content

@@ -1,26 +1,38 @@
-"""Effects that a run of this scene would simulate, before there is one, with what each costs; and their table."""
+"""Effects that a run of this scene would simulate, before there is one, with what each costs; and their table.
+
+A run plans those of its phone from its captures; see `phone_capture`. So the path is captured here as well, with few
+samples: distances, edges and angles do not depend on their number, and brightness hardly. What needs no capture (how
+the camera moves, which lights change, how long the path is) is known either way, and is all there is to go by where
+nothing may be rendered, as in the panel: what only a capture could rule out then stays on.
+"""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import bpy
+import numpy as np
 
+from xihe_blender.capture.phone_surfaces import ask_for_surfaces, surfaces_in
 from xihe_blender.capture.render import RenderSettings, working_scene
+from xihe_blender.capture.scanner import first_layer, open_scanner, sized_for
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.light_transport.costs import BUDGET_S, measure_costs
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.light_transport.plan import required_effects
-from xihe_blender.previs.phone_plan import plan_phone_effects
-from xihe_blender.previs.plan import planned_frames
+from xihe_blender.previs.phone_capture import CaptureFacts, ChosenPhone, choose_phone, facts_of_capture, simulate_phone
+from xihe_blender.previs.plan import DEFAULT_SIZE, PrevisPlan, Probe, planned_frames
 from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.previs.survey import SceneSurvey, survey_path
 from xihe_blender.scene.estimation_positions import estimation_positions
+from xihe_blender.scene.state import scene_kept
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.effects import Change, Effect, EffectCost, plan_effects
 from xihenet.formats import format_setting
 
+N_SAMPLES = 4
 REASON_WIDTH = 60
 COST_HEADER = f"{'effect':<20}  {'cost':<12}  {'light':<16}  picture"
 COST_LEGEND = """
@@ -76,6 +88,54 @@ def positions_in(scene: bpy.types.Scene, frame: int) -> list[list[float]]:
         working.frame_set(frame)
         depsgraph = working.view_layers[0].depsgraph
         return [place.tolist() for item in virtual_objects(scene) for place in estimation_positions(item, depsgraph)]
+
+
+def plan_phone_effects(
+    scene: bpy.types.Scene, positions: Sequence[Sequence[float]], settings: PrevisSettings, *, is_captured: bool
+) -> Job[dict[str, Effect]]:
+    """The effects of phone and network, as `settings` has them; none for a perfect phone that estimates by itself.
+
+    Parameters
+    ----------
+    positions : (K, 3) world, metres: where light is estimated. As in a run, a frame that sees none is not captured
+    is_captured : render the path, N_SAMPLES per pixel; else an effect that only captures could rule out is on
+
+    Raises
+    ------
+    UserError for a scene without a camera, frames outside its range, or choices that the phone does not have
+    """
+    if not settings.profile.effects and settings.link is None:
+        return {}
+    size = settings.size or sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1)).size
+    probes = tuple(Probe(str(k), "", np.array(position)) for k, position in enumerate(positions))
+    plan = PrevisPlan(tuple(planned_frames(scene, settings.frames)), size, (), probes)
+    with scene_kept():
+        survey = survey_path(scene, plan)
+        phone = choose_phone(scene, survey, settings)
+        facts: dict[int, CaptureFacts] = {}
+        if is_captured and phone.sees:
+            facts = yield from _facts(scene, plan, survey, phone, settings.capture(size, N_SAMPLES))
+        return dict(simulate_phone(phone, survey, facts, exposure=1.0).effects)
+
+
+def _facts(
+    scene: bpy.types.Scene, plan: PrevisPlan, survey: SceneSurvey, phone: ChosenPhone, render: RenderSettings
+) -> Job[dict[int, CaptureFacts]]:
+    """A job: the facts of every frame that a run would capture."""
+    needs, facts = phone.needs, {}
+    positions_m = np.array([probe.position_m for probe in plan.probes])
+    with open_scanner(scene, render) as scanner:
+        if needs.surfaces:
+            ask_for_surfaces(scanner.scene.view_layers[0])
+        for done, frame in enumerate(plan.frames):
+            yield Progress(done, len(plan.frames), f"looking at frame {frame} as the phone does")
+            if frame in needs.delivered and frame in survey.in_view:
+                scanner.move_to(frame)
+                captured, rendered = scanner.acquire_environment_scan(), scanner.rendered
+                surfaces = surfaces_in(rendered.passes, survey.frames[frame].roughness) if needs.surfaces else None
+                radiance = first_layer(rendered)[0] if needs.radiance else None
+                facts[frame] = facts_of_capture(captured, positions_m, phone.metering, surfaces, radiance)
+    return facts
 
 
 def format_effects(effects: Mapping[str, Effect]) -> str:

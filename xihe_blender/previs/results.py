@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -9,166 +10,52 @@ from typing import Any
 
 import bpy
 
-from xihe_blender.capture.reference_probe import MeasuredLight, ProbeSettings
+from xihe_blender.capture.reference_probe import MeasuredLight
 from xihe_blender.compare.methods import ERROR_AT_FULL_SCALE
+from xihe_blender.io import run_results as records
 from xihe_blender.io.json_records import from_json
 from xihe_blender.io.outputs import finite_or_none
 from xihe_blender.io.provenance import machine, software
-from xihe_blender.io.run_results import (
-    CaptureRender,
-    Coefficients,
-    EffectResult,
-    Fault,
-    FrameResult,
-    LightChange,
-    NoiseLevels,
-    PhoneErrors,
-    PhoneResult,
-    ProbeRender,
-    ProbeResult,
-    Rendering,
-    Rgb,
-    RunResults,
-    RunSettings,
-    SampleCounts,
-    SceneResult,
-)
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.phone_capture import SimulatedPhone
-from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.results_notes import notes
-from xihe_blender.previs.results_summary import mean_comparison, summary
-from xihenet.camera import invalid_pixels
+from xihe_blender.report.values import mean
 from xihenet.effects import Effect, Requirement, effects_as_json, plan_effects
-from xihenet.invalid import CLAMPED
-from xihenet.metrics import shc_rmse
+from xihenet.invalid import added, counted
 from xihenet.phone import Request, first_frame_after
-from xihenet.records import ArrayF64, RgbdFrame, StepReport
+from xihenet.records import ArrayF64
+
+AS_SET = ("estimator", "preset", "target", "n_anchors", "seed", "phone", "network")
+"""Settings that results hold under the same names."""
 
 
-def inactive_frame(frame: int, time_s: float, *, is_delivered: bool = True) -> FrameResult:
-    """A frame with no estimation position in view, or that the phone does not deliver: nothing rendered or computed."""
-    return FrameResult(frame=frame, time_s=time_s, active=False, is_delivered=is_delivered)
-
-
-def active_frame(
-    seen: RgbdFrame,
-    steps: Mapping[str, StepReport],
-    probes: Sequence[ProbeResult],
-    rendering: Rendering,
-    times_s: tuple[float, float],
-    *,
-    n_lost: Mapping[str, int],
-) -> FrameResult:
-    """A frame, as the phone saw it, that went through the chain.
-
-    `stage_ms` adds up its positions; `times_s` are of rendering and of all else, `n_lost` pixels that each effect took.
-    """
-    stage_ms: dict[str, float] = {}
-    for step in steps.values():
-        for stage, ms in step.stage_ms.items():
-            stage_ms[stage] = stage_ms.get(stage, 0.0) + ms
-    left_out = invalid_pixels(seen)
-    clamped = {reason: n for reason, n in seen.invalid.items() if reason in CLAMPED}
-    return FrameResult(
-        frame=seen.frame,
-        time_s=seen.time_s,
-        active=True,
-        exposure=seen.exposure,
-        render_s=times_s[0],
-        work_s=times_s[1],
-        stage_ms=stage_ms,
-        ambient_radiance=None if seen.ambient is None else as_rgb(seen.ambient),
-        n_invalid_pixels=sum(left_out.values()),
-        n_lost_pixels=dict(n_lost),
-        invalid=left_out | clamped,
-        probes=tuple(probes),
-        rendering=rendering,
-    )
-
-
-def rendering(frame: int, references: Mapping[str, MeasuredLight], run: PreparedRun) -> Rendering:
+def rendering(frame: int, references: Mapping[str, MeasuredLight], run: PreparedRun) -> records.Rendering:
     """What was rendered for `frame`, with how many samples and what noise, and what an earlier frame had already."""
-    reuse, sample_count = run.reuse, run.sample_count
-    return Rendering(
-        capture=CaptureRender(
-            **_source(frame, reuse.captures[frame]),
-            samples=sample_count.capture_samples,
-            noise=finite_or_none(sample_count.capture_noise),
-        ),
+    reuse, count = run.reuse, run.sample_count
+    captured = _render(frame, reuse.captures[frame], count.capture_samples, count.capture_noise)
+    return records.Rendering(
+        capture=records.CaptureRender(**captured),
         probes={
-            name: _probe_render(_source(frame, reuse.probes[frame, name]), light, run)
-            for name, light in references.items()
+            name: _probe_render(frame, reuse.probes[frame, name], light, run) for name, light in references.items()
         },
     )
 
 
-def _source(frame: int, source: int) -> dict[str, Any]:
-    return {"rendered": source == frame, "same_as": None if source == frame else source}
+def _render(frame: int, source: int, samples: int, noise: float | None) -> dict[str, Any]:
+    """The fields of a CaptureRender of `frame` that `source` has already."""
+    same_as = None if source == frame else source
+    return {"rendered": same_as is None, "same_as": same_as, "samples": samples, "noise": finite_or_none(noise)}
 
 
-def _probe_render(source: dict[str, Any], light: MeasuredLight, run: PreparedRun) -> ProbeRender:
-    target = run.settings.target
+def _probe_render(frame: int, source: int, light: MeasuredLight, run: PreparedRun) -> records.ProbeRender:
+    target, aim = run.settings.target, run.reference
     samples, noise = light.samples(target), light.noise(target)
-    return ProbeRender(
-        **source,
-        samples=samples,
-        noise=finite_or_none(noise),
+    is_too_noisy = noise is not None and aim.noise_target is not None and noise > aim.noise_target
+    return records.ProbeRender(
+        **_render(frame, source, samples, noise),
         expected_error=finite_or_none(light.expected_error(target)),
-        is_capped=is_capped(samples, noise, run.reference),
-    )
-
-
-def is_capped(samples: int, noise: float | None, settings: ProbeSettings) -> bool:
-    """Whether a reference has the most samples and is still noisier than it should be."""
-    if settings.noise_target is None or noise is None:
-        return False
-    return samples >= settings.max_samples and noise > settings.noise_target
-
-
-def probe_result(
-    probe: Probe,
-    step: StepReport,
-    arrives: tuple[int | None, float | None],
-    *,
-    lights: tuple[ArrayF64, ArrayF64, ArrayF64],
-    light_frame: int | None,
-    share_above_white: float | None,
-) -> ProbeResult:
-    """What one step did at one position.
-
-    Parameters
-    ----------
-    arrives : frame and latency of its estimate; see `arrival`
-    lights : (9, 3) each: in force after the step, estimated in `light_frame`; the probe's own; the ambient one
-    """
-    decision, (light, truth, ambient) = step.decision, lights
-    return ProbeResult(
-        name=probe.name,
-        object=probe.object_name,
-        position_m=as_rgb(probe.position_m),
-        coverage=step.coverage,
-        fired=decision.fire,
-        reason=decision.reason,
-        change=finite_or_none(decision.change),
-        threshold=finite_or_none(decision.threshold),
-        n_changed_anchors=decision.n_changed_anchors,
-        n_skipped_points=step.n_invalid_points,
-        n_invalid_points=step.n_invalid_points,
-        invalid=dict(step.invalid),
-        is_valid=not step.unknown_because,
-        unknown_because=step.unknown_because or None,
-        light_frame=light_frame,
-        n_followed_anchors=step.n_followed_anchors,
-        payload_bytes=step.payload_bytes,
-        arrival_frame=arrives[0],
-        latency_ms=arrives[1],
-        sh=as_coefficients(light),
-        sh_truth=as_coefficients(truth),
-        shc_rmse=shc_rmse(light, truth),
-        ambient_shc_rmse=shc_rmse(ambient, truth),
-        share_above_white=share_above_white,
+        is_capped=is_too_noisy and samples >= aim.max_samples,
     )
 
 
@@ -185,67 +72,65 @@ def arrival(request: Request | None, times_s: Mapping[int, float]) -> tuple[int 
     return frames[index] if index < len(frames) else None, None if latency_s is None else 1e3 * latency_s
 
 
-def as_coefficients(light: ArrayF64) -> Coefficients:
+def as_coefficients(light: ArrayF64) -> records.Coefficients:
     """(K, 3) as results hold it."""
     return tuple(as_rgb(row) for row in light)
 
 
-def as_rgb(row: ArrayF64) -> Rgb:
+def as_rgb(row: ArrayF64) -> records.Rgb:
     """(3,) as results hold it."""
     return float(row[0]), float(row[1]), float(row[2])
 
 
 def assemble(
     run: PreparedRun,
-    frames: Sequence[FrameResult],
+    frames: Sequence[records.FrameResult],
     *,
     lights: Mapping[str, Sequence[tuple[int, ArrayF64]]],
     phone: SimulatedPhone,
-    errors: PhoneErrors | None,
+    errors: records.PhoneErrors | None,
     file: Path,
     command: str,
-) -> RunResults:
+) -> records.RunResults:
     """The content of results.json.
 
     Parameters
     ----------
     frames : with what was compared
-    lights : what the timeline of each virtual object is keyed with: (frame, coefficients) where they change
-    phone : with the effects that were simulated
-    errors : what these do to the light; None without any
-    file : where the scene comes from
-    command : what the user typed
+    lights : what the timeline of each virtual object is keyed with: (frame, (9, 3) coefficients) where they change
+    errors : what the effects of `phone` do to the light; None without any
+    file, command : where the scene comes from, and what the user typed
     """
-    scene = run.scene
-    comparison = mean_comparison(frames)
-    effects = effects_as_json({**run.effects, **other_effects(scene), **phone.effects})
-    return RunResults(
+    scene, profile = run.scene, run.phone.profile
+    comparison = _mean_comparison(frames)
+    effects = effects_as_json({**run.effects, **_other_effects(scene), **phone.effects})
+    return records.RunResults(
         software=software(command),
-        machine=machine() | {"cycles_device": cycles_device(scene)},
+        machine=machine() | {"cycles_device": _cycles_device(scene)},
         settings=_settings(run),
-        scene=SceneResult(
+        scene=records.SceneResult(
             file=file.name,
             name=scene.name,
             camera=scene.camera.name if scene.camera else None,
             fps=scene.render.fps / scene.render.fps_base,
             virtual_objects=tuple(item.name for item in run.plan.objects),
             view_transform=scene.view_settings.view_transform,
-            faults=tuple(Fault(**asdict(fault)) for fault in run.survey.faults),
+            faults=run.survey.faults,
         ),
-        effects=tuple(from_json(EffectResult, row) for row in effects),
-        phone=PhoneResult(name=run.phone.profile.name, summary=run.phone.profile.summary, shc_rmse=errors),
+        effects=tuple(from_json(records.EffectResult, row) for row in effects),
+        phone=records.PhoneResult(name=profile.name, summary=profile.summary, shc_rmse=errors),
         frames=tuple(frames),
         lights={
-            name: tuple(LightChange(frame=frame, sh=as_coefficients(light)) for frame, light in of_one)
+            name: tuple(records.LightChange(frame=frame, sh=as_coefficients(light)) for frame, light in of_one)
             for name, of_one in lights.items()
         },
         comparison=comparison,
-        summary=summary(frames, comparison, run.sample_count.pilot_s),
+        summary=_summary(frames, comparison, run.sample_count.pilot_s),
         notes=tuple(notes(run, frames, phone)),
     )
 
 
-def other_effects(scene: bpy.types.Scene) -> dict[str, Effect]:
+def _other_effects(scene: bpy.types.Scene) -> dict[str, Effect]:
     """What is always so, besides light transport and phone."""
     clamp = scene.cycles.sample_clamp_indirect
     required = {
@@ -255,43 +140,99 @@ def other_effects(scene: bpy.types.Scene) -> dict[str, Effect]:
     return plan_effects(required, {})
 
 
-def _settings(run: PreparedRun) -> RunSettings:
-    settings, sample_count, preset = run.settings, run.sample_count, run.settings.preset_values
-    has_target = settings.samples is None
-    return RunSettings(
-        estimator=settings.estimator,
-        preset=settings.preset,
-        target=settings.target,
+def _settings(run: PreparedRun) -> records.RunSettings:
+    settings, count, preset, reference = run.settings, run.sample_count, run.settings.preset_values, run.reference
+    return records.RunSettings(
+        **{name: getattr(settings, name) for name in AS_SET},
         size=run.plan.size,
-        frames=tuple(run.plan.frames),
-        n_anchors=settings.n_anchors,
+        frames=run.plan.frames,
         codec="uint8_float16_stripped",
-        seed=settings.seed,
-        phone=settings.phone,
-        network=settings.network,
         effect_choices=overrides_in_force(run.scene, settings.effect_choices),
         reference_exposure=run.exposure,
         metering=None if settings.exposure is not None else settings.metering_in_force,
         trigger=asdict(settings.trigger),
         following=None if settings.following is None else asdict(settings.following),
-        samples=SampleCounts(
-            capture=sample_count.capture_samples, truth=run.reference.max_samples, comparison=preset.comparison_samples
+        samples=records.SampleCounts(
+            capture=count.capture_samples, truth=reference.max_samples, comparison=preset.comparison_samples
         ),
-        noise_target=settings.noise_aim if has_target else None,
-        noise=NoiseLevels(
-            capture=sample_count.capture_noise, truth=run.reference.noise_target, trigger=sample_count.capture_change
+        noise_target=settings.noise_aim if settings.samples is None else None,
+        noise=records.NoiseLevels(
+            capture=count.capture_noise, truth=reference.noise_target, trigger=count.capture_change
         ),
-        truth_size=(run.reference.size, run.reference.size),
+        truth_size=(reference.size, reference.size),
         comparison_step=preset.comparison_step,
         comparison_view_transform="Standard",
         error_map_full_scale=ERROR_AT_FULL_SCALE,
     )
 
 
-def cycles_device(scene: bpy.types.Scene) -> str:
+def _cycles_device(scene: bpy.types.Scene) -> str:
     """What Cycles renders on, as the user's Blender is set up."""
-    if scene.cycles.device == "CPU":
-        return "CPU"
     addon = bpy.context.preferences.addons.get("cycles")
-    kind = addon.preferences.compute_device_type if addon else "NONE"
+    kind = addon.preferences.compute_device_type if addon and scene.cycles.device != "CPU" else "NONE"
     return "CPU" if kind == "NONE" else str(kind)
+
+
+def _mean_comparison(frames: Sequence[records.FrameResult]) -> dict[str, records.Metrics]:
+    """Every metric of every method, averaged over the compared frames in which it is defined."""
+    compared = [frame.compared.comparison for frame in frames if frame.compared is not None]
+    methods = list(compared[0]) if compared else []
+    return {
+        name: records.Metrics(
+            **{metric: mean(getattr(of_frame[name], metric) for of_frame in compared) for metric in records.METRICS}
+        )
+        for name in methods
+    }
+
+
+def _summary(
+    frames: Sequence[records.FrameResult], comparison: Mapping[str, records.Metrics], pilot_s: float
+) -> records.Summary:
+    """The run in a few numbers."""
+    active = [frame for frame in frames if frame.active]
+    probes = [probe for frame in active for probe in frame.probes]
+    compared = [frame.compared for frame in frames if frame.compared is not None]
+    renderings = [frame.rendering for frame in active if frame.rendering is not None]
+    lights = [light for rendering in renderings for light in rendering.probes.values()]
+    of_methods = [metrics for of_frame in compared for metrics in of_frame.comparison.values()]
+    undefined = Counter(name for metrics in of_methods for name in records.METRICS if getattr(metrics, name) is None)
+    ambient = comparison["ambient"].rmse if comparison else None
+    render_s, work_s = sum(frame.render_s for frame in active), sum(frame.work_s for frame in active)
+    return records.Summary(
+        n_frames=len(frames),
+        n_active_frames=len(active),
+        n_compared_frames=len(compared),
+        n_reused_captures=sum(not rendering.capture.rendered for rendering in renderings),
+        n_reused_probes=sum(not light.rendered for light in lights),
+        n_reused_comparisons=sum(of_frame.comparison_same_as is not None for of_frame in compared),
+        n_estimates=sum(probe.fired for probe in probes),
+        fired_share=mean(float(probe.fired) for probe in probes),
+        mean_shc_rmse=mean(probe.shc_rmse for probe in probes),
+        ambient_shc_rmse=mean(probe.ambient_shc_rmse for probe in probes),
+        share_above_white=mean(probe.share_above_white for probe in probes),
+        n_capped_probes=sum(light.is_capped for light in lights),
+        mean_coverage=mean(probe.coverage for probe in probes),
+        mean_step_ms=mean(sum(frame.stage_ms.values()) for frame in active),
+        payload_bytes=sum(probe.payload_bytes for probe in probes),
+        mean_latency_ms=mean(probe.latency_ms for probe in probes if probe.fired),
+        n_lost=sum(probe.fired and probe.latency_ms is None for probe in probes),
+        n_invalid_pixels=sum(frame.n_invalid_pixels for frame in active),
+        n_invalid_points=sum(probe.n_invalid_points for probe in probes),
+        n_followed_anchors=sum(probe.n_followed_anchors for probe in probes),
+        n_unknown_lights=sum(not probe.is_valid for probe in probes),
+        invalid=records.InvalidCounts(
+            pixels=added(frame.invalid for frame in active),
+            points=added(probe.invalid for probe in probes),
+            lights=added({probe.unknown_because: 1} for probe in probes if probe.unknown_because is not None),
+            metrics=dict(undefined),
+            hues=added(counted(**of_frame.n_hueless_pixels) for of_frame in compared),
+        ),
+        render_s=render_s,
+        comparison_render_s=sum(of_frame.comparison_render_s for of_frame in compared),
+        overhead_share=work_s / render_s if render_s else None,
+        rmse_against_ambient={
+            name: None if metrics.rmse is None or not ambient else metrics.rmse / ambient
+            for name, metrics in comparison.items()
+        },
+        pilot_s=pilot_s,
+    )

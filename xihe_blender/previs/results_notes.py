@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import bpy
 
 from xihe_blender.apply.datablocks import PREFIX
-from xihe_blender.io.run_results import FrameResult, ProbeResult
+from xihe_blender.io.run_results import Fault, FrameResult, ProbeResult
 from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.sample_count import SampleCount
-from xihe_blender.previs.scene_faults import SceneFault
 from xihe_blender.previs.settings import PrevisSettings
-from xihe_blender.scene.units import format_units
+from xihe_blender.scene.units import metres_per_unit
 from xihenet.formats import format_frames
 from xihenet.invalid import format_reason
 
@@ -26,7 +25,6 @@ FAINTEST = 1e-3
 
 
 def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone) -> list[str]:
-    """All of them."""
     return [
         *frame_notes(run.scene, frames),
         *faults_seen(run.survey.faults, frames, math.prod(run.plan.size)),
@@ -38,46 +36,47 @@ def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone
     ]
 
 
-def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult]) -> list[str]:
+def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult]) -> Iterator[str]:
     """How the numbers came about, and which frames have none."""
     own = scene.view_settings.view_transform
     aside = "as the scene has it" if own == "Standard" else f"the scene's own, {own}, would distort the comparison"
-    notes = [
-        f"Pictures are made with the Standard view transform: {aside}.",
+    yield f"Pictures are made with the Standard view transform: {aside}."
+    yield (
         "Image metrics count the pixels that virtual objects cover, by how much they cover; psnr and ssim on "
-        "sRGB-encoded colour, the others on linear colour at the session's exposure.",
-        "The shadow that a virtual object casts on the room is in the ground truth but not in the methods' pictures.",
-        "In the pictures, `truth` is all the light of the rendered probe as order-2 spherical harmonics, not clipped.",
-    ]
-    notes += [note for note in (format_units(scene), other_scenes_note(scene)) if note is not None]
+        "sRGB-encoded colour, the others on linear colour at the session's exposure."
+    )
+    yield "The shadow that a virtual object casts on the room is in the ground truth but not in the methods' pictures."
+    yield "In the pictures, `truth` is all the light of the rendered probe as order-2 spherical harmonics, not clipped."
+    metres = metres_per_unit(scene)
+    if metres != 1:
+        said = "as the scene's units say (Scene > Units); all lengths here are metres."
+        yield f"One Blender unit is {metres:g} m, {said}"
+    n_scenes = sum(other == scene or not other.name.startswith(PREFIX) for other in bpy.data.scenes)
+    if n_scenes > 1:
+        yield f"The file has {n_scenes} scenes; this is a run of {scene.name!r} alone."
     undelivered = sum(not entry.is_delivered for entry in frames)
     if undelivered:
-        notes.append(
-            f"{undelivered} of {len(frames)} frames of the path follow too closely for the phone's frame rate."
-        )
-    inactive = [entry.frame for entry in frames if not entry.active and entry.is_delivered]
-    if inactive:
-        frames_were = ("1 frame", "was") if len(inactive) == 1 else (f"{len(inactive)} frames", "were")
-        notes.append("{} had no estimation position in view and {} not captured.".format(*frames_were))
+        yield f"{undelivered} of {len(frames)} frames of the path follow too closely for the phone's frame rate."
+    n_inactive = sum(not entry.active and entry.is_delivered for entry in frames)
+    if n_inactive:
+        frames_were = ("1 frame", "was") if n_inactive == 1 else (f"{n_inactive} frames", "were")
+        yield "{} had no estimation position in view and {} not captured.".format(*frames_were)
     lost = sum(n for entry in frames for n in entry.n_lost_pixels.values())
     if lost:
-        notes.append(f"The phone's range sensor returned no distance for {lost} captured pixels; they gave no point.")
+        yield f"The phone's range sensor returned no distance for {lost} captured pixels; they gave no point."
     invalid = sum(entry.n_invalid_pixels for entry in frames) - lost
     if invalid > 0:
-        notes.append(f"{invalid} captured pixels had no plane depth (open sky or a window) and gave no point.")
-    return notes + unknown_light_notes(frames) + following_notes(frames)
+        yield f"{invalid} captured pixels had no plane depth (open sky or a window) and gave no point."
+    yield from unknown_light_notes(frames)
+    followed = [entry.frame for entry in frames if any(probe.n_followed_anchors for probe in entry.probes)]
+    if followed:
+        yield (
+            f"At {format_frames(followed)} the light in view changed as a whole; directions out of view were scaled by "
+            "the same factor, which is a guess."
+        )
 
 
-def following_notes(frames: Sequence[FrameResult]) -> list[str]:
-    """A sentence where a change of the light was carried on to what was out of view."""
-    when = [entry.frame for entry in frames if any(probe.n_followed_anchors for probe in entry.probes)]
-    sentence = (
-        "the light in view changed as a whole; directions out of view were scaled by the same factor, which is a guess"
-    )
-    return [f"At {format_frames(when)} {sentence}."] if when else []
-
-
-def unknown_light_notes(frames: Sequence[FrameResult]) -> list[str]:
+def unknown_light_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
     """A sentence for each position and reason why its light could not be known, and which light it kept."""
     kept: dict[tuple[str, str, int | None], list[int]] = {}
     for entry in frames:
@@ -85,52 +84,47 @@ def unknown_light_notes(frames: Sequence[FrameResult]) -> list[str]:
             if not probe.is_valid:
                 key = probe.name, probe.unknown_because or "", probe.light_frame
                 kept.setdefault(key, []).append(entry.frame)
-    return [
-        f"The light at {name} could not be known in {format_frames(numbers)}, because {format_reason(reason)}: "
-        + (
-            "the phone's ambient light was used instead."
-            if source is None
-            else f"the light of frame {source} was kept."
-        )
-        for (name, reason, source), numbers in kept.items()
-    ]
+    for (name, reason, source), numbers in kept.items():
+        instead = f"the light of frame {source} was kept"
+        if source is None:
+            instead = "the phone's ambient light was used instead"
+        frames_where, why = format_frames(numbers), format_reason(reason)
+        yield f"The light at {name} could not be known in {frames_where}, because {why}: {instead}."
 
 
-def faults_seen(faults: Sequence[SceneFault], frames: Sequence[FrameResult], n_pixels: int) -> list[str]:
+def faults_seen(faults: Sequence[Fault], frames: Sequence[FrameResult], n_pixels: int) -> Iterator[str]:
     """What is wrong with the scene: as the survey found it, and as frames of `n_pixels` that are dark or empty show."""
     active = [entry for entry in frames if entry.active]
     blind = [e for e in active if e.n_invalid_pixels - sum(e.n_lost_pixels.values()) == n_pixels]
     unlit = [e for e in active if e not in blind and not _is_lit(e) and any(map(_is_probe_lit, e.probes))]
     dark = {p.name: None for e in active if _is_lit(e) for p in e.probes if not _is_probe_lit(p)}
     unseen = [e for e in frames if e.compared and all(m.rmse is None for m in e.compared.comparison.values())]
-    notes = [fault.said for fault in faults]
+    yield from (fault.said for fault in faults)
     if active and not any(_is_lit(e) or any(map(_is_probe_lit, e.probes)) for e in active):
-        notes.append("Neither the phone nor a light probe saw any light: is every lamp off, or hidden in renders?")
-    notes += [f"The light probe of {name!r} saw no light where the phone did: is it inside an object?" for name in dark]
+        yield "Neither the phone nor a light probe saw any light: is every lamp off, or hidden in renders?"
+    for name in dark:
+        yield f"The light probe of {name!r} saw no light where the phone did: is it inside an object?"
     for entries, words in (
-        (blind, "showed no surface at all: check the camera's clip range, and where it stands"),
+        (blind, "showed no surface at all: check the camera's clip range, and where it stands."),
         (unlit, "showed no light, but a light probe did: is the camera inside an object?"),
-        (unseen, "showed nothing of a virtual object: the metrics are undefined there"),
+        (unseen, "showed nothing of a virtual object: the metrics are undefined there."),
     ):
         if entries:
             which = f"Frame {entries[0].frame}" if len(entries) == 1 else f"{len(entries)} frames"
-            notes.append(f"{which} {words}" + ("" if words.endswith("?") else "."))
-    return notes
+            yield f"{which} {words}"
 
 
-def dim_notes(scene: bpy.types.Scene, exposure: float) -> list[str]:
+def dim_notes(scene: bpy.types.Scene, exposure: float) -> Iterator[str]:
     """A sentence where lamps that light the picture up to white are below the light that Cycles samples at all."""
     threshold = scene.cycles.light_sampling_threshold
-    if threshold * exposure < 1:
-        return []
-    return [
-        f"The scene is so dim that lamps fall below Cycles' light threshold of {threshold:.2g} and are sampled only at "
-        "random: set Render > Sampling > Lights > Light Threshold to 0, or make the lamps brighter."
-    ]
+    if threshold * exposure >= 1:
+        yield (
+            f"The scene is so dim that lamps fall below Cycles' light threshold of {threshold:.2g} and are sampled "
+            "only at random: set Render > Sampling > Lights > Light Threshold to 0, or make the lamps brighter."
+        )
 
 
 def _is_lit(entry: FrameResult) -> bool:
-    """Whether the phone's picture shows light."""
     return any(channel * (entry.exposure or 0) > FAINTEST for channel in entry.ambient_radiance or ())
 
 
@@ -138,47 +132,37 @@ def _is_probe_lit(probe: ProbeResult) -> bool:
     return any(abs(channel) > FAINTEST for coefficient in probe.sh_truth for channel in coefficient)
 
 
-def other_scenes_note(scene: bpy.types.Scene) -> str | None:
-    """A sentence where the file has more scenes of the user's than the one that was run; None where it has not."""
-    n_scenes = sum(other == scene or not other.name.startswith(PREFIX) for other in bpy.data.scenes)
-    return None if n_scenes == 1 else f"The file has {n_scenes} scenes; this is a run of {scene.name!r} alone."
-
-
-def exposure_notes(settings: PrevisSettings, exposure: float) -> list[str]:
+def exposure_notes(settings: PrevisSettings, exposure: float) -> Iterator[str]:
     """A sentence where the room gave no light to meter."""
     # No light to meter comes out as exactly 1, and light does not.
-    if settings.exposure is not None or exposure != 1.0:
-        return []
-    return ["The path shows no light to meter the exposure by, so the exposure is 1. Set another with --exposure."]
+    if settings.exposure is None and exposure == 1.0:
+        yield "The path shows no light to meter the exposure by, so the exposure is 1. Set another with --exposure."
 
 
-def white_notes(frames: Sequence[FrameResult]) -> list[str]:
+def white_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
     """A sentence where much of the light is lost to a picture that ends at white."""
     shares = [probe.share_above_white for entry in frames for probe in entry.probes]
     known = [share for share in shares if share is not None]
-    if not known or max(known) < WORTH_TELLING:
-        return []
-    return [
-        f"Of the light at the objects, {min(known):.0%} to {max(known):.0%} is brighter than white at this exposure or "
-        "comes from lamps that cameras do not see: no estimate from clipped pictures can recover it."
-    ]
+    if max(known, default=0.0) >= WORTH_TELLING:
+        yield (
+            f"Of the light at the objects, {min(known):.0%} to {max(known):.0%} is brighter than white at this "
+            "exposure or comes from lamps that cameras do not see: no estimate from clipped pictures can recover it."
+        )
 
 
-def noise_notes(settings: PrevisSettings, sample_count: SampleCount, frames: Sequence[FrameResult]) -> list[str]:
+def noise_notes(settings: PrevisSettings, sample_count: SampleCount, frames: Sequence[FrameResult]) -> Iterator[str]:
     """A sentence for each kind of render whose noise is above the target at the most samples the preset allows."""
-    target, most = settings.noise_aim, settings.preset_values.max_samples
-    notes = []
-    if sample_count.capture_noise is not None and sample_count.capture_noise > target:
-        notes.append(
-            f"The noise of captures is {sample_count.capture_noise:.1%} of the light, above the target of "
-            f"{target:.1%}: the preset stops at {most} samples."
+    target, noise = settings.noise_aim, sample_count.capture_noise
+    if noise is not None and noise > target:
+        yield (
+            f"The noise of captures is {noise:.1%} of the light, above the target of {target:.1%}: the preset stops at "
+            f"{settings.preset_values.max_samples} samples."
         )
     probes = [probe for entry in frames if entry.rendering for probe in entry.rendering.probes.values()]
     capped = [probe.noise for probe in probes if probe.is_capped and probe.noise is not None]
     if capped:
-        notes.append(
+        yield (
             f"{len(capped)} of {len(probes)} reference lights are noisier than their target "
             f"({settings.reference.noise_target:.2%} of the light), up to {max(capped):.1%}: the preset stops at "
             f"{settings.reference.max_samples} pictures."
         )
-    return notes

@@ -3,31 +3,41 @@
     capture -> unproject -> sample -> merge -> trigger -> encode -> estimate
 
 Each frame in which an estimation position is visible is captured, gets its light probes rendered and goes through the
-controller. A phone that is not perfect gets the whole path captured first, since the captures say what the session can
-show; its frames are then derived from them, and estimates come back over its network; see `phone_capture`,
-`phone_session`.
+controller. The frames of a phone that is not perfect are derived from the captures of the whole path, and estimates
+come back over its network; see `phone_capture`, `phone_session`.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Generator
-from dataclasses import dataclass, field
+from collections import defaultdict
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from xihe_blender.capture.phone_surfaces import load_surfaces
 from xihe_blender.capture.reference_probe import MeasuredLight
-from xihe_blender.io.outputs import write_picture
-from xihe_blender.io.run_results import FrameResult, ProbeResult
+from xihe_blender.io.exr import read_radiance
+from xihe_blender.io.outputs import finite_or_none, write_picture
+from xihe_blender.io.run_results import FrameResult, PhoneErrors, ProbeResult
 from xihe_blender.jobs import Progress
 from xihe_blender.previs import results
 from xihe_blender.previs.path_renders import FrameRenders, PathRenders, render_path
-from xihe_blender.previs.phone_capture import CaptureFacts, SimulatedPhone, facts_kept, simulate_phone
-from xihe_blender.previs.phone_session import PhoneSession, SessionStep
+from xihe_blender.previs.phone_capture import CaptureFacts, SimulatedPhone, facts_of_capture, simulate_phone
+from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
-from xihenet.metrics import share_above_white
-from xihenet.records import ArrayF64, RgbdFrame
+from xihe_blender.report.values import mean
+from xihenet.camera import invalid_pixels
+from xihenet.invalid import CLAMPED
+from xihenet.metrics import share_above_white, shc_rmse
+from xihenet.phone import NETWORK, Link, Request
+from xihenet.recording import load_frame
+from xihenet.records import ArrayF64, StepReport
+
+NOT_REPEATED = "frame_rate"
+"""Frames that the phone did not deliver were never captured."""
 
 Lights = dict[str, dict[str, ArrayF64]]
 """(9, 3) coefficients by method and virtual object."""
@@ -35,14 +45,7 @@ Lights = dict[str, dict[str, ArrayF64]]
 
 @dataclass(frozen=True, eq=False)
 class WalkedPath:
-    """What a walk brought.
-
-    Parameters
-    ----------
-    phone : of the run, with the effects that were simulated
-    frames : with what was rendered and estimated, not yet compared
-    lights : light in force by frame, from the first that was captured on
-    """
+    """What a walk brought: frames not yet compared, and the light in force from the first frame captured on."""
 
     phone: SimulatedPhone
     frames: list[FrameResult] = field(default_factory=list)
@@ -69,18 +72,16 @@ def _facts_of_captures(run: PreparedRun, renders: PathRenders, work_s: dict[int,
         start = time.perf_counter()
         rendered = renders.at(frame)
         if rendered is not None:
-            facts[frame] = facts_kept(run.phone, rendered.captured, positions_m, run.outputs)
+            surfaces = load_surfaces(run.outputs.surfaces(frame)) if run.needs.surfaces else None
+            radiance = read_radiance(run.outputs.radiance("captured", frame)) if run.needs.radiance else None
+            metering = run.phone.metering
+            facts[frame] = facts_of_capture(rendered.captured, positions_m, metering, surfaces, radiance)
             work_s[frame] = work_s.get(frame, 0.0) + time.perf_counter() - start
     return facts
 
 
 class _Walk:
-    """The state of one walk while it is under way.
-
-    Parameters
-    ----------
-    captured_s : seconds of work on each frame before the walk, without rendering
-    """
+    """The state of one walk while it is under way; `captured_s` is the work on each frame before, without rendering."""
 
     def __init__(
         self, run: PreparedRun, phone: SimulatedPhone, renders: PathRenders, captured_s: dict[int, float]
@@ -92,34 +93,51 @@ class _Walk:
         """The last reference light of each probe."""
 
     def step(self, frame: int) -> None:
-        """Go on to `frame`."""
         start = time.perf_counter()
         rendered, time_s = self.renders.at(frame), self.run.survey.frames[frame].time_s
         if rendered is not None:
-            entry = self._active_frame(rendered, self.run.probes_in_view(frame), start)
+            entry = self._active_frame(rendered, start)
         else:
-            entry = results.inactive_frame(frame, time_s, is_delivered=frame in self.run.needs.delivered)
+            is_delivered = frame in self.run.needs.delivered
+            entry = FrameResult(frame=frame, time_s=time_s, active=False, is_delivered=is_delivered)
             if self.walked.lights:
                 self.walked.lights[frame] = self._lights_in_force(time_s)
         self.walked.frames.append(entry)
 
-    def _active_frame(self, rendered: FrameRenders, probes: list[Probe], start: float) -> FrameResult:
-        run, truth = self.run, self._truth(rendered)
+    def _active_frame(self, rendered: FrameRenders, start: float) -> FrameResult:
+        """A frame, as the phone saw it, that goes through the chain; `stage_ms` adds up its positions."""
+        run, target = self.run, self.run.settings.target
+        self.references |= rendered.references
+        truth = {name: light.of(target) for name, light in rendered.references.items()}
         seen, n_lost = self.phone.see(rendered.captured, run.outputs)
         if not np.array_equal(seen.srgb_u8, rendered.captured.srgb_u8):
             write_picture(run.outputs.picture("captured", seen.frame), seen.srgb_u8)
-        step = self.session.step(seen, truth, list(truth))
+        reports, requests = self.session.step(seen, truth, list(truth))
         self.walked.lights[seen.frame] = self._lights_in_force(seen.time_s)
-        of_probes = [self._probe_result(probe, step, seen) for probe in probes]
+        probes = tuple(
+            self._probe_result(probe, reports[probe.name], requests.get(probe.name), seen.time_s)
+            for probe in run.probes_in_view(seen.frame)
+        )
         work_s = time.perf_counter() - start + self.captured_s.get(seen.frame, 0.0)
-        rendering = results.rendering(seen.frame, rendered.references, run)
-        times_s = rendered.render_s, work_s
-        return results.active_frame(seen, step.reports, of_probes, rendering, times_s, n_lost=n_lost)
-
-    def _truth(self, rendered: FrameRenders) -> dict[str, ArrayF64]:
-        """(9, 3) coefficients of the run's target by probe in view."""
-        self.references |= rendered.references
-        return {name: light.of(self.run.settings.target) for name, light in rendered.references.items()}
+        stage_ms: dict[str, float] = defaultdict(float)
+        for stage, ms in (item for report in reports.values() for item in report.stage_ms.items()):
+            stage_ms[stage] += ms
+        left_out = invalid_pixels(seen)
+        return FrameResult(
+            frame=seen.frame,
+            time_s=seen.time_s,
+            active=True,
+            exposure=seen.exposure,
+            render_s=rendered.render_s,
+            work_s=work_s,
+            stage_ms=stage_ms,
+            ambient_radiance=None if seen.ambient is None else results.as_rgb(seen.ambient),
+            n_invalid_pixels=sum(left_out.values()),
+            n_lost_pixels=n_lost,
+            invalid=left_out | {reason: n for reason, n in seen.invalid.items() if reason in CLAMPED},
+            probes=probes,
+            rendering=results.rendering(seen.frame, rendered.references, run),
+        )
 
     def _lights_in_force(self, time_s: float) -> Lights:
         """Light of every method on every virtual object: the mean over the object's estimation positions.
@@ -136,14 +154,74 @@ class _Walk:
         ambient = {item.name: ambient_sh for item in self.run.plan.objects}
         return {self.run.settings.estimator: estimated, "ambient": ambient, "truth": truth}
 
-    def _probe_result(self, probe: Probe, step: SessionStep, seen: RgbdFrame) -> ProbeResult:
+    def _probe_result(self, probe: Probe, report: StepReport, request: Request | None, time_s: float) -> ProbeResult:
+        """What one step did at one position, and the light in force there after it."""
         reference = self.references[probe.name]
-        light, truth = self.session.light(probe.name, seen.time_s), reference.of(self.run.settings.target)
-        return results.probe_result(
-            probe,
-            step.reports[probe.name],
-            results.arrival(step.requests.get(probe.name), self.run.phone.times_s),
-            lights=(light, truth, step.ambient_sh),
-            light_frame=self.session.light_frame(probe.name, seen.time_s),
+        light, truth = self.session.light(probe.name, time_s), reference.of(self.run.settings.target)
+        arrival_frame, latency_ms = results.arrival(request, self.run.phone.times_s)
+        return ProbeResult(
+            name=probe.name,
+            object=probe.object_name,
+            position_m=results.as_rgb(probe.position_m),
+            coverage=report.coverage,
+            fired=report.decision.fire,
+            reason=report.decision.reason,
+            change=finite_or_none(report.decision.change),
+            threshold=finite_or_none(report.decision.threshold),
+            n_changed_anchors=report.decision.n_changed_anchors,
+            n_skipped_points=report.n_invalid_points,
+            n_invalid_points=report.n_invalid_points,
+            invalid=dict(report.invalid),
+            is_valid=not report.unknown_because,
+            unknown_because=report.unknown_because or None,
+            light_frame=self.session.light_frame(probe.name, time_s),
+            n_followed_anchors=report.n_followed_anchors,
+            payload_bytes=report.payload_bytes,
+            arrival_frame=arrival_frame,
+            latency_ms=latency_ms,
+            sh=results.as_coefficients(light),
+            sh_truth=results.as_coefficients(truth),
+            shc_rmse=shc_rmse(light, truth),
+            ambient_shc_rmse=shc_rmse(self.session.ambient_sh, truth),
             share_above_white=share_above_white(reference.ldr, reference.hdr),
         )
+
+
+def measure_phone(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, None, PhoneErrors | None]:
+    """A job: the errors of a walk with the phone's effects, without each of them, and with a perfect phone.
+
+    Nothing is rendered: the phone sees the captures of the run again, and the whole chain runs on what it saw. So the
+    difference is what a user would gain by a phone without that flaw; since triggers may fire in other frames then, a
+    small one is chance. Rejected: errors of effects alone on a perfect phone, which say nothing of how they add up.
+
+    None for a phone without any effect; an error is None without an active frame.
+    """
+    phone = walked.phone
+    if not phone.on:
+        return None
+    active = [entry for entry in walked.frames if entry.active]
+    all_on = mean(probe.shc_rmse for entry in active for probe in entry.probes)
+    without: dict[str, float | None] = {}
+    for effect in [name for name in phone.effects if name in phone.on]:
+        yield run.progress("methods", 1, f"measuring the light without {effect}")
+        link = None if effect == NETWORK else phone.link_in_use
+        effects = phone.on - {effect}
+        without[effect] = None if effect == NOT_REPEATED else _mean_error(run, phone, active, effects, link)
+    yield run.progress("methods", 1, "measuring the light with a perfect phone")
+    perfect = _mean_error(run, phone, active, frozenset(), None)
+    return PhoneErrors(all_on=all_on, perfect=perfect, without=without)
+
+
+def _mean_error(
+    run: PreparedRun, phone: SimulatedPhone, active: Sequence[FrameResult], effects: frozenset[str], link: Link | None
+) -> float | None:
+    """Mean SHC RMSE over probes and frames of a session with `effects` over `link`; None without a frame."""
+    phone = replace(phone, of_camera=effects - {NETWORK})
+    session = PhoneSession(run.plan, run.settings, run.exposure, run.estimator, link)
+    errors = []
+    for entry in active:
+        seen, _ = phone.see(load_frame(run.outputs.capture(entry.frame)), run.outputs)
+        truth = {probe.name: np.array(probe.sh_truth) for probe in entry.probes}
+        session.step(seen, truth, list(truth))
+        errors += [shc_rmse(session.light(name, seen.time_s), light) for name, light in truth.items()]
+    return mean(errors)

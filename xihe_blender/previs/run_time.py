@@ -26,7 +26,7 @@ from xihe_blender.capture.reference_probe import open_reference_probe
 from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.compare.methods import GroundTruth, open_comparer
 from xihe_blender.io.outputs import RunOutputs
-from xihe_blender.jobs import Job, Progress, run_blocking
+from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.plan import compared_frames, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run
 from xihe_blender.previs.settings import PrevisSettings, load_estimator
@@ -61,14 +61,10 @@ class RenderTime:
 
 @dataclass(frozen=True)
 class RunTime:
-    """What a run consists of, and how long each part takes.
+    """What a run consists of, and how long each part takes; renders that an earlier frame has already do not count.
 
-    Parameters
-    ----------
-    prepare_s : seconds until the first frame, and to load the scene for the first render of each kind
-    n_steps : points at which the run stops for others
-    n_captures, n_probes, n_comparisons : renders of each kind, those left out that an earlier frame has already
-    capture, probe, comparison : seconds of each
+    `prepare_s` is until the first frame, and to load the scene for the first render of each kind; `n_steps` are points
+    at which the run stops for others.
     """
 
     prepare_s: float
@@ -94,42 +90,29 @@ class RunTime:
         return self.total_s + self.n_steps * pause_s
 
 
-def predict_run_s(scene: bpy.types.Scene, settings: PrevisSettings) -> float:
-    """Seconds that a run on `scene` would take on this machine; UserError as a run would raise it."""
-    return measure_run_time(scene, settings).total_s
-
-
 def format_run_time(seconds: float) -> str:
     """ "about 3 min on this machine": as exact as it is."""
     step_s = 5 if seconds < 55 else 60 if seconds < 3300 else 600
     return f"about {format_duration(step_s * max(1, round(seconds / step_s)))} on this machine"
 
 
-def measure_run_time(scene: bpy.types.Scene, settings: PrevisSettings) -> RunTime:
-    """Drive `run_time_job` to its end."""
-    return run_blocking(run_time_job(scene, settings))
-
-
 def run_time_job(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[RunTime]:
     """Prepare a run on `scene` and render a little of it; the scene stays as it is. UserError as a run raises it."""
-    plan = plan_previs(scene, settings)
-    estimator = load_estimator(settings)
+    plan, estimator = plan_previs(scene, settings), load_estimator(settings)
     start = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="xihe_") as folder, scene_kept():
         survey, outputs = survey_path(scene, plan), RunOutputs(Path(folder), "scene")
         run = yield from prepare_run(scene, plan, survey, outputs, settings, estimator)
-        prepared_s = time.perf_counter() - start
-        return (yield from _measured(run, prepared_s))
+        return (yield from _measured(run, time.perf_counter() - start))
 
 
 def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
     """The run's time, from a few renders of each kind, spread over the frames in which a position is in view."""
     yield Progress(1, 4, "measuring a capture")
-    captured_frames = list(run.reuse.captures)
-    if not captured_frames:
-        nothing = RenderTime(0.0, 0.0, 0)
-        return RunTime(prepared_s, len(run.plan.frames) + N_OTHER_STEPS, 0, 0, 0, nothing, nothing, nothing)
-    frames = [captured_frames[k * len(captured_frames) // N_RENDERS] for k in range(N_RENDERS)]
+    active = list(run.reuse.captures)
+    if not active:
+        return RunTime(prepared_s, len(run.plan.frames) + N_OTHER_STEPS, 0, 0, 0, *[RenderTime(0.0, 0.0, 0)] * 3)
+    frames = [active[k * len(active) // N_RENDERS] for k in range(N_RENDERS)]
     with open_scanner(run.scene, run.capture) as scanner:
         scanner.exposure = run.exposure
         captured: dict[int, RgbdFrame] = {}
@@ -143,10 +126,10 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
     probe_loaded_s, probe = _timed_probe(run, frames)
     yield Progress(3, 4, "measuring a comparison")
     comparison_loaded_s, comparison = _timed_comparison(run, frames, captured)
-    n_comparisons = len(compared_frames(list(run.reuse.captures), run.settings.preset_values.comparison_step))
+    n_comparisons = len(compared_frames(active, run.settings.preset_values.comparison_step))
     return RunTime(
         prepared_s + capture_loaded_s + probe_loaded_s + comparison_loaded_s,
-        len(run.reuse.captures) + len(run.reuse.probes) + 2 * n_comparisons + N_OTHER_STEPS,
+        len(active) + len(run.reuse.probes) + 2 * n_comparisons + N_OTHER_STEPS,
         sum(source == frame for frame, source in run.reuse.captures.items()),
         sum(source == frame for (frame, _), source in run.reuse.probes.items()),
         n_comparisons,
@@ -189,28 +172,27 @@ def _timed_comparison(
 
 
 def time_renders(
-    render: Callable[[int], object], frames: Sequence[int], samples: int, *scenes: bpy.types.Scene
+    render: Callable[[int], object], frames: Sequence[int], samples: int, scene: bpy.types.Scene
 ) -> tuple[float, RenderTime]:
-    """Seconds that the first render takes longer than the second, and the time of a render with `samples`.
+    """Seconds that the first render takes longer than the second, and the time of a render of `scene` with `samples`.
 
     Each is of another frame, as in a run: what moves has to be loaded again.
     """
+
+    def seconds(frame: int, n_samples: int) -> float:
+        scene.cycles.samples = n_samples
+        start = time.perf_counter()
+        render(frame)
+        return time.perf_counter() - start
+
     few = min(FEW_SAMPLES, samples)
-    first_s, one_s, few_s = (_seconds(render, *each, scenes) for each in zip(frames, (1, 1, few), strict=True))
+    first_s, one_s, few_s = (seconds(*each) for each in zip(frames, (1, 1, few), strict=True))
     per_sample_s = _slope(one_s, few_s, few)
     if few < samples and one_s + per_sample_s * (samples - 1) <= LONGEST_S:
-        per_sample_s = _slope(one_s, _seconds(render, frames[0], samples, scenes), samples)
+        per_sample_s = _slope(one_s, seconds(frames[0], samples), samples)
     return max(0.0, first_s - one_s), RenderTime(max(0.0, one_s - per_sample_s), per_sample_s, samples)
 
 
 def _slope(one_s: float, many_s: float, samples: int) -> float:
     """Seconds per sample, from a render with one and another with `samples`."""
     return max(0.0, many_s - one_s) / (samples - 1) if samples > 1 else 0.0
-
-
-def _seconds(render: Callable[[int], object], frame: int, samples: int, scenes: Sequence[bpy.types.Scene]) -> float:
-    for scene in scenes:
-        scene.cycles.samples = samples
-    start = time.perf_counter()
-    render(frame)
-    return time.perf_counter() - start

@@ -28,9 +28,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -43,7 +42,7 @@ from xihe_blender.previs.settings import Preset, PrevisSettings
 from xihe_blender.previs.survey import SceneSurvey
 from xihenet.camera import KEY_LUMINANCE, unproject_frame
 from xihenet.metering import MOST_STOPS
-from xihenet.records import ArrayF64, UnitSphereCloud
+from xihenet.records import ArrayF64
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sh import project_anchors
 from xihenet.sphere import AnchorLattice
@@ -61,9 +60,6 @@ DENOISED_BIAS_RATE, CLIPPED_BIAS_RATE = 0.5, 1.0
 SMALLEST_LIGHT = KEY_LUMINANCE / 2**MOST_STOPS * math.sqrt(4 * math.pi * 3)
 """Norm of the coefficients of grey light at the darkest key that metering chooses. Darker light is held against this:
 nobody sees its noise."""
-
-Render = Callable[[int, int], ArrayF64]
-"""(K, 9, 3) coefficients at K positions, of a render with so many samples and this seed."""
 
 
 @dataclass(frozen=True)
@@ -126,24 +122,16 @@ def fit_noise(
 
 @dataclass(frozen=True)
 class SampleCount:
-    """Samples of captures, and what noise does at them; None where none was measured.
+    """Samples of captures, per pixel, and what noise does at them; None where that was not measured.
 
-    Parameters
-    ----------
-    capture_samples : per pixel
-    capture_noise : relative error of the light that is expected
-    pilot_s : seconds that measuring took
-    capture_change : what the trigger would take for a change of colour between two captures that differ in noise alone
+    `capture_noise` is the relative error of the light that is expected, `capture_change` what the trigger would take
+    for a change of colour between two captures that differ in noise alone. Measuring took `pilot_s`.
     """
 
     capture_samples: int
     capture_noise: float | None = None
     pilot_s: float = 0.0
     capture_change: float | None = None
-
-    def as_json(self) -> dict[str, Any]:
-        """As the run's folder keeps it, for `SampleCount(**...)`."""
-        return asdict(self)
 
 
 def measure_sample_count(
@@ -159,14 +147,12 @@ def measure_sample_count(
     With `settings.samples` these, and nothing is rendered. The same goes for a path that never sees a position: it
     gets the maximum. The same seed gives the same numbers.
     """
-    preset = settings.preset_values
+    preset, start = settings.preset_values, time.perf_counter()
     if settings.samples is not None:
         return SampleCount(settings.samples)
-    start = time.perf_counter()
-    maximum = preset.max_samples
     views = pilot_views(plan, survey)
     if not views:
-        return SampleCount(maximum)
+        return SampleCount(preset.max_samples)
     n_small = pilot_samples(preset)
     capture = replace(settings.capture(plan.size, n_small), light_transport=light_transport)
     noise, change = measure_captures(scene, views, capture, exposure, settings.n_anchors, settings.trigger)
@@ -176,7 +162,6 @@ def measure_sample_count(
 
 
 def pilot_samples(preset: Preset) -> int:
-    """The pilot's smaller number of samples."""
     return max(1, preset.max_samples // SMALLEST_SHARE)
 
 
@@ -198,17 +183,6 @@ def pilot_views(plan: PrevisPlan, survey: SceneSurvey) -> list[tuple[int, list[A
     return evenly_chosen(views, min(N_PILOT_FRAMES, math.ceil(len(views) / FRAMES_PER_PILOT)))
 
 
-def capture_noise(
-    scene: bpy.types.Scene,
-    views: Sequence[tuple[int, list[ArrayF64]]],
-    settings: RenderSettings,
-    exposure: float,
-    n_anchors: int,
-) -> NoiseModel:
-    """The noise model of captures, measured at `views` from `settings.samples` samples upwards."""
-    return measure_captures(scene, views, settings, exposure, n_anchors, TriggerSettings())[0]
-
-
 def measure_captures(
     scene: bpy.types.Scene,
     views: Sequence[tuple[int, list[ArrayF64]]],
@@ -223,32 +197,21 @@ def measure_captures(
     is a square of differences, so it falls as the variance does, as 1/samples.
     """
     lattice, changes = AnchorLattice(n_anchors), []
-    pilots: list[list[ArrayF64]] = []
+    steps = (settings.samples, settings.samples, LARGE_STEP * settings.samples)
+    lights: tuple[list[ArrayF64], ...] = ([], [], [])
     with open_scanner(scene, settings) as scanner:
         scanner.exposure = exposure
-        for frame, positions in views:
+        for number, (frame, positions) in enumerate(views):
             scanner.move_to(frame)
-            seen: list[list[UnitSphereCloud]] = []
-
-            def light(n_samples: int, seed: int, positions: list[ArrayF64] = positions, seen: Any = seen) -> ArrayF64:
+            seen = []
+            for index, n_samples in enumerate(steps):
+                # By seeds that neither the walk nor another pilot uses.
+                seed = (settings.seed + 1 + len(steps) * number + index) % MAX_SEED
                 scanner.scene.cycles.samples, scanner.scene.cycles.seed = n_samples, seed
                 cloud = unproject_frame(scanner.acquire_environment_scan())
-                seen.append([sample_unit_sphere(cloud, p, lattice) for p in positions])
-                return np.stack([project_anchors(sphere, lattice) for sphere in seen[-1]])
-
-            pilots.append(_pilot(light, settings, len(pilots)))
-            changes += [colour_change(a, b, lattice, trigger) for a, b in zip(*seen[:2], strict=True)]
+                seen.append([sample_unit_sphere(cloud, position_m, lattice) for position_m in positions])
+                lights[index].extend(project_anchors(sphere, lattice) for sphere in seen[-1])
+            changes += [colour_change(a, b, lattice, trigger) for a, b in zip(seen[0], seen[1], strict=True)]
         is_denoised = scanner.scene.cycles.use_denoising
-    return _fit_pilots(pilots, settings, is_denoised=is_denoised), max(changes)
-
-
-def _pilot(light: Render, settings: RenderSettings, number: int) -> list[ArrayF64]:
-    """Two renders with few samples and one with more, by seeds that neither the walk nor another pilot uses."""
-    n_small = settings.samples
-    steps = (n_small, n_small, LARGE_STEP * n_small)
-    return [light(n, (settings.seed + 1 + len(steps) * number + k) % MAX_SEED) for k, n in enumerate(steps)]
-
-
-def _fit_pilots(pilots: Sequence[Sequence[ArrayF64]], settings: RenderSettings, *, is_denoised: bool) -> NoiseModel:
-    small, other_small, large = (np.concatenate(renders) for renders in zip(*pilots, strict=True))
-    return fit_noise(small, other_small, large, settings.samples, is_denoised=is_denoised)
+    small, other_small, large = map(np.stack, lights)
+    return fit_noise(small, other_small, large, settings.samples, is_denoised=is_denoised), max(changes)

@@ -12,13 +12,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from typing import Any
 
 import bpy
 import numpy as np
 
 from xihe_blender.errors import UserError
+from xihe_blender.io.run_results import Fault
 from xihe_blender.light_transport.animation import is_animated, is_film
 from xihe_blender.light_transport.nodes import constant, has_nodes
 from xihe_blender.scene.units import metres_per_unit
@@ -47,16 +46,7 @@ EMISSION_INPUTS = {
 """By type of node: the inputs that say how brightly it shines. Negative ones take light away."""
 
 
-@dataclass(frozen=True)
-class SceneFault:
-    """What is wrong, of which data-block, how often, and a sentence for a reader of the results."""
-
-    name: str
-    n: int
-    said: str
-
-
-def faults_at_frame(depsgraph: bpy.types.Depsgraph, *, is_first: bool = True) -> list[SceneFault]:
+def faults_at_frame(depsgraph: bpy.types.Depsgraph, *, is_first: bool = True) -> list[Fault]:
     """Light that is negative, objects and vertices that are nowhere, at the frame of `depsgraph`.
 
     Data-blocks without animation are looked at only where `is_first`. UserError for the first lamp or shader with
@@ -64,94 +54,70 @@ def faults_at_frame(depsgraph: bpy.types.Depsgraph, *, is_first: bool = True) ->
     """
     seen = [block for block in depsgraph.ids if is_first or is_animated(block.original)]
     faults = []
-    for found in _constants(seen):
-        _check(found, depsgraph.scene.frame_current)
-        if found.shines and found.value < 0:
-            said = f"The light of {found.where} is negative: it darkens what Cycles renders, and no phone sees it."
-            faults.append(SceneFault(found.where, 1, said))
-    faults += [_nowhere(item) for item in depsgraph.objects if not _is_somewhere(item)]
+    for where, name, value, shines in _constants(seen):
+        if not abs(value) < (BRIGHTEST if shines else math.inf):
+            raise UserError(
+                f"{where} has {value:g} as its {name.lower()} at frame {depsgraph.scene.frame_current}, which Cycles "
+                f"leaves out: give it a number{f' below {BRIGHTEST:g}' if shines else ''}"
+            )
+        if shines and value < 0:
+            said = f"The light of {where} is negative: it darkens what Cycles renders, and no phone sees it."
+            faults.append(Fault(name=where, n=1, said=said))
+    for item in depsgraph.objects:
+        if not np.isfinite(item.matrix_world).all():
+            said = f"Object {item.name!r} has no finite location: Cycles leaves it out. "
+            faults.append(Fault(name=item.name, n=1, said=said + "Check its scale and its constraints."))
     return faults + [fault for block in seen if isinstance(block, bpy.types.Mesh) for fault in _mesh_faults(block)]
 
 
-def _check(found: _Constant, frame: int) -> None:
-    if not abs(found.value) < (BRIGHTEST if found.shines else math.inf):
-        raise UserError(
-            f"{found.where} has {found.value:g} as its {found.name.lower()} at frame {frame}, which Cycles leaves out: "
-            f"give it a number{f' below {BRIGHTEST:g}' if found.shines else ''}"
-        )
+def _constants(blocks: Iterable[bpy.types.ID]) -> Iterator[tuple[str, str, float, bool]]:
+    """The constants of all lamps, and of all shaders of materials and worlds, among `blocks`.
 
-
-@dataclass(frozen=True)
-class _Constant:
-    """A number of the data-block `where`; `shines` if it says how brightly."""
-
-    where: str
-    name: str
-    value: float
-    shines: bool
-
-
-def _constants(blocks: Iterable[bpy.types.ID]) -> Iterator[_Constant]:
-    """The constants of all lamps, and of all shaders of materials and worlds, among `blocks`."""
+    Of each: what it belongs to, its name, its value, and whether it says how brightly something shines.
+    """
     for block in blocks:
         if isinstance(block, bpy.types.Light):
             where = f"lamp {block.name!r}"
-            yield from (_Constant(where, "Strength", float(value), True) for value in (block.energy, *block.color))
+            yield from ((where, "Strength", float(value), True) for value in (block.energy, *block.color))
         elif isinstance(block, bpy.types.Material | bpy.types.World):
             where = f"{block.bl_rna.name.lower()} {block.name!r}"
         else:
             continue
         if has_nodes(block):
-            sockets = [socket for node in block.node_tree.nodes for socket in node.inputs]
-            yield from (found for socket in sockets for found in _socket_constants(where, socket))
+            for socket in (socket for node in block.node_tree.nodes for socket in node.inputs):
+                shines = socket.name in EMISSION_INPUTS.get(socket.node.type, ())
+                yield from ((where, socket.name, number, shines) for number in _numbers(socket))
 
 
-def _socket_constants(where: str, socket: Any) -> Iterator[_Constant]:
+def _numbers(socket: bpy.types.NodeSocket) -> list[float]:
+    """What a socket is set to; nothing where it is no constant."""
     value = constant(socket, ()) if socket.type in ("VALUE", "RGBA", "VECTOR") else None
-    shines = socket.name in EMISSION_INPUTS.get(socket.node.type, ())
-    numbers = value if isinstance(value, tuple) else () if value is None else (value,)
-    yield from (_Constant(where, socket.name, float(number), shines) for number in numbers)
+    return [] if value is None else [float(number) for number in np.ravel(value)]
 
 
-def _is_somewhere(item: bpy.types.Object) -> bool:
-    """Whether all of the transform of an evaluated object is finite."""
-    return math.isfinite(sum(sum(abs(number) for number in row) for row in item.matrix_world))
-
-
-def _nowhere(item: bpy.types.Object) -> SceneFault:
-    said = f"Object {item.name!r} has no finite location: Cycles leaves it out. Check its scale and its constraints."
-    return SceneFault(item.name, 1, said)
-
-
-def _mesh_faults(mesh: bpy.types.Mesh) -> Iterator[SceneFault]:
+def _mesh_faults(mesh: bpy.types.Mesh) -> Iterator[Fault]:
     places = np.empty(3 * len(mesh.vertices), np.float32)
     mesh.vertices.foreach_get("co", places)
     n_broken = int(np.count_nonzero(~np.isfinite(places.reshape(-1, 3)).all(axis=1)))
     if n_broken:
         said = f"{n_broken} vertices of mesh {mesh.name!r} are NaN or infinite: Cycles leaves their faces out."
-        yield SceneFault(mesh.name, n_broken, said)
+        yield Fault(name=mesh.name, n=n_broken, said=said)
 
 
-def image_faults(world: bpy.types.World | None) -> list[SceneFault]:
+def image_faults(world: bpy.types.World | None) -> Iterator[Fault]:
     """Environment textures of `world` with negative pixels, or ones that are NaN or infinite, black to Cycles."""
-    faults = []
-    for image in dict.fromkeys(_environment_images(world)):
+    nodes = world.node_tree.nodes if world is not None and has_nodes(world) else ()
+    images = dict.fromkeys(node.image for node in nodes if node.type == "TEX_ENVIRONMENT")
+    for image in images:
+        if image is None or is_film(image):
+            continue
         n_broken, n_negative = _broken_and_negative(image)
-        if n_broken:
-            said = f"{n_broken} pixels of image {image.name!r} are NaN or infinite: Cycles takes them for black."
-            faults.append(SceneFault(image.name, n_broken, said))
-        if n_negative:
-            said = f"{n_negative} pixels of image {image.name!r} are negative: they darken what Cycles renders."
-            faults.append(SceneFault(image.name, n_negative, said))
-    return faults
-
-
-def _environment_images(world: bpy.types.World | None) -> Iterator[bpy.types.Image]:
-    if world is None or not has_nodes(world):
-        return
-    for node in world.node_tree.nodes:
-        if node.type == "TEX_ENVIRONMENT" and node.image is not None and not is_film(node.image):
-            yield node.image
+        for n, what in (
+            (n_broken, "are NaN or infinite: Cycles takes them for black."),
+            (n_negative, "are negative: they darken what Cycles renders."),
+        ):
+            if n:
+                yield Fault(name=image.name, n=n, said=f"{n} pixels of image {image.name!r} {what}")
 
 
 def _broken_and_negative(image: bpy.types.Image) -> tuple[int, int]:
@@ -173,27 +139,20 @@ def _counted(pixels: ArrayF32) -> tuple[int, int, float, float]:
     """Of (P, 3): pixels that are not finite, others that are negative, the light these take away, all light given."""
     is_finite = np.isfinite(pixels).all(axis=1)
     known = pixels[is_finite].astype(np.float64)
-    n_negative = np.count_nonzero((known < 0).any(axis=1))
-    return (
-        int(np.count_nonzero(~is_finite)),
-        n_negative,
-        float(-known.clip(max=0).sum()),
-        float(known.clip(min=0).sum()),
-    )
+    n_broken, n_negative = np.count_nonzero(~is_finite), np.count_nonzero((known < 0).any(axis=1))
+    return int(n_broken), int(n_negative), float(-known.clip(max=0).sum()), float(known.clip(min=0).sum())
 
 
-def place_faults(scene: bpy.types.Scene, positions_m: dict[str, ArrayF64], cameras_m: ArrayF64) -> list[SceneFault]:
+def place_faults(scene: bpy.types.Scene, positions_m: dict[str, ArrayF64], cameras_m: ArrayF64) -> Iterator[Fault]:
     """Estimation positions so far from the world's origin that float32 rounds them, or from every camera (F, 3)."""
-    faults, metres = [], metres_per_unit(scene)
+    metres = metres_per_unit(scene)
     for name, position_m in positions_m.items():
         step_m = float(np.spacing(np.float32(np.abs(position_m / metres).max()))) * metres
         if step_m > COARSEST_M:
-            said = (
-                f"{name!r} lies so far from the world's origin that Blender's coordinates have steps of {step_m:.2g} m."
-            )
-            faults.append(SceneFault(name, 1, said))
+            said = f"{name!r} lies so far from the world's origin that Blender's coordinates have steps of "
+            yield Fault(name=name, n=1, said=f"{said}{step_m:.2g} m.")
     if not positions_m:
-        return faults
+        return
     offsets = cameras_m[:, None] - np.stack(list(positions_m.values()))
     nearest_m = float(np.linalg.norm(offsets, axis=-1).min())
     if not NEAREST_M <= nearest_m <= FARTHEST_M:
@@ -201,5 +160,4 @@ def place_faults(scene: bpy.types.Scene, positions_m: dict[str, ArrayF64], camer
             f"The phone's smallest distance from a virtual object is {nearest_m:.3g} m: "
             f"is the unit scale (Scene > Units) right? One Blender unit is {metres:g} m."
         )
-        faults.append(SceneFault(scene.name, 1, said))
-    return faults
+        yield Fault(name=scene.name, n=1, said=said)

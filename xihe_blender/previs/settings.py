@@ -106,12 +106,17 @@ class PrevisSettings:
     network: str | None = None
     effect_choices: Mapping[str, str] = field(default_factory=dict)
 
+    metering_samples = METERING_SAMPLES
+    """Cycles samples per pixel of the pictures that an exposure is metered in; no field."""
+
     def __post_init__(self) -> None:
-        if self.estimator not in estimators.names():
-            known = ", ".join(estimators.names())
-            raise UserError(f"there is no estimator {self.estimator!r}: choose one of {known}")
-        if self.preset not in PRESETS:
-            raise UserError(f"there is no preset {self.preset!r}: choose one of {', '.join(PRESETS)}")
+        for kind, name, known in (
+            ("estimator", self.estimator, estimators.names()),
+            ("preset", self.preset, PRESETS),
+            ("metering", self.metering, METERINGS),
+        ):
+            if name is not None and name not in known:
+                raise UserError(f"there is no {kind} {name!r}: choose one of {', '.join(known)}")
         if self.size is not None and not all(4 <= side <= 8192 for side in self.size):
             raise UserError(
                 f"a picture of {self.size[0]}x{self.size[1]} pixels cannot be captured: use 4 to 8192 a side"
@@ -120,8 +125,6 @@ class PrevisSettings:
             raise UserError(
                 f"an exposure of {self.exposure:g} makes no picture: give a positive factor, or leave it out"
             )
-        if self.metering is not None and self.metering not in METERINGS:
-            raise UserError(f"there is no metering {self.metering!r}: choose one of {', '.join(METERINGS)}")
         if not 0 <= self.seed <= MAX_SEED:
             raise UserError(f"a seed of {self.seed} is out of Cycles' range: give 0 to {MAX_SEED}")
         if self.network is not None and self.network not in LINKS:
@@ -158,13 +161,7 @@ class PrevisSettings:
 
     @property
     def metering_in_force(self) -> Metering:
-        """The user's or the phone's."""
         return self.profile.metering if self.metering is None else self.metering
-
-    @property
-    def metering_samples(self) -> int:
-        """Cycles samples per pixel of the pictures that an exposure is metered in."""
-        return METERING_SAMPLES
 
     @property
     def link(self) -> Link | None:
@@ -183,9 +180,8 @@ class PrevisSettings:
         """Of the light that estimates are held against: better by `RULER_SHARE` than what is measured by it."""
         if self.samples is not None:
             return ProbeSettings(max_samples=self.samples, noise_target=None, seed=self.seed)
-        return ProbeSettings(
-            max_samples=self.preset_values.probe_samples, noise_target=RULER_SHARE * self.noise_aim, seed=self.seed
-        )
+        most, aim = self.preset_values.probe_samples, RULER_SHARE * self.noise_aim
+        return ProbeSettings(max_samples=most, noise_target=aim, seed=self.seed)
 
     def comparison(self, size: tuple[int, int]) -> RenderSettings:
         return RenderSettings(size, self.preset_values.comparison_samples, self.seed)

@@ -15,33 +15,35 @@ from typing import Any
 import bpy
 import numpy as np
 
-from xihe_blender.capture.phone_motion import CameraView, camera_motion
 from xihe_blender.capture.render import RenderSettings, working_scene
-from xihe_blender.capture.scanner import phone_camera
+from xihe_blender.capture.scanner import phone_camera, session_time_s
 from xihe_blender.errors import UserError
+from xihe_blender.io.run_results import Fault
+from xihe_blender.light_transport import nodes
+from xihe_blender.light_transport.animation import is_animated, shows_a_film
 from xihe_blender.light_transport.inspection import open_inspection
 from xihe_blender.light_transport.plan import required_by_survey
 from xihe_blender.light_transport.render_reuse import SceneState, StateSurvey
 from xihe_blender.light_transport.transport_survey import TransportSurveyor
-from xihe_blender.previs.phone_room import RoomSurvey
 from xihe_blender.previs.plan import PrevisPlan, Probe
-from xihe_blender.previs.scene_faults import SceneFault, faults_at_frame, image_faults, place_faults
+from xihe_blender.previs.scene_faults import faults_at_frame, image_faults, place_faults
+from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, virtual_collection
 from xihenet.camera import in_view
 from xihenet.effects import Requirement
-from xihenet.phone import CameraMotion
+from xihenet.phone import CameraMotion, motion_between
+from xihenet.records import ArrayF64, Intrinsics
+
+LAMP_SHAPE = ("shadow_soft_size", "size", "size_y", "angle", "spot_size", "spot_blend")
+STILL = CameraMotion(np.zeros(3), np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
 class SurveyedFrame:
-    """One frame of the path.
+    """One frame of the path, at `time_s` of the session.
 
-    Parameters
-    ----------
-    frame, time_s : its number, and seconds of the session
-    in_view : names of the estimation positions that the camera sees
-    motion : of the camera while it takes the frame
-    state : digests of the scene, by which renders are used again
-    roughness : smoothest roughness by material name; None where it is not known
+    `in_view` names the estimation positions that the camera sees, `motion` is the camera's while it takes the frame,
+    `state` are digests of the scene, by which renders are used again, and `roughness` is the smoothest by material
+    name; None where it is not known.
     """
 
     frame: int
@@ -52,12 +54,10 @@ class SurveyedFrame:
     roughness: Mapping[str, float | None]
 
     def as_json(self) -> dict[str, Any]:
-        """For `from_json`, to the last bit."""
         return asdict(self) | {"motion": {name: vector.tolist() for name, vector in vars(self.motion).items()}}
 
     @classmethod
     def from_json(cls, row: Mapping[str, Any]) -> SurveyedFrame:
-        """What `as_json` gave."""
         motion = CameraMotion(**{name: np.array(vector, float).reshape(3) for name, vector in row["motion"].items()})
         read = {"in_view": tuple(row["in_view"]), "motion": motion, "state": SceneState(**row["state"])}
         return cls(**{**row, **read})
@@ -65,18 +65,14 @@ class SurveyedFrame:
 
 @dataclass(frozen=True, eq=False)
 class SceneSurvey:
-    """What a scene is like along a camera path.
+    """What a scene is like along a camera path: its frames by number, in order, and what holds for all of them.
 
-    Parameters
-    ----------
-    frames : of the path, by number, in order
-    faults : what is wrong with the scene and yet no reason to stop
-    required : what the scene requires, by effect of light transport
-    light_changes : whether a light of the room is not the same in all frames
+    `faults` are no reason to stop, `required` goes by effect of light transport, and `light_changes` says whether a
+    light of the room is not the same in all frames.
     """
 
     frames: Mapping[int, SurveyedFrame]
-    faults: tuple[SceneFault, ...]
+    faults: tuple[Fault, ...]
     required: Mapping[str, Requirement]
     light_changes: bool
 
@@ -86,21 +82,24 @@ class SceneSurvey:
         return {frame: one.in_view for frame, one in self.frames.items() if one.in_view}
 
     def as_json(self) -> dict[str, Any]:
-        """For `from_json`, to the last bit."""
-        return {
-            "frames": [one.as_json() for one in self.frames.values()],
-            "faults": [asdict(fault) for fault in self.faults],
-            "required": {name: asdict(requirement) for name, requirement in self.required.items()},
-            "light_changes": self.light_changes,
-        }
+        return asdict(self) | {"frames": [one.as_json() for one in self.frames.values()]}
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> SceneSurvey:
-        """What `as_json` gave."""
         frames = map(SurveyedFrame.from_json, content["frames"])
-        faults = tuple(SceneFault(**fault) for fault in content["faults"])
+        faults = tuple(Fault(**fault) for fault in content["faults"])
         required = {name: Requirement(**requirement) for name, requirement in content["required"].items()}
         return cls({one.frame: one for one in frames}, faults, required, content["light_changes"])
+
+
+@dataclass(frozen=True, eq=False)
+class _CameraView:
+    """What the scene's camera is at one frame: which, its intrinsics and pose (4, 4) in metres, and the time."""
+
+    camera: bpy.types.Object
+    intrinsics: Intrinsics
+    world_from_camera: ArrayF64
+    time_s: float
 
 
 def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
@@ -110,28 +109,31 @@ def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
     """
     transport = TransportSurveyor(plan.frames, [probe.position_m.tolist() for probe in plan.probes])
     states, room = StateSurvey(scene), RoomSurvey(scene)
-    views: dict[int, CameraView] = {}
-    faults = image_faults(scene.world)
+    views: dict[int, _CameraView] = {}
+    in_scene = range(scene.frame_start, scene.frame_end + 1)
+    visited = {frame + step for frame in plan.frames for step in (-1, 0, 1) if frame + step in in_scene}
+    faults = list(image_faults(scene.world))
     settings = RenderSettings(plan.size, samples=1)
     with open_inspection(scene) as inspection, working_scene(scene, "Xihe Survey", settings) as working:
-        for frame in _with_neighbours(scene, plan.frames):
+        for frame in sorted(visited):
             working.frame_set(frame)
             is_on_path = frame in plan.frames
             # Beside the path the camera only tells how it moves: no phone's is one that was switched to.
             with contextlib.nullcontext() if is_on_path else contextlib.suppress(UserError):
-                views[frame] = _view(working)
+                views[frame] = _CameraView(working.camera, *phone_camera(working), session_time_s(working))
             if is_on_path:
                 faults += faults_at_frame(working.view_layers[0].depsgraph, is_first=frame == plan.frames[0])
                 inspection.look_at(frame, transport.look_at, states.look_at, room.look_at)
         surveyed = transport.ended(inspection, has_motion_blur=scene.render.use_motion_blur)
     required = required_by_survey(scene, surveyed)
-    faults += _faults_of_places(scene, plan, views)
+    cameras_m = np.stack([views[frame].world_from_camera[:3, 3] for frame in plan.frames])
+    faults += place_faults(scene, {probe.name: probe.position_m for probe in plan.probes}, cameras_m)
     frames = {
         frame: SurveyedFrame(
             frame,
             views[frame].time_s,
             _in_view(plan.probes, views[frame]),
-            camera_motion(frame, views),
+            _camera_motion(frame, views),
             states.states[frame],
             room.roughness[frame],
         )
@@ -140,27 +142,95 @@ def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
     return SceneSurvey(frames, tuple(dict.fromkeys(faults)), required, room.light_changes)
 
 
-def _with_neighbours(scene: bpy.types.Scene, frames: Sequence[int]) -> list[int]:
-    """`frames`, and those before and after each that are within the scene's range."""
-    beside = {frame + step for frame in frames for step in (-1, 1)}
-    return sorted({*frames, *(frame for frame in beside if scene.frame_start <= frame <= scene.frame_end)})
-
-
-def _view(working: bpy.types.Scene) -> CameraView:
-    """Of the phone's camera at the current frame; UserError as of `phone_camera`."""
-    intrinsics, world_from_camera = phone_camera(working)
-    time_s = (working.frame_current - working.frame_start) * working.render.fps_base / working.render.fps
-    return CameraView(working.camera, intrinsics, world_from_camera, time_s)
-
-
-def _in_view(probes: Sequence[Probe], view: CameraView) -> tuple[str, ...]:
-    """Names of the `probes` that a camera sees."""
-    if not probes:
-        return ()
-    seen = in_view(np.stack([probe.position_m for probe in probes]), view.intrinsics, view.world_from_camera)
+def _in_view(probes: Sequence[Probe], view: _CameraView) -> tuple[str, ...]:
+    positions_m = np.array([probe.position_m for probe in probes]).reshape(-1, 3)
+    seen = in_view(positions_m, view.intrinsics, view.world_from_camera)
     return tuple(probe.name for probe, is_seen in zip(probes, seen, strict=True) if is_seen)
 
 
-def _faults_of_places(scene: bpy.types.Scene, plan: PrevisPlan, views: Mapping[int, CameraView]) -> list[SceneFault]:
-    cameras_m = np.stack([views[frame].world_from_camera[:3, 3] for frame in plan.frames])
-    return place_faults(scene, {probe.name: probe.position_m for probe in plan.probes}, cameras_m)
+def _camera_motion(frame: int, views: Mapping[int, _CameraView]) -> CameraMotion:
+    """How the camera moves in `frame`: evenly to the next one of `views`, or as from the one before.
+
+    A camera that is switched, or turned by half a circle within a frame, was cut and stands still, as one does of which
+    neither is known.
+    """
+    for before, after in ((frame, frame + 1), (frame - 1, frame)):
+        if before not in views or after not in views or views[before].camera != views[after].camera:
+            continue
+        start, end = views[before], views[after]
+        with contextlib.suppress(ValueError):
+            return motion_between(start.world_from_camera, end.world_from_camera, end.time_s - start.time_s)
+    return STILL
+
+
+class RoomSurvey:
+    """What a phone must know of the room besides its pictures: does any light change, and how smooth are the materials?
+
+    Both are read off node trees and lights as Cycles is given them, one evaluated frame after the other. Virtual
+    objects do not count: a capture shows neither them nor their light. `roughness` is the smoothest by material name,
+    for each frame; None where it is not known.
+    """
+
+    def __init__(self, scene: bpy.types.Scene) -> None:
+        virtual = virtual_collection(scene)
+        self.virtual = {item.name for item in virtual.all_objects} if virtual is not None else set()
+        self.lights: set[frozenset[Any]] = set()
+        """What each frame's lights are and where; one entry as long as none of it changes."""
+        self.is_driven = False
+        self.roughness: dict[int, dict[str, float | None]] = {}
+        self._still: dict[Any, tuple[float | None, bool]] = {}
+        """Roughness and glow of materials in which nothing is animated, by original data-block."""
+
+    @property
+    def light_changes(self) -> bool:
+        """Whether a lamp, a glowing object or the world is not the same in all frames."""
+        return len(self.lights) > 1 or self.is_driven
+
+    def look_at(self, depsgraph: bpy.types.Depsgraph) -> None:
+        lights: set[Any] = set()
+        found: dict[str, float | None] = {}
+        for instance in depsgraph.object_instances:
+            parents = {instance.object.name, instance.parent.name if instance.parent else ""}
+            if instance.show_self and not parents & self.virtual:
+                lights |= self._lights_of(instance, found)
+        world = depsgraph.scene_eval.world
+        if world is not None and nodes.world_shading(world).interactions & nodes.Interaction.EMISSION:
+            lights.add(world.name)
+            self.is_driven |= _may_change(world.original)
+        self.lights.add(frozenset(lights))
+        self.roughness[depsgraph.scene.frame_current] = found
+
+    def _lights_of(self, instance: Any, found: dict[str, float | None]) -> set[Any]:
+        """What glows about an instance, as something that differs where the light does; notes its materials."""
+        item = instance.object
+        place = tuple(map(tuple, instance.matrix_world))
+        if item.type == "LIGHT":
+            if not nodes.light_emits(item.data):
+                return set()
+            self.is_driven |= item.data.node_tree is not None and is_animated(item.data.node_tree.original)
+            shape = (float(getattr(item.data, name, 0.0)) for name in LAMP_SHAPE)
+            return {(item.name, place, item.data.energy, tuple(item.data.color), *shape)}
+        glowing = set()
+        for slot in item.material_slots if item.type in GEOMETRY_TYPES else ():
+            if slot.material is not None and self._material(slot.material, found):
+                self.is_driven |= _may_change(slot.material.original)
+                glowing.add((item.name, slot.material.name, place))
+        return glowing
+
+    def _material(self, material: bpy.types.Material, found: dict[str, float | None]) -> bool:
+        """Note the roughness of a material; whether it glows."""
+        original = material.original
+        known = self._still.get(original)
+        if known is None:
+            known = (
+                nodes.smoothest_roughness(material),
+                bool(nodes.material_shading(material).interactions & nodes.Interaction.EMISSION),
+            )
+            if not is_animated(original):
+                self._still[original] = known
+        found[material.name], glows = known
+        return glows
+
+
+def _may_change(block: bpy.types.ID) -> bool:
+    return is_animated(block) or shows_a_film(block.node_tree)

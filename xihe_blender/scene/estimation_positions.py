@@ -1,6 +1,6 @@
 """Where in space is the light of a virtual object estimated?
 
-One position stands for a small object (the paper's setting). An object bigger than `spacing_m` gets several, the
+One position stands for a small object (the paper's setting). An object bigger than SPACING_M gets several, the
 centres of an even split of its world bounding box, so that a long shelf is not lit as one point.
 """
 
@@ -16,6 +16,9 @@ from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES
 from xihenet.records import ArrayF64
 
+SPACING_M = 1.0
+"""An axis of the world bounding box longer than this is split evenly into cells no longer than this."""
+
 # A box of exactly n spacings is split in n, although its world corners carry float32 rounding.
 SPLIT_TOLERANCE = 1e-5
 
@@ -23,16 +26,12 @@ MAX_POSITIONS = 1000
 """Of one object. Each gets a light probe in every frame; a shop of 100 x 10 m has as many."""
 
 
-def estimation_positions(
-    object: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None, *, spacing_m: float = 1.0
-) -> ArrayF64:
-    """Positions at which the light of `object` is estimated.
+def estimation_positions(object: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None) -> ArrayF64:
+    """Positions at which the light of a virtual object is estimated; modifiers and instances count.
 
     Parameters
     ----------
-    object : a virtual object; modifiers and instances count
     depsgraph : evaluated at the frame in question; the current context's if None
-    spacing_m : an axis of the world bounding box longer than this is split evenly into cells no longer than this
 
     Returns
     -------
@@ -41,30 +40,23 @@ def estimation_positions(
 
     Raises
     ------
-    ValueError : if `spacing_m` is not positive and finite
     UserError : if the object has no finite box, or more than MAX_POSITIONS
     """
-    if not (np.isfinite(spacing_m) and spacing_m > 0):
-        raise ValueError(f"estimation_positions: spacing_m must be positive and finite, got {spacing_m}")
     depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
     corners = world_box_corners(object, depsgraph) * metres_per_unit(depsgraph.scene)
     low_m, high_m = corners.min(axis=0), corners.max(axis=0)
-    _check_box(object, low_m, high_m, spacing_m)
-    return box_cell_centres(low_m, high_m, spacing_m)
-
-
-def _check_box(object: bpy.types.Object, low_m: ArrayF64, high_m: ArrayF64, spacing_m: float) -> None:
     if not np.isfinite([low_m, high_m]).all():
         raise UserError(
             f"virtual object {object.name!r} has no finite position: check its scale, its vertices and its constraints"
         )
-    n_positions = cells_per_axis(low_m, high_m, spacing_m).prod()
+    n_positions = cells_per_axis(low_m, high_m, SPACING_M).prod()
     if n_positions > MAX_POSITIONS:
         size = " x ".join(f"{side:.3g}" for side in high_m - low_m)
         raise UserError(
             f"virtual object {object.name!r} is {size} m and would be estimated at {n_positions:.4g} positions: "
             "make it smaller, split it, or set the unit scale (Scene > Units) to the metres in a Blender unit"
         )
+    return box_cell_centres(low_m, high_m, SPACING_M)
 
 
 def cells_per_axis(low_m: ArrayF64, high_m: ArrayF64, spacing_m: float) -> ArrayF64:
@@ -83,7 +75,8 @@ def box_cell_centres(low_m: ArrayF64, high_m: ArrayF64, spacing_m: float) -> Arr
 
 def world_box_corners(object: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> ArrayF64:
     """Box corners (8 n, 3), in Blender units, of all that `object` puts into the render; its origin if nothing."""
-    boxes = [_instance_corners(i) for i in depsgraph.object_instances if _belongs_to(i, object)]
+    instances = (instance for instance in depsgraph.object_instances if _belongs_to(instance, object))
+    boxes = [_transformed(instance.object.bound_box, instance.matrix_world) for instance in instances]
     evaluated = object.evaluated_get(depsgraph)
     if not boxes and object.type in GEOMETRY_TYPES:
         # Not among the instances: hidden in this view layer, which does not move it.
@@ -94,10 +87,6 @@ def world_box_corners(object: bpy.types.Object, depsgraph: bpy.types.Depsgraph) 
 def _belongs_to(instance: Any, object: bpy.types.Object) -> bool:
     source = instance.parent if instance.is_instance else instance.object
     return source is not None and source.original == object and instance.object.type in GEOMETRY_TYPES
-
-
-def _instance_corners(instance: Any) -> ArrayF64:
-    return _transformed(instance.object.bound_box, instance.matrix_world)
 
 
 def _transformed(corners: Any, world_from_object: Any) -> ArrayF64:

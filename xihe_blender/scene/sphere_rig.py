@@ -20,24 +20,16 @@ RIG_LOOKS: dict[str, dict[str, Any]] = {
 def add_three_sphere_rig(
     scene: bpy.types.Scene, location: tuple[float, float, float], radius_m: float = 0.06
 ) -> list[bpy.types.Object]:
-    """Put the usual three comparison spheres side by side along X, resting on `location`.
+    """Put mirror, matte silver and diffuse sphere side by side along X, each a virtual object of its own.
 
-    Mirror, matte silver (roughness 0.3271) and grey diffuse (albedo 0.5, no specular) are what the field's
-    comparisons render: together they show sharp reflections, the main light's direction and the irradiance.
+    They are what the field's comparisons render: together they show sharp reflections, the main light's direction and
+    the irradiance.
 
     Parameters
     ----------
     scene : gets the virtual collection if it has none
     location : world point under the middle sphere, Blender units, as the 3D cursor has it
-    radius_m : of each sphere, positive
-
-    Returns
-    -------
-    three objects, each a virtual object of its own: mirror, matte silver, diffuse
-
-    Raises
-    ------
-    ValueError : if `radius_m` is not positive and finite
+    radius_m : of each sphere; ValueError if it is not positive and finite
     """
     if not (np.isfinite(radius_m) and radius_m > 0):
         raise ValueError(f"add_three_sphere_rig: radius_m must be positive and finite, got {radius_m}")
@@ -73,13 +65,12 @@ def _sphere_faces(n_around: int, n_rings: int) -> list[tuple[int, ...]]:
     ring = np.arange(n_around)
     after = np.roll(ring, -1)
     top, last = n_rings * n_around, (n_rings - 1) * n_around
-    faces: list[tuple[int, ...]] = [(top, a, b) for a, b in zip(ring.tolist(), after.tolist(), strict=True)]
-    faces += [(top + 1, last + b, last + a) for a, b in zip(ring.tolist(), after.tolist(), strict=True)]
-    for upper in range(0, last, n_around):
-        lower = upper + n_around
-        quads = np.stack([upper + ring, lower + ring, lower + after, upper + after], axis=-1)
-        faces += map(tuple, quads.tolist())
-    return faces
+    upper = n_around * np.arange(n_rings - 1)[:, None]
+    lower = upper + n_around
+    above = np.stack([np.full(n_around, top), ring, after], axis=-1)
+    below = np.stack([np.full(n_around, top + 1), last + after, last + ring], axis=-1)
+    between = np.stack([upper + ring, lower + ring, lower + after, upper + after], axis=-1).reshape(-1, 4)
+    return [tuple(face) for faces in (above, below, between) for face in faces.tolist()]
 
 
 def _rig_material(name: str, look: dict[str, Any]) -> bpy.types.Material:

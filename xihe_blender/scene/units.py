@@ -15,14 +15,5 @@ import bpy
 
 
 def metres_per_unit(scene: bpy.types.Scene) -> float:
-    """Metres in one Blender unit of `scene`."""
     units = scene.unit_settings
     return 1.0 if units.system == "NONE" else float(units.scale_length)
-
-
-def format_units(scene: bpy.types.Scene) -> str | None:
-    """A sentence for a reader of results where a Blender unit is no metre; None where it is one."""
-    metres = metres_per_unit(scene)
-    if metres == 1:
-        return None
-    return f"One Blender unit is {metres:g} m, as the scene's units say (Scene > Units); all lengths here are metres."

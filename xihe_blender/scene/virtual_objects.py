@@ -25,16 +25,10 @@ GEOMETRY_TYPES = frozenset({"MESH", "CURVE", "SURFACE", "FONT", "META", "VOLUME"
 
 
 def virtual_collection(scene: bpy.types.Scene, *, create: bool = False) -> bpy.types.Collection | None:
-    """The collection of virtual objects in `scene`, at any level below its master collection.
+    """The collection of virtual objects in `scene`, at any level below its master collection; None without one.
 
-    Parameters
-    ----------
-    scene : searched by name, so that a collection of another scene in the same file is not found
-    create : make the collection if it is missing; one that another scene shows stays that scene's
-
-    Returns
-    -------
-    the collection, or None where there is none and `create` is False
+    One of another scene in the same file is not found. `create` makes it if it is missing; one that another scene
+    shows stays that scene's.
     """
     found = [c for c in scene.collection.children_recursive if NAME_PATTERN.fullmatch(c.name)]
     if found:
@@ -68,12 +62,10 @@ def make_virtual(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) ->
     itself; collections of other scenes keep it. Parents, children and transforms stay as they are. Objects without
     renderable geometry (lamps, cameras) are left where they are.
 
-    Returns
-    -------
-    those that are virtual now. UserError, with nothing changed, for an object in a collection of another file
+    Gives those that are virtual now. UserError, with nothing changed, for an object in a collection of another file.
     """
     chosen = [item for item in objects if has_renderable_geometry(item)]
-    virtual, room = _collections_of(scene)
+    virtual, room = collections_of(scene)
     _check_are_own(chosen, [*virtual, *room])
     collection = virtual_collection(scene, create=bool(chosen))
     for item in chosen:
@@ -87,13 +79,11 @@ def make_virtual(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) ->
 
 
 def make_room(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
-    """Move virtual `objects` back into the room of `scene`, into its master collection.
+    """Move virtual `objects` back into the room of `scene`, into its master collection; gives those that were virtual.
 
-    Returns
-    -------
-    those that were virtual. UserError, with nothing changed, for an object in a collection of another file
+    UserError, with nothing changed, for an object in a collection of another file.
     """
-    virtual, room = _collections_of(scene)
+    virtual, room = collections_of(scene)
     chosen = [item for item in objects if virtual & set(item.users_collection)]
     _check_are_own(chosen, [*virtual, *room])
     for item in chosen:
@@ -104,7 +94,7 @@ def make_room(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> li
     return chosen
 
 
-def _collections_of(scene: bpy.types.Scene) -> tuple[set[bpy.types.Collection], set[bpy.types.Collection]]:
+def collections_of(scene: bpy.types.Scene) -> tuple[set[bpy.types.Collection], set[bpy.types.Collection]]:
     """The collections of virtual objects, and those of the room."""
     collection = virtual_collection(scene)
     virtual = set() if collection is None else {collection, *collection.children_recursive}

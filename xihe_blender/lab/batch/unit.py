@@ -244,8 +244,8 @@ def trigger_sweep(run: PreparedRun, walked: WalkedPath) -> list[TriggerFigures]:
         seen, _ = walked.phone.see(load_frame(run.outputs.capture(entry.frame)), run.outputs)
         truth = {probe.name: np.array(probe.sh_truth) for probe in entry.probes}
         for index, session in enumerate(sessions):
-            step = session.step(seen, truth, list(truth))
-            n_fired[index] += sum(report.decision.fire for report in step.reports.values())
+            reports, _ = session.step(seen, truth, list(truth))
+            n_fired[index] += sum(report.decision.fire for report in reports.values())
             errors[index] += [shc_rmse(session.light(name, seen.time_s), light) for name, light in truth.items()]
     return [
         TriggerFigures(

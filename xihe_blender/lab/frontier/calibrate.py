@@ -28,7 +28,7 @@ from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.run_time import FEW_SAMPLES, N_RENDERS, time_renders
-from xihe_blender.previs.sample_count import capture_noise, pilot_views, samples_taken
+from xihe_blender.previs.sample_count import measure_captures, pilot_views, samples_taken
 from xihe_blender.previs.settings import PRESETS, PrevisSettings
 from xihe_blender.previs.survey import survey_path
 from xihe_blender.scene.state import scene_kept
@@ -72,7 +72,7 @@ def calibrate(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[Calibrati
         effects = plan_effects(survey.required, overrides_in_force(scene, settings.effect_choices))
         capture = replace(settings.capture(plan.size, PILOT_SAMPLES), light_transport=cycles_settings(effects))
         yield Progress(1, 3, "measuring the noise of a few samples")
-        noise = capture_noise(scene, [view], capture, exposure, settings.n_anchors)
+        noise, _ = measure_captures(scene, [view], capture, exposure, settings.n_anchors, settings.trigger)
         yield Progress(2, 3, "timing a few samples")
         seen: list[RgbdFrame] = []
         with open_scanner(scene, capture) as scanner:

@@ -56,7 +56,7 @@ from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.plan import PrevisPlan, evenly_chosen, plan_previs
 from xihe_blender.previs.prepare import effects_kept, positive_exposure
-from xihe_blender.previs.sample_count import capture_noise, pilot_samples, pilot_views, samples_taken
+from xihe_blender.previs.sample_count import measure_captures, pilot_samples, pilot_views, samples_taken
 from xihe_blender.previs.settings import PRESETS, PrevisSettings
 from xihe_blender.previs.survey import SceneSurvey, survey_path
 from xihe_blender.report.document import write_document
@@ -213,7 +213,8 @@ def prepare(study: SceneStudy) -> Job[Prepared]:
         settings = PrevisSettings(preset=name, seed=study.settings.seed)
         capture = settings.capture(plan.size, pilot_samples(preset))
         capture = replace(capture, light_transport=cycles_settings(effects))
-        samples[name] = samples_taken(preset, capture_noise(scene, views, capture, exposure, settings.n_anchors))
+        noise, _ = measure_captures(scene, views, capture, exposure, settings.n_anchors, settings.trigger)
+        samples[name] = samples_taken(preset, noise)
     write_json(path, {"exposure": exposure, "effects": effects_as_json(effects), "samples": samples})
     return kept_preparation(plan, study.survey, read_json(path))
 
