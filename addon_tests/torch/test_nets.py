@@ -1,13 +1,18 @@
-"""The networks in torch: equal to NumPy, unmoved by what is not set, and able to learn."""
+"""The networks in torch: equal to NumPy, also in batches, unmoved by what is not set, and able to learn."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
+from addon_tests.pure.test_lattice import nasty_clouds, random_clouds, random_weights
 from xihenet.estimators.lattice import Lattice
 from xihenet.estimators.lattice_format import LatticeArchitecture
 from xihenet.estimators.pointconv import PointConvArchitecture
 from xihenet.estimators.weights_format import save_weights
+from xihenet.nets import batch
+from xihenet.nets.batch import estimate_batch_torch
 from xihenet.nets.lattice import LatticeNet, weights_of
 from xihenet.nets.pointconv import PointConvNet, farthest_points
 
@@ -23,21 +28,9 @@ def lively_net(architecture=None):
     return net
 
 
-def clouds(n, seed=0, n_clouds=8):
-    """Random and nasty ones: empty, one anchor, full, black, white, one bright anchor in black, too far, too near."""
-    rng = np.random.default_rng(seed)
-    is_set = rng.random((n_clouds, n)) < rng.random((n_clouds, 1))
-    srgb, distance_m = rng.random((n_clouds, n, 3)) ** 3, rng.random((n_clouds, n)) * 5
-    nasty_set = np.ones((8, n), bool)
-    nasty_set[0] = False
-    nasty_set[1] = np.arange(n) == 5
-    nasty_srgb, nasty_m = rng.random((8, n, 3)), rng.random((8, n))
-    nasty_srgb[3], nasty_srgb[4], nasty_srgb[5] = 0, 1, 0
-    nasty_srgb[5, 3] = 1
-    nasty_m[6], nasty_m[7] = 3e38, 0
-    known = np.concatenate([is_set, nasty_set])
-    colours = np.concatenate([srgb, nasty_srgb]) * known[..., None]
-    return colours.astype(np.float32), (np.concatenate([distance_m, nasty_m]) * known).astype(np.float32), known
+def clouds(n, seed=0):
+    """Eight random ones, then nasty ones."""
+    return [np.concatenate(parts) for parts in zip(random_clouds(n, seed, 8), nasty_clouds(n), strict=True)]
 
 
 def points(n=64, n_clouds=5, seed=0):
@@ -64,6 +57,26 @@ def test_numpy_gives_what_torch_gives(tmp_path, n, is_normalised, knows_facing):
         np.testing.assert_allclose(error_in_numpy, expected_error.numpy(), atol=1e-5)
         lights.append(in_numpy)
     assert (np.abs(lights[1] - lights[0]).max() > 1e-3) == knows_facing
+
+
+@pytest.mark.parametrize("n", [512, 1280])
+def test_a_batch_gives_what_numpy_gives_in_chunks_too_whatever_stands_at_unset_anchors(tmp_path, monkeypatch, n):
+    weights = random_weights(n)
+    save_weights(tmp_path / "w.npz", weights)
+    srgb, distance_m, is_set = clouds(n, 1)
+    parts = srgb + 0.5 * ~is_set[..., None], distance_m + 2 * ~is_set, is_set
+    facing = np.random.default_rng(0).uniform(-1, 1, is_set.shape)
+    expected = Lattice(n, weights=tmp_path / "w.npz").estimate_batch(*parts, facing=facing)
+    for at_once in (5, 256):
+        monkeypatch.setattr(batch, "CLOUDS_AT_ONCE", at_once)
+        np.testing.assert_allclose(estimate_batch_torch(weights, *parts, facing=facing), expected, atol=1e-5)
+
+
+def test_a_batch_of_no_clouds_is_legal_and_wrong_shapes_are_not():
+    srgb, distance_m, is_set = clouds(512, 2)
+    assert estimate_batch_torch(random_weights(0), srgb[:0], distance_m[:0], is_set[:0]).shape == (0, 9, 3)
+    with pytest.raises(ValueError, match=r"expected \(B, N, 3\)"):
+        estimate_batch_torch(random_weights(0), srgb, distance_m[:2], is_set)
 
 
 def test_lattice_gradients_are_finite_on_nasty_clouds():
@@ -102,7 +115,7 @@ def test_a_fresh_lattice_network_has_the_size_the_documentation_gives():
 @pytest.mark.parametrize("keeps", [False, True])
 def test_pointconv_is_finite_with_finite_gradients_also_without_points(keeps):
     torch.manual_seed(0)
-    net = PointConvNet(PointConvArchitecture(centroids=(32, 8), n_neighbours=8, keeps_unset_at_origin=keeps))
+    net = PointConvNet(replace(SMALL, keeps_unset_at_origin=keeps))
     light = net(*points())
     light.square().sum().backward()
     assert light.shape == (5, 9, 3) and torch.isfinite(light).all()
@@ -117,19 +130,14 @@ def test_pointconv_gives_negative_coefficients_too():
 
 
 def test_pointconv_leaves_unset_points_out_unless_told_to_keep_them():
-    places, colours, known = points()
-    more_places = torch.cat([places, torch.ones(5, 9, 3)], 1)
-    more_colours, more_known = (
-        torch.cat([colours, torch.ones(5, 9, 3)], 1),
-        torch.cat([known, torch.zeros(5, 9) > 0], 1),
-    )
-    changes = []
+    given, changes = points(), []
+    unset = torch.ones(5, 9, 3), torch.ones(5, 9, 3), torch.zeros(5, 9, dtype=torch.bool)
+    more = [torch.cat(parts, 1) for parts in zip(given, unset, strict=True)]
     for keeps in (False, True):
         torch.manual_seed(0)
-        net = PointConvNet(PointConvArchitecture(centroids=(32, 8), n_neighbours=8, keeps_unset_at_origin=keeps))
+        net = PointConvNet(replace(SMALL, keeps_unset_at_origin=keeps))
         with torch.no_grad():
-            plain, padded = net(places, colours, known), net(more_places, more_colours, more_known)
-        changes.append(float((plain - padded).abs().max()))
+            changes.append(float((net(*given) - net(*more)).abs().max()))
     assert changes[0] < 1e-5 < changes[1]
 
 
