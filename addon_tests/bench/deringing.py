@@ -9,72 +9,38 @@ not ("hdr"), as estimated and after `dering_for_display`, and the share of the e
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 import numpy as np
-
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from test_rooms import LATTICE, frames
+from test_rooms import seen_in
 
 from xihenet import estimators
-from xihenet.buffers import merge
-from xihenet.camera import unproject_frame
 from xihenet.metrics import shc_rmse
-from xihenet.npz_files import read_npz
-from xihenet.records import UnitSphereCloud
-from xihenet.sampling import sample_unit_sphere
 from xihenet.sh import dering_for_display
 from xihenet.training.rooms import room_files
 
-TARGETS = ("ldr", "hdr")
-CHOICES = [(name, target) for name in ("lattice", "projection") for target in TARGETS]
-
-Lights = dict[tuple[str, str, str], list[tuple[np.ndarray, np.ndarray]]]
-"""Estimates and references by views, estimator and target."""
-
-
-def note(lights: Lights, views: str, cloud: UnitSphereCloud, loaded: list, truths: dict[str, np.ndarray]) -> None:
-    for (name, target), one in zip(CHOICES, loaded, strict=True):
-        lights.setdefault((views, name, target), []).append((one.estimate(cloud), truths[target]))
-
-
-def collect(path: Path, loaded: list, lights: Lights) -> None:
-    """Add the estimates in one room."""
-    room = read_npz(path)
-    seen = [unproject_frame(frame) for frame in frames(room)]
-    for place, position_m in enumerate(room["positions_m"]):
-        truths = {target: room[f"sh_{target}"][place] for target in TARGETS}
-        shown = np.flatnonzero(room["is_in_view"][:, place] & room["is_unhidden"][:, place])
-        merged = UnitSphereCloud.empty(LATTICE.n)
-        for view in shown:
-            cloud = sample_unit_sphere(seen[view], position_m, LATTICE)
-            merged = merge(merged, cloud)
-            note(lights, "one view", cloud, loaded, truths)
-        if len(shown) > 1:
-            note(lights, "all views", merged, loaded, truths)
+CHOICES = [(name, target) for name in ("lattice", "projection") for target in ("ldr", "hdr")]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("rooms", type=Path)
-    options = parser.parse_args()
+    files = room_files(parser.parse_args().rooms)
     loaded = [estimators.load(name, target=target) for name, target in CHOICES]
-    lights: Lights = {}
-    files = room_files(options.rooms)
-    for path in files:
-        collect(path, loaded, lights)
+    pairs: dict[tuple[str, str, str], list[tuple[np.ndarray, np.ndarray]]] = {}
+    for seen in (one for path in files for one in seen_in(path)):
+        for one in loaded:
+            light, truth = one.estimate(seen.clouds[-1]), seen.truths[one.target]
+            pairs.setdefault((seen.views, one.name, one.target), []).append((light, truth))
     print(f"{len(files)} rooms\n")
     print("| views | estimator | target | estimates | changed | SHC RMSE | without ringing | more error |")
     print("| --- | --- | --- | --- | --- | --- | --- | --- |")
-    for (views, name, target), pairs in lights.items():
-        shown = [dering_for_display(light) for light, _ in pairs]
-        changed = sum(not np.array_equal(one, light) for one, (light, _) in zip(shown, pairs, strict=True))
-        before = np.mean([shc_rmse(light, truth) for light, truth in pairs])
-        after = np.mean([shc_rmse(one, truth) for one, (_, truth) in zip(shown, pairs, strict=True)])
-        figures = f"{len(pairs)} | {changed} ({changed / len(pairs):.0%}) | {before:.5f} | {after:.5f}"
+    for (views, name, target), known in pairs.items():
+        shown = [(dering_for_display(light), light, truth) for light, truth in known]
+        changed = sum(not np.array_equal(one, light) for one, light, _ in shown)
+        before = np.mean([shc_rmse(light, truth) for light, truth in known])
+        after = np.mean([shc_rmse(one, truth) for one, _, truth in shown])
+        figures = f"{len(known)} | {changed} ({changed / len(known):.0%}) | {before:.5f} | {after:.5f}"
         print(f"| {views} | `{name}` | {target} | {figures} | {after / before - 1:+.2%} |")
 
 

@@ -14,11 +14,11 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from interleaved import interleaved_ms
 
 from xihenet.estimators.lattice import Lattice
 from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights, load_weights
@@ -28,6 +28,8 @@ from xihenet.records import UnitSphereCloud
 
 N_ANCHORS = 1280
 BATCHES = (1, 8, 64, 512)
+Candidates = dict[str, tuple[int, Callable[[], object]]]
+"""Clouds and run of each candidate by name."""
 
 
 def weights_to_time() -> tuple[LatticeWeights, str]:
@@ -48,8 +50,8 @@ def random_clouds(n_clouds: int, n: int):
     return srgb, rng.random((n_clouds, n), np.float32) * 5 * is_set, is_set
 
 
-def torch_candidates(weights: LatticeWeights) -> dict[str, tuple[int, Callable[[], object]]]:
-    """Clouds and run of each candidate; none where torch is missing."""
+def torch_candidates(weights: LatticeWeights) -> Candidates:
+    """None where torch is missing."""
     if importlib.util.find_spec("torch") is None:
         return {}
     import torch
@@ -61,7 +63,7 @@ def torch_candidates(weights: LatticeWeights) -> dict[str, tuple[int, Callable[[
     torch.set_num_threads(2)
     net, paper = LatticeNet(weights.architecture).eval(), PointConvNet().eval()
     net.load_state_dict({name: torch.from_numpy(array) for name, array in weights.arrays.items()})
-    candidates: dict[str, tuple[int, Callable[[], object]]] = {}
+    candidates: Candidates = {}
     for size in BATCHES[1:]:
         parts = [torch.from_numpy(part) for part in random_clouds(size, N_ANCHORS)]
         candidates[f"lattice, torch, batch of {size}"] = size, lambda parts=parts: net(*parts)
@@ -81,27 +83,21 @@ def main() -> None:
         save_weights(Path(folder) / "w.npz", weights)
         lattice = Lattice(N_ANCHORS, weights=Path(folder) / "w.npz")
     one = UnitSphereCloud(*(part[0] for part in random_clouds(1, N_ANCHORS)))
-    candidates: dict[str, tuple[int, Callable[[], object]]] = {
-        "lattice, NumPy, one": (1, lambda: lattice.estimate(one))
-    }
     paper = XiheNet(N_ANCHORS)
-    candidates["xihenet, NumPy, one"] = 1, lambda: paper.estimate(one)
+    candidates: Candidates = {
+        "lattice, NumPy, one": (1, lambda: lattice.estimate(one)),
+        "xihenet, NumPy, one": (1, lambda: paper.estimate(one)),
+    }
     for size in BATCHES:
         parts = random_clouds(size, N_ANCHORS)
         candidates[f"lattice, NumPy, batch of {size}"] = size, lambda parts=parts: lattice.estimate_batch(*parts)
     candidates |= torch_candidates(weights)
-    taken: dict[str, list[float]] = {name: [] for name in candidates}
-    for _ in range(repeats + 2):
-        for name, (_, run) in candidates.items():
-            run()
-            start = time.perf_counter()
-            run()
-            taken[name].append(1e3 * (time.perf_counter() - start))
+    taken = interleaved_ms({name: run for name, (_, run) in candidates.items()}, repeats, is_called_before=True)
     print(f"{which + f', {N_ANCHORS} anchors':<34}{'min ms':>9}{'median':>9}{'quartiles':>20}{'clouds/s':>10}")
     for name, (size, _) in candidates.items():
-        low, median, high = np.percentile(taken[name][2:], [25, 50, 75])
+        low, median, high = np.percentile(taken[name], [25, 50, 75])
         spread = f"{low:.3f} to {high:.3f}"
-        print(f"{name:<34}{min(taken[name][2:]):9.3f}{median:9.3f}{spread:>20}{1e3 * size / median:10.0f}")
+        print(f"{name:<34}{min(taken[name]):9.3f}{median:9.3f}{spread:>20}{1e3 * size / median:10.0f}")
 
 
 if __name__ == "__main__":

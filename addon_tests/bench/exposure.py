@@ -16,11 +16,8 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from reference import positions_of
 
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from addon_tests.bench.reference import positions_of
 from xihe_blender.capture.reference_probe import open_reference_probe
 from xihe_blender.capture.render import RenderSettings, render_passes
 from xihe_blender.capture.scanner import first_layer, meter_exposure, metered_frames, open_scanner, sized_for

@@ -49,11 +49,9 @@ def axes_of_an_area(direction):
 
 def of_an_area(power, size_m, direction):
     """(9, 3) coefficients of a square lamp that faces the position: a sum over pieces of it."""
-    across, along, _ = axes_of_an_area(direction).T
     steps = ((np.arange(PIECES) + 0.5) / PIECES - 0.5) * size_m
-    u, v = np.meshgrid(steps, steps)
-    points = DISTANCE_M * direction + u[..., None] * across + v[..., None] * along
-    points = points.reshape(-1, 3)
+    u, v = (plane.ravel() for plane in np.meshgrid(steps, steps))
+    points = np.stack([u, v, np.full(len(u), DISTANCE_M)], axis=1) @ axes_of_an_area(direction).T
     far = np.linalg.norm(points, axis=1)
     solid_angles = (size_m / PIECES) ** 2 * (DISTANCE_M / far) / far**2
     radiance = power / (math.pi * size_m**2)
@@ -67,7 +65,7 @@ def lamps(settings):
     for direction in DIRECTIONS:
         for name, (values, at_position, half_angle) in LAMPS.items():
             scene = dark_scene()
-            add_lamp(scene, values["kind"], direction, **{k: v for k, v in values.items() if k != "kind"})
+            add_lamp(scene, direction=direction, **values)
             off[name].append((measured(scene, settings).hdr, of_a_disc(at_position, direction, half_angle)))
         for size in AREAS_M:
             scene = dark_scene()

@@ -2,41 +2,36 @@
 
     python addon_tests/bench/leaks.py blend_scenes/living_room.blend ROOM.blend ... [--keep FOLDER]
 
-Positions are the scene's empties `placement_*`, else its virtual objects; frames are six along the path, at 256x192 and
-at 128x96. A leak is a set anchor below the position whose distance lies more than 10 % outside the range of 64 rays
-through its cell, where the camera saw what at least half of them hit. Errors are SHC RMSE over the norm of the truth,
-the reference probe with a noise of 3 %. `--keep` stores what was rendered, so that the next call renders nothing.
+Positions are those of `reference.py`; frames are six along the path, at 256x192 and at 128x96. A leak is a set anchor
+below the position whose distance lies more than 10 % outside the range of 64 rays through its cell, where the camera
+saw what at least half of them hit. Errors are SHC RMSE over the norm of the truth, the reference probe with a noise of
+3 %. `--keep` stores what was rendered, so that the next call renders nothing.
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any
 
 import bpy
 import numpy as np
-
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
+from reference import positions_of
 
 from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure, open_scanner
+from xihe_blender.lab.rooms.views import RoomRays
 from xihe_blender.scene.blend_file import open_blend
-from xihe_blender.scene.estimation_positions import estimation_positions
-from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet import estimators
 from xihenet.buffers import merge
-from xihenet.camera import in_view, project_points, unproject_frame
+from xihenet.camera import in_view, unproject_frame
 from xihenet.metrics import shc_rmse
-from xihenet.records import Intrinsics, RgbdFrame, UnitSphereCloud
+from xihenet.records import UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
+from xihenet.training.rooms import frames_of
 
 SIZES = ((256, 192), (128, 96))
 N_FRAMES, N_RAYS = 6, 64
@@ -56,10 +51,7 @@ def rays_of_cells() -> np.ndarray:
 def observe(path: Path) -> dict[str, Any]:
     """Everything that needs Blender: frames, truth, and what the rays of each cell hit."""
     scene = open_blend(path)
-    named = [o for o in scene.objects if o.name.startswith("placement_")]
-    positions = np.array([o.matrix_world.translation for o in sorted(named, key=lambda o: o.name)])
-    if not named:
-        positions = np.concatenate([estimation_positions(o) for o in virtual_objects(scene)])
+    positions = positions_of(scene)
     frames = np.linspace(scene.frame_start, scene.frame_end, N_FRAMES).astype(int)
     exposure = meter_exposure(scene, frames.tolist())
     seen: dict[str, Any] = {"positions_m": positions, "frames": frames, "exposure": exposure}
@@ -78,54 +70,35 @@ def _frames(scene: bpy.types.Scene, frames: np.ndarray, exposure: float, size: t
         for frame in frames:
             scanner.move_to(int(frame))
             scans.append(scanner.acquire_environment_scan())
-    k = scans[0].intrinsics
     return {
         f"srgb_u8_{size[0]}": np.array([scan.srgb_u8 for scan in scans]),
         f"plane_depth_m_{size[0]}": np.array([scan.plane_depth_m for scan in scans]),
-        f"intrinsics_{size[0]}": np.array([k.width, k.height, k.fx, k.fy, k.cx, k.cy]),
+        f"intrinsics_{size[0]}": np.array(astuple(scans[0].intrinsics)),
         "world_from_camera": np.array([scan.world_from_camera for scan in scans]),
     }
 
 
 def _rays(scene: bpy.types.Scene, seen: dict[str, Any]) -> dict[str, Any]:
     """Distances of the hits (P, BELOW, N_RAYS), NaN for misses; whether each frame's camera sees them (F, P, ...)."""
-    rays, poses = rays_of_cells(), seen["world_from_camera"]
-    width, height, *focal = seen["intrinsics_256"].tolist()
-    intrinsics = Intrinsics(int(width), int(height), *focal)
+    directions, distance_m, is_seen = rays_of_cells().reshape(-1, 3), [], []
     with open_scanner(scene, RenderSettings(SIZES[0], 1)) as scanner:
-        scanner.move_to(int(seen["frames"][0]))
-        graph = scanner.scene.view_layers[0].depsgraph
-        graph.update()
-
-        def cast(origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
-            hits = [scanner.scene.ray_cast(graph, origin.tolist(), d.tolist())[:2] for d in directions]
-            return np.array(
-                [(np.array(at) - origin) @ d if hit else np.nan for (hit, at), d in zip(hits, directions, strict=True)]
-            )
-
-        distance_m, is_seen = [], []
+        intrinsics, _ = scanner.move_to(int(seen["frames"][0]))
+        rays = RoomRays.of(scanner.scene)
         for position in seen["positions_m"]:
-            reach = cast(position, rays.reshape(-1, 3))
-            points = position + reach[:, None] * rays.reshape(-1, 3)
-            distance_m.append(reach.reshape(rays.shape[:2]))
-            for pose in poses:
-                pixels, depth_m = project_points(points, intrinsics, pose)
-                inside = ((pixels > 0) & (pixels < [width, height])).all(axis=1) & (depth_m > 0)
-                towards = points[inside] - pose[:3, 3]
+            reach, _ = rays.cast(position, directions)
+            reach[np.isinf(reach)] = np.nan
+            points = position + reach[:, None] * directions
+            distance_m.append(reach)
+            for pose in seen["world_from_camera"]:
+                visible = in_view(points, intrinsics, pose)
+                towards = points[visible] - pose[:3, 3]
                 lengths = np.linalg.norm(towards, axis=1)
-                visible = np.zeros(len(points), bool)
-                visible[inside] = np.abs(cast(pose[:3, 3], towards / lengths[:, None]) - lengths) < 0.002 * lengths
-                is_seen.append(visible.reshape(rays.shape[:2]))
-    shape = (len(distance_m), len(poses), *rays.shape[:2])
-    return {"ray_distance_m": np.array(distance_m), "is_seen": np.array(is_seen).reshape(shape).swapaxes(0, 1)}
-
-
-def frames_of(seen: Any, size: int) -> Iterator[RgbdFrame]:
-    width, height, *focal = seen[f"intrinsics_{size}"].tolist()
-    camera = Intrinsics(int(width), int(height), *focal)
-    pictures = zip(seen[f"srgb_u8_{size}"], seen[f"plane_depth_m_{size}"], seen["world_from_camera"], strict=True)
-    for srgb_u8, plane_depth_m, pose in pictures:
-        yield RgbdFrame(srgb_u8, plane_depth_m, camera, pose, float(seen["exposure"]))
+                hits, _ = rays.cast(pose[:3, 3], towards / lengths[:, None])
+                visible[visible] = np.abs(hits - lengths) < 0.002 * lengths
+                is_seen.append(visible)
+    shape = (len(distance_m), -1, len(BELOW), N_RAYS)
+    distances, seen_by = np.array(distance_m).reshape(shape)[:, 0], np.array(is_seen).reshape(shape).swapaxes(0, 1)
+    return {"ray_distance_m": distances, "is_seen": seen_by}
 
 
 def are_leaks(cloud: UnitSphereCloud, ray_distance_m: np.ndarray, is_seen: np.ndarray) -> np.ndarray:
@@ -155,7 +128,8 @@ def measure(seen: Any, size: int) -> tuple[list[float], dict[str, list[float]]]:
             found = [shc_rmse(light, truth) / np.sqrt((truth**2).mean()) for light in lights]
             errors.setdefault(f"{estimator.name}, {kind}", []).append(np.array(found))
 
-    for k, frame in enumerate(frames_of(seen, size)):
+    of_size = {name: seen[f"{name}_{size}"] for name in ("srgb_u8", "plane_depth_m", "intrinsics")}
+    for k, frame in enumerate(frames_of({**seen, **of_size})):
         patches = unproject_frame(frame)
         points = replace(patches, grid=None)
         for i in np.flatnonzero(in_view(seen["positions_m"], frame.intrinsics, frame.world_from_camera)):

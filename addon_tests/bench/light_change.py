@@ -13,14 +13,11 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from trigger import Recorded, read_run
+from trigger import Recorded, read_run, steps_of
 
 from xihe_blender.previs.settings import PREVIS_TRIGGER
-from xihenet import estimators
-from xihenet.backend import LocalBackend
-from xihenet.controller import ControllerSettings, XiheController
+from xihenet.controller import ControllerSettings
 from xihenet.light_change import LightFollowing
-from xihenet.metrics import shc_rmse
 
 FROM = 13
 
@@ -28,17 +25,9 @@ FROM = 13
 def walk(recorded: Recorded, estimator: str, following: LightFollowing | None) -> tuple[float, int]:
     """The mean error from frame FROM on, and the steps in which anchors followed."""
     chain = ControllerSettings(PREVIS_TRIGGER, reference_exposure=recorded.exposure, following=following)
-    controller = XiheController(LocalBackend(estimators.load(estimator)), chain)
-    for name, position in recorded.positions.items():
-        controller.add_position(name, position)
-    errors, n_followed = [], 0
-    for frame, truth in zip(recorded.frames, recorded.truth, strict=True):
-        for name, step in controller.step(frame, active=list(truth)).items():
-            light = controller.light(name)
-            n_followed += step.n_followed_anchors > 0
-            if light is not None and frame.frame >= FROM:
-                errors.append(shc_rmse(light.sh_radiance, truth[name]))
-    return float(np.mean(errors)), n_followed
+    steps = list(steps_of(recorded, estimator, chain))
+    errors = [error for frame, _, error in steps if error is not None and frame.frame >= FROM]
+    return float(np.mean(errors)), sum(step.n_followed_anchors > 0 for _, step, _ in steps)
 
 
 def main() -> None:

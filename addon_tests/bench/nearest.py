@@ -9,9 +9,10 @@ from __future__ import annotations
 import argparse
 import platform
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from interleaved import interleaved_ms
 from scipy.spatial import cKDTree
 
 from xihenet.anchor_table import build_anchor_table, cells_for
@@ -41,18 +42,6 @@ def main() -> None:
 def in_cube(n_points: int, seed: int = 0) -> ArrayF32:
     """Points of a cube of 10 m around the origin."""
     return np.random.default_rng(seed).uniform(-5, 5, (n_points, 3)).astype(np.float32)
-
-
-def interleaved_ms(calls: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, list[float]]:
-    """Milliseconds of each call, after one round to warm up."""
-    elapsed_ms: dict[str, list[float]] = {name: [] for name in calls}
-    for turn in range(repeats + 1):
-        for name, call in calls.items():
-            start = time.perf_counter()
-            call()
-            if turn:
-                elapsed_ms[name].append(1e3 * (time.perf_counter() - start))
-    return elapsed_ms
 
 
 def n_wrong(lattice: AnchorLattice, points: ArrayF32, anchors: ArrayInt, best: ArrayInt) -> int:

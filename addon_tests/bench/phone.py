@@ -21,6 +21,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import time
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,6 +32,7 @@ from xihenet.buffers import merge
 from xihenet.camera import metered_exposure, sensed_ambient, unproject_frame
 from xihenet.colour import srgb_to_linear
 from xihenet.metrics import shc_rmse
+from xihenet.npz_files import read_npz
 from xihenet.phone import (
     LINKS,
     CameraMotion,
@@ -41,10 +43,10 @@ from xihenet.phone import (
     facts_of_session,
     load_profile,
 )
-from xihenet.records import Intrinsics, RgbdFrame, UnitSphereCloud
+from xihenet.records import RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
-from xihenet.training.rooms import read_room, room_files
+from xihenet.training.rooms import frames_of, room_files
 
 ROOMS = Path(__file__).parents[1] / "data" / "test_rooms"
 N_ANCHORS, START_S, INTERVAL_S = 1280, 30.0, 0.2
@@ -70,18 +72,11 @@ class Scores(NamedTuple):
 
 
 def read_session(path: Path) -> Session:
-    room = read_room(path)
-    with np.load(path, allow_pickle=False) as stored:
-        width, height, *rest = stored["intrinsics"].tolist()
-        intrinsics, exposure = Intrinsics(int(width), int(height), *rest), float(stored["exposure"])
-        views = zip(stored["srgb_u8"], stored["plane_depth_m"], stored["world_from_camera"], strict=True)
-        frames = [
-            RgbdFrame(colour, plane_depth_m.astype(np.float32), intrinsics, pose, exposure,
-                      sensed_ambient(colour, exposure), time_s=START_S + i * INTERVAL_S, frame=i)
-            for i, (colour, plane_depth_m, pose) in enumerate(views)
-        ]  # fmt: skip
-    truth = np.stack([room.truth(p, np.ones(3))[0] for p in range(len(room.positions_m))])
-    return Session(frames, room.positions_m, room.is_in_view, truth)
+    room, frames = read_npz(path), []
+    for i, frame in enumerate(frames_of(room)):
+        ambient = sensed_ambient(frame.srgb_u8, frame.exposure)
+        frames.append(replace(frame, ambient=ambient, time_s=START_S + i * INTERVAL_S, frame=i))
+    return Session(frames, room["positions_m"], room["is_in_view"], room["sh_ldr"])
 
 
 def seen_by(camera: PhoneCamera, session: Session) -> tuple[list[RgbdFrame], float, float]:

@@ -15,17 +15,14 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import bpy
 import numpy as np
 from mathutils import Matrix
-
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from xihe_blender.capture.reference_probe import open_reference_probe
 from xihe_blender.capture.render import RenderSettings, exclude_collection, render_passes, working_scene
@@ -57,21 +54,19 @@ def positions_of(scene):
 
 def baked_irradiance(scene, place, seed):
     """(200, 3) irradiance on white triangles around `place`, virtual objects left out."""
-    virtual = virtual_collection(scene)
+    virtual, layer = virtual_collection(scene), bpy.context.view_layer
     if virtual is not None:
-        exclude_collection(bpy.context.view_layer.layer_collection, virtual)
+        exclude_collection(layer.layer_collection, virtual)
     target = _triangles(place)
     scene.collection.objects.link(target)
-    for item in bpy.context.view_layer.objects:
+    for item in layer.objects:
         item.select_set(item == target)
-    bpy.context.view_layer.objects.active = target
+    layer.objects.active = target
     scene.render.engine, scene.cycles.samples, scene.cycles.seed = "CYCLES", BAKED_SAMPLES, seed
     bpy.ops.object.bake(type="DIFFUSE", pass_filter={"DIRECT", "INDIRECT"}, target="VERTEX_COLORS")
     colours = np.empty(len(NORMALS) * 12, np.float32)
     target.data.attributes["Bake"].data.foreach_get("color", colours)
-    mesh = target.data
-    bpy.data.objects.remove(target)
-    bpy.data.meshes.remove(mesh)
+    bpy.data.meshes.remove(target.data)  # and with it the object
     return colours.reshape(len(NORMALS), 3, 4)[..., :3].mean(axis=1) * np.pi
 
 
@@ -87,11 +82,11 @@ def _triangles(place):
     mesh.from_pydata(points.reshape(-1, 3).tolist(), [], np.arange(600).reshape(-1, 3).tolist())
     white = bpy.data.materials.new("White")
     white.use_nodes = True
-    white.node_tree.nodes.clear()
-    shader = white.node_tree.nodes.new("ShaderNodeBsdfDiffuse")
+    tree = white.node_tree
+    tree.nodes.clear()
+    shader, output = (tree.nodes.new(f"ShaderNode{kind}") for kind in ("BsdfDiffuse", "OutputMaterial"))
     shader.inputs["Color"].default_value = (1, 1, 1, 1)
-    output = white.node_tree.nodes.new("ShaderNodeOutputMaterial")
-    white.node_tree.links.new(shader.outputs[0], output.inputs["Surface"])
+    tree.links.new(shader.outputs[0], output.inputs["Surface"])
     mesh.materials.append(white)
     mesh.color_attributes.active_color = mesh.color_attributes.new("Bake", "FLOAT_COLOR", "CORNER")
     target = bpy.data.objects.new("Bake", mesh)
@@ -158,37 +153,28 @@ def measure(path, options):
             bakes = [baked_irradiance(scene, place, seed) * exposure for seed in (5, 6)]
             open_blend(path)
             scene = bpy.context.scene
-            yardsticks = Yardsticks(np.mean(cubes, axis=0), apart(*cubes) / 2, bakes)
             for name, lights, seconds in measured:
                 for light in lights:
-                    found.append(yardsticks.hold(name, light))
-                    print(
-                        f"{path.stem} frame {frame} place {number} {found[-1].told(light)}, {seconds:.1f} s", flush=True
-                    )
+                    found.append(compared(name, light, cubes, bakes))
+                    told = f"{found[-1]}; pictures {light.ldr_samples} + {light.hdr_samples}, {seconds:.1f} s"
+                    print(f"{path.stem} frame {frame} place {number} {told}", flush=True)
     return found
 
 
-class Yardsticks:
-    """What the light at a place is, by other ways, and how far off these are themselves."""
-
-    def __init__(self, ldr, ldr_noise, bakes):
-        self.ldr, self.ldr_noise, self.mean_irradiance = ldr, ldr_noise, np.mean(bakes)
-        fits = [fitted(baked) for baked in bakes]
-        self.hdr, self.hdr_noise = np.mean(fits, axis=0), apart(*fits) / 2
-
-    def hold(self, preset, light):
-        """One probe's light against them."""
-        return Found(
-            preset,
-            apart(light.hdr, self.hdr), light.expected_error("hdr") or 0, self.hdr_noise,
-            irradiance(light.hdr, NORMALS).mean() / self.mean_irradiance,
-            apart(light.ldr, self.ldr), light.expected_error("ldr") or 0, self.ldr_noise,
-            light.ldr[0].sum() / self.ldr[0].sum() - 1,
-        )  # fmt: skip
+def compared(preset, light, cubes, bakes):
+    """One probe's light against the two cubes and bakes at its place."""
+    fits = [fitted(baked) for baked in bakes]
+    hdr, ldr = np.mean(fits, axis=0), np.mean(cubes, axis=0)
+    return Found(
+        preset,
+        apart(light.hdr, hdr), light.expected_error("hdr") or 0, apart(*fits) / 2,
+        irradiance(light.hdr, NORMALS).mean() / np.mean(bakes),
+        apart(light.ldr, ldr), light.expected_error("ldr") or 0, apart(*cubes) / 2,
+        light.ldr[0].sum() / ldr[0].sum() - 1,
+    )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Found:
+class Found(NamedTuple):
     """How far one probe is off, what it tells of itself, and the yardstick's own noise: relative norms."""
 
     preset: str
@@ -201,11 +187,11 @@ class Found:
     ldr_yardstick: float
     ldr_l00: float
 
-    def told(self, light):
+    def __str__(self):
         return (
             f"{self.preset}: hdr {self.hdr:.3f} (told {self.hdr_told:.3f}, yardstick {self.hdr_yardstick:.3f}), "
             f"grey sphere {self.grey_sphere:.3f}; ldr {self.ldr:.3f} (told {self.ldr_told:.3f}, yardstick "
-            f"{self.ldr_yardstick:.3f}), L00 {self.ldr_l00:+.3f}; pictures {light.ldr_samples} + {light.hdr_samples}"
+            f"{self.ldr_yardstick:.3f}), L00 {self.ldr_l00:+.3f}"
         )
 
     def times_told(self, target):

@@ -29,7 +29,6 @@ from typing import NamedTuple
 import bpy
 
 from xihe_blender.capture.reference_probe import open_reference_probe
-from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure, open_scanner
 from xihe_blender.cli.arguments import picture_size
 from xihe_blender.compare.methods import open_comparer
@@ -96,10 +95,6 @@ def stop_and_go(scene: bpy.types.Scene, held: int) -> None:
         phone.keyframe_insert("rotation_euler", frame=frame)
 
 
-def simulated(stage: Stage, settings: RenderSettings) -> RenderSettings:
-    return RenderSettings(settings.size, settings.samples, settings.seed, settings.denoise, stage.light_transport)
-
-
 def as_surveyed(survey: SceneSurvey) -> RenderReuse:
     """What a run renders."""
     return plan_render_reuse({frame: one.state for frame, one in survey.frames.items()}, survey.in_view)
@@ -112,14 +107,14 @@ def every_frame(survey: SceneSurvey) -> RenderReuse:
 
 def walk(stage: Stage, sample_count: SampleCount, reuse: RenderReuse) -> Walked:
     """Render what no earlier frame has."""
-    scene, plan, survey, settings, exposure, _ = stage
+    scene, plan, survey, settings, exposure, transport = stage
     start = time.process_time()
-    capture = settings.capture(plan.size, sample_count.capture_samples)
-    reference = replace(settings.reference, light_transport=stage.light_transport)
-    places = {probe.name: place for place, probe in enumerate(plan.probes)}
+    capture = replace(settings.capture(plan.size, sample_count.capture_samples), light_transport=transport)
+    reference = replace(settings.reference, light_transport=transport)
+    comparison = replace(settings.comparison(plan.size), light_transport=transport)
     captured, lights, compared, n_probes = {}, {}, {}, 0
     with (
-        open_scanner(scene, simulated(stage, capture)) as scanner,
+        open_scanner(scene, capture) as scanner,
         open_reference_probe(scene, [probe.position_m for probe in plan.probes], reference) as reference_probe,
     ):
         scanner.exposure = exposure
@@ -127,14 +122,13 @@ def walk(stage: Stage, sample_count: SampleCount, reuse: RenderReuse) -> Walked:
             scanner.move_to(frame)
             if reuse.captures[frame] == frame:
                 captured[frame] = scanner.acquire_environment_scan()
-            for probe in (probe for probe in plan.probes if probe.name in names):
-                if reuse.probes[frame, probe.name] == frame:
-                    light = reference_probe.light_at(places[probe.name], frame, exposure)
-                    lights[probe.object_name] = light.measured.hdr
+            for place, probe in enumerate(plan.probes):
+                if probe.name in names and reuse.probes[frame, probe.name] == frame:
+                    lights[probe.object_name] = reference_probe.light_at(place, frame, exposure).measured.hdr
                     n_probes += 1
             compared[frame] = reuse.captures[frame], dict(lights)
     walk_s, start, made = time.process_time() - start, time.process_time(), {}
-    with open_comparer(scene, plan.objects, METHODS, simulated(stage, settings.comparison(plan.size))) as comparer:
+    with open_comparer(scene, plan.objects, METHODS, comparison) as comparer:
         for frame in list(compared)[:: settings.preset_values.comparison_step]:
             source, light = compared[frame]
             by_name = [light[name].tobytes() for name in sorted(light)]
@@ -145,16 +139,11 @@ def walk(stage: Stage, sample_count: SampleCount, reuse: RenderReuse) -> Walked:
     return Walked(walk_s, time.process_time() - start, len(captured), n_probes, len(made))
 
 
-def measured_sample_count(stage: Stage) -> SampleCount:
-    scene, plan, survey, settings, exposure, light_transport = stage
-    return measure_sample_count(scene, plan, survey, settings, exposure, light_transport)
-
-
 def adaptive_walk(stage: Stage) -> tuple[Walked, SampleCount]:
     """As a run does it: `walk_s` holds survey, pilot and walk."""
     start = time.process_time()
     survey = survey_path(stage.scene, stage.plan)
-    sample_count = measured_sample_count(stage)
+    sample_count = measure_sample_count(*stage)
     before_s = time.process_time() - start
     walked = walk(stage, sample_count, as_surveyed(survey))
     return walked._replace(walk_s=before_s + walked.walk_s), sample_count
@@ -195,11 +184,7 @@ def scene_table(size: tuple[int, int], preset: str, step: int) -> Iterator[str]:
     """The table, line by line."""
     names = sorted(path.stem for path in SCENES.glob("*.blend"))
     settings = PrevisSettings(size=size, preset=preset, frames=tuple(range(1, 25, step)))
-    sample_counts = {}
-    for name in names:
-        stage = open_stage(name, settings)
-        sample_counts[name] = measured_sample_count(stage)
-    most = SampleCount(max(sample_count.capture_samples for sample_count in sample_counts.values()))
+    most = SampleCount(max(measure_sample_count(*open_stage(name, settings)).capture_samples for name in names))
     yield f"own walks, {preset}, fixed: captures {most.capture_samples} samples"
     yield f"{'':<20}{'captures':>10}{'probes':>12}{'fixed s':>10}{'now s':>8}{'':>8}  samples now"
     for name in names:

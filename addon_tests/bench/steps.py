@@ -11,11 +11,12 @@ repetitions. On 2026-11-22, on a busy machine: 1.3 to 1.4 here, and 1.5 to 1.7 i
 from __future__ import annotations
 
 import argparse
+import itertools
 import statistics
-import time
 from dataclasses import replace
 
 import numpy as np
+from interleaved import interleaved_ms
 
 from xihenet import estimators
 from xihenet.backend import LocalBackend
@@ -24,7 +25,7 @@ from xihenet.camera import unproject_frame
 from xihenet.codec import encode_cloud
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.light_change import LightFollowing, follow_light
-from xihenet.records import Intrinsics, RgbdFrame
+from xihenet.records import Intrinsics, RgbdFrame, TriggerDecision
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 from xihenet.trigger import LastSeen, TriggerSettings, decide_trigger
@@ -32,6 +33,7 @@ from xihenet.trigger import LastSeen, TriggerSettings, decide_trigger
 CAMERA = Intrinsics(256, 192, 200.0, 200.0, 128.0, 96.0)
 PROBES = [(0.0, 2.0, 0.0), (0.3, 2.2, 0.1), (-0.3, 1.8, -0.1), (0.2, 2.5, 0.2)]
 ABOVE_FLOOR = (0.0, 2.5, -1.4)
+BUDGET_MS = {"unproject + sample": 4.0, "merge + trigger + encode": 0.5, "whole step, 1 probe": 6.0}
 
 
 def frame_of_a_box(seed: int, noise: float = 0.03) -> RgbdFrame:
@@ -50,14 +52,13 @@ def cost_of_patches(
     frame: RgbdFrame, position: tuple[float, float, float], lattice: AnchorLattice, repeats: int
 ) -> float:
     """Time of unprojecting and sampling with patches over that without: minima of interleaved repetitions."""
-    least = {True: np.inf, False: np.inf}
-    for i in range(2 * repeats):
-        has_patches = i % 2 == 0
-        start = time.perf_counter()
+
+    def sampled(has_patches: bool) -> object:
         cloud = unproject_frame(frame)
-        sample_unit_sphere(cloud if has_patches else replace(cloud, grid=None), position, lattice)
-        least[has_patches] = min(least[has_patches], time.perf_counter() - start)
-    return least[True] / least[False]
+        return sample_unit_sphere(cloud if has_patches else replace(cloud, grid=None), position, lattice)
+
+    ms = interleaved_ms({"with": lambda: sampled(True), "without": lambda: sampled(False)}, repeats)
+    return min(ms["with"]) / min(ms["without"])
 
 
 def main() -> None:
@@ -78,49 +79,35 @@ def main() -> None:
             controller.add_position(f"probe {k}", position)
         return controller
 
-    one, four, following = whole(1), whole(4), LightFollowing()
-    turn = iter(range(10**9))
+    def trigger() -> TriggerDecision:
+        seen = LastSeen(buffers.last_seen(), other)
+        return decide_trigger(buffers.persistent, other, lattice, settings, last_seen=seen)
+
+    one, four, following, turn = whole(1), whole(4), LightFollowing(), itertools.count()
     candidates = {
         "unproject": lambda: unproject_frame(frames[0]),
         "sample": lambda: sample_unit_sphere(points, PROBES[0], lattice),
         "unproject + sample": lambda: sample_unit_sphere(unproject_frame(frames[0]), PROBES[0], lattice),
         "merge": lambda: buffers.with_frame(other),
-        "trigger": lambda: decide_trigger(
-            buffers.persistent, other, lattice, settings, last_seen=LastSeen(buffers.last_seen(), other)
-        ),
+        "trigger": trigger,
         "encode": lambda: encode_cloud(cloud),
-        "follow the light, at triggers": lambda: (
-            follow_light(buffers.temporary, other, following),
-            follow_light(buffers.persistent, other, following),
-        ),
-        "merge + trigger + encode": lambda: (
-            buffers.with_frame(other),
-            decide_trigger(
-                buffers.persistent, other, lattice, settings, last_seen=LastSeen(buffers.last_seen(), other)
-            ),
-            encode_cloud(cloud),
-        ),
+        "follow the light, at triggers": lambda: [
+            follow_light(kept, other, following) for kept in (buffers.temporary, buffers.persistent)
+        ],
+        "merge + trigger + encode": lambda: (buffers.with_frame(other), trigger(), encode_cloud(cloud)),
         "estimate, projection": lambda: projection.estimate(cloud),
         "whole step, 1 probe": lambda: one.step(frames[next(turn) % 2]),
         "whole step, 4 probes": lambda: four.step(frames[next(turn) % 2]),
     }
-    budget_ms = {"unproject + sample": 4.0, "merge + trigger + encode": 0.5, "whole step, 1 probe": 6.0}
-    taken: dict[str, list[float]] = {name: [] for name in candidates}
-    for _ in range(repeats + 3):
-        for name, candidate in candidates.items():
-            start = time.perf_counter()
-            candidate()
-            taken[name].append(1e3 * (time.perf_counter() - start))
     print(f"{'256x192 points, 1280 anchors':<28}{'min ms':>9}{'median':>9}{'budget':>9}")
-    medians = {name: statistics.median(ms[3:]) for name, ms in taken.items()}
-    for name, ms in taken.items():
-        limit = f"{budget_ms[name]:9.1f}" if name in budget_ms else " " * 9
-        print(f"{name:<28}{min(ms[3:]):9.3f}{medians[name]:9.3f}{limit}")
-    for where, frame, position in (
-        ("amid noise", frames[0], PROBES[0]),
-        ("above a floor", frame_of_a_box(0, noise=0.0), ABOVE_FLOOR),
-    ):
-        ratio = cost_of_patches(frame, position, lattice, 4 * repeats)
+    medians = {}
+    for name, ms in interleaved_ms(candidates, repeats).items():
+        medians[name] = statistics.median(ms)
+        limit = f"{BUDGET_MS[name]:9.1f}" if name in BUDGET_MS else " " * 9
+        print(f"{name:<28}{min(ms):9.3f}{medians[name]:9.3f}{limit}")
+    on_a_floor = frame_of_a_box(0, noise=0.0)
+    for where, frame, at in (("amid noise", frames[0], PROBES[0]), ("above a floor", on_a_floor, ABOVE_FLOOR)):
+        ratio = cost_of_patches(frame, at, lattice, 4 * repeats)
         print(f"unproject + sample with patches / without, {where}: {ratio:.2f} (aim 1.25)")
     first = medians["whole step, 1 probe"]
     further = (medians["whole step, 4 probes"] - first) / 3

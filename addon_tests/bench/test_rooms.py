@@ -12,15 +12,12 @@ patches are two ways to sample, see `xihenet.patches`; facing weighs patches by 
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from xihenet import estimators
 from xihenet.buffers import merge
@@ -28,64 +25,45 @@ from xihenet.camera import unproject_frame
 from xihenet.estimators import EstimateContext
 from xihenet.metrics import shc_rmse
 from xihenet.npz_files import read_npz
-from xihenet.records import Intrinsics, PointCloud, RgbdFrame, UnitSphereCloud
+from xihenet.records import UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
-from xihenet.training.rooms import room_files
+from xihenet.training.rooms import frames_of, room_files
 
 LATTICE = AnchorLattice(1280)
 NAMES = ("ambient", "pointar", "xihenet", "lattice", "projection")
 SAMPLINGS = ("points", "patches", "patches and facing")
 
 
-def frames(room: dict[str, np.ndarray]) -> Iterator[RgbdFrame]:
-    width, height, *focal = room["intrinsics"].tolist()
-    camera = Intrinsics(int(width), int(height), *focal)
-    for srgb_u8, plane_depth_m, pose in zip(
-        room["srgb_u8"], room["plane_depth_m"], room["world_from_camera"], strict=True
-    ):
-        yield RgbdFrame(srgb_u8, plane_depth_m.astype(np.float32), camera, pose, float(room["exposure"]))
+class Seen(NamedTuple):
+    """What is known of a position from one view or from all, with the last view for who asks it.
+
+    `clouds` are in the order of SAMPLINGS; `truths` (9, 3) are the light by target.
+    """
+
+    views: str
+    clouds: list[UnitSphereCloud]
+    context: EstimateContext
+    truths: dict[str, np.ndarray]
 
 
-def clouds_at(points: PointCloud, position_m: np.ndarray) -> list[UnitSphereCloud]:
-    """In the order of SAMPLINGS."""
-    faced = sample_unit_sphere(points, position_m, LATTICE)
-    plain = sample_unit_sphere(replace(points, grid=None), position_m, LATTICE)
-    return [plain, replace(faced, surfaces=None), faced]
-
-
-Errors = dict[tuple[str, str, str], list[float]]
-"""By views, sampling and estimator."""
-
-
-def note(errors: Errors, views: str, lights: dict[tuple[str, str], np.ndarray], truth: np.ndarray) -> None:
-    for (sampling, name), light in lights.items():
-        errors.setdefault((views, sampling, name), []).append(shc_rmse(light, truth))
-
-
-def measure(path: Path, mean_sh: np.ndarray, loaded: list, errors: Errors) -> None:
-    """Add the errors of one room."""
+def seen_in(path: Path) -> Iterator[Seen]:
+    """All clouds of a room."""
     room = read_npz(path)
-    seen = [(frame, unproject_frame(frame)) for frame in frames(room)]
-    for place, (position_m, truth) in enumerate(zip(room["positions_m"], room["sh_ldr"], strict=True)):
-
-        def lights(clouds: list[UnitSphereCloud], view: int, position_m=position_m) -> dict:
-            context = EstimateContext(*seen[view], position_m)
-            found = {
-                (sampling, one.name): one.estimate(cloud, context if one.name == "pointar" else None)
-                for sampling, cloud in zip(SAMPLINGS, clouds, strict=True)
-                for one in loaded
-            }
-            return {(SAMPLINGS[0], "mean predictor"): mean_sh, **found}
-
+    seen = [(frame, unproject_frame(frame)) for frame in frames_of(room)]
+    for place, position_m in enumerate(room["positions_m"]):
+        truths = {target: room[f"sh_{target}"][place] for target in ("ldr", "hdr")}
         merged = [UnitSphereCloud.empty(LATTICE.n)] * len(SAMPLINGS)
         shown = np.flatnonzero(room["is_in_view"][:, place] & room["is_unhidden"][:, place])
         for view in shown:
-            clouds = clouds_at(seen[view][1], position_m)
+            context, points = EstimateContext(*seen[view], position_m), seen[view][1]
+            faced = sample_unit_sphere(points, position_m, LATTICE)
+            plain = sample_unit_sphere(replace(points, grid=None), position_m, LATTICE)
+            clouds = [plain, replace(faced, surfaces=None), faced]
             merged = [merge(old, new) for old, new in zip(merged, clouds, strict=True)]
-            note(errors, "one view", lights(clouds, view), truth)
+            yield Seen("one view", clouds, context, truths)
         if len(shown) > 1:
-            note(errors, "all views", lights(merged, shown[-1]), truth)
+            yield Seen("all views", merged, context, truths)
 
 
 def main() -> None:
@@ -94,15 +72,18 @@ def main() -> None:
     parser.add_argument("--training", type=Path, required=True)
     options = parser.parse_args()
     mean_sh = np.concatenate([read_npz(path)["sh_ldr"] for path in room_files(options.training)]).mean(axis=0)
-    loaded = [estimators.load(name) for name in NAMES]
-    errors: Errors = {}
-    files = room_files(options.rooms)
-    for path in files:
-        measure(path, mean_sh, loaded, errors)
+    loaded, files = [estimators.load(name) for name in NAMES], room_files(options.rooms)
+    errors: dict[tuple[str, str, str], list[float]] = {}
+    for seen in (one for path in files for one in seen_in(path)):
+        errors.setdefault((seen.views, "", "mean predictor"), []).append(shc_rmse(mean_sh, seen.truths["ldr"]))
+        for sampling, cloud in zip(SAMPLINGS, seen.clouds, strict=True):
+            for one in loaded:
+                light = one.estimate(cloud, seen.context if one.name == "pointar" else None)
+                errors.setdefault((seen.views, sampling, one.name), []).append(shc_rmse(light, seen.truths["ldr"]))
     for views in ("one view", "all views"):
-        base = np.mean(errors[views, SAMPLINGS[0], "mean predictor"])
-        n = len(errors[views, SAMPLINGS[0], "mean predictor"])
-        print(f"\n{views}: {n} clouds of {len(files)} rooms, mean predictor {base:.4f}\n")
+        of_mean = errors[views, "", "mean predictor"]
+        base = np.mean(of_mean)
+        print(f"\n{views}: {len(of_mean)} clouds of {len(files)} rooms, mean predictor {base:.4f}\n")
         print("| estimator |", " | ".join(SAMPLINGS), "|\n| --- | --- | --- | --- |")
         for name in NAMES:
             means = [np.mean(errors[views, sampling, name]) / base for sampling in SAMPLINGS]

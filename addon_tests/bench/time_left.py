@@ -10,13 +10,9 @@ how long stages that are still to come will take (`PreparedRun.work`).
 from __future__ import annotations
 
 import argparse
-import sys
 import tempfile
 import time
 from pathlib import Path
-
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from xihe_blender.cli.arguments import frame_range
 from xihe_blender.jobs import TimeLeft

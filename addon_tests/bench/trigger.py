@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import sys
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,7 +25,7 @@ from xihenet.backend import LocalBackend
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.metrics import shc_rmse
 from xihenet.recording import load_frame
-from xihenet.records import RgbdFrame
+from xihenet.records import RgbdFrame, StepReport
 from xihenet.trigger import TriggerSettings
 
 FIRED = ("first", "colour", "coverage")
@@ -67,19 +68,22 @@ def read_run(folder: Path) -> Recorded:
 def walk(recorded: Recorded, settings: TriggerSettings) -> tuple[Counter[str], int, float]:
     """How many steps fired, by reason, of how many, and the mean error against truth of the light in force."""
     chain = ControllerSettings(settings, reference_exposure=recorded.exposure)
-    controller = XiheController(LocalBackend(estimators.load("projection")), chain)
+    known = [(step, error) for _, step, error in steps_of(recorded, "projection", chain) if error is not None]
+    reasons = Counter(step.decision.reason for step, _ in known)
+    return reasons, len(known), float(np.mean([error for _, error in known]))
+
+
+def steps_of(
+    recorded: Recorded, estimator: str, chain: ControllerSettings
+) -> Iterator[tuple[RgbdFrame, StepReport, float | None]]:
+    """Each step of a session, and the SHC RMSE of the light that is then in force; None where there is none yet."""
+    controller = XiheController(LocalBackend(estimators.load(estimator)), chain)
     for name, position in recorded.positions.items():
         controller.add_position(name, position)
-    reasons: Counter[str] = Counter()
-    errors = []
     for frame, truth in zip(recorded.frames, recorded.truth, strict=True):
-        for name, step in controller.step(frame).items():
+        for name, step in controller.step(frame, active=list(truth)).items():
             light = controller.light(name)
-            if light is None:
-                continue
-            reasons[step.decision.reason] += 1
-            errors.append(shc_rmse(light.sh_radiance, truth[name]))
-    return reasons, len(errors), float(np.mean(errors))
+            yield frame, step, None if light is None else shc_rmse(light.sh_radiance, truth[name])
 
 
 def cell(recorded: Recorded, settings: TriggerSettings) -> str:

@@ -9,6 +9,7 @@ from xihenet.sh import rotate
 from xihenet.training.scores import (
     COVERAGE_EDGES,
     DOMINANT_SHARE,
+    SPHERE_SIZE,
     UNDIRECTED_DEG,
     coverage_groups,
     dominant_light,
@@ -18,8 +19,6 @@ from xihenet.training.scores import (
     score_lights,
     sphere_errors,
 )
-
-SIZE = 16
 
 
 def lights(n, seed=0):
@@ -108,13 +107,13 @@ def test_the_vectorised_scores_are_those_of_the_metrics_one_by_one():
     for made, truth in ((lights(20, 1), lights(20, 2)), nasty_pairs()):
         expected = {name: [] for name in SPHERES}
         for light, true in zip(made, truth, strict=True):
-            pictures = [np.maximum(three_spheres(one, SIZE), 0) for one in (light, true)]
+            pictures = [np.maximum(three_spheres(one, SPHERE_SIZE), 0) for one in (light, true)]
             for name, predicted, right in zip(SPHERES, *pictures, strict=True):
-                mask = sphere_mask(SIZE)
+                mask = sphere_mask(SPHERE_SIZE)
                 angle = angular_error(predicted, right, mask)
                 errors = image_rmse(predicted, right, mask), si_rmse(predicted, right, mask), angle.mean_deg
                 expected[name].append((*errors, angle.n_black_prediction / angle.n_pixels))
-        for name, sphere in sphere_errors(made, truth, SIZE).items():
+        for name, sphere in sphere_errors(made, truth).items():
             columns = [[v for v in column if v is not None] for column in zip(*expected[name], strict=True)]
             got = (sphere.rmse, sphere.si_rmse, sphere.angular_deg, sphere.black_share)
             np.testing.assert_allclose(got, [np.mean(column) for column in columns], rtol=1e-9, atol=1e-12)

@@ -1,9 +1,12 @@
-"""The networks in torch: equal to NumPy, unmoved by what is not set, and able to learn."""
+"""The networks in torch: equal to NumPy, also in batches, unmoved by what is not set, and able to learn."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
+from addon_tests.pure.test_lattice import nasty_clouds, random_clouds
 from xihenet.estimators.lattice import Lattice
 from xihenet.estimators.lattice_format import LatticeArchitecture
 from xihenet.estimators.pointconv_network import PointConvArchitecture
@@ -24,21 +27,9 @@ def lively_net(architecture=None):
     return net
 
 
-def clouds(n, seed=0, n_clouds=8):
-    """Random and nasty ones: empty, one anchor, full, black, white, one bright anchor in black, too far, too near."""
-    rng = np.random.default_rng(seed)
-    is_set = rng.random((n_clouds, n)) < rng.random((n_clouds, 1))
-    srgb, distance_m = rng.random((n_clouds, n, 3)) ** 3, rng.random((n_clouds, n)) * 5
-    nasty_set = np.ones((8, n), bool)
-    nasty_set[0] = False
-    nasty_set[1] = np.arange(n) == 5
-    nasty_srgb, nasty_m = rng.random((8, n, 3)), rng.random((8, n))
-    nasty_srgb[3], nasty_srgb[4], nasty_srgb[5] = 0, 1, 0
-    nasty_srgb[5, 3] = 1
-    nasty_m[6], nasty_m[7] = 3e38, 0
-    known = np.concatenate([is_set, nasty_set])
-    colours = np.concatenate([srgb, nasty_srgb]) * known[..., None]
-    return colours.astype(np.float32), (np.concatenate([distance_m, nasty_m]) * known).astype(np.float32), known
+def clouds(n, seed=0):
+    """Eight random ones, then nasty ones."""
+    return [np.concatenate(parts) for parts in zip(random_clouds(n, seed, 8), nasty_clouds(n), strict=True)]
 
 
 def points(n=64, n_clouds=5, seed=0):
@@ -103,7 +94,7 @@ def test_a_fresh_lattice_network_has_the_size_the_documentation_gives():
 @pytest.mark.parametrize("keeps", [False, True])
 def test_pointconv_is_finite_with_finite_gradients_also_without_points(keeps):
     torch.manual_seed(0)
-    net = PointConvNet(PointConvArchitecture(centroids=(32, 8), n_neighbours=8, keeps_unset_at_origin=keeps))
+    net = PointConvNet(replace(SMALL, keeps_unset_at_origin=keeps))
     light = net(*points())
     light.square().sum().backward()
     assert light.shape == (5, 9, 3) and torch.isfinite(light).all()
@@ -118,19 +109,14 @@ def test_pointconv_gives_negative_coefficients_too():
 
 
 def test_pointconv_leaves_unset_points_out_unless_told_to_keep_them():
-    places, colours, known = points()
-    more_places = torch.cat([places, torch.ones(5, 9, 3)], 1)
-    more_colours, more_known = (
-        torch.cat([colours, torch.ones(5, 9, 3)], 1),
-        torch.cat([known, torch.zeros(5, 9) > 0], 1),
-    )
-    changes = []
+    given, changes = points(), []
+    unset = torch.ones(5, 9, 3), torch.ones(5, 9, 3), torch.zeros(5, 9, dtype=torch.bool)
+    more = [torch.cat(parts, 1) for parts in zip(given, unset, strict=True)]
     for keeps in (False, True):
         torch.manual_seed(0)
-        net = PointConvNet(PointConvArchitecture(centroids=(32, 8), n_neighbours=8, keeps_unset_at_origin=keeps))
+        net = PointConvNet(replace(SMALL, keeps_unset_at_origin=keeps))
         with torch.no_grad():
-            plain, padded = net(places, colours, known), net(more_places, more_colours, more_known)
-        changes.append(float((plain - padded).abs().max()))
+            changes.append(float((net(*given) - net(*more)).abs().max()))
     assert changes[0] < 1e-5 < changes[1]
 
 

@@ -216,7 +216,7 @@ def test_validation_clouds_are_not_judged_by_a_calibration_that_saw_them(folders
 
 
 def test_baselines_are_fitted_to_pairs_as_they_are_and_to_merged_clouds(folders):
-    every, some = open_split(folders["sphere"], "train"), training_clouds(folders["sphere"])
+    every, some = open_split(folders["sphere"], "train"), training_clouds([folders["sphere"]])
     assert len(every) == 12 * 10 and len(some) == 12 * 5
     of_a_room = np.flatnonzero(every.room == 5)
     np.testing.assert_array_equal(some.truth_ldr[some.room == 5], every.truth_ldr[of_a_room[[0, N_COPIES, 6, 7, 8]]])
@@ -246,7 +246,7 @@ def test_the_linear_fit_finds_a_linear_law():
 
 def test_baselines_say_what_their_estimators_say(folders):
     clouds = open_group("", [folders["sphere"]], "test", "one").cases
-    lights = fit_baselines(training_clouds(folders["sphere"]), "ldr").lights(clouds)
+    lights = fit_baselines(training_clouds([folders["sphere"]]), "ldr").lights(clouds)
     assert tuple(lights) == BASELINES and all(light.shape == (16, 9, 3) for light in lights.values())
     np.testing.assert_array_equal(lights["projection"], projected(clouds))
     np.testing.assert_allclose(lights["ambient"][:, 0], 2 * np.sqrt(np.pi) * clouds.ambient, rtol=1e-6)
@@ -297,10 +297,10 @@ def test_the_error_of_one_room_is_found(folders):
 
 def test_the_curve_is_none_where_clouds_are_few_and_right_where_not():
     clouds = random_clouds(np.random.default_rng(5), np.arange(10), 10, 0)
-    group = Group("g", "sphere_96", {"sphere_96": clouds})
+    group = Group("g", clouds, {"sphere_96": clouds})
     truth = clouds.truth_ldr.astype(float)
     said = {MEAN: [Prediction(truth + 0.2)], "half": [Prediction(truth + 0.1)]}
-    curve = coverage_curve([group], said, "ldr")
+    curve = coverage_curve([group], [said], "ldr")
     assert sum(curve.n_clouds) == 100
     for n, ratio in zip(curve.n_clouds, curve.rows["half"].ratio, strict=True):
         assert (ratio is None) == (n < 10) and (ratio is None or ratio == pytest.approx(0.5))

@@ -384,8 +384,11 @@ def test_the_command_line_trains_exports_and_reports(rooms, tmp_path, capsys):
 
 @pytest.mark.parametrize(
     "arguments",
-    [["report", "--clouds", "/nowhere"], ["export", "/nowhere.pt", "/nowhere.npz"], ["report", "--network", "a"]],
-)
+    [
+        ["report", "--clouds", "/nowhere"], ["report", "--network", "a"], ["export", "/nowhere.pt", "/nowhere.npz"],
+        ["export", __file__, "/nowhere.npz"],
+    ],
+)  # fmt: skip
 def test_a_users_mistake_is_one_line_and_exit_2(arguments, capsys):
     assert command_line.main(arguments) == 2
     assert capsys.readouterr().err.count("\n") == 1

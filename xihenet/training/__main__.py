@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
 
@@ -22,12 +21,14 @@ from xihenet.training.plots import report_plots
 from xihenet.training.report import ReportSettings, make_report, report_json
 from xihenet.training.report_parts import calibrate_elsewhere, calibrate_network
 from xihenet.training.report_text import report_markdown
+from xihenet.training.rooms import SPLITS
 
 SAME_NAMED = (
     "estimator", "target", "seed", "epochs", "batch_size", "learning_rate", "weight_decay", "patience", "device",
 )  # fmt: skip
 """Options of a training that are its settings too."""
 
+TEST_SWITCHES = ("test_only", "all_rooms", "whole_sphere", "upright", "points")
 STEPS = ("cache", "train", "report", "export")
 
 
@@ -57,7 +58,7 @@ def with_step(arguments: Sequence[str]) -> list[str]:
     words = list(arguments)
     if "--report" in words:
         return ["report", *(word for word in words if word != "--report")]
-    return words if words and (words[0] in STEPS or words[0] in ("-h", "--help")) else ["train", *words]
+    return words if words and words[0] in (*STEPS, "-h", "--help") else ["train", *words]
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -73,40 +74,18 @@ def _parser() -> argparse.ArgumentParser:
     _add_train_options(training)
     report = commands.add_parser("report", help="measure networks on the test rooms; also xihe train --report")
     _add_report_options(report)
-    export = commands.add_parser("export", help="write weights in the form that estimators read")
-    export.add_argument("network", type=Path, help="trained network, a .pt file")
-    export.add_argument("out", type=Path, help="weights to write, an .npz file")
-    export.add_argument("--data", default="", help="description of the training data")
-    export.add_argument("--anchors", type=int, metavar="N", help="points that a PointConv network was trained with")
-    export.add_argument(
-        "--clouds",
-        type=Path,
-        metavar="DIR",
-        help="sampled validation rooms that calibrate the expected error of lattice",
-    )
-    export.add_argument(
-        "--elsewhere",
-        type=Path,
-        nargs="+",
-        default=(),
-        metavar="DIR",
-        help="sampled clouds of rooms of another kind, a folder each, whose errors set the level of the expected error",
-    )
-    export.set_defaults(run=_run_export)
+    _add_export_options(commands.add_parser("export", help="write weights in the form that estimators read"))
     return parser
 
 
 def _add_cache_options(parser: argparse.ArgumentParser, run: object) -> None:
-    parser.add_argument("--estimator", choices=tuple(SAMPLING_OF), default="lattice", help="network")
-    parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="folder of the rooms")
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder of the sampled clouds and networks"
-    )
-    parser.add_argument("--anchors", type=int, default=1280, metavar="N", help="anchors of a cloud")
-    parser.add_argument("--changes", type=int, default=6, metavar="N", help="training clouds of each view and position")
-    parser.add_argument(
-        "--merged-clouds", type=int, default=8, metavar="N", help="merged training clouds of each position"
-    )
+    add = parser.add_argument
+    add("--estimator", choices=tuple(SAMPLING_OF), default="lattice", help="network")
+    add("--data", type=Path, required=True, metavar="DIR", help="folder of the rooms")
+    add("--out", type=Path, required=True, metavar="DIR", help="folder of the sampled clouds and networks")
+    add("--anchors", type=int, default=1280, metavar="N", help="anchors of a cloud")
+    add("--changes", type=int, default=6, metavar="N", help="training clouds of each view and position")
+    add("--merged-clouds", type=int, default=8, metavar="N", help="merged training clouds of each position")
     parser.set_defaults(run=run)
 
 
@@ -114,11 +93,8 @@ def _add_test_options(parser: argparse.ArgumentParser) -> None:
     """For clouds that are only reported on."""
     add = parser.add_argument
     add("--test-only", action="store_true", help="sample the test rooms alone")
-    add(
-        "--all-rooms",
-        action="store_true",
-        help="treat every room as a test room, for walks and scenes outside the data set",
-    )
+    add("--all-rooms", action="store_true",
+        help="treat every room as a test room, for walks and scenes outside the data set")  # fmt: skip
     add("--whole-sphere", action="store_true", help="set every anchor, with the colour of the light probe")
     add("--upright", action="store_true", help="see the rooms as a phone turned by 90 degrees does")
     add("--points", action="store_true", help="sample points alone, without patches of surface, for comparison")
@@ -135,12 +111,24 @@ def _add_train_options(parser: argparse.ArgumentParser) -> None:
     add("--patience", type=int, default=15, metavar="N", help="epochs without improvement after which training ends")
     add("--device", default="cpu", metavar="NAME", help="device that torch trains on, such as cuda")
     add("--rooms", type=int, metavar="N", help="train on the first N rooms alone, for learning curves")
-    add(
-        "--keep-unset-at-origin",
-        action="store_true",
-        help="leave unset anchors at the origin, as the paper's code does (PointConv)",
-    )
+    add("--keep-unset-at-origin", action="store_true",
+        help="leave unset anchors at the origin, as the paper's code does (PointConv)")  # fmt: skip
     add("--bfloat16", action="store_true", help="train in half precision (PointConv)")
+
+
+def _add_export_options(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("network", type=Path, help="trained network, a .pt file")
+    add("out", type=Path, help="weights to write, an .npz file")
+    add("--data", default="", help="description of the training data")
+    add("--anchors", type=int, metavar="N", help="points that a PointConv network was trained with")
+    add("--clouds", type=Path, metavar="DIR",
+        help="sampled validation rooms that calibrate the expected error of lattice")  # fmt: skip
+    add(
+        "--elsewhere", type=Path, nargs="+", default=(), metavar="DIR",
+        help="sampled clouds of rooms of another kind, a folder each, whose errors set the level of the expected error",
+    )  # fmt: skip
+    parser.set_defaults(run=_run_export)
 
 
 def _run_export(options: argparse.Namespace) -> None:
@@ -158,19 +146,17 @@ def _run_export(options: argparse.Namespace) -> None:
 
 
 def _run_cache(options: argparse.Namespace) -> Path:
-    sampling = SAMPLING_OF[options.estimator]
-    settings = CacheSettings(options.anchors, sampling, options.changes, options.merged_clouds)
-    name = f"clouds_{sampling}_{options.anchors}"
-    if any(getattr(options, switch, False) for switch in ("test_only", "all_rooms", "whole_sphere", "upright")):
-        settings = replace(
-            settings, is_test_only=options.all_rooms, is_whole_sphere=options.whole_sphere,
-            is_upright=options.upright, only=("test",),
-        )  # fmt: skip
-        kinds = {"test": True, "whole": options.whole_sphere, "upright": options.upright}
-        name = "_".join([name, *(kind for kind, is_on in kinds.items() if is_on)])
-    if getattr(options, "points", False):
-        settings, name = replace(settings, has_patches=False), f"{name}_points"
-    folder: Path = options.out / name
+    """The folder of the clouds; options for tests are missing where networks are trained."""
+    test_only, all_rooms, whole_sphere, upright, points = (getattr(options, name, False) for name in TEST_SWITCHES)
+    is_test = test_only or all_rooms or whole_sphere or upright
+    settings = CacheSettings(
+        options.anchors, SAMPLING_OF[options.estimator], options.changes, options.merged_clouds,
+        is_test_only=all_rooms, is_whole_sphere=whole_sphere, is_upright=upright, has_patches=not points,
+        only=("test",) if is_test else SPLITS,
+    )  # fmt: skip
+    kinds = {"test": is_test, "whole": whole_sphere, "upright": upright, "points": points}
+    name = [f"clouds_{settings.sampling}_{options.anchors}", *(kind for kind, is_on in kinds.items() if is_on)]
+    folder: Path = options.out / "_".join(name)
     folder.parent.mkdir(parents=True, exist_ok=True)
     build_cache(options.data, folder, settings, _say)
     return folder
@@ -178,17 +164,13 @@ def _run_cache(options: argparse.Namespace) -> Path:
 
 def _run_train(options: argparse.Namespace) -> None:
     switches = {"keeps_unset_at_origin": options.keep_unset_at_origin, "is_bfloat16_in_training": options.bfloat16}
-    if any(switches.values()) and options.estimator == "lattice":
+    architecture = {name: True for name, is_on in switches.items() if is_on}
+    if architecture and options.estimator == "lattice":
         raise ValueError("--keep-unset-at-origin and --bfloat16: expected a PointConv network, got lattice")
-    cache = _run_cache(options)
-    of_rooms = [] if options.rooms is None else [f"{options.rooms}rooms"]
-    settings = TrainSettings(
-        cache,
-        options.out / "_".join([options.estimator, options.target, str(options.seed), *of_rooms]),
-        n_rooms=options.rooms,
-        options={name: True for name, is_on in switches.items() if is_on},
-        **{name: getattr(options, name) for name in SAME_NAMED},
-    )
+    name = f"{options.estimator}_{options.target}_{options.seed}"
+    out = options.out / (name if options.rooms is None else f"{name}_{options.rooms}rooms")
+    same_named = {name: getattr(options, name) for name in SAME_NAMED}
+    settings = TrainSettings(_run_cache(options), out, n_rooms=options.rooms, options=architecture, **same_named)
     print(train(settings, progress=_say))
 
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from xihenet.codec import facing_of_codes
 from xihenet.estimators.ambient import constant_light
 from xihenet.estimators.base import Target
-from xihenet.records import AnchorSurfaces, ArrayF64, UnitSphereCloud
+from xihenet.records import AnchorSurfaces, ArrayF32, ArrayF64, UnitSphereCloud
 from xihenet.sh import project_anchors
 from xihenet.sphere import AnchorLattice
 from xihenet.training.dataset import CloudSet
@@ -34,15 +34,10 @@ BASELINES = (MEAN, AMBIENT, AMBIENT_FITTED, PROJECTION, PROJECTION_FITTED)
 
 @dataclass(frozen=True, eq=False)
 class Baselines:
-    """Fitted to training clouds; `lights` predicts.
+    """Fitted to `n_clouds` training clouds of `n_rooms`; `lights` predicts.
 
-    Parameters
-    ----------
-    target : "ldr" or "hdr"
-    mean_light : (9, 3) of the training clouds of one view
-    ambient_fit : (4, 27), see `fit_linear`
-    projection_fit : (56, 27)
-    n_clouds, n_rooms : that were fitted to
+    `mean_light` (9, 3) is that of the training clouds of one view; `ambient_fit` is (4, 27), `projection_fit` (56, 27),
+    see `fit_linear`.
     """
 
     target: Target
@@ -58,7 +53,7 @@ class Baselines:
         features = _projection_features(projection, clouds)
         return {
             MEAN: np.broadcast_to(self.mean_light, projection.shape),
-            AMBIENT: sensed_lights(clouds.ambient, self.target),
+            AMBIENT: _sensed_lights(clouds.ambient, self.target),
             AMBIENT_FITTED: apply_linear(self.ambient_fit, clouds.ambient),
             PROJECTION: projection,
             PROJECTION_FITTED: apply_linear(self.projection_fit, features),
@@ -82,8 +77,8 @@ def fit_baselines(clouds: CloudSet, target: Target) -> Baselines:
 
 def projected(clouds: CloudSet) -> ArrayF64:
     """(M, 9, 3) what `projection` says of every cloud, by how its surfaces face where that is known."""
-    lattice = AnchorLattice(clouds.is_set.shape[1])
-    unasked_m, lights = np.zeros(clouds.is_set.shape[1], np.float32), []
+    n_anchors, lights = clouds.is_set.shape[1], []
+    lattice, unasked_m = AnchorLattice(n_anchors), np.zeros(n_anchors, np.float32)
     for srgb_u8, is_set, facing_i8 in zip(clouds.srgb_u8, clouds.is_set, clouds.facing_i8, strict=True):
         surfaces = AnchorSurfaces.of_facing(facing_of_codes(facing_i8)) if facing_i8.any() else None
         cloud = UnitSphereCloud(srgb_u8 / np.float32(255), unasked_m, is_set, surfaces=surfaces)
@@ -91,11 +86,10 @@ def projected(clouds: CloudSet) -> ArrayF64:
     return np.array(lights).reshape(-1, 9, 3)
 
 
-def sensed_lights(ambient: ArrayLike, target: Target) -> ArrayF64:
+def _sensed_lights(ambient: ArrayF32, target: Target) -> ArrayF64:
     """(M, 9, 3) what `ambient` says of what sensors measured, (M, 3)."""
-    radiance = np.asarray(ambient, np.float64)
-    shown = np.minimum(radiance, 1.0) if target == "ldr" else radiance
-    return np.array([constant_light(one) for one in shown]).reshape(-1, 9, 3)
+    radiance = np.minimum(ambient, 1.0 if target == "ldr" else np.inf).astype(np.float64)
+    return np.array([constant_light(one) for one in radiance]).reshape(-1, 9, 3)
 
 
 def fit_linear(features: ArrayF64, truth: NDArray[Any]) -> ArrayF64:

@@ -47,8 +47,7 @@ class ErrorBin:
 
 @dataclass(frozen=True)
 class CalibrationFigures:
-    """How well promises are kept: by all clouds and by group, in bins of equal number, and the errors' correlation.
-
+    """How well promises are kept: by all clouds and by group, in bins of equal number, and the errors' correlation;
     `tables` are groups of more clouds than these.
     """
 
@@ -60,17 +59,14 @@ class CalibrationFigures:
 
 
 def fit_calibration(raw: ArrayLike, made: ArrayLike, coverage: ArrayLike) -> Calibration:
-    """The three numbers and the quantiles of validation clouds.
+    """The three numbers and the quantiles of validation clouds; made / expected is then 1 in the mean.
 
     Parameters
     ----------
     raw, made : (M,) what the network expected and what came, M at least 2
     coverage : (M,) share of the sphere that was seen, 0 to 1
 
-    Returns
-    -------
-    Calibration whose expected errors have made / expected = 1 in the mean. Raises ValueError for too few, other
-    shapes, negative errors, NaN or infinity.
+    ValueError for too few, other shapes, negative errors, NaN or infinity.
     """
     expected, errors, seen = _checked(raw, made, coverage)
     power, slope = _likeliest(np.log(np.maximum(expected, SMALLEST_RAW)), seen, errors)
@@ -120,17 +116,13 @@ def calibration_figures(
 ) -> CalibrationFigures:
     """How well promises are kept by clouds that nothing was fitted to.
 
-    Parameters
-    ----------
-    expected, made : (M,) calibrated expected errors, and the errors
-    promised : (S, M) for each of `SHARES_ASKED` the error that so many clouds should stay below
-    groups : masks (M,) by name
+    `expected` (M,) is calibrated; `promised` (S, M) has for each of `SHARES_ASKED` the error that so many clouds should
+    stay below; `groups` are masks (M,) by name.
     """
-    everything = np.ones(len(made), bool)
     is_varied = len(made) > 1 and np.ptp(expected) > 0 and np.ptp(made) > 0
     parts = np.array_split(np.argsort(expected, kind="stable"), N_BINS)
     return CalibrationFigures(
-        _kept(expected, promised, made, everything),
+        _kept(expected, promised, made, np.ones(len(made), bool)),
         {name: _kept(expected, promised, made, mask) for name, mask in groups.items()},
         tuple(ErrorBin(float(expected[p].mean()), float(made[p].mean())) for p in parts if len(p)),
         float(np.corrcoef(expected, made)[0, 1]) if is_varied else None,
@@ -150,18 +142,15 @@ def _likeliest(log_raw: ArrayF64, coverage: ArrayF64, made: ArrayF64) -> tuple[f
     if not made.any():
         return 0.0, 0.0
     x, c = log_raw - log_raw.mean(), coverage - coverage.mean()
+    steepest = STEEPEST_IN_COVERAGE if np.ptp(c) else 0.0
 
     def unlikeliness(power: float, slope: float) -> float:
         return float(np.log(np.mean(made * np.exp(-power * x - slope * c))))
 
     def best_slope(power: float) -> float:
-        if np.ptp(c) == 0:
-            return 0.0
-        return _lowest(lambda slope: unlikeliness(power, slope), -STEEPEST_IN_COVERAGE, STEEPEST_IN_COVERAGE)
+        return _lowest(lambda slope: unlikeliness(power, slope), -steepest, steepest)
 
-    power = 0.0
-    if np.ptp(x) > 0:
-        power = _lowest(lambda power: unlikeliness(power, best_slope(power)), 0.0, STEEPEST)
+    power = _lowest(lambda power: unlikeliness(power, best_slope(power)), 0.0, STEEPEST if np.ptp(x) else 0.0)
     return power, best_slope(power)
 
 

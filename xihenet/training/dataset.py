@@ -16,8 +16,9 @@ import json
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, fields, replace
+from functools import reduce
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ from xihenet.camera import encode_exposed
 from xihenet.codec import facing_codes
 from xihenet.colour import srgb_to_linear
 from xihenet.mirror_ball import seen_in_ball
-from xihenet.records import ArrayF64, PointCloud, UnitSphereCloud
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, PointCloud, UnitSphereCloud
 from xihenet.sampling import sample_farthest, sample_uniform, sample_unit_sphere
 from xihenet.sh import rotate
 from xihenet.sphere import AnchorLattice
@@ -43,7 +44,8 @@ from xihenet.training.rooms import (
 )
 
 Sampling = Literal["sphere", "uniform", "farthest"]
-SAMPLINGS: tuple[Sampling, ...] = ("sphere", "uniform", "farthest")
+SAMPLINGS: tuple[Sampling, ...] = get_args(Sampling)
+AnyCloud = PointCloud | UnitSphereCloud
 CACHE_VERSION = 3
 ODD_IN_X = np.array([1, 1, 1, -1, -1, 1, 1, -1, 1.0])
 """(9,) -1 for the spherical harmonics that change their sign with x."""
@@ -96,20 +98,13 @@ class CacheSettings:
         if min(*numbers, self.exposure_spread, self.tint_spread, self.warmth_spread) < 0:
             raise ValueError(f"cache settings: expected positive numbers, got {asdict(self)}")
 
-    def split(self, seed: tuple[int, int]) -> Split:
-        """The split of a room."""
-        return "test" if self.is_test_only else split_of(seed)
-
 
 @dataclass(frozen=True, eq=False)
 class RoomChange:
     """Another room made of one: mirrored left to right (x becomes -x), then turned; its light times `gains`.
 
-    Parameters
-    ----------
-    angle : about the vertical, anticlockwise seen from above, radians
-    is_mirrored : before it is turned
-    gains : (3,) of the linear light of each channel, before the picture is clipped
+    `angle` is about the vertical, anticlockwise seen from above, in radians; `gains` (3,) are of the linear light of
+    each channel, before the picture is clipped.
     """
 
     angle: float = 0.0
@@ -124,32 +119,24 @@ class RoomChange:
         gains = np.exp(np.clip(log_gains, -np.log(2.5), np.log(2.5)))
         return cls(float(rng.uniform(0, 2 * np.pi)), bool(rng.random() < 0.5), gains)
 
-    @property
-    def is_geometric_only(self) -> bool:
-        """Whether colours stay as they are."""
-        return bool((self.gains == 1).all())
-
     def of_cloud(self, cloud: PointCloud, position_m: ArrayF64, radiance: NDArray[Any] | None) -> PointCloud:
         """Points and camera relative to the position; `radiance` (P, 3) of the same points is needed for other colours.
 
         ValueError without it.
         """
-        points = self._moved(cloud.points_m, position_m).astype(np.float32)
-        grid = cloud.grid
+        points, grid = self._moved(cloud.points_m, position_m).astype(np.float32), cloud.grid
         if grid is not None:
             grid = replace(grid, camera_m=self._moved(grid.camera_m[None], position_m)[0])
-        if self.is_geometric_only:
+        if (self.gains == 1).all():
             return PointCloud(points, cloud.srgb, grid=grid)
         if radiance is None:
             raise ValueError("training rooms: expected linear colours of the views (`radiance`), got a room without")
-        srgb = encode_exposed(radiance * self.gains, 1.0).astype(np.float32) / np.float32(255)
-        return PointCloud(points, srgb, grid=grid)
+        return PointCloud(points, _srgb(radiance * self.gains), grid=grid)
 
     def _moved(self, points_m: NDArray[Any], position_m: ArrayF64) -> ArrayF64:
         """(P, 3) relative to the position, mirrored and turned."""
-        relative = points_m.astype(np.float64) - position_m
-        relative[:, 0] *= -1.0 if self.is_mirrored else 1.0
-        moved: ArrayF64 = relative @ rotation_about_vertical(self.angle).T
+        mirroring = [-1.0 if self.is_mirrored else 1.0, 1.0, 1.0]
+        moved: ArrayF64 = (points_m - position_m) * mirroring @ rotation_about_vertical(self.angle).T
         return moved
 
     def of_light(self, sh_radiance: ArrayF64) -> ArrayF64:
@@ -164,23 +151,20 @@ class CloudSet:
 
     Parameters
     ----------
-    srgb_u8 : (M, N, 3) uint8
-    points_m : (M, N, 3) float16, relative to the position
-    is_set : (M, N) bool
-    truth_ldr, truth_hdr : (M, 9, 3) float32
-    ambient : (M, 3) float32, the sensor's at the session's exposure, the views' mean for merged clouds
-    room : (M,) int64 number of the room within its data set
-    n_views : (M,) int64 views that were merged
-    facing_i8 : (M, N) int8 `facing_codes` of how surfaces face the position, see `AnchorSurfaces`; 0 where nothing
-        is known of them
+    srgb_u8, points_m : (M, N, 3) colours, and places relative to the position
+    is_set : (M, N)
+    truth_ldr, truth_hdr : (M, 9, 3)
+    ambient : (M, 3) the sensor's at the session's exposure, the views' mean for merged clouds
+    room, n_views : (M,) number of the room within its data set, and views that were merged
+    facing_i8 : (M, N) `facing_codes` of how surfaces face the position, see `AnchorSurfaces`; 0 where that is unknown
     """
 
-    srgb_u8: NDArray[np.uint8]
+    srgb_u8: ArrayU8
     points_m: NDArray[np.float16]
-    is_set: NDArray[np.bool_]
-    truth_ldr: NDArray[np.float32]
-    truth_hdr: NDArray[np.float32]
-    ambient: NDArray[np.float32]
+    is_set: ArrayBool
+    truth_ldr: ArrayF32
+    truth_hdr: ArrayF32
+    ambient: ArrayF32
     room: NDArray[np.int64]
     n_views: NDArray[np.int64]
     facing_i8: NDArray[np.int8]
@@ -194,19 +178,15 @@ class CloudSet:
         share: ArrayF64 = self.is_set.mean(axis=1) if len(self) else np.zeros(0)
         return share
 
-    def truth(self, target: str) -> NDArray[np.float32]:
+    def truth(self, target: str) -> ArrayF32:
         """(M, 9, 3) of "ldr" or "hdr"."""
         return self.truth_ldr if target == "ldr" else self.truth_hdr
 
 
-CLOUD_PARTS = fields(CloudSet)
-
-
-@dataclass(frozen=True, eq=False)
-class _Sample:
+class _Sample(NamedTuple):
     """One row of a `CloudSet`."""
 
-    cloud: PointCloud | UnitSphereCloud
+    cloud: AnyCloud
     truth: tuple[ArrayF64, ArrayF64]
     ambient: ArrayF64
     n_views: int
@@ -219,8 +199,8 @@ def build_cache(
 
     ValueError if there are no rooms or one is broken.
     """
-    files = room_files(data)
-    seeds = {path: room_seed(path) for path in files}
+    seeds = {path: room_seed(path) for path in room_files(data)}
+    splits: dict[Path, Split] = {path: "test" if settings.is_test_only else split_of(seeds[path]) for path in seeds}
     wanted = {"version": CACHE_VERSION, **asdict(settings), "only": list(settings.only)}
     wanted["rooms"] = sorted(map(list, seeds.values()))
     done = out / "settings.json"
@@ -229,8 +209,8 @@ def build_cache(
     beside = out.with_name(f".{out.name}.part")
     shutil.rmtree(beside, ignore_errors=True)
     for split in SPLITS:
-        members = [path for path in files if settings.split(seeds[path]) == split and split in settings.only]
-        _build_split(members, seeds, beside / split, split, settings, progress)
+        members = {path: seeds[path] for path in seeds if splits[path] == split and split in settings.only}
+        _build_split(members, beside / split, split, settings, progress)
     (beside / "settings.json").write_text(json.dumps(wanted))
     shutil.rmtree(out, ignore_errors=True)
     beside.rename(out)
@@ -239,18 +219,17 @@ def build_cache(
 def open_split(cache: Path, split: Split) -> CloudSet:
     """The clouds of one split, memory-mapped; ValueError if the cache is not there, or of another version."""
     read_cache(cache)
-    return CloudSet(**{part.name: np.load(cache / split / f"{part.name}.npy", mmap_mode="r") for part in CLOUD_PARTS})
+    return CloudSet(*(np.load(cache / split / f"{part.name}.npy", mmap_mode="r") for part in fields(CloudSet)))
 
 
-@dataclass(frozen=True)
-class Cache:
+class Cache(NamedTuple):
     """What a folder of sampled clouds says of itself: parts of its settings, and its rooms (seed, number)."""
 
     sampling: Sampling
     n_anchors: int
     changes_per_pair: int
     is_test_only: bool
-    rooms: tuple[tuple[int, int], ...]
+    rooms: list[tuple[int, int]]
 
 
 def read_cache(folder: Path) -> Cache:
@@ -259,8 +238,8 @@ def read_cache(folder: Path) -> Cache:
     try:
         found = json.loads((folder / "settings.json").read_text())
         if found["version"] == CACHE_VERSION:
-            numbers = found["sampling"], found["n_anchors"], found["changes_per_pair"], found["is_test_only"]
-            return Cache(*numbers, tuple((seed, number) for seed, number in found["rooms"]))
+            found["rooms"] = [(seed, number) for seed, number in found["rooms"]]
+            return Cache(*(found[name] for name in Cache._fields))
     except (OSError, ValueError, KeyError, TypeError):
         raise ValueError(f"{folder}: {wanted}, got none; make them {hint}") from None
     raise ValueError(f"{folder}: {wanted} of version {CACHE_VERSION}, got {found['version']}; make them anew {hint}")
@@ -269,17 +248,17 @@ def read_cache(folder: Path) -> Cache:
 def clouds_of_room(
     room: TrainingRoom, settings: CacheSettings, split: Split, rng: np.random.Generator
 ) -> Iterator[Any]:
-    """The rows that a room gives: pairs first, then merged clouds."""
+    """The `_Sample`s that a room gives: pairs first, then merged clouds."""
+    n_views, n_positions = room.is_in_view.shape
     if settings.is_whole_sphere:
-        yield from (_whole_sphere(room, position, settings, rng) for position in range(len(room.positions_m)))
+        yield from (_whole_sphere(room, position, settings, rng) for position in range(n_positions))
         return
     is_training = split == "train"
     for view, position in np.argwhere(room.is_in_view):
         for i in range(settings.changes_per_pair if is_training else 1):
             change = RoomChange.drawn(settings, rng) if i else RoomChange()
             yield _sample(room, [view], position, change, settings, rng)
-    n_views = len(room.views)
-    for position in range(len(room.positions_m)):
+    for position in range(n_positions):
         if not is_training:
             yield _sample(room, range(n_views), position, RoomChange(), settings, rng)
             continue
@@ -297,11 +276,8 @@ def rotation_about_vertical(angle: float) -> ArrayF64:
 def _sample(
     room: TrainingRoom, views: Any, position: int, change: RoomChange, settings: CacheSettings, rng: np.random.Generator
 ) -> _Sample:
-    place = room.positions_m[position]
-    clouds = [
-        change.of_cloud(room.views[view], place, None if room.radiance is None else room.radiance[view])
-        for view in views
-    ]
+    place, radiance = room.positions_m[position], room.radiance
+    clouds = [change.of_cloud(room.views[i], place, None if radiance is None else radiance[i]) for i in views]
     if not settings.has_patches:
         clouds = [replace(cloud, grid=None) for cloud in clouds]
     ldr, hdr = room.truth(position, change.gains)
@@ -314,49 +290,45 @@ def _whole_sphere(room: TrainingRoom, position: int, settings: CacheSettings, rn
     merged = _sample(room, range(len(room.views)), position, RoomChange(), settings, rng)
     assert isinstance(merged.cloud, UnitSphereCloud)
     colours = seen_in_ball(room.balls[position], AnchorLattice(settings.n_anchors).directions)
-    srgb = encode_exposed(colours, 1.0).astype(np.float32) / np.float32(255)
     known = merged.cloud.is_set
     median_m = float(np.median(merged.cloud.distance_m[known])) if known.any() else 1.0
     distance_m = np.where(known, merged.cloud.distance_m, np.float32(median_m))
-    return replace(merged, cloud=UnitSphereCloud(srgb, distance_m, np.ones(len(known), bool)))
+    return merged._replace(cloud=UnitSphereCloud(_srgb(colours), distance_m, np.ones(len(known), bool)))
 
 
-def _sampled(
-    views: list[PointCloud], settings: CacheSettings, rng: np.random.Generator
-) -> PointCloud | UnitSphereCloud:
+def _srgb(radiance: NDArray[Any]) -> ArrayF32:
+    """(P, 3) what a camera gives of linear colours at an exposure of 1."""
+    return encode_exposed(radiance, 1.0).astype(np.float32) / np.float32(255)
+
+
+def _sampled(views: list[PointCloud], settings: CacheSettings, rng: np.random.Generator) -> AnyCloud:
     """The views, already relative to the position, as one cloud; a later view wins an anchor."""
     if settings.sampling == "sphere":
         lattice = AnchorLattice(settings.n_anchors)
-        merged = UnitSphereCloud.empty(settings.n_anchors)
-        for view in views:
-            merged = merge(merged, sample_unit_sphere(view, np.zeros(3), lattice))
-        return merged
+        return reduce(merge, (sample_unit_sphere(view, np.zeros(3), lattice) for view in views))
     together = PointCloud(np.concatenate([v.points_m for v in views]), np.concatenate([v.srgb for v in views]))
     sample = sample_uniform if settings.sampling == "uniform" else sample_farthest
     return sample(together, settings.n_anchors, rng)
 
 
 def _build_split(
-    files: list[Path], seeds: dict[Path, tuple[int, int]], folder: Path, split: Split, settings: CacheSettings,
+    rooms: dict[Path, tuple[int, int]], folder: Path, split: Split, settings: CacheSettings,
     progress: Callable[[str], None],
 ) -> None:  # fmt: skip
-    n_clouds = sum(_n_clouds(pairs_that_count(path, is_upright=settings.is_upright), split, settings) for path in files)
-    arrays = _open_arrays(folder, n_clouds, settings)
-    row = 0
-    for i, path in enumerate(files):
+    """`rooms` are the seeds by file."""
+    n_clouds = sum(_n_clouds(pairs_that_count(path, is_upright=settings.is_upright), split, settings) for path in rooms)
+    arrays, row = _open_arrays(folder, n_clouds, settings.n_anchors), 0
+    for i, (path, seed) in enumerate(rooms.items()):
         # A generator per room: the same room gives the same clouds whatever other rooms there are.
-        rng = np.random.default_rng([settings.seed, *seeds[path]])
+        rng = np.random.default_rng([settings.seed, *seed])
         for sample in clouds_of_room(read_room(path, is_upright=settings.is_upright), settings, split, rng):
-            _store(arrays, row, sample, settings)
-            arrays["room"][row] = seeds[path][1]
+            _store(arrays, row, sample)
+            arrays["room"][row] = seed[1]
             row += 1
-        progress(f"{split}: room {i + 1} of {len(files)}, {row} clouds")
-    for array in arrays.values():
-        if isinstance(array, np.memmap):
-            array.flush()
+        progress(f"{split}: room {i + 1} of {len(rooms)}, {row} clouds")
 
 
-def _n_clouds(is_in_view: NDArray[np.bool_], split: Split, settings: CacheSettings) -> int:
+def _n_clouds(is_in_view: ArrayBool, split: Split, settings: CacheSettings) -> int:
     n_pairs, n_positions = int(is_in_view.sum()), is_in_view.shape[1]
     if settings.is_whole_sphere:
         return n_positions
@@ -365,34 +337,36 @@ def _n_clouds(is_in_view: NDArray[np.bool_], split: Split, settings: CacheSettin
     return n_pairs + n_positions
 
 
-def _open_arrays(folder: Path, n: int, settings: CacheSettings) -> dict[str, NDArray[Any]]:
+def _open_arrays(folder: Path, n: int, n_anchors: int) -> dict[str, NDArray[Any]]:
+    """Files of a `CloudSet` of `n` clouds, full of zeros; its arrays, mapped for writing, if there are any clouds."""
     folder.mkdir(parents=True)
-    anchors, light = (settings.n_anchors,), (9, 3)
+    anchors, places, light = (n_anchors,), (n_anchors, 3), (9, 3)
     layouts: dict[str, tuple[Any, tuple[int, ...]]] = {
-        "srgb_u8": (np.uint8, (*anchors, 3)), "points_m": (np.float16, (*anchors, 3)), "is_set": (np.bool_, anchors),
+        "srgb_u8": (np.uint8, places), "points_m": (np.float16, places), "is_set": (np.bool_, anchors),
         "truth_ldr": (np.float32, light), "truth_hdr": (np.float32, light), "ambient": (np.float32, (3,)),
         "room": (np.int64, ()), "n_views": (np.int64, ()), "facing_i8": (np.int8, anchors),
     }  # fmt: skip
     arrays: dict[str, NDArray[Any]] = {}
     for name, (dtype, shape) in layouts.items():
         path = folder / f"{name}.npy"
-        if n == 0:  # a file cannot be mapped without content
-            arrays[name] = np.zeros((0, *shape), dtype)
-            np.save(path, arrays[name])
-        else:
+        if n:
             arrays[name] = np.lib.format.open_memmap(path, "w+", dtype, (n, *shape))  # type: ignore[no-untyped-call]
+        else:  # a file cannot be mapped without content
+            np.save(path, np.zeros((0, *shape), dtype))
     return arrays
 
 
-def _store(arrays: dict[str, NDArray[Any]], row: int, sample: _Sample, settings: CacheSettings) -> None:
-    cloud, size = sample.cloud, settings.n_anchors
+def _store(arrays: dict[str, NDArray[Any]], row: int, sample: _Sample) -> None:
+    """What a cloud lacks, anchors or points, stays 0."""
+    cloud = sample.cloud
     if isinstance(cloud, UnitSphereCloud):
-        n, is_set = size, cloud.is_set
+        is_set: Any = cloud.is_set
+        points = AnchorLattice(len(cloud)).directions * np.minimum(cloud.distance_m, _MAX_DISTANCE_M)[:, None]
         if cloud.surfaces is not None:
             arrays["facing_i8"][row] = facing_codes(cloud.surfaces.facing)
-        points = AnchorLattice(size).directions * np.minimum(cloud.distance_m, _MAX_DISTANCE_M)[:, None]
     else:
-        n, is_set, points = len(cloud.points_m), np.ones(len(cloud.points_m), bool), cloud.points_m
+        is_set, points = True, cloud.points_m
+    n = len(points)
     arrays["srgb_u8"][row, :n] = np.rint(cloud.srgb * 255)
     arrays["points_m"][row, :n] = np.clip(points, -_MAX_DISTANCE_M, _MAX_DISTANCE_M)
     arrays["is_set"][row, :n] = is_set

@@ -22,18 +22,15 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from xihenet.estimators.base import Target
 from xihenet.formats import format_duration
 from xihenet.records import ArrayInt
-from xihenet.sh import cosine_lobe
-from xihenet.sh_basis import basis
-from xihenet.sphere import AnchorLattice
 from xihenet.training import networks
 from xihenet.training.dataset import CloudSet, open_split
 from xihenet.training.networks import Batch
+from xihenet.training.scores import irradiance_table
 
 N_NORMALS = 32
 Progress = Callable[[str], None]
@@ -47,10 +44,9 @@ class TrainSettings:
     ----------
     cache : sampled clouds, as `xihenet.training.dataset.build_cache` leaves them
     out : folder of the run: checkpoint.pt, curves.csv, best.pt
-    estimator : lattice, xihenet, pointar or farthest; must fit the cache's sampling
-    target : "ldr" or "hdr"
+    estimator : key of `SAMPLING_OF`; must fit the cache's sampling
     seed : of the first weights and of the order of the clouds
-    epochs, batch_size, learning_rate, weight_decay : as usual; the rate falls to 0 along a cosine
+    learning_rate : the highest; it falls to 0 along a cosine
     ema : share of the moving average that a step keeps, at most; it averages faster in the first steps
     patience : epochs without a better validation error after which training stops
     irradiance_weight, error_weight : of the second and third part of the loss
@@ -58,7 +54,6 @@ class TrainSettings:
     hidden_share : share of the training clouds of which a random cap is hidden, see `hide_caps`
     n_rooms : train on the clouds of the first rooms alone, for learning curves; None for all
     options : of the network's architecture
-    device : torch device
     """
 
     cache: Path
@@ -106,8 +101,7 @@ class _Run:
 
 
 STATES = ("net", "average", "optimiser")
-NUMBERS = ("epoch", "step", "history", "best_rmse", "best_epoch")
-"""Of a checkpoint."""
+"""Parts of a checkpoint that have a state of their own."""
 
 
 def train(settings: TrainSettings, *, stop_after: int | None = None, progress: Progress = lambda line: None) -> Path:
@@ -126,18 +120,17 @@ def train(settings: TrainSettings, *, stop_after: int | None = None, progress: P
     mean = clouds.truth(settings.target).mean(axis=0, dtype=np.float64)
     yardstick = max(float(np.sqrt(np.mean((held_out.truth(settings.target) - mean) ** 2))), 1e-9)
     started, first_epoch = time.monotonic(), run.epoch
-    while run.epoch < settings.epochs and run.epoch - run.best_epoch < settings.patience:
-        if stop_after is not None and run.epoch - first_epoch >= stop_after:
-            break
+    last_epoch = settings.epochs if stop_after is None else min(settings.epochs, first_epoch + stop_after)
+    while run.epoch < last_epoch and run.epoch - run.best_epoch < settings.patience:
         loss = _train_epoch(run, clouds, settings)
         _judge(run, held_out, settings, loss, yardstick)
         _save_checkpoint(run, settings)
         elapsed_s = time.monotonic() - started
         left_s = elapsed_s / (run.epoch - first_epoch) * (settings.epochs - run.epoch)
-        now = run.history[-1]
+        ratio = run.history[-1]["validation_ratio"]
         progress(
-            f"epoch {run.epoch}/{settings.epochs}  loss {now['loss']:.4f}  validation {now['validation_ratio']:.3f} of "
-            f"the mean predictor's (best in epoch {run.best_epoch})  {format_duration(left_s)} left"
+            f"epoch {run.epoch}/{settings.epochs}  loss {loss:.4f}  validation {ratio:.3f} of the mean predictor's "
+            f"(best in epoch {run.best_epoch})  {format_duration(left_s)} left"
         )
     return settings.out / "best.pt"
 
@@ -157,19 +150,19 @@ def hide_caps(batch: Batch, share: float, rng: np.random.Generator) -> Batch:
     left stays whole. The light to be found stays the same.
     """
     n = len(batch.is_set)
-    axes = torch.from_numpy(rng.normal(size=(n, 3)).astype(np.float32)).to(batch.is_set.device)
-    is_chosen = torch.from_numpy(rng.random(n) < share).to(batch.is_set.device)
-    lowest_cosine = torch.from_numpy((1 - 2 * rng.uniform(0.05, 1.0, n)).astype(np.float32)).to(batch.is_set.device)
+    drawn = rng.normal(size=(n, 3)), rng.random(n) < share, 1 - 2 * rng.uniform(0.05, 1.0, n)
+    axes, chosen, lowest_cosine = (torch.from_numpy(np.float32(part)).to(batch.is_set.device) for part in drawn)
     along = torch.einsum("bnc,bc->bn", nn.functional.normalize(batch.points_m, dim=2), nn.functional.normalize(axes))
     left = batch.is_set & (along >= lowest_cosine[:, None])
-    is_set = torch.where((is_chosen & left.any(1))[:, None], left, batch.is_set)
+    is_set = torch.where((chosen.bool() & left.any(1))[:, None], left, batch.is_set)
     known = is_set[..., None]
     return Batch(batch.srgb * known, batch.points_m * known, is_set, batch.truth, batch.facing * is_set)
 
 
 def training_loss(light: Tensor, expected_error: Tensor | None, truth: Tensor, settings: TrainSettings) -> Tensor:
     """Scalar; light and truth (B, 9, 3)."""
-    to_irradiance = torch.as_tensor(_irradiance_matrix(), device=light.device)
+    # Over pi: what a white Lambert surface shows.
+    to_irradiance = torch.as_tensor((irradiance_table(N_NORMALS) / np.pi).astype(np.float32), device=light.device)
     huber = nn.functional.huber_loss
     loss = huber(light, truth, delta=settings.huber_delta)
     irradiance = huber(to_irradiance @ light, to_irradiance @ truth, delta=settings.huber_delta)
@@ -180,31 +173,23 @@ def training_loss(light: Tensor, expected_error: Tensor | None, truth: Tensor, s
     return loss
 
 
-def _irradiance_matrix() -> NDArray[np.float32]:
-    """(N_NORMALS, 9): irradiance / pi, what a white Lambert surface shows."""
-    lobe = np.repeat(cosine_lobe(2), [1, 3, 5]) / np.pi
-    matrix: NDArray[np.float32] = (basis(AnchorLattice(N_NORMALS).directions) * lobe).astype(np.float32)
-    return matrix
-
-
 def _start_or_resume(settings: TrainSettings) -> _Run:
     torch.manual_seed(settings.seed)
     net = networks.make_network(settings.estimator, **settings.options).to(settings.device)
-    average = copy.deepcopy(net)
     optimiser = torch.optim.AdamW(
         net.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay, foreach=False
     )
-    run = _Run(net, average, optimiser)
+    run = _Run(net, copy.deepcopy(net), optimiser)
     path = settings.out / "checkpoint.pt"
-    if not path.exists():
-        return run
-    kept = networks.read_torch(path, settings.device)
-    if kept.get("settings") != settings.decisive():
-        raise ValueError(f"{path}: expected a training with the same settings; choose another folder or remove it")
-    for name in STATES:
-        getattr(run, name).load_state_dict(kept[name])
-    for name in NUMBERS:
-        setattr(run, name, kept[name])
+    if path.exists():
+        kept = networks.read_torch(path, settings.device)
+        if kept.get("settings") != settings.decisive():
+            raise ValueError(f"{path}: expected a training with the same settings; choose another folder or remove it")
+        for name, part in vars(run).items():
+            if name in STATES:
+                part.load_state_dict(kept[name])
+            else:
+                setattr(run, name, kept[name])
     return run
 
 
@@ -218,9 +203,8 @@ def _train_epoch(run: _Run, clouds: CloudSet, settings: TrainSettings) -> float:
     for rows in batches:
         for group in run.optimiser.param_groups:
             group["lr"] = _learning_rate(run.step, settings.epochs * len(batches), settings.learning_rate)
-        batch = hide_caps(
-            networks.read_batch(clouds, rows, settings.target, settings.device), settings.hidden_share, rng
-        )
+        batch = networks.read_batch(clouds, rows, settings.target, settings.device)
+        batch = hide_caps(batch, settings.hidden_share, rng)
         light, expected_error = networks.run_network(run.net, batch)
         loss = training_loss(light, expected_error, batch.truth, settings)
         run.optimiser.zero_grad()
@@ -249,10 +233,8 @@ def _judge(run: _Run, held_out: CloudSet, settings: TrainSettings, loss: float, 
     """Validate the moving average, note it in the history, and keep it if it is the best so far."""
     light, _ = networks.predict(run.average, held_out, settings.target, settings.device)
     rmse = float(np.sqrt(np.mean((light - held_out.truth(settings.target)) ** 2, dtype=np.float64)))
-    rate = run.optimiser.param_groups[0]["lr"]
-    run.history.append(
-        {"epoch": run.epoch, "loss": loss, "validation_rmse": rmse, "validation_ratio": rmse / yardstick, "rate": rate}
-    )
+    judged = {"validation_rmse": rmse, "validation_ratio": rmse / yardstick}
+    run.history.append({"epoch": run.epoch, "loss": loss, **judged, "rate": run.optimiser.param_groups[0]["lr"]})
     if rmse < run.best_rmse:
         run.best_rmse, run.best_epoch = rmse, run.epoch
         trained = networks.TrainedNetwork(settings.estimator, settings.target, settings.seed, run.average)
@@ -260,9 +242,8 @@ def _judge(run: _Run, held_out: CloudSet, settings: TrainSettings, loss: float, 
 
 
 def _save_checkpoint(run: _Run, settings: TrainSettings) -> None:
-    states = {name: getattr(run, name).state_dict() for name in STATES}
-    numbers = {name: getattr(run, name) for name in NUMBERS}
-    networks.write_torch(settings.out / "checkpoint.pt", {"settings": settings.decisive(), **states, **numbers})
+    state = {name: part.state_dict() if name in STATES else part for name, part in vars(run).items()}
+    networks.write_torch(settings.out / "checkpoint.pt", {"settings": settings.decisive(), **state})
     # From the history and not appended to, so that a resumed training has each epoch once.
     with (settings.out / "curves.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, list(run.history[0]))

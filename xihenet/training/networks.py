@@ -6,6 +6,7 @@ torch's restricted reader, which runs no code.
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -27,11 +28,10 @@ from xihenet.records import ArrayInt
 from xihenet.training.dataset import CloudSet, Sampling
 
 SAMPLING_OF: dict[str, Sampling] = {
-    "lattice": "sphere",
-    "xihenet": "sphere",
-    "pointar": "uniform",
-    "farthest": "farthest",
-}
+    "lattice": "sphere", "xihenet": "sphere", "pointar": "uniform", "farthest": "farthest",
+}  # fmt: skip
+
+_CLOUDS_AT_ONCE = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,19 +75,19 @@ def run_network(net: nn.Module, batch: Batch) -> tuple[Tensor, Tensor | None]:
 def read_batch(clouds: CloudSet, rows: ArrayInt, target: Target, device: str) -> Batch:
     """The clouds of the given rows."""
     rows = np.sort(rows)  # in the order of the file
-    arrays = clouds.srgb_u8[rows], clouds.points_m[rows], clouds.is_set[rows], clouds.truth(target)[rows]
-    srgb, points_m, is_set, truth = (torch.from_numpy(np.ascontiguousarray(array)).to(device) for array in arrays)
-    facing = torch.from_numpy(facing_of_codes(clouds.facing_i8[rows])).to(device)
-    return Batch(srgb.float() / 255, points_m.float(), is_set, truth, facing.float())
+    arrays = [array[rows] for array in (clouds.srgb_u8, clouds.points_m, clouds.is_set, clouds.truth(target))]
+    arrays.append(facing_of_codes(clouds.facing_i8[rows]))
+    srgb, points_m, is_set, truth, facing = (torch.from_numpy(array).to(device) for array in arrays)
+    return Batch(srgb.float() / 255, points_m.float(), is_set, truth, facing)
 
 
-def predict(net: nn.Module, clouds: CloudSet, target: Target, device: str, batch_size: int = 64) -> tuple[Any, Any]:
+def predict(net: nn.Module, clouds: CloudSet, target: Target, device: str) -> tuple[Any, Any]:
     """(M, 9, 3) coefficients and (M,) expected errors or None, NumPy float32, of all clouds in their order."""
     net.eval()
     lights, errors = [np.zeros((0, 9, 3), np.float32)], []
     with torch.no_grad():
-        for start in range(0, len(clouds), batch_size):
-            rows = np.arange(start, min(start + batch_size, len(clouds)))
+        for start in range(0, len(clouds), _CLOUDS_AT_ONCE):
+            rows = np.arange(start, min(start + _CLOUDS_AT_ONCE, len(clouds)))
             light, error = run_network(net, read_batch(clouds, rows, target, device))
             lights.append(light.cpu().numpy())
             if error is not None:
@@ -98,14 +98,8 @@ def predict(net: nn.Module, clouds: CloudSet, target: Target, device: str, batch
 def save_network(path: Path, trained: TrainedNetwork) -> None:
     """Write whole or not at all."""
     architecture: Any = trained.net.architecture
-    content = {
-        "estimator": trained.estimator,
-        "target": trained.target,
-        "seed": trained.seed,
-        "architecture": asdict(architecture),
-        "weights": trained.net.state_dict(),
-    }
-    write_torch(path, content)
+    known = {name: getattr(trained, name) for name in ("estimator", "target", "seed")}
+    write_torch(path, {**known, "architecture": asdict(architecture), "weights": trained.net.state_dict()})
 
 
 def load_network(path: Path, device: str = "cpu") -> TrainedNetwork:
@@ -132,7 +126,7 @@ def read_torch(path: Path, device: str = "cpu") -> dict[str, Any]:
         content = torch.load(path, map_location=device, weights_only=True)
     except FileNotFoundError:
         raise ValueError(f"{path}: expected a file of training, found none") from None
-    except (RuntimeError, EOFError, ValueError, KeyError, OSError) as error:
+    except (RuntimeError, EOFError, ValueError, KeyError, OSError, pickle.UnpicklingError) as error:
         raise ValueError(f"{path}: expected a file of training ({error})") from None
     if not isinstance(content, dict):
         raise ValueError(f"{path}: expected a file of training, got {type(content).__name__}")
@@ -140,14 +134,9 @@ def read_torch(path: Path, device: str = "cpu") -> dict[str, Any]:
 
 
 def export_network(
-    trained: Path,
-    out: Path,
-    *,
-    data: str = "",
-    figures: Mapping[str, Any] | None = None,
-    n_points: int | None = None,
+    trained: Path, out: Path, *, data: str = "", figures: Mapping[str, Any] | None = None, n_points: int | None = None,
     is_half: bool = True,
-) -> None:
+) -> None:  # fmt: skip
     """Write the network in `trained` (.pt) to `out` (.npz), in float16 unless `is_half` is False.
 
     `data` and `figures` are for people to read. `n_points` are the anchors or points of the clouds it was trained with:

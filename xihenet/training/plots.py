@@ -59,13 +59,11 @@ def line_chart(
             body += svg.mark(a, b, shape, f"mark {classes}") if shape else ""
         needed = 36 + LETTER * len(name) + 24
         left, row = (16.0, row + 1) if left > 16 and left + needed > WIDTH - 16 else (left, row)
-        mark = (
-            f'<g transform="translate(14)"><path class="mark {classes}" d="{svg.SHAPES[shape]}"/></g>' if shape else ""
-        )
-        line = (
-            f'<path class="line {classes}" d="M0 0h28"/>{mark}<text class="name" x="36" y="4.5">{escape(name)}</text>'
-        )
-        legend += f'<g transform="translate({left:.1f} {LEGEND_TOP + row * LEGEND_ROW})">{line}</g>'
+        entry = f'<path class="line {classes}" d="M0 0h28"/>'
+        if shape:
+            entry += f'<g transform="translate(14)"><path class="mark {classes}" d="{svg.SHAPES[shape]}"/></g>'
+        entry += f'<text class="name" x="36" y="4.5">{escape(name)}</text>'
+        legend += f'<g transform="translate({left:.1f} {LEGEND_TOP + row * LEGEND_ROW})">{entry}</g>'
         left += needed
     width, height = WIDTH - LEFT - RIGHT, LEGEND_TOP + (row + 1) * LEGEND_ROW
     return (

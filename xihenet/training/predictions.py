@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from torch import nn
@@ -31,32 +31,20 @@ from xihenet.training.networks import SAMPLING_OF, load_network, predict
 from xihenet.training.rooms import Split, split_of
 
 Views = Literal["one", "merged"]
+VIEWS: tuple[Views, ...] = get_args(Views)
 
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """M cases, in memory.
+    """M cases, in memory, under the name of their table.
 
-    Parameters
-    ----------
-    name : of the table
-    main : key of the clouds that baselines see and that coverage is counted on, sampled on the sphere
-    clouds : by sampling and number of anchors, such as "sphere_1280"; all of the same cases in the same order
+    `clouds` are by sampling and number of anchors, such as "sphere_1280", all of the same cases in the same order;
+    `cases` are those that baselines see and that coverage is counted on, sampled on the sphere.
     """
 
     name: str
-    main: str
+    cases: CloudSet
     clouds: Mapping[str, CloudSet]
-
-    @property
-    def cases(self) -> CloudSet:
-        """The clouds of `main`."""
-        return self.clouds[self.main]
-
-    @property
-    def coverage(self) -> ArrayF64:
-        """(M,) share of the anchors that are set."""
-        return self.cases.coverage
 
 
 def open_group(
@@ -76,29 +64,22 @@ def open_group(
         clouds[f"{cache.sampling}_{cache.n_anchors}"] = _rows_of(opened, np.flatnonzero(counts))
     main = next((key for key in clouds if key.startswith("sphere")), None)
     if main is None:
-        raise ValueError(
-            f"{name}: expected a folder of clouds sampled on the sphere, got {', '.join(clouds) or 'none'}"
-        )
+        given = ", ".join(clouds) or "none"
+        raise ValueError(f"{name}: expected a folder of clouds sampled on the sphere, got {given}")
     for key, other in clouds.items():
         if not np.array_equal(other.room, clouds[main].room):
             raise ValueError(f"{name}: expected the same cases in all folders, got others in {key} than in {main}")
-    return Group(name, main, clouds)
+    return Group(name, clouds[main], clouds)
 
 
-def main_folder(folders: Sequence[Path]) -> Path:
-    """The first folder that is sampled on the sphere: what baselines are fitted to and see. ValueError without one."""
-    found = next((folder for folder in folders if read_cache(folder).sampling == "sphere"), None)
-    if found is None:
-        raise ValueError(f"expected a folder of clouds sampled on the sphere, got {', '.join(map(str, folders))}")
-    return found
-
-
-def training_clouds(folder: Path) -> CloudSet:
-    """What baselines are fitted to: the training pairs as they are, and the clouds merged of several views.
+def training_clouds(folders: Sequence[Path]) -> CloudSet:
+    """What baselines are fitted to: the training pairs as they are, and the clouds merged of several views, of the
+    first folder that is sampled on the sphere.
 
     Networks see changed copies of each pair as well. A linear fit gains nothing from these, and the mean light of the
     rooms is that of the rooms as they are.
     """
+    folder = next(folder for folder in folders if read_cache(folder).sampling == "sphere")
     n_copies, clouds = read_cache(folder).changes_per_pair, open_split(folder, "train")
     room, is_merged = np.asarray(clouds.room), np.asarray(clouds.n_views) > 1
     # Pairs come first in each room, a block of copies each, the first of which is as it is.
@@ -111,10 +92,7 @@ def training_clouds(folder: Path) -> CloudSet:
 
 def _rows_of(clouds: CloudSet, rows: ArrayInt) -> CloudSet:
     """Some clouds, read into memory."""
-    return CloudSet(**{part.name: np.asarray(getattr(clouds, part.name)[rows]) for part in fields(CloudSet)})
-
-
-# -------------------------------------------------------------------------------------------- predictions
+    return CloudSet(*(np.asarray(getattr(clouds, part.name)[rows]) for part in fields(CloudSet)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,26 +109,28 @@ Predictions = Mapping[str, Sequence[Prediction]]
 
 @dataclass(frozen=True, eq=False)
 class NetworkSeeds:
-    """One row of the tables.
+    """One row of the tables, with a network for each seed.
 
-    Parameters
-    ----------
-    name : of the row
-    estimator : lattice, xihenet, pointar or farthest
-    key : of the clouds it wants, see `Group`; only the sampling where no number of anchors was named
-    nets : one for each seed
+    `key` is that of the clouds it wants, see `Group`: only the sampling where no number of anchors was named.
     """
 
     name: str
     estimator: str
     key: str
     nets: tuple[nn.Module, ...]
+    target: Target
+    device: str = "cpu"
 
-    def predictions(self, group: Group, target: Target, device: str = "cpu") -> list[Prediction] | None:
-        """One for each seed; None if the group has no clouds for this network."""
+    def of_group(self, group: Group) -> list[Prediction]:
+        """One for each seed; none if the group has no clouds for this network."""
         wanted = (c for k, c in group.clouds.items() if k == self.key or k.rpartition("_")[0] == self.key)
         clouds = next(wanted, None)
-        return None if clouds is None else [predict_clouds(net, clouds, target, device) for net in self.nets]
+        return [] if clouds is None else self.of_clouds(clouds)
+
+    def of_clouds(self, clouds: CloudSet) -> list[Prediction]:
+        """One for each seed."""
+        said = (predict(net, clouds, self.target, self.device) for net in self.nets)
+        return [Prediction(light.astype(np.float64), None if e is None else e.astype(np.float64)) for light, e in said]
 
 
 def load_seeds(label: str, files: Sequence[Path], target: Target, device: str) -> NetworkSeeds:
@@ -168,31 +148,20 @@ def load_seeds(label: str, files: Sequence[Path], target: Target, device: str) -
     sampling = SAMPLING_OF[loaded[0].estimator]
     if key and key.split("_")[0] != sampling:
         raise ValueError(f"{label}: expected clouds of the sampling {sampling}, got {key}")
-    return NetworkSeeds(name, loaded[0].estimator, key or sampling, tuple(trained.net for trained in loaded))
+    nets = tuple(trained.net for trained in loaded)
+    return NetworkSeeds(name, loaded[0].estimator, key or sampling, nets, target, device)
 
 
-def predict_group(
-    group: Group, baselines: Baselines, networks: Sequence[NetworkSeeds], target: Target, device: str = "cpu"
-) -> dict[str, list[Prediction]]:
+def load_alone(file: Path) -> NetworkSeeds:
+    """One network of any target. ValueError for a broken file."""
+    found = load_network(file)
+    return NetworkSeeds(file.stem, found.estimator, SAMPLING_OF[found.estimator], (found.net,), found.target)
+
+
+def predict_group(group: Group, baselines: Baselines, networks: Sequence[NetworkSeeds]) -> dict[str, list[Prediction]]:
     """By predictor, baselines first, one prediction per seed; networks without clouds in the group are left out."""
     predicted = {name: [Prediction(light)] for name, light in baselines.lights(group.cases).items()}
-    for seeds in networks:
-        of_network = seeds.predictions(group, target, device)
-        if of_network is not None:
-            predicted[seeds.name] = of_network
-    return predicted
-
-
-def predict_clouds(net: nn.Module, clouds: CloudSet, target: Target, device: str = "cpu") -> Prediction:
-    """What one network says of clouds."""
-    light, raw_error = predict(net, clouds, target, device)
-    return Prediction(light.astype(np.float64), None if raw_error is None else raw_error.astype(np.float64))
-
-
-def joined(parts: Sequence[Predictions]) -> dict[str, list[Prediction]]:
-    """Predictions of several groups, one after the other, of the predictors that are in all of them."""
-    names = [name for name in parts[0] if all(name in part for part in parts)]
-    return {name: [_joined_seed(seeds) for seeds in zip(*(p[name] for p in parts), strict=True)] for name in names}
+    return predicted | {network.name: said for network in networks if (said := network.of_group(group))}
 
 
 def over_seeds(figures: Sequence[Any]) -> tuple[Any, Any]:
@@ -215,12 +184,5 @@ def over_seeds(figures: Sequence[Any]) -> tuple[Any, Any]:
         return first, None
     if any(one is None for one in figures):
         return None, None
-    if len(set(figures)) == 1 and isinstance(first, int):
-        return first, None if len(figures) == 1 else 0.0
-    return float(np.mean(figures)), float(np.std(figures, ddof=1)) if len(figures) > 1 else None
-
-
-def _joined_seed(parts: Sequence[Prediction]) -> Prediction:
-    errors = [part.raw_error for part in parts if part.raw_error is not None]
-    light = np.concatenate([part.light for part in parts])
-    return Prediction(light, np.concatenate(errors) if len(errors) == len(parts) else None)
+    mean = first if isinstance(first, int) and len(set(figures)) == 1 else float(np.mean(figures))
+    return mean, float(np.std(figures, ddof=1)) if len(figures) > 1 else None

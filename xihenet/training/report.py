@@ -23,12 +23,11 @@ from xihenet.estimators.calibration import SHARES_ASKED
 from xihenet.training import report_parts as parts
 from xihenet.training.baselines import Baselines, fit_baselines
 from xihenet.training.predictions import (
+    VIEWS,
     Group,
     NetworkSeeds,
     Predictions,
-    joined,
     load_seeds,
-    main_folder,
     open_group,
     over_seeds,
     predict_group,
@@ -51,13 +50,10 @@ class ReportSettings:
     clouds : of the rooms that were trained on; the first of the sphere is what baselines see
     networks : files by label, one for each seed; see `predictions.load_seeds`
     split : "test", or "validation" to develop
-    target : "ldr" or "hdr"
     walks, whole : clouds of walks, whose merged ones count, and of positions of which every direction is known
     scenes : folders by the scene's name; all of its clouds of one view, and the merged ones
     stress : folders by name, for the groups that need the rooms, such as other numbers of anchors
     learning : files of networks by the number of rooms they were trained on
-    device : torch device
-    seed : of the disturbances
     """
 
     clouds: Sequence[Path]
@@ -70,7 +66,6 @@ class ReportSettings:
     stress: Mapping[str, Sequence[Path]] = field(default_factory=dict)
     learning: Mapping[int, Sequence[Path]] = field(default_factory=dict)
     device: str = "cpu"
-    seed: int = 0
 
 
 @dataclass(frozen=True)
@@ -102,18 +97,7 @@ class LearningPoint:
 
 @dataclass(frozen=True)
 class Report:
-    """All figures.
-
-    Parameters
-    ----------
-    head : see there
-    tables : one per group of clouds
-    curve : error against coverage in narrow bins
-    learning : error against the number of training rooms
-    rooms : how unevenly the error is spread over clouds and rooms
-    calibration : of the networks that expect an error
-    stress : under disturbances, beside `ambient`
-    """
+    """All figures: one table per group of clouds, `calibration` for each network that expects an error."""
 
     head: ReportHead
     tables: tuple[parts.Table, ...]
@@ -139,37 +123,34 @@ def make_report(settings: ReportSettings, progress: Callable[[str], None] = lamb
     groups = _groups(settings)
     networks = [load_seeds(label, files, target, device) for label, files in settings.networks.items()]
     progress("fitting the baselines")
-    baselines = fit_baselines(training_clouds(main_folder(settings.clouds)), target)
-    predicted: list[Predictions] = []
+    baselines, predicted = fit_baselines(training_clouds(settings.clouds), target), []
     for group in groups:
         progress(f"predicting {group.name}: {len(group.cases)} clouds")
-        predicted.append(predict_group(group, baselines, networks, target, device))
+        predicted.append(predict_group(group, baselines, networks))
     progress("calibrating, and disturbing clouds")
     calibrations = _calibrations(settings, networks)
     return Report(
         ReportHead(settings.split, target, baselines.n_rooms, baselines.n_clouds),
         tuple(parts.group_table(group, one, target) for group, one in zip(groups, predicted, strict=True)),
-        parts.coverage_curve(groups[:2], joined(predicted[:2]), target),
+        parts.coverage_curve(groups[:2], predicted[:2], target),
         tuple(_learning(settings, groups[:2], predicted[:2])),
         tuple(parts.room_figures(groups[0], name, seeds, target) for name, seeds in predicted[0].items()),
-        tuple(one.figures(groups, predicted, target) for one in calibrations),
+        tuple(one.figures(groups, predicted, target) for one in calibrations.values()),
         tuple(_stress(settings, groups[0], networks, baselines, calibrations)),
     )
 
 
 def _groups(settings: ReportSettings) -> list[Group]:
     """One view and all views first; then what else is given."""
-    groups = [
-        open_group(ONE_VIEW, settings.clouds, settings.split, "one"),
-        open_group(ALL_VIEWS, settings.clouds, settings.split, "merged"),
-    ]
+    clouds, split = settings.clouds, settings.split
+    groups = [open_group(ONE_VIEW, clouds, split, "one"), open_group(ALL_VIEWS, clouds, split, "merged")]
     if settings.walks:
-        groups.append(open_group(WALK, settings.walks, settings.split, "merged"))
+        groups.append(open_group(WALK, settings.walks, split, "merged"))
     for name, folders in settings.scenes.items():
-        groups.append(open_group(f"{name}, {ONE_VIEW}", folders, settings.split, "one", is_of_strangers=True))
-        groups.append(open_group(f"{name}, all views", folders, settings.split, "merged", is_of_strangers=True))
+        groups.append(open_group(f"{name}, {ONE_VIEW}", folders, split, "one", is_of_strangers=True))
+        groups.append(open_group(f"{name}, all views", folders, split, "merged", is_of_strangers=True))
     if settings.whole:
-        groups.append(open_group(WHOLE, settings.whole, settings.split, "merged"))
+        groups.append(open_group(WHOLE, settings.whole, split, "merged"))
     return groups
 
 
@@ -181,35 +162,29 @@ def _learning(
         seeds = load_seeds(f"{n_rooms} rooms", files, settings.target, settings.device)
         ratios = {}
         for group, known in zip(groups, predicted, strict=True):
-            said = seeds.predictions(group, settings.target, settings.device) or []
-            figures = parts.prediction_figures(group, known, said, settings.target)
+            figures = parts.prediction_figures(group, known, seeds.of_group(group), settings.target)
             ratios[group.name] = over_seeds([one.ratio for one in figures] or [None])
         points.append(LearningPoint(n_rooms, len(files), seeds.estimator, ratios))
     return points
 
 
-def _calibrations(settings: ReportSettings, networks: Sequence[NetworkSeeds]) -> list[parts.SeedCalibrations]:
+def _calibrations(settings: ReportSettings, networks: Sequence[NetworkSeeds]) -> dict[str, parts.SeedCalibrations]:
     """Of the networks that expect an error, fitted to the validation clouds of one view and of all views."""
-    held_out = [open_group(views, settings.clouds, "validation", views) for views in ("one", "merged")]
+    held_out = [open_group(views, settings.clouds, "validation", views) for views in VIEWS]
     is_crossed = settings.split == "validation"
-    found = [parts.SeedCalibrations.fitted(n, held_out, settings.target, settings.device, is_crossed) for n in networks]
-    return [one for one in found if one is not None]
+    found = (parts.SeedCalibrations.fitted(network, held_out, is_crossed=is_crossed) for network in networks)
+    return {one.name: one for one in found if one is not None}
 
 
 def _stress(
     settings: ReportSettings, group: Group, networks: Sequence[NetworkSeeds], baselines: Baselines,
-    calibrations: Sequence[parts.SeedCalibrations],
+    calibrations: Mapping[str, parts.SeedCalibrations],
 ) -> list[parts.StressGroup]:  # fmt: skip
     """Each disturbance of the clouds of one view, and each group of clouds that were sampled otherwise."""
-    disturbed = {
-        name: disturb(group.cases, np.random.default_rng([settings.seed, i]))
-        for i, (name, disturb) in enumerate(DISTURBANCES.items())
-    }
-    clouds = {"undisturbed": group.cases, **disturbed}
+    clouds = {"undisturbed": group.cases}
+    for i, (name, disturb) in enumerate(DISTURBANCES.items()):
+        clouds[name] = disturb(group.cases, np.random.default_rng([0, i]))
     for name, folders in settings.stress.items():
         clouds[name] = open_group(name, folders, settings.split, "one").cases
     of_lattice = [network for network in networks if network.estimator == "lattice"]
-    rows = {one.name: one for one in calibrations}
-    return [
-        parts.stress_group(name, some, of_lattice, baselines, rows, settings.device) for name, some in clouds.items()
-    ]
+    return [parts.stress_group(name, some, of_lattice, baselines, calibrations) for name, some in clouds.items()]

@@ -13,11 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from xihenet.estimators.base import Target
 from xihenet.estimators.calibration import Calibration
 from xihenet.estimators.lattice import lean_on_sensor
-from xihenet.records import ArrayBool, ArrayF64, ArrayInt
+from xihenet.records import ArrayBool, ArrayF64
 from xihenet.training.baselines import AMBIENT, MEAN, PROJECTION, Baselines
 from xihenet.training.calibration import (
     CalibrationFigures,
@@ -27,16 +28,15 @@ from xihenet.training.calibration import (
     promises_left_out,
 )
 from xihenet.training.dataset import CloudSet, open_split
-from xihenet.training.networks import load_network
 from xihenet.training.predictions import (
+    VIEWS,
     Group,
     NetworkSeeds,
     Prediction,
     Predictions,
-    load_seeds,
+    load_alone,
     open_group,
     over_seeds,
-    predict_clouds,
 )
 from xihenet.training.scores import (
     COVERAGE_EDGES,
@@ -139,14 +139,15 @@ class CalibrationRow:
 
 
 @dataclass(frozen=True)
-class StressFigures:
-    """Under one disturbance.
+class StressRow:
+    """One predictor under one disturbance.
 
     Parameters
     ----------
     rmse, ratio : and over that of `ambient`; None where any light is not finite
     is_finite, is_within : all lights; at most `STRESS_LIMIT`
     expected_over_made : mean errors; None where none is expected
+    spread : of the ratio over seeds
     """
 
     rmse: Known
@@ -154,15 +155,9 @@ class StressFigures:
     is_finite: bool
     is_within: bool
     expected_over_made: Known
-
-
-@dataclass(frozen=True)
-class StressRow(StressFigures):
-    """One predictor; `spread` of its ratio over seeds."""
-
     name: str
     n_seeds: int
-    spread: Known
+    spread: Known = None
 
 
 @dataclass(frozen=True)
@@ -182,13 +177,14 @@ def group_table(group: Group, predicted: Predictions, target: Target) -> Table:
         TableRow(name, len(seeds), *over_seeds(prediction_figures(group, predicted, seeds, target)))
         for name, seeds in predicted.items()
     ]
-    quantiles = np.quantile(group.coverage, (0.05, 0.5, 0.95)).tolist() if len(group.cases) else [None] * 3
+    n_clouds, coverage = len(group.cases), group.cases.coverage
+    quantiles = np.quantile(coverage, (0.05, 0.5, 0.95)).tolist() if n_clouds else [None] * 3
     return Table(
         group.name,
-        len(group.cases),
+        n_clouds,
         len(np.unique(group.cases.room)),
         dict(zip(("p5", "p50", "p95"), quantiles, strict=True)),
-        tuple(int(mask.sum()) for mask in coverage_groups(group.coverage)),
+        tuple(int(mask.sum()) for mask in coverage_groups(coverage)),
         tuple(rows),
     )
 
@@ -197,34 +193,38 @@ def prediction_figures(
     group: Group, predicted: Predictions, seeds: Sequence[Prediction], target: Target
 ) -> list[Figures]:
     """For each seed; `predicted` has the mean predictor."""
-    truth, coverage = group.cases.truth(target), group.coverage
-    yardstick = score_lights(predicted[MEAN][0].light, truth, coverage)
+    known = group.cases.truth(target), group.cases.coverage
+    yardstick = score_lights(predicted[MEAN][0].light, *known)
     figures = []
     for seed in seeds:
-        scores = score_lights(seed.light, truth, coverage)
-        by_band, by_coverage = (
-            tuple(map(ratio, getattr(scores, part), getattr(yardstick, part))) for part in ("by_band", "by_coverage")
-        )
+        scores = score_lights(seed.light, *known)
+        by_band = tuple(map(ratio, scores.by_band, yardstick.by_band))
+        by_coverage = tuple(map(ratio, scores.by_coverage, yardstick.by_coverage))
         figures.append(Figures(**vars(scores), ratio=ratio(scores.rmse, yardstick.rmse), ratio_by_band=by_band,
                                ratio_by_coverage=by_coverage))  # fmt: skip
     return figures
 
 
-def coverage_curve(groups: Sequence[Group], predicted: Predictions, target: Target) -> CoverageCurve:
-    """Ratio of every predictor in narrow bins of coverage, over all clouds of the groups."""
-    truth = np.concatenate([group.cases.truth(target) for group in groups])
-    coverage = np.concatenate([group.coverage for group in groups])
+def coverage_curve(groups: Sequence[Group], predicted: Sequence[Predictions], target: Target) -> CoverageCurve:
+    """Ratio in narrow bins of coverage, over all clouds of the groups, of the predictors that all groups have."""
+    truths = [group.cases.truth(target) for group in groups]
+    coverage = np.concatenate([group.cases.coverage for group in groups])
     bins = coverage_groups(coverage, CURVE_EDGES)
-    yardstick = rmse_of_each(predicted[MEAN][0].light, truth)
+
+    def errors(name: str) -> list[ArrayF64]:
+        """(M,) of each seed."""
+        seeds = zip(*(of_group[name] for of_group in predicted), strict=True)
+        return [np.concatenate([rmse_of_each(p.light, t) for p, t in zip(s, truths, strict=True)]) for s in seeds]
 
     def in_bin(made: ArrayF64, mask: ArrayBool) -> float | None:
         is_enough = np.count_nonzero(mask) >= FEWEST_IN_BIN
         return ratio(pooled_rms(made[mask]), pooled_rms(yardstick[mask])) if is_enough else None
 
-    rows = {}
-    for name, seeds in predicted.items():
-        of_each = [rmse_of_each(seed.light, truth) for seed in seeds]
-        rows[name] = Ratios(*over_seeds([tuple(in_bin(made, mask) for mask in bins) for made in of_each]))
+    yardstick, rows = errors(MEAN)[0], {}
+    for name in predicted[0]:
+        if all(name in of_group for of_group in predicted):
+            by_bin = [tuple(in_bin(made, mask) for mask in bins) for made in errors(name)]
+            rows[name] = Ratios(*over_seeds(by_bin))
     seen = tuple(float(coverage[b].mean()) if b.any() else None for b in bins)
     return CoverageCurve(CURVE_EDGES, seen, tuple(int(b.sum()) for b in bins), rows)
 
@@ -257,45 +257,41 @@ class SeedCalibrations:
     ----------
     name : of the network
     by_seed : fitted to all validation clouds
-    halves : by seed, fitted to the validation rooms of even and of odd numbers; None where the report is of another
-        split. A validation cloud is judged by the half that its room was not in.
+    judges : by seed, for the rooms of even and of odd numbers. Where the report is of the validation split, each was
+        fitted to the other half of its rooms: no cloud is judged by what saw its room.
     """
 
     name: str
     by_seed: tuple[Calibration, ...]
-    halves: tuple[tuple[Calibration, Calibration], ...] | None
+    judges: tuple[tuple[Calibration, Calibration], ...]
 
     @classmethod
     def fitted(
-        cls, network: NetworkSeeds, held_out: Sequence[Group], target: Target, device: str, is_crossed: bool
+        cls, network: NetworkSeeds, held_out: Sequence[Group], *, is_crossed: bool = False
     ) -> SeedCalibrations | None:
         """Fitted to validation clouds; None for a network that expects no error or has too few clouds here."""
-        parts = [network.predictions(group, target, device) for group in held_out]
-        truth = np.concatenate([group.cases.truth(target) for group in held_out])
-        parity = _parity(np.concatenate([group.cases.room for group in held_out]))
-        coverage = np.concatenate([group.coverage for group in held_out])
-        by_seed, halves = [], []
-        for i in range(len(network.nets)):
-            of_seed = [part[i] for part in parts if part is not None]
-            raw = [one.raw_error for one in of_seed if one.raw_error is not None]
-            if len(raw) != len(held_out) or min(np.bincount(parity, minlength=2)) < 2:
-                return None
+        cases, said = [group.cases for group in held_out], [network.of_group(group) for group in held_out]
+        parity = np.concatenate([clouds.room for clouds in cases]) % 2
+        expects_error = all(said) and all(one.raw_error is not None for of_group in said for one in of_group)
+        if not expects_error or min(np.bincount(parity, minlength=2)) < 2:
+            return None
+        truth = np.concatenate([clouds.truth(network.target) for clouds in cases])
+        coverage = np.concatenate([clouds.coverage for clouds in cases])
+        by_seed, judges = [], []
+        for of_seed in zip(*said, strict=True):
             made = rmse_of_each(np.concatenate([one.light for one in of_seed]), truth)
-            known = np.concatenate(raw), made, coverage
+            raw = np.concatenate([one.raw_error for one in of_seed if one.raw_error is not None])
+            known = raw, made, coverage
             by_seed.append(fit_calibration(*known))
             even, odd = (fit_calibration(*(part[parity == p] for part in known)) for p in (0, 1))
-            halves.append((even, odd))
-        return cls(network.name, tuple(by_seed), tuple(halves) if is_crossed else None)
+            judges.append((odd, even) if is_crossed else (by_seed[-1], by_seed[-1]))
+        return cls(network.name, tuple(by_seed), tuple(judges))
 
-    def expected(self, seed: int, raw: ArrayF64, coverage: ArrayF64, room: ArrayInt) -> tuple[ArrayF64, ArrayF64]:
+    def expected(self, seed: int, raw: ArrayF64, clouds: CloudSet) -> tuple[ArrayF64, ArrayF64]:
         """(M,) expected errors, and (S, M) the errors promised for each share asked."""
-        if self.halves is None:
-            errors = self.by_seed[seed].expected(raw, coverage)
-            return errors, np.outer(self.by_seed[seed].quantiles, errors)
-        parity = _parity(room)
-        by_other_half = [self.halves[seed][1 - p] for p in (0, 1)]
-        errors = np.choose(parity, [one.expected(raw, coverage) for one in by_other_half])
-        multiples = np.array([one.quantiles for one in by_other_half])[parity].T
+        parity, judges = clouds.room % 2, self.judges[seed]
+        errors = np.choose(parity, [one.expected(raw, clouds.coverage) for one in judges])
+        multiples = np.array([one.quantiles for one in judges])[parity].T
         return errors, multiples * errors
 
     def figures(self, groups: Sequence[Group], predicted: Sequence[Predictions], target: Target) -> CalibrationRow:
@@ -309,11 +305,11 @@ class SeedCalibrations:
         for group, predicted in known:
             raw = predicted.raw_error if predicted.raw_error is not None else np.zeros(len(group.cases))
             made = rmse_of_each(predicted.light, group.cases.truth(target))
-            of_tables.append((*self.expected(seed, raw, group.coverage, group.cases.room), made))
+            of_tables.append((*self.expected(seed, raw, group.cases), made))
         errors, limits, came = (np.concatenate(parts, axis=-1) for parts in zip(*of_tables, strict=True))
         # The first two tables are of the rooms that were split; what coverage does is asked of them alone.
-        main = slice(sum(len(group.cases) for group, _ in known[:2]))
-        seen = np.concatenate([group.coverage for group, _ in known[:2]])
+        seen = np.concatenate([group.cases.coverage for group, _ in known[:2]])
+        main = slice(len(seen))
         edges = [f"{a:.0%} to {b:.0%} seen" for a, b in itertools.pairwise(COVERAGE_EDGES)]
         by_coverage = dict(zip(edges, coverage_groups(seen), strict=True))
         figures = calibration_figures(errors[main], limits[:, main], came[main], by_coverage)
@@ -322,28 +318,20 @@ class SeedCalibrations:
         return replace(figures, tables=calibration_figures(errors, limits, came, by_table).groups)
 
 
-def _parity(room: ArrayInt) -> ArrayInt:
-    """(M,) 0 for rooms of even, 1 for rooms of odd numbers."""
-    parity: ArrayInt = np.asarray(room % 2, np.intp)
-    return parity
-
-
-def calibrate_network(network: Path, folders: Sequence[Path], device: str = "cpu") -> Calibration:
+def calibrate_network(network: Path, folders: Sequence[Path]) -> Calibration:
     """The calibration of one trained network by the validation clouds of one view and of all views, for its weights.
 
     ValueError if the file or the folders are broken, the network expects no error, or there are too few clouds.
     """
-    target = load_network(network, device).target
-    seeds = load_seeds(network.stem, [network], target, device)
-    held_out = [open_group(views, folders, "validation", views) for views in ("one", "merged")]
-    found = SeedCalibrations.fitted(seeds, held_out, target, device, is_crossed=False)
+    seeds = load_alone(network)
+    found = SeedCalibrations.fitted(seeds, [open_group(views, folders, "validation", views) for views in VIEWS])
     if found is None:
         raise ValueError(f"{network}: expected a network that knows its error, and validation clouds of several rooms")
     return found.by_seed[0]
 
 
 def calibrate_elsewhere(
-    network: Path, calibration: Calibration, folders: Sequence[Path], device: str = "cpu"
+    network: Path, calibration: Calibration, folders: Sequence[Path]
 ) -> tuple[Calibration, tuple[float, ...]]:
     """`calibration` brought to the level of rooms of another kind, a folder of sampled clouds each, and how well its
     promises are kept in each of them by the level of the others.
@@ -352,57 +340,54 @@ def calibrate_elsewhere(
     """
     if len(folders) < 2:
         raise ValueError(f"--elsewhere: expected the sampled clouds of two rooms or more, got {len(folders)}")
-    loaded = load_network(network, device)
-    errors = []
+    seeds, errors = load_alone(network), []
     for number, folder in enumerate(folders):
         clouds = open_split(folder, "test")
-        predicted = predict_clouds(loaded.net, clouds, loaded.target, device)
+        (predicted,) = seeds.of_clouds(clouds)
         if predicted.raw_error is None or not len(clouds):
             raise ValueError(f"{folder}: expected clouds, and a network that knows its error")
-        made = rmse_of_each(predicted.light, clouds.truth(loaded.target))
+        made = rmse_of_each(predicted.light, clouds.truth(seeds.target))
         errors.append(np.stack([predicted.raw_error, made, clouds.coverage, np.full(len(made), number)]))
-    raw, made, coverage, room = np.concatenate(errors, axis=1)
-    kept = promises_left_out(calibration, raw, made, coverage, room)
-    return calibration_elsewhere(calibration, raw, made, coverage, room), kept
+    known = np.concatenate(errors, axis=1)
+    return calibration_elsewhere(calibration, *known), promises_left_out(calibration, *known)
 
 
 def stress_group(
     name: str, clouds: CloudSet, networks: Sequence[NetworkSeeds], baselines: Baselines,
-    calibrations: Mapping[str, SeedCalibrations], device: str,
+    calibrations: Mapping[str, SeedCalibrations],
 ) -> StressGroup:  # fmt: skip
     """RMSE of `projection` and the lattice networks over `ambient`'s, and whether all lights are finite."""
     truth, basic, coverage = clouds.truth(baselines.target), baselines.lights(clouds), clouds.coverage
     of_ambient = pooled_rms(basic[AMBIENT] - truth)
-    projection = _stress_figures(Prediction(basic[PROJECTION]), truth, of_ambient, None)
-    rows = [StressRow(**vars(projection), name=PROJECTION, n_seeds=1, spread=None)]
+    rows = [_stress_row(PROJECTION, 1, basic[PROJECTION], truth, of_ambient, None)]
     for network in networks:
-        figures = []
-        for i, net in enumerate(network.nets):
-            predicted = predict_clouds(net, clouds, baselines.target, device)
+        of_seeds = []
+        for i, predicted in enumerate(network.of_clouds(clouds)):
             # As the estimator does in a session, where the frame's sensor is at hand.
-            predicted = replace(predicted, light=lean_on_sensor(predicted.light, coverage, basic[AMBIENT]))
+            light = lean_on_sensor(predicted.light, coverage, basic[AMBIENT])
             expected = None
             if network.name in calibrations and predicted.raw_error is not None:
-                expected = calibrations[network.name].expected(i, predicted.raw_error, coverage, clouds.room)[0]
-            figures.append(_stress_figures(predicted, truth, of_ambient, expected))
-        mean, spread = over_seeds(figures)
-        is_finite = all(one.is_finite for one in figures)
-        mean = replace(mean, is_finite=is_finite, is_within=is_finite and _is_within(mean.ratio))
-        rows.append(StressRow(**vars(mean), name=network.name, n_seeds=len(network.nets), spread=spread.ratio))
+                expected = calibrations[network.name].expected(i, predicted.raw_error, clouds)[0]
+            of_seeds.append(_stress_row(network.name, len(network.nets), light, truth, of_ambient, expected))
+        mean, spread = over_seeds(of_seeds)
+        is_finite = all(one.is_finite for one in of_seeds)
+        is_within = is_finite and _is_within(mean.ratio)
+        rows.append(replace(mean, is_finite=is_finite, is_within=is_within, spread=spread.ratio))
     seen = float(coverage.mean()) if len(coverage) else None
     return StressGroup(name, len(clouds), clouds.is_set.shape[1], seen, tuple(rows))
 
 
-def _stress_figures(
-    predicted: Prediction, truth: Any, of_ambient: float | None, expected: ArrayF64 | None
-) -> StressFigures:
-    is_finite = bool(np.isfinite(predicted.light).all())
-    rmse = pooled_rms(predicted.light - truth) if is_finite else None
+def _stress_row(
+    name: str, n_seeds: int, light: ArrayF64, truth: NDArray[Any], of_ambient: float | None, expected: ArrayF64 | None
+) -> StressRow:
+    """Of one of the seeds."""
+    is_finite = bool(np.isfinite(light).all())
+    rmse = pooled_rms(light - truth) if is_finite else None
     kept = None
     if expected is not None and is_finite and len(truth):
-        kept = ratio(float(expected.mean()), float(rmse_of_each(predicted.light, truth).mean()))
+        kept = ratio(float(expected.mean()), float(rmse_of_each(light, truth).mean()))
     over_ambient = ratio(rmse, of_ambient)
-    return StressFigures(rmse, over_ambient, is_finite, is_finite and _is_within(over_ambient), kept)
+    return StressRow(rmse, over_ambient, is_finite, is_finite and _is_within(over_ambient), kept, name, n_seeds)
 
 
 def _is_within(over_ambient: float | None) -> bool:

@@ -11,20 +11,18 @@ from collections.abc import Sequence
 
 from xihenet.light_picture import SPHERES
 from xihenet.training.report import LearningPoint, Report, ReportHead
-from xihenet.training.report_parts import CalibrationRow, RoomFigures, StressGroup, StressRow, Table, TableRow
+from xihenet.training.report_parts import CalibrationRow, Figures, RoomFigures, StressGroup, StressRow, Table, TableRow
 
 
 def report_markdown(report: Report) -> str:
     """A report as text, one section for each part that has figures."""
     head = report.head
-    lines = [
-        f"# Estimators on the {head.split} rooms, {head.target}",
-        "",
+    about = (
         f"Split: {head.split}, target: {head.target}. The mean predictor, whose error divides the others', "
         f"and the fits come from {head.n_clouds_fitted} clouds of {head.n_rooms_fitted} training rooms. "
-        "± is the standard deviation over seeds.",
-        "",
-    ]
+        "± is the standard deviation over seeds."
+    )
+    lines = [f"# Estimators on the {head.split} rooms, {head.target}", "", about, ""]
     for table in report.tables:
         lines += _table_section(table, head)
     lines += _learning_section(report.learning)
@@ -61,15 +59,17 @@ def _ratio_row(row: TableRow) -> list[str]:
 
 
 def _error_row(row: TableRow) -> list[str]:
-    mean, spread = row.figures, row.spread
-    cells = [_cell(mean.rmse, spread.rmse, 4), _cell(mean.irradiance, spread.irradiance)]
-    cells.append(_cell(mean.irradiance_percent, spread.irradiance_percent, 1))
-    cells.append(_cell(mean.dominant.median_deg, spread.dominant.median_deg, 1))
+    digits = [4, 3, 1, 1, *[3, 3, 2] * len(SPHERES)]
+    return [row.name, *map(_cell, _errors(row.figures), _errors(row.spread), digits)]
+
+
+def _errors(figures: Figures) -> list[float | None]:
+    """In the order of the columns."""
+    errors = [figures.rmse, figures.irradiance, figures.irradiance_percent, figures.dominant.median_deg]
     for sphere in SPHERES:
-        own, its_spread = mean.spheres[sphere], spread.spheres[sphere]
-        cells += [_cell(own.rmse, its_spread.rmse), _cell(own.si_rmse, its_spread.si_rmse)]
-        cells.append(_cell(own.angular_deg, its_spread.angular_deg, 2))
-    return [row.name, *cells]
+        own = figures.spheres[sphere]
+        errors += [own.rmse, own.si_rmse, own.angular_deg]
+    return errors
 
 
 def _learning_section(learning: Sequence[LearningPoint]) -> list[str]:
@@ -94,36 +94,28 @@ def _calibration_section(row: CalibrationRow, head: ReportHead) -> list[str]:
 
 
 def _room_section(rooms: Sequence[RoomFigures]) -> list[str]:
-    if not rooms or not rooms[0].worst_rooms:
+    if not rooms[0].worst_rooms:
         return []
     share = f"{rooms[0].worst_share:.0%}"
     names = [f"worst {share} of clouds", f"worst {share} of rooms", "worst rooms (share of squared error)"]
-    table = [
-        [
-            row.name,
-            _percent(row.of_worst_clouds),
-            _percent(row.of_worst_rooms),
-            ", ".join(f"{one.room} ({_percent(one.share)})" for one in row.worst_rooms),
-        ]
-        for row in rooms
-    ]
+    table = []
+    for row in rooms:
+        worst = ", ".join(f"{one.room} ({_percent(one.share)})" for one in row.worst_rooms)
+        table.append([row.name, _percent(row.of_worst_clouds), _percent(row.of_worst_rooms), worst])
     return ["## Where the squared error lies, one view", "", *_table(["predictor", *names], table), ""]
 
 
 def _stress_section(stress: Sequence[StressGroup], head: ReportHead) -> list[str]:
-    if not stress:
-        return []
-    names = [row.name for row in stress[0].rows]
-    lines = []
+    columns = ["clouds", "anchors", "number", "seen", *(row.name for row in stress[0].rows)]
+    table = []
     for group in stress:
-        known = {row.name: _stress_cell(row) for row in group.rows}
-        cells = [known.get(name, "") for name in names]
-        lines.append([group.name, str(group.n_anchors), str(group.n_clouds), _percent(group.coverage), *cells])
+        numbers = [str(group.n_anchors), str(group.n_clouds), _percent(group.coverage)]
+        table.append([group.name, *numbers, *map(_stress_cell, group.rows)])
     about = (
         f"SHC RMSE / `ambient`'s on the same clouds of one view. At most {head.stress_limit:.2f} is asked for; what "
         "is above, or is not finite, is marked with an exclamation mark."
     )
-    return ["## Under disturbances", "", about, "", *_table(["clouds", "anchors", "number", "seen", *names], lines), ""]
+    return ["## Under disturbances", "", about, "", *_table(columns, table), ""]
 
 
 def _stress_cell(row: StressRow) -> str:

@@ -7,11 +7,13 @@ split as a whole, by a hash of its seed: more rooms leave the older ones where t
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from xihenet.camera import in_view, unproject_frame
 from xihenet.mirror_ball import project_mirror_ball
@@ -19,10 +21,13 @@ from xihenet.npz_files import read_npz
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, Intrinsics, PointCloud, RgbdFrame
 
 Split = Literal["train", "validation", "test"]
-SPLITS: tuple[Split, ...] = ("train", "validation", "test")
+SPLITS: tuple[Split, ...] = get_args(Split)
 TRAIN_SHARE, VALIDATION_SHARE = 0.8, 0.1
 TRAINING_ONLY = frozenset({"radiance"})
 """Parts of a room's file that only training uses."""
+
+Stored = Mapping[str, NDArray[Any]]
+"""Arrays of a room's file by name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +71,8 @@ def room_files(folder: Path) -> list[Path]:
     """The rooms in `folder`, in order of their numbers; ValueError if there are none."""
     files = sorted(folder.glob("room_[0-9]*.npz"))
     if not files:
-        raise ValueError(
-            f"{folder}: expected rooms (room_000000.npz and on), got none; make them with the data set build"
-        )
+        hint = "make them with the data set build"
+        raise ValueError(f"{folder}: expected rooms (room_000000.npz and on), got none; {hint}")
     return files
 
 
@@ -88,24 +92,16 @@ def split_of(seed: tuple[int, int]) -> Split:
 
 def pairs_that_count(path: Path, *, is_upright: bool = False) -> ArrayBool:
     """(V, P) without reading the pictures."""
-    stored = _read(path, "is_in_view", "positions_m", "world_from_camera", "intrinsics")
-    return _pairs_that_count(stored, _phone(stored, is_upright)[0], is_upright)
+    return _pairs_that_count(_read(path, "is_in_view", "positions_m", "world_from_camera", "intrinsics"), is_upright)
 
 
 def read_room(path: Path, *, is_upright: bool = False) -> TrainingRoom:
     """All of a room, or what an upright phone sees of it. ValueError naming the file if it is no room."""
     names = ("srgb_u8", "plane_depth_m", "world_from_camera", "intrinsics", "exposure", "positions_m", "is_in_view")
-    stored = _read(path, *names, "balls", "sh_ldr", "sh_hdr", optional=TRAINING_ONLY)
-    intrinsics, columns = _phone(stored, is_upright)
-    exposure = float(stored["exposure"])
-    pictures = zip(stored["srgb_u8"], stored["plane_depth_m"], stored["world_from_camera"], strict=True)
-    frames = [
-        RgbdFrame(np.ascontiguousarray(c[:, columns]), d[:, columns].astype(np.float32), intrinsics, pose, exposure)
-        for c, d, pose in pictures
-    ]
-    radiance = None
+    stored = _read(path, *names, "balls", "sh_ldr", "sh_hdr", *TRAINING_ONLY)
+    frames, exposure, radiance = frames_of(stored, is_upright=is_upright), float(stored["exposure"]), None
     if "radiance" in stored:
-        kept = stored["radiance"][:, :, columns].astype(np.float32)
+        kept = stored["radiance"][:, :, _phone(stored, is_upright)[1]].astype(np.float32)
         radiance = kept.reshape(len(frames), -1, 3) * np.float32(exposure)
     return TrainingRoom(
         [unproject_frame(frame) for frame in frames],
@@ -114,11 +110,21 @@ def read_room(path: Path, *, is_upright: bool = False) -> TrainingRoom:
         stored["balls"].astype(np.float64) * exposure,
         stored["sh_ldr"],
         stored["sh_hdr"],
-        _pairs_that_count(stored, intrinsics, is_upright),
+        _pairs_that_count(stored, is_upright),
     )
 
 
-def _phone(stored: dict[str, np.ndarray], is_upright: bool) -> tuple[Intrinsics, slice]:  # type: ignore[type-arg]
+def frames_of(stored: Stored, *, is_upright: bool = False) -> list[RgbdFrame]:
+    """The views of a room's arrays as the phone delivered them, or what an upright phone sees of them."""
+    intrinsics, columns = _phone(stored, is_upright)
+    pictures = zip(stored["srgb_u8"], stored["plane_depth_m"], stored["world_from_camera"], strict=True)
+    return [
+        RgbdFrame(srgb_u8[:, columns], plane_depth_m[:, columns], intrinsics, pose, float(stored["exposure"]))
+        for srgb_u8, plane_depth_m, pose in pictures
+    ]
+
+
+def _phone(stored: Stored, is_upright: bool) -> tuple[Intrinsics, slice]:
     """Intrinsics, and the columns of the pictures that are used: all, or 3:4 of the height in the middle."""
     width, height, fx, fy, cx, cy = stored["intrinsics"].tolist()
     n_columns = int(height * 3 / 4) if is_upright else int(width)
@@ -126,17 +132,17 @@ def _phone(stored: dict[str, np.ndarray], is_upright: bool) -> tuple[Intrinsics,
     return Intrinsics(n_columns, int(height), fx, fy, cx - first, cy), slice(first, first + n_columns)
 
 
-def _pairs_that_count(
-    stored: dict[str, np.ndarray], intrinsics: Intrinsics, is_upright: bool  # type: ignore[type-arg]
-) -> ArrayBool:  # fmt: skip
+def _pairs_that_count(stored: Stored, is_upright: bool) -> ArrayBool:
     if not is_upright:
         return np.asarray(stored["is_in_view"], bool)
+    intrinsics, _ = _phone(stored, is_upright)
     return np.stack([in_view(stored["positions_m"], intrinsics, pose) for pose in stored["world_from_camera"]])
 
 
-def _read(path: Path, *names: str, optional: frozenset[str] = frozenset()) -> dict[str, np.ndarray]:  # type: ignore[type-arg]
+def _read(path: Path, *names: str) -> Stored:
+    """These arrays; only what training alone uses may be missing."""
     try:
-        stored = read_npz(path, {*names, *optional})
-        return {name: stored[name] for name in (*names, *(optional & stored.keys()))}
+        stored = read_npz(path, names)
+        return {name: stored[name] for name in names if name in stored or name not in TRAINING_ONLY}
     except (KeyError, ValueError) as error:
         raise ValueError(f"{path}: expected a room of a data set ({error})") from None

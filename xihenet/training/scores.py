@@ -43,12 +43,8 @@ _CLOUDS_AT_ONCE = 256
 
 @dataclass(frozen=True)
 class DominantLight:
-    """Where the light comes from.
-
-    Parameters
-    ----------
-    median_deg : angle between the l = 1 vectors of luminance, over the clouds whose true light comes from somewhere
-    n_left_out : clouds whose true light does not, see `DOMINANT_SHARE`
+    """Median angle between the l = 1 vectors of luminance over the clouds whose true light comes from somewhere, and
+    of how many clouds it does not, see `DOMINANT_SHARE`.
     """
 
     median_deg: float | None
@@ -57,12 +53,10 @@ class DominantLight:
 
 @dataclass(frozen=True)
 class SphereErrors:
-    """Mean over clouds of the errors of one sphere's picture; linear light below 0 is shown as black.
+    """Means over clouds of the errors of one sphere's picture, those of `xihenet.metrics`; light below 0 is black.
 
-    Parameters
-    ----------
-    rmse, si_rmse, angular_deg : as `xihenet.metrics` defines them; the angle over clouds with any pixel to ask
-    black_share : of all pixels, those that are black in the prediction alone: the angle leaves them out
+    The angle is over clouds with any pixel to ask; of all pixels, it leaves out the `black_share` that is black in the
+    prediction alone.
     """
 
     rmse: float | None
@@ -77,13 +71,9 @@ class Scores:
 
     Parameters
     ----------
-    n_clouds : M
-    rmse : SHC RMSE over all coefficients of all clouds
-    by_band : of l = 0, 1, 2
-    by_coverage : of the clouds between the `COVERAGE_EDGES`
+    rmse, by_band, by_coverage : SHC RMSE of all clouds; of l = 0, 1, 2; of the clouds between the `COVERAGE_EDGES`
     irradiance : RMSE of irradiance at fixed normals over the root mean square of the true one, pooled
     irradiance_percent : mean over clouds of the same ratio within each cloud, in percent; black clouds left out
-    dominant : angle of the dominant light
     spheres : of each of `SPHERES`
     """
 
@@ -98,32 +88,24 @@ class Scores:
 
 
 def score_lights(lights: ArrayLike, truth: ArrayLike, coverage: ArrayLike) -> Scores:
-    """Every error of M lights against their truth.
+    """Every error of M lights against their truth, both (M, 9, 3) radiance coefficients; M may be 0.
 
-    Parameters
-    ----------
-    lights, truth : (M, 9, 3) radiance coefficients; M may be 0
-    coverage : (M,) share of the sphere seen, 0 to 1
-
-    Raises
-    ------
-    ValueError : for other shapes, and with their number for lights that are not finite
+    `coverage` (M,) is the share of the sphere seen, 0 to 1. ValueError for other shapes, and with their number for
+    lights that are not finite.
     """
     predicted, true = checked_lights(lights, truth)
     seen = np.asarray(coverage, np.float64)
     if seen.shape != (len(true),):
         raise ValueError(f"coverage: expected shape ({len(true)},), got {seen.shape}")
     error = predicted - true
-    irradiance, irradiance_percent = _irradiance_errors(predicted, true)
     return Scores(
-        n_clouds=len(true),
-        rmse=pooled_rms(error),
-        by_band=tuple(pooled_rms(error[:, band_slice(band)]) for band in range(3)),
-        by_coverage=tuple(pooled_rms(error[group]) for group in coverage_groups(seen)),
-        irradiance=irradiance,
-        irradiance_percent=irradiance_percent,
-        dominant=dominant_light(predicted, true),
-        spheres=sphere_errors(predicted, true),
+        len(true),
+        pooled_rms(error),
+        tuple(pooled_rms(error[:, band_slice(band)]) for band in range(3)),
+        tuple(pooled_rms(error[group]) for group in coverage_groups(seen)),
+        *_irradiance_errors(predicted, true),
+        dominant_light(predicted, true),
+        sphere_errors(predicted, true),
     )
 
 
@@ -176,37 +158,37 @@ def dominant_light(lights: ArrayF64, truth: ArrayF64) -> DominantLight:
     return DominantLight(float(np.median(angle_deg)), int(np.count_nonzero(~is_asked)))
 
 
-def sphere_errors(lights: ArrayF64, truth: ArrayF64, size: int = SPHERE_SIZE) -> dict[str, SphereErrors]:
+def sphere_errors(lights: ArrayF64, truth: ArrayF64) -> dict[str, SphereErrors]:
     """Errors of the pictures of the three spheres under lights (M, 9, 3)."""
     parts = [np.zeros((4, 0, len(SPHERES)))]
     for start in range(0, len(lights), _CLOUDS_AT_ONCE):
         block = slice(start, start + _CLOUDS_AT_ONCE)
-        parts.append(_picture_errors(_pictures(lights[block], size), _pictures(truth[block], size)))
+        parts.append(_picture_errors(_pictures(lights[block]), _pictures(truth[block])))
     of_each = np.concatenate(parts, axis=1)
     return {name: SphereErrors(*map(_mean_known, of_each[:, :, i])) for i, name in enumerate(SPHERES)}
 
 
 def _irradiance_errors(lights: ArrayF64, truth: ArrayF64) -> tuple[float | None, float | None]:
     """Pooled over all clouds, and the mean over clouds in percent."""
-    true = np.einsum("ni,mic->mnc", _irradiance_table(), truth)
-    error = np.einsum("ni,mic->mnc", _irradiance_table(), lights) - true
+    true, shown = (np.einsum("ni,mic->mnc", irradiance_table(N_NORMALS), light) for light in (truth, lights))
+    error = shown - true
     power, true_power = np.mean(error**2, axis=(1, 2)), np.mean(true**2, axis=(1, 2))
     is_lit = true_power > 0
     in_each = np.sqrt(power[is_lit] / true_power[is_lit])
     return ratio(pooled_rms(error), pooled_rms(true)), float(100 * in_each.mean()) if is_lit.any() else None
 
 
-@lru_cache(maxsize=1)
-def _irradiance_table() -> ArrayF64:
-    """(N_NORMALS, 9): irradiance at fixed normals from coefficients."""
-    table: ArrayF64 = basis(AnchorLattice(N_NORMALS).directions) * np.repeat(cosine_lobe(2), [1, 3, 5])
+@lru_cache(maxsize=2)
+def irradiance_table(n_normals: int) -> ArrayF64:
+    """(n_normals, 9): irradiance at normals spread over the sphere, from coefficients."""
+    table: ArrayF64 = basis(AnchorLattice(n_normals).directions) * np.repeat(cosine_lobe(2), [1, 3, 5])
     return table
 
 
-def _pictures(lights: ArrayF64, size: int) -> ArrayF64:
+def _pictures(lights: ArrayF64) -> ArrayF64:
     """(M, 3, P, 3) what the pixels of the spheres show, black where light is negative."""
-    shown: ArrayF64 = np.maximum(np.einsum("spi,mic->mspc", sphere_transfer(size), lights, optimize=True), 0.0)
-    return shown
+    shown: ArrayF64 = np.einsum("spi,mic->mspc", sphere_transfer(SPHERE_SIZE), lights, optimize=True)
+    return np.maximum(shown, 0.0, out=shown)
 
 
 def _picture_errors(predicted: ArrayF64, true: ArrayF64) -> ArrayF64:

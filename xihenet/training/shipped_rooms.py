@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -36,13 +35,13 @@ def write_shipped_rooms(data: Path, out: Path, n_rooms: int) -> list[Path]:
     return [out / path.name for path in chosen]
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> int:
     """The command line; 2 for a user's mistake."""
     parser = argparse.ArgumentParser(prog="python -m xihenet.training.shipped_rooms", description=__doc__)
     parser.add_argument("rooms", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--rooms", dest="n_rooms", type=int, default=16)
-    options = parser.parse_args(arguments)
+    options = parser.parse_args()
     try:
         written = write_shipped_rooms(options.rooms, options.out, options.n_rooms)
     except (ValueError, OSError) as error:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,12 +48,14 @@ def leave_cap(clouds: CloudSet, rng: np.random.Generator, share: float = CAP_SHA
         if len(members):
             nearness = directions[members] @ directions[rng.choice(members)]
             left[members[np.argsort(-nearness, kind="stable")[:n_left]]] = True
-    return _only(clouds, is_set)
+    shown = is_set[..., None]
+    srgb_u8, points_m, facing_i8 = clouds.srgb_u8 * shown, clouds.points_m * shown, clouds.facing_i8 * is_set
+    # The sensor's reading stays the frame's own.
+    return replace(clouds, srgb_u8=srgb_u8, points_m=points_m, facing_i8=facing_i8, is_set=is_set)
 
 
-def leave_one_anchor(clouds: CloudSet, rng: np.random.Generator) -> CloudSet:
-    """Of each cloud, one set anchor drawn at random."""
-    return leave_cap(clouds, rng, share=0.0)
+leave_one_anchor = partial(leave_cap, share=0.0)
+"""Of each cloud, one set anchor drawn at random."""
 
 
 def blacken(clouds: CloudSet, rng: np.random.Generator) -> CloudSet:
@@ -80,13 +83,6 @@ DISTURBANCES: dict[str, Disturbance] = {
     "blown-out frame": blow_out,
     "noise": add_noise,
 }
-
-
-def _only(clouds: CloudSet, is_set: NDArray[np.bool_]) -> CloudSet:
-    """The sensor's reading stays the frame's own."""
-    known = is_set[..., None]
-    parts = {name: getattr(clouds, name) * known for name in ("srgb_u8", "points_m")}
-    return replace(clouds, **parts, facing_i8=clouds.facing_i8 * is_set, is_set=is_set)
 
 
 def _coloured(clouds: CloudSet, srgb_u8: NDArray[np.uint8]) -> CloudSet:
