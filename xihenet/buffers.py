@@ -40,8 +40,10 @@ def _merged_surfaces(old: UnitSphereCloud, new: UnitSphereCloud) -> AnchorSurfac
     before, after, seen = old.surfaces or unknown, new.surfaces or unknown, new.is_set
     return AnchorSurfaces(
         np.where(seen, after.facing, before.facing),
+        np.where(seen, after.incidence, before.incidence),
         np.where(seen, after.camera_distance_m, before.camera_distance_m),
         np.where(seen[:, None], after.view_direction, before.view_direction),
+        np.where(seen, after.is_edge, before.is_edge),
     )
 
 
