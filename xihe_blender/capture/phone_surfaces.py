@@ -69,7 +69,8 @@ def surfaces_in(passes: Mapping[str, ArrayF32], roughness: Mapping[str, float | 
 def save_surfaces(path: Path, surfaces: SurfaceFacts) -> None:
     """Write what `surfaces_in` gave; OSError if that fails."""
     with written_whole(path) as beside:
-        np.savez_compressed(beside, **vars(surfaces))
+        known = {name: values for name, values in vars(surfaces).items() if values is not None}
+        np.savez_compressed(beside, **known)
 
 
 def load_surfaces(path: Path) -> SurfaceFacts:
