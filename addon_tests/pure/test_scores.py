@@ -11,12 +11,12 @@ from xihenet.training.scores import (
     DOMINANT_SHARE,
     SPHERE_SIZE,
     UNDIRECTED_DEG,
+    Scores,
     coverage_groups,
     dominant_light,
     pooled_rms,
     ratio,
     rmse_of_each,
-    score_lights,
     sphere_errors,
 )
 
@@ -51,7 +51,7 @@ def rotation_about_x(degrees):
 
 def test_a_perfect_prediction_is_wrong_by_nothing():
     truth = lights(20)
-    scores = score_lights(truth, truth, np.full(20, 0.5))
+    scores = Scores.of(truth, truth, np.full(20, 0.5))
     assert scores.n_clouds == 20 and scores.rmse == 0 and scores.by_band == (0, 0, 0)
     assert scores.irradiance == 0 and scores.irradiance_percent == 0 and scores.dominant.median_deg == 0
     for sphere in scores.spheres.values():
@@ -62,7 +62,7 @@ def test_a_light_wrong_by_a_constant_is_wrong_in_its_band_alone():
     truth = lights(30)
     made = truth.copy()
     made[:, 0] += 0.4
-    scores = score_lights(made, truth, np.linspace(0, 1, 30))
+    scores = Scores.of(made, truth, np.linspace(0, 1, 30))
     np.testing.assert_allclose(scores.by_band, (0.4, 0, 0), atol=1e-12)
     np.testing.assert_allclose(scores.rmse, 0.4 / 3)
     np.testing.assert_allclose([error for error in scores.by_coverage if error is not None], 0.4 / 3)
@@ -71,7 +71,7 @@ def test_a_light_wrong_by_a_constant_is_wrong_in_its_band_alone():
 
 def test_irradiance_is_relative_to_the_true_one():
     truth = lights(10)
-    scores = score_lights(1.1 * truth, truth, np.zeros(10))
+    scores = Scores.of(1.1 * truth, truth, np.zeros(10))
     np.testing.assert_allclose([scores.irradiance, scores.irradiance_percent], [0.1, 10.0])
 
 
@@ -119,7 +119,7 @@ def test_the_vectorised_scores_are_those_of_the_metrics_one_by_one():
             np.testing.assert_allclose(got, [np.mean(column) for column in columns], rtol=1e-9, atol=1e-12)
         one_by_one = [shc_rmse(light, true) for light, true in zip(made, truth, strict=True)]
         np.testing.assert_allclose(rmse_of_each(made, truth), one_by_one)
-        np.testing.assert_allclose(score_lights(made, truth, np.zeros(len(made))).rmse, shc_rmse(made, truth))
+        np.testing.assert_allclose(Scores.of(made, truth, np.zeros(len(made))).rmse, shc_rmse(made, truth))
 
 
 def test_many_clouds_give_what_their_parts_give():
@@ -131,17 +131,17 @@ def test_many_clouds_give_what_their_parts_give():
 
 
 def test_an_empty_group_gives_none():
-    empty = score_lights(np.zeros((0, 9, 3)), np.zeros((0, 9, 3)), np.zeros(0))
+    empty = Scores.of(np.zeros((0, 9, 3)), np.zeros((0, 9, 3)), np.zeros(0))
     assert empty.n_clouds == 0 and empty.rmse is None and empty.by_band == (None,) * 3
     assert empty.irradiance is None and empty.irradiance_percent is None and empty.dominant.median_deg is None
     assert all(sphere.rmse is None and sphere.angular_deg is None for sphere in empty.spheres.values())
-    some = score_lights(lights(4), lights(4, 1), np.full(4, 0.3))
+    some = Scores.of(lights(4), lights(4, 1), np.full(4, 0.3))
     assert [error is None for error in some.by_coverage] == [True, False, True, True, True]
     assert pooled_rms([]) is None and ratio(None, 1.0) is None and ratio(1.0, None) is None and ratio(1.0, 0.0) is None
 
 
 def test_a_black_truth_has_no_relative_error():
-    scores = score_lights(lights(2), np.zeros((2, 9, 3)), np.zeros(2))
+    scores = Scores.of(lights(2), np.zeros((2, 9, 3)), np.zeros(2))
     assert scores.irradiance is None and scores.irradiance_percent is None
     assert all(sphere.angular_deg is None for sphere in scores.spheres.values())
 
@@ -169,4 +169,4 @@ def with_one(bad):
 )
 def test_lights_that_are_not_finite_or_of_another_shape_are_refused(made, truth, n_coverages, words):
     with pytest.raises(ValueError, match=words):
-        score_lights(made, truth, np.zeros(n_coverages))
+        Scores.of(made, truth, np.zeros(n_coverages))

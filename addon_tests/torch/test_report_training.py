@@ -53,29 +53,21 @@ def random_clouds(rng, rooms, n_pairs, n_merged, n_anchors=N, coverage=(0.2, 0.6
     is_set[:, 0] = True
     known = is_set[..., None]
     points = directions * rng.uniform(1, 4, (n, n_anchors, 1))
+    srgb, lights, sensed = np.rint(linear_to_srgb(radiance) * 255), truth.astype(np.float32), radiance.mean(axis=1)
     return CloudSet(
-        (np.rint(linear_to_srgb(radiance) * 255) * known).astype(np.uint8),
-        (points * known).astype(np.float16),
-        is_set,
-        truth.astype(np.float32),
-        truth.astype(np.float32),
-        radiance.mean(axis=1).astype(np.float32),
-        room.astype(np.int64),
-        n_views.astype(np.int64),
-        np.zeros((n, n_anchors), np.int8),
-    )
+        (srgb * known).astype(np.uint8), (points * known).astype(np.float16), is_set, lights, lights,
+        sensed.astype(np.float32), room.astype(np.int64), n_views.astype(np.int64), np.zeros((n, n_anchors), np.int8),
+    )  # fmt: skip
 
 
-def write_cache(
-    folder, sampling="sphere", n_anchors=N, is_test_only=False, coverage=(0.2, 0.6), seed=0, n_test_pairs=4
-):
+def write_cache(folder, sampling="sphere", n_anchors=N, is_test_only=False, coverage=(0.2, 0.6), seed=0, n_pairs=4):
     rng = np.random.default_rng(seed)
-    for split, rooms, n_pairs, n_merged in (
+    for split, rooms, n_single, n_merged in (
         ("train", np.arange(12), 2 * N_COPIES, 4),
         ("validation", np.arange(20, 26), 3, 2),
-        ("test", TEST_ROOMS, n_test_pairs, 2),
+        ("test", TEST_ROOMS, n_pairs, 2),
     ):
-        clouds = random_clouds(rng, rooms, n_pairs, n_merged, n_anchors, coverage)
+        clouds = random_clouds(rng, rooms, n_single, n_merged, n_anchors, coverage)
         if split == "train":
             clouds.n_views[9::10] = 1  # of those merged the last has one view by chance, where a pair could begin
         if sampling != "sphere":
@@ -96,7 +88,7 @@ def folders(tmp_path_factory):
         "sphere": write_cache(folder / "sphere"),
         "uniform": write_cache(folder / "uniform", "uniform"),
         "walk": write_cache(folder / "walk", is_test_only=True, coverage=(0.7, 0.9), seed=1),
-        "whole": write_cache(folder / "whole", is_test_only=True, coverage=(1.0, 1.0), seed=2, n_test_pairs=0),
+        "whole": write_cache(folder / "whole", is_test_only=True, coverage=(1.0, 1.0), seed=2, n_pairs=0),
         "fewer": write_cache(folder / "fewer", n_anchors=64, seed=3),
     }
 

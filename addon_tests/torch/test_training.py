@@ -43,36 +43,28 @@ def lights_of_room(balls):
     return {"balls": balls.astype(np.float16), "sh_ldr": clipped, "sh_hdr": whole}
 
 
-def write_room(path, index):
-    """Two views and two positions of pictures that hold nothing but noise of a room's own colour."""
+def write_room(path, index, **changes):
+    """Two views and two positions of pictures that hold nothing but noise of a room's own colour; the file."""
     rng = np.random.default_rng(index)
     pose = np.eye(4)
     pose[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
     tint = rng.random(3)
     radiance = rng.random((2, 12, 16, 3)) * tint
-    np.savez_compressed(
-        path / f"room_{index:06d}.npz",
-        srgb_u8=encode_exposed(radiance, 2.0),
-        radiance=radiance.astype(np.float16),
-        plane_depth_m=(1 + 2 * rng.random((2, 12, 16))).astype(np.float16),
-        world_from_camera=np.stack([pose, pose]),
-        intrinsics=np.array([16, 12, 10, 10, 8, 6.0]),
-        exposure=np.array(2.0),
-        positions_m=rng.normal(size=(2, 3)) * 0.1 + [0, 1.5, 0],
+    arrays = {
+        "srgb_u8": encode_exposed(radiance, 2.0), "radiance": radiance.astype(np.float16),
+        "plane_depth_m": (1 + 2 * rng.random((2, 12, 16))).astype(np.float16),
+        "world_from_camera": np.stack([pose, pose]), "intrinsics": np.array([16, 12, 10, 10, 8, 6.0]),
+        "exposure": np.array(2.0), "positions_m": rng.normal(size=(2, 3)) * 0.1 + [0, 1.5, 0],
         **lights_of_room(rng.random((2, 16, 16, 3)) * tint),
-        is_in_view=np.array([[True, True], [False, True]]),
-        seed=np.array([7, index]),
-    )
-
-
-def write_smooth_room(path, index):
-    """As `write_room`, with a wall at 2.5 m instead of noise, so that its pixels are of one surface."""
-    write_room(path, index)
+        "is_in_view": np.array([[True, True], [False, True]]), "seed": np.array([7, index]),
+    }  # fmt: skip
     file = path / f"room_{index:06d}.npz"
-    with np.load(file) as stored:
-        content = dict(stored)
-    np.savez_compressed(file, **content | {"plane_depth_m": np.full((2, 12, 16), 2.5, np.float16)})
+    np.savez_compressed(file, **(arrays | changes))
     return file
+
+
+WALL = {"plane_depth_m": np.full((2, 12, 16), 2.5, np.float16)}
+"""Instead of noise, so that pixels are of one surface."""
 
 
 def indices(split, n):
@@ -147,7 +139,7 @@ def test_a_brighter_room_is_clipped_as_its_picture_would_be(rooms):
 
 def test_patches_and_facing_are_those_of_the_room_as_it_stands(tmp_path):
     """Moved, mirrored and turned together with the camera, pixels show the same patches of surface."""
-    room = read_room(write_smooth_room(tmp_path, 0))
+    room = read_room(write_room(tmp_path, 0, **WALL))
     cloud, position, lattice = room.views[0], room.positions_m[0], AnchorLattice(N)
     plain = sample_unit_sphere(cloud, position, lattice)
     assert (plain.surfaces.facing > 0.5).sum() > 10
@@ -159,15 +151,12 @@ def test_patches_and_facing_are_those_of_the_room_as_it_stands(tmp_path):
     moved = change.of_cloud(cloud, position, None)
     expected = rotation_about_vertical(2.0) @ ((cloud.grid.camera_m - position) * [-1, 1, 1])
     np.testing.assert_allclose(moved.grid.camera_m, expected, atol=1e-12)
-    before, after = (
-        np.linalg.norm(points - camera, axis=1)
-        for points, camera in ((cloud.points_m, cloud.grid.camera_m), (moved.points_m, moved.grid.camera_m))
-    )
+    before, after = (np.linalg.norm(one.points_m - one.grid.camera_m, axis=1) for one in (cloud, moved))
     np.testing.assert_allclose(after, before, rtol=1e-5)
 
 
 def test_clouds_keep_how_their_surfaces_face_and_projection_asks_it(caches, tmp_path):
-    room = read_room(write_smooth_room(tmp_path, 0))
+    room = read_room(write_room(tmp_path, 0, **WALL))
     settings = CacheSettings(N, is_test_only=True, only=("test",))
     for name, has_patches in (("patches", True), ("points", False)):
         build_cache(tmp_path, tmp_path / name, dataclasses.replace(settings, has_patches=has_patches))
@@ -228,14 +217,10 @@ def test_truth_is_clipped_for_ldr_and_carries_the_exposure(caches, rooms):
 
 
 def test_the_whole_sphere_shows_the_probe_itself(tmp_path):
-    write_room(tmp_path, 0)
-    with np.load(tmp_path / "room_000000.npz") as stored:
-        content = dict(stored)
     light = np.random.default_rng(0).normal(size=(9, 3)) * 0.03
     light[0] = 1.5
     ball = (basis(ball_directions(128)[0].reshape(-1, 3)) @ light).reshape(128, 128, 3)
-    content |= lights_of_room(np.stack([ball / 2.0] * 2))
-    np.savez_compressed(tmp_path / "room_000000.npz", **content)
+    write_room(tmp_path, 0, **lights_of_room(np.stack([ball / 2.0] * 2)))
     build_cache(tmp_path, tmp_path / "cache", CacheSettings(1280, is_test_only=True, is_whole_sphere=True))
     clouds = open_split(tmp_path / "cache", "test")
     assert len(clouds) == 2 and clouds.is_set.all() and not len(open_split(tmp_path / "cache", "train"))
@@ -337,13 +322,8 @@ def test_hidden_caps_leave_a_part_of_some_clouds_and_nothing_of_what_was_hidden(
     points = torch.from_numpy((3 * AnchorLattice(N).directions).astype(np.float32)).expand(200, N, 3)
     is_set = torch.from_numpy(rng.random((200, N)) < 0.5)
     is_set[0] = False
-    whole = Batch(
-        torch.rand(200, N, 3) * is_set[..., None],
-        points * is_set[..., None],
-        is_set,
-        torch.zeros(200, 9, 3),
-        1.0 * is_set,
-    )
+    known = is_set[..., None]
+    whole = Batch(torch.rand(200, N, 3) * known, points * known, is_set, torch.zeros(200, 9, 3), 1.0 * is_set)
     hidden = hide_caps(whole, 0.5, rng)
     n_changed = int((hidden.is_set != is_set).any(1).sum())
     assert 60 < n_changed < 120 and not (hidden.is_set & ~is_set).any()
@@ -360,13 +340,11 @@ def test_an_exported_network_gives_what_the_trained_one_gives(caches, tmp_path):
     clouds = open_split(caches["sphere"], "test")
     srgb, points = clouds.srgb_u8 / np.float32(255), np.asarray(clouds.points_m, np.float32)
     facing = np.random.default_rng(0).uniform(-1, 1, clouds.is_set.shape).astype(np.float32)
-    arrays = srgb, points, clouds.is_set, clouds.truth_ldr, facing
-    tensors = [torch.from_numpy(np.array(part)) for part in arrays]
+    tensors = [torch.from_numpy(np.array(p)) for p in (srgb, points, clouds.is_set, clouds.truth_ldr, facing)]
     with torch.no_grad():
         light, _ = run_network(load_network(trained).net, Batch(*tensors))
-    in_numpy = Lattice(N, weights=tmp_path / "w.npz").estimate_batch(
-        srgb, np.linalg.norm(points, axis=2), clouds.is_set, facing=facing
-    )
+    seen = srgb, np.linalg.norm(points, axis=2), clouds.is_set
+    in_numpy = Lattice(N, weights=tmp_path / "w.npz").estimate_batch(*seen, facing=facing)
     np.testing.assert_allclose(in_numpy, light.numpy(), atol=1e-5)
 
 

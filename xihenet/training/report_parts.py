@@ -38,15 +38,7 @@ from xihenet.training.predictions import (
     open_group,
     over_seeds,
 )
-from xihenet.training.scores import (
-    COVERAGE_EDGES,
-    Scores,
-    coverage_groups,
-    pooled_rms,
-    ratio,
-    rmse_of_each,
-    score_lights,
-)
+from xihenet.training.scores import COVERAGE_EDGES, Scores, coverage_groups, pooled_rms, ratio, rmse_of_each
 from xihenet.training.stress import STRESS_LIMIT
 
 CURVE_EDGES = tuple(i / 20 for i in range(21))
@@ -194,14 +186,14 @@ def prediction_figures(
 ) -> list[Figures]:
     """For each seed; `predicted` has the mean predictor."""
     known = group.cases.truth(target), group.cases.coverage
-    yardstick = score_lights(predicted[MEAN][0].light, *known)
+    yardstick = Scores.of(predicted[MEAN][0].light, *known)
     figures = []
     for seed in seeds:
-        scores = score_lights(seed.light, *known)
-        by_band = tuple(map(ratio, scores.by_band, yardstick.by_band))
-        by_coverage = tuple(map(ratio, scores.by_coverage, yardstick.by_coverage))
-        figures.append(Figures(**vars(scores), ratio=ratio(scores.rmse, yardstick.rmse), ratio_by_band=by_band,
-                               ratio_by_coverage=by_coverage))  # fmt: skip
+        own = Scores.of(seed.light, *known)
+        by_band = tuple(map(ratio, own.by_band, yardstick.by_band))
+        by_coverage = tuple(map(ratio, own.by_coverage, yardstick.by_coverage))
+        whole = ratio(own.rmse, yardstick.rmse)
+        figures.append(Figures(**vars(own), ratio=whole, ratio_by_band=by_band, ratio_by_coverage=by_coverage))
     return figures
 
 

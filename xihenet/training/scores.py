@@ -86,27 +86,27 @@ class Scores:
     dominant: DominantLight
     spheres: dict[str, SphereErrors]
 
+    @classmethod
+    def of(cls, lights: ArrayLike, truth: ArrayLike, coverage: ArrayLike) -> Scores:
+        """Every error of M lights against their truth, both (M, 9, 3) radiance coefficients; M may be 0.
 
-def score_lights(lights: ArrayLike, truth: ArrayLike, coverage: ArrayLike) -> Scores:
-    """Every error of M lights against their truth, both (M, 9, 3) radiance coefficients; M may be 0.
-
-    `coverage` (M,) is the share of the sphere seen, 0 to 1. ValueError for other shapes, and with their number for
-    lights that are not finite.
-    """
-    predicted, true = checked_lights(lights, truth)
-    seen = np.asarray(coverage, np.float64)
-    if seen.shape != (len(true),):
-        raise ValueError(f"coverage: expected shape ({len(true)},), got {seen.shape}")
-    error = predicted - true
-    return Scores(
-        len(true),
-        pooled_rms(error),
-        tuple(pooled_rms(error[:, band_slice(band)]) for band in range(3)),
-        tuple(pooled_rms(error[group]) for group in coverage_groups(seen)),
-        *_irradiance_errors(predicted, true),
-        dominant_light(predicted, true),
-        sphere_errors(predicted, true),
-    )
+        `coverage` (M,) is the share of the sphere seen, 0 to 1. ValueError for other shapes, and with their number for
+        lights that are not finite.
+        """
+        predicted, true = checked_lights(lights, truth)
+        seen = np.asarray(coverage, np.float64)
+        if seen.shape != (len(true),):
+            raise ValueError(f"coverage: expected shape ({len(true)},), got {seen.shape}")
+        error = predicted - true
+        return cls(
+            len(true),
+            pooled_rms(error),
+            tuple(pooled_rms(error[:, band_slice(band)]) for band in range(3)),
+            tuple(pooled_rms(error[group]) for group in coverage_groups(seen)),
+            *_irradiance_errors(predicted, true),
+            dominant_light(predicted, true),
+            sphere_errors(predicted, true),
+        )
 
 
 def checked_lights(lights: ArrayLike, truth: ArrayLike) -> tuple[ArrayF64, ArrayF64]:
