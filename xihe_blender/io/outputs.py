@@ -72,6 +72,26 @@ class RunOutputs:
         """What is known of each frame before any is captured, so that a resumed run need not look at the scene."""
         return self.folder / "work" / "survey.json"
 
+    @property
+    def request(self) -> Path:
+        """What a run in a Blender of its own is to do; there until its results were shown."""
+        return self.folder / "work" / "request.json"
+
+    @property
+    def progress(self) -> Path:
+        """How far a run in a Blender of its own is, or why it failed."""
+        return self.folder / "work" / "progress.json"
+
+    @property
+    def lock(self) -> Path:
+        """Held by the Blender that works on the run."""
+        return self.folder / "work" / "lock"
+
+    @property
+    def console(self) -> Path:
+        """All that this Blender printed."""
+        return self.folder / "work" / "console.txt"
+
     def capture(self, frame: int) -> Path:
         """Colour and plane depth of one frame, as recorded."""
         return self.folder / "work" / f"capture_{frame:04d}.npz"
