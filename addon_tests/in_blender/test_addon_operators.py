@@ -11,10 +11,9 @@ from scene_snapshot import differences, snapshot
 from tiny_scenes import box, empty_scene, phone, room_with_a_virtual_sphere
 
 from xihe_blender.addon.run_settings import previs_settings
-from xihe_blender.addon.run_under_way import RunUnderWay
 from xihe_blender.addon.runs_folder import new_run_folder
 from xihe_blender.errors import UserError
-from xihe_blender.jobs import Progress, run_blocking
+from xihe_blender.jobs import run_blocking
 from xihe_blender.light_transport.overrides import remembered_overrides
 from xihe_blender.previs.required_effects import effects_of_run
 from xihe_blender.previs.run_time import RenderTime, RunTime, format_run_time, run_time_job
@@ -207,6 +206,8 @@ def test_grey_buttons_without_anything_say_what_to_do(tmp_path):
         "calibrate": nothing_virtual,
         "run": nothing_virtual,
         "cancel_run": "No run is under way",
+        "resume_run": "No run of this file is left to go on with",
+        "discard_run": "No run of this file is left to go on with",
         "apply_light": no_results,
         "remove_light": "No run has added anything to this file",
         "show_lit": "There are no results yet: run first",
@@ -347,29 +348,17 @@ def test_the_time_of_a_run_grows_with_its_frames_and_leaves_the_scene(tmp_path):
     scene.xihe.frame_end = 5
     many = run_blocking(run_time_job(scene, previs_settings(scene)))
     assert 0 < few.n_captures < many.n_captures and few.n_probes < many.n_probes
-    assert few.n_comparisons < many.n_comparisons and few.n_steps < many.n_steps
+    assert few.n_comparisons < many.n_comparisons
     scene.xihe.frame_end = 2
     assert few.total_s > 0
     assert differences(before, snapshot()) == ({}, [])
 
 
 def test_a_run_of_more_frames_takes_longer_in_proportion():
-    one = RunTime(2.0, 8, 3, 6, 2, RenderTime(0.1, 0.01, 10), RenderTime(0.0, 0.1, 4), RenderTime(1.0, 0.5, 8))
+    one = RunTime(2.0, 3, 6, 2, RenderTime(0.1, 0.01, 10), RenderTime(0.0, 0.1, 4), RenderTime(1.0, 0.5, 8))
     assert one.total_s == pytest.approx(2 + 3 * 0.2 + 6 * 0.4 + 2 * 5)
     double = replace(one, n_captures=6, n_probes=12, n_comparisons=4)
     assert double.total_s - 2 == pytest.approx(2 * (one.total_s - 2))
-    assert one.in_window_s(0.0) == one.total_s
-    assert one.in_window_s(0.5) == pytest.approx(one.total_s + 4)
-
-
-def test_the_pause_between_steps_is_that_of_most():
-    under_way = RunUnderWay(bpy.context, (Progress(done, 3, "counting") for done in range(3)))
-    assert under_way.pause_s == 0.0
-    while not under_way.step():
-        pass
-    assert len(under_way.pauses_s) == 3 and min(under_way.pauses_s) >= 0
-    under_way.pauses_s = [0.1, 5.0, 0.2]
-    assert under_way.pause_s == 0.2
 
 
 @small_panel_runs()

@@ -10,6 +10,8 @@ from typing import Any
 
 import bpy
 
+from xihe_blender.addon.runs_folder import newest_unshown_run
+
 WORKING = "xihe_working"
 """As in `render`, which is not imported here: it needs NumPy."""
 
@@ -26,7 +28,7 @@ def remove_working_scenes() -> None:
 @bpy.app.handlers.persistent
 def _after_undo(*_: Any) -> None:
     job = bpy.context.window_manager.xihe
-    if job.is_running:
+    if job.is_running and job.works_here:
         job.is_cancel_wanted = True
     else:
         remove_working_scenes()
@@ -34,11 +36,12 @@ def _after_undo(*_: Any) -> None:
 
 @bpy.app.handlers.persistent
 def _after_load(*_: Any) -> None:
-    # The run, if there was one, ended when the file was left; a file that was saved meanwhile says otherwise.
+    # What was followed is left alone now; a file that was saved meanwhile says otherwise.
     job = bpy.context.window_manager.xihe
     job.is_running = job.is_cancel_wanted = False
     job.doing = job.error = job.run_estimate = ""
     job.progress = job.seconds_left = 0.0
+    job.unshown_run = str(newest_unshown_run(bpy.data.filepath) or "")
     remove_working_scenes()
 
 

@@ -34,7 +34,7 @@ class XIHE_OT_measure_run(Measuring, bpy.types.Operator):
     def finish(self, context: bpy.types.Context, result: Any) -> set[str]:
         from xihe_blender.previs.run_time import format_run_time
 
-        context.window_manager.xihe.run_estimate = format_run_time(result.in_window_s(self.run.pause_s))
+        context.window_manager.xihe.run_estimate = format_run_time(result.total_s)
         return {"FINISHED"}
 
 

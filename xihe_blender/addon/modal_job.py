@@ -1,7 +1,8 @@
 """How does an operator run for minutes without taking Blender away? One job, driven in two ways.
 
 In a window the operator comes back to its job a step per tick of a timer, and Esc ends it; in background, or called by
-a script without a window's event, it drives the job to its end.
+a script without a window's event, it drives the job to its end. A job that only follows another process leaves Undo and
+rendering to the user.
 """
 
 from __future__ import annotations
@@ -31,6 +32,12 @@ class ModalJob:
     cancelled = ""
     """What is said after Esc."""
 
+    works_here = True
+    """Whether the job works in the open file, and not another process for it."""
+
+    is_modal = False
+    """Whether a window comes back to the job, or the caller waits for its end."""
+
     report: Callable[[set[str], str], None]
     """Of bpy.types.Operator."""
 
@@ -42,12 +49,16 @@ class ModalJob:
         """Say and keep what the job brought; what the operator returns. One of FAILURES for what cannot be kept."""
         raise NotImplementedError
 
+    def stop(self) -> None:
+        """What else is to be done after Esc, before the job is closed."""
+
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Start the job and come back to it a step at a time."""
         if bpy.app.background:
             return self.execute(context)
+        self.is_modal = True
         try:
-            self.run = RunUnderWay(context, self.start_job(context))
+            self.run = RunUnderWay(context, self.start_job(context), works_here=self.works_here)
             # What is wrong with the scene shows at once; and a job that has begun cleans up when it is closed.
             self.run.step()
         except FAILURES as error:
@@ -61,6 +72,7 @@ class ModalJob:
         if event.type == "ESC" and event.value == "PRESS":
             context.window_manager.xihe.is_cancel_wanted = True
         if context.window_manager.xihe.is_cancel_wanted:
+            self.stop()
             self.run.end()
             self.report({"INFO"}, self.cancelled)
             return {"CANCELLED"}
@@ -68,7 +80,7 @@ class ModalJob:
             return {"RUNNING_MODAL"} if self._is_users_turn(context) else self._step(context)
         if event.type not in NO_INPUT:
             self.input_at = time.perf_counter()
-        if event.type == "F12" or (event.type in UNDO_KEYS and (event.ctrl or event.oskey)):
+        if self.works_here and (event.type == "F12" or (event.type in UNDO_KEYS and (event.ctrl or event.oskey))):
             # Undo would take away the scenes that the job works in; a render would get in its way.
             return {"RUNNING_MODAL"}
         return {"PASS_THROUGH"}
@@ -78,7 +90,7 @@ class ModalJob:
         try:
             self.run = RunUnderWay(context, self.start_job(context))
             while not self.run.step():
-                pass
+                time.sleep(0.0 if self.works_here else TICK_S)
             return self.finish(context, self.run.result)
         except FAILURES as error:
             return failed(self, context, error)
@@ -88,7 +100,9 @@ class ModalJob:
         self.run.end()
 
     def _is_users_turn(self, context: bpy.types.Context) -> bool:
-        """Whether the user is busy, as while the view is turned: then the job waits a little."""
+        """Whether the user is busy, as while the view is turned: then a job that works here waits a little."""
+        if not self.works_here:
+            return False
         now = time.perf_counter()
         if now - self.stepped_at > LONGEST_WAIT_S:
             return False

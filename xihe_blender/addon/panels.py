@@ -12,6 +12,8 @@ The sidebar is 220 pixels wide unless someone drags it: labels are short, and se
 from __future__ import annotations
 
 import textwrap
+import time
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -19,6 +21,7 @@ import bpy
 from xihe_blender.addon.calibration import calibration_line
 from xihe_blender.addon.last_run import LastRun, last_run
 from xihe_blender.addon.polls import doubts, has_camera, has_virtual_objects, shows_run
+from xihe_blender.addon.runs_folder import look_at_run
 from xihenet.formats import format_duration
 
 TAB = "Xihe"
@@ -214,6 +217,8 @@ class XIHE_PT_run(StagePanel, bpy.types.Panel):
         row = layout.row()
         row.scale_y = RUN_SCALE
         row.operator("xihe.run", text="Run", icon="PLAY")
+        if job.unshown_run:
+            self._draw_unshown(context, Path(job.unshown_run))
         row = layout.row(align=True)
         row.operator("xihe.measure_run", text="" if job.run_estimate else "How Long?", icon="TIME")
         if job.run_estimate:
@@ -223,6 +228,20 @@ class XIHE_PT_run(StagePanel, bpy.types.Panel):
         elif not (has_camera(context) or has_virtual_objects(context)):
             for doubt in doubts(context.scene):
                 sentence(context, layout, doubt, icon="QUESTION")
+
+    def _draw_unshown(self, context: bpy.types.Context, folder: Path) -> None:
+        """A run that this window does not follow: begun before the file was closed, or stopped."""
+        run = look_at_run(folder)
+        if run is None:
+            return
+        state, does = ("has ended", "Show Results") if run.has_ended else ("was stopped", "Resume")
+        if run.is_under_way:
+            state, does = "is under way", "Follow"
+        begun = time.strftime("%H:%M", time.localtime(run.started))
+        sentence(context, self.layout, f"The run that was begun at {begun} {state}", icon="INFO")
+        row = self.layout.row(align=True)
+        row.operator("xihe.resume_run", text=does, icon="FORWARD")
+        row.operator("xihe.discard_run", text="", icon="TRASH")
 
     def _draw_progress(self, context: bpy.types.Context, job: Any) -> None:
         # As high as the two buttons it stands for: what is below does not move when a run begins and ends.
@@ -245,6 +264,8 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         if run is None:
             sentence(context, layout, missing_run(settings.run_folder))
             return
+        if settings.run_made_of:
+            sentence(context, layout, f"Of the scene as it was at {settings.run_made_of}", icon="INFO")
         column = layout.column(align=True)
         for name, value in result_rows(run):
             split = column.split(factor=LABEL_SHARE)

@@ -7,6 +7,7 @@ so they look at names and flags alone.
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import bpy
 
@@ -154,6 +155,13 @@ def has_last_run(context: bpy.types.Context) -> str | None:
     if last_run_folder(context.scene).joinpath("results.json").is_file():
         return None
     return "The last run's folder is gone: run again"
+
+
+def has_unshown_run(context: bpy.types.Context) -> str | None:
+    from xihe_blender.addon.runs_folder import look_at_run
+
+    folder = context.window_manager.xihe.unshown_run
+    return None if folder and look_at_run(Path(folder)) else "No run of this file is left to go on with"
 
 
 def has_old_runs(context: bpy.types.Context) -> str | None:

@@ -5,6 +5,7 @@ The device that Cycles renders on is Blender's own preference, and is shown here
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import bpy
@@ -26,7 +27,10 @@ class XihePreferences(bpy.types.AddonPreferences):
     )
     cache_folder: bpy.props.StringProperty(
         name="Runs Folder",
-        description="Where runs from the panel are stored, one folder each; empty for the add-on's own folder",
+        description=(
+            "Where runs from the panel are stored, one folder each. Empty: in xihe_runs beside the .blend, or, before "
+            "that is saved, in Blender's folder for a user's files"
+        ),
         subtype="DIR_PATH",
     )
 
@@ -66,8 +70,14 @@ def preferences(context: bpy.types.Context) -> XihePreferences | None:
 
 
 def runs_folder() -> Path:
-    """Where runs from the panel are kept: the user's choice, else the extension's own place for files."""
-    return chosen_folder() or own_folder() / "runs"
+    """Where runs from the panel are kept: the user's choice, else beside the open file, which may not be saved yet.
+
+    Not in the extension's own place for files: Blender deletes that with the extension.
+    """
+    beside = Path(bpy.data.filepath).parent if bpy.data.filepath else None
+    if beside is not None and not os.access(beside, os.W_OK):
+        beside = None
+    return chosen_folder() or (beside or Path(bpy.utils.user_resource("DATAFILES"))) / "xihe_runs"
 
 
 def chosen_folder() -> Path | None:

@@ -187,6 +187,9 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
     run_folder: bpy.props.StringProperty(
         name="Last Run", description="Folder of the run whose results are shown", subtype="DIR_PATH"
     )
+    run_made_of: bpy.props.StringProperty(
+        name="Made Of", description="When the scene looked as the last run knows it; empty if it still does"
+    )
     effects: bpy.props.CollectionProperty(
         name="Effects", description="The effects, and whether the scene needs them", type=XiheEffectRow
     )
@@ -203,6 +206,12 @@ class XiheJobState(bpy.types.PropertyGroup):
 
     is_running: bpy.props.BoolProperty(name="Running", description="Whether a run is under way")
     is_cancel_wanted: bpy.props.BoolProperty(name="Cancel", description="Whether the run was told to stop")
+    works_here: bpy.props.BoolProperty(
+        name="In This File", description="Whether the job works in the open file, and not in a copy of it", default=True
+    )
+    unshown_run: bpy.props.StringProperty(
+        name="Unshown Run", description="Folder of a run of the open file that is under way, or was stopped"
+    )
     progress: bpy.props.FloatProperty(
         name="Progress", description="Share of the run that is done", subtype="FACTOR", min=0.0, max=1.0
     )

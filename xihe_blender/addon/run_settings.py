@@ -21,19 +21,24 @@ from xihe_blender.previs.settings import PrevisSettings
 
 def previs_settings(scene: bpy.types.Scene) -> PrevisSettings:
     """The settings of a run on `scene`; UserError for what cannot be run."""
+    return PrevisSettings(**choices_of_run(scene))
+
+
+def choices_of_run(scene: bpy.types.Scene) -> dict[str, Any]:
+    """What the panel chooses of PrevisSettings, by name; UserError for frames or a phone that cannot be."""
     chosen = scene.xihe
-    return PrevisSettings(
-        estimator=chosen.estimator,
-        preset=chosen.preset,
-        target=chosen.target,
-        size=tuple(chosen.size) if chosen.use_own_size else None,
-        frames=chosen_frames(scene),
-        exposure=chosen.exposure if chosen.use_own_exposure else None,
-        metering=None if chosen.metering == PHONES_METERING else chosen.metering,
-        seed=chosen.seed,
-        phone=_phone(scene),
-        network=None if chosen.network == NO_NETWORK else chosen.network,
-    )
+    return {
+        "estimator": chosen.estimator,
+        "preset": chosen.preset,
+        "target": chosen.target,
+        "size": tuple(chosen.size) if chosen.use_own_size else None,
+        "frames": chosen_frames(scene),
+        "exposure": chosen.exposure if chosen.use_own_exposure else None,
+        "metering": None if chosen.metering == PHONES_METERING else chosen.metering,
+        "seed": chosen.seed,
+        "phone": _phone(scene),
+        "network": None if chosen.network == NO_NETWORK else chosen.network,
+    }
 
 
 def chosen_frames(scene: bpy.types.Scene) -> tuple[int, ...] | None:

@@ -7,7 +7,6 @@ Blender drops the operator because the add-on is disabled; the second call does 
 from __future__ import annotations
 
 import contextlib
-import statistics
 import time
 from collections.abc import Generator
 from typing import Any
@@ -25,9 +24,10 @@ class RunUnderWay:
     ----------
     context : of the window in which the run was started
     job : the run
+    works_here : whether the job works in the open file, where an Undo would take away what it works on
     """
 
-    def __init__(self, context: bpy.types.Context, job: Generator[Any, None, Any]) -> None:
+    def __init__(self, context: bpy.types.Context, job: Generator[Any, None, Any], *, works_here: bool = True) -> None:
         from xihe_blender.jobs import TimeLeft
 
         self.is_over = False
@@ -35,26 +35,15 @@ class RunUnderWay:
         self.job = job
         self.result: Any = None
         self.timer: bpy.types.Timer | None = None
-        self.pauses_s: list[float] = []
-        self.stepped_at: float | None = None
         self.time_left = TimeLeft()
+        self.shown: Any = None
         state = self.window_manager.xihe
-        state.is_running, state.is_cancel_wanted = True, False
+        state.is_running, state.is_cancel_wanted, state.works_here = True, False, works_here
         state.progress, state.seconds_left, state.doing, state.error = 0.0, 0.0, "starting", ""
         self.window_manager.progress_begin(0, 100)
 
-    @property
-    def pause_s(self) -> float:
-        """Seconds from one step to the next, in which Blender draws and listens; 0 before there were two.
-
-        The median: some steps wait for the user's hand on the mouse.
-        """
-        return statistics.median(self.pauses_s) if self.pauses_s else 0.0
-
     def step(self) -> bool:
         """Go on to the next point at which the job can stop; True if it was its end. Raises what the job raises."""
-        if self.stepped_at is not None:
-            self.pauses_s.append(time.perf_counter() - self.stepped_at)
         try:
             progress = next(self.job)
         except StopIteration as finished:
@@ -65,11 +54,13 @@ class RunUnderWay:
             self.end()
             raise
         self.show(progress)
-        self.stepped_at = time.perf_counter()
         return False
 
     def show(self, progress: Any) -> None:
-        """Say in the window how far the job is; `progress` is a Progress."""
+        """Say in the window how far the job is; `progress` is a Progress, and may be the last one again."""
+        if progress == self.shown:
+            return
+        self.shown = progress
         share = progress.done / progress.total
         left_s = self.time_left.after(progress, time.perf_counter())
         state = self.window_manager.xihe
@@ -112,8 +103,9 @@ class RunUnderWay:
 
 
 def redraw(window_manager: bpy.types.WindowManager) -> None:
-    """Have the panel drawn anew, in every window."""
+    """Have the panel drawn anew, in every window, and not the view beside it."""
     for window in window_manager.windows:
         for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
+            for region in area.regions:
+                if area.type == "VIEW_3D" and region.type == "UI":
+                    region.tag_redraw()

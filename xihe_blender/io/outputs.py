@@ -48,6 +48,12 @@ class RunOutputs:
     effects = _at("work", "effects.json")
     sample_count = _at("work", "sample_count.json")
     survey = _at("work", "survey.json")
+    # Of a run in a Blender of its own: what it is to do, how far it is or why it failed, what is held by the Blender
+    # that works on it, and all that this one printed.
+    request = _at("work", "request.json")
+    progress = _at("work", "progress.json")
+    lock = _at("work", "lock")
+    console = _at("work", "console.txt")
 
     @property
     def lit_blend(self) -> Path:

@@ -5,10 +5,8 @@ changes), in a folder that goes again. Then a capture, a light probe and a compa
 that loads the scene: with one sample, with a few more, and with all if that is quick. A render's time is taken to be a
 straight line in its samples; the run's is that of all its frames, plus what preparing took.
 
-Started from the panel, Blender draws its window after each step of a run. `RunTime.in_window_s` adds that: some
-hundredths of a second a step, half a second with OpenGL in software.
-
-Not counted: what a phone's errors and the chain itself take, some hundredths of a second a frame.
+Not counted: what a phone's errors and the chain itself take, some hundredths of a second a frame, and the start of a
+second Blender, some seconds.
 """
 
 from __future__ import annotations
@@ -39,9 +37,6 @@ FEW_SAMPLES = 4
 LONGEST_S = 4.0
 """A render that seems to take no longer is timed with all of its samples: many take less each than a few do."""
 
-N_OTHER_STEPS = 3
-"""Of a run, beside its frames: metering, measuring samples, and the end."""
-
 N_RENDERS = 3
 """Of each kind, in frames of their own: one that loads the scene, one with a single sample, and one with a few."""
 
@@ -63,12 +58,10 @@ class RenderTime:
 class RunTime:
     """What a run consists of, and how long each part takes; renders that an earlier frame has already do not count.
 
-    `prepare_s` is until the first frame, and to load the scene for the first render of each kind; `n_steps` are points
-    at which the run stops for others.
+    `prepare_s` is until the first frame, and to load the scene for the first render of each kind.
     """
 
     prepare_s: float
-    n_steps: int
     n_captures: int
     n_probes: int
     n_comparisons: int
@@ -84,10 +77,6 @@ class RunTime:
             + self.n_probes * self.probe.render_s
             + self.n_comparisons * self.comparison.render_s
         )
-
-    def in_window_s(self, pause_s: float) -> float:
-        """With `pause_s` between two steps, in which Blender draws its window."""
-        return self.total_s + self.n_steps * pause_s
 
 
 def format_run_time(seconds: float) -> str:
@@ -111,7 +100,7 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
     yield Progress(1, 4, "measuring a capture")
     active = list(run.reuse.captures)
     if not active:
-        return RunTime(prepared_s, len(run.plan.frames) + N_OTHER_STEPS, 0, 0, 0, *[RenderTime(0.0, 0.0, 0)] * 3)
+        return RunTime(prepared_s, 0, 0, 0, *[RenderTime(0.0, 0.0, 0)] * 3)
     frames = [active[k * len(active) // N_RENDERS] for k in range(N_RENDERS)]
     with open_scanner(run.scene, run.capture) as scanner:
         scanner.exposure = run.exposure
@@ -129,7 +118,6 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
     n_comparisons = len(compared_frames(active, run.settings.preset_values.comparison_step))
     return RunTime(
         prepared_s + capture_loaded_s + probe_loaded_s + comparison_loaded_s,
-        len(active) + len(run.reuse.probes) + 2 * n_comparisons + N_OTHER_STEPS,
         sum(source == frame for frame, source in run.reuse.captures.items()),
         sum(source == frame for (frame, _), source in run.reuse.probes.items()),
         n_comparisons,

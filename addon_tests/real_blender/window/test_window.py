@@ -5,11 +5,13 @@ from pathlib import Path
 
 import pytest
 from blender_window import run_in_window
+from results_schema import without_times
 
 from addon_tests.real_blender.whole_blender import MODULE
 
 ROOT = Path(__file__).resolve().parents[3]
 pytestmark = pytest.mark.timeout(1200)
+LONGEST_FREEZE_S = 0.3
 KINDS = ("worlds", "images", "node_groups", "actions", "scenes", "markers")
 
 
@@ -117,8 +119,43 @@ def test_a_file_that_was_saved_with_results_opens(first_success, tmp_path, add_o
     assert seen.facts["n_undefined_nodes"] == 0
 
 
+@pytest.fixture(scope="module")
+def free_window(tmp_path_factory):
+    return run_in_window("free_window", tmp_path_factory.mktemp("free_window"))
+
+
+def test_the_window_stays_free_during_a_run(free_window):
+    assert (free_window.code, free_window.complaints) == (0, []), free_window.console
+    assert free_window.facts["is_free"]
+    # What a frame of OpenGL in software takes on a busy machine comes on top of what is measured before the run.
+    assert free_window.facts["longest_s"] < LONGEST_FREEZE_S + free_window.facts["longest_before_s"]
+
+
+@pytest.mark.parametrize("way", ["edited", "found_again", "resumed"])
+def test_a_run_that_is_disturbed_has_the_results_of_one_that_is_not(free_window, way):
+    disturbed, undisturbed = free_window.facts[way], free_window.facts["undisturbed"]
+    assert disturbed["error"] == undisturbed["error"] == ""
+    assert without_times(disturbed["results"]) == without_times(undisturbed["results"])
+
+
+def test_the_panel_says_that_the_scene_was_changed_during_the_run(free_window):
+    assert re.fullmatch(r"\d\d:\d\d", free_window.facts["edited"]["made_of"])
+
+
+def test_a_run_goes_on_while_another_file_is_open_and_is_found_again(free_window):
+    facts = free_window.facts
+    assert facts["goes_on"] and facts["said_elsewhere"] == "" and facts["found"]
+    assert facts["found_again"]["same"] and facts["left"] == ""
+
+
+def test_a_stopped_run_resumes_or_is_discarded(free_window):
+    facts = free_window.facts
+    assert facts["stopped"] == {"is_locked": False, "progress": 0.0, "has_ended": False}
+    assert facts["resumed"]["same"] and facts["discarded"]
+
+
 @pytest.mark.parametrize("way", ["stopped_with_escape", "stopped_with_button"])
-def test_a_run_that_is_cancelled_leaves_nothing(cancel, way):
+def test_a_run_that_is_cancelled_leaves_nothing_in_the_file(cancel, way):
     assert (cancel.code, cancel.complaints) == (0, []), cancel.console
     assert cancel.facts[way]["same"], cancel.facts[way]
 
