@@ -30,7 +30,8 @@ class Following(ModalJob):
         """The job of the BackgroundRun `run`, which is remembered until its results are shown."""
         self.background, self.folder = run, run.folder
         context.window_manager.xihe.unshown_run = str(run.folder)
-        return run.follow()
+        job: Generator[Any, None, None] = run.follow()
+        return job
 
     def stop(self) -> None:
         if self.background is not None:

@@ -117,7 +117,8 @@ def survey_run(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs) ->
     kept = kept_json(outputs.survey, SceneSurvey.from_json)
     if kept is not None and tuple(kept.frames) == tuple(plan.frames):
         return kept
-    outputs.survey.unlink(missing_ok=True)
+    if outputs.survey.exists():
+        outputs.survey.unlink()
     return survey_path(scene, plan)
 
 
