@@ -18,7 +18,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +53,7 @@ class BackgroundRun:
     scene_name: str
     started: float
     process: subprocess.Popen[bytes] | None = None
-    is_edited: bool = field(default=False)
+    is_edited: bool = False
 
     @property
     def is_under_way(self) -> bool:
@@ -75,9 +75,11 @@ class BackgroundRun:
         copy = self.folder / read_json(outputs.request)["copy"]
         outputs.progress.unlink(missing_ok=True)
         trust = "--disable-autoexec" if bpy.app.autoexec_fail else "--enable-autoexec"
+        # Where this Blender has the add-on's packages, its preferences saved or not.
+        paths = [str(Path(sys.modules[name].__file__ or "").parents[1]) for name in ("xihe_blender", "xihenet")]
         with outputs.console.open("ab") as console:
             self.process = subprocess.Popen(
-                [bpy.app.binary_path, "--background", trust, str(copy), "--python", str(SCRIPT), "--", str(copy)],
+                [bpy.app.binary_path, "--background", trust, copy, "--python", SCRIPT, "--", copy, *paths],
                 stdin=subprocess.DEVNULL,
                 stdout=console,
                 stderr=subprocess.STDOUT,
@@ -141,8 +143,6 @@ def saved_for_run(scene: bpy.types.Scene, folder: Path, choices: dict[str, Any])
             "started": started,
             "command": COMMAND,
             "choices": choices,
-            # Where this Blender has the add-on's packages, its preferences saved or not.
-            "paths": [str(Path(sys.modules[name].__file__ or "").parents[1]) for name in ("xihe_blender", "xihenet")],
         },
     )
     return BackgroundRun(folder, scene.name, started)

@@ -1,7 +1,7 @@
-"""What the second Blender of a run does: `blender --background COPY.blend --python background_script.py -- COPY.blend`.
+"""What the second Blender of a run does, given this script with `--python`, and `-- COPY.blend FOLDER...` behind it.
 
-Run by its path, before anything of ours can be imported. Writes work/progress.json beside the copy after each step of
-the run, and holds work/lock while it lives, however it ends.
+Run by its path, before anything of ours can be imported: the folders hold our packages. Writes work/progress.json
+beside the copy after each step of the run, and holds work/lock while it lives, however it ends.
 """
 
 from __future__ import annotations
@@ -9,14 +9,18 @@ from __future__ import annotations
 import json
 import os
 import sys
+import time
 from pathlib import Path
 from typing import IO, Any
 
+N_TRIES = 20
+"""Ten a second, to take the lock."""
 
-def main(copy: Path) -> None:
+
+def main(copy: Path, *packages: str) -> None:
     """Do or resume the run that the folder of `copy` asks for."""
     request = json.loads((copy.parent / "work" / "request.json").read_text(encoding="utf-8"))
-    sys.path[:0] = [path for path in dict.fromkeys(request["paths"]) if path not in sys.path]
+    sys.path[:0] = [path for path in dict.fromkeys(packages) if path not in sys.path]
     import bpy
 
     from xihe_blender.addon.failures import FAILURES, format_error
@@ -27,7 +31,12 @@ def main(copy: Path) -> None:
 
     outputs = RunOutputs(copy.parent, "")
     lock = outputs.lock.open("ab")
-    if not _take(lock):
+    # A panel that looks whether the lock is held holds it itself for a moment.
+    for _ in range(N_TRIES):
+        if _take(lock):
+            break
+        time.sleep(0.1)
+    else:
         return  # Another Blender is at it.
 
     def say(progress: Progress, error: str = "") -> None:
@@ -56,7 +65,10 @@ def is_locked(path: Path) -> bool:
 
 
 def _take(file: IO[Any]) -> bool:
-    """Lock `file` for as long as this process keeps it open; False if another has it."""
+    """Lock `file` for as long as this process keeps it open; False if another has it.
+
+    True also where the file system knows no locks: a run there is seen as long as its window follows it.
+    """
     try:
         if sys.platform == "win32":
             import msvcrt
@@ -66,10 +78,13 @@ def _take(file: IO[Any]) -> bool:
             import fcntl
 
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
+    except (BlockingIOError, PermissionError):
         return False
+    except OSError:
+        return True
     return True
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[-1]))
+    _copy, *_packages = sys.argv[sys.argv.index("--") + 1 :]
+    main(Path(_copy), *_packages)

@@ -1,19 +1,12 @@
 """A run that is stopped: once with Esc, once with the button beside the progress bar."""
 
 import bpy
-from rooms import look_through_camera, make_runs_short, room_to_light
+from rooms import look_through_camera, make_runs_short, room_with_a_virtual_ball
 
 
 def prepare():
     """Long enough that it cannot be over before Esc comes."""
-    from xihe_blender.scene.virtual_objects import virtual_collection
-
-    scene = room_to_light()
-    scene.frame_end = 200
-    ball = bpy.data.objects["Ball"]
-    scene.collection.objects.unlink(ball)
-    virtual_collection(scene, create=True).objects.link(ball)
-    return scene
+    room_with_a_virtual_ball(frame_end=200)
 
 
 def state():

@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 import bpy
-from rooms import look_through_camera, make_runs_short, room_to_light
+from rooms import look_through_camera, make_runs_short, room_with_a_virtual_ball
 
 from xihe_blender.addon.background_script import is_locked
 
@@ -13,14 +13,8 @@ BEAT_S = 0.02
 
 
 def prepare():
-    """The ball is virtual, and the path long enough that a run is still under way while it is disturbed."""
-    from xihe_blender.scene.virtual_objects import virtual_collection
-
-    scene = room_to_light()
-    scene.frame_end = 12
-    ball = bpy.data.objects["Ball"]
-    scene.collection.objects.unlink(ball)
-    virtual_collection(scene, create=True).objects.link(ball)
+    """Long enough that a run is still under way while it is disturbed."""
+    room_with_a_virtual_ball(frame_end=12)
 
 
 class Heartbeat:

@@ -16,6 +16,17 @@ def room_to_light():
     return scene
 
 
+def room_with_a_virtual_ball(frame_end):
+    """The same room, its ball virtual already, and a path as long as a run has to last."""
+    from xihe_blender.scene.virtual_objects import virtual_collection
+
+    scene = room_to_light()
+    scene.frame_end = frame_end
+    ball = bpy.data.objects["Ball"]
+    scene.collection.objects.unlink(ball)
+    virtual_collection(scene, create=True).objects.link(ball)
+
+
 def make_runs_short(scene):
     """Small pictures and few samples, by the settings an artist has."""
     settings = scene.xihe
