@@ -64,15 +64,8 @@ def main() -> int:
     end, number, code = time.time() + 60 * options.minutes, options.seed, 0
     while time.time() < end and not code:
         print(f"seed {number}", flush=True)
-        chosen = [
-            "--hypothesis-profile=search",
-            f"--hypothesis-seed={number}",
-            f"--until={end}",
-            "-m",
-            "hypothesis",
-            "-k",
-            options.only,
-        ]
+        chosen = ["--hypothesis-profile=search", f"--hypothesis-seed={number}", f"--until={end}"]
+        chosen += ["-m", "hypothesis", "-k", options.only]
         code = subprocess.run([sys.executable, "-m", "pytest", "-q", *chosen, *TESTS], cwd=ROOT, check=False).returncode
         name_findings()
         number += 1

@@ -4,7 +4,7 @@ import functools
 import math
 
 import bpy
-from tiny_scenes import box, empty_scene, key, material, phone, set_world, sphere
+from tiny_scenes import add, add_lamp, box, empty_scene, key, material, node_of, phone, set_world, sphere
 
 from xihe_blender.light_transport import plan_light_transport
 
@@ -18,22 +18,13 @@ def stage(make_look=None, lamp=True):
     box(scene, "Floor", (0, 0, -0.1), (4, 4, 0.2), look)
     ball(scene, "Matt ball", (-0.6, 0, 0.3), look)
     if lamp:
-        add_lamp(scene, (0.5, -1.0, 2.0))
+        add_lamp(scene, location=(0.5, -1.0, 2.0), energy=60)
     phone(scene, (0, -3, 1.2), (0, 0, 0.2))
     return scene
 
 
 def ball(scene, name, centre, look, collection=None):
     return sphere(scene, name, centre, 0.3, look, collection)
-
-
-def add_lamp(scene, location, kind="POINT", power=60.0):
-    data = bpy.data.lights.new("Lamp", kind)
-    data.energy = power
-    lamp = bpy.data.objects.new("Lamp", data)
-    lamp.location = location
-    scene.collection.objects.link(lamp)
-    return lamp
 
 
 def nodes_of(block):
@@ -95,7 +86,7 @@ def with_hair():
     for place, point in enumerate(curves.points):
         point.position = (0.4 + 0.1 * (place // 2), 0.0, 0.5 * (place % 2))
         point.radius = 0.02
-    scene.collection.objects.link(bpy.data.objects.new("Fur", curves))
+    add(scene, "Fur", curves)
     return scene
 
 
@@ -132,7 +123,7 @@ def with_depth_of_field():
 
 def with_two_lamps():
     scene = stage()
-    add_lamp(scene, (-1.5, 0, 1.5))
+    add_lamp(scene, location=(-1.5, 0, 1.5), energy=60)
     return scene
 
 
@@ -206,20 +197,25 @@ def state(scene, effect, **options):
     return plan_light_transport(scene, **options)[effect].state
 
 
-def node_of(scene, kind):
+def ball_node(scene, kind):
     """The node of a type in the material of the ball that `with_ball` put there."""
-    return next(node for node in scene.objects["Ball"].data.materials[0].node_tree.nodes if node.type == kind)
+    return node_of(scene.objects["Ball"].data.materials[0], kind)
 
 
 def mixed(factor, is_linked=False):
     """Chalk and glass, mixed."""
     look = bpy.data.materials.new("Mixed")
     tree, output = nodes_of(look)
-    mix = tree.nodes.new("ShaderNodeMixShader")
+    mix = mix_of_chalk_and_glass(tree)
     mix.inputs[0].default_value = factor
-    tree.links.new(shader_node(tree, "BsdfDiffuse").outputs[0], mix.inputs[1])
-    tree.links.new(shader_node(tree, "BsdfGlass").outputs[0], mix.inputs[2])
     tree.links.new(mix.outputs[0], output.inputs["Surface"])
     if is_linked:
         tree.links.new(tree.nodes.new("ShaderNodeTexNoise").outputs[0], mix.inputs[0])
     return look
+
+
+def mix_of_chalk_and_glass(tree):
+    mix = tree.nodes.new("ShaderNodeMixShader")
+    tree.links.new(shader_node(tree, "BsdfDiffuse").outputs[0], mix.inputs[1])
+    tree.links.new(shader_node(tree, "BsdfGlass").outputs[0], mix.inputs[2])
+    return mix

@@ -4,14 +4,12 @@ Everything is placed by hand, not by a parent: places and sizes of objects, the 
 goes with area, the strength of a sun or of an emitting surface does not), the clip planes, the phone's path.
 """
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
-from tiny_scenes import box, empty_scene, look_at, material, phone, set_world, sphere
+from tiny_scenes import add_lamp, box, empty_scene, look_at, material, phone, set_world, sphere
 
 from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
 from xihe_blender.capture.render import RenderSettings
@@ -50,20 +48,20 @@ class Placing:
     scale: float = 1.0
     metres_per_unit: float = 1.0
 
-    def __str__(self) -> str:
+    def __str__(self):
         return self.name
 
     @property
-    def rotation(self) -> ArrayF64:
+    def rotation(self):
         c, s = np.cos(np.radians(self.yaw_deg)), np.sin(np.radians(self.yaw_deg))
         return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
-    def __call__(self, point: Sequence[float]) -> ArrayF64:
+    def __call__(self, point):
         """Where a point of the room as it is goes, in Blender units."""
         moved: ArrayF64 = self.rotation @ (self.scale * np.asarray(point, np.float64)) + self.offset
         return moved
 
-    def turned_back(self, sh_radiance: ArrayF64) -> ArrayF64:
+    def turned_back(self, sh_radiance):
         return rotate(sh_radiance, self.rotation.T)
 
 
@@ -81,14 +79,11 @@ ALL_THREE = [
     Placing("10 km away, turned, 1000 times as large, with its unit", tuple(1e3 * np.array(FAR)), 123.456, 1e3, 1e-3),
     Placing("10 km away, turned, 1000 times as small, with its unit", tuple(1e-3 * np.array(FAR)), -77.7, 1e-3, 1e3),
 ]
-IN_METRES = [
-    Placing("4 km wide", scale=1e3),
-    Placing("4 km wide, 10 km away, turned", FAR, 123.456, 1e3),
-]
+IN_METRES = [Placing("4 km wide", scale=1e3), Placing("4 km wide, 10 km away, turned", FAR, 123.456, 1e3)]
 """Really 1000 times as large: for whoever does not read metres, `projection` and the light probe."""
 
 
-def furnished_room(placing: Placing = AS_IT_IS, *, is_open: bool = False) -> bpy.types.Scene:
+def furnished_room(placing=AS_IT_IS, *, is_open=False):
     """A furnished room with a lamp and a shining panel, a virtual ball on a table, and a phone that walks by.
 
     `is_open` takes the walls away and lets the sun and the sky in.
@@ -108,7 +103,7 @@ def furnished_room(placing: Placing = AS_IT_IS, *, is_open: bool = False) -> bpy
     return scene
 
 
-def _furnish(scene: bpy.types.Scene, is_open: bool) -> None:
+def _furnish(scene, is_open):
     walls = material("Walls", (0.6, 0.55, 0.5))
     if is_open:
         box(scene, "Floor", (0, 0, -0.05), (8, 8, 0.1), walls)
@@ -122,17 +117,14 @@ def _furnish(scene: bpy.types.Scene, is_open: bool) -> None:
     sphere(scene, "Ball", PROBE, 0.12, material("Grey", (0.5, 0.5, 0.5)), ball)
 
 
-def _lamp(scene: bpy.types.Scene, kind: str, energy: float) -> None:
-    data = bpy.data.lights.new(kind, kind)
-    data.energy, data.color = energy, (1.0, 0.9, 0.75)
+def _lamp(scene, kind, energy):
+    lamp = add_lamp(scene, kind, (1.1, 0.4, 2.7), energy=energy, color=(1.0, 0.9, 0.75))
+    lamp.rotation_euler = (0.2, 0.3, 0.1)
     if kind == "AREA":
-        data.shape, data.size, data.size_y = "RECTANGLE", 0.8, 0.5
-    lamp = bpy.data.objects.new(kind, data)
-    lamp.location, lamp.rotation_euler = (1.1, 0.4, 2.7), (0.2, 0.3, 0.1)
-    scene.collection.objects.link(lamp)
+        lamp.data.shape, lamp.data.size, lamp.data.size_y = "RECTANGLE", 0.8, 0.5
 
 
-def _place(scene: bpy.types.Scene, placing: Placing) -> None:
+def _place(scene, placing):
     for item in scene.objects:
         item.location = placing(item.location)
         # Blender's Euler angles turn about Z last.
@@ -144,13 +136,11 @@ def _place(scene: bpy.types.Scene, placing: Placing) -> None:
             item.data.energy *= placing.scale**2
 
 
-def _walk(scene: bpy.types.Scene, placing: Placing) -> None:
+def _walk(scene, placing):
     camera = phone(scene, placing(EYES[0]), placing(PROBE))
     camera.data.clip_start, camera.data.clip_end = 0.05 * placing.scale, 100 * placing.scale
     for frame, eye in enumerate(EYES, start=1):
-        look_at(camera, placing(eye), placing(PROBE))
-        camera.keyframe_insert("location", frame=frame)
-        camera.keyframe_insert("rotation_euler", frame=frame)
+        look_at(camera, placing(eye), placing(PROBE), frame)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,15 +151,13 @@ class SeenLight:
     frames: list[RgbdFrame]
     lights: Mapping[str, ArrayF64]
 
-    def apart_from(self, known: SeenLight) -> dict[str, float]:
+    def apart_from(self, known):
         """How far each light, turned back, is from that of the room as it is."""
         turned = {name: self.placing.turned_back(light) for name, light in self.lights.items()}
         return {name: apart(light, known.lights[name]) for name, light in turned.items()}
 
 
-def see(
-    placing: Placing = AS_IT_IS, *, seed: int = 0, estimators: Sequence[str] = ESTIMATORS, is_open: bool = False
-) -> SeenLight:
+def see(placing=AS_IT_IS, *, seed=0, estimators=ESTIMATORS, is_open=False):
     """Build the room there, meter and capture its path, run the chain at the ball, and render the light probe."""
     scene = furnished_room(placing, is_open=is_open)
     position_m = placing(PROBE) * placing.metres_per_unit
@@ -187,7 +175,7 @@ def see(
     return SeenLight(placing, frames, lights | {"truth": truth})
 
 
-def estimated(frames: Sequence[RgbdFrame], position_m: ArrayF64, estimator: str) -> ArrayF64:
+def estimated(frames, position_m, estimator):
     """(9, 3) scene radiance that a session believes in after `frames`."""
     settings = ControllerSettings(trigger=EVERY_FRAME, reference_exposure=frames[0].exposure)
     controller = XiheController(LocalBackend(load(estimator)), settings)
@@ -199,7 +187,7 @@ def estimated(frames: Sequence[RgbdFrame], position_m: ArrayF64, estimator: str)
     return light.sh_radiance / light.exposure
 
 
-def turned_by_hand(seen: SeenLight, yaw_deg: float, estimator: str) -> ArrayF64:
+def turned_by_hand(seen, yaw_deg, estimator):
     """What `estimator` makes of frames whose poses alone are turned about +Z, turned back: only the anchors differ."""
     placing = Placing(yaw_deg=yaw_deg)
     pose = np.eye(4)
@@ -208,6 +196,6 @@ def turned_by_hand(seen: SeenLight, yaw_deg: float, estimator: str) -> ArrayF64:
     return placing.turned_back(estimated(frames, placing(PROBE), estimator))
 
 
-def apart(light: ArrayF64, reference: ArrayF64) -> float:
+def apart(light, reference):
     """The norm of the difference over the reference's own."""
     return float(np.linalg.norm(light - reference) / np.linalg.norm(reference))

@@ -4,9 +4,12 @@ import contextlib
 from dataclasses import dataclass, replace
 
 import bpy
-from tiny_scenes import box, key, look_at, material, room_with_a_virtual_sphere
+from tiny_scenes import box, key, light_strength, look_at, material, room_with_a_virtual_sphere
 
+from xihe_blender.apply.datablocks import lights_by_sh
+from xihe_blender.apply.sh_worlds import f_curves
 from xihe_blender.capture.render import can_denoise
+from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.previs import previs
 from xihe_blender.previs.settings import PrevisSettings
@@ -29,7 +32,7 @@ if not can_denoise(bpy.context.scene):
     # Noise would trigger an estimate in every frame.
     DRAFT["noise_target"] = 0.01
 SMALL = QuickPrevis(**DRAFT)
-SMALL_AS_SHIPPED = PrevisSettings(**DRAFT)
+IPAD = replace(SMALL, phone="ipad_pro_lidar")
 N_FRAMES = 5
 LOOKS_AWAY = 3
 """The frame of `walk` in which no virtual object is in view."""
@@ -41,21 +44,42 @@ def walk(n_frames=N_FRAMES):
     board = material("Board", (0.8, 0.3, 0.2))
     box(scene, "Board", (0, 1.2, 0.9), (1.6, 0.1, 0.1), board, virtual_collection(scene))
     look_away(scene.camera, LOOKS_AWAY)
-    strength = bpy.data.materials["Light"].node_tree.nodes["Emission"].inputs["Strength"]
-    key(strength, "default_value", {LOOKS_AWAY: 6.0, LOOKS_AWAY + 1: 1.0})
+    key(light_strength(), "default_value", {LOOKS_AWAY: 6.0, LOOKS_AWAY + 1: 1.0})
     return scene
 
 
 def look_away(camera, frame):
     """Turn the phone away from the middle of the room at `frame`."""
-    look_at(camera, (-0.6, -1.5, 1.5), (-0.6, -3.0, 1.5))
-    camera.keyframe_insert("location", frame=frame)
-    camera.keyframe_insert("rotation_euler", frame=frame)
+    look_at(camera, (-0.6, -1.5, 1.5), (-0.6, -3.0, 1.5), frame)
 
 
 def run(scene, out, settings=SMALL):
-    """A whole run; its results."""
-    return run_blocking(previs(scene, out, settings))
+    """A whole run; its results, which are checked."""
+    # Where jsonschema is imported for nothing, some processes of the bpy wheel never end.
+    from results_schema import check_results
+
+    results = run_blocking(previs(scene, out, settings))
+    check_results(results)
+    return results
+
+
+@dataclass
+class Finished:
+    """An undisturbed run: its files, results, the scenes that were rendered, frames at which each world is keyed."""
+
+    outputs: RunOutputs
+    results: dict
+    renders: list
+    keys: dict
+
+
+def finished_run(out, settings=SMALL, make_scene=walk):
+    scene = make_scene()
+    with counted_renders() as renders:
+        results = run(scene, out, settings)
+    curves = {world.name: f_curves(world.node_tree)[0] for world in bpy.data.worlds if lights_by_sh(world)}
+    keys = {name: [int(point.co[0]) for point in curve.keyframe_points] for name, curve in curves.items()}
+    return Finished(RunOutputs(out, "untitled"), results, renders, keys)
 
 
 def run_some_steps(scene, out, n_steps, settings=SMALL):
@@ -68,15 +92,18 @@ def run_some_steps(scene, out, n_steps, settings=SMALL):
 def counted_renders():
     """A list that gets an entry for every render of the block."""
     renders = []
-
-    def count(scene, *_):
-        renders.append(scene.name)
-
-    bpy.app.handlers.render_init.append(count)
-    try:
+    with handler_in(bpy.app.handlers.render_init, lambda scene, *_: renders.append(scene.name)):
         yield renders
+
+
+@contextlib.contextmanager
+def handler_in(handlers, handler):
+    """One more handler for the time of the block."""
+    handlers.append(handler)
+    try:
+        yield
     finally:
-        bpy.app.handlers.render_init.remove(count)
+        handlers.remove(handler)
 
 
 def files_below(folder):

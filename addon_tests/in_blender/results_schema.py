@@ -73,12 +73,9 @@ def _chosen(results):
     """Names of the effects that the user turned on or off, as far as phone and session have them."""
     chosen = results["settings"]["effect_choices"]
     assert set(chosen.values()) <= {"on", "off"}
-    return {name for name in chosen if name not in PHONE_EFFECTS or _numbers_of(results, name)}
-
-
-def _numbers_of(results, name):
-    """The numbers of an effect; empty for one that the phone or the session does not have."""
-    return next(effect["parameters"] for effect in results["effects"] if effect["name"] == name)
+    # One that the phone or the session does not have has no numbers.
+    there = {effect["name"] for effect in results["effects"] if effect["parameters"]}
+    return {name for name in chosen if name not in PHONE_EFFECTS or name in there}
 
 
 def _check_frame(entry, frames):
@@ -160,17 +157,16 @@ def _check_summary(results):
     probes = [probe for entry in frames for probe in entry["probes"]]
     _check_counts(summary["invalid"]["pixels"], summary["n_invalid_pixels"])
     _check_counts(summary["invalid"]["points"], summary["n_invalid_points"])
-    assert summary["n_invalid_points"] == sum(probe["n_invalid_points"] for probe in probes)
     assert sum(summary["invalid"]["lights"].values()) == summary["n_unknown_lights"]
-    assert summary["n_followed_anchors"] == sum(probe["n_followed_anchors"] for probe in probes)
+    for name in ("n_invalid_points", "n_followed_anchors", "payload_bytes"):
+        assert summary[name] == sum(probe[name] for probe in probes), name
     assert summary["n_unknown_lights"] == sum(not probe["is_valid"] for probe in probes)
     assert summary["n_frames"] == len(frames)
     assert summary["n_active_frames"] == sum(entry["active"] for entry in frames)
-    assert summary["n_estimates"] == sum(probe["fired"] for entry in frames for probe in entry["probes"])
-    fired = [probe for entry in frames for probe in entry["probes"] if probe["fired"]]
+    fired = [probe for probe in probes if probe["fired"]]
+    assert summary["n_estimates"] == len(fired)
     assert summary["n_lost"] == sum(probe["latency_ms"] is None for probe in fired)
     assert (summary["mean_latency_ms"] is None) == (summary["n_lost"] == len(fired))
-    assert summary["payload_bytes"] == sum(probe["payload_bytes"] for entry in frames for probe in entry["probes"])
 
 
 def _check_lights(results):

@@ -8,7 +8,7 @@ import pytest
 from addon_runs import enable_preferences, poll_message, registered_addon, small_panel_runs, walk_for_the_panel
 from previs_runs import walk
 from scene_snapshot import differences, snapshot
-from tiny_scenes import box, empty_scene, phone, room_with_a_virtual_sphere
+from tiny_scenes import box, empty_scene, phone, room_with_a_virtual_sphere, saved
 
 from xihe_blender.addon.run_settings import previs_settings
 from xihe_blender.addon.runs_folder import new_run_folder
@@ -108,9 +108,9 @@ def test_an_object_in_a_linked_collection_says_so_and_stays(tmp_path):
     furniture = bpy.data.collections.new("Furniture")
     scene.collection.children.link(furniture)
     box(scene, "Chair", (0, 0, 0), (1, 1, 1), collection=furniture)
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+    library = saved(tmp_path / "library.blend")
     scene = empty_scene()
-    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, wanted):
+    with bpy.data.libraries.load(str(library), link=True) as (_, wanted):
         wanted.collections = ["Furniture"]
     scene.collection.children.link(bpy.data.collections["Furniture"])
     before = memberships()
@@ -135,16 +135,17 @@ def rows(scene):
     return {row.name: (row.state, row.origin) for row in scene.xihe.effects}
 
 
-def announced(scene, **settings):
-    return run_blocking(effects_of_run(scene, PrevisSettings(**settings), is_measured=False))
+def assert_rows_are_those_of_a_run(scene, **settings):
+    effects = run_blocking(effects_of_run(scene, PrevisSettings(**settings), is_measured=False))
+    assert rows(scene) == {name: (effect.state, effect.origin) for name, effect in effects.items()}
+    return effects
 
 
 def test_the_rows_of_effects_are_those_of_the_command_line():
     scene = walk()
     scene.xihe.use_own_frames, scene.xihe.frame_start, scene.xihe.frame_end = True, 2, 4
     assert bpy.ops.xihe.plan_effects() == {"FINISHED"}
-    effects = announced(scene, frames=(2, 3, 4))
-    assert rows(scene) == {name: (effect.state, effect.origin) for name, effect in effects.items()}
+    effects = assert_rows_are_those_of_a_run(scene, frames=(2, 3, 4))
     assert [row.reason for row in scene.xihe.effects] == [effect.reason for effect in effects.values()]
 
 
@@ -155,8 +156,7 @@ def test_an_override_is_kept_in_the_file_and_outlasts_another_look():
     scene.xihe.effects["volumes"].override = "ON"
     assert remembered_overrides(scene) == {"denoising": "off", "volumes": "on"}
     for _ in range(2):
-        effects = announced(scene)
-        assert rows(scene) == {name: (effect.state, effect.origin) for name, effect in effects.items()}
+        assert_rows_are_those_of_a_run(scene)
         bpy.ops.xihe.plan_effects()
     scene.xihe.effects["denoising"].override = "AUTO"
     assert remembered_overrides(scene) == {"volumes": "on"}
@@ -166,8 +166,7 @@ def test_the_phone_has_rows_of_its_own_which_go_when_another_is_chosen():
     scene = walk()
     scene.xihe.phone, scene.xihe.network = "ipad_pro_lidar", "lte"
     bpy.ops.xihe.plan_effects()
-    effects = announced(scene, phone="ipad_pro_lidar", network="lte")
-    assert rows(scene) == {name: (effect.state, effect.origin) for name, effect in effects.items()}
+    assert_rows_are_those_of_a_run(scene, phone="ipad_pro_lidar", network="lte")
     switchable = {row.name for row in scene.xihe.effects if row.is_switchable}
     assert {"edge_bleeding", "network", "volumes"} <= switchable and "quantisation" not in switchable
     scene.xihe.effects["noise"].override = "OFF"
@@ -240,15 +239,11 @@ def test_grey_buttons_of_objects():
     for operator in (bpy.ops.xihe.add_virtual_objects, bpy.ops.xihe.add_sphere_rig, bpy.ops.xihe.run):
         assert poll_message(operator) == "Go to Object Mode first"
     bpy.ops.object.mode_set(mode="OBJECT")
-    scene.camera = None
-    for operator in (bpy.ops.xihe.measure_run, bpy.ops.xihe.run):
+    camera, scene.camera = scene.camera, None
+    for operator in (bpy.ops.xihe.measure_run, bpy.ops.xihe.calibrate, bpy.ops.xihe.run):
         assert poll_message(operator) == "Add a camera and animate it as the phone's path"
-
-
-def test_a_camera_that_only_a_marker_chooses_is_one():
-    scene = walk()
-    scene.timeline_markers.new("Phone", frame=1).camera = scene.camera
-    scene.camera = None
+    # One that only a marker chooses is one.
+    scene.timeline_markers.new("Phone", frame=1).camera = camera
     assert poll_message(bpy.ops.xihe.run) == ""
 
 
@@ -278,11 +273,8 @@ def test_without_cycles_the_buttons_say_which_add_on_to_enable():
 # ------------------------------------------------------------------------------------------------------------ settings
 
 
-def test_the_panel_as_it_is_at_first_is_a_run_without_options():
+def test_the_panel_is_at_first_a_run_without_options_and_every_setting_reaches_the_run(tmp_path):
     assert previs_settings(walk()) == PrevisSettings()
-
-
-def test_every_setting_of_the_panel_reaches_the_run(tmp_path):
     (tmp_path / "mine.toml").write_text('name = "Mine"\nsummary = "A phone of my own."\n')
     scene = walk_for_the_panel(
         tmp_path, estimator="projection", target="hdr", use_own_frames=True, frame_start=2, frame_end=5, frame_step=2,
@@ -293,6 +285,10 @@ def test_every_setting_of_the_panel_reaches_the_run(tmp_path):
         estimator="projection", preset="draft", target="hdr", size=(32, 24), frames=(2, 4), exposure=0.5,
         metering="key", seed=7, phone=str(tmp_path / "mine.toml"), network="lte",
     )  # fmt: skip
+    # The phone of the preferences is that of a scene without one.
+    scene, user = walk(), enable_preferences()
+    user.phone, user.phone_file = "FILE", str(tmp_path / "mine.toml")
+    assert previs_settings(scene).phone == str(tmp_path / "mine.toml")
 
 
 @pytest.mark.parametrize(
@@ -324,9 +320,8 @@ def test_folders_of_runs_are_new_each_time(tmp_path):
     scene = walk_for_the_panel(tmp_path / "deep" / "runs")
     folders = [new_run_folder(scene) for _ in range(4)]
     assert len(set(folders)) == 4 and all(folder.is_dir() for folder in folders)
-    assert all(
-        folder.name.startswith("untitled_") and folder.parent == tmp_path / "deep" / "runs" for folder in folders
-    )
+    assert {folder.parent for folder in folders} == {tmp_path / "deep" / "runs"}
+    assert all(folder.name.startswith("untitled_") for folder in folders)
 
 
 def test_a_runs_folder_that_cannot_be_made_names_the_preference(tmp_path):
@@ -363,18 +358,9 @@ def test_a_run_of_more_frames_takes_longer_in_proportion():
 
 @small_panel_runs()
 def test_the_estimate_of_time_is_said_with_how_it_was_made(tmp_path):
-    assert format_run_time(0.3) == "about 5 s on this machine"
-    assert format_run_time(170) == "about 3 min on this machine"
-    assert format_run_time(5000) == "about 1 h 20 min on this machine"
+    for seconds, words in ((0.3, "5 s"), (170, "3 min"), (5000, "1 h 20 min")):
+        assert format_run_time(seconds) == f"about {words} on this machine"
     walk_for_the_panel(tmp_path, use_own_frames=True, frame_end=1)
     assert bpy.ops.xihe.measure_run() == {"FINISHED"}
     said = bpy.context.window_manager.xihe.run_estimate
     assert said.startswith("about ") and said.endswith(" on this machine")
-
-
-def test_the_file_of_the_preferences_phone_is_used_where_a_scene_has_none(tmp_path):
-    (tmp_path / "mine.toml").write_text('name = "Mine"\nsummary = "A phone of my own."\n')
-    scene = walk()
-    user = enable_preferences()
-    user.phone, user.phone_file = "FILE", str(tmp_path / "mine.toml")
-    assert previs_settings(scene).phone == str(tmp_path / "mine.toml")

@@ -1,4 +1,4 @@
-"""What Blender has of the add-on while it is enabled, what it has left after that, and what start-up costs."""
+"""What Blender has of the add-on while it is enabled, what is left after that, what start-up costs, and the zip."""
 
 import subprocess
 import sys
@@ -7,87 +7,66 @@ from pathlib import Path
 import bpy
 import pytest
 from addon_runs import PACKAGE, enable_preferences, registered_addon
-from tiny_scenes import empty_scene
+from registered_things import registered
+from tiny_scenes import empty_scene, saved
 
 from xihe_blender import addon
 from xihe_blender.addon import choices, leftovers
 from xihe_blender.addon.preferences import preferences
 from xihe_blender.capture.render import WORKING
+from xihe_blender.packaging.extension import build_extension
+from xihe_blender.packaging.project_wheel import packed
 from xihe_blender.previs.settings import PRESETS
 from xihenet import estimators
 from xihenet.phone import LINKS, profile_names
 
 ROOT = Path(__file__).resolve().parents[2]
-OPERATORS = {
-    "add_virtual_objects", "remove_virtual_objects", "add_sphere_rig", "plan_effects", "measure_run", "run",
-    "cancel_run", "apply_light", "remove_light", "go_to_trigger", "show_comparison", "open_report", "remove_old_runs",
-    "calibrate",
-}  # fmt: skip
+MOST_BYTES = 12_000_000
+VALIDATOR = Path(bpy.utils.system_resource("SCRIPTS")) / "addons_core/bl_pkg/cli/blender_ext.py"
+"""Blender's own, which comes with the bpy wheel."""
 
 
-def registered_things():
-    """Everything of Blender's that an add-on can add to."""
-    classes = {name for name in dir(bpy.types) if "xihe" in name.lower()}
-    handlers = {
-        f"{name} {handler!r}"
-        for name in dir(bpy.app.handlers)
-        if isinstance(getattr(bpy.app.handlers, name), list)
-        for handler in getattr(bpy.app.handlers, name)
-    }
-    properties = {
-        f"{kind.__name__}.{prop.identifier}"
-        for kind in (bpy.types.Scene, bpy.types.WindowManager, bpy.types.Object)
-        for prop in kind.bl_rna.properties
-        if "xihe" in prop.identifier.lower()
-    }
-    return classes | handlers | properties | set(dir(bpy.ops.xihe))
-
-
-def our_classes():
-    return [getattr(bpy.types, name) for name in dir(bpy.types) if "xihe" in name.lower()]
+def our_properties():
+    """(name, property) of all that our classes do not have of their bases."""
+    for kind in [getattr(bpy.types, name) for name in dir(bpy.types) if "xihe" in name.lower()]:
+        for prop in kind.bl_rna.properties:
+            if prop.identifier not in kind.bl_rna.base.properties and prop.identifier != "rna_type":
+                yield f"{kind.__name__}.{prop.identifier}", prop
 
 
 def test_ten_times_on_and_off_leave_nothing():
-    before = registered_things()
+    before = registered()
     for _ in range(10):
         with registered_addon():
-            assert set(dir(bpy.ops.xihe)) >= OPERATORS
-            assert len(registered_things()) > len(before) + len(OPERATORS)
-        assert registered_things() == before
+            while_it_is = registered()
+        assert not before["operators"] and while_it_is["handlers"] != before["handlers"]
+        assert (
+            len(while_it_is["classes"])
+            > len(before["classes"]) + len(while_it_is["operators"])
+            > len(before["classes"])
+        )
+        assert registered() == before
         assert not hasattr(bpy.types.Scene, "xihe") and not hasattr(bpy.types.WindowManager, "xihe")
 
 
 def test_registering_twice_is_refused_and_leaves_the_first():
-    before = registered_things()
+    before = registered()
     addon.register(PACKAGE)
     try:
         with pytest.raises(ValueError, match="already registered"):
             addon.register(PACKAGE)
     finally:
         addon.unregister()
-    assert registered_things() == before
+    assert registered() == before
 
 
 def test_every_property_and_operator_says_what_it_is():
     with registered_addon():
-        silent = [
-            f"{kind.__name__}.{prop.identifier}"
-            for kind in our_classes()
-            for prop in kind.bl_rna.properties
-            if prop.identifier not in kind.bl_rna.base.properties and not prop.description
-            if prop.identifier != "rna_type"
-        ]
-        assert silent == []
-        unnamed = [
-            f"{kind.__name__}.{prop.identifier}.{item.identifier}"
-            for kind in our_classes()
-            for prop in kind.bl_rna.properties
-            if prop.type == "ENUM" and prop.identifier not in kind.bl_rna.base.properties
-            for item in prop.enum_items
-            if not item.description
-        ]
-        assert unnamed == []
-        for name in OPERATORS:
+        assert [name for name, prop in our_properties() if not prop.description] == []
+        for name, prop in our_properties():
+            if prop.type == "ENUM":
+                assert all(item.description for item in prop.enum_items), name
+        for name in dir(bpy.ops.xihe):
             said = getattr(bpy.ops.xihe, name).get_rna_type().description
             assert len(said) > 20 and not said.endswith("."), name
 
@@ -118,7 +97,9 @@ def test_the_lists_are_those_of_the_science():
 def test_the_phone_of_the_preferences_is_that_of_scenes_without_one():
     with registered_addon():
         scene = empty_scene()
+        assert preferences(bpy.context) is None, "there are none without an enabled add-on"
         user = enable_preferences()
+        assert user == preferences(bpy.context)
         first, second = [name for name in profile_names() if name != choices.DEFAULT_PHONE][:2]
         user.phone = first
         assert scene.xihe.phone == first
@@ -126,25 +107,16 @@ def test_the_phone_of_the_preferences_is_that_of_scenes_without_one():
         assert scene.xihe.phone == second and user.phone == first
 
 
-def test_there_are_no_preferences_without_an_enabled_add_on():
-    with registered_addon():
-        assert preferences(bpy.context) is None
-        assert enable_preferences() == preferences(bpy.context)
-
-
-def test_a_working_scene_is_known_by_one_name():
-    assert leftovers.WORKING == WORKING
-
-
 def test_a_file_that_was_saved_in_the_middle_of_a_run_opens_without_its_scenes(tmp_path):
+    assert leftovers.WORKING == WORKING
     with registered_addon():
         scene = empty_scene()
         scene.copy()[WORKING] = True
         bpy.data.scenes[-1].use_extra_user = True
         bpy.context.window_manager.xihe.is_running = True
-        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "mid.blend"))
+        middle = saved(tmp_path / "mid.blend")
         bpy.ops.wm.read_factory_settings(use_empty=True)
-        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "mid.blend"), load_ui=False)
+        bpy.ops.wm.open_mainfile(filepath=str(middle), load_ui=False)
         assert [scene.name for scene in bpy.data.scenes] == ["Scene"]
         assert not bpy.context.window_manager.xihe.is_running
 
@@ -169,3 +141,22 @@ def test_registering_imports_no_work_and_nothing_heavy():
 def test_a_script_that_registers_the_add_on_ends(is_unregistered):
     code = f"import bpy; from xihe_blender import addon; addon.register('a'); {is_unregistered} and addon.unregister()"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, timeout=60).returncode == 0
+
+
+def validate(path):
+    """Exit code and all that the validator says."""
+    done = subprocess.run([sys.executable, VALIDATOR, "validate", path], capture_output=True, text=True, timeout=100)
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_the_extension_is_small_and_blender_finds_nothing_wrong_with_it(tmp_path):
+    extension = build_extension(tmp_path)
+    code, said = validate(extension)
+    assert code == 0 and "Success" in said, said
+    assert extension.stat().st_size < MOST_BYTES
+
+
+def test_blender_would_say_if_something_were_wrong(tmp_path):
+    (tmp_path / "wrong.zip").write_bytes(packed({"__init__.py": b"", "blender_manifest.toml": b'id = "xihe"\n'}))
+    code, said = validate(tmp_path / "wrong.zip")
+    assert code != 0 and "missing" in said.lower(), said

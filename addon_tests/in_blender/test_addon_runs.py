@@ -8,11 +8,12 @@ import bpy
 import numpy as np
 import pytest
 from addon_runs import enable_preferences, registered_addon, small_panel_runs, walk_for_the_panel
-from previs_runs import SMALL, run
+from previs_runs import SMALL, handler_in, look_away, run
+from renders import pixels, pixels_of_file, rendered
 from results_schema import read_strictly, without_times
 from scene_snapshot import data_blocks, differences, snapshot
-from test_lit_blend import keyed
-from tiny_scenes import empty_scene, set_world
+from shown_lights import keyed
+from tiny_scenes import empty_scene, node_of, phone, set_world
 
 from xihe_blender.addon.results_in_blender import (
     COVERAGE_CURVE,
@@ -28,10 +29,9 @@ from xihe_blender.addon.results_in_blender import (
 from xihe_blender.addon.shown_run import run_and_show
 from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
 from xihe_blender.apply.sh_worlds import f_curves
-from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
-from xihe_blender.capture.scanner import first_layer
 from xihe_blender.errors import UserError
 from xihe_blender.io.run_results import read_results
+from xihe_blender.jobs import run_blocking
 from xihenet.panorama import evaluate_panorama
 
 
@@ -62,41 +62,33 @@ def shown(done):
     return done[1]
 
 
-def pixels(image):
-    """(H, W, 3), row 0 at the top."""
-    values = np.empty(len(image.pixels), np.float32)
-    image.pixels.foreach_get(values)
-    return values.reshape(image.size[1], image.size[0], -1)[::-1, :, :3]
+def colours(name):
+    """(H, W, 3) of an image of ours."""
+    return pixels(image_named(name))[..., :3]
 
 
 # ----------------------------------------------------------------------------------------------------------- the run
 
 
-def test_the_panels_run_has_the_numbers_of_the_function(done, tmp_path):
+def test_the_panels_run_has_the_numbers_of_the_function_and_leaves_the_scene_as_it_was(done, tmp_path):
     with_window = read_strictly(done[1] / "results.json")
     # What the panel has no setting for is the preset's.
     by_function = run(walk_for_the_panel(tmp_path), tmp_path / "out", replace(SMALL, noise_target=None))
     assert without_times(with_window) == without_times(by_function)
-
-
-def test_the_scene_is_as_it_was_but_for_the_last_run(done):
     changed, new = differences(done[2], done[3])
     assert set(changed) == {"scenes/Scene/xihe/run_folder"} and new == []
 
 
 def test_a_run_that_is_stopped_leaves_no_folder_and_the_scene_as_it_was(tmp_path):
-    scene = walk_for_the_panel(tmp_path)
+    scene, folder = walk_for_the_panel(tmp_path), tmp_path / "run"
     bpy.context.view_layer.update()
     before = snapshot()
-    for n_steps in (1, 4, 9):
-        folder = tmp_path / "run"
-        folder.mkdir()
-        with contextlib.closing(run_and_show(scene, folder, SMALL)) as job:
-            for _, progress in zip(range(n_steps), job, strict=False):
-                assert progress.done < progress.total
-            assert folder.exists()
-        assert not folder.exists()
-        assert differences(before, snapshot()) == ({}, [])
+    folder.mkdir()
+    with contextlib.closing(run_and_show(scene, folder, SMALL)) as job:
+        assert all(progress.done < progress.total for _, progress in zip(range(9), job, strict=False))
+        assert folder.exists()
+    assert not folder.exists()
+    assert differences(before, snapshot()) == ({}, [])
 
 
 def test_a_run_that_fails_leaves_no_folder_and_one_line(tmp_path):
@@ -116,12 +108,9 @@ def test_an_object_that_is_deleted_meanwhile_ends_the_run_with_one_line(tmp_path
         if scene.name == "Xihe Reference Probe" and "Ball" in bpy.data.objects:
             bpy.data.objects.remove(bpy.data.objects["Ball"])
 
-    bpy.app.handlers.render_post.append(delete)
-    try:
-        with pytest.raises(RuntimeError, match="was deleted during the run: run again"):
-            bpy.ops.xihe.run()
-    finally:
-        bpy.app.handlers.render_post.remove(delete)
+    deleted = pytest.raises(RuntimeError, match="was deleted during the run: run again")
+    with handler_in(bpy.app.handlers.render_post, delete), deleted:
+        bpy.ops.xihe.run()
     assert [scene.name for scene in bpy.data.scenes] == ["Scene"] and list(tmp_path.iterdir()) == []
     assert not bpy.context.window_manager.xihe.is_running
 
@@ -141,22 +130,11 @@ def test_the_light_of_the_results_is_the_one_that_the_run_put_on_the_timeline(sh
         for frame in results.settings.frames:
             on_timeline = coefficients[max(known for known in coefficients if known <= frame)]
             np.testing.assert_allclose(light_in_force(results, name, frame), on_timeline, rtol=1e-6, atol=1e-7)
-
-
-def test_light_in_force_is_that_of_the_positions_in_view(shown):
-    results = read_results(shown)
-    for entry in results.frames:
-        in_view = {probe.name: probe.sh for probe in entry.probes}
-        if "Ball" in in_view:
-            np.testing.assert_array_equal(light_in_force(results, "Ball", entry.frame), in_view["Ball"])
-        if {"Board 1", "Board 2"} <= in_view.keys():
-            mean = np.mean([in_view["Board 1"], in_view["Board 2"]], axis=0)
-            np.testing.assert_allclose(light_in_force(results, "Board", entry.frame), mean, rtol=1e-12)
     with pytest.raises(ValueError, match=r"that the run lit \(Ball, Board\), got 'Chair'"):
         light_in_force(results, "Chair", 1)
 
 
-def test_applying_again_gives_what_the_run_left(shown):
+def test_removing_leaves_the_file_as_before_the_run_and_applying_again_gives_what_it_left(done, shown):
     def left():
         light = {name: {f: c.tolist() for f, c in frames.items()} for name, frames in light_on_the_timeline().items()}
         return light, sorted((m.frame, m.name) for m in bpy.context.scene.timeline_markers), data_blocks(snapshot())
@@ -164,7 +142,8 @@ def test_applying_again_gives_what_the_run_left(shown):
     bpy.context.view_layer.update()
     before = left()
     bpy.ops.xihe.remove_light()
-    assert light_on_the_timeline() == {} and not bpy.context.scene.timeline_markers
+    bpy.context.view_layer.update()
+    assert data_blocks(snapshot()) == data_blocks(done[2]) and not bpy.context.scene.timeline_markers
     for _ in range(2):
         assert bpy.ops.xihe.apply_light() == {"FINISHED"}
         assert left() == before
@@ -182,13 +161,6 @@ def test_light_of_an_object_that_is_gone_is_refused(shown):
     bpy.data.objects.remove(bpy.data.objects["Ball"])
     with pytest.raises(RuntimeError, match="'Ball' of the last run is not in this scene any more: run again"):
         bpy.ops.xihe.apply_light()
-
-
-def test_removing_leaves_the_file_as_it_was_before_the_run(done, shown):
-    bpy.ops.xihe.remove_light()
-    bpy.context.view_layer.update()
-    assert data_blocks(snapshot()) == data_blocks(done[2])
-    assert not any(marker.name.startswith("Xihe") for marker in bpy.context.scene.timeline_markers)
 
 
 def test_removing_leaves_what_a_user_named_like_ours(shown):
@@ -227,7 +199,7 @@ def test_error_and_coverage_are_curves_of_the_worlds(shown):
 
 
 def test_a_saved_file_keeps_its_images_without_the_run(shown):
-    expected = {name: pixels(image_named(name)) for name in (COMPARISON_NAME, "Xihe Light Ball", "Xihe Light Board")}
+    expected = {name: colours(name) for name in (COMPARISON_NAME, "Xihe Light Ball", "Xihe Light Board")}
     assert all(image_named(name).packed_file is not None for name in expected)
     results = read_results(shown)
     panorama = evaluate_panorama(light_in_force(results, "Ball", 1), 64, 128) / results.settings.reference_exposure
@@ -238,27 +210,23 @@ def test_a_saved_file_keeps_its_images_without_the_run(shown):
 def test_the_comparison_is_the_estimate_up_to_the_wipe_and_the_truth_behind(shown):
     results = read_results(shown)
     nearest = results.nearest_compared_frame(2)
-    sides = {}
-    for kind in ("lattice", "ground_truth"):
-        image = bpy.data.images.load(str(shown / "pictures" / f"{kind}_{nearest:04d}.png"))
-        sides[kind] = pixels(image)
-        bpy.data.images.remove(image)
-    assert np.abs(sides["lattice"] - sides["ground_truth"]).max() > 0.05
+    files = (shown / "pictures" / f"{kind}_{nearest:04d}.png" for kind in ("lattice", "ground_truth"))
+    estimate, truth = (pixels_of_file(file)[..., :3] for file in files)
+    assert np.abs(estimate - truth).max() > 0.05
     for wipe, column in ((0.0, 0), (0.25, 8), (0.5, 16), (1.0, 32)):
-        picture = pixels(show_comparison(results, shown, 2, wipe))
-        np.testing.assert_allclose(picture[:, :column], sides["lattice"][:, :column], atol=1e-6)
+        picture = pixels(show_comparison(results, shown, 2, wipe))[..., :3]
+        np.testing.assert_allclose(picture[:, :column], estimate[:, :column], atol=1e-6)
         behind = column + (0 < column < 32)
-        np.testing.assert_allclose(picture[:, behind:], sides["ground_truth"][:, behind:], atol=1e-6)
+        np.testing.assert_allclose(picture[:, behind:], truth[:, behind:], atol=1e-6)
         assert (picture[:, column:behind] == 1).all()
 
 
 def test_moving_the_wipe_composes_the_image_anew(shown):
     scene = bpy.context.scene
     scene.xihe.wipe = 0.0
-    truth = pixels(image_named(COMPARISON_NAME))
+    truth = colours(COMPARISON_NAME)
     scene.xihe.wipe = 1.0
-    estimate = pixels(image_named(COMPARISON_NAME))
-    assert np.abs(truth - estimate).max() > 0.05
+    assert np.abs(truth - colours(COMPARISON_NAME)).max() > 0.05
     remove_everything(scene)
     scene.xihe.wipe = 0.3
     assert image_named(COMPARISON_NAME) is None, "a slider makes nothing that was removed"
@@ -281,20 +249,15 @@ def test_the_image_of_a_light_is_the_environment_it_stands_for():
     sh = np.random.default_rng(3).normal(size=(9, 3)) * 0.1
     sh[0] += 2
     image = show_light("Ball", sh)
-    tree = set_world(scene).node_tree
-    texture = tree.nodes.new("ShaderNodeTexEnvironment")
+    world = set_world(scene)
+    texture = world.node_tree.nodes.new("ShaderNodeTexEnvironment")
     texture.image = image
-    tree.links.new(texture.outputs[0], next(n for n in tree.nodes if n.type == "BACKGROUND").inputs["Color"])
-    data = bpy.data.cameras.new("Panorama")
+    world.node_tree.links.new(texture.outputs[0], node_of(world, "BACKGROUND").inputs["Color"])
+    data = phone(scene, (0, 0, 0), (0, 1, 0)).data
     data.type = "PANO"
     (data if hasattr(data, "panorama_type") else data.cycles).panorama_type = "EQUIRECTANGULAR"
-    scene.camera = bpy.data.objects.new("Panorama", data)
-    scene.collection.objects.link(scene.camera)
-    scene.camera.rotation_euler = (np.pi / 2, 0, 0)
-    with working_scene(scene, "Test", RenderSettings((64, 32), 4, denoise=False)) as working:
-        seen, _ = first_layer(render_passes(working))
     expected = evaluate_panorama(sh, 32, 64)
-    error = np.abs(seen - expected) / np.ptp(expected)
+    error = np.abs(rendered(scene, (64, 32), 4) - expected) / np.ptp(expected)
     assert np.median(error) < 0.005
     # Cycles' interpolation ends at the picture's edge, so that a seam of one texel is left.
     assert error.max() < 0.1
@@ -311,15 +274,12 @@ def test_going_from_trigger_to_trigger_shows_the_light_of_each(shown):
     for frame in frames:
         assert bpy.ops.xihe.go_to_trigger(direction="NEXT") == {"FINISHED"} and scene.frame_current == frame
         mean = evaluate_panorama(light_in_force(results, "Ball", frame), 64, 128).mean() / exposure
-        assert pixels(image_named("Xihe Light Ball")).mean() == pytest.approx(mean, rel=1e-4)
+        assert colours("Xihe Light Ball").mean() == pytest.approx(mean, rel=1e-4)
     assert bpy.ops.xihe.go_to_trigger(direction="NEXT") == {"CANCELLED"} and scene.frame_current == frames[-1]
     for frame in reversed(frames[:-1]):
         assert go_to_trigger(scene, "PREVIOUS") == frame
     assert go_to_trigger(scene, "PREVIOUS") is None
-
-
-def test_triggers_can_be_walked_without_the_runs_folder(shown):
-    scene = bpy.context.scene
+    # Without the run's folder as well.
     scene.xihe.run_folder = str(shown / "gone")
     scene.frame_set(0)
     assert bpy.ops.xihe.go_to_trigger() == {"FINISHED"}
@@ -344,11 +304,8 @@ def test_results_of_a_run_under_way_or_of_another_program_are_refused(tmp_path):
 
 def test_a_run_that_saw_no_position_shows_no_picture(tmp_path):
     scene = walk_for_the_panel(tmp_path)
-    for frame in range(1, 6):
-        scene.camera.rotation_euler = (np.pi / 2, 0, np.pi)
-        scene.camera.keyframe_insert("rotation_euler", frame=frame)
-    with contextlib.closing(run_and_show(scene, tmp_path / "run", replace(SMALL, frames=(1, 2)))) as job:
-        for _ in job:
-            pass
+    for frame in (1, 2):
+        look_away(scene.camera, frame)
+    run_blocking(run_and_show(scene, tmp_path / "run", replace(SMALL, frames=(1, 2))))
     assert read_results(tmp_path / "run").nearest_compared_frame(1) is None
     assert image_named(COMPARISON_NAME) is None and image_named("Xihe Light Ball") is None

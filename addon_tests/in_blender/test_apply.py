@@ -1,15 +1,16 @@
-"""An SH world lights a surface as the mathematics says, and plays on the timeline."""
+"""An SH world lights surfaces as the mathematics says, on the timeline as well, and what a live session places."""
 
 import bpy
 import numpy as np
 import pytest
-from mathutils import Vector
-from tiny_scenes import empty_scene, material, set_world, sphere
+from effect_scenes import shader_look
+from renders import captured, rendered
+from shown_lights import keyed, shown_light
+from tiny_scenes import box, empty_scene, material, node_of, orthographic, room_with_a_virtual_sphere, set_world, sphere
 
 from xihe_blender.apply.datablocks import NODE_GROUP_NAME, lights_by_sh
+from xihe_blender.apply.session import XiheController
 from xihe_blender.apply.sh_worlds import (
-    COEFFICIENTS,
-    GAIN,
     apply_sh_to_world,
     f_curves,
     key_sh_on_world,
@@ -21,8 +22,10 @@ from xihe_blender.apply.sh_worlds import (
 from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
 from xihe_blender.capture.scanner import first_layer
 from xihe_blender.compare.methods import open_comparer
-from xihe_blender.scene.virtual_objects import virtual_collection
-from xihenet import sh
+from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
+from xihenet import estimators, sh
+from xihenet.backend import LocalBackend
+from xihenet.light_picture import SILVER_ROUGHNESS, sphere_mask, three_spheres
 
 SIDE = 48
 
@@ -34,33 +37,18 @@ def constant(radiance):
     return coefficients
 
 
-def white_sphere_seen_from(scene, axis):
-    """A white Lambert sphere filling an orthographic picture; its normals where it is not at a grazing angle."""
+def rendered_sphere(coefficients, exposure=1.0, axis=(0, -1, 0), samples=128):
+    """Radiance and normals of a white Lambert sphere under this light, where it is not seen at a grazing angle."""
+    scene = empty_scene()
     sphere(scene, "White", (0, 0, 0), 1.0, material("White", (1.0, 1.0, 1.0)))
-    data = bpy.data.cameras.new("Camera")
-    data.type, data.ortho_scale = "ORTHO", 2.2
-    camera = bpy.data.objects.new("Camera", data)
-    scene.collection.objects.link(camera)
-    scene.camera = camera
-    camera.location = np.array(axis) * 5.0
-    rotation = (-Vector(axis)).to_track_quat("-Z", "Y")
-    camera.rotation_euler = rotation.to_euler()
+    world_from_camera = orthographic(scene, axis, 2.2)
+    scene.world = make_sh_world("Xihe White")
+    apply_sh_to_world(scene.world, coefficients, exposure)
     x = ((np.arange(SIDE) + 0.5) / SIDE - 0.5) * 2.2
     right, up = np.meshgrid(x, -x)
     inside = right**2 + up**2 < 0.85
     in_camera = np.stack([right, up, np.sqrt(np.clip(1 - right**2 - up**2, 0, 1))], axis=-1)[inside]
-    return in_camera @ np.array(rotation.to_matrix()).T, inside
-
-
-def rendered_sphere(coefficients, exposure=1.0, axis=(0, -1, 0), samples=128):
-    scene = empty_scene()
-    normals, inside = white_sphere_seen_from(scene, axis)
-    world = make_sh_world("Xihe White")
-    apply_sh_to_world(world, coefficients, exposure)
-    scene.world = world
-    with working_scene(scene, "Test", RenderSettings((SIDE, SIDE), samples, denoise=False)) as working:
-        radiance, _ = first_layer(render_passes(working))
-    return radiance[inside].astype(np.float64), normals
+    return rendered(scene, (SIDE, SIDE), samples)[inside], in_camera @ world_from_camera.T
 
 
 @pytest.mark.parametrize(("seed", "axis"), [(0, (0, -1, 0)), (1, (1, 0, 0)), (2, (0, 0, 1))])
@@ -98,22 +86,18 @@ def test_keyed_light_plays_back_frame_by_frame_and_does_not_blend():
     for frame, coefficients in light.items():
         key_sh_on_world(world, frame, coefficients, exposure=2.0)
     scene.world = world
-    assert {point.interpolation for curve in f_curves(world.node_tree) for point in curve.keyframe_points} == {
-        "CONSTANT"
-    }
-    inputs = world.node_tree.nodes[NODE_GROUP_NAME].inputs
+    assert keyed(world)[1] == {"CONSTANT"}
     for frame, expected in ((1, 1), (4, 1), (5, 5), (8, 5), (9, 9), (20, 9)):
         scene.frame_set(frame)
-        assert [tuple(inputs[name].default_value) for name in COEFFICIENTS] == [(expected,) * 3] * 9
-        assert inputs[GAIN].default_value == 0.5
+        coefficients, gain = shown_light(world)
+        assert (coefficients == expected).all() and gain == 0.5
 
 
 def test_a_keyed_world_override_is_evaluated_in_each_frame():
     scene = empty_scene()
     set_world(scene, (1, 0, 0))
-    ball = sphere(scene, "Ball", (0, 0, 0), 1.0, material("White", (1, 1, 1)), virtual_collection(scene, create=True))
-    white_sphere_seen_from(scene, (0, -1, 0))
-    bpy.data.objects.remove(bpy.data.objects["White"])
+    sphere(scene, "Ball", (0, 0, 0), 1.0, material("White", (1, 1, 1)), virtual_collection(scene, create=True))
+    orthographic(scene)
     world = make_sh_world(world_name("Ball"))
     for frame in (1, 2):
         key_sh_on_world(world, frame, constant(np.eye(3)[frame]))
@@ -123,16 +107,13 @@ def test_a_keyed_world_override_is_evaluated_in_each_frame():
             working.frame_set(frame)
             middle = first_layer(render_passes(working))[0][8, 8]
             assert middle[frame] == pytest.approx(1.0, rel=0.05) and middle[3 - frame] == 0 and middle[0] == 0
-    assert ball.name in bpy.data.objects
 
 
 def test_each_method_lights_each_object_with_its_own_light():
     scene = empty_scene()
     virtual = virtual_collection(scene, create=True)
     objects = [sphere(scene, n, (x, 0, 0), 0.4, material(n, (1, 1, 1)), virtual) for n, x in (("A", -0.5), ("B", 0.5))]
-    white_sphere_seen_from(scene, (0, -1, 0))
-    bpy.data.objects.remove(bpy.data.objects["White"])
-
+    orthographic(scene)
     level = {("one", "A"): 1.0, ("one", "B"): 10.0, ("two", "A"): 2.0, ("two", "B"): 20.0}
     with open_comparer(scene, objects, ["one", "two"], RenderSettings((32, 32), 16, denoise=False)) as comparer:
         for key, world in comparer.worlds.items():
@@ -171,10 +152,12 @@ def test_making_a_world_again_starts_it_anew():
     ("coefficients", "exposure"),
     [(np.ones((9, 4)), 1.0), (np.full((9, 3), np.nan), 1.0), (np.ones((9, 3)), 0.0), (np.ones((9, 3)), np.inf)],
 )
-def test_light_that_makes_no_sense_is_refused(coefficients, exposure):
+def test_light_that_makes_no_sense_and_a_world_that_is_not_ours_are_refused(coefficients, exposure):
     empty_scene()
     with pytest.raises(ValueError, match="expected"):
         apply_sh_to_world(make_sh_world("Xihe Ball"), coefficients, exposure)
+    with pytest.raises(ValueError, match="make it with make_sh_world"):
+        apply_sh_to_world(set_world(bpy.context.scene), np.ones((9, 3)))
 
 
 def test_light_is_rid_of_what_is_negative_only_if_asked_for():
@@ -185,10 +168,91 @@ def test_light_is_rid_of_what_is_negative_only_if_asked_for():
     assert not np.array_equal(shown, light)
     for is_deringed, expected in ((False, light), (True, shown)):
         apply_sh_to_world(world, light, is_deringed=is_deringed)
-        inputs = world.node_tree.nodes[NODE_GROUP_NAME].inputs
-        np.testing.assert_allclose([inputs[c].default_value[:] for c in COEFFICIENTS], expected, rtol=1e-6, atol=1e-8)
+        np.testing.assert_allclose(shown_light(world)[0], expected, rtol=1e-6, atol=1e-8)
 
 
-def test_a_world_that_is_not_ours_is_refused():
-    with pytest.raises(ValueError, match="make it with make_sh_world"):
-        apply_sh_to_world(set_world(empty_scene()), np.ones((9, 3)))
+def metal(roughness):
+    """Reflects all light, without a tint."""
+    made = shader_look("Metal", "BsdfAnisotropic", Color=(1, 1, 1, 1), Roughness=roughness)
+    node_of(made, "BSDF_GLOSSY").distribution = "MULTI_GGX"
+    return made
+
+
+def sphere_under(look, coefficients):
+    """(SIDE, SIDE, 3): a sphere of radius 1, seen by an orthographic camera that looks along +Y."""
+    scene = empty_scene()
+    sphere(scene, "Ball", (0, 0, 0), 1.0, look())
+    orthographic(scene)
+    scene.world = make_sh_world("Xihe Ball")
+    apply_sh_to_world(scene.world, coefficients, 1.0)
+    return rendered(scene, (SIDE, SIDE), 128)
+
+
+@pytest.mark.parametrize(
+    ("place", "look", "tolerance"),
+    [
+        (0, lambda: metal(0.0), 0.006),
+        (1, lambda: metal(SILVER_ROUGHNESS), 0.015),
+        (2, lambda: material("Grey", (1.0, 1.0, 1.0)), 0.01),
+    ],
+    ids=["mirror", "matte silver", "grey diffuse"],
+)
+@pytest.mark.parametrize("seed", range(2))
+def test_the_pictured_sphere_is_the_one_that_cycles_renders(place, look, tolerance, seed):
+    coefficients = np.random.default_rng(seed).normal(size=(9, 3)) * 0.3
+    coefficients[0] += 3
+    expected = three_spheres(coefficients, SIDE)[place]
+    # The rim, where a pixel mixes sphere and background and the lobe of a rough metal stretches, is left out.
+    x = (2 * np.arange(SIDE) + 1) / SIDE - 1
+    inner = sphere_mask(SIDE) & (x[None] ** 2 + x[:, None] ** 2 < 0.8)
+    shown = sphere_under(look, coefficients)
+    error = np.sqrt(np.mean((shown - expected)[inner] ** 2)) / expected[inner].mean()
+    assert error < tolerance
+
+
+def session():
+    return XiheController(LocalBackend(estimators.load("projection", 320)))
+
+
+def test_a_placed_object_is_lit_by_the_estimate_at_its_position():
+    scene = room_with_a_virtual_sphere()
+    controller, frame, ball = session(), captured(scene, samples=4), bpy.data.objects["Ball"]
+    controller.step(frame)
+    estimate = controller.place_and_estimate_at(ball, (0.3, 0.1, 0.9))
+    np.testing.assert_allclose(ball.matrix_world.translation, (0.3, 0.1, 0.9), atol=1e-6)
+    np.testing.assert_allclose(estimate.sh_radiance, controller.estimate_at((0.3, 0.1, 0.9)).sh_radiance, atol=1e-6)
+    coefficients, gain = shown_light(bpy.data.worlds["Xihe Ball"])
+    np.testing.assert_allclose(coefficients, estimate.sh_radiance, rtol=1e-5)
+    assert gain == pytest.approx(1 / estimate.exposure)
+    assert "Ball" in controller.step(frame)
+
+
+def test_a_world_to_be_looked_at_leaves_the_estimate_as_it_is(monkeypatch):
+    scene = room_with_a_virtual_sphere()
+    controller = session()
+    controller.step(captured(scene, samples=4))
+    light = np.vstack([np.ones((1, 3)), np.full((8, 3), 0.9)])
+    monkeypatch.setattr(controller.backend.estimator, "estimate", lambda *_: light)
+    estimate = controller.place_and_estimate_at(bpy.data.objects["Ball"], (0.3, 0.1, 0.9), is_deringed=True)
+    np.testing.assert_array_equal(estimate.sh_radiance, light)
+    np.testing.assert_allclose(shown_light(bpy.data.worlds["Xihe Ball"])[0], sh.dering_for_display(light), rtol=1e-6)
+
+
+def test_an_object_of_the_users_becomes_a_virtual_one_and_a_big_one_gets_several_positions():
+    scene = room_with_a_virtual_sphere()
+    controller = session()
+    controller.step(captured(scene, samples=4))
+    shelf = box(scene, "Shelf", (0, 0, 0), (2.5, 0.2, 0.2))
+    estimate = controller.place_and_estimate_at(shelf, (0, 0.2, 1.0))
+    assert shelf in virtual_objects(scene) and estimate.is_valid
+    assert {name for name in controller.positions if name.startswith("Shelf")} == {"Shelf 1", "Shelf 2", "Shelf 3"}
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [((0, 0, 1), "no frame yet"), ((0, 0), "three finite coordinates"), ((0, 0, np.inf), "three finite coordinates")],
+)
+def test_placing_before_the_first_frame_or_at_no_point_is_refused(place, words):
+    room_with_a_virtual_sphere()
+    with pytest.raises(ValueError, match=words):
+        session().place_and_estimate_at(bpy.data.objects["Ball"], place)

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
+from renders import captured
 from tiny_scenes import box, empty_scene, material, phone, set_world
 
 from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
-from xihe_blender.capture.render import RenderSettings
-from xihe_blender.capture.scanner import open_scanner
 from xihenet import sh
 from xihenet.camera import unproject_frame
 from xihenet.colour import srgb_to_linear
@@ -66,11 +65,8 @@ def test_anchors_know_the_side_from_a_rolled_and_tilted_phone(axis, sign):
     camera = phone(scene, eye, panel)
     camera.rotation_euler.rotate_axis("Z", 0.7)
     camera.rotation_euler.rotate_axis("X", 0.15)
-    with open_scanner(scene, RenderSettings((96, 72), 4, denoise=False)) as scanner:
-        scanner.move_to(1)
-        cloud = unproject_frame(scanner.acquire_environment_scan())
     lattice = AnchorLattice(1280)
-    seen = sample_unit_sphere(cloud, POSITION, lattice)
+    seen = sample_unit_sphere(unproject_frame(captured(scene, (96, 72), samples=4)), POSITION, lattice)
     light = srgb_to_linear(seen.srgb).sum(axis=1)
     centre = (lattice.directions * light[:, None]).sum(axis=0)
     expected = panel - POSITION

@@ -8,7 +8,18 @@ import bpy
 import numpy as np
 import pytest
 from mathutils import Vector
-from tiny_scenes import box, empty_scene, look_at, material, phone, room_with_a_virtual_sphere, set_world
+from renders import captured
+from tiny_scenes import (
+    add,
+    box,
+    empty_scene,
+    key,
+    light_strength,
+    material,
+    phone,
+    room_with_a_virtual_sphere,
+    set_world,
+)
 
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure, open_scanner, phone_camera, sized_for
@@ -19,13 +30,14 @@ SMALL = RenderSettings((64, 48), samples=1, denoise=False)
 
 
 def furnished():
-    """Boxes at odd angles in a room, so that a wrong ray shows."""
+    """Boxes at odd angles in a room, so that a wrong ray shows, and a phone."""
     scene = empty_scene()
     set_world(scene, (1.0, 1.0, 1.0))
     box(scene, "Room", (0, 0, 1.5), (5, 6, 3), inward=True)
     for k in range(5):
         item = box(scene, f"Box {k}", (k * 0.7 - 1.5, 0.4 * k, 0.3 + 0.2 * k), (0.5, 0.4, 0.6))
         item.rotation_euler = (0.3 * k, 0.2 * k, 0.5 * k)
+    phone(scene, (-2, -2.5, 1.6), (0.5, 0.5, 0.8))
     return scene
 
 
@@ -43,25 +55,17 @@ def cast(scene, frame):
 
 
 def assert_depth_is_the_ray_cast(scene, size=(64, 48)):
-    with open_scanner(scene, RenderSettings(size, samples=1, denoise=False)) as scanner:
-        scanner.move_to(scene.frame_current)
-        frame = scanner.acquire_environment_scan()
+    frame = captured(scene, size)
     error = np.abs(ray_distance_from_plane_depth(frame.plane_depth_m, frame.intrinsics) - cast(scene, frame))
     assert np.median(error) < 1e-4
     # A handful of pixels lie on an edge, where either surface is right.
     assert np.mean(error > 1e-3) < 0.01
-    return frame
-
-
-def test_rendered_plane_depth_is_the_ray_cast():
-    scene = furnished()
-    phone(scene, (-2, -2.5, 1.6), (0.5, 0.5, 0.8))
-    assert_depth_is_the_ray_cast(scene)
 
 
 @pytest.mark.parametrize(
     "change",
     [
+        {},
         {"shift_x": 0.2, "shift_y": -0.15},
         {"sensor_fit": "VERTICAL", "lens": 24},
         {"sensor_fit": "HORIZONTAL", "sensor_width": 20, "lens": 14},
@@ -70,16 +74,14 @@ def test_rendered_plane_depth_is_the_ray_cast():
 )
 def test_plane_depth_is_the_ray_cast_for_any_lens(change):
     scene = furnished()
-    camera = phone(scene, (-2, -2.5, 1.6), (0.5, 0.5, 0.8))
     for name, value in change.items():
-        setattr(camera.data, name, value)
+        setattr(scene.camera.data, name, value)
     assert_depth_is_the_ray_cast(scene)
 
 
 def test_plane_depth_is_the_ray_cast_for_a_portrait_phone():
     scene = furnished()
     scene.render.resolution_x, scene.render.resolution_y = 48, 64
-    phone(scene, (-2, -2.5, 1.6), (0.5, 0.5, 0.8))
     assert sized_for(scene, SMALL).size == (48, 64)
     assert_depth_is_the_ray_cast(scene, (48, 64))
 
@@ -88,30 +90,23 @@ def test_plane_depth_is_the_ray_cast_for_a_portrait_phone():
 def test_plane_depth_is_the_ray_cast_for_a_rolled_and_tilted_phone(seed):
     scene = furnished()
     rng = np.random.default_rng(seed)
-    camera = phone(scene, (0, 0, 0), (0, 0, -1))
-    camera.location, camera.rotation_euler = rng.uniform([-2, -2.5, 1], [2, 2.5, 2.5]), rng.uniform(-3, 3, 3)
+    scene.camera.location = rng.uniform([-2, -2.5, 1], [2, 2.5, 2.5])
+    scene.camera.rotation_euler = rng.uniform(-3, 3, 3)
     assert_depth_is_the_ray_cast(scene)
 
 
 def test_a_scaled_parent_does_not_bend_the_phone():
     scene = furnished()
-    parent = bpy.data.objects.new("Parent", None)
-    scene.collection.objects.link(parent)
-    parent.scale, parent.rotation_euler = (0.2, 0.2, 0.2), (0.1, 0.2, 0.3)
-    camera = phone(scene, (-2, -2.5, 1.6), (0.5, 0.5, 0.8))
-    camera.parent = parent
+    scene.camera.parent = add(scene, "Parent")
+    scene.camera.parent.scale, scene.camera.parent.rotation_euler = (0.2, 0.2, 0.2), (0.1, 0.2, 0.3)
     assert_depth_is_the_ray_cast(scene)
 
 
 def test_capture_leaves_virtual_objects_out():
     scene = room_with_a_virtual_sphere()
-    with open_scanner(scene, SMALL) as scanner:
-        scanner.move_to(1)
-        with_ball = scanner.acquire_environment_scan()
+    with_ball = captured(scene)
     bpy.data.objects.remove(bpy.data.objects["Ball"])
-    with open_scanner(scene, SMALL) as scanner:
-        scanner.move_to(1)
-        without = scanner.acquire_environment_scan()
+    without = captured(scene)
     np.testing.assert_array_equal(with_ball.plane_depth_m, without.plane_depth_m)
     np.testing.assert_array_equal(with_ball.srgb_u8, without.srgb_u8)
 
@@ -131,11 +126,7 @@ def test_each_frame_is_rendered_from_its_own_place_on_the_path():
 
 def test_a_constraint_moves_the_phone():
     scene = furnished()
-    camera = phone(scene, (-2, -2.5, 1.6), (0.5, 0.5, 0.8))
-    target = bpy.data.objects.new("Rail", None)
-    scene.collection.objects.link(target)
-    target.location = (1.0, -2.0, 1.2)
-    camera.constraints.new("COPY_LOCATION").target = target
+    scene.camera.constraints.new("COPY_LOCATION").target = add(scene, "Rail", location=(1.0, -2.0, 1.2))
     assert_depth_is_the_ray_cast(scene)
     with open_scanner(scene, SMALL) as scanner:
         np.testing.assert_allclose(scanner.move_to(1)[1][:3, 3], (1.0, -2.0, 1.2), atol=1e-6)
@@ -143,31 +134,24 @@ def test_a_constraint_moves_the_phone():
 
 def test_markers_switch_the_phone():
     scene = room_with_a_virtual_sphere()
-    first, second = scene.camera, phone(scene, (1, 1, 1), (0, 0, 0.8), "Second")
-    scene.timeline_markers.new("a", frame=1).camera = first
-    scene.timeline_markers.new("b", frame=3).camera = second
+    for frame, camera in ((1, scene.camera), (3, phone(scene, (1, 1, 1), (0, 0, 0.8), "Second"))):
+        scene.timeline_markers.new("switch", frame=frame).camera = camera
     with open_scanner(scene, SMALL) as scanner:
         assert scanner.move_to(1)[1][0, 3] == pytest.approx(-1.2)
         assert scanner.move_to(3)[1][0, 3] == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("kind", ["ORTHO", "PANO"])
-def test_a_camera_that_is_not_perspective_is_refused(kind):
+def test_no_camera_and_one_that_is_not_perspective_or_scaled_to_zero_are_refused():
     scene = furnished()
-    phone(scene, (-2, -2.5, 1.6), (0.5, 0.5, 0.8)).data.type = kind
-    with pytest.raises(UserError, match="must be perspective"):
-        phone_camera(scene)
-
-
-def test_a_scene_without_a_camera_is_refused():
-    with pytest.raises(UserError, match="has no camera"):
-        phone_camera(furnished())
-
-
-def test_a_camera_scaled_to_zero_is_refused():
-    scene = furnished()
-    phone(scene, (-2, -2.5, 1.6), (0.5, 0.5, 0.8)).scale = (1, 0, 1)
+    for kind in ("ORTHO", "PANO"):
+        scene.camera.data.type = kind
+        with pytest.raises(UserError, match="must be perspective"):
+            phone_camera(scene)
+    scene.camera.data.type, scene.camera.scale = "PERSP", (1, 0, 1)
     with pytest.raises(UserError, match="scale of 0"):
+        phone_camera(scene)
+    scene.camera = None
+    with pytest.raises(UserError, match="has no camera"):
         phone_camera(scene)
 
 
@@ -186,15 +170,8 @@ def test_sky_has_no_plane_depth_but_a_colour():
 def test_metering_brings_a_grey_world_to_the_key():
     scene = empty_scene()
     set_world(scene, (3.0, 3.0, 3.0))
-    look_at(phone(scene, (0, 0, 1), (0, 1, 1)), (0, 0, 1), (0, 1, 1))
-    assert meter_exposure(scene, [1, 2, 3]) == pytest.approx(KEY_LUMINANCE / 3, rel=1e-3)
-
-
-def test_metering_a_scene_without_light_gives_one():
-    scene = empty_scene()
-    set_world(scene)
     phone(scene, (0, 0, 1), (0, 1, 1))
-    assert meter_exposure(scene, [1]) == 1.0
+    assert meter_exposure(scene, [1, 2, 3]) == pytest.approx(KEY_LUMINANCE / 3, rel=1e-3)
 
 
 @pytest.mark.parametrize(("strength", "low", "high"), [(2e5, 0.75, 1.0), (0.0, 1.0, 1.5)])
@@ -223,10 +200,7 @@ def test_highlights_in_view_are_protected():
 def test_a_lamp_that_is_off_at_first_does_not_blow_out_the_rest():
     scene = room_with_a_virtual_sphere()
     always = meter_exposure(scene, [1, 2, 3])
-    strength = bpy.data.materials["Light"].node_tree.nodes["Emission"].inputs["Strength"]
-    for frame, value in ((1, 0.0), (2, 6.0), (3, 6.0)):
-        strength.default_value = value
-        strength.keyframe_insert("default_value", frame=frame)
+    key(light_strength(), "default_value", {1: 0.0, 2: 6.0, 3: 6.0})
     assert always < meter_exposure(scene, [1, 2, 3]) < 15 * always
 
 
@@ -239,13 +213,9 @@ def test_working_scenes_are_gone_after_an_error():
 
 def test_the_material_override_of_a_view_layer_does_not_reach_the_phone():
     scene = room_with_a_virtual_sphere()
-    with open_scanner(scene, SMALL) as scanner:
-        scanner.move_to(1)
-        plain = scanner.acquire_environment_scan()
+    plain = captured(scene)
     scene.view_layers[0].material_override = material("Clay", (0.0, 0.0, 0.0))
-    with open_scanner(scene, SMALL) as scanner:
-        scanner.move_to(1)
-        np.testing.assert_array_equal(scanner.acquire_environment_scan().srgb_u8, plain.srgb_u8)
+    np.testing.assert_array_equal(captured(scene).srgb_u8, plain.srgb_u8)
 
 
 @pytest.mark.slow

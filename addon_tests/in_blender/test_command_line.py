@@ -10,23 +10,26 @@ import subprocess
 
 import bpy
 import pytest
-from previs_runs import N_FRAMES, QuickPrevis, files_below, unfinished_files, walk
+from previs_runs import N_FRAMES, files_below, unfinished_files, walk
 from results_schema import check_results, read_strictly, without_times
+from tiny_scenes import saved
 from xihe_process import ROOT, assert_refused, said, typed, xihe, xihe_here
 
 from xihenet import __version__
 
 DRAFT = ("--preset", "draft", "--size", "32x24", "--samples", "2", "--exposure", "1")
+pytestmark = pytest.mark.usefixtures("small_light_probes")
 PAGE = resource.getpagesize()
 """Files in memory take whole ones."""
 
-
-@pytest.fixture(scope="module", autouse=True)
-def small_light_probes():
-    """Commands in this process render them with few rays: what is asked here is not how good they are."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("xihe_blender.previs.settings.PrevisSettings", QuickPrevis)
-        yield
+PROFILE = """
+name = "Mine"
+summary = "Has a mistake"
+[range]
+source = "a guess"
+nearest_m = 0.0
+farthest_m = "far"
+"""
 
 
 def previs(blend, out, *arguments, run=xihe_here):
@@ -36,34 +39,24 @@ def previs(blend, out, *arguments, run=xihe_here):
 # -------------------------------------------------------------------------------------------------------------- scenes
 
 
-SCENES = {
-    "walk": lambda scene: None,
-    "orthographic": lambda scene: setattr(scene.camera.data, "type", "ORTHO"),
-    "panoramic": lambda scene: setattr(scene.camera.data, "type", "PANO"),
-    "camera_without_size": lambda scene: setattr(scene.camera, "scale", (0, 0, 0)),
-    "ball_in_the_room": lambda scene: scene.collection.objects.link(bpy.data.objects["Ball"]),
-}
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """The scenes as files, and files that are none."""
     folder = tmp_path_factory.mktemp("scenes")
-    noise = random.Random(0)
-    for name, change in SCENES.items():
-        change(walk())
-        if name == "walk":
-            # One position instead of three: light probes take most of a small run's time.
-            bpy.data.objects.remove(bpy.data.objects["Board"])
-            # Makes the saved .blend the largest file of a run; see `SmallDisk`.
-            bpy.data.texts.new("Ballast").write("\n".join(noise.randbytes(500).hex() for _ in range(300)))
-        bpy.ops.wm.save_as_mainfile(filepath=str(folder / f"{name}.blend"), copy=True)
-    content = (folder / "walk.blend").read_bytes()
+    scene, noise = walk(), random.Random(0)
+    # One position instead of three: light probes take most of a small run's time.
+    bpy.data.objects.remove(bpy.data.objects["Board"])
+    # Makes the saved .blend the largest file of a run; see `SmallDisk`.
+    bpy.data.texts.new("Ballast").write("\n".join(noise.randbytes(500).hex() for _ in range(300)))
+    content = saved(folder / "walk.blend").read_bytes()
+    scene.camera.data.type = "ORTHO"
+    saved(folder / "orthographic.blend")
     (folder / "cut_short.blend").write_bytes(content[: len(content) // 2])
     (folder / "header_only.blend").write_bytes(content[:12])
     (folder / "text.blend").write_text("a shopping list")
     (folder / "empty.blend").write_bytes(b"")
     (folder / "folder.blend").mkdir()
+    (folder / "mine.toml").write_text(PROFILE)
     return folder
 
 
@@ -120,10 +113,8 @@ def test_a_second_call_says_that_the_run_is_done(folder, finished):
 def test_other_settings_and_a_changed_scene_are_refused_in_the_same_folder(folder, finished, tmp_path):
     before = files_below(finished[1])
     assert_refused(previs(folder / "walk.blend", finished[1], "--seed", 3), "another seed", "--out")
-    changed = tmp_path / "walk.blend"
     walk()
-    bpy.ops.wm.save_as_mainfile(filepath=str(changed), copy=True)
-    assert_refused(previs(changed, finished[1]), "another blend", "--out")
+    assert_refused(previs(saved(tmp_path / "walk.blend"), finished[1]), "another blend", "--out")
     assert files_below(finished[1]) == before
 
 
@@ -151,13 +142,8 @@ def test_version_and_help_are_no_errors():
 
 def stopped(blend, out, doing, number):
     """Start a run and send it the signal `number` when it says that it is `doing`; its exit code, stdout and stderr."""
-    process = subprocess.Popen(
-        typed("previs", blend, "--out", out, *DRAFT),
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    command = typed("previs", blend, "--out", out, *DRAFT)
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     lines = []
     for line in process.stderr:
         lines.append(line)
@@ -232,13 +218,20 @@ class SmallDisk:
     """A file system in memory or, where none may be mounted, a limit on the size of a file."""
 
     def __init__(self, folder, n_bytes):
-        self.folder = folder
-        mount = ["mount", "-t", "tmpfs", "-o", f"size={n_bytes}", "none", str(folder)]
+        self.folder, self.n_bytes = folder, n_bytes
+
+    def __enter__(self):
+        mount = ["mount", "-t", "tmpfs", "-o", f"size={self.n_bytes}", "none", str(self.folder)]
         try:
             self.is_mounted = subprocess.run(mount, capture_output=True).returncode == 0
         except FileNotFoundError:
             self.is_mounted = False
         self.says = "No space left on device" if self.is_mounted else "File too large"
+        return self
+
+    def __exit__(self, *_):
+        if self.is_mounted:
+            subprocess.run(["umount", str(self.folder)], check=True)
 
     def previs(self, blend, out, largest_file):
         """`previs`, with no file larger than `largest_file` bytes where that takes the place of a full disk."""
@@ -254,118 +247,120 @@ class SmallDisk:
         if self.is_mounted:
             subprocess.run(["mount", "-o", f"remount,size={2**30}", str(self.folder)], check=True)
 
-    def take_away(self):
-        if self.is_mounted:
-            subprocess.run(["umount", str(self.folder)], check=True)
 
-
-@pytest.fixture
-def small_disk(tmp_path):
-    made = []
-
-    def make(n_bytes):
-        made.append(SmallDisk(tmp_path, n_bytes))
-        return made[-1]
-
-    yield make
-    for disk in made:
-        disk.take_away()
-
-
-def test_a_full_disk_is_refused_before_anything_is_rendered(folder, small_disk):
-    disk = small_disk(64 * 1024)
-    if disk.is_mounted:
-        (disk.folder / "ballast").write_bytes(bytes(64 * 1024))
-    done = disk.previs(folder / "walk.blend", disk.folder / "out", largest_file=1000)
-    assert_refused(done, "cannot write to", disk.says, "another folder")
-    assert "capturing" not in done.stderr and "metering" not in done.stderr
-    assert not files_below(disk.folder / "out")
+def test_a_full_disk_is_refused_before_anything_is_rendered(folder, tmp_path):
+    with SmallDisk(tmp_path, 64 * 1024) as disk:
+        if disk.is_mounted:
+            (tmp_path / "ballast").write_bytes(bytes(64 * 1024))
+        done = disk.previs(folder / "walk.blend", tmp_path / "out", largest_file=1000)
+        assert_refused(done, "cannot write to", disk.says, "another folder")
+        assert "capturing" not in done.stderr and "metering" not in done.stderr
+        assert not files_below(tmp_path / "out")
 
 
 @pytest.mark.parametrize("full_at", ["work/capture_0002.npz", "radiance/probe_0_Ball_0001.exr", "walk_lit.blend"])
-def test_a_disk_that_fills_up_leaves_nothing_half_written(folder, finished, small_disk, tmp_path_factory, full_at):
-    staged = tmp_path_factory.mktemp("staged")
+def test_a_disk_that_fills_up_leaves_nothing_half_written(folder, finished, tmp_path, tmp_path_factory, full_at):
+    staged, out = tmp_path_factory.mktemp("staged"), tmp_path / "out"
     pages = sum(-(-(staged / path).stat().st_size // PAGE) for path in written_before(finished, full_at, staged))
     size = (finished[1] / full_at).stat().st_size
-    disk = small_disk((pages + size // 2 // PAGE) * PAGE)
-    out = disk.folder / "out"
-    before = written_before(finished, full_at, out)
-    done = disk.previs(folder / "walk.blend", out, largest_file=size // 2)
-    assert_refused(done, "" if full_at.endswith(".npz") else str(out), "run the same command again to resume")
-    assert "free some space" in done.stderr or not disk.is_mounted
-    assert not any((out / path).exists() for path in (full_at, "results.json")) and not unfinished_files(out)
-    disk.enlarge()
-    assert_goes_on(folder, finished, out)
-    kept = [path for path in before if path.startswith(("work/times", "work/compared", "work/exposure"))]
-    assert kept and all(files_below(out)[path] == before[path] for path in kept)
-    bpy.ops.wm.open_mainfile(filepath=str(out / "walk_lit.blend"), load_ui=False)
+    with SmallDisk(tmp_path, (pages + size // 2 // PAGE) * PAGE) as disk:
+        before = written_before(finished, full_at, out)
+        done = disk.previs(folder / "walk.blend", out, largest_file=size // 2)
+        assert_refused(done, "" if full_at.endswith(".npz") else str(out), "run the same command again to resume")
+        assert "free some space" in done.stderr or not disk.is_mounted
+        assert not any((out / path).exists() for path in (full_at, "results.json")) and not unfinished_files(out)
+        disk.enlarge()
+        assert_goes_on(folder, finished, out)
+        kept = [path for path in before if path.startswith(("work/times", "work/compared", "work/exposure"))]
+        assert kept and all(files_below(out)[path] == before[path] for path in kept)
+        bpy.ops.wm.open_mainfile(filepath=str(out / "walk_lit.blend"), load_ui=False)
 
 
 # ------------------------------------------------------------------------------------------------------------ mistakes
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ((), "COMMAND"),
-        (("prewiew",), "'prewiew'"),
-        (("previs",), "SCENE.blend"),
-        (("previs", "scene.blend"), "--out"),
-        (("previs", "scene.blend", "--out", "out", "--unknown"), "--unknown"),
-        (("scenes",), "action"),
-    ],
-)
-def test_a_command_that_is_not_complete_is_refused(arguments, words):
-    assert_refused(xihe_here(*arguments), words, "--help")
+MISTAKES = {
+    "": {
+        "": "COMMAND ... --help",
+        "prewiew": "'prewiew' ... --help",
+        "previs": "SCENE.blend ... --help",
+        "previs scene.blend": "--out ... --help",
+        "previs scene.blend --out {out} --unknown": "--unknown ... --help",
+        "scenes": "action ... --help",
+    },
+    "previs --out {out} ": {
+        "{folder}/nowhere.blend": "no such file",
+        "{folder}/folder.blend": "is a folder",
+        "{folder}/text.blend": "not a .blend",
+        "{folder}/empty.blend": "not a .blend",
+        "{folder}/orthographic.blend": "perspective",
+        "{folder}/header_only.blend": "cannot be opened",
+        "{folder}/cut_short.blend": "cannot be opened",
+    },
+    "previs {folder}/walk.blend --out {out} ": {
+        "--frames 5:1": "A no later than B",
+        "--frames a:b": "1:24:2",
+        "--frames 1:5:0": "1 or more",
+        "--frames 1:6": "choose frames within it",
+        "--frames 1:99999999999": "last frame",
+        "--size 0x0": "4 to 8192",
+        "--size 10": "WxH",
+        "--size 99999x2": "4 to 8192",
+        "--size -3x8": "--size",
+        "--objects Nobody": "choose among Ball",
+        "--objects ,": "choose among Ball",
+        "--estimator oracle": "choose one of",
+        "--preset hasty": "draft, balanced, accurate",
+        "--target sdr": "ldr",
+        "--exposure -1": "positive",
+        "--metering spot": "highlights, key",
+        "--exposure nan": "positive",
+        "--seed -1": "0 to",
+        "--effect volumes=perhaps": "auto, on or off",
+        "--effect noise": "NAME=on",
+        "--effect hum=on": "hum ... rolling_shutter ... diffuse bounces ... network",
+        "--effect noise=loud": "loud ... auto, on or off",
+        "--effect noise=on": "noise ... Perfect phone ... --phone",
+        "--effect network=on": "--network",
+        "--phone nokia_3310": "nokia_3310 ... ipad_pro_lidar",
+        "--phone {folder}/mine.toml": "mine.toml ... farthest_m",
+        "--network pigeon": "pigeon ... lte",
+    },
+    "effects {folder}/walk.blend --plan-only ": {
+        "--effect volumes=perhaps": "auto, on or off",
+        "--effect noise=on": "choose another --phone",
+        "--effect smoke=on": "there is no effect",
+        "--effect volumes": "NAME=on",
+        "--frames 1:9": "outside the scene's range",
+        "--budget 0": "--budget",
+    },
+    "frontier --out {out} ": {
+        "nowhere.blend": "no such file",
+        "README.md": "is not a .blend file",
+        "": "SCENE.blend",
+        "README.md --seed -1": "seed of -1",
+    },
+    "dataset build --out {out} ": {
+        "--rooms 0": "give 1 to",
+        "--rooms many": "--rooms",
+        "--rooms 1 --seed -1": "give 0 or more",
+        "--rooms 1 --workers 0": "give 1 or more",
+        "--rooms 1 --walk 0": "2 to 240",
+        "--rooms 1 --walk many": "--walk",
+        "--rooms 1 --split dev": "train, validation, test",
+        "--rooms 1 --split test": "give more",
+    },
+}
+"""By how a command begins and goes on: what its one line says, with ` ... ` between words."""
 
 
 @pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("nowhere.blend", "no such file"),
-        ("folder.blend", "is a folder"),
-        ("text.blend", "not a .blend"),
-        ("empty.blend", "not a .blend"),
-        ("orthographic.blend", "perspective"),
-        ("panoramic.blend", "perspective"),
-        ("camera_without_size.blend", "set its scale"),
-        ("ball_in_the_room.blend", "unlink"),
-        ("header_only.blend", "cannot be opened"),
-        ("cut_short.blend", "cannot be opened"),
-    ],
+    ("words", "says"), [(begin + end, says) for begin, of_one in MISTAKES.items() for end, says in of_one.items()]
 )
-def test_a_file_that_cannot_be_used_is_refused(folder, tmp_path, name, words):
-    assert_refused(previs(folder / name, tmp_path / "out"), words)
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--frames", "5:1"), "A no later than B"),
-        (("--frames", "a:b"), "1:24:2"),
-        (("--frames", "1:5:0"), "1 or more"),
-        (("--frames", "1:6"), "choose frames within it"),
-        (("--frames", "1:99999999999"), "last frame"),
-        (("--size", "0x0"), "4 to 8192"),
-        (("--size", "10"), "WxH"),
-        (("--size", "99999x2"), "4 to 8192"),
-        (("--size", "-3x8"), "--size"),
-        (("--objects", "Nobody"), "choose among Ball"),
-        (("--objects", ","), "choose among Ball"),
-        (("--estimator", "oracle"), "choose one of"),
-        (("--preset", "hasty"), "draft, balanced, accurate"),
-        (("--target", "sdr"), "ldr"),
-        (("--exposure", "-1"), "positive"),
-        (("--metering", "spot"), "highlights, key"),
-        (("--exposure", "nan"), "positive"),
-        (("--seed", "-1"), "0 to"),
-        (("--effect", "volumes=perhaps"), "auto, on or off"),
-    ],
-)
-def test_a_senseless_setting_is_refused(folder, tmp_path, arguments, words):
-    assert_refused(previs(folder / "walk.blend", tmp_path / "out", *arguments), words)
-    assert not (tmp_path / "out").exists()
+def test_a_mistake_is_one_line_that_names_the_fix_and_leaves_nothing(folder, tmp_path, words, says):
+    arguments = [word.format(folder=folder, out=tmp_path / "out") for word in words.split()]
+    assert_refused(xihe_here(*arguments), *says.split(" ... "))
+    assert not any(tmp_path.iterdir())
 
 
 def test_a_file_in_place_of_the_folder_is_refused(folder, tmp_path):

@@ -4,16 +4,15 @@ from dataclasses import replace
 from urllib.request import urlopen
 
 import pytest
+from small_rooms import small_build
 
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihe_blender.lab.rooms.build import BuildSettings, build_dataset
+from xihe_blender.lab.rooms.build import build_dataset
 from xihe_blender.lab.rooms.store import room_path
 from xihe_blender.lab.workers.dask_workers import Work, dashboard, open_dask_workers
 
 pytestmark = pytest.mark.wheel_only("a whole Blender's Python has no Dask")
-
-SMALL_NUMBERS = (32, 24, 1, 16, 4, 16)
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +70,7 @@ def test_what_the_user_can_mend_is_not_tried_again(scheduler, scripts):
 
 @pytest.mark.slow
 def test_rooms_made_over_a_scheduler_are_those_of_one_process(scheduler, tmp_path):
-    over = BuildSettings(1, 5, 1, SMALL_NUMBERS, scheduler=scheduler)
+    over = small_build(1, scheduler=scheduler)
     assert run_blocking(build_dataset(tmp_path / "here", replace(over, scheduler=None))) == 1
     assert run_blocking(build_dataset(tmp_path / "there", over)) == 1
     assert run_blocking(build_dataset(tmp_path / "there", over)) == 0

@@ -1,13 +1,9 @@
 """Does what the plan leaves out change the picture? Renders with the plan beside renders with everything on.
 
-Everything on is `everything_on`: every effect that a setting switches, and 32 bounces of every kind. Both sides are
-rendered with the same 16 seeds, 32x24 pixels, and compared by `xihenet.agreement`: the means over the seeds, of the
-whole picture per channel and of 16 blocks, must not differ by more than two standard errors. Where the plan changes
-nothing that a path could have met, both sides are the same to the last bit; where it cuts bounces or chooses lights
-otherwise, they are not, and the statistic decides. With a fixed seed the outcome is fixed too: these tests do not fail
-by chance from one day to the next.
-
-That the statistic would notice is tested as well: the effects that a scene does call for are switched off one by one.
+Both sides are rendered with the same 16 seeds, 32x24 pixels, and compared by `xihenet.agreement`. Where the plan
+changes nothing that a path could have met, they are the same to the last bit; where it cuts bounces or chooses lights
+otherwise, they are not, and the statistic decides. With fixed seeds the outcome is fixed too. That the statistic would
+notice is tested as well: the effects that a scene does call for are switched off one by one.
 """
 
 import contextlib

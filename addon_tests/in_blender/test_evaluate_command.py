@@ -6,7 +6,7 @@ import shutil
 import bpy
 import pytest
 from jsonschema import Draft202012Validator
-from tiny_scenes import room_with_a_virtual_sphere
+from tiny_scenes import room_with_a_virtual_sphere, saved
 from xihe_process import assert_refused, xihe, xihe_here
 
 from xihe_blender.io.json_records import from_json
@@ -25,7 +25,7 @@ def scenes(tmp_path_factory):
     for name in ("good", "as_good", "blind"):
         if name == "blind":
             bpy.data.objects.remove(scene.camera)
-        bpy.ops.wm.save_as_mainfile(filepath=str(folder / f"{name}.blend"))
+        saved(folder / f"{name}.blend")
         scene.frame_end = 1
     return folder
 

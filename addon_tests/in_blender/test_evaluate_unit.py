@@ -5,54 +5,40 @@ from dataclasses import replace
 
 import bpy
 import pytest
-from previs_runs import N_FRAMES, QuickPrevis, counted_renders, files_below, run, walk
-from tiny_scenes import room_with_a_virtual_sphere
+from previs_runs import N_FRAMES, counted_renders, files_below, run, walk
+from tiny_scenes import saved
 
 from xihe_blender.apply.datablocks import LIT_SCENE
-from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.batch.grid import BatchSettings
 from xihe_blender.lab.batch.unit import evaluate_unit
 from xihe_blender.scene.blend_file import open_blend
 
+pytestmark = pytest.mark.usefixtures("small_light_probes")
 SMALL = BatchSettings(
     estimators=("projection", "ambient", "truth"), phones=("perfect", "ipad_pro_lidar"), size=(24, 18), samples=1
 )
 
-
-@pytest.fixture(scope="module", autouse=True)
-def small_light_probes():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("xihe_blender.previs.settings.PrevisSettings", QuickPrevis)
-        yield
+SEED = 1
 
 
 @pytest.fixture(scope="module")
-def saved(tmp_path_factory):
+def file(tmp_path_factory):
     """The walk through the tiny room as a file of its own."""
     walk()
-    path = tmp_path_factory.mktemp("saved") / "walk.blend"
-    bpy.ops.wm.save_as_mainfile(filepath=str(path))
-    return path
-
-
-@pytest.fixture
-def file(saved):
-    """The same, opened."""
-    open_blend(saved)
-    return saved
+    return saved(tmp_path_factory.mktemp("saved") / "walk.blend")
 
 
 @pytest.fixture(scope="module")
-def whole(saved, tmp_path_factory):
+def whole(file, tmp_path_factory):
     """An undisturbed unit, and the names of the scenes that it rendered."""
-    open_blend(saved)
+    job = unit_of(file, tmp_path_factory.mktemp("whole"))
     with counted_renders() as renders:
-        return evaluated(tmp_path_factory.mktemp("whole"), saved), renders
+        return run_blocking(job), renders
 
 
-def evaluated(folder, file, settings=SMALL, seed=0):
-    return run_blocking(evaluate_unit(bpy.context.scene, file, folder, settings, seed))
+def unit_of(file, folder):
+    return evaluate_unit(open_blend(file), file, folder, SMALL, SEED)
 
 
 def trial_of(unit, phone, estimator):
@@ -68,8 +54,10 @@ def test_a_trial_has_the_numbers_of_a_run_of_its_own_and_all_trials_render_no_mo
     unit, of_unit = whole
     assert [(t.phone, t.estimator) for t in unit.trials] == SMALL.trials()
     trial = trial_of(unit, "ipad_pro_lidar", "projection")
+    open_blend(file)
     with counted_renders() as of_run:
-        alone = run(bpy.context.scene, tmp_path / "alone", SMALL.of_trial("ipad_pro_lidar", "projection", 0))
+        settings = replace(SMALL.of_trial("ipad_pro_lidar", "projection", 0), seed=SEED)
+        alone = run(bpy.context.scene, tmp_path / "alone", settings)
     assert trial.n_estimates == alone["summary"]["n_estimates"]
     assert trial.shc_rmse == alone["summary"]["mean_shc_rmse"]
     own = alone["comparison"]["projection"]
@@ -79,20 +67,13 @@ def test_a_trial_has_the_numbers_of_a_run_of_its_own_and_all_trials_render_no_mo
 
 @pytest.mark.slow
 def test_a_unit_that_was_stopped_goes_on_and_comes_to_the_same(tmp_path, whole, file):
-    with contextlib.closing(evaluate_unit(bpy.context.scene, file, tmp_path, SMALL, 0)) as job:
+    with contextlib.closing(unit_of(file, tmp_path)) as job:
         while not list(tmp_path.rglob("compared_*.json")):
             next(job)
     there = files_below(tmp_path)
-    resumed = evaluated(tmp_path, file)
-    assert resumed.trials == whole[0].trials
+    assert run_blocking(unit_of(file, tmp_path)).trials == whole[0].trials
     captures = [name for name in there if "capture_" in name]
     assert captures and all(files_below(tmp_path)[name] == there[name] for name in captures)
-
-
-def test_another_seed_is_another_room(tmp_path, file):
-    one = replace(SMALL, estimators=("projection",), phones=("perfect",), frames=(1,))
-    first, second = (evaluated(tmp_path / str(seed), file, one, seed).trials[0] for seed in (0, 1))
-    assert first.shc_rmse != second.shc_rmse
 
 
 def test_truth_has_no_error_and_an_eager_trigger_never_asks_less_often(whole):
@@ -100,10 +81,3 @@ def test_truth_has_no_error_and_an_eager_trigger_never_asks_less_often(whole):
     assert truth.thetas == () and truth.frames[0].shc_rmse == 0
     rates = [one.per_minute for one in estimated.thetas]
     assert rates == sorted(rates, reverse=True) and rates[0] > rates[-1]
-
-
-def test_a_scene_without_a_camera_says_so(tmp_path):
-    scene = room_with_a_virtual_sphere()
-    bpy.data.objects.remove(scene.camera)
-    with pytest.raises(UserError, match="camera"):
-        evaluated(tmp_path, tmp_path / "none.blend")

@@ -10,8 +10,7 @@ import pytest
 from jsonschema import Draft202012Validator
 from results_schema import read_strictly
 from scene_snapshot import differences, snapshot
-from tiny_scenes import room_with_a_virtual_sphere
-from xihe_process import assert_refused, xihe_here
+from tiny_scenes import room_with_a_virtual_sphere, saved
 
 from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.errors import UserError
@@ -20,13 +19,7 @@ from xihe_blender.io.kept_files import DAMAGED
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.frontier.choices import render_choices
 from xihe_blender.lab.frontier.points import Measured, family, group, groups, kept_scene, points_of
-from xihe_blender.lab.frontier.records import (
-    ChoiceSettings,
-    Frontier,
-    FrontierSettings,
-    RenderChoice,
-    StudySize,
-)
+from xihe_blender.lab.frontier.records import ChoiceSettings, Frontier, FrontierSettings, RenderChoice, StudySize
 from xihe_blender.lab.frontier.rendering import kept_pictures, kept_round, picture_choices
 from xihe_blender.lab.frontier.report import pareto_plot
 from xihe_blender.lab.frontier.study import frontier, kept_preparation, kept_truths, survey_scene
@@ -36,9 +29,6 @@ from xihenet.pareto import on_front
 
 TINY = StudySize(2, 1, 1, 2, 1, 2, 4, (1, 2), 1)
 SMALL = FrontierSettings(is_quick=True, size=(32, 24), study_size=TINY)
-
-
-# --------------------------------------------------------------------------------------------------------------- points
 
 
 def measured(label, error, ms, preset=None):
@@ -52,13 +42,11 @@ def test_points_are_judged_within_scene_front_and_kind():
         "compute": [replace(measured("b", 0.2, 20), square_errors={"coefficients": (0.04,), "irradiance": (0.01,)})],
     }
     points = points_of("room", fronts, seed=0)
-    assert groups(points) == [(*("room", "render"), "coefficients"), *(("room", "compute", k) for k in KINDS)]
+    fronts_and_kinds = (("render", "coefficients"), ("compute", "coefficients"), ("compute", "irradiance"))
+    assert groups(points) == [("room", *each) for each in fronts_and_kinds]
     told = {p.label: (p.on_front, p.instead, p.preset) for p in group(points, *groups(points)[0])}
     assert told == {"a": (True, None, None), "b": (False, "a", "draft"), "c": (True, None, None)}
     assert all(p.on_front for p in points if p.front == "compute")
-
-
-KINDS = ("coefficients", "irradiance")
 
 
 def test_a_plot_has_a_mark_for_every_choice_and_escapes_its_words():
@@ -76,9 +64,6 @@ def test_a_family_differs_in_one_choice_and_no_other():
     assert family(points, ("max_bounces",)) == family(points[:1], ("samples",)) == []
 
 
-# ----------------------------------------------------------------------------------------------------------- end to end
-
-
 @pytest.fixture(scope="module", autouse=True)
 def small_light_probes():
     with pytest.MonkeyPatch.context() as patch:
@@ -91,8 +76,7 @@ def done(tmp_path_factory):
     """A frontier of a tiny scene; its folder and its files."""
     folder = tmp_path_factory.mktemp("frontier")
     room_with_a_virtual_sphere()
-    file = folder / "room.blend"
-    bpy.ops.wm.save_as_mainfile(filepath=str(file))
+    file = saved(folder / "room.blend")
     run_blocking(frontier([file], folder / "out", SMALL, command="as typed"))
     return folder
 
@@ -262,25 +246,9 @@ def test_a_folder_of_another_frontier_and_two_scenes_of_one_name_are_refused(don
         run_blocking(frontier([done / "room.blend"] * 2, tmp_path / "out", SMALL))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["nowhere.blend"], "no such file"),
-        (["README.md"], "is not a .blend file"),
-        ([], "SCENE.blend"),
-        (["README.md", "--seed", "-1"], "seed of -1"),
-    ],
-)
-def test_wrong_input_gets_one_line_and_leaves_nothing(arguments, words, tmp_path):
-    assert_refused(xihe_here("frontier", *arguments, "--out", tmp_path / "out"), words)
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_scene_without_a_camera_is_refused_before_anything_is_measured(done, tmp_path):
     room_with_a_virtual_sphere()
     bpy.data.objects.remove(bpy.context.scene.camera)
-    bad = tmp_path / "blind.blend"
-    bpy.ops.wm.save_as_mainfile(filepath=str(bad))
     with pytest.raises(UserError, match="has no camera"):
-        run_blocking(frontier([done / "room.blend", bad], tmp_path / "out", SMALL))
+        run_blocking(frontier([done / "room.blend", saved(tmp_path / "blind.blend")], tmp_path / "out", SMALL))
     assert not (tmp_path / "out").exists() and read(done)

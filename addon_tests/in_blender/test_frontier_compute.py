@@ -14,8 +14,6 @@ from xihe_blender.lab.frontier.timing import Quartiles, interleaved
 from xihenet.camera import unproject_frame
 from xihenet.records import Intrinsics, RgbdFrame
 
-# ------------------------------------------------------------------------------------------------------------ measuring
-
 
 def drained(steps):
     """What a generator returns, and what it yielded."""
@@ -63,9 +61,6 @@ def test_no_measurement_has_no_spread():
         Quartiles.of([])
 
 
-# --------------------------------------------------------------------------------------------------------- light errors
-
-
 def test_the_error_of_a_light_is_its_share_of_the_light_and_bands_that_it_lacks_are_none():
     light = np.random.default_rng(6).normal(1, 0.3, (25, 3))
     errors = square_errors([1.1 * light[:9], light[:9]], [light[:9], light[:9]])
@@ -73,14 +68,9 @@ def test_the_error_of_a_light_is_its_share_of_the_light_and_bands_that_it_lacks_
     missing = (light[9:] ** 2).sum() / (light**2).sum()
     assert square_errors([light[:9]], [light])["coefficients"] == pytest.approx([missing])
     assert padded(light[:4])[4:].max() == 0
-
-
-def test_darkness_is_a_finite_reference():
+    # Darkness is a finite reference.
     errors = square_errors([np.full((9, 3), 0.01)], [np.zeros((9, 3))])
     assert all(0 < value < 1 for values in errors.values() for value in values)
-
-
-# ---------------------------------------------------------------------------------------------------------------- chain
 
 
 def room_frame(width=48, height=36, shift=0.0):

@@ -1,6 +1,7 @@
-"""The scene `Xihe Lit` in the open file: it plays, it renders what the run's pictures show, and it goes again."""
+"""The scene `Xihe Lit`: in the .blend that a run saves, whose light is that of results.json, and in the open file."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -8,55 +9,150 @@ import pytest
 from addon_runs import poll_message, registered_addon
 from mathutils import Matrix
 from previs_runs import LOOKS_AWAY, N_FRAMES, SMALL, run, walk
-from scene_snapshot import data_blocks, snapshot
+from renders import pixels_of_file
+from scene_snapshot import data_blocks, differences, snapshot
+from shown_lights import keyed, shown_light
+from tiny_scenes import saved, sphere
 
 from xihe_blender.addon.results_in_blender import remove_everything, show_lit
 from xihe_blender.apply.datablocks import LIT_SCENE, has_anything, lit_scene
 from xihe_blender.errors import UserError
 from xihe_blender.io.run_results import read_results
+from xihe_blender.scene.virtual_objects import virtual_collection
 
 SETTINGS = replace(SMALL, estimator="projection", samples=64)
 
 
+@dataclass
+class Ran:
+    """Where a run is, its results, and the scene before it."""
+
+    out: Path
+    results: dict
+    before: dict
+
+
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory):
-    """Where a run is, and the scene before and after."""
     out = tmp_path_factory.mktemp("lit") / "out"
     scene = walk()
+    sphere(scene, "Unseen", (0, -1.9, 2.9), 0.05, None, virtual_collection(scene))
     bpy.context.view_layer.update()
     before = snapshot()
-    run(scene, out, SETTINGS)
-    bpy.ops.wm.save_as_mainfile(filepath=str(out / "after.blend"))
-    return out, before
+    results = run(scene, out, SETTINGS)
+    saved(out / "after.blend")
+    return Ran(out, results, before)
+
+
+def opened(path):
+    bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False)
+    return bpy.context.scene
+
+
+@pytest.fixture
+def lit_file(ran):
+    """The run, whose saved file is open."""
+    opened(ran.out / "untitled_lit.blend")
+    return ran
+
+
+def light_by_frame(results, name):
+    """The light in force at a single-position object, by active frame in which it is in view."""
+    found = [(e["frame"], p) for e in results["frames"] for p in e["probes"] if p["name"] == name]
+    return {frame: np.array(probe["sh"]) for frame, probe in found}
+
+
+def test_the_users_scene_is_in_it_and_nothing_but_xihes_is_added(lit_file):
+    scene = bpy.context.scene
+    assert scene.name == lit_file.before["context/scene"]
+    bpy.context.view_layer.update()
+    changed, new = differences(lit_file.before, snapshot())
+    assert new == []
+    lost = {path for path, (_, value) in changed.items() if value == "gone" and path.startswith(("objects", "scenes"))}
+    assert not lost
+    assert scene.render.resolution_x == 64 and scene.cycles.samples == 1
+
+
+def test_the_lit_scene_has_a_layer_per_object_under_its_own_world(lit_file):
+    lit = bpy.data.scenes[LIT_SCENE]
+    names = lit_file.results["scene"]["virtual_objects"]
+    assert names == ["Ball", "Board", "Unseen"]
+    assert [layer.world_override.name for layer in lit.view_layers] == [f"Xihe {name}" for name in names]
+    assert lit.render.film_transparent
+    for layer, name in zip(lit.view_layers, names, strict=True):
+        shown = [child for child in layer.layer_collection.children if not child.holdout and not child.exclude]
+        assert [item.name for child in shown for item in child.collection.objects] == [name]
+
+
+def test_the_light_of_the_results_is_keyed_where_it_fired_and_in_force_until_the_next(lit_file):
+    lit = bpy.data.scenes[LIT_SCENE]
+    fired = [e["frame"] for e in lit_file.results["frames"] for p in e["probes"] if p["name"] == "Ball" and p["fired"]]
+    assert sorted(keyed(bpy.data.worlds["Xihe Ball"])[0]) == fired and len(fired) > 1
+    expected = light_by_frame(lit_file.results, "Ball")
+    for frame in range(1, N_FRAMES + 1):
+        lit.frame_set(frame)
+        layer = lit.view_layers["Xihe Ball"]
+        coefficients, gain = shown_light(layer.world_override.evaluated_get(layer.depsgraph))
+        in_force = expected[max(known for known in expected if known <= frame)]
+        np.testing.assert_allclose(coefficients, in_force, rtol=1e-6, atol=1e-7)
+        assert gain == pytest.approx(1 / lit_file.results["settings"]["reference_exposure"])
+
+
+def test_an_object_of_several_positions_gets_their_mean(lit_file):
+    frame = next(e for e in reversed(lit_file.results["frames"]) if len(e["probes"]) == 3)
+    mean = np.mean([p["sh"] for p in frame["probes"] if p["object"] == "Board"], axis=0)
+    coefficients, _ = keyed(bpy.data.worlds["Xihe Board"])
+    last = max(known for known in coefficients if known <= frame["frame"])
+    np.testing.assert_allclose(coefficients[last], mean, rtol=1e-6, atol=1e-7)
+
+
+def test_an_object_that_was_never_in_view_has_the_ambient_light(lit_file):
+    coefficients, _ = keyed(bpy.data.worlds["Xihe Unseen"])
+    active = [entry for entry in lit_file.results["frames"] if entry["active"]]
+    assert sorted(coefficients) == [entry["frame"] for entry in active]
+    exposure = lit_file.results["settings"]["reference_exposure"]
+    for entry in active:
+        light = coefficients[entry["frame"]]
+        assert np.abs(light[1:]).max() < 1e-6
+        expected = np.array(entry["ambient_radiance"]) * exposure * np.sqrt(4 * np.pi)
+        np.testing.assert_allclose(light[0], expected, rtol=1e-5)
+
+
+def test_markers_say_where_the_trigger_fired(lit_file):
+    expected = {}
+    for entry in lit_file.results["frames"]:
+        reasons = sorted({probe["reason"] for probe in entry["probes"] if probe["fired"]})
+        if reasons:
+            expected[entry["frame"]] = f"Xihe trigger ({', '.join(reasons)})"
+    markers = bpy.context.scene.timeline_markers
+    assert {marker.frame: marker.name for marker in markers} == expected
+    assert len(markers) == len(expected)
 
 
 @pytest.fixture
 def shown(ran):
     """The lit scene of the run, its file open."""
-    bpy.ops.wm.open_mainfile(filepath=str(ran[0] / "after.blend"), load_ui=False)
-    return show_lit(bpy.context.scene, read_results(ran[0]), ran[0], "Board")
+    return show_lit(opened(ran.out / "after.blend"), read_results(ran.out), ran.out, "Board")
 
 
-def picture_of(path):
-    image = bpy.data.images.load(str(path))
-    pixels = np.empty(len(image.pixels), np.float32)
-    image.pixels.foreach_get(pixels)
-    shape = image.size[1], image.size[0], -1
-    bpy.data.images.remove(image)
-    return pixels.reshape(shape)[::-1]
+def rendered_picture(lit, folder, colour_mode="RGB"):
+    """The PNG that Blender renders of the current frame."""
+    lit.render.image_settings.file_format, lit.render.image_settings.color_mode = "PNG", colour_mode
+    lit.render.filepath = str(folder / "lit.png")
+    bpy.ops.render.render(write_still=True, scene=lit.name)
+    return pixels_of_file(folder / "lit.png")
 
 
 def test_rendering_it_gives_the_picture_of_the_estimate(ran, shown, tmp_path):
-    results = read_results(ran[0])
+    results = read_results(ran.out)
     frame, compared = next(iter(results.compared_frames.items()))
-    estimate, captured = (picture_of(ran[0] / compared.pictures[kind])[..., :3] for kind in ("projection", "captured"))
+    pictures = (ran.out / compared.pictures[kind] for kind in ("projection", "captured"))
+    estimate, captured = (pixels_of_file(picture)[..., :3] for picture in pictures)
     assert (shown.render.resolution_x, shown.render.resolution_y) == (64, 48)
     shown.render.resolution_x, shown.render.resolution_y = results.settings.size
-    shown.cycles.samples, shown.render.filepath = 64, str(tmp_path / "lit.png")
-    shown.render.image_settings.file_format = "PNG"
+    shown.cycles.samples = 64
     shown.frame_set(frame)
-    bpy.ops.render.render(write_still=True, scene=shown.name)
-    lit = picture_of(tmp_path / "lit.png")[..., :3]
+    lit = rendered_picture(shown, tmp_path)[..., :3]
     is_object = np.abs(estimate - captured).max(axis=-1) > 0.02
     assert 10 < is_object.sum() < is_object.size / 2
     np.testing.assert_allclose(lit[is_object].mean(axis=0), estimate[is_object].mean(axis=0), rtol=0.03)
@@ -64,10 +160,8 @@ def test_rendering_it_gives_the_picture_of_the_estimate(ran, shown, tmp_path):
 
 
 def test_a_larger_picture_is_opaque_and_as_bright_along_its_rim_as_inside(shown, tmp_path):
-    shown.cycles.samples, shown.render.filepath = 1, str(tmp_path / "lit.png")
-    shown.render.image_settings.file_format, shown.render.image_settings.color_mode = "PNG", "RGBA"
-    bpy.ops.render.render(write_still=True, scene=shown.name)
-    lit = picture_of(tmp_path / "lit.png")
+    shown.cycles.samples = 1
+    lit = rendered_picture(shown, tmp_path, "RGBA")
     assert lit.shape == (48, 64, 4) and (lit[..., 3] == 1).all()
     for rim, inside in ((lit[0], lit[1]), (lit[-1], lit[-2]), (lit[:, 0], lit[:, 1]), (lit[:, -1], lit[:, -2])):
         np.testing.assert_allclose(rim.mean(axis=0), inside.mean(axis=0), rtol=0.1)
@@ -78,14 +172,14 @@ def test_each_frame_has_what_the_phone_saw_last(ran, shown):
     behind = phone.background_images[0]
     assert phone.show_background_images and behind.image.source == "SEQUENCE"
     assert (behind.image_user.frame_start, behind.image_user.frame_duration) == (1, N_FRAMES)
-    files = sorted((ran[0] / "lit").iterdir())
+    files = sorted((ran.out / "lit").iterdir())
     assert [file.name for file in files] == [f"frame_{i:04d}.png" for i in range(1, N_FRAMES + 1)]
     assert files[LOOKS_AWAY - 1].read_bytes() == files[LOOKS_AWAY - 2].read_bytes() != files[LOOKS_AWAY].read_bytes()
 
 
 def test_its_worlds_are_keyed_and_its_camera_is_a_copy(shown):
     assert shown.world.name == "Xihe Board" and shown.world.node_tree.animation_data.action is not None
-    assert {layer.world_override.name for layer in shown.view_layers} == {"Xihe Ball", "Xihe Board"}
+    assert {layer.world_override.name for layer in shown.view_layers} == {"Xihe Ball", "Xihe Board", "Xihe Unseen"}
     room = bpy.data.scenes["Scene"]
     assert shown.camera != room.camera and not room.camera.data.background_images
     for frame in (1, N_FRAMES):
@@ -97,10 +191,9 @@ def test_its_worlds_are_keyed_and_its_camera_is_a_copy(shown):
 
 
 def test_it_is_saved_with_the_file_and_shown_again_in_place_of_itself(ran, shown, tmp_path):
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"), load_ui=False)
-    assert lit_scene().name == LIT_SCENE and len(lit_scene().view_layers) == 2
-    show_lit(bpy.data.scenes["Scene"], read_results(ran[0]), ran[0])
+    opened(saved(tmp_path / "saved.blend"))
+    assert lit_scene().name == LIT_SCENE and len(lit_scene().view_layers) == 3
+    show_lit(bpy.data.scenes["Scene"], read_results(ran.out), ran.out)
     assert sorted(scene.name for scene in bpy.data.scenes) == ["Scene", LIT_SCENE]
     assert len([image for image in bpy.data.images if image.name.startswith(LIT_SCENE)]) == 1
 
@@ -110,20 +203,18 @@ def test_removing_the_light_takes_it_away(ran, shown, asked_from_the_lit_scene):
     assert has_anything(shown)
     remove_everything(shown if asked_from_the_lit_scene else bpy.data.scenes["Scene"])
     bpy.context.view_layer.update()
-    assert data_blocks(snapshot()) == data_blocks(ran[1])
+    assert data_blocks(snapshot()) == data_blocks(ran.before)
 
 
 def test_pictures_that_are_gone_are_named(ran, tmp_path):
-    bpy.ops.wm.open_mainfile(filepath=str(ran[0] / "after.blend"), load_ui=False)
     with pytest.raises(UserError, match=r"captured_0001\.png is gone: run again"):
-        show_lit(bpy.context.scene, read_results(ran[0]), tmp_path)
+        show_lit(opened(ran.out / "after.blend"), read_results(ran.out), tmp_path)
     assert lit_scene() is None
 
 
 def test_the_buttons_go_there_and_back(ran):
     with registered_addon():
-        bpy.ops.wm.open_mainfile(filepath=str(ran[0] / "after.blend"), load_ui=False)
-        bpy.context.scene.xihe.run_folder = str(ran[0])
+        opened(ran.out / "after.blend").xihe.run_folder = str(ran.out)
         assert "This is the room" in poll_message(bpy.ops.xihe.show_room)
         assert bpy.ops.xihe.show_lit() == {"FINISHED"}
         if bpy.context.window is not None:

@@ -34,11 +34,8 @@ def everything_in(folder):
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
 
 
-def test_a_run_is_known_by_what_a_run_writes():
+def test_runs_are_found_by_what_a_run_writes_and_old_are_those_not_shown(tmp_path, runs):
     assert RunOutputs(Path("folder"), "room").settings == Path("folder") / SETTINGS
-
-
-def test_runs_are_found_and_old_are_those_not_shown(tmp_path, runs):
     assert runs_in(tmp_path) == runs
     assert old_runs(tmp_path, [tmp_path / "." / FIRST, tmp_path / "gone"]) == [runs[0], runs[2]]
     assert runs_in(tmp_path / "nowhere") == []

@@ -16,7 +16,7 @@ from xihe_blender.addon import last_run as reader
 from xihe_blender.addon import overlay, panels, polls
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.settings import PrevisSettings
-from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
+from xihe_blender.scene.virtual_objects import virtual_collection
 
 CONTENT = runs.content(
     [
@@ -45,30 +45,8 @@ def run_folder(tmp_path):
     return tmp_path
 
 
-def one_object_of_each_type(scene, collection):
-    data = [None, bpy.data.cameras.new("c"), bpy.data.meshes.new("m"), bpy.data.lattices.new("l")]
-    data += [bpy.data.lights.new("s", "SUN"), bpy.data.curves.new("k", "CURVE"), bpy.data.curves.new("t", "FONT")]
-    data += [bpy.data.metaballs.new("b"), bpy.data.armatures.new("a"), bpy.data.volumes.new("v")]
-    data += [bpy.data.speakers.new("p"), bpy.data.curves.new("u", "SURFACE"), bpy.data.hair_curves.new("h")]
-    for place, block in enumerate(data):
-        collection.objects.link(bpy.data.objects.new(f"Thing {place:02}", block))
-    instance = bpy.data.objects.new("Instance", None)
-    instance.instance_type, instance.instance_collection = "COLLECTION", bpy.data.collections.new("Set")
-    collection.objects.link(instance)
-
-
-def test_what_is_listed_is_what_has_a_surface_by_name():
-    scene = tiny_scenes.empty_scene()
-    assert virtual_objects(scene) == []
-    one_object_of_each_type(scene, virtual_collection(scene, create=True))
-    found = virtual_objects(scene)
-    assert len(found) == 8 and found == sorted(found, key=lambda item: item.name)
-
-
-def test_virtual_objects_of_another_scene_are_not_listed():
-    tiny_scenes.room_with_a_virtual_sphere()
-    other = bpy.data.scenes.new("Other")
-    assert virtual_objects(other) == []
+def shown_positions(scene):
+    return overlay.shown_positions(scene, bpy.context.evaluated_depsgraph_get())
 
 
 def test_positions_that_are_shown_are_those_of_a_run_by_name_and_place():
@@ -76,13 +54,13 @@ def test_positions_that_are_shown_are_those_of_a_run_by_name_and_place():
     tiny_scenes.box(scene, "Shelf", (0, 1.5, 1), (2.5, 0.2, 0.2), collection=virtual_collection(scene))
     bpy.context.view_layer.update()
     probes = plan_previs(scene, PrevisSettings()).probes
-    shown = overlay.shown_positions(scene, bpy.context.evaluated_depsgraph_get())
+    shown = shown_positions(scene)
     assert [position.name for position in shown] == [probe.name for probe in probes]
     np.testing.assert_allclose([position.place for position in shown], [p.position_m for p in probes], atol=1e-6)
     assert len(shown) == 4
     # The view has Blender units, whatever they are in metres.
     scene.unit_settings.system, scene.unit_settings.scale_length = "METRIC", 0.5
-    halved = overlay.shown_positions(scene, bpy.context.evaluated_depsgraph_get())
+    halved = shown_positions(scene)
     ball = next(position for position in shown if "Shelf" not in position.name)
     np.testing.assert_allclose(next(p.place for p in halved if p.name == ball.name), ball.place, atol=1e-6)
 
@@ -92,7 +70,7 @@ def test_an_object_that_a_run_would_refuse_shows_no_positions_and_the_others_do(
     for name, scale in (("Planet", 1e4), ("Ghost", float("nan"))):
         tiny_scenes.box(scene, name, (0, 0, 1), (1, 1, 1), collection=virtual_collection(scene)).scale = (scale,) * 3
     bpy.context.view_layer.update()
-    shown = overlay.shown_positions(scene, bpy.context.evaluated_depsgraph_get())
+    shown = shown_positions(scene)
     assert [position.name for position in shown] == ["Ball"]
 
 
@@ -122,24 +100,17 @@ def test_results_are_read_once_until_they_change(run_folder):
     assert reader.last_run(str(run_folder)).estimator == "ambient"
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"summary": {}, "frames": []}', '{"frames": 3, "summary": 1}'])
-def test_results_that_are_none_are_no_run(tmp_path, text):
-    (tmp_path / "results.json").write_text(text, encoding="utf-8")
-    assert reader.last_run(str(tmp_path)) is None
-
-
-def test_a_run_whose_folder_is_gone_is_no_run(tmp_path):
-    assert reader.last_run(str(tmp_path / "gone")) is None
-    assert reader.last_run("") is None
+def test_results_that_are_none_and_a_folder_that_is_gone_are_no_run(tmp_path):
+    for text in ("", "{", "[]", "{}", '{"summary": {}, "frames": []}', '{"frames": 3, "summary": 1}'):
+        (tmp_path / "results.json").write_text(text, encoding="utf-8")
+        assert reader.last_run(str(tmp_path)) is None, text
+    assert reader.last_run(str(tmp_path / "gone")) is reader.last_run("") is None
     assert panels.missing_run("") != panels.missing_run("somewhere")
 
 
-def test_progress_tells_the_time_left_once_there_is_a_pace():
+def test_progress_tells_the_time_left_and_sentences_are_wrapped_and_lose_no_word():
     assert panels.format_progress(0.0, 0.0) == "0%"
     assert panels.format_progress(0.43, 83) == "43%, 1 min 23 s left"
-
-
-def test_sentences_are_wrapped_and_lose_no_word():
     text = "you turned it on; by itself it would be off: no smoke, fog or other volumes are rendered"
     lines = panels.wrapped(text, 30)
     assert " ".join(lines) == text

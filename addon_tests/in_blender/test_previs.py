@@ -2,9 +2,8 @@
 
 import shutil
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-import bpy
 import numpy as np
 import pytest
 from previs_runs import (
@@ -19,43 +18,16 @@ from previs_runs import (
     unfinished_files,
     walk,
 )
-from results_schema import check_results, read_strictly, without_times
-from tiny_scenes import key, phone, room_with_a_virtual_sphere, sphere
+from results_schema import read_strictly, without_times
+from tiny_scenes import room_with_a_virtual_sphere, sphere
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.scene.virtual_objects import virtual_collection
-from xihenet.recording import load_frame
-
-
-@dataclass
-class Finished:
-    """An undisturbed run of `walk`."""
-
-    outputs: RunOutputs
-    results: dict
-    renders: list
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    out = tmp_path_factory.mktemp("previs") / "out"
-    scene = walk()
-    with counted_renders() as renders:
-        results = run(scene, out)
-    return Finished(RunOutputs(out, "untitled"), results, renders)
 
 
 def entries(results):
     return {entry["frame"]: entry for entry in results["frames"]}
-
-
-# ------------------------------------------------------------------------------------------------- what a run leaves
-
-
-def test_results_are_what_the_schema_promises(finished):
-    check_results(finished.results)
-    assert finished.results == read_strictly(finished.outputs.results)
 
 
 def test_the_walk_has_all_that_the_tests_look_at(finished):
@@ -65,14 +37,12 @@ def test_the_walk_has_all_that_the_tests_look_at(finished):
     assert {len(entry["probes"]) for entry in finished.results["frames"]} >= {0, 2, 3}
 
 
-def test_every_file_that_results_name_is_there(finished):
+def test_results_are_those_on_disk_and_every_file_that_they_name_is_there(finished):
+    assert finished.results == read_strictly(finished.outputs.results)
     named = [path for entry in finished.results["frames"] for path in entry.get("pictures", {}).values()]
     assert len(named) == len(set(named)) > 0
     assert all((finished.outputs.folder / path).stat().st_size > 0 for path in named)
     assert finished.outputs.report.exists() and finished.outputs.lit_blend.exists()
-
-
-def test_the_first_and_the_last_active_frame_are_compared(finished):
     compared = [frame for frame, entry in entries(finished.results).items() if "comparison" in entry]
     assert compared[0] == 1 and compared[-1] == N_FRAMES
 
@@ -88,25 +58,11 @@ def test_a_frame_without_a_position_in_view_is_not_captured(finished):
     assert said in finished.outputs.report.read_text(encoding="utf-8")
 
 
-def test_nothing_half_written_is_left(finished):
-    assert not unfinished_files(finished.outputs.folder)
-
-
-# --------------------------------------------------------------------------------------------------- it repeats itself
-
-
 def test_another_seed_gives_another(tmp_path):
     changes = [{"seed": seed, "frames": (1,), "exposure": 1.0} for seed in (0, 1)]
     one, other = (run(walk(), tmp_path / str(n), replace(SMALL, **change)) for n, change in enumerate(changes))
     for light in ("sh", "sh_truth"):
         assert entries(one)[1]["probes"][0][light] != entries(other)[1]["probes"][0][light]
-
-
-def test_a_finished_run_is_not_done_again(finished):
-    before = files_below(finished.outputs.folder)
-    again, renders = run_again(finished.outputs)
-    assert not renders and again == finished.results
-    assert files_below(finished.outputs.folder) == before
 
 
 def test_a_run_stopped_at_every_step_ends_as_an_undisturbed_one(finished, tmp_path):
@@ -172,25 +128,18 @@ def test_damaged_pieces_of_frames_cost_those_pieces_alone(finished, copied):
     assert renders == {"Xihe Capture": 1, "Xihe Ground Truth": 1, "Xihe Lit": 1}
 
 
-# -------------------------------------------------------------------------------------------------- whose folder it is
-
-
 @pytest.mark.parametrize(
-    "change", [{"seed": 1}, {"preset": "balanced"}, {"estimator": "ambient"}, {"frames": (1, 2)}, {"exposure": 2.0}]
+    "change",
+    [
+        *({"seed": 1}, {"preset": "balanced"}, {"estimator": "ambient"}, {"frames": (1, 2)}, {"exposure": 2.0}),
+        *({"phone": "iphone_lidar"}, {"network": "lte"}, {"effect_choices": {"volumes": "on"}}),
+    ],
 )
 def test_a_folder_of_another_run_is_refused(finished, change):
     before = files_below(finished.outputs.folder)
     with pytest.raises(UserError, match="another folder"):
         run(walk(), finished.outputs.folder, replace(SMALL, **change))
     assert files_below(finished.outputs.folder) == before
-
-
-@pytest.mark.parametrize("content", ["", "[1]", "null", '{"xihe": ', "\0"])
-def test_a_folder_whose_settings_are_broken_is_refused(tmp_path, content):
-    (tmp_path / "work").mkdir()
-    (tmp_path / "work" / "settings.json").write_text(content)
-    with pytest.raises(UserError, match=r"settings\.json is damaged, .*: choose another folder"):
-        run(walk(), tmp_path)
 
 
 @pytest.mark.parametrize("name", ["results.json", "report.html", "untitled_lit.blend"])
@@ -218,50 +167,11 @@ def test_senseless_settings_are_refused_before_anything_is_written(tmp_path, cha
     assert not (tmp_path / "out").exists()
 
 
-# ------------------------------------------------------------------------------------------------------------- cameras
-
-
-def pose(out, frame):
-    return load_frame(RunOutputs(out, "untitled").capture(frame)).world_from_camera[:3, 3]
-
-
-def test_a_camera_that_never_moves_needs_one_frame_only(tmp_path):
-    scene = room_with_a_virtual_sphere(1)
-    scene.camera.animation_data_clear()
-    results = run(scene, tmp_path)
-    check_results(results)
-    assert results["summary"]["n_frames"] == results["summary"]["n_compared_frames"] == 1
-
-
-def test_a_camera_moved_by_a_constraint_is_followed(tmp_path):
-    scene = room_with_a_virtual_sphere(2)
-    scene.camera.animation_data_clear()
-    rail = bpy.data.objects.new("Rail", None)
-    scene.collection.objects.link(rail)
-    key(rail, "location", {1: (-0.5, -1.4, 1.4), 2: (0.5, -1.4, 1.4)})
-    scene.camera.constraints.new("COPY_LOCATION").target = rail
-    scene.camera.constraints.new("TRACK_TO").target = bpy.data.objects["Ball"]
-    check_results(run(scene, tmp_path))
-    np.testing.assert_allclose([pose(tmp_path, 1), pose(tmp_path, 2)], [(-0.5, -1.4, 1.4), (0.5, -1.4, 1.4)], atol=1e-6)
-
-
-def test_a_camera_switched_by_markers_is_followed(tmp_path):
-    scene = room_with_a_virtual_sphere(2)
-    first, second = scene.camera, phone(scene, (1.0, -1.4, 1.2), (0, 0, 0.85), "Second")
-    scene.timeline_markers.new("a", frame=1).camera = first
-    scene.timeline_markers.new("b", frame=2).camera = second
-    check_results(run(scene, tmp_path))
-    np.testing.assert_allclose(pose(tmp_path, 2), (1.0, -1.4, 1.2), atol=1e-6)
-    assert not np.allclose(pose(tmp_path, 1), pose(tmp_path, 2))
-
-
 def test_a_path_that_never_sees_a_position_gives_results_and_a_report(tmp_path):
     scene = room_with_a_virtual_sphere(2)
     for frame in (1, 2):
         look_away(scene.camera, frame)
     results = run(scene, tmp_path)
-    check_results(results)
-    assert results == read_strictly(tmp_path / "results.json")
     assert results["summary"]["n_active_frames"] == 0 and results["comparison"] == {}
     assert not (tmp_path / "pictures").exists()
     assert "2 frames had no estimation position in view" in (tmp_path / "report.html").read_text(encoding="utf-8")
@@ -270,7 +180,34 @@ def test_a_path_that_never_sees_a_position_gives_results_and_a_report(tmp_path):
 def test_an_object_that_is_never_in_view_changes_nothing_for_the_others(finished, tmp_path):
     scene = walk()
     sphere(scene, "Unseen", (0, -1.9, 2.9), 0.05, None, virtual_collection(scene))
-    results = run(scene, tmp_path)
-    check_results(results)
-    seen, alone = entries(results)[1]["probes"], entries(finished.results)[1]["probes"]
-    assert seen == alone
+    assert entries(run(scene, tmp_path))[1]["probes"] == entries(finished.results)[1]["probes"]
+
+
+@pytest.fixture(scope="module")
+def results(finished, tmp_path_factory):
+    """Of the same walk, whose lamp falls to a sixth while the phone looks away: following, and as in the paper."""
+    keeping = run(walk(), tmp_path_factory.mktemp("lamp"), replace(SMALL, following=None))
+    return {"following": finished.results, "keeping": keeping}
+
+
+def ball_after(results):
+    """The ball's probe in the last frame."""
+    return next(probe for probe in results["frames"][-1]["probes"] if probe["name"] == "Ball")
+
+
+def test_both_are_the_same_until_the_lamp_went_down_and_then_following_is_nearer_to_the_truth(results):
+    before = [[e["probes"] for e in content["frames"] if e["frame"] <= LOOKS_AWAY] for content in results.values()]
+    assert before[0] == before[1]
+    following, keeping = (ball_after(results[name]) for name in ("following", "keeping"))
+    assert following["shc_rmse"] < keeping["shc_rmse"]
+    followed, kept, truth = (np.sum(light) for light in (following["sh"][0], keeping["sh"][0], keeping["sh_truth"][0]))
+    assert kept > 1.5 * truth and abs(followed - truth) < 0.3 * (kept - truth)
+
+
+def test_following_is_said_and_where_it_is_off_nothing_is_followed(results):
+    following, keeping = results["following"], results["keeping"]
+    when = {entry["frame"] for entry in following["frames"] if any(p["n_followed_anchors"] for p in entry["probes"])}
+    assert when == {LOOKS_AWAY + 1}
+    assert any(f"At frame {LOOKS_AWAY + 1} the light in view changed as a whole" in n for n in following["notes"])
+    assert keeping["summary"]["n_followed_anchors"] == 0 and keeping["settings"]["following"] is None
+    assert following["settings"]["following"]["smallest_stops"] == 0.5

@@ -5,10 +5,11 @@ import math
 import bpy
 import numpy as np
 import pytest
+import tiny_scenes
 from effect_scenes import shader_look, shader_node
 from mathutils import Vector
 from scene_snapshot import snapshot
-from tiny_scenes import box, empty_scene, material, room_with_a_virtual_sphere, set_world, sphere
+from tiny_scenes import add, box, empty_scene, material, room_with_a_virtual_sphere, set_world, sphere
 
 from xihe_blender.capture.reference_probe import (
     MeasuredLight,
@@ -31,13 +32,8 @@ UP, DOWN, *ASKEW = (np.array(d) / np.linalg.norm(d) for d in [(0, 0, 1), (0, 0, 
 
 def add_lamp(scene, kind, direction, distance_m=DISTANCE_M, **values):
     """A lamp as Blender makes it, hidden from camera rays, at POSITION + direction, shining back."""
-    data = bpy.data.lights.new(kind, kind)
-    for name, value in values.items():
-        setattr(data, name, value)
-    lamp = bpy.data.objects.new(kind, data)
-    lamp.location = POSITION + distance_m * direction
+    lamp = tiny_scenes.add_lamp(scene, kind, POSITION + distance_m * direction, **values)
     lamp.rotation_euler = Vector(-direction).to_track_quat("-Z", "Y").to_euler()
-    scene.collection.objects.link(lamp)
     return lamp
 
 
@@ -100,9 +96,7 @@ def scene_with_a_glowing_disc(radius_m):
     mesh = bpy.data.meshes.new("Disc")
     mesh.from_pydata([(radius_m * math.cos(a), radius_m * math.sin(a), 0) for a in turns], [], [tuple(range(64))])
     mesh.materials.append(material("Glow", (1, 1, 1), emission=GLOW))
-    disc = bpy.data.objects.new("Disc", mesh)
-    disc.location = POSITION + (0, 0, DISTANCE_M)
-    scene.collection.objects.link(disc)
+    add(scene, "Disc", mesh, POSITION + (0, 0, DISTANCE_M))
     return scene
 
 

@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-import bpy
 import numpy as np
 import pytest
-from tiny_scenes import box, empty_scene, look_at, material, phone, set_world
+from effect_scenes import shader_look
+from tiny_scenes import box, empty_scene, key, look_at, material, phone, set_world
 
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure, open_scanner
@@ -18,38 +18,24 @@ N_FRAMES, DIMS_AT = 12, 7
 POSITION_M = np.array([0.0, 0.0, 0.85])
 
 
-def glossy(name, colour, roughness):
-    made = bpy.data.materials.new(name)
-    if made.node_tree is None:
-        made.use_nodes = True
-    shader = next(node for node in made.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
-    shader.inputs["Base Color"].default_value = (*colour, 1.0)
-    shader.inputs["Roughness"].default_value = roughness
-    return made
-
-
 def glossy_table(dims):
     """A 4 x 4 x 2.6 m room with a window, a lamp that may dim to a quarter, and a lacquered table; the phone walks."""
     scene = empty_scene()
     scene.frame_end = N_FRAMES
     set_world(scene)
+    lacquer = shader_look("Lacquer", "BsdfPrincipled", Base_Color=(0.04, 0.02, 0.015, 1.0), Roughness=0.07)
     box(scene, "Room", (0, 0, 1.3), (4, 4, 2.6), material("Walls", (0.6, 0.57, 0.52)), inward=True)
-    box(scene, "Table", (0, 0, 0.7), (2.4, 2.4, 0.06), glossy("Lacquer", (0.04, 0.02, 0.015), 0.07))
+    box(scene, "Table", (0, 0, 0.7), (2.4, 2.4, 0.06), lacquer)
     light = material("Light", (1.0, 0.9, 0.75), emission=5.0)
     box(scene, "Window", (1.97, 0.3, 1.6), (0.04, 1.4, 1.0), light)
     box(scene, "Panel", (-0.4, 1.97, 1.8), (1.0, 0.04, 0.5), light)
     box(scene, "Picture", (-1.97, 0.0, 1.5), (0.04, 1.2, 0.8), material("Blue", (0.05, 0.1, 0.5)))
     if dims:
-        strength = light.node_tree.nodes["Emission"].inputs["Strength"]
-        for frame, value in ((DIMS_AT - 1, 5.0), (DIMS_AT, 1.25)):
-            strength.default_value = value
-            strength.keyframe_insert("default_value", frame=frame)
+        key(light.node_tree.nodes["Emission"].inputs["Strength"], "default_value", {DIMS_AT - 1: 5.0, DIMS_AT: 1.25})
     camera = phone(scene, (0, -1.7, 1.5), POSITION_M)
     for frame in range(1, N_FRAMES + 1):
         azimuth = np.radians(-135 + 9 * (frame - 1))
-        look_at(camera, (1.7 * np.cos(azimuth), 1.7 * np.sin(azimuth), 1.5), POSITION_M)
-        camera.keyframe_insert("location", frame=frame)
-        camera.keyframe_insert("rotation_euler", frame=frame)
+        look_at(camera, (1.7 * np.cos(azimuth), 1.7 * np.sin(azimuth), 1.5), POSITION_M, frame)
     return scene
 
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import bpy
 import numpy as np
 import pytest
-from previs_runs import SMALL, counted_renders, look_away, run, run_some_steps
-from results_schema import check_results, without_times
-from test_unchanged import key, still_room
-from tiny_scenes import look_at, room_with_a_virtual_sphere
+from previs_runs import SMALL, counted_renders, finished_run, look_away, run, run_some_steps
+from renders import captured
+from results_schema import without_times
+from tiny_scenes import key, light_strength, look_at, room_with_a_virtual_sphere
 
 from xihe_blender.capture.render import RenderSettings, can_denoise
 from xihe_blender.capture.scanner import open_scanner
@@ -50,9 +50,7 @@ def still_walk():
     """A phone that holds its pose but for the last frame."""
     scene = room_with_a_virtual_sphere(N_FRAMES)
     for frame in range(1, N_FRAMES + 1):
-        look_at(scene.camera, (-1.2 if frame < MOVES else -0.6, -1.5, 1.5), (0, 0, 0.85))
-        scene.camera.keyframe_insert("location", frame=frame)
-        scene.camera.keyframe_insert("rotation_euler", frame=frame)
+        look_at(scene.camera, (-1.2 if frame < MOVES else -0.6, -1.5, 1.5), (0, 0, 0.85), frame)
     return scene
 
 
@@ -87,14 +85,11 @@ def test_a_fit_finds_the_noise_and_the_bias_that_renders_have(is_denoised, sigma
         assert model.noise(n) == pytest.approx(truth, rel=0.34 if is_denoised else 0.08)
 
 
-def test_light_that_nobody_sees_is_held_against_grey():
+def test_light_that_nobody_sees_is_held_against_grey_and_no_position_is_refused():
     rng = np.random.default_rng(4)
     dark = rng.normal(size=(500, 9, 3)) * 1e-3
     a, b, c = (dark + 0.01 * rng.normal(size=dark.shape) for _ in range(3))
     assert fit_noise(a, b, c, 1, is_denoised=False).variance == pytest.approx(27 * 1e-4 / SMALLEST_LIGHT**2, rel=0.05)
-
-
-def test_the_fit_of_no_position_is_refused():
     with pytest.raises(ValueError, match="one position or more"):
         fit_noise(*np.zeros((3, 0, 9, 3)), 1, is_denoised=True)
 
@@ -129,8 +124,7 @@ def relative_error(lights, reference):
 
 @pytest.mark.slow
 def test_the_noise_is_what_was_expected_and_within_the_target():
-    scene = one_thread(room_with_a_virtual_sphere(24))
-    scene.camera.animation_data_clear()
+    scene = one_thread(room_with_a_virtual_sphere(24, is_still=True))
     look_at(scene.camera, (-1.2, -1.5, 1.5), (0, 0, 0.85))
     settings = PrevisSettings(preset="draft", size=(64, 48), exposure=1.0, noise_target=0.05)
     plan, survey = surveyed(scene, settings)
@@ -182,8 +176,7 @@ def test_a_path_that_sees_no_position_needs_no_pilot():
     ("n_frames", "expected"), [(1, [1]), (8, [5]), (9, [3, 7]), (24, [5, 13, 21]), (60, [11, 31, 51])]
 )
 def test_pilots_are_spread_over_the_frames_that_see_a_position(n_frames, expected):
-    scene = room_with_a_virtual_sphere(n_frames)
-    scene.camera.animation_data_clear()
+    scene = room_with_a_virtual_sphere(n_frames, is_still=True)
     assert [frame for frame, _ in pilot_views(*surveyed(scene, SMALL))] == expected
 
 
@@ -201,16 +194,11 @@ def test_a_senseless_noise_target_is_refused(change):
 @pytest.fixture(scope="module")
 def still(tmp_path_factory):
     """A run along `still_walk`, with its files and what was rendered."""
-    out = tmp_path_factory.mktemp("still") / "out"
-    scene = still_walk()
-    with counted_renders() as renders:
-        results = run(scene, out, replace(SMALL, exposure=1.0))
-    return RunOutputs(out, "untitled"), results, renders
+    return finished_run(tmp_path_factory.mktemp("still") / "out", replace(SMALL, exposure=1.0), still_walk)
 
 
 def test_frames_that_show_nothing_new_are_not_rendered(still):
-    _, results, renders = still
-    check_results(results)
+    results, renders = still.results, still.renders
     captures = [entry["rendering"]["capture"] for entry in results["frames"]]
     assert [capture["same_as"] for capture in captures] == [None, 1, 1, 1, None]
     probes = [entry["rendering"]["probes"]["Ball"] for entry in results["frames"]]
@@ -224,19 +212,20 @@ def test_frames_that_show_nothing_new_are_not_rendered(still):
 
 
 def test_results_say_the_samples_and_the_noise(still):
-    outputs, results, _ = still
+    results = still.results
     samples, noise = results["settings"]["samples"], results["settings"]["noise"]
+    assert results["settings"]["trigger"]["theta"] == PREVIS_TRIGGER.theta + NOISE_MARGIN * noise["trigger"]
     capture = results["frames"][0]["rendering"]["capture"]
     assert (capture["samples"], capture["noise"]) == (samples["capture"], noise["capture"])
     told = any("above the target" in note for note in results["notes"])
     assert noise["capture"] <= results["settings"]["noise_target"] or told
     probe = results["frames"][0]["rendering"]["probes"]["Ball"]
     assert probe["noise"] <= noise["truth"] or probe["is_capped"]
-    assert outputs.sample_count.exists()
+    assert still.outputs.sample_count.exists()
 
 
 def test_what_is_taken_over_is_what_would_have_been_rendered(still, tmp_path):
-    outputs, results, _ = still
+    outputs, results = still.outputs, still.results
     samples = results["settings"]["samples"]
     settings = replace(SMALL, exposure=1.0)
     # Alone in its run, frame 3 has no earlier frame to take anything from. Its pilot looks at frame 3, so the numbers
@@ -261,22 +250,20 @@ def test_what_is_taken_over_is_what_would_have_been_rendered(still, tmp_path):
 
 
 def test_a_run_that_was_stopped_takes_over_the_same(still, tmp_path):
-    _, results, renders = still
     settings = replace(SMALL, exposure=1.0)
     scene = still_walk()
     with counted_renders() as in_parts:
         for n_steps in (3, 5, 8):
             assert not run_some_steps(scene, tmp_path, n_steps, settings)
         again = run(scene, tmp_path, settings)
-    assert without_times(again) == without_times(results)
-    assert sorted(in_parts) == sorted(renders)
+    assert without_times(again) == without_times(still.results)
+    assert sorted(in_parts) == sorted(still.renders)
 
 
 def test_a_lamp_that_changes_has_every_frame_rendered_anew(tmp_path):
-    scene = still_room()
-    key(bpy.data.lights["Spot"], "energy", (5.0, 9.0))
-    results = run(scene, tmp_path, replace(SMALL, exposure=1.0, samples=2))
-    check_results(results)
+    scene = room_with_a_virtual_sphere(2, is_still=True)
+    key(light_strength(), "default_value", {1: 3.0, 2: 6.0})
+    results = run(scene, tmp_path, replace(SMALL, exposure=0.1, samples=2))
     assert results["summary"]["n_reused_captures"] == results["summary"]["n_reused_probes"] == 0
     first, second = (entry["probes"][0]["sh_truth"] for entry in results["frames"])
     assert np.subtract(second, first).max() > 0
@@ -293,30 +280,15 @@ def test_what_a_preset_takes_at_least_lies_within_what_its_pilot_measures():
 # ------------------------------------------------------------------------------------------------ noise and the trigger
 
 
-def captured_twice(scene, n_samples, position_m, lattice):
-    """What two captures of the first frame give, which differ in their seeds alone; they have no denoiser."""
-    for seed in (900, 901):
-        with open_scanner(scene, RenderSettings((48, 36), n_samples, seed, denoise=False)) as scanner:
-            scanner.move_to(1)
-            yield sample_unit_sphere(unproject_frame(scanner.acquire_environment_scan()), position_m, lattice)
-
-
 @pytest.mark.parametrize("n_samples", [1, 4])
 def test_noise_that_the_pilot_knows_does_not_fire(n_samples):
     scene, position_m, lattice = room_with_a_virtual_sphere(1), np.array([0, 0, 0.85]), AnchorLattice(1280)
     pilot = RenderSettings((48, 36), 1, denoise=False)
     _, change = measure_captures(scene, [(1, [position_m])], pilot, 1.0, 1280, PREVIS_TRIGGER)
-    first, second = captured_twice(scene, n_samples, position_m, lattice)
+    frames = (captured(scene, (48, 36), n_samples, seed) for seed in (900, 901))
+    first, second = (sample_unit_sphere(unproject_frame(frame), position_m, lattice) for frame in frames)
     assert decide_trigger(first, second, lattice, PREVIS_TRIGGER).reason == "colour"
     raised = above_noise(PREVIS_TRIGGER, change / n_samples)
     assert decide_trigger(first, second, lattice, raised).reason == "none"
-
-
-def test_without_a_pilot_theta_stays_as_it_is():
+    # Without a pilot theta stays as it is.
     assert above_noise(PREVIS_TRIGGER, None) == PREVIS_TRIGGER
-
-
-def test_results_say_what_the_trigger_sees_in_noise(still):
-    _, results, _ = still
-    settings = results["settings"]
-    assert settings["trigger"]["theta"] == PREVIS_TRIGGER.theta + NOISE_MARGIN * settings["noise"]["trigger"]

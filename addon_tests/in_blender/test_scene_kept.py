@@ -1,6 +1,5 @@
 """The user's scene is as it was: after a run, an error in its middle, a stop, and after everything is removed."""
 
-import contextlib
 import os
 import signal
 from dataclasses import replace
@@ -9,7 +8,7 @@ import bpy
 import pytest
 from previs_runs import SMALL, run, run_some_steps, walk
 from scene_snapshot import data_blocks, differences, snapshot
-from tiny_scenes import box, key
+from tiny_scenes import add_lamp, box, key, light_strength
 
 from xihe_blender.apply.sh_worlds import remove_applied_light
 from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
@@ -43,18 +42,38 @@ def lived_in_scene():
 
 def _move_without_keys(scene):
     """Edits that are nowhere but in the open file: of keyed, driven and plain properties."""
-    table = bpy.data.objects["Table"]
-    table["height"] = 0.5
-    table.keyframe_insert('["height"]', frame=1)
+    table, lamp = bpy.data.objects["Table"], bpy.data.objects["Lamp"]
+    for frame in (1, 5):
+        table["my.height"] = 0.1 * frame
+        table.keyframe_insert('["my.height"]', frame=frame)
     table.driver_add("location", 2).driver.expression = "0.5 + 0.01 * frame"
+    table.shape_key_add(name="Basis")
+    shape = table.shape_key_add(name='Bent "up"')
+    key(shape, "value", {1: 0.0, 5: 1.0})
+    _strip(lamp, "location", {1: (1.9, 0, 1.6), 5: (1.9, 0, 1.8)})
+    _key_that_leads_nowhere(lamp)
     scene.frame_set(2, subframe=0.25)
     scene.camera.location.x += 0.37
-    table["height"] = 0.8
+    table["my.height"], shape.value, lamp.location = 0.8, 0.3, (1.8, 0.2, 1.7)
     table.rotation_euler.z = 0.2
-    bpy.data.materials["Light"].node_tree.nodes["Emission"].inputs["Strength"].default_value = 3.25
-    bpy.data.objects["Lamp"].select_set(True)
+    light_strength().default_value = 3.25
+    lamp.select_set(True)
     bpy.context.view_layer.objects.active = table
     bpy.context.view_layer.update()
+
+
+def _strip(item, name, value_by_frame):
+    """Keys as a strip of the NLA."""
+    key(item, name, value_by_frame)
+    animation = item.animation_data
+    animation.nla_tracks.new().strips.new("Strip", 1, animation.action)
+    animation.action = None
+
+
+def _key_that_leads_nowhere(item):
+    modifier = item.modifiers.new("Bevel", "BEVEL")
+    key(modifier, "width", {1: 0.01, 5: 0.02})
+    item.modifiers.remove(modifier)
 
 
 def assert_kept(before):
@@ -64,25 +83,46 @@ def assert_kept(before):
     assert differences(before, snapshot()) == ({}, [])
 
 
+def render_tiny(scene, frame):
+    with working_scene(scene, "Xihe Test", RenderSettings((8, 6), samples=1)) as working:
+        working.frame_set(frame)
+        render_passes(working)
+
+
 def test_the_snapshot_sees_what_a_render_does_to_edits_without_a_key():
     scene = lived_in_scene()
     before = snapshot()
-    with working_scene(scene, "Xihe Test", RenderSettings((8, 6), samples=1)) as working:
-        working.frame_set(4)
-        render_passes(working)
+    render_tiny(scene, 4)
     changed, new = differences(before, snapshot())
-    assert "objects/Phone/location" in changed and new == ["images/Render Result"]
+    edited = {"objects/Phone/location", "objects/Lamp/location", "objects/Table/[my.height]"}
+    assert {*edited, "shape_keys/Key/key_blocks/1/value"} <= set(changed) and new == ["images/Render Result"]
 
 
 def test_the_snapshot_sees_lamps():
     scene = walk(1)
     for kind in ("POINT", "SUN", "SPOT", "AREA"):
-        scene.collection.objects.link(bpy.data.objects.new(kind, bpy.data.lights.new(kind, kind)))
+        add_lamp(scene, kind)
     before = snapshot()
     assert differences(before, snapshot()) == ({}, [])
     for lamp in bpy.data.lights:
         lamp.energy = 7
     assert set(differences(before, snapshot())[0]) == {f"lights/{lamp.name}/energy" for lamp in bpy.data.lights}
+
+
+def test_edits_without_a_key_are_put_back_after_a_render():
+    scene = lived_in_scene()
+    before = snapshot()
+    with scene_kept():
+        render_tiny(scene, 5)
+    assert_kept(before)
+
+
+def test_a_render_result_that_was_there_stays():
+    scene = walk(2)
+    render_tiny(scene, 1)
+    with scene_kept():
+        render_tiny(scene, 2)
+    assert [image.type for image in bpy.data.images] == ["RENDER_RESULT"]
 
 
 def test_the_scene_is_as_it_was_after_runs_and_after_what_they_added_is_removed(tmp_path):
@@ -134,67 +174,3 @@ def test_the_scene_is_as_it_was_after_ctrl_c(tmp_path):
         run_blocking(previs(scene, tmp_path / "out", SHORT), press)
     assert_kept(before)
     assert not (tmp_path / "out" / "results.json").exists()
-
-
-# ------------------------------------------------------------------------------------------- what is put back, by kind
-
-
-@contextlib.contextmanager
-def rendered_within(scene, frame):
-    """Render `frame` inside `scene_kept`, then run the block."""
-    with scene_kept(), working_scene(scene, "Xihe Test", RenderSettings((8, 6), samples=1)) as working:
-        working.frame_set(frame)
-        render_passes(working)
-    yield
-
-
-def test_an_edited_shape_key_is_put_back():
-    scene = walk()
-    table = bpy.data.objects["Table"]
-    table.shape_key_add(name="Basis")
-    keys = table.shape_key_add(name='Bent "up"').id_data
-    key(keys.key_blocks[1], "value", {1: 0.0, 5: 1.0})
-    keys.key_blocks[1].value = 0.3
-    with rendered_within(scene, 5):
-        assert keys.key_blocks[1].value == pytest.approx(0.3)
-
-
-def test_an_edit_under_an_nla_strip_is_put_back():
-    scene = walk()
-    table = bpy.data.objects["Table"]
-    key(table, "location", {1: (0, 0, 0.7), 5: (0, 0, 0.9)})
-    animation = table.animation_data
-    animation.nla_tracks.new().strips.new("Rise", 1, animation.action)
-    animation.action = None
-    table.location = (0.1, 0.2, 0.3)
-    with rendered_within(scene, 5):
-        assert tuple(table.location) == pytest.approx((0.1, 0.2, 0.3))
-
-
-def test_an_edited_custom_property_is_put_back():
-    scene = walk()
-    table = bpy.data.objects["Table"]
-    for frame, value in ((1, 0.0), (5, 1.0)):
-        table["my.own"] = value
-        table.keyframe_insert('["my.own"]', frame=frame)
-    table["my.own"] = 0.4
-    with rendered_within(scene, 5):
-        assert table["my.own"] == pytest.approx(0.4)
-
-
-def test_a_path_that_leads_nowhere_is_left_alone():
-    scene = walk()
-    table = bpy.data.objects["Table"]
-    modifier = table.modifiers.new("Bevel", "BEVEL")
-    key(modifier, "width", {1: 0.01, 5: 0.02})
-    table.modifiers.remove(modifier)
-    with rendered_within(scene, 5):
-        assert not table.modifiers
-
-
-def test_a_render_result_that_was_there_stays():
-    scene = walk()
-    with working_scene(scene, "Xihe Test", RenderSettings((8, 6), samples=1)) as working:
-        render_passes(working)
-    with rendered_within(scene, 2):
-        assert [image.type for image in bpy.data.images] == ["RENDER_RESULT"]

@@ -3,20 +3,8 @@
 import bpy
 import numpy as np
 import pytest
-from effect_scenes import (
-    add_lamp,
-    ball,
-    bright_room,
-    glass,
-    mirror,
-    mixed,
-    node_of,
-    shader_look,
-    stage,
-    state,
-    with_ball,
-)
-from tiny_scenes import box, empty_scene, material, phone
+from effect_scenes import ball, ball_node, bright_room, glass, mirror, mixed, shader_look, stage, state, with_ball
+from tiny_scenes import add, add_instance, add_lamp, box, empty_scene, geometry_nodes, key, material, node_of, phone
 
 from xihe_blender.light_transport import cycles_settings, plan_light_transport, required_effects, transport_survey
 from xihe_blender.light_transport.enclosure import carried, rays_all_round
@@ -25,7 +13,7 @@ from xihenet.effects import names_that_are_on
 
 def test_an_emission_driven_at_frame_100_counts_only_if_frame_100_is_rendered():
     scene = with_ball(lambda: shader_look("Flash", "Emission"))
-    strength = node_of(scene, "EMISSION").inputs["Strength"]
+    strength = ball_node(scene, "EMISSION").inputs["Strength"]
     strength.default_value = 0.0
     strength.driver_add("default_value").driver.expression = "frame >= 100"
     assert state(scene, "light tree", frames=[1, 50, 99]) == "off"
@@ -34,22 +22,23 @@ def test_an_emission_driven_at_frame_100_counts_only_if_frame_100_is_rendered():
 
 def test_an_animated_mix_factor_counts_over_its_frames():
     scene = with_ball(lambda: mixed(0.0))
-    factor = node_of(scene, "MIX_SHADER").inputs[0]
-    for frame, value in ((1, 0.0), (10, 0.0), (20, 1.0)):
-        factor.default_value = value
-        factor.keyframe_insert("default_value", frame=frame)
+    key(ball_node(scene, "MIX_SHADER").inputs[0], "default_value", {1: 0.0, 10: 0.0, 20: 1.0})
     assert state(scene, "transmission", frames=range(1, 11)) == "off"
     assert state(scene, "transmission", frames=range(1, 13)) == "on"
 
 
 def test_a_lamp_that_is_keyed_on_later_is_a_second_light():
     scene = stage()
-    data = add_lamp(scene, (1, 1, 1)).data
-    for frame, power in ((1, 0.0), (5, 0.0), (6, 10.0)):
-        data.energy = power
-        data.keyframe_insert("energy", frame=frame)
+    key(add_lamp(scene, location=(1, 1, 1)).data, "energy", {1: 0.0, 5: 0.0, 6: 10.0})
     assert state(scene, "light tree", frames=range(1, 6)) == "off"
     assert state(scene, "light tree", frames=range(1, 8)) == "on"
+
+
+def test_a_portal_is_no_lamp():
+    scene = stage()
+    before = plan_light_transport(scene)
+    add_lamp(scene, "AREA").data.cycles.is_portal = True
+    assert plan_light_transport(scene) == before
 
 
 def test_glass_out_of_every_view_but_in_a_mirror_counts():
@@ -94,19 +83,12 @@ def test_an_object_that_no_ray_meets_is_left_out():
     assert state(scene, "transmission") == "on"
 
 
-def test_a_material_slot_that_no_face_uses_is_left_out():
-    scene = stage()
-    mesh = bpy.data.objects["Matt ball"].data
-    mesh.materials.append(glass())
-    assert state(scene, "transmission") == "off"
-    mesh.polygons[0].material_index = 1
-    assert state(scene, "transmission") == "on"
-
-
-def test_a_slot_that_no_face_uses_is_left_out_of_a_subdivided_mesh_as_well():
+@pytest.mark.parametrize("is_subdivided", [False, True])
+def test_a_material_slot_that_no_face_uses_is_left_out(is_subdivided):
     scene = stage()
     item = bpy.data.objects["Matt ball"]
-    item.modifiers.new("Subdivision", "SUBSURF")
+    if is_subdivided:
+        item.modifiers.new("Subdivision", "SUBSURF")
     item.data.materials.append(glass())
     assert state(scene, "transmission") == "off"
     item.data.polygons[0].material_index = 1
@@ -126,9 +108,7 @@ def test_an_instanced_collection_counts_although_the_scene_does_not_hold_it():
     collection = bpy.data.collections.new("Asset")
     ball(scene, "Vase", (0, 0, 0), glass(), collection)
     assert state(scene, "transmission") == "off"
-    empty = bpy.data.objects.new("Placed", None)
-    empty.instance_type, empty.instance_collection = "COLLECTION", collection
-    scene.collection.objects.link(empty)
+    empty = add_instance(scene, collection)
     assert state(scene, "transmission") == "on"
     empty.hide_render = True
     assert state(scene, "transmission") == "off"
@@ -138,16 +118,13 @@ def test_instances_of_geometry_nodes_count():
     scene = stage()
     hidden = ball(scene, "Vase", (0, 0, 0), glass())
     hidden.hide_render = True
-    group = bpy.data.node_groups.new("Place", "GeometryNodeTree")
-    group.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
-    group.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
-    out, points = group.nodes.new("NodeGroupOutput"), group.nodes.new("GeometryNodeInstanceOnPoints")
-    source, info = group.nodes.new("NodeGroupInput"), group.nodes.new("GeometryNodeObjectInfo")
+    group, start, end = geometry_nodes()
+    points, info = group.nodes.new("GeometryNodeInstanceOnPoints"), group.nodes.new("GeometryNodeObjectInfo")
     info.inputs["Object"].default_value = hidden
     info.inputs["As Instance"].default_value = True
-    group.links.new(source.outputs[0], points.inputs["Points"])
+    group.links.new(start, points.inputs["Points"])
     group.links.new(info.outputs["Geometry"], points.inputs["Instance"])
-    group.links.new(points.outputs[0], out.inputs[0])
+    group.links.new(points.outputs[0], end)
     assert state(scene, "transmission") == "off"
     bpy.data.objects["Floor"].modifiers.new("Place", "NODES").node_group = group
     assert state(scene, "transmission") == "on"
@@ -155,13 +132,11 @@ def test_instances_of_geometry_nodes_count():
 
 def test_a_material_that_geometry_nodes_set_counts():
     scene = stage()
-    group = bpy.data.node_groups.new("Set", "GeometryNodeTree")
-    group.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
-    group.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    group, start, end = geometry_nodes()
     node = group.nodes.new("GeometryNodeSetMaterial")
     node.inputs["Material"].default_value = glass()
-    group.links.new(group.nodes.new("NodeGroupInput").outputs[0], node.inputs[0])
-    group.links.new(node.outputs[0], group.nodes.new("NodeGroupOutput").inputs[0])
+    group.links.new(start, node.inputs[0])
+    group.links.new(node.outputs[0], end)
     bpy.data.objects["Matt ball"].modifiers.new("Set", "NODES").node_group = group
     assert state(scene, "transmission") == "on"
 
@@ -191,9 +166,6 @@ def test_an_empty_scene_has_a_plan_with_everything_off():
     plan = plan_light_transport(bpy.context.scene)
     assert names_that_are_on(plan) == set()
     assert dict(cycles_settings(plan))["max_bounces"] == 0
-
-
-# ------------------------------------------------------------------------------------ walks, and what their rays reach
 
 
 def test_no_ray_of_a_walk_leaves_a_closed_room_through_a_corner(monkeypatch):
@@ -243,9 +215,8 @@ def test_a_subsurface_wall_that_only_the_probe_sees_counts():
 def test_a_camera_that_passes_the_wall_between_the_frames_of_the_walk_sees_it():
     scene = room_with_a_wax_wall((10, 1.5, 1.5))
     box(scene, "Other room", OTHER_ROOM, (4, 4, 3), inward=True)
-    for frame, x in ((1, -1.2), (3, -1.2), (4, 10), (5, -1.2), (9, -1.2)):
-        scene.camera.location.x = x
-        scene.camera.keyframe_insert("location", frame=frame)
+    here, there = scene.camera.location.copy(), (10, *scene.camera.location.yz)
+    key(scene.camera, "location", {1: here, 3: here, 4: there, 5: here, 9: here})
     assert state(scene, "subsurface", frames=[1, 2, 3, 5, 9]) == "off"
     assert state(scene, "subsurface", frames=range(1, 10)) == "on"
 
@@ -261,14 +232,12 @@ def through_a_wall_hidden_from_the_camera(scene):
 def through_a_wall_that_fades(scene):
     look = shader_look("Veil", "BsdfPrincipled")
     scene.objects["Room"].data.materials[0] = look
-    alpha = next(node for node in look.node_tree.nodes if node.type == "BSDF_PRINCIPLED").inputs["Alpha"]
+    alpha = node_of(look, "BSDF_PRINCIPLED").inputs["Alpha"]
     alpha.driver_add("default_value").driver.expression = "frame != 2"
 
 
 def through_a_wall_that_opens(scene):
-    for frame, x in ((1, 0), (2, 9), (3, 0)):
-        scene.objects["Room"].location.x = x
-        scene.objects["Room"].keyframe_insert("location", frame=frame)
+    key(scene.objects["Room"], "location", {1: (0, 0, 1.5), 2: (9, 0, 1.5), 3: (0, 0, 1.5)})
 
 
 @pytest.mark.parametrize(
@@ -295,5 +264,5 @@ def test_subsurface_of_strands_stays_on_since_no_ray_is_aimed_at_them():
     fur = bpy.data.hair_curves.new("Fur")
     fur.add_curves([2])
     fur.materials.append(shader_look("Wax", "SubsurfaceScattering"))
-    scene.collection.objects.link(bpy.data.objects.new("Fur", fur))
+    add(scene, "Fur", fur)
     assert state(scene, "subsurface") == "on"

@@ -1,41 +1,28 @@
 """Which objects are virtual, and where their light is estimated."""
 
-from __future__ import annotations
-
 import math
 
 import bpy
 import numpy as np
 import pytest
+from tiny_scenes import add, add_instance, box, empty_scene
 
 from xihe_blender.errors import UserError
 from xihe_blender.scene.estimation_positions import MAX_POSITIONS, box_cell_centres, estimation_positions
 from xihe_blender.scene.sphere_rig import add_three_sphere_rig
 from xihe_blender.scene.virtual_objects import COLLECTION_NAME, virtual_collection, virtual_objects
 
-CUBE_CORNERS = [(x, y, z) for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)]
-CUBE_FACES = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
-
 
 @pytest.fixture
-def scene() -> bpy.types.Scene:
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    return bpy.context.scene
+def scene():
+    return empty_scene()
 
 
-def add_object(name: str, data: object, collection: bpy.types.Collection) -> bpy.types.Object:
-    added = bpy.data.objects.new(name, data)
-    collection.objects.link(added)
-    return added
+def add_box(scene, size, name="Box", centre=(0, 0, 0), collection=None):
+    return box(scene, name, centre, size, collection=collection)
 
 
-def add_box(name: str, collection: bpy.types.Collection, size: tuple[float, float, float]) -> bpy.types.Object:
-    mesh = bpy.data.meshes.new(name)
-    mesh.from_pydata([[c * s for c, s in zip(corner, size, strict=True)] for corner in CUBE_CORNERS], [], CUBE_FACES)
-    return add_object(name, mesh, collection)
-
-
-def positions_of(thing: bpy.types.Object) -> np.ndarray:
+def positions_of(thing):
     bpy.context.view_layer.update()
     return estimation_positions(thing, bpy.context.evaluated_depsgraph_get())
 
@@ -49,71 +36,65 @@ def test_the_collection_is_made_once_and_only_on_request(scene):
 
 
 def test_a_scene_does_not_find_the_collection_of_another_scene(scene):
-    virtual_collection(scene, create=True)
-    assert virtual_collection(bpy.data.scenes.new("Other")) is None
+    first, other = virtual_collection(scene, create=True), bpy.data.scenes.new("Other")
+    assert virtual_collection(other) is None and virtual_objects(other) == []
+    assert virtual_collection(other, create=True) == virtual_collection(other) != first
 
 
-def test_a_collection_that_no_scene_shows_is_linked_instead_of_doubled(scene):
-    stray = bpy.data.collections.new(COLLECTION_NAME)
-    assert virtual_collection(scene) is None
-    assert virtual_collection(scene, create=True) == stray
-
-
-def test_a_nested_collection_is_found(scene):
-    outer = bpy.data.collections.new("Set dressing")
+def test_a_nested_collection_is_found_and_one_that_no_scene_shows_is_linked_instead_of_doubled(scene):
+    outer, inner = bpy.data.collections.new("Set dressing"), bpy.data.collections.new(COLLECTION_NAME)
     scene.collection.children.link(outer)
-    inner = bpy.data.collections.new(COLLECTION_NAME)
+    assert virtual_collection(scene) is None
     outer.children.link(inner)
     assert virtual_collection(scene) == inner
+    outer.children.unlink(inner)
+    assert virtual_collection(scene, create=True) == inner
 
 
 def test_virtual_objects_are_the_geometry_inside_sorted_by_name(scene):
     virtual = virtual_collection(scene, create=True)
     child = bpy.data.collections.new("Child")
     virtual.children.link(child)
-    add_box("Room box", scene.collection, (1, 1, 1))
-    add_box("b", child, (1, 1, 1))
-    add_object("a", bpy.data.curves.new("a", "FONT"), virtual)
-    add_object("lamp", bpy.data.lights.new("lamp", "POINT"), virtual)
-    add_object("eye", bpy.data.cameras.new("eye"), virtual)
-    add_object("handle", None, virtual)
-    assert [thing.name for thing in virtual_objects(scene)] == ["a", "b"]
-
-
-def test_a_scene_without_the_collection_has_no_virtual_object(scene):
-    add_box("Room box", scene.collection, (1, 1, 1))
-    assert virtual_objects(scene) == []
+    add_box(scene, (1, 1, 1), "Room box")
+    add_box(scene, (1, 1, 1), "b", collection=child)
+    data = [None, bpy.data.cameras.new("c"), bpy.data.meshes.new("m"), bpy.data.lattices.new("l")]
+    data += [bpy.data.lights.new("s", "SUN"), bpy.data.curves.new("k", "CURVE"), bpy.data.curves.new("t", "FONT")]
+    data += [bpy.data.metaballs.new("n"), bpy.data.armatures.new("a"), bpy.data.volumes.new("v")]
+    data += [bpy.data.speakers.new("p"), bpy.data.curves.new("u", "SURFACE"), bpy.data.hair_curves.new("h")]
+    for block in data:
+        add(scene, "empty" if block is None else block.name, block, collection=virtual)
+    add_instance(scene, bpy.data.collections.new("Set"), virtual)
+    assert [thing.name for thing in virtual_objects(scene)] == ["Instance", *"bhkmntuv"]
 
 
 def test_a_hidden_object_stays_virtual(scene):
-    thing = add_box("Box", virtual_collection(scene, create=True), (1, 1, 1))
+    thing = add_box(scene, (1, 1, 1), collection=virtual_collection(scene, create=True))
     thing.hide_render = thing.hide_viewport = True
     assert virtual_objects(scene) == [thing]
 
 
 def test_a_small_object_has_the_centre_of_its_box(scene):
-    thing = add_box("Box", scene.collection, (0.4, 0.2, 0.6))
-    thing.location, thing.rotation_euler = (1.0, -2.0, 0.5), (0.3, 0.2, 0.1)
+    thing = add_box(scene, (0.4, 0.2, 0.6), centre=(1.0, -2.0, 0.5))
+    thing.rotation_euler = (0.3, 0.2, 0.1)
     np.testing.assert_allclose(positions_of(thing), [[1.0, -2.0, 0.5]], atol=1e-6)
 
 
 def test_modifiers_move_the_centre(scene):
-    thing = add_box("Box", scene.collection, (0.2, 0.2, 0.2))
+    thing = add_box(scene, (0.2, 0.2, 0.2))
     row = thing.modifiers.new("Row", "ARRAY")
     row.count, row.relative_offset_displace = 3, (1.0, 0.0, 0.0)
     np.testing.assert_allclose(positions_of(thing), [[0.2, 0.0, 0.0]], atol=1e-6)
 
 
 def test_a_long_object_is_split_evenly_along_its_world_axis(scene):
-    thing = add_box("Shelf", scene.collection, (2.5, 0.3, 0.3))
+    thing = add_box(scene, (2.5, 0.3, 0.3))
     thing.rotation_euler = (0.0, 0.0, math.radians(90))
     expected = [[0.0, y, 0.0] for y in (-2.5 / 3, 0.0, 2.5 / 3)]
     np.testing.assert_allclose(positions_of(thing), expected, atol=1e-6)
 
 
 def test_a_box_of_exactly_one_spacing_is_one_cell(scene):
-    thing = add_box("Box", scene.collection, (1.0, 1.0, 1.0))
-    thing.location = (0.1, 0.7, 123.3)
+    thing = add_box(scene, (1.0, 1.0, 1.0), centre=(0.1, 0.7, 123.3))
     assert positions_of(thing).shape == (1, 3)
 
 
@@ -133,42 +114,38 @@ def test_cells_cover_the_box_and_are_no_longer_than_the_spacing():
 
 def test_an_instancing_empty_has_the_box_of_what_it_shows(scene):
     prototype = bpy.data.collections.new("Prototype")
-    add_box("Part", prototype, (0.2, 0.2, 0.2)).location = (1.0, 0.0, 0.0)
-    add_box("Other part", prototype, (0.2, 0.2, 0.2)).location = (1.4, 0.0, 0.0)
-    empty = add_object("Stamp", None, virtual_collection(scene, create=True))
-    empty.instance_type, empty.instance_collection = "COLLECTION", prototype
+    for x in (1.0, 1.4):
+        add_box(scene, (0.2, 0.2, 0.2), centre=(x, 0.0, 0.0), collection=prototype)
+    empty = add_instance(scene, prototype)
     empty.location = (0.0, 0.0, 3.0)
-    assert virtual_objects(scene) == [empty]
     np.testing.assert_allclose(positions_of(empty), [[1.2, 0.0, 3.0]], atol=1e-6)
 
 
 def test_an_object_without_geometry_has_its_origin(scene):
-    thing = add_object("Nothing", bpy.data.meshes.new("Nothing"), scene.collection)
-    thing.location = (1.0, 2.0, 3.0)
+    thing = add(scene, "Nothing", bpy.data.meshes.new("Nothing"), (1.0, 2.0, 3.0))
     np.testing.assert_allclose(positions_of(thing), [[1.0, 2.0, 3.0]])
 
 
 def test_an_object_of_an_excluded_collection_keeps_its_place(scene):
     virtual = virtual_collection(scene, create=True)
-    thing = add_box("Box", virtual, (0.2, 0.2, 0.2))
-    thing.location = (1.0, 2.0, 3.0)
+    thing = add_box(scene, (0.2, 0.2, 0.2), centre=(1.0, 2.0, 3.0), collection=virtual)
     bpy.context.view_layer.update()
     bpy.context.view_layer.layer_collection.children[COLLECTION_NAME].exclude = True
     np.testing.assert_allclose(positions_of(thing), [[1.0, 2.0, 3.0]], atol=1e-6)
 
 
 def test_an_object_of_as_many_positions_as_there_may_be_is_the_last_that_is_not_refused(scene):
-    largest = add_box("Hall", scene.collection, (MAX_POSITIONS / 2, 2.0, 0.5))
+    largest = add_box(scene, (MAX_POSITIONS / 2, 2.0, 0.5))
     assert len(positions_of(largest)) == MAX_POSITIONS
     largest.location = (1e4, 0.0, 0.0)
     assert len(positions_of(largest)) == MAX_POSITIONS
-    larger = add_box("Street", scene.collection, (MAX_POSITIONS / 2 + 1, 2.0, 0.5))
+    larger = add_box(scene, (MAX_POSITIONS / 2 + 1, 2.0, 0.5), "Street")
     with pytest.raises(UserError, match=r"'Street' is 501 x 2 x 0.5 m .* 1002 positions: .* unit scale"):
         positions_of(larger)
 
 
 def test_an_object_without_a_finite_place_is_refused(scene):
-    thing = add_box("Box", scene.collection, (1, 1, 1))
+    thing = add_box(scene, (1, 1, 1))
     # Blender makes the largest float of an infinite one.
     thing.location = (0.0, math.nan, 0.0)
     with pytest.raises(UserError, match="'Box' has no finite position"):

@@ -1,31 +1,28 @@
 """Walks through rooms and scenes made by others: the same rooms, seen as someone who walks there sees them."""
 
-from __future__ import annotations
-
 import json
 import zlib
 from dataclasses import replace
-from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
-from sampled_places import places_of
 from scipy import ndimage, sparse
-from tiny_scenes import look_at, room_with_a_virtual_sphere
+from small_rooms import SMALL, places_of, small_build
+from tiny_scenes import add, key, light_strength, look_at, room_with_a_virtual_sphere, saved
 from xihe_process import assert_refused, xihe_here
 
 from xihe_blender.capture.scanner import meter_exposure, phone_camera
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihe_blender.lab.rooms.build import BuildSettings, build_dataset, write_manifest
+from xihe_blender.lab.rooms.build import build_dataset, write_manifest
 from xihe_blender.lab.rooms.free_floor import CELL_M, FreeFloor, Route
 from xihe_blender.lab.rooms.outline import Rect
-from xihe_blender.lab.rooms.render_room import RoomRenderSettings, make_room
+from xihe_blender.lab.rooms.render_room import make_room
 from xihe_blender.lab.rooms.room_data import Piece
 from xihe_blender.lab.rooms.rooms import walk_generator
 from xihe_blender.lab.rooms.scene import SCENE_REGIME, SCENE_SEED, add_scene
-from xihe_blender.lab.rooms.store import StoredRoom, load_room, room_path, stored_indices
+from xihe_blender.lab.rooms.store import load_room, room_path, stored_indices
 from xihe_blender.lab.rooms.views import PHONE_CLEARANCE_M
 from xihe_blender.lab.rooms.walk import HIGHEST_M, LOWEST_M, SPEED_M_S, sample_walk
 from xihenet.camera import project_points
@@ -33,9 +30,7 @@ from xihenet.records import Intrinsics
 from xihenet.sphere import AnchorLattice
 from xihenet.training.rooms import SPLITS, split_of
 
-SMALL = RoomRenderSettings((32, 24), 1, 16, 4, 16)
-SMALL_NUMBERS = SMALL.numbers
-FREE_VIEWS = {"format": 2, "seed": 5, "render": list(SMALL_NUMBERS), "metering": "highlights", "software": "xihe 0.1.0"}
+FREE_VIEWS = {"format": 2, "seed": 5, "render": list(SMALL.numbers), "metering": "highlights", "software": "xihe 0.1.0"}
 """What the first version wrote into its folders."""
 
 N_FRAMES = 24
@@ -46,7 +41,7 @@ def poses_of(walk):
 
 
 @pytest.fixture(scope="module", params=range(6))
-def walked(request: pytest.FixtureRequest):
+def walked(request):
     """Room, positions, walk, and how near anything comes to the phone in each frame."""
     room, rays, positions, views = places_of(request.param)
     walk = sample_walk(walk_generator(11, request.param), room, rays, positions, views, N_FRAMES)
@@ -174,16 +169,16 @@ def test_a_walked_room_is_the_room_of_the_free_views():
 
 
 def test_the_splits_share_all_rooms_out():
-    wanted = {split: BuildSettings(60, 5, split=split).wanted() for split in SPLITS}
+    wanted = {split: small_build(60, split=split).wanted() for split in SPLITS}
     assert sorted(room for rooms in wanted.values() for room in rooms) == list(range(60))
     assert all(split_of((5, room)) == split for split, rooms in wanted.items() for room in rooms)
 
 
 @pytest.fixture(scope="module")
-def walked_folder(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, BuildSettings]:
+def walked_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("walks")
     first = next(i for i in range(1000) if split_of((5, i)) == "test")
-    settings = BuildSettings(first + 1, 5, 1, SMALL_NUMBERS, walk=3, split="test")
+    settings = small_build(first + 1, walk=3, split="test")
     assert run_blocking(build_dataset(folder, settings)) == 1
     return folder, settings
 
@@ -197,49 +192,38 @@ def test_a_build_of_walks_in_one_split_makes_these_alone(walked_folder):
     assert run_blocking(build_dataset(folder, settings)) == 0
 
 
-def test_a_folder_of_walks_holds_nothing_else(walked_folder):
-    folder, settings = walked_folder
-    for other in (None, 4):
-        with pytest.raises(UserError, match="another folder"):
-            run_blocking(build_dataset(folder, replace(settings, walk=other)))
-
-
 def test_folders_without_a_walk_go_on_as_free_views_and_are_written_so(tmp_path):
     (tmp_path / "dataset.json").write_text(json.dumps(FREE_VIEWS))
-    settings = BuildSettings(3, 5, 1, SMALL_NUMBERS)
-    write_manifest(tmp_path, settings.provenance)
-    assert json.loads((tmp_path / "dataset.json").read_text()) == FREE_VIEWS
-    with pytest.raises(UserError, match="another folder"):
-        write_manifest(tmp_path, replace(settings, walk=24).provenance)
-    write_manifest(tmp_path / "new", settings.provenance)
-    written = json.loads((tmp_path / "new" / "dataset.json").read_text())
-    assert list(written) == list(FREE_VIEWS) and {**written, "software": FREE_VIEWS["software"]} == FREE_VIEWS
+    for folder in (tmp_path, tmp_path / "new"):
+        write_manifest(folder, small_build(3).provenance)
+        written = json.loads((folder / "dataset.json").read_text())
+        assert list(written) == list(FREE_VIEWS) and {**written, "software": FREE_VIEWS["software"]} == FREE_VIEWS
 
 
-def test_folders_that_were_metered_in_the_old_way_are_not_gone_on_with(tmp_path):
-    old = {key: value for key, value in FREE_VIEWS.items() if key != "metering"}
-    (tmp_path / "dataset.json").write_text(json.dumps(old))
+@pytest.mark.parametrize(
+    ("there", "wanted"),
+    [
+        ({}, small_build(3, seed=6)),
+        ({}, small_build(3, walk=24)),
+        ({"walk": 3}, small_build(3)),
+        ({"walk": 3}, small_build(3, walk=4)),
+        ({"metering": None}, small_build(3)),  # As it was in the old way.
+        ({"seed": None, "scenes": True}, small_build(3)),
+    ],
+)
+def test_a_folder_holds_rooms_of_one_kind_alone(there, wanted, tmp_path):
+    content = {name: value for name, value in {**FREE_VIEWS, **there}.items() if value is not None}
+    (tmp_path / "dataset.json").write_text(json.dumps(content))
     with pytest.raises(UserError, match="another folder"):
-        write_manifest(tmp_path, BuildSettings(3, 5, 1, SMALL_NUMBERS).provenance)
+        run_blocking(build_dataset(tmp_path, wanted))
 
 
 # --------------------------------------------------------------------------------------------------------------- scenes
 
 
-def saved(scene, path):
-    bpy.ops.wm.save_as_mainfile(filepath=str(path))
-    return path
-
-
-def added(scene, name, folder, **options) -> tuple[Path, StoredRoom]:
+def added(scene, name, folder, **options):
     path = run_blocking(add_scene(scene, name, folder, SMALL, **options))
     return path, load_room(path)
-
-
-def mark(scene, name, place):
-    empty = bpy.data.objects.new(name, None)
-    empty.location = place
-    scene.collection.objects.link(empty)
 
 
 def test_a_scene_is_stored_as_its_camera_path_saw_it(tmp_path):
@@ -262,7 +246,7 @@ def test_virtual_objects_are_in_no_picture_of_a_scene(tmp_path):
     _, with_ball = added(room_with_a_virtual_sphere(), "with", tmp_path, frames=[1])
     scene = room_with_a_virtual_sphere()
     bpy.data.objects.remove(bpy.data.objects["Ball"])
-    mark(scene, "Mark", (0, 0, 0.85))
+    add(scene, "Mark", location=(0, 0, 0.85))
     _, without = added(scene, "without", tmp_path, at=["Mark"], frames=[1])
     np.testing.assert_array_equal(with_ball.radiance, without.radiance)
     np.testing.assert_array_equal(with_ball.balls, without.balls)
@@ -271,8 +255,8 @@ def test_virtual_objects_are_in_no_picture_of_a_scene(tmp_path):
 
 def test_positions_of_a_scene_are_where_the_named_objects_are(tmp_path):
     scene = room_with_a_virtual_sphere()
-    mark(scene, "On the table", (0.4, 0.2, 0.8))
-    mark(scene, "Under the table", (0.0, 0.0, 0.4))
+    add(scene, "On the table", location=(0.4, 0.2, 0.8))
+    add(scene, "Under the table", location=(0.0, 0.0, 0.4))
     _, room = added(scene, "marked", tmp_path, at=["Under the table", "On the table"], frames=[1, 3])
     np.testing.assert_allclose(room.positions_m, [[0, 0, 0.4], [0.4, 0.2, 0.8]], atol=1e-6)
     assert len(room.srgb_u8) == 2
@@ -289,20 +273,14 @@ def test_a_scene_takes_its_own_place_again_and_others_the_next(tmp_path):
     assert list(stored_indices(tmp_path)) == [0, 1]
 
 
-def test_rooms_and_scenes_keep_to_folders_of_their_own(walked_folder, tmp_path):
-    scene = room_with_a_virtual_sphere()
+def test_a_scene_is_not_added_to_a_folder_of_rooms(walked_folder):
     with pytest.raises(UserError, match="another folder"):
-        added(scene, "tiny", walked_folder[0], frames=[1])
-    added(scene, "tiny", tmp_path, frames=[1])
-    with pytest.raises(UserError, match="another folder"):
-        write_manifest(tmp_path, BuildSettings(1, SCENE_SEED, 1, SMALL_NUMBERS).provenance)
+        added(room_with_a_virtual_sphere(), "tiny", walked_folder[0], frames=[1])
 
 
 def test_a_camera_that_zooms_is_refused(tmp_path):
     scene = room_with_a_virtual_sphere(2)
-    for frame, lens in ((1, 30.0), (2, 60.0)):
-        scene.camera.data.lens = lens
-        scene.camera.data.keyframe_insert("lens", frame=frame)
+    key(scene.camera.data, "lens", {1: 30.0, 2: 60.0})
     with pytest.raises(UserError, match="zooms before frame 2"):
         added(scene, "zoom", tmp_path)
     assert not list(stored_indices(tmp_path))
@@ -311,14 +289,14 @@ def test_a_camera_that_zooms_is_refused(tmp_path):
 @pytest.mark.parametrize("strength", [1e-5, 1e9])
 def test_a_scene_whose_light_half_floats_cannot_hold_is_refused(tmp_path, strength):
     scene = room_with_a_virtual_sphere(1)
-    bpy.data.materials["Light"].node_tree.nodes["Emission"].inputs["Strength"].default_value = strength
+    light_strength().default_value = strength
     with pytest.raises(UserError, match="which a data set cannot hold: bring its lights between"):
         run_blocking(add_scene(scene, "room", tmp_path, SMALL))
 
 
 def test_a_lamp_and_a_position_that_are_no_numbers_are_refused_for_named_positions_too(tmp_path):
     scene = room_with_a_virtual_sphere(1)
-    strength = bpy.data.materials["Light"].node_tree.nodes["Emission"].inputs["Strength"]
+    strength = light_strength()
     strength.default_value = float("nan")
     with pytest.raises(UserError, match="'Light' has nan as its strength"):
         run_blocking(add_scene(scene, "room", tmp_path, SMALL, at=["Ball"]))
@@ -337,7 +315,8 @@ def test_a_scene_added_leaves_the_open_file_as_it_was(tmp_path):
 
 
 def test_the_command_adds_a_scene_and_says_where(tmp_path):
-    blend = saved(room_with_a_virtual_sphere(), tmp_path / "tiny.blend")
+    room_with_a_virtual_sphere()
+    blend = saved(tmp_path / "tiny.blend")
     done = xihe_here("dataset", "scene", blend, "--out", tmp_path / "scenes", "--frames", "1:3:2")
     assert (done.returncode, done.stdout.strip()) == (0, str(room_path(tmp_path / "scenes", 0)))
     room = load_room(room_path(tmp_path / "scenes", 0))
@@ -358,9 +337,9 @@ def test_the_command_adds_a_scene_and_says_where(tmp_path):
     ],
 )
 def test_a_scene_that_cannot_be_added_is_refused_in_one_line(removed, arguments, words, tmp_path):
-    scene = room_with_a_virtual_sphere()
+    room_with_a_virtual_sphere()
     if removed:
         bpy.data.objects.remove(bpy.data.objects[removed])
-    blend = saved(scene, tmp_path / "tiny.blend")
+    blend = saved(tmp_path / "tiny.blend")
     assert_refused(xihe_here("dataset", "scene", blend, "--out", tmp_path / "scenes", *arguments), words)
     assert not (tmp_path / "scenes").exists()

@@ -5,6 +5,7 @@ import math
 
 import bpy
 import numpy as np
+from mathutils import Vector
 
 from xihe_blender.scene.virtual_objects import virtual_collection
 
@@ -50,10 +51,7 @@ def box(scene, name, centre, size, look=None, collection=None, inward=False):
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata(corners, [], [face[::-1] for face in faces] if inward else faces)
     mesh.materials.append(look or material(name))
-    item = bpy.data.objects.new(name, mesh)
-    item.location = centre
-    (collection or scene.collection).objects.link(item)
-    return item
+    return add(scene, name, mesh, centre, collection)
 
 
 def sphere(scene, name, centre, radius, look=None, collection=None):
@@ -76,26 +74,71 @@ def sphere(scene, name, centre, radius, look=None, collection=None):
     mesh.from_pydata(points.tolist(), [], top + middle + bottom)
     mesh.shade_smooth()
     mesh.materials.append(look or material(name))
-    item = bpy.data.objects.new(name, mesh)
-    item.location = centre
+    return add(scene, name, mesh, centre, collection)
+
+
+def add(scene, name, data=None, location=(0, 0, 0), collection=None):
+    """A new object of these data, an empty without, in the scene's own collection or another."""
+    item = bpy.data.objects.new(name, data)
+    item.location = location
     (collection or scene.collection).objects.link(item)
     return item
 
 
+def add_instance(scene, instanced, collection=None):
+    """An empty that shows what is in the collection `instanced`."""
+    item = add(scene, "Instance", None, collection=collection)
+    item.instance_type, item.instance_collection = "COLLECTION", instanced
+    return item
+
+
+def add_lamp(scene, kind="POINT", location=(0, 0, 0), name="Lamp", collection=None, **values):
+    """`values` are of its data."""
+    data = bpy.data.lights.new(name, kind)
+    for attribute, value in values.items():
+        setattr(data, attribute, value)
+    return add(scene, name, data, location, collection)
+
+
 def phone(scene, location, towards, name="Phone"):
     """A camera at `location` that looks at `towards`, and the scene's camera from then on."""
-    camera = bpy.data.objects.new(name, bpy.data.cameras.new(name))
-    scene.collection.objects.link(camera)
+    camera = add(scene, name, bpy.data.cameras.new(name))
     look_at(camera, location, towards)
     scene.camera = camera
     return camera
 
 
-def look_at(camera, location, towards):
-    from mathutils import Vector
+def orthographic(scene, axis=(0, -1, 0), scale=2.0):
+    """(3, 3) world_from_camera of the scene's camera from then on, which looks from `axis` at the origin."""
+    camera = phone(scene, np.array(axis) * 5.0, (0, 0, 0))
+    camera.data.type, camera.data.ortho_scale = "ORTHO", scale
+    return np.array(camera.rotation_euler.to_matrix())
 
+
+def look_at(camera, location, towards, frame=None):
+    """Put the camera there; with `frame`, keyed."""
     camera.location = location
     camera.rotation_euler = (Vector(towards) - Vector(location)).to_track_quat("-Z", "Y").to_euler()
+    for name in () if frame is None else ("location", "rotation_euler"):
+        camera.keyframe_insert(name, frame=frame)
+
+
+def node_of(block, kind):
+    """The first node of a type, such as "BSDF_DIFFUSE", in the tree of a material or a world."""
+    return next(node for node in block.node_tree.nodes if node.type == kind)
+
+
+def geometry_nodes():
+    """A new tree for a geometry nodes modifier, the socket of the geometry that it is given, and of what it gives."""
+    tree = bpy.data.node_groups.new("Geometry", "GeometryNodeTree")
+    for name, direction in (("Given", "INPUT"), ("Geometry", "OUTPUT")):
+        tree.interface.new_socket(name, in_out=direction, socket_type="NodeSocketGeometry")
+    return tree, tree.nodes.new("NodeGroupInput").outputs[0], tree.nodes.new("NodeGroupOutput").inputs[0]
+
+
+def light_strength():
+    """How strongly the lamp of `room_with_a_virtual_sphere` shines, as a socket."""
+    return bpy.data.materials["Light"].node_tree.nodes["Emission"].inputs["Strength"]
 
 
 def key(owner, name, value_by_frame):
@@ -110,14 +153,13 @@ def set_world(scene, colour=(0.0, 0.0, 0.0)):
     world = bpy.data.worlds.new("Background")
     if world.node_tree is None:
         world.use_nodes = True
-    background = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
-    background.inputs["Color"].default_value = (*colour, 1.0)
+    node_of(world, "BACKGROUND").inputs["Color"].default_value = (*colour, 1.0)
     scene.world = world
     return world
 
 
-def room_with_a_virtual_sphere(n_frames=3):
-    """A 4 x 4 x 3 m room with a lamp on the +X side, a table, a grey virtual sphere on it, and a moving phone."""
+def room_with_a_virtual_sphere(n_frames=3, *, is_still=False):
+    """A 4 x 4 x 3 m room with a lamp on the +X side, a table, a grey virtual sphere on it, and a phone that moves."""
     scene = empty_scene()
     scene.frame_end = n_frames
     set_world(scene)
@@ -127,8 +169,12 @@ def room_with_a_virtual_sphere(n_frames=3):
     virtual = virtual_collection(scene, create=True)
     sphere(scene, "Ball", (0, 0, 0.85), 0.12, material("Grey", (0.5, 0.5, 0.5)), virtual)
     camera = phone(scene, (-1.2, -1.5, 1.5), (0, 0, 0.85))
-    for frame in range(1, n_frames + 1):
-        look_at(camera, (-1.2 + 0.3 * (frame - 1), -1.5, 1.5), (0, 0, 0.85))
-        camera.keyframe_insert("location", frame=frame)
-        camera.keyframe_insert("rotation_euler", frame=frame)
+    for frame in range(1, 1 if is_still else n_frames + 1):
+        look_at(camera, (-1.2 + 0.3 * (frame - 1), -1.5, 1.5), (0, 0, 0.85), frame)
     return scene
+
+
+def saved(path):
+    """`path`, to which the open file was saved as a copy."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True)
+    return path

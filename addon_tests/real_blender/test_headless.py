@@ -11,6 +11,7 @@ import numpy as np
 import OpenEXR
 import pytest
 from results_schema import check_results, read_strictly, without_times
+from xihe_process import assert_refused
 
 from addon_tests.real_blender.whole_blender import ROOT, SCENE, SMALL
 
@@ -19,14 +20,6 @@ AS_MODULE = (
     "import runpy, sys; sys.argv = ['xihe', *sys.argv[sys.argv.index('--') + 1 :]];"
     "runpy.run_module('xihe_blender', run_name='__main__')"
 )
-
-
-def assert_refused(done, *words):
-    """Exit 2, nothing on stdout, and one line on stderr with `words` in it."""
-    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stdout + done.stderr
-    assert done.stderr.startswith("xihe: ")
-    for word in words:
-        assert word in done.stderr
 
 
 @pytest.fixture(scope="module")
@@ -59,34 +52,24 @@ def test_the_package_run_as_a_module_gives_the_same_results(blender, commanded, 
     assert results_of(tmp_path / "out") == results_of(commanded[1])
 
 
-def test_the_same_command_says_that_the_run_is_done(blender, commanded):
-    again = blender.xihe("previs", SCENE, "--out", commanded[1], *SMALL)
-    assert again.returncode == 0 and "already done" in again.stderr
-
-
 def test_with_json_stdout_holds_the_json_alone(blender):
     done = blender.xihe("effects", SCENE, "--plan-only", "--frames", "1", "--json")
     assert done.returncode == 0, done.stderr
     assert {"name", "state"} <= json.loads(done.stdout)[0].keys()
 
 
-def test_a_mistake_is_one_line_and_exit_code_2(blender, tmp_path):
-    assert_refused(blender.xihe("prewiew"), "'prewiew'")
-    assert_refused(blender.xihe("previs", tmp_path / "nowhere.blend", "--out", tmp_path / "out"), "no such file")
-
-
-def test_training_says_in_one_line_that_torch_is_missing(blender):
-    assert_refused(blender.xihe("train"), "torch is not installed")
-
-
-def test_what_needs_a_checkout_says_so(blender, tmp_path):
-    assert_refused(blender.xihe("package", "--out", tmp_path), "checkout")
-    assert_refused(blender.xihe("scenes", "build"), "checkout")
-
-
-def test_help_ends_well(blender):
-    done = blender.xihe("--help")
-    assert done.returncode == 0 and done.stdout.startswith("usage: xihe")
+@pytest.mark.parametrize(
+    ("typed", "words"),
+    [
+        ("prewiew", "'prewiew'"),
+        ("previs {folder}/nowhere.blend --out {folder}/out", "no such file"),
+        ("train", "torch is not installed"),
+        ("package --out {folder}", "checkout"),
+        ("scenes build", "checkout"),
+    ],
+)
+def test_a_mistake_and_what_needs_more_than_blender_are_one_line_and_exit_code_2(blender, tmp_path, typed, words):
+    assert_refused(blender.xihe(*typed.format(folder=tmp_path).split()), words)
 
 
 @pytest.mark.parametrize("compression", ["ZIP_COMPRESSION", "PIZ_COMPRESSION"])

@@ -6,15 +6,8 @@ import pytest
 
 from addon_tests.real_blender.whole_blender import MODULE, WholeBlender
 
-HEAVY = {
-    "numpy",
-    "torch",
-    "OpenEXR",
-    "scipy",
-    "xihenet.estimators",
-    "xihe_blender.previs.previs",
-    "xihe_blender.cli.main",
-}
+HEAVY = {"numpy", "torch", "OpenEXR", "scipy", "xihenet.estimators"}
+HEAVY |= {"xihe_blender.previs.previs", "xihe_blender.cli.main"}
 OURS = ("xihenet", "xihe_blender", "bl_ext")
 
 
@@ -22,10 +15,8 @@ OURS = ("xihenet", "xihe_blender", "bl_ext")
 def started(blender, tmp_path_factory):
     """The names of the modules after a start with the add-on, and after one without."""
     folder = tmp_path_factory.mktemp("started")
-    with_it = blender.facts("loaded_modules.py", folder / "with.json", MODULE)
-    without_it = WholeBlender(tmp_path_factory.mktemp("other_user")).facts(
-        "loaded_modules.py", folder / "without.json", MODULE
-    )
+    other = WholeBlender(tmp_path_factory.mktemp("other_user"))
+    with_it, without_it = (of.facts("loaded_modules.py", folder / "facts.json", MODULE) for of in (blender, other))
     assert with_it["is_enabled"] and not without_it["is_enabled"]
     return set(with_it["modules"]), set(without_it["modules"])
 

@@ -4,24 +4,16 @@ A change is a function of the scene. Rooms are at rest for one frame, with direc
 clamped, so that the brightness of a lamp changes nothing but the exposure.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
-from typing import Any
-
 import bpy
 import numpy as np
-from tiny_scenes import box, key, room_with_a_virtual_sphere, sphere
+from tiny_scenes import add, add_lamp, box, key, light_strength, node_of, room_with_a_virtual_sphere, sphere
 
 from xihe_blender.scene.virtual_objects import virtual_collection
 
-Change = Callable[[bpy.types.Scene], None]
 
-
-def room(*changes: Change) -> bpy.types.Scene:
+def room(*changes):
     """The small room after `changes`."""
-    scene = room_with_a_virtual_sphere(1)
-    scene.camera.animation_data_clear()
+    scene = room_with_a_virtual_sphere(1, is_still=True)
     scene.cycles.sample_clamp_indirect = 0.0
     for change in changes:
         change(scene)
@@ -29,13 +21,8 @@ def room(*changes: Change) -> bpy.types.Scene:
     return scene
 
 
-# ------------------------------------------------------------------------------------------------------------ geometry
-
-
-def add_mesh(
-    points: Sequence[Any] = (), edges: Sequence[Any] = (), faces: Sequence[Any] = (), *, is_virtual: bool = False
-) -> Change:
-    def change(scene: bpy.types.Scene) -> None:
+def add_mesh(points=(), edges=(), faces=(), *, is_virtual=False):
+    def change(scene):
         mesh = bpy.data.meshes.new("Odd")
         mesh.from_pydata(list(points), list(edges), list(faces))
         _add(scene, mesh, is_virtual)
@@ -43,32 +30,29 @@ def add_mesh(
     return change
 
 
-def add_instance(*, is_virtual: bool) -> Change:
+def add_empty_instance(*, is_virtual):
     """An empty that instances a collection with nothing in it."""
 
-    def change(scene: bpy.types.Scene) -> None:
+    def change(scene):
         item = _add(scene, None, is_virtual)
         item.instance_type, item.instance_collection = "COLLECTION", bpy.data.collections.new("Nothing")
 
     return change
 
 
-def _add(scene: bpy.types.Scene, data: bpy.types.ID | None, is_virtual: bool) -> bpy.types.Object:
-    item = bpy.data.objects.new("Odd", data)
-    item.location = (0.2, 0.0, 0.85)
-    (virtual_collection(scene) if is_virtual else scene.collection).objects.link(item)
-    return item
+def _add(scene, data, is_virtual):
+    return add(scene, "Odd", data, (0.2, 0.0, 0.85), virtual_collection(scene) if is_virtual else None)
 
 
-def move_vertex(name: str, place: float) -> Change:
+def move_vertex(name, place):
     """One vertex of an object to (place, place, place)."""
     return lambda scene: setattr(scene.objects[name].data.vertices[3], "co", (place,) * 3)
 
 
-def put(name: str, **values: Any) -> Change:
+def put(name, **values):
     """Attributes of an object, or of its data."""
 
-    def change(scene: bpy.types.Scene) -> None:
+    def change(scene):
         for attribute, value in values.items():
             item = scene.objects[name]
             setattr(item if hasattr(item, attribute) else item.data, attribute, value)
@@ -76,28 +60,28 @@ def put(name: str, **values: Any) -> Change:
     return change
 
 
-def remove(*names: str) -> Change:
-    def change(scene: bpy.types.Scene) -> None:
+def remove(*names):
+    def change(scene):
         for name in names:
             bpy.data.objects.remove(scene.objects[name])
 
     return change
 
 
-def add_block(centre: Sequence[float]) -> Change:
+def add_block(centre):
     """A closed box in the room around `centre`."""
     return lambda scene: box(scene, "Block", centre, (0.4, 0.4, 0.4))
 
 
-def add_shell(scene: bpy.types.Scene) -> None:
+def add_shell(scene):
     """A virtual sphere around the other one."""
     sphere(scene, "Shell", (0, 0, 0.85), 0.3, None, virtual_collection(scene))
 
 
-def scale_all(factor: float, *, scale_length: float = 1.0, is_clip_scaled: bool = True) -> Change:
+def scale_all(factor, *, scale_length=1.0, is_clip_scaled=True):
     """Everything `factor` times as large, in units of `scale_length` metres."""
 
-    def change(scene: bpy.types.Scene) -> None:
+    def change(scene):
         scene.unit_settings.system, scene.unit_settings.scale_length = "METRIC", scale_length
         for item in scene.objects:
             item.location *= factor
@@ -110,82 +94,73 @@ def scale_all(factor: float, *, scale_length: float = 1.0, is_clip_scaled: bool 
     return change
 
 
-def move_all(offset: float) -> Change:
-    def change(scene: bpy.types.Scene) -> None:
+def move_all(offset):
+    def change(scene):
         for item in scene.objects:
             item.location.x += offset
 
     return change
 
 
-# --------------------------------------------------------------------------------------------------------------- light
-
-
-def panel(strength: float) -> Change:
+def panel(strength):
     """How strongly the room's shining panel shines."""
-    return lambda scene: setattr(_input("Light", "Emission", "Strength"), "default_value", strength)
+    return lambda scene: setattr(light_strength(), "default_value", strength)
 
 
-def _input(material: str, node: str, name: str) -> Any:
-    return bpy.data.materials[material].node_tree.nodes[node].inputs[name]
-
-
-def lamp_alone(energy: float, kind: str = "POINT") -> Change:
+def lamp_alone(energy, kind="POINT"):
     """A lamp instead of the panel."""
 
-    def change(scene: bpy.types.Scene) -> None:
+    def change(scene):
         panel(0.0)(scene)
-        data = bpy.data.lights.new("Bulb", kind)
-        data.energy = energy
-        item = bpy.data.objects.new("Bulb", data)
-        item.location = (0.5, 0.5, 2.0)
-        scene.collection.objects.link(item)
+        add_lamp(scene, kind, (0.5, 0.5, 2.0), "Bulb", energy=energy)
 
     return change
 
 
-def lamp_that_breaks(scene: bpy.types.Scene) -> None:
+def lamp_that_breaks(scene):
     """10 W at the first frame, 1e31 W at the second."""
     lamp_alone(10.0)(scene)
     scene.frame_end = 2
     key(bpy.data.lights["Bulb"], "energy", {1: 10.0, 2: 1e31})
 
 
-def feed_panel(node_type: str, values: Sequence[float]) -> Change:
+def feed_panel(node_type, values):
     """A node with these constants that feeds the panel's strength."""
 
-    def change(scene: bpy.types.Scene) -> None:
+    def change(scene):
         tree = bpy.data.materials["Light"].node_tree
         node = tree.nodes.new(node_type)
         if node_type == "ShaderNodeMath":
             node.operation = "MULTIPLY"
         for socket, value in zip(node.inputs if node_type == "ShaderNodeMath" else node.outputs, values, strict=False):
             socket.default_value = value
-        tree.links.new(node.outputs[0], _input("Light", "Emission", "Strength"))
+        tree.links.new(node.outputs[0], light_strength())
 
     return change
 
 
-def paint_walls(*colour: float) -> Change:
-    return lambda scene: setattr(_input("Walls", "Diffuse BSDF", "Color"), "default_value", (*colour, 1.0))
+def paint_walls(*colour):
+    def change(scene):
+        node_of(bpy.data.materials["Walls"], "BSDF_DIFFUSE").inputs["Color"].default_value = (*colour, 1.0)
+
+    return change
 
 
-def background(strength: float) -> Change:
-    return lambda scene: setattr(_background(scene).inputs["Strength"], "default_value", strength)
+def background(strength):
+    def change(scene):
+        node_of(scene.world, "BACKGROUND").inputs["Strength"].default_value = strength
+
+    return change
 
 
-def _background(scene: bpy.types.Scene) -> Any:
-    return next(node for node in scene.world.node_tree.nodes if node.type == "BACKGROUND")
-
-
-def no_world(scene: bpy.types.Scene) -> None:
+def no_world(scene):
     scene.world = None
 
 
-def sky(value: float, n_pixels: int) -> Change:
+def sky(value, n_pixels):
     """An HDRI of ones, `n_pixels` of which are `value`, in place of walls."""
 
-    def change(scene: bpy.types.Scene) -> None:
+    def change(scene):
         remove("Room")(scene)
         pixels = np.ones((16 * 32, 4), np.float32)
         pixels[:n_pixels, :3] = value
@@ -196,6 +171,6 @@ def sky(value: float, n_pixels: int) -> Change:
         scene.world.cycles.sampling_method, scene.world.cycles.sample_map_resolution = "MANUAL", 64
         node = scene.world.node_tree.nodes.new("ShaderNodeTexEnvironment")
         node.image = image
-        scene.world.node_tree.links.new(node.outputs[0], _background(scene).inputs["Color"])
+        scene.world.node_tree.links.new(node.outputs[0], node_of(scene.world, "BACKGROUND").inputs["Color"])
 
     return change

@@ -1,7 +1,5 @@
 """Hard cases of scenes: what Blender lets a user build, from an object without faces to a lamp of NaN watts."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -9,7 +7,7 @@ import pytest
 from addon_tests.hard_case import case
 from addon_tests.in_blender.hard_cases.broken_scenes import (
     add_block,
-    add_instance,
+    add_empty_instance,
     add_mesh,
     add_shell,
     background,
@@ -41,7 +39,7 @@ FAN_FACES = [(0, 1, 2), (0, 1, 3), (0, 1, 4), (1, 0, 4)]
 MESHES = [
     case(
         "a mesh without vertices, edges alone, faces without area and an instance of nothing change nothing",
-        [add_mesh(), add_mesh(FLAT, [(0, 1)]), add_mesh(FLAT, (), [(0, 1, 2)]), add_instance(is_virtual=False)],
+        [add_mesh(), add_mesh(FLAT, [(0, 1)]), add_mesh(FLAT, (), [(0, 1, 2)]), add_empty_instance(is_virtual=False)],
         AS_IT_IS,
     ),
     case(
@@ -50,7 +48,7 @@ MESHES = [
             add_mesh(is_virtual=True),
             add_mesh(FLAT, [(0, 1)], is_virtual=True),
             add_mesh(FLAT, (), [(0, 1, 2)], is_virtual=True),
-            add_instance(is_virtual=True),
+            add_empty_instance(is_virtual=True),
         ],
         lit(5),
     ),
@@ -115,7 +113,7 @@ CAMERAS = [
 
 LAMPS = [
     case("no light at all is named", panel(0.0), DARK),
-    case("a lamp of 0 W is named", lamp_alone(0.0), DARK),
+    case("a lamp of 0 W is nothing to meter by", lamp_alone(0.0), says("no light to meter the exposure by")),
     case(
         "a lamp of 1e29 W gives the light of 100 W at its own exposure",
         lamp_alone(1e29),
