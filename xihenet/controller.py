@@ -45,7 +45,8 @@ class ControllerSettings:
     """How a session runs."""
 
     trigger: TriggerSettings = field(default_factory=TriggerSettings)
-    codec: EncodingMethod = "uint8_float16_stripped"  # by which `payload_bytes` is counted
+    # What `payload_bytes` counts: the record that carries all the estimators are told, facing among it.
+    codec: EncodingMethod = "uint8_float16_facing_stripped"
     nearest: NearestMethod = "exact"  # how points find their anchor, see `AnchorLattice.nearest`
     table_size: tuple[int, int] = TABLE_SIZE
     reference_exposure: float | None = None  # that anchors and estimates carry; None takes the first frame's

@@ -38,7 +38,7 @@ def test_the_chain_equals_its_stages_called_by_hand():
     report = controller.step(frame)["Vase"]
     cloud = sample_unit_sphere(unproject_frame(frame), (0, 1.5, 0), controller.lattice)
     assert report.decision.reason == "first"
-    assert report.payload_bytes == len(encode_cloud(cloud)) > 0
+    assert report.payload_bytes == len(encode_cloud(cloud, "uint8_float16_facing_stripped")) > 0
     assert report.coverage == cloud.is_set.mean()
     np.testing.assert_array_equal(report.estimate.sh_radiance, estimators.load("projection", N).estimate(cloud))
     assert list(report.stage_ms) == ["unproject", "sample", "merge", "trigger", "encode", "estimate"]

@@ -21,6 +21,7 @@ from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.results_notes import notes
 from xihe_blender.report.values import mean
+from xihenet.controller import ControllerSettings
 from xihenet.effects import Effect, Requirement, effects_as_json, plan_effects
 from xihenet.invalid import added, counted
 from xihenet.phone import Request, first_frame_after
@@ -146,7 +147,7 @@ def _settings(run: PreparedRun) -> records.RunSettings:
         **{name: getattr(settings, name) for name in AS_SET},
         size=run.plan.size,
         frames=run.plan.frames,
-        codec="uint8_float16_stripped",
+        codec=ControllerSettings.codec,
         effect_choices=overrides_in_force(run.scene, settings.effect_choices),
         reference_exposure=run.exposure,
         metering=None if settings.exposure is not None else settings.metering_in_force,

@@ -48,7 +48,9 @@ def compute_choices(*, is_quick: bool) -> list[ComputeChoice]:
         replace(base, nearest="brute"),
         *(replace(base, every_pixel=step) for step in (2, 4)),
         *(replace(base, theta=theta) for theta in ((0.0, 0.6) if is_quick else (0.0, 0.005, 0.1, 0.6))),
-        *(replace(base, wire=method) for method in ("float32_stripped", "uint8_float16_stripped")),
+        replace(base, wire="float32_stripped"),
+        replace(base, wire="uint8_float16_stripped"),
+        replace(base, wire="uint8_float16_facing_stripped"),
     ]
     combined = [
         replace(base, n_anchors=512, every_pixel=4),
