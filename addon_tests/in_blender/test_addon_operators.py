@@ -213,6 +213,7 @@ def test_grey_buttons_without_anything_say_what_to_do(tmp_path):
         "show_room": "This is the room: press Show Lit to see the objects lit",
         "go_to_trigger": "There are no triggers on the timeline: run first, or apply the last run",
         "show_comparison": no_results,
+        "save_side_by_side": no_results,
         "open_report": no_results,
         "remove_old_runs": f"There are no runs in {tmp_path}",
     }

@@ -24,11 +24,11 @@ from xihe_blender.addon.results_in_blender import (
     remove_everything,
     show_comparison,
     show_light,
-    wiped,
 )
 from xihe_blender.addon.shown_run import run_and_show
 from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
 from xihe_blender.apply.sh_worlds import f_curves
+from xihe_blender.compare.side_by_side import wiped
 from xihe_blender.errors import UserError
 from xihe_blender.io.run_results import read_results
 from xihe_blender.jobs import run_blocking

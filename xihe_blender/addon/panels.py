@@ -287,7 +287,9 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         right = row.row()
         right.alignment = "RIGHT"
         right.label(text="Ground Truth")
-        layout.operator("xihe.open_report", text="Open Report", icon="URL")
+        column = layout.column(align=True)
+        column.operator("xihe.save_side_by_side", icon="FILE_MOVIE")
+        column.operator("xihe.open_report", text="Open Report", icon="URL")
 
 
 class XIHE_PT_apply(StagePanel, bpy.types.Panel):

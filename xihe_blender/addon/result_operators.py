@@ -63,6 +63,29 @@ class XIHE_OT_show_comparison(polls.Conditional, bpy.types.Operator):
         return {"FINISHED"}
 
 
+class XIHE_OT_save_side_by_side(polls.Conditional, bpy.types.Operator):
+    bl_idname = "xihe.save_side_by_side"
+    bl_label = "Save Side by Side"
+    bl_description = (
+        "Write a video, and a picture of each compared frame, into the run's folder: what the phone captured, ground "
+        "truth, estimate, and a line that wipes from one to the other"
+    )
+    bl_options = {"REGISTER"}
+    conditions = (polls.is_idle, polls.has_last_run, polls.has_comparison)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from xihe_blender.compare.side_by_side import save_side_by_side
+        from xihe_blender.io.run_results import read_results
+
+        folder = last_run_folder(context.scene)
+        try:
+            video = save_side_by_side(read_results(folder), folder)
+        except FAILURES as error:
+            return failed(self, context, error)
+        self.report({"INFO"}, f"Saved {video}")
+        return {"FINISHED"}
+
+
 class XIHE_OT_open_report(polls.Conditional, bpy.types.Operator):
     bl_idname = "xihe.open_report"
     bl_label = "Open Report"
@@ -100,5 +123,5 @@ def _show_in_editor(context: bpy.types.Context, image: bpy.types.Image | None) -
 
 
 register, unregister = bpy.utils.register_classes_factory(
-    (XIHE_OT_go_to_trigger, XIHE_OT_show_comparison, XIHE_OT_open_report)
+    (XIHE_OT_go_to_trigger, XIHE_OT_show_comparison, XIHE_OT_save_side_by_side, XIHE_OT_open_report)
 )

@@ -33,6 +33,7 @@ from xihe_blender.apply.sh_worlds import (
     remove_trigger_markers,
     world_name,
 )
+from xihe_blender.compare.side_by_side import read_picture, wiped
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import RunResults, read_results
@@ -44,8 +45,6 @@ from xihenet.records import ArrayF32, ArrayF64
 ERROR_CURVE, COVERAGE_CURVE = "Xihe SHC RMSE", "Xihe coverage"
 LIGHT_HEIGHT = 64
 """Of the panorama; order 2 has no detail that more pixels would show."""
-
-WIPE_LINE = 1.0
 
 
 def show_results(scene: bpy.types.Scene, results: RunResults, folder: Path, *, wipe: float = 0.5) -> None:
@@ -172,7 +171,7 @@ def show_comparison(results: RunResults, folder: Path, frame: int, wipe: float =
     if nearest is None:
         return None
     pictures = results.compared_frames[nearest].pictures
-    estimate, truth = (_read_picture(folder / pictures[kind]) for kind in (results.settings.estimator, "ground_truth"))
+    estimate, truth = (read_picture(folder / pictures[kind]) for kind in (results.settings.estimator, "ground_truth"))
     return _write_image(COMPARISON_NAME, wiped(estimate, truth, wipe), is_float=False)
 
 
@@ -183,42 +182,9 @@ def show_comparison_at(scene: bpy.types.Scene, folder: Path, wipe: float) -> Non
     show_comparison(read_results(folder), folder, scene.frame_current, wipe)
 
 
-def wiped(estimate: ArrayF32, truth: ArrayF32, wipe: float) -> ArrayF32:
-    """(H, W, 3) `estimate` on the left, `truth` on the right, and a white line of one pixel between them.
-
-    `wipe` is the line's place, 0 at the left edge, where all is truth, and 1 at the right; neither has a line.
-    ValueError for pictures of different shapes.
-    """
-    if estimate.shape != truth.shape:
-        raise ValueError(f"expected two pictures of one shape, got {estimate.shape} and {truth.shape}")
-    width = truth.shape[1]
-    place = round(min(max(wipe, 0.0), 1.0) * width)
-    picture: ArrayF32 = truth.copy()
-    picture[:, :place] = estimate[:, :place]
-    if 0 < place < width:
-        picture[:, place] = WIPE_LINE
-    return picture
-
-
 def _remove_image(name: str) -> None:
     image = image_named(name)
     if image is not None:
-        bpy.data.images.remove(image)
-
-
-def _read_picture(path: Path) -> ArrayF32:
-    """(H, W, 3) of a PNG of the run, sRGB-encoded in [0, 1], row 0 at the top."""
-    try:
-        image = bpy.data.images.load(str(path))
-    except RuntimeError as error:
-        raise UserError(f"{path} cannot be read: run again") from error
-    try:
-        width, height = image.size
-        pixels = np.empty(width * height * image.channels, np.float32)
-        image.pixels.foreach_get(pixels)
-        picture: ArrayF32 = pixels.reshape(height, width, -1)[::-1, :, :3]
-        return picture
-    finally:
         bpy.data.images.remove(image)
 
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from xihenet.png import write_png
-from xihenet.records import ArrayF64, ArrayU8
+from xihenet.records import ArrayF32, ArrayF64, ArrayU8
 
 MAX_STEM = 40
 """Characters of an object's name in a file name: Blender 5 allows 255 bytes, as much as a whole file name may have."""
@@ -41,6 +41,7 @@ class RunOutputs:
 
     results = _at("results.json")
     report = _at("report.html")
+    side_by_side = _at("side_by_side.mp4")  # on request
     settings = _at("work", "settings.json")  # of the work below: a run resumes only where they are the same
     # What a resumed run takes over: the exposure that was metered, the plan of effects that renders go by, the numbers
     # of samples, and what is known of each frame before any is captured.
@@ -139,7 +140,7 @@ def copy_whole(source: Path, target: Path) -> None:
         shutil.copyfile(source, beside)
 
 
-def write_picture(path: Path, picture: ArrayF64 | ArrayU8) -> None:
+def write_picture(path: Path, picture: ArrayF32 | ArrayF64 | ArrayU8) -> None:
     """Write (H, W, 3) uint8, or floats in [0, 1], as sRGB, whole or not at all."""
     pixels = picture if picture.dtype == np.uint8 else np.rint(picture * 255).astype(np.uint8)
     with written_whole(path) as beside:

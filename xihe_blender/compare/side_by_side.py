@@ -1,0 +1,203 @@
+"""Captured picture, ground truth, estimate and a wipe between the two: what of a run an artist shows to others.
+
+Each compared frame becomes one labelled picture, and all of them an .mp4 that plays as fast as the walk was. Blender's
+sequencer writes the labels and encodes, so that no font and no encoder has to be installed. Pictures are enlarged by
+whole pixels, and nothing else is done to them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from xihe_blender.capture.render import WORKING
+from xihe_blender.errors import UserError
+from xihe_blender.io.outputs import RunOutputs, copy_whole, write_picture
+from xihe_blender.io.run_results import RunResults
+from xihenet.records import ArrayF32
+
+WIPE_LINE = 1.0
+"""sRGB brightness of the line between estimate and ground truth."""
+
+SMALLEST_WIDTH_PX = 480
+"""To which small pictures are enlarged, so that a label fits above each."""
+
+BAR_PX = 36
+BAR = 0.06
+SCENE = "Xihe Side by Side"
+
+
+def save_side_by_side(results: RunResults, folder: Path, method: str | None = None) -> Path:
+    """Write pictures/side_by_side_*.png and side_by_side.mp4 of the run in `folder`; the path of the latter.
+
+    `method` is the one beside the ground truth, by default the run's estimator. UserError if the run compared no frame,
+    did not compare that method, or if its pictures are gone; OSError where they cannot be written.
+    """
+    method = method or results.settings.estimator
+    compared = results.compared_frames
+    if not compared:
+        raise UserError(f"{folder} has no compared frames, so there is nothing to show side by side")
+    known = [name for name in results.comparison if name in next(iter(compared.values())).pictures]
+    if method not in known:
+        raise UserError(f"{folder} has no pictures of {method}: choose one of {', '.join(known)}")
+    outputs = RunOutputs(folder, "")
+    with tempfile.TemporaryDirectory(prefix="xihe_") as temporary:
+        unlabelled = []
+        for number, (frame, shown) in enumerate(compared.items(), start=1):
+            kinds = ("captured", "ground_truth", method)
+            pictures = [enlarged(read_picture(folder / shown.pictures[kind])) for kind in kinds]
+            unlabelled.append(Path(temporary) / f"{frame:04d}.png")
+            write_picture(unlabelled[-1], composed(*pictures, wipe=wipe_at(number, len(compared))))
+        height, width, _ = pictures[0].shape
+        labels = ("Captured by the phone", "Ground truth", f"Estimate: {method}", f"{method} | ground truth")
+        fps = results.scene.fps * (len(compared) - 1) / max(max(compared) - min(compared), 1)
+        with sequence(unlabelled, (width, height), labels, fps or 1.0) as scene:
+            labelled = render_pictures(scene, Path(temporary))
+            film = render_film(scene, Path(temporary))
+        for frame, picture in zip(compared, labelled, strict=True):
+            copy_whole(picture, outputs.picture("side_by_side", frame))
+        copy_whole(film, outputs.side_by_side)
+    return outputs.side_by_side
+
+
+def wipe_at(number: int, n: int) -> float:
+    """Where the line of picture `number` (from 1) of `n` stands: it sweeps right once, and never stands at an edge."""
+    return number / (n + 1)
+
+
+def wiped(estimate: ArrayF32, truth: ArrayF32, wipe: float) -> ArrayF32:
+    """(H, W, 3) `estimate` on the left, `truth` on the right, and a white line of one pixel between them.
+
+    `wipe` is the line's place, 0 at the left edge, where all is truth, and 1 at the right; neither has a line.
+    ValueError for pictures of different shapes.
+    """
+    if estimate.shape != truth.shape:
+        raise ValueError(f"expected two pictures of one shape, got {estimate.shape} and {truth.shape}")
+    width = truth.shape[1]
+    place = round(min(max(wipe, 0.0), 1.0) * width)
+    picture: ArrayF32 = truth.copy()
+    picture[:, :place] = estimate[:, :place]
+    if 0 < place < width:
+        picture[:, place] = WIPE_LINE
+    return picture
+
+
+def enlarged(picture: ArrayF32) -> ArrayF32:
+    """`picture` (H, W, 3), each of its pixels repeated as often as `SMALLEST_WIDTH_PX` needs."""
+    factor = math.ceil(SMALLEST_WIDTH_PX / picture.shape[1])
+    return picture.repeat(factor, axis=0).repeat(factor, axis=1)
+
+
+def composed(captured: ArrayF32, truth: ArrayF32, estimate: ArrayF32, *, wipe: float) -> ArrayF32:
+    """The four pictures, (H, W, 3) each, two by two, with a dark bar above each: (2 * (H + BAR_PX), 2 * W, 3)."""
+    bar = np.full((BAR_PX, *truth.shape[1:]), BAR, np.float32)
+    columns = [[bar, captured, bar, estimate], [bar, truth, bar, wiped(estimate, truth, wipe)]]
+    return np.concatenate([np.concatenate(column) for column in columns], axis=1)
+
+
+@contextlib.contextmanager
+def sequence(
+    pictures: Sequence[Path], size: tuple[int, int], labels: Sequence[str], fps: float
+) -> Iterator[bpy.types.Scene]:
+    """A scene whose sequencer plays `pictures`, made of four of `size` each, with `labels` on their bars; then gone."""
+    scene = bpy.data.scenes.new(SCENE)
+    try:
+        scene[WORKING] = True
+        width, height = size
+        set_up_output(scene, (2 * width, 2 * (height + BAR_PX)), fps)
+        scene.frame_start, scene.frame_end = 1, len(pictures)
+        editor = scene.sequence_editor_create()
+        strips = editor.strips if hasattr(editor, "strips") else editor.sequences  # Blender 4.3
+        strip = strips.new_image("Pictures", str(pictures[0]), channel=1, frame_start=1)
+        for picture in pictures[1:]:
+            strip.elements.append(picture.name)
+        for number, label in enumerate(labels):
+            row, column = divmod(number, 2)
+            above_px = row * (height + BAR_PX) + BAR_PX / 2
+            place = (column / 2 + 10 / (2 * width), 1 - above_px / (2 * (height + BAR_PX)))
+            add_label(strips, label, channel=2 + number, n_frames=len(pictures), place=place)
+        yield scene
+    finally:
+        bpy.data.scenes.remove(scene)
+
+
+def set_up_output(scene: bpy.types.Scene, size: tuple[int, int], fps: float) -> None:
+    """Make `scene` write what its sequencer shows as it is, in sRGB with no look, `fps` pictures a second."""
+    render = scene.render
+    render.resolution_x, render.resolution_y = size
+    render.resolution_percentage = 100
+    render.fps = max(1, round(fps))
+    render.fps_base = render.fps / fps
+    scene.view_settings.view_transform = "Standard"
+    scene.view_settings.look = "None"
+
+
+def add_label(strips: Any, label: str, *, channel: int, n_frames: int, place: tuple[float, float]) -> None:
+    """Write `label` beginning at `place`, shares of the width and the height from the lower left corner."""
+    given = {"name": label, "type": "TEXT", "channel": channel, "frame_start": 1}
+    try:
+        strip = strips.new_effect(**given, length=n_frames)
+    except TypeError:  # Blender 4
+        strip = strips.new_effect(**given, frame_end=1 + n_frames)
+    strip.text, strip.font_size, strip.location = label, 0.6 * BAR_PX, place
+    anchors = ("anchor_x", "anchor_y") if hasattr(strip, "anchor_x") else ("align_x", "align_y")  # Blender 4.3
+    for anchor, side in zip(anchors, ("LEFT", "CENTER"), strict=True):
+        setattr(strip, anchor, side)
+
+
+def render_pictures(scene: bpy.types.Scene, folder: Path) -> list[Path]:
+    """What the sequencer of `scene` shows, as PNG."""
+    choose_format(scene, "IMAGE", "PNG")
+    render(scene, folder / "labelled_")
+    return sorted(folder.glob("labelled_*.png"))
+
+
+def render_film(scene: bpy.types.Scene, folder: Path) -> Path:
+    """What the sequencer of `scene` shows, as H.264 in .mp4."""
+    choose_format(scene, "VIDEO", "FFMPEG")
+    encoder = scene.render.ffmpeg
+    encoder.format, encoder.codec, encoder.audio_codec = "MPEG4", "H264", "NONE"
+    encoder.constant_rate_factor = "HIGH"
+    render(scene, folder / "film.mp4")
+    return folder / "film.mp4"
+
+
+def choose_format(scene: bpy.types.Scene, media_type: str, file_format: str) -> None:
+    """Set the format of output; Blender 5 asks for its kind first."""
+    image_settings = scene.render.image_settings
+    if hasattr(image_settings, "media_type"):
+        image_settings.media_type = media_type
+    image_settings.file_format = file_format
+
+
+def render(scene: bpy.types.Scene, path: Path) -> None:
+    """Render all of `scene`. UserError if this Blender cannot."""
+    scene.render.filepath = str(path)
+    try:
+        with bpy.context.temp_override(scene=scene):
+            bpy.ops.render.render(animation=True)
+    except (RuntimeError, TypeError) as error:
+        raise UserError(f"Blender could not write {path.name}: {str(error).strip()}") from error
+
+
+def read_picture(path: Path) -> ArrayF32:
+    """(H, W, 3) of a PNG of a run, sRGB-encoded in [0, 1], row 0 at the top. UserError if it cannot be read."""
+    try:
+        image = bpy.data.images.load(str(path))
+    except RuntimeError as error:
+        raise UserError(f"{path} cannot be read: run again") from error
+    try:
+        width, height = image.size
+        pixels = np.empty(width * height * image.channels, np.float32)
+        image.pixels.foreach_get(pixels)
+        picture: ArrayF32 = pixels.reshape(height, width, -1)[::-1, :, :3]
+        return picture
+    finally:
+        bpy.data.images.remove(image)
