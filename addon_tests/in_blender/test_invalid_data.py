@@ -7,8 +7,8 @@ from renders import captured
 from results_schema import read_strictly
 from tiny_scenes import box, empty_scene, light_strength, look_at, material, phone, set_world, sphere
 
-from xihe_blender.addon.last_run import last_run
 from xihe_blender.addon.panels import result_rows
+from xihe_blender.addon.runs_folder import last_run
 from xihe_blender.cli.previs import format_summary
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.camera import invalid_pixels

@@ -12,8 +12,8 @@ import pytest
 import tiny_scenes
 
 from addon_tests.pure import runs
-from xihe_blender.addon import last_run as reader
 from xihe_blender.addon import overlay, panels, polls
+from xihe_blender.addon import runs_folder as reader
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.virtual_objects import virtual_collection
@@ -84,9 +84,10 @@ def test_an_overlay_is_never_made_in_background():
 
 def test_the_last_run_is_read_out_of_its_results(run_folder):
     run = reader.last_run(str(run_folder))
-    assert run.coverage_by_position == {"Ball": 0.75, "Vase": 0.5}
-    assert (run.shc_rmse, run.ambient_shc_rmse, run.render_s) == (0.25, None, 81.0)
-    assert dict(panels.result_rows(run))["Triggers"] == "3 in 2 frames"
+    assert run.last_coverage == {"Ball": 0.75, "Vase": 0.5}
+    rows = dict(panels.result_rows(run))
+    assert (rows["Light Error"], rows["Ambient Error"], rows["Rendering"]) == ("0.250", "none", "1 min 21 s")
+    assert rows["Triggers"] == "3 in 2 frames"
 
 
 def test_results_are_read_once_until_they_change(run_folder):
@@ -97,7 +98,7 @@ def test_results_are_read_once_until_they_change(run_folder):
     path.write_text(json.dumps(changed), encoding="utf-8")
     before = path.stat().st_mtime
     os.utime(path, (before + 5, before + 5))
-    assert reader.last_run(str(run_folder)).estimator == "ambient"
+    assert reader.last_run(str(run_folder)).settings.estimator == "ambient"
 
 
 def test_results_that_are_none_and_a_folder_that_is_gone_are_no_run(tmp_path):
@@ -186,9 +187,9 @@ def test_what_is_asked_at_every_redraw_needs_nothing_heavy():
     # A module that is None cannot be imported. The wheel itself has imported NumPy already.
     code = (
         f"import sys, bpy; sys.modules.update(dict.fromkeys({heavy}));"
-        "from xihe_blender.addon import panels, overlay, last_run;"
+        "from xihe_blender.addon import panels, overlay, runs_folder;"
         "from xihe_blender.scene.virtual_objects import virtual_objects;"
-        "virtual_objects(bpy.context.scene); last_run.last_run('/nowhere');"
+        "virtual_objects(bpy.context.scene); runs_folder.last_run('/nowhere');"
         "from xihe_blender import addon; from xihe_blender.addon import polls; addon.register('xihe_test');"
         "polls.doubts(bpy.context.scene);"
         "conditions = [value for name, value in vars(polls).items() if name.startswith(('is_', 'has_'))];"

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import bpy
 
-from xihe_blender.addon.last_run import last_run
+from xihe_blender.addon.runs_folder import last_run
 
 Colour = tuple[float, float, float, float]
 Box = tuple[float, float, float, float]
@@ -60,7 +60,7 @@ class Overlay:
         if scene.name not in self.positions:
             self.positions[scene.name] = shown_positions(scene, context.evaluated_depsgraph_get())
         run = last_run(scene.xihe.run_folder)
-        coverage = run.coverage_by_position if run else {}
+        coverage = run.last_coverage if run else {}
         taken: list[Box] = []
         for position, x, y in on_screen(context, self.positions[scene.name]):
             seen = coverage.get(position.name)

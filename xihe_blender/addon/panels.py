@@ -14,15 +14,17 @@ from __future__ import annotations
 import textwrap
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
 from xihe_blender.addon.calibration import calibration_line
-from xihe_blender.addon.last_run import LastRun, last_run
 from xihe_blender.addon.polls import doubts, has_camera, has_virtual_objects, shows_run
-from xihe_blender.addon.runs_folder import look_at_run
+from xihe_blender.addon.runs_folder import last_run, look_at_run
 from xihenet.formats import format_duration
+
+if TYPE_CHECKING:
+    from xihe_blender.io.run_results import RunResults
 
 TAB = "Xihe"
 N_NAMED = 6
@@ -175,8 +177,9 @@ class XIHE_PT_estimator(StagePanel, bpy.types.Panel):
         layout.prop(settings, "preset")
         self._draw_costs(context, layout)
         run = last_run(settings.run_folder)
-        if run is not None and run.step_ms is not None and run.estimator == settings.estimator:
-            layout.label(text=f"{run.step_ms:.1f} ms a frame, last run", icon="TIME")
+        step_ms = None if run is None else run.summary.mean_step_ms
+        if run is not None and step_ms is not None and run.settings.estimator == settings.estimator:
+            layout.label(text=f"{step_ms:.1f} ms a frame, last run", icon="TIME")
 
     def _draw_costs(self, context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
         costs = calibration_line()
@@ -327,20 +330,21 @@ def missing_run(folder: str) -> str:
     return "The folder of the last run is gone: run again" if folder else "No results yet: press Run"
 
 
-def result_rows(run: LastRun) -> list[tuple[str, str]]:
+def result_rows(run: RunResults) -> list[tuple[str, str]]:
     """(label, value) of the last run, both short enough for half the sidebar."""
+    summary = run.summary
     rows = [
-        ("Triggers", f"{run.n_estimates} in {run.n_frames} frames"),
-        ("Light Error", _number(run.shc_rmse, ".3f")),
-        ("Ambient Error", _number(run.ambient_shc_rmse, ".3f")),
-        ("Coverage", _number(run.coverage, ".0%")),
-        ("Chain", _number(run.step_ms, ".1f", " ms")),
-        ("Rendering", format_duration(run.render_s)),
+        ("Triggers", f"{summary.n_estimates} in {summary.n_frames} frames"),
+        ("Light Error", _number(summary.mean_shc_rmse, ".3f")),
+        ("Ambient Error", _number(summary.ambient_shc_rmse, ".3f")),
+        ("Coverage", _number(summary.mean_coverage, ".0%")),
+        ("Chain", _number(summary.mean_step_ms, ".1f", " ms")),
+        ("Rendering", format_duration(summary.render_s + summary.comparison_render_s)),
     ]
-    if run.n_invalid_points:
-        rows.append(("Invalid Points", f"{run.n_invalid_points:,}"))
-    if run.n_unknown_lights:
-        rows.append(("Unknown Light", f"{run.n_unknown_lights} times"))
+    if summary.n_invalid_points:
+        rows.append(("Invalid Points", f"{summary.n_invalid_points:,}"))
+    if summary.n_unknown_lights:
+        rows.append(("Unknown Light", f"{summary.n_unknown_lights} times"))
     return rows
 
 

@@ -1,15 +1,19 @@
 """Where are runs from the panel kept, which of them does the open file still show, and which not yet?
 
-Nothing heavy is imported: the preferences ask at every redraw.
+Nothing heavy is imported: panels and preferences ask at every redraw. So results are read once per file: a results.json
+holds thousands of numbers, and a redraw costs one look at the file's date. Rejected: copies of the numbers that the
+panel shows as properties of the scene, which would still be there when the run's folder is gone.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 
@@ -17,6 +21,9 @@ from xihe_blender.addon.background_script import is_locked
 from xihe_blender.addon.preferences import runs_folder
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.errors import UserError
+
+if TYPE_CHECKING:
+    from xihe_blender.io.run_results import RunResults
 
 
 def new_run_folder(scene: bpy.types.Scene) -> Path:
@@ -84,3 +91,24 @@ def look_at_run(folder: Path) -> UnshownRun | None:
 def shown_runs() -> set[Path]:
     """Folders of the runs that scenes of the open file show."""
     return {last_run_folder(scene) for scene in bpy.data.scenes if scene.xihe.run_folder}
+
+
+def last_run(folder: str) -> RunResults | None:
+    """The run in `folder`, as a scene remembers it; None without one, or where its results are gone or unreadable."""
+    if not folder:
+        return None
+    path = Path(bpy.path.abspath(folder))
+    try:
+        return _read(path, path.joinpath("results.json").stat().st_mtime_ns)
+    except OSError:
+        return None
+
+
+@functools.lru_cache(maxsize=4)
+def _read(folder: Path, _changed: int) -> RunResults | None:
+    from xihe_blender.io.run_results import read_results
+
+    try:
+        return read_results(folder)
+    except UserError:
+        return None

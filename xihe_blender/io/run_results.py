@@ -324,6 +324,11 @@ class RunResults:
         """Of all frames."""
         return [probe for frame in self.frames for probe in frame.probes]
 
+    @functools.cached_property
+    def last_coverage(self) -> dict[str, float]:
+        """Share of the sphere that was seen from each position, by its name, at the end of the run."""
+        return {probe.name: probe.coverage for probe in self.probes}
+
     def nearest_compared_frame(self, frame: int) -> int | None:
         """The compared frame next to `frame`, the earlier of two equally near; None if none was compared."""
         return min(self.compared_frames, key=lambda compared: (abs(compared - frame), compared), default=None)
