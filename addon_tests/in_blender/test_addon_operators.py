@@ -215,6 +215,7 @@ def test_grey_buttons_without_anything_say_what_to_do(tmp_path):
         "show_comparison": no_results,
         "save_side_by_side": no_results,
         "open_report": no_results,
+        "explain": "",
         "remove_old_runs": f"There are no runs in {tmp_path}",
     }
 
@@ -222,7 +223,7 @@ def test_grey_buttons_without_anything_say_what_to_do(tmp_path):
 def test_while_a_run_lasts_nothing_else_can_be_done():
     walk()
     bpy.context.window_manager.xihe.is_running = True
-    changing = set(dir(bpy.ops.xihe)) - {"cancel_run", "open_report"}
+    changing = set(dir(bpy.ops.xihe)) - {"cancel_run", "explain", "open_report"}
     for name in changing:
         assert poll_message(getattr(bpy.ops.xihe, name)) == "A run is under way: wait for it, or cancel it", name
     assert bpy.ops.xihe.cancel_run() == {"FINISHED"}

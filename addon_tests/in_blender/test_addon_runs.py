@@ -15,6 +15,7 @@ from scene_snapshot import data_blocks, differences, snapshot
 from shown_lights import keyed
 from tiny_scenes import empty_scene, node_of, phone, set_world
 
+from xihe_blender.addon.comparison_view import follow_playhead
 from xihe_blender.addon.results_in_blender import (
     COVERAGE_CURVE,
     ERROR_CURVE,
@@ -28,7 +29,7 @@ from xihe_blender.addon.results_in_blender import (
 from xihe_blender.addon.shown_run import run_and_show
 from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
 from xihe_blender.apply.sh_worlds import f_curves
-from xihe_blender.compare.side_by_side import wiped
+from xihe_blender.compare.side_by_side import middle_of_change, wiped
 from xihe_blender.errors import UserError
 from xihe_blender.io.run_results import read_results
 from xihe_blender.jobs import run_blocking
@@ -230,6 +231,29 @@ def test_moving_the_wipe_composes_the_image_anew(shown):
     remove_everything(scene)
     scene.xihe.wipe = 0.3
     assert image_named(COMPARISON_NAME) is None, "a slider makes nothing that was removed"
+
+
+def test_the_comparison_follows_the_playhead(shown):
+    results, scene = read_results(shown), bpy.context.scene
+    frames = list(results.compared_frames)
+    for frame in (frames[-1], frames[0]):
+        scene.frame_set(frame)
+        follow_playhead()
+        image = image_named(COMPARISON_NAME)
+        assert image["xihe_frame"] == frame
+        expected = pixels_of_file(shown / "pictures" / f"ground_truth_{frame:04d}.png")[:, -1, :3]
+        np.testing.assert_allclose(pixels(image)[:, -1, :3], expected, atol=1e-6)
+    remove_everything(scene)
+    follow_playhead()
+    assert image_named(COMPARISON_NAME) is None, "a playhead makes nothing that was removed"
+
+
+def test_the_wipe_begins_where_half_of_the_objects_is_on_either_side():
+    before = np.full((4, 10, 3), 0.5, np.float32)
+    after = before.copy()
+    after[1, [1, 2, 8]] = 1.0
+    assert middle_of_change(before, after) == 0.25
+    assert middle_of_change(before, before) == 0.5
 
 
 @pytest.mark.parametrize("wipe", [-1.0, 0.0, 0.01, 0.5, 0.999, 1.0, 2.0])

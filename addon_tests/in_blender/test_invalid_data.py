@@ -62,9 +62,9 @@ def test_the_kept_light_is_said_in_words_everywhere(blinded):
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "last light kept: no surface was seen from there" in page
     assert "the light of frame 1 was kept" in page
-    rows = dict(result_rows(last_run(str(out))))
+    rows = {name: value for name, value, _ in result_rows(last_run(str(out)))}
     assert rows["Unknown Light"] == "2 times"
-    assert rows["Invalid Points"] == f"{results['summary']['n_invalid_points']:,}"
+    assert rows["No Depth"] == f"{results['summary']['n_invalid_points']:,} points"
 
 
 def test_every_invalid_point_and_pixel_has_a_reason(blinded):

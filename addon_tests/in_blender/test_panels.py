@@ -85,9 +85,9 @@ def test_an_overlay_is_never_made_in_background():
 def test_the_last_run_is_read_out_of_its_results(run_folder):
     run = reader.last_run(str(run_folder))
     assert run.last_coverage == {"Ball": 0.75, "Vase": 0.5}
-    rows = dict(panels.result_rows(run))
+    rows = {name: value for name, value, _ in panels.result_rows(run)}
     assert (rows["Light Error"], rows["Ambient Error"], rows["Rendering"]) == ("0.250", "none", "1 min 21 s")
-    assert rows["Triggers"] == "3 in 2 frames"
+    assert rows["Estimates"] == "3 in 2 frames"
 
 
 def test_results_are_read_once_until_they_change(run_folder):

@@ -26,6 +26,7 @@ MODULES = (
     "light_operators",
     "panels",
     "overlay",
+    "comparison_view",
     "command",
 )
 

@@ -9,7 +9,7 @@ from xihe_blender.addon.failures import FAILURES, failed
 from xihe_blender.addon.properties import last_run_folder
 
 VIEW_BEFORE = "xihe_view"
-"""Custom property of the lit scene: how the 3D view was shaded, and from where it looked."""
+"""Custom property of the lit scene: how the 3D view was shaded, from where it looked, and whether with overlays."""
 
 
 class XIHE_OT_apply_light(polls.Conditional, bpy.types.Operator):
@@ -77,7 +77,8 @@ class XIHE_OT_show_room(polls.Conditional, bpy.types.Operator):
             context.window.scene = room
         if VIEW_BEFORE in lit and context.area.type == "VIEW_3D":
             space = context.area.spaces.active
-            space.shading.type, space.region_3d.view_perspective = lit[VIEW_BEFORE].split()
+            space.shading.type, space.region_3d.view_perspective, overlays = lit[VIEW_BEFORE].split()
+            space.overlay.show_overlays = overlays == "True"
         return {"FINISHED"}
 
 
@@ -87,8 +88,10 @@ def _enter(context: bpy.types.Context, lit: bpy.types.Scene) -> None:
     context.window.view_layer = next(layer for layer in lit.view_layers if layer.world_override == lit.world)
     if context.area is not None and context.area.type == "VIEW_3D":
         space = context.area.spaces.active
-        lit[VIEW_BEFORE] = f"{space.shading.type} {space.region_3d.view_perspective}"
+        lit[VIEW_BEFORE] = f"{space.shading.type} {space.region_3d.view_perspective} {space.overlay.show_overlays}"
         space.shading.type, space.region_3d.view_perspective = "RENDERED", "CAMERA"
+        # The floor's grid would lie over the captured frame.
+        space.overlay.show_overlays = False
 
 
 class XIHE_OT_remove_light(polls.Conditional, bpy.types.Operator):

@@ -132,19 +132,32 @@ def disc_corners(x: float, y: float, radius: float) -> list[tuple[float, float]]
 
 
 def draw_label(x: float, y: float, text: str, taken: list[Box]) -> None:
-    """`text` beside the disc, below the labels of `taken`, with a shadow to be read before a bright wall."""
-    import blf
-
+    """`text` beside the disc, below the labels of `taken`."""
     scale = bpy.context.preferences.system.ui_scale
-    blf.size(FONT, FONT_PX * scale)
     left, bottom = x + (RADIUS_PX + 5) * scale, y - 0.35 * FONT_PX * scale
-    wanted = (left, bottom, left + blf.dimensions(FONT, text)[0], bottom + LINE * FONT_PX * scale)
+    wanted = (left, bottom, left + text_width(text), bottom + LINE * FONT_PX * scale)
     box = below_others(wanted, taken)
     taken.append(box)
+    draw_text(box[0], box[1], text)
+
+
+def text_width(text: str) -> float:
+    """Pixels of `text` as `draw_text` draws it."""
+    import blf
+
+    blf.size(FONT, FONT_PX * bpy.context.preferences.system.ui_scale)
+    return float(blf.dimensions(FONT, text)[0])
+
+
+def draw_text(left: float, bottom: float, text: str) -> None:
+    """White, with a shadow to be read before a bright wall; `left` and `bottom` are pixels of the region."""
+    import blf
+
+    blf.size(FONT, FONT_PX * bpy.context.preferences.system.ui_scale)
     blf.color(FONT, 1.0, 1.0, 1.0, 1.0)
     blf.enable(FONT, blf.SHADOW)
     blf.shadow(FONT, 3, 0.0, 0.0, 0.0, 0.9)
-    blf.position(FONT, box[0], box[1], 0)
+    blf.position(FONT, left, bottom, 0)
     blf.draw(FONT, text)
     blf.disable(FONT, blf.SHADOW)
 

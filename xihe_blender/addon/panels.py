@@ -34,6 +34,28 @@ PIXELS_PER_CHARACTER = 6.6
 FEWEST_CHARACTERS = 16
 RUN_SCALE = 1.5
 
+ESTIMATES = (
+    "How often the light was estimated, all virtual objects counted. Fewer cost less; a changing light needs more"
+)
+LIGHT_ERROR = (
+    "Mean distance of the estimates from the rendered light probe, in spherical-harmonic coefficients. 0 is perfect. "
+    "An estimator is worth its time where this is well below the error of the phone's ambient light"
+)
+AMBIENT_ERROR = "The same distance for one even light as bright as the captured picture, which every phone can offer"
+COVERAGE = (
+    "Share of the directions around the virtual objects that the phone has seen. The light from all others is guessed, "
+    "so below a half let the phone look around more"
+)
+CHAIN = (
+    "Mean time from unproject to estimate, without rendering. At 30 frames a second a phone has 33 ms for all it does"
+)
+RENDERING = "Time that Cycles took for the captures, the light probes, the ground truth and the objects"
+NO_DEPTH = (
+    "Pixels without a depth, such as those of windows and sky, counted once for each position. Light that came from "
+    "there is known only from the surfaces that it falls on"
+)
+UNKNOWN_LIGHT = "How often the phone had seen too little for an estimate, so that the light before it stayed"
+
 
 class StagePanel:
     """Where all panels of the tab live; the scene that shows a run's light has the last one alone."""
@@ -270,10 +292,13 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         if settings.run_made_of:
             sentence(context, layout, f"Of the scene as it was at {settings.run_made_of}", icon="INFO")
         column = layout.column(align=True)
-        for name, value in result_rows(run):
-            split = column.split(factor=LABEL_SHARE)
+        for name, value, meaning in result_rows(run):
+            row = column.row(align=True)
+            split = row.split(factor=LABEL_SHARE)
             split.label(text=name)
             split.label(text=value, translate=False)
+            # A label has no tooltip.
+            row.operator("xihe.explain", text="", icon="QUESTION", emboss=False).meaning = meaning
         split = layout.split(factor=LABEL_SHARE)
         split.label(text="Go to Trigger")
         row = split.row(align=True)
@@ -330,21 +355,21 @@ def missing_run(folder: str) -> str:
     return "The folder of the last run is gone: run again" if folder else "No results yet: press Run"
 
 
-def result_rows(run: RunResults) -> list[tuple[str, str]]:
-    """(label, value) of the last run, both short enough for half the sidebar."""
+def result_rows(run: RunResults) -> list[tuple[str, str, str]]:
+    """(label, value, what it means) of the last run; the first two are short enough for half the sidebar."""
     summary = run.summary
     rows = [
-        ("Triggers", f"{summary.n_estimates} in {summary.n_frames} frames"),
-        ("Light Error", _number(summary.mean_shc_rmse, ".3f")),
-        ("Ambient Error", _number(summary.ambient_shc_rmse, ".3f")),
-        ("Coverage", _number(summary.mean_coverage, ".0%")),
-        ("Chain", _number(summary.mean_step_ms, ".1f", " ms")),
-        ("Rendering", format_duration(summary.render_s + summary.comparison_render_s)),
+        ("Estimates", f"{summary.n_estimates} in {summary.n_frames} frames", ESTIMATES),
+        ("Light Error", _number(summary.mean_shc_rmse, ".3f"), LIGHT_ERROR),
+        ("Ambient Error", _number(summary.ambient_shc_rmse, ".3f"), AMBIENT_ERROR),
+        ("Coverage", _number(summary.mean_coverage, ".0%"), COVERAGE),
+        ("Chain", _number(summary.mean_step_ms, ".1f", " ms a frame"), CHAIN),
+        ("Rendering", format_duration(summary.render_s + summary.comparison_render_s), RENDERING),
     ]
     if summary.n_invalid_points:
-        rows.append(("Invalid Points", f"{summary.n_invalid_points:,}"))
+        rows.append(("No Depth", f"{summary.n_invalid_points:,} points", NO_DEPTH))
     if summary.n_unknown_lights:
-        rows.append(("Unknown Light", f"{summary.n_unknown_lights} times"))
+        rows.append(("Unknown Light", f"{summary.n_unknown_lights} times", UNKNOWN_LIGHT))
     return rows
 
 

@@ -9,6 +9,22 @@ from xihe_blender.addon.failures import FAILURES, failed, format_error
 from xihe_blender.addon.properties import last_run_folder
 
 
+class XIHE_OT_explain(bpy.types.Operator):
+    bl_idname = "xihe.explain"
+    bl_label = "Explain"
+    bl_options = {"INTERNAL"}
+
+    meaning: bpy.props.StringProperty()
+
+    @classmethod
+    def description(cls, _context: bpy.types.Context, properties: XIHE_OT_explain) -> str:
+        return str(properties.meaning)
+
+    def execute(self, _context: bpy.types.Context) -> set[str]:
+        self.report({"INFO"}, self.meaning)
+        return {"FINISHED"}
+
+
 class XIHE_OT_go_to_trigger(polls.Conditional, bpy.types.Operator):
     bl_idname = "xihe.go_to_trigger"
     bl_label = "Go to Trigger"
@@ -56,6 +72,7 @@ class XIHE_OT_show_comparison(polls.Conditional, bpy.types.Operator):
 
         try:
             _show_images(context.scene)
+            _begin_wipe(context.scene)
         except FAILURES as error:
             return failed(self, context, error)
         if not bpy.app.background:
@@ -106,6 +123,16 @@ def _show_images(scene: bpy.types.Scene) -> None:
     show_images(scene, read_results(folder), folder, wipe=scene.xihe.wipe)
 
 
+def _begin_wipe(scene: bpy.types.Scene) -> None:
+    """Put the line through the middle of the objects, until someone has moved it."""
+    from xihe_blender.addon.results_in_blender import wipe_through_objects
+    from xihe_blender.io.run_results import read_results
+
+    if not scene.xihe.is_property_set("wipe"):
+        folder = last_run_folder(scene)
+        scene.xihe.wipe = wipe_through_objects(read_results(folder), folder, scene.frame_current)
+
+
 def _show_in_editor(context: bpy.types.Context, image: bpy.types.Image | None) -> None:
     """Show `image` in the Image Editor that is open, of this window first; else in a window of its own."""
     windows = [context.window, *(window for window in context.window_manager.windows if window != context.window)]
@@ -123,5 +150,5 @@ def _show_in_editor(context: bpy.types.Context, image: bpy.types.Image | None) -
 
 
 register, unregister = bpy.utils.register_classes_factory(
-    (XIHE_OT_go_to_trigger, XIHE_OT_show_comparison, XIHE_OT_save_side_by_side, XIHE_OT_open_report)
+    (XIHE_OT_explain, XIHE_OT_go_to_trigger, XIHE_OT_show_comparison, XIHE_OT_save_side_by_side, XIHE_OT_open_report)
 )

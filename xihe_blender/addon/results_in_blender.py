@@ -18,6 +18,7 @@ import numpy as np
 
 from xihe_blender.apply.datablocks import (
     COMPARISON_NAME,
+    FRAME,
     LIGHT_PREFIX,
     MADE_BY,
     ROOM,
@@ -33,7 +34,7 @@ from xihe_blender.apply.sh_worlds import (
     remove_trigger_markers,
     world_name,
 )
-from xihe_blender.compare.side_by_side import read_picture, wiped
+from xihe_blender.compare.side_by_side import middle_of_change, read_picture, wiped
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import RunResults, read_results
@@ -172,7 +173,22 @@ def show_comparison(results: RunResults, folder: Path, frame: int, wipe: float =
         return None
     pictures = results.compared_frames[nearest].pictures
     estimate, truth = (read_picture(folder / pictures[kind]) for kind in (results.settings.estimator, "ground_truth"))
-    return _write_image(COMPARISON_NAME, wiped(estimate, truth, wipe), is_float=False)
+    image = _write_image(COMPARISON_NAME, wiped(estimate, truth, wipe), is_float=False)
+    image[FRAME] = nearest
+    return image
+
+
+def wipe_through_objects(results: RunResults, folder: Path, frame: int) -> float:
+    """Where a wipe has half of the virtual objects' pixels on either side, at the compared frame next to `frame`.
+
+    UserError if its pictures are gone; 0.5 if none was compared.
+    """
+    nearest = results.nearest_compared_frame(frame)
+    if nearest is None:
+        return 0.5
+    pictures = results.compared_frames[nearest].pictures
+    estimate, captured = (read_picture(folder / pictures[kind]) for kind in (results.settings.estimator, "captured"))
+    return middle_of_change(captured, estimate)
 
 
 def show_comparison_at(scene: bpy.types.Scene, folder: Path, wipe: float) -> None:

@@ -23,6 +23,10 @@ MADE_BY = "xihe_image"
 """Custom property of our images, so that one of the user's of the same name is left alone."""
 
 
+FRAME = "xihe_frame"
+"""Custom property of the comparison: the compared frame that it shows."""
+
+
 def has_anything(scene: bpy.types.Scene) -> bool:
     """Whether there is something for `results_in_blender.remove_everything` to remove."""
     lit = any(lights_by_sh(world) and world.library is None for world in bpy.data.worlds)

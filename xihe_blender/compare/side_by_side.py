@@ -89,6 +89,14 @@ def wiped(estimate: ArrayF32, truth: ArrayF32, wipe: float) -> ArrayF32:
     return picture
 
 
+def middle_of_change(before: ArrayF32, after: ArrayF32) -> float:
+    """Column, from 0 to 1, that has half of what differs between two (H, W, 3) on either side; 0.5 if nothing does."""
+    changed = np.cumsum(np.abs(after - before).sum((0, 2), dtype=np.float64))
+    if changed[-1] == 0:
+        return 0.5
+    return float((np.searchsorted(changed, changed[-1] / 2) + 0.5) / len(changed))
+
+
 def enlarged(picture: ArrayF32) -> ArrayF32:
     """`picture` (H, W, 3), each of its pixels repeated as often as `SMALLEST_WIDTH_PX` needs."""
     factor = math.ceil(SMALLEST_WIDTH_PX / picture.shape[1])

@@ -84,8 +84,9 @@ def test_a_few_clicks_lead_from_an_open_room_to_a_lit_object(first_success):
     assert facts["under_way"]["doing"]
     assert facts["error"] == ""
     assert facts["after"]["worlds"] == ["Xihe Ball"]
-    assert facts["lit"] == {"scene": "Xihe Lit", "world": "Xihe Ball", "shading": "RENDERED", "view": "CAMERA"}
-    assert facts["back"] == {"scene": "Scene", "shading": "SOLID"}
+    shown = {"scene": "Xihe Lit", "world": "Xihe Ball", "shading": "RENDERED", "view": "CAMERA", "overlays": False}
+    assert facts["lit"] == shown
+    assert facts["back"] == {"scene": "Scene", "shading": "SOLID", "overlays": True}
     assert {"Xihe Comparison", "Xihe Light Ball"} <= set(facts["after"]["images"])
     assert any(name.startswith("Xihe trigger") for name in facts["after"]["markers"])
     assert facts["after"]["scenes"] == []
@@ -94,6 +95,14 @@ def test_a_few_clicks_lead_from_an_open_room_to_a_lit_object(first_success):
 def test_the_comparison_is_shown_in_the_image_editor_that_is_open(first_success):
     assert first_success.facts["compared"] == ["Xihe Comparison"]
     assert first_success.facts["n_windows"] == 1
+
+
+def test_the_comparison_begins_on_the_object(first_success):
+    assert 0 < first_success.facts["wipe"] < 1 and first_success.facts["wipe"] != 0.5
+
+
+def test_a_video_of_the_run_is_saved_by_a_click(first_success):
+    assert first_success.facts["saved"] == ["side_by_side.mp4"]
 
 
 def test_undo_takes_the_applied_light_back_and_redo_brings_it_again(first_success):

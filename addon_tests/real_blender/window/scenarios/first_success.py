@@ -1,5 +1,6 @@
 """From an open room to a lit object in a few clicks, then Undo, Redo, the comparison, saving, and Remove."""
 
+import pathlib
 import shutil
 
 import bpy
@@ -59,6 +60,7 @@ def see_it_lit(w):
     space = w.area.spaces.active
     shown = {"scene": w.window.scene.name, "world": w.window.view_layer.world_override.name}
     w.facts["lit"] = {**shown, "shading": space.shading.type, "view": space.region_3d.view_perspective}
+    w.facts["lit"]["overlays"] = space.overlay.show_overlays
     w.picture_now("4_lit")
     w.window.scene.frame_set(6)
     yield 4
@@ -68,6 +70,7 @@ def see_it_lit(w):
     yield from w.click_on("xihe.show_room")
     yield 1
     w.facts["back"] = {"scene": w.window.scene.name, "shading": space.shading.type}
+    w.facts["back"]["overlays"] = space.overlay.show_overlays
     yield from w.picture("4_back")
 
 
@@ -85,9 +88,18 @@ def see_the_comparison(w):
     ]
     w.facts["n_windows"] = len(bpy.context.window_manager.windows)
     yield from w.picture("5_comparison")
+    w.facts["wipe"] = bpy.context.scene.xihe.wipe
+    shown = bpy.data.images["Xihe Comparison"]
+    before = shown["xihe_frame"]
     bpy.context.scene.xihe.wipe = 0.2
+    w.window.scene.frame_set(1)
+    yield from w.wait_until(lambda: shown["xihe_frame"] != before, "the comparison follows", at_most_s=20)
     yield 1
     yield from w.picture("6_wiped")
+    yield from w.click_on("xihe.save_side_by_side")
+    yield 2
+    folder = pathlib.Path(bpy.context.scene.xihe.run_folder)
+    w.facts["saved"] = sorted(file.name for file in folder.glob("*.mp4"))
 
 
 def undo_and_redo(w):
