@@ -9,7 +9,10 @@ from xihe_blender.addon.failures import FAILURES, failed
 from xihe_blender.addon.properties import last_run_folder
 
 VIEW_BEFORE = "xihe_view"
-"""Custom property of the lit scene: how the 3D view was shaded, from where it looked, and whether with overlays."""
+"""Custom property of the lit scene: how the 3D view was shaded, from where it looked, and the lines it showed."""
+
+FLOOR = ("show_floor", "show_axis_x", "show_axis_y")
+"""Lines that would lie over the captured frame, which is itself an overlay."""
 
 
 class XIHE_OT_apply_light(polls.Conditional, bpy.types.Operator):
@@ -77,8 +80,9 @@ class XIHE_OT_show_room(polls.Conditional, bpy.types.Operator):
             context.window.scene = room
         if VIEW_BEFORE in lit and context.area.type == "VIEW_3D":
             space = context.area.spaces.active
-            space.shading.type, space.region_3d.view_perspective, overlays = lit[VIEW_BEFORE].split()
-            space.overlay.show_overlays = overlays == "True"
+            space.shading.type, space.region_3d.view_perspective, *shown = lit[VIEW_BEFORE].split()
+            for line in FLOOR:
+                setattr(space.overlay, line, line in shown)
         return {"FINISHED"}
 
 
@@ -88,10 +92,11 @@ def _enter(context: bpy.types.Context, lit: bpy.types.Scene) -> None:
     context.window.view_layer = next(layer for layer in lit.view_layers if layer.world_override == lit.world)
     if context.area is not None and context.area.type == "VIEW_3D":
         space = context.area.spaces.active
-        lit[VIEW_BEFORE] = f"{space.shading.type} {space.region_3d.view_perspective} {space.overlay.show_overlays}"
+        shown = [line for line in FLOOR if getattr(space.overlay, line)]
+        lit[VIEW_BEFORE] = " ".join([space.shading.type, space.region_3d.view_perspective, *shown])
         space.shading.type, space.region_3d.view_perspective = "RENDERED", "CAMERA"
-        # The floor's grid would lie over the captured frame.
-        space.overlay.show_overlays = False
+        for line in FLOOR:
+            setattr(space.overlay, line, False)
 
 
 class XIHE_OT_remove_light(polls.Conditional, bpy.types.Operator):

@@ -2,8 +2,11 @@
 
 import pathlib
 import shutil
+import subprocess
 
 import bpy
+from bpy_extras.object_utils import world_to_camera_view
+from bpy_extras.view3d_utils import location_3d_to_region_2d
 from rooms import look_through_camera, make_runs_short, room_to_light
 
 
@@ -60,8 +63,8 @@ def see_it_lit(w):
     space = w.area.spaces.active
     shown = {"scene": w.window.scene.name, "world": w.window.view_layer.world_override.name}
     w.facts["lit"] = {**shown, "shading": space.shading.type, "view": space.region_3d.view_perspective}
-    w.facts["lit"]["overlays"] = space.overlay.show_overlays
-    w.picture_now("4_lit")
+    w.facts["lit"]["floor"] = space.overlay.show_floor
+    w.facts["lit"]["colours"] = colours_in_view(w, w.picture_now("4_lit"))
     w.window.scene.frame_set(6)
     yield 4
     w.picture_now("4_lit_later")
@@ -70,8 +73,37 @@ def see_it_lit(w):
     yield from w.click_on("xihe.show_room")
     yield 1
     w.facts["back"] = {"scene": w.window.scene.name, "shading": space.shading.type}
-    w.facts["back"]["overlays"] = space.overlay.show_overlays
+    w.facts["back"]["floor"] = space.overlay.show_floor
     yield from w.picture("4_back")
+
+
+def colours_in_view(w, screenshot):
+    """Mean colours of a part of the captured frame, and of the ball: on the screen, and as the run has them."""
+    scene, camera = w.window.scene, w.window.scene.camera
+    region = next(region for region in w.area.regions if region.type == "WINDOW")
+    view = w.area.spaces.active.region_3d
+    frame = [camera.matrix_world @ corner for corner in camera.data.view_frame(scene=scene)]
+    right_top, _, left_bottom, _ = (location_3d_to_region_2d(region, view, corner) for corner in frame)
+    ball = world_to_camera_view(scene, camera, bpy.data.objects["Ball"].matrix_world.translation)
+    pictures = pathlib.Path(bpy.data.scenes["Scene"].xihe.run_folder) / "pictures"
+    colours = {}
+    for name, kind, middle, size in (("frame", "captured", (0.2, 0.5), 0.3), ("ball", "lattice", ball, 0.05)):
+        box = [middle[0] - size / 2, 1 - middle[1] - size / 2, size, size]
+        wide, high = right_top.x - left_bottom.x, right_top.y - left_bottom.y
+        left, top = region.x + left_bottom.x, w.window.height - region.y - right_top.y
+        on_screen = [left + box[0] * wide, top + box[1] * high, size * wide, size * high]
+        in_picture = [box[0] * 32, box[1] * 24, size * 32, size * 24]
+        seen = mean_colour(screenshot, on_screen)
+        colours[name] = [seen, mean_colour(pictures / f"{kind}_0001.png", in_picture)]
+    return colours
+
+
+def mean_colour(picture, box):
+    """Red, green and blue, 0 to 1, of a part of a picture: left, top, width and height in pixels."""
+    left, top, width, height = (max(1, round(number)) for number in box)
+    part = ["-crop", f"{width}x{height}+{left}+{top}", "+repage", "-format", "%[fx:mean.r] %[fx:mean.g] %[fx:mean.b]"]
+    done = subprocess.run(["convert", picture, *part, "info:"], capture_output=True, text=True, check=True)
+    return [float(word) for word in done.stdout.split()]
 
 
 def see_the_comparison(w):
