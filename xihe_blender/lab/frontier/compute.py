@@ -49,22 +49,13 @@ _SMALLEST_IRRADIANCE = SMALLEST_LIGHT * float(np.sqrt(np.pi * N_NORMALS / 4))
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """A captured walk.
+    """A captured walk."""
 
-    Parameters
-    ----------
-    frames : captures, at least one
-    active : for each frame the names of the positions in view
-    positions : (3,) world, metres, by name
-    truths : (25, 3) coefficients of the rendered light probe for each frame, by name
-    exposure : of the session
-    """
-
-    frames: Sequence[RgbdFrame]
-    active: Sequence[Sequence[str]]
-    positions: Mapping[str, ArrayF64]
-    truths: Sequence[Mapping[str, ArrayF64]]
-    exposure: float
+    frames: Sequence[RgbdFrame]  # captures, at least one
+    active: Sequence[Sequence[str]]  # for each frame the names of the positions in view
+    positions: Mapping[str, ArrayF64]  # (3,) world, metres, by name
+    truths: Sequence[Mapping[str, ArrayF64]]  # (25, 3) coefficients of the rendered light probe for each frame, by name
+    exposure: float  # of the session
 
     @property
     def n_places(self) -> int:

@@ -39,26 +39,15 @@ MANIFEST = "dataset.json"  # What the rooms in a folder are made with
 
 @dataclass(frozen=True)
 class BuildSettings:
-    """What to build.
+    """What to build."""
 
-    Parameters
-    ----------
-    n_rooms : room numbers are below this; more may be added later with the same seed
-    seed : of the whole data set, at least 0
-    n_workers : processes, one thread each; None for one per core of this process
-    render : sizes and samples of views and probes, as `RoomRenderSettings.numbers` has them
-    walk : frames of a walk in place of the free views; None for free views
-    split : make the rooms of this split alone; None for all
-    scheduler : address of a Dask scheduler whose workers make the rooms; None for processes of our own
-    """
-
-    n_rooms: int
-    seed: int = 0
-    n_workers: int | None = None
-    render: tuple[int, ...] = (128, 96, 4, 160, 2, 80)
-    walk: int | None = None
-    split: Split | None = None
-    scheduler: str | None = None
+    n_rooms: int  # room numbers are below this; more may be added later with the same seed
+    seed: int = 0  # of the whole data set, at least 0
+    n_workers: int | None = None  # processes, one thread each; None for one per core of this process
+    render: tuple[int, ...] = (128, 96, 4, 160, 2, 80)  # as `RoomRenderSettings.numbers` has them
+    walk: int | None = None  # frames of a walk in place of the free views; None for free views
+    split: Split | None = None  # make the rooms of this split alone; None for all
+    scheduler: str | None = None  # of Dask, by its address, whose workers make the rooms; None for processes of our own
 
     def __post_init__(self) -> None:
         if not 1 <= self.n_rooms <= MAX_ROOMS:

@@ -49,18 +49,13 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 class Work:
     """A piece of work: a module of this project that runs in a process with Blender.
 
-    Parameters
-    ----------
-    name : of its own
-    module, arguments : the command line
-    told : what it gets on stdin, as JSON holds it; it then tells its share of the work on stdout, a number from 0 to 1
-        a line. None for a module that is not told anything and tells nothing
+    Where it is told something, it tells its share of the work on stdout, a number from 0 to 1 a line.
     """
 
-    name: str
-    module: str
+    name: str  # of its own
+    module: str  # run with the `arguments`
     arguments: tuple[str, ...] = ()
-    told: Any = None
+    told: Any = None  # on stdin, as JSON holds it; None for nothing
 
 
 class BlenderDiedError(Exception):
@@ -69,20 +64,12 @@ class BlenderDiedError(Exception):
 
 @dataclass
 class DaskWorkers:
-    """Work under way; made by `open_dask_workers`.
+    """Work under way; made by `open_dask_workers`."""
 
-    Parameters
-    ----------
-    client : of the scheduler
-    is_local : whether its workers are our own; others come and go
-    shares : how far each piece of work is, 0 to 1, by name
-    failed : why what could not be done, by name
-    """
-
-    client: Client
-    is_local: bool
-    shares: dict[str, float] = field(default_factory=dict)
-    failed: dict[str, str] = field(default_factory=dict)
+    client: Client  # of the scheduler
+    is_local: bool  # whether its workers are our own; others come and go
+    shares: dict[str, float] = field(default_factory=dict)  # how far each piece of work is, 0 to 1, by name
+    failed: dict[str, str] = field(default_factory=dict)  # why what could not be done, by name
 
     def check_workers(self, folder: str, scenes: list[str]) -> None:
         """UserError if no worker is there, or one does not have this project, the folder or a scene.
