@@ -216,7 +216,7 @@ def _lights(
     backends: Mapping[ComputeChoice, ChoiceBackend], frame: RgbdFrame, view: View, exposure: float
 ) -> dict[ComputeChoice, list[ArrayF64]]:
     return {
-        by: [light_of_frame(by, backend, frame, position, exposure) for position in view.positions_m]
+        by: [light_of_frame(backend, frame, position, exposure) for position in view.positions_m]
         for by, backend in backends.items()
     }
 
@@ -367,7 +367,7 @@ def _lights_of_objects(study: RenderStudy, by: ComputeChoice, captured: RgbdFram
     means: dict[str, ArrayF64] = {}
     for item in study.plan.objects:
         positions_m = [probe.position_m for probe in study.plan.probes_of(item.name)]
-        lights = [light_of_frame(by, backend, captured, position_m, exposure)[:9] for position_m in positions_m]
+        lights = [light_of_frame(backend, captured, position_m, exposure)[:9] for position_m in positions_m]
         means[item.name] = np.mean(lights, axis=0)
     return means
 
