@@ -88,7 +88,7 @@ def cushion(width: float, length: float, height: float) -> Solid:
     upper, lower = _rim(index), _rim(25 + index[:, ::-1])
     sides = [(lower[i - 1], lower[i], upper[i], upper[i - 1]) for i in [*range(1, 16), 0]]
     both = joined([top, bottom])
-    return Solid(both.vertices, (*both.faces, *sides))
+    return Solid(both.vertices, [*both.faces, *sides])
 
 
 def _rim(grid: NDArray[np.int_]) -> list[int]:
@@ -97,14 +97,7 @@ def _rim(grid: NDArray[np.int_]) -> list[int]:
 
 
 def add_sofa(
-    room: Collection,
-    name: str,
-    width: float,
-    cloth: Material,
-    feet: Material,
-    cushions: list[Material],
-    *,
-    place: Place,
+    room: Collection, name: str, width: float, cloth: Material, feet: Material, throws: list[Material], *, place: Place
 ) -> None:
     """A sofa with arms, one seat and one back cushion per 0.7 m, and throw cushions of the given materials."""
     half = width / 2
@@ -122,7 +115,7 @@ def add_sofa(
         add_solid(room, f"{name} seat {i + 1}", below, cloth, subdivisions=2, **place)
         back = cushion(seat, 0.44, 0.18).turned(78, "X").moved((x, 0.2, 0.66))
         add_solid(room, f"{name} back {i + 1}", back, cloth, subdivisions=2, **place)
-    for i, material in enumerate(cushions):
+    for i, material in enumerate(throws):
         x = (-1) ** i * (half - 0.42 - 0.2 * (i // 2))
         throw = cushion(0.42, 0.42, 0.15).turned(64, "X").turned(-18 * (-1) ** i).moved((x, -0.02, 0.66))
         add_solid(room, f"{name} throw cushion {i + 1}", throw, material, subdivisions=2, **place)

@@ -49,7 +49,7 @@ def shrub(radius: float, rng: np.random.Generator) -> Solid:
     along *= leaf_m / np.linalg.norm(along, axis=1, keepdims=True)
     across = np.cross(out, along) * 0.5
     corners = np.stack([middles - along, middles + across, middles + along, middles - across], axis=1)
-    return Solid.of(corners, np.arange(4 * n_leaves).reshape(-1, 4).tolist())
+    return Solid(corners.reshape(-1, 3), np.arange(4 * n_leaves).reshape(-1, 4).tolist())
 
 
 def low_wall(start: Vector, end: Vector, height: float, thickness: float) -> tuple[Solid, Solid]:

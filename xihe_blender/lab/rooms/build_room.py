@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 
 import bpy
+import numpy as np
 from mathutils import Vector as BlenderVector
 
 from xihe_blender.lab.props import Collection, Material, furniture, lighting, surfaces
@@ -110,8 +111,8 @@ def slope_solid(room: Room, slope: Slope) -> Solid:
     section = [(-WALL_M, slope.knee_m - WALL_M * (room.height - slope.knee_m) / slope.reach_m)]
     section += [(slope.reach_m, room.height), (-WALL_M, room.height)]
     ends = (-WALL_M, wall.length + WALL_M)
-    corners = tuple((*wall.point(along, inwards), up) for along in ends for inwards, up in section)
-    return Solid(corners, ((0, 1, 2), (5, 4, 3), (0, 3, 4, 1), (1, 4, 5, 2), (2, 5, 3, 0)))
+    corners = [(*wall.point(along, inwards), up) for along in ends for inwards, up in section]
+    return Solid(np.array(corners), ((0, 1, 2), (5, 4, 3), (0, 3, 4, 1), (1, 4, 5, 2), (2, 5, 3, 0)))
 
 
 def add_covering(things: Collection, room: Room, hole: Hole) -> None:
