@@ -101,18 +101,12 @@ class UnitCost:
 
 
 @dataclass(frozen=True, kw_only=True)
-class UnitDone:
-    """What came of a unit."""
+class UnitResult:
+    """All of a unit's result.json."""
 
     trials: Annotated[tuple[TrialFigures, ...], "of all phones and estimators, in the order of the batch"]
     step_ms: Annotated[tuple[float | None, ...], "the chain's mean time by trial; None where nothing was in view"]
     render_s: Annotated[float, "of everything"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class UnitResult(UnitDone):
-    """All of a unit's result.json."""
-
     cost: Annotated[UnitCost, "see there"]
 
 
