@@ -163,11 +163,7 @@ def compare_unit(
 
 
 def _compared(
-    run: PreparedRun,
-    frame: int,
-    lights: Lights,
-    comparer: Comparer,
-    so_far: Sequence[Mapping[int, Metrics]],
+    run: PreparedRun, frame: int, lights: Lights, comparer: Comparer, so_far: Sequence[Mapping[int, Metrics]]
 ) -> ComparedTrials:
     """Metrics of each trial at `frame`; pictures are written of those that are worse than `so_far`."""
     dark = {item.name: np.zeros((9, 3)) for item in run.plan.objects}

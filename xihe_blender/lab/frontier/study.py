@@ -126,9 +126,8 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
 
 def _table_row(point: FrontierPoint) -> Mapping[str, object]:
     """Settings other than the kind of error are JSON in the last column."""
-    settings = as_json(point.settings)
-    kind = settings.pop("error_kind")
-    return {**vars(point), "error_kind": kind, "settings": json.dumps(settings)}
+    settings = {name: value for name, value in as_json(point.settings).items() if name != "error_kind"}
+    return {**vars(point), "error_kind": point.kind, "settings": json.dumps(settings)}
 
 
 @dataclass(frozen=True)
