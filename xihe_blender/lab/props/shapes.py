@@ -144,3 +144,20 @@ def add_solid(
         smoothing = thing.modifiers.new("Soft shape", "SUBSURF")
         smoothing.levels = smoothing.render_levels = subdivisions
     return thing
+
+
+@dataclass(frozen=True)
+class Place:
+    """A piece of `room`: its name, where it stands, and its turn about +Z, before which its front looks towards -Y."""
+
+    room: Collection
+    name: str
+    x: float
+    y: float
+    z: float = 0.0
+    turn_deg: float = 0.0
+
+    def add(self, solid: Solid, material: Material, part: str = "", **look: Any) -> bpy.types.Object:
+        """Make an object of `solid` there, named after the piece and its `part`; `look` is what `add_solid` takes."""
+        name, location = f"{self.name} {part}".rstrip(), (self.x, self.y, self.z)
+        return add_solid(self.room, name, solid, material, location=location, turn_deg=self.turn_deg, **look)
