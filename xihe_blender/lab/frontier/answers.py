@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from xihe_blender.lab.frontier.points import family, group
+from xihe_blender.lab.frontier.points import family, format_choice, group
 from xihe_blender.lab.frontier.records import Answer, FrontierPoint
 from xihenet.formats import format_count, format_milliseconds, format_share
 
@@ -107,18 +107,12 @@ def _frame_size(points: Sequence[FrontierPoint]) -> str:
 
 
 def _bounces(points: Sequence[FrontierPoint]) -> str:
-    known = [(p.settings.rendering, p) for p in points if p.settings.rendering is not None]
-    last_cut = next((choice for choice, _ in reversed(known) if choice.max_bounces is not None), None)
-    if last_cut is None:
+    own = family(points, ("max_bounces",))
+    if not own:
         return ""
-    own = [
-        (choice.max_bounces, p)
-        for choice, p in known
-        if (choice.samples, choice.size) == (last_cut.samples, last_cut.size) and choice.is_denoised
-    ]
-    rising = sorted(own, key=lambda one: float("inf") if one[0] is None else one[0])
-    listed = "; ".join(f"{'all' if bounces is None else bounces}: {_light_and_time(p)}" for bounces, p in rising)
-    return f"At {format_count(last_cut.samples, 'sample')}, by bounces: {listed}."
+    listed = "; ".join(f"{format_choice(p, ('max_bounces',))}: {_light_and_time(p)}" for p in own)
+    samples = int(format_choice(own[0], ("samples",)))
+    return f"At {format_count(samples, 'sample')}, by bounces: {listed}."
 
 
 def _presets(points: Sequence[FrontierPoint]) -> str:
