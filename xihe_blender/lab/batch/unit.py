@@ -94,23 +94,26 @@ def evaluate_unit(file: Path, folder: Path, settings: BatchSettings, seed: int) 
             yield run.progress("ground truth", 0, f"trial {index + 1} of {len(runs)} has walked")
         swept = [trigger_sweep(run, walked) for run, walked in zip(runs, walks, strict=True)]
         by_trial, compared_s = yield from compare_unit(runs, walks)
-    cost = UnitCost(
-        elapsed_s=time.perf_counter() - start_s,
-        processor_s=time.process_time() - start_processor_s,
-        peak_memory_mb=_peak_memory_mb(),
-        written_bytes=sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()),
-    )
     return UnitResult(
         trials=tuple(map(trial_figures, runs, walks, by_trial, swept)),
         step_ms=tuple(map(_mean_step_ms, walks)),
         render_s=sum(entry.render_s for entry in walks[0].frames) + compared_s,
-        cost=cost,
+        cost=_cost(folder, start_s, start_processor_s),
     )
 
 
 def _mean_step_ms(walked: WalkedPath) -> float | None:
     steps = [sum(entry.stage_ms.values()) / len(entry.probes) for entry in walked.frames if entry.active]
     return float(np.mean(steps)) if steps else None
+
+
+def _cost(folder: Path, start_s: float, start_processor_s: float) -> UnitCost:
+    return UnitCost(
+        elapsed_s=time.perf_counter() - start_s,
+        processor_s=time.process_time() - start_processor_s,
+        peak_memory_mb=_peak_memory_mb(),
+        written_bytes=sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()),
+    )
 
 
 def _peak_memory_mb() -> float | None:
