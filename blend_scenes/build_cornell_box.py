@@ -43,13 +43,14 @@ def build() -> bpy.types.Scene:
         "Right wall": plain("Green", (0.14, 0.45, 0.09), roughness=1.0, specular_ior_level=0.0),
     }
     for name, face in WALLS.items():
-        wall = Solid(tuple(CORNERS[i] for i in face), ((0, 1, 2, 3),))
+        wall = Solid(np.array([CORNERS[i] for i in face]), ((0, 1, 2, 3),))
         add_solid(room, name, wall, colours.get(name, white))
     block = box_between((-0.3, -0.3, 0.0), (0.3, 0.3, 0.6))
     add_solid(room, "Short box", block, white, location=(*SHORT_BOX_MIDDLE, 0.0), turn_deg=-17)
     block = box_between((-0.3, -0.3, 0.0), (0.3, 0.3, 1.2))
     add_solid(room, "Tall box", block, white, location=(*TALL_BOX_MIDDLE, 0.0), turn_deg=17)
-    panel = Solid(((-0.3, -0.3, 1.995), (-0.3, 0.3, 1.995), (0.3, 0.3, 1.995), (0.3, -0.3, 1.995)), ((0, 1, 2, 3),))
+    corners = [(-0.3, -0.3, 1.995), (-0.3, 0.3, 1.995), (0.3, 0.3, 1.995), (0.3, -0.3, 1.995)]
+    panel = Solid(np.array(corners), ((0, 1, 2, 3),))
     add_solid(room, "Light", panel, glowing_evenly("Light", LIGHT_RADIANCE))
     set_sky(scene, [(0.0, (1.0, 1.0, 1.0)), (1.0, (1.0, 1.0, 1.0))], strength=OUTSIDE_RADIANCE)
     add_three_sphere_rig(scene, (*SHORT_BOX_MIDDLE, 0.6), 0.09)

@@ -14,11 +14,11 @@ import bpy
 import numpy as np
 from staging import add_three_sphere_rig, arc, main, open_stage, walk_phone
 
-from xihe_blender.lab.props.furniture import add_chair, add_plant, add_round_table, at
+from xihe_blender.lab.props.furniture import add_chair, add_plant, add_round_table
 from xihe_blender.lab.props.lighting import set_panorama
 from xihe_blender.lab.props.outdoors import add_bench, add_planter, low_wall
 from xihe_blender.lab.props.room_shell import Opening, Room, add_door, add_window, wall_solid
-from xihe_blender.lab.props.shapes import add_solid, box_between, joined, tube
+from xihe_blender.lab.props.shapes import Place, add_solid, box_between, joined, tube
 from xihe_blender.lab.props.surfaces import fabric, foliage, masonry, paint, plain, wood
 
 DOOR = Opening("+y", -0.55, 0.55, 0.0, 2.25, is_door=True)
@@ -110,19 +110,19 @@ def add_pieces(room: Collection, rng: np.random.Generator) -> None:
     clay = plain("Terracotta", (0.42, 0.16, 0.08), roughness=0.85)
     box_leaves = foliage("Box leaves", (0.015, 0.05, 0.01), (0.07, 0.15, 0.03))
     grey_leaves = foliage("Olive leaves", (0.06, 0.09, 0.05), (0.17, 0.22, 0.13))
-    add_round_table(room, "Table", 0.48, TABLE_HEIGHT_M, teak, iron, place=at(0.0, 0.0))
+    add_round_table(Place(room, "Table", 0.0, 0.0), 0.48, TABLE_HEIGHT_M, teak, iron)
     seat = fabric("Seat cloth", (0.5, 0.44, 0.33))
-    add_chair(room, "Chair 1", iron, seat, place=at(-0.15, 0.78, turn_deg=8))
-    add_chair(room, "Chair 2", iron, seat, place=at(0.75, -0.1, turn_deg=-96))
-    add_bench(room, "Bench", 1.7, teak, iron, place=at(-3.1, 0.2, turn_deg=90))
-    add_planter(room, "Planter 1", (1.9, 0.5, 0.45), stone, soil, box_leaves, rng, place=at(2.1, -2.6), shrub_m=0.34)
-    add_planter(room, "Planter 2", (1.9, 0.5, 0.45), stone, soil, grey_leaves, rng, place=at(-2.1, -2.6), shrub_m=0.34)
+    add_chair(Place(room, "Chair 1", -0.15, 0.78, turn_deg=8), iron, seat)
+    add_chair(Place(room, "Chair 2", 0.75, -0.1, turn_deg=-96), iron, seat)
+    add_bench(Place(room, "Bench", -3.1, 0.2, turn_deg=90), 1.7, teak, iron)
+    add_planter(Place(room, "Planter 1", 2.1, -2.6), (1.9, 0.5, 0.45), stone, soil, box_leaves, rng, shrub_m=0.34)
+    add_planter(Place(room, "Planter 2", -2.1, -2.6), (1.9, 0.5, 0.45), stone, soil, grey_leaves, rng, shrub_m=0.34)
     add_planter(
-        room, "Planter 3", (1.8, 0.5, 0.45), stone, soil, box_leaves, rng, place=at(3.1, 0.3, turn_deg=90), shrub_m=0.4
+        Place(room, "Planter 3", 3.1, 0.3, turn_deg=90), (1.8, 0.5, 0.45), stone, soil, box_leaves, rng, shrub_m=0.4
     )
     for i, x in enumerate((-0.95, 0.95)):
         add_plant(
-            room, f"Pot {i + 1}", grey_leaves, clay, soil, rng, place=at(x, 2.65), height=1.2, spread=0.4, n_leaves=40
+            Place(room, f"Pot {i + 1}", x, 2.65), grey_leaves, clay, soil, rng, height=1.2, spread=0.4, n_leaves=40
         )
 
 

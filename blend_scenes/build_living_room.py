@@ -25,11 +25,10 @@ from xihe_blender.lab.props.furniture import (
     add_round_table,
     add_sofa,
     add_table,
-    at,
 )
 from xihe_blender.lab.props.lighting import add_floor_lamp, add_pendant, add_sun, set_sky
 from xihe_blender.lab.props.room_shell import Opening, Room, add_door, add_shell, add_skirting, add_window
-from xihe_blender.lab.props.shapes import add_solid, ball, box, box_between, joined, revolved
+from xihe_blender.lab.props.shapes import Place, add_solid, ball, box, box_between, joined, revolved
 from xihe_blender.lab.props.surfaces import (
     carpet,
     coloured_by_face,
@@ -87,13 +86,13 @@ def add_seating(room: Collection) -> None:
     walnut = wood("Walnut", (0.09, 0.045, 0.022), (0.17, 0.09, 0.045), grain="Z")
     sofa_cloth = fabric("Sofa cloth", (0.23, 0.25, 0.28))
     throws = [fabric("Mustard cloth", (0.6, 0.33, 0.05)), fabric("Cream cloth", (0.68, 0.62, 0.52))]
-    add_sofa(room, "Sofa", 2.1, sofa_cloth, walnut, throws, place=at(-2.24, 0.1, turn_deg=90))
-    add_table(room, "Table", (1.5, 0.85, TABLE[2]), oak, oak, place=at(TABLE[0], TABLE[1]))
+    add_sofa(Place(room, "Sofa", -2.24, 0.1, turn_deg=90), 2.1, sofa_cloth, walnut, throws)
+    add_table(Place(room, "Table", TABLE[0], TABLE[1]), (1.5, 0.85, TABLE[2]), oak, oak)
     seat = fabric("Chair cloth", (0.42, 0.16, 0.09))
-    add_chair(room, "Chair 1", walnut, seat, place=at(0.72, 0.62, turn_deg=4))
-    add_chair(room, "Chair 2", walnut, seat, place=at(1.12, -0.08, turn_deg=-96))
-    add_chair(room, "Chair 3", walnut, seat, place=at(-0.68, -0.1, turn_deg=84))
-    add_round_table(room, "Stool", 0.24, SPHERE_PLACE[2], oak, walnut, place=at(*SPHERE_PLACE[:2], turn_deg=20))
+    add_chair(Place(room, "Chair 1", 0.72, 0.62, turn_deg=4), walnut, seat)
+    add_chair(Place(room, "Chair 2", 1.12, -0.08, turn_deg=-96), walnut, seat)
+    add_chair(Place(room, "Chair 3", -0.68, -0.1, turn_deg=84), walnut, seat)
+    add_round_table(Place(room, "Stool", *SPHERE_PLACE[:2], turn_deg=20), 0.24, SPHERE_PLACE[2], oak, walnut)
     rug = carpet("Rug", (0.45, 0.38, 0.29), (0.3, 0.06, 0.04), (0.06, 0.08, 0.14))
     add_solid(room, "Rug", box_between((-1.25, -0.95, 0.0), (1.25, 0.95, 0.012)), rug, location=(0.2, 0.05, 0.0))
 
@@ -105,48 +104,43 @@ def add_storage(room: Collection, rng: np.random.Generator) -> None:
     brass = plain("Brass", (0.75, 0.5, 0.2), metallic=1.0, roughness=0.3)
     black = plain("Black glass", (0.015, 0.015, 0.018), roughness=0.15)
     books = coloured_by_face("Book spines")
-    add_bookcase(room, "Bookcase", (1.1, 0.3, 1.95), white, books, rng, place=at(1.95, -2.15, turn_deg=180))
-    add_cabinet(room, "Sideboard", (1.6, 0.42, 0.78), teak, brass, place=at(0.2, -2.09, turn_deg=180), doors=4)
-    add_cabinet(room, "Television bench", (1.5, 0.4, 0.45), teak, brass, place=at(2.5, 0.1, turn_deg=-90), doors=3)
+    add_bookcase(Place(room, "Bookcase", 1.95, -2.15, turn_deg=180), (1.1, 0.3, 1.95), white, books, rng)
+    add_cabinet(Place(room, "Sideboard", 0.2, -2.09, turn_deg=180), (1.6, 0.42, 0.78), teak, brass, doors=4)
+    add_cabinet(Place(room, "Television bench", 2.5, 0.1, turn_deg=-90), (1.5, 0.4, 0.45), teak, brass, doors=3)
     screen = [
         box((1.15, 0.035, 0.66), (0, 0, 0.4)),
         box((0.4, 0.2, 0.02), (0, 0, 0.01)),
         box((0.06, 0.04, 0.1), (0, 0, 0.05)),
     ]
-    add_solid(room, "Television", joined(screen), black, bevel_m=0.006, **at(2.52, 0.1, 0.45, -90))
+    Place(room, "Television", 2.52, 0.1, 0.45, -90).add(joined(screen), black, bevel_m=0.006)
 
 
 def add_decoration(room: Collection, rng: np.random.Generator) -> None:
     """Curtains, radiator, pictures, plants, and what lies about."""
     linen = curtain_cloth("Linen", (0.72, 0.66, 0.56))
     steel = plain("Rod steel", (0.25, 0.24, 0.23), metallic=1.0, roughness=0.4)
-    add_curtain_rod(room, "Curtain rod", 3.3, steel, place=at(1.0, 2.2, 2.4))
-    add_curtain(room, "Curtain left", 0.55, 2.36, linen, place=at(-0.42, 2.2, 2.4), seed=1)
-    add_curtain(room, "Curtain right", 0.5, 2.36, linen, place=at(2.4, 2.2, 2.4), seed=2)
+    add_curtain_rod(Place(room, "Curtain rod", 1.0, 2.2, 2.4), 3.3, steel)
+    add_curtain(Place(room, "Curtain left", -0.42, 2.2, 2.4), 0.55, 2.36, linen, seed=1)
+    add_curtain(Place(room, "Curtain right", 2.4, 2.2, 2.4), 0.5, 2.36, linen, seed=2)
     enamel = plain("Radiator enamel", (0.74, 0.74, 0.72), roughness=0.3)
-    add_radiator(room, "Radiator", 1.5, 0.5, enamel, place=at(1.0, 2.28))
+    add_radiator(Place(room, "Radiator", 1.0, 2.28), 1.5, 0.5, enamel)
     leaves = foliage("Leaves", (0.02, 0.07, 0.015), (0.1, 0.22, 0.05))
     clay, soil = (
         plain("Terracotta", (0.4, 0.15, 0.07), roughness=0.8),
         plain("Soil", (0.03, 0.02, 0.015), roughness=1.0),
     )
-    add_plant(room, "Plant", leaves, clay, soil, rng, place=at(2.2, 1.65), height=1.35, spread=0.5, n_leaves=34)
+    add_plant(Place(room, "Plant", 2.2, 1.65), leaves, clay, soil, rng, height=1.35, spread=0.5, n_leaves=34)
     glaze = plain("White glaze", (0.7, 0.7, 0.68), roughness=0.2)
     add_plant(
-        room, "Fern", leaves, glaze, soil, rng, place=at(0.8, -2.08, 0.78), height=0.42, spread=0.26, pot_radius=0.09
+        Place(room, "Fern", 0.8, -2.08, 0.78), leaves, glaze, soil, rng, height=0.42, spread=0.26, pot_radius=0.09
     )
     add_pictures(room)
     pile = [box((0.26, 0.19, 0.03), (0, 0, 0.015)), box((0.23, 0.17, 0.025), (0.01, 0.005, 0.0425))]
     cloth = plain("Book cloth", (0.07, 0.16, 0.25), roughness=0.7)
-    add_solid(room, "Books on the table", joined(pile), cloth, bevel_m=0.003, **at(0.62, -0.14, TABLE[2], 24))
+    Place(room, "Books on the table", 0.62, -0.14, TABLE[2], 24).add(joined(pile), cloth, bevel_m=0.003)
     bowl = [(0, 0.005), (0.06, 0.0), (0.14, 0.06), (0.15, 0.075), (0.138, 0.07), (0.06, 0.015), (0, 0.014)]
-    add_solid(
-        room,
-        "Bowl",
-        revolved(bowl, 40),
-        plain("Blue glaze", (0.05, 0.13, 0.3), roughness=0.15),
-        smooth=True,
-        **at(-0.1, -2.05, 0.78),
+    Place(room, "Bowl", -0.1, -2.05, 0.78).add(
+        revolved(bowl, 40), plain("Blue glaze", (0.05, 0.13, 0.3), roughness=0.15), smooth=True
     )
 
 
@@ -163,10 +157,10 @@ def add_pictures(room: Collection) -> None:
         [(0.3, (0.02, 0.06, 0.14)), (0.47, (0.12, 0.3, 0.4)), (0.53, (0.7, 0.68, 0.6)), (0.7, (0.3, 0.12, 0.08))],
         scale=2.3,
     )
-    add_picture(room, "Picture 1", (0.95, 0.65), warm, black, mount, place=at(-2.7, 0.1, 1.55, 90))
-    add_picture(room, "Picture 2", (0.5, 0.65), cool, black, mount, place=at(0.45, -2.3, 1.6, 180))
-    add_picture(room, "Picture 3", (0.5, 0.65), warm, black, mount, place=at(-0.2, -2.3, 1.6, 180))
-    add_picture(room, "Picture 4", (0.42, 0.55), cool, black, mount, place=at(2.7, -1.25, 1.6, -90))
+    add_picture(Place(room, "Picture 1", -2.7, 0.1, 1.55, 90), (0.95, 0.65), warm, black, mount)
+    add_picture(Place(room, "Picture 2", 0.45, -2.3, 1.6, 180), (0.5, 0.65), cool, black, mount)
+    add_picture(Place(room, "Picture 3", -0.2, -2.3, 1.6, 180), (0.5, 0.65), warm, black, mount)
+    add_picture(Place(room, "Picture 4", 2.7, -1.25, 1.6, -90), (0.42, 0.55), cool, black, mount)
 
 
 def add_garden(room: Collection) -> None:
@@ -189,9 +183,9 @@ def add_light(scene: bpy.types.Scene, room: Collection) -> None:
     set_sky(scene, [(0.0, lawn), (0.49, lawn), (0.51, haze), (1.0, blue)], strength=16.0, bright_azimuth_deg=90)
     add_sun(room, azimuth_deg=120, elevation_deg=45, irradiance=20.0)
     iron = plain("Lamp iron", (0.05, 0.05, 0.05), metallic=1.0, roughness=0.4)
-    add_floor_lamp(room, "Floor lamp", iron, place=at(-2.3, 1.6), kelvin=2700, watts=36, radiance=2.2)
+    add_floor_lamp(Place(room, "Floor lamp", -2.3, 1.6), iron, kelvin=2700, watts=36, radiance=2.2)
     shell = plain("Pendant shell", (0.55, 0.52, 0.46), roughness=0.5)
-    add_pendant(room, "Pendant", shell, iron, place=at(0.25, 0.0, 2.6), drop=0.75)
+    add_pendant(Place(room, "Pendant", 0.25, 0.0, 2.6), shell, iron, drop=0.75)
 
 
 def add_virtual_pieces(scene: bpy.types.Scene) -> None:

@@ -24,11 +24,10 @@ from xihe_blender.lab.props.furniture import (
     add_radiator,
     add_round_table,
     add_sofa,
-    at,
 )
 from xihe_blender.lab.props.lighting import add_table_lamp, set_sky
 from xihe_blender.lab.props.room_shell import Opening, Room, add_door, add_shell, add_skirting, add_window
-from xihe_blender.lab.props.shapes import add_solid, ball, box_between, revolved
+from xihe_blender.lab.props.shapes import Place, add_solid, ball, box_between, revolved
 from xihe_blender.lab.props.surfaces import (
     carpet,
     coloured_by_face,
@@ -65,8 +64,8 @@ def build() -> bpy.types.Scene:
     add_decoration(room, rng)
     add_virtual_pieces(scene)
     glaze = plain("Lamp glaze", (0.4, 0.13, 0.07), roughness=0.2)
-    place = at(0.0, 0.0, TABLE_HEIGHT_M)
-    add_table_lamp(room, "Lamp", glaze, place=place, kelvin=2800, watts=32.0, radiance=1.8, height=0.52)
+    place = Place(room, "Lamp", 0.0, 0.0, TABLE_HEIGHT_M)
+    add_table_lamp(place, glaze, kelvin=2800, watts=32.0, radiance=1.8, height=0.52)
     set_sky(
         scene,
         [
@@ -104,15 +103,15 @@ def add_furniture(room: Collection, rng: np.random.Generator) -> None:
     oak = wood("Oak", (0.3, 0.17, 0.08), (0.44, 0.27, 0.14))
     walnut = wood("Walnut", (0.09, 0.045, 0.022), (0.17, 0.09, 0.045), grain="Z")
     brass = plain("Brass", (0.75, 0.5, 0.2), metallic=1.0, roughness=0.3)
-    add_round_table(room, "Table", TABLE_RADIUS_M, TABLE_HEIGHT_M, oak, walnut, place=at(0.0, 0.0))
+    add_round_table(Place(room, "Table", 0.0, 0.0), TABLE_RADIUS_M, TABLE_HEIGHT_M, oak, walnut)
     cloth = fabric("Sofa cloth", (0.16, 0.22, 0.3))
     throws = [fabric("Rust cloth", (0.5, 0.17, 0.05)), fabric("Cream cloth", (0.66, 0.6, 0.5))]
-    add_sofa(room, "Sofa", 1.9, cloth, walnut, throws, place=at(0.0, 1.74))
+    add_sofa(Place(room, "Sofa", 0.0, 1.74), 1.9, cloth, walnut, throws)
     books = coloured_by_face("Book spines")
-    add_bookcase(room, "Bookcase 1", (0.95, 0.3, 2.0), walnut, books, rng, place=at(-2.05, -0.5, turn_deg=90))
-    add_bookcase(room, "Bookcase 2", (0.95, 0.3, 2.0), walnut, books, rng, place=at(-2.05, 0.5, turn_deg=90))
-    add_cabinet(room, "Sideboard", (1.5, 0.4, 0.8), oak, brass, place=at(-0.35, -2.0, turn_deg=180), doors=3)
-    add_chair(room, "Chair", walnut, fabric("Chair cloth", (0.5, 0.36, 0.12)), place=at(1.75, -1.3, turn_deg=-60))
+    add_bookcase(Place(room, "Bookcase 1", -2.05, -0.5, turn_deg=90), (0.95, 0.3, 2.0), walnut, books, rng)
+    add_bookcase(Place(room, "Bookcase 2", -2.05, 0.5, turn_deg=90), (0.95, 0.3, 2.0), walnut, books, rng)
+    add_cabinet(Place(room, "Sideboard", -0.35, -2.0, turn_deg=180), (1.5, 0.4, 0.8), oak, brass, doors=3)
+    add_chair(Place(room, "Chair", 1.75, -1.3, turn_deg=-60), walnut, fabric("Chair cloth", (0.5, 0.36, 0.12)))
     rug = carpet("Rug", (0.42, 0.35, 0.27), (0.07, 0.12, 0.2), (0.36, 0.09, 0.05))
     disc = revolved([(0, 0), (1.2, 0), (1.2, 0.012), (0, 0.012)], 64)
     add_solid(room, "Rug", disc, rug)
@@ -122,27 +121,25 @@ def add_decoration(room: Collection, rng: np.random.Generator) -> None:
     """Curtains, radiator, pictures, plants, the street outside."""
     linen = curtain_cloth("Linen", (0.7, 0.6, 0.45))
     steel = plain("Rod steel", (0.25, 0.24, 0.23), metallic=1.0, roughness=0.4)
-    add_curtain_rod(room, "Curtain rod", 2.5, steel, place=at(2.1, 0.0, 2.35, 90))
-    add_curtain(room, "Curtain left", 0.5, 2.3, linen, place=at(2.1, 0.98, 2.35, 90), seed=1)
-    add_curtain(room, "Curtain right", 0.5, 2.3, linen, place=at(2.1, -0.98, 2.35, 90), seed=2)
+    add_curtain_rod(Place(room, "Curtain rod", 2.1, 0.0, 2.35, 90), 2.5, steel)
+    add_curtain(Place(room, "Curtain left", 2.1, 0.98, 2.35, 90), 0.5, 2.3, linen, seed=1)
+    add_curtain(Place(room, "Curtain right", 2.1, -0.98, 2.35, 90), 0.5, 2.3, linen, seed=2)
     enamel = plain("Radiator enamel", (0.74, 0.74, 0.72), roughness=0.3)
-    add_radiator(room, "Radiator", 1.3, 0.5, enamel, place=at(2.18, 0.0, turn_deg=-90))
+    add_radiator(Place(room, "Radiator", 2.18, 0.0, turn_deg=-90), 1.3, 0.5, enamel)
     black, mount = plain("Picture frame", (0.02, 0.02, 0.02), roughness=0.4), plain("Mount", (0.78, 0.77, 0.74))
     stops = [(0.3, (0.03, 0.1, 0.18)), (0.47, (0.3, 0.42, 0.4)), (0.53, (0.7, 0.62, 0.45)), (0.7, (0.45, 0.14, 0.06))]
     for i, (x, scale) in enumerate(((-0.55, 1.5), (0.0, 2.2), (0.55, 1.8))):
         art = painting(f"Print {i + 1}", stops, scale=scale)
-        add_picture(room, f"Picture {i + 1}", (0.42, 0.54), art, black, mount, place=at(x, 2.2, 1.55))
+        add_picture(Place(room, f"Picture {i + 1}", x, 2.2, 1.55), (0.42, 0.54), art, black, mount)
         art = painting(f"Study {i + 1}", stops, scale=scale + 1)
-        add_picture(room, f"Small picture {i + 1}", (0.34, 0.34), art, black, mount, place=at(x - 0.35, -2.2, 1.5, 180))
+        add_picture(Place(room, f"Small picture {i + 1}", x - 0.35, -2.2, 1.5, 180), (0.34, 0.34), art, black, mount)
     leaves = foliage("Leaves", (0.02, 0.07, 0.015), (0.1, 0.22, 0.05))
     clay, soil = (
         plain("Terracotta", (0.4, 0.15, 0.07), roughness=0.8),
         plain("Soil", (0.03, 0.02, 0.015), roughness=1.0),
     )
-    add_plant(room, "Plant", leaves, clay, soil, rng, place=at(1.75, 1.7), height=1.4, spread=0.4, n_leaves=32)
-    add_plant(
-        room, "Fern", leaves, clay, soil, rng, place=at(-0.8, -2.0, 0.8), height=0.45, spread=0.25, pot_radius=0.09
-    )
+    add_plant(Place(room, "Plant", 1.75, 1.7), leaves, clay, soil, rng, height=1.4, spread=0.4, n_leaves=32)
+    add_plant(Place(room, "Fern", -0.8, -2.0, 0.8), leaves, clay, soil, rng, height=0.45, spread=0.25, pot_radius=0.09)
     houses = [
         box_between((12, y, -4), (16, y + w, h))
         for y, w, h in ((-14, 6, 2.2), (-7, 5, 1.4), (-1.5, 6, 2.6), (5, 7, 1.7))

@@ -24,11 +24,10 @@ from xihe_blender.lab.props.furniture import (
     add_picture,
     add_plant,
     add_table,
-    at,
 )
 from xihe_blender.lab.props.lighting import add_table_lamp, set_sky
 from xihe_blender.lab.props.room_shell import Opening, Room, add_door, add_shell, add_skirting, add_window
-from xihe_blender.lab.props.shapes import add_solid, ball, box, box_between, cylinder, joined
+from xihe_blender.lab.props.shapes import Place, add_solid, ball, box, box_between, cylinder, joined
 from xihe_blender.lab.props.surfaces import (
     carpet,
     coloured_by_face,
@@ -61,10 +60,8 @@ def build_lamp_room(name: str) -> tuple[bpy.types.Scene, bpy.types.Object]:
     set_sky(scene, [(0.0, (0.3, 0.35, 0.5)), (1.0, (0.5, 0.6, 1.0))], strength=0.15)
     foot = plain("Lamp glaze", (0.12, 0.28, 0.3), roughness=0.2)
     lamp = add_table_lamp(
-        room,
-        "Desk lamp",
+        Place(room, "Desk lamp", 0.95, 1.08, DESK_HEIGHT_M),
         foot,
-        place=at(0.95, 1.08, DESK_HEIGHT_M),
         kelvin=3000,
         watts=LAMP_WATTS,
         radiance=SHADE_RADIANCE,
@@ -90,17 +87,17 @@ def _add_desk(room: Collection) -> None:
     """Desk, chair, and what lies on the desk."""
     oak = wood("Oak", (0.3, 0.17, 0.08), (0.44, 0.27, 0.14))
     black = plain("Black steel", (0.03, 0.03, 0.03), roughness=0.4)
-    add_table(room, "Desk", (1.5, 0.7, DESK_HEIGHT_M), oak, black, place=at(0.5, 1.02), leg_m=0.045)
+    add_table(Place(room, "Desk", 0.5, 1.02), (1.5, 0.7, DESK_HEIGHT_M), oak, black, leg_m=0.045)
     seat = fabric("Chair cloth", (0.1, 0.2, 0.25))
-    add_chair(room, "Desk chair", oak, seat, place=at(0.75, 0.3, turn_deg=195))
+    add_chair(Place(room, "Desk chair", 0.75, 0.3, turn_deg=195), oak, seat)
     paper = plain("Paper", (0.76, 0.75, 0.71), roughness=0.9)
     sheets = [box((0.21, 0.297, 0.002), (0, 0, 0.001)), box((0.21, 0.297, 0.002)).turned(17).moved((0.05, 0.02, 0.003))]
-    add_solid(room, "Papers", joined(sheets), paper, **at(0.75, 0.82, DESK_HEIGHT_M, 8))
+    Place(room, "Papers", 0.75, 0.82, DESK_HEIGHT_M, 8).add(joined(sheets), paper)
     cover = plain("Book cloth", (0.42, 0.08, 0.06), roughness=0.7)
     pile = [box((0.25, 0.18, 0.03), (0, 0, 0.015)), box((0.22, 0.16, 0.028)).turned(12).moved((0, 0, 0.044))]
-    add_solid(room, "Book pile", joined(pile), cover, bevel_m=0.003, **at(0.02, 1.1, DESK_HEIGHT_M, -12))
+    Place(room, "Book pile", 0.02, 1.1, DESK_HEIGHT_M, -12).add(joined(pile), cover, bevel_m=0.003)
     mug = plain("Mug glaze", (0.65, 0.45, 0.12), roughness=0.3)
-    add_solid(room, "Pencil mug", cylinder(0.042, 0.1), mug, smooth=True, **at(0.62, 1.24, DESK_HEIGHT_M))
+    Place(room, "Pencil mug", 0.62, 1.24, DESK_HEIGHT_M).add(cylinder(0.042, 0.1), mug, smooth=True)
 
 
 def _add_rest(room: Collection, rng: np.random.Generator) -> None:
@@ -108,21 +105,21 @@ def _add_rest(room: Collection, rng: np.random.Generator) -> None:
     oak, white = bpy.data.materials["Oak"], bpy.data.materials["White lacquer"]
     black = bpy.data.materials["Black steel"]
     books = coloured_by_face("Book spines")
-    add_bookcase(room, "Wall shelf", (1.2, 0.22, 0.7), oak, books, rng, place=at(0.5, 1.29, 1.45), n_shelves=2)
-    add_bookcase(room, "Bookcase", (0.8, 0.28, 1.9), white, books, rng, place=at(-1.1, 1.25))
-    add_cabinet(room, "Drawers", (0.9, 0.42, 0.8), white, black, place=at(1.37, 0.15, turn_deg=-90), doors=2)
+    add_bookcase(Place(room, "Wall shelf", 0.5, 1.29, 1.45), (1.2, 0.22, 0.7), oak, books, rng, n_shelves=2)
+    add_bookcase(Place(room, "Bookcase", -1.1, 1.25), (0.8, 0.28, 1.9), white, books, rng)
+    add_cabinet(Place(room, "Drawers", 1.37, 0.15, turn_deg=-90), (0.9, 0.42, 0.8), white, black, doors=2)
     stops = [(0.3, (0.05, 0.1, 0.16)), (0.5, (0.6, 0.55, 0.45)), (0.7, (0.5, 0.15, 0.08))]
-    add_picture(room, "Picture", (0.5, 0.4), painting("Harbour", stops), black, white, place=at(1.6, 0.3, 1.5, -90))
+    add_picture(Place(room, "Picture", 1.6, 0.3, 1.5, -90), (0.5, 0.4), painting("Harbour", stops), black, white)
     linen = curtain_cloth("Linen", (0.6, 0.5, 0.4))
-    add_curtain_rod(room, "Curtain rod", 1.9, black, place=at(-1.5, -0.05, 2.25, 90))
-    add_curtain(room, "Curtain left", 0.4, 2.2, linen, place=at(-1.5, 0.7, 2.25, 90), seed=1)
-    add_curtain(room, "Curtain right", 0.4, 2.2, linen, place=at(-1.5, -0.8, 2.25, 90), seed=2)
+    add_curtain_rod(Place(room, "Curtain rod", -1.5, -0.05, 2.25, 90), 1.9, black)
+    add_curtain(Place(room, "Curtain left", -1.5, 0.7, 2.25, 90), 0.4, 2.2, linen, seed=1)
+    add_curtain(Place(room, "Curtain right", -1.5, -0.8, 2.25, 90), 0.4, 2.2, linen, seed=2)
     leaves = foliage("Leaves", (0.02, 0.07, 0.015), (0.1, 0.22, 0.05))
     clay, soil = (
         plain("Terracotta", (0.4, 0.15, 0.07), roughness=0.8),
         plain("Soil", (0.03, 0.02, 0.015), roughness=1.0),
     )
-    add_plant(room, "Plant", leaves, clay, soil, rng, place=at(-0.42, 1.15), height=0.8, spread=0.25, pot_radius=0.12)
+    add_plant(Place(room, "Plant", -0.42, 1.15), leaves, clay, soil, rng, height=0.8, spread=0.25, pot_radius=0.12)
     rug = carpet("Rug", (0.35, 0.33, 0.3), (0.1, 0.14, 0.2), (0.5, 0.47, 0.4))
     add_solid(room, "Rug", box_between((-0.8, -0.6, 0), (0.8, 0.6, 0.01)), rug, location=(0.0, -0.3, 0.0))
 

@@ -92,7 +92,7 @@ def room_walk(n_frames=3):
 
 
 def lights_of(choice, walk=None):
-    return np.array(walk_through(choice, ChoiceBackend(choice), walk or room_walk()).lights)
+    return np.array(walk_through(ChoiceBackend(choice), walk or room_walk()).lights)
 
 
 @pytest.mark.parametrize("step", [1, 2, 3, 5])
@@ -122,7 +122,7 @@ def test_brute_force_gives_the_light_of_exact_and_a_finer_table_is_nearer_to_it(
 def test_a_trigger_at_zero_estimates_wherever_something_changes():
     walk = room_walk(4)
     eager, base = (
-        walk_through(choice, ChoiceBackend(choice), walk).n_estimates
+        walk_through(ChoiceBackend(choice), walk).n_estimates
         for choice in (ComputeChoice(theta=0.0), ComputeChoice(theta=10.0))
     )
     assert eager == walk.n_places > base >= len(walk.positions)
@@ -136,7 +136,7 @@ def test_projection_of_a_higher_order_begins_with_the_same_job_as_the_estimator(
 
 def test_only_the_steps_are_timed():
     ticks = iter(range(100))
-    walked = walk_through(ComputeChoice(), ChoiceBackend(ComputeChoice()), room_walk(3), clock=lambda: next(ticks))
+    walked = walk_through(ChoiceBackend(ComputeChoice()), room_walk(3), clock=lambda: next(ticks))
     assert walked.frame_ms == 1000
 
 

@@ -8,7 +8,7 @@ run kept it, taken over from an earlier frame where scene, camera, capture and l
 from __future__ import annotations
 
 import functools
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -35,8 +35,7 @@ def compare_path(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, No
     """A job: the comparison of each compared frame, by its number; pictures are written on the way."""
     outputs, active = run.outputs, [frame.frame for frame in walked.frames if frame.active]
     frames = compared_frames(active, run.settings.preset_values.comparison_step)
-    first: dict[tuple[Any, ...], int] = {}
-    sources = {frame: first.setdefault(_made_from(run, frame, walked.lights[frame]), frame) for frame in frames}
+    sources = comparison_sources(run, {frame: walked.lights[frame] for frame in frames})
     kept = {frame: kept_json(outputs.compared(frame), _compared_in) for frame in frames}
     missing = [frame for frame in frames if kept[frame] is None]
     yield from _render_missing(run, walked, [frame for frame in missing if sources[frame] == frame])
@@ -66,11 +65,17 @@ def render_ground_truths(run: PreparedRun, frames: Sequence[int], comparer: Comp
             methods.save_ground_truth(path, comparer.render_ground_truth(frame))
 
 
+def comparison_sources(run: PreparedRun, lights: Mapping[int, Lights]) -> dict[int, int]:
+    """By frame the first whose comparison is the same, as scene, camera, capture and the lights by method are."""
+    first: dict[tuple[Any, ...], int] = {}
+    return {frame: first.setdefault(_made_from(run, frame, own), frame) for frame, own in lights.items()}
+
+
 def _made_from(run: PreparedRun, frame: int, lights: Lights) -> tuple[Any, ...]:
-    """Equal for frames whose comparisons are: scene, camera, capture and lights are the same."""
     captured = load_frame(run.outputs.capture(frame))
     of_all = [light.tobytes() for of_method in lights.values() for light in of_method.values()]
-    return run.reuse.comparison(frame, captured.srgb_u8.tobytes(), captured.plane_depth_m.tobytes(), *of_all)
+    pixels = captured.srgb_u8.tobytes(), captured.plane_depth_m.tobytes()
+    return run.reuse.comparison(frame, *pixels, ",".join(lights).encode(), *of_all)
 
 
 def _take_over(outputs: RunOutputs, source: int, frame: int) -> None:

@@ -61,7 +61,7 @@ def values_of(trials: Sequence[Trial], measure: Measure, **which: str) -> list[f
     return [value for trial in chosen(trials, **which) if (value := measure.of(trial)) is not None]
 
 
-def chosen(rows: Sequence[Row], **which: str) -> list[Row]:
+def chosen(rows: Sequence[Row], **which: str | bool) -> list[Row]:
     """Those with these values."""
     return [row for row in rows if all(getattr(row, key) == value for key, value in which.items())]
 
@@ -164,16 +164,12 @@ class WorstCase:
 
 def worst_cases(trials: Sequence[Trial], n: int) -> list[WorstCase]:
     """The `n` worst frames of estimators that could be shipped, one per scene and estimator, the worst first."""
+    could_be_shipped = [trial for trial in trials if trial.estimator not in NOT_FOR_SHIPPING]
+    known = [(one.psnr, trial, one) for trial in could_be_shipped for one in trial.frames if one.psnr is not None]
     worst: dict[tuple[str, str], WorstCase] = {}
-    for trial in trials:
-        known = [(frame.psnr, frame.frame, frame.rmse) for frame in trial.frames if frame.psnr is not None]
-        if not known or trial.estimator in NOT_FOR_SHIPPING:
-            continue
-        psnr, number, rmse = min(known, key=lambda one: one[:2])
-        which = trial.scene, trial.estimator
-        if which not in worst or psnr < worst[which].psnr:
-            worst[which] = WorstCase(trial, number, psnr, rmse)
-    return sorted(worst.values(), key=lambda case: case.psnr)[:n]
+    for psnr, trial, one in sorted(known, key=lambda case: case[0]):
+        worst.setdefault((trial.scene, trial.estimator), WorstCase(trial, one.frame, psnr, one.rmse))
+    return list(worst.values())[:n]
 
 
 # ---------------------------------------------------------------------------------------------- in words

@@ -15,7 +15,6 @@ import os
 import shutil
 import signal
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -24,7 +23,7 @@ from xihe_blender.io.blender_output import blender_output_aside
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.outputs import write_json
 from xihe_blender.lab.batch.grid import UnitAsked
-from xihe_blender.lab.batch.results import UnitCost, UnitResult, result_file
+from xihe_blender.lab.batch.results import result_file
 from xihe_blender.lab.workers.dask_workers import EXIT_CANNOT_BE_DONE
 
 EXIT_ABANDONED = 3
@@ -53,38 +52,19 @@ def write_result(asked: UnitAsked, tell: Callable[[float], None]) -> None:
     """Evaluate the unit and leave its result, and the pictures of worst frames, in its folder."""
     from xihe_blender.jobs import Progress, run_blocking
     from xihe_blender.lab.batch.unit import evaluate_unit
-    from xihe_blender.scene.blend_file import open_blend
 
-    start, start_processor_s, parent = time.perf_counter(), time.process_time(), os.getppid()
+    folder, parent = Path(asked.folder), os.getppid()
 
     def tell_share(progress: Progress, _elapsed_s: float) -> None:
         if os.getppid() != parent:
             raise AbandonedError
         tell(progress.done / progress.total)
 
-    file, folder = Path(asked.scene), Path(asked.folder)
     result_file(folder).unlink(missing_ok=True)  # One that is damaged: should this one fail, nobody reads it again.
-    done = run_blocking(evaluate_unit(open_blend(file), file, folder, asked.settings, asked.seed), tell_share)
-    cost = UnitCost(
-        elapsed_s=time.perf_counter() - start,
-        processor_s=time.process_time() - start_processor_s,
-        peak_memory_mb=_peak_memory_mb(),
-        written_bytes=sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()),
-    )
-    write_json(result_file(folder), as_json(UnitResult(**vars(done), cost=cost)))
+    done = run_blocking(evaluate_unit(Path(asked.scene), folder, asked.settings, asked.seed), tell_share)
+    write_json(result_file(folder), as_json(done))
     for intermediate in ("work", "radiance", "pictures"):
         shutil.rmtree(folder / intermediate, ignore_errors=True)
-
-
-def _peak_memory_mb() -> float | None:
-    """The most memory that this process had; None on Windows, which does not count it for Python."""
-    try:
-        import resource
-    except ImportError:
-        return None
-    # In kilobytes, but for macOS.
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**20
 
 
 if __name__ == "__main__":

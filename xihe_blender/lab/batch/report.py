@@ -15,7 +15,7 @@ from xihe_blender.lab.batch import answers, drawings
 from xihe_blender.lab.batch.answers import MEASURES, Measure
 from xihe_blender.lab.batch.results import WORST_KINDS, BatchFolder, BatchResults, Trial, UnitRow, worst_picture
 from xihe_blender.lab.frontier.answers import HOW_MANY_ANCHORS, LAST_TENTH
-from xihe_blender.lab.frontier.points import family
+from xihe_blender.lab.frontier.points import family, group
 from xihe_blender.lab.frontier.records import Frontier, FrontierPoint
 from xihe_blender.lab.frontier.report import LAB_STYLE
 from xihe_blender.report.document import block, document, png_url, table, write_document
@@ -170,10 +170,9 @@ def _from_frontier(frontier: Frontier | None) -> list[tuple[str, str, str]]:
 
 def _by_anchors(frontier: Frontier) -> str:
     """A plot with a dot for each number in the answer."""
-    known = _points(frontier, "compute", "coefficients_truth")
     own: list[FrontierPoint] = []
-    for scene in answers.names_of(known, "scene"):
-        own += family(answers.chosen(known, scene=scene), ("n_anchors",))
+    for scene in answers.names_of(frontier.points, "scene"):
+        own += family(group(frontier.points, scene, "compute", "coefficients_truth"), ("n_anchors",))
     own.sort(key=lambda point: point.computing.n_anchors)
     return _error_against_time(
         [(f"{point.computing.n_anchors} anchors", point) for point in own],
@@ -186,9 +185,10 @@ def _by_anchors(frontier: Frontier) -> str:
 def _on_fronts(frontier: Frontier) -> Iterator[str]:
     """A plot of each of the two fronts."""
     for front, doing in (("render", "Rendering"), ("compute", "Computing")):
-        on_front = sorted((p for p in _points(frontier, front, "coefficients") if p.on_front), key=lambda p: p.scene)
+        on_front = answers.chosen(frontier.points, front=front, kind="coefficients", on_front=True)
         title = f"{doing}: what lies on the front, by scene"
-        yield _error_against_time([(p.scene, p) for p in on_front], title, "against the exhaustive setting")
+        by_scene = sorted(((p.scene, p) for p in on_front), key=lambda one: one[0])
+        yield _error_against_time(by_scene, title, "against the exhaustive setting")
 
 
 def _answer(frontier: Frontier, question: str) -> str:
@@ -196,10 +196,6 @@ def _answer(frontier: Frontier, question: str) -> str:
     found = [one for one in frontier.answers if one.question == question]
     words = " ".join(f"<b>{escape(one.scene)}</b>: {escape(one.answer)}" for one in found)
     return words or "The frontier that was given has no answer to that."
-
-
-def _points(frontier: Frontier, front: str, kind: str) -> list[FrontierPoint]:
-    return [point for point in frontier.points if (point.front, point.kind) == (front, kind)]
 
 
 def _error_against_time(

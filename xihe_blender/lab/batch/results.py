@@ -19,7 +19,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import FolderManifest
@@ -37,231 +37,141 @@ SCHEMA_VERSION: Literal[1] = 1
 WORST_KINDS = ("ground_truth", "estimate", "error")
 """Pictures of a trial's worst frame."""
 
+OfPicture = Annotated[float | None, "of pictures against the ground truth, as in a run's results.json"]
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrialFrame:
-    """A captured frame of a trial.
+    """A captured frame of a trial."""
 
-    Parameters
-    ----------
-    frame, time_s : its number, and when it is
-    n_fired : positions at which an estimate was asked for
-    shc_rmse, coverage : means over positions
-    psnr, ssim, rmse, si_rmse, angular_deg : of its picture against the ground truth, as in a run's results.json
-    """
-
-    frame: int
-    time_s: float
-    n_fired: int
-    shc_rmse: float | None
-    coverage: float | None
-    psnr: float | None
-    ssim: float | None
-    rmse: float | None
-    si_rmse: float | None
-    angular_deg: float | None
+    frame: Annotated[int, "its number"]
+    time_s: Annotated[float, "when it is"]
+    n_fired: Annotated[int, "positions at which an estimate was asked for"]
+    shc_rmse: Annotated[float | None, "mean over positions"]
+    coverage: Annotated[float | None, "mean over positions"]
+    psnr: OfPicture
+    ssim: OfPicture
+    rmse: OfPicture
+    si_rmse: OfPicture
+    angular_deg: OfPicture
 
 
 @dataclass(frozen=True, kw_only=True)
 class TriggerFigures:
-    """What a more or less eager trigger would have done on the same captures.
+    """What a more or less eager trigger would have done on the same captures."""
 
-    Parameters
-    ----------
-    factor : of both thresholds
-    theta, coverage_theta : which then are these
-    per_minute : estimates for a position in view
-    shc_rmse : mean error
-    """
-
-    factor: float
-    theta: float
-    coverage_theta: float
-    per_minute: float | None
-    shc_rmse: float
+    factor: Annotated[float, "of both thresholds"]
+    theta: Annotated[float, "the threshold for colour, then"]
+    coverage_theta: Annotated[float, "the threshold for coverage, then"]
+    per_minute: Annotated[float | None, "estimates for a position in view"]
+    shc_rmse: Annotated[float, "mean error"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrialFigures:
-    """What came of one phone and one estimator in a unit.
+    """What came of one phone and one estimator in a unit."""
 
-    Parameters
-    ----------
-    phone, estimator : names
-    n_frames, n_active_frames, n_compared_frames : of the path
-    n_estimates, estimates_per_minute : in all, and for a minute in which a position is in view
-    shc_rmse, coverage : means
-    psnr, ssim, rmse, si_rmse, angular_deg : of pictures against the ground truth, as in a run's results.json
-    payload_bytes : sent
-    frames, thetas : see there; no thetas for estimators that look at nothing the trigger watches
-    """
-
-    phone: str
-    estimator: str
-    n_frames: int
-    n_active_frames: int
-    n_compared_frames: int
-    n_estimates: int
-    estimates_per_minute: float | None
-    shc_rmse: float | None
-    coverage: float | None
-    psnr: float | None
-    ssim: float | None
-    rmse: float | None
-    si_rmse: float | None
-    angular_deg: float | None
-    payload_bytes: int
-    frames: tuple[TrialFrame, ...]
-    thetas: tuple[TriggerFigures, ...]
+    phone: Annotated[str, "its name"]
+    estimator: Annotated[str, "its name"]
+    n_frames: Annotated[int, "of the path"]
+    n_active_frames: Annotated[int, "of the path"]
+    n_compared_frames: Annotated[int, "of the path"]
+    n_estimates: Annotated[int, "in all"]
+    estimates_per_minute: Annotated[float | None, "for a minute in which a position is in view"]
+    shc_rmse: Annotated[float | None, "mean"]
+    coverage: Annotated[float | None, "mean"]
+    psnr: OfPicture
+    ssim: OfPicture
+    rmse: OfPicture
+    si_rmse: OfPicture
+    angular_deg: OfPicture
+    payload_bytes: Annotated[int, "sent"]
+    frames: Annotated[tuple[TrialFrame, ...], "see there"]
+    thetas: Annotated[tuple[TriggerFigures, ...], "see there; none for estimators that the trigger does not matter to"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class UnitCost:
-    """What a unit took.
+    """What a unit took."""
 
-    Parameters
-    ----------
-    elapsed_s, processor_s : of its process
-    peak_memory_mb : None on Windows
-    written_bytes : to storage, most of it removed again
-    """
-
-    elapsed_s: float
-    processor_s: float
-    peak_memory_mb: float | None
-    written_bytes: int
+    elapsed_s: Annotated[float, "of its process"]
+    processor_s: Annotated[float, "of its process"]
+    peak_memory_mb: Annotated[float | None, "None on Windows"]
+    written_bytes: Annotated[int, "to storage, most of it removed again"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class UnitDone:
-    """What came of a unit.
+class UnitResult:
+    """All of a unit's result.json."""
 
-    Parameters
-    ----------
-    trials : of all phones and estimators, in the order of the batch
-    step_ms : the chain's mean time by trial; None where nothing was in view
-    render_s : of everything
-    """
-
-    trials: tuple[TrialFigures, ...]
-    step_ms: tuple[float | None, ...]
-    render_s: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class UnitResult(UnitDone):
-    """All of a unit's result.json.
-
-    Parameters
-    ----------
-    cost : see there
-    """
-
-    cost: UnitCost
+    trials: Annotated[tuple[TrialFigures, ...], "of all phones and estimators, in the order of the batch"]
+    step_ms: Annotated[tuple[float | None, ...], "the chain's mean time by trial; None where nothing was in view"]
+    render_s: Annotated[float, "of everything"]
+    cost: Annotated[UnitCost, "see there"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class UnitName:
-    """Which unit it is.
+    """Which unit it is."""
 
-    Parameters
-    ----------
-    unit, scene, seed : its folder, the name of its scene, and its seed
-    """
-
-    unit: str
-    scene: str
-    seed: int
+    unit: Annotated[str, "its folder"]
+    scene: Annotated[str, "the name of its scene"]
+    seed: Annotated[int, "its seed"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trial(TrialFigures, UnitName):
-    """A trial, with its place in the batch.
+    """A trial, with its place in the batch."""
 
-    Parameters
-    ----------
-    number : within the unit, which names its pictures
-    """
-
-    number: int
+    number: Annotated[int, "within the unit, which names its pictures"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class UnitRow(UnitCost, UnitName):
-    """A unit that is done.
+    """A unit that is done."""
 
-    Parameters
-    ----------
-    render_s : of everything
-    step_ms : the chain's mean time by trial
-    """
-
-    render_s: float
-    step_ms: tuple[float | None, ...]
+    render_s: Annotated[float, "of everything"]
+    step_ms: Annotated[tuple[float | None, ...], "the chain's mean time by trial"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Failure:
-    """A scene or unit that could not be done, and why.
+    """A scene or unit that could not be done, and why."""
 
-    Parameters
-    ----------
-    what, reason : in words
-    """
-
-    what: str
-    reason: str
+    what: Annotated[str, "in words"]
+    reason: Annotated[str, "in words"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class BatchResults:
-    """All of a batch's results.json.
+    """All of a batch's results.json."""
 
-    Parameters
-    ----------
-    schema_version, software : of the file, and of who wrote it
-    settings : that all units share
-    trials, units, failed : see there
-    """
-
-    schema_version: Literal[1] = SCHEMA_VERSION
-    software: dict[str, str]
-    settings: BatchSettings
-    trials: tuple[Trial, ...]
-    units: tuple[UnitRow, ...]
-    failed: tuple[Failure, ...]
+    schema_version: Annotated[Literal[1], "of the file"] = SCHEMA_VERSION
+    software: Annotated[dict[str, str], "versions of who wrote it"]
+    settings: Annotated[BatchSettings, "that all units share"]
+    trials: Annotated[tuple[Trial, ...], "see there"]
+    units: Annotated[tuple[UnitRow, ...], "see there"]
+    failed: Annotated[tuple[Failure, ...], "see there"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PhoneUsed:
-    """A phone's profile as it was.
+    """A phone's profile as it was."""
 
-    Parameters
-    ----------
-    name, summary, metering : of the profile
-    sections : numbers of each effect
-    """
-
-    name: str
-    summary: str
-    sections: dict[str, dict[str, Plain]]
-    metering: str
+    name: Annotated[str, "of the profile"]
+    summary: Annotated[str, "of the profile"]
+    sections: Annotated[dict[str, dict[str, Plain]], "numbers of each effect"]
+    metering: Annotated[str, "of the profile"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class BatchManifest:
-    """All of batch.json: what decides the numbers of every unit of a folder, besides its scene and its seed.
+    """All of batch.json: what decides the numbers of every unit of a folder, besides its scene and its seed."""
 
-    Parameters
-    ----------
-    format, xihe : versions
-    settings, profiles : what all units share, and its phones
-    """
-
-    format: int
-    xihe: str
-    settings: BatchSettings
-    profiles: dict[str, PhoneUsed]
+    format: Annotated[int, "version of the folder's files"]
+    xihe: Annotated[str, "version of xihe"]
+    settings: Annotated[BatchSettings, "what all units share"]
+    profiles: Annotated[dict[str, PhoneUsed], "its phones"]
 
 
 WHICH = ("scene", "seed", "phone", "estimator")

@@ -19,12 +19,12 @@ import contextlib
 import functools
 import operator
 import statistics
+import sys
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
-import bpy
 import numpy as np
 
 from xihe_blender.compare.methods import Comparer, display, error_map, load_ground_truth, measure, open_comparer
@@ -39,29 +39,27 @@ from xihe_blender.lab.batch.results import (
     TrialFigures,
     TrialFrame,
     TriggerFigures,
-    UnitDone,
+    UnitCost,
+    UnitResult,
     worst_frame,
     worst_picture,
 )
-from xihe_blender.previs.compare_path import render_ground_truths
+from xihe_blender.previs.compare_path import comparison_sources, render_ground_truths
 from xihe_blender.previs.path_renders import render_path
 from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.plan import compared_frames, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, render_reuse, survey_run
-from xihe_blender.previs.run_chain import WalkedPath, walk_path
+from xihe_blender.previs.run_chain import Lights, WalkedPath, walk_path
 from xihe_blender.previs.settings import load_estimator
 from xihe_blender.report.values import mean
+from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
 from xihenet.metrics import shc_rmse
 from xihenet.recording import load_frame
-from xihenet.records import ArrayF64
 
 FACTORS = (0.0, 0.25, 1.0, 4.0, 16.0, 64.0)
 WITHOUT_ANCHORS = ("ambient", "truth")
 """Estimators that look at nothing the trigger watches."""
-
-Light = Mapping[str, ArrayF64]
-"""(9, 3) coefficients by virtual object."""
 
 
 @dataclass(frozen=True)
@@ -72,10 +70,10 @@ class ComparedTrials:
     render_s: float
 
 
-def evaluate_unit(
-    scene: bpy.types.Scene, file: Path, folder: Path, settings: BatchSettings, seed: int
-) -> Job[UnitDone]:
-    """Run all trials of `scene` with `seed`, on renders that are kept in `folder`; UserError where it cannot be run."""
+def evaluate_unit(file: Path, folder: Path, settings: BatchSettings, seed: int) -> Job[UnitResult]:
+    """Run all trials of a .blend with `seed`, on renders that are kept in `folder`; UserError where none can be run."""
+    start_s, start_processor_s = time.perf_counter(), time.process_time()
+    scene = open_blend(file)
     scene.render.threads_mode, scene.render.threads = "FIXED", 1
     outputs = RunOutputs(folder, file.stem)
     trials = settings.trials()
@@ -96,16 +94,37 @@ def evaluate_unit(
             yield run.progress("ground truth", 0, f"trial {index + 1} of {len(runs)} has walked")
         swept = [trigger_sweep(run, walked) for run, walked in zip(runs, walks, strict=True)]
         by_trial, compared_s = yield from compare_unit(runs, walks)
-    return UnitDone(
+    return UnitResult(
         trials=tuple(map(trial_figures, runs, walks, by_trial, swept)),
         step_ms=tuple(map(_mean_step_ms, walks)),
         render_s=sum(entry.render_s for entry in walks[0].frames) + compared_s,
+        cost=_cost(folder, start_s, start_processor_s),
     )
 
 
 def _mean_step_ms(walked: WalkedPath) -> float | None:
     steps = [sum(entry.stage_ms.values()) / len(entry.probes) for entry in walked.frames if entry.active]
     return float(np.mean(steps)) if steps else None
+
+
+def _cost(folder: Path, start_s: float, start_processor_s: float) -> UnitCost:
+    return UnitCost(
+        elapsed_s=time.perf_counter() - start_s,
+        processor_s=time.process_time() - start_processor_s,
+        peak_memory_mb=_peak_memory_mb(),
+        written_bytes=sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()),
+    )
+
+
+def _peak_memory_mb() -> float | None:
+    """The most memory that this process had; None on Windows, which does not count it for Python."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    # In kilobytes, but for macOS.
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**20
 
 
 # ---------------------------------------------------------------------------------------------- comparison
@@ -123,10 +142,9 @@ def compare_unit(
     lights = {
         frame: {str(k): walks[k].lights[frame][runs[k].settings.estimator] for k in trials[frame]} for frame in frames
     }
-    first_of: dict[tuple[Any, ...], int] = {}
-    sources = {frame: first_of.setdefault(_made_from(first, frame, lights[frame]), frame) for frame in frames}
+    sources = comparison_sources(first, lights)
     read = functools.partial(from_json, ComparedTrials)
-    kept = {frame: kept_json(first.outputs.compared(frame), read) for frame in first_of.values()}
+    kept = {frame: kept_json(first.outputs.compared(frame), read) for frame in frames if sources[frame] == frame}
     missing = [frame for frame, content in kept.items() if content is None]
     by_trial: list[dict[int, Metrics]] = [{} for _ in runs]
     with contextlib.ExitStack() as stack:
@@ -147,20 +165,8 @@ def compare_unit(
     return by_trial, sum(content.render_s for content in kept.values() if content is not None)
 
 
-def _made_from(run: PreparedRun, frame: int, lights: Mapping[str, Light]) -> tuple[Any, ...]:
-    """Equal for frames whose comparisons are: scene, camera, capture and every trial's light are the same."""
-    captured = load_frame(run.outputs.capture(frame))
-    of_all = [light.tobytes() for of_trial in lights.values() for light in of_trial.values()]
-    names = ",".join(lights).encode()
-    return run.reuse.comparison(frame, captured.srgb_u8.tobytes(), captured.plane_depth_m.tobytes(), names, *of_all)
-
-
 def _compared(
-    run: PreparedRun,
-    frame: int,
-    lights: Mapping[str, Light],
-    comparer: Comparer,
-    so_far: Sequence[Mapping[int, Metrics]],
+    run: PreparedRun, frame: int, lights: Lights, comparer: Comparer, so_far: Sequence[Mapping[int, Metrics]]
 ) -> ComparedTrials:
     """Metrics of each trial at `frame`; pictures are written of those that are worse than `so_far`."""
     dark = {item.name: np.zeros((9, 3)) for item in run.plan.objects}

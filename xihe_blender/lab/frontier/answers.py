@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from xihe_blender.lab.frontier.points import group
-from xihe_blender.lab.frontier.records import Answer, ComputeChoice, FrontierPoint
+from xihe_blender.lab.frontier.points import family, format_choice, group
+from xihe_blender.lab.frontier.records import Answer, FrontierPoint
 from xihenet.formats import format_count, format_milliseconds, format_share
 
 HOW_MANY_ANCHORS = "How many anchors?"
@@ -43,15 +43,9 @@ def answers(scenes: Sequence[str], points: Sequence[FrontierPoint]) -> list[Answ
     return found
 
 
-def varied(points: Sequence[FrontierPoint], *names: str) -> list[FrontierPoint]:
-    """Points of ways to compute that differ from the base in nothing but the settings of these names."""
-    fixed = {name: value for name, value in vars(ComputeChoice()).items() if name not in names}
-    return [p for p in points if all(getattr(p.computing, name) == value for name, value in fixed.items())]
-
-
 def _anchors(points: Sequence[FrontierPoint]) -> str:
-    own = sorted(varied(points, "n_anchors"), key=lambda p: p.computing.n_anchors)
-    if len(own) < 2:
+    own = family(points, ("n_anchors",))
+    if not own:
         return ""
     listed = "; ".join(f"{p.computing.n_anchors}: {_light_and_time(p)}" for p in own)
     least = min(p.error for p in own)
@@ -63,8 +57,8 @@ def _anchors(points: Sequence[FrontierPoint]) -> str:
 
 
 def _how_often(points: Sequence[FrontierPoint]) -> str:
-    own = sorted(varied(points, "theta"), key=lambda p: p.computing.theta)
-    if len(own) < 2:
+    own = family(points, ("theta",))
+    if not own:
         return ""
     words = [
         f"with theta {p.computing.theta:g} in {p.settings.estimates} of {p.settings.steps} steps, "
@@ -75,8 +69,8 @@ def _how_often(points: Sequence[FrontierPoint]) -> str:
 
 
 def _estimator(points: Sequence[FrontierPoint]) -> str:
-    own = sorted(varied(points, "estimator"), key=lambda p: p.error)
-    if len(own) < 2:
+    own = sorted(family(points, ("estimator",)), key=lambda p: p.error)
+    if not own:
         return ""
     listed = "; ".join(f"{p.computing.estimator} {_light_and_time(p)}" for p in own)
     best = own[0].computing.estimator
@@ -84,9 +78,9 @@ def _estimator(points: Sequence[FrontierPoint]) -> str:
 
 
 def _nearest(points: Sequence[FrontierPoint]) -> str:
-    own = varied(points, "nearest", "table_size")
+    own = sorted(family(points, ("nearest", "table_size")), key=lambda p: p.time_ms)
     base = next((p for p in own if p.computing.nearest == "exact"), None)
-    if base is None or len(own) < 2:
+    if base is None:
         return ""
     others = "; ".join(
         f"{p.label} {format_share(abs(p.error - base.error))} {'more' if p.error > base.error else 'less'} error "
@@ -113,18 +107,12 @@ def _frame_size(points: Sequence[FrontierPoint]) -> str:
 
 
 def _bounces(points: Sequence[FrontierPoint]) -> str:
-    known = [(p.settings.rendering, p) for p in points if p.settings.rendering is not None]
-    last_cut = next((choice for choice, _ in reversed(known) if choice.max_bounces is not None), None)
-    if last_cut is None:
+    own = family(points, ("max_bounces",))
+    if not own:
         return ""
-    own = [
-        (choice.max_bounces, p)
-        for choice, p in known
-        if (choice.samples, choice.size) == (last_cut.samples, last_cut.size) and choice.is_denoised
-    ]
-    rising = sorted(own, key=lambda one: float("inf") if one[0] is None else one[0])
-    listed = "; ".join(f"{'all' if bounces is None else bounces}: {_light_and_time(p)}" for bounces, p in rising)
-    return f"At {format_count(last_cut.samples, 'sample')}, by bounces: {listed}."
+    listed = "; ".join(f"{format_choice(p, ('max_bounces',))}: {_light_and_time(p)}" for p in own)
+    samples = int(format_choice(own[0], ("samples",)))
+    return f"At {format_count(samples, 'sample')}, by bounces: {listed}."
 
 
 def _presets(points: Sequence[FrontierPoint]) -> str:

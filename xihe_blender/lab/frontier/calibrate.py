@@ -91,12 +91,10 @@ def calibrate(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[Calibrati
 
 def _timed_step(seen: RgbdFrame, position_m: ArrayF64, exposure: float) -> float:
     """Milliseconds from a capture to the light at one position; the median of a few, after one to warm up."""
-    choice = ComputeChoice()
-    backend = ChoiceBackend(choice)
-    times = []
+    backend, times = ChoiceBackend(ComputeChoice()), []
     for _ in range(1 + N_STEPS):
         start = time.perf_counter()
-        light_of_frame(choice, backend, seen, position_m, exposure)
+        light_of_frame(backend, seen, position_m, exposure)
         times.append(1e3 * (time.perf_counter() - start))
     return statistics.median(times[1:])
 

@@ -49,22 +49,13 @@ _SMALLEST_IRRADIANCE = SMALLEST_LIGHT * float(np.sqrt(np.pi * N_NORMALS / 4))
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """A captured walk.
+    """A captured walk."""
 
-    Parameters
-    ----------
-    frames : captures, at least one
-    active : for each frame the names of the positions in view
-    positions : (3,) world, metres, by name
-    truths : (25, 3) coefficients of the rendered light probe for each frame, by name
-    exposure : of the session
-    """
-
-    frames: Sequence[RgbdFrame]
-    active: Sequence[Sequence[str]]
-    positions: Mapping[str, ArrayF64]
-    truths: Sequence[Mapping[str, ArrayF64]]
-    exposure: float
+    frames: Sequence[RgbdFrame]  # captures, at least one
+    active: Sequence[Sequence[str]]  # for each frame the names of the positions in view
+    positions: Mapping[str, ArrayF64]  # (3,) world, metres, by name
+    truths: Sequence[Mapping[str, ArrayF64]]  # (25, 3) coefficients of the rendered light probe for each frame, by name
+    exposure: float  # of the session
 
     @property
     def n_places(self) -> int:
@@ -102,8 +93,9 @@ class ChoiceBackend:
         return light if len(light) == 9 else padded(light)[:9]
 
 
-def walk_through(choice: ComputeChoice, backend: ChoiceBackend, walk: Walk, clock: Clock = time.thread_time) -> Walked:
-    """Run a session over `walk`, with a `backend` made for `choice`."""
+def walk_through(backend: ChoiceBackend, walk: Walk, clock: Clock = time.thread_time) -> Walked:
+    """Run a session over `walk`, with the choice that `backend` was made for."""
+    choice = backend.choice
     # Where an estimate is wanted in every frame, no newly seen anchor is too few.
     coverage_theta = PREVIS_TRIGGER.coverage_theta if choice.theta > 0 else 0.0
     trigger = replace(PREVIS_TRIGGER, theta=choice.theta, coverage_theta=coverage_theta)
@@ -130,10 +122,9 @@ def walk_through(choice: ComputeChoice, backend: ChoiceBackend, walk: Walk, cloc
     return Walked(lights, n_estimates, elapsed_ms / len(frames))
 
 
-def light_of_frame(
-    choice: ComputeChoice, backend: ChoiceBackend, frame: RgbdFrame, position_m: ArrayF64, exposure: float
-) -> ArrayF64:
+def light_of_frame(backend: ChoiceBackend, frame: RgbdFrame, position_m: ArrayF64, exposure: float) -> ArrayF64:
     """(25, 3) from one frame alone, whatever the trigger thinks of it."""
+    choice = backend.choice
     seen = with_every_pixel(frame, choice.every_pixel)
     points = unproject_frame(seen, reference_exposure=exposure)
     lattice = AnchorLattice(choice.n_anchors)
@@ -178,13 +169,13 @@ def measure_compute(
     start = replace(walk, frames=walk.frames[:n], active=walk.active[:n], truths=walk.truths[:n])
 
     def frame_ms(choice: ComputeChoice) -> float:
-        return walk_through(choice, backends[choice], start if choice.nearest == "brute" else walk).frame_ms
+        return walk_through(backends[choice], start if choice.nearest == "brute" else walk).frame_ms
 
     rounds = interleaved([functools.partial(frame_ms, choice) for choice in backends], n_rounds, rng)
     with torch_on_one_thread():
         for number, (choice, backend) in enumerate(backends.items()):
             yield Progress(0.2 * number / len(backends), 1, f"computing: {choice.label}")
-            walked[choice] = walk_through(choice, backend, walk)
+            walked[choice] = walk_through(backend, walk)
         times_ms = yield from part_of(1, 0.2, 0.8, rounds)
     truth = [truths[name] for truths, names in zip(walk.truths, walk.active, strict=True) for name in names]
     measured = []

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
 
 from xihe_blender.io.json_records import ABSENT, INLINE, json_schema
 from xihenet.codec import EncodingMethod
@@ -31,28 +31,16 @@ def _theta_of_a_run() -> float:
 
 @dataclass(frozen=True)
 class ComputeChoice:
-    """How the light is computed from what was captured; the base, without arguments, is what a run takes.
+    """How the light is computed from what was captured; the base, without arguments, is what a run takes."""
 
-    Parameters
-    ----------
-    estimator : its registered name
-    order : of the coefficients; only `projection` has another than 2
-    n_anchors : of the unit sphere
-    nearest : how points find their anchor
-    table_size : cells of "table" over azimuth and polar angle; None for another way
-    every_pixel : of each row and column every n-th pixel is used
-    theta : threshold of the trigger for colour; 0 estimates in every frame
-    wire : format in which clouds go to the estimator and back; None for one on the same machine
-    """
-
-    estimator: str = DEFAULT
-    order: int = 2
-    n_anchors: int = 1280
-    nearest: NearestMethod = "exact"
-    table_size: tuple[int, int] | None = None
-    every_pixel: int = 1
-    theta: float = field(default_factory=_theta_of_a_run)
-    wire: EncodingMethod | None = None
+    estimator: Annotated[str, "its registered name"] = DEFAULT
+    order: Annotated[int, "of the coefficients; only `projection` has another than 2"] = 2
+    n_anchors: Annotated[int, "of the unit sphere"] = 1280
+    nearest: Annotated[NearestMethod, "how points find their anchor"] = "exact"
+    table_size: Annotated[tuple[int, int] | None, 'cells of "table" over azimuth and polar angle; else None'] = None
+    every_pixel: Annotated[int, "of each row and column every n-th pixel is used"] = 1
+    theta: Annotated[float, "of the trigger, for colour; 0 estimates always"] = field(default_factory=_theta_of_a_run)
+    wire: Annotated[EncodingMethod | None, "format of clouds to the estimator and back; None: it stays here"] = None
 
     @property
     def label(self) -> str:
@@ -77,20 +65,12 @@ class ComputeChoice:
 
 @dataclass(frozen=True)
 class RenderChoice:
-    """How a frame is rendered.
+    """How a frame is rendered."""
 
-    Parameters
-    ----------
-    size : of the frame in pixels
-    samples : per pixel
-    max_bounces : of any kind; None takes what the scene calls for
-    is_denoised : with OpenImageDenoise
-    """
-
-    size: tuple[int, int]
-    samples: int
-    max_bounces: int | None = None
-    is_denoised: bool = True
+    size: Annotated[tuple[int, int], "of the frame in pixels"]
+    samples: Annotated[int, "per pixel"]
+    max_bounces: Annotated[int | None, "of any kind; None takes what the scene calls for"] = None
+    is_denoised: Annotated[bool, "with OpenImageDenoise"] = True
 
     @property
     def label(self) -> str:
@@ -103,110 +83,67 @@ class RenderChoice:
 
 @dataclass(frozen=True)
 class StudySize:
-    """How much is measured.
+    """How much is measured."""
 
-    Parameters
-    ----------
-    n_walk_frames : of the path, at most, over which computing is measured
-    walk_samples : of their captures; what noise they have is the same for all choices
-    probe_samples : pictures of the reference probe that estimates are held against, at most
-    n_rounds : in which each way to compute is timed
-    n_views : frames in which each way to render is measured
-    n_seeds : of each render in each of them
-    reference_samples : of the exhaustive render
-    ladder : samples that are measured
-    n_picture_views : frames whose pictures are compared; 0 compares none
-    """
-
-    n_walk_frames: int
-    walk_samples: int
-    probe_samples: int
-    n_rounds: int
-    n_views: int
-    n_seeds: int
-    reference_samples: int
-    ladder: tuple[int, ...]
-    n_picture_views: int
+    n_walk_frames: Annotated[int, "of the path, at most, over which computing is measured"]
+    walk_samples: Annotated[int, "of their captures; what noise they have is the same for all choices"]
+    probe_samples: Annotated[int, "pictures of the reference probe that estimates are held against, at most"]
+    n_rounds: Annotated[int, "in which each way to compute is timed"]
+    n_views: Annotated[int, "frames in which each way to render is measured"]
+    n_seeds: Annotated[int, "of each render in each of them"]
+    reference_samples: Annotated[int, "of the exhaustive render"]
+    ladder: Annotated[tuple[int, ...], "samples that are measured"]
+    n_picture_views: Annotated[int, "frames whose pictures are compared; 0 compares none"]
 
 
 @dataclass(frozen=True)
 class FrontierSettings:
-    """What is measured.
+    """What is measured."""
 
-    Parameters
-    ----------
-    is_quick : fewer choices
-    seed : of everything that is random
-    size : of the largest frame; None takes that of a run
-    study_size : None takes that of a quick or a full study
-    """
-
-    is_quick: bool = False
-    seed: int = 0
-    size: tuple[int, int] | None = None
-    study_size: StudySize | None = None
+    is_quick: Annotated[bool, "fewer choices"] = False
+    seed: Annotated[int, "of everything that is random"] = 0
+    size: Annotated[tuple[int, int] | None, "of the largest frame; None takes that of a run"] = None
+    study_size: Annotated[StudySize | None, "None takes that of a quick or a full study"] = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class ChoiceSettings:
     """A choice, and what came of it.
 
-    Parameters
-    ----------
-    rendering, computing : None where it is the same for all that are compared; their fields stand among these in a file
-    picture_samples : per pixel of the pictures; absent where none is made
-    estimates, steps : that a walk took, and in how many it could have; absent for renders
+    `rendering` or `computing` is None where it is the same for all that are compared, and the fields of both stand
+    among these in a file. Of the others one is absent, and None here, where it does not apply.
     """
 
     rendering: RenderChoice | None = field(default=None, metadata=INLINE)
-    picture_samples: int | None = field(default=None, metadata=ABSENT)
+    picture_samples: Annotated[int | None, "per pixel of the pictures"] = field(default=None, metadata=ABSENT)
     computing: ComputeChoice | None = field(default=None, metadata=INLINE)
-    estimates: int | None = field(default=None, metadata=ABSENT)
-    steps: int | None = field(default=None, metadata=ABSENT)
+    estimates: Annotated[int | None, "that a walk took"] = field(default=None, metadata=ABSENT)
+    steps: Annotated[int | None, "in which it could have taken one"] = field(default=None, metadata=ABSENT)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PointSettings(ChoiceSettings):
-    """The settings of a point.
+    """The settings of a point."""
 
-    Parameters
-    ----------
-    error_kind : what the error is of; "_truth" at its end: against the truth, else against the exhaustive setting
-    """
-
-    error_kind: str
+    error_kind: Annotated[str, 'of what; "_truth" at its end: against the truth, else against the exhaustive setting']
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrontierPoint:
-    """A choice on one front, by one kind of error.
+    """A choice on one front, by one kind of error."""
 
-    Parameters
-    ----------
-    scene : stem of its file
-    front : what the time is of: the capture (for pictures the comparison too), the chain, or both
-    settings : the choice, and `error_kind`
-    error, error_spread : root mean square over places, and the distance between the quartiles
-    time_ms, spread_ms : processor time of a frame, the median over rounds, and the distance between the quartiles
-    on_front : no other choice of this scene, front and kind has no more error in no more time, and less of one
-    front_share : of resampled measurements that put it there
-    preset : whose choice it is on this scene, or None
-    label : in words
-    instead : label of one on the front to take instead; None for one that is there
-    """
-
-    scene: str
-    front: Front
-    settings: PointSettings
-    error: float
-    error_spread: float
-    time_ms: float
-    spread_ms: float
-    on_front: bool
-    front_share: float
-    preset: str | None
-    label: str
-    instead: str | None
+    scene: Annotated[str, "stem of its file"]
+    front: Annotated[Front, "what the time is of: the capture (for pictures the comparison too), the chain, or both"]
+    settings: Annotated[PointSettings, "the choice, and `error_kind`"]
+    error: Annotated[float, "root mean square over places"]
+    error_spread: Annotated[float, "distance between the quartiles over places"]
+    time_ms: Annotated[float, "processor time of a frame, the median over rounds"]
+    spread_ms: Annotated[float, "distance between the quartiles over rounds"]
+    on_front: Annotated[bool, "none of this scene, front and kind has no more error in no more time, and less of one"]
+    front_share: Annotated[float, "of resampled measurements that put it there"]
+    preset: Annotated[str | None, "whose choice it is on this scene, or None"]
+    label: Annotated[str, "in words"]
+    instead: Annotated[str | None, "label of one on the front to take instead; None for one that is there"]
 
     @property
     def kind(self) -> str:
@@ -230,64 +167,38 @@ class FrontierPoint:
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """What the fronts of a scene say to a question.
+    """What the fronts of a scene say to a question."""
 
-    Parameters
-    ----------
-    scene, question, answer : in sentences
-    """
-
-    scene: str
-    question: str
-    answer: str
+    scene: Annotated[str, "stem of its file"]
+    question: Annotated[str, "in sentences"]
+    answer: Annotated[str, "in sentences"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrontierScene:
-    """A scene that was measured.
+    """A scene that was measured."""
 
-    Parameters
-    ----------
-    name : stem of its file
-    missing_estimators : that could not be loaded
-    exposure : of the session
-    size : of the largest frame
-    n_walk_frames, n_places : over which computing was measured; a place is a position in a frame
-    views : frames in which rendering was measured
-    presets : what they are on this scene
-    """
-
-    name: str
-    missing_estimators: tuple[str, ...]
-    exposure: float
-    size: tuple[int, int]
-    n_walk_frames: int
-    n_places: int
-    views: tuple[int, ...]
-    presets: dict[str, RenderChoice]
+    name: Annotated[str, "stem of its file"]
+    missing_estimators: Annotated[tuple[str, ...], "that could not be loaded"]
+    exposure: Annotated[float, "of the session"]
+    size: Annotated[tuple[int, int], "of the largest frame"]
+    n_walk_frames: Annotated[int, "over which computing was measured"]
+    n_places: Annotated[int, "in them; a place is a position in a frame"]
+    views: Annotated[tuple[int, ...], "frames in which rendering was measured"]
+    presets: Annotated[dict[str, RenderChoice], "what they are on this scene"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Frontier:
-    """All of frontier.json.
+    """All of frontier.json."""
 
-    Parameters
-    ----------
-    schema_version : of the file
-    software : versions, and the `command` that was typed
-    machine : platform, processor, cores
-    settings, scenes : see there
-    answers : to what people ask, by scene
-    points : of all choices, fronts and kinds of error
-    """
-
-    schema_version: Literal[1] = SCHEMA_VERSION
-    software: dict[str, str]
-    machine: dict[str, str | int | None]
-    settings: FrontierSettings
-    scenes: tuple[FrontierScene, ...]
-    answers: tuple[Answer, ...]
-    points: tuple[FrontierPoint, ...]
+    schema_version: Annotated[Literal[1], "of the file"] = SCHEMA_VERSION
+    software: Annotated[dict[str, str], "versions, and the `command` that was typed"]
+    machine: Annotated[dict[str, str | int | None], "platform, processor, cores"]
+    settings: Annotated[FrontierSettings, "see there"]
+    scenes: Annotated[tuple[FrontierScene, ...], "see there"]
+    answers: Annotated[tuple[Answer, ...], "to what people ask, by scene"]
+    points: Annotated[tuple[FrontierPoint, ...], "of all choices, fronts and kinds of error"]
 
 
 if __name__ == "__main__":

@@ -106,6 +106,9 @@ class Taken:
 Round = Mapping[str, Taken]
 """Every choice once, by its key."""
 
+LightsBy = Mapping[ComputeChoice, Sequence[ArrayF64]]
+"""The light at each position, by way to compute."""
+
 
 def kept_or_done(path: Path, read: Callable[[Json], Kept], job: Job[Kept]) -> Job[Kept]:
     """What `read` makes of the JSON in the file; the result of `job`, which is written there, if there is none."""
@@ -122,24 +125,20 @@ def measure_rendering(
     """Ways to render alone, and together with ways to compute, whose milliseconds per frame are known."""
     backends = {choice: ChoiceBackend(choice) for choice in COMPUTED_BY}
     all_backends = {**backends, EXHAUSTIVE: ChoiceBackend(EXHAUSTIVE)}
-    rounds: list[Round] = []
-    truths: list[dict[ComputeChoice, list[ArrayF64]]] = []
+    rounds: list[tuple[Round, LightsBy]] = []
     n_seeds = study.study_size.n_seeds
     n_parts = len(study.views) * (1 + n_seeds)
     for number, view in enumerate(study.views):
         before = number * (1 + n_seeds)
         yield Progress(before, n_parts, f"rendering frame {view.frame} exhaustively")
-        exhaustive = _kept_reference(study, view)
-        truths += [_lights(all_backends, exhaustive, view, study.scanner.exposure)] * n_seeds
+        truth = _lights(all_backends, _kept_reference(study, view), view, study.scanner.exposure)
         read = functools.partial(kept_round, study.choices, len(view.positions_m))
         for seed in range(n_seeds):
             job = part_of(n_parts, before + 1 + seed, 1, _render_round(study, view, seed, backends, rng))
             path = study.folder / f"round_{view.frame:04d}_{seed}.json"
-            rounds.append((yield from kept_or_done(path, read, job)))
-    alone = [_measured(choice, COMPUTED_BY[0], rounds, truths) for choice in study.choices]
-    together = [
-        _measured(choice, by, rounds, truths, computing_ms[by]) for choice in study.choices for by in COMPUTED_BY
-    ]
+            rounds.append(((yield from kept_or_done(path, read, job)), truth))
+    alone = [_measured(choice, COMPUTED_BY[0], rounds) for choice in study.choices]
+    together = [_measured(choice, by, rounds, computing_ms[by]) for choice in study.choices for by in COMPUTED_BY]
     return alone, together
 
 
@@ -212,11 +211,9 @@ def _render_round(
     return taken
 
 
-def _lights(
-    backends: Mapping[ComputeChoice, ChoiceBackend], frame: RgbdFrame, view: View, exposure: float
-) -> dict[ComputeChoice, list[ArrayF64]]:
+def _lights(backends: Mapping[ComputeChoice, ChoiceBackend], frame: RgbdFrame, view: View, exposure: float) -> LightsBy:
     return {
-        by: [light_of_frame(by, backend, frame, position, exposure) for position in view.positions_m]
+        by: [light_of_frame(backend, frame, position, exposure) for position in view.positions_m]
         for by, backend in backends.items()
     }
 
@@ -224,15 +221,14 @@ def _lights(
 def _measured(
     candidate: RenderCandidate,
     by: ComputeChoice,
-    rounds: Sequence[Round],
-    truths: Sequence[Mapping[ComputeChoice, list[ArrayF64]]],
+    rounds: Sequence[tuple[Round, LightsBy]],
     computing_ms: float | None = None,
 ) -> Measured:
     """Together with computing, where its time is given; else alone, against the exhaustive render computed alike."""
     is_alone, is_base = computing_ms is None, by == COMPUTED_BY[0]
-    taken = [one[candidate.key] for one in rounds]
+    taken = [one[candidate.key] for one, _ in rounds]
     lights = [np.array(light) for one in taken for light in one.lights[by.label]]
-    errors = square_errors(lights, [light for truth in truths for light in truth[by if is_alone else EXHAUSTIVE]])
+    errors = square_errors(lights, [light for _, truth in rounds for light in truth[by if is_alone else EXHAUSTIVE]])
     times_ms = tuple(one.ms + (computing_ms or 0.0) for one in taken)
     words = candidate.choice.label if is_base else f"{candidate.choice.label}, {by.label}"
     settings = ChoiceSettings(rendering=candidate.choice, computing=None if is_alone else by)
@@ -367,7 +363,7 @@ def _lights_of_objects(study: RenderStudy, by: ComputeChoice, captured: RgbdFram
     means: dict[str, ArrayF64] = {}
     for item in study.plan.objects:
         positions_m = [probe.position_m for probe in study.plan.probes_of(item.name)]
-        lights = [light_of_frame(by, backend, captured, position_m, exposure)[:9] for position_m in positions_m]
+        lights = [light_of_frame(backend, captured, position_m, exposure)[:9] for position_m in positions_m]
         means[item.name] = np.mean(lights, axis=0)
     return means
 

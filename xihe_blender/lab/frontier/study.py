@@ -56,7 +56,7 @@ from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.plan import PrevisPlan, evenly_chosen, plan_previs
 from xihe_blender.previs.prepare import effects_kept, positive_exposure
-from xihe_blender.previs.sample_count import measure_captures, pilot_samples, pilot_views, samples_taken
+from xihe_blender.previs.sample_count import measure_sample_count, pilot_views
 from xihe_blender.previs.settings import PRESETS, PrevisSettings
 from xihe_blender.previs.survey import SceneSurvey, survey_path
 from xihe_blender.report.document import write_document
@@ -126,9 +126,8 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
 
 def _table_row(point: FrontierPoint) -> Mapping[str, object]:
     """Settings other than the kind of error are JSON in the last column."""
-    settings = as_json(point.settings)
-    kind = settings.pop("error_kind")
-    return {**vars(point), "error_kind": kind, "settings": json.dumps(settings)}
+    settings = {name: value for name, value in as_json(point.settings).items() if name != "error_kind"}
+    return {**vars(point), "error_kind": point.kind, "settings": json.dumps(settings)}
 
 
 @dataclass(frozen=True)
@@ -204,17 +203,15 @@ def prepare(study: SceneStudy) -> Job[Prepared]:
     yield Progress(0, 1, "metering the exposure, looking for effects")
     exposure = meter_exposure(scene, plan.frames, study.settings.seed)
     effects = plan_effects(study.survey.required, overrides_in_force(scene, {}))
-    views, samples = pilot_views(plan, study.survey), {}
-    if not views:
+    if not pilot_views(plan, study.survey):
         words = "never has a virtual object in view: move the camera's path, or objects"
         raise UserError(f"scene {scene.name!r} {words}")
-    for index, (name, preset) in enumerate(PRESETS.items()):
+    samples = {}
+    for index, name in enumerate(PRESETS):
         yield Progress(1 + index, 1 + len(PRESETS), f"measuring how many samples {name} takes")
         settings = PrevisSettings(preset=name, seed=study.settings.seed)
-        capture = settings.capture(plan.size, pilot_samples(preset))
-        capture = replace(capture, light_transport=cycles_settings(effects))
-        noise, _ = measure_captures(scene, views, capture, exposure, settings.n_anchors, settings.trigger)
-        samples[name] = samples_taken(preset, noise)
+        count = measure_sample_count(scene, plan, study.survey, settings, exposure, cycles_settings(effects))
+        samples[name] = count.capture_samples
     write_json(path, {"exposure": exposure, "effects": effects_as_json(effects), "samples": samples})
     return kept_preparation(plan, study.survey, read_json(path))
 

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import bpy
 
 from xihe_blender.lab.props import Collection, Material, Vector
-from xihe_blender.lab.props.furniture import Place
-from xihe_blender.lab.props.shapes import add_solid, ball, cylinder, joined, revolved, tube
+from xihe_blender.lab.props.shapes import Place, ball, cylinder, joined, revolved, tube
 from xihe_blender.lab.props.surfaces import Nodes, glowing, plain
 
 Profile = Sequence[tuple[float, float]]
@@ -44,11 +44,10 @@ def tint_light(light: bpy.types.Light, kelvin: float) -> None:
     nodes.set(nodes.first("EMISSION"), {"Color": tint.outputs[0]})
 
 
-def add_bulb(
-    room: Collection, name: str, location: Vector, *, kelvin: float, watts: float, radius: float = 0.06
-) -> bpy.types.Object:
+def add_bulb(place: Place, *, kelvin: float, watts: float, radius: float = 0.06) -> bpy.types.Object:
     """A round point light with a black body's colour."""
-    bulb = add_light(room, name, "POINT", location, energy=watts, shadow_soft_size=radius)
+    where, look = (place.x, place.y, place.z), {"energy": watts, "shadow_soft_size": radius}
+    bulb = add_light(place.room, f"{place.name} light", "POINT", where, **look)
     tint_light(bulb.data, kelvin)
     return bulb
 
@@ -59,46 +58,39 @@ def shade_cloth(name: str, kelvin: float, radiance: float) -> Material:
 
 
 def _add_shaded_bulb(
-    room: Collection, name: str, profile: Profile, bulb_m: float, *,
-    place: Place, kelvin: float, watts: float, radiance: float,
-) -> bpy.types.Object | None:  # fmt: skip
+    place: Place, profile: Profile, bulb_m: float, *, kelvin: float, watts: float, radiance: float
+) -> bpy.types.Object | None:
     """A shade of revolution that lets light pass, and the bulb in it, `bulb_m` above the place; None without power."""
-    cloth = shade_cloth(f"{name} shade", kelvin, radiance)
-    shade = add_solid(room, f"{name} shade", revolved(profile, 40), cloth, smooth=True, **place)
+    cloth = shade_cloth(f"{place.name} shade", kelvin, radiance)
+    shade = place.add(revolved(profile, 40), cloth, "shade", smooth=True)
     shade.visible_shadow = False
-    x, y, z = place["location"]
-    return add_bulb(room, f"{name} light", (x, y, z + bulb_m), kelvin=kelvin, watts=watts) if watts > 0 else None
+    return add_bulb(replace(place, z=place.z + bulb_m), kelvin=kelvin, watts=watts) if watts > 0 else None
 
 
 def add_table_lamp(
-    room: Collection, name: str, body: Material, *,
-    place: Place, height: float = 0.5, foot: Profile = LAMP_FOOT, **light: float,
-) -> bpy.types.Object | None:  # fmt: skip
+    place: Place, body: Material, *, height: float = 0.5, foot: Profile = LAMP_FOOT, **light: float
+) -> bpy.types.Object | None:
     """A ceramic foot with a conical shade; `light` is kelvin, watts and the shade's radiance. Returns the light."""
     h = height
     turned = revolved([(r * h, z * h) for r, z in foot], 32)
-    add_solid(room, f"{name} foot", turned, body, smooth=True, **place)
-    return _add_shaded_bulb(room, name, [(0.32 * h, 0.55 * h), (0.2 * h, h)], 0.75 * h, place=place, **light)
+    place.add(turned, body, "foot", smooth=True)
+    return _add_shaded_bulb(place, [(0.32 * h, 0.55 * h), (0.2 * h, h)], 0.75 * h, **light)
 
 
-def add_floor_lamp(
-    room: Collection, name: str, metal: Material, *, place: Place, height: float = 1.6, **light: float
-) -> bpy.types.Object | None:
+def add_floor_lamp(place: Place, metal: Material, *, height: float = 1.6, **light: float) -> bpy.types.Object | None:
     """A pole on a round foot with a drum shade; otherwise as `add_table_lamp`."""
     pole = [cylinder(0.15, 0.02, 32), tube((0, 0, 0.01), (0, 0, height - 0.1), 0.011)]
-    add_solid(room, f"{name} pole", joined(pole), metal, smooth=True, **place)
-    return _add_shaded_bulb(room, name, [(0.21, height - 0.3), (0.17, height)], height - 0.15, place=place, **light)
+    place.add(joined(pole), metal, "pole", smooth=True)
+    return _add_shaded_bulb(place, [(0.21, height - 0.3), (0.17, height)], height - 0.15, **light)
 
 
-def add_pendant(
-    room: Collection, name: str, shell: Material, cord: Material, *, place: Place, drop: float = 0.7
-) -> None:
+def add_pendant(place: Place, shell: Material, cord: Material, *, drop: float = 0.7) -> None:
     """A pendant lamp that is switched off, hanging from the place's height."""
     dome = [(0.2, -drop), (0.185, -drop + 0.07), (0.13, -drop + 0.14), (0.05, -drop + 0.18), (0.0, -drop + 0.185)]
-    add_solid(room, f"{name} shell", revolved(dome, 40), shell, smooth=True, **place)
+    place.add(revolved(dome, 40), shell, "shell", smooth=True)
     parts = [tube((0, 0, -drop + 0.17), (0, 0, 0), 0.004, 8), cylinder(0.05, 0.03).moved((0, 0, -0.03))]
     parts.append(ball(0.045, (0, 0, -drop + 0.06), 24))
-    add_solid(room, f"{name} cord", joined(parts), cord, smooth=True, **place)
+    place.add(joined(parts), cord, "cord", smooth=True)
 
 
 def add_sun(

@@ -4,38 +4,37 @@ from __future__ import annotations
 
 import numpy as np
 
-from xihe_blender.lab.props import Collection, Material, Vector
-from xihe_blender.lab.props.furniture import Place
-from xihe_blender.lab.props.shapes import Solid, add_solid, box, box_between, joined
+from xihe_blender.lab.props import Material, Vector
+from xihe_blender.lab.props.shapes import Place, Solid, box, box_between, joined
 
 
-def add_bench(room: Collection, name: str, width: float, slats: Material, iron: Material, *, place: Place) -> None:
+def add_bench(place: Place, width: float, slats: Material, iron: Material) -> None:
     """A garden bench with slats, its back at +Y."""
     boards = [box((width, 0.085, 0.03), (0, -0.22 + 0.1 * i, 0.44)) for i in range(5)]
     back = box((width, 0.03, 0.09)).turned(-12, "X")
     boards += [back.moved((0, 0.25 + 0.024 * i, 0.56 + 0.12 * i)) for i in range(3)]
-    add_solid(room, f"{name} slats", joined(boards), slats, bevel_m=0.006, **place)
+    place.add(joined(boards), slats, "slats", bevel_m=0.006)
     sides = []
     for x in (-width / 2 + 0.15, width / 2 - 0.15):
         sides += [box((0.04, 0.04, 0.43), (x, y, 0.215)) for y in (-0.22, 0.2)]
         sides += [box((0.04, 0.5, 0.03), (x, 0, 0.415)), box((0.03, 0.03, 0.5)).turned(-12, "X").moved((x, 0.25, 0.63))]
-    add_solid(room, f"{name} frame", joined(sides), iron, bevel_m=0.004, **place)
+    place.add(joined(sides), iron, "frame", bevel_m=0.004)
 
 
 def add_planter(
-    room: Collection, name: str, size: Vector, stone: Material, soil: Material, leaves: Material,
-    rng: np.random.Generator, *, place: Place, shrub_m: float = 0.4,
+    place: Place, size: Vector, stone: Material, soil: Material, leaves: Material, rng: np.random.Generator,
+    *, shrub_m: float = 0.4,
 ) -> None:  # fmt: skip
     """A trough of full extents `size` with a row of round shrubs of radius `shrub_m`."""
     x, y, z = size
     rims = [box((x, 0.05, z), (0, s * (y / 2 - 0.025), z / 2)) for s in (-1, 1)]
     rims += [box((0.05, y - 0.1, z), (s * (x / 2 - 0.025), 0, z / 2)) for s in (-1, 1)]
-    add_solid(room, f"{name} trough", joined(rims), stone, bevel_m=0.008, **place)
-    add_solid(room, f"{name} soil", box((x - 0.1, y - 0.1, z - 0.06), (0, 0, (z - 0.06) / 2)), soil, **place)
+    place.add(joined(rims), stone, "trough", bevel_m=0.008)
+    place.add(box((x - 0.1, y - 0.1, z - 0.06), (0, 0, (z - 0.06) / 2)), soil, "soil")
     n = max(1, round(x / (1.6 * shrub_m)))
     middles = [(x - 0.2) * ((i + 0.5) / n - 0.5) for i in range(n)]
     bushes = [shrub(shrub_m * rng.uniform(0.85, 1.1), rng).moved((c, 0, z + 0.6 * shrub_m)) for c in middles]
-    add_solid(room, f"{name} shrubs", joined(bushes), leaves, **place)
+    place.add(joined(bushes), leaves, "shrubs")
 
 
 def shrub(radius: float, rng: np.random.Generator) -> Solid:
@@ -49,7 +48,7 @@ def shrub(radius: float, rng: np.random.Generator) -> Solid:
     along *= leaf_m / np.linalg.norm(along, axis=1, keepdims=True)
     across = np.cross(out, along) * 0.5
     corners = np.stack([middles - along, middles + across, middles + along, middles - across], axis=1)
-    return Solid.of(corners, np.arange(4 * n_leaves).reshape(-1, 4).tolist())
+    return Solid(corners.reshape(-1, 3), np.arange(4 * n_leaves).reshape(-1, 4).tolist())
 
 
 def low_wall(start: Vector, end: Vector, height: float, thickness: float) -> tuple[Solid, Solid]:

@@ -1,6 +1,6 @@
 """What geometry are the scenes made of?
 
-A few solids as plain vertex and face lists, and one function that turns such a list into a Blender object. Written
+A few solids as plain vertices and faces, and one function that turns these into a Blender object. Written
 without `bpy.ops`, so that a build depends on nothing but its arguments and the same call gives the same mesh. Rounded
 edges and cushions are bevel and subdivision modifiers: the file stays small and the shapes stay editable.
 
@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import Any
 
 import bpy
@@ -25,50 +25,40 @@ BOX_FACES = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2
 SHARP_ANGLE = math.radians(40)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Solid:
-    """Vertices in metres, and faces as tuples of vertex indices that turn anticlockwise seen from outside."""
+    """Vertices (V, 3) in metres, and faces as vertex indices that turn anticlockwise seen from outside."""
 
-    vertices: tuple[tuple[float, float, float], ...]
-    faces: tuple[tuple[int, ...], ...]
-
-    @classmethod
-    def of(cls, points: NDArray[Any], faces: Sequence[Sequence[int]]) -> Solid:
-        """The solid of points (..., 3)."""
-        return cls(tuple(map(tuple, points.reshape(-1, 3).tolist())), tuple(map(tuple, faces)))
+    vertices: NDArray[Any]
+    faces: Sequence[Sequence[int]]
 
     def moved(self, offset: Vector) -> Solid:
-        x, y, z = offset
-        return Solid(tuple((a + x, b + y, c + z) for a, b, c in self.vertices), self.faces)
+        return Solid(self.vertices + np.asarray(offset), self.faces)
 
     def turned(self, degrees: float, axis: str = "Z") -> Solid:
         """The same solid, turned about an axis through its origin, anticlockwise seen from the axis' tip."""
         i, j = {"X": (1, 2), "Y": (2, 0), "Z": (0, 1)}[axis]
-        points = np.array(self.vertices)
+        points = self.vertices.copy()
         c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
         points[:, [i, j]] = points[:, [i, j]] @ np.array([[c, s], [-s, c]])
-        return Solid.of(points, self.faces)
+        return Solid(points, self.faces)
 
 
 def joined(solids: Sequence[Solid]) -> Solid:
-    vertices: list[tuple[float, float, float]] = []
-    faces: list[tuple[int, ...]] = []
-    for solid in solids:
-        first = len(vertices)
-        vertices += solid.vertices
-        faces += [tuple(first + i for i in face) for face in solid.faces]
-    return Solid(tuple(vertices), tuple(faces))
+    firsts = accumulate((len(solid.vertices) for solid in solids[:-1]), initial=0)
+    faces = [[first + i for i in face] for first, solid in zip(firsts, solids, strict=True) for face in solid.faces]
+    return Solid(np.concatenate([solid.vertices for solid in solids]), faces)
 
 
 def box(size: Vector, centre: Vector = (0.0, 0.0, 0.0)) -> Solid:
     """A box of full extents `size` around `centre`."""
     corners = [(x, y, z) for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)]
-    return Solid(tuple((x * size[0], y * size[1], z * size[2]) for x, y, z in corners), BOX_FACES).moved(centre)
+    return Solid(np.array(corners) * size + centre, BOX_FACES)
 
 
 def box_between(low: Vector, high: Vector) -> Solid:
-    size = [b - a for a, b in zip(low, high, strict=True)]
-    return box(size, [(a + b) / 2 for a, b in zip(low, high, strict=True)])
+    ends = np.array((low, high), float)
+    return box((ends[1] - ends[0]).tolist(), (ends.sum(axis=0) / 2).tolist())
 
 
 def revolved(profile: Sequence[tuple[float, float]], n_segments: int = 32) -> Solid:
@@ -84,7 +74,7 @@ def revolved(profile: Sequence[tuple[float, float]], n_segments: int = 32) -> So
         angles = 2 * np.pi * np.arange(n) / n
         vertices += [(radius * math.cos(a), radius * math.sin(a), height) for a in angles.tolist()]
     faces = [face for low, high in pairwise(rings) for face in _band(low, high, n_segments)]
-    return Solid(tuple(vertices), tuple(faces))
+    return Solid(np.array(vertices), faces)
 
 
 def _band(low: list[int], high: list[int], n: int) -> list[tuple[int, ...]]:
@@ -113,7 +103,7 @@ def tube(start: Vector, end: Vector, radius: float, n_segments: int = 12) -> Sol
     side /= np.linalg.norm(side)
     frame = np.stack([side, np.cross(along, side), along])
     upright = cylinder(radius, float(np.linalg.norm(b - a)), n_segments)
-    return Solid.of(np.array(upright.vertices) @ frame + a, upright.faces)
+    return Solid(upright.vertices @ frame + a, upright.faces)
 
 
 def sheet(grid: NDArray[Any]) -> Solid:
@@ -121,7 +111,7 @@ def sheet(grid: NDArray[Any]) -> Solid:
     rows, columns = grid.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)
     quads = np.stack([index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]], axis=-1).reshape(-1, 4)
-    return Solid.of(grid, quads.tolist())
+    return Solid(grid.reshape(-1, 3), quads.tolist())
 
 
 def add_solid(
@@ -138,7 +128,7 @@ def add_solid(
     smooth : smooth shading, except across edges sharper than 40 degrees
     """
     mesh = bpy.data.meshes.new(name)
-    mesh.from_pydata(solid.vertices, [], solid.faces)
+    mesh.from_pydata(solid.vertices.tolist(), [], solid.faces)
     mesh.materials.append(material)
     if smooth or subdivisions:
         mesh.shade_smooth()
@@ -154,3 +144,20 @@ def add_solid(
         smoothing = thing.modifiers.new("Soft shape", "SUBSURF")
         smoothing.levels = smoothing.render_levels = subdivisions
     return thing
+
+
+@dataclass(frozen=True)
+class Place:
+    """A piece of `room`: its name, where it stands, and its turn about +Z, before which its front looks towards -Y."""
+
+    room: Collection
+    name: str
+    x: float
+    y: float
+    z: float = 0.0
+    turn_deg: float = 0.0
+
+    def add(self, solid: Solid, material: Material, part: str = "", **look: Any) -> bpy.types.Object:
+        """Make an object of `solid` there, named after the piece and its `part`; `look` is what `add_solid` takes."""
+        name, location = f"{self.name} {part}".rstrip(), (self.x, self.y, self.z)
+        return add_solid(self.room, name, solid, material, location=location, turn_deg=self.turn_deg, **look)

@@ -10,20 +10,19 @@ start them, as `xihe evaluate` does, and see the folder under the same path.
 from __future__ import annotations
 
 import contextlib
-import subprocess
-import tempfile
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from subprocess import DEVNULL, Popen
 from typing import IO, Any
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import NOT_COMPARED, FolderManifest
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.lab.rooms.store import FORMAT_VERSION, METERING, stored_indices
-from xihe_blender.lab.workers.dask_workers import Work, last_line, open_dask_workers
-from xihe_blender.lab.workers.one_core import child_environment, cores_of_their_own, n_cores, on_core
+from xihe_blender.lab.workers.dask_workers import Work, open_dask_workers
+from xihe_blender.lab.workers.one_core import last_line, n_cores, process_on_one_core
 from xihe_blender.lab.workers.processes import module_command
 from xihenet import __version__
 from xihenet.training.rooms import SPLITS, Split, split_of
@@ -33,32 +32,20 @@ MAX_ROOMS = 1_000_000
 MAX_WALK = 240
 WORKER = "xihe_blender.lab.rooms.worker"
 ROOMS_AT_A_TIME = 8  # That a worker of a scheduler is asked for: half a minute of work for a second of loading Blender
-_Worker = tuple[subprocess.Popen[bytes], IO[bytes]]  # A process, and what it wrote to stderr
 MANIFEST = "dataset.json"  # What the rooms in a folder are made with
 
 
 @dataclass(frozen=True)
 class BuildSettings:
-    """What to build.
+    """What to build."""
 
-    Parameters
-    ----------
-    n_rooms : room numbers are below this; more may be added later with the same seed
-    seed : of the whole data set, at least 0
-    n_workers : processes, one thread each; None for one per core of this process
-    render : sizes and samples of views and probes, as `RoomRenderSettings.numbers` has them
-    walk : frames of a walk in place of the free views; None for free views
-    split : make the rooms of this split alone; None for all
-    scheduler : address of a Dask scheduler whose workers make the rooms; None for processes of our own
-    """
-
-    n_rooms: int
-    seed: int = 0
-    n_workers: int | None = None
-    render: tuple[int, ...] = (128, 96, 4, 160, 2, 80)
-    walk: int | None = None
-    split: Split | None = None
-    scheduler: str | None = None
+    n_rooms: int  # room numbers are below this; more may be added later with the same seed
+    seed: int = 0  # of the whole data set, at least 0
+    n_workers: int | None = None  # processes, one thread each; None for one per core of this process
+    render: tuple[int, ...] = (128, 96, 4, 160, 2, 80)  # as `RoomRenderSettings.numbers` has them
+    walk: int | None = None  # frames of a walk in place of the free views; None for free views
+    split: Split | None = None  # make the rooms of this split alone; None for all
+    scheduler: str | None = None  # of Dask, by its address, whose workers make the rooms; None for processes of our own
 
     def __post_init__(self) -> None:
         if not 1 <= self.n_rooms <= MAX_ROOMS:
@@ -103,10 +90,11 @@ def build_dataset(folder: Path, settings: BuildSettings) -> Job[int]:
 def _in_processes(folder: Path, settings: BuildSettings, missing: Sequence[int]) -> Iterator[Progress]:
     """Make the `missing` rooms in processes of this machine. UserError, in its own words, if one failed."""
     n_workers = min(settings.n_workers or n_cores(), len(missing))
-    cores = cores_of_their_own(n_workers)
+    shares = [missing[i::n_workers] for i in range(n_workers)]
+    commands = [[*module_command(WORKER), *_arguments(folder, settings, share)] for share in shares]
     with contextlib.ExitStack() as stack:
-        making = [_worker(folder, settings, missing[i::n_workers], core) for i, core in enumerate(cores)]
-        workers = [stack.enter_context(worker) for worker in making]
+        silent = {"stdin": DEVNULL, "stdout": DEVNULL}
+        workers = [stack.enter_context(process_on_one_core(command, **silent)) for command in commands]
         try:
             yield from _watched(folder, len(settings.wanted()), missing, workers)
         finally:
@@ -142,7 +130,9 @@ def missing_rooms(folder: Path, wanted: Iterable[int]) -> list[int]:
     return [i for i in wanted if i not in there]
 
 
-def _watched(folder: Path, n_wanted: int, missing: Sequence[int], workers: list[_Worker]) -> Iterator[Progress]:
+def _watched(
+    folder: Path, n_wanted: int, missing: Sequence[int], workers: Sequence[tuple[Popen[Any], IO[bytes]]]
+) -> Iterator[Progress]:
     """Progress until all workers have ended."""
     while True:
         codes = [process.poll() for process, _ in workers]
@@ -155,21 +145,6 @@ def _watched(folder: Path, n_wanted: int, missing: Sequence[int], workers: list[
         if None not in codes:
             return
         time.sleep(POLL_S)
-
-
-@contextlib.contextmanager
-def _worker(folder: Path, settings: BuildSettings, indices: Sequence[int], core: int | None) -> Iterator[_Worker]:
-    """A process that makes the rooms `indices`; it has ended when the block has, whatever happens."""
-    command = [*module_command(WORKER), *_arguments(folder, settings, indices)]
-    nothing, environment = subprocess.DEVNULL, child_environment()
-    with tempfile.TemporaryFile() as errors:
-        with on_core(core):
-            process = subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=errors, env=environment)
-        try:
-            yield process, errors
-        finally:
-            process.terminate()
-            process.wait()
 
 
 def _arguments(folder: Path, settings: BuildSettings, indices: Sequence[int]) -> list[str]:

@@ -6,14 +6,15 @@ rooms. Portals stand in the windows: without them nearly all samples of the sky 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import bpy
+import numpy as np
 from mathutils import Vector as BlenderVector
 
 from xihe_blender.lab.props import Collection, Material, furniture, lighting, surfaces
 from xihe_blender.lab.props.room_shell import Opening, Span, Walls, add_door, add_skirting, add_window, wall_solid
-from xihe_blender.lab.props.shapes import Solid, add_solid, ball, box, box_between, cylinder, tube
+from xihe_blender.lab.props.shapes import Place, Solid, add_solid, ball, box, box_between, cylinder, tube
 from xihe_blender.lab.rooms.materials import material_of
 from xihe_blender.lab.rooms.outline import Outline
 from xihe_blender.lab.rooms.place_pieces import place_piece
@@ -67,7 +68,7 @@ def build_room(room: Room) -> bpy.types.Scene:
     for i, lamp in enumerate(room.lamps):
         name = f"{lamp.kind} lamp {i}"
         metal = surfaces.plain(f"{name} metal", (0.3, 0.29, 0.27), metallic=1.0, roughness=0.35)
-        LAMP_MAKERS[lamp.kind](things, name, lamp, metal)
+        LAMP_MAKERS[lamp.kind](Place(things, name, lamp.x, lamp.y, lamp.z), lamp, metal)
     add_daylight(scene, things, room)
     remove_relief()
     return scene
@@ -110,8 +111,8 @@ def slope_solid(room: Room, slope: Slope) -> Solid:
     section = [(-WALL_M, slope.knee_m - WALL_M * (room.height - slope.knee_m) / slope.reach_m)]
     section += [(slope.reach_m, room.height), (-WALL_M, room.height)]
     ends = (-WALL_M, wall.length + WALL_M)
-    corners = tuple((*wall.point(along, inwards), up) for along in ends for inwards, up in section)
-    return Solid(corners, ((0, 1, 2), (5, 4, 3), (0, 3, 4, 1), (1, 4, 5, 2), (2, 5, 3, 0)))
+    corners = [(*wall.point(along, inwards), up) for along in ends for inwards, up in section]
+    return Solid(np.array(corners), ((0, 1, 2), (5, 4, 3), (0, 3, 4, 1), (1, 4, 5, 2), (2, 5, 3, 0)))
 
 
 def add_covering(things: Collection, room: Room, hole: Hole) -> None:
@@ -129,20 +130,15 @@ def add_covering(things: Collection, room: Room, hole: Hole) -> None:
         drop = top - 0.03 if seed % 2 else top - hole.bottom + 0.1
         for i, along in enumerate((hole.low - 0.1 + side / 2, hole.high + 0.1 - side / 2)):
             within = min(max(along, side / 2 + 0.02), wall.length - side / 2 - 0.02)
-            place = furniture.at(*wall.point(within, 0.1), top, wall.turn_deg)
-            furniture.add_curtain(things, f"{name} {i}", side, drop, cloth, place=place, seed=seed + i)
+            place = Place(things, f"{name} {i}", *wall.point(within, 0.1), top, wall.turn_deg)
+            furniture.add_curtain(place, side, drop, cloth, seed=seed + i)
     elif is_sheer:
-        place = furniture.at(*wall.point(middle, 0.1), top, wall.turn_deg)
-        furniture.add_curtain(things, name, width, top - hole.bottom + 0.05, cloth, place=place, seed=seed)
+        place = Place(things, name, *wall.point(middle, 0.1), top, wall.turn_deg)
+        furniture.add_curtain(place, width, top - hole.bottom + 0.05, cloth, seed=seed)
     else:
         drop = (0.25 + 0.6 * (seed % 97) / 97) * (hole.top - hole.bottom)
-        panel = box((width + 0.04, 0.008, drop), (0, 0, -drop / 2))
-        place = furniture.at(*wall.point(middle, 0.02), hole.top + 0.02, wall.turn_deg)
-        add_solid(things, name, panel, cloth, **place)
-
-
-def _place(lamp: Lamp) -> furniture.Place:
-    return furniture.at(lamp.x, lamp.y, lamp.z)
+        place = Place(things, name, *wall.point(middle, 0.02), hole.top + 0.02, wall.turn_deg)
+        place.add(box((width + 0.04, 0.008, drop), (0, 0, -drop / 2)), cloth)
 
 
 def _shaded(lamp: Lamp) -> dict[str, float]:
@@ -150,56 +146,54 @@ def _shaded(lamp: Lamp) -> dict[str, float]:
     return {"kelvin": lamp.kelvin, "watts": lamp.watts, "radiance": lamp.watts * SHADE_PER_WATT}
 
 
-def _bulb(things: Collection, name: str, lamp: Lamp, height: float, radius: float) -> None:
+def _bulb(place: Place, lamp: Lamp, height: float, radius: float) -> None:
     if lamp.watts > 0:
-        place = (lamp.x, lamp.y, height)
-        lighting.add_bulb(things, f"{name} light", place, kelvin=lamp.kelvin, watts=lamp.watts, radius=radius)
+        lighting.add_bulb(replace(place, z=height), kelvin=lamp.kelvin, watts=lamp.watts, radius=radius)
 
 
-def _floor_lamp(things: Collection, name: str, lamp: Lamp, metal: Material) -> None:
-    lighting.add_floor_lamp(things, name, metal, place=_place(lamp), height=lamp.size_m, **_shaded(lamp))
+def _floor_lamp(place: Place, lamp: Lamp, metal: Material) -> None:
+    lighting.add_floor_lamp(place, metal, height=lamp.size_m, **_shaded(lamp))
 
 
-def _table_lamp(things: Collection, name: str, lamp: Lamp, metal: Material) -> None:
-    lighting.add_table_lamp(things, name, metal, place=_place(lamp), height=lamp.size_m, foot=JUG, **_shaded(lamp))
+def _table_lamp(place: Place, lamp: Lamp, metal: Material) -> None:
+    lighting.add_table_lamp(place, metal, height=lamp.size_m, foot=JUG, **_shaded(lamp))
 
 
-def _pendant(things: Collection, name: str, lamp: Lamp, metal: Material) -> None:
+def _pendant(place: Place, lamp: Lamp, metal: Material) -> None:
     """An opaque dome that shines down."""
-    lighting.add_pendant(things, name, metal, metal, place=_place(lamp), drop=lamp.size_m + 0.1)
-    _bulb(things, name, lamp, lamp.z - lamp.size_m - 0.09, 0.05)
+    lighting.add_pendant(place, metal, metal, drop=lamp.size_m + 0.1)
+    _bulb(place, lamp, lamp.z - lamp.size_m - 0.09, 0.05)
 
 
-def _globe(things: Collection, name: str, lamp: Lamp, metal: Material) -> None:
+def _globe(place: Place, lamp: Lamp, metal: Material) -> None:
     """A glowing ball on a cord, its light spread over the whole of it."""
     radius, middle = 0.14, lamp.z - lamp.size_m
-    cloth = lighting.shade_cloth(f"{name} shade", lamp.kelvin, lamp.watts / 9)
-    place = furniture.at(lamp.x, lamp.y, middle)
-    globe = add_solid(things, f"{name} shade", ball(radius, n_segments=32), cloth, smooth=True, **place)
+    cloth = lighting.shade_cloth(f"{place.name} shade", lamp.kelvin, lamp.watts / 9)
+    globe = replace(place, z=middle).add(ball(radius, n_segments=32), cloth, "shade", smooth=True)
     globe.visible_shadow = False
     cord = tube((lamp.x, lamp.y, middle + radius), (lamp.x, lamp.y, lamp.z), 0.006, 8)
-    add_solid(things, f"{name} cord", cord, metal)
-    _bulb(things, name, lamp, middle, 0.12)
+    add_solid(place.room, f"{place.name} cord", cord, metal)
+    _bulb(place, lamp, middle, 0.12)
 
 
-def _ceiling_light(things: Collection, name: str, lamp: Lamp, shape: str) -> None:
+def _ceiling_light(place: Place, lamp: Lamp, shape: str) -> None:
     """An area light just under the ceiling, facing down, where the lamp is lit."""
     if lamp.watts > 0:
-        place, look = (lamp.x, lamp.y, lamp.z - 0.025), {"shape": shape, "size": lamp.size_m, "energy": lamp.watts}
-        lighting.tint_light(lighting.add_light(things, name, "AREA", place, **look).data, lamp.kelvin)
+        where, look = (lamp.x, lamp.y, lamp.z - 0.025), {"shape": shape, "size": lamp.size_m, "energy": lamp.watts}
+        lighting.tint_light(lighting.add_light(place.room, place.name, "AREA", where, **look).data, lamp.kelvin)
 
 
-def _panel(things: Collection, name: str, lamp: Lamp, metal: Material) -> None:
+def _panel(place: Place, lamp: Lamp, metal: Material) -> None:
     s = lamp.size_m
     frame = box((s + 0.04, s + 0.04, 0.02), (lamp.x, lamp.y, lamp.z - 0.01))
-    add_solid(things, f"{name} frame", frame, surfaces.plain(name, (0.75, 0.75, 0.74)))
-    _ceiling_light(things, name, lamp, "SQUARE")
+    add_solid(place.room, f"{place.name} frame", frame, surfaces.plain(place.name, (0.75, 0.75, 0.74)))
+    _ceiling_light(place, lamp, "SQUARE")
 
 
-def _spot(things: Collection, name: str, lamp: Lamp, metal: Material) -> None:
+def _spot(place: Place, lamp: Lamp, metal: Material) -> None:
     ring = cylinder(0.6 * lamp.size_m, 0.02).moved((lamp.x, lamp.y, lamp.z - 0.02))
-    add_solid(things, f"{name} ring", ring, metal, smooth=True)
-    _ceiling_light(things, name, lamp, "DISK")
+    add_solid(place.room, f"{place.name} ring", ring, metal, smooth=True)
+    _ceiling_light(place, lamp, "DISK")
 
 
 LAMP_MAKERS = {

@@ -56,19 +56,16 @@ class FreeFloor:
         return self._middles(np.argwhere(self.is_free))
 
     def _middles(self, cells: ArrayInt) -> ArrayF64:
-        middles: ArrayF64 = cells[:, ::-1] * CELL_M + np.array(self.corner_m) + CELL_M / 2
-        return middles
+        return np.asarray(cells[:, ::-1] * CELL_M + np.array(self.corner_m) + CELL_M / 2)
 
     def cells(self, places_m: ArrayF64) -> ArrayInt:
         """(N, 2) row and column of places (N, 2), cut to what there is."""
         found = np.floor((places_m - np.array(self.corner_m)) / CELL_M)[:, ::-1].astype(int)
-        cut: ArrayInt = np.clip(found, 0, np.array(self.is_free.shape) - 1)
-        return cut
+        return np.asarray(np.clip(found, 0, np.array(self.is_free.shape) - 1))
 
     def holds(self, places_m: ArrayF64) -> ArrayBool:
         """(N,) bool: which places (N, 2) lie in free cells."""
-        held: ArrayBool = self.is_free[tuple(self.cells(places_m).T)]
-        return held
+        return np.asarray(self.is_free[tuple(self.cells(places_m).T)])
 
     def without(self, places_m: ArrayF64, radius_m: float) -> FreeFloor:
         """The largest part that is left without what is nearer than `radius_m` to any of places (N, 2)."""

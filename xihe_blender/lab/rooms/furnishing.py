@@ -48,19 +48,12 @@ def _make_by_chance(rng: Rng, floor: Floor, make: Maker, chance: float | None) -
 
 @dataclass(frozen=True)
 class AtWall:
-    """Puts one piece at a wall.
-
-    Parameters
-    ----------
-    size : extents, each a number or drawn from between two
-    finishes : each one, or what draws it
-    is_size_first : before the finishes; the order of the draws makes the same seed give the same room
-    """
+    """Puts one piece at a wall."""
 
     kind: str
-    size: tuple[Extent, Extent, Extent]
-    finishes: tuple[Finish | Callable[[Rng], Finish], ...]
-    is_size_first: bool = False
+    size: tuple[Extent, Extent, Extent]  # extents, each a number or drawn from between two
+    finishes: tuple[Finish | Callable[[Rng], Finish], ...]  # each one, or what draws it
+    is_size_first: bool = False  # before the finishes; the order of the draws makes the same seed give the same room
     z: float = 0.0
     tries: int = TRIES
 

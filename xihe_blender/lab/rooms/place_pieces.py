@@ -6,18 +6,18 @@ A lamp's body and light are made with the lamps: its piece only keeps the place.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
 
 from xihe_blender.lab.props import Collection, Material, furniture, surfaces
-from xihe_blender.lab.props.furniture import Place, at
-from xihe_blender.lab.props.shapes import add_solid, ball, box, box_between, cylinder, joined, revolved
+from xihe_blender.lab.props.shapes import Place, ball, box, box_between, cylinder, joined, revolved
 from xihe_blender.lab.rooms.arrange import local_point
 from xihe_blender.lab.rooms.materials import material_of
 from xihe_blender.lab.rooms.room_data import LAMP_KINDS, Piece
 
-Maker: TypeAlias = Callable[[Collection, str, Piece, list[Material], Place], None]
+Maker: TypeAlias = Callable[[Place, Piece, list[Material]], None]
 BOXES = {"cupboard": 0.004, "mirror": 0.0, "rug": 0.0, "crate": 0.008, "pillar": 0.0, "box": 0.003}
 """What is a box, and by how many metres its edges are rounded."""
 
@@ -35,133 +35,125 @@ def place_piece(room: Collection, name: str, piece: Piece) -> None:
     if piece.kind in LAMP_KINDS:
         return
     materials = [material_of(f"{name} {i}", finish) for i, finish in enumerate(piece.finishes)]
-    MAKERS[piece.kind](room, name, piece, materials, at(piece.x, piece.y, piece.z, piece.turn_deg))
+    MAKERS[piece.kind](Place(room, name, piece.x, piece.y, piece.z, piece.turn_deg), piece, materials)
 
 
 def _generator(piece: Piece) -> np.random.Generator:
     return np.random.default_rng(piece.seed)
 
 
-def _table(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
+def _table(place: Place, piece: Piece, m: list[Material]) -> None:
     leg_m = float(_generator(piece).uniform(0.035, 0.075))
-    furniture.add_table(room, name, piece.size, m[0], m[1], place=place, leg_m=leg_m)
+    furniture.add_table(place, piece.size, m[0], m[1], leg_m=leg_m)
 
 
-def _round_table(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
-    furniture.add_round_table(room, name, piece.size[0] / 2, piece.size[2], m[0], m[1], place=place)
+def _round_table(place: Place, piece: Piece, m: list[Material]) -> None:
+    furniture.add_round_table(place, piece.size[0] / 2, piece.size[2], m[0], m[1])
 
 
-def _chair(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
-    furniture.add_chair(room, name, m[0], m[1], place=place)
+def _chair(place: Place, piece: Piece, m: list[Material]) -> None:
+    furniture.add_chair(place, m[0], m[1])
 
 
-def _sofa(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
+def _sofa(place: Place, piece: Piece, m: list[Material]) -> None:
     n_throws = int(_generator(piece).integers(0, 3)) if piece.size[0] > 1.2 else 0
-    furniture.add_sofa(room, name, piece.size[0], m[0], m[1], [m[2]] * n_throws, place=place)
+    furniture.add_sofa(place, piece.size[0], m[0], m[1], [m[2]] * n_throws)
 
 
-def _bed(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
-    furniture.add_bed(room, name, piece.size[0] - 0.2, m[0], m[1], m[2], place=place)
+def _bed(place: Place, piece: Piece, m: list[Material]) -> None:
+    furniture.add_bed(place, piece.size[0] - 0.2, m[0], m[1], m[2])
 
 
-def _bench(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
-    furniture.add_bench(room, name, piece.size, m[0], m[1], place=place)
+def _bench(place: Place, piece: Piece, m: list[Material]) -> None:
+    furniture.add_bench(place, piece.size, m[0], m[1])
 
 
-def _bookcase(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
-    books, rng = surfaces.coloured_by_face(f"{name} books"), _generator(piece)
+def _bookcase(place: Place, piece: Piece, m: list[Material]) -> None:
+    books, rng = surfaces.coloured_by_face(f"{place.name} books"), _generator(piece)
     n_shelves = max(2, round(piece.size[2] / 0.38))
-    furniture.add_bookcase(room, name, piece.size, m[0], books, rng, place=place, n_shelves=n_shelves)
+    furniture.add_bookcase(place, piece.size, m[0], books, rng, n_shelves=n_shelves)
 
 
-def _cabinet(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
+def _cabinet(place: Place, piece: Piece, m: list[Material]) -> None:
     w, d, h = piece.size
     # Handles stand out by 3 cm in front: inside the piece's extents.
-    inner = _shifted(piece, 0.015)
-    furniture.add_cabinet(room, name, (w, d - 0.03, h), m[0], m[1], place=inner, doors=_n_doors(w))
+    furniture.add_cabinet(_shifted(place, piece, 0.015), (w, d - 0.03, h), m[0], m[1])
 
 
-def _n_doors(width: float) -> int:
-    return max(1, round(width / 0.55))
-
-
-def _shifted(piece: Piece, back_m: float, up_m: float = 0.0) -> Place:
+def _shifted(place: Place, piece: Piece, back_m: float, up_m: float = 0.0) -> Place:
     """The piece's place, moved towards its back and up."""
-    return at(*local_point(piece, (0.0, back_m)), piece.z + up_m, piece.turn_deg)
+    x, y = local_point(piece, (0.0, back_m))
+    return replace(place, x=x, y=y, z=piece.z + up_m)
 
 
-def _counter(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
+def _counter(place: Place, piece: Piece, m: list[Material]) -> None:
     w, d, h = piece.size
-    inner = _shifted(piece, 0.015)
-    furniture.add_cabinet(room, name, (w, d - 0.05, h - 0.04), m[0], m[2], place=inner, doors=_n_doors(w))
-    top = box_between((-w / 2, -d / 2, h - 0.04), (w / 2, d / 2, h))
-    add_solid(room, f"{name} top", top, m[1], bevel_m=0.004, **place)
+    furniture.add_cabinet(_shifted(place, piece, 0.015), (w, d - 0.05, h - 0.04), m[0], m[2])
+    place.add(box_between((-w / 2, -d / 2, h - 0.04), (w / 2, d / 2, h)), m[1], "top", bevel_m=0.004)
 
 
-def _tub(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
+def _tub(place: Place, piece: Piece, m: list[Material]) -> None:
     w, d, h = piece.size
     walls = [box_between((-w / 2, -d / 2, 0), (w / 2, d / 2, 0.15))]
     walls += [box((w, 0.07, h), (0, s * (d / 2 - 0.035), h / 2)) for s in (-1, 1)]
     walls += [box((0.08, d, h), (s * (w / 2 - 0.04), 0, h / 2)) for s in (-1, 1)]
-    add_solid(room, name, joined(walls), m[0], bevel_m=0.02, smooth=True, **place)
+    place.add(joined(walls), m[0], bevel_m=0.02, smooth=True)
     tap = [cylinder(0.015, 0.12).moved((w / 2 - 0.04, 0, h)), box((0.14, 0.025, 0.025), (w / 2 - 0.1, 0, h + 0.11))]
-    add_solid(room, f"{name} tap", joined(tap), m[1], smooth=True, **place)
+    place.add(joined(tap), m[1], "tap", smooth=True)
 
 
-def _plant(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
+def _plant(place: Place, piece: Piece, m: list[Material]) -> None:
     w, _, h = piece.size
-    soil = surfaces.plain(f"{name} soil", (0.05, 0.035, 0.025), roughness=1.0)
-    furniture.add_plant(room, name, m[0], m[1], soil, _generator(piece), place=place, height=0.85 * h,
-                        spread=0.42 * w, pot_radius=min(0.17, 0.1 + 0.05 * h), n_leaves=18)  # fmt: skip
+    soil = surfaces.plain(f"{place.name} soil", (0.05, 0.035, 0.025), roughness=1.0)
+    shape = {"height": 0.85 * h, "spread": 0.42 * w, "pot_radius": min(0.17, 0.1 + 0.05 * h)}
+    furniture.add_plant(place, m[0], m[1], soil, _generator(piece), n_leaves=18, **shape)
 
 
-def _picture(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
+def _picture(place: Place, piece: Piece, m: list[Material]) -> None:
     w, d, h = piece.size
-    mount = surfaces.plain(f"{name} mount", (0.74, 0.73, 0.7), roughness=0.8)
-    hung = _shifted(piece, d / 2, h / 2)
-    furniture.add_picture(room, name, (w - 0.06, h - 0.06), m[0], m[1], mount, place=hung)
+    mount = surfaces.plain(f"{place.name} mount", (0.74, 0.73, 0.7), roughness=0.8)
+    hung = _shifted(place, piece, d / 2, h / 2)
+    furniture.add_picture(hung, (w - 0.06, h - 0.06), m[0], m[1], mount)
 
 
-def _radiator(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
+def _radiator(place: Place, piece: Piece, m: list[Material]) -> None:
     w, d, h = piece.size
-    furniture.add_radiator(room, name, w, h - 0.14, m[0], place=_shifted(piece, d / 2))
+    furniture.add_radiator(_shifted(place, piece, d / 2), w, h - 0.14, m[0])
 
 
-def _screen(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
+def _screen(place: Place, piece: Piece, m: list[Material]) -> None:
     w, d, h = piece.size
     middle = 0.06 + (h - 0.06) / 2
     parts = [box((w, 0.03, h - 0.06), (0, 0, middle)), box((0.05, 0.03, 0.08), (0, 0.02, 0.04))]
     parts.append(box((0.3 * w, d, 0.012), (0, 0, 0.006)))
-    add_solid(room, name, joined(parts), m[0], bevel_m=0.004, **place)
+    place.add(joined(parts), m[0], bevel_m=0.004)
     rng = _generator(piece)
     if rng.random() < 0.35:
-        glow = surfaces.glowing(f"{name} picture", 7000.0, float(rng.uniform(0.3, 1.5)))
-        add_solid(room, f"{name} picture", box((w - 0.03, 0.002, h - 0.1), (0, -0.017, middle)), glow, **place)
+        glow = surfaces.glowing(f"{place.name} picture", 7000.0, float(rng.uniform(0.3, 1.5)))
+        place.add(box((w - 0.03, 0.002, h - 0.1), (0, -0.017, middle)), glow, "picture")
 
 
-def _ball(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
+def _ball(place: Place, piece: Piece, m: list[Material]) -> None:
     d = piece.size[0]
-    add_solid(room, name, ball(d / 2, (0, 0, d / 2), 32), m[0], smooth=True, **place)
+    place.add(ball(d / 2, (0, 0, d / 2), 32), m[0], smooth=True)
 
 
-def _book_pile(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
+def _book_pile(place: Place, piece: Piece, m: list[Material]) -> None:
     w, d, h = piece.size
     n = max(2, round(h / 0.03))
     book = box((0.85 * w, 0.65 * d, 0.95 * h / n))
     books = [book.turned(7 * ((i * 5) % 3 - 1)).moved((0, 0, h * (i + 0.5) / n)) for i in range(n)]
-    add_solid(room, name, joined(books), m[0], **place)
+    place.add(joined(books), m[0])
 
 
-def _box(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
-    solid = box(piece.size, (0, 0, piece.size[2] / 2))
-    add_solid(room, name, solid, m[0], bevel_m=BOXES[piece.kind], **place)
+def _box(place: Place, piece: Piece, m: list[Material]) -> None:
+    place.add(box(piece.size, (0, 0, piece.size[2] / 2)), m[0], bevel_m=BOXES[piece.kind])
 
 
-def _turned(room: Collection, name: str, piece: Piece, m: list[Material], place: Place) -> None:
+def _turned(place: Place, piece: Piece, m: list[Material]) -> None:
     w, _, h = piece.size
     share, n_segments, profile = TURNED[piece.kind]
-    solid = revolved([(r * (share * w), z * h) for r, z in profile], n_segments)
-    add_solid(room, name, solid, m[0], smooth=True, **place)
+    place.add(revolved([(r * (share * w), z * h) for r, z in profile], n_segments), m[0], smooth=True)
 
 
 MAKERS: dict[str, Maker] = {

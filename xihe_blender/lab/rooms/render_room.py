@@ -167,5 +167,4 @@ def stored_room(
 
 def _at_half_size(picture: ArrayF32) -> ArrayF32:
     n = len(picture) // 2
-    half: ArrayF32 = picture.reshape(n, 2, n, 2, 3).mean(axis=(1, 3))
-    return half
+    return np.asarray(picture.reshape(n, 2, n, 2, 3).mean(axis=(1, 3)))

@@ -30,45 +30,25 @@ MAX_FLOAT16 = 65504.0
 
 @dataclass(frozen=True, eq=False)
 class StoredRoom:
-    """What one room gives: V views and P placement positions. The views of a walk are its frames, in order.
+    """What one room gives: V views and P placement positions. The views of a walk are its frames, in order."""
 
-    Parameters
-    ----------
-    srgb_u8 : (V, H, W, 3) uint8, what the phone delivers at `exposure`
-    radiance : (V, H, W, 3) float16, the same pictures as linear scene radiance, neither exposed nor clipped
-    plane_depth_m : (V, H, W) float16, 0 where no surface was seen
-    world_from_camera : (V, 4, 4) float64
-    intrinsics : (6,) float64: width, height, fx, fy, cx, cy, the same for all views
-    exposure : the phone's, one for the room
-    positions_m : (P, 3) float64, world
-    balls : (P, n, n, 3) float16, scene radiance around each position that camera rays see, as mirror balls
-    sh_ldr, sh_hdr : (P, 9, 3) float64, the reference light at each position: clipped at white, and all of it, lamps
-        that are hidden from cameras among it; both carry the exposure
-    sh_noise : (P, 2) float64, expected relative error of the two; 0 where it is not known
-    is_in_view : (V, P) bool, the position projects into the picture: the pair counts
-    is_unhidden : (V, P) bool, nothing stands between the phone and the position
-    seed : (2,) int64, of the data set and the room's number; of a scene see SCENE_SEED
-    kind, regime : of the room and its light, in words; of a scene its name and SCENE_REGIME
-    versions : of the format, this software and Blender
-    """
-
-    srgb_u8: ArrayU8
-    radiance: ArrayF16
-    plane_depth_m: ArrayF16
-    world_from_camera: ArrayF64
-    intrinsics: ArrayF64
-    exposure: float
-    positions_m: ArrayF64
-    balls: ArrayF16
-    sh_ldr: ArrayF64
-    sh_hdr: ArrayF64
-    sh_noise: ArrayF64
-    is_in_view: ArrayBool
-    is_unhidden: ArrayBool
-    seed: NDArray[np.int64]
-    kind: str
-    regime: str
-    versions: str
+    srgb_u8: ArrayU8  # (V, H, W, 3) uint8, what the phone delivers at `exposure`
+    radiance: ArrayF16  # (V, H, W, 3) float16, the same pictures as linear scene radiance, neither exposed nor clipped
+    plane_depth_m: ArrayF16  # (V, H, W) float16, 0 where no surface was seen
+    world_from_camera: ArrayF64  # (V, 4, 4) float64
+    intrinsics: ArrayF64  # (6,) float64: width, height, fx, fy, cx, cy, the same for all views
+    exposure: float  # the phone's, one for the room
+    positions_m: ArrayF64  # (P, 3) float64, world
+    balls: ArrayF16  # (P, n, n, 3) float16, scene radiance around each position that camera rays see, as mirror balls
+    sh_ldr: ArrayF64  # (P, 9, 3) float64, the reference light at each position, clipped at white; carries the exposure
+    sh_hdr: ArrayF64  # (P, 9, 3) float64, all of it, also of lamps hidden from cameras; carries the exposure
+    sh_noise: ArrayF64  # (P, 2) float64, expected relative error of the two; 0 where it is not known
+    is_in_view: ArrayBool  # (V, P) bool, the position projects into the picture: the pair counts
+    is_unhidden: ArrayBool  # (V, P) bool, nothing stands between the phone and the position
+    seed: NDArray[np.int64]  # (2,) int64, of the data set and the room's number; of a scene see SCENE_SEED
+    kind: str  # of the room, in words; of a scene its name
+    regime: str  # of its light, in words; of a scene SCENE_REGIME
+    versions: str  # of the format, this software and Blender
 
     @property
     def pinhole(self) -> Intrinsics:

@@ -68,8 +68,7 @@ class RoomRays:
         """(P,) bool: nothing stands between a place (3,) and positions (P, 3)."""
         gaps = positions_m - place_m
         distances = np.linalg.norm(gaps, axis=1)
-        free: ArrayBool = self.cast(place_m, gaps / distances[:, None])[0] > distances
-        return free
+        return np.asarray(self.cast(place_m, gaps / distances[:, None])[0] > distances)
 
     def floor_below(self, x: float, y: float, from_z: float) -> float | None:
         """Height of the surface below a point, or None if it does not face up."""

@@ -19,17 +19,16 @@ import math
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import Progress
-from xihe_blender.lab.workers.one_core import child_environment, free_core, n_cores, on_core
+from xihe_blender.lab.workers.one_core import last_line, n_cores, process_on_one_core
 from xihenet import __version__
 from xihenet.formats import format_count
 
@@ -42,25 +41,19 @@ ALONE_S = 30.0
 N_RETRIES = 2
 EXIT_CANNOT_BE_DONE = 2  # Of a module that has said on stderr what the user can mend
 TOPIC = "xihe"  # Of the events that tell how far a piece of work is
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 @dataclass(frozen=True)
 class Work:
     """A piece of work: a module of this project that runs in a process with Blender.
 
-    Parameters
-    ----------
-    name : of its own
-    module, arguments : the command line
-    told : what it gets on stdin, as JSON holds it; it then tells its share of the work on stdout, a number from 0 to 1
-        a line. None for a module that is not told anything and tells nothing
+    Where it is told something, it tells its share of the work on stdout, a number from 0 to 1 a line.
     """
 
-    name: str
-    module: str
+    name: str  # of its own
+    module: str  # run with the `arguments`
     arguments: tuple[str, ...] = ()
-    told: Any = None
+    told: Any = None  # on stdin, as JSON holds it; None for nothing
 
 
 class BlenderDiedError(Exception):
@@ -69,20 +62,12 @@ class BlenderDiedError(Exception):
 
 @dataclass
 class DaskWorkers:
-    """Work under way; made by `open_dask_workers`.
+    """Work under way; made by `open_dask_workers`."""
 
-    Parameters
-    ----------
-    client : of the scheduler
-    is_local : whether its workers are our own; others come and go
-    shares : how far each piece of work is, 0 to 1, by name
-    failed : why what could not be done, by name
-    """
-
-    client: Client
-    is_local: bool
-    shares: dict[str, float] = field(default_factory=dict)
-    failed: dict[str, str] = field(default_factory=dict)
+    client: Client  # of the scheduler
+    is_local: bool  # whether its workers are our own; others come and go
+    shares: dict[str, float] = field(default_factory=dict)  # how far each piece of work is, 0 to 1, by name
+    failed: dict[str, str] = field(default_factory=dict)  # why what could not be done, by name
 
     def check_workers(self, folder: str, scenes: list[str]) -> None:
         """UserError if no worker is there, or one does not have this project, the folder or a scene.
@@ -168,19 +153,12 @@ def run_module(work: Work) -> str | None:
 
     BlenderDiedError for what may go better next time.
     """
-    command, environment = [sys.executable, "-m", work.module, *work.arguments], {**child_environment(), **ONE_THREAD}
+    command = [sys.executable, "-m", work.module, *work.arguments]
     piped = subprocess.PIPE if work.told is not None else subprocess.DEVNULL
-    with tempfile.TemporaryFile() as errors, free_core() as core:
-        with on_core(core):
-            process = subprocess.Popen(command, stdin=piped, stdout=piped, stderr=errors, env=environment, text=True)
-        try:
-            if work.told is not None:
-                _pass_on(process, work)
-            code = process.wait()
-        finally:
-            process.kill()
-            process.wait()
-        words = last_line(errors)
+    with process_on_one_core(command, stdin=piped, stdout=piped, text=True) as (process, errors):
+        if work.told is not None:
+            _pass_on(process, work)
+        code, words = process.wait(), last_line(errors)
     if code in (0, EXIT_CANNOT_BE_DONE):
         return words if code else None
     raise BlenderDiedError(words if words and code > 0 else f"Blender ended with exit code {code}")
@@ -198,12 +176,6 @@ def _pass_on(process: subprocess.Popen[str], work: Work) -> None:
         worker = get_worker()
         for line in shares:
             worker.log_event(TOPIC, (work.name, float(line)))
-
-
-def last_line(errors: IO[bytes]) -> str:
-    """Of what a process wrote to stderr; empty for none."""
-    errors.seek(0)
-    return next(reversed(errors.read().decode(errors="replace").strip().splitlines()), "")
 
 
 def describe_worker(folder: str, scenes: list[str]) -> tuple[str, list[str]]:

@@ -1,53 +1,45 @@
-"""How does a process that renders get one core and no more, and the packages that this one has?
+"""How is a process that renders started, so that it gets one core and no more, and the packages that this one has?
 
 Two processes with one thread each beat one with two. But Blender starts threads beside Cycles' one that spin for work:
-0.7 s of a second core for each second of rendering. So each process is kept on a core of its own, where the system can.
-
-Two ways to choose the core. Whoever starts all processes of a machine deals cores out (`cores_of_their_own`). Workers
-that know nothing of each other take the first core whose file nobody has locked (`free_core`); the lock ends with the
-process that holds it, however that ends.
+0.7 s of a second core for each second of rendering. So each process is kept on a core of its own, where the system can:
+the first one whose file nobody has locked. The lock ends with the process that holds it, however that ends.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+import subprocess
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import IO, Any
 
-
-def child_environment() -> dict[str, str]:
-    """This process' environment, so that a child finds the same packages as this one."""
-    paths = [str(Path(__file__).resolve().parents[3]), os.environ.get("PYTHONPATH")]
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 @contextlib.contextmanager
-def on_core(core: int | None) -> Iterator[None]:
-    """Let processes that this thread starts in the block stay on one core; None leaves it to the system."""
-    if core is None:
-        yield
-        return
-    before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {core})
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, before)
+def process_on_one_core(command: Sequence[str], **streams: Any) -> Iterator[tuple[subprocess.Popen[Any], IO[bytes]]]:
+    """A process, and what it writes to stderr; it has ended when the block has, whatever happens.
+
+    `streams` are further arguments of `Popen`.
+    """
+    with tempfile.TemporaryFile() as errors, _free_core() as core:
+        process = subprocess.Popen(command, stderr=errors, env=_child_environment(), **streams)
+        try:
+            if core is not None:
+                with contextlib.suppress(ProcessLookupError):
+                    os.sched_setaffinity(process.pid, {core})
+            yield process, errors
+        finally:
+            process.terminate()
+            process.wait()
 
 
-def cores_of_their_own(n_workers: int) -> list[int | None]:
-    """A core for each worker, or None for each where there are too few or the system cannot say."""
-    cores = _cores()
-    return list(cores[:n_workers]) if len(cores) >= n_workers else [None] * n_workers
-
-
-@contextlib.contextmanager
-def free_core() -> Iterator[int | None]:
-    """A core that no other process holds this way; None where all are held, or the system cannot say."""
-    with contextlib.ExitStack() as stack:
-        yield next((core for core in _cores() if _is_locked_now(stack, core)), None)
+def last_line(errors: IO[bytes]) -> str:
+    """Of what a process wrote to stderr; empty for none."""
+    errors.seek(0)
+    return next(reversed(errors.read().decode(errors="replace").strip().splitlines()), "")
 
 
 def n_cores() -> int:
@@ -55,12 +47,25 @@ def n_cores() -> int:
     return len(_cores()) or os.cpu_count() or 1
 
 
+def _child_environment() -> dict[str, str]:
+    """This process' environment, so that a child finds the same packages as this one."""
+    paths = [str(Path(__file__).resolve().parents[3]), os.environ.get("PYTHONPATH")]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path), **ONE_THREAD}
+
+
+@contextlib.contextmanager
+def _free_core() -> Iterator[int | None]:
+    """A core that nobody else holds this way; None where all are held, or the system cannot say."""
+    with contextlib.ExitStack() as stack:
+        yield next((core for core in _cores() if _is_locked_now(stack, core)), None)
+
+
 def _cores() -> list[int]:
     return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
 
 
 def _is_locked_now(stack: contextlib.ExitStack, core: int) -> bool:
-    """Lock the file of `core` until `stack` ends; False where another process has."""
+    """Lock the file of `core` until `stack` ends; False where somebody else has."""
     import fcntl
 
     path = Path(tempfile.gettempdir()) / f"xihe_core_{core}.lock"
