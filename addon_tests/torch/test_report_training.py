@@ -17,17 +17,27 @@ from xihenet.sphere import AnchorLattice
 from xihenet.svg import linear_axis
 from xihenet.training import __main__ as command_line
 from xihenet.training.baselines import BASELINES, MEAN, fit_baselines, fit_linear, projected
-from xihenet.training.calibration import calibration_elsewhere, fit_calibration, promises_left_out
+from xihenet.training.calibration import (
+    calibrate_elsewhere,
+    calibrate_network,
+    calibration_elsewhere,
+    fit_calibration,
+    promises_left_out,
+)
 from xihenet.training.dataset import CACHE_VERSION, CloudSet, open_split
 from xihenet.training.networks import TrainedNetwork, make_network, save_network
 from xihenet.training.plots import line_chart, report_plots, series_look
 from xihenet.training.predictions import Group, Prediction, open_group, over_seeds, training_clouds
-from xihenet.training.report import ALL_VIEWS, ONE_VIEW, WALK, WHOLE, ReportSettings, make_report, report_json
-from xihenet.training.report_parts import (
-    calibrate_elsewhere,
-    calibrate_network,
+from xihenet.training.report import (
+    ALL_VIEWS,
+    ONE_VIEW,
+    WALK,
+    WHOLE,
+    ReportSettings,
     coverage_curve,
     group_table,
+    make_report,
+    report_json,
     room_figures,
 )
 from xihenet.training.report_text import report_markdown
@@ -276,27 +286,27 @@ def test_a_cap_is_what_lies_around_one_anchor():
 
 
 def test_the_error_of_one_room_is_found(folders):
-    group = open_group("", [folders["sphere"]], "test", "one")
-    light = group.cases.truth_ldr.astype(float)
-    light[group.cases.room == TEST_ROOMS[2]] += 0.5
-    found = room_figures(group, "one wrong room", [Prediction(light)], "ldr")
+    cases = open_group("", [folders["sphere"]], "test", "one").cases
+    light = cases.truth_ldr.astype(float)
+    light[cases.room == TEST_ROOMS[2]] += 0.5
+    found = room_figures("one wrong room", [Prediction(cases, "ldr", light)])
     worst = found.worst_rooms[0]
     assert worst.room == TEST_ROOMS[2] and worst.share == pytest.approx(1) and worst.rmse == pytest.approx(0.5)
     assert found.of_worst_rooms == pytest.approx(1) and found.of_worst_clouds == pytest.approx(0.25)
-    nothing = room_figures(group, "perfect", [Prediction(group.cases.truth_ldr.astype(float))], "ldr")
+    nothing = room_figures("perfect", [Prediction(cases, "ldr", cases.truth_ldr.astype(float))])
     assert nothing.of_worst_clouds is None
 
 
 def test_the_curve_is_none_where_clouds_are_few_and_right_where_not():
     clouds = random_clouds(np.random.default_rng(5), np.arange(10), 10, 0)
-    group = Group("g", clouds, {"sphere_96": clouds})
-    truth = clouds.truth_ldr.astype(float)
-    said = {MEAN: [Prediction(truth + 0.2)], "half": [Prediction(truth + 0.1)]}
-    curve = coverage_curve([group], [said], "ldr")
+    off_by = {MEAN: 0.2, "half": 0.1}
+    said = {name: [Prediction(clouds, "ldr", clouds.truth_ldr.astype(float) + off)] for name, off in off_by.items()}
+    group = Group("g", clouds, {"sphere_96": clouds}, said)
+    curve = coverage_curve([group])
     assert sum(curve.n_clouds) == 100
     for n, ratio in zip(curve.n_clouds, curve.rows["half"].ratio, strict=True):
         assert (ratio is None) == (n < 10) and (ratio is None or ratio == pytest.approx(0.5))
-    assert group_table(group, said, "ldr").rows[1].figures.ratio == pytest.approx(0.5)
+    assert group_table(group).rows[1].figures.ratio == pytest.approx(0.5)
 
 
 def test_a_calibration_finds_its_law_and_keeps_its_promises():

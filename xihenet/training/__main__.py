@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import NoReturn
 
 from xihenet.estimators.calibration import SHARES_ASKED
+from xihenet.training.calibration import calibrate_elsewhere, calibrate_network
 from xihenet.training.dataset import CacheSettings, build_cache
 from xihenet.training.loop import TrainSettings, train
 from xihenet.training.networks import SAMPLING_OF, export_network
 from xihenet.training.plots import report_plots
 from xihenet.training.report import ReportSettings, make_report, report_json
-from xihenet.training.report_parts import calibrate_elsewhere, calibrate_network
 from xihenet.training.report_text import report_markdown
 from xihenet.training.rooms import SPLITS
 

@@ -14,14 +14,19 @@ rooms, each half judged by the other).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.estimators.calibration import SHARES_ASKED, SMALLEST_RAW, STEEPEST, STEEPEST_IN_COVERAGE, Calibration
 from xihenet.records import ArrayBool, ArrayF64
+from xihenet.training.dataset import open_split
+from xihenet.training.predictions import VIEWS, Group, NetworkSeeds, Prediction, load_alone, open_group, over_seeds
+from xihenet.training.scores import COVERAGE_EDGES, coverage_groups
 
 N_BINS = 8
 _N_STEPS = 40
@@ -56,6 +61,17 @@ class CalibrationFigures:
     bins: tuple[ErrorBin, ...]
     correlation: float | None
     tables: Mapping[str, KeptPromises] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class CalibrationRow:
+    """One network's calibration of each seed, and what came of them: the mean over seeds, and the deviation."""
+
+    name: str
+    n_seeds: int
+    by_seed: tuple[Calibration, ...]
+    figures: CalibrationFigures
+    spread: CalibrationFigures
 
 
 def fit_calibration(raw: ArrayLike, made: ArrayLike, coverage: ArrayLike) -> Calibration:
@@ -172,3 +188,109 @@ def _checked(raw: ArrayLike, made: ArrayLike, coverage: ArrayLike) -> tuple[Arra
     if not (np.isfinite(everything).all() and everything.min() >= 0 and seen.max() <= 1):
         raise ValueError("calibration: expected finite errors >= 0 and coverages of at most 1, got others or NaN")
     return expected, errors, seen
+
+
+@dataclass(frozen=True, eq=False)
+class SeedCalibrations:
+    """What makes a network's expected errors believable, for each of its seeds.
+
+    Parameters
+    ----------
+    name : of the network
+    by_seed : fitted to all validation clouds
+    judges : by seed, for the rooms of even and of odd numbers. Where the report is of the validation split, each was
+        fitted to the other half of its rooms: no cloud is judged by what saw its room.
+    """
+
+    name: str
+    by_seed: tuple[Calibration, ...]
+    judges: tuple[tuple[Calibration, Calibration], ...]
+
+    @classmethod
+    def fitted(
+        cls, network: NetworkSeeds, held_out: Sequence[Group], *, is_crossed: bool = False
+    ) -> SeedCalibrations | None:
+        """Fitted to validation clouds; None for a network that expects no error or has too few clouds here."""
+        said = [network.of_group(group) for group in held_out]
+        parity = np.concatenate([group.cases.room for group in held_out]) % 2
+        expects_error = all(said) and all(one.raw_error is not None for of_group in said for one in of_group)
+        if not expects_error or min(np.bincount(parity, minlength=2)) < 2:
+            return None
+        by_seed, judges = [], []
+        for of_seed in zip(*said, strict=True):
+            raw, coverage = _told(of_seed)
+            known = raw, _made(of_seed), coverage
+            by_seed.append(fit_calibration(*known))
+            even, odd = (fit_calibration(*(part[parity == p] for part in known)) for p in (0, 1))
+            judges.append((odd, even) if is_crossed else (by_seed[-1], by_seed[-1]))
+        return cls(network.name, tuple(by_seed), tuple(judges))
+
+    def expected(self, seed: int, said: Sequence[Prediction]) -> tuple[ArrayF64, ArrayF64]:
+        """(M,) expected errors of all that one seed said, and (S, M) those promised for each share asked."""
+        parity, judges = np.concatenate([one.cases.room for one in said]) % 2, self.judges[seed]
+        raw, coverage = _told(said)
+        errors = np.choose(parity, [one.expected(raw, coverage) for one in judges])
+        multiples = np.array([one.quantiles for one in judges])[parity].T
+        return errors, multiples * errors
+
+    def figures(self, groups: Sequence[Group]) -> CalibrationRow:
+        """Over the clouds of one view and all views together, by coverage and by table; mean and spread over seeds."""
+        known = {group.name: group.predicted[self.name] for group in groups if self.name in group.predicted}
+        by_seed = [self._seed_figures(i, {k: seeds[i] for k, seeds in known.items()}) for i in range(len(self.by_seed))]
+        return CalibrationRow(self.name, len(by_seed), self.by_seed, *over_seeds(by_seed))
+
+    def _seed_figures(self, seed: int, of_tables: Mapping[str, Prediction]) -> CalibrationFigures:
+        said = list(of_tables.values())
+        errors, limits = self.expected(seed, said)
+        made, (_, coverage) = _made(said), _told(said)
+        # The first two tables are of the rooms that were split; what coverage does is asked of them alone.
+        main = slice(sum(len(one.cases) for one in said[:2]))
+        edges = [f"{a:.0%} to {b:.0%} seen" for a, b in itertools.pairwise(COVERAGE_EDGES)]
+        by_coverage = dict(zip(edges, coverage_groups(coverage[main]), strict=True))
+        figures = calibration_figures(errors[main], limits[:, main], made[main], by_coverage)
+        of_table = np.repeat(np.arange(len(said)), [len(one.cases) for one in said])
+        by_table = {name: of_table == i for i, name in enumerate(of_tables)}
+        return replace(figures, tables=calibration_figures(errors, limits, made, by_table).groups)
+
+
+def _told(said: Sequence[Prediction]) -> tuple[ArrayF64, ArrayF64]:
+    """(M,) the raw expected errors of a network that knows them, and the coverage, one prediction after the other."""
+    raw = [one.raw_error for one in said if one.raw_error is not None]
+    return np.concatenate(raw), np.concatenate([one.cases.coverage for one in said])
+
+
+def _made(said: Sequence[Prediction]) -> ArrayF64:
+    return np.concatenate([one.made for one in said])
+
+
+def calibrate_network(network: Path, folders: Sequence[Path]) -> Calibration:
+    """The calibration of one trained network by the validation clouds of one view and of all views, for its weights.
+
+    ValueError if the file or the folders are broken, the network expects no error, or there are too few clouds.
+    """
+    seeds = load_alone(network)
+    found = SeedCalibrations.fitted(seeds, [open_group(views, folders, "validation", views) for views in VIEWS])
+    if found is None:
+        raise ValueError(f"{network}: expected a network that knows its error, and validation clouds of several rooms")
+    return found.by_seed[0]
+
+
+def calibrate_elsewhere(
+    network: Path, calibration: Calibration, folders: Sequence[Path]
+) -> tuple[Calibration, tuple[float, ...]]:
+    """`calibration` brought to the level of rooms of another kind, a folder of sampled clouds each, and how well its
+    promises are kept in each of them by the level of the others.
+
+    ValueError for fewer than two folders, for broken ones, and for a network that expects no error.
+    """
+    if len(folders) < 2:
+        raise ValueError(f"--elsewhere: expected the sampled clouds of two rooms or more, got {len(folders)}")
+    seeds, errors = load_alone(network), []
+    for number, folder in enumerate(folders):
+        clouds = open_split(folder, "test")
+        said = seeds.of_clouds(clouds, clouds)
+        if said[0].raw_error is None or not len(clouds):
+            raise ValueError(f"{folder}: expected clouds, and a network that knows its error")
+        errors.append(np.stack([said[0].raw_error, said[0].made, clouds.coverage, np.full(len(clouds), number)]))
+    known = np.concatenate(errors, axis=1)
+    return calibration_elsewhere(calibration, *known), promises_left_out(calibration, *known)

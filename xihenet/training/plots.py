@@ -12,8 +12,8 @@ from html import escape
 
 from xihenet import svg
 from xihenet.svg import Axis, linear_axis
+from xihenet.training.calibration import CalibrationRow
 from xihenet.training.report import LearningPoint, Report
-from xihenet.training.report_parts import CalibrationRow
 
 WIDTH, HEIGHT = 720, 300
 LEFT, RIGHT, TOP = 64, 28, 58

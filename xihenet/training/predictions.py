@@ -16,7 +16,8 @@ network is not in its table, rather than there with figures of something else. B
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -24,19 +25,50 @@ import numpy as np
 from torch import nn
 
 from xihenet.estimators.base import Target
-from xihenet.records import ArrayF64, ArrayInt
+from xihenet.records import ArrayF32, ArrayF64, ArrayInt
 from xihenet.training.baselines import Baselines
 from xihenet.training.dataset import CloudSet, open_split, read_cache
 from xihenet.training.networks import SAMPLING_OF, load_network, predict
 from xihenet.training.rooms import Split, split_of
+from xihenet.training.scores import Scores, rmse_of_each
 
 Views = Literal["one", "merged"]
 VIEWS: tuple[Views, ...] = get_args(Views)
 
 
 @dataclass(frozen=True, eq=False)
+class Prediction:
+    """What one seed says of M cases, sampled on the sphere: light (M, 9, 3) and, where the network says it, its raw
+    expected error (M,).
+    """
+
+    cases: CloudSet
+    target: Target
+    light: ArrayF64
+    raw_error: ArrayF64 | None = None
+
+    @property
+    def truth(self) -> ArrayF32:
+        """(M, 9, 3)."""
+        return self.cases.truth(self.target)
+
+    @cached_property
+    def made(self) -> ArrayF64:
+        """(M,) SHC RMSE of each light; raises as `checked_lights`."""
+        return rmse_of_each(self.light, self.truth)
+
+    @cached_property
+    def scores(self) -> Scores:
+        return Scores.of(self.light, self.truth, self.cases.coverage)
+
+
+Predictions = Mapping[str, Sequence[Prediction]]
+"""By predictor, one for each seed."""
+
+
+@dataclass(frozen=True, eq=False)
 class Group:
-    """M cases, in memory, under the name of their table.
+    """M cases, in memory, under the name of their table, and what predictors say of them once they were asked.
 
     `clouds` are by sampling and number of anchors, such as "sphere_1280", all of the same cases in the same order;
     `cases` are those that baselines see and that coverage is counted on, sampled on the sphere.
@@ -45,6 +77,7 @@ class Group:
     name: str
     cases: CloudSet
     clouds: Mapping[str, CloudSet]
+    predicted: Predictions = field(default_factory=dict)
 
 
 def open_group(
@@ -96,18 +129,6 @@ def _rows_of(clouds: CloudSet, rows: ArrayInt) -> CloudSet:
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
-    """Of M clouds by one seed: light (M, 9, 3) and, where the network says it, its raw expected error (M,)."""
-
-    light: ArrayF64
-    raw_error: ArrayF64 | None = None
-
-
-Predictions = Mapping[str, Sequence[Prediction]]
-"""By predictor, one for each seed."""
-
-
-@dataclass(frozen=True, eq=False)
 class NetworkSeeds:
     """One row of the tables, with a network for each seed.
 
@@ -125,12 +146,16 @@ class NetworkSeeds:
         """One for each seed; none if the group has no clouds for this network."""
         wanted = (c for k, c in group.clouds.items() if k == self.key or k.rpartition("_")[0] == self.key)
         clouds = next(wanted, None)
-        return [] if clouds is None else self.of_clouds(clouds)
+        return [] if clouds is None else self.of_clouds(clouds, group.cases)
 
-    def of_clouds(self, clouds: CloudSet) -> list[Prediction]:
-        """One for each seed."""
-        said = (predict(net, clouds, self.target, self.device) for net in self.nets)
-        return [Prediction(light.astype(np.float64), None if e is None else e.astype(np.float64)) for light, e in said]
+    def of_clouds(self, clouds: CloudSet, cases: CloudSet) -> list[Prediction]:
+        """One for each seed, from clouds of the `cases`, which are the same if the network sees the sphere."""
+        predictions = []
+        for net in self.nets:
+            light, error = predict(net, clouds, self.target, self.device)
+            raw_error = None if error is None else error.astype(np.float64)
+            predictions.append(Prediction(cases, self.target, light.astype(np.float64), raw_error))
+        return predictions
 
 
 def load_seeds(label: str, files: Sequence[Path], target: Target, device: str) -> NetworkSeeds:
@@ -158,10 +183,12 @@ def load_alone(file: Path) -> NetworkSeeds:
     return NetworkSeeds(file.stem, found.estimator, SAMPLING_OF[found.estimator], (found.net,), found.target)
 
 
-def predict_group(group: Group, baselines: Baselines, networks: Sequence[NetworkSeeds]) -> dict[str, list[Prediction]]:
-    """By predictor, baselines first, one prediction per seed; networks without clouds in the group are left out."""
-    predicted = {name: [Prediction(light)] for name, light in baselines.lights(group.cases).items()}
-    return predicted | {network.name: said for network in networks if (said := network.of_group(group))}
+def predict_group(group: Group, baselines: Baselines, networks: Sequence[NetworkSeeds]) -> Group:
+    """The group with what baselines, and then networks, say of it; those without clouds in it are left out."""
+    lights = baselines.lights(group.cases).items()
+    predicted = {name: [Prediction(group.cases, baselines.target, light)] for name, light in lights}
+    of_networks = {network.name: said for network in networks if (said := network.of_group(group))}
+    return replace(group, predicted=predicted | of_networks)
 
 
 def over_seeds(figures: Sequence[Any]) -> tuple[Any, Any]:

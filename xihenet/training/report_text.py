@@ -10,8 +10,9 @@ import itertools
 from collections.abc import Sequence
 
 from xihenet.light_picture import SPHERES
-from xihenet.training.report import LearningPoint, Report, ReportHead
-from xihenet.training.report_parts import CalibrationRow, Figures, RoomFigures, StressGroup, StressRow, Table, TableRow
+from xihenet.training.calibration import CalibrationRow
+from xihenet.training.report import Figures, LearningPoint, Report, ReportHead, RoomFigures, Table, TableRow
+from xihenet.training.stress import StressGroup, StressRow
 
 
 def report_markdown(report: Report) -> str:

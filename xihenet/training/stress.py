@@ -10,17 +10,22 @@ Not here: other numbers of anchors and rolled cameras, which need the rooms and 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xihenet.colour import srgb_to_linear
+from xihenet.estimators.lattice import lean_on_sensor
 from xihenet.records import ArrayF64
 from xihenet.sphere import AnchorLattice
+from xihenet.training.baselines import AMBIENT, PROJECTION, Baselines
+from xihenet.training.calibration import SeedCalibrations
 from xihenet.training.dataset import CloudSet
+from xihenet.training.predictions import NetworkSeeds, Prediction, over_seeds
+from xihenet.training.scores import pooled_rms, ratio
 
 STRESS_LIMIT = 1.10
 """No group may be worse than `ambient` by more than a tenth."""
@@ -92,3 +97,70 @@ def _coloured(clouds: CloudSet, srgb_u8: NDArray[np.uint8]) -> CloudSet:
     total: ArrayF64 = np.einsum("mnc->mc", srgb_to_linear(colours / 255.0))
     sensed = np.where(n_set > 0, total / np.maximum(n_set, 1), clouds.ambient).astype(np.float32)
     return replace(clouds, srgb_u8=colours, ambient=sensed)
+
+
+@dataclass(frozen=True)
+class StressRow:
+    """One predictor under one disturbance.
+
+    Parameters
+    ----------
+    rmse, ratio : and over that of `ambient`; None where any light is not finite
+    is_finite, is_within : all lights; at most `STRESS_LIMIT`
+    expected_over_made : mean errors; None where none is expected
+    spread : of the ratio over seeds
+    """
+
+    rmse: float | None
+    ratio: float | None
+    is_finite: bool
+    is_within: bool
+    expected_over_made: float | None
+    name: str
+    n_seeds: int
+    spread: float | None = None
+
+
+@dataclass(frozen=True)
+class StressGroup:
+    """One disturbance: how many clouds of how many anchors, what is seen, and the predictors."""
+
+    name: str
+    n_clouds: int
+    n_anchors: int
+    coverage: float | None
+    rows: tuple[StressRow, ...]
+
+
+def stress_group(
+    name: str, clouds: CloudSet, networks: Sequence[NetworkSeeds], baselines: Baselines,
+    calibrations: Mapping[str, SeedCalibrations],
+) -> StressGroup:  # fmt: skip
+    """RMSE of `projection` and the lattice networks over `ambient`'s, and whether all lights are finite."""
+    basic, coverage = baselines.lights(clouds), clouds.coverage
+    of_ambient = pooled_rms(basic[AMBIENT] - clouds.truth(baselines.target))
+    projection = Prediction(clouds, baselines.target, basic[PROJECTION])
+    rows = [_stress_row(PROJECTION, [projection], of_ambient, [])]
+    for network in networks:
+        said = network.of_clouds(clouds, clouds)
+        # As the estimator does in a session, where the frame's sensor is at hand.
+        leaning = [replace(one, light=lean_on_sensor(one.light, coverage, basic[AMBIENT])) for one in said]
+        known = calibrations.get(network.name)
+        expected = [] if known is None else [known.expected(i, [one])[0] for i, one in enumerate(said)]
+        rows.append(_stress_row(network.name, leaning, of_ambient, expected))
+    seen = float(coverage.mean()) if len(coverage) else None
+    return StressGroup(name, len(clouds), clouds.is_set.shape[1], seen, tuple(rows))
+
+
+def _stress_row(
+    name: str, seeds: Sequence[Prediction], of_ambient: float | None, expected: Sequence[ArrayF64]
+) -> StressRow:
+    """`expected` are the errors (M,) of each seed; none of a predictor that knows no error."""
+    if not all(np.isfinite(said.light).all() for said in seeds):
+        return StressRow(None, None, False, False, None, name, len(seeds))
+    rmses = [pooled_rms(said.light - said.truth) for said in seeds]
+    over_ambient, spread = over_seeds([ratio(rmse, of_ambient) for rmse in rmses])
+    is_within = over_ambient is None or over_ambient <= STRESS_LIMIT
+    parts = zip(expected, seeds, strict=False) if len(seeds[0].cases) else ()
+    kept = [ratio(float(errors.mean()), float(said.made.mean())) for errors, said in parts] or [None]
+    return StressRow(over_seeds(rmses)[0], over_ambient, True, is_within, over_seeds(kept)[0], name, len(seeds), spread)
