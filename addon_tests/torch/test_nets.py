@@ -11,9 +11,9 @@ from xihenet.estimators.lattice import Lattice
 from xihenet.estimators.lattice_format import LatticeArchitecture
 from xihenet.estimators.pointconv_network import PointConvArchitecture
 from xihenet.estimators.weights_format import save_weights
-from xihenet.nets import weights_of
 from xihenet.nets.lattice import LatticeNet
 from xihenet.nets.pointconv import PointConvNet, farthest_points
+from xihenet.training.networks import weights_of
 
 SMALL = PointConvArchitecture(centroids=(32, 8), n_neighbours=8)
 

@@ -8,11 +8,10 @@ from addon_tests.pure.test_pointconv import light_of, nasty_clouds, random_cloud
 from xihenet.estimators.pointconv import PointAR, XiheNet
 from xihenet.estimators.pointconv_network import PointConvArchitecture, load_pointconv_weights
 from xihenet.estimators.weights_format import save_weights
-from xihenet.nets import weights_of
 from xihenet.nets.pointconv import PointConvNet
 from xihenet.records import UnitSphereCloud
 from xihenet.sphere import AnchorLattice
-from xihenet.training.networks import TrainedNetwork, export_network, save_network
+from xihenet.training.networks import TrainedNetwork, export_network, save_network, weights_of
 
 N = 256
 SMALL = {"centroids": (32, 8), "n_neighbours": 8}

@@ -20,8 +20,7 @@ from xihenet.codec import facing_of_codes
 from xihenet.estimators.base import Target
 from xihenet.estimators.lattice_format import LatticeArchitecture
 from xihenet.estimators.pointconv_network import PointConvArchitecture
-from xihenet.estimators.weights_format import save_weights
-from xihenet.nets import weights_of
+from xihenet.estimators.weights_format import NetworkWeights, save_weights
 from xihenet.nets.lattice import LatticeNet
 from xihenet.nets.pointconv import PointConvNet
 from xihenet.records import ArrayInt
@@ -131,6 +130,12 @@ def read_torch(path: Path, device: str = "cpu") -> dict[str, Any]:
     if not isinstance(content, dict):
         raise ValueError(f"{path}: expected a file of training, got {type(content).__name__}")
     return content
+
+
+def weights_of(net: Any, target: Target, **notes: Any) -> NetworkWeights[Any]:
+    """What `save_weights` keeps of a torch network; `notes` are its estimator, data, seed, figures and n_points."""
+    arrays = {name: value.detach().cpu().numpy().astype(np.float32) for name, value in net.state_dict().items()}
+    return NetworkWeights(net.architecture, target, arrays, **notes)
 
 
 def export_network(
