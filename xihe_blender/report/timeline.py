@@ -37,22 +37,13 @@ def series_class(index: int) -> str:
 
 @dataclass(frozen=True)
 class Timeline:
-    """The frames of one run, ascending.
-
-    Parameters
-    ----------
-    frames : of the run
-    edges_percent : borders of the frames' columns, one more than there are frames; 0 to 100
-    centres_percent : where each frame's dots and bars stand: frame numbers to scale
-    bar_percent : width of the narrowest column
-    probe_names : in the order in which they are first seen
-    """
+    """The frames of one run, ascending."""
 
     frames: tuple[FrameResult, ...]
-    edges_percent: tuple[float, ...]
-    centres_percent: tuple[float, ...]
-    bar_percent: float
-    probe_names: tuple[str, ...]
+    edges_percent: tuple[float, ...]  # borders of the frames' columns, one more than there are frames; 0 to 100
+    centres_percent: tuple[float, ...]  # where each frame's dots and bars stand: frame numbers to scale
+    bar_percent: float  # width of the narrowest column
+    probe_names: tuple[str, ...]  # in the order in which they are first seen
 
     @classmethod
     def of(cls, results: RunResults) -> Timeline:

@@ -192,18 +192,12 @@ def _checked(raw: ArrayLike, made: ArrayLike, coverage: ArrayLike) -> tuple[Arra
 
 @dataclass(frozen=True, eq=False)
 class SeedCalibrations:
-    """What makes a network's expected errors believable, for each of its seeds.
+    """What makes a network's expected errors believable, for each of its seeds."""
 
-    Parameters
-    ----------
-    name : of the network
-    by_seed : fitted to all validation clouds
-    judges : by seed, for the rooms of even and of odd numbers. Where the report is of the validation split, each was
-        fitted to the other half of its rooms: no cloud is judged by what saw its room.
-    """
-
-    name: str
-    by_seed: tuple[Calibration, ...]
+    name: str  # of the network
+    by_seed: tuple[Calibration, ...]  # fitted to all validation clouds
+    # By seed, for the rooms of even and of odd numbers. Where the report is of the validation split, each was fitted to
+    # the other half of its rooms: no cloud is judged by what saw its room.
     judges: tuple[tuple[Calibration, Calibration], ...]
 
     @classmethod

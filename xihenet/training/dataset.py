@@ -55,39 +55,24 @@ _MAX_DISTANCE_M = 65504.0
 
 @dataclass(frozen=True)
 class CacheSettings:
-    """What is derived from the rooms.
+    """What is derived from the rooms."""
 
-    Parameters
-    ----------
-    n_anchors : anchors, or points of the other samplings
-    sampling : unit sphere, uniform random points (pointar) or farthest points
-    changes_per_pair : training clouds of each pair, the first as it is
-    merged_per_position : training clouds of each position merged from 1 to V views; elsewhere one of all views
-    exposure_spread, tint_spread : standard deviations of the logs of the gain of all channels and of each
-    warmth_spread : the same, of red; blue loses what red gains, as under a warmer light or another white balance
-    is_test_only : every room counts as a test room: for walks, and for scenes that are of no data set
-    is_whole_sphere : one cloud per position of which every anchor is set, coloured by the light probe: the floor that
-        sampling and the network leave; distances that no view knows are the others' median
-    is_upright : pictures cut to the upright middle part that a phone turned by 90 degrees sees
-    has_patches : pixels are patches of surface and anchors know how these face; False samples points alone, as before
-        2026-11, to compare
-    only : splits whose clouds are made; the others stay empty
-    seed : of the changes, the choice of views and the random points
-    """
-
-    n_anchors: int = 1280
-    sampling: Sampling = "sphere"
-    changes_per_pair: int = 6
-    merged_per_position: int = 8
-    exposure_spread: float = 0.45
-    tint_spread: float = 0.06
-    warmth_spread: float = 0.15
-    is_test_only: bool = False
+    n_anchors: int = 1280  # or points of the other samplings
+    sampling: Sampling = "sphere"  # or uniform random points (pointar), or farthest points
+    changes_per_pair: int = 6  # training clouds of each pair, the first as it is
+    merged_per_position: int = 8  # training clouds of each position, of 1 to V views; elsewhere one of all views
+    exposure_spread: float = 0.45  # standard deviation of the log of the gain of all channels
+    tint_spread: float = 0.06  # the same, of each channel
+    warmth_spread: float = 0.15  # and of red; blue loses what red gains, as under another white balance
+    is_test_only: bool = False  # every room counts as a test room: for walks, and for scenes that are of no data set
+    # One cloud per position of which every anchor is set, coloured by the light probe: the floor that sampling and the
+    # network leave; distances that no view knows are the others' median.
     is_whole_sphere: bool = False
-    is_upright: bool = False
+    is_upright: bool = False  # pictures cut to the upright middle part that a phone turned by 90 degrees sees
+    # Pixels are patches of surface and anchors know how these face; False samples points alone, as before 2026-11.
     has_patches: bool = True
-    only: tuple[Split, ...] = SPLITS
-    seed: int = 0
+    only: tuple[Split, ...] = SPLITS  # splits whose clouds are made; the others stay empty
+    seed: int = 0  # of the changes, the choice of views and the random points
 
     def __post_init__(self) -> None:
         if self.sampling not in SAMPLINGS:
@@ -147,27 +132,17 @@ class RoomChange:
 
 @dataclass(frozen=True, eq=False)
 class CloudSet:
-    """M clouds and their truth; memory-mapped arrays of one split.
+    """M clouds and their truth; memory-mapped arrays of one split."""
 
-    Parameters
-    ----------
-    srgb_u8, points_m : (M, N, 3) colours, and places relative to the position
-    is_set : (M, N)
-    truth_ldr, truth_hdr : (M, 9, 3)
-    ambient : (M, 3) the sensor's at the session's exposure, the views' mean for merged clouds
-    room, n_views : (M,) number of the room within its data set, and views that were merged
-    facing_i8 : (M, N) `facing_codes` of how surfaces face the position, see `AnchorSurfaces`; 0 where that is unknown
-    """
-
-    srgb_u8: ArrayU8
-    points_m: NDArray[np.float16]
-    is_set: ArrayBool
-    truth_ldr: ArrayF32
-    truth_hdr: ArrayF32
-    ambient: ArrayF32
-    room: NDArray[np.int64]
-    n_views: NDArray[np.int64]
-    facing_i8: NDArray[np.int8]
+    srgb_u8: ArrayU8  # (M, N, 3)
+    points_m: NDArray[np.float16]  # (M, N, 3) relative to the position
+    is_set: ArrayBool  # (M, N)
+    truth_ldr: ArrayF32  # (M, 9, 3)
+    truth_hdr: ArrayF32  # (M, 9, 3)
+    ambient: ArrayF32  # (M, 3) the sensor's at the session's exposure, the views' mean for merged clouds
+    room: NDArray[np.int64]  # (M,) number of the room within its data set
+    n_views: NDArray[np.int64]  # (M,) that were merged
+    facing_i8: NDArray[np.int8]  # (M, N) `facing_codes` of `AnchorSurfaces`; 0 where that is unknown
 
     def __len__(self) -> int:
         return len(self.room)

@@ -38,41 +38,25 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class TrainSettings:
-    """One training.
+    """One training."""
 
-    Parameters
-    ----------
-    cache : sampled clouds, as `xihenet.training.dataset.build_cache` leaves them
-    out : folder of the run: checkpoint.pt, curves.csv, best.pt
-    estimator : key of `SAMPLING_OF`; must fit the cache's sampling
-    seed : of the first weights and of the order of the clouds
-    learning_rate : the highest; it falls to 0 along a cosine
-    ema : share of the moving average that a step keeps, at most; it averages faster in the first steps
-    patience : epochs without a better validation error after which training stops
-    irradiance_weight, error_weight : of the second and third part of the loss
-    huber_delta : difference of coefficients from which the loss is linear
-    hidden_share : share of the training clouds of which a random cap is hidden, see `hide_caps`
-    n_rooms : train on the clouds of the first rooms alone, for learning curves; None for all
-    options : of the network's architecture
-    """
-
-    cache: Path
-    out: Path
-    estimator: str = "lattice"
+    cache: Path  # sampled clouds, as `xihenet.training.dataset.build_cache` leaves them
+    out: Path  # folder of the run: checkpoint.pt, curves.csv, best.pt
+    estimator: str = "lattice"  # key of `SAMPLING_OF`; must fit the cache's sampling
     target: Target = "ldr"
-    seed: int = 0
+    seed: int = 0  # of the first weights and of the order of the clouds
     epochs: int = 60
     batch_size: int = 64
-    learning_rate: float = 2e-3
+    learning_rate: float = 2e-3  # the highest; it falls to 0 along a cosine
     weight_decay: float = 0.02
-    ema: float = 0.995
-    patience: int = 15
-    irradiance_weight: float = 0.5
-    error_weight: float = 0.02
-    huber_delta: float = 1.0
-    hidden_share: float = 0.3
-    n_rooms: int | None = None
-    options: Mapping[str, object] = field(default_factory=dict)
+    ema: float = 0.995  # share of the moving average that a step keeps, at most; less in the first steps
+    patience: int = 15  # epochs without a better validation error after which training stops
+    irradiance_weight: float = 0.5  # of the second part of the loss
+    error_weight: float = 0.02  # of the third
+    huber_delta: float = 1.0  # difference of coefficients from which the loss is linear
+    hidden_share: float = 0.3  # share of the training clouds of which a random cap is hidden, see `hide_caps`
+    n_rooms: int | None = None  # train on the clouds of the first rooms alone, for learning curves; None for all
+    options: Mapping[str, object] = field(default_factory=dict)  # of the network's architecture
     device: str = "cpu"
 
     def __post_init__(self) -> None:

@@ -53,27 +53,20 @@ Known = float | None
 
 @dataclass(frozen=True)
 class ReportSettings:
-    """What a report is made of. Folders hold sampled clouds; one per sampling and number of anchors.
+    """What a report is made of. Folders hold sampled clouds; one per sampling and number of anchors."""
 
-    Parameters
-    ----------
-    clouds : of the rooms that were trained on; the first of the sphere is what baselines see
-    networks : files by label, one for each seed; see `predictions.load_seeds`
-    split : "test", or "validation" to develop
-    walks, whole : clouds of walks, whose merged ones count, and of positions of which every direction is known
-    scenes : folders by the scene's name; all of its clouds of one view, and the merged ones
-    stress : folders by name, for the groups that need the rooms, such as other numbers of anchors
-    learning : files of networks by the number of rooms they were trained on
-    """
-
-    clouds: Sequence[Path]
+    clouds: Sequence[Path]  # of the rooms that were trained on; the first of the sphere is what baselines see
+    # Files by label, one for each seed; see `predictions.load_seeds`.
     networks: Mapping[str, Sequence[Path]] = field(default_factory=dict)
-    split: Split = "test"
+    split: Split = "test"  # or "validation" to develop
     target: Target = "ldr"
-    walks: Sequence[Path] = ()
-    whole: Sequence[Path] = ()
+    walks: Sequence[Path] = ()  # of which the merged clouds count
+    whole: Sequence[Path] = ()  # of positions of which every direction is known
+    # By the scene's name: all of its clouds of one view, and the merged ones.
     scenes: Mapping[str, Sequence[Path]] = field(default_factory=dict)
+    # By name, for the groups that need the rooms, such as other numbers of anchors.
     stress: Mapping[str, Sequence[Path]] = field(default_factory=dict)
+    # Files of networks by the number of rooms they were trained on.
     learning: Mapping[int, Sequence[Path]] = field(default_factory=dict)
     device: str = "cpu"
 

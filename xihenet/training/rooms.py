@@ -32,26 +32,16 @@ Stored = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True, eq=False)
 class TrainingRoom:
-    """V views and P positions of one room, ready for sampling.
+    """V views and P positions of one room, ready for sampling."""
 
-    Parameters
-    ----------
-    views : V clouds in the world, coloured as the phone delivered them
-    radiance : (V, points, 3) linear colour of the same points at the room's exposure, not clipped; None where the
-        room's file does not keep it
-    positions_m : (P, 3) world
-    balls : (P, n, n, 3) linear light around each position that camera rays see, at that exposure, not clipped
-    sh_ldr, sh_hdr : (P, 9, 3) the reference light at each position: clipped at 1, and whole
-    is_in_view : (V, P) the pair counts
-    """
-
-    views: list[PointCloud]
+    views: list[PointCloud]  # V, in the world, coloured as the phone delivered them
+    # (V, points, 3) linear colour of the same points at the room's exposure, not clipped; None where its file lacks it.
     radiance: ArrayF32 | None
-    positions_m: ArrayF64
-    balls: ArrayF64
-    sh_ldr: ArrayF64
-    sh_hdr: ArrayF64
-    is_in_view: ArrayBool
+    positions_m: ArrayF64  # (P, 3) world
+    balls: ArrayF64  # (P, n, n, 3) linear light around each position that camera rays see, exposed so too, not clipped
+    sh_ldr: ArrayF64  # (P, 9, 3) the reference light at each position, clipped at 1
+    sh_hdr: ArrayF64  # (P, 9, 3) the same, whole
+    is_in_view: ArrayBool  # (V, P) the pair counts
 
     def truth(self, position: int, gains: ArrayF64) -> tuple[ArrayF64, ArrayF64]:
         """(9, 3) of the light at a position times `gains` (3,): clipped at 1, and whole.

@@ -67,24 +67,16 @@ class SphereErrors:
 
 @dataclass(frozen=True)
 class Scores:
-    """All errors of M lights.
-
-    Parameters
-    ----------
-    rmse, by_band, by_coverage : SHC RMSE of all clouds; of l = 0, 1, 2; of the clouds between the `COVERAGE_EDGES`
-    irradiance : RMSE of irradiance at fixed normals over the root mean square of the true one, pooled
-    irradiance_percent : mean over clouds of the same ratio within each cloud, in percent; black clouds left out
-    spheres : of each of `SPHERES`
-    """
+    """All errors of M lights."""
 
     n_clouds: int
-    rmse: float | None
-    by_band: tuple[float | None, ...]
-    by_coverage: tuple[float | None, ...]
-    irradiance: float | None
-    irradiance_percent: float | None
+    rmse: float | None  # SHC RMSE of all clouds
+    by_band: tuple[float | None, ...]  # the same, of l = 0, 1, 2
+    by_coverage: tuple[float | None, ...]  # and of the clouds between the `COVERAGE_EDGES`
+    irradiance: float | None  # RMSE at fixed normals over the root mean square of the true one, pooled
+    irradiance_percent: float | None  # mean over clouds of that ratio within each, in percent; black ones left out
     dominant: DominantLight
-    spheres: dict[str, SphereErrors]
+    spheres: dict[str, SphereErrors]  # of each of `SPHERES`
 
     @classmethod
     def of(cls, lights: ArrayLike, truth: ArrayLike, coverage: ArrayLike) -> Scores:

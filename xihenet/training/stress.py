@@ -101,24 +101,16 @@ def _coloured(clouds: CloudSet, srgb_u8: NDArray[np.uint8]) -> CloudSet:
 
 @dataclass(frozen=True)
 class StressRow:
-    """One predictor under one disturbance.
+    """One predictor under one disturbance."""
 
-    Parameters
-    ----------
-    rmse, ratio : and over that of `ambient`; None where any light is not finite
-    is_finite, is_within : all lights; at most `STRESS_LIMIT`
-    expected_over_made : mean errors; None where none is expected
-    spread : of the ratio over seeds
-    """
-
-    rmse: float | None
-    ratio: float | None
-    is_finite: bool
-    is_within: bool
-    expected_over_made: float | None
+    rmse: float | None  # None where any light is not finite
+    ratio: float | None  # to that of `ambient`
+    is_finite: bool  # all lights
+    is_within: bool  # the ratio, at most `STRESS_LIMIT`
+    expected_over_made: float | None  # mean errors; None where none is expected
     name: str
     n_seeds: int
-    spread: float | None = None
+    spread: float | None = None  # of the ratio over seeds
 
 
 @dataclass(frozen=True)
