@@ -44,19 +44,13 @@ _MODULES = {
     "estimators": (),
     "metrics": (),
     "records": (
-        "Intrinsics",
-        "LightEstimate",
-        "PointCloud",
-        "RgbdFrame",
-        "StepReport",
-        "TriggerDecision",
-        "UnitSphereCloud",
+        "Intrinsics", "LightEstimate", "PointCloud", "RgbdFrame", "StepReport", "TriggerDecision", "UnitSphereCloud",
     ),
     "sampling": ("sample_unit_sphere",),
     "sh": (),
     "sphere": ("AnchorLattice",),
     "trigger": ("TriggerSettings", "decide_trigger"),
-}
+}  # fmt: skip
 """Public modules, and what of them is offered here."""
 
 

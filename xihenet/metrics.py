@@ -33,10 +33,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from xihenet.metering import LUMINANCE
 from xihenet.records import ArrayBool, ArrayF64
 
 RANGE_TOLERANCE = 1e-4  # Renderers sum alpha and colour in float32 and end up a little above 1.
-LUMA_WEIGHTS = (0.2126, 0.7152, 0.0722)  # Rec.709
 NORMALIZED_FROM, NORMALIZED_TO = 0.01, 99.9  # per cent
 SMALLEST_RANGE = 1e-12  # Of the largest value: what is left of a constant picture after rounding is no range.
 SSIM_SIGMA = 1.5
@@ -265,6 +265,5 @@ def ssim(prediction: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> float | No
     predicted, true, weights = _checked_srgb(prediction, truth, mask)
     if not weights.any():
         return None
-    luma = np.array(LUMA_WEIGHTS)
-    local = _local_ssim(predicted @ luma, true @ luma, weights)
+    local = _local_ssim(predicted @ LUMINANCE, true @ LUMINANCE, weights)
     return float((local * weights).sum() / weights.sum())

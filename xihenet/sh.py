@@ -11,7 +11,6 @@ Not here: what other platforms expect of the same numbers.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +23,7 @@ from xihenet.panorama import solid_angles as solid_angles
 from xihenet.records import ArrayF64, UnitSphereCloud
 from xihenet.sh_basis import band_slice, checked_sh, n_coefficients, per_coefficient
 from xihenet.sh_basis import basis as basis
+from xihenet.sphere import AnchorLattice
 
 # Indoor light, LDR, order 2: the coefficients of l = 1 have a standard deviation of 0.10 to 0.21, those of l = 2 of
 # 0.05 to 0.09. A variance of 0.021 / l^2 lies within both and goes on to higher bands.
@@ -47,17 +47,8 @@ NEGATIVE_TOLERANCE = 1e-12  # Share of the largest irradiance that counts as rou
 N_BISECTIONS = 30
 
 
-class AnchorDirections(Protocol):
-    """What `project_anchors` needs of a lattice: (n, 3) in world axes, any length above 0; hashable, never changing."""
-
-    @property
-    def directions(self) -> ArrayF64: ...
-
-    def __hash__(self) -> int: ...
-
-
 @lru_cache(maxsize=8)
-def _anchor_basis(lattice: AnchorDirections, order: int) -> ArrayF64:
+def _anchor_basis(lattice: AnchorLattice, order: int) -> ArrayF64:
     table = np.ascontiguousarray(basis(lattice.directions, order))
     table.flags.writeable = False
     return table
@@ -68,7 +59,7 @@ def facing_weights(facing: ArrayLike) -> ArrayF64:
     return np.clip(np.asarray(facing, np.float64) + FACING_OFFSET, LEAST_WEIGHT, 1.0)
 
 
-def project_anchors(cloud: UnitSphereCloud, lattice: AnchorDirections, order: int = 2) -> ArrayF64:
+def project_anchors(cloud: UnitSphereCloud, lattice: AnchorLattice, order: int = 2) -> ArrayF64:
     """Coefficients of the light that the set anchors saw, by regularised least squares.
 
     Minimises the mean squared error over the set anchors plus penalty_l x coefficient^2 for l >= 1. The constant band

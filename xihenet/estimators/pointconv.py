@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from xihenet.codec import MAX_DISTANCE_M
 from xihenet.estimators.base import EstimateContext, Estimator, Target
 from xihenet.estimators.pointconv_network import PointConvNetwork, load_pointconv_weights
 from xihenet.estimators.weights_format import loaded_for
@@ -18,7 +19,6 @@ from xihenet.records import ArrayBool, ArrayF32, ArrayF64, UnitSphereCloud
 from xihenet.sampling import has_usable_points, sample_uniform
 from xihenet.sphere import AnchorLattice
 
-FARTHEST_M = 65504.0  # As training stores them, in float16.
 DRAWING_SEED = 0
 
 
@@ -29,7 +29,7 @@ class _PointConv(Estimator):
     version, or was trained for another estimator or target.
     """
 
-    farthest_m = FARTHEST_M
+    farthest_m = MAX_DISTANCE_M  # as training stores points, in float16
 
     def __init__(self, n_anchors: int = 1280, target: Target = "ldr", *, weights: Path | None = None) -> None:
         super().__init__(n_anchors, target)
@@ -64,7 +64,7 @@ class XiheNet(_PointConv):
 
     def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> ArrayF64:
         directions = AnchorLattice(self.n_anchors).directions.astype(np.float32)
-        points = directions * np.minimum(cloud.distance_m, np.float32(FARTHEST_M))[:, None]
+        points = directions * np.minimum(cloud.distance_m, np.float32(MAX_DISTANCE_M))[:, None]
         return self._light(points, cloud.srgb, cloud.is_set)
 
 
@@ -100,5 +100,5 @@ class PointAR(_PointConv):
         n_points = self._n_points_trained_with or self.n_anchors
         drawn = sample_uniform(context.points, n_points, np.random.default_rng(DRAWING_SEED))
         # A position beyond float32's range, or a point, is as good as one at the farthest distance.
-        relative = np.clip(drawn.points_m - position, -FARTHEST_M, FARTHEST_M).astype(np.float32)
+        relative = np.clip(drawn.points_m - position, -MAX_DISTANCE_M, MAX_DISTANCE_M).astype(np.float32)
         return self._light(relative, drawn.srgb.clip(0, 1), np.ones(len(relative), bool))

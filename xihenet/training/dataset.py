@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from xihenet.buffers import merge
 from xihenet.camera import encode_exposed
-from xihenet.codec import facing_codes
+from xihenet.codec import MAX_DISTANCE_M, facing_codes
 from xihenet.colour import srgb_to_linear
 from xihenet.mirror_ball import seen_in_ball
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, PointCloud, UnitSphereCloud
@@ -49,8 +49,6 @@ AnyCloud = PointCloud | UnitSphereCloud
 CACHE_VERSION = 3
 ODD_IN_X = np.array([1, 1, 1, -1, -1, 1, 1, -1, 1.0])
 """(9,) -1 for the spherical harmonics that change their sign with x."""
-
-_MAX_DISTANCE_M = 65504.0
 
 
 @dataclass(frozen=True)
@@ -336,14 +334,14 @@ def _store(arrays: dict[str, NDArray[Any]], row: int, sample: _Sample) -> None:
     cloud = sample.cloud
     if isinstance(cloud, UnitSphereCloud):
         is_set: Any = cloud.is_set
-        points = AnchorLattice(len(cloud)).directions * np.minimum(cloud.distance_m, _MAX_DISTANCE_M)[:, None]
+        points = AnchorLattice(len(cloud)).directions * np.minimum(cloud.distance_m, MAX_DISTANCE_M)[:, None]
         if cloud.surfaces is not None:
             arrays["facing_i8"][row] = facing_codes(cloud.surfaces.facing)
     else:
         is_set, points = True, cloud.points_m
     n = len(points)
     arrays["srgb_u8"][row, :n] = np.rint(cloud.srgb * 255)
-    arrays["points_m"][row, :n] = np.clip(points, -_MAX_DISTANCE_M, _MAX_DISTANCE_M)
+    arrays["points_m"][row, :n] = np.clip(points, -MAX_DISTANCE_M, MAX_DISTANCE_M)
     arrays["is_set"][row, :n] = is_set
     arrays["truth_ldr"][row], arrays["truth_hdr"][row] = sample.truth
     arrays["ambient"][row], arrays["n_views"][row] = sample.ambient, sample.n_views

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.light_picture import SPHERES, sphere_transfer
-from xihenet.metrics import LUMA_WEIGHTS
+from xihenet.metering import LUMINANCE
 from xihenet.records import ArrayBool, ArrayF64
 from xihenet.sh import cosine_lobe
 from xihenet.sh_basis import band_slice, basis
@@ -138,9 +138,9 @@ def coverage_groups(coverage: ArrayF64, edges: Sequence[float] = COVERAGE_EDGES)
 
 def dominant_light(lights: ArrayF64, truth: ArrayF64) -> DominantLight:
     """Angle between where two lights (M, 9, 3) come from, over the clouds where the true one has a direction."""
-    luma = np.array(LUMA_WEIGHTS)
-    predicted, true = lights[:, 1:4] @ luma, truth[:, 1:4] @ luma
-    is_asked = np.linalg.norm(true, axis=1) > DOMINANT_SHARE * np.abs(truth[:, 0] @ luma)
+    # The l = 1 coefficients are of y, z, x: of both lights alike.
+    predicted, true = lights[:, 1:4] @ LUMINANCE, truth[:, 1:4] @ LUMINANCE
+    is_asked = np.linalg.norm(true, axis=1) > DOMINANT_SHARE * np.abs(truth[:, 0] @ LUMINANCE)
     if not is_asked.any():
         return DominantLight(None, len(true))
     predicted, true = predicted[is_asked], true[is_asked]
