@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import NoReturn
 
@@ -22,11 +23,6 @@ from xihenet.training.plots import report_plots
 from xihenet.training.report import ReportSettings, make_report, report_json
 from xihenet.training.report_text import report_markdown
 from xihenet.training.rooms import SPLITS
-
-SAME_NAMED = (
-    "estimator", "target", "seed", "epochs", "batch_size", "learning_rate", "weight_decay", "patience", "device",
-)  # fmt: skip
-"""Options of a training that are its settings too."""
 
 TEST_SWITCHES = ("test_only", "all_rooms", "whole_sphere", "upright", "points")
 STEPS = ("cache", "train", "report", "export")
@@ -169,9 +165,9 @@ def _run_train(options: argparse.Namespace) -> None:
         raise ValueError("--keep-unset-at-origin and --bfloat16: expected a PointConv network, got lattice")
     name = f"{options.estimator}_{options.target}_{options.seed}"
     out = options.out / (name if options.rooms is None else f"{name}_{options.rooms}rooms")
-    same_named = {name: getattr(options, name) for name in SAME_NAMED}
-    settings = TrainSettings(_run_cache(options), out, n_rooms=options.rooms, options=architecture, **same_named)
-    print(train(settings, progress=_say))
+    same_named = {part.name: getattr(options, part.name) for part in fields(TrainSettings) if part.name in options}
+    own = {"cache": _run_cache(options), "out": out, "n_rooms": options.rooms, "options": architecture}
+    print(train(TrainSettings(**{**same_named, **own}), progress=_say))
 
 
 def _add_report_options(parser: argparse.ArgumentParser) -> None:

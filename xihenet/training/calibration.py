@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from xihenet.estimators.calibration import SHARES_ASKED, SMALLEST_RAW, STEEPEST, STEEPEST_IN_COVERAGE, Calibration
 from xihenet.records import ArrayBool, ArrayF64
 from xihenet.training.dataset import open_split
-from xihenet.training.predictions import VIEWS, Group, NetworkSeeds, Prediction, load_alone, open_group, over_seeds
+from xihenet.training.predictions import VIEWS, Group, NetworkSeeds, Prediction, load_seeds, open_group, over_seeds
 from xihenet.training.scores import COVERAGE_EDGES, coverage_groups
 
 N_BINS = 8
@@ -262,7 +262,7 @@ def calibrate_network(network: Path, folders: Sequence[Path]) -> Calibration:
 
     ValueError if the file or the folders are broken, the network expects no error, or there are too few clouds.
     """
-    seeds = load_alone(network)
+    seeds = load_seeds("", [network])
     found = SeedCalibrations.fitted(seeds, [open_group(views, folders, "validation", views) for views in VIEWS])
     if found is None:
         raise ValueError(f"{network}: expected a network that knows its error, and validation clouds of several rooms")
@@ -279,7 +279,7 @@ def calibrate_elsewhere(
     """
     if len(folders) < 2:
         raise ValueError(f"--elsewhere: expected the sampled clouds of two rooms or more, got {len(folders)}")
-    seeds, errors = load_alone(network), []
+    seeds, errors = load_seeds("", [network]), []
     for number, folder in enumerate(folders):
         clouds = open_split(folder, "test")
         said = seeds.of_clouds(clouds, clouds)

@@ -158,15 +158,16 @@ class NetworkSeeds:
         return predictions
 
 
-def load_seeds(label: str, files: Sequence[Path], target: Target, device: str) -> NetworkSeeds:
+def load_seeds(label: str, files: Sequence[Path], target: Target | None = None, device: str = "cpu") -> NetworkSeeds:
     """Networks of one kind; `label` is NAME or, to name clouds of one number of anchors, SAMPLING_ANCHORS:NAME.
 
-    ValueError for a broken file, another target than `target`, different kinds, or clouds of another sampling.
+    ValueError for a broken file, another target than `target` if one is given, different kinds, or clouds of another
+    sampling.
     """
     key, _, name = label.rpartition(":")
     loaded = [load_network(file, device) for file in files]
     for file, trained in zip(files, loaded, strict=True):
-        if trained.target != target:
+        if target not in (None, trained.target):
             raise ValueError(f"{file}: expected a network trained for {target!r}, got {trained.target!r}")
         if trained.estimator != loaded[0].estimator:
             raise ValueError(f"{file}: expected {loaded[0].estimator} as the others of {name}, got {trained.estimator}")
@@ -174,13 +175,7 @@ def load_seeds(label: str, files: Sequence[Path], target: Target, device: str) -
     if key and key.split("_")[0] != sampling:
         raise ValueError(f"{label}: expected clouds of the sampling {sampling}, got {key}")
     nets = tuple(trained.net for trained in loaded)
-    return NetworkSeeds(name, loaded[0].estimator, key or sampling, nets, target, device)
-
-
-def load_alone(file: Path) -> NetworkSeeds:
-    """One network of any target. ValueError for a broken file."""
-    found = load_network(file)
-    return NetworkSeeds(file.stem, found.estimator, SAMPLING_OF[found.estimator], (found.net,), found.target)
+    return NetworkSeeds(name, loaded[0].estimator, key or sampling, nets, loaded[0].target, device)
 
 
 def predict_group(group: Group, baselines: Baselines, networks: Sequence[NetworkSeeds]) -> Group:
