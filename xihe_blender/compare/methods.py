@@ -25,6 +25,7 @@ from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world
 from xihe_blender.capture.render import RenderSettings, render_passes, stacked_rgb, working_scene
 from xihe_blender.capture.scanner import first_layer
 from xihe_blender.io.outputs import written_whole
+from xihe_blender.io.run_results import Metrics
 from xihenet.camera import MISS_PLANE_DEPTH_M, valid_plane_depth
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.metrics import angular_error, angular_error_deg, image_rmse, psnr, si_rmse, ssim
@@ -159,16 +160,16 @@ def in_front_of_room(object_plane_depth_m: ArrayF32, room_plane_depth_m: ArrayF3
     return unknown | (object_plane_depth_m <= reach)
 
 
-def measure(prediction: ArrayF64, ground_truth: ArrayF64, weights: ArrayF64) -> dict[str, float | None]:
+def measure(prediction: ArrayF64, ground_truth: ArrayF64, weights: ArrayF64) -> Metrics:
     """The metrics of results.json for one picture, inside the objects' alpha; None where one is undefined."""
     shown, true = display(prediction), display(ground_truth)
-    return {
-        "psnr": psnr(shown, true, weights),
-        "ssim": ssim(shown, true, weights),
-        "rmse": image_rmse(prediction, ground_truth, weights),
-        "si_rmse": si_rmse(prediction, ground_truth, weights),
-        "angular_deg": angular_error_deg(prediction, ground_truth, weights),
-    }
+    return Metrics(
+        psnr=psnr(shown, true, weights),
+        ssim=ssim(shown, true, weights),
+        rmse=image_rmse(prediction, ground_truth, weights),
+        si_rmse=si_rmse(prediction, ground_truth, weights),
+        angular_deg=angular_error_deg(prediction, ground_truth, weights),
+    )
 
 
 def hueless_pixels(prediction: ArrayF64, ground_truth: ArrayF64, weights: ArrayF64) -> int:

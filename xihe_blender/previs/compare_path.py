@@ -20,7 +20,7 @@ from xihe_blender.io.exr import write_radiance
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.outputs import RunOutputs, copy_whole, write_json, write_picture
-from xihe_blender.io.run_results import ComparedFrame, Metrics
+from xihe_blender.io.run_results import ComparedFrame
 from xihe_blender.jobs import Progress
 from xihe_blender.previs.plan import compared_frames
 from xihe_blender.previs.prepare import PreparedRun
@@ -95,7 +95,7 @@ def _compare_frame(run: PreparedRun, frame: int, lights: Lights, comparer: Compa
     compared = comparer.render_methods(load_frame(run.outputs.capture(frame)), lights, truth)
     metrics, n_hueless = {}, {}
     for name, picture in compared.methods.items():
-        metrics[name] = Metrics(**methods.measure(picture, compared.ground_truth, compared.weights))
+        metrics[name] = methods.measure(picture, compared.ground_truth, compared.weights)
         n_hueless[name] = methods.hueless_pixels(picture, compared.ground_truth, compared.weights)
     content = ComparedFrame(
         pictures=_write_pictures(run, frame, compared),

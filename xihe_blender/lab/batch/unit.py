@@ -176,7 +176,7 @@ def _compared(
     metrics = {}
     for trial in lights:
         picture = compared.methods[trial]
-        metrics[trial] = Metrics(**measure(picture, compared.ground_truth, compared.weights))
+        metrics[trial] = measure(picture, compared.ground_truth, compared.weights)
         if worst_frame({**so_far[int(trial)], frame: metrics[trial]}) == frame:
             error = error_map(picture, compared.ground_truth, compared.weights)
             shown = (display(compared.ground_truth), display(picture), error)
