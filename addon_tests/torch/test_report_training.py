@@ -16,30 +16,15 @@ from xihenet.sh_basis import basis
 from xihenet.sphere import AnchorLattice
 from xihenet.svg import linear_axis
 from xihenet.training import __main__ as command_line
+from xihenet.training import calibration
+from xihenet.training import report as figures_of
 from xihenet.training.baselines import BASELINES, MEAN, fit_baselines, fit_linear, projected
-from xihenet.training.calibration import (
-    calibrate_elsewhere,
-    calibrate_network,
-    calibration_elsewhere,
-    fit_calibration,
-    promises_left_out,
-)
+from xihenet.training.calibration import calibration_elsewhere, fit_calibration, promises_left_out
 from xihenet.training.dataset import CACHE_VERSION, CloudSet, open_split
 from xihenet.training.networks import TrainedNetwork, make_network, save_network
 from xihenet.training.plots import line_chart, report_plots, series_look
 from xihenet.training.predictions import Group, Prediction, open_group, over_seeds, training_clouds
-from xihenet.training.report import (
-    ALL_VIEWS,
-    ONE_VIEW,
-    WALK,
-    WHOLE,
-    ReportSettings,
-    coverage_curve,
-    group_table,
-    make_report,
-    report_json,
-    room_figures,
-)
+from xihenet.training.report import ALL_VIEWS, ONE_VIEW, WALK, WHOLE, ReportSettings, make_report, report_json
 from xihenet.training.report_text import report_markdown
 from xihenet.training.rooms import split_of
 from xihenet.training.stress import DISTURBANCES, add_noise, blacken, blow_out, leave_cap, leave_one_anchor
@@ -289,11 +274,11 @@ def test_the_error_of_one_room_is_found(folders):
     cases = open_group("", [folders["sphere"]], "test", "one").cases
     light = cases.truth_ldr.astype(float)
     light[cases.room == TEST_ROOMS[2]] += 0.5
-    found = room_figures("one wrong room", [Prediction(cases, "ldr", light)])
+    found = figures_of.room_figures("one wrong room", [Prediction(cases, "ldr", light)])
     worst = found.worst_rooms[0]
     assert worst.room == TEST_ROOMS[2] and worst.share == pytest.approx(1) and worst.rmse == pytest.approx(0.5)
     assert found.of_worst_rooms == pytest.approx(1) and found.of_worst_clouds == pytest.approx(0.25)
-    nothing = room_figures("perfect", [Prediction(cases, "ldr", cases.truth_ldr.astype(float))])
+    nothing = figures_of.room_figures("perfect", [Prediction(cases, "ldr", cases.truth_ldr.astype(float))])
     assert nothing.of_worst_clouds is None
 
 
@@ -302,11 +287,11 @@ def test_the_curve_is_none_where_clouds_are_few_and_right_where_not():
     off_by = {MEAN: 0.2, "half": 0.1}
     said = {name: [Prediction(clouds, "ldr", clouds.truth_ldr.astype(float) + off)] for name, off in off_by.items()}
     group = Group("g", clouds, {"sphere_96": clouds}, said)
-    curve = coverage_curve([group])
+    curve = figures_of.coverage_curve([group])
     assert sum(curve.n_clouds) == 100
     for n, ratio in zip(curve.n_clouds, curve.rows["half"].ratio, strict=True):
         assert (ratio is None) == (n < 10) and (ratio is None or ratio == pytest.approx(0.5))
-    assert group_table(group).rows[1].figures.ratio == pytest.approx(0.5)
+    assert figures_of.group_table(group).rows[1].figures.ratio == pytest.approx(0.5)
 
 
 def test_a_calibration_finds_its_law_and_keeps_its_promises():
@@ -345,8 +330,8 @@ def test_weights_are_calibrated_by_rooms_of_another_kind_and_say_how_well(folder
     elsewhere = [str(folders["sphere"])] * 2
     assert command_line.main([*command, "--elsewhere", *elsewhere]) == 0
     assert "kept in rooms left out: 50% in " in capsys.readouterr().err
-    here = calibrate_network(networks["lattice_0"], [folders["sphere"]])
-    told, _ = calibrate_elsewhere(networks["lattice_0"], here, [folders["sphere"]] * 2)
+    here = calibration.calibrate_network(networks["lattice_0"], [folders["sphere"]])
+    told, _ = calibration.calibrate_elsewhere(networks["lattice_0"], here, [folders["sphere"]] * 2)
     assert Calibration.from_figures(load_weights(tmp_path / "a.npz").figures) == told
     assert told.factor > 0 and (told.power, told.slope) == (here.power, here.slope)
     assert command_line.main([*command, "--elsewhere", elsewhere[0]]) == 2
@@ -364,10 +349,10 @@ def test_a_calibration_goes_through_the_header_of_a_weights_file():
 
 
 def test_a_network_is_calibrated_for_its_weights_as_the_report_says(folders, networks, report):
-    found = calibrate_network(networks["lattice_0"], [folders["uniform"], folders["sphere"]])
+    found = calibration.calibrate_network(networks["lattice_0"], [folders["uniform"], folders["sphere"]])
     assert found == report.calibration[0].by_seed[0]
     with pytest.raises(ValueError, match="a network that knows its error"):
-        calibrate_network(networks["pointar"], [folders["sphere"], folders["uniform"]])
+        calibration.calibrate_network(networks["pointar"], [folders["sphere"], folders["uniform"]])
 
 
 def test_a_constant_expectation_is_calibrated_to_the_mean_error_and_errors_that_are_none_to_nothing():
