@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import signal
-import statistics
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
@@ -79,7 +78,9 @@ class TimeLeft:
 
 def _pace(steps: Sequence[tuple[float, float]]) -> float:
     """Seconds per unit."""
-    return statistics.median(seconds / units for units, seconds in steps[1:] or steps)
+    from statistics import median  # It takes as long to load as all else that the panel needs.
+
+    return median(seconds / units for units, seconds in steps[1:] or steps)
 
 
 Job = Generator[Progress, None, Result]

@@ -26,7 +26,7 @@ from xihe_blender.addon.results_in_blender import (
     show_comparison,
     show_light,
 )
-from xihe_blender.addon.shown_run import run_and_show
+from xihe_blender.addon.run_settings import run_and_show
 from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
 from xihe_blender.apply.sh_worlds import f_curves
 from xihe_blender.compare.side_by_side import middle_of_change, wiped
@@ -153,7 +153,7 @@ def test_removing_leaves_the_file_as_before_the_run_and_applying_again_gives_wha
 def test_the_light_can_be_applied_to_another_file_with_the_same_objects(shown, tmp_path):
     light = light_on_the_timeline()
     scene = walk_for_the_panel(tmp_path)
-    apply_results(scene, read_results(shown), shown)
+    apply_results(scene, shown)
     again = light_on_the_timeline()
     assert {name: list(by_frame) for name, by_frame in again.items()} == {n: list(f) for n, f in light.items()}
 
@@ -215,7 +215,7 @@ def test_the_comparison_is_the_estimate_up_to_the_wipe_and_the_truth_behind(show
     estimate, truth = (pixels_of_file(file)[..., :3] for file in files)
     assert np.abs(estimate - truth).max() > 0.05
     for wipe, column in ((0.0, 0), (0.25, 8), (0.5, 16), (1.0, 32)):
-        picture = pixels(show_comparison(results, shown, 2, wipe))[..., :3]
+        picture = pixels(show_comparison(shown, 2, wipe))[..., :3]
         np.testing.assert_allclose(picture[:, :column], estimate[:, :column], atol=1e-6)
         behind = column + (0 < column < 32)
         np.testing.assert_allclose(picture[:, behind:], truth[:, behind:], atol=1e-6)

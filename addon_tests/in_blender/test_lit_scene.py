@@ -132,7 +132,7 @@ def test_markers_say_where_the_trigger_fired(lit_file):
 @pytest.fixture
 def shown(ran):
     """The lit scene of the run, its file open."""
-    return show_lit(opened(ran.out / "after.blend"), read_results(ran.out), ran.out, "Board")
+    return show_lit(opened(ran.out / "after.blend"), ran.out, "Board")
 
 
 def rendered_picture(lit, folder, colour_mode="RGB"):
@@ -193,7 +193,7 @@ def test_its_worlds_are_keyed_and_its_camera_is_a_copy(shown):
 def test_it_is_saved_with_the_file_and_shown_again_in_place_of_itself(ran, shown, tmp_path):
     opened(saved(tmp_path / "saved.blend"))
     assert lit_scene().name == LIT_SCENE and len(lit_scene().view_layers) == 3
-    show_lit(bpy.data.scenes["Scene"], read_results(ran.out), ran.out)
+    show_lit(bpy.data.scenes["Scene"], ran.out)
     assert sorted(scene.name for scene in bpy.data.scenes) == ["Scene", LIT_SCENE]
     assert len([image for image in bpy.data.images if image.name.startswith(LIT_SCENE)]) == 1
 
@@ -207,8 +207,9 @@ def test_removing_the_light_takes_it_away(ran, shown, asked_from_the_lit_scene):
 
 
 def test_pictures_that_are_gone_are_named(ran, tmp_path):
+    (tmp_path / "results.json").write_bytes((ran.out / "results.json").read_bytes())
     with pytest.raises(UserError, match=r"captured_0001\.png is gone: run again"):
-        show_lit(opened(ran.out / "after.blend"), read_results(ran.out), tmp_path)
+        show_lit(opened(ran.out / "after.blend"), tmp_path)
     assert lit_scene() is None
 
 

@@ -9,7 +9,7 @@ import pytest
 from addon_runs import enable_preferences, poll_message, registered_addon
 from tiny_scenes import empty_scene
 
-from xihe_blender.io.old_runs import ABANDONED_S, SETTINGS, format_old_runs, old_runs, remove_old_runs, runs_in
+from xihe_blender.io.old_runs import ABANDONED_S, format_old_runs, old_runs, remove_old_runs, runs_in
 from xihe_blender.io.outputs import RunOutputs
 
 FIRST, SECOND, THIRD = "room_20260101-101500", "room_20260101-101500_2", "my room_20270101-000000"
@@ -35,7 +35,6 @@ def everything_in(folder):
 
 
 def test_runs_are_found_by_what_a_run_writes_and_old_are_those_not_shown(tmp_path, runs):
-    assert RunOutputs(Path("folder"), "room").settings == Path("folder") / SETTINGS
     assert runs_in(tmp_path) == runs
     assert old_runs(tmp_path, [tmp_path / "." / FIRST, tmp_path / "gone"]) == [runs[0], runs[2]]
     assert runs_in(tmp_path / "nowhere") == []

@@ -192,7 +192,8 @@ def test_what_is_asked_at_every_redraw_needs_nothing_heavy():
         "virtual_objects(bpy.context.scene); runs_folder.last_run('/nowhere');"
         "from xihe_blender import addon; from xihe_blender.addon import polls; addon.register('xihe_test');"
         "polls.doubts(bpy.context.scene);"
-        "conditions = [value for name, value in vars(polls).items() if name.startswith(('is_', 'has_'))];"
+        "conditions = [value for name, value in vars(polls).items() if name.startswith(('is_', 'has_'))"
+        " and value.__module__ == polls.__name__];"
         "said = [condition(bpy.context) for condition in conditions]; addon.unregister();"
         "print(said.count(None), len(said))"
     )

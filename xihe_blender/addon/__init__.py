@@ -1,8 +1,7 @@
 """What of the add-on does Blender have registered? These modules, in this order, and gone again in reverse.
 
-The extension's `__init__.py` calls `register(__package__)`. Nothing that is imported for it imports NumPy, OpenEXR,
-torch or a work module: operators import their function when they run, so that Blender starts as fast with the add-on as
-without.
+The extension's `__init__.py` calls `register(__package__)`. Nothing that is imported for it imports NumPy, OpenEXR or
+torch: operators import what needs these when they run, so that Blender starts as fast with the add-on as without.
 """
 
 from __future__ import annotations
@@ -18,11 +17,9 @@ MODULES = (
     "preferences",
     "leftovers",
     "object_operators",
-    "effect_operators",
-    "measuring_operators",
-    "run_operator",
+    "planning_operators",
+    "run_operators",
     "result_operators",
-    "old_run_operators",
     "light_operators",
     "panels",
     "overlay",

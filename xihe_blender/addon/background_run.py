@@ -11,6 +11,7 @@ process by its number, which another program may have by then.
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import shutil
 import signal
@@ -18,30 +19,58 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import bpy
 
-from xihe_blender.addon.background_script import is_locked
-from xihe_blender.addon.results_in_blender import apply_results
-from xihe_blender.addon.shown_run import COMMAND
+from xihe_blender.addon.preferences import runs_folder
 from xihe_blender.errors import UserError
+from xihe_blender.io.json_records import ABSENT, Parameters, as_json, from_json
 from xihe_blender.io.outputs import RunOutputs, write_json, written_whole
-from xihe_blender.io.run_results import read_results
 from xihe_blender.jobs import Job, Progress
 from xihenet.json_files import read_json
 
+COMMAND = "Run in Blender's panel"
 SCRIPT = Path(__file__).with_name("background_script.py")
 LOOK_EVERY_S = 0.2
 EDITABLE = (bpy.types.Object, bpy.types.Material, bpy.types.Light, bpy.types.World, bpy.types.Camera, bpy.types.Mesh)
 """Kinds of data whose change makes the open scene another than the run's."""
 
 
+@dataclass(frozen=True)
+class RunRequest:
+    """What a second Blender is to do, as work/request.json holds it.
+
+    Parameters
+    ----------
+    blend, copy : the open file, and its copy in the run's folder
+    started : when the scene looked as the run knows it
+    choices : parameters of PrevisSettings
+    is_shown : once the open file has shown its results
+    """
+
+    blend: str
+    copy: str
+    scene: str
+    started: float
+    command: str
+    choices: Parameters
+    is_shown: bool | None = field(default=None, metadata=ABSENT)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunState(Progress):
+    """How far the second Blender is, as work/progress.json holds it: `error` says why it could not go on."""
+
+    pid: int
+    error: str
+
+
 @dataclass
 class BackgroundRun:
-    """A run in `folder`, of the scene `scene_name` as it was at `started`; begun by this Blender or an earlier one.
+    """A run in `folder`, begun by this Blender or an earlier one.
 
     Parameters
     ----------
@@ -50,34 +79,59 @@ class BackgroundRun:
     """
 
     folder: Path
-    scene_name: str
-    started: float
     process: subprocess.Popen[bytes] | None = None
     is_edited: bool = False
+
+    @property
+    def outputs(self) -> RunOutputs:
+        return RunOutputs(self.folder)
+
+    @functools.cached_property
+    def request(self) -> RunRequest:
+        """What it does; UserError if nothing tells any more, so that it cannot be taken up."""
+        try:
+            return from_json(RunRequest, read_json(self.outputs.request))
+        except (OSError, TypeError, ValueError) as error:
+            raise UserError(f"{self.folder} is gone or damaged: discard it, and run again") from error
+
+    @property
+    def state(self) -> RunState | None:
+        """What the second Blender said last; None before it has said anything."""
+        try:
+            return from_json(RunState, read_json(self.outputs.progress))
+        except (OSError, TypeError, ValueError):
+            return None
+
+    @property
+    def begun(self) -> float | None:
+        """When it was begun, or its results were shown; None if it is gone. Looks at no more than the file's date."""
+        try:
+            return self.outputs.request.stat().st_mtime
+        except OSError:
+            return None
 
     @property
     def is_under_way(self) -> bool:
         """Whether it is being worked on, by whichever Blender."""
         if self.process is not None and self.process.poll() is None:
             return True
-        return is_locked(RunOutputs(self.folder, "").lock)
+        return is_locked(self.outputs.lock)
 
     @property
     def has_ended(self) -> bool:
         """Whether it has reached its end, and only its results are to be shown."""
-        return RunOutputs(self.folder, "").results.exists()
+        return self.outputs.results.exists()
 
     def start(self) -> None:
         """Have a second Blender begin or resume it; OSError if none can be started. Nothing if it is under way."""
         if self.is_under_way:
             return
-        outputs = RunOutputs(self.folder, "")
-        copy = self.folder / read_json(outputs.request)["copy"]
-        outputs.progress.unlink(missing_ok=True)
+        copy = self.folder / self.request.copy
+        self.outputs.progress.unlink(missing_ok=True)
         trust = "--disable-autoexec" if bpy.app.autoexec_fail else "--enable-autoexec"
         # Where this Blender has the add-on's packages, its preferences saved or not.
         paths = [str(Path(sys.modules[name].__file__ or "").parents[1]) for name in ("xihe_blender", "xihenet")]
-        with outputs.console.open("ab") as console:
+        with self.outputs.console.open("ab") as console:
             self.process = subprocess.Popen(
                 [bpy.app.binary_path, "--background", trust, copy, "--python", SCRIPT, "--", copy, *paths],
                 stdin=subprocess.DEVNULL,
@@ -89,94 +143,96 @@ class BackgroundRun:
 
     def stop(self) -> None:
         """End the second Blender at once; what it has finished is kept, file by file."""
+        state = self.state
         if self.process is not None:
             # Not terminate: Blender 5 then waits for the script's end.
             self.process.kill()
             self.process.wait()
-        elif self.is_under_way:
-            with contextlib.suppress(OSError, KeyError, ValueError):
+        elif self.is_under_way and state is not None:
+            with contextlib.suppress(OSError):
                 # On Windows any signal ends a process at once.
-                os.kill(_state(self.folder)["pid"], getattr(signal, "SIGKILL", signal.SIGTERM))
+                os.kill(state.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+
+    def discard(self) -> None:
+        """Stop it, if it is under way, and delete its folder."""
+        self.stop()
+        shutil.rmtree(self.folder, ignore_errors=True)
 
     def follow(self) -> Job[None]:
         """Yield its Progress until its end, then show its results in the open file. Closing this leaves it running.
 
         UserError for a run that failed, and where its scene is not in the open file any more.
         """
-        shown: Any = Progress(0, 1, "starting Blender in the background")
+        name, shown = self.request.scene, Progress(0, 1, "starting Blender in the background")
         with _edits_noted(self):
             looked = 0.0
             while self.is_under_way:
-                if time.perf_counter() - looked < LOOK_EVERY_S:
-                    yield shown
-                    continue
-                looked = time.perf_counter()
-                with contextlib.suppress(OSError, KeyError, ValueError):
-                    state = _state(self.folder)
-                    shown = Progress(state["done"], state["total"], state["doing"], state["left"])
+                if time.perf_counter() - looked >= LOOK_EVERY_S:
+                    looked, shown = time.perf_counter(), self.state or shown
                 yield shown
         if not self.has_ended:
-            raise UserError(_why_it_ended(self.folder))
-        scene = bpy.data.scenes.get(self.scene_name)
+            state = self.state
+            said = "" if state is None else state.error
+            raise UserError(said or f"the run ended early: {self.outputs.console} says why")
+        from xihe_blender.addon.results_in_blender import apply_results
+
+        scene = bpy.data.scenes.get(name)
         if scene is None:
-            raise UserError(f"the scene {self.scene_name!r} is not in this file any more; its run is in {self.folder}")
-        apply_results(scene, read_results(self.folder), self.folder, wipe=scene.xihe.wipe)
-        request = RunOutputs(self.folder, "").request
-        write_json(request, {**read_json(request), "is_shown": True})
+            raise UserError(f"the scene {name!r} is not in this file any more; its run is in {self.folder}")
+        apply_results(scene, self.folder)
+        write_json(self.outputs.request, as_json(replace(self.request, is_shown=True)))
 
 
-def saved_for_run(scene: bpy.types.Scene, folder: Path, choices: dict[str, Any]) -> BackgroundRun:
-    """Save what a run of `scene` needs into `folder`; the run is not started yet. OSError if that cannot be written.
-
-    `choices` are parameters of PrevisSettings, as JSON holds them.
-    """
-    outputs = RunOutputs(folder, "")
+def saved_for_run(scene: bpy.types.Scene, folder: Path, choices: Parameters) -> BackgroundRun:
+    """Save what a run of `scene` needs into `folder`; the run is not started yet. OSError if that cannot be written."""
     copy, started = f"{Path(bpy.data.filepath).stem or 'untitled'}.blend", time.time()
     with written_whole(folder / copy) as beside, _no_file_previews():
         bpy.ops.wm.save_as_mainfile(filepath=str(beside), copy=True)
-    write_json(
-        outputs.request,
-        {
-            "blend": bpy.data.filepath,
-            "copy": copy,
-            "scene": scene.name,
-            "started": started,
-            "command": COMMAND,
-            "choices": choices,
-        },
-    )
-    return BackgroundRun(folder, scene.name, started)
+    request = RunRequest(bpy.data.filepath, copy, scene.name, started, COMMAND, choices)
+    write_json(RunOutputs(folder).request, as_json(request))
+    return BackgroundRun(folder)
 
 
-def unshown_run(folder: Path) -> BackgroundRun:
-    """The run in `folder`, which another Blender has begun; UserError if it cannot be taken up."""
+def newest_unshown_run(blend: str) -> Path | None:
+    """Folder of the newest run of the file `blend` whose results it has not shown yet; None without one."""
+    runs = [BackgroundRun(path.parents[1]) for path in runs_folder().glob("*/work/request.json")] if blend else []
+    found = []
+    for run in runs:
+        with contextlib.suppress(UserError):
+            if run.request.blend == blend:
+                found.append((run.request.started, bool(run.request.is_shown), run.folder))
+    _, is_shown, folder = max(found, default=(0.0, True, None))
+    return None if is_shown else folder
+
+
+def is_locked(path: Path) -> bool:
+    """Whether a living process holds the lock; False if there is no such file."""
     try:
-        request = read_json(RunOutputs(folder, "").request)
-        return BackgroundRun(folder, str(request["scene"]), float(request["started"]))
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise UserError(f"{folder} is gone or damaged: discard it, and run again") from error
+        with path.open("r+b") as file:
+            return not take_lock(file)
+    except OSError:
+        return False
 
 
-def discard(folder: Path) -> None:
-    """Stop the run in `folder`, if it is under way, and delete the folder."""
-    BackgroundRun(folder, "", 0.0).stop()
-    shutil.rmtree(folder, ignore_errors=True)
+def take_lock(file: IO[Any]) -> bool:
+    """Lock `file` for as long as this process keeps it open; False if another has it.
 
-
-def _state(folder: Path) -> dict[str, Any]:
-    """What the second Blender said last; ValueError before it has said anything."""
-    state = read_json(RunOutputs(folder, "").progress)
-    if not isinstance(state, dict):
-        raise ValueError("expected an object")
-    return state
-
-
-def _why_it_ended(folder: Path) -> str:
+    True also where the file system knows no locks: a run there is seen as long as its window follows it.
+    """
     try:
-        error = str(_state(folder).get("error") or "")
-    except (OSError, ValueError):
-        error = ""
-    return error or f"the run ended early: {RunOutputs(folder, '').console} says why"
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):
+        return False
+    except OSError:
+        return True
+    return True
 
 
 @contextlib.contextmanager

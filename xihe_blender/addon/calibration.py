@@ -10,6 +10,7 @@ import functools
 from pathlib import Path
 
 from xihe_blender.addon.preferences import chosen_folder, own_folder
+from xihenet.json_files import read_json
 
 FILE_NAME = "calibration.json"
 
@@ -30,8 +31,6 @@ def calibration_line() -> str:
 
 @functools.lru_cache(maxsize=1)
 def _read(path: Path, _changed: int) -> str:
-    from xihenet.json_files import read_json
-
     try:
         return str(read_json(path)["said"])
     except (KeyError, TypeError, ValueError):

@@ -14,6 +14,7 @@ import bpy
 from xihe_blender.addon.overlay import FONT_PX, draw_text, text_width
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.addon.runs_folder import last_run
+from xihe_blender.apply.datablocks import COMPARISON_NAME, FRAME, ROOM, image_named
 from xihe_blender.errors import UserError
 
 MARGIN_PX = 8.0
@@ -22,23 +23,17 @@ _handles: list[Any] = []
 
 def shows_comparison(context: bpy.types.Context) -> bool:
     """Whether the Image Editor of `context` shows the comparison."""
-    from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
-
     image = context.space_data.image
     return image is not None and image == image_named(COMPARISON_NAME)
 
 
 def room_of(scene: bpy.types.Scene) -> bpy.types.Scene:
     """The scene that has the run: `scene`, or the one that it shows the objects of."""
-    from xihe_blender.apply.datablocks import ROOM
-
     return scene.get(ROOM) or scene
 
 
 def draw_labels() -> None:
     """Called by Blender for every Image Editor that is drawn: names both sides, and the frame."""
-    from xihe_blender.apply.datablocks import FRAME
-
     context = bpy.context
     if not shows_comparison(context):
         return
@@ -68,8 +63,6 @@ def draw_wipe(header: bpy.types.Header, context: bpy.types.Context) -> None:
 
 def follow_playhead() -> None:
     """Show the compared frame next to the playhead, where that is another one than is shown."""
-    from xihe_blender.apply.datablocks import COMPARISON_NAME, FRAME, image_named
-
     image, job, scene = image_named(COMPARISON_NAME), bpy.context.window_manager.xihe, bpy.context.scene
     if image is None or bpy.app.is_job_running("RENDER") or (job.is_running and job.works_here):
         return
@@ -81,7 +74,7 @@ def follow_playhead() -> None:
 
     # Its pictures are gone: the last one stays, and Compare says why.
     with contextlib.suppress(UserError):
-        show_comparison(run, last_run_folder(room), scene.frame_current, room.xihe.wipe)
+        show_comparison(last_run_folder(room), scene.frame_current, room.xihe.wipe)
 
 
 @bpy.app.handlers.persistent

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 
 import bpy
 
+from xihe_blender.addon.polls import Conditional
 from xihe_blender.errors import UserError
 
 FAILURES = (UserError, OSError, ReferenceError)
@@ -38,3 +40,23 @@ def failed(operator: bpy.types.Operator, context: bpy.types.Context, error: Base
     context.window_manager.xihe.error = line
     operator.report({"ERROR"}, line)
     return {"CANCELLED"}
+
+
+class Action(Conditional):
+    """Base of operators that are done at once."""
+
+    report: Callable[[set[str], str], None]
+    """Of bpy.types.Operator."""
+
+    def act(self, context: bpy.types.Context) -> str | None:
+        """Do it; what is to be said of it, if anything. One of FAILURES for what cannot be done."""
+        raise NotImplementedError
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            said = self.act(context)
+        except FAILURES as error:
+            return failed(self, context, error)
+        if said:
+            self.report({"INFO"}, said)
+        return {"FINISHED"}

@@ -10,7 +10,7 @@ from typing import Any
 
 import bpy
 
-from xihe_blender.addon.runs_folder import newest_unshown_run
+from xihe_blender.addon.background_run import newest_unshown_run
 
 WORKING = "xihe_working"
 """As in `render`, which is not imported here: it needs NumPy."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import bpy
 
 from xihe_blender.addon import polls
-from xihe_blender.addon.failures import FAILURES, failed
+from xihe_blender.addon.failures import Action
 from xihe_blender.addon.properties import last_run_folder
+from xihe_blender.apply.datablocks import ROOM
 
 VIEW_BEFORE = "xihe_view"
 """Custom property of the lit scene: how the 3D view was shaded, from where it looked, and the lines it showed."""
@@ -15,26 +16,20 @@ FLOOR = ("show_floor", "show_axis_x", "show_axis_y")
 """Lines that would lie over the captured frame, which is itself an overlay."""
 
 
-class XIHE_OT_apply_light(polls.Conditional, bpy.types.Operator):
+class XIHE_OT_apply_light(Action, bpy.types.Operator):
     bl_idname = "xihe.apply_light"
     bl_label = "Apply"
     bl_description = "Put the light of the last run onto the timeline again, with its triggers, errors and pictures"
     bl_options = {"REGISTER", "UNDO"}
     conditions = (polls.is_idle, polls.is_room, polls.has_cycles, polls.has_last_run)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> None:
         from xihe_blender.addon.results_in_blender import apply_results
-        from xihe_blender.io.run_results import read_results
 
-        folder = last_run_folder(context.scene)
-        try:
-            apply_results(context.scene, read_results(folder), folder, wipe=context.scene.xihe.wipe)
-        except FAILURES as error:
-            return failed(self, context, error)
-        return {"FINISHED"}
+        apply_results(context.scene, last_run_folder(context.scene))
 
 
-class XIHE_OT_show_lit(polls.Conditional, bpy.types.Operator):
+class XIHE_OT_show_lit(Action, bpy.types.Operator):
     bl_idname = "xihe.show_lit"
     bl_label = "Show Lit"
     bl_description = (
@@ -45,19 +40,13 @@ class XIHE_OT_show_lit(polls.Conditional, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
     conditions = (polls.is_idle, polls.is_room, polls.has_cycles, polls.has_last_run)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> None:
         from xihe_blender.addon.results_in_blender import show_lit
-        from xihe_blender.io.run_results import read_results
 
         scene, active = context.scene, context.view_layer.objects.active
-        folder = last_run_folder(scene)
-        try:
-            lit = show_lit(scene, read_results(folder), folder, active.name if active else "")
-        except FAILURES as error:
-            return failed(self, context, error)
+        lit = show_lit(scene, last_run_folder(scene), active.name if active else "")
         if context.window is not None:
             _enter(context, lit)
-        return {"FINISHED"}
 
 
 class XIHE_OT_show_room(polls.Conditional, bpy.types.Operator):
@@ -68,8 +57,6 @@ class XIHE_OT_show_room(polls.Conditional, bpy.types.Operator):
     conditions = (polls.is_idle, polls.is_lit_scene)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from xihe_blender.apply.datablocks import ROOM
-
         lit = context.scene
         room = lit[ROOM]
         if room is None:
@@ -99,18 +86,17 @@ def _enter(context: bpy.types.Context, lit: bpy.types.Scene) -> None:
             setattr(space.overlay, line, False)
 
 
-class XIHE_OT_remove_light(polls.Conditional, bpy.types.Operator):
+class XIHE_OT_remove_light(Action, bpy.types.Operator):
     bl_idname = "xihe.remove_light"
     bl_label = "Remove"
     bl_description = "Delete everything that runs added to this file: worlds, markers, curves and pictures"
     bl_options = {"REGISTER", "UNDO"}
     conditions = (polls.is_idle, polls.is_own_scene, polls.has_light)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> None:
         from xihe_blender.addon.results_in_blender import remove_everything
 
         remove_everything(context.scene)
-        return {"FINISHED"}
 
 
 register, unregister = bpy.utils.register_classes_factory(

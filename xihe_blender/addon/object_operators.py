@@ -5,46 +5,35 @@ from __future__ import annotations
 import bpy
 
 from xihe_blender.addon import polls
-from xihe_blender.addon.failures import FAILURES, failed
+from xihe_blender.addon.failures import Action
+from xihe_blender.scene.virtual_objects import make_room, make_virtual
 
 
-class XIHE_OT_add_virtual_objects(polls.Conditional, bpy.types.Operator):
+class XIHE_OT_add_virtual_objects(Action, bpy.types.Operator):
     bl_idname = "xihe.add_virtual_objects"
     bl_label = "Make Virtual"
     bl_description = "Mark the selected objects as virtual: the phone inserts them and estimates the light on them"
     bl_options = {"REGISTER", "UNDO"}
     conditions = (polls.is_idle, polls.is_room, polls.is_in_object_mode, polls.has_selected_room_objects)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from xihe_blender.scene.virtual_objects import make_virtual
-
-        try:
-            made = make_virtual(context.scene, context.selected_objects)
-        except FAILURES as error:
-            return failed(self, context, error)
-        self.report({"INFO"}, f"{_format_objects(len(made))} virtual now")
-        return {"FINISHED"}
+    def act(self, context: bpy.types.Context) -> str | None:
+        made = make_virtual(context.scene, context.selected_objects)
+        return f"{_format_objects(len(made))} virtual now"
 
 
-class XIHE_OT_remove_virtual_objects(polls.Conditional, bpy.types.Operator):
+class XIHE_OT_remove_virtual_objects(Action, bpy.types.Operator):
     bl_idname = "xihe.remove_virtual_objects"
     bl_label = "Make Part of Room"
     bl_description = "Make the selected virtual objects part of the room again"
     bl_options = {"REGISTER", "UNDO"}
     conditions = (polls.is_idle, polls.is_room, polls.is_in_object_mode, polls.has_selected_virtual_objects)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from xihe_blender.scene.virtual_objects import make_room
-
-        try:
-            made = make_room(context.scene, context.selected_objects)
-        except FAILURES as error:
-            return failed(self, context, error)
-        self.report({"INFO"}, f"{_format_objects(len(made))} part of the room again")
-        return {"FINISHED"}
+    def act(self, context: bpy.types.Context) -> str | None:
+        made = make_room(context.scene, context.selected_objects)
+        return f"{_format_objects(len(made))} part of the room again"
 
 
-class XIHE_OT_add_sphere_rig(polls.Conditional, bpy.types.Operator):
+class XIHE_OT_add_sphere_rig(Action, bpy.types.Operator):
     bl_idname = "xihe.add_sphere_rig"
     bl_label = "Add Three Spheres"
     bl_description = "Add a mirror, a matte silver and a grey sphere as virtual objects at the 3D cursor"
@@ -60,11 +49,10 @@ class XIHE_OT_add_sphere_rig(polls.Conditional, bpy.types.Operator):
         soft_max=1.0,
     )
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> None:
         from xihe_blender.scene.sphere_rig import add_three_sphere_rig
 
         add_three_sphere_rig(context.scene, tuple(context.scene.cursor.location), self.radius_m)
-        return {"FINISHED"}
 
 
 def _format_objects(n_objects: int) -> str:

@@ -17,6 +17,9 @@ from typing import Any, NamedTuple
 import bpy
 
 from xihe_blender.addon.runs_folder import last_run
+from xihe_blender.errors import UserError
+from xihe_blender.scene.units import metres_per_unit
+from xihe_blender.scene.virtual_objects import virtual_objects
 
 Colour = tuple[float, float, float, float]
 Box = tuple[float, float, float, float]
@@ -74,10 +77,7 @@ def shown_positions(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> l
     An object whose positions a run would refuse has none.
     """
     # NumPy comes with it, which must wait until something is shown.
-    from xihe_blender.errors import UserError
     from xihe_blender.scene.estimation_positions import estimation_positions
-    from xihe_blender.scene.units import metres_per_unit
-    from xihe_blender.scene.virtual_objects import virtual_objects
 
     metres = metres_per_unit(scene)
     found = []

@@ -18,9 +18,11 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 
+from xihe_blender.addon.background_run import BackgroundRun
 from xihe_blender.addon.calibration import calibration_line
 from xihe_blender.addon.polls import doubts, has_camera, has_virtual_objects, shows_run
-from xihe_blender.addon.runs_folder import last_run, look_at_run
+from xihe_blender.addon.runs_folder import last_run
+from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.formats import format_duration
 
 if TYPE_CHECKING:
@@ -74,8 +76,6 @@ class XIHE_PT_virtual_objects(StagePanel, bpy.types.Panel):
     bl_order = 0
 
     def draw(self, context: bpy.types.Context) -> None:
-        from xihe_blender.scene.virtual_objects import virtual_objects
-
         layout = self.layout
         objects = virtual_objects(context.scene)
         if not objects:
@@ -243,7 +243,7 @@ class XIHE_PT_run(StagePanel, bpy.types.Panel):
         row.scale_y = RUN_SCALE
         row.operator("xihe.run", text="Run", icon="PLAY")
         if job.unshown_run:
-            self._draw_unshown(context, Path(job.unshown_run))
+            self._draw_unshown(context, BackgroundRun(Path(job.unshown_run)))
         row = layout.row(align=True)
         row.operator("xihe.measure_run", text="" if job.run_estimate else "How Long?", icon="TIME")
         if job.run_estimate:
@@ -254,15 +254,14 @@ class XIHE_PT_run(StagePanel, bpy.types.Panel):
             for doubt in doubts(context.scene):
                 sentence(context, layout, doubt, icon="QUESTION")
 
-    def _draw_unshown(self, context: bpy.types.Context, folder: Path) -> None:
+    def _draw_unshown(self, context: bpy.types.Context, run: BackgroundRun) -> None:
         """A run that this window does not follow: begun before the file was closed, or stopped."""
-        run = look_at_run(folder)
-        if run is None:
+        if run.begun is None:
             return
         state, does = ("has ended", "Show Results") if run.has_ended else ("was stopped", "Resume")
         if run.is_under_way:
             state, does = "is under way", "Follow"
-        begun = time.strftime("%H:%M", time.localtime(run.started))
+        begun = time.strftime("%H:%M", time.localtime(run.begun))
         sentence(context, self.layout, f"The run that was begun at {begun} {state}", icon="INFO")
         row = self.layout.row(align=True)
         row.operator("xihe.resume_run", text=does, icon="FORWARD")

@@ -11,7 +11,13 @@ from pathlib import Path
 
 import bpy
 
+from xihe_blender.addon.background_run import BackgroundRun
+from xihe_blender.addon.preferences import runs_folder
 from xihe_blender.addon.properties import last_run_folder
+from xihe_blender.addon.runs_folder import shown_runs
+from xihe_blender.apply.datablocks import ROOM, has_anything, trigger_markers
+from xihe_blender.io.old_runs import old_runs, runs_in
+from xihe_blender.scene.virtual_objects import has_renderable_geometry, virtual_objects
 
 Condition = Callable[[bpy.types.Context], str | None]
 
@@ -63,8 +69,6 @@ def is_lit_scene(context: bpy.types.Context) -> str | None:
 
 def shows_run(context: bpy.types.Context) -> bool:
     """Whether the scene is `Xihe Lit`, which Show Lit made."""
-    from xihe_blender.apply.datablocks import ROOM
-
     return ROOM in context.scene
 
 
@@ -79,8 +83,6 @@ def has_camera(context: bpy.types.Context) -> str | None:
 
 
 def has_virtual_objects(context: bpy.types.Context) -> str | None:
-    from xihe_blender.scene.virtual_objects import virtual_objects
-
     if virtual_objects(context.scene):
         return None
     return "Make an object virtual first: select it, and add it above"
@@ -115,8 +117,6 @@ def _may_move(item: bpy.types.Object) -> bool:
 
 def _has_room(scene: bpy.types.Scene) -> bool:
     """Whether an object that is not virtual has a surface. In a room the first few tell."""
-    from xihe_blender.scene.virtual_objects import has_renderable_geometry, virtual_objects
-
     virtual = set(virtual_objects(scene))
     return any(item not in virtual and has_renderable_geometry(item) for item in scene.objects)
 
@@ -130,8 +130,6 @@ def _has_denoiser() -> bool:
 
 
 def has_selected_room_objects(context: bpy.types.Context) -> str | None:
-    from xihe_blender.scene.virtual_objects import has_renderable_geometry, virtual_objects
-
     if not context.selected_objects:
         return "Select the objects that the phone should insert"
     able = [item for item in context.selected_objects if has_renderable_geometry(item)]
@@ -141,8 +139,6 @@ def has_selected_room_objects(context: bpy.types.Context) -> str | None:
 
 
 def has_selected_virtual_objects(context: bpy.types.Context) -> str | None:
-    from xihe_blender.scene.virtual_objects import virtual_objects
-
     if set(context.selected_objects) & set(virtual_objects(context.scene)):
         return None
     return "Select virtual objects first"
@@ -158,17 +154,12 @@ def has_last_run(context: bpy.types.Context) -> str | None:
 
 
 def has_unshown_run(context: bpy.types.Context) -> str | None:
-    from xihe_blender.addon.runs_folder import look_at_run
-
     folder = context.window_manager.xihe.unshown_run
-    return None if folder and look_at_run(Path(folder)) else "No run of this file is left to go on with"
+    is_left = folder and BackgroundRun(Path(folder)).begun is not None
+    return None if is_left else "No run of this file is left to go on with"
 
 
 def has_old_runs(context: bpy.types.Context) -> str | None:
-    from xihe_blender.addon.preferences import runs_folder
-    from xihe_blender.addon.runs_folder import shown_runs
-    from xihe_blender.io.old_runs import old_runs, runs_in
-
     folder = runs_folder()
     if old_runs(folder, shown_runs()):
         return None
@@ -187,14 +178,10 @@ def has_comparison(context: bpy.types.Context) -> str | None:
 
 def has_light(context: bpy.types.Context) -> str | None:
     """Whether there is anything that a run, or Apply, leaves in a file."""
-    from xihe_blender.apply.datablocks import has_anything
-
     return None if has_anything(context.scene) else "No run has added anything to this file"
 
 
 def has_triggers(context: bpy.types.Context) -> str | None:
-    from xihe_blender.apply.datablocks import trigger_markers
-
     if trigger_markers(context.scene):
         return None
     return "There are no triggers on the timeline: run first, or apply the last run"

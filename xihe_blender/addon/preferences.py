@@ -11,6 +11,7 @@ from pathlib import Path
 import bpy
 
 from xihe_blender.addon.choices import DEFAULT_PHONE, FROM_FILE, number_of, phone_items
+from xihe_blender.io.old_runs import format_old_runs, runs_in
 
 
 class XihePreferences(bpy.types.AddonPreferences):
@@ -46,8 +47,6 @@ class XihePreferences(bpy.types.AddonPreferences):
 
     def _draw_runs(self, layout: bpy.types.UILayout) -> None:
         """The space that runs take, and how to have it back."""
-        from xihe_blender.io.old_runs import format_old_runs, runs_in
-
         # As properties are laid out: the label on the right of the first part.
         split = layout.split(factor=0.4)
         name = split.row()

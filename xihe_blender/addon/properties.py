@@ -8,13 +8,14 @@ import bpy
 
 from xihe_blender.addon import choices
 from xihe_blender.addon.preferences import preferences
+from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
+from xihe_blender.errors import UserError
 
 LAST_FRAME = 1048574
 
 
 def _override_changed(row: XiheEffectRow, context: bpy.types.Context) -> None:
     """Write the user's choice into the scene, where a run finds it; one that cannot be kept goes back to Auto."""
-    from xihe_blender.errors import UserError
     from xihe_blender.light_transport.overrides import remember_overrides
 
     try:
@@ -25,11 +26,14 @@ def _override_changed(row: XiheEffectRow, context: bpy.types.Context) -> None:
 
 
 def _wipe_changed(settings: XiheSceneSettings, context: bpy.types.Context) -> None:
-    from xihe_blender.addon.results_in_blender import show_comparison_at
-    from xihe_blender.errors import UserError
+    """Compose the comparison anew, if there is one in the file. Nothing if the run is gone."""
+    from xihe_blender.addon.results_in_blender import show_comparison
 
+    scene, folder = settings.id_data, last_run_folder(settings.id_data)
+    if image_named(COMPARISON_NAME) is None or not (folder / "results.json").is_file():
+        return
     try:
-        show_comparison_at(settings.id_data, last_run_folder(settings.id_data), settings.wipe)
+        show_comparison(folder, scene.frame_current, settings.wipe)
     except UserError as error:
         context.window_manager.xihe.error = str(error)
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import bpy
 
 from xihe_blender.addon import polls
-from xihe_blender.addon.failures import FAILURES, failed, format_error
+from xihe_blender.addon.failures import FAILURES, Action, format_error
 from xihe_blender.addon.properties import last_run_folder
+from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
 
 
 class XIHE_OT_explain(bpy.types.Operator):
@@ -43,7 +44,7 @@ class XIHE_OT_go_to_trigger(polls.Conditional, bpy.types.Operator):
     )
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from xihe_blender.addon.results_in_blender import go_to_trigger
+        from xihe_blender.addon.results_in_blender import go_to_trigger, show_images
 
         scene = context.scene
         found = go_to_trigger(scene, self.direction)
@@ -53,34 +54,33 @@ class XIHE_OT_go_to_trigger(polls.Conditional, bpy.types.Operator):
             return {"CANCELLED"}
         try:
             if polls.has_last_run(context) is None:
-                _show_images(scene)
+                show_images(scene, last_run_folder(scene))
         except FAILURES as error:
             # The light on the timeline is there without the run's pictures.
             self.report({"WARNING"}, format_error(error))
         return {"FINISHED"}
 
 
-class XIHE_OT_show_comparison(polls.Conditional, bpy.types.Operator):
+class XIHE_OT_show_comparison(Action, bpy.types.Operator):
     bl_idname = "xihe.show_comparison"
     bl_label = "Show Comparison"
     bl_description = "Show estimate and ground truth side by side in an Image Editor, at the nearest compared frame"
     bl_options = {"REGISTER"}
     conditions = (polls.is_idle, polls.is_room, polls.has_last_run, polls.has_comparison)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
+    def act(self, context: bpy.types.Context) -> None:
+        from xihe_blender.addon.results_in_blender import show_images, wipe_through_objects
 
-        try:
-            _show_images(context.scene)
-            _begin_wipe(context.scene)
-        except FAILURES as error:
-            return failed(self, context, error)
+        scene, folder = context.scene, last_run_folder(context.scene)
+        show_images(scene, folder)
+        # Through the middle of the objects, until someone has moved the line.
+        if not scene.xihe.is_property_set("wipe"):
+            scene.xihe.wipe = wipe_through_objects(folder, scene.frame_current)
         if not bpy.app.background:
             _show_in_editor(context, image_named(COMPARISON_NAME))
-        return {"FINISHED"}
 
 
-class XIHE_OT_save_side_by_side(polls.Conditional, bpy.types.Operator):
+class XIHE_OT_save_side_by_side(Action, bpy.types.Operator):
     bl_idname = "xihe.save_side_by_side"
     bl_label = "Save Side by Side"
     bl_description = (
@@ -90,47 +90,22 @@ class XIHE_OT_save_side_by_side(polls.Conditional, bpy.types.Operator):
     bl_options = {"REGISTER"}
     conditions = (polls.is_idle, polls.has_last_run, polls.has_comparison)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> str:
         from xihe_blender.compare.side_by_side import save_side_by_side
         from xihe_blender.io.run_results import read_results
 
         folder = last_run_folder(context.scene)
-        try:
-            video = save_side_by_side(read_results(folder), folder)
-        except FAILURES as error:
-            return failed(self, context, error)
-        self.report({"INFO"}, f"Saved {video}")
-        return {"FINISHED"}
+        return f"Saved {save_side_by_side(read_results(folder), folder)}"
 
 
-class XIHE_OT_open_report(polls.Conditional, bpy.types.Operator):
+class XIHE_OT_open_report(Action, bpy.types.Operator):
     bl_idname = "xihe.open_report"
     bl_label = "Open Report"
     bl_description = "Open the last run's report in the web browser"
     conditions = (polls.has_last_run, polls.has_report)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> None:
         bpy.ops.wm.url_open(url=last_run_folder(context.scene).joinpath("report.html").resolve().as_uri())
-        return {"FINISHED"}
-
-
-def _show_images(scene: bpy.types.Scene) -> None:
-    """Make the images of the last run show the scene's current frame."""
-    from xihe_blender.addon.results_in_blender import show_images
-    from xihe_blender.io.run_results import read_results
-
-    folder = last_run_folder(scene)
-    show_images(scene, read_results(folder), folder, wipe=scene.xihe.wipe)
-
-
-def _begin_wipe(scene: bpy.types.Scene) -> None:
-    """Put the line through the middle of the objects, until someone has moved it."""
-    from xihe_blender.addon.results_in_blender import wipe_through_objects
-    from xihe_blender.io.run_results import read_results
-
-    if not scene.xihe.is_property_set("wipe"):
-        folder = last_run_folder(scene)
-        scene.xihe.wipe = wipe_through_objects(read_results(folder), folder, scene.frame_current)
 
 
 def _show_in_editor(context: bpy.types.Context, image: bpy.types.Image | None) -> None:

@@ -5,8 +5,8 @@ Editor shows them above the light's own curves. Two kinds of images show one fra
 and estimate against ground truth with a wipe between them. They are packed, so that a saved file keeps them without the
 run's folder and without the add-on.
 
-Everything is made from results.json and the pictures beside it: a run can be shown again in any file with the same
-objects. `remove_everything` takes away all that this and `apply.sh_worlds` leave, and nothing else.
+Everything is made from results.json and the pictures beside it, in `folder`, the run's: a run can be shown again in any
+file with the same objects. `remove_everything` takes away all that this and `apply.sh_worlds` leave, and nothing else.
 """
 
 from __future__ import annotations
@@ -48,26 +48,21 @@ LIGHT_HEIGHT = 64
 """Of the panorama; order 2 has no detail that more pixels would show."""
 
 
-def show_results(scene: bpy.types.Scene, results: RunResults, folder: Path, *, wipe: float = 0.5) -> None:
-    """Show a run whose light is on the timeline of `scene` already: curves and pictures.
-
-    Parameters
-    ----------
-    results : of the run
-    folder : of the run, for its pictures
-    wipe : 0 to 1, see `wiped`
-    """
+def show_results(scene: bpy.types.Scene, folder: Path) -> None:
+    """Show a run whose light is on the timeline of `scene` already: curves and pictures."""
+    results = read_results(folder)
     for name in results.lights:
         # The file's own world: one of a linked library may have the same name.
         _key_curves(bpy.data.worlds[world_name(name), None], results, name)
-    show_images(scene, results, folder, wipe=wipe)
+    show_images(scene, folder)
 
 
-def apply_results(scene: bpy.types.Scene, results: RunResults, folder: Path, *, wipe: float = 0.5) -> None:
+def apply_results(scene: bpy.types.Scene, folder: Path) -> None:
     """Put the light of a run onto the timeline of `scene` and show the run, from its folder alone.
 
     UserError if a virtual object of the run is not in the scene.
     """
+    results = read_results(folder)
     here = {item.name for item in virtual_objects(scene)}
     missing = [name for name in results.lights if name not in here]
     if missing:
@@ -76,19 +71,19 @@ def apply_results(scene: bpy.types.Scene, results: RunResults, folder: Path, *, 
         name: [(change.frame, np.array(change.sh)) for change in of_one] for name, of_one in results.lights.items()
     }
     apply_lights(scene, changes, results.frames, results.settings.reference_exposure)
-    show_results(scene, results, folder, wipe=wipe)
+    show_results(scene, folder)
 
 
-def show_lit(scene: bpy.types.Scene, results: RunResults, folder: Path, active: str = "") -> bpy.types.Scene:
+def show_lit(scene: bpy.types.Scene, folder: Path, active: str = "") -> bpy.types.Scene:
     """A scene `Xihe Lit` in the open file for a run of `scene`, in place of an older one; its world is `active`'s.
 
     UserError if a virtual object of the run is not in the scene any more, or if nothing was captured.
     """
+    results = read_results(folder)
     if any(name not in applied_worlds(scene) for name in results.lights):
-        apply_results(scene, results, folder)
-    pictures = {
-        entry.frame: RunOutputs(folder, "").picture("captured", entry.frame) for entry in results.frames if entry.active
-    }
+        apply_results(scene, folder)
+    captured = [entry.frame for entry in results.active_frames]
+    pictures = {frame: RunOutputs(folder).picture("captured", frame) for frame in captured}
     gone = [path for path in pictures.values() if not path.is_file()]
     if gone or not pictures:
         raise UserError(f"{gone[0]} is gone: run again" if gone else "no virtual object was ever in view: run again")
@@ -137,18 +132,16 @@ def _key(world: bpy.types.World, curve: str, frame: int, values: list[float]) ->
 # ------------------------------------------------------------------------------------------------------------- images
 
 
-def show_images(
-    scene: bpy.types.Scene, results: RunResults, folder: Path, *, wipe: float = 0.5, frame: int | None = None
-) -> None:
-    """Make the images of `results` show `frame`; None takes the scene's current one."""
-    shown = scene.frame_current if frame is None else frame
+def show_images(scene: bpy.types.Scene, folder: Path) -> None:
+    """Make the images of a run show the current frame of `scene`."""
+    results, frame = read_results(folder), scene.frame_current
     for name, changes in results.lights.items():
         if changes:
-            show_light(name, light_in_force(results, name, shown) / results.settings.reference_exposure)
+            show_light(name, light_in_force(results, name, frame) / results.settings.reference_exposure)
         else:
             # Nothing was ever in view, and a picture of an earlier run would say otherwise.
             _remove_image(f"{LIGHT_PREFIX}{name}")
-    if show_comparison(results, folder, shown, wipe) is None:
+    if show_comparison(folder, frame, scene.xihe.wipe) is None:
         _remove_image(COMPARISON_NAME)
 
 
@@ -163,11 +156,12 @@ def show_light(name: str, sh_radiance: ArrayF64) -> bpy.types.Image:
     return _write_image(f"{LIGHT_PREFIX}{name}", pixels, is_float=True)
 
 
-def show_comparison(results: RunResults, folder: Path, frame: int, wipe: float = 0.5) -> bpy.types.Image | None:
+def show_comparison(folder: Path, frame: int, wipe: float) -> bpy.types.Image | None:
     """The image of estimate against ground truth at the compared frame next to `frame`; None if none was compared.
 
-    UserError if its pictures are gone.
+    `wipe` is 0 to 1, see `wiped`. UserError if its pictures are gone.
     """
+    results = read_results(folder)
     nearest = results.nearest_compared_frame(frame)
     if nearest is None:
         return None
@@ -178,24 +172,18 @@ def show_comparison(results: RunResults, folder: Path, frame: int, wipe: float =
     return image
 
 
-def wipe_through_objects(results: RunResults, folder: Path, frame: int) -> float:
+def wipe_through_objects(folder: Path, frame: int) -> float:
     """Where a wipe has half of the virtual objects' pixels on either side, at the compared frame next to `frame`.
 
     UserError if its pictures are gone; 0.5 if none was compared.
     """
+    results = read_results(folder)
     nearest = results.nearest_compared_frame(frame)
     if nearest is None:
         return 0.5
     pictures = results.compared_frames[nearest].pictures
     estimate, captured = (read_picture(folder / pictures[kind]) for kind in (results.settings.estimator, "captured"))
     return middle_of_change(captured, estimate)
-
-
-def show_comparison_at(scene: bpy.types.Scene, folder: Path, wipe: float) -> None:
-    """Compose the comparison anew, if there is one in the file: for a wipe that moves. Nothing if the run is gone."""
-    if image_named(COMPARISON_NAME) is None or not (folder / "results.json").is_file():
-        return
-    show_comparison(read_results(folder), folder, scene.frame_current, wipe)
 
 
 def _remove_image(name: str) -> None:

@@ -1,22 +1,43 @@
-"""What would Run do with this scene? The panel's properties, as the settings that the work takes.
+"""What does Run do with this scene? The panel's properties, as the settings that the work takes; and a run by them.
 
 Imported when an operator runs: it needs the work modules, and they need NumPy.
 """
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import bpy
 
+from xihe_blender.addon.background_run import COMMAND
 from xihe_blender.addon.choices import FROM_FILE, NO_NETWORK, PHONES_METERING
 from xihe_blender.addon.preferences import preferences
+from xihe_blender.addon.results_in_blender import show_results
 from xihe_blender.errors import UserError
-from xihe_blender.jobs import run_blocking
+from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.jobs import Job, run_blocking
 from xihe_blender.light_transport.overrides import remembered_overrides
+from xihe_blender.previs.previs import previs
 from xihe_blender.previs.required_effects import effects_of_run
 from xihe_blender.previs.settings import PrevisSettings
+from xihenet.effects import Effect
+
+
+def run_and_show(scene: bpy.types.Scene, folder: Path, settings: PrevisSettings) -> Job[None]:
+    """A run in this Blender: `previs` into `folder`, new and empty, then its results in the open file.
+
+    One job for the panel's two drivers, modal in a window and blocking in background. If it is stopped or fails, it
+    leaves no folder.
+    """
+    try:
+        yield from previs(scene, folder, settings, command=COMMAND)
+    finally:
+        if not RunOutputs(folder).results.exists():
+            shutil.rmtree(folder, ignore_errors=True)
+    show_results(scene, folder)
 
 
 def previs_settings(scene: bpy.types.Scene) -> PrevisSettings:
@@ -68,22 +89,10 @@ def _phone(scene: bpy.types.Scene) -> str:
     return str(bpy.path.abspath(file))
 
 
-def planned_rows(scene: bpy.types.Scene) -> list[dict[str, Any]]:
-    """What `scene` requires, effect by effect, as the properties of XiheEffectRow; nothing is rendered.
+def required_effects(scene: bpy.types.Scene) -> dict[str, Effect]:
+    """What `scene` itself requires, whatever the user has chosen; nothing is rendered.
 
     An effect of the phone that only captures could rule out is on; the run rules it out.
     """
-    remembered = remembered_overrides(scene)
-    # What the scene itself requires; the row adds the user's choice.
-    settings = replace(previs_settings(scene), effect_choices=dict.fromkeys(remembered, "auto"))
-    effects = run_blocking(effects_of_run(scene, settings, is_measured=False))
-    return [
-        {
-            "name": name,
-            "required": effect.state,
-            "reason": effect.reason,
-            "is_switchable": effect.is_switchable,
-            "override": remembered.get(name, "auto").upper(),
-        }
-        for name, effect in effects.items()
-    ]
+    settings = replace(previs_settings(scene), effect_choices=dict.fromkeys(remembered_overrides(scene), "auto"))
+    return run_blocking(effects_of_run(scene, settings, is_measured=False))

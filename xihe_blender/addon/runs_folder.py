@@ -1,4 +1,4 @@
-"""Where are runs from the panel kept, which of them does the open file still show, and which not yet?
+"""Where are runs from the panel kept, and which of them does the open file show?
 
 Nothing heavy is imported: panels and preferences ask at every redraw. So results are read once per file: a results.json
 holds thousands of numbers, and a redraw costs one look at the file's date. Rejected: copies of the numbers that the
@@ -7,17 +7,13 @@ panel shows as properties of the scene, which would still be there when the run'
 
 from __future__ import annotations
 
-import contextlib
 import functools
-import json
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
 
-from xihe_blender.addon.background_script import is_locked
 from xihe_blender.addon.preferences import runs_folder
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.errors import UserError
@@ -55,37 +51,6 @@ def _made_new(parent: Path, name: str) -> Path:
             number += 1
         else:
             return folder
-
-
-def newest_unshown_run(blend: str) -> Path | None:
-    """Folder of the newest run of the file `blend` whose results it has not shown yet; None without one."""
-    found = []
-    for request in runs_folder().glob("*/work/request.json") if blend else ():
-        with contextlib.suppress(OSError, KeyError, TypeError, ValueError):
-            content = json.loads(request.read_text(encoding="utf-8"))
-            if content["blend"] == blend:
-                found.append((float(content["started"]), "is_shown" in content, request.parents[1]))
-    _, is_shown, folder = max(found, default=(0.0, True, None))
-    return None if is_shown else folder
-
-
-@dataclass(frozen=True)
-class UnshownRun:
-    """What can be said of a run that is left: when it was begun, and whether it is under way or has ended."""
-
-    started: float
-    is_under_way: bool
-    has_ended: bool
-
-
-def look_at_run(folder: Path) -> UnshownRun | None:
-    """What the panel says of the run in `folder`; None if it is gone."""
-    work = folder / "work"
-    try:
-        started = (work / "request.json").stat().st_mtime
-    except OSError:
-        return None
-    return UnshownRun(started, is_locked(work / "lock"), (folder / "results.json").exists())
 
 
 def shown_runs() -> set[Path]:

@@ -20,6 +20,8 @@ from collections.abc import Mapping
 from typing import Any, Literal, TypeVar, Union
 
 Json = Any  # what `json.loads` gives
+Plain = str | int | float | bool | None
+Parameters = dict[str, Plain | tuple[Plain, ...]]
 Record = TypeVar("Record")
 ABSENT = {"json": "absent"}
 INLINE = {"json": "inline"}
@@ -73,7 +75,7 @@ def _read(kind: Any, content: Json, where: str) -> Any:
         kinds = of[:1] * len(content) if of[1:] == (...,) else of
         _checked(len(kinds) == len(content), content, where)
         return tuple(_read(k, v, f"{where}[{i}]") for i, (k, v) in enumerate(zip(kinds, content, strict=True)))
-    if origin is dict:
+    if origin in (dict, Mapping):
         _checked(isinstance(content, Mapping), content, where)
         return {name: _read(of[1], of_one, f"{where}.{name}") for name, of_one in content.items()}
     if kind is float:

@@ -16,10 +16,10 @@ import time
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
+from xihe_blender.io.outputs import RunOutputs
 from xihenet.formats import format_bytes, format_count
 
 NAME = re.compile(r".+_\d{8}-\d{6}(_\d+)?")
-SETTINGS = Path("work", "settings.json")  # as in `outputs`, which is not imported here: it needs NumPy
 ABANDONED_S = 24 * 3600.0
 
 
@@ -52,9 +52,9 @@ def format_old_runs(runs: Sequence[Path]) -> str:
 
 
 def _is_run(path: Path) -> bool:
-    if path.is_symlink() or not (NAME.fullmatch(path.name) and (path / SETTINGS).is_file()):
+    if path.is_symlink() or not (NAME.fullmatch(path.name) and RunOutputs(path).settings.is_file()):
         return False
-    return (path / "results.json").is_file() or time.time() - (path / "work").stat().st_mtime > ABANDONED_S
+    return RunOutputs(path).results.is_file() or time.time() - (path / "work").stat().st_mtime > ABANDONED_S
 
 
 @functools.lru_cache(maxsize=256)

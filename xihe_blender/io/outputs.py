@@ -2,6 +2,8 @@
 
 `RunOutputs` names them all; nothing else in the project builds an output path. Files are written beside their place and
 renamed, so that a name that exists is a file that is whole.
+
+Nothing here needs NumPy, since the panel looks for these files too; only a picture that is written does.
 """
 
 from __future__ import annotations
@@ -14,15 +16,13 @@ import json
 import math
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from xihenet.png import write_png
-from xihenet.records import ArrayF32, ArrayF64, ArrayU8
+if TYPE_CHECKING:
+    from xihenet.records import ArrayF32, ArrayF64, ArrayU8
 
 MAX_STEM = 40
 """Characters of an object's name in a file name: Blender 5 allows 255 bytes, as much as a whole file name may have."""
@@ -32,12 +32,17 @@ def _at(*parts: str) -> functools.cached_property[Path]:
     return functools.cached_property(lambda outputs: outputs.folder.joinpath(*parts))
 
 
+def _of_frame(folder: str, kind: str, suffix: str) -> Callable[[RunOutputs, int], Path]:
+    """A method that names the file of a frame, by its number."""
+    return lambda outputs, frame: outputs.folder / folder / f"{kind}_{frame:04d}.{suffix}"
+
+
 @dataclass(frozen=True)
 class RunOutputs:
-    """The files of one run below `folder`. `scene` is the stem of the .blend."""
+    """The files of one run below `folder`. `scene` is the stem of the .blend, by which the lit one is named."""
 
     folder: Path
-    scene: str
+    scene: str = ""
 
     results = _at("results.json")
     report = _at("report.html")
@@ -56,29 +61,18 @@ class RunOutputs:
     lock = _at("work", "lock")
     console = _at("work", "console.txt")
 
+    # Of one frame each: colour and plane depth as recorded; what a range sensor meets in each pixel, only for phones
+    # that ask; the seconds that rendering the capture took; path-traced radiance until it is compared; metrics. Times
+    # and metrics are written last, so that their presence says that the capture, or its pictures, are whole.
+    capture = _of_frame("work", "capture", "npz")
+    surfaces = _of_frame("work", "surfaces", "npz")
+    times = _of_frame("work", "times", "json")
+    ground_truth = _of_frame("work", "ground_truth", "npz")
+    compared = _of_frame("work", "compared", "json")
+
     @property
     def lit_blend(self) -> Path:
         return self.folder / f"{self.scene}_lit.blend"
-
-    def capture(self, frame: int) -> Path:
-        """Colour and plane depth of one frame, as recorded."""
-        return self.folder / "work" / f"capture_{frame:04d}.npz"
-
-    def surfaces(self, frame: int) -> Path:
-        """What a range sensor meets in each pixel of one capture; only for phones that ask."""
-        return self.folder / "work" / f"surfaces_{frame:04d}.npz"
-
-    def times(self, frame: int) -> Path:
-        """Seconds that rendering one capture took; written last, so that its presence says the capture is whole."""
-        return self.folder / "work" / f"times_{frame:04d}.json"
-
-    def compared(self, frame: int) -> Path:
-        """Metrics of one frame; written last, so that its presence says its pictures are whole."""
-        return self.folder / "work" / f"compared_{frame:04d}.json"
-
-    def ground_truth(self, frame: int) -> Path:
-        """The path-traced radiance of one frame, until it is compared."""
-        return self.folder / "work" / f"ground_truth_{frame:04d}.npz"
 
     def probe(self, index: int, name: str, frame: int) -> Path:
         """Radiance panorama of the light probe at one estimation position, the `index`-th of the run."""
@@ -142,7 +136,9 @@ def copy_whole(source: Path, target: Path) -> None:
 
 def write_picture(path: Path, picture: ArrayF32 | ArrayF64 | ArrayU8) -> None:
     """Write (H, W, 3) uint8, or floats in [0, 1], as sRGB, whole or not at all."""
-    pixels = picture if picture.dtype == np.uint8 else np.rint(picture * 255).astype(np.uint8)
+    from xihenet.png import write_png
+
+    pixels = picture if picture.dtype == "uint8" else (picture * 255).round().astype("uint8")
     with written_whole(path) as beside:
         write_png(beside, pixels)
 

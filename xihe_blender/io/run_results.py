@@ -18,15 +18,13 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from xihe_blender.errors import UserError
-from xihe_blender.io.json_records import ABSENT, INLINE, from_json, json_schema
+from xihe_blender.io.json_records import ABSENT, INLINE, Parameters, Plain, from_json, json_schema
 from xihenet.json_files import read_json
 
 SCHEMA_VERSION: Literal[1] = 1
 
 Rgb = tuple[float, float, float]
 Coefficients = tuple[Rgb, ...]
-Plain = str | int | float | bool | None
-Parameters = dict[str, Plain | tuple[Plain, ...]]
 Counts = dict[str, int]
 ByMethod = dict[str, float | None]
 

@@ -23,10 +23,10 @@ from typing import Annotated, Literal
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import FolderManifest
-from xihe_blender.io.json_records import Json, as_json, from_json, json_schema
+from xihe_blender.io.json_records import Json, Plain, as_json, from_json, json_schema
 from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import write_csv, write_json
-from xihe_blender.io.run_results import Metrics, Plain
+from xihe_blender.io.run_results import Metrics
 from xihe_blender.lab.batch.grid import FORMAT_VERSION, BatchSettings, Unit
 from xihe_blender.lab.frontier.records import Frontier
 from xihenet import __version__

@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 from rooms import look_through_camera, make_runs_short, room_with_a_virtual_ball
 
-from xihe_blender.addon.background_script import is_locked
+from xihe_blender.addon.background_run import is_locked
 
 BEAT_S = 0.02
 

@@ -1,15 +1,37 @@
-"""What does a run cost on the user's machine? Found out by small renders, and only when asked for."""
+"""What does a run simulate, and what does it cost on the user's machine? Found out only when asked for."""
 
 from __future__ import annotations
 
-from collections.abc import Generator
 from typing import Any
 
 import bpy
 
 from xihe_blender.addon import polls
 from xihe_blender.addon.calibration import calibration_file
+from xihe_blender.addon.failures import Action
 from xihe_blender.addon.modal_job import ModalJob
+from xihe_blender.jobs import Job
+
+
+class XIHE_OT_plan_effects(Action, bpy.types.Operator):
+    bl_idname = "xihe.plan_effects"
+    bl_label = "Look at Scene"
+    bl_description = "List the lighting and phone effects that the scene needs, and why; nothing is rendered"
+    bl_options = {"REGISTER", "UNDO"}
+    conditions = (polls.is_idle, polls.is_room, polls.has_cycles)
+
+    def act(self, context: bpy.types.Context) -> None:
+        from xihe_blender.addon.run_settings import required_effects
+        from xihe_blender.light_transport.overrides import remembered_overrides
+
+        scene = context.scene
+        required, remembered = required_effects(scene), remembered_overrides(scene)
+        rows = scene.xihe.effects
+        rows.clear()
+        for name, effect in required.items():
+            row = rows.add()
+            row.name, row.required, row.reason = name, effect.state, effect.reason
+            row.is_switchable, row.override = effect.is_switchable, remembered.get(name, "auto").upper()
 
 
 class Measuring(polls.Conditional, ModalJob):
@@ -25,7 +47,7 @@ class XIHE_OT_measure_run(Measuring, bpy.types.Operator):
     bl_label = "Estimate Time"
     bl_description = "Render a few small pictures to find out how long a run would take on this machine"
 
-    def start_job(self, context: bpy.types.Context) -> Generator[Any, None, Any]:
+    def start_job(self, context: bpy.types.Context) -> Job[Any]:
         from xihe_blender.addon.run_settings import previs_settings
         from xihe_blender.previs.run_time import run_time_job
 
@@ -43,7 +65,7 @@ class XIHE_OT_calibrate(Measuring, bpy.types.Operator):
     bl_label = "Calibrate"
     bl_description = "Render a few small pictures of this scene to find out what each preset costs on this machine"
 
-    def start_job(self, context: bpy.types.Context) -> Generator[Any, None, Any]:
+    def start_job(self, context: bpy.types.Context) -> Job[Any]:
         from xihe_blender.addon.run_settings import previs_settings
         from xihe_blender.lab.frontier.calibrate import calibrate
 
@@ -57,4 +79,6 @@ class XIHE_OT_calibrate(Measuring, bpy.types.Operator):
         return {"FINISHED"}
 
 
-register, unregister = bpy.utils.register_classes_factory((XIHE_OT_measure_run, XIHE_OT_calibrate))
+register, unregister = bpy.utils.register_classes_factory(
+    (XIHE_OT_plan_effects, XIHE_OT_measure_run, XIHE_OT_calibrate)
+)

@@ -1,18 +1,23 @@
-"""The run from the panel, how it is stopped with the mouse, and how it is taken up again."""
+"""The run from the panel, how it is stopped and taken up again, and how those go of which nothing is shown any more."""
 
 from __future__ import annotations
 
 import importlib
 import threading
 import time
-from collections.abc import Generator
 from pathlib import Path
-from typing import Any
 
 import bpy
 
 from xihe_blender.addon import polls
+from xihe_blender.addon.background_run import BackgroundRun, saved_for_run
+from xihe_blender.addon.failures import Action
 from xihe_blender.addon.modal_job import ModalJob
+from xihe_blender.addon.preferences import runs_folder
+from xihe_blender.addon.runs_folder import new_run_folder, shown_runs
+from xihe_blender.io.old_runs import format_old_runs, old_runs, remove_old_runs
+from xihe_blender.jobs import Job, Progress
+from xihenet.formats import format_count
 
 
 class Following(ModalJob):
@@ -21,17 +26,15 @@ class Following(ModalJob):
     # Not REGISTER: repeating the last operator would run all of it again, without a window to cancel it in.
     bl_options = {"UNDO"}
     cancelled = "The run was stopped: Resume goes on with it"
-    background: Any = None
-    """The BackgroundRun; None for a run in this process. Blender looks up the types named here when it registers."""
-
     folder: Path
+    background: BackgroundRun | None = None
+    """None for a run in this process."""
 
-    def follow(self, context: bpy.types.Context, run: Any) -> Generator[Any, None, None]:
-        """The job of the BackgroundRun `run`, which is remembered until its results are shown."""
+    def follow(self, run: BackgroundRun) -> Job[None]:
+        """The job of `run`, which is remembered until its results are shown."""
         self.background, self.folder = run, run.folder
-        context.window_manager.xihe.unshown_run = str(run.folder)
-        job: Generator[Any, None, None] = run.follow()
-        return job
+        bpy.context.window_manager.xihe.unshown_run = str(run.folder)
+        return run.follow()
 
     def stop(self) -> None:
         if self.background is not None:
@@ -39,10 +42,10 @@ class Following(ModalJob):
 
     def finish(self, context: bpy.types.Context, result: None) -> set[str]:
         run = self.background
-        chosen = (context.scene if run is None else bpy.data.scenes[run.scene_name]).xihe
+        chosen = (context.scene if run is None else bpy.data.scenes[run.request.scene]).xihe
         chosen.run_folder, chosen.run_made_of = str(self.folder), ""
         if run is not None and run.is_edited:
-            chosen.run_made_of = time.strftime("%H:%M", time.localtime(run.started))
+            chosen.run_made_of = time.strftime("%H:%M", time.localtime(run.request.started))
         context.window_manager.xihe.unshown_run = ""
         self.report({"INFO"}, f"The run is finished: {self.folder}")
         return {"FINISHED"}
@@ -64,20 +67,16 @@ class XIHE_OT_run(polls.Conditional, Following, bpy.types.Operator):
         polls.has_camera,
     )
 
-    def start_job(self, context: bpy.types.Context) -> Generator[Any, None, None]:
+    def start_job(self, context: bpy.types.Context) -> Job[None]:
         # A script waits for the run anyway.
         self.works_here = not (self.is_modal and bpy.app.binary_path)
         return self._job(context.scene)
 
-    def _job(self, scene: bpy.types.Scene) -> Generator[Any, None, None]:
+    def _job(self, scene: bpy.types.Scene) -> Job[None]:
         """A scene that cannot be run is refused before anything is written."""
         if not self.works_here:
-            yield from imported("xihe_blender.addon.background_run")
-        from xihe_blender.addon.background_run import saved_for_run
-        from xihe_blender.addon.run_settings import choices_of_run, previs_settings
-        from xihe_blender.addon.runs_folder import new_run_folder
-        from xihe_blender.addon.shown_run import run_and_show
-        from xihe_blender.jobs import Progress
+            yield from results_imported()
+        from xihe_blender.addon.run_settings import choices_of_run, previs_settings, run_and_show
         from xihe_blender.previs.plan import plan_previs
 
         settings = previs_settings(scene)
@@ -92,9 +91,9 @@ class XIHE_OT_run(polls.Conditional, Following, bpy.types.Operator):
                 self.report({"WARNING"}, f"No second Blender ({error.strerror}): this window waits while frames render")
                 self.works_here = bpy.context.window_manager.xihe.works_here = True
             else:
-                yield from self.follow(bpy.context, run)
+                yield from self.follow(run)
                 return
-        yield from run_and_show(scene, self.folder, settings, wipe=scene.xihe.wipe)
+        yield from run_and_show(scene, self.folder, settings)
 
 
 class XIHE_OT_resume_run(polls.Conditional, Following, bpy.types.Operator):
@@ -103,55 +102,74 @@ class XIHE_OT_resume_run(polls.Conditional, Following, bpy.types.Operator):
     bl_description = "Go on with the last run of this file, which was left or stopped, and show its results"
     conditions = (polls.is_idle, polls.is_room, polls.has_unshown_run)
 
-    def start_job(self, context: bpy.types.Context) -> Generator[Any, None, None]:
+    def start_job(self, context: bpy.types.Context) -> Job[None]:
         self.works_here = False
         return self._job(Path(context.window_manager.xihe.unshown_run))
 
-    def _job(self, folder: Path) -> Generator[Any, None, None]:
-        yield from imported("xihe_blender.addon.background_run")
-        from xihe_blender.addon.background_run import unshown_run
-
-        run = unshown_run(folder)
+    def _job(self, folder: Path) -> Job[None]:
+        yield from results_imported()
+        run = BackgroundRun(folder)
         if not run.has_ended:
             run.start()
-        yield from self.follow(bpy.context, run)
+        yield from self.follow(run)
 
 
-class XIHE_OT_discard_run(polls.Conditional, bpy.types.Operator):
+class XIHE_OT_discard_run(Action, bpy.types.Operator):
     bl_idname = "xihe.discard_run"
     bl_label = "Discard"
     bl_description = "Delete what the last run of this file, which was left or stopped, has made so far"
     conditions = (polls.is_idle, polls.has_unshown_run)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from xihe_blender.addon.background_run import discard
-
-        discard(Path(context.window_manager.xihe.unshown_run))
+    def act(self, context: bpy.types.Context) -> None:
+        BackgroundRun(Path(context.window_manager.xihe.unshown_run)).discard()
         context.window_manager.xihe.unshown_run = ""
-        return {"FINISHED"}
 
 
-class XIHE_OT_cancel_run(polls.Conditional, bpy.types.Operator):
+class XIHE_OT_cancel_run(Action, bpy.types.Operator):
     bl_idname = "xihe.cancel_run"
     bl_label = "Cancel"
     bl_description = "Stop what is under way; same as Esc. A stopped run can be resumed"
     conditions = (polls.is_running,)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> None:
         context.window_manager.xihe.is_cancel_wanted = True
-        return {"FINISHED"}
 
 
-def imported(module: str) -> Generator[Any, None, None]:
-    """Import `module`, and NumPy with it, in a thread: the window would stand still for a second."""
-    from xihe_blender.jobs import Progress
+class XIHE_OT_remove_old_runs(Action, bpy.types.Operator):
+    bl_idname = "xihe.remove_old_runs"
+    bl_label = "Remove Old Runs"
+    bl_description = (
+        "Delete the folders of all runs from the panel but those that the open file shows. "
+        "Light on the timeline and pictures stay in the files they were saved in"
+    )
+    conditions = (polls.is_idle, polls.has_old_runs)
 
-    thread = threading.Thread(target=importlib.import_module, args=(module,))
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask first: what is deleted does not come back by Undo."""
+        runs = format_old_runs(old_runs(runs_folder(), shown_runs()))
+        answer: set[str] = context.window_manager.invoke_confirm(
+            self, event, title=f"Delete {runs}?", message="This cannot be undone", confirm_text="Delete", icon="WARNING"
+        )
+        return answer
+
+    def act(self, context: bpy.types.Context) -> str | None:
+        removed = remove_old_runs(runs_folder(), shown_runs())
+        # Blender draws its preferences anew only when one of them changes.
+        for window in context.window_manager.windows:
+            for area in window.screen.areas:
+                if area.type == "PREFERENCES":
+                    area.tag_redraw()
+        return f"Removed {format_count(len(removed), 'old run')}"
+
+
+def results_imported() -> Job[None]:
+    """Import what shows results, and NumPy with it, in a thread: the window would stand still for a second."""
+    thread = threading.Thread(target=importlib.import_module, args=("xihe_blender.addon.results_in_blender",))
     thread.start()
     while thread.is_alive():
         yield Progress(0, 1, "starting")
 
 
 register, unregister = bpy.utils.register_classes_factory(
-    (XIHE_OT_run, XIHE_OT_resume_run, XIHE_OT_discard_run, XIHE_OT_cancel_run)
+    (XIHE_OT_run, XIHE_OT_resume_run, XIHE_OT_discard_run, XIHE_OT_cancel_run, XIHE_OT_remove_old_runs)
 )
