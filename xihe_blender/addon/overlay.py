@@ -77,17 +77,18 @@ def shown_positions(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> l
     An object whose positions a run would refuse has none.
     """
     # NumPy comes with it, which must wait until something is shown.
-    from xihe_blender.scene.estimation_positions import estimation_positions
+    from xihe_blender.scene.estimation_positions import named_positions
 
     metres = metres_per_unit(scene)
     found = []
     for item in virtual_objects(scene):
         try:
-            places = (estimation_positions(item, depsgraph) / metres).tolist()
+            positions_m = named_positions(item, depsgraph)
         except UserError:
             continue
-        names = [item.name] if len(places) == 1 else [f"{item.name} {k}" for k in range(1, len(places) + 1)]
-        found += [Position(name, (x, y, z)) for name, (x, y, z) in zip(names, places, strict=True)]
+        for name, position_m in positions_m.items():
+            x, y, z = (position_m / metres).tolist()
+            found.append(Position(name, (x, y, z)))
     return found
 
 

@@ -11,7 +11,7 @@ from mathutils import Vector
 from numpy.typing import ArrayLike
 
 from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world, world_name
-from xihe_blender.scene.estimation_positions import estimation_positions
+from xihe_blender.scene.estimation_positions import named_positions
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
 from xihenet import controller
@@ -52,10 +52,10 @@ class XiheController(controller.XiheController):
             collection.objects.link(item)
         item.matrix_world.translation = Vector(position / metres_per_unit(scene))
         bpy.context.view_layer.update()
-        positions = estimation_positions(item)
-        estimates = [self.estimate_at(p) for p in positions]
-        for number, place in enumerate(positions, start=1):
-            self.add_position(item.name if len(positions) == 1 else f"{item.name} {number}", place)
+        positions = named_positions(item)
+        estimates = [self.estimate_at(place) for place in positions.values()]
+        for name, place in positions.items():
+            self.add_position(name, place)
         estimate = _mean(estimates)
         if estimate.is_valid:
             world = make_sh_world(world_name(item.name))

@@ -16,7 +16,7 @@ from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import phone_camera, sized_for
 from xihe_blender.errors import UserError
 from xihe_blender.previs.settings import PrevisSettings
-from xihe_blender.scene.estimation_positions import estimation_positions
+from xihe_blender.scene.estimation_positions import named_positions
 from xihe_blender.scene.virtual_objects import COLLECTION_NAME, collections_of, virtual_objects
 from xihenet.records import ArrayF64
 
@@ -61,7 +61,8 @@ def plan_previs(scene: bpy.types.Scene, settings: PrevisSettings) -> PrevisPlan:
     with working_scene(scene, "Xihe Plan", RenderSettings(size, samples=1)) as working:
         working.frame_set(frames[0])
         phone_camera(working)
-        probes = [probe for item in objects for probe in _probes(item, working.view_layers[0].depsgraph)]
+        named = [(item, named_positions(item, working.view_layers[0].depsgraph)) for item in objects]
+    probes = [Probe(name, item.name, place) for item, places in named for name, place in places.items()]
     return PrevisPlan(tuple(frames), size, tuple(objects), tuple(probes))
 
 
@@ -116,13 +117,6 @@ def planned_objects(scene: bpy.types.Scene, wanted: Sequence[str] | None) -> lis
         if home is not None:  # It would be captured, and would light itself.
             raise UserError(f"virtual object {item.name!r} is also in collection {home.name!r}: unlink it from there")
     return chosen
-
-
-def _probes(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[Probe]:
-    positions = estimation_positions(item, depsgraph)
-    if len(positions) == 1:
-        return [Probe(item.name, item.name, positions[0])]
-    return [Probe(f"{item.name} {k}", item.name, position) for k, position in enumerate(positions, start=1)]
 
 
 def compared_frames(active: Sequence[int], step: int) -> list[int]:

@@ -59,6 +59,14 @@ def estimation_positions(object: bpy.types.Object, depsgraph: bpy.types.Depsgrap
     return box_cell_centres(low_m, high_m, SPACING_M)
 
 
+def named_positions(object: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None) -> dict[str, ArrayF64]:
+    """`estimation_positions`, (3,) each, by name: that of the object, and a number where it has several."""
+    positions = estimation_positions(object, depsgraph)
+    if len(positions) == 1:
+        return {object.name: positions[0]}
+    return {f"{object.name} {k}": position for k, position in enumerate(positions, start=1)}
+
+
 def cells_per_axis(low_m: ArrayF64, high_m: ArrayF64, spacing_m: float) -> ArrayF64:
     """(3,) whole numbers from 1 on; float64, since those of a box as large as float32 fit no integer."""
     cells: ArrayF64 = np.maximum(1.0, np.ceil((high_m - low_m) / spacing_m - SPLIT_TOLERANCE))
