@@ -114,7 +114,7 @@ def test_a_still_camera_has_no_rolling_shutter_and_no_drift(as_it_is, tmp_path):
 def test_a_single_frame_of_a_walk_is_not_taken_for_a_still_camera(tmp_path):
     phone, *_ = planned(room_with_a_virtual_sphere(), tmp_path, replace(IPAD, frames=(2,)))
     assert state(phone, "rolling_shutter") == "on"
-    assert np.linalg.norm(phone.survey.frames[2].motion.velocity_m_per_s) == pytest.approx(0.3 * 24, rel=0.05)
+    assert np.linalg.norm(phone.chosen.survey.frames[2].motion.velocity_m_per_s) == pytest.approx(0.3 * 24, rel=0.05)
 
 
 def _dimmed(scene):

@@ -127,7 +127,7 @@ def test_another_seed_is_another_phone(ipad):
     seen = []
     for frame, chosen in zip(frames, (IPAD, settings), strict=True):
         survey = survey_path(scene, plan_previs(scene, chosen))
-        phone = simulate_phone(choose_phone(scene, survey, chosen), survey, {}, frame.exposure)
+        phone = simulate_phone(choose_phone(scene, survey, chosen), {}, frame.exposure)
         seen.append(replace(phone, of_camera=frozenset({"noise"})).see(frame, ipad.outputs)[0].plane_depth_m)
     assert not np.array_equal(*seen)
 

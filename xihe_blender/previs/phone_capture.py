@@ -57,20 +57,21 @@ class CaptureNeeds:
 
 @dataclass(frozen=True, eq=False)
 class ChosenPhone:
-    """The phone and the network that the user chose for a run; made by `choose_phone`.
+    """The phone and the network of `settings` on a surveyed path, its `profile` as it was then; see `choose_phone`.
 
-    `choices` are "on" or "off" by effect, where the user decided, `times_s` those of the frames of the path, by number,
-    and `frame_rate_hz` is the path's where it is fastest.
+    `choices` are "on" or "off" by effect, where the user decided; `frame_rate_hz` is the path's where it is fastest.
     """
 
+    settings: PrevisSettings
     profile: phones.PhoneProfile
-    link: phones.Link | None
-    metering: Metering
-    n_anchors: int
-    seed: int
+    survey: SceneSurvey
     choices: Mapping[str, str]
-    times_s: Mapping[int, float]
     frame_rate_hz: float
+
+    @functools.cached_property
+    def times_s(self) -> dict[int, float]:
+        """Of the frames of the path, by number."""
+        return {frame: one.time_s for frame, one in self.survey.frames.items()}
 
     @property
     def sees(self) -> bool:
@@ -104,18 +105,10 @@ class ChosenPhone:
 
 def choose_phone(scene: bpy.types.Scene, survey: SceneSurvey, settings: PrevisSettings) -> ChosenPhone:
     """The phone of `settings` on a surveyed path; choices that `scene` remembers count. UserError as of `checked`."""
-    times_s = {frame: one.time_s for frame, one in survey.frames.items()}
-    steps_s = np.diff(list(times_s.values()))
-    return ChosenPhone(
-        settings.profile,
-        settings.link,
-        settings.metering_in_force,
-        settings.n_anchors,
-        settings.seed,
-        overrides_in_force(scene, settings.effect_choices),
-        times_s,
-        1 / float(steps_s.min()) if len(steps_s) else scene.render.fps / scene.render.fps_base,
-    )
+    choices = overrides_in_force(scene, settings.effect_choices)
+    steps_s = np.diff([one.time_s for one in survey.frames.values()])
+    rate_hz = 1 / float(steps_s.min()) if len(steps_s) else scene.render.fps / scene.render.fps_base
+    return ChosenPhone(settings, settings.profile, survey, choices, rate_hz)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +159,6 @@ class SimulatedPhone:
     """
 
     chosen: ChosenPhone
-    survey: SceneSurvey
     facts: Mapping[int, CaptureFacts]
     exposure: float
     effects: Mapping[str, Effect]
@@ -174,7 +166,7 @@ class SimulatedPhone:
 
     @functools.cached_property
     def camera(self) -> phones.PhoneCamera:
-        return phones.PhoneCamera(self.chosen.profile, self.chosen.seed, effects=self.of_camera)
+        return phones.PhoneCamera(self.chosen.profile, self.chosen.settings.seed, effects=self.of_camera)
 
     @functools.cached_property
     def track(self) -> phones.SessionTrack:
@@ -194,7 +186,7 @@ class SimulatedPhone:
 
     @property
     def link_in_use(self) -> phones.Link | None:
-        return self.chosen.link if phones.NETWORK in self.on else None
+        return self.chosen.settings.link if phones.NETWORK in self.on else None
 
     def notes(self) -> list[str]:
         """What a reader has to know of the session, in plain sentences."""
@@ -214,18 +206,17 @@ class SimulatedPhone:
             return captured, {}
         surfaces = load_surfaces(outputs.surfaces(frame)) if on & SURFACE_EFFECTS else None
         radiance = read_radiance(outputs.radiance("captured", frame)) if "auto_exposure" in on else None
-        motion = self.survey.frames[frame].motion
+        motion = self.chosen.survey.frames[frame].motion
         return self.camera.see_and_count(captured, facts=surfaces, motion=motion, radiance=radiance, track=self.track)
 
 
-def simulate_phone(
-    chosen: ChosenPhone, survey: SceneSurvey, facts: Mapping[int, CaptureFacts], exposure: float
-) -> SimulatedPhone:
+def simulate_phone(chosen: ChosenPhone, facts: Mapping[int, CaptureFacts], exposure: float) -> SimulatedPhone:
     """Decide which effects are simulated, from all that is known; without `facts` what they could rule out is on."""
+    settings, survey = chosen.settings, chosen.survey
     motions = [one.motion for one in survey.frames.values()]
     known: dict[str, Any] = {
         **chosen.timing,
-        "n_anchors": chosen.n_anchors,
+        "n_anchors": settings.n_anchors,
         "fastest_m_per_s": max(float(np.linalg.norm(motion.velocity_m_per_s)) for motion in motions),
         "fastest_turn_deg_per_s": max(float(np.linalg.norm(np.degrees(motion.turn_rad_per_s))) for motion in motions),
         "light_changes": survey.light_changes,
@@ -236,5 +227,5 @@ def simulate_phone(
         known["smoothest_roughness"] = min(roughness) if len(roughness) == len(facts) else None
         known["highest_transmission"] = max(one.highest_transmission for one in facts.values())
         session = phones.facts_of_session([one.of_frame for one in facts.values()], **known)
-    effects = plan_effects(chosen.profile.required_effects(session, chosen.link), chosen.choices)
-    return SimulatedPhone(chosen, survey, facts, exposure, effects, names_that_are_on(effects) - {phones.NETWORK})
+    effects = plan_effects(chosen.profile.required_effects(session, settings.link), chosen.choices)
+    return SimulatedPhone(chosen, facts, exposure, effects, names_that_are_on(effects) - {phones.NETWORK})

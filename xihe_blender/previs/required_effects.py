@@ -25,7 +25,7 @@ from xihe_blender.light_transport.plan import required_effects
 from xihe_blender.previs.phone_capture import CaptureFacts, ChosenPhone, choose_phone, facts_of_capture, simulate_phone
 from xihe_blender.previs.plan import DEFAULT_SIZE, PrevisPlan, Probe, planned_frames
 from xihe_blender.previs.settings import PrevisSettings
-from xihe_blender.previs.survey import SceneSurvey, survey_path
+from xihe_blender.previs.survey import survey_path
 from xihe_blender.scene.estimation_positions import estimation_positions
 from xihe_blender.scene.state import scene_kept
 from xihe_blender.scene.virtual_objects import virtual_objects
@@ -114,15 +114,15 @@ def plan_phone_effects(
         phone = choose_phone(scene, survey, settings)
         facts: dict[int, CaptureFacts] = {}
         if is_captured and phone.sees:
-            facts = yield from _facts(scene, plan, survey, phone, settings.capture(size, N_SAMPLES))
-        return dict(simulate_phone(phone, survey, facts, exposure=1.0).effects)
+            facts = yield from _facts(scene, plan, phone, settings.capture(size, N_SAMPLES))
+        return dict(simulate_phone(phone, facts, exposure=1.0).effects)
 
 
 def _facts(
-    scene: bpy.types.Scene, plan: PrevisPlan, survey: SceneSurvey, phone: ChosenPhone, render: RenderSettings
+    scene: bpy.types.Scene, plan: PrevisPlan, phone: ChosenPhone, render: RenderSettings
 ) -> Job[dict[int, CaptureFacts]]:
     """A job: the facts of every frame that a run would capture."""
-    needs, facts = phone.needs, {}
+    needs, survey, metering, facts = phone.needs, phone.survey, phone.settings.metering_in_force, {}
     positions_m = np.array([probe.position_m for probe in plan.probes])
     with open_scanner(scene, render) as scanner:
         if needs.surfaces:
@@ -134,7 +134,7 @@ def _facts(
                 captured, rendered = scanner.acquire_environment_scan(), scanner.rendered
                 surfaces = surfaces_in(rendered.passes, survey.frames[frame].roughness) if needs.surfaces else None
                 radiance = first_layer(rendered)[0] if needs.radiance else None
-                facts[frame] = facts_of_capture(captured, positions_m, phone.metering, surfaces, radiance)
+                facts[frame] = facts_of_capture(captured, positions_m, metering, surfaces, radiance)
     return facts
 
 

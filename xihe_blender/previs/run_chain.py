@@ -57,7 +57,7 @@ def walk_path(run: PreparedRun) -> Generator[Progress, None, WalkedPath]:
     work_s = yield from render_path(run)
     renders = PathRenders(run)
     facts = _facts_of_captures(run, renders, work_s) if run.phone.sees else {}
-    phone = simulate_phone(run.phone, run.survey, facts, run.exposure)
+    phone = simulate_phone(run.phone, facts, run.exposure)
     walk = _Walk(run, phone, renders, work_s)
     for frame in run.plan.frames:
         walk.step(frame)
@@ -66,7 +66,7 @@ def walk_path(run: PreparedRun) -> Generator[Progress, None, WalkedPath]:
 
 def _facts_of_captures(run: PreparedRun, renders: PathRenders, work_s: dict[int, float]) -> dict[int, CaptureFacts]:
     """What the phone will be derived from, by captured frame; the time it takes is added to `work_s`."""
-    facts = {}
+    facts, metering = {}, run.settings.metering_in_force
     positions_m = np.array([probe.position_m for probe in run.plan.probes]).reshape(-1, 3)
     for frame in run.plan.frames:
         start = time.perf_counter()
@@ -74,7 +74,6 @@ def _facts_of_captures(run: PreparedRun, renders: PathRenders, work_s: dict[int,
         if rendered is not None:
             surfaces = load_surfaces(run.outputs.surfaces(frame)) if run.needs.surfaces else None
             radiance = read_radiance(run.outputs.radiance("captured", frame)) if run.needs.radiance else None
-            metering = run.phone.metering
             facts[frame] = facts_of_capture(rendered.captured, positions_m, metering, surfaces, radiance)
             work_s[frame] = work_s.get(frame, 0.0) + time.perf_counter() - start
     return facts
