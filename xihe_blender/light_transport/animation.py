@@ -12,8 +12,8 @@ the grids of a volume, raises `UnreadableError`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, TypeVar
 
 import bpy
 import numpy as np
@@ -40,6 +40,7 @@ ATTRIBUTES: dict[str, tuple[str, type, int]] = {
 }
 """By data type of an attribute: the property that holds a value, NumPy's type for it, and how many numbers it has."""
 
+Read = TypeVar("Read")
 AS_MESH = ("CURVE", "SURFACE", "FONT", "META")
 
 
@@ -57,6 +58,17 @@ def is_animated(block: bpy.types.ID | None) -> bool:
     animation = getattr(block, "animation_data", None)
     has_any = animation is not None and (animation.action or animation.drivers or animation.nla_tracks)
     return bool(has_any) or any(is_animated(inner) for inner in (*own_tree, *groups))
+
+
+def read_once(known: dict[Any, Read], block: bpy.types.ID, read: Callable[[Any], Read]) -> Read:
+    """What `read` says of an evaluated data-block; asked once, and `known` from then on, if nothing in it moves."""
+    original = block.original
+    if original in known:
+        return known[original]
+    found = read(block)
+    if not is_animated(original):
+        known[original] = found
+    return found
 
 
 def is_film(image: bpy.types.Image | None) -> bool:

@@ -22,7 +22,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from xihe_blender.light_transport.animation import is_animated, placement
+from xihe_blender.light_transport.animation import placement, read_once
 from xihe_blender.light_transport.enclosure import (
     Look,
     Ray,
@@ -199,15 +199,8 @@ class TransportSurveyor:
 
     def _look(self, block: Any, read: Any) -> Shading:
         """What `block`, as evaluated at this frame, may do; read once if nothing in it is animated."""
-        if block is None:
-            return read(None)  # type: ignore[no-any-return]
-        original = block.original
-        if original not in self.still:
-            look: Shading = read(block)
-            if is_animated(original):
-                return look
-            self.still[original] = look
-        return self.still[original]
+        look: Shading = read(None) if block is None else read_once(self.still, block, read)
+        return look
 
     def _walk(self, depsgraph: bpy.types.Depsgraph, *bundles: Sequence[Ray]) -> None:
         def look(item: bpy.types.Object, slot: int) -> Look:

@@ -20,7 +20,7 @@ from xihe_blender.capture.scanner import phone_camera, session_time_s
 from xihe_blender.errors import UserError
 from xihe_blender.io.run_results import Fault
 from xihe_blender.light_transport import nodes
-from xihe_blender.light_transport.animation import is_animated, shows_a_film
+from xihe_blender.light_transport.animation import is_animated, read_once, shows_a_film
 from xihe_blender.light_transport.inspection import open_inspection
 from xihe_blender.light_transport.plan import required_by_survey
 from xihe_blender.light_transport.render_reuse import SceneState, StateSurvey
@@ -211,25 +211,18 @@ class RoomSurvey:
             shape = (float(getattr(item.data, name, 0.0)) for name in LAMP_SHAPE)
             return {(item.name, place, item.data.energy, tuple(item.data.color), *shape)}
         glowing = set()
-        for slot in item.material_slots if item.type in GEOMETRY_TYPES else ():
-            if slot.material is not None and self._material(slot.material, found):
-                self.is_driven |= _may_change(slot.material.original)
-                glowing.add((item.name, slot.material.name, place))
+        slots = item.material_slots if item.type in GEOMETRY_TYPES else ()
+        for material in (slot.material for slot in slots if slot.material is not None):
+            found[material.name], glows = read_once(self._still, material, _roughness_and_glow)
+            if glows:
+                self.is_driven |= _may_change(material.original)
+                glowing.add((item.name, material.name, place))
         return glowing
 
-    def _material(self, material: bpy.types.Material, found: dict[str, float | None]) -> bool:
-        """Note the roughness of a material; whether it glows."""
-        original = material.original
-        known = self._still.get(original)
-        if known is None:
-            known = (
-                nodes.smoothest_roughness(material),
-                bool(nodes.material_shading(material).interactions & nodes.Interaction.EMISSION),
-            )
-            if not is_animated(original):
-                self._still[original] = known
-        found[material.name], glows = known
-        return glows
+
+def _roughness_and_glow(material: bpy.types.Material) -> tuple[float | None, bool]:
+    glows = nodes.material_shading(material).interactions & nodes.Interaction.EMISSION
+    return nodes.smoothest_roughness(material), bool(glows)
 
 
 def _may_change(block: bpy.types.ID) -> bool:
