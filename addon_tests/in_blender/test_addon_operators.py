@@ -344,17 +344,17 @@ def test_the_time_of_a_run_grows_with_its_frames_and_leaves_the_scene(tmp_path):
     few = run_blocking(run_time_job(scene, previs_settings(scene)))
     scene.xihe.frame_end = 5
     many = run_blocking(run_time_job(scene, previs_settings(scene)))
-    assert 0 < few.n_captures < many.n_captures and few.n_probes < many.n_probes
-    assert few.n_comparisons < many.n_comparisons
+    assert all(0 < n < many.renders[kind][0] for kind, (n, _) in few.renders.items()) and len(few.renders) == 3
     scene.xihe.frame_end = 2
     assert few.total_s > 0
     assert differences(before, snapshot()) == ({}, [])
 
 
 def test_a_run_of_more_frames_takes_longer_in_proportion():
-    one = RunTime(2.0, 3, 6, 2, RenderTime(0.1, 0.01, 10), RenderTime(0.0, 0.1, 4), RenderTime(1.0, 0.5, 8))
-    assert one.total_s == pytest.approx(2 + 3 * 0.2 + 6 * 0.4 + 2 * 5)
-    double = replace(one, n_captures=6, n_probes=12, n_comparisons=4)
+    of_each = {"capture": (3, RenderTime(0.1, 0.01, 10)), "comparison": (2, RenderTime(1.0, 0.5, 8))}
+    one = RunTime(2.0, of_each)
+    assert one.total_s == pytest.approx(2 + 3 * 0.2 + 2 * 5)
+    double = replace(one, renders={kind: (2 * n, time) for kind, (n, time) in of_each.items()})
     assert double.total_s - 2 == pytest.approx(2 * (one.total_s - 2))
 
 

@@ -11,12 +11,12 @@ from registered_things import registered
 from tiny_scenes import empty_scene, saved
 
 from xihe_blender import addon
-from xihe_blender.addon import choices, leftovers
+from xihe_blender.addon import choices
 from xihe_blender.addon.preferences import preferences
-from xihe_blender.capture.render import WORKING
 from xihe_blender.packaging.extension import build_extension
 from xihe_blender.packaging.project_wheel import packed
 from xihe_blender.previs.settings import PRESETS
+from xihe_blender.scene.state import WORKING
 from xihenet import estimators
 from xihenet.phone import LINKS, profile_names
 
@@ -108,7 +108,6 @@ def test_the_phone_of_the_preferences_is_that_of_scenes_without_one():
 
 
 def test_a_file_that_was_saved_in_the_middle_of_a_run_opens_without_its_scenes(tmp_path):
-    assert leftovers.WORKING == WORKING
     with registered_addon():
         scene = empty_scene()
         scene.copy()[WORKING] = True

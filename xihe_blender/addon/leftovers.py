@@ -11,18 +11,15 @@ from typing import Any
 import bpy
 
 from xihe_blender.addon.background_run import newest_unshown_run
-
-WORKING = "xihe_working"
-"""As in `render`, which is not imported here: it needs NumPy."""
+from xihe_blender.apply.lit_scene import remove_lit_collections
+from xihe_blender.scene.state import WORKING
 
 
 def remove_working_scenes() -> None:
     """Remove every working scene of a run that is over, and what only that used."""
     for scene in [scene for scene in bpy.data.scenes if WORKING in scene]:
         bpy.data.scenes.remove(scene)
-    # The collections of the scene Xihe Lit; what has no user now is not saved either.
-    for collection in [c for c in bpy.data.collections if c.name.startswith("Xihe Lit ") and not c.users]:
-        bpy.data.collections.remove(collection)
+    remove_lit_collections()
 
 
 @bpy.app.handlers.persistent

@@ -22,6 +22,7 @@ import bpy
 import numpy as np
 
 from xihe_blender.errors import UserError
+from xihe_blender.scene.state import WORKING
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import MISS_PLANE_DEPTH_M
 from xihenet.exr import read_exr
@@ -30,9 +31,6 @@ from xihenet.records import ArrayF32
 MEMORY_FOLDER = Path("/dev/shm")
 MAX_SEED = 2**31 - 1
 """Of Cycles."""
-
-WORKING = "xihe_working"
-"""Custom property of working scenes, by which those are found that an Undo or a saved file brought back."""
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,10 @@ from typing import Any
 import bpy
 import numpy as np
 
-from xihe_blender.capture.render import WORKING
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs, copy_whole, write_picture
 from xihe_blender.io.run_results import RunResults
+from xihe_blender.scene.state import WORKING
 from xihenet.records import ArrayF32
 
 WIPE_LINE = 1.0

@@ -8,6 +8,7 @@ are simply done again, so a resumed run has the numbers of an undisturbed one.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -56,10 +57,10 @@ def previs(
     leaves = (outputs.results, outputs.report, outputs.lit_blend)
     manifest = FolderManifest(outputs.folder, outputs.settings, "a run", _identity(scene, file, settings, plan), leaves)
     is_whole = manifest.check() and all(path.exists() for path in leaves)
-    finished = kept_json(outputs.results, _checked_results) if is_whole else None
+    finished = kept_json(outputs.results, functools.partial(from_json, RunResults)) if is_whole else None
     if finished is not None:
         yield Progress(1, 1, f"this run is already done; delete {out} to do it again")
-        return finished
+        return as_json(finished)
     yield Progress(0, 1, "surveying the path")
     survey = survey_run(scene, plan, outputs)
     # Not before: a scene that cannot be run leaves no folder.
@@ -98,9 +99,3 @@ def _identity(scene: bpy.types.Scene, file: Path, settings: PrevisSettings, plan
         "size": plan.size,
         "objects": [item.name for item in plan.objects],
     }
-
-
-def _checked_results(content: Json) -> Json:
-    """The same; TypeError or ValueError if it is not what a run writes."""
-    from_json(RunResults, content)
-    return content

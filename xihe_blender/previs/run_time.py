@@ -56,27 +56,18 @@ class RenderTime:
 
 @dataclass(frozen=True)
 class RunTime:
-    """What a run consists of, and how long each part takes; renders that an earlier frame has already do not count.
+    """What a run consists of, and how long each part takes.
 
-    `prepare_s` is until the first frame, and to load the scene for the first render of each kind.
+    `prepare_s` is until the first frame, and to load the scene for the first render of each kind. `renders` are by kind
+    how many there are, without those that an earlier frame has already, and the time of one.
     """
 
     prepare_s: float
-    n_captures: int
-    n_probes: int
-    n_comparisons: int
-    capture: RenderTime
-    probe: RenderTime
-    comparison: RenderTime
+    renders: Mapping[str, tuple[int, RenderTime]]
 
     @property
     def total_s(self) -> float:
-        return (
-            self.prepare_s
-            + self.n_captures * self.capture.render_s
-            + self.n_probes * self.probe.render_s
-            + self.n_comparisons * self.comparison.render_s
-        )
+        return sum((n * one.render_s for n, one in self.renders.values()), start=self.prepare_s)
 
 
 def format_run_time(seconds: float) -> str:
@@ -100,7 +91,7 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
     yield Progress(1, 4, "measuring a capture")
     active = list(run.reuse.captures)
     if not active:
-        return RunTime(prepared_s, 0, 0, 0, *[RenderTime(0.0, 0.0, 0)] * 3)
+        return RunTime(prepared_s, {})
     frames = [active[k * len(active) // N_RENDERS] for k in range(N_RENDERS)]
     with open_scanner(run.scene, run.capture) as scanner:
         scanner.exposure = run.exposure
@@ -115,16 +106,11 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
     probe_loaded_s, probe = _timed_probe(run, frames)
     yield Progress(3, 4, "measuring a comparison")
     comparison_loaded_s, comparison = _timed_comparison(run, frames, captured)
+    n_captures = sum(source == frame for frame, source in run.reuse.captures.items())
+    n_probes = sum(source == frame for (frame, _), source in run.reuse.probes.items())
     n_comparisons = len(compared_frames(active, run.settings.preset_values.comparison_step))
-    return RunTime(
-        prepared_s + capture_loaded_s + probe_loaded_s + comparison_loaded_s,
-        sum(source == frame for frame, source in run.reuse.captures.items()),
-        sum(source == frame for (frame, _), source in run.reuse.probes.items()),
-        n_comparisons,
-        capture,
-        probe,
-        comparison,
-    )
+    renders = {"capture": (n_captures, capture), "probe": (n_probes, probe), "comparison": (n_comparisons, comparison)}
+    return RunTime(prepared_s + capture_loaded_s + probe_loaded_s + comparison_loaded_s, renders)
 
 
 def _timed_probe(run: PreparedRun, frames: Sequence[int]) -> tuple[float, RenderTime]:

@@ -16,6 +16,9 @@ from typing import Any
 
 import bpy
 
+WORKING = "xihe_working"
+"""Custom property of working scenes, by which those are found that an Undo or a saved file brought back."""
+
 
 @contextlib.contextmanager
 def scene_kept() -> Iterator[None]:
