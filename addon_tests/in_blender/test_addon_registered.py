@@ -13,8 +13,7 @@ from tiny_scenes import empty_scene, saved
 from xihe_blender import addon
 from xihe_blender.addon import choices
 from xihe_blender.addon.preferences import preferences
-from xihe_blender.packaging.extension import build_extension
-from xihe_blender.packaging.project_wheel import packed
+from xihe_blender.packaging.extension import build_extension, packed
 from xihe_blender.previs.settings import PRESETS
 from xihe_blender.scene.state import WORKING
 from xihenet import estimators

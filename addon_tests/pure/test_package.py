@@ -16,8 +16,7 @@ from pathlib import Path
 import pytest
 
 from xihe_blender.errors import UserError
-from xihe_blender.packaging.extension import build_extension
-from xihe_blender.packaging.project_wheel import project_wheel
+from xihe_blender.packaging.extension import build_extension, project_wheel
 from xihenet import __version__
 
 ROOT = Path(__file__).resolve().parents[2]
