@@ -67,10 +67,7 @@ def apply_results(scene: bpy.types.Scene, folder: Path) -> None:
     missing = [name for name in results.lights if name not in here]
     if missing:
         raise UserError(f"virtual object {missing[0]!r} of the last run is not in this scene any more: run again")
-    changes = {
-        name: [(change.frame, np.array(change.sh)) for change in of_one] for name, of_one in results.lights.items()
-    }
-    apply_lights(scene, changes, results.frames, results.settings.reference_exposure)
+    apply_lights(scene, results.lights, results.frames, results.settings.reference_exposure)
     show_results(scene, folder)
 
 

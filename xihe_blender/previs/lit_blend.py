@@ -12,40 +12,33 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import bpy
-import numpy as np
-from numpy.typing import ArrayLike
 
 from xihe_blender.apply import sh_worlds
 from xihe_blender.apply.datablocks import LIT_SCENE
 from xihe_blender.apply.lit_scene import remove_lit_collections, remove_lit_scene, set_up_lit_scene
 from xihe_blender.capture.render import can_denoise
 from xihe_blender.io.outputs import written_whole
-from xihe_blender.io.run_results import FrameResult
+from xihe_blender.io.run_results import FrameResult, LightChange
 from xihe_blender.previs.plan import PrevisPlan
+from xihe_blender.previs.results import as_coefficients
 from xihenet.records import ArrayF64
 
+Changes = Mapping[str, Sequence[LightChange]]
+"""By virtual object, as results.json has them."""
 
-def light_changes(
-    plan: PrevisPlan, lights: Mapping[int, Mapping[str, ArrayF64]]
-) -> dict[str, list[tuple[int, ArrayF64]]]:
-    """(frame, (9, 3) coefficients) of each virtual object, for the frames at which its light changes.
 
-    `lights` are the coefficients in force by frame and virtual object.
-    """
-    changes: dict[str, list[tuple[int, ArrayF64]]] = {item.name: [] for item in plan.objects}
+def light_changes(plan: PrevisPlan, lights: Mapping[int, Mapping[str, ArrayF64]]) -> Changes:
+    """The light of each virtual object wherever it changes; `lights` are (9, 3) by frame and virtual object."""
+    changes: dict[str, tuple[LightChange, ...]] = {item.name: () for item in plan.objects}
     for frame, light in lights.items():
         for name, of_one in changes.items():
-            if not of_one or not np.array_equal(light[name], of_one[-1][1]):
-                of_one.append((frame, light[name]))
+            sh = as_coefficients(light[name])
+            if not of_one or of_one[-1].sh != sh:
+                changes[name] = (*of_one, LightChange(frame=frame, sh=sh))
     return changes
 
 
-def apply_lights(
-    scene: bpy.types.Scene,
-    changes: Mapping[str, Sequence[tuple[int, ArrayLike]]],
-    frames: Sequence[FrameResult],
-    exposure: float,
-) -> None:
+def apply_lights(scene: bpy.types.Scene, changes: Changes, frames: Sequence[FrameResult], exposure: float) -> None:
     """Key a world per virtual object at every frame at which its light changes; mark the triggers.
 
     `changes` are as of `light_changes`, carrying `exposure`; the pictures of the comparison are made with the same.
@@ -55,8 +48,8 @@ def apply_lights(
     for name, of_one in changes.items():
         world = sh_worlds.make_sh_world(sh_worlds.world_name(name))
         world.use_fake_user = True
-        for frame, light in of_one:
-            sh_worlds.key_sh_on_world(world, frame, light, exposure)
+        for change in of_one:
+            sh_worlds.key_sh_on_world(world, change.frame, change.sh, exposure)
     for entry in frames:
         reasons = [probe.reason for probe in entry.probes if probe.fired]
         if reasons:

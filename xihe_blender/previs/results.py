@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import bpy
 
@@ -33,20 +32,17 @@ AS_SET = ("estimator", "preset", "target", "n_anchors", "seed", "phone", "networ
 
 def rendering(frame: int, references: Mapping[str, MeasuredLight], run: PreparedRun) -> records.Rendering:
     """What was rendered for `frame`, with how many samples and what noise, and what an earlier frame had already."""
-    reuse, count = run.reuse, run.sample_count
-    captured = _render(frame, reuse.captures[frame], count.capture_samples, count.capture_noise)
-    return records.Rendering(
-        capture=records.CaptureRender(**captured),
-        probes={
-            name: _probe_render(frame, reuse.probes[frame, name], light, run) for name, light in references.items()
-        },
+    source, count = run.reuse.captures[frame], run.sample_count
+    capture = records.CaptureRender(
+        rendered=source == frame,
+        same_as=None if source == frame else source,
+        samples=count.capture_samples,
+        noise=finite_or_none(count.capture_noise),
     )
-
-
-def _render(frame: int, source: int, samples: int, noise: float | None) -> dict[str, Any]:
-    """The fields of a CaptureRender of `frame` that `source` has already."""
-    same_as = None if source == frame else source
-    return {"rendered": same_as is None, "same_as": same_as, "samples": samples, "noise": finite_or_none(noise)}
+    probes = {
+        name: _probe_render(frame, run.reuse.probes[frame, name], light, run) for name, light in references.items()
+    }
+    return records.Rendering(capture=capture, probes=probes)
 
 
 def _probe_render(frame: int, source: int, light: MeasuredLight, run: PreparedRun) -> records.ProbeRender:
@@ -54,7 +50,10 @@ def _probe_render(frame: int, source: int, light: MeasuredLight, run: PreparedRu
     samples, noise = light.samples(target), light.noise(target)
     is_too_noisy = noise is not None and aim.noise_target is not None and noise > aim.noise_target
     return records.ProbeRender(
-        **_render(frame, source, samples, noise),
+        rendered=source == frame,
+        same_as=None if source == frame else source,
+        samples=samples,
+        noise=finite_or_none(noise),
         expected_error=finite_or_none(light.expected_error(target)),
         is_capped=is_too_noisy and samples >= aim.max_samples,
     )
@@ -87,7 +86,7 @@ def assemble(
     run: PreparedRun,
     frames: Sequence[records.FrameResult],
     *,
-    lights: Mapping[str, Sequence[tuple[int, ArrayF64]]],
+    lights: Mapping[str, Sequence[records.LightChange]],
     phone: SimulatedPhone,
     errors: records.PhoneErrors | None,
     file: Path,
@@ -98,7 +97,7 @@ def assemble(
     Parameters
     ----------
     frames : with what was compared
-    lights : what the timeline of each virtual object is keyed with: (frame, (9, 3) coefficients) where they change
+    lights : what the timeline of each virtual object is keyed with
     errors : what the effects of `phone` do to the light; None without any
     file, command : where the scene comes from, and what the user typed
     """
@@ -121,10 +120,7 @@ def assemble(
         effects=tuple(from_json(records.EffectResult, row) for row in effects),
         phone=records.PhoneResult(name=profile.name, summary=profile.summary, shc_rmse=errors),
         frames=tuple(frames),
-        lights={
-            name: tuple(records.LightChange(frame=frame, sh=as_coefficients(light)) for frame, light in of_one)
-            for name, of_one in lights.items()
-        },
+        lights={name: tuple(of_one) for name, of_one in lights.items()},
         comparison=comparison,
         summary=_summary(frames, comparison, run.sample_count.pilot_s),
         notes=tuple(notes(run, frames, phone)),
