@@ -1,13 +1,12 @@
 """Where are runs from the panel kept, and which of them does the open file show?
 
-Nothing heavy is imported: panels and preferences ask at every redraw. So results are read once per file: a results.json
-holds thousands of numbers, and a redraw costs one look at the file's date. Rejected: copies of the numbers that the
-panel shows as properties of the scene, which would still be there when the run's folder is gone.
+Nothing heavy is imported: panels and preferences ask at every redraw. Results, with thousands of numbers, are read once
+per file, so that a redraw costs a look at its date. Rejected: copies of the numbers that the panel shows as properties
+of the scene, which would still be there when the run's folder is gone.
 """
 
 from __future__ import annotations
 
-import functools
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -60,20 +59,9 @@ def shown_runs() -> set[Path]:
 
 def last_run(folder: str) -> RunResults | None:
     """The run in `folder`, as a scene remembers it; None without one, or where its results are gone or unreadable."""
-    if not folder:
-        return None
-    path = Path(bpy.path.abspath(folder))
-    try:
-        return _read(path, path.joinpath("results.json").stat().st_mtime_ns)
-    except OSError:
-        return None
-
-
-@functools.lru_cache(maxsize=4)
-def _read(folder: Path, _changed: int) -> RunResults | None:
     from xihe_blender.io.run_results import read_results
 
     try:
-        return read_results(folder)
+        return read_results(Path(bpy.path.abspath(folder))) if folder else None
     except UserError:
         return None

@@ -134,9 +134,6 @@ class MeasuredLight:
     def samples(self, target: Target) -> int:
         return self.ldr_samples if target == "ldr" else self.hdr_samples
 
-    def as_json(self) -> dict[str, Any]:
-        return {**self.__dict__, "ldr": self.ldr.tolist(), "hdr": self.hdr.tolist()}
-
     @classmethod
     def from_json(cls, content: dict[str, Any]) -> MeasuredLight:
         """What `as_json` gave; ValueError for coefficients that are none."""

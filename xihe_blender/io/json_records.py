@@ -29,7 +29,7 @@ PLAIN = {bool: "boolean", int: "integer", float: "number", str: "string", type(N
 
 
 def as_json(value: object) -> Json:
-    """`value`, of records, tuples, lists, dicts and plain values, as `json.dumps` takes it."""
+    """`value`, of records, tuples, lists, dicts, arrays and plain values, as `json.dumps` takes it."""
     if dataclasses.is_dataclass(value):
         content: dict[str, Json] = {}
         for field in dataclasses.fields(value):
@@ -42,7 +42,7 @@ def as_json(value: object) -> Json:
         return {name: as_json(of_one) for name, of_one in value.items()}
     if isinstance(value, list | tuple):
         return [as_json(of_one) for of_one in value]
-    return value
+    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def from_json(kind: type[Record], content: Json) -> Record:

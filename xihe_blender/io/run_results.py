@@ -336,19 +336,22 @@ def read_results(folder: Path) -> RunResults:
     """The results of the run in `folder`, anew where the file changed; UserError if none that this version wrote."""
     file = folder / "results.json"
     try:
-        return _read(file, file.stat().st_mtime_ns)
+        results = _read(file, file.stat().st_mtime_ns)
     except OSError as error:
         raise UserError(f"{file} cannot be read ({error.strerror}): run again") from error
-    except (ValueError, TypeError) as error:
-        raise UserError(f"{file} is not from a run of this version: run again") from error
-
-
-@functools.lru_cache(maxsize=2)
-def _read(file: Path, _changed_ns: int) -> RunResults:
-    results = from_json(RunResults, read_json(file))
-    if not results.lights:
-        raise ValueError("nothing was lit")
+    if results is None:
+        raise UserError(f"{file} is not from a run of this version: run again")
     return results
+
+
+@functools.lru_cache(maxsize=4)
+def _read(file: Path, _changed_ns: int) -> RunResults | None:
+    """None for what no run of this version wrote: that is remembered as well."""
+    try:
+        results = from_json(RunResults, read_json(file))
+    except (TypeError, ValueError):
+        return None
+    return results if results.lights else None
 
 
 if __name__ == "__main__":

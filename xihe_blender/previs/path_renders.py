@@ -20,7 +20,7 @@ from xihe_blender.capture.phone_surfaces import ask_for_surfaces, load_surfaces,
 from xihe_blender.capture.reference_probe import MeasuredLight, ReferenceProbe, open_reference_probe
 from xihe_blender.capture.scanner import CyclesScanner, first_layer, open_scanner, session_time_s
 from xihe_blender.io.exr import read_radiance, write_radiance
-from xihe_blender.io.json_records import Json
+from xihe_blender.io.json_records import Json, as_json
 from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.outputs import copy_whole, write_json, write_picture
 from xihe_blender.jobs import Progress
@@ -110,7 +110,7 @@ class PathRenders:
         else:
             measured, render_s = _kept_light(read_json(self.reference(probe, source)))[0], 0.0
             copy_whole(panorama(source), panorama(frame))
-        write_json(self.reference(probe, frame), {"light": measured.as_json(), "render_s": render_s})
+        write_json(self.reference(probe, frame), {"light": as_json(measured), "render_s": render_s})
         return render_s
 
     def reference(self, probe: Probe, frame: int) -> Path:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import bpy
@@ -18,6 +18,7 @@ import numpy as np
 from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import phone_camera, session_time_s
 from xihe_blender.errors import UserError
+from xihe_blender.io.json_records import Json, as_json
 from xihe_blender.io.run_results import Fault
 from xihe_blender.light_transport import nodes
 from xihe_blender.light_transport.animation import is_animated, read_once, shows_a_film
@@ -53,9 +54,6 @@ class SurveyedFrame:
     state: SceneState
     roughness: Mapping[str, float | None]
 
-    def as_json(self) -> dict[str, Any]:
-        return asdict(self) | {"motion": {name: vector.tolist() for name, vector in vars(self.motion).items()}}
-
     @classmethod
     def from_json(cls, row: Mapping[str, Any]) -> SurveyedFrame:
         motion = CameraMotion(**{name: np.array(vector, float).reshape(3) for name, vector in row["motion"].items()})
@@ -81,8 +79,8 @@ class SceneSurvey:
         """Names of the estimation positions in view, by those frames that see any."""
         return {frame: one.in_view for frame, one in self.frames.items() if one.in_view}
 
-    def as_json(self) -> dict[str, Any]:
-        return asdict(self) | {"frames": [one.as_json() for one in self.frames.values()]}
+    def as_json(self) -> Json:
+        return as_json({**vars(self), "frames": list(self.frames.values())})
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> SceneSurvey:
