@@ -1,12 +1,11 @@
 """What do the presets cost on the user's machine? Measured when asked for, and remembered for all files.
 
 In a file of the add-on's own place, not in Blender's preferences: those are saved when the user says so. Panels read
-its one sentence by the file's date, as they read the last run.
+its one sentence at every redraw: the file is a few hundred bytes.
 """
 
 from __future__ import annotations
 
-import functools
 from pathlib import Path
 
 from xihe_blender.addon.preferences import chosen_folder, own_folder
@@ -22,16 +21,7 @@ def calibration_file() -> Path:
 
 def calibration_line() -> str:
     """The costs in one sentence; empty before they were measured."""
-    path = calibration_file()
     try:
-        return _read(path, path.stat().st_mtime_ns)
-    except OSError:
-        return ""
-
-
-@functools.lru_cache(maxsize=1)
-def _read(path: Path, _changed: int) -> str:
-    try:
-        return str(read_json(path)["said"])
-    except (KeyError, TypeError, ValueError):
+        return str(read_json(calibration_file())["said"])
+    except (OSError, KeyError, TypeError, ValueError):
         return ""
