@@ -53,9 +53,8 @@ def is_in_object_mode(context: bpy.types.Context) -> str | None:
 
 def is_own_scene(context: bpy.types.Context) -> str | None:
     """A scene that is linked from another file cannot be changed."""
-    if context.scene.library is None:
-        return None
-    return "The scene is linked from another file: open that file, or make the scene local"
+    said = "The scene is linked from another file: open that file, or make the scene local"
+    return None if context.scene.library is None else said
 
 
 def is_room(context: bpy.types.Context) -> str | None:
@@ -73,9 +72,8 @@ def shows_run(context: bpy.types.Context) -> bool:
 
 
 def has_cycles(context: bpy.types.Context) -> str | None:
-    if "cycles" in context.preferences.addons:
-        return None
-    return "Enable the add-on Cycles Render Engine in Blender's preferences"
+    is_enabled = "cycles" in context.preferences.addons
+    return None if is_enabled else "Enable the add-on Cycles Render Engine in Blender's preferences"
 
 
 def has_camera(context: bpy.types.Context) -> str | None:
@@ -83,9 +81,7 @@ def has_camera(context: bpy.types.Context) -> str | None:
 
 
 def has_virtual_objects(context: bpy.types.Context) -> str | None:
-    if virtual_objects(context.scene):
-        return None
-    return "Make an object virtual first: select it, and add it above"
+    return None if virtual_objects(context.scene) else "Make an object virtual first: select it, and add it above"
 
 
 def doubts(scene: bpy.types.Scene) -> list[str]:
@@ -139,18 +135,15 @@ def has_selected_room_objects(context: bpy.types.Context) -> str | None:
 
 
 def has_selected_virtual_objects(context: bpy.types.Context) -> str | None:
-    if set(context.selected_objects) & set(virtual_objects(context.scene)):
-        return None
-    return "Select virtual objects first"
+    is_one_selected = set(context.selected_objects) & set(virtual_objects(context.scene))
+    return None if is_one_selected else "Select virtual objects first"
 
 
 def has_last_run(context: bpy.types.Context) -> str | None:
-    folder = context.scene.xihe.run_folder
-    if not folder:
+    if not context.scene.xihe.run_folder:
         return "There are no results yet: run first"
-    if last_run_folder(context.scene).joinpath("results.json").is_file():
-        return None
-    return "The last run's folder is gone: run again"
+    has_it = last_run_folder(context.scene).joinpath("results.json").is_file()
+    return None if has_it else "The last run's folder is gone: run again"
 
 
 def has_unshown_run(context: bpy.types.Context) -> str | None:
@@ -182,6 +175,5 @@ def has_light(context: bpy.types.Context) -> str | None:
 
 
 def has_triggers(context: bpy.types.Context) -> str | None:
-    if trigger_markers(context.scene):
-        return None
-    return "There are no triggers on the timeline: run first, or apply the last run"
+    has_any = trigger_markers(context.scene)
+    return None if has_any else "There are no triggers on the timeline: run first, or apply the last run"

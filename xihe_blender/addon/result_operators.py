@@ -10,7 +10,7 @@ from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
 
 
-class XIHE_OT_explain(bpy.types.Operator):
+class XIHE_OT_explain(Action, bpy.types.Operator):
     bl_idname = "xihe.explain"
     bl_label = "Explain"
     bl_options = {"INTERNAL"}
@@ -21,9 +21,8 @@ class XIHE_OT_explain(bpy.types.Operator):
     def description(cls, _context: bpy.types.Context, properties: XIHE_OT_explain) -> str:
         return str(properties.meaning)
 
-    def execute(self, _context: bpy.types.Context) -> set[str]:
-        self.report({"INFO"}, self.meaning)
-        return {"FINISHED"}
+    def act(self, _context: bpy.types.Context) -> str:
+        return str(self.meaning)
 
 
 class XIHE_OT_go_to_trigger(polls.Conditional, bpy.types.Operator):
