@@ -174,7 +174,7 @@ def test_every_panel_is_in_the_tab_in_the_order_of_the_chain():
     stages = [cls for cls in panels.classes if issubclass(cls, bpy.types.Panel) and not hasattr(cls, "bl_parent_id")]
     assert [cls.bl_category for cls in stages] == ["Xihe"] * len(stages)
     assert [cls.bl_order for cls in stages] == list(range(len(stages)))
-    names = ["Virtual Objects", "Camera Path", "Effects", "Estimator", "Run", "Results", "Apply"]
+    names = ["Virtual Objects", "Camera Path", "Effects", "Estimator", "Run", "Apply", "Results"]
     assert [cls.bl_label for cls in stages] == names
 
 

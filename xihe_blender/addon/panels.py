@@ -1,6 +1,6 @@
 """What does an artist see? The tab "Xihe" in the sidebar of the 3D view: the chain from top to bottom, a panel a stage.
 
-    Virtual Objects, Camera Path, Effects, Estimator, Run, Results, Apply
+    Virtual Objects, Camera Path, Effects, Estimator, Run, Apply, Results
 
 A panel with nothing to show says in one line what to do next, and a grey button says why when the mouse rests on it
 (the operators' polls). Panels are drawn many times a second: they look at properties and names only, compute nothing
@@ -60,7 +60,7 @@ UNKNOWN_LIGHT = "How often the phone had seen too little for an estimate, so tha
 
 
 class StagePanel:
-    """Where all panels of the tab live; the scene that shows a run's light has the last one alone."""
+    """Where all panels of the tab live; the scene that shows a run's light has Apply alone."""
 
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
@@ -278,9 +278,26 @@ class XIHE_PT_run(StagePanel, bpy.types.Panel):
         layout.label(text=as_sentence(doing), translate=False)
 
 
+class XIHE_PT_apply(StagePanel, bpy.types.Panel):
+    bl_label = "Apply"
+    bl_order = 5
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        is_lit = shows_run(context)
+        row = layout.row()
+        row.scale_y = RUN_SCALE
+        row.operator(
+            "xihe.show_room" if is_lit else "xihe.show_lit", icon="LOOP_BACK" if is_lit else "SHADING_RENDERED"
+        )
+        column = layout.column(align=True)
+        column.operator("xihe.apply_light", text="Apply Light", icon="LIGHT_HEMI")
+        column.operator("xihe.remove_light", text="Remove Light", icon="TRASH")
+
+
 class XIHE_PT_results(StagePanel, bpy.types.Panel):
     bl_label = "Results"
-    bl_order = 5
+    bl_order = 6
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.xihe
@@ -290,6 +307,8 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
             return
         if settings.run_made_of:
             sentence(context, layout, f"Of the scene as it was at {settings.run_made_of}", icon="INFO")
+        if not run.summary.n_active_frames:
+            sentence(context, layout, "No virtual object was in view of the camera in any frame", icon="ERROR")
         column = layout.column(align=True)
         for name, value, meaning in result_rows(run):
             row = column.row(align=True)
@@ -308,32 +327,9 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         column = layout.column(align=True)
         column.operator("xihe.show_comparison", text="Compare", icon="IMAGE_DATA")
         column.prop(settings, "wipe", slider=True)
-        row = column.row()
-        row.active = False
-        row.label(text="Estimate")
-        right = row.row()
-        right.alignment = "RIGHT"
-        right.label(text="Ground Truth")
         column = layout.column(align=True)
         column.operator("xihe.save_side_by_side", icon="FILE_MOVIE")
         column.operator("xihe.open_report", text="Open Report", icon="URL")
-
-
-class XIHE_PT_apply(StagePanel, bpy.types.Panel):
-    bl_label = "Apply"
-    bl_order = 6
-
-    def draw(self, context: bpy.types.Context) -> None:
-        layout = self.layout
-        is_lit = shows_run(context)
-        row = layout.row()
-        row.scale_y = RUN_SCALE
-        row.operator(
-            "xihe.show_room" if is_lit else "xihe.show_lit", icon="LOOP_BACK" if is_lit else "SHADING_RENDERED"
-        )
-        column = layout.column(align=True)
-        column.operator("xihe.apply_light", text="Apply Light", icon="LIGHT_HEMI")
-        column.operator("xihe.remove_light", text="Remove Light", icon="TRASH")
 
 
 def object_icon(item: bpy.types.Object) -> str:
@@ -411,7 +407,7 @@ classes = (
     XIHE_PT_estimator,
     XIHE_PT_estimator_details,
     XIHE_PT_run,
-    XIHE_PT_results,
     XIHE_PT_apply,
+    XIHE_PT_results,
 )
 register, unregister = bpy.utils.register_classes_factory(classes)
