@@ -1,7 +1,5 @@
 """The chain of a session, driven with frames made of a painted sphere around the phone."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -98,14 +96,6 @@ def test_a_change_of_the_cameras_exposure_alone_does_not_fire():
     # Half the exposure: the same light gives half the linear value, 0.2140 / 2, which is 0.3613 encoded.
     report = controller.step(looking(0.0, level=0.3613, exposure=0.5))["Vase"]
     assert not report.decision.fire and report.decision.change < 1e-4
-
-
-def test_nothing_to_see_gives_an_estimate_that_says_it_is_not_valid():
-    controller = session()
-    report = controller.step(replace(looking(0.0), plane_depth_m=np.zeros((36, 48))))["Vase"]
-    assert not report.decision.fire and report.n_invalid_points == 36 * 48
-    assert controller.light("Vase") is None
-    assert not controller.estimate_at((0, 1.5, 0)).is_valid
 
 
 def test_estimate_at_any_position_leaves_the_session_alone():

@@ -112,14 +112,6 @@ def test_every_pixel_that_is_lost_is_counted_once(name):
     assert n_lost["range"] > 0
 
 
-@pytest.mark.parametrize("name", ["ipad_pro_lidar", "azure_kinect"])
-def test_pixels_that_came_invalid_stay_invalid(name):
-    frame = frame_of(5)
-    came_invalid = ~valid_plane_depth(frame.plane_depth_m)
-    seen = PhoneCamera(load_profile(name), 1).see(frame)
-    assert seen.plane_depth_m[came_invalid].tobytes() == frame.plane_depth_m[came_invalid].tobytes()
-
-
 def test_nothing_beyond_the_range_arrives():
     seen = PhoneCamera(load_profile("azure_kinect"), 1).see(frame_of(1))
     left = seen.plane_depth_m[valid_plane_depth(seen.plane_depth_m)]
@@ -142,15 +134,6 @@ def test_the_track_sets_exposure_and_radiance_makes_it_exact():
     seen = camera.see(frame_of(6), radiance=radiance, track=track)
     assert seen.exposure == track.exposure[6] > 0.5
     np.testing.assert_array_equal(seen.srgb_u8, encode_exposed(radiance, seen.exposure))
-
-
-def test_a_longer_session_has_the_same_beginning():
-    camera = PhoneCamera(load_profile("ipad_pro_lidar"), 1)
-    light = np.ones((5, 3)) * np.arange(1, 6)[:, None]
-    whole = camera.follow(range(5), np.arange(5) / 30, metered=[1, 2, 3, 2, 1], ambient=light, reference=1.0)
-    part = camera.follow(range(3), np.arange(3) / 30, metered=[1, 2, 3], ambient=light[:3], reference=1.0)
-    assert [whole.exposure[i] for i in range(3)] == [part.exposure[i] for i in range(3)]
-    np.testing.assert_array_equal([whole.ambient[i] for i in range(3)], [part.ambient[i] for i in range(3)])
 
 
 def test_a_devices_gain_says_nothing_about_its_first_reading():

@@ -52,15 +52,6 @@ def test_the_light_is_the_youngest_valid_estimate_that_has_arrived(seed):
         assert light is None or light.sh_radiance[0, 0] == max(there)
 
 
-def test_what_is_lost_leaves_the_light_before_in_force():
-    under_way = EstimatesUnderWay(replace(LINKS["wifi"], loss=0.0), 0)
-    under_way.ask("a", estimate(1), frame=1, asked_s=0.0, payload_bytes=4249)
-    under_way.link = replace(LINKS["wifi"], loss=1.0)
-    lost = under_way.ask("a", estimate(2), frame=2, asked_s=0.1, payload_bytes=4249)
-    assert lost.latency_s is None
-    assert under_way.light("a", 1e9).sh_radiance[0, 0] == 1
-
-
 def test_luck_depends_on_seed_frame_and_position_and_on_nothing_else():
     _, asked = session(UNSTEADY, 3)
     _, alone = session(UNSTEADY, 3, names=("b",))
