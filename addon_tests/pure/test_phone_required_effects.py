@@ -51,11 +51,6 @@ def test_each_effect_is_required_by_a_session_that_shows_it_and_by_no_other(effe
     assert shown.reason != calm.reason
 
 
-@pytest.mark.parametrize("name", ["ipad_pro_lidar", "azure_kinect"])
-def test_a_calm_session_requires_nothing(name):
-    assert names_that_are_on(plan_effects(load_profile(name).required_effects(CALM), {})) == set()
-
-
 @pytest.mark.parametrize("name", profile_names())
 def test_a_session_of_which_nothing_is_known_leaves_every_effect_on(name):
     profile = load_profile(name)

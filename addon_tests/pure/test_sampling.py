@@ -82,13 +82,6 @@ def test_memory_layout_of_the_points_does_not_matter():
     assert_same(sample_unit_sphere(cloud, ORIGIN, LATTICE), sample_unit_sphere(by_column, ORIGIN, LATTICE), rtol=0)
 
 
-def test_sampling_leaves_the_cloud_alone():
-    points, srgb = np.asfortranarray(nasty_cloud(np.random.default_rng(9)).points_m), np.zeros((903, 3), np.float32)
-    before = points.copy()
-    sample_unit_sphere(PointCloud(points, srgb), ORIGIN, LATTICE)
-    np.testing.assert_array_equal(points, before)
-
-
 def test_table_sampling_differs_in_some_anchors_only():
     cloud = random_cloud(np.random.default_rng(10), 49_152)
     exact = sample_unit_sphere(cloud, ORIGIN, LATTICE)

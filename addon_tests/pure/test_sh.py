@@ -6,9 +6,7 @@ import scipy.special
 
 from addon_tests.pure.made import random_rotation
 from addon_tests.pure.sh_samples import (
-    AXES,
     CONSTANT,
-    EVERY_AXIS,
     F64,
     LATTICE,
     Lattice,
@@ -88,13 +86,6 @@ def test_more_coverage_brings_the_fit_nearer():
     ]
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] == 0
-
-
-@EVERY_AXIS
-def test_bright_anchors_on_one_side_light_that_side(axis):
-    bright = np.repeat((LATTICE.directions @ np.array(axis) > 0.9)[:, None].astype(float), 3, axis=1)
-    received = irradiance(project_anchors(cloud_of(bright, np.ones(1280, bool)), LATTICE), list(AXES.values()))
-    assert np.argmax(received[:, 1]) == list(AXES.values()).index(axis)
 
 
 def test_channels_do_not_mix_and_distances_do_not_matter():
