@@ -363,13 +363,6 @@ def test_a_mistake_is_one_line_that_names_the_fix_and_leaves_nothing(folder, tmp
     assert not any(tmp_path.iterdir())
 
 
-def test_a_file_in_place_of_the_folder_is_refused(folder, tmp_path):
-    (tmp_path / "file").write_text("mine")
-    assert_refused(previs(folder / "walk.blend", tmp_path / "file"), "is a file", "--out")
-    assert_refused(previs(folder / "walk.blend", tmp_path / "file" / "out"), "another folder", "--out")
-    assert (tmp_path / "file").read_text() == "mine"
-
-
 def test_a_file_in_the_way_is_named(folder, finished, tmp_path):
     made = files_below(finished[1])
     written_before(finished, min((path for path in made if path.startswith("pictures/")), key=made.get), tmp_path)

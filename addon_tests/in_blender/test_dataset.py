@@ -219,15 +219,6 @@ def test_what_a_failing_worker_said_is_passed_on(tmp_path):
         run_blocking(build_dataset(tmp_path, replace(small_build(1), render=SMALL.numbers[:4])))
 
 
-@pytest.mark.parametrize(
-    ("folder", "words"), [("rooms", "rooms is a file: give --out a folder"), ("rooms/more", "cannot write to .*rooms")]
-)
-def test_a_folder_that_cannot_be_made_names_the_fix(tmp_path, folder, words):
-    (tmp_path / "rooms").write_text("a file where a folder belongs")
-    with pytest.raises(UserError, match=words):
-        run_blocking(build_dataset(tmp_path / folder, small_build(1)))
-
-
 def test_a_contact_sheet_shows_every_room(room):
     sheet = contact_sheet([room] * 5, n_columns=3)
     assert sheet.shape == (2 * (24 + 16 + 4), 3 * (32 + 4), 3)
