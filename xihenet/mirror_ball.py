@@ -114,8 +114,9 @@ def project_mirror_ball(radiance: ArrayLike, order: int = 2, *, turned: ArrayLik
     image = _checked(radiance)
     if turned is None:
         return _pixel_integrals(len(image), order, "all") @ image.reshape(-1, 3)
-    beyond = _pixel_integrals(len(image), order, "beyond") @ _checked(turned).reshape(-1, 3)
-    return _pixel_integrals(len(image), order, "inside") @ image.reshape(-1, 3) + beyond
+    inside: ArrayF64 = _pixel_integrals(len(image), order, "inside") @ image.reshape(-1, 3)
+    beyond: ArrayF64 = _pixel_integrals(len(image), order, "beyond") @ _checked(turned).reshape(-1, 3)
+    return np.add(inside, beyond)
 
 
 def _checked(radiance: ArrayLike) -> ArrayF64:

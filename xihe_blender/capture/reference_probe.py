@@ -283,7 +283,7 @@ def lights_of_cones(pictures: Sequence[ArrayF32]) -> ArrayF64:
         beside = number ^ 1 if number ^ 1 < len(pictures) else number - 1
         light = project_mirror_ball(picture, turned=pictures[beside] if beside >= 0 else None)
         lights.append(light * (TURNED_OVER[:, None] if number % 2 else 1))
-    return np.array(lights) / cone_factors()[:, None]
+    return np.divide(lights, cone_factors()[:, None])
 
 
 @cache
