@@ -122,14 +122,14 @@ def walk_through(backend: ChoiceBackend, walk: Walk, clock: Clock = time.thread_
     return Walked(lights, n_estimates, elapsed_ms / len(frames))
 
 
-def light_of_frame(backend: ChoiceBackend, frame: RgbdFrame, position_m: ArrayF64, exposure: float) -> ArrayF64:
+def light_of_frame(backend: ChoiceBackend, frame: RgbdFrame, position_m: ArrayF64) -> ArrayF64:
     """(25, 3) from one frame alone, whatever the trigger thinks of it."""
     choice = backend.choice
     seen = with_every_pixel(frame, choice.every_pixel)
-    points = unproject_frame(seen, reference_exposure=exposure)
+    points = unproject_frame(seen)
     lattice = AnchorLattice(choice.n_anchors)
     cloud = sample_unit_sphere(points, position_m, lattice, method=choice.nearest, table_size=choice.cells)
-    context = EstimateContext(seen, points, position_m, None, exposure)
+    context = EstimateContext(seen, points, position_m, None, frame.exposure)
     backend.made.clear()
     backend.estimate(cloud, context)
     return padded(backend.made[0])

@@ -16,7 +16,6 @@ import contextlib
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import ParamSpec, TypeVar
 
 import numpy as np
@@ -28,20 +27,12 @@ Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
 
-@dataclass(frozen=True)
-class Quartiles:
-    """Median of some measurements, and the distance between their quartiles."""
-
-    median: float
-    spread: float
-
-    @classmethod
-    def of(cls, values: Sequence[float]) -> Quartiles:
-        """ValueError for none."""
-        if not len(values):
-            raise ValueError("Quartiles: expected a measurement at least, got none")
-        low, middle, high = np.percentile(values, (25, 50, 75))
-        return cls(float(middle), float(high - low))
+def median_and_spread(values: Sequence[float]) -> tuple[float, float]:
+    """Median of some measurements, and the distance between their quartiles; ValueError for none."""
+    if not len(values):
+        raise ValueError("median_and_spread: expected a measurement at least, got none")
+    low, middle, high = np.percentile(values, (25, 50, 75))
+    return float(middle), float(high - low)
 
 
 def timed(run: Callable[Arguments, Result], *args: Arguments.args, **kwargs: Arguments.kwargs) -> tuple[Result, float]:
