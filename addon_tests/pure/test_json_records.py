@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import pytest
 from hypothesis import given
@@ -20,30 +20,22 @@ from xihenet.json_files import parse_json, read_json
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """A picture.
-
-    Parameters
-    ----------
-    file, title : where it is,
-        and its name
-    error : of it
-    """
+    """A picture."""
 
     file: str
-    title: str | None
+    title: Annotated[str | None, "where it is, and its name"]
     error: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """A frame of a path.
+    """A frame
+    of a path.
 
-    Parameters
-    ----------
-    number : of the frame
+    Not told.
     """
 
-    number: int
+    number: Annotated[int, "of the frame"]
     is_active: bool
     reason: Literal["first", "none"] = "none"
     light: tuple[tuple[float, float], ...] = ()
@@ -128,7 +120,7 @@ def test_what_a_newer_version_adds_is_left_out():
     assert from_json(Frame, as_json(FRAME) | {"weather": "fine"}) == FRAME
 
 
-def test_the_schema_says_what_the_docstring_says():
+def test_the_schema_says_what_the_record_says_of_itself_and_its_fields():
     schema = json_schema(Frame)
     assert schema["properties"]["number"] == {"type": "integer", "description": "of the frame"}
     assert schema["properties"]["title"]["description"] == "where it is, and its name"

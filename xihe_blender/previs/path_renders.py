@@ -20,7 +20,7 @@ from xihe_blender.capture.phone_surfaces import ask_for_surfaces, load_surfaces,
 from xihe_blender.capture.reference_probe import MeasuredLight, ReferenceProbe, open_reference_probe
 from xihe_blender.capture.scanner import CyclesScanner, first_layer, open_scanner, session_time_s
 from xihe_blender.io.exr import read_radiance, write_radiance
-from xihe_blender.io.json_records import Json, as_json
+from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.outputs import copy_whole, write_json, write_picture
 from xihe_blender.jobs import Progress
@@ -29,6 +29,8 @@ from xihe_blender.previs.prepare import PreparedRun
 from xihenet.json_files import read_json
 from xihenet.recording import load_frame, save_frame
 from xihenet.records import RgbdFrame
+
+_kept_light = functools.partial(from_json, MeasuredLight)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +59,9 @@ class PathRenders:
         probes = self.run.probes_in_view(frame)
         if not probes:
             return None
-        lights = {probe.name: _kept_light(read_json(self.reference(probe, frame))) for probe in probes}
+        references = {probe.name: _kept_light(read_json(self.reference(probe, frame))) for probe in probes}
         capture_s = float(read_json(self.outputs.times(frame))["render_s"])
-        render_s = capture_s + sum(probe_s for _, probe_s in lights.values())
-        references = {name: light for name, (light, _) in lights.items()}
+        render_s = capture_s + sum(light.render_s for light in references.values())
         return FrameRenders(load_frame(self.outputs.capture(frame)), references, render_s)
 
     def is_captured(self, frame: int) -> bool:
@@ -105,20 +106,16 @@ class PathRenders:
         panorama = functools.partial(self.outputs.probe, index, probe.name)
         if source == frame:
             light = reference_probe.light_at(index, frame, self.run.exposure)
-            measured, render_s = light.measured, light.render_s
+            measured = light.measured
             write_radiance(panorama(frame), light.panorama)
         else:
-            measured, render_s = _kept_light(read_json(self.reference(probe, source)))[0], 0.0
+            measured = replace(_kept_light(read_json(self.reference(probe, source))), render_s=0.0)
             copy_whole(panorama(source), panorama(frame))
-        write_json(self.reference(probe, frame), {"light": as_json(measured), "render_s": render_s})
-        return render_s
+        write_json(self.reference(probe, frame), as_json(measured))
+        return measured.render_s
 
     def reference(self, probe: Probe, frame: int) -> Path:
         return self.outputs.reference(self.run.plan.probes.index(probe), probe.name, frame)
-
-
-def _kept_light(content: Json) -> tuple[MeasuredLight, float]:
-    return MeasuredLight.from_json(content["light"]), float(content["render_s"])
 
 
 def render_path(run: PreparedRun) -> Generator[Progress, None, dict[int, float]]:
