@@ -73,16 +73,6 @@ class Unit:
         return f"{self.scene.stem}_{self.digest[:8]}_seed{self.seed}"
 
 
-@dataclass(frozen=True)
-class UnitAsked:
-    """What the process that does a unit is told: its scene and seed, where it leaves what, and the batch's settings."""
-
-    scene: str
-    seed: int
-    folder: str
-    settings: BatchSettings
-
-
 def planned_units(scenes: Sequence[Path], seeds: Sequence[int]) -> tuple[list[Unit], dict[str, str]]:
     """Every scene with every seed, each once, and by name what is wrong with files that cannot be read."""
     units: dict[str, Unit] = {}
