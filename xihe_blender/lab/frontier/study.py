@@ -31,7 +31,7 @@ from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.lab.frontier.answers import answers
 from xihe_blender.lab.frontier.choices import compute_choices, render_choices
-from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, N_COEFFICIENTS, ORDER, Walk, loaded, measure_compute
+from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, N_COEFFICIENTS, ORDER, ChoiceBackend, Walk, measure_compute
 from xihe_blender.lab.frontier.points import MeasuredScene, kept_scene, points_of
 from xihe_blender.lab.frontier.records import (
     ComputeChoice,
@@ -157,7 +157,7 @@ def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[M
         with open_scanner(scene, capture) as scanner:
             scanner.exposure = prepared.exposure
             walk = yield from share("walking", _walk(study, prepared, scanner))
-            backends, missing = loaded(compute_choices(is_quick=settings.is_quick))
+            backends = {choice: ChoiceBackend(choice) for choice in compute_choices(is_quick=settings.is_quick)}
             computed = yield from share("computing", measure_compute(backends, walk, study_size.n_rounds, rng))
             seen = evenly_chosen(list(zip(walk.frames, walk.active, strict=True)), study_size.n_views)
             renders = RenderStudy(
@@ -179,7 +179,6 @@ def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[M
     with_computing = [replace(one, times_ms=tuple(ms + added for ms in one.times_ms)) for one in pictured]
     measured = FrontierScene(
         name=file.stem,
-        missing_estimators=tuple(missing),
         exposure=prepared.exposure,
         size=size,
         n_walk_frames=len(walk.frames),
