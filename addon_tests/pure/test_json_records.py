@@ -41,6 +41,8 @@ class Frame:
     light: tuple[tuple[float, float], ...] = ()
     place: tuple[int, int] = (0, 0)
     counts: dict[str, int | None] = field(default_factory=dict)
+    by_frame: dict[int, float] = field(default_factory=dict)
+    by_side: dict[Literal["left", "right"], int] = field(default_factory=dict)
     parameters: dict[str, str | int | float | bool | None] = field(default_factory=dict)
     exposure: float | None = field(default=None, metadata=ABSENT)
     picture: Picture | None = field(default=None, metadata=INLINE)
@@ -56,6 +58,8 @@ FRAMES = st.builds(
     light=st.lists(st.tuples(NUMBERS, NUMBERS)).map(tuple),
     place=st.tuples(st.integers(), st.integers()),
     counts=st.dictionaries(st.text(), st.none() | st.integers()),
+    by_frame=st.dictionaries(st.integers(), NUMBERS),
+    by_side=st.dictionaries(st.sampled_from(["left", "right"]), st.integers()),
     parameters=st.dictionaries(st.text(), st.none() | st.text() | st.integers() | NUMBERS | st.booleans()),
     exposure=st.none() | NUMBERS,
     picture=st.none() | PICTURES,
@@ -86,6 +90,7 @@ def test_a_record_comes_back_as_it_was_and_fits_its_schema(frame):
         ({"place": [1, 2, 3]}, "Frame.place"),
         ({"counts": {"a": "b"}}, "Frame.counts.a"),
         ({"counts": []}, "Frame.counts"),
+        ({"by_frame": {"1": "b"}}, "Frame.by_frame.1"),
         ({"parameters": {"a": []}}, "Frame.parameters.a"),
         ({"exposure": "bright"}, "Frame.exposure"),
         ({"file": "a.png", "title": None, "error": "none"}, "Frame.error"),

@@ -76,7 +76,8 @@ def _read(kind: Any, content: Json, where: str) -> Any:
         return tuple(_read(k, v, f"{where}[{i}]") for i, (k, v) in enumerate(zip(kinds, content, strict=True)))
     if origin in (dict, Mapping):
         _checked(isinstance(content, Mapping), content, where)
-        return {of[0](name): _read(of[1], of_one, f"{where}.{name}") for name, of_one in content.items()}
+        names = [int(name) if of[0] is int else name for name in content]
+        return {k: _read(of[1], v, f"{where}.{k}") for k, v in zip(names, content.values(), strict=True)}
     if getattr(origin, "__name__", "") == "ndarray":
         return _read_numbers(content, where)
     if kind is float:
