@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,14 +27,18 @@ from xihe_blender.capture.scanner import first_layer, open_scanner
 from xihe_blender.cli.arguments import picture_size
 from xihe_blender.io.blender_output import blender_output_aside
 from xihe_blender.light_transport import cycles_settings, required_effects
-from xihe_blender.light_transport.plan import everything_on
 from xihe_blender.previs.required_effects import positions_in
 from xihe_blender.scene.blend_file import open_blend
 from xihenet.agreement import agreement
 from xihenet.effects import plan_effects
 from xihenet.records import ArrayF32
 
-SCENES = Path(__file__).resolve().parents[2] / "blend_scenes"
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT), str(ROOT / "addon_tests" / "in_blender")]
+
+from planned_effects import everything_on  # noqa: E402
+
+SCENES = ROOT / "blend_scenes"
 HEAD = (
     f"{'scene':<18}{'planning, s':>12}{'plan, s':>9}{'all on, s':>10}{'plan / all on':>22}{'plan / own':>22}"
     f"{'difference':>12}{'errors':>8}{'blocks':>8}  {'agree':<7}{'own is off by':>13}"

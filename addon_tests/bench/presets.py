@@ -20,9 +20,9 @@ from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.frontier.choices import FULL, RenderCandidate
 from xihe_blender.lab.frontier.compute import KINDS
 from xihe_blender.lab.frontier.records import FrontierSettings, RenderChoice
-from xihe_blender.lab.frontier.rendering import COMPUTED_BY, RenderStudy, SceneStudy, View, measure_rendering
+from xihe_blender.lab.frontier.rendering import COMPUTED_BY, RenderStudy, SceneStudy, measure_rendering
 from xihe_blender.lab.frontier.study import prepare, survey_scene
-from xihe_blender.lab.frontier.timing import Quartiles
+from xihe_blender.lab.frontier.timing import median_and_spread
 from xihe_blender.previs.plan import evenly_chosen
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
@@ -37,17 +37,17 @@ def measured(file, folder, effort, seed):
     scene, rng = open_blend(file), np.random.default_rng(seed)
     plan, survey = survey_scene(scene)
     settings = FrontierSettings(seed=seed, study_size=effort)
-    study = SceneStudy(scene, file.stem, plan, survey, folder / file.stem, settings)
+    study = SceneStudy(scene, plan, survey, folder / file.stem, settings)
     with scene_kept():
         prepared = run_blocking(prepare(study))
         capture = RenderSettings(plan.size, 1, seed, light_transport=prepared.light_transport)
         with open_scanner(scene, capture) as scanner:
             scanner.exposure = prepared.exposure
             positions_m = {probe.name: probe.position_m for probe in plan.probes}
-            views = [
-                View(frame, [positions_m[name] for name in names])
+            views = {
+                frame: [positions_m[name] for name in names]
                 for frame, names in evenly_chosen(list(survey.in_view.items()), effort.n_views)
-            ]
+            }
             choices = [RenderCandidate(choice, name) for name, choice in prepared.presets.items()]
             exhaustive = RenderChoice(plan.size, effort.reference_samples)
             renders = RenderStudy(
@@ -55,7 +55,7 @@ def measured(file, folder, effort, seed):
             )
             nothing = dict.fromkeys(COMPUTED_BY, 0.0)
             alone, _ = run_blocking(measure_rendering(renders, nothing, rng))
-    return alone, [len(view.positions_m) * effort.n_seeds for view in views]
+    return alone, [len(positions_m) * effort.n_seeds for positions_m in views.values()]
 
 
 def by_view(one, kind, sizes):
@@ -67,7 +67,7 @@ def by_view(one, kind, sizes):
 def row(file, alone, sizes):
     """A line of the table."""
     overall = {kind: [np.sqrt(np.mean(one.square_errors[kind])) for one in alone] for kind in KINDS}
-    times_s = [Quartiles.of(one.times_ms).median / 1000 for one in alone]
+    times_s = [median_and_spread(one.times_ms)[0] / 1000 for one in alone]
     samples = ", ".join(str(one.settings.rendering.samples) for one in alone)
     cells = [f"{error:.2%} in {time_s:.2g} s" for error, time_s in zip(overall["coefficients"], times_s, strict=True)]
     for kind in KINDS:

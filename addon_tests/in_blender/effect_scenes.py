@@ -4,9 +4,8 @@ import functools
 import math
 
 import bpy
+from planned_effects import plan_light_transport
 from tiny_scenes import add, add_lamp, box, empty_scene, key, material, node_of, phone, set_world, sphere
-
-from xihe_blender.light_transport import plan_light_transport
 
 
 def stage(make_look=None, lamp=True):

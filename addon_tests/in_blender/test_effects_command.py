@@ -8,6 +8,7 @@ from dataclasses import replace
 import bpy
 import pytest
 from effect_scenes import ball, glass, stage
+from planned_effects import plan_light_transport
 from previs_runs import SMALL, run
 from scene_snapshot import differences, snapshot
 from tiny_scenes import room_with_a_virtual_sphere, saved
@@ -17,7 +18,7 @@ from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.capture.render import can_denoise
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihe_blender.light_transport import costs, plan_light_transport, remember_overrides, remembered_overrides
+from xihe_blender.light_transport import costs, remember_overrides, remembered_overrides
 from xihe_blender.light_transport.overrides import PROPERTY, parsed_overrides
 from xihe_blender.light_transport.plan import required_effects
 from xihe_blender.light_transport.rules import RULES, SWITCHED_ELSEWHERE

@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from effect_scenes import PAIRS, bright_room, open_field
+from planned_effects import everything_on, plan_light_transport
 
 from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
 from xihe_blender.capture.scanner import first_layer
-from xihe_blender.light_transport import cycles_settings, plan_light_transport, required_effects
-from xihe_blender.light_transport.plan import everything_on
+from xihe_blender.light_transport import cycles_settings, required_effects
 from xihenet.agreement import agreement
 from xihenet.effects import plan_effects
 

@@ -21,12 +21,12 @@ from effect_scenes import (
     state,
     with_ball,
 )
+from planned_effects import everything_on, plan_light_transport
 from tiny_scenes import add_instance, box, material, node_of, phone, set_world
 
 from xihe_blender.capture.render import RenderSettings, can_denoise, working_scene
-from xihe_blender.light_transport import cycles_settings, plan_light_transport, required_effects
+from xihe_blender.light_transport import cycles_settings, required_effects
 from xihe_blender.light_transport.enclosure import LEFT_OUT, MAX_BOUNCES, N_SURFACES, bounces_needed
-from xihe_blender.light_transport.plan import everything_on
 from xihe_blender.light_transport.rules import RULES
 
 

@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from effect_scenes import shader_look
+from planned_effects import plan_light_transport
 from previs_runs import IPAD, SMALL, run
 from scene_snapshot import differences, snapshot
 from tiny_scenes import (
@@ -26,7 +27,7 @@ from xihe_blender.capture.phone_surfaces import load_surfaces
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import run_blocking
-from xihe_blender.light_transport import plan_light_transport, remember_overrides
+from xihe_blender.light_transport import remember_overrides
 from xihe_blender.previs.phone_capture import SURFACE_EFFECTS
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.prepare import prepare_run

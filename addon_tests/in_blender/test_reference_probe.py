@@ -18,7 +18,7 @@ from xihe_blender.capture.reference_probe import (
     lights_of_cones,
     open_reference_probe,
 )
-from xihe_blender.io.json_records import as_json
+from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.mirror_ball import ball_directions
 from xihenet.sh import basis, irradiance
@@ -192,7 +192,7 @@ def test_constant_cones_are_constant_light():
 def test_what_was_measured_comes_back_from_json():
     rng = np.random.default_rng(0)
     light = MeasuredLight(rng.normal(size=(9, 3)), rng.normal(size=(9, 3)), 0.1, None, 4, 16)
-    again = MeasuredLight.from_json(as_json(light))
+    again = from_json(MeasuredLight, as_json(light))
     assert again.ldr.tobytes() == light.ldr.tobytes() and again.hdr.tobytes() == light.hdr.tobytes()
     assert (again.ldr_noise, again.hdr_noise, again.ldr_samples, again.hdr_samples) == (0.1, None, 4, 16)
 

@@ -13,6 +13,7 @@ from tiny_scenes import light_strength, phone, room_with_a_virtual_sphere
 
 from xihe_blender.capture.scanner import metered_frames
 from xihe_blender.errors import UserError
+from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.light_transport import required_effects
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.previs import previs
@@ -77,10 +78,10 @@ def test_a_survey_comes_back_from_its_file_to_the_last_bit():
     scene = walk()
     bpy.data.objects["Ball"].location = (5e4, 0, 0.85)
     survey = surveyed(scene)
-    text = json.dumps(survey.as_json(), allow_nan=False)
-    read = SceneSurvey.from_json(json.loads(text))
+    text = json.dumps(as_json(survey), allow_nan=False)
+    read = from_json(SceneSurvey, json.loads(text))
     assert survey.faults and read.faults == survey.faults
-    assert json.dumps(read.as_json()) == text
+    assert json.dumps(as_json(read)) == text
     assert read.frames[1].state == survey.frames[1].state and read.required == survey.required
     np.testing.assert_array_equal(read.frames[1].motion.turn_rad_per_s, survey.frames[1].motion.turn_rad_per_s)
 

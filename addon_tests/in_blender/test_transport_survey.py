@@ -4,9 +4,10 @@ import bpy
 import numpy as np
 import pytest
 from effect_scenes import ball, ball_node, bright_room, glass, mirror, mixed, shader_look, stage, state, with_ball
+from planned_effects import plan_light_transport
 from tiny_scenes import add, add_instance, add_lamp, box, empty_scene, geometry_nodes, key, material, node_of, phone
 
-from xihe_blender.light_transport import cycles_settings, plan_light_transport, required_effects, transport_survey
+from xihe_blender.light_transport import cycles_settings, required_effects, transport_survey
 from xihe_blender.light_transport.enclosure import carried, rays_all_round
 from xihenet.effects import names_that_are_on
 

@@ -16,7 +16,7 @@ from xihe_blender.lab.batch.answers import (
     trigger_points,
     worst_cases,
 )
-from xihe_blender.lab.batch.report import report_page, write_report
+from xihe_blender.lab.batch.report import report_page
 from xihe_blender.lab.batch.results import BatchFolder
 from xihe_blender.lab.frontier.records import Answer, ComputeChoice, FrontierPoint, PointSettings
 
@@ -85,16 +85,15 @@ def test_so_few_scenes_say_how_little_they_hold():
 
 def test_worst_cases_are_one_per_scene_and_estimator_and_never_the_truth():
     cases = worst_cases(batch(), 100)
-    assert len(cases) == 8 * 3 and [case.psnr for case in cases] == sorted(case.psnr for case in cases)
-    assert all(case.frame == 3 and case.trial.estimator != "truth" for case in cases)
-    assert cases[0].trial.scene == "room 7" and cases[0].trial.estimator == "ambient"
+    assert len(cases) == 8 * 3 and [frame.psnr for _, frame in cases] == sorted(frame.psnr for _, frame in cases)
+    assert all(frame.frame == 3 and trial.estimator != "truth" for trial, frame in cases)
+    assert cases[0][0].scene == "room 7" and cases[0][0].estimator == "ambient"
 
 
 def test_the_page_is_one_file_with_its_pictures(tmp_path):
     trials = batch()
     folder = folder_with_pictures(tmp_path, trials)
-    write_report(folder, results(trials), None)
-    page = folder.report.read_text(encoding="utf-8")
+    page = report_page(folder, results(trials), None)
     assert page.count("data:image/png") == 18 and not re.findall(r'(?:src|href)="(?!data:|#)', page)
     questions = ("Which estimator", "better phone", "How often", "How many anchors", "last 10\u202f%", "Worst cases")
     assert all(question in page for question in questions)

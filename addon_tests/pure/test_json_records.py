@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import pytest
 from hypothesis import given
@@ -20,35 +20,29 @@ from xihenet.json_files import parse_json, read_json
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """A picture.
-
-    Parameters
-    ----------
-    file, title : where it is,
-        and its name
-    error : of it
-    """
+    """A picture."""
 
     file: str
-    title: str | None
+    title: Annotated[str | None, "where it is, and its name"]
     error: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """A frame of a path.
+    """A frame
+    of a path.
 
-    Parameters
-    ----------
-    number : of the frame
+    Not told.
     """
 
-    number: int
+    number: Annotated[int, "of the frame"]
     is_active: bool
     reason: Literal["first", "none"] = "none"
     light: tuple[tuple[float, float], ...] = ()
     place: tuple[int, int] = (0, 0)
     counts: dict[str, int | None] = field(default_factory=dict)
+    by_frame: dict[int, float] = field(default_factory=dict)
+    by_side: dict[Literal["left", "right"], int] = field(default_factory=dict)
     parameters: dict[str, str | int | float | bool | None] = field(default_factory=dict)
     exposure: float | None = field(default=None, metadata=ABSENT)
     picture: Picture | None = field(default=None, metadata=INLINE)
@@ -64,6 +58,8 @@ FRAMES = st.builds(
     light=st.lists(st.tuples(NUMBERS, NUMBERS)).map(tuple),
     place=st.tuples(st.integers(), st.integers()),
     counts=st.dictionaries(st.text(), st.none() | st.integers()),
+    by_frame=st.dictionaries(st.integers(), NUMBERS),
+    by_side=st.dictionaries(st.sampled_from(["left", "right"]), st.integers()),
     parameters=st.dictionaries(st.text(), st.none() | st.text() | st.integers() | NUMBERS | st.booleans()),
     exposure=st.none() | NUMBERS,
     picture=st.none() | PICTURES,
@@ -94,6 +90,7 @@ def test_a_record_comes_back_as_it_was_and_fits_its_schema(frame):
         ({"place": [1, 2, 3]}, "Frame.place"),
         ({"counts": {"a": "b"}}, "Frame.counts.a"),
         ({"counts": []}, "Frame.counts"),
+        ({"by_frame": {"1": "b"}}, "Frame.by_frame.1"),
         ({"parameters": {"a": []}}, "Frame.parameters.a"),
         ({"exposure": "bright"}, "Frame.exposure"),
         ({"file": "a.png", "title": None, "error": "none"}, "Frame.error"),
@@ -128,7 +125,7 @@ def test_what_a_newer_version_adds_is_left_out():
     assert from_json(Frame, as_json(FRAME) | {"weather": "fine"}) == FRAME
 
 
-def test_the_schema_says_what_the_docstring_says():
+def test_the_schema_says_what_the_record_says_of_itself_and_its_fields():
     schema = json_schema(Frame)
     assert schema["properties"]["number"] == {"type": "integer", "description": "of the frame"}
     assert schema["properties"]["title"]["description"] == "where it is, and its name"

@@ -106,7 +106,7 @@ class ProbeSettings:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredLight:
-    """What was measured of the light at one position, without its pictures.
+    """What was measured of the light at one position, without its pictures; rendering them took `render_s`.
 
     Parameters
     ----------
@@ -122,6 +122,14 @@ class MeasuredLight:
     hdr_noise: float | None
     ldr_samples: int
     hdr_samples: int
+    render_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("ldr", "hdr"):
+            light = np.asarray(getattr(self, name), np.float64)
+            if light.ndim != 2 or light.shape[1] != 3 or len(light) < 9:
+                raise ValueError(f"{name}: expected coefficients (9, 3), got an array of shape {light.shape}")
+            object.__setattr__(self, name, light)
 
     def of(self, target: Target) -> ArrayF64:
         return self.ldr if target == "ldr" else self.hdr
@@ -137,19 +145,10 @@ class MeasuredLight:
     def samples(self, target: Target) -> int:
         return self.ldr_samples if target == "ldr" else self.hdr_samples
 
-    @classmethod
-    def from_json(cls, content: dict[str, Any]) -> MeasuredLight:
-        """What `as_json` gave; ValueError for coefficients that are none."""
-        lights = {name: np.array(content[name], np.float64) for name in ("ldr", "hdr")}
-        for name, light in lights.items():
-            if light.ndim != 2 or light.shape[1] != 3 or len(light) < 9 or not np.isfinite(light).all():
-                raise ValueError(f"{name}: expected finite coefficients (9, 3), got an array of shape {light.shape}")
-        return cls(**{**content, **lights})
-
 
 @dataclass(frozen=True, eq=False)
 class ReferenceLight:
-    """The light at one position, and what camera rays see there, in scene radiance; rendering took `render_s`.
+    """The light at one position, and what camera rays see there, in scene radiance.
 
     `panorama` is (H, 2H, 3) float32, `ball` (N, N, 3) float32, the same as a mirror ball.
     """
@@ -157,7 +156,6 @@ class ReferenceLight:
     measured: MeasuredLight
     panorama: ArrayF32
     ball: ArrayF32
-    render_s: float
 
 
 @dataclass
@@ -188,13 +186,10 @@ class ReferenceProbe:
         )
         seen: ArrayF32 = np.mean([view.radiance for view in views], axis=0) if smooth is None else smooth.radiance
         ball = seen / gain
-        render_s = sum(view.render_s for view in views) + sum(cone.render_s for cone in cones)
-        return ReferenceLight(
-            MeasuredLight(ldr, hdr, ldr_noise, hdr_noise, len(views), len(cones)),
-            panorama_of_ball(ball, max(8, self.settings.size // 4)),
-            ball,
-            render_s if smooth is None else render_s + smooth.render_s,
-        )
+        render_s = sum(picture.render_s for picture in (*views, *cones))
+        render_s += 0.0 if smooth is None else smooth.render_s
+        measured = MeasuredLight(ldr, hdr, ldr_noise, hdr_noise, len(views), len(cones), render_s)
+        return ReferenceLight(measured, panorama_of_ball(ball, max(8, self.settings.size // 4)), ball)
 
     def _measure(
         self, take: Callable[[int], Picture], lights: Callable[[Sequence[Picture]], ArrayF64]

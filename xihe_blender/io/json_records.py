@@ -1,19 +1,18 @@
 """Records as JSON: a frozen dataclass says once what a file holds, and is written, read and described by it.
 
-Dataclasses, tuples, dicts with names as keys, `Literal`, `X | None` and plain values, nested as one likes. A reader
-takes what is missing from the defaults and leaves out what it does not know, so that older and newer files can be read.
-What a field holds is `Annotated`, or an entry below the first paragraph of the docstring. A field marked ABSENT stays
-out of the JSON while it is None; the fields of a record marked INLINE stand among those of the record around it, which
-is None if none of them does. Not for NaN or Infinity, which JSON does not have.
+Dataclasses, tuples, dicts with names or numbers as keys, `Literal`, `X | None`, arrays and plain values, nested as one
+likes. A reader takes what is missing from the defaults and leaves out what it does not know, so that older and newer
+files can be read; arrays come as lists of floats, and the record makes arrays of them. What a field holds is
+`Annotated`. A field marked ABSENT stays out of the JSON while it is None; the fields of a record marked INLINE stand
+among those of the record around it, which is None if none of them does. Not for NaN or Infinity, which JSON does not
+have.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-import inspect
 import math
-import re
 import types
 import typing
 from collections.abc import Mapping
@@ -77,11 +76,20 @@ def _read(kind: Any, content: Json, where: str) -> Any:
         return tuple(_read(k, v, f"{where}[{i}]") for i, (k, v) in enumerate(zip(kinds, content, strict=True)))
     if origin in (dict, Mapping):
         _checked(isinstance(content, Mapping), content, where)
-        return {name: _read(of[1], of_one, f"{where}.{name}") for name, of_one in content.items()}
+        names = [int(name) if of[0] is int else name for name in content]
+        return {k: _read(of[1], v, f"{where}.{k}") for k, v in zip(names, content.values(), strict=True)}
+    if getattr(origin, "__name__", "") == "ndarray":
+        return _read_numbers(content, where)
     if kind is float:
         is_number = isinstance(content, int | float) and not isinstance(content, bool)
         return float(_checked(is_number and math.isfinite(content), content, where))
     return _checked(type(content) is kind, content, where)
+
+
+def _read_numbers(content: Json, where: str) -> Any:
+    if isinstance(content, list):
+        return [_read_numbers(of_one, f"{where}[{i}]") for i, of_one in enumerate(content)]
+    return _read(float, content, where)
 
 
 def _read_record(kind: Any, content: Json, where: str) -> Any:
@@ -151,11 +159,8 @@ def _describe(kind: Any, found: dict[str, Json]) -> dict[str, Json]:
 
 
 def _describe_record(kind: Any, found: dict[str, Json]) -> dict[str, Json]:
-    docstring = inspect.cleandoc(kind.__doc__)
     hints = typing.get_type_hints(kind, include_extras=True).items()
     texts = {name: str(hint.__metadata__[0]) for name, hint in hints if hasattr(hint, "__metadata__")}
-    for base in reversed(kind.__mro__):
-        texts |= _texts_of_fields(inspect.cleandoc(base.__doc__ or ""))
     fields = dataclasses.fields(kind)
     properties: dict[str, Json] = {}
     for field in fields:
@@ -166,19 +171,9 @@ def _describe_record(kind: Any, found: dict[str, Json]) -> dict[str, Json]:
             text = {"description": texts[field.name]} if field.name in texts else {}
             properties[field.name] = _describe(of_field, found) | text
     return {
-        "description": " ".join(docstring.split("\n\n")[0].split()),
+        "description": " ".join(kind.__doc__.split("\n\n")[0].split()),
         "type": "object",
         "properties": properties,
         "required": [field.name for field in fields if not field.metadata],
         "additionalProperties": False,
     }
-
-
-def _texts_of_fields(docstring: str) -> dict[str, str]:
-    """What a docstring says of each field below its first paragraph; names that share a line share its text."""
-    _, _, fields = docstring.partition("\n\n")
-    texts = {}
-    for entry in re.split(r"\n(?=\S)", fields):
-        names, _, text = entry.partition(" : ")
-        texts.update({name.strip(): " ".join(text.split()) for name in names.split(",")})
-    return texts

@@ -5,8 +5,7 @@ name says `ms`. Coefficients are nine triples (R, G, B) of radiance SH in the or
 axes as in Blender's world; they carry `settings.reference_exposure`, and dividing by it gives scene radiance.
 
 docs/results.schema.json is made from these records (`python -m xihe_blender.io.run_results`). What a field holds stands
-beside it, or in the docstring where several share it or it takes long. Nothing here needs NumPy or Blender, since the
-panel reads results too.
+beside it. Nothing here needs NumPy or Blender, since the panel reads results too.
 """
 
 from __future__ import annotations
@@ -154,11 +153,7 @@ class Rendering:
 
 @dataclass(frozen=True, kw_only=True)
 class ProbeResult:
-    """One estimation position in one frame.
-
-    share_above_white : of the light what lies above white at the session's exposure or comes from lamps that cameras do
-        not see; None without light
-    """
+    """One estimation position in one frame."""
 
     name: Annotated[str, "of the position"]
     object: Annotated[str, "the virtual object that it stands for"]
@@ -183,7 +178,11 @@ class ProbeResult:
     sh_truth: Annotated[Coefficients, "the light probe's, for `settings.target`"]
     shc_rmse: Annotated[float, "root mean square difference of `sh` from it"]
     ambient_shc_rmse: Annotated[float | None, "the same of the ambient light"] = None
-    share_above_white: float | None = None
+    share_above_white: Annotated[
+        float | None,
+        "of the light what lies above white at the session's exposure or comes from lamps that cameras do not see; "
+        "None without light",
+    ] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -286,13 +285,7 @@ class Summary:
 
 @dataclass(frozen=True, kw_only=True)
 class RunResults:
-    """All of results.json.
-
-    lights : by virtual object, what its world is keyed with wherever its light changes; empty for one that nothing lit,
-        since no position was ever in view
-    comparison : by method, the mean over compared frames. `truth` is the rendered light probe as an SH world, the whole
-        light, whatever the target: the best that order 2 can do, not the path-traced picture it is compared with
-    """
+    """All of results.json."""
 
     schema_version: Annotated[Literal[1], "of the file"] = SCHEMA_VERSION
     software: Annotated[dict[str, str], "versions, and the `command` that was typed"]
@@ -302,8 +295,16 @@ class RunResults:
     effects: Annotated[tuple[EffectResult, ...], "see there"]
     phone: Annotated[PhoneResult, "see there"]
     frames: Annotated[tuple[FrameResult, ...], "one entry per frame of the path"]
-    lights: dict[str, tuple[LightChange, ...]]
-    comparison: dict[str, Metrics]
+    lights: Annotated[
+        dict[str, tuple[LightChange, ...]],
+        "by virtual object, what its world is keyed with wherever its light changes; empty for one that nothing lit, "
+        "since no position was ever in view",
+    ]
+    comparison: Annotated[
+        dict[str, Metrics],
+        "by method, the mean over compared frames. `truth` is the rendered light probe as an SH world, the whole "
+        "light, whatever the target: the best that order 2 can do, not the path-traced picture it is compared with",
+    ]
     summary: Annotated[Summary, "see there"]
     notes: Annotated[tuple[str, ...], "what a reader has to know, in sentences"] = ()
 

@@ -1,6 +1,6 @@
 """Light transport: the effects that a scene requires, and why; planned, measured, and set on a working scene."""
 
 from xihe_blender.light_transport.overrides import remember_overrides, remembered_overrides
-from xihe_blender.light_transport.plan import cycles_settings, plan_light_transport, required_effects
+from xihe_blender.light_transport.plan import cycles_settings, required_effects
 
-__all__ = ["cycles_settings", "plan_light_transport", "remember_overrides", "remembered_overrides", "required_effects"]
+__all__ = ["cycles_settings", "remember_overrides", "remembered_overrides", "required_effects"]

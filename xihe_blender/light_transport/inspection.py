@@ -77,21 +77,12 @@ def open_inspection(scene: bpy.types.Scene) -> Iterator[SceneInspection]:
 
     The virtual objects are in it even where the user's view layer excludes them, since the comparison renders them.
     """
-    with scene_kept(), _scene_with_a_camera(scene) as working:
+    with scene_kept(), contextlib.ExitStack() as stack:
+        # Blender renders no scene without a camera. With its data the object goes too.
+        data = bpy.data.cameras.new(SCENE_NAME)
+        stack.callback(bpy.data.cameras.remove, data)
+        working = stack.enter_context(working_scene(scene, SCENE_NAME, RenderSettings((4, 4), samples=1)))
+        working.camera = working.camera or bpy.data.objects.new(SCENE_NAME, data)
         # A kept graph would outlive the engine that it belongs to.
         working.render.use_persistent_data = False
         yield SceneInspection(working, virtual_collection(scene))
-
-
-@contextlib.contextmanager
-def _scene_with_a_camera(scene: bpy.types.Scene) -> Iterator[bpy.types.Scene]:
-    """A working scene; Blender renders none without a camera, so that one without gets one for the time being."""
-    data = bpy.data.cameras.new(SCENE_NAME)
-    stand_in = bpy.data.objects.new(SCENE_NAME, data)
-    try:
-        with working_scene(scene, SCENE_NAME, RenderSettings((4, 4), samples=1)) as working:
-            working.camera = working.camera or stand_in
-            yield working
-    finally:
-        bpy.data.objects.remove(stand_in)
-        bpy.data.cameras.remove(data)

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import bpy
 
 from xihe_blender.capture.render import RenderSettings, can_denoise, working_scene
 from xihe_blender.light_transport.enclosure import MAX_BOUNCES
 from xihe_blender.light_transport.inspection import open_inspection
-from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.light_transport.rules import RULES, SceneFacts
 from xihe_blender.light_transport.transport_survey import TransportSurvey, TransportSurveyor
-from xihenet.effects import Effect, Requirement, plan_effects
+from xihenet.effects import Effect, Requirement
 
 BOUNCES = ("diffuse_bounces", "glossy_bounces", "transmission_bounces", "volume_bounces")
 
@@ -45,32 +43,8 @@ def required_by_survey(scene: bpy.types.Scene, survey: TransportSurvey) -> dict[
     return {name: rule(facts) for name, rule in RULES.items()}
 
 
-def plan_light_transport(
-    scene: bpy.types.Scene,
-    camera: bpy.types.Object | None = None,
-    positions: Sequence[Sequence[float]] = (),
-    *,
-    frames: Sequence[int] | None = None,
-    overrides: Mapping[str, str] | None = None,
-) -> dict[str, Effect]:
-    """The effects of light transport in a run, by `required_effects` and `overrides_in_force`."""
-    choices = overrides_in_force(scene, overrides or {})
-    return plan_effects(required_effects(scene, camera, positions, frames=frames), choices)
-
-
 def cycles_settings(effects: Mapping[str, Effect]) -> tuple[tuple[str, bool | int], ...]:
     """What to set on a working scene: settings of Cycles by name, each kind of bounce by its own limit alone."""
     of_effects = {name: value for effect in RULES for name, value in effects[effect].parameters.items()}
     settings = {name: value if isinstance(value, bool) else int(value) for name, value in of_effects.items()}
     return (*settings.items(), ("max_bounces", min(MAX_BOUNCES, sum(settings[kind] for kind in BOUNCES))))
-
-
-def everything_on(scene: bpy.types.Scene, required: Mapping[str, Requirement]) -> dict[str, Effect]:
-    """The plan to hold others against: every effect that a setting switches is on, with all bounces there are.
-
-    Off stay Fast GI, which replaces bounces, and motion blur where `scene` has it off: a look, not an effect missed.
-    """
-    left_out = {"Fast GI"} if scene.render.use_motion_blur else {"Fast GI", "motion blur"}
-    effects = plan_effects(required, {name: "off" if name in left_out else "on" for name in required})
-    effects["diffuse bounces"] = replace(effects["diffuse bounces"], parameters={"diffuse_bounces": MAX_BOUNCES})
-    return effects

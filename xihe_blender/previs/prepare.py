@@ -6,6 +6,7 @@ and kept in the run's folder, so that a resumed run does the same without lookin
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Generator, Mapping
@@ -114,7 +115,7 @@ class PreparedRun:
 
 def survey_run(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs) -> SceneSurvey:
     """The survey that an earlier part of this run has left in `outputs`, or a new one, which is not written there."""
-    kept = kept_json(outputs.survey, SceneSurvey.from_json)
+    kept = kept_json(outputs.survey, functools.partial(from_json, SceneSurvey))
     if kept is not None and tuple(kept.frames) == tuple(plan.frames):
         return kept
     if outputs.survey.exists():
@@ -132,7 +133,7 @@ def prepare_run(
 ) -> Generator[Progress, None, PreparedRun]:
     """A job: work out what an earlier part of this run has not left in `outputs`; `survey` is left there too."""
     if not outputs.survey.exists():
-        write_json(outputs.survey, survey.as_json())
+        write_json(outputs.survey, as_json(survey))
     yield Progress(0, 1, "metering the exposure")
     metering, n_samples = settings.metering_in_force, settings.metering_samples
     exposure = settings.exposure or kept_or_made(

@@ -29,7 +29,7 @@ from xihe_blender.previs.plan import PrevisPlan, plan_previs
 from xihe_blender.previs.prepare import prepare_run, survey_run
 from xihe_blender.previs.run_chain import measure_phone, walk_path
 from xihe_blender.previs.settings import PrevisSettings, load_estimator
-from xihe_blender.report import write_report
+from xihe_blender.report.page import write_report
 from xihe_blender.scene.state import scene_kept
 from xihenet import __version__
 

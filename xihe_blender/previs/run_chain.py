@@ -23,7 +23,7 @@ from xihe_blender.io.outputs import finite_or_none, write_picture
 from xihe_blender.io.run_results import FrameResult, PhoneErrors, ProbeResult
 from xihe_blender.jobs import Progress
 from xihe_blender.previs import results
-from xihe_blender.previs.path_renders import FrameRenders, PathRenders, render_path
+from xihe_blender.previs.path_renders import FrameRenders, kept_renders, render_path
 from xihe_blender.previs.phone_capture import CaptureFacts, SimulatedPhone, facts_of_capture, simulate_phone
 from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.plan import Probe
@@ -55,22 +55,20 @@ class WalkedPath:
 def walk_path(run: PreparedRun) -> Generator[Progress, None, WalkedPath]:
     """A job: render the path of `run`, as far as it is not rendered yet, and run the chain on it."""
     work_s = yield from render_path(run)
-    renders = PathRenders(run)
-    facts = _facts_of_captures(run, renders, work_s) if run.phone.sees else {}
-    phone = simulate_phone(run.phone, facts, run.exposure)
-    walk = _Walk(run, phone, renders, work_s)
+    facts = _facts_of_captures(run, work_s) if run.phone.sees else {}
+    walk = _Walk(run, simulate_phone(run.phone, facts, run.exposure), work_s)
     for frame in run.plan.frames:
         walk.step(frame)
     return walk.walked
 
 
-def _facts_of_captures(run: PreparedRun, renders: PathRenders, work_s: dict[int, float]) -> dict[int, CaptureFacts]:
+def _facts_of_captures(run: PreparedRun, work_s: dict[int, float]) -> dict[int, CaptureFacts]:
     """What the phone will be derived from, by captured frame; the time it takes is added to `work_s`."""
     facts, metering = {}, run.settings.metering_in_force
     positions_m = np.array([probe.position_m for probe in run.plan.probes]).reshape(-1, 3)
     for frame in run.plan.frames:
         start = time.perf_counter()
-        rendered = renders.at(frame)
+        rendered = kept_renders(run, frame)
         if rendered is not None:
             surfaces = load_surfaces(run.outputs.surfaces(frame)) if run.needs.surfaces else None
             radiance = read_radiance(run.outputs.radiance("captured", frame)) if run.needs.radiance else None
@@ -82,10 +80,8 @@ def _facts_of_captures(run: PreparedRun, renders: PathRenders, work_s: dict[int,
 class _Walk:
     """The state of one walk while it is under way; `captured_s` is the work on each frame before, without rendering."""
 
-    def __init__(
-        self, run: PreparedRun, phone: SimulatedPhone, renders: PathRenders, captured_s: dict[int, float]
-    ) -> None:
-        self.run, self.phone, self.renders, self.captured_s = run, phone, renders, captured_s
+    def __init__(self, run: PreparedRun, phone: SimulatedPhone, captured_s: dict[int, float]) -> None:
+        self.run, self.phone, self.captured_s = run, phone, captured_s
         self.session = PhoneSession(run.plan, run.settings, run.exposure, run.estimator, phone.link_in_use)
         self.walked = WalkedPath(phone)
         self.references: dict[str, MeasuredLight] = {}
@@ -93,7 +89,7 @@ class _Walk:
 
     def step(self, frame: int) -> None:
         start = time.perf_counter()
-        rendered, time_s = self.renders.at(frame), self.run.survey.frames[frame].time_s
+        rendered, time_s = kept_renders(self.run, frame), self.run.survey.frames[frame].time_s
         if rendered is not None:
             entry = self._active_frame(rendered, start)
         else:

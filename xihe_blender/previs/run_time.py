@@ -120,8 +120,8 @@ def _timed_probe(run: PreparedRun, frames: Sequence[int]) -> tuple[float, Render
         start = time.perf_counter()
         probe.view(0, 0)
         loaded_s = time.perf_counter() - start
-        light = probe.light_at(0, frames[0], run.exposure)
-    return loaded_s, RenderTime(light.render_s, 0.0, light.measured.samples(run.settings.target))
+        light = probe.light_at(0, frames[0], run.exposure).measured
+    return loaded_s, RenderTime(light.render_s, 0.0, light.samples(run.settings.target))
 
 
 def _timed_comparison(

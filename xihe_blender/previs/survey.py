@@ -18,7 +18,6 @@ import numpy as np
 from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import phone_camera, session_time_s
 from xihe_blender.errors import UserError
-from xihe_blender.io.json_records import Json, as_json
 from xihe_blender.io.run_results import Fault
 from xihe_blender.light_transport import nodes
 from xihe_blender.light_transport.animation import is_animated, read_once, shows_a_film
@@ -54,12 +53,6 @@ class SurveyedFrame:
     state: SceneState
     roughness: Mapping[str, float | None]
 
-    @classmethod
-    def from_json(cls, row: Mapping[str, Any]) -> SurveyedFrame:
-        motion = CameraMotion(**{name: np.array(vector, float).reshape(3) for name, vector in row["motion"].items()})
-        read = {"in_view": tuple(row["in_view"]), "motion": motion, "state": SceneState(**row["state"])}
-        return cls(**{**row, **read})
-
 
 @dataclass(frozen=True, eq=False)
 class SceneSurvey:
@@ -78,16 +71,6 @@ class SceneSurvey:
     def in_view(self) -> dict[int, tuple[str, ...]]:
         """Names of the estimation positions in view, by those frames that see any."""
         return {frame: one.in_view for frame, one in self.frames.items() if one.in_view}
-
-    def as_json(self) -> Json:
-        return as_json({**vars(self), "frames": list(self.frames.values())})
-
-    @classmethod
-    def from_json(cls, content: Mapping[str, Any]) -> SceneSurvey:
-        frames = map(SurveyedFrame.from_json, content["frames"])
-        faults = tuple(Fault(**fault) for fault in content["faults"])
-        required = {name: Requirement(**requirement) for name, requirement in content["required"].items()}
-        return cls({one.frame: one for one in frames}, faults, required, content["light_changes"])
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,6 +74,10 @@ class CameraMotion:
     velocity_m_per_s: ArrayF64
     turn_rad_per_s: ArrayF64
 
+    def __post_init__(self) -> None:
+        for name, vector in tuple(vars(self).items()):
+            object.__setattr__(self, name, np.asarray(vector, np.float64).reshape(3))
+
     @property
     def is_still(self) -> bool:
         return not (np.any(self.velocity_m_per_s) or np.any(self.turn_rad_per_s))

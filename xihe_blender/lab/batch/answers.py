@@ -25,6 +25,8 @@ AS_GOOD = 0.05
 """An error larger by this share is as good, when it is asked how often the chain must run."""
 
 Row = TypeVar("Row")
+WorstCase = tuple[Trial, TrialFrame]
+"""A trial, and one of its compared frames."""
 
 
 @dataclass(frozen=True)
@@ -152,23 +154,13 @@ def laziest_as_good(points: Sequence[TriggerPoint]) -> TriggerPoint:
     return min(as_good, key=lambda point: point.per_minute)
 
 
-@dataclass(frozen=True)
-class WorstCase:
-    """The worst compared frame of one trial."""
-
-    trial: Trial
-    frame: int
-    psnr: float
-    rmse: float | None
-
-
 def worst_cases(trials: Sequence[Trial], n: int) -> list[WorstCase]:
     """The `n` worst frames of estimators that could be shipped, one per scene and estimator, the worst first."""
     could_be_shipped = [trial for trial in trials if trial.estimator not in NOT_FOR_SHIPPING]
     known = [(one.psnr, trial, one) for trial in could_be_shipped for one in trial.frames if one.psnr is not None]
     worst: dict[tuple[str, str], WorstCase] = {}
-    for psnr, trial, one in sorted(known, key=lambda case: case[0]):
-        worst.setdefault((trial.scene, trial.estimator), WorstCase(trial, one.frame, psnr, one.rmse))
+    for _, trial, one in sorted(known, key=lambda case: case[0]):
+        worst.setdefault((trial.scene, trial.estimator), (trial, one))
     return list(worst.values())[:n]
 
 

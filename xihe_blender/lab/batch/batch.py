@@ -7,10 +7,11 @@ from pathlib import Path
 
 from xihe_blender.io.json_records import as_json
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.lab.batch.grid import BatchSettings, Unit, UnitAsked, check_settings, planned_units
-from xihe_blender.lab.batch.report import write_report
+from xihe_blender.lab.batch.grid import BatchSettings, Unit, check_settings, planned_units
+from xihe_blender.lab.batch.report import report_page
 from xihe_blender.lab.batch.results import BatchFolder, BatchResults, batch_results, read_frontier
 from xihe_blender.lab.workers.dask_workers import Work, dashboard, open_dask_workers
+from xihe_blender.report.document import write_document
 
 
 def evaluate_batch(
@@ -53,7 +54,7 @@ def evaluate_batch(
     manifest.take()
     results = batch_results(kept, settings, units, failed)
     kept.write_tables(results)
-    write_report(kept, results, measured)
+    write_document(kept.path / "report.html", report_page(kept, results, measured))
     return results, sum(kept.result(unit) is not None for unit in missing)
 
 
@@ -63,7 +64,8 @@ def _work(kept: BatchFolder, settings: BatchSettings, missing: Sequence[Unit]) -
         Work(
             unit.name,
             "xihe_blender.lab.batch.blender_process",
-            told=as_json(UnitAsked(str(unit.scene), unit.seed, str(kept.of_unit(unit)), settings)),
+            (str(unit.scene), str(unit.seed), str(kept.of_unit(unit))),
+            told=as_json(settings),
         )
         for unit in sorted(missing, key=lambda unit: -unit.scene.stat().st_size)
     ]

@@ -12,7 +12,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from xihe_blender.errors import UserError
 from xihenet import estimators
@@ -23,27 +23,23 @@ if TYPE_CHECKING:
 
 FORMAT_VERSION = 1
 DEFAULT_ESTIMATORS = ("lattice", "projection", "ambient", "truth")
+NAMES = "names, at least one of each, none twice; every phone runs with every estimator"
+AS_IN_A_RUN = "as in PrevisSettings"
 
 
 @dataclass(frozen=True)
 class BatchSettings:
-    """What all units of a batch share.
+    """What all units of a batch share."""
 
-    Parameters
-    ----------
-    estimators, phones : names, at least one of each, none twice; every phone runs with every estimator
-    preset, target, size, frames, noise_target, samples, network : as in PrevisSettings
-    """
-
-    estimators: tuple[str, ...] = DEFAULT_ESTIMATORS
-    phones: tuple[str, ...] = ("perfect",)
-    preset: str = "draft"
-    target: Target = "ldr"
-    size: tuple[int, int] | None = None
-    frames: tuple[int, ...] | None = None
-    noise_target: float | None = None
-    samples: int | None = None
-    network: str | None = None
+    estimators: Annotated[tuple[str, ...], NAMES] = DEFAULT_ESTIMATORS
+    phones: Annotated[tuple[str, ...], NAMES] = ("perfect",)
+    preset: Annotated[str, AS_IN_A_RUN] = "draft"
+    target: Annotated[Target, AS_IN_A_RUN] = "ldr"
+    size: Annotated[tuple[int, int] | None, AS_IN_A_RUN] = None
+    frames: Annotated[tuple[int, ...] | None, AS_IN_A_RUN] = None
+    noise_target: Annotated[float | None, AS_IN_A_RUN] = None
+    samples: Annotated[int | None, AS_IN_A_RUN] = None
+    network: Annotated[str | None, AS_IN_A_RUN] = None
 
     def __post_init__(self) -> None:
         for option, names in (("--estimators", self.estimators), ("--profiles", self.phones)):
@@ -75,16 +71,6 @@ class Unit:
     def name(self) -> str:
         """Of its folder, and in what is said of it."""
         return f"{self.scene.stem}_{self.digest[:8]}_seed{self.seed}"
-
-
-@dataclass(frozen=True)
-class UnitAsked:
-    """What the process that does a unit is told: its scene and seed, where it leaves what, and the batch's settings."""
-
-    scene: str
-    seed: int
-    folder: str
-    settings: BatchSettings
 
 
 def planned_units(scenes: Sequence[Path], seeds: Sequence[int]) -> tuple[list[Unit], dict[str, str]]:

@@ -18,7 +18,7 @@ from xihe_blender.lab.frontier.answers import HOW_MANY_ANCHORS, LAST_TENTH
 from xihe_blender.lab.frontier.points import family, group
 from xihe_blender.lab.frontier.records import Frontier, FrontierPoint
 from xihe_blender.lab.frontier.report import LAB_STYLE
-from xihe_blender.report.document import block, document, png_url, table, write_document
+from xihe_blender.report.document import block, document, png_url, table
 from xihe_blender.report.values import code, escape, mean
 from xihenet.formats import (
     MINUS,
@@ -38,10 +38,6 @@ WITHOUT_FRONTIER = (
     f"That takes measured times: run {code('xihe frontier SCENE.blend --out DIR')} and give its folder as "
     f"{code('--frontier DIR')} to the same command, or put its frontier.json into this folder."
 )
-
-
-def write_report(folder: BatchFolder, results: BatchResults, frontier: Frontier | None) -> None:
-    write_document(folder.report, report_page(folder, results, frontier))
 
 
 def report_page(folder: BatchFolder, results: BatchResults, frontier: Frontier | None) -> str:
@@ -229,14 +225,14 @@ def _worst(folder: BatchFolder, trials: Sequence[Trial]) -> str:
 
 
 def _case(folder: BatchFolder, case: answers.WorstCase) -> str:
-    trial = case.trial
+    trial, frame = case
     figures = "".join(
         f"<figure>{_picture(worst_picture(folder.path / 'units' / trial.unit, trial.number, kind))}"
         f"<figcaption><strong>{_KIND_WORDS[kind]}</strong></figcaption></figure>"
         for kind in WORST_KINDS
     )
-    where = f"{escape(trial.scene)}, frame {case.frame}, {code(trial.estimator)}, {escape(trial.phone)}"
-    numbers = f"psnr {format_quantity(case.psnr, 'dB')}, rmse {format_number(case.rmse)}, seed {trial.seed}"
+    where = f"{escape(trial.scene)}, frame {frame.frame}, {code(trial.estimator)}, {escape(trial.phone)}"
+    numbers = f"psnr {format_quantity(frame.psnr, 'dB')}, rmse {format_number(frame.rmse)}, seed {trial.seed}"
     return f'<div><h3>{where}</h3><p class="quiet">{numbers}</p><div class="strip">{figures}</div></div>'
 
 

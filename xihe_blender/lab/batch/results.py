@@ -202,10 +202,6 @@ class BatchFolder:
 
     path: Path
 
-    @property
-    def report(self) -> Path:
-        return self.path / "report.html"
-
     def of_unit(self, unit: Unit) -> Path:
         return self.path / "units" / unit.name
 

@@ -83,18 +83,18 @@ def calibrate(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[Calibrati
                 seen.append(scanner.acquire_environment_scan())
 
             _, capturing = time_renders(render, (view[0],) * N_RENDERS, FEW_SAMPLES, scanner.scene)
-        step_ms = _timed_step(seen[-1], view[1][0], exposure)
+        step_ms = _timed_step(seen[-1], view[1][0])
     samples = {name: samples_taken(preset, noise) for name, preset in PRESETS.items()}
     frame_s = {name: replace(capturing, samples=n).render_s for name, n in samples.items()}
     return Calibration(Path(bpy.data.filepath or "untitled").stem, frame_s, samples, step_ms)
 
 
-def _timed_step(seen: RgbdFrame, position_m: ArrayF64, exposure: float) -> float:
+def _timed_step(seen: RgbdFrame, position_m: ArrayF64) -> float:
     """Milliseconds from a capture to the light at one position; the median of a few, after one to warm up."""
     backend, times = ChoiceBackend(ComputeChoice()), []
     for _ in range(1 + N_STEPS):
         start = time.perf_counter()
-        light_of_frame(backend, seen, position_m, exposure)
+        light_of_frame(backend, seen, position_m)
         times.append(1e3 * (time.perf_counter() - start))
     return statistics.median(times[1:])
 

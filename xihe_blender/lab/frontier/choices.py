@@ -27,15 +27,24 @@ QUICK = StudySize(6, 4, 16, 15, 1, 2, 96, (1, 4, 16), 0)
 
 @dataclass(frozen=True)
 class RenderCandidate:
-    """A way to render that is measured: a preset's on the scene at hand, or one of the others (None)."""
+    """A way to render that is measured: a preset's on the scene at hand, or one of the others (None).
+
+    With `picture_samples`, per pixel, it is the pictures of the comparison that are measured.
+    """
 
     choice: RenderChoice
     preset: str | None = None
+    picture_samples: int | None = None
+
+    @property
+    def label(self) -> str:
+        words = self.choice.label
+        return words if self.picture_samples is None else f"capture {words}; pictures {self.picture_samples} samples"
 
     @property
     def key(self) -> str:
         """What it is kept under: two presets may render alike on a scene, and are measured twice all the same."""
-        return self.choice.label if self.preset is None else f"{self.preset}: {self.choice.label}"
+        return self.label if self.preset is None else f"{self.preset}: {self.label}"
 
 
 def compute_choices(*, is_quick: bool) -> list[ComputeChoice]:

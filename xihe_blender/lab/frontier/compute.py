@@ -24,7 +24,7 @@ from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.lab.frontier.choices import EXHAUSTIVE
 from xihe_blender.lab.frontier.points import Measured
 from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice
-from xihe_blender.lab.frontier.timing import Clock, interleaved, torch_on_one_thread
+from xihe_blender.lab.frontier.timing import Clock, interleaved
 from xihe_blender.previs.sample_count import SMALLEST_LIGHT
 from xihe_blender.previs.settings import PREVIS_TRIGGER
 from xihenet import estimators
@@ -122,14 +122,14 @@ def walk_through(backend: ChoiceBackend, walk: Walk, clock: Clock = time.thread_
     return Walked(lights, n_estimates, elapsed_ms / len(frames))
 
 
-def light_of_frame(backend: ChoiceBackend, frame: RgbdFrame, position_m: ArrayF64, exposure: float) -> ArrayF64:
+def light_of_frame(backend: ChoiceBackend, frame: RgbdFrame, position_m: ArrayF64) -> ArrayF64:
     """(25, 3) from one frame alone, whatever the trigger thinks of it."""
     choice = backend.choice
     seen = with_every_pixel(frame, choice.every_pixel)
-    points = unproject_frame(seen, reference_exposure=exposure)
+    points = unproject_frame(seen)
     lattice = AnchorLattice(choice.n_anchors)
     cloud = sample_unit_sphere(points, position_m, lattice, method=choice.nearest, table_size=choice.cells)
-    context = EstimateContext(seen, points, position_m, None, exposure)
+    context = EstimateContext(seen, points, position_m, None, frame.exposure)
     backend.made.clear()
     backend.estimate(cloud, context)
     return padded(backend.made[0])
@@ -148,17 +148,6 @@ def with_every_pixel(frame: RgbdFrame, step: int) -> RgbdFrame:
     return replace(frame, srgb_u8=colour, plane_depth_m=plane_depth_m, intrinsics=smaller)
 
 
-def loaded(choices: list[ComputeChoice]) -> tuple[dict[ComputeChoice, ChoiceBackend], list[str]]:
-    """A backend for each choice whose estimator can be loaded; names of the estimators that cannot."""
-    backends, missing = {}, []
-    for choice in choices:
-        try:
-            backends[choice] = ChoiceBackend(choice)
-        except (ImportError, ValueError):
-            missing.append(choice.estimator)
-    return backends, sorted(set(missing))
-
-
 def measure_compute(
     backends: dict[ComputeChoice, ChoiceBackend], walk: Walk, n_rounds: int, rng: np.random.Generator
 ) -> Job[list[Measured]]:
@@ -172,11 +161,10 @@ def measure_compute(
         return walk_through(backends[choice], start if choice.nearest == "brute" else walk).frame_ms
 
     rounds = interleaved([functools.partial(frame_ms, choice) for choice in backends], n_rounds, rng)
-    with torch_on_one_thread():
-        for number, (choice, backend) in enumerate(backends.items()):
-            yield Progress(0.2 * number / len(backends), 1, f"computing: {choice.label}")
-            walked[choice] = walk_through(backend, walk)
-        times_ms = yield from part_of(1, 0.2, 0.8, rounds)
+    for number, (choice, backend) in enumerate(backends.items()):
+        yield Progress(0.2 * number / len(backends), 1, f"computing: {choice.label}")
+        walked[choice] = walk_through(backend, walk)
+    times_ms = yield from part_of(1, 0.2, 0.8, rounds)
     truth = [truths[name] for truths, names in zip(walk.truths, walk.active, strict=True) for name in names]
     measured = []
     for (choice, own), of_choice in zip(walked.items(), times_ms, strict=True):

@@ -18,7 +18,7 @@ import numpy as np
 
 from xihe_blender.io.json_records import INLINE, Json, as_json, from_json
 from xihe_blender.lab.frontier.records import ChoiceSettings, Front, FrontierPoint, FrontierScene, PointSettings
-from xihe_blender.lab.frontier.timing import Quartiles
+from xihe_blender.lab.frontier.timing import median_and_spread
 from xihenet.formats import format_setting
 from xihenet.pareto import dominators, front_share, on_front
 
@@ -94,8 +94,8 @@ def _judged(
 ) -> list[FrontierPoint]:
     square_errors = np.array([one.square_errors[kind] for one in measured]).T
     times_ms = np.array([one.times_ms for one in measured]).T
-    errors, times = np.sqrt(square_errors.mean(axis=0)), [Quartiles.of(one.times_ms) for one in measured]
-    medians = np.array([each.median for each in times])
+    errors, times = np.sqrt(square_errors.mean(axis=0)), [median_and_spread(one.times_ms) for one in measured]
+    medians = np.array([median for median, _ in times])
     is_on_front, instead = on_front(errors, medians), dominators(errors, medians)
     share = front_share(square_errors, times_ms, rng)
     return [
@@ -104,9 +104,9 @@ def _judged(
             front=front,
             settings=PointSettings(error_kind=kind, **vars(one.settings)),
             error=float(errors[index]),
-            error_spread=Quartiles.of(np.sqrt(square_errors[:, index])).spread,
-            time_ms=times[index].median,
-            spread_ms=times[index].spread,
+            error_spread=median_and_spread(np.sqrt(square_errors[:, index]))[1],
+            time_ms=times[index][0],
+            spread_ms=times[index][1],
             on_front=bool(is_on_front[index]),
             front_share=float(share[index]),
             preset=one.preset,

@@ -179,7 +179,6 @@ class FrontierScene:
     """A scene that was measured."""
 
     name: Annotated[str, "stem of its file"]
-    missing_estimators: Annotated[tuple[str, ...], "that could not be loaded"]
     exposure: Annotated[float, "of the session"]
     size: Annotated[tuple[int, int], "of the largest frame"]
     n_walk_frames: Annotated[int, "over which computing was measured"]

@@ -38,6 +38,7 @@ from xihe_blender.lab.frontier.timing import timed
 from xihe_blender.previs.plan import PrevisPlan
 from xihe_blender.previs.settings import PRESETS
 from xihe_blender.previs.survey import SceneSurvey
+from xihenet.json_files import read_json
 from xihenet.metrics import image_rmse
 from xihenet.recording import load_frame, save_frame
 from xihenet.records import ArrayF64, RgbdFrame
@@ -50,19 +51,10 @@ COMPUTED_BY = (ComputeChoice(), ComputeChoice(n_anchors=512), ComputeChoice(n_an
 
 
 @dataclass(frozen=True, eq=False)
-class View:
-    """A frame of the path and the positions (3,) in view of it."""
-
-    frame: int
-    positions_m: Sequence[ArrayF64]
-
-
-@dataclass(frozen=True, eq=False)
 class SceneStudy:
     """One scene to measure: the open scene, its plan, the survey of its path, and where its work is kept."""
 
     scene: bpy.types.Scene
-    name: str
     plan: PrevisPlan
     survey: SceneSurvey
     folder: Path
@@ -77,12 +69,13 @@ class SceneStudy:
 class RenderStudy(SceneStudy):
     """What rendering is measured with: a scanner at the session's exposure, which captures as `capture` says.
 
-    There is at least one view, and all choices are held against `exhaustive`.
+    `views` are frames of the path, at least one, with the positions (3,) in view of each; all choices are held against
+    `exhaustive`.
     """
 
     scanner: CyclesScanner
     capture: RenderSettings
-    views: Sequence[View]
+    views: Mapping[int, Sequence[ArrayF64]]
     choices: Sequence[RenderCandidate]
     exhaustive: RenderChoice
 
@@ -91,8 +84,10 @@ class RenderStudy(SceneStudy):
         """One that no other render has."""
         return (self.settings.seed + self.study_size.n_seeds) % MAX_SEED
 
-    def reference(self, view: View) -> Path:
-        return self.folder / f"exhaustive_{view.frame:04d}.npz"
+    def reference(self, frame: int) -> RgbdFrame:
+        """The exhaustive render, made where it is not kept."""
+        render = functools.partial(rendered, self.scanner, self.exhaustive, self.exhaustive_seed, n_threads=0)
+        return kept_capture(self.folder / f"exhaustive_{frame:04d}.npz", self.scanner, frame, render)
 
 
 @dataclass(frozen=True)
@@ -110,12 +105,23 @@ LightsBy = Mapping[ComputeChoice, Sequence[ArrayF64]]
 """The light at each position, by way to compute."""
 
 
-def kept_or_done(path: Path, read: Callable[[Json], Kept], job: Job[Kept]) -> Job[Kept]:
-    """What `read` makes of the JSON in the file; the result of `job`, which is written there, if there is none."""
+def kept_or_done(path: Path, read: Callable[[Json], Kept], job: Job[object]) -> Job[Kept]:
+    """What `read` makes of the JSON in the file, into which the result of `job` is written if there is none."""
     kept = kept_json(path, read)
     if kept is None:
-        kept = yield from job
-        write_json(path, as_json(kept))
+        write_json(path, as_json((yield from job)))
+        kept = read(read_json(path))
+    return kept
+
+
+def kept_capture(path: Path, scanner: CyclesScanner, frame: int, render: Callable[[], RgbdFrame]) -> RgbdFrame:
+    """The capture in the file; what `render` gives at `frame`, to which `scanner` goes, if there is none."""
+    kept = read_kept(path, load_frame)
+    if kept is None:
+        scanner.move_to(frame)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save_frame(path, render())
+        kept = load_frame(path)
     return kept
 
 
@@ -128,14 +134,14 @@ def measure_rendering(
     rounds: list[tuple[Round, LightsBy]] = []
     n_seeds = study.study_size.n_seeds
     n_parts = len(study.views) * (1 + n_seeds)
-    for number, view in enumerate(study.views):
+    for number, (frame, positions_m) in enumerate(study.views.items()):
         before = number * (1 + n_seeds)
-        yield Progress(before, n_parts, f"rendering frame {view.frame} exhaustively")
-        truth = _lights(all_backends, _kept_reference(study, view), view, study.scanner.exposure)
-        read = functools.partial(kept_round, study.choices, len(view.positions_m))
+        yield Progress(before, n_parts, f"rendering frame {frame} exhaustively")
+        truth = _lights(all_backends, study.reference(frame), positions_m)
+        read = functools.partial(kept_round, study.choices, len(positions_m))
         for seed in range(n_seeds):
-            job = part_of(n_parts, before + 1 + seed, 1, _render_round(study, view, seed, backends, rng))
-            path = study.folder / f"round_{view.frame:04d}_{seed}.json"
+            job = part_of(n_parts, before + 1 + seed, 1, _render_round(study, frame, seed, backends, rng))
+            path = study.folder / f"round_{frame:04d}_{seed}.json"
             rounds.append(((yield from kept_or_done(path, read, job)), truth))
     alone = [_measured(choice, COMPUTED_BY[0], rounds) for choice in study.choices]
     together = [_measured(choice, by, rounds, computing_ms[by]) for choice in study.choices for by in COMPUTED_BY]
@@ -150,17 +156,6 @@ def kept_round(choices: Sequence[RenderCandidate], n_positions: int, content: Js
         if one.ms < 0 or shapes != {(n_positions, N_COEFFICIENTS, 3)}:
             raise ValueError(f"round: expected lights at {n_positions} positions, got {shapes} in {one.ms} ms")
     return taken
-
-
-def _kept_reference(study: RenderStudy, view: View) -> RgbdFrame:
-    path = study.reference(view)
-    kept = read_kept(path, load_frame)
-    if kept is not None:
-        return kept
-    study.scanner.move_to(view.frame)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save_frame(path, rendered(study.scanner, study.exhaustive, study.exhaustive_seed, n_threads=0))
-    return load_frame(path)
 
 
 def rendered(scanner: CyclesScanner, choice: RenderChoice, seed: int, *, n_threads: int = 1) -> RgbdFrame:
@@ -193,27 +188,29 @@ def use_threads(scene: bpy.types.Scene, n_threads: int) -> None:
 
 
 def _render_round(
-    study: RenderStudy, view: View, seed: int, backends: Mapping[ComputeChoice, ChoiceBackend], rng: np.random.Generator
+    study: RenderStudy, frame: int, seed: int, backends: Mapping[ComputeChoice, ChoiceBackend], rng: np.random.Generator
 ) -> Job[Round]:
     """In random order."""
     scanner, taken = study.scanner, dict[str, Taken]()
-    scanner.move_to(view.frame)
+    scanner.move_to(frame)
     rendered(scanner, RenderChoice((16, 16), 1, is_denoised=False), seed)
     choices = [candidate.choice for candidate in study.choices]
     costs = np.array([choice.samples * choice.size[0] * choice.size[1] for choice in choices], float)
     done = 0.0
     for number in rng.permutation(len(choices)):
-        yield Progress(done, 1, f"rendering frame {view.frame}: {choices[number].label}")
-        frame, ms = timed(rendered, scanner, choices[number], (study.settings.seed + seed) % MAX_SEED)
-        lights = _lights(backends, frame, view, scanner.exposure)
+        yield Progress(done, 1, f"rendering frame {frame}: {choices[number].label}")
+        captured, ms = timed(rendered, scanner, choices[number], (study.settings.seed + seed) % MAX_SEED)
+        lights = _lights(backends, captured, study.views[frame])
         taken[study.choices[number].key] = Taken(ms, {by.label: np.array(lights[by]).tolist() for by in COMPUTED_BY})
         done += costs[number] / costs.sum()
     return taken
 
 
-def _lights(backends: Mapping[ComputeChoice, ChoiceBackend], frame: RgbdFrame, view: View, exposure: float) -> LightsBy:
+def _lights(
+    backends: Mapping[ComputeChoice, ChoiceBackend], captured: RgbdFrame, positions_m: Sequence[ArrayF64]
+) -> LightsBy:
     return {
-        by: [light_of_frame(backend, frame, position, exposure) for position in view.positions_m]
+        by: [light_of_frame(backend, captured, position_m) for position_m in positions_m]
         for by, backend in backends.items()
     }
 
@@ -230,28 +227,12 @@ def _measured(
     lights = [np.array(light) for one in taken for light in one.lights[by.label]]
     errors = square_errors(lights, [light for _, truth in rounds for light in truth[by if is_alone else EXHAUSTIVE]])
     times_ms = tuple(one.ms + (computing_ms or 0.0) for one in taken)
-    words = candidate.choice.label if is_base else f"{candidate.choice.label}, {by.label}"
+    words = candidate.label if is_base else f"{candidate.label}, {by.label}"
     settings = ChoiceSettings(rendering=candidate.choice, computing=None if is_alone else by)
     return Measured(words, settings, errors, times_ms, candidate.preset if is_base else None)
 
 
 # ------------------------------------------------------------------------------------- the final picture
-
-
-@dataclass(frozen=True)
-class PictureChoice:
-    """A capture, and samples per pixel of the pictures of the comparison."""
-
-    capture: RenderCandidate
-    samples: int
-
-    @property
-    def label(self) -> str:
-        return f"capture {self.capture.choice.label}; pictures {self.samples} samples"
-
-    @property
-    def key(self) -> str:
-        return f"{self.capture.preset}: {self.label}"
 
 
 @dataclass(frozen=True)
@@ -270,40 +251,40 @@ class PicturesTaken:
     estimators: dict[str, float]
 
 
-def picture_choices(presets: Mapping[str, RenderChoice]) -> list[PictureChoice]:
+def picture_choices(presets: Mapping[str, RenderChoice]) -> list[RenderCandidate]:
     """The presets, and a ladder of samples for the pictures alone."""
-    own = [PictureChoice(RenderCandidate(one, name), PRESETS[name].comparison_samples) for name, one in presets.items()]
+    own = [RenderCandidate(choice, name, PRESETS[name].comparison_samples) for name, choice in presets.items()]
     others = [n for n in LADDER if n != PRESETS["balanced"].comparison_samples]
-    return [*own, *(PictureChoice(RenderCandidate(presets["balanced"]), n) for n in others)]
+    return [*own, *(RenderCandidate(presets["balanced"], picture_samples=n) for n in others)]
 
 
 def measure_pictures(
-    study: RenderStudy, choices: Sequence[PictureChoice], rng: np.random.Generator
+    study: RenderStudy, choices: Sequence[RenderCandidate], rng: np.random.Generator
 ) -> Job[tuple[list[Measured], dict[str, tuple[float, ...]]]]:
     """The choices, and by estimator the squared errors of its pictures at the views."""
     rounds: list[PicturesTaken] = []
-    views = study.views[: study.study_size.n_picture_views]
+    frames = list(study.views)[: study.study_size.n_picture_views]
     read = functools.partial(kept_pictures, choices)
-    for number, view in enumerate(views):
-        path = study.folder / f"pictures_{view.frame:04d}.json"
-        job = part_of(len(views), number, 1, _view_measured(study, choices, view, rng))
+    for number, frame in enumerate(frames):
+        path = study.folder / f"pictures_{frame:04d}.json"
+        job = part_of(len(frames), number, 1, _view_measured(study, choices, frame, rng))
         rounds.append((yield from kept_or_done(path, read, job)))
     if not rounds:
         return [], {}
     measured = [
         Measured(
             choice.label,
-            ChoiceSettings(rendering=choice.capture.choice, picture_samples=choice.samples),
+            ChoiceSettings(rendering=choice.choice, picture_samples=choice.picture_samples),
             {"picture": tuple(one.choices[choice.key].square_error for one in rounds)},
             tuple(one.choices[choice.key].ms for one in rounds),
-            choice.capture.preset,
+            choice.preset,
         )
         for choice in choices
     ]
     return measured, {by.label: tuple(one.estimators[by.label] for one in rounds) for by in METHODS}
 
 
-def kept_pictures(choices: Sequence[PictureChoice], content: Json) -> PicturesTaken:
+def kept_pictures(choices: Sequence[RenderCandidate], content: Json) -> PicturesTaken:
     """What `measure_pictures` keeps of a view; TypeError or ValueError where it is of other choices."""
     taken = from_json(PicturesTaken, content)
     figures = [figure for one in taken.choices.values() for figure in (one.ms, one.square_error)]
@@ -314,11 +295,11 @@ def kept_pictures(choices: Sequence[PictureChoice], content: Json) -> PicturesTa
 
 
 def _view_measured(
-    study: RenderStudy, choices: Sequence[PictureChoice], view: View, rng: np.random.Generator
+    study: RenderStudy, choices: Sequence[RenderCandidate], frame: int, rng: np.random.Generator
 ) -> Job[PicturesTaken]:
-    yield Progress(0, 1, f"comparing frame {view.frame} exhaustively")
-    study.scanner.move_to(view.frame)
-    captured = load_frame(study.reference(view))
+    yield Progress(0, 1, f"comparing frame {frame} exhaustively")
+    captured = study.reference(frame)
+    study.scanner.move_to(frame)
     lights = {by.label: _lights_of_objects(study, by, captured) for by in METHODS}
     comparison = replace(study.capture, samples=1)
     with open_comparer(study.scanner.scene, study.plan.objects, list(lights), comparison) as comparer:
@@ -334,7 +315,7 @@ def _view_measured(
         for number in rng.permutation(len(choices)):
             choice = choices[number]
             share = 0.4 + 0.6 * len(taken) / len(choices)
-            yield Progress(share, 1, f"comparing frame {view.frame}: {choice.label}")
+            yield Progress(share, 1, f"comparing frame {frame}: {choice.label}")
             made, ms = timed(_made, study, choice, comparer)
             squares = [
                 _square_rmse(made.methods[base], truth.methods[base], truth.weights),
@@ -344,10 +325,11 @@ def _view_measured(
     return PicturesTaken(taken, of_estimators)
 
 
-def _made(study: RenderStudy, choice: PictureChoice, comparer: Comparer) -> Comparison:
+def _made(study: RenderStudy, choice: RenderCandidate, comparer: Comparer) -> Comparison:
     """All that a run does for one frame: the capture, its light, both pictures."""
-    captured = rendered(study.scanner, choice.capture.choice, study.settings.seed)
-    _set_up(comparer, choice.samples, study.settings.seed)
+    captured = rendered(study.scanner, choice.choice, study.settings.seed)
+    assert choice.picture_samples is not None
+    _set_up(comparer, choice.picture_samples, study.settings.seed)
     return comparer.render_comparison(captured, {METHODS[0].label: _lights_of_objects(study, METHODS[0], captured)})
 
 
@@ -359,12 +341,10 @@ def _set_up(comparer: Comparer, samples: int, seed: int, *, n_threads: int = 1) 
 
 def _lights_of_objects(study: RenderStudy, by: ComputeChoice, captured: RgbdFrame) -> dict[str, ArrayF64]:
     """(9, 3) by virtual object: the mean over its positions, from this frame alone."""
-    backend, exposure = ChoiceBackend(by), study.scanner.exposure
     means: dict[str, ArrayF64] = {}
     for item in study.plan.objects:
         positions_m = [probe.position_m for probe in study.plan.probes_of(item.name)]
-        lights = [light_of_frame(backend, captured, position_m, exposure)[:9] for position_m in positions_m]
-        means[item.name] = np.mean(lights, axis=0)
+        means[item.name] = np.mean(_lights({by: ChoiceBackend(by)}, captured, positions_m)[by], axis=0)[:9]
     return means
 
 

@@ -125,18 +125,15 @@ def _numbers(points: Sequence[FrontierPoint], front: str, kind: str) -> str:
 
 
 def _how(frontier: Frontier) -> str:
-    missing = sorted({name for scene in frontier.scenes for name in scene.missing_estimators})
     notes = [
         "Errors are shares of the light, root mean square over frames and positions; the exhaustive setting compares "
         "every point with all anchors, estimates in every frame, and renders with the most samples and all "
         "bounces the scene calls for. Pictures: root mean square of sRGB-encoded colour, 0 to 1.",
-        "Times are processor time, median over rounds in which all choices take turns in random order; renders and "
-        "torch take one thread. Whiskers reach from quartile to quartile.",
+        "Times are processor time, median over rounds in which all choices take turns in random order; renders "
+        "take one thread. Whiskers reach from quartile to quartile.",
         "A choice is dominated if another has no more error in no more time, and less of one; it flickers if resampled "
         "measurements put it on the front in 5 to 95 % of cases.",
     ]
-    if missing:
-        notes.append(f"Not measured, since what they need is not installed: {format_list(missing)}.")
     software, machine = frontier.software, frontier.machine
     facts = f"Blender {software.get('blender')}, Python {software.get('python')}, {machine.get('platform')}"
     facts += f", {machine['n_cores']} cores" if machine.get("n_cores") is not None else ""

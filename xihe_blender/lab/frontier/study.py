@@ -25,13 +25,13 @@ from xihe_blender.capture.scanner import CyclesScanner, meter_exposure, open_sca
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import FolderManifest
 from xihe_blender.io.json_records import Json, as_json
-from xihe_blender.io.kept_files import kept_json, read_kept
+from xihe_blender.io.kept_files import kept_or_made
 from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.lab.frontier.answers import answers
 from xihe_blender.lab.frontier.choices import compute_choices, render_choices
-from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, N_COEFFICIENTS, ORDER, Walk, loaded, measure_compute
+from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, N_COEFFICIENTS, ORDER, ChoiceBackend, Walk, measure_compute
 from xihe_blender.lab.frontier.points import MeasuredScene, kept_scene, points_of
 from xihe_blender.lab.frontier.records import (
     ComputeChoice,
@@ -44,14 +44,14 @@ from xihe_blender.lab.frontier.records import (
 from xihe_blender.lab.frontier.rendering import (
     RenderStudy,
     SceneStudy,
-    View,
+    kept_capture,
     kept_or_done,
     measure_pictures,
     measure_rendering,
     picture_choices,
 )
 from xihe_blender.lab.frontier.report import report_page
-from xihe_blender.lab.frontier.timing import Quartiles
+from xihe_blender.lab.frontier.timing import median_and_spread
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.plan import PrevisPlan, evenly_chosen, plan_previs
@@ -64,8 +64,6 @@ from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
 from xihenet import __version__
 from xihenet.effects import effects_as_json, plan_effects
-from xihenet.json_files import read_json
-from xihenet.recording import load_frame, save_frame
 from xihenet.records import ArrayF64
 
 Result = TypeVar("Result")
@@ -142,7 +140,7 @@ class Prepared:
 def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[MeasuredScene]:
     """All that is measured on the scene in `file`; work is kept in `folder`."""
     scene = open_blend(file)
-    study = SceneStudy(scene, file.stem, *survey_scene(scene, settings.size), folder, settings)
+    study = SceneStudy(scene, *survey_scene(scene, settings.size), folder, settings)
     rng = np.random.default_rng(settings.seed)
     study_size, size, done = study.study_size, study.plan.size, 0.0
 
@@ -159,18 +157,18 @@ def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[M
         with open_scanner(scene, capture) as scanner:
             scanner.exposure = prepared.exposure
             walk = yield from share("walking", _walk(study, prepared, scanner))
-            backends, missing = loaded(compute_choices(is_quick=settings.is_quick))
+            backends = {choice: ChoiceBackend(choice) for choice in compute_choices(is_quick=settings.is_quick)}
             computed = yield from share("computing", measure_compute(backends, walk, study_size.n_rounds, rng))
             seen = evenly_chosen(list(zip(walk.frames, walk.active, strict=True)), study_size.n_views)
             renders = RenderStudy(
                 **vars(study),
                 scanner=scanner,
                 capture=capture,
-                views=[View(frame.frame, [walk.positions[name] for name in names]) for frame, names in seen],
+                views={frame.frame: [walk.positions[name] for name in names] for frame, names in seen},
                 choices=render_choices(presets, size, study_size, is_quick=settings.is_quick),
                 exhaustive=RenderChoice(size, study_size.reference_samples),
             )
-            medians = [Quartiles.of(one.times_ms).median for one in computed]
+            medians = [median_and_spread(one.times_ms)[0] for one in computed]
             computing_ms = dict(zip(backends, medians, strict=True))
             rendered, together = yield from share("rendering", measure_rendering(renders, computing_ms, rng))
             job = measure_pictures(renders, picture_choices(presets), rng)
@@ -180,13 +178,12 @@ def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[M
     added = computing_ms[ComputeChoice()]
     with_computing = [replace(one, times_ms=tuple(ms + added for ms in one.times_ms)) for one in pictured]
     measured = FrontierScene(
-        name=study.name,
-        missing_estimators=tuple(missing),
+        name=file.stem,
         exposure=prepared.exposure,
         size=size,
         n_walk_frames=len(walk.frames),
         n_places=walk.n_places,
-        views=tuple(view.frame for view in renders.views),
+        views=tuple(renders.views),
         presets=dict(presets),
     )
     yield Progress(done, 1, "measured")
@@ -196,10 +193,13 @@ def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[M
 
 def prepare(study: SceneStudy) -> Job[Prepared]:
     """Measure it as a run does, or read what a run that was stopped has measured."""
-    path, scene, plan = study.folder / "prepared.json", study.scene, study.plan
-    kept = kept_json(path, functools.partial(kept_preparation, plan, study.survey))
-    if kept is not None:
-        return kept
+    read = functools.partial(kept_preparation, study.plan, study.survey)
+    return (yield from kept_or_done(study.folder / "prepared.json", read, _preparation(study)))
+
+
+def _preparation(study: SceneStudy) -> Job[Json]:
+    """What `kept_preparation` reads."""
+    scene, plan = study.scene, study.plan
     yield Progress(0, 1, "metering the exposure, looking for effects")
     exposure = meter_exposure(scene, plan.frames, study.settings.seed)
     effects = plan_effects(study.survey.required, overrides_in_force(scene, {}))
@@ -212,8 +212,7 @@ def prepare(study: SceneStudy) -> Job[Prepared]:
         settings = PrevisSettings(preset=name, seed=study.settings.seed)
         count = measure_sample_count(scene, plan, study.survey, settings, exposure, cycles_settings(effects))
         samples[name] = count.capture_samples
-    write_json(path, {"exposure": exposure, "effects": effects_as_json(effects), "samples": samples})
-    return kept_preparation(plan, study.survey, read_json(path))
+    return {"exposure": exposure, "effects": effects_as_json(effects), "samples": samples}
 
 
 def kept_preparation(plan: PrevisPlan, survey: SceneSurvey, content: Json) -> Prepared:
@@ -237,24 +236,17 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Job[
     indices = {name: index for index, name in enumerate(positions)}
     frames, truths = [], []
     with open_reference_probe(study.scene, list(positions.values()), probes) as probe:
+
+        def measured(frame: int, active: Sequence[str]) -> Json:
+            lights = {name: probe.light_at(indices[name], frame, prepared.exposure) for name in active}
+            return {name: light.measured.ldr.tolist() for name, light in lights.items()}
+
         for index, (frame, active) in enumerate(chosen):
             yield Progress(index, len(chosen), f"capturing frame {frame} and its light probes")
             path = study.folder / f"walk_{frame:04d}.npz"
-            captured = read_kept(path, load_frame)
-            if captured is None:
-                scanner.move_to(frame)
-                path.parent.mkdir(parents=True, exist_ok=True)
-                save_frame(path, scanner.acquire_environment_scan())
-                captured = load_frame(path)
-            frames.append(captured)
-            read = functools.partial(kept_truths, active)
-            path = study.folder / f"probes_{frame:04d}.json"
-            truth = kept_json(path, read)
-            if truth is None:
-                measured = {n: probe.light_at(indices[n], frame, prepared.exposure).measured for n in active}
-                write_json(path, {name: light.ldr.tolist() for name, light in measured.items()})
-                truth = read(read_json(path))
-            truths.append(truth)
+            frames.append(kept_capture(path, scanner, frame, scanner.acquire_environment_scan))
+            path, read = study.folder / f"probes_{frame:04d}.json", functools.partial(kept_truths, active)
+            truths.append(kept_or_made(path, read, functools.partial(measured, frame, active)))
     return Walk(frames, [active for _, active in chosen], positions, truths, prepared.exposure)
 
 

@@ -5,18 +5,15 @@ slows the machine for a while, or what one candidate leaves in the caches, falls
 warms up. Of the rounds the median counts, and the distance between the quartiles says how far it can be trusted.
 
 Time is the processor's, not the wall's: it hardly feels what else runs. Renders count all threads. Computing counts the
-thread that does it, and torch gets no other: the threads of NumPy's and torch's libraries go on to spin for some 30 ms
-after their work, and all threads together then charge that to whoever comes next (in one run it made the quartiles of
-10 ms lie 7 ms apart). Rejected: the smallest of many, which is steadier but is not what a run takes.
+thread that does it: the threads of NumPy's libraries go on to spin for some 30 ms after their work, and all threads
+together then charge that to whoever comes next (in one run it made the quartiles of 10 ms lie 7 ms apart). Rejected:
+the smallest of many, which is steadier but is not what a run takes.
 """
 
 from __future__ import annotations
 
-import contextlib
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from typing import ParamSpec, TypeVar
 
 import numpy as np
@@ -28,20 +25,12 @@ Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
 
-@dataclass(frozen=True)
-class Quartiles:
-    """Median of some measurements, and the distance between their quartiles."""
-
-    median: float
-    spread: float
-
-    @classmethod
-    def of(cls, values: Sequence[float]) -> Quartiles:
-        """ValueError for none."""
-        if not len(values):
-            raise ValueError("Quartiles: expected a measurement at least, got none")
-        low, middle, high = np.percentile(values, (25, 50, 75))
-        return cls(float(middle), float(high - low))
+def median_and_spread(values: Sequence[float]) -> tuple[float, float]:
+    """Median of some measurements, and the distance between their quartiles; ValueError for none."""
+    if not len(values):
+        raise ValueError("median_and_spread: expected a measurement at least, got none")
+    low, middle, high = np.percentile(values, (25, 50, 75))
+    return float(middle), float(high - low)
 
 
 def timed(run: Callable[Arguments, Result], *args: Arguments.args, **kwargs: Arguments.kwargs) -> tuple[Result, float]:
@@ -49,21 +38,6 @@ def timed(run: Callable[Arguments, Result], *args: Arguments.args, **kwargs: Arg
     start = time.process_time()
     result = run(*args, **kwargs)
     return result, 1e3 * (time.process_time() - start)
-
-
-@contextlib.contextmanager
-def torch_on_one_thread() -> Iterator[None]:
-    """If torch is loaded, what it computes during the block is computed by the thread that asks."""
-    torch = sys.modules.get("torch")
-    if torch is None:
-        yield
-        return
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def interleaved(
