@@ -193,24 +193,30 @@ def _ranged(image: ArrayF64, is_inside: ArrayBool) -> ArrayF64 | None:
     return np.where(is_inside[..., None], (scaled - low) / (high - low), 0.0)
 
 
-def _hues(image: ArrayF64) -> tuple[ArrayF64, ArrayF64]:
-    """Each pixel divided by its largest component (0 where black), (H, W, 3); and that component, (H, W)."""
-    largest = np.abs(image).max(axis=2)
+def hues(image: ArrayF64) -> tuple[ArrayF64, ArrayF64]:
+    """Each pixel (..., 3) divided by its largest component, 0 where it is black; and that component, (...)."""
+    largest = np.abs(image).max(axis=-1)
     return image / np.where(largest > 0, largest, 1.0)[..., None], largest
 
 
+def angles_deg(first: ArrayF64, second: ArrayF64) -> ArrayF64:
+    """(...) between vectors (..., 3): atan2(|a x b|, a . b), 0 exactly for equal ones."""
+    across = np.linalg.norm(np.cross(first, second), axis=-1)
+    angles: ArrayF64 = np.degrees(np.arctan2(across, np.einsum("...c,...c->...", first, second)))
+    return angles
+
+
 def angular_error(prediction: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> AngularError:
-    """Angle between the RGB vectors of prediction and truth, per pixel, black pixels counted: atan2(|p x g|, p . g).
+    """Angle between the RGB vectors of prediction and truth, per pixel, black pixels counted.
 
     0 exactly for equal images, 0 to 90 degrees for colours >= 0 and to 180 otherwise.
     """
     predicted, true, weights = _checked_images(prediction, truth, mask)
-    (hue_p, largest_p), (hue_g, largest_g) = _hues(predicted), _hues(true)
+    (hue_p, largest_p), (hue_g, largest_g) = hues(predicted), hues(true)
     is_inside = weights > 0
     asked = weights * ((largest_p > 0) & (largest_g > 0))
-    angle_rad = np.arctan2(np.linalg.norm(np.cross(hue_p, hue_g), axis=2), np.einsum("hwc,hwc->hw", hue_p, hue_g))
     return AngularError(
-        mean_deg=float(np.degrees((angle_rad * asked).sum() / asked.sum())) if asked.any() else None,
+        mean_deg=float((angles_deg(hue_p, hue_g) * asked).sum() / asked.sum()) if asked.any() else None,
         n_pixels=int(np.count_nonzero(is_inside)),
         n_black_prediction=int(np.count_nonzero(is_inside & (largest_p == 0) & (largest_g > 0))),
         n_black_truth=int(np.count_nonzero(is_inside & (largest_g == 0))),

@@ -6,14 +6,15 @@ samples the sphere evenly, so that nothing counts more than it covers. The rows 
 picture are sampled evenly in polar angle instead: a lamp above a table had up to 3.9 times its light there.
 
 Pixels within RIM of the rim are not looked at. They lie in part outside of the ball; and Cycles, which takes the
-footprint of a ray from its neighbours, finds none there: textures and bumps below came out black, which was 1 to 3 % of
-the light above a table. What they would see, straight down, is taken from the pixels just inside.
+footprint of a ray from its neighbours, finds none there: whatever has textures or bumps comes out black, which was 1 to
+5 % of the light. What they would see, straight down, is taken from the pixels just inside; or, where a second picture
+looks the other way, from its middle.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,12 +47,12 @@ def _directions(right: ArrayF64, down: ArrayF64) -> tuple[ArrayF64, ArrayBool]:
     return np.stack([across * right, across * down, up], axis=-1), on_ball
 
 
-def ball_pixels(directions: ArrayLike, size: int, rim: float = RIM) -> tuple[ArrayInt, ArrayInt]:
-    """Row and column of the pixel that tells of each unit direction (..., 3): within `rim`, the one just inside."""
+def ball_pixels(directions: ArrayLike, size: int) -> tuple[ArrayInt, ArrayInt]:
+    """Row and column of the pixel that tells of each unit direction (..., 3): within RIM, the one just inside."""
     x, y, z = np.moveaxis(np.asarray(directions, np.float64), -1, 0)
     level = np.hypot(x, y)
     # Of a direction in the disc: sin(polar angle / 2). Straight down is all of the rim.
-    radius = np.minimum(np.sqrt(np.maximum((1 - z) / 2, 0.0)), max(0.0, 1 - 2 * rim / size))
+    radius = np.minimum(np.sqrt(np.maximum((1 - z) / 2, 0.0)), max(0.0, 1 - 2 * RIM / size))
     is_upright = level < 1e-12
     per_side = radius / np.where(is_upright, 1.0, level)
     return _pixel((y * per_side + 1) / 2, size), _pixel((np.where(is_upright, radius, x * per_side) + 1) / 2, size)
@@ -62,9 +63,11 @@ def _pixel(place: ArrayF64, size: int) -> ArrayInt:
     return pixel
 
 
-@lru_cache(maxsize=16)
-def _pixel_integrals(size: int, order: int, rim: float) -> ArrayF64:
+@lru_cache(maxsize=24)
+def _pixel_integrals(size: int, order: int, part: Literal["all", "inside", "beyond"]) -> ArrayF64:
     """((order + 1)^2, size * size) each basis function's integral over what a pixel tells of. Read-only.
+
+    All of the sphere; or what lies inside of RIM; or, for a picture turned over about X, what lies beyond it.
 
     A quarter of the ball is looked at, the rest are its mirror images.
     """
@@ -72,14 +75,16 @@ def _pixel_integrals(size: int, order: int, rim: float) -> ArrayF64:
     place = np.arange(0.5, size * cells / 2) / (size * cells / 2)
     directions, on_ball = _directions(*np.meshgrid(place, place))
     seen = directions[on_ball]
-    rows, columns = ball_pixels(seen, size, rim)
-    values = basis(seen, order) * (np.pi / len(seen))
+    weight = np.pi / len(seen)
+    if part != "all":
+        is_inside = np.sqrt((1 - seen[:, 2]) / 2) <= 1 - 2 * RIM / size
+        seen = seen[is_inside if part == "inside" else ~is_inside]
+    rows, columns = ball_pixels(seen * (1, 1, -1) if part == "beyond" else seen, size)
+    values = basis(seen, order) * weight
     pixels = rows * size + columns
     quarters = [np.bincount(pixels, of_one, size * size).reshape(size, size) for of_one in values.T]
-    integrals = np.array(list(map(_mirrored, quarters, *_parities(order)))).reshape(len(quarters), -1)
-    if not rim:
-        n_cells = _mirrored(np.bincount(pixels, minlength=size * size).reshape(size, size), 1, 1).ravel()
-        integrals *= cells**2 / np.maximum(n_cells, 1)
+    pictures = np.array(list(map(_mirrored, quarters, *_parities(order))))
+    integrals: ArrayF64 = (pictures[:, ::-1] if part == "beyond" else pictures).reshape(len(quarters), -1)
     integrals.flags.writeable = False
     return integrals
 
@@ -98,14 +103,23 @@ def _mirrored(quarter: NDArray[Any], along_x: int, along_y: int) -> ArrayF64:
     return whole
 
 
-def project_mirror_ball(radiance: ArrayLike, order: int = 2, *, rim: float = RIM) -> ArrayF64:
+def project_mirror_ball(radiance: ArrayLike, order: int = 2, *, turned: ArrayLike | None = None) -> ArrayF64:
     """Spherical-harmonic coefficients of a mirror ball (N, N, 3), linear: the integral of radiance x Y over the sphere.
 
-    Negative values are taken as they are. Pixels beside the ball do not count, nor those nearer than `rim` pixels to
-    its rim, see `RIM`; with 0 all do, where those on the rim hold their radiance times the share of their rays that met
-    the ball, as renderers write it. ((order + 1)^2, 3) float64. ValueError for another shape, and with their number if
-    pixels are NaN or infinite.
+    Negative values are taken as they are. Pixels beside the ball do not count, nor those within RIM of its rim; what
+    they would see is taken from `turned`, where it is given: the same light in a ball that is turned over about X, so
+    that its centre looks straight down. ((order + 1)^2, 3) float64. ValueError for another shape, and with their number
+    if pixels are NaN or infinite.
     """
+    image = _checked(radiance)
+    if turned is None:
+        return _pixel_integrals(len(image), order, "all") @ image.reshape(-1, 3)
+    inside: ArrayF64 = _pixel_integrals(len(image), order, "inside") @ image.reshape(-1, 3)
+    beyond: ArrayF64 = _pixel_integrals(len(image), order, "beyond") @ _checked(turned).reshape(-1, 3)
+    return np.add(inside, beyond)
+
+
+def _checked(radiance: ArrayLike) -> ArrayF64:
     image = np.asarray(radiance, np.float64)
     if image.ndim != 3 or image.shape[2] != 3 or image.shape[0] != image.shape[1]:
         raise ValueError(f"mirror ball: expected shape (N, N, 3), got {image.shape}")
@@ -114,7 +128,7 @@ def project_mirror_ball(radiance: ArrayLike, order: int = 2, *, rim: float = RIM
     if not np.isfinite(image).all():
         n_bad = np.count_nonzero(~np.isfinite(image).all(axis=2))
         raise ValueError(f"mirror ball: expected finite radiance, got {n_bad} pixels with NaN or infinity")
-    return _pixel_integrals(len(image), order, rim) @ image.reshape(-1, 3)
+    return image
 
 
 def neighbours(picture: ArrayF32, side: int) -> ArrayF32:

@@ -87,7 +87,7 @@ def seen_by(camera: PhoneCamera, session: Session) -> tuple[list[RgbdFrame], flo
     numbers, times_s = [f.frame for f in frames], [f.time_s for f in frames]
     track = camera.follow(numbers, times_s, metered=metered, ambient=light, reference=reference)
     start = time.perf_counter()
-    pairs = [camera.see_and_count(f, motion=MOTION, track=track) for f in frames]
+    pairs = [camera.see(f, motion=MOTION, track=track) for f in frames]
     ms = 1e3 * (time.perf_counter() - start) / len(frames)
     shares = [sum(n_lost.values()) / seen.plane_depth_m.size for seen, n_lost in pairs]
     return [f for f, _ in pairs], float(np.mean(shares)), ms

@@ -37,11 +37,11 @@ def constant(radiance):
     return coefficients
 
 
-def rendered_sphere(coefficients, exposure=1.0, axis=(0, -1, 0), samples=128):
+def rendered_sphere(coefficients, exposure=1.0, samples=128):
     """Radiance and normals of a white Lambert sphere under this light, where it is not seen at a grazing angle."""
     scene = empty_scene()
     sphere(scene, "White", (0, 0, 0), 1.0, material("White", (1.0, 1.0, 1.0)))
-    world_from_camera = orthographic(scene, axis, 2.2)
+    world_from_camera = orthographic(scene, 2.2)
     scene.world = make_sh_world("Xihe White")
     apply_sh_to_world(scene.world, coefficients, exposure)
     x = ((np.arange(SIDE) + 0.5) / SIDE - 0.5) * 2.2
@@ -49,16 +49,6 @@ def rendered_sphere(coefficients, exposure=1.0, axis=(0, -1, 0), samples=128):
     inside = right**2 + up**2 < 0.85
     in_camera = np.stack([right, up, np.sqrt(np.clip(1 - right**2 - up**2, 0, 1))], axis=-1)[inside]
     return rendered(scene, (SIDE, SIDE), samples)[inside], in_camera @ world_from_camera.T
-
-
-@pytest.mark.parametrize(("seed", "axis"), [(0, (0, -1, 0)), (1, (1, 0, 0)), (2, (0, 0, 1))])
-def test_a_white_sphere_shows_the_analytic_irradiance(seed, axis):
-    coefficients = np.random.default_rng(seed).normal(size=(9, 3)) * 0.15
-    coefficients[0] += 1.5
-    shown, normals = rendered_sphere(coefficients, axis=axis)
-    expected = sh.irradiance(coefficients, normals) / np.pi
-    assert np.abs(shown.mean(axis=0) / expected.mean(axis=0) - 1).max() < 0.005
-    assert np.abs(shown - expected).max() < 0.05 * expected.mean()
 
 
 def test_radiance_that_is_negative_in_places_is_not_clamped():

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import bpy
 import pytest
-from effect_scenes import ball, glass, stage, with_ball
+from effect_scenes import ball, glass, stage
 from previs_runs import SMALL, run
 from scene_snapshot import differences, snapshot
 from tiny_scenes import room_with_a_virtual_sphere, saved
@@ -24,18 +24,8 @@ from xihe_blender.light_transport.rules import RULES, SWITCHED_ELSEWHERE
 from xihe_blender.previs.required_effects import effects_of_run
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.blend_file import open_blend
-from xihenet.effects import effects_as_json
 
 COSTLESS = {"subsurface", "hair", "displacement", "depth of field", "environment sampling"}
-
-
-def test_an_override_wins_over_the_scene_and_says_so():
-    plan = plan_light_transport(with_ball(glass), overrides={"transmission": "off", "volumes": "on"})
-    off, on = plan["transmission"], plan["volumes"]
-    assert (off.state, off.origin, off.parameters) == ("off", "user", {"transmission_bounces": 0})
-    assert (on.state, on.origin) == ("on", "user") and on.parameters["volume_bounces"] > 0
-    assert "you turned it off" in off.reason and "would be on" in off.reason
-    assert plan["glossy bounces"].origin == "auto"
 
 
 def test_overrides_are_remembered_in_the_blend_until_they_are_auto(tmp_path):
@@ -174,14 +164,6 @@ def test_the_plan_is_shown_before_the_costs_and_each_cost_as_it_is_known(blend):
 def test_what_the_budget_has_no_time_for_is_named(blend):
     shown = xihe_here("effects", blend, "--budget", "1e-9").stdout
     assert "diffuse bounces: not measured within the budget" in shown
-
-
-@pytest.mark.slow
-def test_measured_costs_are_json(measured):
-    written = json.dumps(effects_as_json(measured[0], with_cost=True), allow_nan=False)
-    costs_of = {row["name"]: row["cost"] for row in json.loads(written)}
-    assert set(costs_of["transmission"]) == {"time_share", "time_standard_error", "light", "picture"}
-    assert costs_of["hair"] is None
 
 
 def test_a_scene_without_a_camera_and_objects_has_a_plan_and_no_costs():

@@ -76,13 +76,3 @@ def test_one_worker_comes_to_the_same_bytes_and_does_nothing_again(done, tmp_pat
 def test_mistakes_are_one_line_and_leave_nothing(scenes, tmp_path, option, value, words):
     assert_refused(xihe_here("evaluate", scenes / "good.blend", "--out", tmp_path / "a", option, value), words)
     assert not (tmp_path / "a").exists()
-
-
-def test_a_folder_of_another_version_is_one_line_and_stays(done, tmp_path):
-    out, files, _ = done
-    shutil.copytree(out, tmp_path / "copy")
-    manifest = tmp_path / "copy" / "batch.json"
-    manifest.write_text(json.dumps({**json.loads(manifest.read_text()), "xihe": "0.0.1"}))
-    before = (tmp_path / "copy" / "results.json").read_bytes()
-    assert_refused(xihe_here("evaluate", files[0], "--out", tmp_path / "copy", *TINY), "version of xihe")
-    assert (tmp_path / "copy" / "results.json").read_bytes() == before

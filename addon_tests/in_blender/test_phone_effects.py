@@ -282,13 +282,6 @@ def test_looking_changes_nothing_in_the_file():
     assert differences(before, snapshot()) == ({}, [])
 
 
-def test_the_users_choices_win_and_are_named():
-    effects = announced(room_with_a_virtual_sphere(), replace(SESSION, effect_choices={"noise": "off", "range": "on"}))
-    assert (effects["noise"].state, effects["noise"].origin) == ("off", "user")
-    assert (effects["range"].state, effects["range"].origin) == ("on", "user")
-    assert "you turned it on; by itself it would be off" in effects["range"].reason
-
-
 def test_a_perfect_phone_that_estimates_by_itself_has_no_effects():
     assert announced(room_with_a_virtual_sphere(), SMALL) == {}
     assert set(announced(room_with_a_virtual_sphere(), replace(SMALL, network="lte"))) == set(PHONE_EFFECTS)

@@ -15,7 +15,7 @@ from xihe_blender.capture.reference_probe import (
     MeasuredLight,
     ProbeSettings,
     cone_factors,
-    light_of_cones,
+    lights_of_cones,
     open_reference_probe,
 )
 from xihe_blender.io.json_records import as_json
@@ -184,7 +184,7 @@ def _baked(scene, place, normal):
 def test_constant_cones_are_constant_light():
     _, on_ball = ball_directions(32 * 8)
     share = on_ball.reshape(32, 8, 32, 8).mean(axis=(1, 3))
-    light = light_of_cones(np.repeat(share[..., None], 3, axis=-1).astype(np.float32))
+    [light] = lights_of_cones([np.repeat(share[..., None], 3, axis=-1).astype(np.float32)])
     np.testing.assert_allclose(light[0], np.sqrt(4 * np.pi), rtol=5e-3)
     assert (np.sign(cone_factors()) == [1, -1, -1, -1, 1, 1, 1, 1, 1]).all() and abs(cone_factors()).min() > 0.5
 
@@ -209,18 +209,20 @@ def test_a_tighter_target_takes_more_pictures_and_ends_at_the_most():
     assert samples[0] == 6 < samples[1] < samples[2] == 12
 
 
-def test_a_bumpy_floor_below_is_not_black():
+@pytest.mark.parametrize(("target", "side"), [("ldr", -1), ("hdr", 1)], ids=["clipped, below", "whole, above"])
+def test_a_bumpy_surface_beyond_the_rim_is_not_black(target, side):
     """Cycles shades bumps by the rays of neighbouring pixels, and on the rim of a mirror ball there are none."""
     scene = dark_scene()
-    add_lamp(scene, "SUN", np.array([0.0, 0.6, 0.8]), energy=1.0)
-    floor = shader_look("Floor", "BsdfPrincipled")
-    bpy.ops.mesh.primitive_plane_add(size=4.0, location=POSITION - (0, 0, 0.1))
-    bpy.context.object.data.materials.append(floor)
-    smooth = measured(scene, ProbeSettings(64, 6, noise_target=None)).ldr
-    tree = floor.node_tree
+    add_lamp(scene, "SUN", np.array([0.0, 0.6, -0.8 * side]), energy=1.0)
+    settings = ProbeSettings(64, 6, noise_target=None)
+    sun = measured(scene, settings).of(target)
+    surface = shader_look("Surface", "BsdfPrincipled")
+    bpy.ops.mesh.primitive_plane_add(size=4.0, location=POSITION + (0, 0, 0.1 * side))
+    bpy.context.object.data.materials.append(surface)
+    smooth = measured(scene, settings).of(target)
+    tree = surface.node_tree
     bump = shader_node(tree, "Bump", Strength=0.1)
     tree.links.new(tree.nodes.new("ShaderNodeTexNoise").outputs[0], bump.inputs["Height"])
     tree.links.new(bump.outputs[0], tree.nodes["Principled BSDF"].inputs["Normal"])
-    bumpy = measured(scene, ProbeSettings(64, 6, noise_target=None)).ldr
-    np.testing.assert_allclose(bumpy, smooth, atol=0.02 * smooth[0, 0])
-    assert not np.array_equal(bumpy, smooth)
+    bumpy = measured(scene, settings).of(target)
+    assert 0 < np.linalg.norm(bumpy - smooth) < 0.03 * np.linalg.norm(smooth - sun)

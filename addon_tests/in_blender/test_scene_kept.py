@@ -1,7 +1,5 @@
 """The user's scene is as it was: after a run, an error in its middle, a stop, and after everything is removed."""
 
-import os
-import signal
 from dataclasses import replace
 
 import bpy
@@ -12,8 +10,6 @@ from tiny_scenes import add_lamp, box, key, light_strength
 
 from xihe_blender.apply.sh_worlds import remove_applied_light
 from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
-from xihe_blender.jobs import run_blocking
-from xihe_blender.previs.previs import previs
 from xihe_blender.scene.state import scene_kept
 
 SHORT = replace(SMALL, samples=2, frames=(1, 4))
@@ -160,17 +156,3 @@ def test_the_scene_is_as_it_was_after_an_error(tmp_path, place):
         run(scene, tmp_path, SHORT)
     assert_kept(before)
     assert not (tmp_path / "results.json").exists()
-
-
-def test_the_scene_is_as_it_was_after_ctrl_c(tmp_path):
-    scene = lived_in_scene()
-    before = snapshot()
-
-    def press(progress, _elapsed_s):
-        if progress.doing == "capturing frame 4":
-            os.kill(os.getpid(), signal.SIGINT)
-
-    with pytest.raises(KeyboardInterrupt):
-        run_blocking(previs(scene, tmp_path / "out", SHORT), press)
-    assert_kept(before)
-    assert not (tmp_path / "out" / "results.json").exists()

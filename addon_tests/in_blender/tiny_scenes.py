@@ -108,9 +108,9 @@ def phone(scene, location, towards, name="Phone"):
     return camera
 
 
-def orthographic(scene, axis=(0, -1, 0), scale=2.0):
-    """(3, 3) world_from_camera of the scene's camera from then on, which looks from `axis` at the origin."""
-    camera = phone(scene, np.array(axis) * 5.0, (0, 0, 0))
+def orthographic(scene, scale=2.0):
+    """(3, 3) world_from_camera of the scene's camera from then on, which looks along +Y at the origin."""
+    camera = phone(scene, (0.0, -5.0, 0.0), (0, 0, 0))
     camera.data.type, camera.data.ortho_scale = "ORTHO", scale
     return np.array(camera.rotation_euler.to_matrix())
 

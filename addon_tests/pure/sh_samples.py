@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
 from xihenet.colour import linear_to_srgb
@@ -14,7 +13,6 @@ from xihenet.sphere import AnchorLattice
 F64 = NDArray[np.float64]
 
 AXES = {"+X": (1, 0, 0), "-X": (-1, 0, 0), "+Y": (0, 1, 0), "-Y": (0, -1, 0), "+Z": (0, 0, 1), "-Z": (0, 0, -1)}
-EVERY_AXIS = pytest.mark.parametrize("axis", list(AXES.values()), ids=list(AXES))
 CONSTANT = np.sqrt(4 * np.pi)
 
 

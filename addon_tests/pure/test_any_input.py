@@ -11,7 +11,7 @@ from addon_tests.pure.hard_cases.hard_clouds import estimator
 from addon_tests.pure.made import pose_of
 from xihenet.buffers import merge
 from xihenet.camera import encode_exposed, metered_exposure, project_points, unproject_frame
-from xihenet.metrics import angular_error_deg, image_rmse, psnr, shc_rmse, si_rmse, ssim
+from xihenet.metrics import angular_error_deg, image_rmse, normalized_rmse, psnr, shc_rmse, si_rmse, ssim
 from xihenet.records import Intrinsics, PointCloud, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere, sample_unit_sphere_reference
 from xihenet.sh import dering, irradiance, project_anchors, rotate
@@ -163,7 +163,7 @@ def test_any_light_is_metered(light):
 @some_examples()
 @given(scored=pictures())
 def test_scores_are_finite_or_undefined(scored):
-    for metric in (image_rmse, si_rmse, angular_error_deg, psnr, ssim):
+    for metric in (image_rmse, si_rmse, normalized_rmse, angular_error_deg, psnr, ssim):
         score = metric(*scored)
         assert score is None or np.isfinite(score)
         assert (score is None) == (metric(*scored) is None)

@@ -14,18 +14,6 @@ def same(a, b):
     return (a.srgb == b.srgb).all() and (a.distance_m == b.distance_m).all() and (a.is_set == b.is_set).all()
 
 
-@pytest.mark.parametrize("seed", range(10))
-def test_new_wins_on_every_anchor_that_it_sets_and_old_stays_elsewhere(seed):
-    rng = np.random.default_rng(seed)
-    old, new = random_cloud(rng, N), random_cloud(rng, N)
-    merged = merge(old, new)
-    for anchor in range(N):
-        source = new if new.is_set[anchor] else old
-        assert (merged.srgb[anchor] == source.srgb[anchor]).all()
-        assert merged.distance_m[anchor] == source.distance_m[anchor]
-        assert merged.is_set[anchor] == source.is_set[anchor]
-
-
 def test_firing_moves_what_was_seen_into_the_persistent_cloud_and_starts_anew():
     rng = np.random.default_rng(3)
     first, second, third = random_cloud(rng, N), random_cloud(rng, N), random_cloud(rng, N)

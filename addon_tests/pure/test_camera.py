@@ -9,7 +9,6 @@ from addon_tests.pure.made import frame_of, pose_of, random_rotation
 from xihenet.camera import (
     in_view,
     project_points,
-    ray_distance_from_plane_depth,
     unproject_frame,
 )
 from xihenet.colour import srgb_to_linear
@@ -45,15 +44,6 @@ def test_camera_looks_down_minus_z_with_row_zero_on_top():
     np.testing.assert_allclose(points[1, 2], [2, 0, -2])
 
 
-def test_ray_distance_is_the_distance_of_the_unprojected_point_from_the_camera():
-    rng = np.random.default_rng(4)
-    intrinsics, pose = random_camera(rng)
-    plane_depth_m = rng.uniform(1, 4, (intrinsics.height, intrinsics.width)).astype(np.float32)
-    points = unproject_frame(frame_of(plane_depth_m, intrinsics, pose)).points_m
-    ray_distance_m = ray_distance_from_plane_depth(plane_depth_m, intrinsics)
-    np.testing.assert_allclose(ray_distance_m.ravel(), np.linalg.norm(points - pose[:3, 3], axis=1), rtol=1e-5)
-
-
 def test_points_behind_the_camera_are_not_in_view():
     intrinsics = Intrinsics(4, 4, 2.0, 2.0, 2.0, 2.0)
     points = [[0, 0, -1], [0, 0, 1], [0.9, 0, -1], [1.1, 0, -1], [0, 0, 0], [np.nan, 0, -1]]
@@ -80,10 +70,3 @@ def test_the_frames_own_exposure_keeps_its_bytes():
     plane_depth_m = np.arange(256.0)[None] - 128  # Pixels that give no point keep theirs, too.
     frame = frame_of(plane_depth_m, srgb_u8=colours, exposure=0.37)
     np.testing.assert_array_equal(np.rint(unproject_frame(frame).srgb * 255), colours.reshape(-1, 3))
-
-
-@pytest.mark.parametrize("exposure", [0.0, -1.0, np.nan, np.inf])
-def test_an_exposure_that_is_no_positive_number_is_refused(exposure):
-    frame = frame_of(np.ones((1, 1)))
-    with pytest.raises(ValueError, match="positive, finite exposure"):
-        unproject_frame(frame, reference_exposure=exposure)

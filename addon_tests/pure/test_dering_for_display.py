@@ -76,11 +76,6 @@ def test_a_dark_channel_that_rings_takes_nothing_off_the_others():
     assert 0 < shown[3, 2] < light[3, 2]
 
 
-def test_a_channel_of_negative_light_is_black():
-    shown = dering_for_display(CONSTANT * [1.0, -1.0, 1.0])
-    assert shown[0].tolist() == [1.0, 0.0, 1.0] and not shown[1:].any()
-
-
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_light_that_is_no_number_is_refused(value):
     with pytest.raises(ValueError, match="expected finite coefficients"):

@@ -73,10 +73,8 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("frame")
     write_camera(folder / "camera.json")
     write_exr(folder / "frame.exr", RADIANCE, PLANE_DEPTH_M)
-    write_exr(folder / "no_z.exr", RADIANCE, PLANE_DEPTH_M, plane_depth=None)
     write_image(folder / "colour.png", COLOUR)
     write_image(folder / "plane_depth.png", MILLIMETRES)
-    write_camera(folder / "misspelt.json", convension="opencv")
     (folder / "text.exr").write_text("a shopping list")
     return folder
 
@@ -152,22 +150,6 @@ def test_the_json_says_all_there_is_to_say(exr, answer):
         assert 0 < one["coverage"] < 1 and one["n_invalid_points"] == 0
         assert (one["in_view"], one["is_valid"], one["expected_error"]) == (True, True, None)
         assert one["behind_m"] == 0
-
-
-def test_red_walls_on_the_right_light_the_right(exr, answer):
-    content, _ = answer(*exr, "--at", AT)
-    light = np.array(content["positions"][0]["sh_radiance"])
-    right, left = sh.basis([(1, 1, 0), (-1, 1, 0)]) @ light
-    assert right[0] > left[0] + 0.05 and left[2] > right[2] + 0.05
-
-
-def test_images_give_the_light_that_the_exr_gives(exr, images, answer):
-    of_exr, _ = answer(*exr, "--at", AT, "--exposure", 1)
-    of_images, _ = answer(*images, "--at", AT)
-    assert of_exr["exposure"] == of_images["exposure"] == 1
-    np.testing.assert_allclose(
-        of_images["positions"][0]["sh_radiance"], of_exr["positions"][0]["sh_radiance"], atol=0.01
-    )
 
 
 def test_positions_are_in_the_world_of_the_camera_file_and_light_is_upright(exr, folder, answer):
@@ -271,8 +253,6 @@ IMAGES = ["colour.png", "--plane-depth", "plane_depth.png", "--camera", "camera.
         (["frame.exr", "--camera", "none.json", "--at", AT], "none.json (No such file or directory)"),
         ([".", "--camera", "camera.json", "--at", AT], "(Is a directory)"),
         (["text.exr", "--camera", "camera.json", "--at", AT], "is no OpenEXR file"),
-        (["no_z.exr", "--camera", "camera.json", "--at", AT], "save the Z pass"),
-        (["frame.exr", "--camera", "misspelt.json", "--at", AT], "did you mean 'convention'"),
         (["colour.png", "--camera", "camera.json", "--at", AT], "plane depth"),
         ([*IMAGES, "--at", AT, "--depth-scale", "0"], "depth scale"),
         ([*EXR, "--at", AT, "--exposure", "-1"], "exposure"),

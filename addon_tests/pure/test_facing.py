@@ -91,6 +91,8 @@ def test_a_batch_takes_facing_by_name_and_equals_single_estimates():
     np.testing.assert_allclose(faced, [lattice.estimate(c) for c in clouds], atol=1e-5)
     np.testing.assert_allclose(plain, [lattice.estimate(without_surfaces(c)) for c in clouds], atol=1e-5)
     assert np.abs(faced - plain).max() > 0.01
+    for estimator in (projection, lattice):
+        assert estimator.estimate_batch(*(array[:0] for array in arrays)).shape == (0, 9, 3)
 
 
 def test_facing_travels_in_one_more_byte_and_the_papers_records_stay_as_they_are():

@@ -92,7 +92,7 @@ def test_what_the_phone_takes_is_told_by_the_effect_that_took_it(name):
     plane_depth_m = np.full((HEIGHT, WIDTH), 2.0)
     plane_depth_m[0], plane_depth_m[1] = 0.0, 900.0
     phone = PhoneCamera(load_profile(name), 3)
-    seen, n_lost = phone.see_and_count(frame(plane_depth_m, {"no_surface": WIDTH}, ambient=[1.0] * 3))
+    seen, n_lost = phone.see(frame(plane_depth_m, {"no_surface": WIDTH}, ambient=[1.0] * 3))
     assert sum(n_lost.values()) > 0
     assert invalid_pixels(seen) == counted(**n_lost) | {"no_surface": WIDTH}
 

@@ -157,17 +157,8 @@ def test_weights_for_the_other_target_are_refused(weights_file):
         Lattice(512, "hdr", weights=weights_file)
 
 
-@pytest.mark.parametrize("kept", [0, 10, 0.5, 0.99])
-def test_a_truncated_file_is_refused_by_name(tmp_path, weights_file, kept):
-    content = weights_file.read_bytes()
-    path = tmp_path / "cut.npz"
-    path.write_bytes(content[: int(kept * len(content)) if isinstance(kept, float) else kept])
-    with pytest.raises(ValueError, match=r"cut\.npz: expected an \.npz of lattice weights"):
-        Lattice(512, weights=path)
-
-
 def test_a_missing_file_is_refused_by_name(tmp_path):
-    with pytest.raises(ValueError, match=r"none\.npz: expected"):
+    with pytest.raises(ValueError, match=r"none\.npz: expected an \.npz of lattice weights"):
         load_weights(tmp_path / "none.npz")
 
 

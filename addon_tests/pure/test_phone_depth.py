@@ -93,14 +93,6 @@ def test_tiny_pictures_are_legal(effect, size):
     assert np.abs(out - 2).max() < 0.2
 
 
-@pytest.mark.parametrize("effect", EFFECTS_ON)
-def test_the_input_is_not_written_to(effect):
-    z = messy(3)
-    before = z.tobytes()
-    effect(z)
-    assert z.tobytes() == before
-
-
 def test_the_range_is_cut_at_both_ends_and_nowhere_else():
     z = np.array([[0.49, 0.5, 3.0, 5.0, 5.01]], np.float32)
     np.testing.assert_array_equal(cut_range(z, LIMITS), np.array([[0, 0.5, 3.0, 5.0, 0]], np.float32))
@@ -137,12 +129,6 @@ def test_grain_makes_neighbours_alike_and_far_pixels_independent():
     far = np.mean(pictures[:, 10] * pictures[:, 50])
     assert near > 0.85
     assert abs(far) < 0.08
-
-
-def test_noise_is_seeded():
-    first, again, other = (add_noise(wall(2), AZURE, np.random.default_rng(seed)) for seed in (1, 1, 2))
-    assert first.tobytes() == again.tobytes()
-    assert first.tobytes() != other.tobytes()
 
 
 def test_huge_noise_neither_passes_the_camera_nor_makes_holes():

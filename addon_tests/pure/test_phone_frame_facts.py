@@ -91,7 +91,7 @@ def test_an_effect_that_is_left_out_would_have_taken_no_pixel_away(name, seed):
     for effect in left_out:
         camera = PhoneCamera(profile, seed, effects={effect})
         for frame in frames:
-            assert camera.see(frame).plane_depth_m.tobytes() == frame.plane_depth_m.tobytes()
+            assert camera.see(frame)[0].plane_depth_m.tobytes() == frame.plane_depth_m.tobytes()
 
 
 def test_the_random_sessions_both_call_for_effects_and_leave_them_out():

@@ -7,7 +7,7 @@ import pytest
 
 from addon_tests.pure.made import frame_of, pose_of
 from xihenet.effects import names_that_are_on, plan_effects
-from xihenet.phone import EFFECTS, LINKS, PHONE_EFFECTS, PhoneCamera, SessionFacts, load_profile, profile_names
+from xihenet.phone import EFFECTS, LINKS, PHONE_EFFECTS, SessionFacts, load_profile, profile_names
 from xihenet.phone.motion import motion_between, read_rows
 from xihenet.records import Intrinsics
 
@@ -51,11 +51,6 @@ def test_each_effect_is_required_by_a_session_that_shows_it_and_by_no_other(effe
     assert shown.reason != calm.reason
 
 
-@pytest.mark.parametrize("name", ["ipad_pro_lidar", "azure_kinect"])
-def test_a_calm_session_requires_nothing(name):
-    assert names_that_are_on(plan_effects(load_profile(name).required_effects(CALM), {})) == set()
-
-
 @pytest.mark.parametrize("name", profile_names())
 def test_a_session_of_which_nothing_is_known_leaves_every_effect_on(name):
     profile = load_profile(name)
@@ -76,15 +71,6 @@ def test_an_effect_that_the_device_lacks_cannot_be_switched_on():
     assert found["pose_drift"].reason == "Azure Kinect does not have it"
     effect = plan_effects(found, {"pose_drift": "on"})["pose_drift"]
     assert (effect.state, effect.origin, effect.is_switchable, effect.parameters) == ("off", "auto", False, {})
-
-
-def test_a_room_of_three_metres_needs_no_range_cut_and_the_cut_would_change_nothing():
-    profile = load_profile("ipad_pro_lidar")
-    assert not required(CALM, "range").is_required
-    z = np.random.default_rng(0).uniform(1, 3, (20, 20))
-    frame = frame_of(z, Intrinsics(20, 20, 20, 20, 10, 10))
-    seen = PhoneCamera(profile, 0, effects={"range"}).see(frame)
-    assert seen.plane_depth_m.tobytes() == frame.plane_depth_m.tobytes()
 
 
 @pytest.mark.parametrize("speed_m_per_s", [0.0, 0.05, 0.1, 0.5, 2.0])

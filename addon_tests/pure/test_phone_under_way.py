@@ -35,7 +35,7 @@ def test_without_a_link_every_valid_estimate_is_there_at_once():
     under_way, asked = session(None, 0)
     for i, t in enumerate(FRAMES_S):
         last_valid = i - 1 if i % 5 == 4 else i
-        assert under_way.light("a", t).sh_radiance[0, 0] == last_valid
+        assert under_way.in_force("a", t).frame == last_valid
     assert all(request.latency_s == 0 for request in asked["a"])
 
 
@@ -47,18 +47,8 @@ def test_the_light_is_the_youngest_valid_estimate_that_has_arrived(seed):
     assert any(overtaken) and any(request.latency_s is None for request in requests)
     for t in np.linspace(-0.1, 3, 200):
         there = [i for i, r in enumerate(requests) if r.arrival_s <= t and r.estimate.is_valid]
-        light = under_way.light("a", t)
-        assert (light is None) == (not there)
-        assert light is None or light.sh_radiance[0, 0] == max(there)
-
-
-def test_what_is_lost_leaves_the_light_before_in_force():
-    under_way = EstimatesUnderWay(replace(LINKS["wifi"], loss=0.0), 0)
-    under_way.ask("a", estimate(1), frame=1, asked_s=0.0, payload_bytes=4249)
-    under_way.link = replace(LINKS["wifi"], loss=1.0)
-    lost = under_way.ask("a", estimate(2), frame=2, asked_s=0.1, payload_bytes=4249)
-    assert lost.latency_s is None
-    assert under_way.light("a", 1e9).sh_radiance[0, 0] == 1
+        found = under_way.in_force("a", t)
+        assert found is (requests[max(there)] if there else None)
 
 
 def test_luck_depends_on_seed_frame_and_position_and_on_nothing_else():
@@ -71,4 +61,4 @@ def test_luck_depends_on_seed_frame_and_position_and_on_nothing_else():
 
 
 def test_a_position_that_never_asked_has_no_light():
-    assert EstimatesUnderWay(None, 0).light("nobody", 1.0) is None
+    assert EstimatesUnderWay(None, 0).in_force("nobody", 1.0) is None

@@ -82,25 +82,6 @@ def test_memory_layout_of_the_points_does_not_matter():
     assert_same(sample_unit_sphere(cloud, ORIGIN, LATTICE), sample_unit_sphere(by_column, ORIGIN, LATTICE), rtol=0)
 
 
-def test_distances_are_exact_ten_kilometres_from_the_origin():
-    rng = np.random.default_rng(6)
-    position = np.array([10_000.123456789, -9_999.987654321, 10_000.000000123])
-    points = (position + rng.uniform(-3, 3, (3000, 3))).astype(np.float32)
-    lattice = AnchorLattice(65)
-    sampled = sample_unit_sphere(PointCloud(points, np.zeros((3000, 3))), position, lattice)
-    relative = points.astype(np.float64) - position
-    distance_m, anchors = np.linalg.norm(relative, axis=1), lattice.nearest(relative, "brute")
-    expected = [distance_m[anchors == anchor].min() for anchor in range(lattice.n)]
-    np.testing.assert_allclose(sampled.distance_m, expected, rtol=4e-7)
-
-
-def test_sampling_leaves_the_cloud_alone():
-    points, srgb = np.asfortranarray(nasty_cloud(np.random.default_rng(9)).points_m), np.zeros((903, 3), np.float32)
-    before = points.copy()
-    sample_unit_sphere(PointCloud(points, srgb), ORIGIN, LATTICE)
-    np.testing.assert_array_equal(points, before)
-
-
 def test_table_sampling_differs_in_some_anchors_only():
     cloud = random_cloud(np.random.default_rng(10), 49_152)
     exact = sample_unit_sphere(cloud, ORIGIN, LATTICE)

@@ -6,9 +6,7 @@ import scipy.special
 
 from addon_tests.pure.made import random_rotation
 from addon_tests.pure.sh_samples import (
-    AXES,
     CONSTANT,
-    EVERY_AXIS,
     F64,
     LATTICE,
     Lattice,
@@ -60,15 +58,9 @@ def test_the_length_of_a_direction_does_not_matter(length):
         np.testing.assert_allclose(basis(directions * length, 4), basis(directions, 4), atol=1e-14)
 
 
-def test_directions_without_direction_are_refused_with_their_number_and_none_are_legal():
-    directions = random_directions(9)
-    directions[[1, 4]] = 0
-    directions[5, 2] = np.nan
-    directions[6, 0] = -np.inf
-    with pytest.raises(ValueError, match="4 that are zero, NaN or infinite"):
-        basis(directions)
+def test_directions_of_another_shape_are_refused_and_none_are_legal():
     with pytest.raises(ValueError, match=r"\(P, 3\), got \(3,\)"):
-        basis(directions[0])
+        basis(np.ones(3))
     assert basis(np.empty((0, 3)), 3).shape == (0, 16)
 
 
@@ -85,15 +77,6 @@ def test_constant_light_stays_constant_at_any_coverage(n_anchors, coverage, orde
     np.testing.assert_allclose(project_anchors(cloud, lattice, order), expected, rtol=0, atol=1e-12)
 
 
-def test_full_coverage_gives_the_light_back():
-    light = random_light() * 0.1 + np.eye(9, 3)[:, :1] * CONSTANT * 0.5
-    radiance = basis(LATTICE.directions) @ light
-    assert radiance.min() > 0
-    assert radiance.max() < 1
-    fitted = project_anchors(cloud_of(radiance, np.ones(1280, bool)), LATTICE)
-    np.testing.assert_allclose(fitted, light, atol=1e-6)  # float32 colours
-
-
 def test_more_coverage_brings_the_fit_nearer():
     radiance = np.repeat((LATTICE.directions @ [0.48, 0.6, 0.64] > 0.3)[:, None] * 0.8 + 0.1, 3, axis=1)
     truth = project_anchors(cloud_of(radiance, np.ones(1280, bool)), LATTICE)
@@ -103,21 +86,6 @@ def test_more_coverage_brings_the_fit_nearer():
     ]
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] == 0
-
-
-@EVERY_AXIS
-def test_bright_anchors_on_one_side_light_that_side(axis):
-    bright = np.repeat((LATTICE.directions @ np.array(axis) > 0.9)[:, None].astype(float), 3, axis=1)
-    received = irradiance(project_anchors(cloud_of(bright, np.ones(1280, bool)), LATTICE), list(AXES.values()))
-    assert np.argmax(received[:, 1]) == list(AXES.values()).index(axis)
-
-
-def test_a_turned_room_gives_turned_coefficients():
-    turned = Lattice(1280, random_rotation(3))
-    rng = np.random.default_rng(4)
-    cloud = cloud_of(rng.random((1280, 3)), cap(LATTICE, 0.3))
-    expected = rotate(project_anchors(cloud, LATTICE, 3), turned.rotation)
-    np.testing.assert_allclose(project_anchors(cloud, turned, 3), expected, atol=1e-11)
 
 
 def test_channels_do_not_mix_and_distances_do_not_matter():
@@ -185,14 +153,6 @@ def ringing_lights() -> list[F64]:
     return lights
 
 
-def test_dering_leaves_light_that_needs_no_window_untouched():
-    for light in (np.zeros((9, 3)), distant_light((1, 2, 3)) * [[1.0]] + 3 * np.eye(9, 3)[:, :1]):
-        assert irradiance(light, random_directions(500)).min() >= 0
-        result, strength = dering_with_strength(light)
-        assert strength == 0
-        np.testing.assert_array_equal(result, light)
-
-
 @pytest.mark.parametrize("light", ringing_lights())
 def test_dering_lights_every_normal_with_the_smallest_window(light):
     normals = random_directions(20000, seed=40)
@@ -206,14 +166,10 @@ def test_dering_lights_every_normal_with_the_smallest_window(light):
     np.testing.assert_array_equal(dering(result), result)
 
 
-def test_dering_does_not_depend_on_scale_or_much_on_orientation():
+def test_dering_hardly_depends_on_orientation():
     light = ringing_lights()[6]
-    result, strength = dering_with_strength(light)
-    scaled, scaled_strength = dering_with_strength(light * 1e-6)
-    assert scaled_strength == strength
-    np.testing.assert_allclose(scaled, result * 1e-6, rtol=1e-12)
-    _, turned_strength = dering_with_strength(rotate(light, random_rotation(5)))
-    assert turned_strength == pytest.approx(strength, abs=2e-3)
+    strengths = [dering_with_strength(one)[1] for one in (light, rotate(light, random_rotation(5)))]
+    assert strengths[1] == pytest.approx(strengths[0], abs=2e-3)
 
 
 def test_a_channel_without_any_mean_light_loses_all_variation():

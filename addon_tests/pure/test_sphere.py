@@ -114,10 +114,6 @@ def test_exact_is_never_wrong_on_nasty_directions(n, dtype):
     assert n_wrong(lattice, directions) == 0
 
 
-def test_exact_is_never_wrong_where_lists_need_more_than_16_bits():
-    assert n_wrong(AnchorLattice(16_384), in_cube(np.random.default_rng(1), 4000)) == 0
-
-
 @settings(max_examples=15, deadline=None)
 @given(n=st.integers(1, 700), seed=st.integers(0, 2**32 - 1))
 def test_exact_agrees_with_brute_force_for_any_lattice(n, seed):

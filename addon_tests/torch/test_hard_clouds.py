@@ -17,9 +17,3 @@ def network():
 @pytest.mark.parametrize("name", list(HARD))
 def test_extreme_clouds_give_light_of_at_most_white(network, name):
     assert np.abs(network.estimate(HARD[name])).max() <= WHITE_LIGHT
-
-
-def test_a_batch_of_extremes_is_its_clouds_one_by_one(network):
-    stacked = [np.stack([getattr(cloud, part) for cloud in HARD.values()]) for part in ("srgb", "distance_m", "is_set")]
-    single = [network.estimate(cloud) for cloud in HARD.values()]
-    np.testing.assert_allclose(network.estimate_batch(*stacked), single, atol=1e-5)

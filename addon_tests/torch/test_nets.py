@@ -101,35 +101,6 @@ def test_pointconv_is_finite_with_finite_gradients_also_without_points(keeps):
     assert all(torch.isfinite(parameter.grad).all() for parameter in net.parameters())
 
 
-def test_pointconv_gives_negative_coefficients_too():
-    torch.manual_seed(0)
-    with torch.no_grad():
-        light = PointConvNet(SMALL)(*points())
-    assert (light < 0).any() and (light > 0).any()
-
-
-def test_pointconv_leaves_unset_points_out_unless_told_to_keep_them():
-    given, changes = points(), []
-    unset = torch.ones(5, 9, 3), torch.ones(5, 9, 3), torch.zeros(5, 9, dtype=torch.bool)
-    more = [torch.cat(parts, 1) for parts in zip(given, unset, strict=True)]
-    for keeps in (False, True):
-        torch.manual_seed(0)
-        net = PointConvNet(replace(SMALL, keeps_unset_at_origin=keeps))
-        with torch.no_grad():
-            changes.append(float((net(*given) - net(*more)).abs().max()))
-    assert changes[0] < 1e-5 < changes[1]
-
-
-def test_pointconv_gives_one_cloud_what_it_gives_it_in_a_batch():
-    torch.manual_seed(0)
-    net, parts = PointConvNet(SMALL), points()
-    with torch.no_grad():
-        batch = net(*parts)
-        for k in range(5):
-            single = net(*(part[k : k + 1] for part in parts))
-            np.testing.assert_allclose(single[0].numpy(), batch[k].numpy(), atol=1e-5)
-
-
 def test_pointconv_has_about_the_papers_size():
     assert 1.3e6 < sum(p.numel() for p in PointConvNet().parameters()) < 1.6e6
 

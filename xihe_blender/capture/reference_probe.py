@@ -51,6 +51,9 @@ CONE = 0.4
 """Size of the `Toon` closure, half the cone's angle over a right angle: 36 degrees, of which l = 2 keeps 0.73. A wider
 cone catches a lamp in more pixels, a narrower one keeps more of l = 2 where indirect light is noisy."""
 
+TURNED_OVER = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1])
+"""(9,) what becomes of coefficients when the world is turned by half a turn about X: y and z change their sign."""
+
 CONE_SEGMENTS = 128
 """Of the ball around the camera: with 64 its normals cost 0.4 %."""
 
@@ -180,11 +183,12 @@ class ReferenceProbe:
             smooth = _exposed_view(rendered, gain)
             ldr, ldr_noise = _mean_and_noise(_lights_seen(views, smooth.radiance, order))
         cones, hdr, hdr_noise = self._measure(
-            lambda number: self._cones(index, number, gain), lambda cones: np.array([light for light, _ in cones])
+            lambda number: self._cones(index, number),
+            lambda cones: lights_of_cones([_rgb(cone.passes, "Combined") for cone in cones]) * gain,
         )
         seen: ArrayF32 = np.mean([view.radiance for view in views], axis=0) if smooth is None else smooth.radiance
         ball = seen / gain
-        render_s = sum(view.render_s for view in views) + sum(cone_s for _, cone_s in cones)
+        render_s = sum(view.render_s for view in views) + sum(cone.render_s for cone in cones)
         return ReferenceLight(
             MeasuredLight(ldr, hdr, ldr_noise, hdr_noise, len(views), len(cones)),
             panorama_of_ball(ball, max(8, self.settings.size // 4)),
@@ -216,23 +220,26 @@ class ReferenceProbe:
         self._look(index, (start_m, CLIP_END_M), samples, is_denoised=is_denoised)
         return self._render(number)
 
-    def _cones(self, index: int, number: int, gain: np.float32) -> tuple[ArrayF64, float]:
-        """(9, 3) all light, exposed, and the seconds that it took."""
-        self.look_at_cones(index)
-        rendered = self._render(number)
-        return light_of_cones(_rgb(rendered.passes, "Combined")) * gain, rendered.render_s
+    def _cones(self, index: int, number: int) -> Rendered:
+        """All light; every other picture is turned over, since a picture tells little of what lies on its rim."""
+        self.look_at_cones(index, is_turned=number % 2 == 1)
+        return self._render(number)
 
-    def look_at_cones(self, index: int, samples: int = 1) -> None:
+    def look_at_cones(self, index: int, samples: int = 1, *, is_turned: bool = False) -> None:
         """Set the scene up to render all light: in each pixel of a mirror ball the mean over the cone opposite to it.
 
-        `samples` is the number of rays in each pixel.
+        `samples` is the number of rays in each pixel; `is_turned` has the middle of the picture look straight down.
         """
         radius_m = _ball_radius(self.positions_m[index], metres_per_unit(self.scene))
-        self._look(index, (radius_m / 4, 2 * radius_m), samples)
+        self._look(index, (radius_m / 4, 2 * radius_m), samples, is_turned=is_turned)
 
-    def _look(self, index: int, clip_m: tuple[float, float], samples: int, *, is_denoised: bool = False) -> None:
+    def _look(
+        self, index: int, clip_m: tuple[float, float], samples: int, *, is_denoised: bool = False,
+        is_turned: bool = False,
+    ) -> None:  # fmt: skip
         scene, metres = self.scene, metres_per_unit(self.scene)
         scene.cycles.use_denoising = is_denoised
+        scene.camera.rotation_euler = (0.0 if is_turned else math.pi, 0.0, 0.0)
         scene.camera.location = tuple(self.positions_m[index] / metres)
         scene.camera.data.clip_start, scene.camera.data.clip_end = (distance / metres for distance in clip_m)
         _take_samples(scene, samples)
@@ -266,10 +273,17 @@ def _mean_and_noise(lights: ArrayF64) -> tuple[ArrayF64, float | None]:
     return lights.mean(axis=0), relative_noise(lights, DARKEST_LIGHT)
 
 
-def light_of_cones(radiance: ArrayF32) -> ArrayF64:
-    """(9, 3) radiance coefficients of the light that a picture of cones (N, N, 3) was made of."""
-    # Their surface has no texture, so that the rim is as good as the rest, and the edge of a cone may cross it.
-    return project_mirror_ball(radiance, rim=0) / cone_factors()[:, None]
+def lights_of_cones(pictures: Sequence[ArrayF32]) -> ArrayF64:
+    """(n, 9, 3) radiance coefficients of the light that each picture of cones (N, N, 3) was made of.
+
+    Every other one is turned over. A picture and the one beside it tell each other what lies on their rims.
+    """
+    lights = []
+    for number, picture in enumerate(pictures):
+        beside = number ^ 1 if number ^ 1 < len(pictures) else number - 1
+        light = project_mirror_ball(picture, turned=pictures[beside] if beside >= 0 else None)
+        lights.append(light * (TURNED_OVER[:, None] if number % 2 else 1))
+    return np.divide(lights, cone_factors()[:, None])
 
 
 @cache
@@ -332,16 +346,14 @@ def _take_samples(scene: bpy.types.Scene, n: int) -> None:
 
 
 def _mirror_ball_camera(stack: contextlib.ExitStack) -> bpy.types.Object:
-    """A camera that sees the whole sphere, the middle of its picture straight up; gone with `stack`."""
+    """A camera that sees the whole sphere; gone with `stack`."""
     data = bpy.data.cameras.new(NAME)
     # With its data the object goes too. It is in no collection: those are the user's, and Cycles needs none.
     stack.callback(bpy.data.cameras.remove, data)
     data.type = "PANO"
     panorama: Any = data if hasattr(data, "panorama_type") else data.cycles
     panorama.panorama_type = "MIRRORBALL"
-    camera = bpy.data.objects.new(NAME, data)
-    camera.rotation_euler = (math.pi, 0.0, 0.0)
-    return camera
+    return bpy.data.objects.new(NAME, data)
 
 
 def _put_balls(stack: contextlib.ExitStack, scene: bpy.types.Scene, positions_m: ArrayF64) -> list[bpy.types.Object]:

@@ -23,7 +23,7 @@ import bpy
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihe_blender.capture.reference_probe import ProbeSettings, light_of_cones, open_reference_probe
+from xihe_blender.capture.reference_probe import ProbeSettings, lights_of_cones, open_reference_probe
 from xihe_blender.capture.render import RenderSettings, apply_effects, render_passes
 from xihe_blender.capture.scanner import first_layer, open_scanner, sized_for
 from xihe_blender.jobs import Job, Progress
@@ -193,7 +193,7 @@ def _probe(scene: bpy.types.Scene, variant: _Variant, position_m: ArrayLike, fra
     with open_reference_probe(scene, np.array([position_m]), settings) as probe:
         probe.scene.frame_set(frame)
         probe.look_at_cones(0, PROBE_SAMPLES)
-        yield _View(probe.scene, lambda cones: float(light_of_cones(cones.astype(np.float32))[0].mean()))
+        yield _View(probe.scene, lambda cones: float(lights_of_cones([cones.astype(np.float32)])[0, 0].mean()))
 
 
 @contextlib.contextmanager

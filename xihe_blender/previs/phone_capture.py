@@ -207,7 +207,7 @@ class SimulatedPhone:
         surfaces = load_surfaces(outputs.surfaces(frame)) if on & SURFACE_EFFECTS else None
         radiance = read_radiance(outputs.radiance("captured", frame)) if "auto_exposure" in on else None
         motion = self.chosen.survey.frames[frame].motion
-        return self.camera.see_and_count(captured, facts=surfaces, motion=motion, radiance=radiance, track=self.track)
+        return self.camera.see(captured, facts=surfaces, motion=motion, radiance=radiance, track=self.track)
 
 
 def simulate_phone(chosen: ChosenPhone, facts: Mapping[int, CaptureFacts], exposure: float) -> SimulatedPhone:

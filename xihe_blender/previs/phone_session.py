@@ -62,8 +62,8 @@ class PhoneSession:
 
     def light(self, name: str, time_s: float) -> ArrayF64:
         """(9, 3) the light in force at a position: its last valid estimate that arrived, until then the ambient one."""
-        estimate = self.under_way.light(name, time_s)
-        return self.ambient_sh if estimate is None else estimate.sh_radiance
+        request = self.under_way.in_force(name, time_s)
+        return self.ambient_sh if request is None else request.estimate.sh_radiance
 
     def light_frame(self, name: str, time_s: float) -> int | None:
         """The frame from which the light in force comes; None for the ambient one."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -85,15 +85,13 @@ class PhoneCamera:
             light = dict(zip(frames, follow_light(times_s, ambient, sensor), strict=True))
         return SessionTrack(exposure, light)
 
-    def see(self, frame: RgbdFrame, **given: Any) -> RgbdFrame:
-        """The frame of `see_and_count`, which takes the same; `frame` itself if nothing changes it."""
-        return self.see_and_count(frame, **given)[0]
-
-    def see_and_count(
+    def see(
         self, frame: RgbdFrame, *, facts: SurfaceFacts | None = None, motion: CameraMotion | None = None,
         radiance: ArrayF32 | None = None, track: SessionTrack | None = None,
     ) -> tuple[RgbdFrame, dict[str, int]]:  # fmt: skip
-        """What the phone delivers, and how many pixels each effect took away, each pixel counted once.
+        """What the phone delivers, `frame` itself if nothing changes it, and how many pixels each effect took away.
+
+        Each pixel is counted once.
 
         Parameters
         ----------

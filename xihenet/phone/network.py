@@ -156,14 +156,9 @@ class EstimatesUnderWay:
         return request
 
     def in_force(self, name: str, time_s: float) -> Request | None:
-        """What lights a position at `time_s`: the valid estimate that was asked for last, of those there."""
+        """What lights a position at `time_s`: the valid estimate that was asked for last, of those there, or None."""
         there = [r for r in self._requests.get(name, ()) if r.estimate.is_valid and r.arrival_s <= time_s]
         return max(there, key=lambda request: request.asked_s) if there else None
-
-    def light(self, name: str, time_s: float) -> LightEstimate | None:
-        """The light in force at a position at `time_s`; None before the first valid estimate is there."""
-        request = self.in_force(name, time_s)
-        return None if request is None else request.estimate
 
     def _rng(self, name: str, frame: int) -> np.random.Generator:
         """By the position's name, so that one position more leaves the others' luck alone."""

@@ -212,8 +212,7 @@ class SeedCalibrations:
             return None
         by_seed, judges = [], []
         for of_seed in zip(*said, strict=True):
-            raw, coverage = _told(of_seed)
-            known = raw, _made(of_seed), coverage
+            known = _together(of_seed)
             by_seed.append(fit_calibration(*known))
             even, odd = (fit_calibration(*(part[parity == p] for part in known)) for p in (0, 1))
             judges.append((odd, even) if is_crossed else (by_seed[-1], by_seed[-1]))
@@ -222,7 +221,7 @@ class SeedCalibrations:
     def expected(self, seed: int, said: Sequence[Prediction]) -> tuple[ArrayF64, ArrayF64]:
         """(M,) expected errors of all that one seed said, and (S, M) those promised for each share asked."""
         parity, judges = np.concatenate([one.cases.room for one in said]) % 2, self.judges[seed]
-        raw, coverage = _told(said)
+        raw, _, coverage = _together(said)
         errors = np.choose(parity, [one.expected(raw, coverage) for one in judges])
         multiples = np.array([one.quantiles for one in judges])[parity].T
         return errors, multiples * errors
@@ -236,7 +235,7 @@ class SeedCalibrations:
     def _seed_figures(self, seed: int, of_tables: Mapping[str, Prediction]) -> CalibrationFigures:
         said = list(of_tables.values())
         errors, limits = self.expected(seed, said)
-        made, (_, coverage) = _made(said), _told(said)
+        _, made, coverage = _together(said)
         # The first two tables are of the rooms that were split; what coverage does is asked of them alone.
         main = slice(sum(len(one.cases) for one in said[:2]))
         edges = [f"{a:.0%} to {b:.0%} seen" for a, b in itertools.pairwise(COVERAGE_EDGES)]
@@ -247,14 +246,10 @@ class SeedCalibrations:
         return replace(figures, tables=calibration_figures(errors, limits, made, by_table).groups)
 
 
-def _told(said: Sequence[Prediction]) -> tuple[ArrayF64, ArrayF64]:
-    """(M,) the raw expected errors of a network that knows them, and the coverage, one prediction after the other."""
-    raw = [one.raw_error for one in said if one.raw_error is not None]
-    return np.concatenate(raw), np.concatenate([one.cases.coverage for one in said])
-
-
-def _made(said: Sequence[Prediction]) -> ArrayF64:
-    return np.concatenate([one.made for one in said])
+def _together(said: Sequence[Prediction]) -> tuple[ArrayF64, ArrayF64, ArrayF64]:
+    """(M,) raw expected errors of a network that knows them, errors made, coverages: of all predictions, in a row."""
+    raw = np.concatenate([one.raw_error for one in said if one.raw_error is not None])
+    return raw, np.concatenate([one.made for one in said]), np.concatenate([one.cases.coverage for one in said])
 
 
 def calibrate_network(network: Path, folders: Sequence[Path]) -> Calibration:

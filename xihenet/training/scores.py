@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from xihenet.light_picture import SPHERES, sphere_transfer
 from xihenet.metering import LUMINANCE
+from xihenet.metrics import angles_deg, hues
 from xihenet.records import ArrayBool, ArrayF64
 from xihenet.sh import cosine_lobe
 from xihenet.sh_basis import band_slice, basis
@@ -144,8 +145,7 @@ def dominant_light(lights: ArrayF64, truth: ArrayF64) -> DominantLight:
     if not is_asked.any():
         return DominantLight(None, len(true))
     predicted, true = predicted[is_asked], true[is_asked]
-    across = np.linalg.norm(np.cross(predicted, true), axis=1)
-    angle_deg = np.degrees(np.arctan2(across, np.einsum("mi,mi->m", predicted, true)))
+    angle_deg = angles_deg(predicted, true)
     angle_deg[~predicted.any(axis=1)] = UNDIRECTED_DEG
     return DominantLight(float(np.median(angle_deg)), int(np.count_nonzero(~is_asked)))
 
@@ -197,14 +197,11 @@ def _picture_errors(predicted: ArrayF64, true: ArrayF64) -> ArrayF64:
 
 def _hue_errors(predicted: ArrayF64, true: ArrayF64) -> tuple[ArrayF64, ArrayF64]:
     """(M, 3) mean RGB angle in degrees over pixels with a hue on both sides, NaN without any; and the black share."""
-    largest_p, largest_g = predicted.max(axis=3), true.max(axis=3)
-    hue_p = predicted / np.where(largest_p > 0, largest_p, 1.0)[..., None]
-    hue_g = true / np.where(largest_g > 0, largest_g, 1.0)[..., None]
-    across = np.linalg.norm(np.cross(hue_p, hue_g), axis=3)
-    angle_deg = np.degrees(np.arctan2(across, np.einsum("mspc,mspc->msp", hue_p, hue_g)))
+    (hue_p, largest_p), (hue_g, largest_g) = hues(predicted), hues(true)
     is_asked = (largest_p > 0) & (largest_g > 0)
     n_asked = is_asked.sum(axis=2)
-    mean_deg = np.where(n_asked > 0, (angle_deg * is_asked).sum(axis=2) / np.maximum(n_asked, 1), np.nan)
+    total_deg = (angles_deg(hue_p, hue_g) * is_asked).sum(axis=2)
+    mean_deg = np.where(n_asked > 0, total_deg / np.maximum(n_asked, 1), np.nan)
     return mean_deg, np.mean((largest_p == 0) & (largest_g > 0), axis=2)
 
 
