@@ -347,6 +347,7 @@ MISTAKES = {
         "--rooms 1 --workers 0": "give 1 or more",
         "--rooms 1 --walk 0": "2 to 240",
         "--rooms 1 --walk many": "--walk",
+        "--rooms 1 --varied 1.5": "between 0 and 1",
         "--rooms 1 --split dev": "train, validation, test",
         "--rooms 1 --split test": "give more",
     },

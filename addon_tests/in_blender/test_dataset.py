@@ -19,9 +19,11 @@ from xihe_blender.lab.rooms.build import BuildSettings, build_dataset, missing_r
 from xihe_blender.lab.rooms.build_room import build_room
 from xihe_blender.lab.rooms.contact_sheet import contact_sheet
 from xihe_blender.lab.rooms.render_room import RoomRenderSettings, make_room
+from xihe_blender.lab.rooms.room_data import LAMP_KINDS
 from xihe_blender.lab.rooms.rooms import room_generator, sample_room
 from xihe_blender.lab.rooms.statistics import light_statistics, panorama_faults, statistics_table
 from xihe_blender.lab.rooms.store import load_room, room_path, save_room, stored_indices
+from xihe_blender.lab.rooms.varied_rooms import sample_varied_room
 from xihe_blender.lab.rooms.views import MIN_CLEARANCE_M, N_POSITIONS, N_VIEWS
 from xihe_blender.lab.workers.processes import module_command
 from xihenet.camera import metered_exposure, project_points, unproject_frame
@@ -168,6 +170,25 @@ def test_nothing_piles_up_from_room_to_room():
         build_room(sample_room(room_generator(5, i)))
     build_room(sample_room(room_generator(5, 0)))
     assert n_blocks() == first
+
+
+def test_all_that_a_varied_room_holds_is_built_and_visible_lamps_are_seen():
+    kinds = {"piece": set(), "lamp": set(), "covering": set()}
+    for i in range(6):
+        room = sample_varied_room(room_generator(8, i))
+        names = {item.name for item in build_room(room).objects}
+        for number, piece in enumerate(room.pieces):
+            assert piece.kind in LAMP_KINDS or any(name.startswith(f"{piece.kind} {number}") for name in names)
+        lit = [(number, lamp) for number, lamp in enumerate(room.lamps) if lamp.watts > 0]
+        lights = {item.name: item.visible_camera for item in bpy.data.objects if item.type == "LIGHT"}
+        for number, lamp in lit:
+            mine = [seen for name, seen in lights.items() if name.split(" light")[0] == f"{lamp.kind} lamp {number}"]
+            assert mine == [lamp.is_visible], lamp
+        kinds["piece"] |= {piece.kind for piece in room.pieces}
+        kinds["lamp"] |= {lamp.kind for _, lamp in lit}
+        kinds["covering"] |= {hole.covering for hole in room.windows}
+    assert kinds["piece"] >= {"post", "stairs", "partition"} and kinds["lamp"] >= {"strip", "bulb", "candle"}
+    assert "slats" in kinds["covering"]
 
 
 def test_a_second_build_makes_what_is_missing_alone(built):

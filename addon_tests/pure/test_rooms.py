@@ -10,20 +10,24 @@ from hypothesis import strategies as st
 from xihe_blender.lab.rooms.arrange import FLAT_M, blocks_hole, collide
 from xihe_blender.lab.rooms.outline import Outline, Rect, alcove_plan, box_plan, l_plan, turned
 from xihe_blender.lab.rooms.room_data import Room
-from xihe_blender.lab.rooms.rooms import room_generator, sample_room
+from xihe_blender.lab.rooms.rooms import is_varied, room_generator, sample_room
+from xihe_blender.lab.rooms.varied_rooms import CLUTTER, SIZES, sample_varied_room
+from xihenet.training.rooms import split_of
 
 N_SEEDS = 200
 ROOMS = [sample_room(room_generator(7, i)) for i in range(N_SEEDS)]
+VARIED = [sample_varied_room(room_generator(8, i)) for i in range(60)]
 PLANS = [box_plan(4, 3), l_plan(5, 4, (2, 1.5)), alcove_plan(4, 3, (-1, 1), 0.8)]
 
 
-@pytest.fixture(params=ROOMS, ids=range(N_SEEDS))
+@pytest.fixture(params=ROOMS + VARIED, ids=range(N_SEEDS + len(VARIED)))
 def room(request: pytest.FixtureRequest) -> Room:
     return request.param
 
 
 def test_a_room_is_the_same_when_it_is_drawn_again():
     assert [sample_room(room_generator(7, i)) for i in range(20)] == ROOMS[:20]
+    assert [sample_varied_room(room_generator(8, i)) for i in range(5)] == VARIED[:5]
 
 
 def test_rooms_differ_from_each_other():
@@ -72,7 +76,7 @@ def test_every_room_has_light(room):
     has_window = any(not hole.is_door for hole in room.holes)
     has_lamp = any(lamp.watts > 0 for lamp in room.lamps)
     assert has_lamp or (has_window and room.daylight.strength > 0)
-    assert all(1400 <= lamp.kelvin <= 8000 for lamp in room.lamps if lamp.watts > 0)
+    assert all(1400 <= lamp.kelvin <= 16000 for lamp in room.lamps if lamp.watts > 0)
 
 
 def test_lamps_hang_or_stand_inside_the_room(room):
@@ -87,6 +91,36 @@ def test_all_shapes_and_hours_occur():
     assert {len(room.slopes) for room in ROOMS} == {0, 1, 2}
     assert {room.regime for room in ROOMS} == {"day", "sunny", "mixed", "evening", "night"}
     assert len({room.kind for room in ROOMS}) == 8
+
+
+def test_varied_rooms_have_all_sizes_clutter_and_lamps_and_some_have_windows_alone():
+    assert {room.kind for room in VARIED} == {f"varied {kind}" for kind in SIZES}
+    assert {piece.kind for room in VARIED for piece in room.pieces} >= set(CLUTTER)
+    assert {lamp.kind for room in VARIED for lamp in room.lamps} >= {
+        "spot",
+        "strip",
+        "bulb",
+        "candle",
+        "floor",
+        "table",
+    }
+    assert {hole.covering for room in VARIED for hole in room.windows} >= {
+        "none",
+        "slats",
+        "blind",
+        "curtains",
+        "sheer",
+    }
+    assert 5 < sum(not any(lamp.watts > 0 for lamp in room.lamps) for room in VARIED) < 25
+    assert max(len(room.pieces) for room in VARIED) > 100
+
+
+def test_training_rooms_alone_are_varied_and_a_larger_share_adds_to_a_smaller_one():
+    few, many = ({i for i in range(500) if is_varied(3, i, share)} for share in (0.2, 0.5))
+    trained = {i for i in range(500) if split_of((3, i)) == "train"}
+    assert few < many < trained
+    assert len(few) == pytest.approx(0.2 * len(trained), rel=0.25)
+    assert {i for i in range(500) if is_varied(3, i, 1.0)} == trained and not any(is_varied(3, i, 0.0) for i in trained)
 
 
 @pytest.mark.parametrize("plan", PLANS)

@@ -24,6 +24,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--workers K", workers, int, dest="n_workers")
     add("--seed N", "the same seed makes the same rooms", int, default=0)
     add("--walk F", "render F frames of a walk through each room instead of five separate views", int)
+    add(
+        "--varied SHARE",
+        "share of the training rooms that are far more varied than homes and offices",
+        float,
+        default=0.0,
+    )
     add("--split NAME", "make only the train, validation or test rooms; default: all")
     add("--scheduler ADDRESS", scheduler)
     scene = actions.add_parser("scene", help="store a scene with a camera path as one more room")

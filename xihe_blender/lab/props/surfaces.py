@@ -197,6 +197,12 @@ def painting(name: str, stops: Sequence[tuple[float, Colour]], *, scale: float =
     return shader.coloured(shader.ramp(shader.noise(scale, stretch=(0.6, 0.6, 1.4), detail=1.5), *stops))
 
 
+def patches(name: str, one: Colour, other: Colour, *, size_m: float, roughness: float) -> Material:
+    """Sharp-edged patches of two colours: a print, marble, stains."""
+    shader = Shader(name, roughness=roughness)
+    return shader.coloured(shader.ramp(shader.noise(1 / size_m, detail=4.0), (0.48, one), (0.52, other)))
+
+
 def glowing(name: str, kelvin: float, radiance: float) -> Material:
     """A lit lampshade: emits a black body's colour at about this luminance; the node is named for keying.
 

@@ -14,7 +14,7 @@ from mathutils import Vector as BlenderVector
 
 from xihe_blender.lab.props import Collection, Material, furniture, lighting, surfaces
 from xihe_blender.lab.props.room_shell import Opening, Span, Walls, add_door, add_skirting, add_window, wall_solid
-from xihe_blender.lab.props.shapes import Place, Solid, add_solid, ball, box, box_between, cylinder, tube
+from xihe_blender.lab.props.shapes import Place, Solid, add_solid, ball, box, box_between, cylinder, joined, tube
 from xihe_blender.lab.rooms.materials import material_of
 from xihe_blender.lab.rooms.outline import Outline
 from xihe_blender.lab.rooms.place_pieces import place_piece
@@ -68,7 +68,10 @@ def build_room(room: Room) -> bpy.types.Scene:
     for i, lamp in enumerate(room.lamps):
         name = f"{lamp.kind} lamp {i}"
         metal = surfaces.plain(f"{name} metal", (0.3, 0.29, 0.27), metallic=1.0, roughness=0.35)
+        before = set(things.objects)
         LAMP_MAKERS[lamp.kind](Place(things, name, lamp.x, lamp.y, lamp.z), lamp, metal)
+        for light in set(things.objects) - before if lamp.is_visible else ():
+            light.visible_camera = True
     add_daylight(scene, things, room)
     remove_relief()
     return scene
@@ -116,7 +119,7 @@ def slope_solid(room: Room, slope: Slope) -> Solid:
 
 
 def add_covering(things: Collection, room: Room, hole: Hole) -> None:
-    """Curtains at both sides, a sheer over the whole window, or a blind over its upper part."""
+    """Curtains at both sides, a sheer over the whole window, slats, or a blind over its upper part."""
     if hole.covering == "none":
         return
     wall = room.outline.walls[hole.wall]
@@ -135,6 +138,11 @@ def add_covering(things: Collection, room: Room, hole: Hole) -> None:
     elif is_sheer:
         place = Place(things, name, *wall.point(middle, 0.1), top, wall.turn_deg)
         furniture.add_curtain(place, width, top - hole.bottom + 0.05, cloth, seed=seed)
+    elif hole.covering == "slats":
+        place = Place(things, name, *wall.point(middle, 0.04), hole.bottom, wall.turn_deg)
+        slat = box((width, 0.035, 0.002)).turned(seed % 120 - 60, "X")
+        heights = np.arange(0.02, hole.top - hole.bottom, 0.045)
+        place.add(joined([slat.moved((0, 0, height)) for height in heights]), cloth)
     else:
         drop = (0.25 + 0.6 * (seed % 97) / 97) * (hole.top - hole.bottom)
         place = Place(things, name, *wall.point(middle, 0.02), hole.top + 0.02, wall.turn_deg)
@@ -176,10 +184,11 @@ def _globe(place: Place, lamp: Lamp, metal: Material) -> None:
     _bulb(place, lamp, middle, 0.12)
 
 
-def _ceiling_light(place: Place, lamp: Lamp, shape: str) -> None:
+def _ceiling_light(place: Place, lamp: Lamp, shape: str, **sizes: float) -> None:
     """An area light just under the ceiling, facing down, where the lamp is lit."""
     if lamp.watts > 0:
-        where, look = (lamp.x, lamp.y, lamp.z - 0.025), {"shape": shape, "size": lamp.size_m, "energy": lamp.watts}
+        where = (lamp.x, lamp.y, lamp.z - 0.025)
+        look = {"shape": shape, "size": lamp.size_m, "energy": lamp.watts, **sizes}
         lighting.tint_light(lighting.add_light(place.room, place.name, "AREA", where, **look).data, lamp.kelvin)
 
 
@@ -196,8 +205,19 @@ def _spot(place: Place, lamp: Lamp, metal: Material) -> None:
     _ceiling_light(place, lamp, "DISK")
 
 
+def _strip(place: Place, lamp: Lamp, metal: Material) -> None:
+    """A tube of 4 cm along X under the ceiling, three times as long as its size."""
+    _ceiling_light(place, lamp, "RECTANGLE", size=3 * lamp.size_m, size_y=0.04)
+
+
+def _bare_bulb(place: Place, lamp: Lamp, metal: Material) -> None:
+    """A bulb or a flame with nothing around it; its size is its radius."""
+    _bulb(place, lamp, lamp.z - 1.1 * lamp.size_m, lamp.size_m)
+
+
 LAMP_MAKERS = {
     "floor": _floor_lamp, "table": _table_lamp, "pendant": _pendant, "globe": _globe, "panel": _panel, "spot": _spot,
+    "strip": _strip, "bulb": _bare_bulb, "candle": _bare_bulb,
 }  # fmt: skip
 
 

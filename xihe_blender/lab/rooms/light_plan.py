@@ -75,7 +75,7 @@ def sample_lamps(rng: Rng, floor: Floor, kind: str, regime: Regime, daylight_in:
     lamps = [*fixed, *(Lamp(LAMP_KINDS[p.kind], p.x, p.y, p.z, p.size[2], 0.0, 0.0) for p in placed)]
     is_dark = regime.sky[1] < 1.0
     if not lamps and is_dark:
-        lamps = [_hung(floor, "globe", _some_place(rng, floor), 0.25)]
+        lamps = [_hung(floor, "globe", draw_place(rng, floor), 0.25)]
     lit = [bool(rng.random() < regime.lit_chance) for _ in lamps]
     if is_dark and not any(lit):
         lit[int(rng.integers(len(lamps)))] = True
@@ -126,7 +126,7 @@ def _ceiling_places(floor: Floor) -> list[Point]:
     return [place for place in grid if _is_free_above(floor, place)]
 
 
-def _some_place(rng: Rng, floor: Floor) -> Point:
+def draw_place(rng: Rng, floor: Floor) -> Point:
     """A point under the ceiling at its full height, if a few draws find one."""
     b = floor.outline.bounds.grown(-0.3)
     for _ in range(50):

@@ -21,6 +21,8 @@ MAKERS: dict[str, Callable[[str, Finish], bpy.types.Material]] = {
     "painting": lambda name, f: surfaces.painting(
         name, [(0.3, f.colour), (0.5, f.second), (0.7, surfaces.shade(f.colour, 1.8))]
     ),
+    "patches": lambda name, f: surfaces.patches(name, f.colour, f.second, size_m=f.scale, roughness=f.roughness),
+    "glass": lambda name, f: surfaces.plain(name, f.colour, roughness=f.roughness, transmission_weight=1.0),
     "planks": lambda name, f: surfaces.planks(name, f.colour, f.second, width_m=f.scale),
     "tiles": lambda name, f: _tiled(name, f, upright=False),
     "wall tiles": lambda name, f: _tiled(name, f, upright=True),

@@ -18,7 +18,7 @@ from xihe_blender.lab.rooms.materials import material_of
 from xihe_blender.lab.rooms.room_data import LAMP_KINDS, Piece
 
 Maker: TypeAlias = Callable[[Place, Piece, list[Material]], None]
-BOXES = {"cupboard": 0.004, "mirror": 0.0, "rug": 0.0, "crate": 0.008, "pillar": 0.0, "box": 0.003}
+BOXES = {"cupboard": 0.004, "mirror": 0.0, "rug": 0.0, "crate": 0.008, "pillar": 0.0, "box": 0.003, "partition": 0.0}
 """What is a box, and by how many metres its edges are rounded."""
 
 TURNED = {
@@ -150,6 +150,18 @@ def _box(place: Place, piece: Piece, m: list[Material]) -> None:
     place.add(box(piece.size, (0, 0, piece.size[2] / 2)), m[0], bevel_m=BOXES[piece.kind])
 
 
+def _post(place: Place, piece: Piece, m: list[Material]) -> None:
+    place.add(cylinder(piece.size[0] / 2, piece.size[2]), m[0], smooth=True)
+
+
+def _stairs(place: Place, piece: Piece, m: list[Material]) -> None:
+    """Steps of about 17 cm that rise towards the back."""
+    w, d, h = piece.size
+    n = max(2, round(h / 0.17))
+    steps = [box_between((-w / 2, d * (i / n - 0.5), 0), (w / 2, d / 2, h * (i + 1) / n)) for i in range(n)]
+    place.add(joined(steps), m[0])
+
+
 def _turned(place: Place, piece: Piece, m: list[Material]) -> None:
     w, _, h = piece.size
     share, n_segments, profile = TURNED[piece.kind]
@@ -160,6 +172,7 @@ MAKERS: dict[str, Maker] = {
     "table": _table, "desk": _table, "coffee_table": _table, "round_table": _round_table, "chair": _chair,
     "sofa": _sofa, "armchair": _sofa, "bed": _bed, "bench": _bench, "bookcase": _bookcase, "sideboard": _cabinet,
     "wardrobe": _cabinet, "chest": _cabinet, "counter": _counter, "tub": _tub, "plant": _plant, "picture": _picture,
-    "radiator": _radiator, "screen": _screen, "ball": _ball, "book_pile": _book_pile,
+    "radiator": _radiator, "screen": _screen, "ball": _ball, "book_pile": _book_pile, "post": _post,
+    "stairs": _stairs,
     **dict.fromkeys(BOXES, _box), **dict.fromkeys(TURNED, _turned),
 }  # fmt: skip

@@ -18,8 +18,9 @@ from xihe_blender.capture.render import RenderSettings, render_passes
 from xihe_blender.capture.scanner import first_layer, open_scanner, phone_camera
 from xihe_blender.errors import UserError
 from xihe_blender.lab.rooms.build_room import build_room
-from xihe_blender.lab.rooms.rooms import room_generator, sample_room, walk_generator
+from xihe_blender.lab.rooms.rooms import is_varied, room_generator, sample_room, walk_generator
 from xihe_blender.lab.rooms.store import FORMAT_VERSION, METERING, ArrayF16, StoredRoom, as_float16
+from xihe_blender.lab.rooms.varied_rooms import sample_varied_room
 from xihe_blender.lab.rooms.views import PhoneView, RoomRays, RoomTooFull, sample_positions, sample_views
 from xihe_blender.lab.rooms.walk import sample_walk
 from xihenet import __version__
@@ -66,16 +67,20 @@ class RoomRenderSettings:
         return cls((width, height), *others)
 
 
-def make_room(seed: int, index: int, settings: RoomRenderSettings, *, walk: int | None = None) -> StoredRoom:
+def make_room(
+    seed: int, index: int, settings: RoomRenderSettings, *, walk: int | None = None, varied: float = 0.0
+) -> StoredRoom:
     """Sample, build and render room `index` of the data set with `seed`; the open file is replaced.
 
-    With `walk` the views are so many frames of a walk, and room, positions and their light are the same as without: the
-    free views are drawn all the same. A room that offers too few places is drawn again from the same generator.
+    `varied` is the share of the training rooms that are varied. With `walk` the views are so many frames of a walk, and
+    room, positions and their light are the same as without: the free views are drawn all the same. A room that offers
+    too few places is drawn again from the same generator.
     UserError if Cycles cannot render.
     """
     rng = room_generator(seed, index)
+    sample = sample_varied_room if is_varied(seed, index, varied) else sample_room
     for _ in range(MAX_REDRAWS):
-        room = sample_room(rng)
+        room = sample(rng)
         scene = build_room(room)
         rays = RoomRays.of(scene)
         try:

@@ -79,7 +79,10 @@ class Piece:
 
 @dataclass(frozen=True)
 class Lamp:
-    """A lamp: kind (floor, table, pendant, globe, panel, spot), place of its foot or fixing, height, colour, power."""
+    """A lamp: kind (a key of `LAMP_MAKERS`), place of its foot or fixing, size, colour, power, seen by cameras or not.
+
+    `size_m` is the height of a lamp that stands, the drop of one that hangs, and else the width or radius of its light.
+    """
 
     kind: str
     x: float
@@ -88,6 +91,7 @@ class Lamp:
     size_m: float
     kelvin: float
     watts: float
+    is_visible: bool = False
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,9 @@ from xihe_blender.lab.rooms import palette
 from xihe_blender.lab.rooms.arrange import Floor, Rng
 from xihe_blender.lab.rooms.furnishing import furnish
 from xihe_blender.lab.rooms.light_plan import REGIMES, sample_daylight, sample_lamps, sample_regime
-from xihe_blender.lab.rooms.outline import Outline, alcove_plan, box_plan, l_plan, turned
+from xihe_blender.lab.rooms.outline import Outline, Point, alcove_plan, box_plan, l_plan, turned
 from xihe_blender.lab.rooms.room_data import Hole, Room, Shell, Slope
+from xihenet.training.rooms import split_of
 
 KIND_SHARES = {
     "living": 0.25, "bedroom": 0.18, "dining": 0.12, "study": 0.1, "kitchen": 0.12, "bathroom": 0.07, "office": 0.09,
@@ -42,6 +43,12 @@ def walk_generator(seed: int, index: int) -> Rng:
     return np.random.default_rng(np.random.SeedSequence([seed, index], spawn_key=(1,)))
 
 
+def is_varied(seed: int, index: int, share: float) -> bool:
+    """Whether a room is one of the `share` that are varied, of the training rooms alone; a larger share adds some."""
+    draw = np.random.default_rng(np.random.SeedSequence([seed, index], spawn_key=(2,))).random()
+    return split_of((seed, index)) == "train" and bool(draw < share)
+
+
 def sample_room(rng: Rng) -> Room:
     kind = str(rng.choice(list(KIND_SHARES), p=list(KIND_SHARES.values())))
     shell = sample_shell(rng, kind)
@@ -64,23 +71,27 @@ def sample_room(rng: Rng) -> Room:
         walls=palette.wall_finishes(rng, kind, len(shell.outline.walls)),
         ceiling=palette.ceiling_finish(rng),
         trim=palette.trim_finish(rng),
-        exposure_gain=float(EXPOSURE_GAIN * np.exp(rng.normal(0.0, EXPOSURE_SPREAD))),
+        exposure_gain=sample_exposure_gain(rng),
     )
+
+
+def sample_exposure_gain(rng: Rng) -> float:
+    return float(EXPOSURE_GAIN * np.exp(rng.normal(0.0, EXPOSURE_SPREAD)))
 
 
 def sample_shell(rng: Rng, kind: str) -> Shell:
     """Plan and height, then slopes, then openings."""
-    outline = sample_outline(rng, kind)
+    least, largest = KIND_SIZES[kind]
+    outline = sample_outline(rng, (least, least), (largest, largest))
     is_tall = rng.random() < 0.15
     height = float(rng.uniform(2.8, 3.6)) if is_tall else float(rng.uniform(2.25, 2.8))
     bare = Shell(outline, height, sample_slopes(rng, outline), ())
-    return replace(bare, holes=sample_holes(rng, bare))
+    return replace(bare, holes=sample_holes(rng, bare, int(rng.choice(6, p=[0.05, 0.35, 0.3, 0.17, 0.09, 0.04]))))
 
 
-def sample_outline(rng: Rng, kind: str) -> Outline:
-    """A box (half of the rooms), an L or a room with an alcove, turned at random."""
-    low, high = KIND_SIZES[kind]
-    width, length = (float(v) for v in rng.uniform(low, high, 2))
+def sample_outline(rng: Rng, least: Point, largest: Point) -> Outline:
+    """A box (half of the rooms), an L or a room with an alcove, turned at random; metres before the turn."""
+    width, length = (float(v) for v in rng.uniform(least, largest))
     draw = rng.random()
     if draw < 0.25 and min(width, length) > 3.2:
         cut = float(rng.uniform(0.25, 0.5)) * width, float(rng.uniform(0.25, 0.5)) * length
@@ -109,11 +120,10 @@ def sample_slopes(rng: Rng, outline: Outline) -> tuple[Slope, ...]:
     return (Slope(first, knee, across * float(rng.uniform(0.3, 0.9))),)
 
 
-def sample_holes(rng: Rng, bare: Shell) -> tuple[Hole, ...]:
-    """One door, and none to five windows (none is rare)."""
+def sample_holes(rng: Rng, bare: Shell, n_windows: int) -> tuple[Hole, ...]:
+    """One door, and up to `n_windows` windows."""
     holes: list[Hole] = []
     walls, sloped = bare.outline.walls, {slope.wall for slope in bare.slopes}
-    n_windows = int(rng.choice(6, p=[0.05, 0.35, 0.3, 0.17, 0.09, 0.04]))
     favourite = int(rng.integers(len(walls)))
     for i in range(1 + n_windows):
         for _ in range(12):
