@@ -187,7 +187,7 @@ class ReferenceProbe:
         seen: ArrayF32 = np.mean([view.radiance for view in views], axis=0) if smooth is None else smooth.radiance
         ball = seen / gain
         render_s = 0.0 if smooth is None else smooth.render_s
-        render_s += sum(picture.render_s for picture in (*views, *cones))
+        render_s += sum(view.render_s for view in views) + sum(cone.render_s for cone in cones)
         measured = MeasuredLight(ldr, hdr, ldr_noise, hdr_noise, len(views), len(cones), render_s)
         return ReferenceLight(measured, panorama_of_ball(ball, max(8, self.settings.size // 4)), ball)
 
