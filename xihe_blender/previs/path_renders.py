@@ -104,6 +104,7 @@ class PathRenders:
         source, index = self.run.reuse.probes[frame, probe.name], self.run.plan.probes.index(probe)
         panorama = functools.partial(self.outputs.probe, index, probe.name)
         if source == frame:
+            reference_probe.move(index, probe.at(frame))
             light = reference_probe.light_at(index, frame, self.run.exposure)
             measured, render_s = light.measured, light.render_s
             write_radiance(panorama(frame), light.panorama)
