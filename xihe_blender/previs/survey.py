@@ -8,6 +8,7 @@ frames, light walks the room alone; see `enclosure`. A resumed run reads the sur
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -36,6 +37,9 @@ from xihenet.phone import CameraMotion, motion_between
 from xihenet.records import ArrayF64, Intrinsics
 
 LAMP_SHAPE = ("shadow_soft_size", "size", "size_y", "angle", "spot_size", "spot_blend")
+LONGEST_LOOK_S = 0.2
+"""Of `may_see_a_position`, for which a window waits."""
+
 STILL = CameraMotion(np.zeros(3), np.zeros(3))
 
 
@@ -150,6 +154,23 @@ def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
         for frame in plan.frames
     }
     return SceneSurvey(frames, tuple(dict.fromkeys(faults)), required, room.light_changes)
+
+
+def may_see_a_position(scene: bpy.types.Scene, plan: PrevisPlan, within_s: float = LONGEST_LOOK_S) -> bool:
+    """Whether any estimation position is in view of the camera in any frame; True if `within_s` is too short to tell.
+
+    Where the first frame sees one, that frame alone is looked at. `scene` stays as it is.
+    """
+    until_s, movement = time.perf_counter() + within_s, MovementSurvey(plan)
+    settings = RenderSettings(plan.size, samples=1)
+    with open_inspection(scene) as inspection, working_scene(scene, "Xihe Look", settings) as working:
+        for frame in plan.frames:
+            working.frame_set(frame)
+            view = _CameraView(working.camera, *phone_camera(working), session_time_s(working))
+            inspection.look_at(frame, movement.look_at)
+            if _in_view(movement.places, view) or time.perf_counter() > until_s:
+                return True
+    return False
 
 
 def _followed(probe: Probe, moved: Mapping[int, Mapping[str, tuple[float, ...]]]) -> Probe:
