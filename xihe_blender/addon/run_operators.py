@@ -82,7 +82,9 @@ class XIHE_OT_run(polls.Conditional, Following, bpy.types.Operator):
         from xihe_blender.previs.survey import may_see_a_position
 
         settings = previs_settings(scene)
-        if not may_see_a_position(scene, plan_previs(scene, settings)):
+        plan = plan_previs(scene, settings)
+        yield Progress(0, 1, "looking at the camera path")
+        if not may_see_a_position(scene, plan):
             raise UserError(
                 "No virtual object is in view of the camera in any frame: "
                 "turn the camera to one, or move one into its view"
