@@ -1,15 +1,15 @@
-"""What is it worth to light a virtual object where it is, frame by frame, when it moves through sun and shade?
+"""What is it worth to light a virtual object where it is, when it moves through sun and shade?
 
-A ball goes its way through an example scene, in a run of `draft` at 96x72 and 4 samples. Beside the errors of the run
-stand those of the same chain on the same captures with the ball's position left at its first place, as it was before
-objects were followed: both are held against the reference light at the place where the ball is.
+A ball goes its way through an example scene, in a run of `draft` at 96x72 and 4 samples. Beside each error stands that
+of the same chain on the same captures with the ball's position left at its first place, as it was before objects were
+followed: both against the reference light at the place where the ball is.
 
-    python addon_tests/bench/moving.py --out out/moving [SCENE...]
+    python addon_tests/bench/moving.py out/moving [SCENE...]
 """
 
 from __future__ import annotations
 
-import argparse
+import sys
 from pathlib import Path
 
 import bpy
@@ -27,13 +27,11 @@ from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objec
 from xihenet.metrics import shc_rmse
 from xihenet.recording import load_frame
 
-SCENES = Path(__file__).parents[2] / "blend_scenes"
-TURNS = np.linspace(0, 2 * np.pi, 25)
 WAYS = {
     "living_room": [(1.3, 1.45, 0.13), (-1.6, 1.45, 0.13)],
     "courtyard": [(2.0, 0.9, 0.15), (-1.6, 1.3, 0.15), (-1.2, -1.6, 0.15)],
     "cornell_box": [(-0.6, -0.3, 0.8), (0.6, -0.3, 0.8)],
-    "walk_around": [(0.33 * np.cos(turn), 0.33 * np.sin(turn), 0.83) for turn in TURNS],
+    "walk_around": [(0.33 * np.cos(turn), 0.33 * np.sin(turn), 0.83) for turn in np.linspace(0, 2 * np.pi, 25)],
 }
 """World metres: on the floor through a patch of sun, through a court, from wall to wall, around a lamp."""
 
@@ -42,40 +40,31 @@ SETTINGS = PrevisSettings(preset="draft", size=(96, 72), samples=4)
 
 def scene_with_a_ball(name: str) -> bpy.types.Scene:
     """The scene with a ball for its virtual objects, which goes evenly from one end of its way to the other."""
-    scene = open_blend(SCENES / f"{name}.blend")
+    scene = open_blend(Path(__file__).parents[2] / "blend_scenes" / f"{name}.blend")
     for item in virtual_objects(scene):
         bpy.data.objects.remove(item)
     ball = bpy.data.objects.new("Ball", sphere_mesh("Ball", 0.08 if name == "walk_around" else 0.13, 48, 24))
     virtual_collection(scene, create=True).objects.link(ball)
     frames = range(scene.frame_start, scene.frame_end + 1)
-    legs = np.linspace(0, len(WAYS[name]) - 1, len(frames))
-    for frame, leg in zip(frames, legs, strict=True):
+    for frame, leg in zip(frames, np.linspace(0, len(WAYS[name]) - 1, len(frames)), strict=True):
         ball.location = [np.interp(leg, range(len(WAYS[name])), axis) for axis in np.transpose(WAYS[name])]
         ball.keyframe_insert("location", frame=frame)
     return scene
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("scenes", nargs="*", default=list(WAYS), help="of " + ", ".join(WAYS))
-    parser.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args()
-    for name in args.scenes:
-        scene, out = scene_with_a_ball(name), args.out / name
-        results = run_blocking(previs(scene, out, SETTINGS))
-        exposure, outputs = results["settings"]["reference_exposure"], RunOutputs(out)
-        left_behind = PhoneSession(plan_previs(scene, SETTINGS), SETTINGS, exposure, load_estimator(SETTINGS), None)
-        rows = []
+    for name in sys.argv[2:] or WAYS:
+        scene, out = scene_with_a_ball(name), Path(sys.argv[1]) / name
+        results, errors = run_blocking(previs(scene, out, SETTINGS)), []
+        exposure, plan = results["settings"]["reference_exposure"], plan_previs(scene, SETTINGS)
+        left_behind = PhoneSession(plan, SETTINGS, exposure, load_estimator(SETTINGS), None)
         for entry in (entry for entry in results["frames"] if entry["active"]):
-            seen, (probe,) = load_frame(outputs.capture(entry["frame"])), entry["probes"]
-            active = left_behind.controller.active(seen.intrinsics, seen.world_from_camera)
-            left_behind.step(seen, {}, active)
+            seen, (probe,) = load_frame(RunOutputs(out).capture(entry["frame"])), entry["probes"]
+            left_behind.step(seen, {}, left_behind.controller.active(seen.intrinsics, seen.world_from_camera))
             before = shc_rmse(left_behind.light("Ball", seen.time_s), np.array(probe["sh_truth"]))
-            rows.append((before, probe["shc_rmse"], probe["ambient_shc_rmse"]))
+            errors.append((before, probe["shc_rmse"], probe["ambient_shc_rmse"]))
             print(f"{name} {entry['frame']:3}: {before:.3f} -> {probe['shc_rmse']:.3f} ({probe['reason']})", flush=True)
-        before, after, ambient = np.mean(rows, axis=0)
-        print(f"{name}: SHC RMSE {before:.3f} at the first place, {after:.3f} followed, ambient {ambient:.3f}")
-        print(f"{name}: pictures {results['comparison']['lattice']['rmse']:.3f}", flush=True)
+        print(f"{name}: first place, followed, ambient", np.mean(errors, axis=0).round(3), flush=True)
 
 
 if __name__ == "__main__":

@@ -66,7 +66,7 @@ def test_surfaces_go_with_their_anchors_and_are_unknown_where_nobody_looked(has_
 
 
 def seen_in_a_painted_box(position_m, lattice):
-    """All of a box of 4 x 4 x 3 m whose colour is its place, with surfaces that say the same."""
+    """All of a box of 4 x 4 x 3 m whose colour is its place."""
     rays = np.random.default_rng(0).normal(size=(200_000, 3))
     corner = np.where(rays > 0, (2, 2, 1.5), (-2, -2, -1.5))
     points_m = position_m + rays * ((corner - position_m) / rays).min(axis=1, keepdims=True)
@@ -75,22 +75,19 @@ def seen_in_a_painted_box(position_m, lattice):
 
 @pytest.mark.parametrize("moved_m", [(0.3, 0.2, -0.1), (0.0, -0.6, 0.4)])
 def test_a_position_that_moves_sees_the_same_surfaces_from_its_new_place(moved_m):
-    lattice, here, there = AnchorLattice(1280), np.array([0.2, 0.1, -0.2]), np.array(moved_m)
-    moved = sample_again(seen_in_a_painted_box(here, lattice), there, lattice)
-    expected = seen_in_a_painted_box(here + there, lattice)
+    lattice, here = AnchorLattice(1280), np.array([0.2, 0.1, -0.2])
+    stale, expected = seen_in_a_painted_box(here, lattice), seen_in_a_painted_box(here + moved_m, lattice)
+    moved = sample_again(stale, moved_m, lattice)
     # What comes nearer is spread over more anchors than it had.
     assert 0.75 < moved.is_set.mean() < 1
-    error_m = 8 * np.abs(moved.srgb - expected.srgb)[moved.is_set].max(axis=1)
-    assert np.median(error_m) < 0.15 and np.quantile(error_m, 0.95) < 0.4
+    error_m, stale_m = (8 * np.abs(one.srgb - expected.srgb)[moved.is_set].max(axis=1) for one in (moved, stale))
+    assert np.median(error_m) < min(0.15, np.median(stale_m) / 2) and np.quantile(error_m, 0.95) < 0.4
     ratio = moved.distance_m[moved.is_set] / expected.distance_m[moved.is_set]
     assert np.median(np.abs(ratio - 1)) < 0.03
-    stale = seen_in_a_painted_box(here, lattice)
-    assert np.median(8 * np.abs(stale.srgb - expected.srgb).max(axis=1)) > 2 * np.median(error_m)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_position_that_does_not_move_keeps_what_it_knows(seed):
-    rng = np.random.default_rng(seed)
+def test_a_position_that_does_not_move_keeps_what_it_knows():
+    rng = np.random.default_rng(1)
     cloud = with_surfaces(random_cloud(rng, N), rng)
     again = sample_again(cloud, np.zeros(3), AnchorLattice(N))
     np.testing.assert_allclose(again.distance_m, cloud.distance_m, rtol=1e-6)
@@ -99,13 +96,10 @@ def test_a_position_that_does_not_move_keeps_what_it_knows(seed):
         np.testing.assert_array_equal(getattr(again.surfaces, name), getattr(cloud.surfaces, name))
 
 
-def test_surfaces_behind_each_other_and_at_the_place_itself():
-    lattice, up = AnchorLattice(N), AnchorLattice(N).directions[0]
-    is_set = np.arange(N) < 1
-    cloud = UnitSphereCloud(np.full((N, 3), 0.5) * is_set[:, None], 2.0 * is_set, is_set)
+def test_a_surface_that_a_position_passes_lies_behind_it_and_at_the_surface_itself_nothing_is_seen():
+    lattice, is_set = AnchorLattice(N), np.arange(N) < 1
+    up, cloud = lattice.directions[0], UnitSphereCloud(np.outer(is_set, [0.5] * 3), 2.0 * is_set, is_set)
     assert not sample_again(cloud, 2 * up, lattice).is_set.any()
-    behind = sample_again(cloud, 3 * up, lattice)
-    assert behind.is_set.sum() == 1 and behind.is_set[lattice.nearest(-up[None])[0]]
-    assert not sample_again(UnitSphereCloud.empty(N), up, lattice).is_set.any()
+    assert np.flatnonzero(sample_again(cloud, 3 * up, lattice).is_set) == lattice.nearest(-up[None])
     with pytest.raises(ValueError, match="anchors"):
         sample_again(cloud, up, AnchorLattice(N + 1))
