@@ -13,7 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from xihenet.records import AnchorSurfaces, UnitSphereCloud
+from xihenet.records import AnchorSurfaces, ArrayF64, UnitSphereCloud
+from xihenet.sampling import sample_again
+from xihenet.sphere import AnchorLattice
 
 
 def merge(old: UnitSphereCloud, new: UnitSphereCloud) -> UnitSphereCloud:
@@ -67,6 +69,10 @@ class PositionBuffers:
     def fired(self) -> PositionBuffers:
         """After the trigger fired: the temporary cloud moves into the persistent one and starts anew."""
         return PositionBuffers(UnitSphereCloud.empty(len(self.temporary)), merge(self.persistent, self.temporary))
+
+    def moved(self, by_m: ArrayF64, lattice: AnchorLattice) -> PositionBuffers:
+        """After the position moved `by_m` (3,): both clouds as they look from there."""
+        return PositionBuffers(*(sample_again(cloud, by_m, lattice) for cloud in (self.temporary, self.persistent)))
 
     def last_seen(self) -> UnitSphereCloud:
         """Every anchor as it was last seen, whether or not the light in force was made from it; without surfaces."""

@@ -35,9 +35,12 @@ from xihenet.records import (
     TriggerDecision,
     UnitSphereCloud,
 )
-from xihenet.sampling import sample_unit_sphere
+from xihenet.sampling import checked_position, sample_unit_sphere
 from xihenet.sphere import TABLE_SIZE, AnchorLattice, NearestMethod
 from xihenet.trigger import LastSeen, TriggerSettings, decide_trigger
+
+MOVED_M = 0.02
+"""A position that is no further from where its light was estimated counts as still there."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,13 @@ class XiheController:
         if position.shape != (3,) or not np.isfinite(position).all():
             raise ValueError(f"add_position {name!r}: expected three finite coordinates, got {position_m!r}")
         self._positions[name] = _Position(position, PositionBuffers.empty(self.backend.n_anchors))
+
+    def move_position(self, name: str, position_m: ArrayLike) -> None:
+        """Have position `name` at `position_m` ((3,), world, metres) from now on, with what is known of the room."""
+        position, place = self._positions[name], checked_position(position_m)
+        if not np.array_equal(place, position.position_m):
+            position.buffers = position.buffers.moved(place - position.position_m, self.lattice)
+            position.position_m = place
 
     @property
     def positions(self) -> dict[str, ArrayF64]:
@@ -138,6 +148,8 @@ class XiheController:
             decision = decide_trigger(
                 before, now, self.lattice, settings.trigger, last=position.decision, last_seen=seen
             )
+            if not decision.fire and position.moved_m > MOVED_M and sampled.is_set.any():
+                decision = TriggerDecision(True, "moved", position.moved_m, MOVED_M)
         estimate, payload, unknown_because = None, b"", "" if sampled.is_set.any() else "nothing_seen"
         invalid, n_followed = sampled.invalid, 0
         if decision.fire:
@@ -153,7 +165,7 @@ class XiheController:
             invalid = {**invalid, **self._clamped(followed.temporary, fired.persistent)}
             if estimate.is_valid:
                 # Else what was seen is still unanswered, and the trigger goes on to ask.
-                buffers, position.light = fired, estimate
+                buffers, position.light, position.lit_at_m = fired, estimate, position.position_m
         position.buffers, position.decision = buffers, decision
         return StepReport(
             decision, estimate, clock.stage_ms, len(payload), buffers.coverage(), invalid, unknown_because, n_followed
@@ -214,6 +226,13 @@ class _Position:
     buffers: PositionBuffers
     decision: TriggerDecision | None = None
     light: LightEstimate | None = None
+    lit_at_m: ArrayF64 | None = None
+    """Where the light in force was estimated."""
+
+    @property
+    def moved_m(self) -> float:
+        """How far that is from here; 0 without a light."""
+        return 0.0 if self.lit_at_m is None else float(np.linalg.norm(self.position_m - self.lit_at_m))
 
 
 class StageClock:

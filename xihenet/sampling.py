@@ -15,7 +15,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import fields
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -103,6 +105,33 @@ def _with_patches(
     is_set = patch_of_anchor >= 0
     shown = patch_of_anchor[is_set]
     return is_set, winners[shown], describe_surfaces(seen, patches, shown, is_set, lattice.directions)
+
+
+def sample_again(cloud: UnitSphereCloud, moved_m: ArrayLike, lattice: AnchorLattice) -> UnitSphereCloud:
+    """What `cloud` has seen, from `moved_m` (3,) beside its position: surfaces go to the anchors where they lie now.
+
+    Anchors into whose direction none came are not set. `cloud` has the lattice's anchors, else ValueError. Surfaces
+    face the new position as much as they did the old one, which is nearly so where it is near.
+    """
+    if len(cloud) != lattice.n:
+        raise ValueError(f"sample_again: the lattice has {lattice.n} anchors and the cloud {len(cloud)}")
+    points_m = lattice.directions * cloud.distance_m[:, None] - checked_position(moved_m)
+    shown = np.flatnonzero(cloud.is_set & points_m.any(axis=1))
+    with np.errstate(over="ignore"):  # What is too far for float32 is taken for not seen.
+        columns = np.ascontiguousarray(points_m[shown].T, np.float32)
+    distance_m = _distances(columns)
+    is_set, winners = _nearest_points(lattice.nearest_to_columns(columns), distance_m, lattice.n)
+    source = np.zeros(lattice.n, np.intp)
+    source[is_set] = shown[winners]
+
+    def taken(values: Any) -> Any:
+        return values[source] * (is_set if values.ndim == 1 else is_set[:, None])
+
+    nearest_m = np.zeros(lattice.n, np.float32)
+    nearest_m[is_set] = distance_m[winners]
+    old = cloud.surfaces
+    surfaces = None if old is None else AnchorSurfaces(*(taken(getattr(old, field.name)) for field in fields(old)))
+    return UnitSphereCloud(taken(cloud.srgb), nearest_m, is_set, surfaces=surfaces)
 
 
 def sample_unit_sphere_reference(cloud: PointCloud, position_m: ArrayLike, lattice: AnchorLattice) -> UnitSphereCloud:

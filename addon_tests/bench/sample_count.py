@@ -97,12 +97,12 @@ def stop_and_go(scene: bpy.types.Scene, held: int) -> None:
 
 def as_surveyed(survey: SceneSurvey) -> RenderReuse:
     """What a run renders."""
-    return plan_render_reuse({frame: one.state for frame, one in survey.frames.items()}, survey.in_view)
+    return plan_render_reuse({frame: one.state for frame, one in survey.frames.items()}, survey.in_view, {})
 
 
 def every_frame(survey: SceneSurvey) -> RenderReuse:
     """Nothing is ever the same, so that every frame is rendered."""
-    return plan_render_reuse(each_its_own(survey.frames), survey.in_view)
+    return plan_render_reuse(each_its_own(survey.frames), survey.in_view, {})
 
 
 def walk(stage: Stage, sample_count: SampleCount, reuse: RenderReuse) -> Walked:

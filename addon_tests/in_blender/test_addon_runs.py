@@ -326,6 +326,18 @@ def test_results_of_a_run_under_way_or_of_another_program_are_refused(tmp_path):
             read_results(tmp_path)
 
 
+def test_a_run_that_would_see_no_object_is_refused_before_anything_is_written(tmp_path):
+    scene = walk_for_the_panel(tmp_path)
+    for frame in range(1, 6):
+        look_away(scene.camera, frame)
+    bpy.context.view_layer.update()
+    before = snapshot()
+    with pytest.raises(RuntimeError, match="No virtual object is in view of the camera in any frame"):
+        bpy.ops.xihe.run()
+    assert bpy.context.window_manager.xihe.error.startswith("No virtual object is in view")
+    assert differences(before, snapshot()) == ({}, []) and not any(tmp_path.iterdir())
+
+
 def test_a_run_that_saw_no_position_shows_no_picture(tmp_path):
     scene = walk_for_the_panel(tmp_path)
     for frame in (1, 2):

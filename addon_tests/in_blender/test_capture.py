@@ -1,5 +1,6 @@
 """What the phone sees: plane depth, intrinsics, poses, exposure."""
 
+import ctypes
 import math
 import os
 from pathlib import Path
@@ -219,3 +220,10 @@ def test_memory_stays_flat_over_300_captures():
                 resident.append(int(Path("/proc/self/statm").read_text().split()[1]) * page / 1e6)
     # The first hundred fill caches; after that a leak of one small picture per capture would be 1.8 MB.
     assert resident[3] - resident[1] < 1.0
+
+
+def test_a_render_leaves_no_line_on_the_terminal_about_a_file_of_ours(capfd):
+    captured(room_with_a_virtual_sphere())
+    # What C has printed may be waiting.
+    ctypes.CDLL(None).fflush(None)
+    assert "passes.exr" not in capfd.readouterr().out

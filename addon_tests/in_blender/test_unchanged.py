@@ -324,17 +324,21 @@ def test_each_render_is_taken_from_the_first_frame_that_has_it():
     elsewhere = SceneState("dark", "v", "there")
     states = dict(enumerate((dark, elsewhere, dark, light, elsewhere), start=1))
     in_view = {1: ["Box"], 2: ["Ball"], 3: ["Ball"], 4: ["Ball"], 5: ["Ball", "Vase"]}
-    reuse = plan_render_reuse(states, in_view)
+    reuse = plan_render_reuse(states, in_view, {})
     assert reuse.captures == {1: 1, 2: 2, 3: 1, 4: 4, 5: 2}
     assert [reuse.probes[frame, "Ball"] for frame in (2, 3, 4, 5)] == [2, 2, 4, 2]
     assert reuse.probes[5, "Vase"] == 5
     assert reuse.comparison(1, b"a") == reuse.comparison(3, b"a") != reuse.comparison(3, b"b")
     # A frame that is not captured, as one that the phone does not deliver, holds nothing for the others.
-    assert plan_render_reuse(states, {3: ["Ball"], 5: ["Ball"]}).captures == {3: 3, 5: 5}
+    assert plan_render_reuse(states, {3: ["Ball"], 5: ["Ball"]}, {}).captures == {3: 3, 5: 5}
+    # A light probe elsewhere is another.
+    moved = plan_render_reuse(states, in_view, {3: {"Ball": (0, 0, 1)}, 5: {"Ball": (0, 0, 1)}})
+    assert moved.captures == reuse.captures
+    assert [moved.probes[frame, "Ball"] for frame in (2, 3, 4, 5)] == [2, 3, 4, 3]
 
 
 def test_where_nothing_is_known_every_frame_is_rendered():
-    reuse = plan_render_reuse(each_its_own((1, 2)), {1: ["Ball"], 2: ["Ball"]})
+    reuse = plan_render_reuse(each_its_own((1, 2)), {1: ["Ball"], 2: ["Ball"]}, {})
     assert reuse.captures == {1: 1, 2: 2} and set(reuse.probes.values()) == {1, 2}
     assert reuse.comparison(1, b"a") != reuse.comparison(2, b"a")
 

@@ -5,7 +5,9 @@ import pytest
 
 from addon_tests.pure.made import random_cloud
 from xihenet.buffers import PositionBuffers, merge
-from xihenet.records import AnchorSurfaces, UnitSphereCloud
+from xihenet.records import AnchorSurfaces, PointCloud, UnitSphereCloud
+from xihenet.sampling import sample_again, sample_unit_sphere
+from xihenet.sphere import AnchorLattice
 
 N = 64
 
@@ -49,3 +51,43 @@ def test_surfaces_go_with_their_anchors_and_are_unknown_where_nobody_looked(has_
             source = (new if new.is_set[anchor] else old).surfaces
             expected = 0 if source is None else getattr(source, name)[anchor]
             assert (getattr(merged.surfaces, name)[anchor] == expected).all()
+
+
+def seen_in_a_painted_box(position_m, lattice):
+    """All of a box of 4 x 4 x 3 m whose colour is its place."""
+    rays = np.random.default_rng(0).normal(size=(200_000, 3))
+    corner = np.where(rays > 0, (2, 2, 1.5), (-2, -2, -1.5))
+    points_m = position_m + rays * ((corner - position_m) / rays).min(axis=1, keepdims=True)
+    return sample_unit_sphere(PointCloud(points_m, points_m / 8 + 0.5), position_m, lattice)
+
+
+@pytest.mark.parametrize("moved_m", [(0.3, 0.2, -0.1), (0.0, -0.6, 0.4)])
+def test_a_position_that_moves_sees_the_same_surfaces_from_its_new_place(moved_m):
+    lattice, here = AnchorLattice(1280), np.array([0.2, 0.1, -0.2])
+    stale, expected = seen_in_a_painted_box(here, lattice), seen_in_a_painted_box(here + moved_m, lattice)
+    moved = sample_again(stale, moved_m, lattice)
+    # What comes nearer is spread over more anchors than it had.
+    assert 0.75 < moved.is_set.mean() < 1
+    error_m, stale_m = (8 * np.abs(one.srgb - expected.srgb)[moved.is_set].max(axis=1) for one in (moved, stale))
+    assert np.median(error_m) < min(0.15, np.median(stale_m) / 2) and np.quantile(error_m, 0.95) < 0.4
+    ratio = moved.distance_m[moved.is_set] / expected.distance_m[moved.is_set]
+    assert np.median(np.abs(ratio - 1)) < 0.03
+
+
+def test_a_position_that_does_not_move_keeps_what_it_knows():
+    rng = np.random.default_rng(1)
+    cloud = with_surfaces(random_cloud(rng, N), rng)
+    again = sample_again(cloud, np.zeros(3), AnchorLattice(N))
+    np.testing.assert_allclose(again.distance_m, cloud.distance_m, rtol=1e-6)
+    assert (again.srgb == cloud.srgb).all() and (again.is_set == cloud.is_set).all()
+    for name in vars(cloud.surfaces):
+        np.testing.assert_array_equal(getattr(again.surfaces, name), getattr(cloud.surfaces, name))
+
+
+def test_a_surface_that_a_position_passes_lies_behind_it_and_at_the_surface_itself_nothing_is_seen():
+    lattice, is_set = AnchorLattice(N), np.arange(N) < 1
+    up, cloud = lattice.directions[0], UnitSphereCloud(np.outer(is_set, [0.5] * 3), 2.0 * is_set, is_set)
+    assert not sample_again(cloud, 2 * up, lattice).is_set.any()
+    assert np.flatnonzero(sample_again(cloud, 3 * up, lattice).is_set) == lattice.nearest(-up[None])
+    with pytest.raises(ValueError, match="anchors"):
+        sample_again(cloud, up, AnchorLattice(N + 1))

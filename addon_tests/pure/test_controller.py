@@ -1,5 +1,7 @@
 """The chain of a session, driven with frames made of a painted sphere around the phone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from xihenet.backend import LocalBackend
 from xihenet.buffers import merge
 from xihenet.camera import unproject_frame
 from xihenet.codec import encode_cloud
-from xihenet.controller import ControllerSettings, XiheController
+from xihenet.controller import MOVED_M, ControllerSettings, XiheController
 from xihenet.recording import ReplayScanner
 from xihenet.records import Intrinsics
 from xihenet.sampling import sample_unit_sphere
@@ -129,3 +131,19 @@ def test_a_position_that_is_no_point_is_refused(wrong):
 def test_no_position_means_no_work():
     controller = XiheController(LocalBackend(estimators.load("projection", N)))
     assert controller.step(looking(0.0)) == {}
+
+
+def test_a_position_that_moves_asks_for_its_light_once_something_is_seen_and_keeps_what_it_knows_of_the_room():
+    controller = session()
+    first = controller.step(looking(0.0))["Vase"]
+    controller.move_position("Vase", (0.015, 1.5, 0))
+    assert not controller.step(looking(0.0, frame=1))["Vase"].decision.fire, "nobody sees so small a step"
+    controller.move_position("Vase", (0.2, 1.5, 0))
+    nothing = replace(looking(0.5, frame=2), plane_depth_m=np.zeros((36, 48), np.float32))
+    assert not controller.step(nothing)["Vase"].decision.fire
+    moved = controller.step(looking(0.5, frame=3))["Vase"]
+    assert moved.decision.fire and moved.coverage > first.coverage
+    controller.move_position("Vase", (0.2, 1.4, 0))
+    again = controller.step(looking(0.5, frame=4))["Vase"].decision
+    assert again.reason == "moved" and again.change == pytest.approx(0.1) and again.threshold == MOVED_M
+    assert not controller.step(looking(0.5, frame=5))["Vase"].decision.fire

@@ -15,6 +15,7 @@ from xihe_blender.addon.failures import Action
 from xihe_blender.addon.modal_job import ModalJob
 from xihe_blender.addon.preferences import runs_folder
 from xihe_blender.addon.runs_folder import new_run_folder, shown_runs
+from xihe_blender.errors import UserError
 from xihe_blender.io.old_runs import format_old_runs, old_runs, remove_old_runs
 from xihe_blender.jobs import Job, Progress
 from xihenet.formats import format_count
@@ -78,9 +79,16 @@ class XIHE_OT_run(polls.Conditional, Following, bpy.types.Operator):
             yield from results_imported()
         from xihe_blender.addon.run_settings import choices_of_run, previs_settings, run_and_show
         from xihe_blender.previs.plan import plan_previs
+        from xihe_blender.previs.survey import may_see_a_position
 
         settings = previs_settings(scene)
-        plan_previs(scene, settings)
+        plan = plan_previs(scene, settings)
+        yield Progress(0, 1, "looking at the camera path")
+        if not may_see_a_position(scene, plan):
+            raise UserError(
+                "No virtual object is in view of the camera in any frame: "
+                "turn the camera to one, or move one into its view"
+            )
         self.folder = new_run_folder(scene)
         if not self.works_here:
             yield Progress(0, 1, "saving a copy of the file")

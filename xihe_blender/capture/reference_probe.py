@@ -160,12 +160,22 @@ class ReferenceLight:
 
 @dataclass
 class ReferenceProbe:
-    """Measures light at places that are known beforehand; made by `open_reference_probe`."""
+    """Measures light at places; made by `open_reference_probe`. `balls` are one for each."""
 
     scene: bpy.types.Scene
+    balls: Sequence[bpy.types.Object]
     positions_m: ArrayF64
     settings: ProbeSettings
     is_denoised: bool
+
+    def move(self, index: int, position_m: ArrayF64) -> None:
+        """Have the `index`-th position at another place from now on."""
+        if np.array_equal(position_m, self.positions_m[index]):
+            return
+        metres = metres_per_unit(self.scene)
+        grown = _ball_radius(position_m, metres) / _ball_radius(self.positions_m[index], metres)
+        self.positions_m[index], ball = position_m, self.balls[index]
+        ball.location, ball.scale = tuple(position_m / metres), grown * ball.scale
 
     def light_at(self, index: int, frame: int, exposure: float = 1.0) -> ReferenceLight:
         """The light at the `index`-th position in `frame`; `exposure` says where white is."""
@@ -305,7 +315,7 @@ def open_reference_probe(
     positions_m : (K, 3) world, metres
     objects : the virtual object that stands at each of them, whose light links the probe takes; None for none
     """
-    places = np.asarray(positions_m, np.float64).reshape(-1, 3)
+    places = np.array(positions_m, np.float64).reshape(-1, 3)
     rendering = RenderSettings(
         (settings.size, settings.size), 1, settings.seed, settings.denoise, settings.light_transport
     )
@@ -322,7 +332,7 @@ def open_reference_probe(
         for ball, item in zip(balls, objects or (), strict=False):
             if item is not None:
                 stack.enter_context(joined_light_links(scene, ball, item))
-        yield ReferenceProbe(working, places, settings, working.cycles.use_denoising)
+        yield ReferenceProbe(working, balls, places, settings, working.cycles.use_denoising)
 
 
 def _take_samples(scene: bpy.types.Scene, n: int) -> None:

@@ -5,6 +5,7 @@ settings are never changed, so there are none to restore after an error, a cance
 the shared objects, their animated values, `scene.state` puts back. Rejected: changing settings in place.
 
 Pixels come back through a 32-bit EXR file in memory, since Blender cannot hand out a render result in background mode.
+The file is saved after the render: a render that writes its own says so on the terminal, every time.
 Light transport (bounces, caustics) is what the settings say, or what the user's scene has where they say nothing: the
 same in capture, truth and comparison, or the comparison would measure the renderer. Clamps stay as the scene has them.
 """
@@ -157,14 +158,18 @@ def render_passes(scene: bpy.types.Scene) -> Rendered:
     folder = MEMORY_FOLDER if MEMORY_FOLDER.is_dir() else None
     with tempfile.TemporaryDirectory(prefix="xihe_", dir=folder) as temporary:
         path = Path(temporary) / "passes.exr"
+        # Also has Blender look at the scene anew: what is set of Cycles alone, as its seed, it would not notice.
         scene.render.filepath = str(path)
         start = time.perf_counter()
         try:
             # By name alone the operator renders the frame of the scene in the context, whatever `scene` stands at.
             with bpy.context.temp_override(scene=scene):
-                bpy.ops.render.render(write_still=True)
+                bpy.ops.render.render()
         except RuntimeError as error:
             raise UserError(f"Cycles could not render {scene.name!r}: {str(error).strip()}") from error
+        result = next(image for image in bpy.data.images if image.type == "RENDER_RESULT")
+        with contextlib.suppress(RuntimeError):  # Said below, where the file is read.
+            result.save_render(str(path), scene=scene)
         render_s = time.perf_counter() - start
         return Rendered(_whole_picture(scene, path), render_s)
 

@@ -204,13 +204,20 @@ class RenderReuse:
         return self.states[frame], *(hashlib.blake2b(content, digest_size=16).digest() for content in made_from)
 
 
-def plan_render_reuse(states: Mapping[int, SceneState], in_view: Mapping[int, Iterable[str]]) -> RenderReuse:
-    """For a run that captures the frames of `in_view`, in that order, with the light probes that each sees."""
+def plan_render_reuse(
+    states: Mapping[int, SceneState],
+    in_view: Mapping[int, Iterable[str]],
+    moved: Mapping[int, Mapping[str, tuple[float, ...]]],
+) -> RenderReuse:
+    """For a run that captures the frames of `in_view`, in that order, with the light probes that each sees.
+
+    `moved` has the places of probes that are not at their first one, by frame.
+    """
     first: dict[tuple[Any, ...], int] = {}
     captures, probes = {}, {}
     for frame, names in in_view.items():
         room = states[frame].room
         captures[frame] = first.setdefault((room, "capture", states[frame].camera), frame)
         for name in names:
-            probes[frame, name] = first.setdefault((room, "probe", name), frame)
+            probes[frame, name] = first.setdefault((room, "probe", name, moved.get(frame, {}).get(name)), frame)
     return RenderReuse(states, captures, probes)

@@ -102,6 +102,7 @@ def _measure(run: PreparedRun, frame: int, probe: Probe, reference_probe: Refere
     source, index = run.reuse.probes[frame, probe.name], run.plan.probes.index(probe)
     panorama = functools.partial(run.outputs.probe, index, probe.name)
     if source == frame:
+        reference_probe.move(index, probe.at(frame))
         light = reference_probe.light_at(index, frame, run.exposure)
         measured = light.measured
         write_radiance(panorama(frame), light.panorama)

@@ -32,6 +32,7 @@ class PhoneSession:
     ) -> None:
         chain = ControllerSettings(settings.trigger, reference_exposure=exposure, following=settings.following)
         self.controller = XiheController(LocalBackend(estimator), chain)
+        self.probes = {probe.name: probe for probe in plan.probes}
         for probe in plan.probes:
             self.controller.add_position(probe.name, probe.position_m)
         self.exposure = exposure
@@ -49,6 +50,8 @@ class PhoneSession:
         Gives reports and requests by position. `truth` are (9, 3) coefficients of the rendered probe by position,
         `active` the positions in view of the true camera, whatever pose the phone believes in.
         """
+        for name in active:
+            self.controller.move_position(name, self.probes[name].at(seen.frame))
         reports = self.controller.step(seen, truth, active=active)
         requests = {}
         for name, report in reports.items():

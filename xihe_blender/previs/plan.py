@@ -6,8 +6,8 @@ What is wrong with the scene itself is found here, what is wrong with a frame of
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 import bpy
@@ -26,11 +26,18 @@ DEFAULT_SIZE = (256, 192)
 
 @dataclass(frozen=True, eq=False)
 class Probe:
-    """One estimation position: its name in results, the virtual object it lights, and where it is in the world."""
+    """One estimation position: its name in results, the virtual object it lights, and where it is in the world.
+
+    `moved_m` says where it is in those frames in which it is not at `position_m`, its place in the first.
+    """
 
     name: str
     object_name: str
     position_m: ArrayF64
+    moved_m: Mapping[int, ArrayF64] = field(default_factory=dict)
+
+    def at(self, frame: int) -> ArrayF64:
+        return self.moved_m.get(frame, self.position_m)
 
 
 @dataclass(frozen=True, eq=False)

@@ -134,6 +134,7 @@ def prepare_run(
     """A job: work out what an earlier part of this run has not left in `outputs`; `survey` is left there too."""
     if not outputs.survey.exists():
         write_json(outputs.survey, as_json(survey))
+    plan = survey.followed(plan)
     yield Progress(0, 1, "metering the exposure")
     metering, n_samples = settings.metering_in_force, settings.metering_samples
     exposure = settings.exposure or kept_or_made(
@@ -167,7 +168,7 @@ def render_reuse(survey: SceneSurvey, effects: Mapping[str, Effect], needs: Capt
     if effects["motion blur"].state == "on":
         states = each_its_own(states)
     in_view = {frame: names for frame, names in survey.in_view.items() if frame in needs.delivered}
-    return plan_render_reuse(states, in_view)
+    return plan_render_reuse(states, in_view, {frame: one.moved for frame, one in survey.frames.items()})
 
 
 def above_noise(trigger: TriggerSettings, capture_change: float | None) -> TriggerSettings:

@@ -34,7 +34,7 @@ from xihenet.invalid import CLAMPED
 from xihenet.metrics import share_above_white, shc_rmse
 from xihenet.phone import NETWORK, Link, Request
 from xihenet.recording import load_frame
-from xihenet.records import ArrayF64, StepReport
+from xihenet.records import ArrayF64, RgbdFrame, StepReport
 
 NOT_REPEATED = "frame_rate"
 """Frames that the phone did not deliver were never captured."""
@@ -65,13 +65,13 @@ def walk_path(run: PreparedRun) -> Generator[Progress, None, WalkedPath]:
 def _facts_of_captures(run: PreparedRun, work_s: dict[int, float]) -> dict[int, CaptureFacts]:
     """What the phone will be derived from, by captured frame; the time it takes is added to `work_s`."""
     facts, metering = {}, run.settings.metering_in_force
-    positions_m = np.array([probe.position_m for probe in run.plan.probes]).reshape(-1, 3)
     for frame in run.plan.frames:
         start = time.perf_counter()
         rendered = kept_renders(run, frame)
         if rendered is not None:
             surfaces = load_surfaces(run.outputs.surfaces(frame)) if run.needs.surfaces else None
             radiance = read_radiance(run.outputs.radiance("captured", frame)) if run.needs.radiance else None
+            positions_m = np.array([probe.at(frame) for probe in run.plan.probes])
             facts[frame] = facts_of_capture(rendered.captured, positions_m, metering, surfaces, radiance)
             work_s[frame] = work_s.get(frame, 0.0) + time.perf_counter() - start
     return facts
@@ -110,7 +110,7 @@ class _Walk:
         reports, requests = self.session.step(seen, truth, list(truth))
         self.walked.lights[seen.frame] = self._lights_in_force(seen.time_s)
         probes = tuple(
-            self._probe_result(probe, reports[probe.name], requests.get(probe.name), seen.time_s)
+            self._probe_result(probe, reports[probe.name], requests.get(probe.name), seen)
             for probe in run.probes_in_view(seen.frame)
         )
         work_s = time.perf_counter() - start + self.captured_s.get(seen.frame, 0.0)
@@ -149,15 +149,15 @@ class _Walk:
         ambient = {item.name: ambient_sh for item in self.run.plan.objects}
         return {self.run.settings.estimator: estimated, "ambient": ambient, "truth": truth}
 
-    def _probe_result(self, probe: Probe, report: StepReport, request: Request | None, time_s: float) -> ProbeResult:
+    def _probe_result(self, probe: Probe, report: StepReport, request: Request | None, seen: RgbdFrame) -> ProbeResult:
         """What one step did at one position, and the light in force there after it."""
-        reference = self.references[probe.name]
+        reference, time_s = self.references[probe.name], seen.time_s
         light, truth = self.session.light(probe.name, time_s), reference.of(self.run.settings.target)
         arrival_frame, latency_ms = results.arrival(request, self.run.phone.times_s)
         return ProbeResult(
             name=probe.name,
             object=probe.object_name,
-            position_m=results.as_rgb(probe.position_m),
+            position_m=results.as_rgb(probe.at(seen.frame)),
             coverage=report.coverage,
             fired=report.decision.fire,
             reason=report.decision.reason,

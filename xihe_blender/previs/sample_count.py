@@ -178,8 +178,8 @@ def samples_taken(preset: Preset, model: NoiseModel, target: float | None = None
 
 def pilot_views(plan: PrevisPlan, survey: SceneSurvey) -> list[tuple[int, list[ArrayF64]]]:
     """A few frames, spread over those in which an estimation position is in view, with the positions (3,) in view."""
-    positions_m = {probe.name: probe.position_m for probe in plan.probes}
-    views = [(frame, [positions_m[name] for name in names]) for frame, names in survey.in_view.items()]
+    probes = {probe.name: probe for probe in plan.probes}
+    views = [(frame, [probes[name].at(frame) for name in names]) for frame, names in survey.in_view.items()]
     return evenly_chosen(views, min(N_PILOT_FRAMES, math.ceil(len(views) / FRAMES_PER_PILOT)))
 
 

@@ -144,7 +144,10 @@ def _counted(pixels: ArrayF32) -> tuple[int, int, float, float]:
 
 
 def place_faults(scene: bpy.types.Scene, positions_m: dict[str, ArrayF64], cameras_m: ArrayF64) -> Iterator[Fault]:
-    """Estimation positions so far from the world's origin that float32 rounds them, or from every camera (F, 3)."""
+    """Estimation positions so far from the world's origin that float32 rounds them, or from every camera.
+
+    Both are (F, 3), of each frame.
+    """
     metres = metres_per_unit(scene)
     for name, position_m in positions_m.items():
         step_m = float(np.spacing(np.float32(np.abs(position_m / metres).max()))) * metres
@@ -153,7 +156,7 @@ def place_faults(scene: bpy.types.Scene, positions_m: dict[str, ArrayF64], camer
             yield Fault(name=name, n=1, said=f"{said}{step_m:.2g} m.")
     if not positions_m:
         return
-    offsets = cameras_m[:, None] - np.stack(list(positions_m.values()))
+    offsets = cameras_m - np.stack(list(positions_m.values()))
     nearest_m = float(np.linalg.norm(offsets, axis=-1).min())
     if not NEAREST_M <= nearest_m <= FARTHEST_M:
         said = (

@@ -8,8 +8,9 @@ frames, light walks the room alone; see `enclosure`. A resumed run reads the sur
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import bpy
@@ -25,6 +26,7 @@ from xihe_blender.light_transport.inspection import open_inspection
 from xihe_blender.light_transport.plan import required_by_survey
 from xihe_blender.light_transport.render_reuse import SceneState, StateSurvey
 from xihe_blender.light_transport.transport_survey import TransportSurveyor
+from xihe_blender.previs.movement import MovementSurvey
 from xihe_blender.previs.plan import PrevisPlan, Probe
 from xihe_blender.previs.scene_faults import faults_at_frame, image_faults, place_faults
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, virtual_collection
@@ -34,6 +36,9 @@ from xihenet.phone import CameraMotion, motion_between
 from xihenet.records import ArrayF64, Intrinsics
 
 LAMP_SHAPE = ("shadow_soft_size", "size", "size_y", "angle", "spot_size", "spot_blend")
+LONGEST_LOOK_S = 0.2
+"""Of `may_see_a_position`, for which a window waits."""
+
 STILL = CameraMotion(np.zeros(3), np.zeros(3))
 
 
@@ -41,13 +46,15 @@ STILL = CameraMotion(np.zeros(3), np.zeros(3))
 class SurveyedFrame:
     """One frame of the path, at `time_s` of the session.
 
-    `in_view` names the estimation positions that the camera sees, `motion` is the camera's while it takes the frame,
+    `moved` says where, in world metres, those estimation positions are that have left their first place, `in_view`
+    names those that the camera sees, `motion` is the camera's while it takes the frame,
     `state` are digests of the scene, by which renders are used again, and `roughness` is the smoothest by material
     name; None where it is not known.
     """
 
     frame: int
     time_s: float
+    moved: Mapping[str, tuple[float, ...]]
     in_view: tuple[str, ...]
     motion: CameraMotion
     state: SceneState
@@ -72,6 +79,11 @@ class SceneSurvey:
         """Names of the estimation positions in view, by those frames that see any."""
         return {frame: one.in_view for frame, one in self.frames.items() if one.in_view}
 
+    def followed(self, plan: PrevisPlan) -> PrevisPlan:
+        """`plan` with the places to which its estimation positions move."""
+        moved = {frame: one.moved for frame, one in self.frames.items()}
+        return replace(plan, probes=tuple(_followed(probe, moved) for probe in plan.probes))
+
 
 @dataclass(frozen=True, eq=False)
 class _CameraView:
@@ -89,7 +101,7 @@ def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
     UserError for a frame without a phone's camera, or with numbers that Cycles leaves out.
     """
     transport = TransportSurveyor(plan.frames, [probe.position_m.tolist() for probe in plan.probes])
-    states, room = StateSurvey(scene), RoomSurvey(scene)
+    states, room, movement = StateSurvey(scene), RoomSurvey(scene), MovementSurvey(plan)
     views: dict[int, _CameraView] = {}
     in_scene = range(scene.frame_start, scene.frame_end + 1)
     visited = {frame + step for frame in plan.frames for step in (-1, 0, 1) if frame + step in in_scene}
@@ -104,16 +116,19 @@ def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
                 views[frame] = _CameraView(working.camera, *phone_camera(working), session_time_s(working))
             if is_on_path:
                 faults += faults_at_frame(working.view_layers[0].depsgraph, is_first=frame == plan.frames[0])
-                inspection.look_at(frame, transport.look_at, states.look_at, room.look_at)
+                inspection.look_at(frame, transport.look_at, states.look_at, room.look_at, movement.look_at)
         surveyed = transport.ended(inspection, has_motion_blur=scene.render.use_motion_blur)
     required = required_by_survey(scene, surveyed)
     cameras_m = np.stack([views[frame].world_from_camera[:3, 3] for frame in plan.frames])
-    faults += place_faults(scene, {probe.name: probe.position_m for probe in plan.probes}, cameras_m)
+    probes = [_followed(probe, movement.moved) for probe in plan.probes]
+    places_m = {probe.name: np.stack([probe.at(frame) for frame in plan.frames]) for probe in probes}
+    faults += place_faults(scene, places_m, cameras_m)
     frames = {
         frame: SurveyedFrame(
             frame,
             views[frame].time_s,
-            _in_view(plan.probes, views[frame]),
+            movement.moved[frame],
+            _in_view({probe.name: probe.at(frame) for probe in probes}, views[frame]),
             _camera_motion(frame, views),
             states.states[frame],
             room.roughness[frame],
@@ -123,10 +138,32 @@ def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
     return SceneSurvey(frames, tuple(dict.fromkeys(faults)), required, room.light_changes)
 
 
-def _in_view(probes: Sequence[Probe], view: _CameraView) -> tuple[str, ...]:
-    positions_m = np.array([probe.position_m for probe in probes]).reshape(-1, 3)
+def may_see_a_position(scene: bpy.types.Scene, plan: PrevisPlan, within_s: float = LONGEST_LOOK_S) -> bool:
+    """Whether any estimation position is in view of the camera in any frame; True if `within_s` is too short to tell.
+
+    Where the first frame sees one, that frame alone is looked at. `scene` stays as it is.
+    """
+    until_s, movement = time.perf_counter() + within_s, MovementSurvey(plan)
+    settings = RenderSettings(plan.size, samples=1)
+    with open_inspection(scene) as inspection, working_scene(scene, "Xihe Look", settings) as working:
+        for frame in plan.frames:
+            working.frame_set(frame)
+            view = _CameraView(working.camera, *phone_camera(working), session_time_s(working))
+            inspection.look_at(frame, movement.look_at)
+            if _in_view(movement.places, view) or time.perf_counter() > until_s:
+                return True
+    return False
+
+
+def _followed(probe: Probe, moved: Mapping[int, Mapping[str, tuple[float, ...]]]) -> Probe:
+    places = {frame: np.array(of_frame[probe.name]) for frame, of_frame in moved.items() if probe.name in of_frame}
+    return replace(probe, moved_m=places)
+
+
+def _in_view(places_m: Mapping[str, ArrayF64], view: _CameraView) -> tuple[str, ...]:
+    positions_m = np.array(list(places_m.values())).reshape(-1, 3)
     seen = in_view(positions_m, view.intrinsics, view.world_from_camera)
-    return tuple(probe.name for probe, is_seen in zip(probes, seen, strict=True) if is_seen)
+    return tuple(name for name, is_seen in zip(places_m, seen, strict=True) if is_seen)
 
 
 def _camera_motion(frame: int, views: Mapping[int, _CameraView]) -> CameraMotion:

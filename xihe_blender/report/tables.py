@@ -137,10 +137,11 @@ def _probes(timeline: Timeline) -> str:
 
 def _probe_row(index: int, name: str, seen: Sequence[ProbeResult]) -> list[str]:
     reasons = [format_trigger(probe.reason) for probe in seen if probe.fired]
+    place = ", ".join(f"{metres:.2f}".replace("-", MINUS) for metres in seen[-1].position_m)
     by_reason = ", ".join(f"{reasons.count(reason)} {reason}" for reason in dict.fromkeys(reasons))
     return [
         f'<b class="key">{index + 1}</b> {escape(name)}',
-        ", ".join(f"{metres:.2f}".replace("-", MINUS) for metres in seen[-1].position_m),
+        place if len({probe.position_m for probe in seen}) == 1 else f"moves to {place}",
         str(len(seen)),
         format_percent(mean(probe.coverage for probe in seen)),
         format_percent(seen[-1].coverage),

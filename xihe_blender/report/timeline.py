@@ -13,7 +13,12 @@ from dataclasses import dataclass
 from xihe_blender.io.run_results import FrameResult, ProbeResult, RunResults
 
 Value = Callable[[ProbeResult], float | None]
-REASONS = {"first": "first estimate", "colour": "light changed", "coverage": "more of the surroundings seen"}
+REASONS = {
+    "first": "first estimate",
+    "colour": "light changed",
+    "coverage": "more of the surroundings seen",
+    "moved": "object moved",
+}
 KEPT = "kept"
 """Stands where a reason stands, for a frame whose light could not be known."""
 

@@ -1,7 +1,8 @@
 """Where in space is the light of a virtual object estimated?
 
 One position stands for a small object (the paper's setting). An object bigger than SPACING_M gets several, the
-centres of an even split of its world bounding box, so that a long shelf is not lit as one point.
+centres of an even split of its world bounding box, so that a long shelf is not lit as one point. Where an object moves
+they move with it: they are as many as in the first frame, and the box turns as the object does.
 """
 
 from __future__ import annotations

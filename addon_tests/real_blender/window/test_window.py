@@ -53,8 +53,10 @@ def test_all_of_the_tab_draws_without_an_error_in_a_room(tmp_path, scenario):
     played(scenario, tmp_path, blend=CORNELL_BOX)
 
 
-def test_the_time_of_a_run_is_measured_by_a_click(tmp_path):
-    assert played("how_long", tmp_path).facts["said"].startswith("about ")
+def test_the_time_of_a_run_is_measured_by_a_click_and_one_that_would_see_nothing_is_refused(tmp_path):
+    facts = played("how_long", tmp_path).facts
+    assert facts["refused"].startswith("No virtual object is in view") and not facts["unshown_run"]
+    assert facts["said"].startswith("about ") and not facts["error"]
 
 
 def test_enabling_and_disabling_ten_times_leaves_nothing_behind(tmp_path):

@@ -1,4 +1,4 @@
-"""The time of a run, measured by a click."""
+"""The time of a run, measured by a click; and another, which would see nothing, is refused at once."""
 
 import bpy
 from rooms import look_through_camera, make_runs_short, room_to_light
@@ -23,3 +23,8 @@ def scenario(w):
     yield 0.5
     w.facts["said"], w.facts["error"] = job.run_estimate, job.error
     yield from w.picture("how_long")
+    bpy.data.objects["Ball"].location.z += 50
+    yield from w.click_on("xihe.run(")
+    yield from w.wait_until(lambda: job.error, "the run is refused", at_most_s=20)
+    w.facts["refused"], w.facts["unshown_run"] = job.error, job.unshown_run
+    yield from w.picture("refused")
