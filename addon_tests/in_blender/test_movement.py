@@ -10,6 +10,7 @@ from previs_runs import SMALL
 from tiny_scenes import add, box, key, room_with_a_virtual_sphere
 
 from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
+from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.previs import previs
@@ -22,7 +23,7 @@ FIRST, ELSEWHERE = np.array([0, 0, 0.85]), np.array([-1.0, 0.3, 0.5])
 def followed(scene):
     plan = plan_previs(scene, SMALL)
     survey = survey_path(scene, plan)
-    kept = SceneSurvey.from_json(json.loads(json.dumps(survey.as_json())))
+    kept = from_json(SceneSurvey, json.loads(json.dumps(as_json(survey))))
     assert [one.moved for one in kept.frames.values()] == [one.moved for one in survey.frames.values()]
     return survey.followed(plan)
 
