@@ -26,7 +26,7 @@ from xihe_blender.lab.rooms.store import load_room, room_path, save_room, stored
 from xihe_blender.lab.rooms.varied_rooms import sample_varied_room
 from xihe_blender.lab.rooms.views import MIN_CLEARANCE_M, N_POSITIONS, N_VIEWS
 from xihe_blender.lab.workers.processes import module_command
-from xihenet.camera import metered_exposure, project_points, unproject_frame
+from xihenet.camera import project_points, unproject_frame
 from xihenet.sphere import AnchorLattice
 
 
@@ -124,12 +124,6 @@ def test_the_views_see_the_room_they_stand_in(room):
     assert (inside & (points[:, 2] > -0.02) & (points[:, 2] < plan.height + 0.02)).mean() > 0.99
 
 
-def test_the_exposure_follows_the_light(room):
-    pictures = room.radiance.astype(np.float32)
-    assert metered_exposure(4 * pictures) == pytest.approx(metered_exposure(pictures) / 4, rel=1e-5)
-    assert metered_exposure(np.zeros_like(pictures)) == 1.0
-
-
 @pytest.fixture(params=range(6))
 def places(request):
     return places_of(request.param)
@@ -173,22 +167,16 @@ def test_nothing_piles_up_from_room_to_room():
 
 
 def test_all_that_a_varied_room_holds_is_built_and_visible_lamps_are_seen():
-    kinds = {"piece": set(), "lamp": set(), "covering": set()}
-    for i in range(6):
-        room = sample_varied_room(room_generator(8, i))
-        names = {item.name for item in build_room(room).objects}
-        for number, piece in enumerate(room.pieces):
-            assert piece.kind in LAMP_KINDS or any(name.startswith(f"{piece.kind} {number}") for name in names)
-        lit = [(number, lamp) for number, lamp in enumerate(room.lamps) if lamp.watts > 0]
-        lights = {item.name: item.visible_camera for item in bpy.data.objects if item.type == "LIGHT"}
-        for number, lamp in lit:
-            mine = [seen for name, seen in lights.items() if name.split(" light")[0] == f"{lamp.kind} lamp {number}"]
-            assert mine == [lamp.is_visible], lamp
-        kinds["piece"] |= {piece.kind for piece in room.pieces}
-        kinds["lamp"] |= {lamp.kind for _, lamp in lit}
-        kinds["covering"] |= {hole.covering for hole in room.windows}
-    assert kinds["piece"] >= {"post", "stairs", "partition"} and kinds["lamp"] >= {"strip", "bulb", "candle"}
-    assert "slats" in kinds["covering"]
+    rooms = [sample_varied_room(room_generator(8, i)) for i in range(4)]
+    assert {piece.kind for room in rooms for piece in room.pieces} >= {"post", "stairs", "partition"}
+    assert {hole.covering for room in rooms for hole in room.windows} >= {"slats"}
+    for room in rooms:
+        items = build_room(room).objects
+        for i, piece in enumerate(room.pieces):
+            assert piece.kind in LAMP_KINDS or any(item.name.startswith(f"{piece.kind} {i}") for item in items)
+        lights = {item.name.split(" light")[0]: item.visible_camera for item in items if item.type == "LIGHT"}
+        lit = {f"{lamp.kind} lamp {i}": lamp.is_visible for i, lamp in enumerate(room.lamps) if lamp.watts > 0}
+        assert lit.items() <= lights.items()
 
 
 def test_a_second_build_makes_what_is_missing_alone(built):
