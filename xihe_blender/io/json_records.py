@@ -78,7 +78,7 @@ def _read(kind: Any, content: Json, where: str) -> Any:
         _checked(isinstance(content, Mapping), content, where)
         names = [int(name) if of[0] is int else name for name in content]
         return {k: _read(of[1], v, f"{where}.{k}") for k, v in zip(names, content.values(), strict=True)}
-    if getattr(origin, "__name__", "") == "ndarray":
+    if getattr(origin, "__name__", "") in ("ndarray", "NDArray"):  # the latter from NumPy 2.5 on
         return _read_numbers(content, where)
     if kind is float:
         is_number = isinstance(content, int | float) and not isinstance(content, bool)
