@@ -112,7 +112,7 @@ def add_clutter(rng: Rng, floor: Floor, tones: Point) -> None:
             }
             floor.anywhere(rng, kind, size[kind], (look,), free_turn=True)
             continue
-        size_m = (w, w, w) if kind == "ball" else (w, w, 2 * h) if kind not in ("box", "crate") else (w, d, h)
+        size_m = {"ball": (w, w, w), "box": (w, d, h), "crate": (w, d, h)}.get(kind, (w, w, 2 * h))
         looks = (Finish("foliage", (0.02, 0.07, 0.02), (0.08, 0.2, 0.05)), look) if kind == "plant" else (look,)
         supports = [piece for piece in floor.pieces if piece.kind in SUPPORTS]
         if supports and rng.random() < 0.5:
