@@ -77,7 +77,7 @@ def _parser() -> argparse.ArgumentParser:
 def _add_cache_options(parser: argparse.ArgumentParser, run: object) -> None:
     add = parser.add_argument
     add("--estimator", choices=tuple(SAMPLING_OF), default="lattice", help="network")
-    add("--data", type=Path, required=True, metavar="DIR", help="folder of the rooms")
+    add("--data", type=Path, nargs="+", required=True, metavar="DIR", help="folders of the rooms, of different seeds")
     add("--out", type=Path, required=True, metavar="DIR", help="folder of the sampled clouds and networks")
     add("--anchors", type=int, default=1280, metavar="N", help="anchors of a cloud")
     add("--changes", type=int, default=6, metavar="N", help="training clouds of each view and position")

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import reduce
 from pathlib import Path
@@ -39,6 +39,7 @@ from xihenet.training.rooms import (
     pairs_that_count,
     read_room,
     room_files,
+    room_number,
     room_seed,
     split_of,
 )
@@ -138,7 +139,7 @@ class CloudSet:
     truth_ldr: ArrayF32  # (M, 9, 3)
     truth_hdr: ArrayF32  # (M, 9, 3)
     ambient: ArrayF32  # (M, 3) the sensor's at the session's exposure, the views' mean for merged clouds
-    room: NDArray[np.int64]  # (M,) number of the room within its data set
+    room: NDArray[np.int64]  # (M,) `room_number`
     n_views: NDArray[np.int64]  # (M,) that were merged
     facing_i8: NDArray[np.int8]  # (M, N) `facing_codes` of `AnchorSurfaces`; 0 where that is unknown
 
@@ -166,13 +167,16 @@ class _Sample(NamedTuple):
 
 
 def build_cache(
-    data: Path, out: Path, settings: CacheSettings, progress: Callable[[str], None] = lambda line: None
+    data: Sequence[Path], out: Path, settings: CacheSettings, progress: Callable[[str], None] = lambda line: None
 ) -> None:
-    """Sample every room in `data` into `out`/<split>/*.npy; nothing is done if that is there with the same settings.
+    """Sample the rooms in the folders `data` into `out`/<split>/*.npy; nothing is done if that is there with the same
+    settings.
 
-    ValueError if there are no rooms or one is broken.
+    ValueError if a folder has no rooms, one is broken, or two are the same.
     """
-    seeds = {path: room_seed(path) for path in room_files(data)}
+    seeds = {path: room_seed(path) for folder in data for path in room_files(folder)}
+    if len(set(seeds.values())) < len(seeds):
+        raise ValueError(f"{', '.join(map(str, data))}: expected folders of different seeds, got the same room twice")
     splits: dict[Path, Split] = {path: "test" if settings.is_test_only else split_of(seeds[path]) for path in seeds}
     wanted = {"version": CACHE_VERSION, **asdict(settings), "only": list(settings.only)}
     wanted["rooms"] = sorted(map(list, seeds.values()))
@@ -296,7 +300,7 @@ def _build_split(
         rng = np.random.default_rng([settings.seed, *seed])
         for sample in clouds_of_room(read_room(path, is_upright=settings.is_upright), settings, split, rng):
             _store(arrays, row, sample)
-            arrays["room"][row] = seed[1]
+            arrays["room"][row] = room_number(seed)
             row += 1
         progress(f"{split}: room {i + 1} of {len(rooms)}, {row} clouds")
 

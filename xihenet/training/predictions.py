@@ -29,7 +29,7 @@ from xihenet.records import ArrayF32, ArrayF64, ArrayInt
 from xihenet.training.baselines import Baselines
 from xihenet.training.dataset import CloudSet, open_split, read_cache
 from xihenet.training.networks import SAMPLING_OF, load_network, predict
-from xihenet.training.rooms import Split, split_of
+from xihenet.training.rooms import Split, room_number, split_of
 from xihenet.training.scores import Scores, rmse_of_each
 
 Views = Literal["one", "merged"]
@@ -93,7 +93,7 @@ def open_group(
         opened = open_split(folder, "test" if cache.is_test_only else split)
         counts = np.asarray(opened.n_views) > 1 if views == "merged" else np.asarray(opened.n_views) == 1
         if cache.is_test_only and not is_of_strangers:
-            counts &= np.isin(opened.room, [room[1] for room in cache.rooms if split_of(room) == split])
+            counts &= np.isin(opened.room, [room_number(room) for room in cache.rooms if split_of(room) == split])
         clouds[f"{cache.sampling}_{cache.n_anchors}"] = _rows_of(opened, np.flatnonzero(counts))
     main = next((key for key in clouds if key.startswith("sphere")), None)
     if main is None:

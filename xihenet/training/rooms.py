@@ -23,6 +23,7 @@ from xihenet.records import ArrayBool, ArrayF32, ArrayF64, Intrinsics, PointClou
 Split = Literal["train", "validation", "test"]
 SPLITS: tuple[Split, ...] = get_args(Split)
 TRAIN_SHARE, VALIDATION_SHARE = 0.8, 0.1
+ROOMS_OF_A_SEED = 1_000_000  # That a data set has at most
 TRAINING_ONLY = frozenset({"radiance"})
 """Parts of a room's file that only training uses."""
 
@@ -69,6 +70,11 @@ def room_files(folder: Path) -> list[Path]:
 def room_seed(path: Path) -> tuple[int, int]:
     """Seed of the data set and number of the room; ValueError if the file is no room."""
     return tuple(_read(path, "seed")["seed"].tolist())
+
+
+def room_number(seed: tuple[int, int]) -> int:
+    """One number for a room whatever its data set: that of the room itself in the data set of seed 0."""
+    return seed[0] * ROOMS_OF_A_SEED + seed[1]
 
 
 def split_of(seed: tuple[int, int]) -> Split:
