@@ -85,7 +85,7 @@ def test_scripts_of_the_docs_exist():
     assert all((ROOT / script).exists() for script in in_blender + in_python)
 
 
-@pytest.mark.parametrize("words", words_of("python", "-m"), ids=shown)
+@pytest.mark.parametrize("words", [w for w in words_of("python", "-m") if w[0].startswith("xihe")], ids=shown)
 def test_modules_that_the_docs_start_exist(words):
     assert importlib.util.find_spec(words[0]) is not None
 

@@ -43,6 +43,10 @@ LIGHT_ERROR = (
     "Mean distance of the estimates from the rendered light probe, in spherical-harmonic coefficients. 0 is perfect. "
     "An estimator is worth its time where this is well below the error of the phone's ambient light"
 )
+EXPECTED_ERROR = (
+    "The light error that the estimator expects of itself, which knows no light probe. Where the light error is far "
+    "above it, the room is unlike those that the estimator knows"
+)
 AMBIENT_ERROR = "The same distance for one even light as bright as the captured picture, which every phone can offer"
 COVERAGE = (
     "Share of the directions around the virtual objects that the phone has seen. The light from all others is guessed, "
@@ -356,6 +360,7 @@ def result_rows(run: RunResults) -> list[tuple[str, str, str]]:
     rows = [
         ("Estimates", f"{summary.n_estimates} in {summary.n_frames} frames", ESTIMATES),
         ("Light Error", _number(summary.mean_shc_rmse, ".3f"), LIGHT_ERROR),
+        *_expected(summary.expected_error),
         ("Ambient Error", _number(summary.ambient_shc_rmse, ".3f"), AMBIENT_ERROR),
         ("Coverage", _number(summary.mean_coverage, ".0%"), COVERAGE),
         ("Chain", _number(summary.mean_step_ms, ".1f", " ms a frame"), CHAIN),
@@ -366,6 +371,10 @@ def result_rows(run: RunResults) -> list[tuple[str, str, str]]:
     if summary.n_unknown_lights:
         rows.append(("Unknown Light", f"{summary.n_unknown_lights} times", UNKNOWN_LIGHT))
     return rows
+
+
+def _expected(error: float | None) -> list[tuple[str, str, str]]:
+    return [] if error is None else [("Expected Error", f"{error:.3f}", EXPECTED_ERROR)]
 
 
 def _number(value: float | None, form: str, unit: str = "") -> str:

@@ -177,6 +177,7 @@ class ProbeResult:
     sh: Annotated[Coefficients, "the light in force, the ambient one until a valid estimate has arrived"]
     sh_truth: Annotated[Coefficients, "the light probe's, for `settings.target`"]
     shc_rmse: Annotated[float, "root mean square difference of `sh` from it"]
+    expected_error: Annotated[float | None, "that the estimator expects of `sh`; None if it says none"] = None
     ambient_shc_rmse: Annotated[float | None, "the same of the ambient light"] = None
     share_above_white: Annotated[
         float | None,
@@ -263,6 +264,7 @@ class Summary:
     n_estimates: Annotated[int, "triggers"]
     fired_share: Annotated[float | None, "of triggers among all steps"]
     mean_shc_rmse: Annotated[float | None, "over positions and frames"]
+    expected_error: Annotated[float | None, "over positions and frames"] = None
     ambient_shc_rmse: Annotated[float | None, "over positions and frames"] = None
     share_above_white: Annotated[float | None, "over positions and frames"] = None
     n_capped_probes: Annotated[int, "light probes noisier than aimed at"] = 0

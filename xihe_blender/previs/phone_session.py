@@ -68,6 +68,11 @@ class PhoneSession:
         request = self.under_way.in_force(name, time_s)
         return self.ambient_sh if request is None else request.estimate.sh_radiance
 
+    def expected_error(self, name: str, time_s: float) -> float | None:
+        """SHC RMSE that the estimator expects of the light in force; None for the ambient one, or if it says none."""
+        request = self.under_way.in_force(name, time_s)
+        return None if request is None else request.estimate.expected_error
+
     def light_frame(self, name: str, time_s: float) -> int | None:
         """The frame from which the light in force comes; None for the ambient one."""
         request = self.under_way.in_force(name, time_s)

@@ -205,6 +205,7 @@ def _summary(
         n_estimates=sum(probe.fired for probe in probes),
         fired_share=mean(float(probe.fired) for probe in probes),
         mean_shc_rmse=mean(probe.shc_rmse for probe in probes),
+        expected_error=mean(probe.expected_error for probe in probes),
         ambient_shc_rmse=mean(probe.ambient_shc_rmse for probe in probes),
         share_above_white=mean(probe.share_above_white for probe in probes),
         n_capped_probes=sum(light.is_capped for light in lights),

@@ -177,6 +177,7 @@ class _Walk:
             sh=results.as_coefficients(light),
             sh_truth=results.as_coefficients(truth),
             shc_rmse=shc_rmse(light, truth),
+            expected_error=finite_or_none(self.session.expected_error(probe.name, time_s)),
             ambient_shc_rmse=shc_rmse(self.session.ambient_sh, truth),
             share_above_white=share_above_white(reference.ldr, reference.hdr),
         )
