@@ -60,11 +60,14 @@ class ControllerSettings:
 class XiheController:
     """One AR session: positions go in, frames go in, light comes out.
 
-    `backend` makes the estimates; its `n_anchors` is the session's.
+    `backend` makes the estimates; its `n_anchors` is the session's. `others` answer beside it, for the same clouds:
+    their light is in `LightEstimate.others`, and their time in no stage.
     """
 
-    def __init__(self, backend: LightBackend, settings: ControllerSettings | None = None) -> None:
-        self.backend = as_inference_backend(backend)
+    def __init__(
+        self, backend: LightBackend, settings: ControllerSettings | None = None, *, others: Sequence[LightBackend] = ()
+    ) -> None:
+        self.backend, self.others = as_inference_backend(backend), others
         self.settings = settings or ControllerSettings()
         self.lattice = AnchorLattice(backend.n_anchors)
         self.reference_exposure = self.settings.reference_exposure
@@ -164,6 +167,8 @@ class XiheController:
             unknown_because = estimate.unknown_because
             invalid = {**invalid, **self._clamped(followed.temporary, fired.persistent)}
             if estimate.is_valid:
+                said = {other.name: other.estimate(fired.persistent, context) for other in self.others}
+                estimate = replace(estimate, others=said)
                 # Else what was seen is still unanswered, and the trigger goes on to ask.
                 buffers, position.light, position.lit_at_m = fired, estimate, position.position_m
         position.buffers, position.decision = buffers, decision

@@ -279,6 +279,7 @@ class LightEstimate:
     is_valid : False where the light could not be known; the coefficients are then 0 and must not be used
     expected_error : SHC RMSE that the estimator expects of itself, or None
     unknown_because : reason of `xihenet.invalid.UNKNOWN` where the light could not be known, else empty
+    others : (9, 3) by name, what other estimators say of the same cloud
     """
 
     sh_radiance: ArrayF64
@@ -288,6 +289,7 @@ class LightEstimate:
     is_valid: bool = True
     expected_error: float | None = None
     unknown_because: str = ""
+    others: Mapping[str, ArrayF64] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         _keep(self, np.float64, sh_radiance=(9, 3))

@@ -20,7 +20,7 @@ from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.previs import previs
-from xihe_blender.previs.settings import PrevisSettings, load_estimator
+from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.sphere_rig import sphere_mesh
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
@@ -57,7 +57,7 @@ def main() -> None:
         scene, out = scene_with_a_ball(name), Path(sys.argv[1]) / name
         results, errors = run_blocking(previs(scene, out, SETTINGS)), []
         exposure, plan = results["settings"]["reference_exposure"], plan_previs(scene, SETTINGS)
-        left_behind = PhoneSession(plan, SETTINGS, exposure, load_estimator(SETTINGS), None)
+        left_behind = PhoneSession(plan, SETTINGS, exposure, load_estimators(SETTINGS)[0], None)
         for entry in (entry for entry in results["frames"] if entry["active"]):
             seen, (probe,) = load_frame(RunOutputs(out).capture(entry["frame"])), entry["probes"]
             left_behind.step(seen, {}, left_behind.controller.active(seen.intrinsics, seen.world_from_camera))

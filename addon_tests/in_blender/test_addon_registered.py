@@ -88,6 +88,9 @@ def test_the_lists_are_those_of_the_science():
         for name in estimators.names():
             scene.xihe.estimator = name
             assert scene.xihe.estimator == name
+        several = [name for name in estimators.names() if name not in ("ambient", "truth")]
+        scene.xihe.others = set(several)
+        assert scene.xihe.others == set(several) and scene.xihe.bl_rna.properties["others"].is_enum_flag
         for name in profile_names():
             scene.xihe.phone = name
             assert scene.xihe.phone == name

@@ -90,6 +90,23 @@ def test_the_last_run_is_read_out_of_its_results(run_folder):
     assert rows["Estimates"] == "3 in 2 frames"
 
 
+def test_several_estimators_stand_in_a_table_with_the_best_picture_first(run_folder):
+    metrics = dict.fromkeys(("psnr", "ssim", "si_rmse", "angular_deg"))
+    several = CONTENT | {
+        "settings": CONTENT["settings"] | {"others": ["projection"]},
+        "summary": CONTENT["summary"] | {"others_shc_rmse": {"projection": 0.125}, "ambient_shc_rmse": 0.5},
+        "comparison": {
+            name: metrics | {"rmse": rmse} for name, rmse in (("lattice", 0.2), ("projection", 0.1), ("ambient", None))
+        },
+    }
+    (run_folder / "results.json").write_text(json.dumps(several), encoding="utf-8")
+    assert panels.method_rows(reader.last_run(str(run_folder))) == [
+        ("projection", "0.125", "0.100"),
+        ("lattice", "0.250", "0.200"),
+        ("ambient", "0.500", "none"),
+    ]
+
+
 def test_results_are_read_once_until_they_change(run_folder):
     first = reader.last_run(str(run_folder))
     assert reader.last_run(str(run_folder)) is first

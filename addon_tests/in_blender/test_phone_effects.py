@@ -33,7 +33,7 @@ from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.prepare import prepare_run
 from xihe_blender.previs.required_effects import effects_of_run, format_effects, plan_phone_effects, positions_in
 from xihe_blender.previs.run_chain import walk_path
-from xihe_blender.previs.settings import load_estimator
+from xihe_blender.previs.settings import load_estimators
 from xihe_blender.previs.survey import survey_path
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.effects import effects_as_json
@@ -52,7 +52,7 @@ def planned(scene, out, settings):
     files = RunOutputs(out, "untitled")
     settings = replace(settings, size=(32, 24), samples=2, exposure=1.0)
     plan = plan_previs(scene, settings)
-    survey, estimator = survey_path(scene, plan), load_estimator(settings)
+    survey, estimator = survey_path(scene, plan), load_estimators(settings)
     run = run_blocking(prepare_run(scene, plan, survey, files, settings, estimator))
     return run_blocking(walk_path(run)).phone, load_frame(files.capture(plan.frames[0])), files
 

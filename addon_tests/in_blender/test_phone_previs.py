@@ -15,7 +15,7 @@ from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.previs.phone_capture import choose_phone, simulate_phone
 from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.plan import plan_previs
-from xihe_blender.previs.settings import load_estimator
+from xihe_blender.previs.settings import load_estimators
 from xihe_blender.previs.survey import survey_path
 from xihenet import estimators
 from xihenet.backend import LocalBackend
@@ -54,7 +54,7 @@ def steps(results):
 
 def test_a_perfect_phone_gives_what_the_plain_chain_gives(perfect):
     """The reference is the controller alone, fed with the captures that the run kept."""
-    estimator = load_estimator(SMALL)
+    estimator = load_estimators(SMALL)[0]
     exposure = perfect.results["settings"]["reference_exposure"]
     chain = XiheController(LocalBackend(estimator), ControllerSettings(SMALL.trigger, reference_exposure=exposure))
     for _, probe in steps(perfect.results):
@@ -199,7 +199,7 @@ def test_estimates_that_are_lost_never_light_anything(perfect):
     plan = plan_previs(walk(), SMALL)
     exposure = perfect.results["settings"]["reference_exposure"]
     link = replace(LINKS["wifi"], loss=1.0)
-    session = PhoneSession(plan, SMALL, exposure, load_estimator(SMALL), link)
+    session = PhoneSession(plan, SMALL, exposure, load_estimators(SMALL)[0], link)
     for entry in perfect.results["frames"]:
         if not entry["active"]:
             continue

@@ -47,6 +47,28 @@ def test_results_are_those_on_disk_and_every_file_that_they_name_is_there(finish
     assert compared[0] == 1 and compared[-1] == N_FRAMES
 
 
+def test_another_estimator_beside_the_chosen_one_says_and_shows_what_it_does_when_it_is_chosen(finished, tmp_path):
+    beside = run(walk(), tmp_path, replace(SMALL, estimator="projection", others=("lattice", "ambient", "projection")))
+    assert beside["settings"]["others"] == ["lattice"]
+    assert list(beside["comparison"]) == ["projection", "lattice", "ambient", "truth"]
+    for chosen, entry in zip(finished.results["frames"], beside["frames"], strict=True):
+        for alone, probe in zip(chosen["probes"], entry["probes"], strict=True):
+            assert probe["others"]["lattice"] == {name: alone[name] for name in ("sh", "shc_rmse")}
+            assert probe["sh"] != alone["sh"] and alone["others"] == {}
+        for kind in ("lattice", "ambient"):
+            if path := chosen.get("pictures", {}).get(kind):
+                assert (tmp_path / path).read_bytes() == (finished.outputs.folder / path).read_bytes()
+    assert beside["comparison"]["lattice"] == finished.results["comparison"]["lattice"]
+    mean = finished.results["summary"]["mean_shc_rmse"]
+    assert beside["summary"]["others_shc_rmse"] == {"lattice": mean}
+    assert f"{mean:.2f}"[:3] in RunOutputs(tmp_path, "untitled").report.read_text(encoding="utf-8")
+
+
+def test_an_unknown_estimator_beside_the_chosen_one_is_refused():
+    with pytest.raises(UserError, match="there is no estimator 'magic'"):
+        replace(SMALL, others=("projection", "magic"))
+
+
 def test_a_frame_without_a_position_in_view_is_not_captured(finished):
     entry = entries(finished.results)[LOOKS_AWAY]
     assert not entry["active"] and entry["render_s"] == 0 and "comparison" not in entry

@@ -66,6 +66,10 @@ def estimator_items(_owner: object, _context: bpy.types.Context | None) -> list[
     return _estimators()
 
 
+def other_estimator_items(_owner: object, _context: bpy.types.Context | None) -> list[Item]:
+    return _other_estimators()
+
+
 def phone_items(_owner: object, _context: bpy.types.Context | None) -> list[Item]:
     return _phones()
 
@@ -79,6 +83,14 @@ def _estimators() -> list[Item]:
     from xihenet.estimators import names
 
     return [_item(name, *_ESTIMATORS.get(name, (name, "An estimator")), "LIGHT_SUN") for name in names()]
+
+
+@functools.cache
+def _other_estimators() -> list[Item]:
+    """Those that can be compared with the chosen one; a bit each, as several may be chosen."""
+    always = ("ambient", "truth")
+    items = [item for item in _estimators() if item[0] not in always]
+    return [(*item[:3], "NONE", 1 << bit) for bit, item in enumerate(items)]
 
 
 @functools.cache

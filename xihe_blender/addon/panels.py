@@ -11,6 +11,7 @@ The sidebar is 220 pixels wide unless someone drags it: labels are short, and se
 
 from __future__ import annotations
 
+import math
 import textwrap
 import time
 from pathlib import Path
@@ -46,6 +47,10 @@ LIGHT_ERROR = (
 EXPECTED_ERROR = (
     "The light error that the estimator expects of itself, which knows no light probe. Where the light error is far "
     "above it, the room is unlike those that the estimator knows"
+)
+METHODS = (
+    "Light: mean distance from the rendered light probe, in spherical-harmonic coefficients. Picture: root mean square "
+    "error of the lit objects, in linear colour, against the ground truth. 0 is perfect; the best picture stands first"
 )
 AMBIENT_ERROR = "The same distance for one even light as bright as the captured picture, which every phone can offer"
 COVERAGE = (
@@ -200,6 +205,7 @@ class XIHE_PT_estimator(StagePanel, bpy.types.Panel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         layout.prop(settings, "estimator")
+        layout.column(align=True).prop(settings, "others")
         layout.prop(settings, "preset")
         self._draw_costs(context, layout)
         run = last_run(settings.run_folder)
@@ -321,6 +327,8 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
             split.label(text=value, translate=False)
             # A label has no tooltip.
             row.operator("xihe.explain", text="", icon="QUESTION", emboss=False).meaning = meaning
+        if run.settings.others:
+            _draw_methods(layout, run)
         split = layout.split(factor=LABEL_SHARE)
         split.label(text="Go to Trigger")
         row = split.row(align=True)
@@ -334,6 +342,24 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         column = layout.column(align=True)
         column.operator("xihe.save_side_by_side", icon="FILE_MOVIE")
         column.operator("xihe.open_report", text="Open Report", icon="URL")
+
+
+def _draw_methods(layout: bpy.types.UILayout, run: RunResults) -> None:
+    """A table of the estimators of a run: the error of their light and of the pictures of the lit objects."""
+    row = layout.box().row(align=True)
+    row.operator("xihe.explain", text="", icon="QUESTION", emboss=False).meaning = METHODS
+    columns = [row.column(align=True) for _ in range(3)]
+    for cells in [("Estimator", "Light", "Picture"), *method_rows(run)]:
+        for column, cell in zip(columns, cells, strict=True):
+            column.label(text=cell, translate=False)
+
+
+def method_rows(run: RunResults) -> list[tuple[str, str, str]]:
+    """(name, light error, picture error) of each method of a run, the best picture first."""
+    lights = run.light_errors
+    rmse = {name: None if name not in run.comparison else run.comparison[name].rmse for name in lights}
+    best_first = sorted(lights, key=lambda name: math.inf if (error := rmse[name]) is None else error)
+    return [(name, _number(lights[name], ".3f"), _number(rmse[name], ".3f")) for name in best_first]
 
 
 def object_icon(item: bpy.types.Object) -> str:

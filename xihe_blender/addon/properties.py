@@ -104,6 +104,12 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         items=choices.estimator_items,
         default=choices.number_of(choices.DEFAULT_ESTIMATOR),
     )
+    others: bpy.props.EnumProperty(
+        name="Beside It",
+        description="Other estimators, whose light and pictures are compared with it, from the same frames",
+        items=choices.other_estimator_items,
+        options={"ENUM_FLAG"},
+    )
     preset: bpy.props.EnumProperty(
         name="Quality",
         description="How much time a run may spend on rendering",

@@ -23,6 +23,7 @@ from xihe_blender.light_transport.overrides import remembered_overrides
 from xihe_blender.previs.previs import previs
 from xihe_blender.previs.required_effects import effects_of_run
 from xihe_blender.previs.settings import PrevisSettings
+from xihenet import estimators
 from xihenet.effects import Effect
 
 
@@ -50,6 +51,7 @@ def choices_of_run(scene: bpy.types.Scene) -> dict[str, Any]:
     chosen = scene.xihe
     return {
         "estimator": chosen.estimator,
+        "others": tuple(name for name in estimators.names() if name in chosen.others),
         "preset": chosen.preset,
         "target": chosen.target,
         "size": tuple(chosen.size) if chosen.use_own_size else None,

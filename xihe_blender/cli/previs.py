@@ -12,6 +12,7 @@ from xihe_blender.jobs import run_blocking
 from xihenet import estimators
 
 NOISE_TARGET = "largest rendering noise, as a share of the light; default: 0.06, 0.03 or 0.015, by preset"
+OTHERS = "other estimators whose light and pictures are compared with it, from the same frames; default: none"
 SAMPLES = "samples of every capture, and pictures of every light probe, whatever the noise"
 
 
@@ -22,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--frames A:B[:S]", arguments.FRAMES, arguments.frame_range)
     add("--objects A,B", "virtual objects; default: all", arguments.names)
     add("--estimator NAME", f"{arguments.ESTIMATORS}; default: {estimators.DEFAULT}", default=estimators.DEFAULT)
+    add("--others A,B", OTHERS, arguments.names, default=())
     add("--preset NAME", "draft, balanced or accurate: how much is rendered", default="balanced")
     add("--size WxH", arguments.SIZE, arguments.picture_size)
     add("--target", arguments.TARGET, choices=("ldr", "hdr"), default="ldr")

@@ -103,6 +103,7 @@ class RunSettings:
 
     estimator: Annotated[str, "as in the command line"]
     preset: Annotated[str, "as in the command line"]
+    others: Annotated[tuple[str, ...], "other estimators that were compared with it"] = ()
     target: Annotated[Literal["ldr", "hdr"], "as in the command line"]
     size: Annotated[tuple[int, int], "of captures and comparisons, width and height"]
     frames: Annotated[tuple[int, ...], "of the path"]
@@ -152,6 +153,14 @@ class Rendering:
 
 
 @dataclass(frozen=True, kw_only=True)
+class OtherLight:
+    """The light of another estimator, from the same clouds."""
+
+    sh: Annotated[Coefficients, "the light in force"]
+    shc_rmse: Annotated[float, "root mean square difference of `sh` from `sh_truth`"]
+
+
+@dataclass(frozen=True, kw_only=True)
 class ProbeResult:
     """One estimation position in one frame."""
 
@@ -184,6 +193,7 @@ class ProbeResult:
         "of the light what lies above white at the session's exposure or comes from lamps that cameras do not see; "
         "None without light",
     ] = None
+    others: Annotated[dict[str, OtherLight], "by name of the other estimators"] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -266,6 +276,9 @@ class Summary:
     mean_shc_rmse: Annotated[float | None, "over positions and frames"]
     expected_error: Annotated[float | None, "over positions and frames"] = None
     ambient_shc_rmse: Annotated[float | None, "over positions and frames"] = None
+    others_shc_rmse: Annotated[ByMethod, "of the other estimators, over positions and frames"] = field(
+        default_factory=dict
+    )
     share_above_white: Annotated[float | None, "over positions and frames"] = None
     n_capped_probes: Annotated[int, "light probes noisier than aimed at"] = 0
     mean_coverage: Annotated[float | None, "over positions and frames"]
@@ -324,6 +337,12 @@ class RunResults:
     def probes(self) -> list[ProbeResult]:
         """Of all frames."""
         return [probe for frame in self.frames for probe in frame.probes]
+
+    @property
+    def light_errors(self) -> ByMethod:
+        """Mean SHC RMSE by method: of the chosen estimator, the others and the ambient light."""
+        chosen, summary = {self.settings.estimator: self.summary.mean_shc_rmse}, self.summary
+        return {"ambient": summary.ambient_shc_rmse, **summary.others_shc_rmse, **chosen}
 
     @functools.cached_property
     def last_coverage(self) -> dict[str, float]:

@@ -28,10 +28,11 @@ class PhoneSession:
     """
 
     def __init__(
-        self, plan: PrevisPlan, settings: PrevisSettings, exposure: float, estimator: Estimator, link: Link | None
-    ) -> None:
+        self, plan: PrevisPlan, settings: PrevisSettings, exposure: float, estimator: Estimator, link: Link | None,
+        others: Sequence[Estimator] = (),
+    ) -> None:  # fmt: skip
         chain = ControllerSettings(settings.trigger, reference_exposure=exposure, following=settings.following)
-        self.controller = XiheController(LocalBackend(estimator), chain)
+        self.controller = XiheController(LocalBackend(estimator), chain, others=[LocalBackend(one) for one in others])
         self.probes = {probe.name: probe for probe in plan.probes}
         for probe in plan.probes:
             self.controller.add_position(probe.name, probe.position_m)
@@ -63,10 +64,15 @@ class PhoneSession:
         self.ambient_sh = self.ambient.estimate(self.unseen, context)
         return reports, requests
 
-    def light(self, name: str, time_s: float) -> ArrayF64:
-        """(9, 3) the light in force at a position: its last valid estimate that arrived, until then the ambient one."""
+    def light(self, name: str, time_s: float, other: str | None = None) -> ArrayF64:
+        """(9, 3) the light in force at a position: its last valid estimate that arrived, until then the ambient one.
+
+        With `other`, what the estimator of that name said beside it.
+        """
         request = self.under_way.in_force(name, time_s)
-        return self.ambient_sh if request is None else request.estimate.sh_radiance
+        if request is None:
+            return self.ambient_sh
+        return request.estimate.sh_radiance if other is None else request.estimate.others[other]
 
     def expected_error(self, name: str, time_s: float) -> float | None:
         """SHC RMSE that the estimator expects of the light in force; None for the ambient one, or if it says none."""

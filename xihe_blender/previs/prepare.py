@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import bpy
@@ -48,7 +48,8 @@ truth and of all methods, where a million samples of a capture are 1: measured i
 class PreparedRun:
     """All that is known of a run before its walk; the stages behind share it.
 
-    `settings` are the user's, with the trigger's theta above the noise of captures. `needs` says what is captured, and
+    `settings` are the user's, with the trigger's theta above the noise of captures; `estimators` the chosen one, then
+    those that are compared with it. `needs` says what is captured, and
     kept beside captures; `reuse` in which earlier frame a render would come out the same.
     """
 
@@ -57,7 +58,7 @@ class PreparedRun:
     survey: SceneSurvey
     outputs: RunOutputs
     settings: PrevisSettings
-    estimator: Estimator
+    estimators: Sequence[Estimator]
     exposure: float
     effects: Mapping[str, Effect]
     sample_count: SampleCount
@@ -71,9 +72,13 @@ class PreparedRun:
         return [probe for probe in self.plan.probes if probe.name in seen]
 
     @property
+    def estimator(self) -> Estimator:
+        return self.estimators[0]
+
+    @property
     def methods(self) -> list[str]:
         """Names of the lights that are compared."""
-        return list(dict.fromkeys([self.settings.estimator, "ambient", "truth"]))
+        return list(dict.fromkeys([self.settings.estimator, *self.settings.others, "ambient", "truth"]))
 
     @property
     def work(self) -> dict[str, float]:
@@ -129,9 +134,12 @@ def prepare_run(
     survey: SceneSurvey,
     outputs: RunOutputs,
     settings: PrevisSettings,
-    estimator: Estimator,
+    loaded: Sequence[Estimator],
 ) -> Generator[Progress, None, PreparedRun]:
-    """A job: work out what an earlier part of this run has not left in `outputs`; `survey` is left there too."""
+    """A job: work out what an earlier part of this run has not left in `outputs`; `survey` is left there too.
+
+    `loaded` are the estimators, as `load_estimators` has them.
+    """
     if not outputs.survey.exists():
         write_json(outputs.survey, as_json(survey))
     plan = survey.followed(plan)
@@ -159,7 +167,7 @@ def prepare_run(
     phone = choose_phone(scene, survey, settings)
     needs = phone.needs
     reuse = render_reuse(survey, effects, needs)
-    return PreparedRun(scene, plan, survey, outputs, settings, estimator, exposure, effects, count, phone, needs, reuse)
+    return PreparedRun(scene, plan, survey, outputs, settings, loaded, exposure, effects, count, phone, needs, reuse)
 
 
 def render_reuse(survey: SceneSurvey, effects: Mapping[str, Effect], needs: CaptureNeeds) -> RenderReuse:

@@ -28,7 +28,7 @@ from xihe_blender.previs.lit_blend import apply_lights, light_changes, save_lit_
 from xihe_blender.previs.plan import PrevisPlan, plan_previs
 from xihe_blender.previs.prepare import prepare_run, survey_run
 from xihe_blender.previs.run_chain import measure_phone, walk_path
-from xihe_blender.previs.settings import PrevisSettings, load_estimator
+from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.report.page import write_report
 from xihe_blender.scene.state import scene_kept
 from xihenet import __version__
@@ -51,7 +51,7 @@ def previs(
     the content of results.json
     """
     plan = plan_previs(scene, settings)
-    estimator = load_estimator(settings)
+    loaded = load_estimators(settings)
     file = blend_file or Path(bpy.data.filepath or "untitled.blend")
     outputs = RunOutputs(out, file.stem)
     leaves = (outputs.results, outputs.report, outputs.lit_blend)
@@ -66,7 +66,7 @@ def previs(
     # Not before: a scene that cannot be run leaves no folder.
     manifest.take()
     with scene_kept():
-        run = yield from prepare_run(scene, plan, survey, outputs, settings, estimator)
+        run = yield from prepare_run(scene, plan, survey, outputs, settings, loaded)
         walked = yield from walk_path(run)
         compared = yield from compare_path(run, walked)
         errors = yield from measure_phone(run, walked)

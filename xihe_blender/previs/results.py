@@ -26,7 +26,7 @@ from xihenet.invalid import added, counted
 from xihenet.phone import Request, first_frame_after
 from xihenet.records import ArrayF64
 
-AS_SET = ("estimator", "preset", "target", "n_anchors", "seed", "phone", "network")
+AS_SET = ("estimator", "others", "preset", "target", "n_anchors", "seed", "phone", "network")
 """Settings that results hold under the same names."""
 
 
@@ -207,6 +207,9 @@ def _summary(
         mean_shc_rmse=mean(probe.shc_rmse for probe in probes),
         expected_error=mean(probe.expected_error for probe in probes),
         ambient_shc_rmse=mean(probe.ambient_shc_rmse for probe in probes),
+        others_shc_rmse={
+            name: mean(probe.others[name].shc_rmse for probe in probes) for name in (probes[0].others if probes else ())
+        },
         share_above_white=mean(probe.share_above_white for probe in probes),
         n_capped_probes=sum(light.is_capped for light in lights),
         mean_coverage=mean(probe.coverage for probe in probes),

@@ -20,7 +20,7 @@ from xihe_blender.capture.phone_surfaces import load_surfaces
 from xihe_blender.capture.reference_probe import MeasuredLight
 from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.outputs import finite_or_none, write_picture
-from xihe_blender.io.run_results import FrameResult, PhoneErrors, ProbeResult
+from xihe_blender.io.run_results import FrameResult, OtherLight, PhoneErrors, ProbeResult
 from xihe_blender.jobs import Progress
 from xihe_blender.previs import results
 from xihe_blender.previs.path_renders import FrameRenders, kept_renders, render_path
@@ -82,7 +82,9 @@ class _Walk:
 
     def __init__(self, run: PreparedRun, phone: SimulatedPhone, captured_s: dict[int, float]) -> None:
         self.run, self.phone, self.captured_s = run, phone, captured_s
-        self.session = PhoneSession(run.plan, run.settings, run.exposure, run.estimator, phone.link_in_use)
+        self.session = PhoneSession(
+            run.plan, run.settings, run.exposure, run.estimator, phone.link_in_use, run.estimators[1:]
+        )
         self.walked = WalkedPath(phone)
         self.references: dict[str, MeasuredLight] = {}
         """The last reference light of each probe."""
@@ -140,14 +142,24 @@ class _Walk:
         Truth here is the whole light, not clipped, whatever the target: it shows what order 2 can do in the picture.
         A position that was never in view has no light of its own yet and gets the ambient one.
         """
-        estimated, truth, ambient_sh = {}, {}, self.session.ambient_sh
+        ambient_sh, chosen, others = self.session.ambient_sh, self.run.settings.estimator, self.run.settings.others
+        lights: dict[str, dict[str, ArrayF64]] = {method: {} for method in self.run.methods}
         for item in self.run.plan.objects:
             names = [probe.name for probe in self.run.plan.probes_of(item.name)]
-            estimated[item.name] = np.mean([self.session.light(name, time_s) for name in names], axis=0)
             whole = [self.references[n].hdr if n in self.references else ambient_sh for n in names]
-            truth[item.name] = np.mean(whole, axis=0)
-        ambient = {item.name: ambient_sh for item in self.run.plan.objects}
-        return {self.run.settings.estimator: estimated, "ambient": ambient, "truth": truth}
+            lights["ambient"][item.name], lights["truth"][item.name] = ambient_sh, np.mean(whole, axis=0)
+            for method in (chosen, *others):
+                other = None if method == chosen else method
+                of_names = [self.session.light(name, time_s, other) for name in names]
+                lights[method][item.name] = np.mean(of_names, axis=0)
+        return lights
+
+    def _other_lights(self, name: str, time_s: float, truth: ArrayF64) -> dict[str, OtherLight]:
+        lights = {other: self.session.light(name, time_s, other) for other in self.run.settings.others}
+        return {
+            other: OtherLight(sh=results.as_coefficients(light), shc_rmse=shc_rmse(light, truth))
+            for other, light in lights.items()
+        }
 
     def _probe_result(self, probe: Probe, report: StepReport, request: Request | None, seen: RgbdFrame) -> ProbeResult:
         """What one step did at one position, and the light in force there after it."""
@@ -179,6 +191,7 @@ class _Walk:
             shc_rmse=shc_rmse(light, truth),
             expected_error=finite_or_none(self.session.expected_error(probe.name, time_s)),
             ambient_shc_rmse=shc_rmse(self.session.ambient_sh, truth),
+            others=self._other_lights(probe.name, time_s, truth),
             share_above_white=share_above_white(reference.ldr, reference.hdr),
         )
 

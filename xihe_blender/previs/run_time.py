@@ -27,7 +27,7 @@ from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.plan import compared_frames, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run
-from xihe_blender.previs.settings import PrevisSettings, load_estimator
+from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.previs.survey import survey_path
 from xihe_blender.scene.state import scene_kept
 from xihenet.formats import format_duration
@@ -78,11 +78,11 @@ def format_run_time(seconds: float) -> str:
 
 def run_time_job(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[RunTime]:
     """Prepare a run on `scene` and render a little of it; the scene stays as it is. UserError as a run raises it."""
-    plan, estimator = plan_previs(scene, settings), load_estimator(settings)
+    plan, loaded = plan_previs(scene, settings), load_estimators(settings)
     start = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="xihe_") as folder, scene_kept():
         survey, outputs = survey_path(scene, plan), RunOutputs(Path(folder), "scene")
-        run = yield from prepare_run(scene, plan, survey, outputs, settings, estimator)
+        run = yield from prepare_run(scene, plan, survey, outputs, settings, loaded)
         return (yield from _measured(run, time.perf_counter() - start))
 
 

@@ -70,6 +70,7 @@ class PrevisSettings:
     Parameters
     ----------
     estimator : its registered name
+    others : names of estimators that are compared with it, from the same clouds; `ambient` and `truth` always are
     preset : name of one of PRESETS
     target : "ldr" compares coefficients with light clipped at 1, as the paper does, "hdr" with all of it
     size : of captures and comparisons; None takes 256x192, upright where the scene's picture is
@@ -89,6 +90,7 @@ class PrevisSettings:
     """
 
     estimator: str = estimators.DEFAULT
+    others: tuple[str, ...] = ()
     preset: str = "balanced"
     target: Target = "ldr"
     size: tuple[int, int] | None = None
@@ -111,12 +113,14 @@ class PrevisSettings:
 
     def __post_init__(self) -> None:
         for kind, name, known in (
-            ("estimator", self.estimator, estimators.names()),
+            *(("estimator", name, estimators.names()) for name in (self.estimator, *self.others)),
             ("preset", self.preset, PRESETS),
             ("metering", self.metering, METERINGS),
         ):
             if name is not None and name not in known:
                 raise UserError(f"there is no {kind} {name!r}: choose one of {', '.join(known)}")
+        kept = [name for name in dict.fromkeys(self.others) if name not in (self.estimator, "ambient", "truth")]
+        object.__setattr__(self, "others", tuple(kept))
         if self.size is not None and not all(4 <= side <= 8192 for side in self.size):
             raise UserError(
                 f"a picture of {self.size[0]}x{self.size[1]} pixels cannot be captured: use 4 to 8192 a side"
@@ -187,9 +191,13 @@ class PrevisSettings:
         return RenderSettings(size, self.preset_values.comparison_samples, self.seed)
 
 
-def load_estimator(settings: PrevisSettings) -> Estimator:
-    """The estimator of a run; UserError if a package or a file of weights is missing."""
-    try:
-        return estimators.load(settings.estimator, settings.n_anchors, settings.target)
-    except (ImportError, ValueError) as error:
-        raise UserError(f"--estimator {settings.estimator}: {error}") from error
+def load_estimators(settings: PrevisSettings) -> list[Estimator]:
+    """The estimator of a run, then the others; UserError if a package or a file of weights is missing."""
+    loaded = []
+    for name in (settings.estimator, *settings.others):
+        try:
+            loaded.append(estimators.load(name, settings.n_anchors, settings.target))
+        except (ImportError, ValueError) as error:
+            option = "estimator" if name == settings.estimator else "others"
+            raise UserError(f"--{option} {name}: {error}") from error
+    return loaded

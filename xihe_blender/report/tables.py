@@ -65,15 +65,22 @@ def _comparison(results: RunResults) -> str:
         return "<p>No frame was compared with the ground truth.</p>"
     methods = sorted(comparison, key=lambda m: (m == "truth", m == "ambient"))
     columns = [_metric_column(comparison, methods, name, way) for name, way, _ in METRICS]
+    lights, chosen = results.light_errors, results.settings.estimator
     rows = [
-        [_method_name(results.settings.estimator, m), *(column[i] for column in columns), _closer_cell(comparison, m)]
+        [
+            _method_name(chosen, m),
+            *(column[i] for column in columns),
+            _closer_cell(comparison, m),
+            format_number(lights.get(m)),
+        ]
         for i, m in enumerate(methods)
     ]
     heads = [f'{name}{unit}<span class="way">{_BETTER[way]}</span>' for name, way, unit in METRICS]
-    head = ["method", *heads, "rmse against <code>ambient</code>"]
+    light_head = f'SHC RMSE<span class="way">{_BETTER["down"]}</span>'
+    head = ["method", *heads, "rmse against <code>ambient</code>", light_head]
     about = (
         "Averages over the compared frames, inside the virtual objects. psnr and ssim are taken on the sRGB pictures,"
-        " the others on linear colour."
+        " the others on linear colour. SHC RMSE is the error of the light's coefficients, over all frames."
     )
     star = "\N{BLACK STAR} marks the best method that a phone could run; <code>truth</code> is not one."
     honest = "No image metric tracks human preference: look at the pictures before you trust a ranking."

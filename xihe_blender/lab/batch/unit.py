@@ -50,7 +50,7 @@ from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.plan import compared_frames, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, render_reuse, survey_run
 from xihe_blender.previs.run_chain import Lights, WalkedPath, walk_path
-from xihe_blender.previs.settings import load_estimator
+from xihe_blender.previs.settings import load_estimators
 from xihe_blender.report.values import mean
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
@@ -84,7 +84,7 @@ def evaluate_unit(file: Path, folder: Path, settings: BatchSettings, seed: int) 
         for phone, estimator in trials:
             # The first trial measures, and the others read what it left.
             wanted = settings.of_trial(phone, estimator, seed)
-            runs.append((yield from prepare_run(scene, plan, survey, outputs, wanted, load_estimator(wanted))))
+            runs.append((yield from prepare_run(scene, plan, survey, outputs, wanted, load_estimators(wanted))))
         # Every frame that any phone captures, with what any needs beside it.
         first, needs = runs[0], functools.reduce(operator.or_, (run.needs for run in runs))
         yield from render_path(replace(first, needs=needs, reuse=render_reuse(first.survey, first.effects, needs)))
