@@ -205,7 +205,6 @@ class XIHE_PT_estimator(StagePanel, bpy.types.Panel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         layout.prop(settings, "estimator")
-        layout.column(align=True).prop(settings, "others")
         layout.prop(settings, "preset")
         self._draw_costs(context, layout)
         run = last_run(settings.run_folder)
@@ -236,6 +235,7 @@ class XIHE_PT_estimator_details(StagePanel, bpy.types.Panel):
         layout, settings = self.layout, context.scene.xihe
         layout.use_property_split = True
         layout.use_property_decorate = False
+        layout.column(align=True).prop(settings, "others")
         layout.prop(settings, "target", text="Target")
         layout.prop(settings, "seed")
 
@@ -347,8 +347,8 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
 def _draw_methods(layout: bpy.types.UILayout, run: RunResults) -> None:
     """A table of the estimators of a run: the error of their light and of the pictures of the lit objects."""
     row = layout.box().row(align=True)
-    row.operator("xihe.explain", text="", icon="QUESTION", emboss=False).meaning = METHODS
     columns = [row.column(align=True) for _ in range(3)]
+    row.operator("xihe.explain", text="", icon="QUESTION", emboss=False).meaning = METHODS
     for cells in [("Estimator", "Light", "Picture"), *method_rows(run)]:
         for column, cell in zip(columns, cells, strict=True):
             column.label(text=cell, translate=False)
