@@ -146,7 +146,9 @@ def _check_arrival(probe, frame, frames):
 
 def _check_comparison(results):
     compared = [entry for entry in results["frames"] if "comparison" in entry]
-    methods = {results["settings"]["estimator"], *results["settings"]["others"], "ambient", "truth"} if compared else set()
+    methods = (
+        {results["settings"]["estimator"], *results["settings"]["others"], "ambient", "truth"} if compared else set()
+    )
     assert set(results["comparison"]) == methods
     for entry in compared:
         assert entry["active"] and set(entry["comparison"]) == set(entry["n_hueless_pixels"]) == methods

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import time
@@ -20,6 +21,14 @@ AS_MODULE = (
     "import runpy, sys; sys.argv = ['xihe', *sys.argv[sys.argv.index('--') + 1 :]];"
     "runpy.run_module('xihe_blender', run_name='__main__')"
 )
+
+FROM_THE_PANEL = """
+import bpy
+chosen = bpy.context.scene.xihe
+chosen.preset, chosen.use_own_size, chosen.size = "draft", True, (32, 24)
+chosen.use_own_frames, chosen.frame_start, chosen.frame_end, chosen.frame_step = True, 1, 13, 6
+assert bpy.ops.xihe.run() == {"FINISHED"}
+"""
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +59,14 @@ def test_a_script_with_the_public_api_gives_the_same_results(blender, commanded,
 def test_the_package_run_as_a_module_gives_the_same_results(blender, commanded, tmp_path):
     blender.background("--python-expr", AS_MODULE, "--", "previs", SCENE, "--out", tmp_path / "out", *SMALL)
     assert results_of(tmp_path / "out") == results_of(commanded[1])
+
+
+def test_a_run_from_the_panel_gives_the_same_results(blender, commanded, tmp_path):
+    # Its folder lies beside the file.
+    scene = shutil.copy(SCENE, tmp_path)
+    blender.background(scene, "--python-exit-code", "1", "--python-expr", FROM_THE_PANEL)
+    (out,) = (tmp_path / "xihe_runs").iterdir()
+    assert results_of(out) == results_of(commanded[1])
 
 
 def test_with_json_stdout_holds_the_json_alone(blender):
