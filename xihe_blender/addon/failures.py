@@ -15,6 +15,7 @@ FAILURES = (UserError, OSError, ReferenceError)
 
 IN_THE_PANEL = {
     "--estimator": "Estimator",
+    "--others": "Compare With",
     "--frames": "Own Frames",
     "--network": "Network",
     "--out": "Runs Folder",

@@ -105,7 +105,7 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         default=choices.number_of(choices.DEFAULT_ESTIMATOR),
     )
     others: bpy.props.EnumProperty(
-        name="Beside It",
+        name="Compare With",
         description="Other estimators, whose light and pictures are compared with it, from the same frames",
         items=choices.other_estimator_items,
         options={"ENUM_FLAG"},
@@ -117,7 +117,7 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         default="balanced",
     )
     target: bpy.props.EnumProperty(
-        name="Compare With", description="Which light the estimates are compared with", items=choices.TARGETS
+        name="Target", description="Which light the estimates are compared with", items=choices.TARGETS
     )
     use_own_frames: bpy.props.BoolProperty(
         name="Own Frames",
