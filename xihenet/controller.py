@@ -67,7 +67,7 @@ class XiheController:
     def __init__(
         self, backend: LightBackend, settings: ControllerSettings | None = None, *, others: Sequence[LightBackend] = ()
     ) -> None:
-        self.backend, self.others = as_inference_backend(backend), others
+        self.backend, self.others = as_inference_backend(backend), [as_inference_backend(other) for other in others]
         self.settings = settings or ControllerSettings()
         self.lattice = AnchorLattice(backend.n_anchors)
         self.reference_exposure = self.settings.reference_exposure
@@ -167,8 +167,7 @@ class XiheController:
             unknown_because = estimate.unknown_because
             invalid = {**invalid, **self._clamped(followed.temporary, fired.persistent)}
             if estimate.is_valid:
-                said = {other.name: other.estimate(fired.persistent, context) for other in self.others}
-                estimate = replace(estimate, others=said)
+                estimate = replace(estimate, others=self._others_say(fired.persistent, context))
                 # Else what was seen is still unanswered, and the trigger goes on to ask.
                 buffers, position.light, position.lit_at_m = fired, estimate, position.position_m
         position.buffers, position.decision = buffers, decision
@@ -193,6 +192,12 @@ class XiheController:
 
     def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> LightEstimate:
         return estimate_light(self.backend, cloud, context, self.reference_exposure or 1.0)
+
+    def _others_say(self, cloud: UnitSphereCloud, context: EstimateContext) -> dict[str, ArrayF64]:
+        """Without those for which the light cannot be known."""
+        exposure = self.reference_exposure or 1.0
+        said = {other.name: estimate_light(other, cloud, context, exposure) for other in self.others}
+        return {name: light.sh_radiance for name, light in said.items() if light.is_valid}
 
     def _clamped(self, sent: UnitSphereCloud, used: UnitSphereCloud) -> Counts:
         """Distances that the wire or the network takes for others."""

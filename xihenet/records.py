@@ -279,7 +279,7 @@ class LightEstimate:
     is_valid : False where the light could not be known; the coefficients are then 0 and must not be used
     expected_error : SHC RMSE that the estimator expects of itself, or None
     unknown_because : reason of `xihenet.invalid.UNKNOWN` where the light could not be known, else empty
-    others : (9, 3) by name, what other estimators say of the same cloud
+    others : (9, 3) by name, what other estimators say of the same cloud, those that know
     """
 
     sh_radiance: ArrayF64

@@ -44,6 +44,24 @@ def test_the_chain_equals_its_stages_called_by_hand():
     assert list(report.stage_ms) == ["unproject", "sample", "merge", "trigger", "encode", "estimate"]
 
 
+class NeverFinite:
+    name, n_anchors = "never finite", N
+
+    def estimate(self, cloud, context=None):
+        return np.full((9, 3), np.nan)
+
+
+def test_others_say_of_the_same_cloud_what_they_would_alone_and_one_that_does_not_know_is_left_out():
+    others = [LocalBackend(estimators.load("lattice", N)), NeverFinite()]
+    controller = XiheController(LocalBackend(estimators.load("projection", N)), others=others)
+    controller.add_position("Vase", (0, 1.5, 0))
+    alone = session("lattice").step(looking(0.0))["Vase"]
+    report = controller.step(looking(0.0))["Vase"]
+    assert list(report.estimate.others) == ["lattice"] and report.stage_ms.keys() == alone.stage_ms.keys()
+    np.testing.assert_array_equal(report.estimate.others["lattice"], alone.estimate.sh_radiance)
+    assert alone.estimate.others == {}
+
+
 def test_an_unchanged_view_costs_no_estimate():
     controller = session()
     first = controller.step(looking(0.0))["Vase"].estimate

@@ -67,12 +67,12 @@ class PhoneSession:
     def light(self, name: str, time_s: float, other: str | None = None) -> ArrayF64:
         """(9, 3) the light in force at a position: its last valid estimate that arrived, until then the ambient one.
 
-        With `other`, what the estimator of that name said beside it.
+        With `other`, what the estimator of that name said beside it, ambient where it could not know.
         """
         request = self.under_way.in_force(name, time_s)
         if request is None:
             return self.ambient_sh
-        return request.estimate.sh_radiance if other is None else request.estimate.others[other]
+        return request.estimate.sh_radiance if other is None else request.estimate.others.get(other, self.ambient_sh)
 
     def expected_error(self, name: str, time_s: float) -> float | None:
         """SHC RMSE that the estimator expects of the light in force; None for the ambient one, or if it says none."""

@@ -146,12 +146,12 @@ class _Walk:
         lights: dict[str, dict[str, ArrayF64]] = {method: {} for method in self.run.methods}
         for item in self.run.plan.objects:
             names = [probe.name for probe in self.run.plan.probes_of(item.name)]
-            whole = [self.references[n].hdr if n in self.references else ambient_sh for n in names]
-            lights["ambient"][item.name], lights["truth"][item.name] = ambient_sh, np.mean(whole, axis=0)
             for method in (chosen, *others):
                 other = None if method == chosen else method
                 of_names = [self.session.light(name, time_s, other) for name in names]
                 lights[method][item.name] = np.mean(of_names, axis=0)
+            whole = [self.references[n].hdr if n in self.references else ambient_sh for n in names]
+            lights["ambient"][item.name], lights["truth"][item.name] = ambient_sh, np.mean(whole, axis=0)
         return lights
 
     def _other_lights(self, name: str, time_s: float, truth: ArrayF64) -> dict[str, OtherLight]:
