@@ -21,6 +21,7 @@ from xihenet.records import ArrayF64, UnitSphereCloud
 from xihenet.sh_basis import basis
 from xihenet.sphere import AnchorLattice
 
+N_PARTS = 3
 SMALLEST_SHARE = 0.02
 """Of the sphere, that left-out frames have to show alone to be asked."""
 
@@ -44,18 +45,17 @@ def left_out_error(sh_radiance: ArrayF64, given: UnitSphereCloud, left_out: Unit
 def left_out_errors(
     frames: Sequence[UnitSphereCloud], estimate: Callable[[UnitSphereCloud], ArrayF64], *, is_merged: bool = False
 ) -> Iterator[float]:
-    """Errors over a session: of the light from each frame alone, by all others; or from all others, by each frame.
+    """Errors over a session: of the light from each frame alone, by all others; or from two thirds, by the other third.
 
-    `frames` are what each of them shows of one position; `estimate` gives (9, 3) of a cloud. What cannot be asked is
-    left out, so that there may be none.
+    `frames` are what each of them shows of one position, in their order, a third of which is left out in turn;
+    `estimate` gives (9, 3) of a cloud. What cannot be asked is left out, so that there may be none.
     """
-    for i, frame in enumerate(frames):
-        others = [other for j, other in enumerate(frames) if j != i]
-        if not others:
-            return
-        rest = reduce(merge, others)
-        given, left_out = (rest, frame) if is_merged else (frame, rest)
-        if given.is_set.any():
-            error = left_out_error(estimate(given), given, left_out)
+    parts = np.array_split(np.arange(len(frames)), N_PARTS if is_merged else len(frames)) if frames else []
+    for part in parts:
+        inside = [frame for i, frame in enumerate(frames) if i in part]
+        outside = [frame for i, frame in enumerate(frames) if i not in part]
+        if inside and outside:
+            given, left_out = (reduce(merge, some) for some in ((outside, inside) if is_merged else (inside, outside)))
+            error = left_out_error(estimate(given), given, left_out) if given.is_set.any() else None
             if error is not None:
                 yield error

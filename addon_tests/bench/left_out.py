@@ -1,61 +1,97 @@
-"""Which estimator is the best where no light probe has been? A table over the captures that previs runs kept.
+"""Which estimator is the best where no light probe has been? A table over walks through scenes with simulated phones.
 
-    xihe previs ROOM.blend --phone iphone_lidar --frames 1:48:4 --out out/room_iphone ...
-    python addon_tests/bench/left_out.py out/room_iphone ...
+    python addon_tests/bench/left_out.py room_a.blend room_b.blend ...
 
-The sessions are simulated, and their truth stays hidden: estimates are held against what left-out frames show
-(`xihenet.left_out`). For each run, the mean error of each estimator from one frame, judged by all others, and from all
-others, judged by the frame that was left out; at the end in how many sessions each is the best. Nothing is rendered.
+Each scene has a camera path and virtual objects. The sessions are simulated, twelve frames with every phone profile,
+and their truth stays hidden: estimates are held against what left-out frames show (`xihenet.left_out`). For each
+session the mean error of each estimator from one frame, judged by all others, and from two thirds of the frames, judged
+by the others; at the end in how many sessions each is the best.
 """
 
 from __future__ import annotations
 
 import sys
+import tempfile
 from collections import Counter
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from trigger import read_run
 
+from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.jobs import run_blocking
+from xihe_blender.previs.path_renders import kept_renders
+from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
+from xihe_blender.previs.run_chain import walk_path
+from xihe_blender.previs.settings import PrevisSettings, load_estimators
+from xihe_blender.scene.blend_file import open_blend
+from xihe_blender.scene.state import scene_kept
 from xihenet import estimators
 from xihenet.camera import unproject_frame
 from xihenet.estimators import EstimateContext
 from xihenet.left_out import left_out_errors
+from xihenet.phone import profile_names
+from xihenet.records import RgbdFrame
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 
 NAMES = ("lattice", "projection", "ambient")
+N_FRAMES = 12
 LATTICE = AnchorLattice(1280)
+Errors = dict[tuple[bool, str], list[float]]
 
 
-def errors_of(folder: Path, name: str, *, is_merged: bool) -> list[float]:
-    """Of all positions of a run."""
-    recorded, estimator = read_run(folder), estimators.load(name)
-    points = [unproject_frame(frame, reference_exposure=recorded.exposure) for frame in recorded.frames]
-    context = EstimateContext(frame=recorded.frames[0], reference_exposure=recorded.exposure)
-    found: list[float] = []
-    for position in recorded.positions.values():
-        clouds = [sample_unit_sphere(one, np.array(position), LATTICE) for one in points]
-        found += left_out_errors(clouds, lambda cloud: estimator.estimate(cloud, context), is_merged=is_merged)
+def session(file: Path, phone: str, folder: Path) -> tuple[PreparedRun, list[RgbdFrame]]:
+    """The frames that the phone delivers on a walk through a scene."""
+    scene = open_blend(file)
+    frames = np.linspace(scene.frame_start, scene.frame_end, N_FRAMES).astype(int).tolist()
+    settings = PrevisSettings(preset="draft", size=(96, 72), samples=4, frames=tuple(frames), phone=phone)
+    plan, outputs = plan_previs(scene, settings), RunOutputs(folder, file.stem)
+    with scene_kept():
+        survey = survey_run(scene, plan, outputs)
+        run = run_blocking(prepare_run(scene, plan, survey, outputs, settings, load_estimators(settings)))
+        phone_in_use = run_blocking(walk_path(run)).phone
+        renders = [kept_renders(run, frame) for frame in frames]
+        return run, [phone_in_use.see(one.captured, outputs)[0] for one in renders if one is not None]
+
+
+def errors_of(run: PreparedRun, frames: list[RgbdFrame]) -> Errors:
+    """Of all positions, by whether frames were merged and by estimator."""
+    points = [unproject_frame(frame, reference_exposure=run.exposure) for frame in frames]
+    context = EstimateContext(frame=frames[0], reference_exposure=run.exposure)
+    found: Errors = {(is_merged, name): [] for is_merged in (False, True) for name in NAMES}
+    for probe in run.plan.probes:
+        clouds = [sample_unit_sphere(one, probe.position_m, LATTICE) for one in points]
+        for (is_merged, name), errors in found.items():
+            estimate = partial(estimators.load(name).estimate, context=context)
+            errors += left_out_errors(clouds, estimate, is_merged=is_merged)
     return found
 
 
+def sessions(files: list[Path]) -> Iterator[tuple[str, Errors]]:
+    for file in files:
+        for phone in profile_names():
+            with tempfile.TemporaryDirectory() as folder:
+                yield f"{file.stem}, {phone}", errors_of(*session(file, phone, Path(folder)))
+
+
 def main() -> None:
-    folders = [Path(folder) for folder in sys.argv[1:]]
-    if not folders:
-        sys.exit("give the folders of finished previs runs")
-    print("| session | from | asked | " + " | ".join(NAMES) + " |\n| --- | --- | --- |" + " --- |" * len(NAMES))
-    for is_merged, given in ((False, "one frame"), (True, "all but one")):
-        best: Counter[str] = Counter()
-        for folder in folders:
-            errors = {name: errors_of(folder, name, is_merged=is_merged) for name in NAMES}
-            n_asked = len(errors[NAMES[0]])
-            if n_asked:
-                means = {name: float(np.mean(one)) for name, one in errors.items()}
-                best[min(means, key=lambda name: means[name])] += 1
-                cells = " | ".join(f"{mean:.4f}" for mean in means.values())
-                print(f"| {folder.name} | {given} | {n_asked} | {cells} |", flush=True)
-        print(f"best from {given}: " + ", ".join(f"{name} {best[name]}" for name in NAMES) + f" of {best.total()}")
+    files = [Path(file) for file in sys.argv[1:]]
+    if not files:
+        sys.exit("give scenes with a camera path and virtual objects")
+    best: dict[bool, Counter[str]] = {False: Counter(), True: Counter()}
+    print("| session | given | asked | " + " | ".join(NAMES) + " |\n| --- | --- | --- |" + " --- |" * len(NAMES))
+    for title, errors in sessions(files):
+        for is_merged, given in ((False, "one frame"), (True, "two thirds")):
+            means = {name: float(np.mean(errors[is_merged, name] or [np.nan])) for name in NAMES}
+            best[is_merged][min(means, key=means.__getitem__)] += 1
+            cells = " | ".join(f"{mean:.4f}" for mean in means.values())
+            print(f"| {title} | {given} | {len(errors[is_merged, NAMES[0]])} | {cells} |", flush=True)
+    for is_merged, given in ((False, "one frame"), (True, "two thirds")):
+        counts = ", ".join(f"{name} {best[is_merged][name]}" for name in NAMES)
+        print(f"best from {given}: {counts} of {best[is_merged].total()}")
 
 
 if __name__ == "__main__":

@@ -46,8 +46,8 @@ def test_a_session_is_asked_frame_by_frame_both_ways():
     assert len(errors) == 3 and max(errors) < 1e-6 and max(given) < 0.5
     given.clear()
     errors = list(left_out_errors(frames, lambda cloud: given.append(cloud.is_set.mean()) or LIGHT, is_merged=True))
-    # The empty frame shows nothing that the others do not.
-    assert len(errors) == 3 and min(given) > 0.5
+    # Thirds: the first two frames, the third, and the empty one, which shows nothing that the others do not.
+    assert len(errors) == 2 and min(given) > 0.4
     assert list(left_out_errors(frames[:1], lambda cloud: LIGHT)) == []
 
 
