@@ -174,12 +174,12 @@ def test_clouds_keep_how_their_surfaces_face_and_projection_asks_it(caches, tmp_
 def test_a_cache_of_another_version_is_refused_in_one_line(caches, tmp_path, capsys):
     shutil.copytree(caches["sphere"], tmp_path / "old")
     found = json.loads((tmp_path / "old" / "settings.json").read_text())
-    (tmp_path / "old" / "settings.json").write_text(json.dumps({**found, "version": 2}))
-    with pytest.raises(ValueError, match="expected sampled clouds of version 3, got 2"):
+    (tmp_path / "old" / "settings.json").write_text(json.dumps({**found, "version": 3}))
+    with pytest.raises(ValueError, match="expected sampled clouds of version 4, got 3"):
         open_split(tmp_path / "old", "test")
     assert command_line.main(["report", "--clouds", str(tmp_path / "old")]) == 2
     said = capsys.readouterr().err
-    assert said.splitlines()[-1].startswith("xihe train: ") and "version 3, got 2" in said.splitlines()[-1]
+    assert said.splitlines()[-1].startswith("xihe train: ") and "version 4, got 3" in said.splitlines()[-1]
 
 
 def test_changes_are_of_any_angle_and_no_more_than_a_factor_of_2_5():

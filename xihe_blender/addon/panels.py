@@ -45,8 +45,8 @@ LIGHT_ERROR = (
     "An estimator is worth its time where this is well below the error of the phone's ambient light"
 )
 EXPECTED_ERROR = (
-    "The light error that the estimator expects of itself, which knows no light probe. Where the light error is far "
-    "above it, the room is unlike those that the estimator knows"
+    "The light error that the estimator itself expects, without having seen the true light. Where the light error is "
+    "far above it, the room is unlike those that the estimator was trained on"
 )
 METHODS = (
     "Light: mean distance from the rendered light probe, in spherical-harmonic coefficients. Picture: root mean square "
