@@ -159,6 +159,44 @@ def test_rendering_it_gives_the_picture_of_the_estimate(ran, shown, tmp_path):
     np.testing.assert_allclose(lit[~is_object].mean(axis=0), captured[~is_object].mean(axis=0), atol=0.01)
 
 
+def screen(name, camera, distance, size, strength):
+    """A square that faces the camera, `distance` in front of it, of a light as strong as that."""
+    mesh, half = bpy.data.meshes.new(name), size / 2
+    corners = [(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)]
+    mesh.from_pydata(corners, [], [(0, 1, 2, 3)])
+    material = bpy.data.materials.new(name)
+    material.use_nodes = True
+    material.node_tree.nodes["Principled BSDF"].inputs["Emission Strength"].default_value = strength
+    mesh.materials.append(material)
+    item = bpy.data.objects.new(name, mesh)
+    item.matrix_world = camera.matrix_world @ Matrix.Translation((0, 0, -distance))
+    bpy.context.scene.collection.objects.link(item)
+
+
+def test_what_stands_in_front_of_an_object_hides_it_and_does_not_light_it(ran, shown, tmp_path):
+    results = read_results(ran.out)
+    frame, compared = next(iter(results.compared_frames.items()))
+    captured = pixels_of_file(ran.out / compared.pictures["captured"])[..., :3]
+    pictures = []
+    for distance in (None, -0.5, 0.3):
+        scene = opened(ran.out / "after.blend")
+        scene.frame_set(frame)
+        if distance is not None:
+            screen("Screen", scene.camera, distance, 4.0, 50.0)
+        lit = show_lit(scene, ran.out, "Board")
+        lit.render.resolution_x, lit.render.resolution_y = results.settings.size
+        lit.cycles.samples = 64
+        lit.frame_set(frame)
+        pictures.append(rendered_picture(lit, tmp_path)[..., :3])
+    alone, lamp_behind_the_phone, hidden = pictures
+    is_object = np.abs(alone - captured).max(axis=-1) > 0.02
+    assert is_object.sum() > 10
+    np.testing.assert_allclose(lamp_behind_the_phone, alone, atol=0.02)
+    np.testing.assert_allclose(hidden[is_object], captured[is_object], atol=0.01)
+    remove_everything(bpy.data.scenes["Scene"])
+    assert not [item.name for item in bpy.data.objects if item.name.startswith(LIT_SCENE)]
+
+
 def test_a_larger_picture_is_opaque_and_as_bright_along_its_rim_as_inside(shown, tmp_path):
     shown.cycles.samples = 1
     lit = rendered_picture(shown, tmp_path, "RGBA")

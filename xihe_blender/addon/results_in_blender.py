@@ -26,7 +26,7 @@ from xihe_blender.apply.datablocks import (
     our_images,
     trigger_markers,
 )
-from xihe_blender.apply.lit_scene import CapturedFrames, put_over_frames, remove_lit_scene
+from xihe_blender.apply.lit_scene import CapturedFrames, hide_behind_room, put_over_frames, remove_lit_scene
 from xihe_blender.apply.sh_worlds import (
     applied_worlds,
     f_curves,
@@ -85,7 +85,9 @@ def show_lit(scene: bpy.types.Scene, folder: Path, active: str = "") -> bpy.type
     if gone or not pictures:
         raise UserError(f"{gone[0]} is gone: run again" if gone else "no virtual object was ever in view: run again")
     remove_lit_scene()
-    lit = make_lit_scene(scene, [item for item in virtual_objects(scene) if item.name in results.lights])
+    objects = virtual_objects(scene)
+    lit = make_lit_scene(scene, [item for item in objects if item.name in results.lights])
+    hide_behind_room(lit, scene, objects)
     lit[ROOM] = scene
     exposure = results.settings.reference_exposure
     put_over_frames(lit, CapturedFrames(pictures, folder / "lit", results.settings.size, exposure))

@@ -2,9 +2,10 @@
 
 A view layer has one world, so each object has a view layer of its own, in which the others hold out. Its camera is a
 copy of the phone with the captured frames behind it; rendering puts all layers over those frames. Colours are shown at
-the run's exposure and by the view transform Standard, as the pictures of the report are.
+the run's exposure and by the view transform Standard, as the pictures of the report are. What stands in front of an
+object in the room hides it: copies of the room's objects hold out, and no light meets them.
 
-Not here: what stands in front of an object in the room does not hide it in this scene, and no shadow falls on the room.
+Not here: no shadow falls on the room.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from __future__ import annotations
 import math
 import os
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +23,12 @@ from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, lit_scene
 
 PHONE = "Xihe Phone"
 """Begins the names of the copied cameras."""
+
+ROOM_COPIES = f"{LIT_SCENE} Room"
+"""Collection of what holds out in front of the objects."""
+
+_SOLID = ("MESH", "CURVE", "SURFACE", "FONT", "CURVES", "POINTCLOUD")
+_RAYS = ("diffuse", "glossy", "transmission", "volume_scatter", "shadow")
 
 
 @dataclass(frozen=True)
@@ -84,6 +91,32 @@ def put_over_frames(lit: bpy.types.Scene, frames: CapturedFrames) -> None:
     view.view_transform, view.look, view.gamma, view.use_curve_mapping = "Standard", "None", 1.0, False
     view.exposure = math.log2(frames.exposure)
     _compose(lit, image, frames)
+
+
+def hide_behind_room(lit: bpy.types.Scene, room: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> None:
+    """Let what stands in front of `objects` in `room` hide them in `lit`: copies that share data and animation.
+
+    Metaballs, volumes, and copies that an object makes of its children, are not among them.
+    """
+    holder = bpy.data.collections.new(ROOM_COPIES)
+    for item in dict.fromkeys(_seen_in(room.view_layers[0].layer_collection)):
+        is_solid = item.type in _SOLID or item.instance_type == "COLLECTION"
+        if is_solid and item.visible_camera and not item.is_holdout and item not in objects:
+            copied = item.copy()
+            copied.name, copied.is_holdout = f"{LIT_SCENE} {item.name}", True
+            for ray in _RAYS:
+                setattr(copied, f"visible_{ray}", False)
+            holder.objects.link(copied)
+    lit.collection.children.link(holder)
+
+
+def _seen_in(layer: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
+    """All that a view layer renders for its camera, of a collection and those in it."""
+    if layer.exclude or layer.collection.hide_render or layer.holdout or layer.indirect_only:
+        return
+    yield from (item for item in layer.collection.objects if not item.hide_render)
+    for child in layer.children:
+        yield from _seen_in(child)
 
 
 def _phone_with(camera: bpy.types.Object, image: bpy.types.Image, frames: CapturedFrames) -> bpy.types.Object:
@@ -171,6 +204,9 @@ def remove_lit_scene() -> None:
             if window.scene == lit and room is not None:
                 window.scene = room
     own: set[bpy.types.ID | None] = {getattr(lit, "compositing_node_group", None)}
+    for collection in lit.collection.children:
+        if collection.name.startswith(ROOM_COPIES):
+            own |= set(collection.objects)
     for camera in [item for item in lit.collection.objects if item.name.startswith(PHONE)]:
         own |= {camera, camera.data, *(behind.image for behind in camera.data.background_images)}
     bpy.data.scenes.remove(lit)
