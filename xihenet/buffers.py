@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from xihenet.records import AnchorSurfaces, ArrayF64, UnitSphereCloud
+from xihenet.records import FAR_FROM_M, AnchorSurfaces, ArrayBool, ArrayF64, UnitSphereCloud
 from xihenet.sampling import sample_again
 from xihenet.sphere import AnchorLattice
 
@@ -21,31 +21,42 @@ from xihenet.sphere import AnchorLattice
 def merge(old: UnitSphereCloud, new: UnitSphereCloud) -> UnitSphereCloud:
     """`old` with every anchor that `new` sets replaced by `new`'s colour, distance and surface; nothing is averaged.
 
-    Where one of them has no surfaces, those of its anchors are unknown (0). Both have N anchors (ValueError otherwise).
-    What is invalid is that of `new`: it belongs to a frame.
+    What is far away in `new` (`FAR_FROM_M`) lies behind what is near in `old` and does not replace it. Where one of
+    them has no surfaces, those of its anchors are unknown (0). Both have N anchors (ValueError otherwise). What is
+    invalid is that of `new`: it belongs to a frame.
     """
     if len(old) != len(new):
         raise ValueError(f"merge: expected clouds with as many anchors, got {len(old)} and {len(new)}")
-    return _merged(old, new, _merged_surfaces(old, new))
+    taken = _taken(old, new)
+    return _merged(old, new, taken, _merged_surfaces(old, new, taken))
 
 
-def _merged(old: UnitSphereCloud, new: UnitSphereCloud, surfaces: AnchorSurfaces | None) -> UnitSphereCloud:
-    srgb = np.where(new.is_set[:, None], new.srgb, old.srgb)
-    distance_m = np.where(new.is_set, new.distance_m, old.distance_m)
+def _taken(old: UnitSphereCloud, new: UnitSphereCloud) -> ArrayBool:
+    """(N,) anchors that are as in `new` after merging."""
+    is_near = old.is_set & (old.distance_m < FAR_FROM_M)
+    taken: ArrayBool = new.is_set & ~(is_near & (new.distance_m >= FAR_FROM_M))
+    return taken
+
+
+def _merged(
+    old: UnitSphereCloud, new: UnitSphereCloud, taken: ArrayBool, surfaces: AnchorSurfaces | None
+) -> UnitSphereCloud:
+    srgb = np.where(taken[:, None], new.srgb, old.srgb)
+    distance_m = np.where(taken, new.distance_m, old.distance_m)
     return UnitSphereCloud(srgb, distance_m, old.is_set | new.is_set, new.invalid, surfaces)
 
 
-def _merged_surfaces(old: UnitSphereCloud, new: UnitSphereCloud) -> AnchorSurfaces | None:
+def _merged_surfaces(old: UnitSphereCloud, new: UnitSphereCloud, taken: ArrayBool) -> AnchorSurfaces | None:
     if old.surfaces is None and new.surfaces is None:
         return None
     unknown = AnchorSurfaces.of_facing(np.zeros(len(old), np.float32))
-    before, after, seen = old.surfaces or unknown, new.surfaces or unknown, new.is_set
+    before, after = old.surfaces or unknown, new.surfaces or unknown
     return AnchorSurfaces(
-        np.where(seen, after.facing, before.facing),
-        np.where(seen, after.incidence, before.incidence),
-        np.where(seen, after.camera_distance_m, before.camera_distance_m),
-        np.where(seen[:, None], after.view_direction, before.view_direction),
-        np.where(seen, after.is_edge, before.is_edge),
+        np.where(taken, after.facing, before.facing),
+        np.where(taken, after.incidence, before.incidence),
+        np.where(taken, after.camera_distance_m, before.camera_distance_m),
+        np.where(taken[:, None], after.view_direction, before.view_direction),
+        np.where(taken, after.is_edge, before.is_edge),
     )
 
 
@@ -62,6 +73,13 @@ class PositionBuffers:
         nothing = UnitSphereCloud.empty(n_anchors)
         return cls(nothing, nothing)
 
+    def in_sight(self, sampled: UnitSphereCloud) -> UnitSphereCloud:
+        """`sampled` without what is far away behind what was seen near before: it is no change of the light."""
+        seen = sampled.is_set & _taken(self.persistent, sampled) & _taken(self.temporary, sampled)
+        if (seen == sampled.is_set).all():
+            return sampled
+        return replace(sampled, srgb=sampled.srgb * seen[:, None], distance_m=sampled.distance_m * seen, is_set=seen)
+
     def with_frame(self, sampled: UnitSphereCloud) -> PositionBuffers:
         """After one more frame was sampled."""
         return replace(self, temporary=merge(self.temporary, sampled))
@@ -76,7 +94,8 @@ class PositionBuffers:
 
     def last_seen(self) -> UnitSphereCloud:
         """Every anchor as it was last seen, whether or not the light in force was made from it; without surfaces."""
-        return _merged(self.persistent, self.temporary, None)
+        old, new = self.persistent, self.temporary
+        return _merged(old, new, _taken(old, new), None)
 
     def coverage(self) -> float:
         """Share of the anchors that are known, whether or not the light in force was made from them."""

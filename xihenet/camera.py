@@ -21,7 +21,7 @@ from xihenet.invalid import counted, left_out
 from xihenet.metering import KEY_LUMINANCE as KEY_LUMINANCE
 from xihenet.metering import LUMINANCE as LUMINANCE
 from xihenet.metering import metered_exposure as metered_exposure
-from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, PixelGrid, PointCloud, RgbdFrame
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, FarPixels, PixelGrid, PointCloud, RgbdFrame
 from xihenet.records import Intrinsics as Intrinsics
 
 MISS_PLANE_DEPTH_M = 1e9  # At and beyond this a plane depth is a miss: Cycles writes 1e10 where no surface was hit
@@ -37,20 +37,22 @@ def valid_plane_depth(plane_depth_m: ArrayF32) -> ArrayBool:
 def sound_plane_depth(plane_depth_m: ArrayF32, radiance: ArrayF32 | None = None) -> tuple[ArrayF32, dict[str, int]]:
     """What a frame keeps of plane depth (H, W), and what is wrong with its pixels, for `RgbdFrame.invalid`.
 
-    (H, W), 0 wherever there is no surface or where the radiance (H, W, 3) is NaN: a broken pixel says nothing of the
-    light, and black is an answer. Colours that are negative or infinite are clamped later, and counted here.
+    (H, W), 0 wherever there is no surface, and NaN where that or the radiance (H, W, 3) is NaN: a broken pixel says
+    nothing of the light, and black is an answer. Negative and infinite colours are clamped later, and counted here.
     """
     valid = valid_plane_depth(plane_depth_m)
     invalid = _reasons_by_value(plane_depth_m, valid)
+    says_nothing = np.isnan(plane_depth_m)
     if radiance is not None:
         is_broken = np.isnan(radiance).any(axis=-1)
+        says_nothing |= is_broken
         invalid |= counted(colour_not_finite=np.count_nonzero(valid & is_broken))
         valid &= ~is_broken
         invalid |= counted(
             negative_colour=np.count_nonzero((radiance < 0).any(axis=-1) & valid),
             infinite_colour=np.count_nonzero(np.isposinf(radiance).any(axis=-1) & valid),
         )
-    return np.where(valid, plane_depth_m, np.float32(0)), invalid
+    return np.where(valid, plane_depth_m, np.where(says_nothing, np.float32(np.nan), np.float32(0))), invalid
 
 
 def invalid_pixels(frame: RgbdFrame) -> dict[str, int]:
@@ -82,8 +84,9 @@ def unproject_frame(frame: RgbdFrame, *, reference_exposure: float | None = None
 
     Colours are decoded, multiplied by `reference_exposure / frame.exposure`, clipped at 1 and encoded again; None
     leaves the frame's own exposure. ValueError for a reference that is not positive and finite. Points of pixels
-    without a valid plane depth (0, negative, NaN, infinite, or a renderer's miss) are NaN and counted by reason; their
-    colour is kept.
+    without a valid plane depth (0, negative, NaN, infinite, or a renderer's miss) are NaN and counted by reason. Unless
+    it is NaN, their colour still says what light comes from there: they are the `far` pixels of the cloud's grid. A
+    frame without any valid plane depth has none of them, since a sensor that sees nothing may be broken.
 
     float32 arithmetic: the error of a point is about 2e-7 of its distance from the camera plus that of storing it, 6e-8
     of its distance from the world's origin. A point beyond the range of float32 is infinite or NaN.
@@ -94,8 +97,22 @@ def unproject_frame(frame: RgbdFrame, *, reference_exposure: float | None = None
         srgb = np.divide(frame.srgb_u8, np.float32(255), dtype=np.float32)
     else:
         srgb = _reencoded_bytes(gain).take(frame.srgb_u8)
-    grid = PixelGrid(frame.intrinsics.height, frame.intrinsics.width, frame.world_from_camera[:3, 3])
+    grid = PixelGrid(
+        frame.intrinsics.height, frame.intrinsics.width, frame.world_from_camera[:3, 3], far=_far_pixels(frame)
+    )
     return PointCloud(points.reshape(3, -1).T, srgb.reshape(-1, 3), invalid_pixels(frame), grid)
+
+
+def _far_pixels(frame: RgbdFrame) -> FarPixels | None:
+    """None where there are none."""
+    valid = valid_plane_depth(frame.plane_depth_m)
+    pixels = np.flatnonzero(~(valid | np.isnan(frame.plane_depth_m)))
+    if not len(pixels) or not valid.any():
+        return None
+    row, column = np.divmod(pixels, frame.intrinsics.width)
+    across, up = _ray_slopes(frame.intrinsics)
+    rays = frame.world_from_camera[:3, :3] @ np.stack([across[column], up[row], np.full(len(row), -1.0)])
+    return FarPixels(pixels, (rays / np.linalg.norm(rays, axis=0)).astype(np.float32))
 
 
 def _unprojected(frame: RgbdFrame) -> ArrayF32:

@@ -144,6 +144,7 @@ class XiheController:
         with clock.stage("sample"):
             sampled = self._sample(points, position.position_m)
         with clock.stage("merge"):
+            sampled = position.buffers.in_sight(sampled)
             buffers = position.buffers.with_frame(sampled)
         with clock.stage("trigger"):
             before, now = buffers.persistent, buffers.temporary

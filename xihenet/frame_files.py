@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from xihenet import exr, openexr_package
-from xihenet.camera import encode_exposed, metered_exposure, sensed_ambient, sound_plane_depth
+from xihenet.camera import encode_exposed, metered_exposure, sensed_ambient, sound_plane_depth, valid_plane_depth
 from xihenet.image_files import read_colour, read_plane_depth
 from xihenet.json_files import read_json
 from xihenet.picture_size import MOST_POINTS, TooLarge, check_size, picked_pixels, same_field
@@ -211,7 +211,7 @@ def _frame(
     ValueError with `fix` in it if no plane depth is valid.
     """
     plane_depth_m, invalid = measured
-    if not plane_depth_m.any():
+    if not valid_plane_depth(plane_depth_m).any():
         raise ValueError(
             f"{source}: no pixel has a valid plane depth (all are 0, negative, not finite or misses): {fix}"
         )

@@ -81,7 +81,8 @@ class RgbdFrame:
     Parameters
     ----------
     srgb_u8 : (H, W, 3) uint8, sRGB-encoded after `exposure` and clipping
-    plane_depth_m : (H, W) float32, metres along the optical axis; 0, NaN or infinite where the sensor has none
+    plane_depth_m : (H, W) float32, metres along the optical axis; 0 or infinite where the sensor has none, which makes
+        the pixel light from far away, and NaN where the pixel's colour is not to be used either
     intrinsics : of both images
     world_from_camera : (4, 4) float64
     exposure : factor that was applied to linear radiance before clipping and encoding, positive
@@ -120,6 +121,25 @@ class RgbdFrame:
         _keep(self, np.float32, plane_depth_m=size)
 
 
+FAR_M = 64.0
+"""As far from the camera as this is the light of pixels without a distance taken to be, metres."""
+
+FAR_FROM_M = FAR_M / 2
+"""An anchor from here on is far away: a step of 2 m moves it by less than half of the 6 degrees between two anchors."""
+
+
+@dataclass(frozen=True, eq=False)
+class FarPixels:
+    """Pixels whose colour is known and whose distance is not: sky, what is behind a window, what the sensor missed."""
+
+    pixels: ArrayInt  # (K,) their numbers
+    rays: ArrayF32  # (3, K) world, unit, away from the camera
+
+    def __post_init__(self) -> None:
+        _keep(self, np.intp, pixels=(None,))
+        _keep(self, np.float32, rays=(3, len(self.pixels)))
+
+
 @dataclass(frozen=True, eq=False)
 class PixelGrid:
     """How the points of a frame lie in its picture: point `row * width + column` is that of a pixel."""
@@ -127,6 +147,7 @@ class PixelGrid:
     height: int
     width: int
     camera_m: ArrayF64  # (3,) world, metres: from where the points were seen
+    far: FarPixels | None = None  # pixels whose points are NaN and whose colours still say what light comes from there
 
     def __post_init__(self) -> None:
         if self.height < 1 or self.width < 1:

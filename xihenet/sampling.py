@@ -4,7 +4,8 @@ Unit-sphere sampling, the paper's choice: every point is projected to the unit s
 nearest anchor, and the nearest point wins the anchor, since it hides what lies behind it. Distance and colour of an
 anchor always come from one and the same point. `sample_unit_sphere_reference` is the same in a readable loop. Where the
 pixels of a picture lie sparser than the anchors, as on a table at a flat angle, the patches of surface that they show
-compete as well, cut into points: see `patches`. All else is sampled as if there were none.
+compete as well, cut into points: see `patches`. All else is sampled as if there were none. Last come pixels whose
+distance is not known (`PixelGrid.far`): where nothing else is seen, theirs is the light from far away.
 
 Distance and point number are packed into one 64-bit key, so that a single minimum per anchor yields the winner, and
 points that are equally near are told apart by their number. Rejected: sorting by distance, which takes longer than all
@@ -33,7 +34,17 @@ from xihenet.patches import (
     sparse_pixels,
 )
 from xihenet.patches_reference import PlainPicture
-from xihenet.records import AnchorSurfaces, ArrayBool, ArrayF32, ArrayF64, ArrayInt, PointCloud, UnitSphereCloud
+from xihenet.records import (
+    FAR_M,
+    AnchorSurfaces,
+    ArrayBool,
+    ArrayF32,
+    ArrayF64,
+    ArrayInt,
+    FarPixels,
+    PointCloud,
+    UnitSphereCloud,
+)
 from xihenet.sphere import TABLE_SIZE, AnchorLattice, NearestMethod
 
 _NO_POINT = np.uint64(2**64 - 1)
@@ -75,6 +86,10 @@ def sample_unit_sphere(
         seen = SeenGrid(cloud.grid, columns, distance_m, camera, not distance_m.max() < FARTHEST_M)
         nearest = partial(lattice.nearest_to_columns, method=method, table_size=table_size)
         is_set, winners, surfaces = _with_patches(seen, anchors, winners, nearest_m, lattice, nearest)
+        if cloud.grid.far is not None:
+            is_set, winners, surfaces = _with_far_light(
+                cloud, cloud.grid.far, camera, is_set, winners, nearest_m, surfaces, nearest
+            )
     nearest_m[~is_set] = 0
     srgb = np.zeros((lattice.n, 3), np.float32)
     srgb[is_set] = cloud.srgb.take(winners, axis=0).clip(0, 1)
@@ -105,6 +120,31 @@ def _with_patches(
     is_set = patch_of_anchor >= 0
     shown = patch_of_anchor[is_set]
     return is_set, winners[shown], describe_surfaces(seen, patches, shown, is_set, lattice.directions)
+
+
+def _with_far_light(
+    cloud: PointCloud, far: FarPixels, camera: ArrayF32, is_set: ArrayBool, winners: ArrayInt, nearest_m: ArrayF32,
+    surfaces: AnchorSurfaces, nearest: Callable[[ArrayF32], ArrayInt],
+) -> tuple[ArrayBool, ArrayInt, AnchorSurfaces]:  # fmt: skip
+    """After pixels without a distance have taken the anchors that are left; as of `_with_patches`."""
+    points = far.rays * np.float32(FAR_M) + camera[:, None]
+    distance_m = _distances(points)
+    is_usable = (distance_m > 0) & (distance_m < np.inf) & np.isfinite(cloud.srgb[far.pixels]).all(axis=1)
+    points[:, ~is_usable], distance_m[~is_usable] = 1, np.inf
+    is_reached, reaching = _nearest_points(nearest(points), distance_m, len(nearest_m))
+    is_new = is_reached & ~is_set
+    reaching = reaching[is_new[is_reached]]
+    nearest_m[is_new] = distance_m[reaching]
+    pixel_of_anchor = np.full(len(nearest_m), -1)
+    pixel_of_anchor[is_set], pixel_of_anchor[is_new] = winners, far.pixels[reaching]
+    one, view_direction = np.float32(1), surfaces.view_direction.copy()
+    view_direction[is_new] = -far.rays.T[reaching]
+    seen = AnchorSurfaces(
+        np.where(is_new, one, surfaces.facing), np.where(is_new, one, surfaces.incidence),
+        np.where(is_new, np.float32(FAR_M), surfaces.camera_distance_m), view_direction, surfaces.is_edge,
+    )  # fmt: skip
+    is_set = is_set | is_new
+    return is_set, pixel_of_anchor[is_set], seen
 
 
 def sample_again(cloud: UnitSphereCloud, moved_m: ArrayLike, lattice: AnchorLattice) -> UnitSphereCloud:
@@ -157,10 +197,24 @@ def sample_unit_sphere_reference(cloud: PointCloud, position_m: ArrayLike, latti
         picture = PlainPicture(cloud.grid, relative, is_usable, anchors, cloud.grid.camera_m - position)
         for pixel, point in picture.patch_points(winner.copy()):
             compete(pixel, point)
+    surfaces = picture.surfaces(winner, lattice.directions) if picture else None
+    if cloud.grid is not None and cloud.grid.far is not None and surfaces is not None:
+        known = winner >= 0
+        facing, incidence, camera_m, view_direction = (
+            getattr(surfaces, name).copy() for name in ("facing", "incidence", "camera_distance_m", "view_direction")
+        )
+        for pixel, ray in zip(cloud.grid.far.pixels, cloud.grid.far.rays.T, strict=True):
+            point = ray.astype(np.float64) * FAR_M + (cloud.grid.camera_m - position)
+            anchor = int(np.argmax(lattice.directions @ point))
+            before, is_usable = winner[anchor], 0 < np.linalg.norm(point) < np.finfo(np.float32).max
+            if is_usable and not known[anchor] and np.isfinite(cloud.srgb[pixel]).all():
+                compete(pixel, point)
+                if winner[anchor] != before:
+                    facing[anchor], incidence[anchor], camera_m[anchor], view_direction[anchor] = 1, 1, FAR_M, -ray
+        surfaces = AnchorSurfaces(facing, incidence, camera_m, view_direction, surfaces.is_edge)
     is_set = winner >= 0
     srgb = np.zeros((lattice.n, 3), np.float32)
     srgb[is_set] = cloud.srgb[winner[is_set]].clip(0, 1)
-    surfaces = picture.surfaces(winner, lattice.directions) if picture else None
     invalid = added([cloud.invalid, _reasons(cloud, distance_m)])
     return UnitSphereCloud(srgb, np.where(is_set, nearest_m, 0), is_set, invalid, surfaces)
 

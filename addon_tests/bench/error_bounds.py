@@ -21,18 +21,29 @@ from xihenet.estimators.lattice import (
     CLIPPED_FROM,
     CONTRAST_SCALE,
     FARTHEST_M,
+    MOST_ADDED,
     NEAREST_M,
+    SMALLEST_ERROR,
     SMALLEST_MEAN,
     SMALLEST_SHARE,
     Lattice,
     _linear,
 )
-from xihenet.estimators.lattice_format import LatticeWeights, load_weights, pooling_matrix, quadrature_matrix
+from xihenet.estimators.lattice_format import (
+    GATE_OF,
+    LEVELS,
+    LatticeWeights,
+    load_weights,
+    pooling_matrix,
+    pooling_table,
+    quadrature_matrix,
+)
 from xihenet.estimators.weights_format import WEIGHTS_FOLDER
 from xihenet.metrics import shc_rmse
 from xihenet.mirror_ball import panorama_of_ball
 from xihenet.panorama import panorama_directions, project_panorama, solid_angles
 from xihenet.records import ArrayF64, Intrinsics, PointCloud, RgbdFrame, UnitSphereCloud
+from xihenet.ring_grid import ring_grid, turns_of_light
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sh import basis, dering, irradiance, project_anchors
 from xihenet.sphere import AnchorLattice
@@ -189,7 +200,7 @@ def network_projection_error(share: float) -> float:
 
 
 def projection_of(network: Any, cloud: UnitSphereCloud) -> ArrayF64:
-    order = network._to_fine.fine
+    order = network._to_fine.anchors
     known = cloud.is_set[order].astype(np.float32)[None]
     linear = _linear(cloud.srgb[order].T[:, None].copy())
     counted = known * network._to_fine.is_first
@@ -214,36 +225,49 @@ def light_in_float64(weights: LatticeWeights, cloud: UnitSphereCloud) -> ArrayF6
     def rectified(name: str, *inputs: ArrayF64) -> ArrayF64:
         return np.maximum(layer(name, np.concatenate(inputs, axis=-1)), 0)
 
-    def placed(n: int) -> tuple[ArrayF64, ArrayF64]:
-        light = basis(AnchorLattice(n).directions) @ projection
-        return light / (np.abs(light) + scale), AnchorLattice(n).directions
+    def squeezed(light: ArrayF64) -> ArrayF64:
+        return light / (np.abs(light) + 1)
+
+    def placed(directions: ArrayF64) -> tuple[ArrayF64, ArrayF64]:
+        return squeezed(basis(directions) @ relative), directions[:, 2:]
 
     linear, known = srgb_to_linear(cloud.srgb.astype(float)), cloud.is_set[:, None].astype(float)
     mean = linear.sum(axis=0) / known.sum()
-    scale = max(mean.mean(), SMALLEST_MEAN)
-    variance = (((linear - mean) * known / scale) ** 2).sum() / (3 * known.sum())
+    level = np.maximum(mean, SMALLEST_MEAN)
+    variance = (((linear - mean) * known / level) ** 2).sum() / (3 * known.sum())
     contrast = variance / (variance + CONTRAST_SCALE**2)
     projection = project_anchors(cloud, LATTICE)
+    relative = projection / level
     is_clipped = (cloud.srgb.max(axis=1, keepdims=True) >= CLIPPED_FROM).astype(float)
     log_distance = np.log(np.minimum(cloud.distance_m.astype(float), FARTHEST_M) + NEAREST_M)[:, None]
-    unknown = [np.zeros_like(known)] if weights.architecture.knows_facing else []
-    looks = linear / (linear + scale), cloud.srgb, is_clipped, log_distance, *unknown
-    features = rectified("stem", *looks, *placed(len(cloud)))
+    looks = linear / (linear + level), is_clipped, log_distance, np.zeros_like(known)
+    features = rectified("stem", *looks, *placed(LATTICE.directions))
     share, levels = known, []
-    for name, n in zip(("fine", "middle", "coarse"), weights.architecture.levels, strict=True):
-        pooling = pooling_matrix(len(share), n).astype(float)
-        total = pooling.T @ share
-        pooled = pooling.T @ (features * share) / np.maximum(total, SMALLEST_SHARE)
-        share = total / pooling.sum(axis=0)[:, None]
-        features = rectified(name, pooled, share, *placed(n))
+    table = pooling_table(len(cloud))
+    pooling = np.zeros((len(cloud) + 1, LEVELS[0]))
+    pooling[table.members, np.arange(LEVELS[0])[:, None]] = 1
+    matrices = pooling[:-1] / table.counts, pooling_matrix(*LEVELS[:2]), pooling_matrix(*LEVELS[1:])
+    for name, n, matrix in zip(("fine", "middle", "coarse"), LEVELS, matrices, strict=True):
+        total = matrix.T.astype(float) @ share
+        pooled = matrix.T.astype(float) @ (features * share) / np.maximum(total, SMALLEST_SHARE)
+        share = total
+        features = rectified(name, pooled, share, *placed(ring_grid(n).directions))
         levels.append((features, share))
     (middle, middle_share), (coarse, _) = levels[1:]
-    whole = (projection / (np.abs(projection) + scale)).ravel(), [known.mean()], [np.log(scale) / 3]
-    code = rectified("code", rectified("dense", rectified("narrow", coarse).ravel(), *whole))
-    spread = layer("spread", code).reshape(len(middle), -1)
-    hidden = rectified("decoder", middle, spread, middle_share, *placed(len(middle)))
-    lacking = quadrature_matrix(len(middle)).astype(float) @ layer("radiance", hidden) * contrast * scale
-    light: ArrayF64 = (1 + contrast * np.tanh(layer("gate", code)))[:, None] * projection + lacking
+    narrow, hidden = rectified("narrow", coarse), []
+    for cells, turn in zip(ring_grid(LEVELS[2]).turned, turns_of_light(), strict=True):
+        hidden.append(rectified("dense", narrow[cells].ravel(), squeezed(turn @ relative).ravel(), [known.mean()]))
+    code = np.stack([rectified("code", one, np.mean(hidden, axis=0)) for one in hidden])
+    spread = np.zeros((LEVELS[1], weights.architecture.spread))
+    for one, cells in zip(code, ring_grid(LEVELS[1]).turned_back, strict=True):
+        spread += layer("spread", one).reshape(spread.shape)[cells] / len(code)
+    decoded = rectified("decoder", middle, spread, middle_share, *placed(ring_grid(LEVELS[1]).directions))
+    radiance = layer("radiance", decoded) * (1 - middle_share)
+    gate = np.tanh(layer("gate", code.mean(axis=0)))[GATE_OF] * (1 - known.mean())
+    added = contrast * (gate[:, None] * projection + quadrature_matrix().astype(float) @ radiance * level)
+    raw = float(layer("error", rectified("error_hidden", code.mean(axis=0)))[0])
+    expected_error = np.logaddexp(raw, 0) * level.mean() + SMALLEST_ERROR
+    light: ArrayF64 = projection + added * min(1, MOST_ADDED * expected_error / np.sqrt(np.mean(added**2)))
     light[0] = np.maximum(light[0], 0)
     return light
 

@@ -35,7 +35,7 @@ WAYS = {
 }
 """World metres: on the floor through a patch of sun, through a court, from wall to wall, around a lamp."""
 
-SETTINGS = PrevisSettings(preset="draft", size=(96, 72), samples=4)
+SETTINGS = PrevisSettings(preset="draft", size=(96, 72), samples=4, target="ldr")
 
 
 def scene_with_a_ball(name: str) -> bpy.types.Scene:

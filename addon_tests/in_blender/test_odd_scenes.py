@@ -205,7 +205,8 @@ def scaled_room(scale_length, system="METRIC"):
 
 def test_a_room_in_other_units_is_the_same_room(tmp_path):
     in_metres, results = (
-        run(scaled_room(scale), tmp_path / f"{scale}", replace(EXACT, phone="ipad_pro_lidar")) for scale in (1.0, 0.01)
+        run(scaled_room(scale), tmp_path / f"{scale}", replace(EXACT, phone="ipad_pro_lidar", target="ldr"))
+        for scale in (1.0, 0.01)
     )
     (known,), (frame,) = in_metres["frames"], results["frames"]
     (known_probe,), (probe,) = known["probes"], frame["probes"]

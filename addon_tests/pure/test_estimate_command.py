@@ -292,7 +292,7 @@ def test_pixels_that_give_no_point_are_counted_by_reason(folder, answer, capfd):
 
 
 def test_a_light_that_cannot_be_known_is_black_and_says_why(folder, answer, capfd):
-    plane_depth_m = np.zeros_like(PLANE_DEPTH_M)
+    plane_depth_m = np.full_like(PLANE_DEPTH_M, np.nan)
     plane_depth_m[5, 7] = 2.0
     alone = write_exr(folder / "alone.exr", RADIANCE, plane_depth_m)
     frame = read_frame(alone, read_camera(folder / "camera.json"))
@@ -300,7 +300,7 @@ def test_a_light_that_cannot_be_known_is_black_and_says_why(folder, answer, capf
     asked = [alone, "--camera", folder / "camera.json", f"--at={','.join(map(repr, at))}"]
     (one,) = answer(*asked)[0]["positions"]
     assert (one["is_valid"], one["unknown_because"], one["coverage"]) == (False, "nothing_seen", 0)
-    assert one["invalid"] == {"no_distance": plane_depth_m.size - 1, "at_probe": 1}
+    assert one["invalid"] == {"not_finite": plane_depth_m.size - 1, "at_probe": 1}
     assert not np.any(one["sh_radiance"]) and one["expected_error"] is None
     assert estimate(*asked) == 0
     assert "the light cannot be known: no surface was seen from there" in capfd.readouterr().out

@@ -28,7 +28,7 @@ from addon_tests.pure.frame_makers import (
 )
 from addon_tests.pure.made import pose_of, random_rotation
 from xihenet import frame_files, image_files, openexr_package
-from xihenet.camera import KEY_LUMINANCE, LUMINANCE, encode_exposed, unproject_frame
+from xihenet.camera import KEY_LUMINANCE, LUMINANCE, encode_exposed, unproject_frame, valid_plane_depth
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.frame_files import read_camera, read_frame
 from xihenet.image_files import area_averaged
@@ -126,7 +126,7 @@ def test_broken_pixels_disturb_neither_metering_nor_the_rest_of_the_frame(tmp_pa
     whole = read_frame(write_exr(tmp_path / "whole.exr", RADIANCE, PLANE_DEPTH_M), camera)
     frame = read_frame(write_exr(tmp_path / "broken.exr", broken, holes), camera)
     assert frame.exposure == pytest.approx(whole.exposure, rel=0.02)
-    assert not frame.plane_depth_m[1, :6].any()
+    assert not valid_plane_depth(frame.plane_depth_m[1, :6]).any()
     np.testing.assert_array_equal(frame.plane_depth_m[2:], PLANE_DEPTH_M[2:])
 
 

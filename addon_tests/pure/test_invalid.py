@@ -75,7 +75,7 @@ def test_what_a_frame_keeps_is_sound_and_what_it_does_not_is_told():
     radiance = np.full((1, 9, 3), 0.5, np.float32)
     radiance[0, 6, 1], radiance[0, 7, 0], radiance[0, 8, 2], radiance[0, 1] = np.nan, -1, np.inf, np.nan
     kept_m, invalid = sound_plane_depth(plane_depth_m, radiance)
-    np.testing.assert_array_equal(kept_m, np.float32([[2, 0, 0, 0, 0, 0, 0, 2, 2]]))
+    np.testing.assert_array_equal(kept_m, np.float32([[2, np.nan, np.nan, 0, 0, 0, np.nan, 2, 2]]))
     assert left_out(invalid) == {"not_finite": 1, "no_surface": 2, "no_distance": 2, "colour_not_finite": 1}
     assert {r: n for r, n in invalid.items() if r in CLAMPED} == {"negative_colour": 1, "infinite_colour": 1}
 

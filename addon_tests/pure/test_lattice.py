@@ -9,8 +9,9 @@ from xihenet.colour import linear_to_srgb
 from xihenet.estimators import weights_format
 from xihenet.estimators.ambient import constant_light
 from xihenet.estimators.base import EstimateContext
-from xihenet.estimators.lattice import Lattice
+from xihenet.estimators.lattice import Lattice, LatticeNetwork
 from xihenet.estimators.lattice_format import (
+    LEVELS,
     LatticeArchitecture,
     LatticeWeights,
     load_weights,
@@ -23,8 +24,8 @@ from xihenet.estimators.projection import Projection
 from xihenet.estimators.weights_format import save_weights
 from xihenet.npz_files import read_npz
 from xihenet.records import AnchorSurfaces, UnitSphereCloud
+from xihenet.ring_grid import ring_grid, turns_of_light
 from xihenet.sh_basis import basis
-from xihenet.sphere import AnchorLattice
 
 SIZES = (512, 777, 1280, 2048)
 
@@ -85,10 +86,8 @@ def test_a_batch_equals_single_estimates(weights_file, n):
 
 
 @pytest.mark.parametrize("n", SIZES)
-@pytest.mark.parametrize("is_normalised", [True, False])
-def test_constant_light_stays_constant_whatever_the_weights(tmp_path, n, is_normalised):
-    architecture = LatticeArchitecture(is_exposure_normalised=is_normalised)
-    save_weights(tmp_path / "w.npz", random_weights(5, architecture=architecture))
+def test_constant_light_stays_constant_whatever_the_weights(tmp_path, n):
+    save_weights(tmp_path / "w.npz", random_weights(5))
     is_set = np.random.default_rng(n).random((1, n)) < 0.4
     radiance = np.array([0.2, 0.5, 0.8])
     light = Lattice(n, weights=tmp_path / "w.npz").estimate_batch(
@@ -111,6 +110,66 @@ def test_weights_of_zero_give_the_projection(tmp_path):
         expected[:, 0] = expected[:, 0].clip(0)
         made = Lattice(1280, weights=tmp_path / "w.npz").estimate_batch(*clouds, facing=facing)
         np.testing.assert_allclose(made, expected, atol=1e-5)
+
+
+def test_where_all_was_seen_the_projection_stays_as_it_is(weights_file):
+    srgb, distance_m, _ = random_clouds(1280, 2)
+    given = srgb, distance_m, np.ones((6, 1280), bool)
+    made, plain = (one.estimate_batch(*given) for one in (Lattice(1280, weights=weights_file), Projection(1280)))
+    np.testing.assert_allclose(made, plain, atol=1e-5)
+
+
+def test_where_all_was_seen_light_is_added_to_what_is_clipped_alone_and_only_to_all_of_the_light(tmp_path):
+    rng = np.random.default_rng(3)
+    srgb = rng.uniform(0.1, 0.9, (2, 1280, 3)).astype(np.float32)
+    distance_m, known = np.ones((2, 1280), np.float32), np.ones((2, 1280), bool)
+    srgb[1, :40] = 1
+    for target, is_added in (("ldr", [False, False]), ("hdr", [False, True])):
+        weights = random_weights(5, target, LatticeArchitecture(opens_clipped=target == "hdr"))
+        weights.arrays["radiance.weight"][:] *= 10
+        save_weights(tmp_path / f"{target}.npz", weights)
+        made = Lattice(1280, target, weights=tmp_path / f"{target}.npz").estimate_batch(srgb, distance_m, known)
+        added = np.abs(made - Projection(1280, target).estimate_batch(srgb, distance_m, known)).max(axis=(1, 2))
+        assert (added > 1e-3).tolist() == is_added and (added > 1e-5).tolist() == is_added
+
+
+def test_what_is_added_is_at_most_twice_the_error_that_is_expected(tmp_path):
+    weights = random_weights(4, "hdr")
+    weights.arrays["radiance.weight"][:] = 100 * np.abs(weights.arrays["radiance.weight"])
+    save_weights(tmp_path / "w.npz", weights)
+    clouds = random_clouds(1280, 3)
+    light, expected_error = Lattice(1280, "hdr", weights=tmp_path / "w.npz").estimate_batch_with_error(*clouds)
+    added = np.sqrt(np.mean((light - Projection(1280, "hdr").estimate_batch(*clouds)) ** 2, axis=(1, 2)))
+    assert (added < 2.001 * expected_error).all() and (added > 1.9 * expected_error).any()
+
+
+@pytest.mark.parametrize("gains", [4.0, 0.25, [1.3, 1.0, 0.6], [0.5, 0.9, 2.0]])
+def test_exposure_and_white_balance_act_on_the_light_as_on_the_pictures(weights_file, gains):
+    srgb, distance_m, is_set = random_clouds(1280, 9)
+    linear, estimator = 0.02 + 0.2 * srgb * is_set[..., None], Lattice(1280, weights=weights_file)
+    known = is_set[..., None]
+    plain = estimator.estimate_batch(linear_to_srgb(linear) * known, distance_m, is_set)
+    changed = estimator.estimate_batch(linear_to_srgb(linear * gains) * known, distance_m, is_set)
+    np.testing.assert_allclose(changed, plain * gains, atol=1e-4)
+
+
+def test_a_room_turned_by_an_eighth_or_mirrored_gives_the_light_turned_so(weights_file):
+    """By construction, from the middle cells on: a turn moves cells onto cells, but anchors onto none."""
+    network, rng = LatticeNetwork(load_weights(weights_file), 1280), np.random.default_rng(0)
+    middle, coarse = ring_grid(LEVELS[1]), ring_grid(LEVELS[2])
+    n_middle = LatticeArchitecture().middle
+    features = rng.random((n_middle + 4, 3, LEVELS[1])).astype(np.float32)
+    of_cells = rng.random((LatticeArchitecture().coarse, 3, LEVELS[2])).astype(np.float32)
+    relative, n_set = rng.normal(size=(3, 9, 3)).astype(np.float32), np.float32([100, 640, 1280])
+
+    def light(features, of_cells, relative):
+        spread = network._spread(network._code(of_cells, relative, n_set))
+        return network._lacking(features, spread, 1 - features[-4]).transpose(1, 2, 0)
+
+    plain = light(features, of_cells, relative)
+    for i, turn in enumerate(turns_of_light()):
+        given = features[..., middle.turned[i]], of_cells[..., coarse.turned[i]], (turn @ relative).astype(np.float32)
+        np.testing.assert_allclose(light(*given), turn @ plain, atol=2e-5)
 
 
 def test_an_unset_anchors_place_says_nothing(weights_file):
@@ -162,21 +221,21 @@ def test_a_missing_file_is_refused_by_name(tmp_path):
         load_weights(tmp_path / "none.npz")
 
 
-LARGE = {"levels": [320, 80, 20], "narrow": 65536, "hidden": 65536}
+LARGE = {"narrow": 65536, "hidden": 65536}
 CHANGES = {
     "another format": (with_header(format=99), "expected format 1, got 99"),
     "a target that is none": (with_header(target="sdr"), "expected 'ldr' or 'hdr'"),
-    "an unknown size": (with_header(architecture={"levels": [320, 80, 20], "depth": 3}), "depth"),
-    "sizes that are no numbers": (with_header(architecture={"levels": [320, 80, "x"]}), "expected three levels"),
+    "an unknown size": (with_header(architecture={"depth": 3}), "depth"),
+    "sizes that are no numbers": (with_header(architecture={"stem": "x"}), "expected sizes of 1"),
     "a header of brackets": (with_arrays(header=np.array("[" * 200_000)), "nested too deeply"),
-    "a size of 400 digits": (with_header(architecture={"levels": [10**400, 80, 20]}), "expected three levels"),
+    "a size of 400 digits": (with_header(architecture={"stem": 10**400}), "expected sizes of 1"),
     "no header": (without("header"), "expected a header"),
     "a missing array": (without("stem.bias"), "arrays: expected"),
     "one array too many": (with_arrays(more=np.zeros(1, np.float32)), "arrays: expected"),
     "a size that needs gigabytes": (with_header(architecture=LARGE), "all arrays: expected 134217728 bytes at most"),
-    "a wrong shape": (with_arrays(gate__bias=np.zeros(8, np.float32)), r"shape \(9,\)"),
+    "a wrong shape": (with_arrays(gate__bias=np.zeros(8, np.float32)), r"shape \(6,\)"),
     "NaN": (lambda content: content["code.weight"].fill(np.nan), "code.weight: expected finite weights"),
-    "whole numbers": (with_arrays(gate__bias=np.zeros(9, int)), "expected float16 or float32"),
+    "whole numbers": (with_arrays(gate__bias=np.zeros(6, int)), "expected float16 or float32"),
 }
 
 
@@ -197,30 +256,37 @@ def test_a_changed_file_is_refused_with_what_was_expected(weights_file, name):
         load_weights(changed_file(weights_file, change))
 
 
-@pytest.mark.parametrize("n_fine", [1, 20, 319, 512, 1280, 2048])
-def test_pooling_leaves_no_coarse_anchor_empty_and_counts_each_fine_one_once(n_fine):
-    table = pooling_table(n_fine, 320)
-    assert ((table.members < n_fine).sum(axis=1) == table.counts).all() and (table.counts >= 1).all()
-    owners = np.bincount(table.members[table.members < n_fine], minlength=n_fine)
-    assert (owners >= 1).all() and (n_fine < 1280 or (owners == 1).all())
+@pytest.mark.parametrize("n", [1, 20, 319, 512, 1280, 2048])
+def test_pooling_leaves_no_cell_empty_and_counts_each_anchor_once(n):
+    table = pooling_table(n)
+    assert ((table.members < n).sum(axis=1) == table.counts).all() and (table.counts >= 1).all()
+    owners = np.bincount(table.members[table.members < n], minlength=n)
+    assert (owners >= 1).all() and (n < 1280 or (owners == 1).all())
 
 
-@pytest.mark.parametrize("n", [20, 80, 320])
-def test_the_quadrature_gives_back_every_light_of_order_two(n):
-    light = np.random.default_rng(n).normal(size=(9, 3))
-    radiance = basis(AnchorLattice(n).directions) @ light
-    np.testing.assert_allclose(quadrature_matrix(n) @ radiance, light, atol=1e-5)
+def test_pooling_of_cells_is_a_mean_of_what_is_near_and_knows_no_turn_from_another():
+    for n_fine, n_coarse in ((320, 80), (80, 24)):
+        matrix, fine, coarse = pooling_matrix(n_fine, n_coarse), ring_grid(n_fine), ring_grid(n_coarse)
+        np.testing.assert_allclose(matrix.sum(axis=0), 1, rtol=1e-5)
+        nearest = np.argmax(fine.directions @ coarse.directions.T, axis=0)
+        np.testing.assert_array_equal(matrix[nearest, np.arange(n_coarse)], matrix.max(axis=0))
+        for of_fine, of_coarse in zip(fine.turned, coarse.turned, strict=True):
+            np.testing.assert_allclose(matrix[of_fine][:, of_coarse], matrix, atol=1e-7)
 
 
-@pytest.mark.parametrize("n_fine", [1, 20, 319, 512, 1280])
-def test_adding_blocks_and_the_matrix_pool_as_the_table_does(n_fine):
-    table, order = pooling_table(n_fine, 320), slot_order(n_fine, 320)
-    values = np.random.default_rng(n_fine).random((3, n_fine + 1))
-    values[:, n_fine] = 0
+def test_the_quadrature_gives_back_every_light_of_order_two():
+    light = np.random.default_rng(0).normal(size=(9, 3))
+    radiance = basis(ring_grid(LEVELS[1]).directions) @ light
+    np.testing.assert_allclose(quadrature_matrix() @ radiance, light, atol=1e-5)
+
+
+@pytest.mark.parametrize("n", [1, 20, 319, 512, 1280])
+def test_adding_blocks_pools_as_the_table_does(n):
+    table, order, values = pooling_table(n), slot_order(n), np.random.default_rng(n).random((3, n + 1))
+    values[:, n] = 0
     expected = values[:, table.members].sum(axis=2)
-    np.testing.assert_allclose(order.sums(values[:, order.fine], 1), expected[:, order.coarse])
-    np.testing.assert_allclose(values[:, :n_fine] @ pooling_matrix(n_fine, 320), expected)
-    assert order.is_first.sum() == n_fine and sorted(order.coarse) == list(range(320))
+    np.testing.assert_allclose(order.sums(values[:, order.anchors]), expected[:, order.cells])
+    assert order.is_first.sum() == n and sorted(order.cells) == list(range(len(table.counts)))
 
 
 @pytest.mark.parametrize("name", ["shape", "is_set"])
@@ -247,7 +313,8 @@ def test_poor_input_degrades_gently_also_with_a_network_that_acts_strongly(tmp_p
         weights.arrays[f"{name}.weight"][:] *= 5
     save_weights(tmp_path / "w.npz", weights)
     rng = np.random.default_rng(n)
-    is_set = np.stack([rng.random(n) < 0.05, np.arange(n) == 3, np.ones(n, bool), np.ones(n, bool), np.ones(n, bool)])
+    is_set = np.ones((5, n), bool)
+    is_set[0], is_set[1], is_set[4] = rng.random(n) < 0.05, np.arange(n) == 3, rng.random(n) < 0.5
     srgb = rng.random((5, n, 3))
     srgb[2], srgb[3] = 0, 1
     light = Lattice(n, weights=tmp_path / "w.npz").estimate_batch(srgb * is_set[..., None], 2.0 * is_set, is_set)
@@ -257,9 +324,8 @@ def test_poor_input_degrades_gently_also_with_a_network_that_acts_strongly(tmp_p
     np.testing.assert_allclose(light[1:4], plain[1:4], atol=1e-5)
 
 
-@pytest.mark.parametrize("levels", [(320, 80, 20), (64, 16, 9), (400, 120, 30)])
-def test_other_sizes_and_numbers_of_clouds_give_the_same_in_a_batch(tmp_path, levels):
-    sizes = LatticeArchitecture(levels=levels, stem=5, fine=11, middle=7, coarse=13, narrow=3, hidden=40, code=9)
+def test_other_sizes_and_numbers_of_clouds_give_the_same_in_a_batch(tmp_path):
+    sizes = LatticeArchitecture(stem=5, fine=11, middle=7, coarse=13, narrow=3, hidden=40, code=9)
     save_weights(tmp_path / "w.npz", random_weights(8, architecture=sizes))
     estimator = Lattice(300, weights=tmp_path / "w.npz")
     clouds = random_clouds(300, 2, 19)

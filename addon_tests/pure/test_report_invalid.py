@@ -33,14 +33,14 @@ def test_where_all_was_sound_one_line_says_so_and_there_is_no_table():
 
 
 def test_each_reason_has_a_row_with_its_share_and_what_became_of_it():
-    counts = {"no_surface": 25, "range": 10, "negative_colour": 5}
+    counts = {"no_surface": 25, "range": 10, "colour_not_finite": 1, "negative_colour": 5}
     rows = invalid_rows(results([frame(1), frame(2)], pixels=counts, points={**counts, "at_probe": 3}))
     shares = [re.sub(r"\s", " ", row[1]) for row in rows]
-    assert shares == ["25 (12 %)", "10 (5.0 %)", "5 (2.5 %)", "3"]
+    assert shares == ["25 (12 %)", "10 (5.0 %)", "1 (0.5 %)", "5 (2.5 %)", "3"]
     assert [row[3] for row in rows] == [
-        "gave no point", "gave no point", "used after clamping", "left out at that probe",
+        "light from far away", "light from far away", "gave no point", "used after clamping", "left out at that probe",
     ]  # fmt: skip
-    assert "<code>range</code>" in rows[1][2] and "no direction" in rows[3][2]
+    assert "<code>range</code>" in rows[1][2] and "no direction" in rows[4][2]
 
 
 def test_a_light_that_was_kept_is_named_with_its_frames_and_its_source():

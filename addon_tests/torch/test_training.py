@@ -175,18 +175,18 @@ def test_a_cache_of_another_version_is_refused_in_one_line(caches, tmp_path, cap
     shutil.copytree(caches["sphere"], tmp_path / "old")
     found = json.loads((tmp_path / "old" / "settings.json").read_text())
     (tmp_path / "old" / "settings.json").write_text(json.dumps({**found, "version": 3}))
-    with pytest.raises(ValueError, match="expected sampled clouds of version 4, got 3"):
+    with pytest.raises(ValueError, match="expected sampled clouds of version 5, got 3"):
         open_split(tmp_path / "old", "test")
     assert command_line.main(["report", "--clouds", str(tmp_path / "old")]) == 2
     said = capsys.readouterr().err
-    assert said.splitlines()[-1].startswith("xihe train: ") and "version 4, got 3" in said.splitlines()[-1]
+    assert said.splitlines()[-1].startswith("xihe train: ") and "version 5, got 3" in said.splitlines()[-1]
 
 
-def test_changes_are_of_any_angle_and_no_more_than_a_factor_of_2_5():
+def test_changes_are_of_any_angle_and_no_more_than_a_factor_of_4():
     rng = np.random.default_rng(0)
     changes = [RoomChange.drawn(CacheSettings(exposure_spread=2.0), rng) for _ in range(300)]
     gains = np.array([change.gains for change in changes])
-    assert gains.min() > 0.39 and gains.max() < 2.51 and gains.std() > 0.5
+    assert gains.min() > 0.249 and gains.max() < 4.01 and gains.std() > 0.5
     assert 0.4 < np.mean([change.is_mirrored for change in changes]) < 0.6
     assert np.histogram([change.angle for change in changes], 4, (0, 2 * np.pi))[0].min() > 50
     warm = CacheSettings(exposure_spread=0.0, tint_spread=0.0, warmth_spread=0.2)

@@ -25,8 +25,12 @@ PRESETS = (
     ("accurate", "Accurate", "As little noise as ground truth needs; slow"),
 )
 TARGETS = (
-    ("ldr", "Clipped Light", "Compare estimates with light clipped at white, as in a phone's picture"),
-    ("hdr", "All Light", "Compare estimates with all of the light, also what is brighter than white"),
+    (
+        "hdr",
+        "All Light",
+        "Estimate all of the light, also what is brighter than white: objects are as bright as they are",
+    ),
+    ("ldr", "Clipped Light", "Estimate light clipped at white, as in a phone's picture, and as the paper does"),
 )
 PHONES_METERING = "PHONE"
 METERINGS = (

@@ -62,8 +62,8 @@ CHAIN = (
 )
 RENDERING = "Time that Cycles took for the captures, the light probes, the ground truth and the objects"
 NO_DEPTH = (
-    "Pixels without a depth, such as those of windows and sky, counted once for each position. Light that came from "
-    "there is known only from the surfaces that it falls on"
+    "Pixels without a depth, such as those of windows and sky, counted once for each position. Their colour counts as "
+    "light from far away, where nothing nearer is known"
 )
 UNKNOWN_LIGHT = "How often the phone had seen too little for an estimate, so that the light before it stayed"
 

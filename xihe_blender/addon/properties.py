@@ -117,7 +117,7 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         default="balanced",
     )
     target: bpy.props.EnumProperty(
-        name="Target", description="Which light the estimates are compared with", items=choices.TARGETS
+        name="Target", description="Which light is estimated, and compared with the true one", items=choices.TARGETS
     )
     use_own_frames: bpy.props.BoolProperty(
         name="Own Frames",

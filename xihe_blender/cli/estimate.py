@@ -76,7 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--depth-scale METRES", "metres per unit of the 16-bit image; default: 0.001", float, default=1e-3)
     add("--exposure FACTOR", "exposure of the frame; default: metered for OpenEXR, 1 for images", float)
     add("--estimator NAME", others, default=estimators.DEFAULT)
-    add("--target", "ldr: light clipped at white; hdr: all of it", choices=("ldr", "hdr"), default="ldr")
+    add("--target", "hdr: all of the light; ldr: light clipped at white", choices=("ldr", "hdr"), default="hdr")
     anchors = "number of directions in which light is gathered; default: 1280"
     add("--anchors N", anchors, int, default=1280)
     add("--dering", dering, action="store_true")

@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--others A,B", OTHERS, arguments.names, default=())
     add("--preset NAME", "draft, balanced or accurate: how much is rendered", default="balanced")
     add("--size WxH", arguments.SIZE, arguments.picture_size)
-    add("--target", arguments.TARGET, choices=("ldr", "hdr"), default="ldr")
+    add("--target", arguments.TARGET, choices=("ldr", "hdr"), default="hdr")
     add("--exposure FACTOR", "exposure of the phone, locked; default: metered", float)
     add("--metering NAME", "highlights, as phones do, or key; default: the phone's own")
     add("--phone NAME|FILE.toml", arguments.PHONES, default="perfect")

@@ -63,10 +63,10 @@ def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult]) -> Iterat
         yield "{} had no estimation position in view and {} not captured.".format(*frames_were)
     lost = sum(n for entry in frames for n in entry.n_lost_pixels.values())
     if lost:
-        yield f"The phone's range sensor returned no distance for {lost} captured pixels; they gave no point."
+        yield f"The phone's range sensor returned no distance for {lost} captured pixels; they count as far away."
     invalid = sum(entry.n_invalid_pixels for entry in frames) - lost
     if invalid > 0:
-        yield f"{invalid} captured pixels had no plane depth (open sky or a window) and gave no point."
+        yield f"{invalid} captured pixels had no plane depth (open sky or a window); they count as far away."
     yield from unknown_light_notes(frames)
     followed = [entry.frame for entry in frames if any(probe.n_followed_anchors for probe in entry.probes)]
     if followed:
@@ -146,7 +146,7 @@ def white_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
     if max(known, default=0.0) >= WORTH_TELLING:
         yield (
             f"Of the light at the objects, {min(known):.0%} to {max(known):.0%} is brighter than white at this "
-            "exposure or comes from lamps that cameras do not see: no estimate from clipped pictures can recover it."
+            "exposure or comes from lamps that cameras do not see: an estimate of it is a guess."
         )
 
 

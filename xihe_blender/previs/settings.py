@@ -72,7 +72,7 @@ class PrevisSettings:
     estimator : its registered name
     others : names of estimators that are compared with it, from the same clouds; `ambient` and `truth` always are
     preset : name of one of PRESETS
-    target : "ldr" compares coefficients with light clipped at 1, as the paper does, "hdr" with all of it
+    target : which light is estimated and compared: "hdr" all of it, "ldr" light clipped at 1, as in the paper
     size : of captures and comparisons; None takes 256x192, upright where the scene's picture is
     frames : frame numbers along the path; None takes the scene's range and step
     objects : names of virtual objects to estimate for; None takes all
@@ -92,7 +92,7 @@ class PrevisSettings:
     estimator: str = estimators.DEFAULT
     others: tuple[str, ...] = ()
     preset: str = "balanced"
-    target: Target = "ldr"
+    target: Target = "hdr"
     size: tuple[int, int] | None = None
     frames: tuple[int, ...] | None = None
     objects: tuple[str, ...] | None = None

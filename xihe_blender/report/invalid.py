@@ -26,7 +26,7 @@ def invalid_rows(results: RunResults) -> list[list[str]]:
     counts, n_followed = results.summary.invalid, results.summary.n_followed_anchors
     n_pixels = math.prod(results.settings.size) * len(results.active_frames)
     own = {reason: n for reason, n in counts.points.items() if reason not in counts.pixels}
-    rows = [_row("pixels", reason, n, n_pixels, "gave no point") for reason, n in counts.pixels.items()]
+    rows = [_row("pixels", reason, n, n_pixels, _pixels_became(reason)) for reason, n in counts.pixels.items()]
     rows += [_row("points", reason, n, 0, "left out at that probe") for reason, n in own.items()]
     rows += _light_rows(Timeline.of(results)) + _comparison_rows(counts)
     if n_followed:
@@ -57,6 +57,10 @@ def _row(what: str, reason: str, n: int, of_all: int, became: str) -> list[str]:
     if reason in CLAMPED:
         became = "used after clamping"
     return ["distances" if reason.startswith("distance_") else what, f"{n:,}{share}", _why(reason), became]
+
+
+def _pixels_became(reason: str) -> str:
+    return "gave no point" if reason in ("not_finite", "colour_not_finite") else "light from far away"
 
 
 def _why(reason: str | None) -> str:

@@ -1,9 +1,16 @@
 """The default estimator: a small network on the fixed anchor lattice, in NumPy alone.
 
 What was seen is projected to coefficients (`xihenet.sh.project_anchors`); a network looks at the anchors on ever
-coarser lattices and says what radiance that projection lacks in each direction of the second, which an exact quadrature
-turns into coefficients. The result is a light and not 27 loose numbers, and where nothing varies nothing is added:
-constant light comes out constant, one set anchor gives its colour from everywhere, and none gives black.
+coarser grids and says what radiance that projection lacks in each cell of the second, which an exact quadrature turns
+into coefficients. The result is a light and not 27 loose numbers. Where all was seen, or nothing varies, nothing is
+added: constant light comes out constant, one set anchor gives its colour from everywhere, and none gives black. What is
+added is no larger than twice the error that the network expects of itself.
+
+It is added where nothing was seen and, in all of the light, where anchors are clipped (`opens_clipped`).
+
+What must not matter does not, by construction. Each channel is taken relative to its own mean, so that exposure and
+white balance act on the light as on the pictures, unless something is clipped. The layers that see the whole sphere see
+it turned by eighths about the vertical, and mirrored, with the same weights (`xihenet.ring_grid`).
 
 `xihenet.nets.lattice` is the same network in torch, plain and for training; tests hold the two within 1e-5. What makes
 this one fast: features come first and anchors last, (features, B, n), in the order in which they are pooled, so that
@@ -23,16 +30,22 @@ from xihenet.estimators.ambient import Ambient
 from xihenet.estimators.base import EstimateContext, Estimator, NotFinite, Target
 from xihenet.estimators.calibration import Calibration
 from xihenet.estimators.lattice_format import (
+    GATE_OF,
+    LEVELS,
+    N_GATES,
+    N_LEVEL_FEATURES,
     N_SH,
     LatticeWeights,
-    anchor_tables,
+    basis_products,
     load_weights,
+    place_tables,
     pooling_matrix,
     quadrature_matrix,
     slot_order,
 )
 from xihenet.estimators.weights_format import loaded_for
-from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, UnitSphereCloud
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, UnitSphereCloud
+from xihenet.ring_grid import N_TURNS, ring_grid, turns_of_light
 from xihenet.sh import FACING_OFFSET, L1_VARIANCE, LEAST_WEIGHT, RESIDUAL_NOISE, SMALLEST_PENALTY
 
 SMALLEST_MEAN = 1e-3  # Darker clouds are not brightened further: it would be noise.
@@ -43,6 +56,7 @@ FARTHEST_M = 100.0  # The test rooms end at 8 m. Unclipped, 1e38 m made a light 
 SMALLEST_SHARE = 1e-6
 SEEN_ENOUGH = 0.01  # Share of the sphere from which an estimate counts more than the ambient sensor.
 SMALLEST_ERROR = 1e-4
+MOST_ADDED = 2.0  # Times its raw expected error, the most that the network adds to the projection, root mean square.
 WHITE_L00 = float(np.sqrt(4 * np.pi))  # Of light that is 1 from everywhere.
 SQUARED_BAND = np.repeat(np.arange(3.0), [1, 3, 5]) ** 2
 
@@ -50,9 +64,9 @@ SQUARED_BAND = np.repeat(np.arange(3.0), [1, 3, 5]) ** 2
 _UNTHREADED_PRODUCT = 2**18
 _CLOUDS_AT_ONCE = 8  # their features stay in the cache
 
-# Rows of the input: relative and encoded colour, clipped or not, log distance, facing, projected light, -1 where unset.
-_RELATIVE, _SRGB, _CLIPPED, _DISTANCE, _FACING, _PROJECTED, _UNSET = slice(3), slice(3, 6), 6, 7, 8, slice(9, 12), 12
-_N_INPUTS = 13
+# Rows of the input: relative colour, clipped or not, log distance, facing, projected light, -1 where not set.
+_RELATIVE, _CLIPPED, _DISTANCE, _FACING, _PROJECTED, _UNSET = slice(3), 3, 4, 5, slice(6, 9), 9
+_N_INPUTS = 10
 _FORBIDDING = 1e30  # Weight of "not set": whatever else such an anchor says, rectified it is 0.
 
 # The 45 products on and above the diagonal of a symmetric 9 x 9 matrix, and where each of the 81 finds its own.
@@ -162,73 +176,76 @@ class LatticeNetwork:
     """The network proper, for `n_anchors` anchors: arrays in, arrays out, nothing checked."""
 
     def __init__(self, weights: LatticeWeights, n_anchors: int) -> None:
-        self.architecture = weights.architecture
         self.n_anchors = n_anchors
-        fine, middle, coarse = self.architecture.levels
-        self._to_fine, self._to_middle = slot_order(n_anchors, fine), slot_order(fine, middle)
-        place_of_fine = np.argsort(self._to_fine.coarse)
-        self._members_of_middle = place_of_fine[self._to_middle.fine]
-        self._to_coarse = pooling_matrix(middle, coarse)[self._to_middle.coarse]
-        self._coarse_counts = pooling_matrix(middle, coarse).sum(axis=0)
-        self._has_repeats = len(self._to_fine.fine) > n_anchors
-        orders = (self._to_fine.fine, self._to_fine.coarse, self._to_middle.coarse, np.arange(coarse))
-        tables = [anchor_tables(n) for n in (n_anchors, fine, middle, coarse)]
+        self._to_fine = slot_order(n_anchors)
+        self._to_middle = pooling_matrix(*LEVELS[:2])[self._to_fine.cells]
+        self._to_coarse = pooling_matrix(*LEVELS[1:])
+        self._turned, self._turned_back = ring_grid(LEVELS[2]).turned, ring_grid(LEVELS[1]).turned_back
+        self._has_repeats = len(self._to_fine.anchors) > n_anchors
+        orders = (self._to_fine.anchors, self._to_fine.cells, np.arange(LEVELS[1]), np.arange(LEVELS[2]))
+        tables = place_tables(n_anchors)
         self._bases = [np.ascontiguousarray(t.basis[order].T) for t, order in zip(tables, orders, strict=True)]
-        directions = [np.ascontiguousarray(t.directions[order].T) for t, order in zip(tables, orders, strict=True)]
-        self._fine_directions = directions[1][:, None]
-        self._products = tables[0].basis_products[:, _UPPER][orders[0]]
-        self._quadrature = np.ascontiguousarray(quadrature_matrix(middle).T[orders[2]])
+        heights = [t.height[order] for t, order in zip(tables, orders, strict=True)]
+        self._fine_height = heights[1]
+        self._products = basis_products(n_anchors)[:, _UPPER][orders[0]]
+        self._quadrature = np.ascontiguousarray(quadrature_matrix().T)
+        self._turns = turns_of_light().astype(np.float32)
         self._channel_order = (3 * orders[0] + np.arange(3)[:, None]).reshape(-1)
-        self._layers = _Folded(weights, directions, orders[2])
+        self._opens_clipped = weights.architecture.opens_clipped
+        self._layers = _Folded(weights, heights)
 
     def run(
         self, srgb: ArrayF32, distance_m: ArrayF32, is_set: ArrayBool, facing: ArrayF32 | None = None
     ) -> tuple[ArrayF64, ArrayF64]:
         """(B, 9, 3) coefficients and (B,) expected errors of B clouds; anchors that are not set have no say."""
-        known = is_set.take(self._to_fine.fine, axis=1, mode="clip").astype(np.float32)
-        inputs = self._inputs(srgb, distance_m, known)
-        inputs[_FACING] = 0
-        if facing is not None and self.architecture.knows_facing:
-            np.multiply(facing.take(self._to_fine.fine, axis=1, mode="clip"), known, out=inputs[_FACING])
-        linear = _linear(inputs[_SRGB])
+        known = is_set.take(self._to_fine.anchors, axis=1, mode="clip").astype(np.float32)
+        inputs, colours = self._inputs(srgb, distance_m, known)
+        linear = _linear(colours)
         counted = known * self._to_fine.is_first if self._has_repeats else known
-        n_set = counted.sum(axis=1)
+        counted_once, n_set = counted, counted.sum(axis=1)
         # Rounded to 1e-6 of itself; what the mean lacks is in the residual, whose fit puts it back.
         mean = np.einsum("cbn,bn->cb", linear, counted) / np.maximum(n_set, 1)
         residual = (linear - mean[..., None]) * counted
-        level = np.maximum(mean.mean(axis=0), np.float32(SMALLEST_MEAN))
+        level = np.maximum(mean, np.float32(SMALLEST_MEAN))
         contrast = _contrast(residual, n_set, level)
-        scale = level if self.architecture.is_exposure_normalised else np.ones_like(level)
-        if facing is not None and self.architecture.knows_facing:
+        inputs[_FACING] = 0
+        if facing is not None:
+            np.multiply(facing.take(self._to_fine.anchors, axis=1, mode="clip"), known, out=inputs[_FACING])
             counted = counted * (inputs[_FACING] + np.float32(FACING_OFFSET)).clip(np.float32(LEAST_WEIGHT), 1)
         projection = self._project(residual, counted, mean)
-        np.divide(linear, linear + scale[:, None], out=inputs[_RELATIVE])
-        decoder_inputs, coarse = self._levels(inputs, projection, scale)
-        code = self._code(coarse, projection, n_set, level, scale)
-        spread, gate, error_hidden = self._layers.from_code(code)
-        lacking = self._lacking(decoder_inputs, spread) * (contrast * scale)[:, None]
-        gate = 1 + contrast[:, None] * np.tanh(gate)
-        sh_radiance = gate[..., None] * projection + lacking.transpose(1, 2, 0)
-        np.maximum(sh_radiance[:, 0], 0, out=sh_radiance[:, 0])
+        np.divide(linear, linear + level[..., None], out=inputs[_RELATIVE])
+        relative = projection / level.T[:, None]
+        decoder_inputs, coarse = self._levels(inputs, relative)
+        code = self._code(coarse, relative, n_set)
+        gate, error_hidden = self._layers.from_mean_code(code.mean(axis=1))
         raw = self._layers.dense("error", _rectified(error_hidden))[:, 0]
-        expected_error = np.logaddexp(raw, 0) * scale + SMALLEST_ERROR
+        expected_error = np.logaddexp(raw, 0) * level.mean(axis=0) + SMALLEST_ERROR
+        open_share, unseen = self._open(inputs[_CLIPPED], known, counted_once, decoder_inputs[-4])
+        unseen *= contrast
+        added = (unseen[:, None] * np.tanh(gate[:, GATE_OF]))[..., None] * projection
+        lacking = self._lacking(decoder_inputs, self._spread(code), open_share) * contrast[:, None]
+        added += lacking.transpose(1, 2, 0) * level.T[:, None]
+        size = np.sqrt(np.mean(np.square(added), axis=(1, 2)))
+        added *= np.minimum(1, MOST_ADDED * expected_error / np.maximum(size, SMALLEST_ERROR))[:, None, None]
+        sh_radiance = projection + added
+        np.maximum(sh_radiance[:, 0], 0, out=sh_radiance[:, 0])
         return sh_radiance.astype(np.float64), expected_error.astype(np.float64)
 
-    def _inputs(self, srgb: ArrayF32, distance_m: ArrayF32, known: ArrayF32) -> ArrayF32:
-        """(rows, B, n) what the first layer sees, but for the relative colour and the projected light."""
+    def _inputs(self, srgb: ArrayF32, distance_m: ArrayF32, known: ArrayF32) -> tuple[ArrayF32, ArrayF32]:
+        """(rows, B, n) of the first layer, without colour, facing and projected light, and the colours (3, B, n)."""
         n_clouds, n = known.shape
         inputs = np.empty((_N_INPUTS, n_clouds, n), np.float32)
         channels = srgb.reshape(n_clouds, -1).take(self._channel_order, axis=1, mode="clip")
-        colours = np.multiply(channels.reshape(n_clouds, 3, n).transpose(1, 0, 2), known, out=inputs[_SRGB])
+        colours = channels.reshape(n_clouds, 3, n).transpose(1, 0, 2) * known
         brightest = np.maximum(colours[0], colours[1])
         np.maximum(brightest, colours[2], out=brightest)
         inputs[_CLIPPED] = brightest >= CLIPPED_FROM
-        distances = distance_m.take(self._to_fine.fine, axis=1, mode="clip")
+        distances = distance_m.take(self._to_fine.anchors, axis=1, mode="clip")
         np.minimum(distances, np.float32(FARTHEST_M), out=distances)
         distances += np.float32(NEAREST_M)
         np.log(distances, out=inputs[_DISTANCE])
         np.subtract(known, 1, out=inputs[_UNSET])
-        return inputs
+        return inputs, colours
 
     def _project(self, residual: ArrayF32, counted: ArrayF32, mean: ArrayF32) -> ArrayF32:
         """(B, 9, 3): `xihenet.sh.project_anchors` for a batch, its small systems in float64."""
@@ -248,88 +265,97 @@ class LatticeNetwork:
         result: ArrayF32 = coefficients.astype(np.float32)
         return result
 
-    def _levels(self, inputs: ArrayF32, projection: ArrayF32, scale: ArrayF32) -> tuple[ArrayF32, ArrayF32]:
-        """(rows, B, n) what the decoder sees but for what the code gives, and the features of the coarsest lattice."""
-        by_channel = np.ascontiguousarray(projection.transpose(2, 0, 1)).reshape(-1, N_SH)
-        self._put_projected(inputs[_PROJECTED], 0, by_channel, scale)
-        weighted = self._fine_level(self._layers.placed("stem", inputs), by_channel, scale)
-        sums = self._to_middle.sums(weighted.take(self._members_of_middle, axis=1, mode="clip"), 1).transpose(2, 0, 1)
-        pooled = self._pooled(2, sums, self._to_middle.counts, by_channel, scale)
+    def _levels(self, inputs: ArrayF32, relative: ArrayF32) -> tuple[ArrayF32, ArrayF32]:
+        """(rows, B, n) what the decoder sees but for what the code gives, and the features of the coarsest cells."""
+        by_channel = np.ascontiguousarray(relative.transpose(2, 0, 1)).reshape(-1, N_SH)
+        self._put_projected(inputs[_PROJECTED], 0, by_channel)
+        weighted = self._fine_level(self._layers.placed("stem", inputs), by_channel)
+        pooled = self._pooled(2, weighted, self._to_middle, by_channel)
         middle = self._layers.placed("middle", pooled)
         aside = pooled[-4:]
-        sums = np.concatenate([middle * aside[0], aside[:1]]) @ self._to_coarse
-        coarse = self._layers.placed("coarse", self._pooled(3, sums, self._coarse_counts, by_channel, scale))
+        weighted = np.concatenate([middle * aside[0], aside[:1]])
+        coarse = self._layers.placed("coarse", self._pooled(3, weighted, self._to_coarse, by_channel))
         return np.concatenate([middle, aside]), coarse
 
-    def _fine_level(self, stem: ArrayF32, by_channel: ArrayF32, scale: ArrayF32) -> ArrayF32:
-        """(B, n, features + 1) of the first level, times the share of members that is set, and that share.
+    def _fine_level(self, stem: ArrayF32, by_channel: ArrayF32) -> ArrayF32:
+        """(features + 1, B, n) of the first level, times the share of members that is set, and that share.
 
         A rectifier lets a factor through, so all its inputs are multiplied by the share instead of divided by it.
         """
-        sums = self._to_fine.sums(stem, 2)
+        sums = self._to_fine.sums(stem)
         n_sums, n_clouds, n = sums.shape
-        inputs = np.empty((n_sums + 7, n_clouds, n), np.float32)
+        inputs = np.empty((n_sums + 5, n_clouds, n), np.float32)
         np.divide(sums, self._to_fine.counts, out=inputs[:n_sums])
         share = inputs[n_sums - 1]
         np.multiply(share, share, out=inputs[n_sums])
         projected = inputs[n_sums + 1 : n_sums + 4]
-        self._put_projected(projected, 1, by_channel, scale)
+        self._put_projected(projected, 1, by_channel)
         projected *= share
-        np.multiply(self._fine_directions, share, out=inputs[n_sums + 4 :])
-        rows = inputs.reshape(len(inputs), -1).T
-        return _rectified(_product(rows, self._layers.fine)).reshape(n_clouds, n, -1)
+        np.multiply(self._fine_height, share, out=inputs[n_sums + 4])
+        return _rectified(_product(self._layers.fine, inputs.reshape(len(inputs), -1))).reshape(-1, n_clouds, n)
 
-    def _pooled(self, level: int, sums: ArrayF32, counts: ArrayF32, by_channel: ArrayF32, scale: ArrayF32) -> ArrayF32:
+    def _pooled(self, level: int, weighted: ArrayF32, matrix: ArrayF32, by_channel: ArrayF32) -> ArrayF32:
         """(features + 4, B, n): weighted means, 0 without weight, the share that was seen, and the projected light."""
+        sums = _product(weighted.reshape(-1, len(matrix)), matrix).reshape(*weighted.shape[:2], -1)
         pooled = np.empty((len(sums) + 3, *sums.shape[1:]), np.float32)
         np.divide(sums[:-1], np.maximum(sums[-1], np.float32(SMALLEST_SHARE)), out=pooled[:-4])
-        np.divide(sums[-1], counts, out=pooled[-4])
-        self._put_projected(pooled[-3:], level, by_channel, scale)
+        pooled[-4] = sums[-1]
+        self._put_projected(pooled[-3:], level, by_channel)
         return pooled
 
-    def _put_projected(self, out: ArrayF32, level: int, by_channel: ArrayF32, scale: ArrayF32) -> None:
-        """(3, B, n) the projection's radiance in the anchors' directions, squeezed into -1 to 1."""
-        light = _product(by_channel, self._bases[level]).reshape(out.shape)
-        size = np.abs(light)
-        size += scale[:, None]
-        np.divide(light, size, out=out)
+    def _put_projected(self, out: ArrayF32, level: int, by_channel: ArrayF32) -> None:
+        """(3, B, n) the projection's relative radiance in the directions of a level, squeezed into -1 to 1."""
+        _squeeze(_product(by_channel, self._bases[level]).reshape(out.shape), out)
 
-    def _code(
-        self, coarse: ArrayF32, projection: ArrayF32, n_set: ArrayF32, level: ArrayF32, scale: ArrayF32
-    ) -> ArrayF32:
-        """(B, code): what the whole sphere says."""
-        n_clouds = len(projection)
-        narrow = self._layers.placed("narrow", coarse).transpose(1, 0, 2).reshape(n_clouds, -1)
-        light = (projection / (np.abs(projection) + scale[:, None, None])).reshape(n_clouds, -1)
-        coverage = n_set / np.float32(self.n_anchors)
-        brightness = np.log(level) / 3
-        everything = np.concatenate([narrow, light, coverage[:, None], brightness[:, None]], axis=1)
-        return _rectified(self._layers.dense("code", _rectified(self._layers.dense("dense", everything))))
+    def _code(self, coarse: ArrayF32, relative: ArrayF32, n_set: ArrayF32) -> ArrayF32:
+        """(B, 16, code): what the whole sphere says in each turn of the room."""
+        n_clouds = len(relative)
+        narrow = self._layers.placed("narrow", coarse).take(self._turned, axis=2)
+        light = self._turns @ relative[:, None]
+        seen = np.broadcast_to((n_set / np.float32(self.n_anchors))[:, None, None], (n_clouds, N_TURNS, 1))
+        parts = (narrow.transpose(1, 2, 0, 3), _squeeze(light, light))
+        everything = np.concatenate([*(part.reshape(n_clouds, N_TURNS, -1) for part in parts), seen], axis=2)
+        hidden = _rectified(self._layers.dense("dense", everything.reshape(n_clouds * N_TURNS, -1)))
+        hidden = hidden.reshape(n_clouds, N_TURNS, -1)
+        of_all = np.broadcast_to(hidden.mean(axis=1, keepdims=True), hidden.shape)
+        both = np.concatenate([hidden, of_all], axis=2).reshape(n_clouds * N_TURNS, -1)
+        return _rectified(self._layers.dense("code", both)).reshape(n_clouds, N_TURNS, -1)
 
-    def _lacking(self, decoder_inputs: ArrayF32, spread: ArrayF32) -> ArrayF32:
-        """(3, B, 9) coefficients of what the projection lacks, relative to the scale."""
+    def _spread(self, code: ArrayF32) -> ArrayF32:
+        """(features, B, n) that the code gives to the middle cells: the mean of what it says in each turn."""
+        n_clouds = len(code)
+        spread = self._layers.dense("spread", code.reshape(n_clouds * N_TURNS, -1))
+        by_cell = spread.reshape(n_clouds, N_TURNS, LEVELS[1], -1)
+        turned_back = by_cell[:, np.arange(N_TURNS)[:, None], self._turned_back]
+        return np.ascontiguousarray(turned_back.mean(axis=1).transpose(2, 0, 1))
+
+    def _open(self, clipped: ArrayF32, known: ArrayF32, counted: ArrayF32, seen: ArrayF32) -> tuple[ArrayF32, ArrayF32]:
+        """What light may be added to: (B, n) of the middle cells, and (B,) of the sphere; `seen` is of the cells."""
+        if self._opens_clipped:
+            fine = self._to_fine.sums(known * (1 - clipped)) / self._to_fine.counts
+            seen, counted = _product(fine, self._to_middle), counted * (1 - clipped)
+        return 1 - seen, 1 - counted.sum(axis=1) / np.float32(self.n_anchors)
+
+    def _lacking(self, decoder_inputs: ArrayF32, spread: ArrayF32, open_share: ArrayF32) -> ArrayF32:
+        """(3, B, 9) coefficients of what the projection lacks in the open share, relative to each channel's mean."""
         _, n_clouds, n = decoder_inputs.shape
-        by_feature = spread.reshape(n_clouds, -1, n).transpose(1, 0, 2)
-        hidden = self._layers.placed("decoder", np.concatenate([decoder_inputs, by_feature]))
-        radiance = _product(self._layers.radiance, hidden.reshape(len(hidden), -1)).reshape(3 * n_clouds, n)
-        lacking = _product(radiance, self._quadrature).reshape(3, n_clouds, N_SH)
-        lacking += self._layers.radiance_constant
-        return lacking
+        hidden = self._layers.placed("decoder", np.concatenate([decoder_inputs, spread]))
+        radiance = self._layers.radiance(hidden)
+        radiance *= open_share
+        return _product(radiance.reshape(3 * n_clouds, n), self._quadrature).reshape(3, n_clouds, N_SH)
 
 
 class _Folded:
-    """The weights as `LatticeNetwork` multiplies them: directions and biases a constant per anchor, orders its own."""
+    """The weights as `LatticeNetwork` multiplies them: heights and biases a constant per place, orders its own."""
 
-    def __init__(self, weights: LatticeWeights, directions: list[ArrayF32], middle_order: ArrayInt) -> None:
+    def __init__(self, weights: LatticeWeights, heights: list[ArrayF32]) -> None:
         sizes, self._arrays = weights.architecture, weights.arrays
         self._placed: dict[str, tuple[ArrayF32, ArrayF32]] = {}
         for name, level in (("stem", 0), ("middle", 2), ("coarse", 3), ("decoder", 2)):
             matrix, bias = self._layer(name)
-            constant = matrix[:, -3:] @ directions[level] + bias[:, None]
-            self._placed[name] = np.ascontiguousarray(matrix[:, :-3]), constant[:, None]
+            constant = matrix[:, -1:] * heights[level] + bias[:, None]
+            self._placed[name] = np.ascontiguousarray(matrix[:, :-1]), constant[:, None]
         matrix, constant = self._placed["stem"]
-        if not sizes.knows_facing:
-            matrix = np.insert(matrix, _FACING, 0, axis=1)
         # One more input, -1 where not set, silences the anchor; one more output says whether it is set.
         matrix = np.block([[matrix, np.full((len(matrix), 1), _FORBIDDING)], [np.eye(1, _N_INPUTS, _UNSET)]])
         constant = np.concatenate([constant, np.ones_like(constant[:1])])
@@ -342,15 +368,17 @@ class _Folded:
         matrix, bias = self._layer("narrow")
         self._placed["narrow"] = matrix, bias[:, None, None]
         self.fine = self._fine()
-        self._dense = {name: self._transposed(name) for name in ("code", "error")}
+        self._dense = {name: self._transposed(name) for name in ("code", "spread", "error")}
         matrix, bias = self._layer("dense")
-        split = sizes.levels[2] * sizes.narrow
-        narrow = matrix[:, :split].reshape(len(matrix), sizes.levels[2], sizes.narrow).transpose(0, 2, 1)
+        split = LEVELS[2] * sizes.narrow
+        # By feature and then by cell, as `_code` has them.
+        narrow = matrix[:, :split].reshape(len(matrix), LEVELS[2], sizes.narrow).transpose(0, 2, 1)
         together = np.concatenate([narrow.reshape(len(matrix), -1), matrix[:, split:]], axis=1)
         self._dense["dense"] = np.ascontiguousarray(together.T), bias
-        self._from_code(sizes.levels[1], sizes.spread, middle_order)
-        self.radiance, bias = self._layer("radiance")
-        self.radiance_constant = bias[:, None, None] * quadrature_matrix(sizes.levels[1]).sum(axis=1)
+        matrices, biases = zip(self._layer("gate"), self._layer("error_hidden"), strict=True)
+        self._dense["from_mean_code"] = np.ascontiguousarray(np.concatenate(matrices).T), np.concatenate(biases)
+        matrix, bias = self._layer("radiance")
+        self._placed["radiance"] = matrix, bias[:, None, None]
 
     def _layer(self, name: str) -> tuple[ArrayF32, ArrayF32]:
         return self._arrays[f"{name}.weight"], self._arrays[f"{name}.bias"]
@@ -360,20 +388,11 @@ class _Folded:
         return np.ascontiguousarray(matrix.T), bias
 
     def _fine(self) -> ArrayF32:
-        """(inputs, outputs + 1): the bias is the weight of the share, and one more output gives the share back."""
+        """(outputs + 1, inputs): the bias is the weight of the share, and one more output gives the share back."""
         matrix, bias = self._layer("fine")
-        n_pooled = matrix.shape[1] - 7
-        outputs = np.concatenate([matrix[:, :n_pooled].T, bias[None], matrix[:, n_pooled:].T])
-        return np.concatenate([outputs, np.eye(1, len(outputs), n_pooled, dtype=np.float32).T], axis=1)
-
-    def _from_code(self, n: int, n_spread: int, middle_order: ArrayInt) -> None:
-        """The three layers that read the code as one, `spread` ordered by feature and then by anchor."""
-        matrix, bias = self._layer("spread")
-        order = (middle_order * n_spread + np.arange(n_spread)[:, None]).reshape(-1)
-        layers = [(matrix[order], bias[order]), self._layer("gate"), self._layer("error_hidden")]
-        matrices, biases = zip(*layers, strict=True)
-        self._dense["from_code"] = np.ascontiguousarray(np.concatenate(matrices).T), np.concatenate(biases)
-        self._ends = (n * n_spread, n * n_spread + N_SH)
+        n_pooled = matrix.shape[1] - N_LEVEL_FEATURES
+        outputs = np.concatenate([matrix[:, :n_pooled], bias[:, None], matrix[:, n_pooled:]], axis=1)
+        return np.concatenate([outputs, np.eye(1, outputs.shape[1], n_pooled, dtype=np.float32)])
 
     def dense(self, name: str, rows: ArrayF32) -> ArrayF32:
         """(B, outputs), not rectified."""
@@ -382,17 +401,24 @@ class _Folded:
         product += bias
         return product
 
-    def from_code(self, code: ArrayF32) -> tuple[ArrayF32, ArrayF32, ArrayF32]:
-        """Outputs of `spread`, `gate` and `error_hidden`, not rectified."""
-        together, (first, second) = self.dense("from_code", code), self._ends
-        return together[:, :first], together[:, first:second], together[:, second:]
+    def from_mean_code(self, code: ArrayF32) -> tuple[ArrayF32, ArrayF32]:
+        """Outputs of `gate` and `error_hidden`, not rectified."""
+        together = self.dense("from_mean_code", code)
+        return together[:, :N_GATES], together[:, N_GATES:]
 
     def placed(self, name: str, inputs: ArrayF32) -> ArrayF32:
         """(outputs, B, n), rectified, of (inputs, B, n)."""
+        return _rectified(self._linear(name, inputs))
+
+    def radiance(self, hidden: ArrayF32) -> ArrayF32:
+        """(3, B, n), of (decoder, B, n)."""
+        return self._linear("radiance", hidden)
+
+    def _linear(self, name: str, inputs: ArrayF32) -> ArrayF32:
         matrix, constant = self._placed[name]
         product = _product(matrix, inputs.reshape(len(inputs), -1)).reshape(len(matrix), *inputs.shape[1:])
         product += constant
-        return _rectified(product)
+        return product
 
 
 def _linear(srgb: ArrayF32) -> ArrayF32:
@@ -408,9 +434,16 @@ def _linear(srgb: ArrayF32) -> ArrayF32:
 
 def _contrast(residual: ArrayF32, n_set: ArrayF32, level: ArrayF32) -> ArrayF32:
     """(B,) 0 where all that was seen is alike, near 1 for any real picture."""
-    variance = np.einsum("cbn,cbn->b", residual, residual) / (level**2 * 3 * np.maximum(n_set, 1))
+    variance = (np.einsum("cbn,cbn->cb", residual, residual) / level**2).sum(axis=0) / (3 * np.maximum(n_set, 1))
     result: ArrayF32 = variance / (variance + np.float32(CONTRAST_SCALE**2))
     return result
+
+
+def _squeeze(values: ArrayF32, out: ArrayF32) -> ArrayF32:
+    """values / (|values| + 1): any size within -1 to 1."""
+    size = np.abs(values)
+    size += 1
+    return np.divide(values, size, out=out)
 
 
 def _rectified(values: ArrayF32) -> ArrayF32:

@@ -120,8 +120,14 @@ def read_weights(
 def loaded_for(
     estimator: Estimator, path: Path | None, load: Callable[[Path], NetworkWeights[AnyArchitecture]]
 ) -> NetworkWeights[AnyArchitecture]:
-    """The weights that `load` reads, of the shipped file without a path; ValueError for those of another target."""
-    path = path or WEIGHTS_FOLDER / f"{estimator.name}_{estimator.target}.npz"
+    """The weights that `load` reads, of the shipped file without a path; ValueError for those of another target.
+
+    Of a network that is shipped for clipped light alone, those: as of `projection`, both targets give the same light.
+    """
+    shipped = WEIGHTS_FOLDER / f"{estimator.name}_{estimator.target}.npz"
+    if path is None and not shipped.exists():
+        return load(WEIGHTS_FOLDER / f"{estimator.name}_ldr.npz")
+    path = path or shipped
     loaded = load(path)
     if loaded.target != estimator.target:
         raise ValueError(f"{path}: expected weights for the target {estimator.target!r}, got {loaded.target!r}")

@@ -47,7 +47,7 @@ from xihenet.training.rooms import (
 Sampling = Literal["sphere", "uniform", "farthest"]
 SAMPLINGS: tuple[Sampling, ...] = get_args(Sampling)
 AnyCloud = PointCloud | UnitSphereCloud
-CACHE_VERSION = 4
+CACHE_VERSION = 5
 ODD_IN_X = np.array([1, 1, 1, -1, -1, 1, 1, -1, 1.0])
 """(9,) -1 for the spherical harmonics that change their sign with x."""
 
@@ -97,10 +97,10 @@ class RoomChange:
 
     @classmethod
     def drawn(cls, settings: CacheSettings, rng: np.random.Generator) -> RoomChange:
-        """Any angle, mirrored half of the time, gains as the settings say and no more than a factor of 2.5."""
+        """Any angle, mirrored half of the time, gains as the settings say and no more than two stops."""
         log_gains = rng.normal(0.0, settings.exposure_spread) + rng.normal(0.0, settings.tint_spread, 3)
         log_gains += rng.normal(0.0, settings.warmth_spread) * np.array([1.0, 0.0, -1.0])
-        gains = np.exp(np.clip(log_gains, -np.log(2.5), np.log(2.5)))
+        gains = np.exp(np.clip(log_gains, -np.log(4), np.log(4)))
         return cls(float(rng.uniform(0, 2 * np.pi)), bool(rng.random() < 0.5), gains)
 
     def of_cloud(self, cloud: PointCloud, position_m: ArrayF64, radiance: NDArray[Any] | None) -> PointCloud:
@@ -110,7 +110,10 @@ class RoomChange:
         """
         points, grid = self._moved(cloud.points_m, position_m).astype(np.float32), cloud.grid
         if grid is not None:
-            grid = replace(grid, camera_m=self._moved(grid.camera_m[None], position_m)[0])
+            far = grid.far
+            if far is not None:
+                far = replace(far, rays=self._moved(far.rays.T, np.zeros(3)).T.astype(np.float32))
+            grid = replace(grid, camera_m=self._moved(grid.camera_m[None], position_m)[0], far=far)
         if (self.gains == 1).all():
             return PointCloud(points, cloud.srgb, grid=grid)
         if radiance is None:

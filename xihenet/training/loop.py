@@ -159,7 +159,8 @@ def training_loss(light: Tensor, expected_error: Tensor | None, truth: Tensor, s
 
 def _start_or_resume(settings: TrainSettings) -> _Run:
     torch.manual_seed(settings.seed)
-    net = networks.make_network(settings.estimator, **settings.options).to(settings.device)
+    options = networks.options_for(settings.estimator, settings.target) | dict(settings.options)
+    net = networks.make_network(settings.estimator, **options).to(settings.device)
     optimiser = torch.optim.AdamW(
         net.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay, foreach=False
     )

@@ -63,6 +63,11 @@ def make_network(estimator: str, **options: Any) -> nn.Module:
     return PointConvNet(PointConvArchitecture(**options))
 
 
+def options_for(estimator: str, target: Target) -> dict[str, object]:
+    """Options of the architecture that a target asks for."""
+    return {"opens_clipped": True} if (estimator, target) == ("lattice", "hdr") else {}
+
+
 def run_network(net: nn.Module, batch: Batch) -> tuple[Tensor, Tensor | None]:
     """(B, 9, 3) coefficients and, from networks that know it, the expected error (B,)."""
     if isinstance(net, LatticeNet):

@@ -17,7 +17,7 @@ from xihe_blender.capture.render import RenderSettings, render_passes
 from xihe_blender.capture.scanner import first_layer, open_scanner
 from xihe_blender.errors import UserError
 
-TINY = QuickPrevis(preset="draft", size=(16, 12), samples=1, estimator="projection")
+TINY = QuickPrevis(preset="draft", size=(16, 12), samples=1, estimator="projection", target="ldr")
 STANDING_NOTES = 4
 """How many notes stand in the results of every run."""
 

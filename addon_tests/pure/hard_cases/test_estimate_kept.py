@@ -24,6 +24,15 @@ STAGE = "estimate"
 BATCH = list(CLOUDS.values())
 
 
+def half_seen(cloud: UnitSphereCloud) -> UnitSphereCloud:
+    """Without the first half of its anchors, which is the upper one: there a network has something to add."""
+    seen = cloud.is_set & (np.arange(len(cloud)) >= len(cloud) // 2)
+    return UnitSphereCloud(cloud.srgb * seen[:, None], cloud.distance_m * seen, seen)
+
+
+HALF_SEEN = [half_seen(cloud) for cloud in BATCH]
+
+
 def stacked(clouds: list[UnitSphereCloud]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return tuple(np.stack([getattr(cloud, part) for cloud in clouds]) for part in ("srgb", "distance_m", "is_set"))
 
@@ -63,7 +72,7 @@ def light_after_saving(weights: LatticeWeights, is_half: bool) -> np.ndarray:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "weights.npz"
         save_weights(path, weights, is_half=is_half)
-        return Lattice(N, weights.target, weights=path).estimate_batch(*stacked(BATCH))
+        return Lattice(N, weights.target, weights=path).estimate_batch(*stacked(HALF_SEEN))
 
 
 def changed(weights: LatticeWeights, change: Callable[[np.ndarray], np.ndarray]) -> LatticeWeights:
@@ -85,21 +94,20 @@ def in_8_bits(seed: int) -> float:
 
 def saved_and_loaded(target: str) -> float:
     weights = shipped(target)
-    once = Lattice(N, weights.target).estimate_batch(*stacked(BATCH))
+    once = Lattice(N, weights.target).estimate_batch(*stacked(HALF_SEEN))
     return float(np.abs(light_after_saving(weights, True) - once).max())
 
 
 def saved_as_text(target: str) -> float:
     """Naive: weights printed with three digits."""
     rounded = changed(shipped(target), lambda array: np.round(array, 3))
-    return float(
-        np.abs(light_after_saving(rounded, False) - Lattice(N, rounded.target).estimate_batch(*stacked(BATCH))).max()
-    )
+    once = Lattice(N, rounded.target).estimate_batch(*stacked(HALF_SEEN))
+    return float(np.abs(light_after_saving(rounded, False) - once).max())
 
 
 def half_of_weight(value: float) -> float:
     weights = shipped()
-    arrays = dict(weights.arrays) | {"gate.bias": np.full(9, value, np.float32)}
+    arrays = dict(weights.arrays) | {"gate.bias": np.full(6, value, np.float32)}
     return float(np.abs(light_after_saving(replace(weights, arrays=arrays), True)).max())
 
 
@@ -156,7 +164,7 @@ SESSIONS = [
 CASES = [
     row("a batch of extremes is its clouds one by one", BATCH, against_single, at_most(1e-4), normalised_together),
     row("the order of a batch makes no difference", BATCH, shuffled, at_most(1e-4), running_mean),
-    row("weights in half floats give the light of those in float32", 3, half_against_float, at_most(0.02), in_8_bits),
+    row("weights in half floats give the light of those in float32", 3, half_against_float, at_most(0.005), in_8_bits),
     *(
         row(f"saved and loaded weights give the same light ({t})", t, saved_and_loaded, equal(0.0), saved_as_text)
         for t in ("ldr", "hdr")

@@ -34,7 +34,7 @@ class BatchSettings:
     estimators: Annotated[tuple[str, ...], NAMES] = DEFAULT_ESTIMATORS
     phones: Annotated[tuple[str, ...], NAMES] = ("perfect",)
     preset: Annotated[str, AS_IN_A_RUN] = "draft"
-    target: Annotated[Target, AS_IN_A_RUN] = "ldr"
+    target: Annotated[Target, AS_IN_A_RUN] = "hdr"
     size: Annotated[tuple[int, int] | None, AS_IN_A_RUN] = None
     frames: Annotated[tuple[int, ...] | None, AS_IN_A_RUN] = None
     noise_target: Annotated[float | None, AS_IN_A_RUN] = None

@@ -1,0 +1,111 @@
+"""Pixels without a distance say what light comes from far away, wherever nothing nearer is known."""
+
+import numpy as np
+import pytest
+
+from addon_tests.pure.made import UPRIGHT, about_z, frame_of, pose_of, random_cloud
+from xihenet import estimators
+from xihenet.backend import LocalBackend
+from xihenet.buffers import merge
+from xihenet.camera import project_points, unproject_frame
+from xihenet.controller import ControllerSettings, XiheController
+from xihenet.records import FAR_FROM_M, FAR_M, Intrinsics, UnitSphereCloud
+from xihenet.sampling import sample_unit_sphere, sample_unit_sphere_reference
+from xihenet.sphere import AnchorLattice
+from xihenet.training.dataset import RoomChange
+from xihenet.trigger import TriggerSettings
+
+LATTICE = AnchorLattice(1280)
+CAMERA = Intrinsics(96, 72, 60.0, 60.0, 48.0, 36.0)
+SKY, WALL = (90, 160, 250), (60, 50, 40)
+
+
+def window(opening=0.0, yaw=0.0, place_m=(0.0, -2.0, 0.3)):
+    """A wall 3 m ahead, and the sky through the middle of it; `opening` is the plane depth that the sky has."""
+    plane_depth_m, colours = np.full((72, 96), 3.0, np.float32), np.empty((72, 96, 3), np.uint8)
+    colours[:] = WALL
+    plane_depth_m[20:40, 30:60], colours[20:40, 30:60] = opening, SKY
+    return frame_of(plane_depth_m, CAMERA, pose_of(about_z(yaw) @ UPRIGHT, place_m), colours)
+
+
+def is_sky(cloud):
+    return cloud.is_set & (cloud.srgb[:, 2] > 0.9)
+
+
+@pytest.mark.parametrize("opening", [0.0, -1.0, np.inf, 1e10])
+def test_the_sky_is_seen_in_the_directions_of_its_pixels_and_far_away(opening):
+    frame = window(opening)
+    sampled = sample_unit_sphere(unproject_frame(frame), (0.3, -1.2, 0.2), LATTICE)
+    sky = is_sky(sampled)
+    assert sky.sum() > 8 and (sampled.distance_m[sky] > FAR_FROM_M).all() and (sampled.distance_m[~sky] < 5).all()
+    # From far away a direction is that from the camera, within half of the 6 degrees between two anchors.
+    place_m = frame.world_from_camera[:3, 3]
+    pixels, _ = project_points(place_m + LATTICE.directions[sky], CAMERA, frame.world_from_camera)
+    across, up = pixels.T
+    assert (across > 30 - 4).all() and (across < 60 + 4).all() and (up > 20 - 4).all() and (up < 40 + 4).all()
+    assert (sampled.surfaces.facing[sky] == 1).all() and (sampled.surfaces.camera_distance_m[sky] == FAR_M).all()
+    assert sampled.n_invalid_points == 20 * 30
+
+
+def test_what_is_near_hides_what_is_far_in_one_picture():
+    """From close to the wall, the window's pixels point at the wall beside it."""
+    with_sky = sample_unit_sphere(unproject_frame(window()), (1.5, 0.9, 0.3), LATTICE)
+    without = sample_unit_sphere(unproject_frame(window(np.nan)), (1.5, 0.9, 0.3), LATTICE)
+    seen = without.is_set
+    np.testing.assert_array_equal(with_sky.srgb[seen], without.srgb[seen])
+    np.testing.assert_array_equal(with_sky.distance_m[seen], without.distance_m[seen])
+
+
+@pytest.mark.parametrize("nothing", [np.full((72, 96), np.nan), np.zeros((72, 96))])
+def test_a_frame_in_which_nothing_has_a_distance_or_all_is_broken_says_nothing(nothing):
+    cloud = unproject_frame(frame_of(nothing, CAMERA))
+    assert cloud.grid.far is None and not sample_unit_sphere(cloud, (0, 0, 0), LATTICE).is_set.any()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_far_light_is_sampled_as_by_the_plain_loop(seed):
+    rng = np.random.default_rng(seed)
+    frame = window(yaw=rng.uniform(0, 6), place_m=rng.uniform(-2, 2, 3))
+    plane_depth_m = frame.plane_depth_m.copy()
+    plane_depth_m[rng.random(plane_depth_m.shape) < 0.3] = rng.choice([0, np.nan, np.inf, -1])
+    cloud = unproject_frame(frame_of(plane_depth_m, CAMERA, frame.world_from_camera, frame.srgb_u8))
+    position_m, lattice = rng.uniform(-2, 2, 3) * rng.choice([1, 1e-30, 1e38]), AnchorLattice(320)
+    fast, slow = (sample(cloud, position_m, lattice) for sample in (sample_unit_sphere, sample_unit_sphere_reference))
+    np.testing.assert_array_equal(fast.is_set, slow.is_set)
+    np.testing.assert_allclose(fast.distance_m, slow.distance_m, rtol=1e-6)
+    np.testing.assert_array_equal(fast.srgb, slow.srgb)
+    for name in ("facing", "incidence", "camera_distance_m", "view_direction"):
+        np.testing.assert_allclose(getattr(fast.surfaces, name), getattr(slow.surfaces, name), atol=2e-5)
+    assert fast.invalid == slow.invalid
+
+
+def test_far_light_replaces_nothing_near_and_gives_way_to_it():
+    rng = np.random.default_rng(1)
+    near, later = random_cloud(rng, 64), random_cloud(rng, 64)
+    far = UnitSphereCloud(later.srgb, FAR_M * later.is_set, later.is_set)
+    behind = merge(near, far)
+    np.testing.assert_array_equal(behind.srgb, np.where(near.is_set[:, None], near.srgb, far.srgb))
+    np.testing.assert_array_equal(behind.is_set, near.is_set | far.is_set)
+    before = merge(far, near)
+    np.testing.assert_array_equal(before.distance_m, np.where(near.is_set, near.distance_m, far.distance_m))
+    np.testing.assert_array_equal(merge(far, far).srgb, far.srgb)
+
+
+def test_far_light_behind_what_was_seen_near_fires_nothing():
+    """A phone that goes to and fro in front of a window sees wall and sky by turns in the same directions."""
+    settings = ControllerSettings(trigger=TriggerSettings(theta=0))
+    controller = XiheController(LocalBackend(estimators.load("projection", 1280)), settings)
+    controller.add_position("Ball", (0.0, -0.5, 0.3))
+    places = [(0.0, -2.0, 0.3), (1.2, -2.0, 0.3)]
+    reports = [controller.step(window(place_m=places[i % 2]))["Ball"] for i in range(10)]
+    assert reports[0].decision.fire and not any(report.decision.fire for report in reports[2:])
+
+
+@pytest.mark.parametrize("is_mirrored", [False, True])
+def test_a_changed_room_has_its_sky_in_the_changed_direction(is_mirrored):
+    change = RoomChange(angle=0.9, is_mirrored=is_mirrored)
+    position_m, rng = np.array([0.3, -1.2, 0.2]), np.random.default_rng(2)
+    there = change.of_cloud(unproject_frame(window()), position_m, rng.random((72 * 96, 3)))
+    mirroring = [-1.0 if is_mirrored else 1.0, 1.0, 1.0]
+    expected = (unproject_frame(window()).grid.far.rays.T * mirroring) @ about_z(0.9).T
+    np.testing.assert_allclose(there.grid.far.rays.T, expected, atol=1e-6)
