@@ -21,11 +21,12 @@ from xihe_blender.apply.sh_worlds import (
 )
 from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
 from xihe_blender.capture.scanner import first_layer
-from xihe_blender.compare.methods import open_comparer
+from xihe_blender.compare.methods import composite, open_comparer
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
 from xihenet import estimators, sh
 from xihenet.backend import LocalBackend
 from xihenet.light_picture import SILVER_ROUGHNESS, sphere_mask, three_spheres
+from xihenet.records import Intrinsics, RgbdFrame
 
 SIDE = 48
 
@@ -115,6 +116,27 @@ def test_each_method_lights_each_object_with_its_own_light():
         assert layers[layer]["Combined.A"][16, 32 - column] == 0.0
     assert not [w for w in bpy.data.worlds if w.name.startswith("Xihe")]
     assert not [c for c in bpy.data.collections if c.name.startswith("Xihe Lit")]
+
+
+@pytest.mark.parametrize("wall_m", [1.5, 10.0])
+def test_an_object_behind_a_wall_leaves_no_rim_and_one_before_it_keeps_its_own(wall_m):
+    scene = empty_scene()
+    virtual = virtual_collection(scene, create=True)
+    ball = sphere(scene, "Ball", (0, 0, 0), 0.4, material("Ball", (1, 1, 1)), virtual)
+    orthographic(scene)
+    with open_comparer(scene, [ball], ["one"], RenderSettings((32, 32), 16, denoise=False)) as comparer:
+        apply_sh_to_world(comparer.worlds["one", "Ball"], constant(5.0))
+        passes = render_passes(comparer.lit).layers[comparer.layers["one", "Ball"]]
+    alpha = passes["Combined.A"]
+    is_rim = (alpha > 0) & (passes["Depth.Z"] >= 1e9)
+    assert is_rim.sum() > 4
+    grey, camera = np.zeros((32, 32, 3), np.uint8), Intrinsics(32, 32, 32.0, 32.0, 16.0, 16.0)
+    room = RgbdFrame(grey, np.full((32, 32), wall_m), camera, np.eye(4))
+    picture, weights = composite(np.full((32, 32, 3), 0.1), [passes], room)
+    if passes["Depth.Z"].min() > wall_m:
+        assert (picture == 0.1).all() and not weights.any()
+    else:
+        np.testing.assert_array_equal(weights, alpha)
 
 
 def test_removing_takes_worlds_node_group_and_markers_and_leaves_the_users():

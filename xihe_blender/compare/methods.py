@@ -154,10 +154,16 @@ def composite(
 
 
 def in_front_of_room(object_plane_depth_m: ArrayF32, room_plane_depth_m: ArrayF32) -> ArrayBool:
-    """(H, W): where an object is nearer than the room, or either is unknown (at a soft edge, through a window)."""
+    """(H, W): where an object is nearer than the room, or either is unknown (beside no part of it, through a window).
+
+    At a soft edge Cycles gives no plane depth of the object: there it is that of the nearest neighbour.
+    """
+    around = np.pad(object_plane_depth_m, 1, constant_values=np.inf)
+    nearest_m = np.lib.stride_tricks.sliding_window_view(around, (3, 3)).min(axis=(2, 3))
+    object_m = np.where(object_plane_depth_m >= MISS_PLANE_DEPTH_M, nearest_m, object_plane_depth_m)
     reach = room_plane_depth_m * (1 + OCCLUSION_TOLERANCE) + OCCLUSION_TOLERANCE
-    unknown = ~valid_plane_depth(room_plane_depth_m) | (object_plane_depth_m >= MISS_PLANE_DEPTH_M)
-    return unknown | (object_plane_depth_m <= reach)
+    unknown = ~valid_plane_depth(room_plane_depth_m) | (object_m >= MISS_PLANE_DEPTH_M)
+    return unknown | (object_m <= reach)
 
 
 def measure(prediction: ArrayF64, ground_truth: ArrayF64, weights: ArrayF64) -> Metrics:
