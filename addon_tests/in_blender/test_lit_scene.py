@@ -12,7 +12,7 @@ from previs_runs import LOOKS_AWAY, N_FRAMES, SMALL, run, walk
 from renders import pixels_of_file
 from scene_snapshot import data_blocks, differences, snapshot
 from shown_lights import keyed, shown_light
-from tiny_scenes import saved, sphere
+from tiny_scenes import material, saved, sphere
 
 from xihe_blender.addon.results_in_blender import remove_everything, show_lit
 from xihe_blender.apply.datablocks import LIT_SCENE, has_anything, lit_scene
@@ -164,10 +164,7 @@ def screen(name, camera, distance, size, strength):
     mesh, half = bpy.data.meshes.new(name), size / 2
     corners = [(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)]
     mesh.from_pydata(corners, [], [(0, 1, 2, 3)])
-    material = bpy.data.materials.new(name)
-    material.use_nodes = True
-    material.node_tree.nodes["Principled BSDF"].inputs["Emission Strength"].default_value = strength
-    mesh.materials.append(material)
+    mesh.materials.append(material(name, (1, 1, 1), strength))
     item = bpy.data.objects.new(name, mesh)
     item.matrix_world = camera.matrix_world @ Matrix.Translation((0, 0, -distance))
     bpy.context.scene.collection.objects.link(item)
