@@ -39,7 +39,7 @@ def scenario(w):
     job = bpy.context.window_manager.xihe
     yield from w.click_on("xihe.run(")
     yield from w.wait_until(lambda: job.is_running or scene.xihe.run_folder, "the run begins", at_most_s=20)
-    yield from w.wait_until(lambda: job.progress > 0.3 or not job.is_running, "the run goes on")
+    yield from w.wait_until(lambda: job.doing or not job.is_running, "the run goes on")
     w.facts["under_way"] = {"is_running": job.is_running, "doing": job.doing, "progress": job.progress}
     w.picture_now("3_running")
     yield from w.wait_until(lambda: not job.is_running, "the run ends")
