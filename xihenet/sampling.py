@@ -47,6 +47,7 @@ from xihenet.records import (
 )
 from xihenet.sphere import TABLE_SIZE, AnchorLattice, NearestMethod
 
+LARGEST_FLOAT32 = np.finfo(np.float32).max
 _NO_POINT = np.uint64(2**64 - 1)
 _INFINITY_KEY = np.uint64(int(np.float32(np.inf).view(np.uint32)) << 32)
 
@@ -137,14 +138,21 @@ def _with_far_light(
     nearest_m[is_new] = distance_m[reaching]
     pixel_of_anchor = np.full(len(nearest_m), -1)
     pixel_of_anchor[is_set], pixel_of_anchor[is_new] = winners, far.pixels[reaching]
-    one, view_direction = np.float32(1), surfaces.view_direction.copy()
-    view_direction[is_new] = -far.rays.T[reaching]
-    seen = AnchorSurfaces(
-        np.where(is_new, one, surfaces.facing), np.where(is_new, one, surfaces.incidence),
-        np.where(is_new, np.float32(FAR_M), surfaces.camera_distance_m), view_direction, surfaces.is_edge,
-    )  # fmt: skip
     is_set = is_set | is_new
-    return is_set, pixel_of_anchor[is_set], seen
+    return is_set, pixel_of_anchor[is_set], _seen_from_afar(surfaces, is_new, far.rays.T[reaching])
+
+
+def _seen_from_afar(surfaces: AnchorSurfaces, is_far: ArrayBool, rays: ArrayLike) -> AnchorSurfaces:
+    """Where anchors `is_far` (N,) show light from far away, along `rays` (K, 3), they face the position."""
+    one, view_direction = np.float32(1), surfaces.view_direction.copy()
+    view_direction[is_far] = -np.asarray(rays).reshape(-1, 3)
+    return AnchorSurfaces(
+        np.where(is_far, one, surfaces.facing),
+        np.where(is_far, one, surfaces.incidence),
+        np.where(is_far, np.float32(FAR_M), surfaces.camera_distance_m),
+        view_direction,
+        surfaces.is_edge,
+    )
 
 
 def sample_again(cloud: UnitSphereCloud, moved_m: ArrayLike, lattice: AnchorLattice) -> UnitSphereCloud:
@@ -198,20 +206,15 @@ def sample_unit_sphere_reference(cloud: PointCloud, position_m: ArrayLike, latti
         for pixel, point in picture.patch_points(winner.copy()):
             compete(pixel, point)
     surfaces = picture.surfaces(winner, lattice.directions) if picture else None
-    if cloud.grid is not None and cloud.grid.far is not None and surfaces is not None:
-        known = winner >= 0
-        facing, incidence, camera_m, view_direction = (
-            getattr(surfaces, name).copy() for name in ("facing", "incidence", "camera_distance_m", "view_direction")
-        )
-        for pixel, ray in zip(cloud.grid.far.pixels, cloud.grid.far.rays.T, strict=True):
+    if surfaces is not None and cloud.grid is not None and cloud.grid.far is not None:
+        is_near, rays = winner >= 0, dict(zip(cloud.grid.far.pixels.tolist(), cloud.grid.far.rays.T, strict=True))
+        for pixel, ray in rays.items():
             point = ray.astype(np.float64) * FAR_M + (cloud.grid.camera_m - position)
-            anchor = int(np.argmax(lattice.directions @ point))
-            before, is_usable = winner[anchor], 0 < np.linalg.norm(point) < np.finfo(np.float32).max
-            if is_usable and not known[anchor] and np.isfinite(cloud.srgb[pixel]).all():
+            is_free = not is_near[int(np.argmax(lattice.directions @ point))]
+            if is_free and 0 < np.linalg.norm(point) < LARGEST_FLOAT32 and np.isfinite(cloud.srgb[pixel]).all():
                 compete(pixel, point)
-                if winner[anchor] != before:
-                    facing[anchor], incidence[anchor], camera_m[anchor], view_direction[anchor] = 1, 1, FAR_M, -ray
-        surfaces = AnchorSurfaces(facing, incidence, camera_m, view_direction, surfaces.is_edge)
+        is_far = (winner >= 0) & ~is_near
+        surfaces = _seen_from_afar(surfaces, is_far, [rays[pixel] for pixel in winner[is_far].tolist()])
     is_set = winner >= 0
     srgb = np.zeros((lattice.n, 3), np.float32)
     srgb[is_set] = cloud.srgb[winner[is_set]].clip(0, 1)

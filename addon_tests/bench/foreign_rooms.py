@@ -52,17 +52,15 @@ class Case(NamedTuple):
 
 def lights_of(clouds: CloudSet, names: list[str]) -> dict[str, np.ndarray]:
     """Of every cloud, by estimator and target."""
-    srgb, known = clouds.srgb_u8 / np.float32(255), np.asarray(clouds.is_set)
+    srgb, known, facing = clouds.srgb_u8 / np.float32(255), clouds.is_set, facing_of_codes(clouds.facing_i8)
     distance_m = np.linalg.norm(np.asarray(clouds.points_m, np.float32), axis=2) * known
     ambient = np.zeros((len(clouds), 9, 3))
     ambient[:, L00] = clouds.ambient * np.sqrt(4 * np.pi)
     lights = {f"ambient {target}": ambient for target in ("ldr", "hdr")}
     for name in names:
         for target in ("ldr", "hdr"):
-            asked = target if name == "lattice" else "ldr"
-            estimator = estimators.load(name, known.shape[1], asked)
-            facing = {"facing": facing_of_codes(clouds.facing_i8)} if name in ("lattice", "projection") else {}
-            lights[f"{name} {target}"] = estimator.estimate_batch(srgb, distance_m, known, **facing)
+            estimator = estimators.load(name, known.shape[1], target)
+            lights[f"{name} {target}"] = estimator.estimate_batch(srgb, distance_m, known, facing=facing)
     return lights
 
 

@@ -86,4 +86,4 @@ NETWORK = f"{one_of(LINKS)}: estimates arrive late; default: at once"
 PHONES = one_of([*profile_names(), "your own file"])
 SCENE = "scene with an animated camera"
 SIZE = "size of captured pictures; default: 256x192, or 192x256 if the scene is upright"
-TARGET = "light to compare coefficients with: all of it (hdr, the default) or clipped at white (ldr)"
+TARGET = "light to estimate and to compare with: all of it (hdr, the default) or clipped at white (ldr)"
