@@ -35,6 +35,8 @@ from xihenet.json_files import read_json
 COMMAND = "Run in Blender's panel"
 SCRIPT = Path(__file__).with_name("background_script.py")
 LOOK_EVERY_S = 0.2
+NICENESS = 19
+"""Of the second Blender, the most there is: it works with what the window and all else that is open leave."""
 EDITABLE = (bpy.types.Object, bpy.types.Material, bpy.types.Light, bpy.types.World, bpy.types.Camera, bpy.types.Mesh)
 """Kinds of data whose change makes the open scene another than the run's."""
 
@@ -129,16 +131,19 @@ class BackgroundRun:
         copy = self.folder / self.request.copy
         self.outputs.progress.unlink(missing_ok=True)
         trust = "--disable-autoexec" if bpy.app.autoexec_fail else "--enable-autoexec"
+        # The window, and whatever else is open, goes first; see also `give_way`.
+        first = ["nice", "-n", str(NICENESS)] if shutil.which("nice") else []
         # Where this Blender has the add-on's packages, its preferences saved or not.
         paths = [str(Path(sys.modules[name].__file__ or "").parents[1]) for name in ("xihe_blender", "xihenet")]
         with self.outputs.console.open("ab") as console:
             self.process = subprocess.Popen(
-                [bpy.app.binary_path, "--background", trust, copy, "--python", SCRIPT, "--", copy, *paths],
+                [*first, bpy.app.binary_path, "--background", trust, copy, "--python", SCRIPT, "--", copy, *paths],
                 stdin=subprocess.DEVNULL,
                 stdout=console,
                 stderr=subprocess.STDOUT,
                 # Neither Ctrl-C in a terminal nor its end reaches it.
                 start_new_session=True,
+                creationflags=getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0),
             )
 
     def stop(self) -> None:
@@ -233,6 +238,12 @@ def take_lock(file: IO[Any]) -> bool:
     except OSError:
         return True
     return True
+
+
+def give_way() -> None:
+    """Step back among the sessions of Linux, too: a process' niceness counts within its session alone."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/autogroup").write_text(str(NICENESS), encoding="ascii")
 
 
 @contextlib.contextmanager

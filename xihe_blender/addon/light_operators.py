@@ -35,7 +35,7 @@ class XIHE_OT_show_lit(Action, bpy.types.Operator):
     bl_description = (
         "Show the virtual objects under their estimated light over the captured frames, in a scene of its own that "
         "plays on the timeline and renders. The viewport shows the light of the active object; the view layer in the "
-        "corner of the window chooses another. Furniture in front of an object does not hide it there"
+        "corner of the window chooses another. What stands in front of an object hides it"
     )
     bl_options = {"REGISTER", "UNDO"}
     conditions = (polls.is_idle, polls.is_room, polls.has_cycles, polls.has_last_run)

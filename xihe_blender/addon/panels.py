@@ -98,9 +98,10 @@ class XIHE_PT_virtual_objects(StagePanel, bpy.types.Panel):
         row = column.row(align=True)
         row.operator("xihe.add_virtual_objects", text="Add Selected", icon="ADD")
         row.operator("xihe.remove_virtual_objects", text="", icon="REMOVE")
-        column.operator("xihe.add_sphere_rig", text="Three-Sphere Rig", icon="SPHERE")
+        row = column.row(align=True)
+        row.operator("xihe.add_sphere_rig", text="Three-Sphere Rig", icon="SPHERE")
         if objects:
-            layout.prop(context.scene.xihe, "show_positions")
+            row.prop(context.scene.xihe, "show_positions", text="", icon="HIDE_OFF")
 
 
 class XIHE_PT_camera_path(StagePanel, bpy.types.Panel):
@@ -122,22 +123,10 @@ class XIHE_PT_camera_path(StagePanel, bpy.types.Panel):
         if settings.phone == "FILE":
             column.prop(settings, "phone_file", text="File")
         column.prop(settings, "network")
-        self._draw_frames(layout, scene, settings)
-
-    def _draw_frames(self, layout: bpy.types.UILayout, scene: bpy.types.Scene, settings: Any) -> None:
-        layout.prop(settings, "use_own_frames")
-        if settings.use_own_frames:
-            column = layout.column(align=True)
-            column.prop(settings, "frame_start")
-            column.prop(settings, "frame_end")
-            column.prop(settings, "frame_step")
-        else:
-            step = "" if scene.frame_step == 1 else f", step {scene.frame_step}"
-            layout.label(text=f"Frames {scene.frame_start} to {scene.frame_end}{step}", icon="BLANK1", translate=False)
 
 
 class XIHE_PT_picture(StagePanel, bpy.types.Panel):
-    bl_label = "Picture"
+    bl_label = "Frames and Picture"
     bl_parent_id = "XIHE_PT_camera_path"
     bl_options = {"DEFAULT_CLOSED"}
 
@@ -145,6 +134,12 @@ class XIHE_PT_picture(StagePanel, bpy.types.Panel):
         layout, settings = self.layout, context.scene.xihe
         layout.use_property_split = True
         layout.use_property_decorate = False
+        layout.prop(settings, "use_own_frames")
+        if settings.use_own_frames:
+            column = layout.column(align=True)
+            column.prop(settings, "frame_start")
+            column.prop(settings, "frame_end")
+            column.prop(settings, "frame_step")
         layout.prop(settings, "use_own_size")
         column = layout.column(align=True)
         column.active = settings.use_own_size
@@ -206,13 +201,6 @@ class XIHE_PT_estimator(StagePanel, bpy.types.Panel):
         layout.use_property_decorate = False
         layout.prop(settings, "estimator")
         layout.prop(settings, "preset")
-        self._draw_costs(context, layout)
-        run = last_run(settings.run_folder)
-        step_ms = None if run is None else run.summary.mean_step_ms
-        if run is not None and step_ms is not None and run.settings.estimator == settings.estimator:
-            layout.label(text=f"{step_ms:.1f} ms a frame, last run", icon="TIME")
-
-    def _draw_costs(self, context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
         costs = calibration_line()
         text = "Calibrate Again" if costs else "Calibrate"
         if context.window_manager.xihe.is_running:
@@ -300,9 +288,9 @@ class XIHE_PT_apply(StagePanel, bpy.types.Panel):
         row.operator(
             "xihe.show_room" if is_lit else "xihe.show_lit", icon="LOOP_BACK" if is_lit else "SHADING_RENDERED"
         )
-        column = layout.column(align=True)
-        column.operator("xihe.apply_light", text="Apply Light", icon="LIGHT_HEMI")
-        column.operator("xihe.remove_light", text="Remove Light", icon="TRASH")
+        row = layout.row(align=True)
+        row.operator("xihe.apply_light", text="Apply Light")
+        row.operator("xihe.remove_light", text="Remove Light")
 
 
 class XIHE_PT_results(StagePanel, bpy.types.Panel):
@@ -336,12 +324,12 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         row.scale_x = 2.5
         row.operator("xihe.go_to_trigger", text="", icon="PREV_KEYFRAME").direction = "PREVIOUS"
         row.operator("xihe.go_to_trigger", text="", icon="NEXT_KEYFRAME").direction = "NEXT"
-        column = layout.column(align=True)
-        column.operator("xihe.show_comparison", text="Compare", icon="IMAGE_DATA")
-        column.prop(settings, "wipe", slider=True)
-        column = layout.column(align=True)
-        column.operator("xihe.save_side_by_side", icon="FILE_MOVIE")
-        column.operator("xihe.open_report", text="Open Report", icon="URL")
+        row = layout.row(align=True)
+        row.operator("xihe.show_comparison", text="Compare")
+        row.prop(settings, "wipe", slider=True)
+        row = layout.row(align=True)
+        row.operator("xihe.save_side_by_side", text="Save Video")
+        row.operator("xihe.open_report", text="Open Report")
 
 
 def _draw_methods(layout: bpy.types.UILayout, run: RunResults) -> None:

@@ -81,7 +81,7 @@ class XIHE_OT_show_comparison(Action, bpy.types.Operator):
 
 class XIHE_OT_save_side_by_side(Action, bpy.types.Operator):
     bl_idname = "xihe.save_side_by_side"
-    bl_label = "Save Side by Side"
+    bl_label = "Save Video"
     bl_description = (
         "Write a video, and a picture of each compared frame, into the run's folder: what the phone captured, ground "
         "truth, estimate, and a line that wipes from one to the other"

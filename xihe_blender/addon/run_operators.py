@@ -37,6 +37,10 @@ class Following(ModalJob):
         bpy.context.window_manager.xihe.unshown_run = str(run.folder)
         return run.follow()
 
+    @property
+    def works_in_file(self) -> bool:
+        return self.background is None
+
     def stop(self) -> None:
         if self.background is not None:
             self.background.stop()
@@ -83,8 +87,7 @@ class XIHE_OT_run(polls.Conditional, Following, bpy.types.Operator):
 
         settings = previs_settings(scene)
         plan = plan_previs(scene, settings)
-        yield Progress(0, 1, "looking at the camera path")
-        if not may_see_a_position(scene, plan):
+        if not (yield from may_see_a_position(scene, plan)):
             raise UserError(
                 "No virtual object is in view of the camera in any frame: "
                 "turn the camera to one, or move one into its view"

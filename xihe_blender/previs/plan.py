@@ -18,6 +18,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.estimation_positions import named_positions
 from xihe_blender.scene.virtual_objects import COLLECTION_NAME, collections_of, virtual_objects
+from xihenet.camera import Intrinsics
 from xihenet.records import ArrayF64
 
 Item = TypeVar("Item")
@@ -42,12 +43,17 @@ class Probe:
 
 @dataclass(frozen=True, eq=False)
 class PrevisPlan:
-    """The frames of the camera path, the size of its pictures, the virtual objects and their estimation positions."""
+    """The frames of the camera path, the size of its pictures, the virtual objects and their estimation positions.
+
+    `first_view` is the phone's camera in the first frame: intrinsics and (4, 4) world_from_camera; None where nobody
+    has looked.
+    """
 
     frames: tuple[int, ...]
     size: tuple[int, int]
     objects: tuple[bpy.types.Object, ...]
     probes: tuple[Probe, ...]
+    first_view: tuple[Intrinsics, ArrayF64] | None = None
 
     def probes_of(self, object_name: str) -> list[Probe]:
         return [probe for probe in self.probes if probe.object_name == object_name]
@@ -67,10 +73,10 @@ def plan_previs(scene: bpy.types.Scene, settings: PrevisSettings) -> PrevisPlan:
     size = settings.size or sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1)).size
     with working_scene(scene, "Xihe Plan", RenderSettings(size, samples=1)) as working:
         working.frame_set(frames[0])
-        phone_camera(working)
+        first_view = phone_camera(working)
         named = [(item, named_positions(item, working.view_layers[0].depsgraph)) for item in objects]
     probes = [Probe(name, item.name, place) for item, places in named for name, place in places.items()]
-    return PrevisPlan(tuple(frames), size, tuple(objects), tuple(probes))
+    return PrevisPlan(tuple(frames), size, tuple(objects), tuple(probes), first_view)
 
 
 def check_nothing_is_missing(scene: bpy.types.Scene) -> None:

@@ -20,6 +20,7 @@ from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import phone_camera, session_time_s
 from xihe_blender.errors import UserError
 from xihe_blender.io.run_results import Fault
+from xihe_blender.jobs import Job, Progress
 from xihe_blender.light_transport import nodes
 from xihe_blender.light_transport.animation import is_animated, read_once, shows_a_film
 from xihe_blender.light_transport.inspection import open_inspection
@@ -36,8 +37,8 @@ from xihenet.phone import CameraMotion, motion_between
 from xihenet.records import ArrayF64, Intrinsics
 
 LAMP_SHAPE = ("shadow_soft_size", "size", "size_y", "angle", "spot_size", "spot_blend")
-LONGEST_LOOK_S = 0.2
-"""Of `may_see_a_position`, for which a window waits."""
+LONGEST_LOOK_S = 5.0
+"""Of `may_see_a_position`, for which who pressed Run waits."""
 
 STILL = CameraMotion(np.zeros(3), np.zeros(3))
 
@@ -128,7 +129,7 @@ def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
             frame,
             views[frame].time_s,
             movement.moved[frame],
-            _in_view({probe.name: probe.at(frame) for probe in probes}, views[frame]),
+            _in_view({p.name: p.at(frame) for p in probes}, views[frame].intrinsics, views[frame].world_from_camera),
             _camera_motion(frame, views),
             states.states[frame],
             room.roughness[frame],
@@ -138,20 +139,27 @@ def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
     return SceneSurvey(frames, tuple(dict.fromkeys(faults)), required, room.light_changes)
 
 
-def may_see_a_position(scene: bpy.types.Scene, plan: PrevisPlan, within_s: float = LONGEST_LOOK_S) -> bool:
+def may_see_a_position(scene: bpy.types.Scene, plan: PrevisPlan, within_s: float = LONGEST_LOOK_S) -> Job[bool]:
     """Whether any estimation position is in view of the camera in any frame; True if `within_s` is too short to tell.
 
-    Where the first frame sees one, that frame alone is looked at. `scene` stays as it is.
+    Where the first frame sees one, as the plan knows, none is looked at. `scene` stays as it is.
     """
+    # Where the plan puts them is where they are in that frame.
+    places_m = {probe.name: probe.position_m for probe in plan.probes}
+    if plan.first_view is not None and _in_view(places_m, *plan.first_view):
+        return True
     until_s, movement = time.perf_counter() + within_s, MovementSurvey(plan)
-    settings = RenderSettings(plan.size, samples=1)
+    settings, looking = RenderSettings(plan.size, samples=1), Progress(0, 1, "looking at the camera path")
+    yield looking
     with open_inspection(scene) as inspection, working_scene(scene, "Xihe Look", settings) as working:
         for frame in plan.frames:
             working.frame_set(frame)
-            view = _CameraView(working.camera, *phone_camera(working), session_time_s(working))
+            view = phone_camera(working)
+            yield looking
             inspection.look_at(frame, movement.look_at)
-            if _in_view(movement.places, view) or time.perf_counter() > until_s:
+            if _in_view(movement.places, *view) or time.perf_counter() > until_s:
                 return True
+            yield looking
     return False
 
 
@@ -160,9 +168,9 @@ def _followed(probe: Probe, moved: Mapping[int, Mapping[str, tuple[float, ...]]]
     return replace(probe, moved_m=places)
 
 
-def _in_view(places_m: Mapping[str, ArrayF64], view: _CameraView) -> tuple[str, ...]:
+def _in_view(places_m: Mapping[str, ArrayF64], intrinsics: Intrinsics, world_from_camera: ArrayF64) -> tuple[str, ...]:
     positions_m = np.array(list(places_m.values())).reshape(-1, 3)
-    seen = in_view(positions_m, view.intrinsics, view.world_from_camera)
+    seen = in_view(positions_m, intrinsics, world_from_camera)
     return tuple(name for name, is_seen in zip(places_m, seen, strict=True) if is_seen)
 
 

@@ -11,10 +11,11 @@ from addon_tests.real_blender.whole_blender import MODULE
 
 ROOT = Path(__file__).resolve().parents[3]
 pytestmark = pytest.mark.timeout(1200)
-LONGEST_FREEZE_S = 2.0
-"""0.4 s were measured on a quiet machine, with OpenGL in software; a slow and busy one takes several times that."""
+LONGEST_FREEZE_S = 1.0
+"""0.2 to 0.4 s on a quiet machine are one draw of Blender's window with OpenGL in software; a busy one takes longer."""
 
 CORNELL_BOX = ROOT / "blend_scenes" / "cornell_box.blend"
+LOWEST_PRIORITY = 19
 KINDS = ("worlds", "images", "node_groups", "actions", "scenes", "markers")
 
 
@@ -135,7 +136,7 @@ def free_window(tmp_path_factory):
 
 def test_the_window_stays_free_during_a_run(free_window):
     assert (free_window.code, free_window.complaints) == (0, []), free_window.console
-    assert free_window.facts["is_free"]
+    assert free_window.facts["is_free"] and free_window.facts["niceness"] == LOWEST_PRIORITY
     assert free_window.facts["longest_s"] < LONGEST_FREEZE_S
 
 

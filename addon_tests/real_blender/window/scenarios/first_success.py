@@ -111,7 +111,7 @@ def see_the_comparison(w):
     with bpy.context.temp_override(window=w.window, area=other):
         other.type = "IMAGE_EDITOR"
     yield 0.5
-    yield from w.click_on("xihe.show_comparison")
+    yield from w.click_on("xihe.show_comparison", across=0.3)
     yield 0.5
     w.facts["compared"] = [
         a.spaces.active.image.name
@@ -128,7 +128,7 @@ def see_the_comparison(w):
     yield from w.wait_until(lambda: shown["xihe_frame"] != before, "the comparison follows", at_most_s=20)
     yield 1
     yield from w.picture("6_wiped")
-    yield from w.click_on("xihe.save_side_by_side")
+    yield from w.click_on("xihe.save_side_by_side", across=0.3)
     yield 2
     folder = pathlib.Path(bpy.context.scene.xihe.run_folder)
     w.facts["saved"] = sorted(file.name for file in folder.glob("*.mp4"))
@@ -156,7 +156,7 @@ def press_until(w, key, is_there, at_most=5):
 
 
 def remove(w):
-    yield from w.click_on("xihe.remove_light")
+    yield from w.click_on("xihe.remove_light", across=0.7)
     yield 0.8
     w.facts["removed"] = left_in_file()
     yield from w.picture("9_removed")

@@ -1,13 +1,14 @@
 """A run in the background: the window stays free, the file is left and found again, and a stopped run resumes."""
 
 import json
+import os
 import time
 from pathlib import Path
 
 import bpy
 from rooms import look_through_camera, make_runs_short, room_with_a_virtual_ball
 
-from xihe_blender.addon.background_run import is_locked
+from xihe_blender.addon.background_run import BackgroundRun, is_locked
 
 BEAT_S = 0.02
 
@@ -75,6 +76,8 @@ def undisturbed(w):
     w.click()
     heart = Heartbeat()
     yield from w.wait_until(lambda: job().is_running and job().progress > 0, "the run begins")
+    pid = BackgroundRun(Path(job().unshown_run)).state.pid
+    w.facts["niceness"] = os.getpriority(os.PRIO_PROCESS, pid)
     yield from wait_for_end(w)
     w.facts["longest_s"] = heart.stop()
     w.facts["undisturbed"] = {"error": job().error, "folder": str(run_folder()), "results": results()}

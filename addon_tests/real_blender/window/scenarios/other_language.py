@@ -16,7 +16,7 @@ def scenario(w):
     yield from w.open_tab()
     w.facts["language"] = view.language
     yield from w.picture("tab")
-    yield from w.click_on("xihe.add_sphere_rig")
+    yield from w.click_on("xihe.add_sphere_rig", across=0.3)
     yield 0.5
     w.facts["virtual"] = len(bpy.data.collections["Xihe Virtual"].objects)
     yield from w.find("xihe.run(")
