@@ -77,6 +77,7 @@ def test_the_manifest_lists_the_wheel_of_the_zip_and_no_platform(manifest, wheel
 
 def test_the_manifest_says_who_it_is_and_asks_for_files_alone(manifest):
     assert (manifest["id"], manifest["version"]) == ("xihe", __version__)
+    assert manifest["website"].startswith("https://")
     assert manifest["blender_version_min"] == "4.2.0"
     assert manifest["license"] == ["SPDX:GPL-3.0-or-later"]
     assert manifest["permissions"].keys() == {"files"}

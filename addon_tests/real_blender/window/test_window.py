@@ -147,6 +147,10 @@ def test_a_run_that_is_disturbed_has_the_results_of_one_that_is_not(free_window,
     assert without_times(disturbed["results"]) == without_times(undisturbed["results"])
 
 
+def test_undo_during_a_run_takes_an_edit_back(free_window):
+    assert free_window.facts["undone"]
+
+
 def test_the_panel_says_that_the_scene_was_changed_during_the_run(free_window):
     assert re.fullmatch(r"\d\d:\d\d", free_window.facts["edited"]["made_of"])
 

@@ -84,11 +84,21 @@ def undisturbed(w):
 
 
 def edited(w):
-    """The run knows the scene as it was when it began, and the panel says when that was."""
+    """The run knows the scene as it was when it began, and the panel says when that was; Undo takes an edit back."""
     yield from start(w)
     place = bpy.data.objects["Ball"].location.copy()
+    with w.context():
+        bpy.ops.ed.undo_push(message="Before")
+        bpy.data.objects["Ball"].location.x += 0.3
+        bpy.data.materials.new("Made Meanwhile")
+        bpy.ops.ed.undo_push(message="Edit")
+    yield 1
+    w.move(w.area.x + w.area.width * 0.3, w.area.y + w.area.height * 0.5)
+    yield 0.3
+    w.press("ctrl+z")
+    yield 1
+    w.facts["undone"] = bpy.data.objects["Ball"].location == place
     bpy.data.objects["Ball"].location.x += 0.3
-    bpy.data.materials.new("Made Meanwhile")
     yield 1
     w.facts["is_free"] = job().is_running
     yield from wait_for_end(w)
