@@ -16,6 +16,7 @@ from tiny_scenes import material, saved, sphere
 
 from xihe_blender.addon.results_in_blender import remove_everything, show_lit
 from xihe_blender.apply.datablocks import LIT_SCENE, has_anything, lit_scene
+from xihe_blender.apply.lit_scene import CapturedFrames
 from xihe_blender.errors import UserError
 from xihe_blender.io.run_results import read_results
 from xihe_blender.scene.virtual_objects import virtual_collection
@@ -210,6 +211,16 @@ def test_each_frame_has_what_the_phone_saw_last(ran, shown):
     files = sorted((ran.out / "lit").iterdir())
     assert [file.name for file in files] == [f"frame_{i:04d}.png" for i in range(1, N_FRAMES + 1)]
     assert files[LOOKS_AWAY - 1].read_bytes() == files[LOOKS_AWAY - 2].read_bytes() != files[LOOKS_AWAY].read_bytes()
+
+
+def test_the_first_and_last_picture_stay_where_the_path_goes_on_without_one(tmp_path):
+    pictures = {3: tmp_path / "third.png", 5: tmp_path / "fifth.png"}
+    for path in pictures.values():
+        path.write_text(path.stem)
+    frames = CapturedFrames(pictures, range(1, 8), tmp_path / "lit", (4, 4), 1.0)
+    frames.write_sequence()
+    assert frames.frames == range(1, 8)
+    assert [file.read_text() for file in sorted((tmp_path / "lit").iterdir())] == 4 * ["third"] + 3 * ["fifth"]
 
 
 def test_its_worlds_are_keyed_and_its_camera_is_a_copy(shown):

@@ -35,31 +35,30 @@ _RAYS = ("diffuse", "glossy", "transmission", "volume_scatter", "shadow")
 class CapturedFrames:
     """What is shown behind the objects: a PNG of each captured frame, by its number, at least one.
 
-    Between two of them the earlier one stays. A picture for each frame is put into `folder`, numbered from 1 on, as
-    Blender reads image sequences.
+    Between two of them the earlier one stays, as the last one does to the end of `path`; before the first, that one is
+    shown. A picture for each frame is put into `folder`, numbered from 1 on, as Blender reads image sequences.
     """
 
     pictures: Mapping[int, Path]
+    path: range
     folder: Path
     size: tuple[int, int]
     exposure: float
 
     @property
-    def first(self) -> int:
-        return min(self.pictures)
-
-    @property
-    def n(self) -> int:
-        return max(self.pictures) - self.first + 1
+    def frames(self) -> range:
+        """Those of the path, and what was captured beside it."""
+        numbers = (*self.pictures, *self.path)
+        return range(min(numbers), max(numbers) + 1)
 
     def write_sequence(self) -> Path:
         """Put the pictures into the folder, anew; the path of the first."""
         shutil.rmtree(self.folder, ignore_errors=True)
         self.folder.mkdir(parents=True)
-        shown = self.pictures[self.first]
-        for place in range(self.n):
-            shown = self.pictures.get(self.first + place, shown)
-            target = self.folder / f"frame_{place + 1:04d}.png"
+        shown = self.pictures[min(self.pictures)]
+        for number, frame in enumerate(self.frames, 1):
+            shown = self.pictures.get(frame, shown)
+            target = self.folder / f"frame_{number:04d}.png"
             try:
                 os.link(shown, target)
             except OSError:  # On another disk, or one without links.
@@ -132,7 +131,7 @@ def _phone_with(camera: bpy.types.Object, image: bpy.types.Image, frames: Captur
 
 
 def _play(user: bpy.types.ImageUser | bpy.types.CompositorNodeImage, frames: CapturedFrames) -> None:
-    user.frame_start, user.frame_duration, user.frame_offset = frames.first, frames.n, 0
+    user.frame_start, user.frame_duration, user.frame_offset = frames.frames.start, len(frames.frames), 0
     user.use_auto_refresh = True
 
 
