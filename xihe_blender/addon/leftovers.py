@@ -38,11 +38,18 @@ def _after_load(*_: Any) -> None:
     job.is_running = job.is_cancel_wanted = False
     job.doing = job.error = job.run_estimate = ""
     job.progress = job.seconds_left = 0.0
-    job.unshown_run = str(newest_unshown_run(bpy.data.filepath) or "")
+    _look_for_run()
     remove_working_scenes()
 
 
+def _look_for_run() -> None:
+    """Have the panel offer the run that was left when the file was closed, or the add-on switched off."""
+    bpy.context.window_manager.xihe.unshown_run = str(newest_unshown_run(bpy.data.filepath) or "")
+
+
 def register() -> None:
+    # Once data can be reached; where a file is loaded before, `_after_load` does it.
+    bpy.app.timers.register(_look_for_run, first_interval=0.0)
     bpy.app.handlers.undo_post.append(_after_undo)
     bpy.app.handlers.redo_post.append(_after_undo)
     bpy.app.handlers.load_post.append(_after_load)
@@ -52,3 +59,5 @@ def unregister() -> None:
     bpy.app.handlers.undo_post.remove(_after_undo)
     bpy.app.handlers.redo_post.remove(_after_undo)
     bpy.app.handlers.load_post.remove(_after_load)
+    if bpy.app.timers.is_registered(_look_for_run):
+        bpy.app.timers.unregister(_look_for_run)

@@ -11,8 +11,8 @@ from addon_tests.real_blender.whole_blender import MODULE
 
 ROOT = Path(__file__).resolve().parents[3]
 pytestmark = pytest.mark.timeout(1200)
-LONGEST_FREEZE_S = 1.0
-"""0.2 to 0.4 s on a quiet machine are one draw of Blender's window with OpenGL in software; a busy one takes longer."""
+LONGEST_FREEZE_S = 2.0
+"""0.3 to 0.5 s on a quiet machine, one draw of Blender's window with OpenGL in software; 1.6 s beside another program."""
 
 CORNELL_BOX = ROOT / "blend_scenes" / "cornell_box.blend"
 LOWEST_PRIORITY = 19
@@ -157,7 +157,7 @@ def test_the_panel_says_that_the_scene_was_changed_during_the_run(free_window):
 
 def test_a_run_goes_on_while_another_file_is_open_and_is_found_again(free_window):
     facts = free_window.facts
-    assert facts["goes_on"] and facts["said_elsewhere"] == "" and facts["found"]
+    assert facts["goes_on"] and facts["said_elsewhere"] == "" and facts["found"] and facts["found_when_enabled"]
     assert facts["found_again"]["same"] and facts["left"] == ""
 
 

@@ -8,7 +8,9 @@ from pathlib import Path
 import bpy
 from rooms import look_through_camera, make_runs_short, room_with_a_virtual_ball
 
+from xihe_blender import addon
 from xihe_blender.addon.background_run import BackgroundRun, is_locked
+from xihe_blender.addon.preferences import XihePreferences
 
 BEAT_S = 0.02
 
@@ -119,6 +121,11 @@ def left_and_found_again(w, file):
     bpy.ops.wm.open_mainfile(filepath=file, load_ui=False)
     yield 1
     w.facts["found"] = Path(job().unshown_run) == folder
+    addon.unregister()
+    addon.register(XihePreferences.bl_idname)
+    yield 1
+    w.facts["found_when_enabled"] = Path(job().unshown_run) == folder
+    yield from w.open_tab()
     yield from w.picture("found_again")
     yield from w.click_on("xihe.resume_run")
     yield from wait_for_end(w)
