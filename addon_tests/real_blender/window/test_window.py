@@ -12,7 +12,7 @@ from addon_tests.real_blender.whole_blender import MODULE
 ROOT = Path(__file__).resolve().parents[3]
 pytestmark = pytest.mark.timeout(1200)
 LONGEST_FREEZE_S = 2.0
-"""0.3 to 0.5 s on a quiet machine, one draw of Blender's window with OpenGL in software; 1.6 s beside another program."""
+"""0.3 to 0.5 s on a quiet machine, one draw of Blender's window with OpenGL in software; 1.6 s beside others."""
 
 CORNELL_BOX = ROOT / "blend_scenes" / "cornell_box.blend"
 LOWEST_PRIORITY = 19

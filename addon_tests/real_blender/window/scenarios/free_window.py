@@ -94,20 +94,16 @@ def edited(w):
         bpy.data.objects["Ball"].location.x += 0.3
         bpy.data.materials.new("Made Meanwhile")
         bpy.ops.ed.undo_push(message="Edit")
-    yield 1
     w.move(w.area.x + w.area.width * 0.3, w.area.y + w.area.height * 0.5)
-    yield 0.3
-    w.press("ctrl+z")
-    yield 1
-    w.facts["undone"] = bpy.data.objects["Ball"].location == place
-    bpy.data.objects["Ball"].location.x += 0.3
-    yield 1
+    yield 0.5
     w.facts["is_free"] = job().is_running
+    w.press("ctrl+z")
+    yield 0.5
+    w.facts["undone"] = bpy.data.objects["Ball"].location == place
     yield from wait_for_end(w)
     made_of = bpy.context.scene.xihe.run_made_of
     w.facts["edited"] = {"error": job().error, "made_of": made_of, "results": results()}
     yield from w.picture("edited")
-    bpy.data.objects["Ball"].location = place
 
 
 def left_and_found_again(w, file):
