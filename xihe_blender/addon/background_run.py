@@ -36,7 +36,7 @@ COMMAND = "Run in Blender's panel"
 SCRIPT = Path(__file__).with_name("background_script.py")
 LOOK_EVERY_S = 0.2
 NICENESS = 19
-"""Of the second Blender, the most there is: it works with what the window and all else that is open leave."""
+"""Of the second Blender, the most there is: it has what the window and all else that is open leave."""
 EDITABLE = (bpy.types.Object, bpy.types.Material, bpy.types.Light, bpy.types.World, bpy.types.Camera, bpy.types.Mesh)
 """Kinds of data whose change makes the open scene another than the run's."""
 
@@ -132,7 +132,7 @@ class BackgroundRun:
         self.outputs.progress.unlink(missing_ok=True)
         trust = "--disable-autoexec" if bpy.app.autoexec_fail else "--enable-autoexec"
         # The window, and whatever else is open, goes first; see also `give_way`.
-        first = ["nice", "-n", str(NICENESS)] if shutil.which("nice") else []
+        first = ["nice", "-n", str(NICENESS)] if sys.platform != "win32" and shutil.which("nice") else []
         # Where this Blender has the add-on's packages, its preferences saved or not.
         paths = [str(Path(sys.modules[name].__file__ or "").parents[1]) for name in ("xihe_blender", "xihenet")]
         with self.outputs.console.open("ab") as console:

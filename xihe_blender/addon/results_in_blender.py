@@ -90,7 +90,7 @@ def show_lit(scene: bpy.types.Scene, folder: Path, active: str = "") -> bpy.type
     hide_behind_room(lit, scene, objects)
     lit[ROOM] = scene
     exposure = results.settings.reference_exposure
-    path = range(scene.frame_start, scene.frame_end + 1)
+    path = range(results.frames[0].frame, results.frames[-1].frame + 1)
     put_over_frames(lit, CapturedFrames(pictures, path, folder / "lit", results.settings.size, exposure))
     lit.world = applied_worlds(scene).get(active, lit.world)
     return lit
