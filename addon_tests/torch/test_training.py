@@ -19,6 +19,7 @@ from xihenet.sh import project_anchors, rotate
 from xihenet.sh_basis import basis
 from xihenet.sphere import AnchorLattice
 from xihenet.training import __main__ as command_line
+from xihenet.training import loop
 from xihenet.training.baselines import projected
 from xihenet.training.dataset import (
     SAMPLINGS,
@@ -297,6 +298,30 @@ def test_a_stopped_training_ends_where_an_undisturbed_one_does(caches, tmp_path,
     train(stopped, stop_after=2)
     assert same_weights(weights(whole), weights(train(stopped)))
     assert (tmp_path / "whole" / "curves.csv").read_text() == (tmp_path / "stopped" / "curves.csv").read_text()
+
+
+@pytest.mark.parametrize("n_steps", [1, 5])
+def test_a_training_stopped_within_an_epoch_goes_on_from_what_was_kept(caches, tmp_path, monkeypatch, n_steps):
+    """In epochs of three steps."""
+    n = len(open_split(caches["sphere"], "train"))
+    whole, stopped = (quick(caches["sphere"], tmp_path / name, epochs=2, batch_size=-(-n // 3)) for name in "ab")
+    best = weights(train(whole))
+    monkeypatch.setattr(loop, "KEEP_EVERY_S", 0.0)
+    left = iter(range(n_steps))
+
+    def stopping(*parts):
+        next(left)
+        return training_loss(*parts)
+
+    with monkeypatch.context() as patch, pytest.raises(StopIteration):
+        patch.setattr(loop, "training_loss", stopping)
+        train(stopped)
+    steps = []
+    with monkeypatch.context() as patch:
+        patch.setattr(loop, "training_loss", lambda *parts: steps.append(1) or training_loss(*parts))
+        assert same_weights(best, weights(train(stopped)))
+    assert len(steps) == 6 - n_steps
+    assert (tmp_path / "a" / "curves.csv").read_text() == (tmp_path / "b" / "curves.csv").read_text()
 
 
 def test_a_learning_curve_takes_the_first_rooms_alone(caches, tmp_path):

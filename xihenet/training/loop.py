@@ -2,7 +2,8 @@
 
 Nothing random is left to chance or to a state that could be lost: the order of an epoch and what is hidden in it follow
 from the seed and the epoch's number, the learning rate from the step, and the networks draw nothing after they are
-made. So a checkpoint per epoch (weights, moving average, optimiser, history) is all there is to keep. What is judged,
+made. So a checkpoint (weights, moving average, optimiser, history), after each epoch and every ten minutes of a long
+one, is all there is to keep. What is judged,
 and kept in the end, is the moving average; training stops when it has not become better on the validation rooms for
 `patience` epochs.
 
@@ -26,13 +27,14 @@ from torch import Tensor, nn
 
 from xihenet.estimators.base import Target
 from xihenet.formats import format_duration
-from xihenet.records import ArrayInt
+from xihenet.records import ArrayBool, ArrayF64, ArrayInt
 from xihenet.training import networks
 from xihenet.training.dataset import CloudSet, open_split
 from xihenet.training.networks import Batch
 from xihenet.training.scores import irradiance_table
 
 N_NORMALS = 32
+KEEP_EVERY_S = 600.0
 Progress = Callable[[str], None]
 
 
@@ -78,6 +80,8 @@ class _Run:
     average: nn.Module
     optimiser: torch.optim.Optimizer
     epoch: int = 0
+    n_batches: int = 0  # of the epoch under way that are done
+    losses: float = 0.0  # and the sum of their losses
     step: int = 0
     best_rmse: float = float("inf")
     best_epoch: int = 0
@@ -133,14 +137,17 @@ def hide_caps(batch: Batch, share: float, rng: np.random.Generator) -> Batch:
     The cap's axis points to anywhere, its half angle leaves 5 to 100 % of the sphere; a cloud that would have nothing
     left stays whole. The light to be found stays the same.
     """
-    n = len(batch.is_set)
-    drawn = rng.normal(size=(n, 3)), rng.random(n) < share, 1 - 2 * rng.uniform(0.05, 1.0, n)
+    drawn = _drawn_caps(len(batch.is_set), share, rng)
     axes, chosen, lowest_cosine = (torch.from_numpy(np.float32(part)).to(batch.is_set.device) for part in drawn)
     along = torch.einsum("bnc,bc->bn", nn.functional.normalize(batch.points_m, dim=2), nn.functional.normalize(axes))
     left = batch.is_set & (along >= lowest_cosine[:, None])
     is_set = torch.where((chosen.bool() & left.any(1))[:, None], left, batch.is_set)
     known = is_set[..., None]
     return Batch(batch.srgb * known, batch.points_m * known, is_set, batch.truth, batch.facing * is_set)
+
+
+def _drawn_caps(n: int, share: float, rng: np.random.Generator) -> tuple[ArrayF64, ArrayBool, ArrayF64]:
+    return rng.normal(size=(n, 3)), rng.random(n) < share, 1 - 2 * rng.uniform(0.05, 1.0, n)
 
 
 def training_loss(light: Tensor, expected_error: Tensor | None, truth: Tensor, settings: TrainSettings) -> Tensor:
@@ -173,19 +180,21 @@ def _start_or_resume(settings: TrainSettings) -> _Run:
         for name, part in vars(run).items():
             if name in STATES:
                 part.load_state_dict(kept[name])
-            else:
+            elif name in kept:
                 setattr(run, name, kept[name])
     return run
 
 
 def _train_epoch(run: _Run, clouds: CloudSet, settings: TrainSettings) -> float:
-    """One pass; the mean loss."""
+    """One pass, or what is left of it; the mean loss."""
     run.net.train()
     rng = np.random.default_rng([settings.seed, run.epoch])
     order = rng.permutation(rows_of_first_rooms(clouds, settings.n_rooms))
     batches = np.array_split(order, -(-len(order) // settings.batch_size))
-    total = 0.0
-    for rows in batches:
+    for rows in batches[: run.n_batches]:
+        _drawn_caps(len(rows), settings.hidden_share, rng)
+    kept_at = time.monotonic()
+    for rows in batches[run.n_batches :]:
         for group in run.optimiser.param_groups:
             group["lr"] = _learning_rate(run.step, settings.epochs * len(batches), settings.learning_rate)
         batch = networks.read_batch(clouds, rows, settings.target, settings.device)
@@ -201,9 +210,14 @@ def _train_epoch(run: _Run, clouds: CloudSet, settings: TrainSettings) -> float:
         with torch.no_grad():
             for averaged, current in zip(run.average.parameters(), run.net.parameters(), strict=True):
                 averaged.lerp_(current, 1 - keep)
-        total += float(loss.detach())
-    run.epoch += 1
-    return total / len(batches)
+        run.losses += float(loss.detach())
+        run.n_batches += 1
+        if time.monotonic() - kept_at >= KEEP_EVERY_S:
+            kept_at = time.monotonic()
+            _save_checkpoint(run, settings)
+    mean_loss = run.losses / len(batches)
+    run.epoch, run.n_batches, run.losses = run.epoch + 1, 0, 0.0
+    return mean_loss
 
 
 def _learning_rate(step: int, n_steps: int, highest: float) -> float:
@@ -229,6 +243,8 @@ def _judge(run: _Run, held_out: CloudSet, settings: TrainSettings, loss: float, 
 def _save_checkpoint(run: _Run, settings: TrainSettings) -> None:
     state = {name: part.state_dict() if name in STATES else part for name, part in vars(run).items()}
     networks.write_torch(settings.out / "checkpoint.pt", {"settings": settings.decisive(), **state})
+    if not run.history:
+        return
     # From the history and not appended to, so that a resumed training has each epoch once.
     with (settings.out / "curves.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, list(run.history[0]))
