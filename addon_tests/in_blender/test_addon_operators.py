@@ -1,6 +1,7 @@
 """Each operator does what its function does, and says why when it cannot."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -10,6 +11,7 @@ from previs_runs import walk
 from scene_snapshot import differences, snapshot
 from tiny_scenes import box, empty_scene, phone, room_with_a_virtual_sphere, saved
 
+from xihe_blender.addon.preferences import own_folder, runs_folder
 from xihe_blender.addon.run_settings import previs_settings
 from xihe_blender.addon.runs_folder import new_run_folder
 from xihe_blender.errors import UserError
@@ -325,6 +327,14 @@ def test_folders_of_runs_are_new_each_time(tmp_path):
     assert len(set(folders)) == 4 and all(folder.is_dir() for folder in folders)
     assert {folder.parent for folder in folders} == {tmp_path / "deep" / "runs"}
     assert all(folder.name.startswith("untitled_") for folder in folders)
+
+
+def test_runs_lie_beside_the_saved_file_and_never_where_blender_deletes_them_with_the_extension(tmp_path):
+    walk_for_the_panel("")
+    assert runs_folder() == Path(bpy.utils.user_resource("DATAFILES")) / "xihe_runs"
+    assert not runs_folder().is_relative_to(own_folder())
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "room.blend"))
+    assert runs_folder() == tmp_path / "xihe_runs"
 
 
 def test_a_runs_folder_that_cannot_be_made_names_the_preference(tmp_path):

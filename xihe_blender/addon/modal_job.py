@@ -133,11 +133,6 @@ class ModalJob:
     works_here = True
     """Whether the job works in the open file, and not another process for it."""
 
-    @property
-    def works_in_file(self) -> bool:
-        """Whether it works in the open file right now, if only for a moment before another process does."""
-        return self.works_here
-
     is_modal = False
     """Whether a window comes back to the job, or the caller waits for its end."""
 
@@ -183,7 +178,7 @@ class ModalJob:
             return {"RUNNING_MODAL"} if self._is_users_turn(context) else self._step(context)
         if event.type not in NO_INPUT:
             self.input_at = time.perf_counter()
-        if self.works_in_file and (event.type == "F12" or (event.type in UNDO_KEYS and (event.ctrl or event.oskey))):
+        if self.works_here and (event.type == "F12" or (event.type in UNDO_KEYS and (event.ctrl or event.oskey))):
             # Undo would take away the scenes that the job works in; a render would get in its way.
             return {"RUNNING_MODAL"}
         return {"PASS_THROUGH"}

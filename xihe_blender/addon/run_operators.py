@@ -34,12 +34,11 @@ class Following(ModalJob):
     def follow(self, run: BackgroundRun) -> Job[None]:
         """The job of `run`, which is remembered until its results are shown."""
         self.background, self.folder = run, run.folder
-        bpy.context.window_manager.xihe.unshown_run = str(run.folder)
+        state = bpy.context.window_manager.xihe
+        # Until now it has worked in the open file, if only to look at the camera path.
+        self.works_here = state.works_here = False
+        state.unshown_run = str(run.folder)
         return run.follow()
-
-    @property
-    def works_in_file(self) -> bool:
-        return self.background is None
 
     def stop(self) -> None:
         if self.background is not None:
@@ -74,12 +73,11 @@ class XIHE_OT_run(polls.Conditional, Following, bpy.types.Operator):
 
     def start_job(self, context: bpy.types.Context) -> Job[None]:
         # A script waits for the run anyway.
-        self.works_here = not (self.is_modal and bpy.app.binary_path)
-        return self._job(context.scene)
+        return self._job(context.scene, in_background=self.is_modal and bool(bpy.app.binary_path))
 
-    def _job(self, scene: bpy.types.Scene) -> Job[None]:
+    def _job(self, scene: bpy.types.Scene, *, in_background: bool) -> Job[None]:
         """A scene that cannot be run is refused before anything is written."""
-        if not self.works_here:
+        if in_background:
             yield from results_imported()
         from xihe_blender.addon.run_settings import choices_of_run, previs_settings, run_and_show
         from xihe_blender.previs.plan import plan_previs
@@ -93,14 +91,13 @@ class XIHE_OT_run(polls.Conditional, Following, bpy.types.Operator):
                 "turn the camera to one, or move one into its view"
             )
         self.folder = new_run_folder(scene)
-        if not self.works_here:
+        if in_background:
             yield Progress(0, 1, "saving a copy of the file")
             run = saved_for_run(scene, self.folder, choices_of_run(scene))
             try:
                 run.start()
             except OSError as error:
                 self.report({"WARNING"}, f"No second Blender ({error.strerror}): this window waits while frames render")
-                self.works_here = bpy.context.window_manager.xihe.works_here = True
             else:
                 yield from self.follow(run)
                 return
@@ -114,7 +111,6 @@ class XIHE_OT_resume_run(polls.Conditional, Following, bpy.types.Operator):
     conditions = (polls.is_idle, polls.is_room, polls.has_unshown_run)
 
     def start_job(self, context: bpy.types.Context) -> Job[None]:
-        self.works_here = False
         return self._job(Path(context.window_manager.xihe.unshown_run))
 
     def _job(self, folder: Path) -> Job[None]:
