@@ -11,8 +11,8 @@ from addon_tests.real_blender.whole_blender import MODULE
 
 ROOT = Path(__file__).resolve().parents[3]
 pytestmark = pytest.mark.timeout(1200)
-LONGEST_FREEZE_S = 2.0
-"""0.3 to 0.5 s on a quiet machine, one draw of Blender's window with OpenGL in software; 1.6 s beside others."""
+LONGEST_FREEZE_S = 0.6
+"""Beside one plain draw of the window, which takes 0.1 s with OpenGL in software: twice what a quiet machine shows."""
 
 CORNELL_BOX = ROOT / "blend_scenes" / "cornell_box.blend"
 LOWEST_PRIORITY = 19
@@ -137,7 +137,7 @@ def free_window(tmp_path_factory):
 def test_the_window_stays_free_during_a_run(free_window):
     assert (free_window.code, free_window.complaints) == (0, []), free_window.console
     assert free_window.facts["is_free"] and free_window.facts["niceness"] == LOWEST_PRIORITY
-    assert free_window.facts["longest_s"] < LONGEST_FREEZE_S
+    assert free_window.facts["longest_s"] < LONGEST_FREEZE_S + free_window.facts["draw_s"]
 
 
 @pytest.mark.parametrize("way", ["edited", "found_again", "resumed"])
