@@ -55,6 +55,8 @@ class ControllerSettings:
     reference_exposure: float | None = None  # that anchors and estimates carry; None takes the first frame's
     # How what is out of view follows a change of the light; None lets it be, as the paper does.
     following: LightFollowing | None = field(default_factory=LightFollowing)
+    # Whether positions out of view see the frames as well; in the paper they cost nothing, and learn nothing.
+    learns_out_of_view: bool = False
 
 
 class XiheController:
@@ -75,6 +77,8 @@ class XiheController:
         self.lattice.nearest(self.lattice.directions[:1], self.settings.nearest, self.settings.table_size)
         self.lattice.neighbours(min(self.settings.trigger.n_neighbours, len(self.lattice)))
         self._positions: dict[str, _Position] = {}
+        self.out_of_view_ms: dict[str, float] = {}
+        """Of the last step, by stage, at positions that were out of view."""
         self._frame: RgbdFrame | None = None
         self._recorder: SessionRecorder | None = None
 
@@ -101,6 +105,10 @@ class XiheController:
         """The light in force at a position: its last valid estimate, or None before there is one."""
         return self._positions[name].light
 
+    def coverage(self, name: str) -> float:
+        """Share of a position's anchors that are known."""
+        return self._positions[name].buffers.coverage()
+
     def active(self, intrinsics: Intrinsics, world_from_camera: ArrayF64) -> list[str]:
         """Names of the positions inside a camera's view; the others cost nothing and keep their light."""
         if not self._positions:
@@ -110,14 +118,22 @@ class XiheController:
         return [name for name, is_active in zip(self._positions, seen, strict=True) if is_active]
 
     def step(
-        self, frame: RgbdFrame, truth: dict[str, ArrayF64] | None = None, *, active: Sequence[str] | None = None
+        self,
+        frame: RgbdFrame,
+        truth: dict[str, ArrayF64] | None = None,
+        *,
+        active: Sequence[str] | None = None,
+        points: PointCloud | None = None,
     ) -> dict[str, StepReport]:
         """Run the chain on one frame for every active position.
 
         `truth` has the (9, 3) coefficients of the rendered light probe by position, for estimators that need them.
-        `active` names the positions in view, for whoever knows the true pose of a frame whose own has drifted.
+        `active` names the positions in view, for whoever knows the true pose of a frame whose own has drifted;
+        `points` are those of the frame at the session's exposure, for whoever has unprojected it.
 
-        StepReport by position, active ones only. Unprojecting is shared; its time stands in the first report.
+        StepReport by position, active ones only: the others may learn from the frame, see `learns_out_of_view`, but
+        nothing is sent and no light changes before they are in view. Unprojecting is shared; its time stands in the
+        first report, or where there is none in `out_of_view_ms`.
         """
         if self._recorder is not None:
             self._recorder.record(frame)
@@ -126,16 +142,29 @@ class XiheController:
         self._frame = frame
         if active is None:
             active = self.active(frame.intrinsics, frame.world_from_camera)
-        if not active:
+        learning = [name for name in self._positions if name not in active] if self.settings.learns_out_of_view else []
+        self.out_of_view_ms = {}
+        if not active and not learning:
             return {}
         clock = StageClock()
-        with clock.stage("unproject"):
-            points = unproject_frame(frame, reference_exposure=self.reference_exposure)
+        if points is None:
+            with clock.stage("unproject"):
+                points = unproject_frame(frame, reference_exposure=self.reference_exposure)
         reports = {}
         for name in active:
             reports[name] = self._step_position(name, frame, points, (truth or {}).get(name), clock)
             clock = StageClock()
+        for name in learning:
+            self._learn(name, points, clock)
+        self.out_of_view_ms = clock.stage_ms
         return reports
+
+    def _learn(self, name: str, points: PointCloud, clock: StageClock) -> None:
+        position = self._positions[name]
+        with clock.stage("sample"):
+            sampled = self._sample(points, position.position_m)
+        with clock.stage("merge"):
+            position.buffers = position.buffers.with_frame(position.buffers.in_sight(sampled))
 
     def _step_position(
         self, name: str, frame: RgbdFrame, points: PointCloud, truth_sh: ArrayF64 | None, clock: StageClock

@@ -84,6 +84,8 @@ def _check_frame(entry, frames):
     # `probes` lists active positions only, so that a frame is active exactly when it lists any.
     assert entry["active"] == bool(entry["probes"])
     if entry["active"]:
+        assert entry["captured"]
+    if entry["captured"]:
         _check_rendering(entry)
     else:
         assert entry["render_s"] == 0

@@ -210,6 +210,7 @@ def test_grey_buttons_without_anything_say_what_to_do(tmp_path):
         "resume_run": "No run of this file is left to go on with",
         "discard_run": "No run of this file is left to go on with",
         "apply_light": no_results,
+        "update_light": no_results,
         "remove_light": "No run has added anything to this file",
         "show_lit": "There are no results yet: run first",
         "show_room": "This is the room: press Show Lit to see the objects lit",

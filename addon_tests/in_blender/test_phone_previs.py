@@ -56,14 +56,13 @@ def test_a_perfect_phone_gives_what_the_plain_chain_gives(perfect):
     """The reference is the controller alone, fed with the captures that the run kept."""
     estimator = load_estimators(SMALL)[0]
     exposure = perfect.results["settings"]["reference_exposure"]
-    chain = XiheController(LocalBackend(estimator), ControllerSettings(SMALL.trigger, reference_exposure=exposure))
+    settings = ControllerSettings(SMALL.trigger, reference_exposure=exposure, learns_out_of_view=True)
+    chain = XiheController(LocalBackend(estimator), settings)
     for _, probe in steps(perfect.results):
         if probe["name"] not in chain.positions:
             chain.add_position(probe["name"], probe["position_m"])
     ambient = estimators.load("ambient", SMALL.n_anchors, SMALL.target)
     for entry in perfect.results["frames"]:
-        if not entry["active"]:
-            continue
         frame = load_frame(perfect.outputs.capture(entry["frame"]))
         reports = chain.step(frame)
         sensed = ambient.estimate(UnitSphereCloud.empty(SMALL.n_anchors), EstimateContext(frame=frame))

@@ -23,6 +23,8 @@ from tiny_scenes import room_with_a_virtual_sphere, sphere
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.jobs import run_blocking
+from xihe_blender.previs.kept_session import open_kept_session
 from xihe_blender.scene.virtual_objects import virtual_collection
 
 
@@ -69,15 +71,67 @@ def test_an_unknown_estimator_beside_the_chosen_one_is_refused():
         replace(SMALL, others=("projection", "magic"))
 
 
-def test_a_frame_without_a_position_in_view_is_not_captured(finished):
+def test_a_frame_without_a_position_in_view_is_captured_for_what_the_room_shows_there(finished):
     entry = entries(finished.results)[LOOKS_AWAY]
-    assert not entry["active"] and entry["render_s"] == 0 and "comparison" not in entry
-    assert not any(f"_{LOOKS_AWAY:04d}." in path for path in files_below(finished.outputs.folder))
+    assert entry["captured"] and entry["render_s"] > 0 and entry["stage_ms"]
+    assert not entry["active"] and "comparison" not in entry
     # Three of them for metering, three for the pilot that chooses the number of samples.
-    assert finished.renders.count("Xihe Capture") == 3 + 3 + N_FRAMES - 1
-    said = "1 frame had no estimation position in view and was not captured."
-    assert said in finished.results["notes"]
+    assert finished.renders.count("Xihe Capture") == 3 + 3 + N_FRAMES
+    said = "1 frame had no estimation position in view and was captured for what the room shows there, in "
+    assert any(note.startswith(said) for note in finished.results["notes"])
     assert said in finished.outputs.report.read_text(encoding="utf-8")
+    summary = finished.results["summary"]
+    assert (summary["n_captured_frames"], summary["n_active_frames"]) == (N_FRAMES, N_FRAMES - 1)
+
+
+def test_it_is_not_captured_where_only_what_is_in_view_is_wanted_and_nothing_is_learned_from_it(finished, tmp_path):
+    results = run(walk(), tmp_path, replace(SMALL, captured="in-view"))
+    entry = entries(results)[LOOKS_AWAY]
+    assert not entry["captured"] and entry["render_s"] == 0
+    assert not any(f"_{LOOKS_AWAY:04d}." in path for path in files_below(tmp_path))
+    assert "1 frame had no estimation position in view and was not captured." in results["notes"]
+    before, after = range(1, LOOKS_AWAY), LOOKS_AWAY + 1
+    whole = entries(finished.results)
+    assert [entries(results)[k]["probes"] for k in before] == [whole[k]["probes"] for k in before]
+    pairs = list(zip(whole[after]["probes"], entries(results)[after]["probes"], strict=True))
+    assert all(learned["coverage"] >= alone["coverage"] for learned, alone in pairs)
+    assert any(learned["coverage"] > alone["coverage"] for learned, alone in pairs)
+
+
+def test_the_session_of_a_run_gives_its_light_again_without_a_render(finished):
+    with counted_renders() as renders:
+        session = run_blocking(open_kept_session(finished.outputs.folder))
+        probes = [probe for entry in finished.results["frames"] for probe in entry["probes"]]
+        found = run_blocking(session.find_light({p["name"]: np.array(p["position_m"]) for p in probes}))
+    assert renders == []
+    for frame, entry in entries(finished.results).items():
+        for probe in entry["probes"]:
+            light = found[probe["name"]]
+            assert np.array_equal(light.sh[frame], probe["sh"]) and light.coverage[frame] == probe["coverage"]
+            assert light.expected_error[frame] == probe["expected_error"] and light.was_in_view
+
+
+def test_the_session_gives_the_light_that_a_run_finds_with_the_object_elsewhere(finished, tmp_path):
+    scene = walk()
+    ball, board = (virtual_collection(scene).objects[name] for name in ("Ball", "Board"))
+    ball.location = (0.5, 0.4, 1.1)
+    board.hide_render = True
+    settings = replace(SMALL, exposure=finished.results["settings"]["reference_exposure"])
+    elsewhere = run(scene, tmp_path, settings)
+    place = np.array(elsewhere["frames"][0]["probes"][0]["position_m"])
+    session = run_blocking(open_kept_session(finished.outputs.folder))
+    found = run_blocking(session.find_light({"Ball": place}))["Ball"]
+    for frame, entry in entries(elsewhere).items():
+        for probe in entry["probes"]:
+            if probe["name"] == "Ball":
+                np.testing.assert_allclose(found.sh[frame], probe["sh"], rtol=0, atol=1e-6)
+
+
+def test_captures_that_are_gone_are_told(finished, tmp_path):
+    shutil.copytree(finished.outputs.folder, tmp_path, dirs_exist_ok=True)
+    RunOutputs(tmp_path).capture(2).write_bytes(b"cut short")
+    with pytest.raises(UserError, match=r"the captures of the last run are gone or damaged .*: run again"):
+        run_blocking(open_kept_session(tmp_path))
 
 
 def test_another_seed_gives_another(tmp_path):
@@ -195,7 +249,7 @@ def test_a_path_that_never_sees_a_position_gives_results_and_a_report(tmp_path):
         look_away(scene.camera, frame)
     results = run(scene, tmp_path)
     assert results["summary"]["n_active_frames"] == 0 and results["comparison"] == {}
-    assert not (tmp_path / "pictures").exists()
+    assert results["summary"]["n_captured_frames"] == 2
     assert "2 frames had no estimation position in view" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 

@@ -100,6 +100,22 @@ def test_a_position_out_of_view_costs_nothing_and_keeps_its_light():
     assert controller.light("Vase") is light
 
 
+def test_a_position_out_of_view_learns_where_it_is_told_to_and_changes_its_light_once_it_is_seen():
+    controller = session(learns_out_of_view=True, trigger=TriggerSettings(coverage_theta=0.01))
+    light = controller.step(looking(0.0))["Vase"].estimate
+    away = looking(np.pi, level=0.9, frame=1)
+    assert controller.step(away) == {} and controller.out_of_view_ms.keys() == {"unproject", "sample", "merge"}
+    assert controller.light("Vase") is light and controller.coverage("Vase") > light.coverage
+    report = controller.step(looking(0.0, frame=2))["Vase"]
+    seen = [sample_unit_sphere(unproject_frame(one), (0, 1.5, 0), controller.lattice) for one in (looking(0.0), away)]
+    assert report.decision.reason == "coverage" and report.estimate.coverage == merge(*seen).is_set.mean()
+    assert controller.out_of_view_ms == {}
+    np.testing.assert_array_equal(
+        report.estimate.sh_radiance,
+        estimators.load("projection", N).estimate(merge(merge(*seen), seen[0])),
+    )
+
+
 def test_positions_are_independent():
     alone, together = session(), session()
     together.add_position("Lamp", (0.4, 2.0, 0.2))

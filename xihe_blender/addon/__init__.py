@@ -21,6 +21,7 @@ MODULES = (
     "run_operators",
     "result_operators",
     "light_operators",
+    "live_light",
     "panels",
     "overlay",
     "comparison_view",

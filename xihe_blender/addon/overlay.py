@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import bpy
 
 from xihe_blender.addon.runs_folder import last_run
+from xihe_blender.apply.datablocks import live_positions
 from xihe_blender.errors import UserError
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_objects
@@ -63,7 +64,8 @@ class Overlay:
         if scene.name not in self.positions:
             self.positions[scene.name] = shown_positions(scene, context.evaluated_depsgraph_get())
         run = last_run(scene.xihe.run_folder)
-        coverage = run.last_coverage if run else {}
+        coverage = dict(run.last_coverage) if run else {}
+        coverage |= {name: seen for name, (seen, _) in live_positions().items()}
         taken: list[Box] = []
         for position, x, y in on_screen(context, self.positions[scene.name]):
             seen = coverage.get(position.name)

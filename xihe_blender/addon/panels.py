@@ -23,6 +23,7 @@ from xihe_blender.addon.background_run import BackgroundRun
 from xihe_blender.addon.calibration import calibration_line
 from xihe_blender.addon.polls import doubts, has_camera, has_virtual_objects, shows_run
 from xihe_blender.addon.runs_folder import last_run
+from xihe_blender.apply.datablocks import live_positions
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.formats import format_duration
 
@@ -140,6 +141,7 @@ class XIHE_PT_picture(StagePanel, bpy.types.Panel):
             column.prop(settings, "frame_start")
             column.prop(settings, "frame_end")
             column.prop(settings, "frame_step")
+        layout.prop(settings, "captures_path")
         layout.prop(settings, "use_own_size")
         column = layout.column(align=True)
         column.active = settings.use_own_size
@@ -291,6 +293,7 @@ class XIHE_PT_apply(StagePanel, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("xihe.apply_light", text="Apply Light")
         row.operator("xihe.remove_light", text="Remove Light")
+        row.prop(context.scene.xihe, "follows_objects", text="", icon="CON_FOLLOWTRACK")
 
 
 class XIHE_PT_results(StagePanel, bpy.types.Panel):
@@ -307,6 +310,7 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
             sentence(context, layout, f"Of the scene as it was at {settings.run_made_of}", icon="INFO")
         if not run.summary.n_active_frames:
             sentence(context, layout, "No virtual object was in view of the camera in any frame", icon="ERROR")
+        _draw_moved(context, layout)
         column = layout.column(align=True)
         for name, value, meaning in result_rows(run):
             row = column.row(align=True)
@@ -331,6 +335,16 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         row.operator("xihe.save_side_by_side", text="Save Video")
         row.operator("xihe.open_report", text="Open Report")
         row.operator("wm.path_open", text="", icon="FILE_FOLDER").filepath = settings.run_folder
+
+
+def _draw_moved(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
+    """What is known of the light at objects that were moved since the run, and that all below is of the run."""
+    moved = live_positions()
+    for name, (coverage, error) in moved.items():
+        expected = "" if error is None else f", expected error {error:.3f}"
+        sentence(context, layout, f"{name} was moved: coverage {coverage:.0%}{expected}", icon="CON_FOLLOWTRACK")
+    if moved:
+        sentence(context, layout, "Errors and ground truth below are of the run: for new ones run again", icon="INFO")
 
 
 def _draw_methods(layout: bpy.types.UILayout, run: RunResults) -> None:

@@ -87,7 +87,7 @@ def has_virtual_objects(context: bpy.types.Context) -> str | None:
 def doubts(scene: bpy.types.Scene) -> list[str]:
     """Why a run would tell little, in sentences: it is not refused. What the first look at the scene shows."""
     found = []
-    if not any(map(_may_move, _cameras(scene))):
+    if not any(map(may_move, _cameras(scene))):
         found.append("The camera does not move: the phone will see one side of the room alone")
     if not _has_room(scene):
         found.append("Only virtual objects are here: the phone will see no room whose light falls on them")
@@ -101,14 +101,14 @@ def _cameras(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     return [camera for camera in cameras if camera is not None]
 
 
-def _may_move(item: bpy.types.Object) -> bool:
+def may_move(item: bpy.types.Object) -> bool:
     """Whether keys, drivers, constraints or physics could move it, or what it hangs on."""
     animation = item.animation_data
     if animation is not None and (animation.action or animation.drivers or animation.nla_tracks):
         return True
     if item.constraints or item.rigid_body is not None:
         return True
-    return item.parent is not None and _may_move(item.parent)
+    return item.parent is not None and may_move(item.parent)
 
 
 def _has_room(scene: bpy.types.Scene) -> bool:

@@ -133,6 +133,11 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
     frame_step: bpy.props.IntProperty(
         name="Step", description="Capture one frame in this many", default=1, min=1, soft_max=24
     )
+    captures_path: bpy.props.BoolProperty(
+        name="Whole Path",
+        description="Capture frames with no virtual object in view as well: the phone sees the room's lights there",
+        default=True,
+    )
     phone_name: bpy.props.StringProperty(
         name="Phone Name", description="Phone chosen for this scene; empty for that of the preferences"
     )
@@ -204,6 +209,11 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         name="Effects", description="The effects, and whether the scene needs them", type=XiheEffectRow
     )
     active_effect: bpy.props.IntProperty(name="Active Effect", description="The effect whose reason is shown")
+    follows_objects: bpy.props.BoolProperty(
+        name="Follow Objects",
+        description="Light follows objects that are moved or added after a run, from the frames that the run kept",
+        default=True,
+    )
     show_positions: bpy.props.BoolProperty(
         name="Show Positions",
         description="Show where the light of virtual objects is estimated, and how much was seen around there",

@@ -11,6 +11,7 @@ file with the same objects. `remove_everything` takes away all that this and `ap
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import bpy
@@ -22,6 +23,7 @@ from xihe_blender.apply.datablocks import (
     LIGHT_PREFIX,
     MADE_BY,
     ROOM,
+    LightOf,
     image_named,
     our_images,
     trigger_markers,
@@ -30,6 +32,8 @@ from xihe_blender.apply.lit_scene import CapturedFrames, hide_behind_room, put_o
 from xihe_blender.apply.sh_worlds import (
     applied_worlds,
     f_curves,
+    key_light_changes,
+    make_sh_world,
     remove_applied_light,
     remove_trigger_markers,
     world_name,
@@ -38,12 +42,13 @@ from xihe_blender.compare.side_by_side import middle_of_change, read_picture, wi
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import RunResults, read_results
-from xihe_blender.previs.lit_blend import apply_lights, make_lit_scene
+from xihe_blender.previs.kept_session import FoundLight
+from xihe_blender.previs.lit_blend import apply_lights, light_of, make_lit_scene
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.panorama import evaluate_panorama
 from xihenet.records import ArrayF32, ArrayF64
 
-ERROR_CURVE, COVERAGE_CURVE = "Xihe SHC RMSE", "Xihe coverage"
+ERROR_CURVE, COVERAGE_CURVE, EXPECTED_CURVE = "Xihe SHC RMSE", "Xihe coverage", "Xihe expected error"
 LIGHT_HEIGHT = 64
 """Of the panorama; order 2 has no detail that more pixels would show."""
 
@@ -79,14 +84,14 @@ def show_lit(scene: bpy.types.Scene, folder: Path, active: str = "") -> bpy.type
     results = read_results(folder)
     if any(name not in applied_worlds(scene) for name in results.lights):
         apply_results(scene, folder)
-    captured = [entry.frame for entry in results.active_frames]
+    captured = [entry.frame for entry in results.captured_frames]
     pictures = {frame: RunOutputs(folder).picture("captured", frame) for frame in captured}
     gone = [path for path in pictures.values() if not path.is_file()]
     if gone or not pictures:
         raise UserError(f"{gone[0]} is gone: run again" if gone else "no virtual object was ever in view: run again")
     remove_lit_scene()
-    objects = virtual_objects(scene)
-    lit = make_lit_scene(scene, [item for item in objects if item.name in results.lights])
+    objects, lit_here = virtual_objects(scene), applied_worlds(scene)
+    lit = make_lit_scene(scene, [item for item in objects if item.name in lit_here])
     hide_behind_room(lit, scene, objects)
     lit[ROOM] = scene
     exposure = results.settings.reference_exposure
@@ -94,6 +99,48 @@ def show_lit(scene: bpy.types.Scene, folder: Path, active: str = "") -> bpy.type
     put_over_frames(lit, CapturedFrames(pictures, path, folder / "lit", results.settings.size, exposure))
     lit.world = applied_worlds(scene).get(active, lit.world)
     return lit
+
+
+def show_found_light(
+    scene: bpy.types.Scene, folder: Path, name: str, places_m: Mapping[str, ArrayF64], found: Mapping[str, FoundLight]
+) -> None:
+    """Light virtual object `name` as it was found at its positions after the run in `folder`.
+
+    Its error is not known there: ground truth and reference light are of the run.
+    """
+    results, lights = read_results(folder), list(found.values())
+    of_frames = {frame: np.mean([light.sh[frame] for light in lights], axis=0) for frame in lights[0].sh}
+    exposure, known = results.settings.reference_exposure, applied_worlds(scene).get(name)
+    world = known or make_sh_world(world_name(name))
+    world.use_fake_user = True
+    key_light_changes(world, _changes(of_frames), exposure)
+    last = next(reversed(of_frames))
+    at_run = light_of(name, results.frames)
+    live = {name: (light.coverage[last], light.expected_error[last]) for name, light in found.items()}
+    places = {name: place.tolist() for name, place in places_m.items()}
+    LightOf(places, live={} if at_run.is_of(places) else live).write(world)
+    world.animation_data_clear()
+    if at_run.is_of(places):
+        _key_curves(world, results, name)
+    else:
+        world.pop(ERROR_CURVE, None)
+        for frame in of_frames:
+            _key(world, COVERAGE_CURVE, frame, [light.coverage[frame] for light in lights])
+            expected = [value for light in lights if (value := light.expected_error[frame]) is not None]
+            if expected:
+                _key(world, EXPECTED_CURVE, frame, expected)
+        _hold(world)
+    reached = max((frame for frame in of_frames if frame <= scene.frame_current), default=min(of_frames))
+    show_light(name, of_frames[reached] / exposure)
+
+
+def _changes(lights: Mapping[int, ArrayF64]) -> dict[int, ArrayF64]:
+    """Those of `lights` that differ from the one before."""
+    kept: dict[int, ArrayF64] = {}
+    for frame, light in lights.items():
+        if not kept or not np.array_equal(light, next(reversed(kept.values()))):
+            kept[frame] = light
+    return kept
 
 
 def light_in_force(results: RunResults, name: str, frame: int) -> ArrayF64:
@@ -119,6 +166,11 @@ def _key_curves(world: bpy.types.World, results: RunResults, name: str) -> None:
         if probes:
             _key(world, ERROR_CURVE, entry.frame, [probe.shc_rmse for probe in probes])
             _key(world, COVERAGE_CURVE, entry.frame, [probe.coverage for probe in probes])
+    _hold(world)
+
+
+def _hold(world: bpy.types.World) -> None:
+    """Keep each value until the next key."""
     for curve in f_curves(world):
         for point in curve.keyframe_points:
             point.interpolation = "CONSTANT"

@@ -6,7 +6,10 @@ is in `sh_worlds` and `addon.results_in_blender`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import bpy
 
@@ -16,6 +19,7 @@ MARKER_PREFIX = "Xihe trigger"
 COMPARISON_NAME = "Xihe Comparison"
 LIGHT_PREFIX = "Xihe Light "
 LIT_SCENE = "Xihe Lit"
+SAME_PLACE_M = 1e-4
 ROOM = "xihe_room"
 """Custom property of the scene `Xihe Lit` in an open file: the scene that it shows the objects of."""
 
@@ -23,8 +27,48 @@ MADE_BY = "xihe_image"
 """Custom property of our images, so that one of the user's of the same name is left alone."""
 
 
+LIGHT_OF = "xihe_light_of"
+"""Custom property of a world of ours: the places that its light is of, see `LightOf`."""
+
+
 FRAME = "xihe_frame"
 """Custom property of the comparison: the compared frame that it shows."""
+
+
+@dataclass(frozen=True)
+class LightOf:
+    """What the keys of a world stand for: estimation positions, by name, and where they are (world, metres).
+
+    `moves` where they move along the path. `live` has coverage and expected error (None: unknown) at the last frame,
+    by position, where the light was estimated after the run, from its frames, for other places than the run's.
+    """
+
+    places_m: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    moves: bool = False
+    live: Mapping[str, tuple[float, float | None]] = field(default_factory=dict)
+
+    def write(self, world: bpy.types.World) -> None:
+        # As text: a custom property's own keys are shorter than the names of objects may be.
+        world[LIGHT_OF] = json.dumps(vars(self))
+
+    @classmethod
+    def read(cls, world: bpy.types.World) -> LightOf | None:
+        """None for a world that was keyed before this was noted, or by hand."""
+        try:
+            return cls(**json.loads(world[LIGHT_OF]))
+        except (KeyError, TypeError, ValueError):
+            return None
+
+    def is_of(self, places_m: Mapping[str, Sequence[float]]) -> bool:
+        """Whether the light is that of these places; of positions that were never in view nothing is known."""
+        known = [(self.places_m[name], place) for name, place in places_m.items() if name in self.places_m]
+        return bool(known) and all(math.dist(was, place) < SAME_PLACE_M for was, place in known)
+
+
+def live_positions() -> dict[str, tuple[float, float | None]]:
+    """Coverage and expected error, by position, of all light in the file that was estimated after a run."""
+    worlds = [world for world in bpy.data.worlds if LIGHT_OF in world and world.library is None]
+    return {name: (live[0], live[1]) for w in worlds if (of := LightOf.read(w)) for name, live in of.live.items()}
 
 
 def has_anything(scene: bpy.types.Scene) -> bool:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import functools
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import bpy
@@ -114,6 +114,25 @@ def key_sh_on_world(world: bpy.types.World, frame: int, sh_radiance: ArrayLike, 
     for curve in f_curves(world.node_tree):
         for point in curve.keyframe_points:
             point.interpolation = "CONSTANT"
+
+
+def key_light_changes(world: bpy.types.World, lights: Mapping[int, ArrayLike], exposure: float) -> None:
+    """As `key_sh_on_world` at each frame of `lights`, (9, 3) each, in order, in place of all keys; at once."""
+    _remove_animation(world.node_tree)
+    if not lights:
+        return
+    frames = np.array(list(lights), np.float32)
+    values = np.stack([np.asarray(light, np.float64) for light in lights.values()])
+    key_sh_on_world(world, int(frames[0]), values[0], exposure)
+    for curve in f_curves(world.node_tree):
+        index = int(curve.data_path.rsplit("[", 1)[1].split("]")[0])
+        own = values[:, index, curve.array_index] if index < len(COEFFICIENTS) else np.full(len(frames), 1 / exposure)
+        points = curve.keyframe_points
+        points.add(len(frames) - 1)
+        points.foreach_set("co", np.stack([frames, own], axis=1).astype(np.float32).ravel())
+        for point in points:
+            point.interpolation = "CONSTANT"
+        curve.update()
 
 
 def world_name(virtual_object: str) -> str:

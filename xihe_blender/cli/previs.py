@@ -11,6 +11,7 @@ from xihe_blender.cli.progress import progress_line
 from xihe_blender.jobs import run_blocking
 from xihenet import estimators
 
+CAPTURED = "frames that are rendered: the whole path (default), or only those with a virtual object in view"
 NOISE_TARGET = "largest rendering noise, as a share of the light; default: 0.06, 0.03 or 0.015, by preset"
 OTHERS = "other estimators whose light and pictures are compared with it, from the same frames; default: none"
 SAMPLES = "samples of every capture, and pictures of every light probe, whatever the noise"
@@ -21,6 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("scene SCENE.blend", arguments.SCENE, Path)
     add("--out DIR", "folder of the run; a stopped run in it is resumed", Path, required=True)
     add("--frames A:B[:S]", arguments.FRAMES, arguments.frame_range)
+    add("--captured path|in-view", CAPTURED, default="path")
     add("--objects A,B", "virtual objects; default: all", arguments.names)
     add("--estimator NAME", f"{arguments.ESTIMATORS}; default: {estimators.DEFAULT}", default=estimators.DEFAULT)
     add("--others A,B", OTHERS, arguments.names, default=())

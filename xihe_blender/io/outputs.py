@@ -61,10 +61,12 @@ class RunOutputs:
     lock = _at("work", "lock")
     console = _at("work", "console.txt")
 
-    # Of one frame each: colour and plane depth as recorded; what a range sensor meets in each pixel, only for phones
-    # that ask; the seconds that rendering the capture took; path-traced radiance until it is compared; metrics. Times
-    # and metrics are written last, so that their presence says that the capture, or its pictures, are whole.
+    # Of one frame each: colour and plane depth as captured, and as a phone with flaws saw them; what a range sensor
+    # meets in each pixel, only for phones that ask; the seconds that rendering the capture took; path-traced radiance
+    # until it is compared; metrics. Times and metrics are written last, so that their presence says that the capture,
+    # or its pictures, are whole.
     capture = _of_frame("work", "capture", "npz")
+    seen = _of_frame("work", "seen", "npz")
     surfaces = _of_frame("work", "surfaces", "npz")
     times = _of_frame("work", "times", "json")
     ground_truth = _of_frame("work", "ground_truth", "npz")

@@ -107,6 +107,7 @@ class RunSettings:
     target: Annotated[Literal["ldr", "hdr"], "as in the command line"]
     size: Annotated[tuple[int, int], "of captures and comparisons, width and height"]
     frames: Annotated[tuple[int, ...], "of the path"]
+    captured: Annotated[Literal["path", "in-view"], "which of them the phone took in"] = "in-view"
     n_anchors: Annotated[int, "as in the command line"]
     codec: Annotated[str, "as in the command line"]
     seed: Annotated[int, "as in the command line"]
@@ -223,11 +224,12 @@ class ComparedFrame:
 
 @dataclass(frozen=True, kw_only=True)
 class FrameResult:
-    """One frame of the path. Not active where no position is in view, or the phone does not deliver it."""
+    """One frame of the path. Not active where no position is in view, or it is not captured."""
 
     frame: Annotated[int, "its number"]
     time_s: Annotated[float, "when it is"]
-    active: Annotated[bool, "whether it was captured; else nothing is rendered, and `probes` is empty"]
+    active: Annotated[bool, "whether a captured position is in view; else there is no estimate, and `probes` is empty"]
+    captured: Annotated[bool, "whether the phone took it in"] = False
     is_delivered: Annotated[bool, "false where the phone is slower than the scene"] = True
     exposure: Annotated[float | None, "of the phone's frame"] = field(default=None, metadata=ABSENT)
     render_s: Annotated[float, "of capture and light probes"] = 0.0
@@ -267,6 +269,7 @@ class Summary:
 
     n_frames: Annotated[int, "of the path"]
     n_active_frames: Annotated[int, "of the path"]
+    n_captured_frames: Annotated[int, "of the path, those out of view of all positions among them"] = 0
     n_compared_frames: Annotated[int, "of the path"]
     n_reused_captures: Annotated[int, "taken from an earlier frame"] = 0
     n_reused_probes: Annotated[int, "taken from an earlier frame"] = 0
@@ -325,8 +328,13 @@ class RunResults:
 
     @property
     def active_frames(self) -> list[FrameResult]:
-        """Those that went through the chain."""
+        """Those in which light was estimated, or could have been."""
         return [frame for frame in self.frames if frame.active]
+
+    @property
+    def captured_frames(self) -> list[FrameResult]:
+        """Those that the phone took in, of results from before it took in more than active ones as well."""
+        return [frame for frame in self.frames if frame.captured or frame.active]
 
     @property
     def compared_frames(self) -> dict[int, ComparedFrame]:

@@ -12,9 +12,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from xihe_blender.apply import sh_worlds
-from xihe_blender.apply.datablocks import LIT_SCENE
+from xihe_blender.apply.datablocks import LIT_SCENE, LightOf
 from xihe_blender.apply.lit_scene import remove_lit_collections, remove_lit_scene, set_up_lit_scene
 from xihe_blender.capture.render import can_denoise
 from xihe_blender.io.outputs import written_whole
@@ -48,12 +49,21 @@ def apply_lights(scene: bpy.types.Scene, changes: Changes, frames: Sequence[Fram
     for name, of_one in changes.items():
         world = sh_worlds.make_sh_world(sh_worlds.world_name(name))
         world.use_fake_user = True
-        for change in of_one:
-            sh_worlds.key_sh_on_world(world, change.frame, change.sh, exposure)
+        sh_worlds.key_light_changes(world, {change.frame: np.array(change.sh) for change in of_one}, exposure)
+        light_of(name, frames).write(world)
     for entry in frames:
         reasons = [probe.reason for probe in entry.probes if probe.fired]
         if reasons:
             sh_worlds.mark_trigger(scene, entry.frame, reasons)
+
+
+def light_of(name: str, frames: Sequence[FrameResult]) -> LightOf:
+    """Where the positions of virtual object `name` were in a run."""
+    places: dict[str, tuple[float, float, float]] = {}
+    moves = False
+    for probe in (probe for entry in frames for probe in entry.probes if probe.object == name):
+        moves |= places.setdefault(probe.name, probe.position_m) != probe.position_m
+    return LightOf(places, moves)
 
 
 def make_lit_scene(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> bpy.types.Scene:

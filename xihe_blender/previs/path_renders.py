@@ -1,4 +1,4 @@
-"""The renders of a run: at each frame of the camera path the capture, and the light probes that are in view.
+"""The renders of a run: the capture at each frame that the phone takes in, and the light probes that are in view.
 
 All captures are rendered first, then all light probes: Cycles keeps a room's geometry between the renders of one scene,
 and builds it anew when another scene has been rendered in between. In a furnished room of others a capture and a light
@@ -50,9 +50,9 @@ def kept_renders(run: PreparedRun, frame: int) -> FrameRenders | None:
 
     They have been made before, by `render_path`: ValueError or OSError where one is lost since.
     """
-    probes = run.probes_in_view(frame)
-    if not probes:
+    if frame not in run.needs.captured:
         return None
+    probes = run.probes_in_view(frame)
     references = {probe.name: _kept_light(read_json(_reference(run, probe, frame))) for probe in probes}
     capture_s = float(read_json(run.outputs.times(frame))["render_s"])
     render_s = capture_s + sum(light.render_s for light in references.values())
@@ -126,7 +126,7 @@ def render_path(run: PreparedRun) -> Generator[Progress, None, dict[int, float]]
 
 
 def _capture_missing(run: PreparedRun, work_s: dict[int, float]) -> Iterator[Progress]:
-    missing = [frame for frame in run.plan.frames if run.probes_in_view(frame) and not _is_captured(run, frame)]
+    missing = [frame for frame in run.plan.frames if frame in run.needs.captured and not _is_captured(run, frame)]
     if not missing:
         return
     with open_scanner(run.scene, run.capture) as scanner:

@@ -7,7 +7,7 @@ which miss what is small, and keeping the phone's frames, since the report also 
 
     choose_phone -> ChosenPhone -> facts_of_capture, each frame -> simulate_phone -> SimulatedPhone.see
 
-While no virtual object is in view nothing is captured, so exposure and light sensor know nothing of it. The perfect
+Where nothing is captured while no virtual object is in view, exposure and light sensor know nothing of it. The perfect
 phone is no special case here, but its `sees` is false, and whoever asks that need not give facts.
 """
 
@@ -41,17 +41,22 @@ SURFACE_EFFECTS = frozenset({"dark_holes", "glossy_holes", "transparent_holes"})
 class CaptureNeeds:
     """What a phone, or several that share captures, asks of the path; `|` gives what any of two asks for.
 
-    `delivered` are frames that reach the app at all. With `radiance` the picture in scene radiance is kept beside a
-    capture, for an exposure of the phone's own, with `surfaces` what a range sensor meets in each pixel.
+    `delivered` are frames that reach the app at all, `captured` those of them that it takes in. With `radiance` the
+    picture in scene radiance is kept beside a capture, for an exposure of the phone's own, with `surfaces` what a range
+    sensor meets in each pixel.
     """
 
     delivered: frozenset[int]
+    captured: frozenset[int]
     radiance: bool = False
     surfaces: bool = False
 
     def __or__(self, other: CaptureNeeds) -> CaptureNeeds:
         return CaptureNeeds(
-            self.delivered | other.delivered, self.radiance or other.radiance, self.surfaces or other.surfaces
+            self.delivered | other.delivered,
+            self.captured | other.captured,
+            self.radiance or other.radiance,
+            self.surfaces or other.surfaces,
         )
 
 
@@ -81,9 +86,10 @@ class ChosenPhone:
     @property
     def needs(self) -> CaptureNeeds:
         """What a run must capture and keep for it."""
-        return CaptureNeeds(
-            self._delivered(), self._may_be_on("auto_exposure"), any(map(self._may_be_on, SURFACE_EFFECTS))
-        )
+        delivered = self._delivered()
+        captured = delivered if self.settings.captured == "path" else delivered & self.survey.in_view.keys()
+        surfaces = any(map(self._may_be_on, SURFACE_EFFECTS))
+        return CaptureNeeds(delivered, captured, self._may_be_on("auto_exposure"), surfaces)
 
     @property
     def timing(self) -> dict[str, Any]:

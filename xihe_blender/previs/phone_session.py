@@ -17,7 +17,7 @@ from xihenet.backend import LocalBackend
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.estimators import EstimateContext, Estimator
 from xihenet.phone import EstimatesUnderWay, Link, Request
-from xihenet.records import ArrayF64, RgbdFrame, StepReport, UnitSphereCloud
+from xihenet.records import ArrayF64, PointCloud, RgbdFrame, StepReport, UnitSphereCloud
 
 
 class PhoneSession:
@@ -31,7 +31,12 @@ class PhoneSession:
         self, plan: PrevisPlan, settings: PrevisSettings, exposure: float, estimator: Estimator, link: Link | None,
         others: Sequence[Estimator] = (),
     ) -> None:  # fmt: skip
-        chain = ControllerSettings(settings.trigger, reference_exposure=exposure, following=settings.following)
+        chain = ControllerSettings(
+            settings.trigger,
+            reference_exposure=exposure,
+            following=settings.following,
+            learns_out_of_view=settings.captured == "path",
+        )
         self.controller = XiheController(LocalBackend(estimator), chain, others=[LocalBackend(one) for one in others])
         self.probes = {probe.name: probe for probe in plan.probes}
         for probe in plan.probes:
@@ -44,16 +49,18 @@ class PhoneSession:
         """Of the last frame."""
 
     def step(
-        self, seen: RgbdFrame, truth: dict[str, ArrayF64], active: Sequence[str]
+        self, seen: RgbdFrame, truth: dict[str, ArrayF64], active: Sequence[str], points: PointCloud | None = None
     ) -> tuple[dict[str, StepReport], dict[str, Request]]:
         """Run the chain on a frame of the phone, and send for the estimates that it makes.
 
         Gives reports and requests by position. `truth` are (9, 3) coefficients of the rendered probe by position,
-        `active` the positions in view of the true camera, whatever pose the phone believes in.
+        `active` the positions in view of the true camera, whatever pose the phone believes in, `points` the frame's at
+        the session's exposure, where they are known already.
         """
-        for name in active:
-            self.controller.move_position(name, self.probes[name].at(seen.frame))
-        reports = self.controller.step(seen, truth, active=active)
+        for name, probe in self.probes.items():
+            if name in active or self.controller.settings.learns_out_of_view:
+                self.controller.move_position(name, probe.at(seen.frame))
+        reports = self.controller.step(seen, truth, active=active, points=points)
         requests = {}
         for name, report in reports.items():
             if report.estimate is not None:

@@ -84,7 +84,7 @@ class PreparedRun:
     def work(self) -> dict[str, float]:
         """Units of work by stage, in order, as far as can be told from numbers of samples; see PROBE_WORK."""
         frames = [frame for frame in self.plan.frames if self.probes_in_view(frame)]
-        n_captures = sum(self.reuse.captures[frame] == frame for frame in frames)
+        n_captures = sum(source == frame for frame, source in self.reuse.captures.items())
         n_probes = sum(self.reuse.probes[f, p.name] == f for f in frames for p in self.probes_in_view(f))
         n_compared = len(compared_frames(frames, self.settings.preset_values.comparison_step))
         megapixels = self.plan.size[0] * self.plan.size[1] / 1e6
@@ -175,7 +175,7 @@ def render_reuse(survey: SceneSurvey, effects: Mapping[str, Effect], needs: Capt
     states = {frame: one.state for frame, one in survey.frames.items()}
     if effects["motion blur"].state == "on":
         states = each_its_own(states)
-    in_view = {frame: names for frame, names in survey.in_view.items() if frame in needs.delivered}
+    in_view = {frame: one.in_view for frame, one in survey.frames.items() if frame in needs.captured}
     return plan_render_reuse(states, in_view, {frame: one.moved for frame, one in survey.frames.items()})
 
 

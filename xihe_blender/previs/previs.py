@@ -67,7 +67,7 @@ def previs(
     manifest.take()
     with scene_kept():
         run = yield from prepare_run(scene, plan, survey, outputs, settings, loaded)
-        walked = yield from walk_path(run)
+        walked = yield from walk_path(run, keeps_session=True)
         compared = yield from compare_path(run, walked)
         errors = yield from measure_phone(run, walked)
     yield run.progress("methods", 1, "applying the light and writing the report")

@@ -97,7 +97,7 @@ def plan_phone_effects(
 
     Parameters
     ----------
-    positions : (K, 3) world, metres: where light is estimated. As in a run, a frame that sees none is not captured
+    positions : (K, 3) world, metres: where light is estimated
     is_captured : render the path, N_SAMPLES per pixel; else an effect that only captures could rule out is on
 
     Raises
@@ -129,7 +129,7 @@ def _facts(
             ask_for_surfaces(scanner.scene.view_layers[0])
         for done, frame in enumerate(plan.frames):
             yield Progress(done, len(plan.frames), f"looking at frame {frame} as the phone does")
-            if frame in needs.delivered and frame in survey.in_view:
+            if frame in needs.captured:
                 scanner.move_to(frame)
                 captured, rendered = scanner.acquire_environment_scan(), scanner.rendered
                 surfaces = surfaces_in(rendered.passes, survey.frames[frame].roughness) if needs.surfaces else None

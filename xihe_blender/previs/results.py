@@ -26,7 +26,7 @@ from xihenet.invalid import added, counted
 from xihenet.phone import Request, first_frame_after
 from xihenet.records import ArrayF64
 
-AS_SET = ("estimator", "others", "preset", "target", "n_anchors", "seed", "phone", "network")
+AS_SET = ("estimator", "others", "preset", "target", "captured", "n_anchors", "seed", "phone", "network")
 """Settings that results hold under the same names."""
 
 
@@ -186,18 +186,19 @@ def _summary(
     frames: Sequence[records.FrameResult], comparison: Mapping[str, records.Metrics], pilot_s: float
 ) -> records.Summary:
     """The run in a few numbers."""
-    active = [frame for frame in frames if frame.active]
+    active, captured = ([one for one in frames if getattr(one, kind)] for kind in ("active", "captured"))
     probes = [probe for frame in active for probe in frame.probes]
     compared = [frame.compared for frame in frames if frame.compared is not None]
-    renderings = [frame.rendering for frame in active if frame.rendering is not None]
+    renderings = [frame.rendering for frame in captured if frame.rendering is not None]
     lights = [light for rendering in renderings for light in rendering.probes.values()]
     of_methods = [metrics for of_frame in compared for metrics in of_frame.comparison.values()]
     undefined = Counter(name for metrics in of_methods for name in records.METRICS if getattr(metrics, name) is None)
     ambient = comparison["ambient"].rmse if comparison else None
-    render_s, work_s = sum(frame.render_s for frame in active), sum(frame.work_s for frame in active)
+    render_s, work_s = sum(frame.render_s for frame in captured), sum(frame.work_s for frame in captured)
     return records.Summary(
         n_frames=len(frames),
         n_active_frames=len(active),
+        n_captured_frames=len(captured),
         n_compared_frames=len(compared),
         n_reused_captures=sum(not rendering.capture.rendered for rendering in renderings),
         n_reused_probes=sum(not light.rendered for light in lights),
@@ -217,12 +218,12 @@ def _summary(
         payload_bytes=sum(probe.payload_bytes for probe in probes),
         mean_latency_ms=mean(probe.latency_ms for probe in probes if probe.fired),
         n_lost=sum(probe.fired and probe.latency_ms is None for probe in probes),
-        n_invalid_pixels=sum(frame.n_invalid_pixels for frame in active),
+        n_invalid_pixels=sum(frame.n_invalid_pixels for frame in captured),
         n_invalid_points=sum(probe.n_invalid_points for probe in probes),
         n_followed_anchors=sum(probe.n_followed_anchors for probe in probes),
         n_unknown_lights=sum(not probe.is_valid for probe in probes),
         invalid=records.InvalidCounts(
-            pixels=added(frame.invalid for frame in active),
+            pixels=added(frame.invalid for frame in captured),
             points=added(probe.invalid for probe in probes),
             lights=added({probe.unknown_because: 1} for probe in probes if probe.unknown_because is not None),
             metrics=dict(undefined),

@@ -57,10 +57,13 @@ def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult]) -> Iterat
     undelivered = sum(not entry.is_delivered for entry in frames)
     if undelivered:
         yield f"{undelivered} of {len(frames)} frames of the path follow too closely for the phone's frame rate."
-    n_inactive = sum(not entry.active and entry.is_delivered for entry in frames)
-    if n_inactive:
-        frames_were = ("1 frame", "was") if n_inactive == 1 else (f"{n_inactive} frames", "were")
-        yield "{} had no estimation position in view and {} not captured.".format(*frames_were)
+    inactive = [entry for entry in frames if not entry.active and entry.is_delivered]
+    if inactive:
+        frames_were = ("1 frame", "was") if len(inactive) == 1 else (f"{len(inactive)} frames", "were")
+        took = "not captured"
+        if any(entry.captured for entry in inactive):
+            took = f"captured for what the room shows there, in {sum(entry.render_s for entry in inactive):.0f} s"
+        yield "{} had no estimation position in view and {} {}.".format(*frames_were, took)
     lost = sum(n for entry in frames for n in entry.n_lost_pixels.values())
     if lost:
         yield f"The phone's range sensor returned no distance for {lost} captured pixels; they count as far away."

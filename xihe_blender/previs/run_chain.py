@@ -2,9 +2,9 @@
 
     capture -> unproject -> sample -> merge -> trigger -> encode -> estimate
 
-Each frame in which an estimation position is visible is captured, gets its light probes rendered and goes through the
-controller. The frames of a phone that is not perfect are derived from the captures of the whole path, and estimates
-come back over its network; see `phone_capture`, `phone_session`.
+Each frame that the phone takes in goes through the controller; where an estimation position is in view, light probes
+are rendered and estimates made. The frames of a phone that is not perfect are derived from the captures of the whole
+path, and estimates come back over its network; see `phone_capture`, `phone_session`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from xihenet.camera import invalid_pixels
 from xihenet.invalid import CLAMPED
 from xihenet.metrics import share_above_white, shc_rmse
 from xihenet.phone import NETWORK, Link, Request
-from xihenet.recording import load_frame
+from xihenet.recording import load_frame, save_frame
 from xihenet.records import ArrayF64, RgbdFrame, StepReport
 
 NOT_REPEATED = "frame_rate"
@@ -52,11 +52,14 @@ class WalkedPath:
     lights: dict[int, Lights] = field(default_factory=dict)
 
 
-def walk_path(run: PreparedRun) -> Generator[Progress, None, WalkedPath]:
-    """A job: render the path of `run`, as far as it is not rendered yet, and run the chain on it."""
+def walk_path(run: PreparedRun, *, keeps_session: bool = False) -> Generator[Progress, None, WalkedPath]:
+    """A job: render the path of `run`, as far as it is not rendered yet, and run the chain on it.
+
+    With `keeps_session` what a phone with flaws saw is kept beside the captures, see `kept_session`.
+    """
     work_s = yield from render_path(run)
     facts = _facts_of_captures(run, work_s) if run.phone.sees else {}
-    walk = _Walk(run, simulate_phone(run.phone, facts, run.exposure), work_s)
+    walk = _Walk(run, simulate_phone(run.phone, facts, run.exposure), work_s, keeps_session=keeps_session)
     for frame in run.plan.frames:
         walk.step(frame)
     return walk.walked
@@ -80,8 +83,10 @@ def _facts_of_captures(run: PreparedRun, work_s: dict[int, float]) -> dict[int, 
 class _Walk:
     """The state of one walk while it is under way; `captured_s` is the work on each frame before, without rendering."""
 
-    def __init__(self, run: PreparedRun, phone: SimulatedPhone, captured_s: dict[int, float]) -> None:
-        self.run, self.phone, self.captured_s = run, phone, captured_s
+    def __init__(
+        self, run: PreparedRun, phone: SimulatedPhone, captured_s: dict[int, float], *, keeps_session: bool
+    ) -> None:
+        self.run, self.phone, self.captured_s, self.keeps_session = run, phone, captured_s, keeps_session
         self.session = PhoneSession(
             run.plan, run.settings, run.exposure, run.estimator, phone.link_in_use, run.estimators[1:]
         )
@@ -93,37 +98,40 @@ class _Walk:
         start = time.perf_counter()
         rendered, time_s = kept_renders(self.run, frame), self.run.survey.frames[frame].time_s
         if rendered is not None:
-            entry = self._active_frame(rendered, start)
+            entry = self._captured_frame(rendered, start)
         else:
             is_delivered = frame in self.run.needs.delivered
             entry = FrameResult(frame=frame, time_s=time_s, active=False, is_delivered=is_delivered)
-            if self.walked.lights:
-                self.walked.lights[frame] = self._lights_in_force(time_s)
+        if entry.active or self.walked.lights:
+            self.walked.lights[frame] = self._lights_in_force(time_s)
         self.walked.frames.append(entry)
 
-    def _active_frame(self, rendered: FrameRenders, start: float) -> FrameResult:
+    def _captured_frame(self, rendered: FrameRenders, start: float) -> FrameResult:
         """A frame, as the phone saw it, that goes through the chain; `stage_ms` adds up its positions."""
         run, target = self.run, self.run.settings.target
         self.references |= rendered.references
         truth = {name: light.of(target) for name, light in rendered.references.items()}
         seen, n_lost = self.phone.see(rendered.captured, run.outputs)
+        if seen is not rendered.captured and self.keeps_session:
+            save_frame(run.outputs.seen(seen.frame), seen)
         if not np.array_equal(seen.srgb_u8, rendered.captured.srgb_u8):
             write_picture(run.outputs.picture("captured", seen.frame), seen.srgb_u8)
         reports, requests = self.session.step(seen, truth, list(truth))
-        self.walked.lights[seen.frame] = self._lights_in_force(seen.time_s)
         probes = tuple(
             self._probe_result(probe, reports[probe.name], requests.get(probe.name), seen)
             for probe in run.probes_in_view(seen.frame)
         )
         work_s = time.perf_counter() - start + self.captured_s.get(seen.frame, 0.0)
         stage_ms: dict[str, float] = defaultdict(float)
-        for stage, ms in (item for report in reports.values() for item in report.stage_ms.items()):
-            stage_ms[stage] += ms
+        for of_position in (self.session.controller.out_of_view_ms, *(one.stage_ms for one in reports.values())):
+            for stage, ms in of_position.items():
+                stage_ms[stage] += ms
         left_out = invalid_pixels(seen)
         return FrameResult(
             frame=seen.frame,
             time_s=seen.time_s,
-            active=True,
+            active=bool(probes),
+            captured=True,
             exposure=seen.exposure,
             render_s=rendered.render_s,
             work_s=work_s,
@@ -208,27 +216,27 @@ def measure_phone(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, N
     phone = walked.phone
     if not phone.on:
         return None
-    active = [entry for entry in walked.frames if entry.active]
-    all_on = mean(probe.shc_rmse for entry in active for probe in entry.probes)
+    captured = [entry for entry in walked.frames if entry.captured]
+    all_on = mean(probe.shc_rmse for entry in captured for probe in entry.probes)
     without: dict[str, float | None] = {}
     for effect in [name for name in phone.effects if name in phone.on]:
         yield run.progress("methods", 1, f"measuring the light without {effect}")
         link = None if effect == NETWORK else phone.link_in_use
         effects = phone.on - {effect}
-        without[effect] = None if effect == NOT_REPEATED else _mean_error(run, phone, active, effects, link)
+        without[effect] = None if effect == NOT_REPEATED else _mean_error(run, phone, captured, effects, link)
     yield run.progress("methods", 1, "measuring the light with a perfect phone")
-    perfect = _mean_error(run, phone, active, frozenset(), None)
+    perfect = _mean_error(run, phone, captured, frozenset(), None)
     return PhoneErrors(all_on=all_on, perfect=perfect, without=without)
 
 
 def _mean_error(
-    run: PreparedRun, phone: SimulatedPhone, active: Sequence[FrameResult], effects: frozenset[str], link: Link | None
+    run: PreparedRun, phone: SimulatedPhone, captured: Sequence[FrameResult], effects: frozenset[str], link: Link | None
 ) -> float | None:
     """Mean SHC RMSE over probes and frames of a session with `effects` over `link`; None without a frame."""
     phone = replace(phone, of_camera=effects - {NETWORK})
     session = PhoneSession(run.plan, run.settings, run.exposure, run.estimator, link)
     errors = []
-    for entry in active:
+    for entry in captured:
         seen, _ = phone.see(load_frame(run.outputs.capture(entry.frame)), run.outputs)
         truth = {probe.name: np.array(probe.sh_truth) for probe in entry.probes}
         session.step(seen, truth, list(truth))

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal, get_args
 
 from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.capture.render import MAX_SEED, RenderSettings
@@ -24,6 +25,9 @@ from xihenet.light_change import LightFollowing
 from xihenet.metering import METERINGS, Metering
 from xihenet.phone import LINKS, NETWORK, PHONE_EFFECTS, Link, PhoneProfile, load_profile
 from xihenet.trigger import TriggerSettings
+
+Captured = Literal["path", "in-view"]
+"""Frames that a phone of a run takes in: the whole path, or those in which an estimation position is in view."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,8 @@ class PrevisSettings:
     target : which light is estimated and compared: "hdr" all of it, "ldr" light clipped at 1, as in the paper
     size : of captures and comparisons; None takes 256x192, upright where the scene's picture is
     frames : frame numbers along the path; None takes the scene's range and step
+    captured : "path" also captures frames in which no virtual object is in view, and learns from all that it captures
+        at every position; "in-view" does neither, as the paper's phone
     objects : names of virtual objects to estimate for; None takes all
     exposure : of the phone, locked for the session; None meters it
     metering : one of METERINGS, of the session and of a phone that exposes by itself; None takes the phone's own
@@ -95,6 +101,7 @@ class PrevisSettings:
     target: Target = "hdr"
     size: tuple[int, int] | None = None
     frames: tuple[int, ...] | None = None
+    captured: Captured = "path"
     objects: tuple[str, ...] | None = None
     exposure: float | None = None
     metering: Metering | None = None
@@ -116,6 +123,7 @@ class PrevisSettings:
             *(("estimator", name, estimators.names()) for name in (self.estimator, *self.others)),
             ("preset", self.preset, PRESETS),
             ("metering", self.metering, METERINGS),
+            ("captured", self.captured, get_args(Captured)),
         ):
             if name is not None and name not in known:
                 raise UserError(f"there is no {kind} {name!r}: choose one of {', '.join(known)}")

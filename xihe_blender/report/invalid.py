@@ -24,7 +24,7 @@ _UNDEFINED = {
 def invalid_rows(results: RunResults) -> list[list[str]]:
     """HTML cells of each kind of invalid data that turned up: pixels, points, clamped values, lights."""
     counts, n_followed = results.summary.invalid, results.summary.n_followed_anchors
-    n_pixels = math.prod(results.settings.size) * len(results.active_frames)
+    n_pixels = math.prod(results.settings.size) * len(results.captured_frames)
     own = {reason: n for reason, n in counts.points.items() if reason not in counts.pixels}
     rows = [_row("pixels", reason, n, n_pixels, _pixels_became(reason)) for reason, n in counts.pixels.items()]
     rows += [_row("points", reason, n, 0, "left out at that probe") for reason, n in own.items()]

@@ -14,6 +14,9 @@ pytestmark = pytest.mark.timeout(1200)
 LONGEST_FREEZE_S = 0.6
 """Beside one plain draw of the window, which takes 0.1 s with OpenGL in software: twice what a quiet machine shows."""
 
+LONGEST_FOLLOW_S = 3.0
+"""Six small frames: 0.3 s on a quiet machine, much of it for two draws of a view rendered in software."""
+
 CORNELL_BOX = ROOT / "blend_scenes" / "cornell_box.blend"
 LOWEST_PRIORITY = 19
 KINDS = ("worlds", "images", "node_groups", "actions", "scenes", "markers")
@@ -96,6 +99,12 @@ def test_a_few_clicks_lead_from_an_open_room_to_a_lit_object(first_success):
     assert {"Xihe Comparison", "Xihe Light Ball"} <= set(facts["after"]["images"])
     assert any(name.startswith("Xihe trigger") for name in facts["after"]["markers"])
     assert facts["after"]["scenes"] == []
+
+
+def test_light_follows_an_object_that_is_moved(first_success):
+    ((coverage, expected_error),) = first_success.facts["live"].values()
+    assert 0 < coverage < 1 and expected_error > 0
+    assert first_success.facts["followed_s"] < LONGEST_FOLLOW_S
 
 
 def test_the_comparison_is_shown_in_the_image_editor_that_is_open(first_success):

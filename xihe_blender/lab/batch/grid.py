@@ -56,7 +56,8 @@ class BatchSettings:
         from xihe_blender.previs.settings import PrevisSettings
 
         shared = {name: value for name, value in vars(self).items() if name not in ("estimators", "phones")}
-        return PrevisSettings(estimator=estimator, phone=phone, seed=seed, **shared)
+        # Frames without an object in view have no numbers, and cost as much as the others.
+        return PrevisSettings(estimator=estimator, phone=phone, seed=seed, captured="in-view", **shared)
 
 
 @dataclass(frozen=True)

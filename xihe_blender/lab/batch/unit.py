@@ -246,7 +246,7 @@ def trigger_sweep(run: PreparedRun, walked: WalkedPath) -> list[TriggerFigures]:
     sessions = [PhoneSession(run.plan, one, run.exposure, run.estimator, link) for one in settings]
     errors: list[list[float]] = [[] for _ in FACTORS]
     n_fired = [0] * len(FACTORS)
-    for entry in active:
+    for entry in [entry for entry in walked.frames if entry.captured]:
         seen, _ = walked.phone.see(load_frame(run.outputs.capture(entry.frame)), run.outputs)
         truth = {probe.name: np.array(probe.sh_truth) for probe in entry.probes}
         for index, session in enumerate(sessions):

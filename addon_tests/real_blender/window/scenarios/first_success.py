@@ -3,11 +3,15 @@
 import pathlib
 import shutil
 import subprocess
+import time
 
 import bpy
 from bpy_extras.object_utils import world_to_camera_view
 from bpy_extras.view3d_utils import location_3d_to_region_2d
+from free_window import Heartbeat
 from rooms import look_through_camera, make_runs_short, room_to_light
+
+from xihe_blender.apply.datablocks import LightOf
 
 
 def prepare():
@@ -68,6 +72,7 @@ def see_it_lit(w):
     w.window.scene.frame_set(6)
     yield 4
     w.picture_now("4_lit_later")
+    yield from move_the_ball(w)
     w.window.scene.render.filepath = str(w.out / "rendered.png")
     bpy.ops.render.render(write_still=True, scene=w.window.scene.name)
     yield from w.click_on("xihe.show_room")
@@ -75,6 +80,22 @@ def see_it_lit(w):
     w.facts["back"] = {"scene": w.window.scene.name, "shading": space.shading.type}
     w.facts["back"]["floor"] = space.overlay.show_floor
     yield from w.picture("4_back")
+
+
+def move_the_ball(w):
+    """Its light follows, and the window goes on; put back, it has the run's."""
+    ball, world = bpy.data.objects["Ball"], bpy.data.worlds["Xihe Ball"]
+    heart = Heartbeat()
+    start = time.perf_counter()
+    ball.location.x += 0.4
+    yield from w.wait_until(lambda: LightOf.read(world).live, "the light follows the ball")
+    w.facts["followed_s"] = time.perf_counter() - start
+    yield 3
+    w.facts["follow_freeze_s"] = heart.stop()
+    w.facts["live"] = LightOf.read(world).live
+    w.picture_now("4_moved")
+    ball.location.x -= 0.4
+    yield from w.wait_until(lambda: not LightOf.read(world).live, "the light of the run is back")
 
 
 def colours_in_view(w, screenshot):

@@ -1,0 +1,144 @@
+"""Live light: an object that is moved or added after a run gets the light of its new place, without a render."""
+
+import shutil
+
+import bpy
+import numpy as np
+import pytest
+from addon_runs import registered_addon
+from previs_runs import counted_renders, run, walk
+from shown_lights import keyed
+from tiny_scenes import key, saved, sphere
+
+from xihe_blender.addon import live_light
+from xihe_blender.addon.results_in_blender import apply_results, show_results
+from xihe_blender.apply.datablocks import LightOf
+from xihe_blender.apply.sh_worlds import f_curves
+from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.io.run_results import read_results
+from xihe_blender.jobs import run_blocking
+from xihe_blender.previs.kept_session import open_kept_session
+from xihe_blender.scene.estimation_positions import named_positions
+from xihe_blender.scene.virtual_objects import virtual_collection
+
+
+@pytest.fixture(scope="module", autouse=True)
+def addon():
+    with registered_addon():
+        yield
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory):
+    """The folder of a run, and the file with its light."""
+    out = tmp_path_factory.mktemp("live") / "out"
+    scene = walk()
+    run(scene, out)
+    scene.xihe.run_folder = str(out)
+    show_results(scene, out)
+    saved(out / "after.blend")
+    return out
+
+
+@pytest.fixture
+def scene(ran):
+    bpy.ops.wm.open_mainfile(filepath=str(ran / "after.blend"), load_ui=False)
+    return bpy.context.scene
+
+
+def misplaced(scene):
+    return live_light.misplaced(scene, bpy.context.evaluated_depsgraph_get())
+
+
+def curves(world):
+    return {curve.data_path: [tuple(point.co) for point in curve.keyframe_points] for curve in f_curves(world)}
+
+
+def test_nothing_happens_while_objects_are_where_the_run_saw_them(scene):
+    before = keyed(bpy.data.worlds["Xihe Ball"])[0]
+    assert misplaced(scene) == {}
+    assert bpy.ops.xihe.update_light() == {"FINISHED"}
+    assert all(np.array_equal(light, before[frame]) for frame, light in keyed(bpy.data.worlds["Xihe Ball"])[0].items())
+
+
+def test_an_object_that_is_moved_has_the_light_of_its_place_without_a_render(scene, ran):
+    ball, world = bpy.data.objects["Ball"], bpy.data.worlds["Xihe Ball"]
+    ball.location.x += 0.4
+    bpy.context.view_layer.update()
+    other = keyed(bpy.data.worlds["Xihe Board"])[0]
+    with counted_renders() as renders:
+        assert bpy.ops.xihe.update_light() == {"FINISHED"}
+    assert renders == []
+    place = named_positions(ball)
+    found = run_blocking(run_blocking(open_kept_session(ran)).find_light(place))["Ball"]
+    lights = keyed(world)[0]
+    for frame, light in found.sh.items():
+        in_force = lights[max(known for known in lights if known <= frame)]
+        np.testing.assert_allclose(in_force, light, atol=1e-6)
+    last = max(found.sh)
+    assert LightOf.read(world).live == {"Ball": [found.coverage[last], found.expected_error[last]]}
+    # Its error there is not known, since the reference light is of the old place.
+    assert curves(world).keys() == {'["Xihe coverage"]', '["Xihe expected error"]'}
+    assert curves(world)['["Xihe coverage"]'] == [
+        (frame, pytest.approx(share)) for frame, share in found.coverage.items()
+    ]
+    assert all(np.array_equal(light, other[k]) for k, light in keyed(bpy.data.worlds["Xihe Board"])[0].items())
+
+
+def test_an_object_that_is_put_back_has_the_light_and_the_errors_of_the_run_again(scene):
+    ball, world = bpy.data.objects["Ball"], bpy.data.worlds["Xihe Ball"]
+    lights, shown = keyed(world)[0], curves(world)
+    for offset in (0.4, -0.4):
+        ball.location.x += offset
+        bpy.context.view_layer.update()
+        assert bpy.ops.xihe.update_light() == {"FINISHED"}
+    assert curves(world) == shown and not LightOf.read(world).live
+    again = keyed(world)[0]
+    for frame, light in lights.items():
+        np.testing.assert_allclose(again[max(known for known in again if known <= frame)], light, atol=1e-6)
+
+
+def test_an_object_that_is_added_is_lit_and_removed_with_the_rest(scene, ran):
+    sphere(scene, "New", (0.3, 0.6, 1.2), 0.1, None, virtual_collection(scene))
+    bpy.context.view_layer.update()
+    assert misplaced(scene).keys() == {"New"}
+    assert bpy.ops.xihe.update_light() == {"FINISHED"}
+    light = np.array(list(keyed(bpy.data.worlds["Xihe New"])[0].values()))
+    assert light[-1, 0].min() > 0.01
+    assert bpy.ops.xihe.remove_light() == {"FINISHED"}
+    blocks = (bpy.data.worlds, bpy.data.images, bpy.data.actions, bpy.data.node_groups)
+    assert [block.name for kind in blocks for block in kind if block.name.startswith("Xihe")] == []
+
+
+def test_an_object_that_moves_along_the_path_keeps_the_light_of_the_run(scene):
+    ball = bpy.data.objects["Ball"]
+    key(ball, "location", {1: (0, 0, 1), 5: (1, 0, 1)})
+    bpy.context.view_layer.update()
+    assert misplaced(scene) == {}
+
+
+def test_a_moving_object_of_the_run_is_not_followed_even_once_it_stands(scene, ran):
+    LightOf({"Ball": (0.0, 0.0, 0.0)}, moves=True).write(bpy.data.worlds["Xihe Ball"])
+    assert misplaced(scene) == {}
+
+
+def test_frames_that_are_gone_are_told_in_one_line_and_the_light_stays(scene, ran, tmp_path):
+    shutil.copytree(ran, tmp_path, dirs_exist_ok=True)
+    for frame in read_results(ran).captured_frames:
+        RunOutputs(tmp_path).capture(frame.frame).unlink()
+    scene.xihe.run_folder = str(tmp_path)
+    bpy.data.objects["Ball"].location.x += 0.4
+    bpy.context.view_layer.update()
+    before = keyed(bpy.data.worlds["Xihe Ball"])[0]
+    with pytest.raises(RuntimeError, match=r"the captures of the last run are gone or damaged .*: run again"):
+        bpy.ops.xihe.update_light()
+    assert keyed(bpy.data.worlds["Xihe Ball"])[0].keys() == before.keys()
+
+
+def test_apply_brings_back_the_light_of_the_run(scene, ran):
+    bpy.data.objects["Ball"].location.x += 0.4
+    bpy.context.view_layer.update()
+    bpy.ops.xihe.update_light()
+    apply_results(scene, ran)
+    assert not LightOf.read(bpy.data.worlds["Xihe Ball"]).live
+    assert misplaced(scene).keys() == {"Ball"}
