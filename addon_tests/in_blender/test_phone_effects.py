@@ -269,8 +269,13 @@ def test_without_captures_nothing_is_left_out_that_captures_would_call_for():
     assert all(unseen[name].state == "on" for name, effect in seen.items() if effect.state == "on")
     assert unseen["range"].state == "on" and "not known" in unseen["range"].reason
     assert seen["range"].state == "off" and "within the sensor's" in seen["range"].reason
-    # Nor without objects.
-    assert run_blocking(plan_phone_effects(scene, [], SESSION, is_captured=True)) == unseen
+    # Without objects the path tells all but how near they come to surfaces, unless frames without one are left out.
+    alone = run_blocking(plan_phone_effects(scene, [], SESSION, is_captured=True))
+    assert {name: (effect.state, effect.reason) for name, effect in alone.items() if effect != seen[name]} == {
+        "noise": ("on", "it is not known how near surfaces come to the virtual objects")
+    }
+    in_view = replace(SESSION, captured="in-view")
+    assert run_blocking(plan_phone_effects(scene, [], in_view, is_captured=True)) == unseen
 
 
 def test_looking_changes_nothing_in_the_file():
