@@ -8,7 +8,7 @@ ground truth.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -91,18 +91,29 @@ def open_kept_session(folder: Path) -> Job[KeptSession]:
 
     UserError where they are gone, or where the run's estimator needs more than frames: `truth` is rendered.
     """
-    results, outputs = read_results(folder), RunOutputs(folder)
-    settings = _settings_of(results)
+    results = read_results(folder)
+    captured = [entry.frame for entry in results.captured_frames]
+    if not captured:
+        raise UserError(f"the run in {folder} captured nothing: run again")
+    of_run = results.settings
+    return (
+        yield from kept_session(
+            RunOutputs(folder), _settings_of(results), of_run.size, of_run.reference_exposure, captured
+        )
+    )
+
+
+def kept_session(
+    outputs: RunOutputs, settings: PrevisSettings, size: tuple[int, int], exposure: float, captured: Sequence[int]
+) -> Job[KeptSession]:
+    """A job, a step per frame: the session of a run whose frames `captured` are in `outputs`; errors as above."""
     if settings.estimator == "truth":
         raise UserError("the light of `truth` is rendered: run again, or choose another estimator")
     frames = []
-    captured = [entry.frame for entry in results.captured_frames]
     for done, frame in enumerate(captured):
         yield Progress(done, len(captured), f"reading frame {frame}")
-        frames.append(_seen_frame(outputs, frame, results.settings.reference_exposure))
-    if not frames:
-        raise UserError(f"the run in {folder} captured nothing: run again")
-    return KeptSession(settings, results.settings.size, results.settings.reference_exposure, tuple(frames))
+        frames.append(_seen_frame(outputs, frame, exposure))
+    return KeptSession(settings, size, exposure, tuple(frames))
 
 
 def _seen_frame(outputs: RunOutputs, frame: int, exposure: float) -> SeenFrame:

@@ -1,0 +1,140 @@
+"""The placement map of a small room: its places have the light that a run finds there, and its captures are kept."""
+
+import contextlib
+import csv
+import json
+from dataclasses import replace
+
+import bpy
+import numpy as np
+import pytest
+from previs_runs import SMALL, QuickPrevis, counted_renders, files_below, look_away, run, unfinished_files
+from scene_snapshot import differences, snapshot
+from tiny_scenes import room_with_a_virtual_sphere, saved
+
+from xihe_blender.errors import UserError
+from xihe_blender.io.json_records import as_json, from_json
+from xihe_blender.io.placement_results import PlacementResults
+from xihe_blender.jobs import run_blocking
+from xihe_blender.previs.placement import PlacementSettings, placement
+from xihe_blender.scene.virtual_objects import virtual_objects
+
+CAPTURED = QuickPrevis(size=(32, 24), preset="draft", samples=2, exposure=1.0)
+FEW = PlacementSettings(spacing_m=0.5)
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    """The file of a room with a ball, whose path has three frames."""
+    room_with_a_virtual_sphere(3)
+    return saved(tmp_path_factory.mktemp("room") / "room.blend")
+
+
+@pytest.fixture
+def scene(room):
+    bpy.ops.wm.open_mainfile(filepath=str(room), load_ui=False)
+    return bpy.context.scene
+
+
+def mapped(scene, out, settings=CAPTURED, wanted=FEW):
+    return run_blocking(placement(scene, out, settings, wanted, blend_file=out.parent / "room.blend"))
+
+
+@pytest.fixture
+def out(room, tmp_path):
+    (tmp_path / "room.blend").write_bytes(room.read_bytes())
+    return tmp_path / "out"
+
+
+def test_a_map_has_places_with_their_light_and_leaves_the_scene_as_it_was(scene, out):
+    bpy.context.view_layer.update()
+    before = snapshot()
+    results = mapped(scene, out, wanted=replace(FEW, n_verified=4))
+    bpy.context.view_layer.update()
+    assert differences(before, snapshot()) == ({}, [])
+    written = json.loads((out / "placement.json").read_text())
+    assert as_json(results) == written and from_json(PlacementResults, written) == results
+    assert len(results.places) > 3 and results.n_unknown < len(results.places)
+    for place in results.places:
+        assert 0 <= place.coverage <= 1
+        assert (place.expected_error is None) == (place.irradiance is None)
+    assert results.verified.n_places == sum(place.true_error is not None for place in results.places) == 4
+    errors = [place.expected_error for place in results.best_first]
+    assert errors == sorted(errors)
+    with (out / "placement.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["coverage"]) for row in rows] == [place.coverage for place in results.places]
+    page = (out / "report.html").read_text()
+    assert "Where AR light will fail: room.blend" in page and page.count("data:image/png") == 2
+    assert unfinished_files(out) == []
+
+
+def test_a_place_has_the_coverage_and_the_light_of_a_run_with_the_object_there(scene, out, tmp_path):
+    results = mapped(scene, out)
+    place = results.best_first[0]
+    (ball,) = virtual_objects(scene)
+    ball.location = place.position_m
+    there = run(scene, tmp_path / "run", replace(CAPTURED, frames=(1, 2, 3)))
+    last = [probe for entry in there["frames"] for probe in entry["probes"]][-1]
+    np.testing.assert_allclose(last["position_m"], place.position_m, atol=1e-6)
+    assert last["coverage"] == place.coverage
+    assert last["expected_error"] == pytest.approx(place.expected_error, abs=1e-6)
+
+
+def test_other_places_in_the_same_room_cost_no_render(scene, out):
+    mapped(scene, out)
+    kept = files_below(out / "work")
+    with counted_renders() as renders:
+        in_the_air = mapped(scene, out, wanted=PlacementSettings(height_m=1.0, spacing_m=0.5))
+    assert renders == [] and files_below(out / "work") == kept
+    assert {place.position_m[2] for place in in_the_air.places} == {1.0}
+
+
+def test_no_more_places_than_wanted(scene, out):
+    results = mapped(scene, out, wanted=PlacementSettings(most=10))
+    assert 0 < len(results.places) <= 10 and results.spacing_m > 0.05
+
+
+def test_a_map_that_is_stopped_leaves_nothing_half_written_and_goes_on(scene, out):
+    with contextlib.closing(placement(scene, out, CAPTURED, FEW, blend_file=out.parent / "room.blend")) as job:
+        for _ in range(6):
+            next(job)
+    assert not (out / "placement.json").exists() and unfinished_files(out) == []
+    resumed = mapped(scene, out)
+    whole = mapped(scene, out.parent / "whole")
+    assert resumed.places == whole.places
+
+
+def test_one_frame_is_a_path(scene, out):
+    assert mapped(scene, out, replace(CAPTURED, frames=(2,))).frames == (2,)
+
+
+def test_a_path_that_sees_no_upward_surface_is_told(scene, out):
+    for frame in (1, 2, 3):
+        look_away(scene.camera, frame)
+    scene.camera.data.angle = np.radians(20)
+    with pytest.raises(UserError, match="nowhere to put an object: no frame of the path shows an upward surface"):
+        mapped(scene, out)
+    assert not (out / "placement.json").exists()
+
+
+def test_another_scene_in_the_folder_is_refused(scene, out):
+    mapped(scene, out)
+    with pytest.raises(UserError, match="choose another folder for --out"):
+        mapped(scene, out, replace(CAPTURED, seed=5))
+
+
+@pytest.mark.parametrize(
+    "senseless",
+    [{"spacing_m": 0.0}, {"clearance_m": float("nan")}, {"reach_m": -1.0}, {"height_m": float("inf")}, {"most": 0}],
+    ids=str,
+)
+def test_senseless_places_are_refused(senseless):
+    with pytest.raises(UserError):
+        PlacementSettings(**senseless)
+
+
+def test_a_run_and_a_map_are_told_apart(scene, out):
+    run(scene, out, SMALL)
+    with pytest.raises(UserError, match="choose another folder for --out"):
+        mapped(scene, out)

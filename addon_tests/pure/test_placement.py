@@ -1,0 +1,116 @@
+"""Places where an object could be, in rooms made of planes, and the correlation of ranks."""
+
+import numpy as np
+import pytest
+
+from addon_tests.pure.made import frame_of, pose_of
+from xihenet.placement import air_places, places_among, rank_correlation, rank_correlation_interval, upward_points
+from xihenet.records import Intrinsics
+
+CAMERA = Intrinsics(64, 48, 50.0, 50.0, 32.0, 24.0)
+DOWN = np.eye(3)
+"""A camera that looks down -Z."""
+
+AHEAD = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+"""One that looks along +Y."""
+
+
+def looking_at(depth_m, rotation=DOWN, place=(0.0, 0.0, 2.0)):
+    """A frame in which every pixel has this plane depth, (48, 64) or one number."""
+    depth = np.broadcast_to(np.float32(depth_m), (48, 64)).copy()
+    return frame_of(depth, CAMERA, pose_of(rotation, place))
+
+
+def upward_places(frames, spacing_m):
+    return places_among(upward_points(frames), spacing_m)
+
+
+def test_a_floor_has_a_place_in_every_cell_and_none_twice():
+    places = upward_places([looking_at(2.0)] * 3, 0.25)
+    assert len(places) > 50 and np.abs(places[:, 2]).max() < 1e-5
+    cells = np.floor(places[:, :2] / 0.25)
+    assert len(np.unique(cells, axis=0)) == len(places)
+    # 64 x 48 pixels at 2 m are 2.56 m x 1.92 m, whose rim has no neighbours.
+    assert (np.abs(places[:, :2]).max(axis=0) < (1.28, 0.96)).all()
+
+
+def test_a_table_and_the_floor_beside_it_are_two_heights_and_the_edge_between_is_none():
+    depth = np.full((48, 64), 2.0)
+    depth[:, :32] = 1.2
+    places = upward_places([looking_at(depth)], 0.1)
+    heights = places[:, 2]
+    assert np.isclose(heights, 0, atol=1e-5).any() and np.isclose(heights, 0.8, atol=1e-5).any()
+    assert (np.isclose(heights, 0, atol=1e-5) | np.isclose(heights, 0.8, atol=1e-5)).all()
+
+
+def test_walls_and_ceilings_are_no_places():
+    assert upward_places([looking_at(2.0, AHEAD)], 0.1).shape == (0, 3)
+    upside_down = looking_at(2.0, np.diag([1.0, -1.0, -1.0]))
+    assert upward_places([upside_down], 0.1).shape == (0, 3)
+
+
+def test_a_room_that_is_moved_by_whole_cells_has_its_places_moved():
+    by = np.array([1.25, -0.75, 0.0])
+    here = upward_places([looking_at(2.0)], 0.25)
+    there = upward_places([looking_at(2.0, place=np.array([0, 0, 2.0]) + by)], 0.25)
+    np.testing.assert_allclose(there, here + by, atol=1e-4)
+
+
+@pytest.mark.parametrize("depth", [0.0, np.nan, np.inf, 1e10])
+def test_what_was_not_seen_is_no_place(depth):
+    assert upward_places([looking_at(depth)], 0.1).shape == (0, 3)
+    assert air_places([looking_at(depth)], 1.0, 0.1).shape == (0, 3)
+
+
+def test_what_is_out_of_reach_is_no_place():
+    high = [looking_at(6.0, place=(0.0, 0.0, 6.0))]
+    assert not len(upward_points(high)) and len(upward_points(high, reach_m=10.0))
+    assert not len(air_places(high, 0.5, 0.2)) and len(air_places(high, 0.5, 0.2, reach_m=10.0))
+
+
+def test_no_frame_has_no_place_and_a_spacing_must_be_positive():
+    assert upward_places([], 0.1).shape == air_places([], 1.0, 0.1).shape == (0, 3)
+    for spacing in (0.0, -1.0, np.nan):
+        with pytest.raises(ValueError, match="positive spacing"):
+            upward_places([looking_at(2.0)], spacing)
+        with pytest.raises(ValueError, match="positive spacing"):
+            air_places([looking_at(2.0)], 1.0, spacing)
+
+
+def test_places_in_the_air_are_those_that_the_phone_looks_through():
+    places = air_places([looking_at(2.0)], 1.0, 0.2)
+    # At half the distance the picture is half as wide.
+    assert len(places) > 10 and (np.abs(places[:, :2]).max(axis=0) <= (0.64, 0.48)).all()
+    assert (places[:, 2] == 1.0).all()
+    assert not len(air_places([looking_at(2.0)], -0.5, 0.2)), "below the floor"
+    assert not len(air_places([looking_at(2.0)], 2.5, 0.2)), "behind the phone"
+
+
+def test_the_correlation_of_ranks_is_that_of_order_alone():
+    rng = np.random.default_rng(3)
+    a, b = rng.normal(size=(2, 40))
+    assert rank_correlation(a, np.exp(a)) == pytest.approx(1)
+    assert rank_correlation(a, -(a**3)) == pytest.approx(-1)
+    assert rank_correlation(a, b) == pytest.approx(rank_correlation(np.exp(3 * a), b))
+    # Without ties it is 1 - 6 sum d^2 / (n (n^2 - 1)).
+    d = np.argsort(np.argsort(a)) - np.argsort(np.argsort(b))
+    assert rank_correlation(a, b) == pytest.approx(1 - 6 * (d**2).sum() / (40 * (40**2 - 1)))
+    assert rank_correlation(np.array([1, 1, 2, 3]), np.array([1, 2, 3, 4])) == pytest.approx(0.9486833)
+
+
+def test_a_correlation_without_an_order_is_undefined():
+    for a in ([], [1.0], [2.0, 2.0, 2.0]):
+        values = np.array(a)
+        assert np.isnan(rank_correlation(values, np.arange(len(a))))
+        assert np.isnan(rank_correlation_interval(values, np.arange(len(a)), np.random.default_rng(0))).all()
+
+
+def test_the_interval_holds_the_correlation_and_narrows_with_more_pairs():
+    rng, widths = np.random.default_rng(5), []
+    for n in (20, 500):
+        a = rng.normal(size=n)
+        b = a + rng.normal(size=n)
+        low, high = rank_correlation_interval(a, b, np.random.default_rng(0))
+        assert low < rank_correlation(a, b) < high
+        widths.append(high - low)
+    assert widths[1] < widths[0] / 3

@@ -1,0 +1,64 @@
+"""`xihe placement`: where in the room AR light will be right, and where it will fail."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from xihe_blender.cli import arguments
+from xihe_blender.cli.progress import progress_line
+from xihe_blender.jobs import run_blocking
+from xihenet import estimators
+
+PLACES = "most places; default: 1000"
+VERIFY = "places whose light probe is rendered, to say how far the map is right; default: 0"
+OUT = "folder of the map; captures in it are resumed, and used again for other places"
+SAMPLES = "samples of every capture; default: 4, 16 or 64, by preset"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = arguments.adder(parser)
+    add("scene SCENE.blend", arguments.SCENE, Path)
+    add("--out DIR", OUT, Path, required=True)
+    add("--height METRES", "a grid in free air at this height; default: upward surfaces", float, dest="height_m")
+    add("--spacing METRES", "between places; default: the finest that --places allows", float, dest="spacing_m")
+    add("--clearance METRES", "of a place above its surface; default: 0.1", float, dest="clearance_m", default=0.1)
+    add("--reach METRES", "farthest from the camera that a place may be", float, dest="reach_m", default=5.0)
+    add("--places N", PLACES, int, dest="most", default=1000)
+    add("--verify N", VERIFY, int, dest="n_verified", default=0)
+    add("--frames A:B[:S]", arguments.FRAMES, arguments.frame_range)
+    add("--estimator NAME", f"{arguments.ESTIMATORS}; default: {estimators.DEFAULT}", default=estimators.DEFAULT)
+    add("--target", arguments.TARGET, choices=("ldr", "hdr"), default="hdr")
+    add("--preset NAME", "draft, balanced or accurate: how much is rendered", default="balanced")
+    add("--size WxH", arguments.SIZE, arguments.picture_size)
+    add("--samples N", SAMPLES, int)
+    add("--exposure FACTOR", "exposure of the phone, locked; default: metered", float)
+    add("--phone NAME|FILE.toml", arguments.PHONES, default="perfect")
+    add("--seed N", "the same seed gives the same numbers", int, default=0)
+
+
+def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
+    from xihe_blender.previs.placement import PlacementSettings, placement
+    from xihe_blender.previs.settings import PrevisSettings
+    from xihe_blender.scene.blend_file import open_blend
+
+    settings = arguments.settings_from(options, PrevisSettings)
+    wanted = arguments.settings_from(options, PlacementSettings)
+    scene = open_blend(options.scene)
+    job = placement(scene, options.out, settings, wanted, blend_file=options.scene, command=options.command_line)
+    results = run_blocking(job, progress_line(stderr))
+    known = results.best_first
+    line = f"{len(results.places)} places {results.spacing_m:.2f} m apart, {results.n_unknown} unknown"
+    if known:
+        line += f"; expected error {known[0].expected_error:.3f} to {known[-1].expected_error:.3f}"
+    print(line, file=stdout)
+    if results.verified is not None and results.verified.rank_correlation is not None:
+        found = results.verified
+        low, high = found.interval or (float("nan"), float("nan"))
+        print(
+            f"rank correlation with the true error at {found.n_places} places: {found.rank_correlation:.2f} "
+            f"({low:.2f} to {high:.2f})",
+            file=stdout,
+        )
+    print(options.out / "report.html", file=stdout)

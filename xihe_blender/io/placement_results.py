@@ -1,0 +1,62 @@
+"""The results of a placement map: what placement.json says. Strict JSON: no NaN and no Infinity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from xihe_blender.io.json_records import Parameters, Plain
+
+N_EXTREMES = 10
+"""Places that are listed as the best, and as the worst."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """One place, and the light there after the last frame of the path."""
+
+    position_m: Annotated[tuple[float, float, float], "in the world"]
+    coverage: Annotated[float, "share of the directions that were seen from there; 0 where it never was in view"]
+    expected_error: Annotated[float | None, "SHC RMSE; None where nothing is known, or the estimator expects none"]
+    irradiance: Annotated[tuple[float, float, float] | None, "upwards, scene radiance x sr; None: unknown"]
+    true_error: Annotated[float | None, "SHC RMSE against a rendered light probe; None without"] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verified:
+    """How far the expected error tells the true one, over the places with a rendered light probe."""
+
+    n_places: Annotated[int, "with both errors"]
+    rank_correlation: Annotated[float | None, "Spearman's, of expected and true error; None where undefined"]
+    interval: Annotated[tuple[float, float] | None, "in which it lies with 95 %, by bootstrap over places"]
+    mean_error_of_best: Annotated[float | None, "true error of the ten with the lowest expected error"]
+    mean_error_of_worst: Annotated[float | None, "true error of the ten with the highest"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacementResults:
+    """The content of placement.json."""
+
+    software: dict[str, str]
+    machine: dict[str, Plain]
+    scene: Annotated[str, "file name"]
+    settings: Annotated[Parameters, "of the capture and of the places"]
+    frames: Annotated[tuple[int, ...], "captured"]
+    exposure: Annotated[float, "of the session; errors carry it"]
+    spacing_m: Annotated[float, "between places"]
+    n_unknown: Annotated[int, "places that were never in view, or whose light is not known"]
+    places: tuple[Place, ...]
+    verified: Annotated[Verified | None, "None where nothing was verified"] = None
+    notes: Annotated[tuple[str, ...], "what a reader has to know"] = ()
+
+    @property
+    def best_first(self) -> list[Place]:
+        """The places with an expected error, in its order."""
+        known = [place for place in self.places if place.expected_error is not None]
+        return sorted(known, key=lambda place: place.expected_error or 0.0)
+
+    @property
+    def error_range(self) -> tuple[float, float]:
+        """The least expected error, and one that a place in twenty exceeds: both ends of the map's colours."""
+        errors = [place.expected_error or 0.0 for place in self.best_first]
+        return (errors[0], errors[int(0.95 * (len(errors) - 1))]) if errors else (0.0, 1.0)

@@ -1,0 +1,267 @@
+"""Where in the room will AR light fail? The light at every place where an object could stand, at the end of the path.
+
+The path is captured once, without virtual objects; then the chain runs on the captures for each place, and nothing more
+is rendered (`kept_session`). What cannot be known so, the true error, is measured at a few places on request.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from xihe_blender.capture.reference_probe import MeasuredLight, open_reference_probe
+from xihe_blender.capture.render import RenderSettings
+from xihe_blender.capture.scanner import sized_for
+from xihe_blender.errors import UserError
+from xihe_blender.io.folder_manifest import FolderManifest
+from xihe_blender.io.json_records import Parameters, as_json, from_json
+from xihe_blender.io.kept_files import kept_json
+from xihe_blender.io.outputs import RunOutputs, write_csv, write_json
+from xihe_blender.io.placement_results import N_EXTREMES, Place, PlacementResults, Verified
+from xihe_blender.io.provenance import machine, software
+from xihe_blender.jobs import Job, Progress, part_of
+from xihe_blender.previs.kept_session import FoundLight, KeptSession, kept_session
+from xihe_blender.previs.placement_pictures import write_pictures
+from xihe_blender.previs.plan import DEFAULT_SIZE, PrevisPlan, check_nothing_is_missing, evenly_chosen, planned_frames
+from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
+from xihe_blender.previs.run_chain import walk_path
+from xihe_blender.previs.settings import PrevisSettings, load_estimators
+from xihe_blender.report.placement import write_placement_report
+from xihe_blender.scene.state import scene_kept
+from xihenet import __version__
+from xihenet.metrics import shc_rmse
+from xihenet.placement import (
+    REACH_M,
+    air_places,
+    places_among,
+    rank_correlation,
+    rank_correlation_interval,
+    upward_points,
+)
+from xihenet.records import ArrayF64
+from xihenet.sh import irradiance
+
+SAMPLES = {"draft": 4, "balanced": 16, "accurate": 64}
+"""Per pixel of a capture, by preset: there is no position yet that a pilot could measure the noise at."""
+
+FINEST_M, GROWTH, N_SPACINGS = 0.05, 1.15, 40
+PLACES_AT_ONCE = 20
+UP = np.array([[0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True)
+class PlacementSettings:
+    """Which places are looked at.
+
+    Parameters
+    ----------
+    height_m : a grid in free air at this height; None takes upward surfaces
+    spacing_m : between places; None takes the finest that gives at most `most`
+    most : places
+    clearance_m : of a place above its surface, where the middle of a small object would be
+    reach_m : of a place from the camera, in some frame
+    n_verified : places whose reference light is rendered, to say how far the prediction is right
+    """
+
+    height_m: float | None = None
+    spacing_m: float | None = None
+    most: int = 1000
+    clearance_m: float = 0.1
+    reach_m: float = REACH_M
+    n_verified: int = 0
+
+    def __post_init__(self) -> None:
+        for name, value in (("spacing", self.spacing_m), ("clearance", self.clearance_m), ("reach", self.reach_m)):
+            if value is not None and not (0 < value < math.inf):
+                raise UserError(f"a {name} of {value:g} m is no distance: give a positive number of metres")
+        if self.height_m is not None and not math.isfinite(self.height_m):
+            raise UserError(f"a height of {self.height_m:g} m is nowhere: give metres above the floor of the world")
+        if self.most < 1 or self.n_verified < 0:
+            raise UserError("--places and --verify count places: give 1 or more, and 0 or more")
+
+
+def placement(
+    scene: bpy.types.Scene,
+    out: Path,
+    settings: PrevisSettings,
+    wanted: PlacementSettings,
+    *,
+    blend_file: Path,
+    command: str = "",
+) -> Job[PlacementResults]:
+    """A job: the placement map of `scene`, in the folder `out`: placement.json, .csv, pictures and report.
+
+    The captures are kept there and resumed. UserError for a scene without a camera, or where nothing is to be placed.
+    """
+    check_nothing_is_missing(scene)
+    settings = replace(settings, captured="path", samples=settings.samples or SAMPLES[settings.preset])
+    size = settings.size or sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1)).size
+    plan = PrevisPlan(tuple(planned_frames(scene, settings.frames)), size, (), ())
+    outputs, loaded = RunOutputs(out, blend_file.stem), load_estimators(settings)
+    manifest = FolderManifest(out, outputs.settings, "placement", _identity(scene, blend_file, settings, plan))
+    manifest.check()
+    survey = survey_run(scene, plan, outputs)
+    manifest.take()
+    with scene_kept():
+        run = yield from prepare_run(scene, plan, survey, outputs, settings, loaded)
+        yield from walk_path(run, keeps_session=True)
+        captured = sorted(run.needs.captured)
+        session = yield from kept_session(outputs, run.settings, size, run.exposure, captured)
+        places_m, spacing_m = _places(session, wanted)
+        places = yield from _light_of_places(session, places_m)
+        places, verified = yield from _verified(run, places, wanted.n_verified)
+    results = PlacementResults(
+        software=software(command),
+        machine={**machine()},
+        scene=blend_file.name,
+        settings={**_of_capture(settings, size), **asdict(wanted)},
+        frames=tuple(captured),
+        exposure=run.exposure,
+        spacing_m=spacing_m,
+        n_unknown=sum(place.expected_error is None for place, _ in places),
+        places=tuple(place for place, _ in places),
+        verified=verified,
+        notes=tuple(fault.said for fault in survey.faults),
+    )
+    yield Progress(1, 1, "writing the report")
+    pictures = write_pictures(out, [one.seen for one in session.frames], results)
+    write_placement_report(out / "report.html", results, pictures)
+    write_csv(out / "placement.csv", [_row(place) for place in results.places], list(_row(results.places[0])))
+    write_json(out / "placement.json", as_json(results))
+    return results
+
+
+def _identity(scene: bpy.types.Scene, file: Path, settings: PrevisSettings, plan: PrevisPlan) -> dict[str, Any]:
+    """All that decides the captures: places may be others in the same folder."""
+    return {
+        "xihe": __version__,
+        "blender": bpy.app.version_string,
+        "blend_sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
+        "scene": scene.name,
+        "settings": asdict(settings),
+        "phone": asdict(settings.profile),
+        "frames": plan.frames,
+        "size": plan.size,
+    }
+
+
+def _of_capture(settings: PrevisSettings, size: tuple[int, int]) -> Parameters:
+    names = ("estimator", "target", "preset", "samples", "seed", "phone", "n_anchors")
+    return {name: getattr(settings, name) for name in names} | {"size": size}
+
+
+def _row(place: Place) -> dict[str, Any]:
+    x, y, z = place.position_m
+    red, green, blue = place.irradiance or (None, None, None)
+    own = {"coverage": place.coverage, "expected_error": place.expected_error, "true_error": place.true_error}
+    return {"x_m": x, "y_m": y, "z_m": z, **own, "irradiance_r": red, "irradiance_g": green, "irradiance_b": blue}
+
+
+# --------------------------------------------------------------------------------------------------------------- places
+
+
+def _places(session: KeptSession, wanted: PlacementSettings) -> tuple[ArrayF64, float]:
+    """(K, 3) positions, in metres, and their spacing; UserError where there are none."""
+    frames = [one.seen for one in session.frames]
+    if wanted.height_m is not None:
+        find = functools.partial(air_places, frames, wanted.height_m, reach_m=wanted.reach_m)
+        what = f"the air at {wanted.height_m:g} m"
+    else:
+        find, what = functools.partial(places_among, upward_points(frames, wanted.reach_m)), "an upward surface"
+    spacings = (FINEST_M * GROWTH**k for k in range(N_SPACINGS)) if wanted.spacing_m is None else (wanted.spacing_m,)
+    best: tuple[ArrayF64, float] | None = None
+    for spacing_m in spacings:
+        found = find(spacing_m)
+        # Where cells are smaller than pixels are apart, wider ones have more places.
+        if best is not None and len(found) < len(best[0]):
+            break
+        if len(found) and (len(found) <= wanted.most or wanted.spacing_m is not None):
+            best = found, spacing_m
+    if best is None:
+        raise UserError(
+            f"the phone sees nowhere to put an object: no frame of the path shows {what} within {wanted.reach_m:g} m"
+        )
+    clearance_m = 0.0 if wanted.height_m is not None else wanted.clearance_m
+    return best[0] + (0, 0, clearance_m), best[1]
+
+
+def _light_of_places(session: KeptSession, places_m: ArrayF64) -> Job[list[tuple[Place, ArrayF64]]]:
+    """Each place with the (9, 3) light there."""
+    found: list[tuple[Place, ArrayF64]] = []
+    for start in range(0, len(places_m), PLACES_AT_ONCE):
+        part = {str(start + k): place for k, place in enumerate(places_m[start : start + PLACES_AT_ONCE])}
+        lights = yield from part_of(len(places_m), start, len(part), session.find_light(part))
+        found += [_place(part[name], light, session.exposure) for name, light in lights.items()]
+    return found
+
+
+def _place(position_m: ArrayF64, light: FoundLight, exposure: float) -> tuple[Place, ArrayF64]:
+    last = next(reversed(light.sh))
+    sh, error = light.sh[last], light.expected_error[last]
+    known = error is not None
+    up = irradiance(sh, UP)[0] / exposure
+    place = Place(
+        position_m=_triple(position_m),
+        coverage=light.coverage[last] if light.was_in_view else 0.0,
+        expected_error=error,
+        irradiance=_triple(up) if known else None,
+    )
+    return place, sh
+
+
+def _triple(values: ArrayF64) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])
+
+
+# --------------------------------------------------------------------------------------------------------- verification
+
+
+def _verified(
+    run: PreparedRun, places: Sequence[tuple[Place, ArrayF64]], n: int
+) -> Job[tuple[list[tuple[Place, ArrayF64]], Verified | None]]:
+    """The places, `n` of them with their true error, chosen evenly over the expected one; and what follows."""
+    ranked = sorted(
+        (k for k, (place, _) in enumerate(places) if place.expected_error is not None),
+        key=lambda k: places[k][0].expected_error or 0.0,
+    )
+    chosen, updated = evenly_chosen(ranked, n) if n and ranked else [], list(places)
+    if not chosen:
+        return updated, None
+    errors = yield from _true_errors(run, [places[k] for k in chosen])
+    for k, error in zip(chosen, errors, strict=True):
+        updated[k] = replace(places[k][0], true_error=error), places[k][1]
+    expected = np.array([updated[k][0].expected_error for k in chosen])
+    true, rng = np.array(errors), np.random.default_rng(run.settings.seed)
+    correlation, (low, high) = rank_correlation(expected, true), rank_correlation_interval(expected, true, rng)
+    n_ends = min(N_EXTREMES, len(chosen) // 2)
+    return updated, Verified(
+        n_places=len(chosen),
+        rank_correlation=correlation if math.isfinite(correlation) else None,
+        interval=(low, high) if math.isfinite(low) else None,
+        mean_error_of_best=float(true[:n_ends].mean()) if n_ends else None,
+        mean_error_of_worst=float(true[-n_ends:].mean()) if n_ends else None,
+    )
+
+
+def _true_errors(run: PreparedRun, places: Sequence[tuple[Place, ArrayF64]]) -> Job[list[float]]:
+    """SHC RMSE of each light against a light probe rendered there in the last frame; probes are kept."""
+    frame, errors, read = run.plan.frames[-1], [], functools.partial(from_json, MeasuredLight)
+    positions_m = [place.position_m for place, _ in places]
+    with open_reference_probe(run.scene, positions_m, run.reference) as probe:
+        for index, (place, sh) in enumerate(places):
+            yield Progress(index, len(places), f"rendering the light probe of place {index + 1}")
+            path = run.outputs.reference(index, "-".join(f"{c:.3f}" for c in place.position_m), frame)
+            light = kept_json(path, read)
+            if light is None:
+                light = probe.light_at(index, frame, run.exposure).measured
+                write_json(path, as_json(light))
+            errors.append(shc_rmse(sh, light.of(run.settings.target)))
+    return errors

@@ -1,0 +1,88 @@
+"""The report of a placement map: the room from above and through the camera, and the best and the worst places.
+
+Blue is a place where the light will be right, red one where it will fail, grey one of which nothing is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from statistics import median
+
+from xihe_blender.io.placement_results import N_EXTREMES, Place, PlacementResults
+from xihe_blender.report.document import document, png_url, table, write_document
+from xihe_blender.report.values import escape
+from xihenet.formats import format_count
+
+RAMP = ((46, 134, 222), (236, 226, 198), (214, 48, 49))
+"""From the least error to the largest: red, green and blue, 0 to 255."""
+
+
+def write_placement_report(path: Path, results: PlacementResults, pictures: Sequence[Path]) -> None:
+    """One self-contained page."""
+    low, high = results.error_range
+    ramp = ", ".join(f"rgb({r}, {g}, {b})" for r, g, b in RAMP)
+    legend = (
+        f'<p>Expected error (SHC RMSE) {low:.3f} <span style="display: inline-block; width: 12em; height: 0.8em; '
+        f'background: linear-gradient(to right, {ramp})"></span> {high:.3f} and more; grey: nothing is known.</p>'
+    )
+    above, camera = (
+        f'<img src="{png_url(file.read_bytes())}" alt="{file.stem}" style="max-width: 100%">' for file in pictures
+    )
+    best = results.best_first
+    sections = [
+        ("above", "From above", legend + above),
+        ("camera", "Through the phone", legend + camera),
+        ("best", f"The {min(N_EXTREMES, len(best))} best places", _table(best[:N_EXTREMES])),
+        ("worst", f"The {min(N_EXTREMES, len(best))} worst places", _table(best[::-1][:N_EXTREMES])),
+        ("right", "How far this is right", _verified(results)),
+    ]
+    heading = f"Where AR light will fail: {escape(results.scene)}"
+    write_document(path, document(heading, _opening(results), sections))
+
+
+def _opening(results: PlacementResults) -> str:
+    errors = [place.expected_error for place in results.best_first if place.expected_error is not None]
+    estimator = escape(results.settings["estimator"])
+    said = f"Light by <code>{estimator}</code> after {format_count(len(results.frames), 'frame')} of the camera path, "
+    said += f"at {format_count(len(results.places), 'place')} {results.spacing_m:.2f} m apart."
+    if errors:
+        said += f" Half of them have an expected error below {median(errors):.3f}."
+    if results.n_unknown:
+        said += f" Of {results.n_unknown} nothing is known: they were not in view."
+    return f"<p>{said} {' '.join(escape(note) for note in results.notes)}</p>"
+
+
+def _table(places: Sequence[Place]) -> str:
+    head = ["x, y, z (m)", "expected error", "coverage", "irradiance upwards", "true error"]
+    rows = [
+        [
+            ", ".join(f"{c:.2f}" for c in place.position_m),
+            _number(place.expected_error),
+            f"{place.coverage:.0%}",
+            "unknown" if place.irradiance is None else ", ".join(f"{c:.3g}" for c in place.irradiance),
+            _number(place.true_error),
+        ]
+        for place in places
+    ]
+    return table(head, rows) if rows else "<p>No place is known.</p>"
+
+
+def _number(value: float | None) -> str:
+    return "not measured" if value is None else f"{value:.3f}"
+
+
+def _verified(results: PlacementResults) -> str:
+    found = results.verified
+    if found is None:
+        return (
+            "<p>No light probe was rendered: <code>--verify N</code> renders some, and tells how right the map is.</p>"
+        )
+    said = f"Light probes were rendered at {found.n_places} places, chosen evenly over the expected error. "
+    if found.rank_correlation is not None:
+        said += f"The rank correlation of expected and true error is {found.rank_correlation:.2f}"
+        said += f" ({found.interval[0]:.2f} to {found.interval[1]:.2f} with 95 %). " if found.interval else ". "
+    if found.mean_error_of_best is not None and found.mean_error_of_worst is not None:
+        said += f"The best of them have a true error of {found.mean_error_of_best:.3f} in the mean, "
+        said += f"the worst {found.mean_error_of_worst:.3f}."
+    return f"<p>{said}</p>"

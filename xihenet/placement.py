@@ -1,0 +1,143 @@
+"""Places in a room where an object could stand or hang, as far as the frames of a walk show it.
+
+Two kinds: on upward surfaces that were seen, and in free air at a height. What nobody has seen is no place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from xihenet.camera import project_points, unproject_frame, valid_plane_depth
+from xihenet.records import ArrayBool, ArrayF64, RgbdFrame
+
+UPWARD = np.cos(np.radians(20.0))
+"""Least z of a normal that counts as upward: a table that stands askew does, a cushion's flank does not."""
+
+SAME_HEIGHT_M = 0.08
+FEWEST_PIXELS = 4
+"""Of one cell, over all frames: fewer are noise along an edge."""
+
+REACH_M = 5.0
+"""From the camera: a phone's LiDAR sees no farther, and a garden behind a window is no place for an object."""
+
+
+def upward_points(frames: Sequence[RgbdFrame], reach_m: float = REACH_M) -> ArrayF64:
+    """(P, 3) world, metres: what pixels of the frames show of upward surfaces within `reach_m` of the camera.
+
+    Empty is legal.
+    """
+    return np.concatenate([np.zeros((0, 3)), *(_upward_points(frame, reach_m) for frame in frames)])
+
+
+def places_among(points: ArrayF64, spacing_m: float) -> ArrayF64:
+    """(K, 3) of (P, 3), world, metres: at most one place per cell of `spacing_m` and per height.
+
+    A place is the mean of the points of its cell. In order of height, then y, then x. Empty is legal.
+    ValueError for a spacing that is not positive.
+    """
+    if not spacing_m > 0:
+        raise ValueError(f"places_among: expected a positive spacing, got {spacing_m}")
+    if not len(points):
+        return np.zeros((0, 3))
+    cells = np.floor(points / (spacing_m, spacing_m, SAME_HEIGHT_M)).astype(np.int64)[:, ::-1]
+    keys, index, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    index = index.reshape(-1)
+    means = np.stack([np.bincount(index, points[:, axis]) / counts for axis in range(3)], axis=1)
+    places: ArrayF64 = means[(counts >= FEWEST_PIXELS) & ~_beside_a_fuller_one(keys, counts)]
+    return places
+
+
+def _beside_a_fuller_one(keys: ArrayF64, counts: ArrayF64) -> ArrayBool:
+    """Cells right below or above one with more pixels: one surface, cut by the grid of heights."""
+    number = {tuple(key): count for key, count in zip(keys.tolist(), counts.tolist(), strict=True)}
+    above = np.array([number.get((z + 1, y, x), 0) for z, y, x in keys.tolist()])
+    below = np.array([number.get((z - 1, y, x), 0) for z, y, x in keys.tolist()])
+    beside: ArrayBool = (above > counts) | (below >= counts)
+    return beside
+
+
+def _upward_points(frame: RgbdFrame, reach_m: float) -> ArrayF64:
+    """Pixels within reach whose neighbours on both sides agree that the surface looks up, (K, 3)."""
+    shape = (frame.intrinsics.height, frame.intrinsics.width, 3)
+    points = unproject_frame(frame).points_m.astype(np.float64).reshape(shape)
+    is_valid = valid_plane_depth(frame.plane_depth_m)
+    inner, right, left = points[1:-1, 1:-1], points[1:-1, 2:], points[1:-1, :-2]
+    upper, lower = points[:-2, 1:-1], points[2:, 1:-1]
+    known = is_valid[1:-1, 1:-1] & is_valid[1:-1, 2:] & is_valid[1:-1, :-2] & is_valid[:-2, 1:-1] & is_valid[2:, 1:-1]
+    with np.errstate(invalid="ignore"):
+        is_up = _looks_up(right - inner, upper - inner) & _looks_up(inner - left, inner - lower)
+        is_near = np.linalg.norm(inner - frame.world_from_camera[:3, 3], axis=-1) <= reach_m
+    up = inner[known & is_up & is_near]
+    finite: ArrayF64 = up[np.isfinite(up).all(axis=1)]
+    return finite
+
+
+def _looks_up(across: ArrayF64, upwards: ArrayF64) -> ArrayBool:
+    """Whether the normal of a triangle (..., 3), as the camera sees it, looks up; a degenerate one does not."""
+    normal = np.cross(across, upwards)
+    looks_up: ArrayBool = normal[..., 2] > UPWARD * np.linalg.norm(normal, axis=-1)
+    return looks_up
+
+
+def air_places(frames: Sequence[RgbdFrame], height_m: float, spacing_m: float, reach_m: float = REACH_M) -> ArrayF64:
+    """(K, 3) world, metres: a grid at z = `height_m` where a frame looks through free air within `reach_m`.
+
+    In order of y, then x. Empty is legal. ValueError for a spacing that is not positive.
+    """
+    if not spacing_m > 0:
+        raise ValueError(f"air_places: expected a positive spacing, got {spacing_m}")
+    seen = [unproject_frame(frame).points_m.astype(np.float64) for frame in frames]
+    points = np.concatenate([one[np.isfinite(one).all(axis=1)] for one in seen]) if seen else np.zeros((0, 3))
+    if not len(points):
+        return np.zeros((0, 3))
+    low, high = np.percentile(points[:, :2], (1, 99), axis=0)
+    x, y = (np.arange(a + spacing_m / 2, b, spacing_m) for a, b in zip(low, high, strict=True))
+    grid = np.stack([*(part.ravel() for part in np.meshgrid(x, y)), np.full(len(x) * len(y), height_m)], axis=1)
+    is_free = np.zeros(len(grid), bool)
+    for frame in frames:
+        is_free |= _in_front_of_surfaces(grid, frame, reach_m)
+    free: ArrayF64 = grid[is_free]
+    return free
+
+
+def _in_front_of_surfaces(points_m: ArrayF64, frame: RgbdFrame, reach_m: float) -> ArrayBool:
+    """Whether each point (K, 3) is in the picture, within reach and nearer than what its pixel shows."""
+    pixels, depth_m = project_points(points_m, frame.intrinsics, frame.world_from_camera)
+    size = (frame.intrinsics.width, frame.intrinsics.height)
+    inside = (depth_m > 0) & (pixels >= 0).all(axis=1) & (pixels < size).all(axis=1)
+    inside &= np.linalg.norm(points_m - frame.world_from_camera[:3, 3], axis=1) <= reach_m
+    column, row = np.where(inside[:, None], pixels, 0).astype(int).T
+    behind = np.where(valid_plane_depth(frame.plane_depth_m), frame.plane_depth_m, 0)[row, column]
+    is_in_front: ArrayBool = inside & (depth_m < behind)
+    return is_in_front
+
+
+def rank_correlation(first: ArrayF64, second: ArrayF64) -> float:
+    """Spearman's: the correlation of ranks, ties sharing theirs. NaN for fewer than two, or where one is constant."""
+    a, b = (_ranks(np.asarray(values, np.float64)) for values in (first, second))
+    if len(a) < 2 or np.ptp(a) == 0 or np.ptp(b) == 0:
+        return float("nan")
+    return float(np.corrcoef(a, b)[0, 1])
+
+
+def rank_correlation_interval(
+    first: ArrayF64, second: ArrayF64, rng: np.random.Generator, n_draws: int = 2000
+) -> tuple[float, float]:
+    """The 95 % bootstrap interval of `rank_correlation` over pairs; NaN where it is undefined."""
+    a, b = np.asarray(first, np.float64), np.asarray(second, np.float64)
+    draws = rng.integers(0, max(1, len(a)), (n_draws, len(a)))
+    found = np.array([rank_correlation(a[draw], b[draw]) for draw in draws]) if len(a) > 1 else np.array([np.nan])
+    found = found[np.isfinite(found)]
+    if not len(found):
+        return float("nan"), float("nan")
+    low, high = np.percentile(found, (2.5, 97.5))
+    return float(low), float(high)
+
+
+def _ranks(values: ArrayF64) -> ArrayF64:
+    _, index, counts = np.unique(values, return_inverse=True, return_counts=True)
+    last = np.cumsum(counts)
+    ranks: ArrayF64 = (last - (counts - 1) / 2)[index.reshape(-1)]
+    return ranks
