@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from xihenet.camera import project_points, unproject_frame, valid_plane_depth
-from xihenet.records import ArrayBool, ArrayF64, RgbdFrame
+from xihenet.records import ArrayBool, ArrayF64, ArrayInt, RgbdFrame
 
 UPWARD = np.cos(np.radians(20.0))
 """Least z of a normal that counts as upward: a table that stands askew does, a cushion's flank does not."""
@@ -42,20 +42,28 @@ def places_among(points: ArrayF64, spacing_m: float) -> ArrayF64:
     if not len(points):
         return np.zeros((0, 3))
     cells = np.floor(points / (spacing_m, spacing_m, SAME_HEIGHT_M)).astype(np.int64)[:, ::-1]
-    keys, index, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    # One number for each cell, in order of height, then y, then x: rows are ten times as slow to sort.
+    lowest = cells.min(axis=0)
+    _, n_y, n_x = (int(n) for n in cells.max(axis=0) - lowest + 1)
+    z, y, x = (cells - lowest).T
+    keys, index, counts = np.unique((z * n_y + y) * n_x + x, return_inverse=True, return_counts=True)
     index = index.reshape(-1)
     means = np.stack([np.bincount(index, points[:, axis]) / counts for axis in range(3)], axis=1)
-    places: ArrayF64 = means[(counts >= FEWEST_PIXELS) & ~_beside_a_fuller_one(keys, counts)]
+    places: ArrayF64 = means[(counts >= FEWEST_PIXELS) & ~_beside_a_fuller_one(keys, counts, n_y * n_x)]
     return places
 
 
-def _beside_a_fuller_one(keys: ArrayF64, counts: ArrayF64) -> ArrayBool:
+def _beside_a_fuller_one(keys: ArrayInt, counts: ArrayInt, a_storey: int) -> ArrayBool:
     """Cells right below or above one with more pixels: one surface, cut by the grid of heights."""
-    number = {tuple(key): count for key, count in zip(keys.tolist(), counts.tolist(), strict=True)}
-    above = np.array([number.get((z + 1, y, x), 0) for z, y, x in keys.tolist()])
-    below = np.array([number.get((z - 1, y, x), 0) for z, y, x in keys.tolist()])
+    above, below = _counts_of(keys + a_storey, keys, counts), _counts_of(keys - a_storey, keys, counts)
     beside: ArrayBool = (above > counts) | (below >= counts)
     return beside
+
+
+def _counts_of(wanted: ArrayInt, keys: ArrayInt, counts: ArrayInt) -> ArrayInt:
+    """The counts of the cells `wanted`, 0 for those that are not among `keys`, which ascend."""
+    at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+    return np.where(keys[at] == wanted, counts[at], 0)
 
 
 def _upward_points(frame: RgbdFrame, reach_m: float) -> ArrayF64:

@@ -22,6 +22,7 @@ MODULES = (
     "result_operators",
     "light_operators",
     "live_light",
+    "placement_map",
     "panels",
     "overlay",
     "comparison_view",

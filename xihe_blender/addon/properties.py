@@ -214,6 +214,18 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         description="Light follows objects that are moved or added after a run, from the frames that the run kept",
         default=True,
     )
+    maps_air: bpy.props.BoolProperty(
+        name="In the Air", description="Map a grid in free air at a height, in place of upward surfaces"
+    )
+    map_height_m: bpy.props.FloatProperty(
+        name="Height", description="Of the grid, in metres above the world's origin", default=1.0, soft_min=0.0
+    )
+    map_place: bpy.props.IntProperty(
+        name="Place", description="Place of the map that is marked; -1 for none", default=-1, min=-1
+    )
+    show_map: bpy.props.BoolProperty(
+        name="Show Map", description="Draw the placement map over the 3D view", default=True
+    )
     show_positions: bpy.props.BoolProperty(
         name="Show Positions",
         description="Show where the light of virtual objects is estimated, and how much was seen around there",

@@ -29,6 +29,7 @@ from xihe_blender.apply.datablocks import (
     trigger_markers,
 )
 from xihe_blender.apply.lit_scene import CapturedFrames, hide_behind_room, put_over_frames, remove_lit_scene
+from xihe_blender.apply.placement_map import remove_placement_map
 from xihe_blender.apply.sh_worlds import (
     applied_worlds,
     f_curves,
@@ -280,12 +281,13 @@ def go_to_trigger(scene: bpy.types.Scene, direction: str) -> int | None:
 
 
 def remove_everything(scene: bpy.types.Scene) -> None:
-    """Take away all that a run, `apply_results` or `show_lit` left: worlds, node group, markers, images, lit scene.
+    """Take away all that runs left: worlds, node group, markers, images, lit scene, placement map.
 
     Of the other scenes as well: without their worlds their markers would say what is not so.
     """
     scene = scene.get(ROOM) or scene
     remove_lit_scene()
+    remove_placement_map()
     remove_applied_light(scene)
     for other in [other for other in bpy.data.scenes if other.library is None]:
         remove_trigger_markers(other)

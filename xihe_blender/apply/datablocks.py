@@ -31,6 +31,10 @@ LIGHT_OF = "xihe_light_of"
 """Custom property of a world of ours: the places that its light is of, see `LightOf`."""
 
 
+MAP = "xihe_placement_map"
+"""Custom property of the mesh of the placement map; see `apply.placement_map`."""
+
+
 FRAME = "xihe_frame"
 """Custom property of the comparison: the compared frame that it shows."""
 
@@ -74,7 +78,14 @@ def live_positions() -> dict[str, tuple[float, float | None]]:
 def has_anything(scene: bpy.types.Scene) -> bool:
     """Whether there is something for `results_in_blender.remove_everything` to remove."""
     lit = any(lights_by_sh(world) and world.library is None for world in bpy.data.worlds)
-    return bool(trigger_markers(scene)) or lit or lit_scene() is not None or next(our_images(), None) is not None
+    has_map = any(MAP in mesh and mesh.library is None for mesh in bpy.data.meshes)
+    return (
+        bool(trigger_markers(scene))
+        or lit
+        or has_map
+        or lit_scene() is not None
+        or next(our_images(), None) is not None
+    )
 
 
 def lit_scene() -> bpy.types.Scene | None:

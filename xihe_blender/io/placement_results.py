@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -9,6 +10,12 @@ from xihe_blender.io.json_records import Parameters, Plain
 
 N_EXTREMES = 10
 """Places that are listed as the best, and as the worst."""
+
+Colour = tuple[float, float, float]
+RAMP: tuple[Colour, ...] = ((46, 134, 222), (236, 226, 198), (214, 48, 49))
+"""Red, green and blue, 0 to 255, from the least error to the largest. Nearly everyone tells blue from red."""
+
+UNKNOWN: Colour = (128, 128, 128)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,6 +27,16 @@ class Place:
     expected_error: Annotated[float | None, "SHC RMSE; None where nothing is known, or the estimator expects none"]
     irradiance: Annotated[tuple[float, float, float] | None, "upwards, scene radiance x sr; None: unknown"]
     true_error: Annotated[float | None, "SHC RMSE against a rendered light probe; None without"] = None
+
+    def colour(self, error_range: tuple[float, float]) -> Colour:
+        """sRGB, 0 to 255, by where the expected error lies between the two; UNKNOWN where there is none."""
+        if self.expected_error is None:
+            return UNKNOWN
+        low, high = error_range
+        along = min(1.0, max(0.0, (self.expected_error - low) / max(high - low, 1e-9))) * (len(RAMP) - 1)
+        first = min(int(along), len(RAMP) - 2)
+        red, green, blue = (a + (along - first) * (b - a) for a, b in zip(RAMP[first], RAMP[first + 1], strict=True))
+        return red, green, blue
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +61,7 @@ class PlacementResults:
     frames: Annotated[tuple[int, ...], "captured"]
     exposure: Annotated[float, "of the session; errors carry it"]
     spacing_m: Annotated[float, "between places"]
+    clearance_m: Annotated[float | None, "of places above their surface; None for places in free air"]
     n_unknown: Annotated[int, "places that were never in view, or whose light is not known"]
     places: tuple[Place, ...]
     verified: Annotated[Verified | None, "None where nothing was verified"] = None
@@ -52,11 +70,21 @@ class PlacementResults:
     @property
     def best_first(self) -> list[Place]:
         """The places with an expected error, in its order."""
-        known = [place for place in self.places if place.expected_error is not None]
-        return sorted(known, key=lambda place: place.expected_error or 0.0)
+        return [self.places[index] for index in best_first(self.places)]
 
     @property
     def error_range(self) -> tuple[float, float]:
-        """The least expected error, and one that a place in twenty exceeds: both ends of the map's colours."""
-        errors = [place.expected_error or 0.0 for place in self.best_first]
-        return (errors[0], errors[int(0.95 * (len(errors) - 1))]) if errors else (0.0, 1.0)
+        """As the function of this name."""
+        return error_range(self.places)
+
+
+def best_first(places: Sequence[Place]) -> list[int]:
+    """Indices of the places with an expected error, in its order."""
+    known = [index for index, place in enumerate(places) if place.expected_error is not None]
+    return sorted(known, key=lambda index: places[index].expected_error or 0.0)
+
+
+def error_range(places: Sequence[Place]) -> tuple[float, float]:
+    """The least expected error, and one that a place in twenty exceeds: both ends of the map's colours."""
+    errors = [places[index].expected_error or 0.0 for index in best_first(places)]
+    return (errors[0], errors[int(0.95 * (len(errors) - 1))]) if errors else (0.0, 1.0)

@@ -25,7 +25,7 @@ from xihe_blender.io.folder_manifest import FolderManifest
 from xihe_blender.io.json_records import Parameters, as_json, from_json
 from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import RunOutputs, write_csv, write_json
-from xihe_blender.io.placement_results import N_EXTREMES, Place, PlacementResults, Verified
+from xihe_blender.io.placement_results import N_EXTREMES, Place, PlacementResults, Verified, best_first
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.previs.kept_session import FoundLight, KeptSession, kept_session
@@ -115,9 +115,8 @@ def placement(
         yield from walk_path(run, keeps_session=True)
         captured = sorted(run.needs.captured)
         session = yield from kept_session(outputs, run.settings, size, run.exposure, captured)
-        places_m, spacing_m = _places(session, wanted)
-        places = yield from _light_of_places(session, places_m)
-        places, verified = yield from _verified(run, places, wanted.n_verified)
+        mapped = yield from map_places(session, wanted)
+        places, verified = yield from _verified(run, mapped, wanted.n_verified)
     results = PlacementResults(
         software=software(command),
         machine={**machine()},
@@ -125,9 +124,10 @@ def placement(
         settings={**_of_capture(settings, size), **asdict(wanted)},
         frames=tuple(captured),
         exposure=run.exposure,
-        spacing_m=spacing_m,
-        n_unknown=sum(place.expected_error is None for place, _ in places),
-        places=tuple(place for place, _ in places),
+        spacing_m=mapped.spacing_m,
+        clearance_m=wanted.clearance_m if wanted.height_m is None else None,
+        n_unknown=sum(place.expected_error is None for place in places),
+        places=places,
         verified=verified,
         notes=tuple(fault.said for fault in survey.faults),
     )
@@ -168,17 +168,44 @@ def _row(place: Place) -> dict[str, Any]:
 # --------------------------------------------------------------------------------------------------------------- places
 
 
-def _places(session: KeptSession, wanted: PlacementSettings) -> tuple[ArrayF64, float]:
-    """(K, 3) positions, in metres, and their spacing; UserError where there are none."""
+@dataclass(frozen=True, eq=False)
+class MappedPlaces:
+    """Places `spacing_m` apart, and the (9, 3) light at each, carrying the session's exposure."""
+
+    places: tuple[Place, ...]
+    lights: tuple[ArrayF64, ...]
+    spacing_m: float
+
+
+def map_places(session: KeptSession, wanted: PlacementSettings) -> Job[MappedPlaces]:
+    """A job: the light at every place that the frames of `session` show. Nothing is rendered.
+
+    UserError where there is no place.
+    """
+    places_m, spacing_m = yield from _places(session, wanted)
+    places: list[Place] = []
+    lights: list[ArrayF64] = []
+    for start in range(0, len(places_m), PLACES_AT_ONCE):
+        part = {str(start + k): place for k, place in enumerate(places_m[start : start + PLACES_AT_ONCE])}
+        found = yield from part_of(len(places_m), start, len(part), session.find_light(part))
+        for name, light in found.items():
+            lights.append(light.sh[next(reversed(light.sh))])
+            places.append(_place(part[name], light, session.exposure))
+    return MappedPlaces(tuple(places), tuple(lights), spacing_m)
+
+
+def _places(session: KeptSession, wanted: PlacementSettings) -> Job[tuple[ArrayF64, float]]:
+    """A job: (K, 3) positions, in metres, and their spacing; UserError where there are none."""
+    yield Progress(0, 1, "looking for places")
     frames = [one.seen for one in session.frames]
     if wanted.height_m is not None:
         find = functools.partial(air_places, frames, wanted.height_m, reach_m=wanted.reach_m)
         what = f"the air at {wanted.height_m:g} m"
     else:
         find, what = functools.partial(places_among, upward_points(frames, wanted.reach_m)), "an upward surface"
-    spacings = (FINEST_M * GROWTH**k for k in range(N_SPACINGS)) if wanted.spacing_m is None else (wanted.spacing_m,)
     best: tuple[ArrayF64, float] | None = None
-    for spacing_m in spacings:
+    for spacing_m in _spacings(wanted):
+        yield Progress(0, 1, f"looking for places {spacing_m:.2f} m apart")
         found = find(spacing_m)
         # Where cells are smaller than pixels are apart, wider ones have more places.
         if best is not None and len(found) < len(best[0]):
@@ -193,28 +220,22 @@ def _places(session: KeptSession, wanted: PlacementSettings) -> tuple[ArrayF64, 
     return best[0] + (0, 0, clearance_m), best[1]
 
 
-def _light_of_places(session: KeptSession, places_m: ArrayF64) -> Job[list[tuple[Place, ArrayF64]]]:
-    """Each place with the (9, 3) light there."""
-    found: list[tuple[Place, ArrayF64]] = []
-    for start in range(0, len(places_m), PLACES_AT_ONCE):
-        part = {str(start + k): place for k, place in enumerate(places_m[start : start + PLACES_AT_ONCE])}
-        lights = yield from part_of(len(places_m), start, len(part), session.find_light(part))
-        found += [_place(part[name], light, session.exposure) for name, light in lights.items()]
-    return found
+def _spacings(wanted: PlacementSettings) -> list[float]:
+    """In metres, the finest first."""
+    if wanted.spacing_m is not None:
+        return [wanted.spacing_m]
+    return [FINEST_M * GROWTH**k for k in range(N_SPACINGS)]
 
 
-def _place(position_m: ArrayF64, light: FoundLight, exposure: float) -> tuple[Place, ArrayF64]:
+def _place(position_m: ArrayF64, light: FoundLight, exposure: float) -> Place:
     last = next(reversed(light.sh))
-    sh, error = light.sh[last], light.expected_error[last]
-    known = error is not None
-    up = irradiance(sh, UP)[0] / exposure
-    place = Place(
+    error = light.expected_error[last]
+    return Place(
         position_m=_triple(position_m),
         coverage=light.coverage[last] if light.was_in_view else 0.0,
         expected_error=error,
-        irradiance=_triple(up) if known else None,
+        irradiance=_triple(irradiance(light.sh[last], UP)[0] / exposure) if error is not None else None,
     )
-    return place, sh
 
 
 def _triple(values: ArrayF64) -> tuple[float, float, float]:
@@ -224,26 +245,26 @@ def _triple(values: ArrayF64) -> tuple[float, float, float]:
 # --------------------------------------------------------------------------------------------------------- verification
 
 
-def _verified(
-    run: PreparedRun, places: Sequence[tuple[Place, ArrayF64]], n: int
-) -> Job[tuple[list[tuple[Place, ArrayF64]], Verified | None]]:
+def _verified(run: PreparedRun, mapped: MappedPlaces, n: int) -> Job[tuple[tuple[Place, ...], Verified | None]]:
     """The places, `n` of them with their true error, chosen evenly over the expected one; and what follows."""
-    ranked = sorted(
-        (k for k, (place, _) in enumerate(places) if place.expected_error is not None),
-        key=lambda k: places[k][0].expected_error or 0.0,
-    )
-    chosen, updated = evenly_chosen(ranked, n) if n and ranked else [], list(places)
+    places = list(mapped.places)
+    ranked = best_first(places)
+    chosen = evenly_chosen(ranked, n) if n and ranked else []
     if not chosen:
-        return updated, None
-    errors = yield from _true_errors(run, [places[k] for k in chosen])
+        return mapped.places, None
+    errors = yield from _true_errors(run, [(places[k], mapped.lights[k]) for k in chosen])
     for k, error in zip(chosen, errors, strict=True):
-        updated[k] = replace(places[k][0], true_error=error), places[k][1]
-    expected = np.array([updated[k][0].expected_error for k in chosen])
-    true, rng = np.array(errors), np.random.default_rng(run.settings.seed)
+        places[k] = replace(places[k], true_error=error)
+    expected = np.array([places[k].expected_error for k in chosen])
+    return tuple(places), _verdict(expected, np.array(errors), np.random.default_rng(run.settings.seed))
+
+
+def _verdict(expected: ArrayF64, true: ArrayF64, rng: np.random.Generator) -> Verified:
+    """Of errors (K,) in ascending order of the expected ones."""
     correlation, (low, high) = rank_correlation(expected, true), rank_correlation_interval(expected, true, rng)
-    n_ends = min(N_EXTREMES, len(chosen) // 2)
-    return updated, Verified(
-        n_places=len(chosen),
+    n_ends = min(N_EXTREMES, len(true) // 2)
+    return Verified(
+        n_places=len(true),
         rank_correlation=correlation if math.isfinite(correlation) else None,
         interval=(low, high) if math.isfinite(low) else None,
         mean_error_of_best=float(true[:n_ends].mean()) if n_ends else None,

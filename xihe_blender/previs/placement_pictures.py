@@ -1,4 +1,8 @@
-"""The pictures of a placement map: the room from above and through the phone, each place in the colour of its error."""
+"""The pictures of a placement map: the room from above and through the phone, surfaces in the colour of their error.
+
+The room is grey and as bright as it takes to see it, so that colour means the map alone. What is neither near a place
+nor known stays grey. Places in free air have no surface to colour: they are squares.
+"""
 
 from __future__ import annotations
 
@@ -8,100 +12,157 @@ from pathlib import Path
 import numpy as np
 
 from xihe_blender.io.outputs import write_picture
-from xihe_blender.io.placement_results import Place, PlacementResults
-from xihe_blender.report.placement import RAMP
+from xihe_blender.io.placement_results import PlacementResults
 from xihenet.camera import project_points, unproject_frame, valid_plane_depth
-from xihenet.records import ArrayF64, ArrayU8, RgbdFrame
+from xihenet.records import ArrayF64, ArrayInt, ArrayU8, RgbdFrame
 
-UNKNOWN = (128.0, 128.0, 128.0)
 WIDTH_PX, HEIGHT_PX = 960, 720
-DIMMED = 0.7
-"""Of the room's own brightness, so that the places stand out."""
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+BRIGHT, WHITE_AT = 200.0, 95.0
+"""Grey of what only `100 - WHITE_AT` percent of the room exceed in brightness."""
+
+SHADE = 0.45
+"""Share of a coloured surface's brightness that is not taken from the room."""
 
 AROUND_M = 0.4
 """Of the room that is shown beyond the outermost places."""
 
-PIXELS_A_CELL = 3
-"""Across, of the room in the picture from above: points lie sparser than its pixels."""
+PIXELS_A_POINT = 3
+"""Across, in the picture from above: points lie sparser than its pixels."""
 
-HIDDEN_M = 0.05
-"""A place so far behind what its pixel shows is hidden."""
-
-
-def _colours(places: Sequence[Place], error_range: tuple[float, float]) -> ArrayF64:
-    """(K, 3), 0 to 255."""
-    errors = np.array([np.nan if place.expected_error is None else place.expected_error for place in places])
-    low, high = error_range
-    share = np.clip((errors - low) / max(high - low, 1e-9), 0, 1)
-    steps, known = np.linspace(0, 1, len(RAMP)), np.nan_to_num(share)
-    ramp = np.stack([np.interp(known, steps, channel) for channel in np.array(RAMP).T], axis=1)
-    return np.where(np.isfinite(share)[:, None], ramp, UNKNOWN)
+SURFACE_M = 0.1
+"""A point so far above or below a place is of another surface."""
 
 
 def write_pictures(folder: Path, frames: Sequence[RgbdFrame], results: PlacementResults) -> list[Path]:
     """`above.png` and `camera.png`; their paths."""
     paths = [folder / "pictures" / "above.png", folder / "pictures" / "camera.png"]
-    positions = np.array([place.position_m for place in results.places])
-    painted = _colours(results.places, results.error_range)
-    write_picture(paths[0], _from_above(frames, positions, painted, results.spacing_m))
-    write_picture(paths[1], _through_camera(frames, positions, painted))
+    painter = Painter(results)
+    write_picture(paths[0], _from_above(frames, painter))
+    write_picture(paths[1], _through_camera(frames, painter))
     return paths
 
 
-def _from_above(frames: Sequence[RgbdFrame], positions: ArrayF64, painted: ArrayF64, spacing_m: float) -> ArrayU8:
-    """The room below the phone, seen from above with +Y up, and the places as squares, the highest on top."""
-    clouds = [unproject_frame(frame) for frame in frames]
-    eyes = float(np.mean([frame.world_from_camera[2, 3] for frame in frames]))
-    points = np.concatenate([cloud.points_m for cloud in clouds]).astype(np.float64)
-    srgb = np.concatenate([cloud.srgb for cloud in clouds])
-    kept = np.isfinite(points).all(axis=1) & (points[:, 2] < max(eyes, positions[:, 2].max()))
-    points, srgb = points[kept], srgb[kept]
-    rim_m = max(AROUND_M, 2 * spacing_m)
-    low, high = positions[:, :2].min(axis=0) - rim_m, positions[:, :2].max(axis=0) + rim_m
+class Painter:
+    """Which place a point of the room belongs to, and the colour of either."""
+
+    def __init__(self, results: PlacementResults) -> None:
+        self.positions = np.array([place.position_m for place in results.places])
+        self.colours = np.array([place.colour(results.error_range) for place in results.places])
+        self.spacing_m, self.clearance_m = results.spacing_m, results.clearance_m
+        self.keys = self._cells(self.positions)
+        self.order = np.lexsort((self.positions[:, 2], self.keys))
+
+    @property
+    def are_in_air(self) -> bool:
+        return self.clearance_m is None
+
+    def _cells(self, points: ArrayF64) -> ArrayInt:
+        """(P,) a number for each cell of the floor plan, as the places were found."""
+        x, y = np.floor(points[:, :2] / self.spacing_m).astype(np.int64).T
+        cells: ArrayInt = x * (1 << 31) + y
+        return cells
+
+    def place_of(self, points: ArrayF64) -> ArrayInt:
+        """(P,) index of the place on whose surface each point (P, 3) lies, -1 for none."""
+        found = np.full(len(points), -1)
+        if self.clearance_m is None:
+            return found
+        sorted_keys, keys = self.keys[self.order], self._cells(points)
+        first, after = (np.searchsorted(sorted_keys, keys, side) for side in ("left", "right"))
+        surface_m = self.positions[self.order, 2] - self.clearance_m
+        for layer in range(int((after - first).max(initial=0))):
+            at = np.minimum(first + layer, len(sorted_keys) - 1)
+            is_it = (first + layer < after) & (np.abs(points[:, 2] - surface_m[at]) < SURFACE_M)
+            found[is_it] = self.order[at[is_it]]
+        return found
+
+    def paint(self, points: ArrayF64, srgb: ArrayF64, white: float) -> ArrayF64:
+        """(P, 3), 0 to 255: points (P, 3) of a room of which `white` is the brightness of what is bright."""
+        grey = np.minimum(srgb @ LUMINANCE / white, 1.0) * BRIGHT
+        place, shade = self.place_of(points), SHADE + (1 - SHADE) * grey / BRIGHT
+        room = np.repeat(grey[:, None], 3, axis=1)
+        return np.where(place[:, None] < 0, room, self.colours[place] * shade[:, None])
+
+
+def _white(srgb: ArrayF64) -> float:
+    """The brightness of what is bright in (P, 3) sRGB-encoded colours."""
+    return max(float(np.percentile(srgb @ LUMINANCE, WHITE_AT)) if len(srgb) else 1.0, 1e-3)
+
+
+def _from_above(frames: Sequence[RgbdFrame], painter: Painter) -> ArrayU8:
+    """The room below the phone, seen from above with +Y up."""
+    positions = painter.positions
+    low, high = (positions[:, :2].min(axis=0) - AROUND_M, positions[:, :2].max(axis=0) + AROUND_M)
+    points, srgb = _room_below_the_phone(frames, low, high, float(positions[:, 2].max()))
     scale = min(WIDTH_PX / (high[0] - low[0]), HEIGHT_PX / (high[1] - low[1]))
     width, height = (max(1, int(side)) for side in (high - low) * scale)
     picture = np.full((height, width, 3), 24.0)
-    inside = ((points[:, :2] > low) & (points[:, :2] < high)).all(axis=1)
-    order = np.argsort(points[inside][:, 2], kind="stable")
-    column, row = _pixels(points[inside][order], low, high, scale, (width, height))
-    for down in range(PIXELS_A_CELL):
-        for across in range(PIXELS_A_CELL):
-            at = np.minimum(row + down, height - 1), np.minimum(column + across, width - 1)
-            picture[at] = 255 * DIMMED * srgb[inside][order]
-    half = max(1, int(0.28 * spacing_m * scale))
-    columns, rows = _pixels(positions, low, high, scale, (width, height))
-    for k in np.argsort(positions[:, 2], kind="stable"):
-        x, y = int(columns[k]), int(rows[k])
-        picture[max(0, y - half) : y + half + 1, max(0, x - half) : x + half + 1] = painted[k]
+    column, row = _pixels(points, low, high, scale, (width, height))
+    painted = painter.paint(points, srgb, _white(srgb))
+    for down in range(PIXELS_A_POINT):
+        for across in range(PIXELS_A_POINT):
+            picture[np.minimum(row + down, height - 1), np.minimum(column + across, width - 1)] = painted
+    if painter.are_in_air:
+        columns, rows = _pixels(positions, low, high, scale, (width, height))
+        half = np.full(len(columns), max(1, int(0.28 * painter.spacing_m * scale)))
+        _draw_squares(picture, np.stack([columns, rows], axis=1), half, painter.colours)
     return picture.round().astype(np.uint8)
+
+
+def _room_below_the_phone(
+    frames: Sequence[RgbdFrame], low: ArrayF64, high: ArrayF64, at_least_m: float
+) -> tuple[ArrayF64, ArrayF64]:
+    """Points (P, 3) and their colours, the highest last; what is above the phone would hide the room."""
+    clouds = [unproject_frame(frame) for frame in frames]
+    points = np.concatenate([cloud.points_m for cloud in clouds]).astype(np.float64)
+    srgb = np.concatenate([cloud.srgb for cloud in clouds]).astype(np.float64)
+    eyes = float(np.mean([frame.world_from_camera[2, 3] for frame in frames]))
+    kept = np.isfinite(points).all(axis=1) & (points[:, 2] < max(eyes, at_least_m))
+    kept &= ((points[:, :2] > low) & (points[:, :2] < high)).all(axis=1)
+    order = np.argsort(points[kept][:, 2], kind="stable")
+    return points[kept][order], srgb[kept][order]
 
 
 def _pixels(
     points: ArrayF64, low: ArrayF64, high: ArrayF64, scale: float, size: tuple[int, int]
-) -> tuple[ArrayF64, ArrayF64]:
-    column = ((points[:, 0] - low[0]) * scale).astype(int).clip(0, size[0] - 1)
-    row = ((high[1] - points[:, 1]) * scale).astype(int).clip(0, size[1] - 1)
+) -> tuple[ArrayInt, ArrayInt]:
+    column = ((points[:, 0] - low[0]) * scale).astype(np.int64).clip(0, size[0] - 1)
+    row = ((high[1] - points[:, 1]) * scale).astype(np.int64).clip(0, size[1] - 1)
     return column, row
 
 
-def _through_camera(frames: Sequence[RgbdFrame], positions: ArrayF64, painted: ArrayF64) -> ArrayU8:
-    """The captured frame that shows the most places, with a square at each that is not hidden."""
-    seen = [_visible(positions, frame) for frame in frames]
-    best = int(np.argmax([visible.sum() for _, visible, _ in seen]))
-    frame, (pixels, visible, depth_m) = frames[best], seen[best]
+def _through_camera(frames: Sequence[RgbdFrame], painter: Painter) -> ArrayU8:
+    """The captured frame in which the map is largest."""
+    clouds = [unproject_frame(frame).points_m.astype(np.float64) for frame in frames]
+    in_frame = [_in_picture(painter.positions, frame) for frame in frames]
+    if painter.are_in_air:
+        best = int(np.argmax([len(pixels) for _, pixels, _ in in_frame]))
+    else:
+        best = int(np.argmax([(painter.place_of(np.nan_to_num(cloud, nan=1e9)) >= 0).sum() for cloud in clouds]))
+    frame, (which, pixels, distance_m) = frames[best], in_frame[best]
+    srgb = frame.srgb_u8.reshape(-1, 3) / 255
+    painted = painter.paint(np.nan_to_num(clouds[best], nan=1e9, posinf=1e9, neginf=-1e9), srgb, _white(srgb))
     larger = max(1, round(WIDTH_PX / frame.intrinsics.width))
-    picture = frame.srgb_u8.repeat(larger, axis=0).repeat(larger, axis=1).astype(np.float64) * DIMMED
-    for k in sorted(np.flatnonzero(visible), key=lambda k: -depth_m[k]):
-        half = int(np.clip(0.03 * frame.intrinsics.fx * larger / depth_m[k], 2, 14))
-        x, y = (pixels[k] * larger).astype(int)
-        picture[max(0, y - half) : y + half + 1, max(0, x - half) : x + half + 1] = painted[k]
+    picture = painted.reshape(frame.srgb_u8.shape).repeat(larger, axis=0).repeat(larger, axis=1)
+    if painter.are_in_air:
+        half = np.clip(0.03 * frame.intrinsics.fx * larger / distance_m, 2, 14).astype(int)
+        _draw_squares(picture, (pixels * larger).astype(int), half, painter.colours[which])
     return picture.round().astype(np.uint8)
 
 
-def _visible(positions: ArrayF64, frame: RgbdFrame) -> tuple[ArrayF64, ArrayF64, ArrayF64]:
-    pixels, depth_m = project_points(positions, frame.intrinsics, frame.world_from_camera)
-    inside = (depth_m > 0) & (pixels >= 0).all(axis=1)
+def _in_picture(positions: ArrayF64, frame: RgbdFrame) -> tuple[ArrayInt, ArrayF64, ArrayF64]:
+    """Which positions (K, 3) nothing hides in a frame, their pixels and plane depths, the farthest first."""
+    pixels, distance_m = project_points(positions, frame.intrinsics, frame.world_from_camera)
+    inside = (distance_m > 0) & (pixels >= 0).all(axis=1)
     inside &= (pixels < (frame.intrinsics.width, frame.intrinsics.height)).all(axis=1)
     column, row = np.where(inside[:, None], pixels, 0).astype(int).T
     behind = np.where(valid_plane_depth(frame.plane_depth_m), frame.plane_depth_m, np.inf)[row, column]
-    return pixels, inside & (depth_m < behind + HIDDEN_M), depth_m
+    which = np.flatnonzero(inside & (distance_m < behind))
+    which = which[np.argsort(-distance_m[which], kind="stable")]
+    return which, pixels[which], distance_m[which]
+
+
+def _draw_squares(picture: ArrayF64, middles: ArrayInt, half: ArrayInt, colours: ArrayF64) -> None:
+    for (x, y), reach, colour in zip(middles.tolist(), half.tolist(), colours, strict=True):
+        picture[max(0, y - reach) : y + reach + 1, max(0, x - reach) : x + reach + 1] = colour

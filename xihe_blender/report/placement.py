@@ -9,13 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 
-from xihe_blender.io.placement_results import N_EXTREMES, Place, PlacementResults
+from xihe_blender.io.placement_results import N_EXTREMES, RAMP, Place, PlacementResults
 from xihe_blender.report.document import document, png_url, table, write_document
 from xihe_blender.report.values import escape
 from xihenet.formats import format_count
-
-RAMP = ((46, 134, 222), (236, 226, 198), (214, 48, 49))
-"""From the least error to the largest: red, green and blue, 0 to 255."""
 
 
 def write_placement_report(path: Path, results: PlacementResults, pictures: Sequence[Path]) -> None:

@@ -19,7 +19,7 @@ LONGEST_FOLLOW_S = 3.0
 
 CORNELL_BOX = ROOT / "blend_scenes" / "cornell_box.blend"
 LOWEST_PRIORITY = 19
-KINDS = ("worlds", "images", "node_groups", "actions", "scenes", "markers")
+KINDS = ("worlds", "images", "node_groups", "actions", "scenes", "meshes", "materials", "markers")
 
 
 def played(scenario, out, **options):
@@ -105,6 +105,12 @@ def test_light_follows_an_object_that_is_moved(first_success):
     ((coverage, expected_error),) = first_success.facts["live"].values()
     assert 0 < coverage < 1 and expected_error > 0
     assert first_success.facts["followed_s"] < LONGEST_FOLLOW_S
+
+
+def test_the_map_shows_the_place_under_the_mouse_and_is_made_without_a_freeze(first_success):
+    found, wanted = first_success.facts["under_mouse"]
+    assert found == wanted
+    assert first_success.facts["map_freeze_s"] < 2 * LONGEST_FREEZE_S
 
 
 def test_the_comparison_is_shown_in_the_image_editor_that_is_open(first_success):

@@ -11,7 +11,9 @@ from bpy_extras.view3d_utils import location_3d_to_region_2d
 from free_window import Heartbeat
 from rooms import look_through_camera, make_runs_short, room_to_light
 
+from xihe_blender.addon import placement_map as placement_view
 from xihe_blender.apply.datablocks import LightOf
+from xihe_blender.apply.placement_map import MapOf, placement_map
 
 
 def prepare():
@@ -20,7 +22,7 @@ def prepare():
 
 def left_in_file():
     """Everything of a run that is in the file, by kind."""
-    kinds = ("worlds", "images", "node_groups", "actions", "scenes")
+    kinds = ("worlds", "images", "node_groups", "actions", "scenes", "meshes", "materials")
     left = {kind: sorted(b.name for b in getattr(bpy.data, kind) if b.name.startswith("Xihe ")) for kind in kinds}
     left["markers"] = sorted(m.name for scene in bpy.data.scenes for m in scene.timeline_markers)
     return left
@@ -56,6 +58,7 @@ def scenario(w):
     yield from see_the_comparison(w)
     yield from undo_and_redo(w)
     bpy.ops.wm.save_as_mainfile(filepath=str(w.out / "saved.blend"), copy=True)
+    yield from see_the_map(w)
     yield from remove(w)
 
 
@@ -153,6 +156,28 @@ def see_the_comparison(w):
     yield 2
     folder = pathlib.Path(bpy.context.scene.xihe.run_folder)
     w.facts["saved"] = sorted(file.name for file in folder.glob("*.mp4"))
+
+
+def see_the_map(w):
+    """Made in steps beside a beating heart; then the mouse rests on its best place."""
+    heart = Heartbeat()
+    with w.context():
+        bpy.ops.xihe.map_places("INVOKE_DEFAULT")
+    yield from w.wait_until(placement_map, "the map is made")
+    yield 1
+    w.facts["map_freeze_s"] = heart.stop()
+    item = placement_map()
+    index = MapOf.read(item.data).best[0]
+    region = next(region for region in w.area.regions if region.type == "WINDOW")
+    pixel = location_3d_to_region_2d(region, w.area.spaces.active.region_3d, item.data.polygons[index].center)
+    w.move(region.x + pixel.x - 3, region.y + pixel.y)
+    yield 0.5
+    w.move(region.x + pixel.x, region.y + pixel.y)
+    yield 1
+    view = placement_view._view
+    with w.context(region):
+        w.facts["under_mouse"] = [view.under_mouse(bpy.context, item), index]
+    yield from w.picture("8_map")
 
 
 def undo_and_redo(w):

@@ -1,0 +1,319 @@
+"""Where in the room will AR light fail? The placement map over the 3D view, its legend, and the place under the mouse.
+
+The map is made from the frames of the last run, without a render, as `xihe placement` makes it. Squares, legend and
+words are drawn over the view in any shading; the mesh behind them is `apply.placement_map`'s. Where the mouse is a
+gizmo finds out that draws nothing: Blender asks each gizmo whether the mouse is over it. Rejected: an operator that
+watches the mouse, which keeps Blender from saving its own backups for as long as it runs.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import bpy
+
+from xihe_blender.addon import polls
+from xihe_blender.addon.failures import Action
+from xihe_blender.addon.modal_job import ModalJob
+from xihe_blender.addon.overlay import draw_text, text_width
+from xihe_blender.addon.properties import last_run_folder
+from xihe_blender.apply.placement_map import (
+    COLOURS,
+    MapOf,
+    placement_map,
+    remove_placement_map,
+    shown_place,
+)
+from xihe_blender.io.placement_results import RAMP
+from xihe_blender.jobs import Job
+
+if TYPE_CHECKING:
+    from xihenet.records import ArrayF32
+
+OPACITY = 0.75
+SECOND_LIFT = 0.002
+"""Of the drawn squares above the mesh, in Blender units."""
+
+LEGEND_PX, LEGEND_HIGH_PX, MARGIN_PX = 180.0, 12.0, 24.0
+MOUSE_OFFSET_PX = 18.0
+RING = (1.0, 0.85, 0.2, 1.0)
+FLAT = 1e-6
+"""A line of sight that falls less than this meets no square."""
+
+
+def has_map(_context: bpy.types.Context) -> str | None:
+    return None if placement_map() else "There is no map yet: press Map Room first"
+
+
+class XIHE_OT_map_places(polls.Conditional, ModalJob, bpy.types.Operator):
+    bl_idname = "xihe.map_places"
+    bl_label = "Map Room"
+    bl_description = (
+        "Estimate the light at every place where an object could stand, from the last run's frames, and show where it "
+        "will be right and where it will fail; nothing is rendered"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+    cancelled = "No map was made"
+    conditions = (polls.is_idle, polls.is_room, polls.has_cycles, polls.has_last_run)
+
+    def start_job(self, context: bpy.types.Context) -> Job[Any]:
+        from xihe_blender.previs.kept_session import open_kept_session
+        from xihe_blender.previs.placement import PlacementSettings, map_places
+
+        chosen = context.scene.xihe
+        wanted = PlacementSettings(height_m=chosen.map_height_m if chosen.maps_air else None)
+
+        def job() -> Job[Any]:
+            session = yield from open_kept_session(last_run_folder(context.scene))
+            return wanted, (yield from map_places(session, wanted))
+
+        return job()
+
+    def finish(self, context: bpy.types.Context, result: Any) -> set[str]:
+        from xihe_blender.apply.placement_map import show_placement_map
+
+        wanted, mapped = result
+        scene = context.scene
+        clearance_m = wanted.clearance_m if wanted.height_m is None else 0.0
+        show_placement_map(
+            scene, mapped.places, spacing_m=mapped.spacing_m, clearance_m=clearance_m, folder=last_run_folder(scene)
+        )
+        scene.xihe.show_map, scene.xihe.map_place = True, -1
+        self.report({"INFO"}, f"{len(mapped.places)} places, {mapped.spacing_m:.2f} m apart")
+        return {"FINISHED"}
+
+
+class XIHE_OT_go_to_place(Action, bpy.types.Operator):
+    bl_idname = "xihe.go_to_place"
+    bl_label = "Go to Place"
+    bl_description = "Put the 3D cursor at this place and mark it. Shift S then moves the selected object there"
+    bl_options = {"REGISTER", "UNDO"}
+    conditions = (polls.is_own_scene, has_map)
+
+    index: bpy.props.IntProperty(name="Place", description="Number of the place on the map", min=0)
+
+    def act(self, context: bpy.types.Context) -> str | None:
+        from xihe_blender.errors import UserError
+        from xihe_blender.scene.units import metres_per_unit
+
+        item = placement_map()
+        if item is None or self.index >= len(item.data.polygons):
+            raise UserError(f"the map has no place {self.index}: make the map again")
+        place, metres = shown_place(item, self.index), metres_per_unit(context.scene)
+        context.scene.cursor.location = [number / metres for number in place.position_m]
+        context.scene.xihe.map_place = self.index
+        return format_place(item, self.index)
+
+
+class XIHE_OT_remove_map(Action, bpy.types.Operator):
+    bl_idname = "xihe.remove_map"
+    bl_label = "Remove Map"
+    bl_description = "Delete the placement map from the file"
+    bl_options = {"REGISTER", "UNDO"}
+    conditions = (polls.is_idle, has_map)
+
+    def act(self, _context: bpy.types.Context) -> None:
+        remove_placement_map()
+
+
+def format_place(item: bpy.types.Object, index: int) -> str:
+    """One line about the place of a face of the map."""
+    place = shown_place(item, index)
+    if place.expected_error is None:
+        return f"coverage {place.coverage:.0%}, light unknown"
+    red, green, blue = place.irradiance
+    light = f"irradiance {red:.2g} {green:.2g} {blue:.2g}"
+    return f"expected error {place.expected_error:.3f}, coverage {place.coverage:.0%}, {light}"
+
+
+# -------------------------------------------------------------------------------------------------------- over the view
+
+
+class Squares:
+    """The squares of one map as they are drawn: corners (4 K, 3) in Blender units, colours (4 K, 4)."""
+
+    def __init__(self, item: bpy.types.Object) -> None:
+        import numpy as np
+
+        mesh = item.data
+        corners, colours = np.empty(3 * len(mesh.vertices), "f"), np.empty(4 * len(mesh.loops), "f")
+        mesh.vertices.foreach_get("co", corners)
+        mesh.color_attributes[COLOURS].data.foreach_get("color", colours)
+        self.corners: ArrayF32 = corners.reshape(-1, 3)
+        self.colours: ArrayF32 = colours.reshape(-1, 4)
+        self.colours[:, 3] = OPACITY
+        self.batch: Any = None
+
+    def draw(self) -> None:
+        import gpu
+        import numpy as np
+        from gpu_extras.batch import batch_for_shader
+
+        shader = gpu.shader.from_builtin("SMOOTH_COLOR")
+        if self.batch is None:
+            first = 4 * np.arange(len(self.corners) // 4)[:, None]
+            triangles = np.concatenate([first + (0, 1, 2), first + (0, 2, 3)]).astype("i")
+            raised = self.corners + np.array((0, 0, SECOND_LIFT), "f")
+            self.batch = batch_for_shader(shader, "TRIS", {"pos": raised, "color": self.colours}, indices=triangles)
+        gpu.state.blend_set("ALPHA")
+        gpu.state.depth_test_set("LESS_EQUAL")
+        self.batch.draw(shader)
+        gpu.state.depth_test_set("NONE")
+        gpu.state.blend_set("NONE")
+
+    def hit(self, origin: Any, direction: Any) -> int | None:
+        """The first square that the line of sight from `origin` along `direction` meets; squares are level."""
+        import numpy as np
+
+        if abs(direction[2]) < FLAT or not len(self.corners):
+            return None
+        low, high = self.corners[0::4], self.corners[2::4]
+        along = (low[:, 2] - origin[2]) / direction[2]
+        points = np.array(origin)[:2] + along[:, None] * np.array(direction)[:2]
+        inside = ((points >= low[:, :2]) & (points <= high[:, :2])).all(axis=1) & (along > 0)
+        return int(np.argmin(np.where(inside, along, np.inf))) if inside.any() else None
+
+
+class MapView:
+    """What is drawn, and where the mouse is, in pixels of the region named by its pointer."""
+
+    def __init__(self) -> None:
+        self.squares: Squares | None = None
+        self.squares_of = ""
+        self.mouse: tuple[int, float, float] | None = None
+        space = bpy.types.SpaceView3D
+        self.handles = [
+            space.draw_handler_add(self.draw_squares, (), "WINDOW", "POST_VIEW"),
+            space.draw_handler_add(self.draw_words, (), "WINDOW", "POST_PIXEL"),
+        ]
+
+    def remove(self) -> None:
+        for handle in self.handles:
+            bpy.types.SpaceView3D.draw_handler_remove(handle, "WINDOW")
+
+    def of(self, item: bpy.types.Object) -> Squares:
+        """As they were made: the map is not there to be edited."""
+        made = f"{item.data.session_uid} {len(item.data.vertices)}"
+        if self.squares is None or self.squares_of != made:
+            self.squares, self.squares_of = Squares(item), made
+        return self.squares
+
+    def draw_squares(self) -> None:
+        item = shown_map(bpy.context)
+        if item is not None:
+            self.of(item).draw()
+
+    def draw_words(self) -> None:
+        context = bpy.context
+        item = shown_map(context)
+        if item is None:
+            return
+        draw_legend(MapOf.read(item.data).error_range)
+        index = self.under_mouse(context, item)
+        if index is not None and self.mouse is not None:
+            scale = context.preferences.system.ui_scale
+            words = format_place(item, index)
+            left = min(self.mouse[1] + MOUSE_OFFSET_PX * scale, context.region.width - text_width(words) - MARGIN_PX)
+            draw_text(max(0.0, left), self.mouse[2] + MOUSE_OFFSET_PX * scale, words)
+        draw_ring(context, item)
+
+    def under_mouse(self, context: bpy.types.Context, item: bpy.types.Object) -> int | None:
+        """The face of the map under the mouse, as far as it is in this region."""
+        from bpy_extras.view3d_utils import region_2d_to_origin_3d, region_2d_to_vector_3d
+
+        if self.mouse is None or self.mouse[0] != context.region.as_pointer():
+            return None
+        pixel = self.mouse[1:]
+        origin = region_2d_to_origin_3d(context.region, context.region_data, pixel)
+        direction = region_2d_to_vector_3d(context.region, context.region_data, pixel)
+        return self.of(item).hit(origin, direction)
+
+
+def shown_map(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The map, where this 3D view is to show it."""
+    if not (context.scene.xihe.show_map and context.space_data.overlay.show_overlays):
+        return None
+    item = placement_map()
+    return item if item is not None and item.visible_get() else None
+
+
+def draw_legend(error_range: tuple[float, float]) -> None:
+    """At the lower left: what the colours mean."""
+    import gpu
+    from gpu_extras.batch import batch_for_shader
+
+    scale = bpy.context.preferences.system.ui_scale
+    left = bottom = MARGIN_PX * scale
+    width, high = LEGEND_PX * scale, LEGEND_HIGH_PX * scale
+    steps = [left + width * k / (len(RAMP) - 1) for k in range(len(RAMP))]
+    shader = gpu.shader.from_builtin("SMOOTH_COLOR")
+    corners = [(x, y) for x in steps for y in (bottom, bottom + high)]
+    linear = [(*((part / 255) ** 2.2 for part in colour), 1.0) for colour in RAMP for _ in range(2)]
+    batch_for_shader(shader, "TRI_STRIP", {"pos": corners, "color": linear}).draw(shader)
+    low, most = (f"{error:.3f}" for error in error_range)
+    draw_text(left, bottom + 1.6 * high, "Expected error of AR light")
+    draw_text(left + width + high, bottom + 0.1 * high, f"{low} to {most} and more; grey: unknown")
+
+
+def draw_ring(context: bpy.types.Context, item: bpy.types.Object) -> None:
+    """Around the place that was chosen from the lists."""
+    from xihe_blender.addon.overlay import Position as Marked
+    from xihe_blender.addon.overlay import draw_disc, on_screen
+
+    index = context.scene.xihe.map_place
+    if 0 <= index < len(item.data.polygons):
+        place = Marked("", tuple(item.data.polygons[index].center))
+        for _, x, y in on_screen(context, [place]):
+            draw_disc(x, y, RING)
+
+
+_view: MapView | None = None
+
+
+class XIHE_GT_mouse(bpy.types.Gizmo):
+    bl_idname = "XIHE_GT_mouse"
+
+    def draw(self, _context: bpy.types.Context) -> None:
+        """Nothing: it only listens."""
+
+    def test_select(self, context: bpy.types.Context, location: Any) -> int:
+        if _view is not None:
+            _view.mouse = (context.region.as_pointer(), float(location[0]), float(location[1]))
+            context.region.tag_redraw()
+        return -1
+
+
+class XIHE_GGT_placement_map(bpy.types.GizmoGroup):
+    bl_idname = "XIHE_GGT_placement_map"
+    bl_label = "Xihe Placement Map"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "WINDOW"
+    bl_options = {"PERSISTENT"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return shown_map(context) is not None
+
+    def setup(self, _context: bpy.types.Context) -> None:
+        self.gizmos.new(XIHE_GT_mouse.bl_idname)
+
+
+_operators = (XIHE_OT_map_places, XIHE_OT_go_to_place, XIHE_OT_remove_map)
+_gizmos = (XIHE_GT_mouse, XIHE_GGT_placement_map)
+
+
+def register() -> None:
+    global _view
+    for one in (*_operators, *(() if bpy.app.background else _gizmos)):
+        bpy.utils.register_class(one)
+    if not bpy.app.background:
+        _view = MapView()
+
+
+def unregister() -> None:
+    global _view
+    if _view is not None:
+        _view.remove()
+        _view = None
+    for one in reversed((*_operators, *(() if bpy.app.background else _gizmos))):
+        bpy.utils.unregister_class(one)
