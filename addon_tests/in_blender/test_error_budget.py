@@ -23,8 +23,9 @@ from tiny_scenes import (
     sphere,
 )
 
+from xihe_blender.capture import reference_probe
 from xihe_blender.capture.all_around import light_of_views, open_all_around, view_rotation
-from xihe_blender.capture.reference_probe import CONE, ProbeSettings, cone_factors, open_reference_probe
+from xihe_blender.capture.reference_probe import CONE, ProbeSettings, open_reference_probe
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.satin_probe import satin_ball_at
 from xihe_blender.errors import UserError
@@ -33,7 +34,7 @@ from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.error_budget import error_budget
 from xihe_blender.scene.virtual_objects import virtual_collection
-from xihenet.satin_ball import HALF_ANGLE, satin_factors
+from xihenet.satin_ball import HALF_ANGLE, cone_factors, satin_factors
 from xihenet.sh_basis import per_coefficient
 
 QUICK = QuickPrevis(size=(32, 24), preset="draft", samples=4, exposure=1.0)
@@ -170,10 +171,10 @@ def test_an_object_that_is_never_in_view_is_told(tmp_path):
 # -------------------------------------------------------------------------------------------------------------- renders
 
 
-def test_the_ball_is_the_cone_of_the_reference_probe():
+def test_the_cones_are_those_of_the_reference_probe():
     assert np.radians(90 * CONE) == pytest.approx(HALF_ANGLE)
     opposite = np.repeat([1, -1, 1], [1, 3, 5])
-    np.testing.assert_allclose(cone_factors(), opposite * per_coefficient(satin_factors(2)))
+    np.testing.assert_allclose(reference_probe.cone_factors(), opposite * per_coefficient(cone_factors(2)))
 
 
 def test_ball_and_pictures_all_around_show_the_light_of_the_reference_probe():

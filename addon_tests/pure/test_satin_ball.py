@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from xihenet.satin_ball import HALF_ANGLE, SatinBall, mean_square, satin_factors, satin_picture
+from xihenet.satin_ball import (
+    HALF_ANGLE,
+    SatinBall,
+    cone_factors,
+    mean_square,
+    satin_factors,
+    satin_of_cones,
+    satin_picture,
+)
+from xihenet.sh import irradiance
 from xihenet.sh_basis import basis
 
 
@@ -19,18 +28,25 @@ def evenly_spread(n=20000):
     return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), z], axis=1)
 
 
-def test_the_ball_shows_the_mean_of_the_light_within_its_cone(rng):
+def test_half_of_the_ball_is_matte_and_half_shows_the_mean_of_the_light_within_its_cone(rng):
     light, directions = rng.normal(size=(81, 3)), evenly_spread()
-    radiance, towards = basis(directions, 8) @ light, np.array([0.36, -0.48, 0.8])
-    in_cone = directions @ towards > np.cos(HALF_ANGLE)
-    shown = basis(towards[None], 8) @ satin_picture(light)
-    np.testing.assert_allclose(shown[0], radiance[in_cone].mean(axis=0), atol=0.03)
+    radiance, towards = basis(directions, 8) @ light, np.array([[0.36, -0.48, 0.8]])
+    in_cone = directions @ towards[0] > np.cos(HALF_ANGLE)
+    shown = basis(towards, 8) @ satin_picture(light)
+    expected = (irradiance(light, towards)[0] / np.pi + radiance[in_cone].mean(axis=0)) / 2
+    np.testing.assert_allclose(shown[0], expected, atol=0.02)
 
 
 def test_constant_light_is_shown_as_it_is_and_high_bands_fade():
     factors = satin_factors(8)
-    assert factors[0] == 1 and (np.abs(factors[6:]) < 0.14).all()
-    assert (factors[1:6] > 0).all() and (np.diff(factors[:6]) < 0).all()
+    assert factors[0] == 1 and (np.abs(factors[5:]) < 0.08).all()
+    assert (factors[:5] > 0).all() and (np.diff(factors[:6]) < 0).all()
+
+
+def test_means_over_cones_tell_what_the_ball_shows(rng):
+    light = rng.normal(size=(81, 3))
+    cones = light * np.repeat(cone_factors(8), 2 * np.arange(9) + 1)[:, None]
+    np.testing.assert_allclose(satin_of_cones(cones), satin_picture(light))
 
 
 def test_the_mean_square_is_that_over_all_directions(rng):

@@ -23,6 +23,7 @@ MODULES = (
     "light_operators",
     "live_light",
     "panels",
+    "error_budget",
     "overlay",
     "comparison_view",
     "command",

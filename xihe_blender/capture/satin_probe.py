@@ -1,7 +1,7 @@
 """The satin probe: what a satin ball shows under all the light that arrives at a position, rendered.
 
-The cones by which the reference probe measures the light are this ball, seen from the other side (`reference_probe`).
-Here their pictures are kept to a higher order, and their spread says how much of that is noise.
+The reference probe measures the light by its means over cones (`reference_probe`). Here these are kept to a higher
+order, where they tell what the ball shows, and their spread says how much of that is noise.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from xihe_blender.capture.reference_probe import SEED_STEP, ReferenceProbe
 from xihe_blender.capture.render import MAX_SEED, render_passes, stacked_rgb
 from xihenet.mirror_ball import project_mirror_ball
 from xihenet.records import ArrayF32, ArrayF64
-from xihenet.satin_ball import N_OF_ORDER_2, ORDER, SatinBall, mean_square
+from xihenet.satin_ball import N_OF_ORDER_2, ORDER, SatinBall, mean_square, satin_of_cones
 
 N_PICTURES = 8
 """Each second one is turned over; their spread tells the noise."""
@@ -45,8 +45,7 @@ def _projected(pictures: Sequence[ArrayF32], number: int) -> ArrayF64:
     seen = project_mirror_ball(pictures[number], ORDER, turned=pictures[number ^ 1])
     opposite, turned_over = _signs()
     upright = seen * turned_over[:, None] if number % 2 else seen
-    result: ArrayF64 = upright * opposite[:, None]
-    return result
+    return satin_of_cones(upright * opposite[:, None])
 
 
 def _signs() -> tuple[ArrayF64, ArrayF64]:

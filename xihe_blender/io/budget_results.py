@@ -6,11 +6,15 @@ Strict JSON: no NaN and no Infinity.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Literal
 
-from xihe_blender.io.json_records import Parameters, Plain
+from xihe_blender.errors import UserError
+from xihe_blender.io.json_records import Parameters, Plain, from_json
 from xihenet.formats import format_percent
+from xihenet.json_files import read_json
 
 LEAST_HELP = 0.05
 """Of an object's error: a part that would take off less is not recommended."""
@@ -100,3 +104,17 @@ class BudgetResults:
     exposure: Annotated[float, "of the session; errors carry it"]
     objects: tuple[ObjectBudget, ...]
     notes: Annotated[tuple[str, ...], "what a reader has to know"] = ()
+
+
+def read_budget(folder: Path) -> BudgetResults:
+    """The error budget in `folder`, anew where the file changed; UserError if none that this version wrote."""
+    file = folder / "budget.json"
+    try:
+        return _read(file, file.stat().st_mtime_ns)
+    except (OSError, TypeError, ValueError) as error:
+        raise UserError(f"{file} cannot be read ({error}): measure the error budget again") from error
+
+
+@functools.lru_cache(maxsize=4)
+def _read(file: Path, _changed_ns: int) -> BudgetResults:
+    return from_json(BudgetResults, read_json(file))
