@@ -60,7 +60,7 @@ from xihenet.satin_ball import satin_factors
 from xihenet.sh_basis import basis, per_coefficient
 
 N_LOOKS = 7  # frames of the longer path for each of the real one: six directions, then the phone's own
-BALL_RADIUS_M, BALL_SAMPLES = 0.002, 256
+BALL_RADIUS_M, BALL_SAMPLES = 0.002, 64
 NEW_SEED = 1
 Prepare = Callable[[bpy.types.Scene, Probe], None]
 
@@ -277,15 +277,11 @@ def show_lamps(scene: bpy.types.Scene) -> None:
 
 def of_pictures(case: Case, part: str, light: np.ndarray, position_m: np.ndarray, frame: int) -> np.ndarray:
     """`light` without what sampling or network get wrong in new pictures from the object, of more pixels."""
-    scene, side = opened(case.file), all_around.SIDE_PX
-    all_around.SIDE_PX = 2 * side
-    try:
-        settings = RenderSettings((8, 8), 4 * (case.settings.samples or 8), NEW_SEED)
-        with all_around.open_all_around(scene, settings, exposure=case.budget.exposure, with_surfaces=False) as around:
-            around.scanner.scene.frame_set(frame)
-            views = [around.look(view, position_m) for view in range(all_around.N_VIEWS)]
-    finally:
-        all_around.SIDE_PX = side
+    scene, size = opened(case.file), case.budget.settings["size"]
+    settings = RenderSettings((2 * size[0], 2 * size[1]), 4 * (case.settings.samples or 8), NEW_SEED)
+    with all_around.open_all_around(scene, settings, exposure=case.budget.exposure, with_surfaces=False) as around:
+        around.scanner.scene.frame_set(frame)
+        views = [around.look(view, position_m) for view in range(all_around.N_VIEWS)]
     estimator, seen = load_estimators(case.settings)[0], all_around.light_of_views(views)
     nearest, means = (
         one / case.budget.exposure for one in lights_from_all_around(estimator, views, case.budget.exposure)

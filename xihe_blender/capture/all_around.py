@@ -23,8 +23,8 @@ from xihenet.sh_basis import basis
 from xihenet.sphere import AnchorLattice
 
 NAME = "Xihe All Around"
-SIDE_PX = 64
-"""Of each picture: 20 pixels for each of 1,280 anchors."""
+SMALLEST_SIDE_PX = 32
+"""Of each picture; else it is the shorter side of the phone's own, whose pixels lie as close together, or closer."""
 
 CLIP_START_M, CLIP_END_M = 0.001, 1e5
 """A place for an object may lie close above a table."""
@@ -60,10 +60,14 @@ class AllAroundScanner:
 def open_all_around(
     scene: bpy.types.Scene, settings: RenderSettings, *, exposure: float, with_surfaces: bool
 ) -> Iterator[AllAroundScanner]:
-    """In the room of `scene`, virtual objects left out; `with_surfaces` asks for what a range sensor meets."""
+    """In the room of `scene`, virtual objects left out; `with_surfaces` asks for what a range sensor meets.
+
+    `settings` are those of the phone's captures; see SMALLEST_SIDE_PX.
+    """
+    side = max(SMALLEST_SIDE_PX, min(settings.size))
     data = bpy.data.cameras.new(NAME)
     try:
-        with open_scanner(scene, replace(settings, size=(SIDE_PX, SIDE_PX))) as scanner:
+        with open_scanner(scene, replace(settings, size=(side, side))) as scanner:
             working = scanner.scene
             metres = metres_per_unit(working)
             data.angle, data.clip_start, data.clip_end = np.pi / 2, CLIP_START_M / metres, CLIP_END_M / metres

@@ -8,7 +8,7 @@ from xihe_blender.io.budget_results import PARTS, BudgetPart, BudgetResults, Obj
 from xihe_blender.report.document import document, table, write_document
 from xihe_blender.report.values import escape
 from xihenet import svg
-from xihenet.formats import format_count, format_frames, format_number, format_percent
+from xihenet.formats import MINUS, format_count, format_frames, format_number, format_percent
 
 ROW_PX, BAR_PX = 42, 16
 _HOW = (
@@ -45,7 +45,7 @@ def _bars(item: ObjectBudget) -> str:
     """Bars from the largest gain to the smallest, in per cent of the brightness; the axis ends at the whole error."""
     parts, whole = item.largest_first, 100 * item.relative(item.error or 0.0)
     gains = [100 * item.relative(part.gain) for part in parts]
-    axis = svg.linear_axis(min(0.0, *gains), whole, label=lambda value: f"{value:g} %")
+    axis = _axis(min(0.0, *gains), whole)
     height_px = ROW_PX * len(parts)
     rows = "".join(_bar(axis, place, part, gain) for place, (part, gain) in enumerate(zip(parts, gains, strict=True)))
     now = svg.straight(axis.x(whole), 0, axis.x(whole), height_px, "limit")
@@ -56,10 +56,22 @@ def _bars(item: ObjectBudget) -> str:
     )  # fmt: skip
 
 
+def _axis(low: float, high: float) -> svg.Axis:
+    """From the largest loss, in per cent, to the whole error; its ticks lie between them."""
+    ticks = svg.linear_axis(low, high).ticks
+    inside = tuple(tick for tick in ticks if low <= tick <= high)
+    return svg.Axis(low, 1.02 * high if high > 0 else 1.0, inside, lambda value: f"{_number(value, 'g')} %")
+
+
+def _number(value: float, form: str) -> str:
+    """Without a minus before 0."""
+    return f"{round(value, 1) + 0.0:{form}}".replace("-", MINUS)
+
+
 def _bar(axis: svg.Axis, place: int, part: BudgetPart, gain: float) -> str:
     top = place * ROW_PX
     left, right = sorted((axis.x(0.0), axis.x(gain)))
-    said = f"{PARTS[part.name].label}: {gain:.1f} %"
+    said = f"{PARTS[part.name].label}: {_number(gain, '.1f')} %"
     return (
         f'<text x="{axis.x(0.0):.3f}%" dx="4" y="{top + 14}">{escape(said)}</text>'
         f'<rect class="bar s{0 if gain >= 0 else 1}" x="{left:.3f}%" y="{top + 20}" width="{right - left:.3f}%" '
