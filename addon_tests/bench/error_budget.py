@@ -8,10 +8,10 @@ six sides, with its normals. Errors are root mean squares over its surface, in p
     coverage        a camera that does so at the object's position
     sensor          the perfect phone
     clipping        an exposure at which nothing of the path is clipped
-    hidden lamps    all lamps visible to cameras
     delay           no network, and an estimate in every frame
     order 2         the nine coefficients that fit the ball best are taken off it: the rest is what order 2 lacks
-    sampling, network   pictures from the object with another seed and four times the pixels
+    sampling, network, hidden lamps    pictures from the object with another seed and four times the pixels; with hidden
+                    lamps visible to cameras, and as they are: the difference is added
 
     python addon_tests/bench/error_budget.py OUT SCENE.blend... [--phone NAME] [--network NAME] [--step N] [--all]
 
@@ -56,12 +56,14 @@ from xihe_blender.scene.sphere_rig import sphere_mesh
 from xihe_blender.scene.state import scene_kept
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
+from xihenet.records import RgbdFrame
 from xihenet.satin_ball import satin_factors
 from xihenet.sh_basis import basis, per_coefficient
 
 N_LOOKS = 7  # frames of the longer path for each of the real one: six directions, then the phone's own
 BALL_RADIUS_M, BALL_SAMPLES = 0.002, 64
 NEW_SEED = 1
+OF_PICTURES = ("sampling", "network", "hidden_lamps")
 Prepare = Callable[[bpy.types.Scene, Probe], None]
 
 
@@ -264,8 +266,6 @@ def rendered_anew(case: Case, part: str) -> dict[tuple[str, int], np.ndarray]:
         return case.light_of(
             part, replace(settings, exposure=exposure_without_clipping(pictures, case.budget.exposure))
         )
-    if part == "hidden_lamps":
-        return case.light_of(part, settings, lambda scene, _: show_lamps(scene))
     return case.light_of("as_it_was", settings)
 
 
@@ -276,12 +276,20 @@ def show_lamps(scene: bpy.types.Scene) -> None:
 
 
 def of_pictures(case: Case, part: str, light: np.ndarray, position_m: np.ndarray, frame: int) -> np.ndarray:
-    """`light` without what sampling or network get wrong in new pictures from the object, of more pixels."""
+    """`light` with `part` perfect, by new pictures from the object, of more pixels."""
     scene, size = opened(case.file), case.budget.settings["size"]
     settings = RenderSettings((2 * size[0], 2 * size[1]), 4 * (case.settings.samples or 8), NEW_SEED)
-    with all_around.open_all_around(scene, settings, exposure=case.budget.exposure, with_surfaces=False) as around:
-        around.scanner.scene.frame_set(frame)
-        views = [around.look(view, position_m) for view in range(all_around.N_VIEWS)]
+    exposure = case.budget.exposure
+
+    def look() -> list[tuple[RgbdFrame, np.ndarray]]:
+        with all_around.open_all_around(scene, settings, exposure=exposure, with_surfaces=False) as around:
+            around.scanner.scene.frame_set(frame)
+            return [around.look(view, position_m) for view in range(all_around.N_VIEWS)]
+
+    views = look()
+    if part == "hidden_lamps":
+        show_lamps(scene)
+        return light + all_around.light_of_views(look()) - all_around.light_of_views(views)
     estimator, seen = load_estimators(case.settings)[0], all_around.light_of_views(views)
     nearest, means = (
         one / case.budget.exposure for one in lights_from_all_around(estimator, views, case.budget.exposure)
@@ -297,7 +305,7 @@ def measure(case: Case, parts: list[str]) -> dict[str, float]:
     }
     lights = {"": rendered_anew(case, "")}
     for part in parts:
-        lights[part] = lights[""] if part in ("order_2", "sampling", "network") else rendered_anew(case, part)
+        lights[part] = lights[""] if part in ("order_2", *OF_PICTURES) else rendered_anew(case, part)
     squares: dict[str, list[float]] = {part: [] for part in lights}
     brightness = []
     for (name, frame), _ in lights[""].items():
@@ -310,7 +318,7 @@ def measure(case: Case, parts: list[str]) -> dict[str, float]:
         )
         for part, found in lights.items():
             light = found[name, frame]
-            if part in ("sampling", "network"):
+            if part in OF_PICTURES:
                 light = of_pictures(case, part, light, position_m, frame)
             truth = fitted if part == "order_2" else shown
             squares[part].append(mean_square(truth - under(light, normals), weights))

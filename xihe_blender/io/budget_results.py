@@ -33,7 +33,7 @@ PARTS = {
     "coverage": PartWords("Coverage", "seeing the room from the object itself, with nothing hidden"),
     "sensor": PartWords("Range sensor", "a phone that measures distances and poses without errors"),
     "clipping": PartWords("Clipping at white", "pictures in which nothing is clipped at white"),
-    "hidden_lamps": PartWords("Lamps no camera sees", "lamps that the camera can see"),
+    "hidden_lamps": PartWords("Lamps no camera sees", "knowing the light of the lamps that no camera sees"),
     "sampling": PartWords("Sampling", "keeping in each direction the mean of what is there, not the nearest point"),
     "network": PartWords("Network", "a network that makes no error of its own"),
     "delay": PartWords("Delay", "estimates that arrive at once, in every frame"),
