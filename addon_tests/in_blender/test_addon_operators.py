@@ -204,6 +204,7 @@ def test_grey_buttons_without_anything_say_what_to_do(tmp_path):
         "add_virtual_objects": "Select the objects that the phone should insert",
         "remove_virtual_objects": "Select virtual objects first",
         "measure_run": nothing_virtual,
+        "measure_budget": nothing_virtual,
         "calibrate": nothing_virtual,
         "run": nothing_virtual,
         "cancel_run": "No run is under way",

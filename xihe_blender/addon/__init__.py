@@ -24,6 +24,7 @@ MODULES = (
     "live_light",
     "placement_map",
     "panels",
+    "error_budget",
     "overlay",
     "comparison_view",
     "command",

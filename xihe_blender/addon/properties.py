@@ -202,6 +202,9 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
     run_folder: bpy.props.StringProperty(
         name="Last Run", description="Folder of the run whose results are shown", subtype="DIR_PATH"
     )
+    budget_folder: bpy.props.StringProperty(
+        name="Last Budget", description="Folder of the error budget that is shown", subtype="DIR_PATH"
+    )
     run_made_of: bpy.props.StringProperty(
         name="Made Of", description="When the scene looked as the last run knows it; empty if it still does"
     )

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import bpy
 
 from xihe_blender.addon.preferences import runs_folder
-from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.errors import UserError
 
 if TYPE_CHECKING:
+    from xihe_blender.io.budget_results import BudgetResults
     from xihe_blender.io.run_results import RunResults
 
 
@@ -53,8 +53,9 @@ def _made_new(parent: Path, name: str) -> Path:
 
 
 def shown_runs() -> set[Path]:
-    """Folders of the runs that scenes of the open file show."""
-    return {last_run_folder(scene) for scene in bpy.data.scenes if scene.xihe.run_folder}
+    """Folders of the runs, and of the error budgets, that scenes of the open file show."""
+    shown = [scene.xihe.budget_folder for scene in bpy.data.scenes] + [s.xihe.run_folder for s in bpy.data.scenes]
+    return {Path(bpy.path.abspath(folder)) for folder in shown if folder}
 
 
 def last_run(folder: str) -> RunResults | None:
@@ -63,5 +64,15 @@ def last_run(folder: str) -> RunResults | None:
 
     try:
         return read_results(Path(bpy.path.abspath(folder))) if folder else None
+    except UserError:
+        return None
+
+
+def last_budget(folder: str) -> BudgetResults | None:
+    """The error budget in `folder`, as a scene remembers it; None without one, or where it is gone or unreadable."""
+    from xihe_blender.io.budget_results import read_budget
+
+    try:
+        return read_budget(Path(bpy.path.abspath(folder))) if folder else None
     except UserError:
         return None

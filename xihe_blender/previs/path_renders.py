@@ -119,16 +119,17 @@ def _reference(run: PreparedRun, probe: Probe, frame: int) -> Path:
 
 def render_path(run: PreparedRun) -> Generator[Progress, None, dict[int, float]]:
     """A job: render and keep what is not kept yet; seconds of work beside rendering, by frame."""
-    work_s: dict[int, float] = {}
-    yield from _capture_missing(run, work_s)
+    work_s = yield from capture_path(run)
     yield from _measure_missing(run, work_s)
     return work_s
 
 
-def _capture_missing(run: PreparedRun, work_s: dict[int, float]) -> Iterator[Progress]:
+def capture_path(run: PreparedRun) -> Generator[Progress, None, dict[int, float]]:
+    """A job: as `render_path`, the captures alone."""
+    work_s: dict[int, float] = {}
     missing = [frame for frame in run.plan.frames if frame in run.needs.captured and not _is_captured(run, frame)]
     if not missing:
-        return
+        return work_s
     with open_scanner(run.scene, run.capture) as scanner:
         scanner.exposure = run.exposure
         if run.needs.surfaces:
@@ -143,6 +144,7 @@ def _capture_missing(run: PreparedRun, work_s: dict[int, float]) -> Iterator[Pro
             if frame in missing:
                 rendered_s = _capture(run, frame, scanner)
                 work_s[frame] = time.perf_counter() - start - rendered_s
+    return work_s
 
 
 def _measure_missing(run: PreparedRun, work_s: dict[int, float]) -> Iterator[Progress]:

@@ -58,11 +58,16 @@ def walk_path(run: PreparedRun, *, keeps_session: bool = False) -> Generator[Pro
     With `keeps_session` what a phone with flaws saw is kept beside the captures, see `kept_session`.
     """
     work_s = yield from render_path(run)
-    facts = _facts_of_captures(run, work_s) if run.phone.sees else {}
-    walk = _Walk(run, simulate_phone(run.phone, facts, run.exposure), work_s, keeps_session=keeps_session)
+    walk = _Walk(run, phone_of_captures(run, work_s), work_s, keeps_session=keeps_session)
     for frame in run.plan.frames:
         walk.step(frame)
     return walk.walked
+
+
+def phone_of_captures(run: PreparedRun, work_s: dict[int, float]) -> SimulatedPhone:
+    """The phone of `run`, of which all is captured; the time it takes to look at that is added to `work_s`."""
+    facts = _facts_of_captures(run, work_s) if run.phone.sees else {}
+    return simulate_phone(run.phone, facts, run.exposure)
 
 
 def _facts_of_captures(run: PreparedRun, work_s: dict[int, float]) -> dict[int, CaptureFacts]:
@@ -70,12 +75,12 @@ def _facts_of_captures(run: PreparedRun, work_s: dict[int, float]) -> dict[int, 
     facts, metering = {}, run.settings.metering_in_force
     for frame in run.plan.frames:
         start = time.perf_counter()
-        rendered = kept_renders(run, frame)
-        if rendered is not None:
+        if frame in run.needs.captured:
             surfaces = load_surfaces(run.outputs.surfaces(frame)) if run.needs.surfaces else None
             radiance = read_radiance(run.outputs.radiance("captured", frame)) if run.needs.radiance else None
             positions_m = np.array([probe.at(frame) for probe in run.plan.probes])
-            facts[frame] = facts_of_capture(rendered.captured, positions_m, metering, surfaces, radiance)
+            captured = load_frame(run.outputs.capture(frame))
+            facts[frame] = facts_of_capture(captured, positions_m, metering, surfaces, radiance)
             work_s[frame] = work_s.get(frame, 0.0) + time.perf_counter() - start
     return facts
 

@@ -1,0 +1,56 @@
+"""The error budget from the panel: its button gives what the library gives, and its bars say what budget.json says."""
+
+from pathlib import Path
+
+import bpy
+import pytest
+from addon_runs import registered_addon, small_panel_runs, walk_for_the_panel
+from previs_runs import SMALL
+
+from xihe_blender.addon.error_budget import budget_rows, shown_object
+from xihe_blender.addon.runs_folder import last_budget, shown_runs
+from xihe_blender.io.budget_results import PARTS, BudgetPart, ObjectBudget
+from xihe_blender.jobs import run_blocking
+from xihe_blender.previs.error_budget import error_budget
+
+
+@pytest.fixture(autouse=True)
+def addon():
+    with registered_addon(), small_panel_runs():
+        yield
+
+
+def test_the_button_brings_what_the_function_measures_and_the_panel_shows_the_active_object(tmp_path):
+    scene = walk_for_the_panel(tmp_path / "runs")
+    assert last_budget(scene.xihe.budget_folder) is None
+    assert bpy.ops.xihe.measure_budget() == {"FINISHED"}
+    folder = Path(scene.xihe.budget_folder)
+    assert folder.parent == tmp_path / "runs" and (folder / "report.html").is_file() and folder in shown_runs()
+    shown, by_function = last_budget(str(folder)), run_blocking(error_budget(scene, tmp_path / "function", SMALL))
+    assert shown.objects == by_function.objects and shown.exposure == by_function.exposure
+    assert {item.name for item in shown.objects} == {"Ball", "Board"}
+    assert shown_object(shown, "Board").name == "Board" and shown_object(shown, "Room") == shown.objects[0]
+
+
+def test_a_budget_that_cannot_be_measured_leaves_no_folder(tmp_path):
+    scene = walk_for_the_panel(tmp_path / "runs", estimator="truth")
+    with pytest.raises(RuntimeError, match="choose another"):
+        bpy.ops.xihe.measure_budget()
+    assert scene.xihe.budget_folder == "" and list((tmp_path / "runs").iterdir()) == []
+
+
+def test_bars_are_shares_of_the_error_and_the_largest_comes_first():
+    gains = {"clipping": 0.3, "network": -0.1, "order_2": 0.1}
+    parts = [BudgetPart(name=name, state="measured", error=0.5 - gain, gain=gain) for name, gain in gains.items()]
+    parts.append(BudgetPart(name="delay", state="not simulated", error=0.5, gain=0.0))
+    item = ObjectBudget(name="Ball", moments=(1,), brightness=1.0, error=0.5, parts=tuple(parts))
+    labels = [PARTS[name].label for name in ("clipping", "order_2", "network")]
+    assert budget_rows(item) == list(zip(labels, [0.6, 0.2, 0.0], ["60% off", "20% off", "20% more"], strict=True))
+    assert PARTS["clipping"].perfect in item.advice and "from 50 % to 20 %" in item.advice
+
+
+def test_an_object_that_nothing_would_help_is_told():
+    parts = (BudgetPart(name="network", state="measured", error=0.499, gain=0.001),)
+    item = ObjectBudget(name="Ball", moments=(1,), brightness=1.0, error=0.5, parts=parts)
+    assert item.advice.startswith("No single part would help Ball much")
+    assert "never in view" in ObjectBudget(name="Ball", moments=()).advice

@@ -1,0 +1,50 @@
+"""`xihe budget`: what an object's error comes from, and what would help most."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from xihe_blender.cli import arguments
+from xihe_blender.cli.progress import progress_line
+from xihe_blender.jobs import run_blocking
+from xihenet import estimators
+
+MOMENTS = "frames in which errors are measured, evenly over those with the object in view; default: 4"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = arguments.adder(parser)
+    add("scene SCENE.blend", arguments.SCENE, Path)
+    add("--out DIR", "folder of the budget; what is rendered is kept in it and resumed", Path, required=True)
+    add("--frames A:B[:S]", arguments.FRAMES, arguments.frame_range)
+    add("--objects A,B", "virtual objects; default: all", arguments.names)
+    add("--moments N", MOMENTS, int, dest="n_moments", default=4)
+    add("--estimator NAME", f"{arguments.ESTIMATORS}; default: {estimators.DEFAULT}", default=estimators.DEFAULT)
+    add("--preset NAME", "draft, balanced or accurate: how much is rendered", default="balanced")
+    add("--size WxH", arguments.SIZE, arguments.picture_size)
+    add("--samples N", "samples of every capture, and pictures of every light probe, whatever the noise", int)
+    add("--exposure FACTOR", "exposure of the phone, locked; default: metered", float)
+    add("--metering NAME", "highlights, as phones do, or key; default: the phone's own")
+    add("--phone NAME|FILE.toml", arguments.PHONES, default="perfect")
+    add("--network NAME", arguments.NETWORK)
+    add("--seed N", "the same seed gives the same numbers", int, default=0)
+    add("--effect NAME=on|off|auto", arguments.EFFECT, dest="overrides", action="append", default=[])
+
+
+def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
+    from xihe_blender.light_transport.overrides import parsed_overrides
+    from xihe_blender.previs.error_budget import error_budget
+    from xihe_blender.previs.settings import PrevisSettings
+    from xihe_blender.scene.blend_file import open_blend
+
+    settings = arguments.settings_from(options, PrevisSettings, effect_choices=parsed_overrides(options.overrides))
+    job = error_budget(
+        open_blend(options.scene), options.out, settings, n_moments=options.n_moments, blend_file=options.scene,
+        command=options.command_line,
+    )  # fmt: skip
+    results = run_blocking(job, progress_line(stderr))
+    for item in results.objects:
+        print(item.advice, file=stdout)
+    print(options.out / "report.html", file=stdout)

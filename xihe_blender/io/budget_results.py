@@ -1,0 +1,120 @@
+"""The results of an error budget: what budget.json says, and what would help an object most, in words.
+
+Errors are root mean squares of what a satin ball shows (`xihenet.satin_ball`), in radiance at the session's exposure.
+Strict JSON: no NaN and no Infinity.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from xihe_blender.errors import UserError
+from xihe_blender.io.json_records import Parameters, Plain, from_json
+from xihenet.formats import format_percent
+from xihenet.json_files import read_json
+
+LEAST_HELP = 0.05
+"""Of an object's error: a part that would take off less is not recommended."""
+
+
+@dataclass(frozen=True)
+class PartWords:
+    """How a part of the budget is named, and what a perfect one would be."""
+
+    label: str
+    perfect: str
+
+
+PARTS = {
+    "field_of_view": PartWords("Field of view", "a phone that looks in all directions along its path"),
+    "coverage": PartWords("Coverage", "seeing the room from the object itself, with nothing hidden"),
+    "sensor": PartWords("Range sensor", "a phone that measures distances and poses without errors"),
+    "clipping": PartWords("Clipping at white", "pictures in which nothing is clipped at white"),
+    "hidden_lamps": PartWords("Lamps no camera sees", "knowing the light of the lamps that no camera sees"),
+    "sampling": PartWords("Sampling", "keeping in each direction the mean of what is there, not the nearest point"),
+    "network": PartWords("Network", "a network that makes no error of its own"),
+    "delay": PartWords("Delay", "estimates that arrive at once, in every frame"),
+    "order_2": PartWords("Order 2", "light of more than nine coefficients"),
+}
+"""By name in budget.json, in the order in which light goes through them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BudgetPart:
+    """One part of the chain, switched to perfect while all else stays as it was."""
+
+    name: Annotated[
+        str, "one of field_of_view, coverage, sensor, clipping, hidden_lamps, sampling, network, delay, order_2"
+    ]
+    state: Annotated[Literal["measured", "not simulated"], "not simulated: the phone of this session has no such error"]
+    error: Annotated[float, "that is left of the object's error then"]
+    gain: Annotated[float, "by how much that is less; below 0 where a perfect part makes it worse"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectBudget:
+    """The error of one object and what it comes from. Parts overlap: their gains do not add up to the error."""
+
+    name: str
+    moments: Annotated[tuple[int, ...], "frames in which errors were measured; none: it was never in view"]
+    brightness: Annotated[float | None, "root mean square of what a satin ball shows there"] = None
+    error: Annotated[float | None, "of that under the estimated light"] = None
+    least_squares_error: Annotated[float | None, "with the estimator `projection` in place of the one chosen"] = None
+    parts: tuple[BudgetPart, ...] = ()
+
+    @property
+    def largest_first(self) -> list[BudgetPart]:
+        """The parts that were measured, by what they would take off."""
+        measured = [part for part in self.parts if part.state == "measured"]
+        return sorted(measured, key=lambda part: -part.gain)
+
+    def relative(self, error: float) -> float:
+        """`error` as a share of the brightness."""
+        return error / self.brightness if self.brightness else 0.0
+
+    @property
+    def advice(self) -> str:
+        """What would help most, in a sentence."""
+        if self.error is None or not self.brightness:
+            return f"{self.name} was never in view, or no light reaches it: nothing can be said."
+        now = format_percent(self.relative(self.error))
+        worth = [part for part in self.largest_first if part.gain > LEAST_HELP * self.error]
+        if not worth:
+            return f"No single part would help {self.name} much: its light is off by {now} of its brightness."
+        best = worth[0]
+        then = format_percent(self.relative(best.error))
+        said = (
+            f"What would help {self.name} most is {PARTS[best.name].perfect}: its error would fall from {now} to {then}"
+        )
+        return f"{said} of its brightness."
+
+
+@dataclass(frozen=True, kw_only=True)
+class BudgetResults:
+    """The content of budget.json."""
+
+    software: dict[str, str]
+    machine: dict[str, Plain]
+    scene: Annotated[str, "file name"]
+    settings: Annotated[Parameters, "of the session"]
+    frames: Annotated[tuple[int, ...], "captured"]
+    exposure: Annotated[float, "of the session; errors carry it"]
+    objects: tuple[ObjectBudget, ...]
+    notes: Annotated[tuple[str, ...], "what a reader has to know"] = ()
+
+
+def read_budget(folder: Path) -> BudgetResults:
+    """The error budget in `folder`, anew where the file changed; UserError if none that this version wrote."""
+    file = folder / "budget.json"
+    try:
+        return _read(file, file.stat().st_mtime_ns)
+    except (OSError, TypeError, ValueError) as error:
+        raise UserError(f"{file} cannot be read ({error}): measure the error budget again") from error
+
+
+@functools.lru_cache(maxsize=4)
+def _read(file: Path, _changed_ns: int) -> BudgetResults:
+    return from_json(BudgetResults, read_json(file))

@@ -1,0 +1,151 @@
+"""The chain of a session, run again from its captures with one part perfect: what light is in force then?
+
+A session here has one estimation position. It takes in the frames that the phone saw and, where somebody looks around,
+further frames before them, from which it learns as from frames without an object in view. Nothing is rendered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from xihe_blender.io.exr import read_radiance
+from xihe_blender.previs.phone_capture import SimulatedPhone
+from xihe_blender.previs.phone_session import PhoneSession
+from xihe_blender.previs.plan import Probe
+from xihe_blender.previs.prepare import PreparedRun
+from xihenet.buffers import PositionBuffers, merge
+from xihenet.camera import unproject_frame
+from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.estimators import EstimateContext, Estimator
+from xihenet.phone import Link
+from xihenet.recording import load_frame
+from xihenet.records import ArrayF32, ArrayF64, PointCloud, RgbdFrame, UnitSphereCloud
+from xihenet.sampling import sample_again, sample_unit_sphere
+from xihenet.sphere import AnchorLattice
+from xihenet.trigger import TriggerSettings
+
+EVERY_FRAME = TriggerSettings(theta=0.0, coverage_theta=0.0)
+MOST_STOPS = 10
+"""By so many stops an exposure is lowered at most so that nothing is clipped."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """A frame that a session takes in, and its points at the session's exposure."""
+
+    seen: RgbdFrame
+    points: PointCloud
+
+
+@dataclass(frozen=True, eq=False)
+class LightInForce:
+    """(9, 3) at the session's exposure, and the frame it was estimated from; None for the ambient light."""
+
+    sh: ArrayF64
+    light_frame: int | None
+
+
+@dataclass(frozen=True, eq=False)
+class SessionParts:
+    """What a session is made of; `replace` makes one of them perfect."""
+
+    sights: Sequence[Sight]
+    trigger: TriggerSettings
+    link: Link | None
+    estimator: Estimator
+    looks: Mapping[int, Sequence[Sight]]
+    """Further sights, by the number of the frame before which they are taken in."""
+
+
+def sights_of_path(run: PreparedRun, phone: SimulatedPhone) -> list[Sight]:
+    """What `phone` sees of the captured path of `run`."""
+    captures = (load_frame(run.outputs.capture(frame)) for frame in run.plan.frames if frame in run.needs.captured)
+    return [sight(phone.see(captured, run.outputs)[0], run.exposure) for captured in captures]
+
+
+def sight(seen: RgbdFrame, exposure: float) -> Sight:
+    """`seen` with its points at the session's `exposure`."""
+    return Sight(seen, unproject_frame(seen, reference_exposure=exposure))
+
+
+def lights_in_force(
+    run: PreparedRun, probe: Probe, parts: SessionParts, moments: Sequence[int]
+) -> dict[int, LightInForce]:
+    """The light in force at `probe` after each of the frames `moments`."""
+    plan, settings = replace(run.plan, probes=(probe,)), replace(run.settings, trigger=parts.trigger)
+    session, lights = PhoneSession(plan, settings, run.exposure, parts.estimator, parts.link), {}
+    for one in parts.sights:
+        frame, time_s = one.seen.frame, one.seen.time_s
+        session.controller.move_position(probe.name, probe.at(frame))
+        for look in parts.looks.get(frame, ()):
+            session.controller.step(look.seen, active=[], points=look.points)
+        if isinstance(parts.estimator, Unclipped):
+            parts.estimator.see(frame, probe.at(frame))
+        session.step(one.seen, {}, [probe.name] if probe in run.probes_in_view(frame) else [], one.points)
+        if frame in moments:
+            lights[frame] = LightInForce(session.light(probe.name, time_s), session.light_frame(probe.name, time_s))
+    return lights
+
+
+# ------------------------------------------------------------------------------------------------------------ clipping
+
+
+def exposure_without_clipping(pictures: Sequence[ArrayF32], exposure: float) -> float:
+    """At which no picture (H, W, 3) of scene radiance is clipped, from `exposure` down to MOST_STOPS below it."""
+    brightest = max((float(np.nan_to_num(picture, posinf=0.0).max(initial=0.0)) for picture in pictures), default=0.0)
+    return exposure if brightest * exposure <= 1 else max(1 / brightest, exposure / 2**MOST_STOPS)
+
+
+def with_radiance(points: PointCloud, radiance: ArrayF32, exposure: float) -> PointCloud:
+    """`points` in the colours of their pixels' radiance (H, W, 3) at `exposure`, not rounded to 8 bits."""
+    finite = np.nan_to_num(radiance.reshape(-1, 3).astype(np.float64), nan=0.0, posinf=1e30, neginf=0.0)
+    colours = linear_to_srgb(np.clip(finite * exposure, 0, 1)).astype(np.float32)
+    return replace(points, srgb=colours)
+
+
+class Unclipped(Estimator):
+    """`inner` on clouds in which nothing is clipped at white, for a session of one position.
+
+    Trigger, merging and delay go on to see clipped pictures. Beside them the true radiance of each anchor is kept; what
+    lies above white is put into the cloud, which `inner` is given at an exposure that holds it. A clipped colour that
+    follows a change of the light takes the light above white along.
+    """
+
+    name = "unclipped"
+
+    def __init__(self, inner: Estimator, run: PreparedRun, sights: Sequence[Sight]) -> None:
+        super().__init__(inner.n_anchors, inner.target)
+        self.inner, self.lattice = inner, AnchorLattice(inner.n_anchors)
+        pictures = {one.seen.frame: read_radiance(run.outputs.radiance("captured", one.seen.frame)) for one in sights}
+        exposure = exposure_without_clipping(list(pictures.values()), run.exposure)
+        self.points = {one.seen.frame: with_radiance(one.points, pictures[one.seen.frame], exposure) for one in sights}
+        self.ratio = exposure / run.exposure
+        self.start()
+
+    def start(self) -> None:
+        """Forget what was seen: another position comes."""
+        self.bright, self.position_m = UnitSphereCloud.empty(self.n_anchors), np.full(3, np.nan)
+
+    def see(self, frame: int, position_m: ArrayF64) -> None:
+        """Take in the true radiance of a frame of the session."""
+        if np.isfinite(self.position_m).all() and not np.array_equal(position_m, self.position_m):
+            self.bright = sample_again(self.bright, position_m - self.position_m, self.lattice)
+        self.position_m = position_m
+        sampled = sample_unit_sphere(self.points[frame], position_m, self.lattice)
+        before = PositionBuffers(UnitSphereCloud.empty(self.n_anchors), self.bright)
+        self.bright = merge(self.bright, before.in_sight(sampled))
+
+    def unknown_because(self, cloud: UnitSphereCloud, context: EstimateContext) -> str:
+        return self.inner.unknown_because(cloud, context)
+
+    def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> ArrayF64:
+        seen, true = (srgb_to_linear(one.srgb.astype(np.float64)) for one in (cloud, self.bright))
+        brighter = np.maximum(true / self.ratio, 1.0)
+        colours = linear_to_srgb(np.clip(seen * brighter * self.ratio, 0, 1)).astype(np.float32)
+        exposure = None if context.reference_exposure is None else context.reference_exposure * self.ratio
+        lower = replace(context, reference_exposure=exposure)
+        light: ArrayF64 = self.inner.estimate(replace(cloud, srgb=colours), lower) / self.ratio
+        return light

@@ -1,0 +1,329 @@
+"""The error budget: for an object, how much of its error comes from each part of the chain, and what would help most?
+
+Each part in turn is made perfect while all else stays as it was, from the same captures. The error is that of a satin
+ball under the estimated light (`xihenet.satin_ball`), the root mean square over some moments of the path, for every
+part alike. Parts overlap: what the phone has never seen may be missing since its view is narrow and since it is hidden.
+
+    field of view   before the frame from which the light in force comes, the phone also looks all around from there
+    coverage        before that frame the room is seen from the object itself, all around, clipped at white
+    range sensor    the perfect captures stand in place of what the phone saw
+    clipping        what lies above white is known to the estimator (`budget_chain.Unclipped`)
+    hidden lamps    to the light is added what arrives at the object and no camera ray there meets: lamps that Blender
+                    hides from cameras
+    sampling        what the nearest point in each direction says of it, in place of the mean of all that is seen there,
+                    is taken away: the difference that it makes to a complete, unclipped, current cloud
+    network         what the estimator gets wrong even from such a cloud, of means, is taken away
+    delay           every frame makes an estimate, which is there at once
+    order 2         the light has what the true one has beyond nine coefficients
+
+Rejected: to take the network for all that least squares would not get wrong. It fills what was not seen, and is better
+at it or worse; what that is worth is told by `least_squares_error`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from xihe_blender.capture.all_around import light_of_views, means_of_anchors
+from xihe_blender.errors import UserError
+from xihe_blender.io.budget_results import PARTS, BudgetPart, BudgetResults, ObjectBudget
+from xihe_blender.io.folder_manifest import FolderManifest
+from xihe_blender.io.json_records import as_json
+from xihe_blender.io.outputs import RunOutputs, write_json
+from xihe_blender.io.provenance import machine, software
+from xihe_blender.jobs import Job, Progress, part_of
+from xihe_blender.previs.budget_chain import (
+    EVERY_FRAME,
+    LightInForce,
+    SessionParts,
+    Sight,
+    Unclipped,
+    exposure_without_clipping,
+    lights_in_force,
+    sight,
+    sights_of_path,
+    with_radiance,
+)
+from xihe_blender.previs.budget_looks import (
+    FROM_PATH,
+    View,
+    kept_ball,
+    kept_views,
+    look_around,
+    measure_balls,
+    place_of,
+    view_outputs,
+)
+from xihe_blender.previs.path_renders import capture_path
+from xihe_blender.previs.phone_capture import SimulatedPhone
+from xihe_blender.previs.plan import PrevisPlan, Probe, plan_previs
+from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
+from xihe_blender.previs.run_chain import phone_of_captures
+from xihe_blender.previs.settings import PrevisSettings, load_estimators
+from xihe_blender.report.budget import write_budget_report
+from xihe_blender.scene.state import scene_kept
+from xihenet import __version__, estimators
+from xihenet.buffers import merge
+from xihenet.colour import linear_to_srgb
+from xihenet.estimators import EstimateContext, Estimator
+from xihenet.records import ArrayF64, PointCloud, UnitSphereCloud
+from xihenet.sampling import sample_unit_sphere
+from xihenet.satin_ball import SatinBall
+from xihenet.sphere import AnchorLattice
+
+N_MOMENTS = 4
+CAPTURE_SHARE, LOOK_SHARE, BALL_SHARE = 0.5, 0.3, 0.15
+"""Of the time, as a bar of progress shows it."""
+
+
+def error_budget(
+    scene: bpy.types.Scene,
+    out: Path,
+    settings: PrevisSettings,
+    *,
+    n_moments: int = N_MOMENTS,
+    blend_file: Path | None = None,
+    command: str = "",
+) -> Job[BudgetResults]:
+    """A job: the error budget of the virtual objects of `scene`, in the folder `out`: budget.json and report.html.
+
+    Parameters
+    ----------
+    scene : with a camera path and virtual objects; stays as it is
+    out : folder of the budget, made if needed; what is rendered is kept there and resumed
+    settings : of a run. The whole path is captured, and all of the light is estimated, whatever they say
+    n_moments : frames in which errors are measured: evenly over those with the object in view, the last among them
+    blend_file : where the scene comes from; None takes the open file
+
+    UserError for a scene that cannot be run, a folder that holds something else, or if no object is ever in view.
+    """
+    settings = replace(settings, captured="path", target="hdr", others=())
+    if n_moments < 1:
+        raise UserError(f"an error cannot be measured in {n_moments} moments: give --moments 1 or more")
+    if settings.estimator == "truth":
+        raise UserError("the light of `truth` is rendered and has no error to divide: choose another --estimator")
+    plan, loaded = plan_previs(scene, settings), load_estimators(settings)
+    file = blend_file or Path(bpy.data.filepath or "untitled.blend")
+    outputs = RunOutputs(out, file.stem)
+    manifest = FolderManifest(out, outputs.settings, "an error budget", _identity(scene, file, settings, plan))
+    manifest.check()
+    yield Progress(0, 1, "surveying the path")
+    survey = survey_run(scene, plan, outputs)
+    if not any(one.in_view for one in survey.frames.values()):
+        raise UserError("no virtual object is in view of the camera in any frame: move the camera, or an object")
+    manifest.take()
+    with scene_kept():
+        run = yield from prepare_run(scene, plan, survey, outputs, settings, loaded)
+        budget = yield from _rendered(run, n_moments)
+    yield Progress(CAPTURE_SHARE + LOOK_SHARE + BALL_SHARE, 1, "running the chain with each part perfect")
+    results = BudgetResults(
+        software=software(command),
+        machine={**machine()},
+        scene=file.name,
+        settings=_of_session(run),
+        frames=tuple(sorted(run.needs.captured)),
+        exposure=run.exposure,
+        objects=tuple(budget.of_object(item.name) for item in run.plan.objects),
+        notes=tuple(fault.said for fault in survey.faults),
+    )
+    write_budget_report(out / "report.html", results)
+    write_json(out / "budget.json", as_json(results))
+    return results
+
+
+def _identity(scene: bpy.types.Scene, file: Path, settings: PrevisSettings, plan: PrevisPlan) -> dict[str, Any]:
+    """All that decides the renders; errors may be measured in other moments in the same folder."""
+    return {
+        "xihe": __version__,
+        "blender": bpy.app.version_string,
+        "budget_of_sha256": hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else None,
+        "scene": scene.name,
+        "settings": asdict(settings),
+        "phone": asdict(settings.profile),
+        "frames": plan.frames,
+        "size": plan.size,
+        "objects": [item.name for item in plan.objects],
+    }
+
+
+def _of_session(run: PreparedRun) -> dict[str, Any]:
+    names = ("estimator", "target", "preset", "samples", "seed", "phone", "network", "n_anchors")
+    return {name: getattr(run.settings, name) for name in names} | {"size": run.plan.size}
+
+
+# ------------------------------------------------------------------------------------------------------------- renders
+
+
+def _rendered(run: PreparedRun, n_moments: int) -> Job[_Budget]:
+    """A job: render all that the budget needs and is not kept yet."""
+    keeping = replace(run, needs=replace(run.needs, radiance=True))
+    yield from part_of(1, 0, CAPTURE_SHARE, capture_path(keeping))
+    phone = phone_of_captures(run, {})
+    budget = _Budget(run, phone, {probe.name: _moments(run, probe, n_moments) for probe in run.plan.probes})
+    yield from part_of(1, CAPTURE_SHARE, LOOK_SHARE, look_around(run, budget.places()))
+    yield from part_of(1, CAPTURE_SHARE + LOOK_SHARE, BALL_SHARE, measure_balls(run, budget.balls()))
+    return budget
+
+
+def _moments(run: PreparedRun, probe: Probe, n: int) -> tuple[int, ...]:
+    """At most `n` frames, evenly over those in which `probe` is in view; the last is one of them."""
+    active = [frame for frame in run.plan.frames if probe in run.probes_in_view(frame)]
+    numbers = np.linspace(0, len(active) - 1, n + 1)[1:].round()
+    return tuple(sorted({active[int(number)] for number in numbers})) if active else ()
+
+
+# --------------------------------------------------------------------------------------------------------------- parts
+
+
+@dataclass(frozen=True, eq=False)
+class _Moment:
+    """One position in one frame: the true light there, and the estimates with one part perfect, (9, 3), by part."""
+
+    ball: SatinBall
+    lights: Mapping[str, ArrayF64]
+    least_squares: ArrayF64
+
+    def squared_error(self, part: str) -> float:
+        return self.ball.squared_error(self.lights.get(part, self.lights[""]), has_all_orders=part == "order_2")
+
+
+class _Budget:
+    """The chain of `run`, again and again; `moments` by position. Nothing is rendered here."""
+
+    def __init__(self, run: PreparedRun, phone: SimulatedPhone, moments: Mapping[str, Sequence[int]]) -> None:
+        self.run, self.phone, self.moments = run, phone, moments
+        self.sights = sights_of_path(run, phone)
+        self.as_it_was = SessionParts(self.sights, run.settings.trigger, phone.link_in_use, run.estimator, {})
+        self.lights = {probe.name: self._lights(probe, self.as_it_was) for probe in run.plan.probes}
+
+    def _lights(self, probe: Probe, parts: SessionParts) -> dict[int, LightInForce]:
+        return lights_in_force(self.run, probe, parts, self.moments[probe.name])
+
+    def asked_from(self, probe: Probe) -> list[int]:
+        """The frames from which the light in force at the moments comes."""
+        found = {light.light_frame for light in self.lights[probe.name].values()}
+        return sorted(frame for frame in found if frame is not None)
+
+    def places(self) -> dict[str, dict[int, ArrayF64]]:
+        """From where somebody has to look around, by place and frame."""
+        probes, at = self.run.plan.probes, {one.seen.frame: one.seen.world_from_camera[:3, 3] for one in self.sights}
+        asked = {frame for probe in probes for frame in self.asked_from(probe)}
+        places: dict[str, dict[int, ArrayF64]] = {FROM_PATH: {frame: at[frame] for frame in asked}}
+        for probe in probes:
+            sources = {self._source(frame, probe) for frame in (*self.asked_from(probe), *self.moments[probe.name])}
+            places[place_of(self.run, probe)] = {frame: probe.at(frame) for frame in sources}
+        return places
+
+    def balls(self) -> list[tuple[int, Probe]]:
+        """At which frames satin balls are needed, in order, and where."""
+        of_probes = {probe: self.moments[probe.name] for probe in self.run.plan.probes}
+        needed = {(self._source(frame, probe), probe) for probe, frames in of_probes.items() for frame in frames}
+        return sorted(needed, key=lambda one: (one[0], one[1].name))
+
+    def _source(self, frame: int, probe: Probe) -> int:
+        """The first frame in which the light at `probe` is the same."""
+        return self.run.reuse.probes[frame, probe.name]
+
+    def of_object(self, name: str) -> ObjectBudget:
+        """The budget of one object: root mean squares over its positions and moments."""
+        moments = [one for probe in self.run.plan.probes_of(name) for one in self._of_position(probe)]
+        frames = {frame for probe in self.run.plan.probes_of(name) for frame in self.moments[probe.name]}
+        if not moments:
+            return ObjectBudget(name=name, moments=())
+        error = _root_mean(one.squared_error("") for one in moments)
+        return ObjectBudget(
+            name=name,
+            moments=tuple(sorted(frames)),
+            brightness=_root_mean(one.ball.brightness**2 for one in moments),
+            error=error,
+            least_squares_error=_root_mean(one.ball.squared_error(one.least_squares) for one in moments),
+            parts=tuple(self._part(part, moments, error) for part in PARTS),
+        )
+
+    def _part(self, name: str, moments: Sequence[_Moment], error: float) -> BudgetPart:
+        if name == "order_2" or name in moments[0].lights:
+            left = _root_mean(one.squared_error(name) for one in moments)
+            return BudgetPart(name=name, state="measured", error=left, gain=error - left)
+        return BudgetPart(name=name, state="not simulated", error=error, gain=0.0)
+
+    def _of_position(self, probe: Probe) -> Iterator[_Moment]:
+        if not self.moments[probe.name]:
+            return
+        sessions = {part: self._lights(probe, parts) for part, parts in self._sessions(probe).items()}
+        projection = estimators.load("projection", self.run.settings.n_anchors, "hdr")
+        least_squares = self._lights(probe, replace(self.as_it_was, estimator=projection))
+        for frame in self.moments[probe.name]:
+            source = self._source(frame, probe)
+            ball = kept_ball(self.run, source, probe)
+            lights = {"": self.lights[probe.name][frame].sh} | {part: one[frame].sh for part, one in sessions.items()}
+            lights |= self._corrected(lights[""], ball, kept_views(self.run, place_of(self.run, probe), source))
+            yield _Moment(ball, lights, least_squares[frame].sh)
+
+    def _sessions(self, probe: Probe) -> dict[str, SessionParts]:
+        """The session with each part perfect that a session can have."""
+        run, was = self.run, self.as_it_was
+        unclipped = Unclipped(run.estimator, run, self.sights)
+        from_path = {frame: self._seen_views(frame) for frame in self.asked_from(probe)}
+        from_object = {frame: self._object_views(frame, probe) for frame in self.asked_from(probe)}
+        sessions = {
+            "field_of_view": replace(was, looks=from_path),
+            "coverage": replace(was, looks=from_object),
+            "clipping": replace(was, estimator=unclipped),
+        }
+        if self.phone.of_camera:
+            perfect = replace(self.phone, of_camera=frozenset())
+            sessions["sensor"] = replace(was, sights=sights_of_path(run, perfect))
+        if was.link is not None:
+            sessions["delay"] = replace(was, link=None, trigger=EVERY_FRAME)
+        return sessions
+
+    def _seen_views(self, frame: int) -> list[Sight]:
+        """The pictures around the phone, as it sees them."""
+        views = enumerate(kept_views(self.run, FROM_PATH, frame))
+        seen = (self.phone.see(one, view_outputs(self.run, FROM_PATH, view))[0] for view, (one, _) in views)
+        return [sight(one, self.run.exposure) for one in seen]
+
+    def _object_views(self, frame: int, probe: Probe) -> list[Sight]:
+        views = kept_views(self.run, place_of(self.run, probe), self._source(frame, probe))
+        return [sight(seen, self.run.exposure) for seen, _ in views]
+
+    def _corrected(self, light: ArrayF64, ball: SatinBall, views: Sequence[View]) -> dict[str, ArrayF64]:
+        """`light` without what sampling and network get wrong on perfect input, and with the light no camera sees."""
+        seen = light_of_views(views) * self.run.exposure
+        nearest, means = lights_from_all_around(self.run.estimator, views, self.run.exposure)
+        return {
+            "sampling": light + means - nearest,
+            "network": light + seen - means,
+            "hidden_lamps": light + ball.light - seen,
+        }
+
+
+def lights_from_all_around(estimator: Estimator, views: Sequence[View], exposure: float) -> tuple[ArrayF64, ArrayF64]:
+    """(9, 3) what `estimator` makes of six pictures around a position, of which nothing is clipped, at `exposure`.
+
+    First from the nearest point in each anchor's direction, as the chain samples, then from the mean of all.
+    """
+    lower = exposure_without_clipping([radiance for _, radiance in views], exposure)
+    position_m, lattice = views[0][0].world_from_camera[:3, 3], AnchorLattice(estimator.n_anchors)
+    clouds = [with_radiance(sight(seen, exposure).points, radiance, lower) for seen, radiance in views]
+    nearest = UnitSphereCloud.empty(estimator.n_anchors)
+    for cloud in clouds:
+        nearest = merge(nearest, sample_unit_sphere(cloud, position_m, lattice))
+    colours = linear_to_srgb(np.clip(means_of_anchors(views, lattice) * lower, 0, 1)).astype(np.float32)
+    means = replace(nearest, srgb=colours * nearest.is_set[:, None])
+    sensed = np.maximum(light_of_views(views)[0], 0) / np.sqrt(4 * np.pi)
+    points = PointCloud(*(np.concatenate([getattr(one, part) for one in clouds]) for part in ("points_m", "srgb")))
+    context = EstimateContext(replace(views[0][0], ambient=sensed), points, position_m, None, lower)
+    of_nearest, of_means = (estimator.estimate(cloud, context) * (exposure / lower) for cloud in (nearest, means))
+    return of_nearest, of_means
+
+
+def _root_mean(squares: Iterator[float] | Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(list(squares))))

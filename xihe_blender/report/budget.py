@@ -1,0 +1,109 @@
+"""The report of an error budget: bars, as long as what a perfect part would take off an error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from xihe_blender.io.budget_results import PARTS, BudgetPart, BudgetResults, ObjectBudget
+from xihe_blender.report.document import document, table, write_document
+from xihe_blender.report.values import escape
+from xihenet import svg
+from xihenet.formats import MINUS, format_count, format_frames, format_number, format_percent
+
+ROW_PX, BAR_PX = 42, 16
+_HOW = (
+    "Each bar is what would be taken off the error if that part alone were perfect and all else as it was. Parts "
+    "overlap, so the bars do not add up to the whole error. A bar to the left makes the error larger."
+)
+
+
+def write_budget_report(path: Path, results: BudgetResults) -> None:
+    """One self-contained page."""
+    sections = [(f"object{place}", escape(item.name), _of_object(item)) for place, item in enumerate(results.objects)]
+    sections.append(("parts", "What perfect means", _meaning()))
+    heading = f"What would help: {escape(results.scene)}"
+    write_document(path, document(heading, _opening(results), sections))
+
+
+def _opening(results: BudgetResults) -> str:
+    advice = "".join(f"<li>{escape(item.advice)}</li>" for item in results.objects)
+    estimator, phone = (escape(str(results.settings[name])) for name in ("estimator", "phone"))
+    network = results.settings["network"]
+    over = "" if network is None else f", over <code>{escape(str(network))}</code>"
+    session = f"Light by <code>{estimator}</code>, phone <code>{phone}</code>{over}"
+    notes = " ".join(escape(note) for note in results.notes)
+    return f"<ul>{advice}</ul><p>{session}, from {format_count(len(results.frames), 'frame')}. {notes}</p>"
+
+
+def _of_object(item: ObjectBudget) -> str:
+    if item.error is None:
+        return f"<p>{escape(item.advice)}</p>"
+    return f'<div class="plots">{_bars(item)}</div>{_least_squares(item)}{_table(item)}'
+
+
+def _bars(item: ObjectBudget) -> str:
+    """Bars from the largest gain to the smallest, in per cent of the brightness; the axis ends at the whole error."""
+    parts, whole = item.largest_first, 100 * item.relative(item.error or 0.0)
+    gains = [100 * item.relative(part.gain) for part in parts]
+    axis = _axis(min(0.0, *gains), whole)
+    height_px = ROW_PX * len(parts)
+    rows = "".join(_bar(axis, place, part, gain) for place, (part, gain) in enumerate(zip(parts, gains, strict=True)))
+    now = svg.straight(axis.x(whole), 0, axis.x(whole), height_px, "limit")
+    below = svg.axis_of(axis, "taken off the error, of the brightness; dotted: the whole error", height_px, grid=True)
+    return svg.figure(
+        f"{below}{now}{rows}", title=escape(item.advice), about=_HOW, label=f"Error budget of {escape(item.name)}",
+        height_px=height_px, is_wide=True,
+    )  # fmt: skip
+
+
+def _axis(low: float, high: float) -> svg.Axis:
+    """From the largest loss, in per cent, to the whole error; its ticks lie between them."""
+    ticks = svg.linear_axis(low, high).ticks
+    inside = tuple(tick for tick in ticks if low <= tick <= high)
+    return svg.Axis(low, 1.02 * high if high > 0 else 1.0, inside, lambda value: f"{_number(value, 'g')} %")
+
+
+def _number(value: float, form: str) -> str:
+    """Without a minus before 0."""
+    return f"{round(value, 1) + 0.0:{form}}".replace("-", MINUS)
+
+
+def _bar(axis: svg.Axis, place: int, part: BudgetPart, gain: float) -> str:
+    top = place * ROW_PX
+    left, right = sorted((axis.x(0.0), axis.x(gain)))
+    said = f"{PARTS[part.name].label}: {_number(gain, '.1f')} %"
+    return (
+        f'<text x="{axis.x(0.0):.3f}%" dx="4" y="{top + 14}">{escape(said)}</text>'
+        f'<rect class="bar s{0 if gain >= 0 else 1}" x="{left:.3f}%" y="{top + 20}" width="{right - left:.3f}%" '
+        f'height="{BAR_PX}"><title>{escape(PARTS[part.name].perfect)}</title></rect>'
+    )
+
+
+def _least_squares(item: ObjectBudget) -> str:
+    if item.least_squares_error is None:
+        return ""
+    then, now = (format_percent(item.relative(error or 0.0)) for error in (item.least_squares_error, item.error))
+    other = "With least squares (<code>projection</code>) in place of the estimator"
+    return f"<p>{other} the error would be {then} of the brightness; it is {now}.</p>"
+
+
+def _table(item: ObjectBudget) -> str:
+    head = ["part", "error with it perfect", "taken off", "of the brightness"]
+    rows = [["as it was", format_number(item.error), "", format_percent(item.relative(item.error or 0.0))]]
+    rows += [_row(item, part) for part in item.largest_first]
+    rows += [[PARTS[p.name].label, "not simulated", "", ""] for p in item.parts if p.state == "not simulated"]
+    measured = f"<p>Measured in {format_count(len(item.moments), 'frame')}: {format_frames(item.moments)}.</p>"
+    return table(head, rows) + measured
+
+
+def _row(item: ObjectBudget, part: BudgetPart) -> list[str]:
+    of_brightness = format_percent(item.relative(part.error))
+    return [PARTS[part.name].label, format_number(part.error), format_number(part.gain), of_brightness]
+
+
+def _meaning() -> str:
+    rows = [[words.label, escape(words.perfect)] for words in PARTS.values()]
+    return table(["part", "a perfect one"], rows, "words") + (
+        "<p>The error is the root mean square difference between two pictures of a satin ball in the object's place: "
+        "under the estimated light and under the true light, path-traced.</p>"
+    )
