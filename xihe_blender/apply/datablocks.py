@@ -19,6 +19,9 @@ MARKER_PREFIX = "Xihe trigger"
 COMPARISON_NAME = "Xihe Comparison"
 LIGHT_PREFIX = "Xihe Light "
 LIT_SCENE = "Xihe Lit"
+BETTER_PATH = "Xihe Better Path"
+"""Camera that does an advised look, and its custom property: the frame of the path at which it looks away."""
+
 SAME_PLACE_M = 1e-4
 ROOM = "xihe_room"
 """Custom property of the scene `Xihe Lit` in an open file: the scene that it shows the objects of."""
@@ -74,7 +77,16 @@ def live_positions() -> dict[str, tuple[float, float | None]]:
 def has_anything(scene: bpy.types.Scene) -> bool:
     """Whether there is something for `results_in_blender.remove_everything` to remove."""
     lit = any(lights_by_sh(world) and world.library is None for world in bpy.data.worlds)
-    return bool(trigger_markers(scene)) or lit or lit_scene() is not None or next(our_images(), None) is not None
+    return bool(trigger_markers(scene)) or lit or lit_scene() is not None or _has_images_or_camera()
+
+
+def _has_images_or_camera() -> bool:
+    return next(our_images(), None) is not None or better_path_camera() is not None
+
+
+def better_path_camera() -> bpy.types.Object | None:
+    """Our camera that does an advised look, whatever Blender calls it now; None where there is none."""
+    return next((item for item in bpy.data.objects if BETTER_PATH in item and item.library is None), None)
 
 
 def lit_scene() -> bpy.types.Scene | None:
