@@ -14,10 +14,12 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
+from typing import TextIO
 
 import bpy
 import numpy as np
 
+from xihe_blender.io.blender_output import blender_output_aside
 from xihe_blender.io.look_results import ObjectAdvice
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.better_path import LookWishes, find_looks, object_positions, verify_looks
@@ -93,21 +95,28 @@ def main() -> None:
     parser.add_argument("--size", type=lambda text: tuple(map(int, text.split("x"))), default=(128, 96))
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
+    with blender_output_aside() as (stdout, _):
+        tell(options, stdout)
+
+
+def tell(options: argparse.Namespace, stdout: TextIO) -> None:
+    """Try every scene, and print the table as it grows."""
     found: dict[str, list[ObjectAdvice]] = {"hdr": [], "ldr": []}
-    print(HEAD, "| --- " * 8 + "|", sep="\n", flush=True)
+    print(HEAD, "| --- " * 8 + "|", sep="\n", file=stdout, flush=True)
     for path in options.scenes:
         for target, of_scene in tried(path, options).items():
             found[target] += of_scene
-            print(*(row(path.stem, target, one) for one in of_scene), sep="\n", flush=True)
+            print(*(row(path.stem, target, one) for one in of_scene), sep="\n", file=stdout, flush=True)
     for target, objects in found.items():
         true = [one.true_errors for one in objects if one.true_errors is not None]
         advised = np.median([one.lowered for one in true])
         each = [1 - error / one.before for one in true for error in one.random_after]
         mean = np.median([one.lowered_by_random for one in true])
-        print(
-            f"{target}: {len(true)} of {len(objects)} objects; the advised second lowers the error by {advised:.1%} in "
-            f"the median, a random one by {np.median(each):.1%} (median of {len(each)}; {mean:.1%} of each object's mean)"
+        counts = (
+            f"{target}: {len(true)} of {len(objects)} objects; the advised second lowers the error by {advised:.1%} in"
         )
+        by_chance = f"a random one by {np.median(each):.1%} (median of {len(each)}; {mean:.1%} of each object's mean)"
+        print(f"{counts} the median, {by_chance}", file=stdout)
 
 
 if __name__ == "__main__":
