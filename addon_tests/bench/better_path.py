@@ -6,12 +6,14 @@ In each scene the phone captures a part of its path, the look is chosen for each
 ones and a light probe at the object are rendered. Scenes without virtual objects get a small sphere at each empty named
 `placement_...`, in memory. A random second is at a random frame and in a random direction within the same reach of the
 same phone, and is captured in the same way. Errors are SHC RMSE after the last frame of the part; both targets are held
-against the same captures. A row an object; medians at the end, of those objects that there was advice for.
+against the same captures. A row an object, random seconds by their mean; medians at the end, of those
+objects that there was advice for.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TextIO
@@ -31,7 +33,7 @@ from xihe_blender.scene.state import scene_kept
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
 
 RADIUS_M = 0.05
-HEAD = "| scene, object | advice | seen | target | true error | advised | lowered by | random seconds lower it by |"
+HEAD = "| scene, object | advice | seen | hdr error | lowered by | by random | ldr error | lowered by | by random |"
 
 
 def add_spheres(scene: bpy.types.Scene, most: int) -> None:
@@ -73,16 +75,17 @@ def tried(path: Path, options: argparse.Namespace) -> dict[str, list[ObjectAdvic
     return found
 
 
-def row(scene: str, target: str, one: ObjectAdvice) -> str:
+def row(scene: str, of_targets: Sequence[ObjectAdvice]) -> str:
+    """One object with each target."""
+    one = of_targets[0]
     seen = f"{one.coverage:.0%} to {one.predicted_coverage:.0%}"
     if one.look is None or one.true_errors is None:
-        return f"| {scene}, {one.name} | nothing | {seen} | {target} | | | | |"
-    true = one.true_errors
-    seen += f" (in truth {true.coverage_after:.0%})"
-    lowered = ", ".join(f"{1 - error / true.before:.0%}" for error in true.random_after)
-    advice = f"{one.look.words} at {one.look.frame}"
-    errors = f"{true.before:.3f} | {true.after:.3f} | {true.lowered:.0%}"
-    return f"| {scene}, {one.name} | {advice} | {seen} | {target} | {errors} | {lowered} |"
+        return f"| {scene}, {one.name} | nothing | {seen} | | | | | | |"
+    cells = [f"{scene}, {one.name}", f"{one.look.words} at {one.look.frame}"]
+    cells += [f"{seen} (in truth {one.true_errors.coverage_after:.0%})"]
+    for true in (of_one.true_errors for of_one in of_targets if of_one.true_errors is not None):
+        cells += [f"{true.before:.3f} to {true.after:.3f}", f"{true.lowered:.0%}", f"{true.lowered_by_random or 0:.0%}"]
+    return f"| {' | '.join(cells)} |"
 
 
 def main() -> None:
@@ -102,11 +105,13 @@ def main() -> None:
 def tell(options: argparse.Namespace, stdout: TextIO) -> None:
     """Try every scene, and print the table as it grows."""
     found: dict[str, list[ObjectAdvice]] = {"hdr": [], "ldr": []}
-    print(HEAD, "| --- " * 8 + "|", sep="\n", file=stdout, flush=True)
+    print(HEAD, "| --- " * 9 + "|", sep="\n", file=stdout, flush=True)
     for path in options.scenes:
-        for target, of_scene in tried(path, options).items():
-            found[target] += of_scene
-            print(*(row(path.stem, target, one) for one in of_scene), sep="\n", file=stdout, flush=True)
+        of_scene = tried(path, options)
+        for target, objects in of_scene.items():
+            found[target] += objects
+        rows = [row(path.stem, of_targets) for of_targets in zip(*of_scene.values(), strict=True)]
+        print(*rows, sep="\n", file=stdout, flush=True)
     for target, objects in found.items():
         true = [one.true_errors for one in objects if one.true_errors is not None]
         advised = np.median([one.lowered for one in true])

@@ -27,7 +27,7 @@ from xihe_blender.io.outputs import write_json
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.captured_path import CapturedPath, capture_path
-from xihe_blender.previs.kept_session import KeptSession
+from xihe_blender.previs.kept_session import KeptSession, open_kept_session
 from xihe_blender.previs.look_pictures import write_pictures
 from xihe_blender.previs.placement import PlacementSettings, find_places
 from xihe_blender.previs.plan import plan_previs
@@ -187,6 +187,14 @@ def find_looks(session: KeptSession, objects: Targets, settings: LookSettings) -
         best = choose_look(looks, unseen, room, session.frames[0].seen.intrinsics, lattice, settings)
         found.append(FoundLook(_advice(name, target, unseen, best, estimator, settings), target, best))
     return found
+
+
+def looks_of_run(folder: Path, objects: Targets, settings: LookSettings | None = None) -> Job[list[ObjectAdvice]]:
+    """A job: the advice for each object from the frames that the run in `folder` keeps; errors as there."""
+    session = yield from open_kept_session(folder)
+    check_sees_whole_path(session.settings)
+    found = yield from find_looks(session, objects, settings or LookSettings())
+    return [one.advice for one in found]
 
 
 def _advice(
