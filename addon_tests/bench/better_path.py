@@ -1,6 +1,6 @@
 """How far does an advised second of looking lower the true error, beside a random second?
 
-    python addon_tests/bench/better_path.py SCENE.blend ... --out DIR [--part 0.25] [--random 4] [--most 4]
+    python addon_tests/bench/better_path.py SCENE.blend ... --out DIR [--part 0.25] [--random 4] [--most 4] [--turn 90]
 
 In each scene the phone captures a part of its path, the look is chosen for each virtual object, and the look, random
 ones and a light probe at the object are rendered. Scenes without virtual objects get a small sphere at each empty named
@@ -31,6 +31,7 @@ from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.sphere_rig import sphere_mesh
 from xihe_blender.scene.state import scene_kept
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
+from xihenet.looks import LookSettings
 
 RADIUS_M = 0.05
 HEAD = "| scene, object | advice | seen | hdr error | lowered by | by random | ldr error | lowered by | by random |"
@@ -62,7 +63,8 @@ def tried(path: Path, options: argparse.Namespace) -> dict[str, list[ObjectAdvic
     frames = list(range(scene.frame_start, scene.frame_end + 1, 1 if scene.frame_end < 30 else 2))
     part = tuple(frames[: max(2, round(options.part * len(frames)))])
     settings = PrevisSettings(preset="draft", size=options.size, frames=part, seed=options.seed)
-    wishes = LookWishes(is_verified=True, n_random=options.random)
+    looks = LookSettings(largest_turn_deg=options.turn, most_frames=options.tried)
+    wishes = LookWishes(is_verified=True, n_random=options.random, looks=looks)
     with scene_kept():
         objects = object_positions(scene, settings, None)
         out = options.out / f"{path.stem}_{len(part)}"
@@ -70,8 +72,8 @@ def tried(path: Path, options: argparse.Namespace) -> dict[str, list[ObjectAdvic
         found = {}
         for target in ("hdr", "ldr"):
             of_one = of_target(captured, target)
-            looks = run_blocking(find_looks(of_one.session, objects, wishes.looks))
-            found[target] = [one.advice for one in run_blocking(verify_looks(of_one, looks, wishes))]
+            advised = run_blocking(find_looks(of_one.session, objects, wishes.looks))
+            found[target] = [one.advice for one in run_blocking(verify_looks(of_one, advised, wishes))]
     return found
 
 
@@ -96,6 +98,8 @@ def main() -> None:
     parser.add_argument("--random", type=int, default=4, help="random seconds for each object")
     parser.add_argument("--most", type=int, default=4, help="placements of a scene without virtual objects")
     parser.add_argument("--size", type=lambda text: tuple(map(int, text.split("x"))), default=(128, 96))
+    parser.add_argument("--turn", type=float, default=LookSettings().largest_turn_deg, help="degrees at most")
+    parser.add_argument("--tried", type=int, default=LookSettings().most_frames, help="frames at which looks are tried")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     with blender_output_aside() as (stdout, _):
