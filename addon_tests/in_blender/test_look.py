@@ -78,6 +78,7 @@ def test_the_advice_goes_by_what_the_path_has_not_shown(scene, out):
     # The phone looks down along +Y: what it shows newly is elsewhere.
     ahead = -np.array(scene.camera.matrix_world)[:3, 2]
     assert ball.gain > 0.05 and np.array(ball.look.direction) @ ahead < 0.95
+    np.testing.assert_allclose(ball.look.place_m, _pose(scene, scene.camera, ball.look.frame)[:3, 3], atol=1e-5)
 
 
 def test_asking_again_costs_no_render(scene, out):

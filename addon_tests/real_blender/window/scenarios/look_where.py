@@ -1,10 +1,7 @@
-"""After a run: where should the phone look? The advice stands below the button, as an arrow in the view, as a camera.
-
-Needs the folder of a finished run of the same room.
-"""
+"""After a run: where should the phone look? Said below the button, drawn as an arrow in the view, done by a camera."""
 
 import bpy
-from rooms import room_with_a_virtual_ball
+from rooms import make_runs_short, room_with_a_virtual_ball
 
 
 def prepare():
@@ -13,12 +10,15 @@ def prepare():
 
 def scenario(w):
     scene, job = bpy.context.scene, bpy.context.window_manager.xihe
-    scene.xihe.run_folder = str(w.run_folder)
+    make_runs_short(scene)
     bpy.context.preferences.system.use_region_overlap = False
     bpy.data.objects["Room"].hide_set(True)
     view = w.area.spaces.active.region_3d
     view.view_location, view.view_distance = (-0.5, -0.8, 1.2), 4.5
     yield from w.open_tab()
+    yield from w.click_on("xihe.run(")
+    yield from w.wait_until(lambda: scene.xihe.run_folder and not job.is_running, "the run is over", at_most_s=600)
+    yield 0.5
     yield from w.click_on("xihe.look_where")
     yield from w.wait_until(lambda: len(job.looks) > 0, "the advice is there")
     yield 0.5
