@@ -53,7 +53,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     try:
         looks = arguments.settings_from(options, LookSettings)
     except ValueError as error:
-        raise UserError(f"{error}; see --hold and --turn") from error
+        raise UserError("give --hold a positive number of seconds, and --turn up to 180 degrees") from error
     wishes = arguments.settings_from(options, LookWishes, looks=looks)
     if options.camera is not None:
         check_camera_file(options.camera, options.scene)
