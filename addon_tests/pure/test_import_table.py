@@ -146,10 +146,8 @@ def test_only_what_spreads_the_work_knows_dask():
 
 
 def test_the_report_never_asks_for_blender():
-    of_io = (
-        f"xihe_blender.io.{name}"
-        for name in ("budget_results", "json_records", "outputs", "placement_results", "run_results")
-    )
+    readable = ("budget_results", "json_records", "look_results", "outputs", "placement_results", "run_results")
+    of_io = (f"xihe_blender.io.{name}" for name in readable)
     own = ("xihe_blender.report", *of_io, "xihenet.formats", "xihenet.invalid", "xihenet.svg")
     report = list((ROOT / "xihe_blender" / "report").glob("*.py"))
     assert "page.py" in [path.name for path in report]

@@ -18,6 +18,7 @@ MODULES = (
     "leftovers",
     "object_operators",
     "planning_operators",
+    "look_operators",
     "run_operators",
     "result_operators",
     "light_operators",

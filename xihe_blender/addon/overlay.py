@@ -1,7 +1,8 @@
 """Where is light estimated, and how much of the surroundings was seen from there? Drawn over the 3D view.
 
 A disc at each estimation position, coloured by its coverage in the last run, with its name and share. Discs are drawn
-in the picture's plane and over everything: a position lies inside its object. Rejected: points of the GPU, whose size
+in the picture's plane and over everything: a position lies inside its object. Where it was asked where the phone should
+look, an arrow says so at the camera path. Rejected: points of the GPU, whose size
 some of its backends ignore.
 
 Positions are computed when something has changed, not when the view is drawn: handlers only set a flag. The one object
@@ -16,6 +17,7 @@ from typing import Any, NamedTuple
 
 import bpy
 
+from xihe_blender.addon.look_operators import advice_for
 from xihe_blender.addon.runs_folder import last_run
 from xihe_blender.apply.datablocks import live_positions
 from xihe_blender.errors import UserError
@@ -36,6 +38,10 @@ UNKNOWN: Colour = (0.85, 0.85, 0.85, 1.0)
 LITTLE: Colour = (0.95, 0.35, 0.15, 1.0)
 MUCH: Colour = (0.20, 0.75, 0.95, 1.0)
 """Orange and blue, which look different to nearly everyone."""
+
+LOOK: Colour = (1.0, 0.55, 0.0, 1.0)
+LOOK_M = 0.7
+SHAFT_PX = 4.0
 
 
 class Position(NamedTuple):
@@ -71,6 +77,8 @@ class Overlay:
             seen = coverage.get(position.name)
             draw_disc(x, y, colour_of(seen))
             draw_label(x, y, position.name if seen is None else f"{position.name}  {seen:.0%}", taken)
+        for row in [row for row in advice_for(context) if row.has_look]:
+            draw_look(context, row, taken)
 
 
 def shown_positions(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> list[Position]:
@@ -102,6 +110,51 @@ def on_screen(context: bpy.types.Context, positions: Sequence[Position]) -> Iter
         pixel = location_3d_to_region_2d(context.region, context.region_data, position.place)
         if pixel is not None:
             yield position, pixel.x, pixel.y
+
+
+def draw_look(context: bpy.types.Context, row: Any, taken: list[Box]) -> None:
+    """An arrow from where the phone should stand to where it should look, and the frame at which."""
+    from bpy_extras.view3d_utils import location_3d_to_region_2d
+
+    metres = metres_per_unit(context.scene)
+    ends = [
+        tuple((p + far * d) / metres for p, d in zip(row.place_m, row.direction, strict=True)) for far in (0, LOOK_M)
+    ]
+    start, tip = (location_3d_to_region_2d(context.region, context.region_data, end) for end in ends)
+    if start is None or tip is None:
+        return
+    draw_triangles(arrow_corners((start.x, start.y), (tip.x, tip.y)), LOOK)
+    draw_disc(start.x, start.y, LOOK)
+    draw_label(start.x, start.y, f"look at frame {row.frame}", taken)
+
+
+def arrow_corners(start: tuple[float, float], tip: tuple[float, float]) -> list[tuple[float, float]]:
+    """Three triangles, in pixels: two of the shaft and one of the head; none for an arrow without length."""
+    scale = bpy.context.preferences.system.ui_scale
+    along = tip[0] - start[0], tip[1] - start[1]
+    length = math.hypot(*along)
+    if length < 1e-3:
+        return []
+    x, y = along[0] / length, along[1] / length
+    half, head = SHAFT_PX * scale / 2, min(length, 4 * SHAFT_PX * scale)
+    neck = tip[0] - head * x, tip[1] - head * y
+
+    def beside(place: tuple[float, float], width: float) -> tuple[float, float]:
+        return place[0] - width * y, place[1] + width * x
+
+    a, b, c, d = beside(start, half), beside(start, -half), beside(neck, -half), beside(neck, half)
+    return [a, b, c, a, c, d, beside(neck, 4 * half), beside(neck, -4 * half), tip]
+
+
+def draw_triangles(corners: Sequence[tuple[float, float]], colour: Colour) -> None:
+    """Filled, each of three corners."""
+    import gpu
+    from gpu_extras.batch import batch_for_shader
+
+    if corners:
+        shader = gpu.shader.from_builtin("UNIFORM_COLOR")
+        shader.uniform_float("color", colour)
+        batch_for_shader(shader, "TRIS", {"pos": corners}).draw(shader)
 
 
 def colour_of(coverage: float | None) -> Colour:

@@ -21,6 +21,7 @@ import bpy
 
 from xihe_blender.addon.background_run import BackgroundRun
 from xihe_blender.addon.calibration import calibration_line
+from xihe_blender.addon.look_operators import advice_for
 from xihe_blender.addon.polls import doubts, has_camera, has_virtual_objects, shows_run
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.addon.runs_folder import last_run
@@ -333,6 +334,7 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("xihe.show_comparison", text="Compare")
         row.prop(settings, "wipe", slider=True)
+        _draw_looks(context, layout)
         row = layout.row(align=True)
         row.operator("xihe.save_side_by_side", text="Save Video")
         row.operator("xihe.open_report", text="Open Report")
@@ -377,6 +379,17 @@ def _draw_moved(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
         sentence(context, layout, f"{name} was moved: coverage {coverage:.0%}{expected}", icon="CON_FOLLOWTRACK")
     if moved:
         sentence(context, layout, "Errors and ground truth below are of the run: for new ones run again", icon="INFO")
+
+
+def _draw_looks(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
+    """The button that asks where the phone should look, and what is advised for the active virtual object."""
+    row = layout.row(align=True)
+    row.operator("xihe.look_where", icon="HIDE_OFF")
+    advice = advice_for(context)
+    if any(one.has_look for one in advice):
+        row.operator("xihe.add_better_camera", icon="CAMERA_DATA")
+    for one in advice:
+        sentence(context, layout, f"{one.name}: {one.sentence}", icon="INFO")
 
 
 def _draw_methods(layout: bpy.types.UILayout, run: RunResults) -> None:

@@ -236,6 +236,18 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
     )
 
 
+class XiheLook(bpy.types.PropertyGroup):
+    """Where the phone should look for the virtual object `name`, from the frames of one run."""
+
+    run_folder: bpy.props.StringProperty(name="Run", description="Folder of the run, as the scene names it")
+    sentence: bpy.props.StringProperty(name="Advice", description="Where to look, and what it is expected to bring")
+    has_look: bpy.props.BoolProperty(name="Has Look", description="Whether any look would add much")
+    frame: bpy.props.IntProperty(name="Frame", description="At which the phone should look away from its path")
+    place_m: bpy.props.FloatVectorProperty(name="Place", description="Of the phone then, in metres", size=3)
+    direction: bpy.props.FloatVectorProperty(name="Direction", description="In which it should look", size=3)
+    look: bpy.props.StringProperty(name="Look", description="All of it, as JSON")
+
+
 class XiheJobState(bpy.types.PropertyGroup):
     """The job under way; it lives in the window manager, so that Undo leaves it alone."""
 
@@ -258,10 +270,13 @@ class XiheJobState(bpy.types.PropertyGroup):
     run_estimate: bpy.props.StringProperty(
         name="Run Time", description="How long a run would take on this machine, and how that was measured"
     )
+    looks: bpy.props.CollectionProperty(
+        name="Looks", description="Where the phone should look, by virtual object", type=XiheLook
+    )
 
 
 _register_classes, _unregister_classes = bpy.utils.register_classes_factory(
-    (XiheEffectRow, XiheSceneSettings, XiheJobState)
+    (XiheEffectRow, XiheSceneSettings, XiheLook, XiheJobState)
 )
 
 

@@ -43,6 +43,7 @@ from xihe_blender.compare.side_by_side import middle_of_change, read_picture, wi
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import RunResults, read_results
+from xihe_blender.previs.better_camera import remove_better_camera
 from xihe_blender.previs.kept_session import FoundLight
 from xihe_blender.previs.lit_blend import apply_lights, light_of, make_lit_scene
 from xihe_blender.scene.virtual_objects import virtual_objects
@@ -281,7 +282,7 @@ def go_to_trigger(scene: bpy.types.Scene, direction: str) -> int | None:
 
 
 def remove_everything(scene: bpy.types.Scene) -> None:
-    """Take away all that runs left: worlds, node group, markers, images, lit scene, placement map.
+    """Take away all that runs left: worlds, node group, markers, images, lit scene, placement map, camera.
 
     Of the other scenes as well: without their worlds their markers would say what is not so.
     """
@@ -293,3 +294,4 @@ def remove_everything(scene: bpy.types.Scene) -> None:
         remove_trigger_markers(other)
     for image in list(our_images()):
         bpy.data.images.remove(image)
+    remove_better_camera()

@@ -19,6 +19,9 @@ MARKER_PREFIX = "Xihe trigger"
 COMPARISON_NAME = "Xihe Comparison"
 LIGHT_PREFIX = "Xihe Light "
 LIT_SCENE = "Xihe Lit"
+BETTER_PATH = "Xihe Better Path"
+"""Camera that does an advised look, and its custom property: the frame of the path at which it looks away."""
+
 SAME_PLACE_M = 1e-4
 ROOM = "xihe_room"
 """Custom property of the scene `Xihe Lit` in an open file: the scene that it shows the objects of."""
@@ -78,14 +81,18 @@ def live_positions() -> dict[str, tuple[float, float | None]]:
 def has_anything(scene: bpy.types.Scene) -> bool:
     """Whether there is something for `results_in_blender.remove_everything` to remove."""
     lit = any(lights_by_sh(world) and world.library is None for world in bpy.data.worlds)
-    has_map = any(MAP in mesh and mesh.library is None for mesh in bpy.data.meshes)
-    return (
-        bool(trigger_markers(scene))
-        or lit
-        or has_map
-        or lit_scene() is not None
-        or next(our_images(), None) is not None
-    )
+    is_lit = lit or lit_scene() is not None or bool(trigger_markers(scene))
+    return is_lit or next(our_images(), None) is not None or has_map() or better_path_camera() is not None
+
+
+def has_map() -> bool:
+    """Whether there is a placement map in the file itself."""
+    return any(MAP in mesh and mesh.library is None for mesh in bpy.data.meshes)
+
+
+def better_path_camera() -> bpy.types.Object | None:
+    """Our camera that does an advised look, whatever Blender calls it now; None where there is none."""
+    return next((item for item in bpy.data.objects if BETTER_PATH in item and item.library is None), None)
 
 
 def lit_scene() -> bpy.types.Scene | None:

@@ -25,6 +25,7 @@ COMMANDS = {
     "previs": "preview a phone's estimated lighting beside path-traced ground truth",
     "placement": "map where in a room AR light will be right, and where it will fail",
     "budget": "divide an object's error among the parts of the chain, and say what would help most",
+    "look": "say where the phone should look for a second to know the light better",
     "video": "save a video of a run: captured pictures, ground truth and estimate side by side",
     "effects": "list the lighting and phone effects that a scene needs, and why",
     "frontier": "measure what accuracy costs in time, setting by setting",

@@ -7,7 +7,6 @@ is rendered (`kept_session`). What cannot be known so, the true error, is measur
 from __future__ import annotations
 
 import functools
-import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -18,25 +17,21 @@ import bpy
 import numpy as np
 
 from xihe_blender.capture.reference_probe import MeasuredLight, open_reference_probe
-from xihe_blender.capture.render import RenderSettings
-from xihe_blender.capture.scanner import sized_for
 from xihe_blender.errors import UserError
-from xihe_blender.io.folder_manifest import FolderManifest
-from xihe_blender.io.json_records import Parameters, as_json, from_json
+from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.kept_files import kept_json
-from xihe_blender.io.outputs import RunOutputs, write_csv, write_json
+from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.placement_results import N_EXTREMES, Place, PlacementResults, Verified, best_first
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress, part_of
-from xihe_blender.previs.kept_session import FoundLight, KeptSession, kept_session
+from xihe_blender.previs.captured_path import capture_path
+from xihe_blender.previs.kept_session import FoundLight, KeptSession
 from xihe_blender.previs.placement_pictures import write_pictures
-from xihe_blender.previs.plan import DEFAULT_SIZE, PrevisPlan, check_nothing_is_missing, evenly_chosen, planned_frames
-from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
-from xihe_blender.previs.run_chain import walk_path
-from xihe_blender.previs.settings import PrevisSettings, load_estimators
+from xihe_blender.previs.plan import evenly_chosen
+from xihe_blender.previs.prepare import PreparedRun
+from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.report.placement import write_placement_report
 from xihe_blender.scene.state import scene_kept
-from xihenet import __version__
 from xihenet.metrics import shc_rmse
 from xihenet.placement import (
     REACH_M,
@@ -48,9 +43,6 @@ from xihenet.placement import (
 )
 from xihenet.records import ArrayF64
 from xihenet.sh import irradiance
-
-SAMPLES = {"draft": 4, "balanced": 16, "accurate": 64}
-"""Per pixel of a capture, by preset: there is no position yet that a pilot could measure the noise at."""
 
 FINEST_M, GROWTH, N_SPACINGS = 0.05, 1.15, 40
 PLACES_AT_ONCE = 20
@@ -101,35 +93,24 @@ def placement(
 
     The captures are kept there and resumed. UserError for a scene without a camera, or where nothing is to be placed.
     """
-    check_nothing_is_missing(scene)
-    settings = replace(settings, captured="path", samples=settings.samples or SAMPLES[settings.preset])
-    size = settings.size or sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1)).size
-    plan = PrevisPlan(tuple(planned_frames(scene, settings.frames)), size, (), ())
-    outputs, loaded = RunOutputs(out, blend_file.stem), load_estimators(settings)
-    manifest = FolderManifest(out, outputs.settings, "placement", _identity(scene, blend_file, settings, plan))
-    manifest.check()
-    survey = survey_run(scene, plan, outputs)
-    manifest.take()
     with scene_kept():
-        run = yield from prepare_run(scene, plan, survey, outputs, settings, loaded)
-        yield from walk_path(run, keeps_session=True)
-        captured = sorted(run.needs.captured)
-        session = yield from kept_session(outputs, run.settings, size, run.exposure, captured)
+        captured = yield from capture_path(scene, out, settings, "placement", blend_file=blend_file)
+        run, session = captured.run, captured.session
         mapped = yield from map_places(session, wanted)
         places, verified = yield from _verified(run, mapped, wanted.n_verified)
     results = PlacementResults(
         software=software(command),
         machine={**machine()},
         scene=blend_file.name,
-        settings={**_of_capture(settings, size), **asdict(wanted)},
-        frames=tuple(captured),
+        settings={**captured.parameters, **asdict(wanted)},
+        frames=captured.frames,
         exposure=run.exposure,
         spacing_m=mapped.spacing_m,
         clearance_m=wanted.clearance_m if wanted.height_m is None else None,
         n_unknown=sum(place.expected_error is None for place in places),
         places=places,
         verified=verified,
-        notes=tuple(fault.said for fault in survey.faults),
+        notes=captured.notes,
     )
     yield Progress(1, 1, "writing the report")
     pictures = write_pictures(out, [one.seen for one in session.frames], results)
@@ -137,25 +118,6 @@ def placement(
     write_csv(out / "placement.csv", [_row(place) for place in results.places], list(_row(results.places[0])))
     write_json(out / "placement.json", as_json(results))
     return results
-
-
-def _identity(scene: bpy.types.Scene, file: Path, settings: PrevisSettings, plan: PrevisPlan) -> dict[str, Any]:
-    """All that decides the captures: places may be others in the same folder."""
-    return {
-        "xihe": __version__,
-        "blender": bpy.app.version_string,
-        "blend_sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
-        "scene": scene.name,
-        "settings": asdict(settings),
-        "phone": asdict(settings.profile),
-        "frames": plan.frames,
-        "size": plan.size,
-    }
-
-
-def _of_capture(settings: PrevisSettings, size: tuple[int, int]) -> Parameters:
-    names = ("estimator", "target", "preset", "samples", "seed", "phone", "n_anchors")
-    return {name: getattr(settings, name) for name in names} | {"size": size}
 
 
 def _row(place: Place) -> dict[str, Any]:
@@ -182,7 +144,7 @@ def map_places(session: KeptSession, wanted: PlacementSettings) -> Job[MappedPla
 
     UserError where there is no place.
     """
-    places_m, spacing_m = yield from _places(session, wanted)
+    places_m, spacing_m = yield from find_places(session, wanted)
     places: list[Place] = []
     lights: list[ArrayF64] = []
     for start in range(0, len(places_m), PLACES_AT_ONCE):
@@ -194,7 +156,7 @@ def map_places(session: KeptSession, wanted: PlacementSettings) -> Job[MappedPla
     return MappedPlaces(tuple(places), tuple(lights), spacing_m)
 
 
-def _places(session: KeptSession, wanted: PlacementSettings) -> Job[tuple[ArrayF64, float]]:
+def find_places(session: KeptSession, wanted: PlacementSettings) -> Job[tuple[ArrayF64, float]]:
     """A job: (K, 3) positions, in metres, and their spacing; UserError where there are none."""
     yield Progress(0, 1, "looking for places")
     frames = [one.seen for one in session.frames]
@@ -205,7 +167,7 @@ def _places(session: KeptSession, wanted: PlacementSettings) -> Job[tuple[ArrayF
         find, what = functools.partial(places_among, upward_points(frames, wanted.reach_m)), "an upward surface"
     best: tuple[ArrayF64, float] | None = None
     for spacing_m in _spacings(wanted):
-        yield Progress(0, 1, f"looking for places {spacing_m:.2f} m apart")
+        yield Progress(0, 1, "looking for places")
         found = find(spacing_m)
         # Where cells are smaller than pixels are apart, wider ones have more places.
         if best is not None and len(found) < len(best[0]):

@@ -57,6 +57,12 @@ def test_all_of_the_tab_draws_without_an_error_in_a_room(tmp_path, scenario):
     played(scenario, tmp_path, blend=CORNELL_BOX)
 
 
+def test_where_to_look_is_said_after_a_run_and_a_camera_does_it(tmp_path):
+    facts = played("look_where", tmp_path).facts
+    assert f"at frame {facts['frame']}" in facts["said"]
+    assert facts["cameras"] == ["Phone", "Xihe Better Path"]
+
+
 def test_the_time_of_a_run_is_measured_by_a_click_and_one_that_would_see_nothing_is_refused(tmp_path):
     facts = played("how_long", tmp_path).facts
     assert facts["refused"].startswith("No virtual object is in view") and not facts["unshown_run"]

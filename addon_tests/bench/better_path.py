@@ -1,0 +1,132 @@
+"""How far does an advised second of looking lower the true error, beside a random second?
+
+    python addon_tests/bench/better_path.py SCENE.blend ... --out DIR [--part 0.25] [--random 4] [--most 4] [--turn 90]
+
+In each scene the phone captures a part of its path, the look is chosen for each virtual object, and the look, random
+ones and a light probe at the object are rendered. Scenes without virtual objects get a small sphere at each empty named
+`placement_...`, in memory. A random second is at a random frame and in a random direction within the same reach of the
+same phone, and is captured in the same way. Errors are SHC RMSE after the last frame of the part; both targets are held
+against the same captures. A row an object, random seconds by their mean; medians at the end, of those
+objects that there was advice for.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TextIO
+
+import bpy
+import numpy as np
+
+from xihe_blender.io.blender_output import blender_output_aside
+from xihe_blender.io.look_results import ObjectAdvice
+from xihe_blender.jobs import run_blocking
+from xihe_blender.previs.better_path import LookWishes, find_looks, object_positions, verify_looks
+from xihe_blender.previs.captured_path import CapturedPath, capture_path
+from xihe_blender.previs.settings import PrevisSettings, load_estimators
+from xihe_blender.scene.blend_file import open_blend
+from xihe_blender.scene.sphere_rig import sphere_mesh
+from xihe_blender.scene.state import scene_kept
+from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
+from xihenet.looks import LookSettings
+
+RADIUS_M = 0.05
+HEAD = "| scene, object | advice | seen | hdr error | lowered by | by random | ldr error | lowered by | by random |"
+
+
+def add_spheres(scene: bpy.types.Scene, most: int) -> None:
+    """A small sphere at each of the first placements of a scene that has no virtual object."""
+    if virtual_objects(scene):
+        return
+    collection = virtual_collection(scene, create=True)
+    for empty in sorted((o for o in scene.objects if o.name.startswith("placement_")), key=lambda o: o.name)[:most]:
+        ball = bpy.data.objects.new(empty.name.replace("placement", "ball"), sphere_mesh("Ball", RADIUS_M, 16, 8))
+        ball.location = empty.matrix_world.translation
+        collection.objects.link(ball)
+    bpy.context.view_layer.update()
+
+
+def of_target(captured: CapturedPath, target: str) -> CapturedPath:
+    """The same captures, for estimates of another target."""
+    settings = replace(captured.run.settings, target=target)
+    run = replace(captured.run, settings=settings, estimators=load_estimators(settings))
+    return CapturedPath(run, replace(captured.session, settings=settings))
+
+
+def tried(path: Path, options: argparse.Namespace) -> dict[str, list[ObjectAdvice]]:
+    """The advice for each object of a scene, with true errors, by target."""
+    scene = open_blend(path)
+    add_spheres(scene, options.most)
+    frames = list(range(scene.frame_start, scene.frame_end + 1, 1 if scene.frame_end < 30 else 2))
+    part = tuple(frames[: max(2, round(options.part * len(frames)))])
+    settings = PrevisSettings(preset="draft", size=options.size, frames=part, seed=options.seed)
+    looks = LookSettings(largest_turn_deg=options.turn, most_frames=options.tried)
+    wishes = LookWishes(is_verified=True, n_random=options.random, looks=looks)
+    with scene_kept():
+        objects = object_positions(scene, settings, None)
+        out = options.out / f"{path.stem}_{len(part)}"
+        captured = run_blocking(capture_path(scene, out, settings, "look", blend_file=path))
+        found = {}
+        for target in ("hdr", "ldr"):
+            of_one = of_target(captured, target)
+            advised = run_blocking(find_looks(of_one.session, objects, wishes.looks))
+            found[target] = [one.advice for one in run_blocking(verify_looks(of_one, advised, wishes))]
+    return found
+
+
+def row(scene: str, of_targets: Sequence[ObjectAdvice]) -> str:
+    """One object with each target."""
+    one = of_targets[0]
+    seen = f"{one.coverage:.0%} to {one.predicted_coverage:.0%}"
+    if one.look is None or one.true_errors is None:
+        return f"| {scene}, {one.name} | nothing | {seen} | | | | | | |"
+    cells = [f"{scene}, {one.name}", f"{one.look.words} at {one.look.frame}"]
+    cells += [f"{seen} (in truth {one.true_errors.coverage_after:.0%})"]
+    for true in (of_one.true_errors for of_one in of_targets if of_one.true_errors is not None):
+        cells += [f"{true.before:.3f} to {true.after:.3f}", f"{true.lowered:.0%}", f"{true.lowered_by_random or 0:.0%}"]
+    return f"| {' | '.join(cells)} |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scenes", nargs="+", type=Path)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--part", type=float, default=0.25, help="of the path that the phone goes")
+    parser.add_argument("--random", type=int, default=4, help="random seconds for each object")
+    parser.add_argument("--most", type=int, default=4, help="placements of a scene without virtual objects")
+    parser.add_argument("--size", type=lambda text: tuple(map(int, text.split("x"))), default=(128, 96))
+    parser.add_argument("--turn", type=float, default=LookSettings().largest_turn_deg, help="degrees at most")
+    parser.add_argument("--tried", type=int, default=LookSettings().most_frames, help="frames at which looks are tried")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    with blender_output_aside() as (stdout, _):
+        tell(options, stdout)
+
+
+def tell(options: argparse.Namespace, stdout: TextIO) -> None:
+    """Try every scene, and print the table as it grows."""
+    found: dict[str, list[ObjectAdvice]] = {"hdr": [], "ldr": []}
+    print(HEAD, "| --- " * 9 + "|", sep="\n", file=stdout, flush=True)
+    for path in options.scenes:
+        of_scene = tried(path, options)
+        for target, objects in of_scene.items():
+            found[target] += objects
+        rows = [row(path.stem, of_targets) for of_targets in zip(*of_scene.values(), strict=True)]
+        print(*rows, sep="\n", file=stdout, flush=True)
+    for target, objects in found.items():
+        true = [one.true_errors for one in objects if one.true_errors is not None]
+        advised = np.median([one.lowered for one in true])
+        each = [1 - error / one.before for one in true for error in one.random_after]
+        mean = np.median([one.lowered_by_random for one in true])
+        counts = (
+            f"{target}: {len(true)} of {len(objects)} objects; the advised second lowers the error by {advised:.1%} in"
+        )
+        by_chance = f"a random one by {np.median(each):.1%} (median of {len(each)}; {mean:.1%} of each object's mean)"
+        print(f"{counts} the median, {by_chance}", file=stdout)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,197 @@
+"""Where to look in a small room: the advice, its captures, its camera, and that nothing else is changed."""
+
+import contextlib
+import json
+from dataclasses import replace
+
+import bpy
+import numpy as np
+import pytest
+from previs_runs import QuickPrevis, counted_renders, files_below, run, unfinished_files
+from scene_snapshot import differences, snapshot
+from tiny_scenes import room_with_a_virtual_sphere, saved
+
+from xihe_blender.apply.datablocks import BETTER_PATH, better_path_camera, has_anything
+from xihe_blender.capture.render import RenderSettings
+from xihe_blender.capture.scanner import open_scanner
+from xihe_blender.capture.turned_camera import turned_camera
+from xihe_blender.errors import UserError
+from xihe_blender.io.json_records import as_json, from_json
+from xihe_blender.io.look_results import LookResults
+from xihe_blender.jobs import run_blocking
+from xihe_blender.previs.better_camera import (
+    add_better_camera,
+    check_camera_file,
+    poses_with_look,
+    remove_better_camera,
+    save_better_path,
+)
+from xihe_blender.previs.better_path import THE_MAP, LookWishes, better_path, find_looks
+from xihe_blender.previs.kept_session import open_kept_session
+
+CAPTURED = QuickPrevis(size=(32, 24), preset="draft", samples=2, exposure=1.0)
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    """The file of a room with a ball, whose path has three frames."""
+    room_with_a_virtual_sphere(3)
+    return saved(tmp_path_factory.mktemp("room") / "room.blend")
+
+
+@pytest.fixture
+def scene(room):
+    bpy.ops.wm.open_mainfile(filepath=str(room), load_ui=False)
+    return bpy.context.scene
+
+
+@pytest.fixture
+def out(room, tmp_path):
+    (tmp_path / "room.blend").write_bytes(room.read_bytes())
+    return tmp_path / "out"
+
+
+def looked(scene, out, settings=CAPTURED, wishes=None):
+    return run_blocking(better_path(scene, out, settings, wishes or LookWishes(), blend_file=out.parent / "room.blend"))
+
+
+def test_the_advice_is_written_and_leaves_the_scene_as_it_was(scene, out):
+    bpy.context.view_layer.update()
+    before = snapshot()
+    results = looked(scene, out, wishes=LookWishes(is_verified=True, n_random=2))
+    bpy.context.view_layer.update()
+    assert differences(before, snapshot()) == ({}, [])
+    written = json.loads((out / "look.json").read_text())
+    assert as_json(results) == written and from_json(LookResults, written) == results
+    (ball,) = results.objects
+    assert ball.name == "Ball" and ball.look.frame in results.frames
+    assert ball.predicted_coverage > ball.coverage and f"at frame {ball.look.frame}" in ball.sentence
+    true = ball.true_errors
+    assert true.coverage_after > ball.coverage and len(true.random_after) == len(true.random_looks) == 2
+    page = (out / "report.html").read_text()
+    assert "A better path: room.blend" in page and page.count("data:image/png") == 1
+    assert unfinished_files(out) == []
+
+
+def test_the_advice_goes_by_what_the_path_has_not_shown(scene, out):
+    (ball,) = looked(scene, out).objects
+    # The phone looks down along +Y: what it shows newly is elsewhere.
+    ahead = -np.array(scene.camera.matrix_world)[:3, 2]
+    assert ball.gain > 0.05 and np.array(ball.look.direction) @ ahead < 0.95
+    np.testing.assert_allclose(ball.look.place_m, _pose(scene, scene.camera, ball.look.frame)[:3, 3], atol=1e-5)
+
+
+def test_asking_again_costs_no_render(scene, out):
+    first = looked(scene, out, wishes=LookWishes(is_verified=True))
+    kept = files_below(out / "work")
+    with counted_renders() as renders:
+        again = looked(scene, out, wishes=LookWishes(objects=("Ball",), is_verified=True))
+    assert renders == [] and files_below(out / "work") == kept
+    assert again.objects == first.objects
+
+
+def test_a_stopped_advice_leaves_nothing_half_written_and_goes_on(scene, out):
+    wishes = LookWishes(is_verified=True)
+    with contextlib.closing(better_path(scene, out, CAPTURED, wishes, blend_file=out.parent / "room.blend")) as job:
+        for progress in job:
+            if "rendering a look" in progress.doing and progress.done:
+                break
+    assert not (out / "look.json").exists() and unfinished_files(out) == []
+    assert looked(scene, out, wishes=wishes).objects == looked(scene, out.parent / "whole", wishes=wishes).objects
+
+
+def test_the_map_needs_no_virtual_object(scene, out):
+    bpy.data.objects.remove(bpy.data.objects["Ball"])
+    (one,) = looked(scene, out, wishes=LookWishes(is_for_map=True)).objects
+    assert one.name == THE_MAP and len(one.positions_m) > 1 and one.look is not None
+
+
+def test_a_run_that_is_kept_gives_an_advice_without_a_render(scene, tmp_path):
+    run(scene, tmp_path / "run", replace(CAPTURED, frames=(1, 2, 3)))
+    session = run_blocking(open_kept_session(tmp_path / "run"))
+    with counted_renders() as renders:
+        (found,) = run_blocking(find_looks(session, {"Ball": [np.array((0, 0, 0.85))]}, LookWishes().looks))
+    assert renders == [] and found.advice.look is not None
+
+
+def test_senseless_wishes_are_refused_before_anything_is_written(scene, out):
+    with pytest.raises(UserError, match="choose lattice"):
+        looked(scene, out, replace(CAPTURED, estimator="truth"))
+    with pytest.raises(UserError, match="there is no virtual object 'Vase'"):
+        looked(scene, out, wishes=LookWishes(objects=("Vase",)))
+    with pytest.raises(UserError, match="--random"):
+        LookWishes(n_random=-1)
+    assert not out.exists()
+
+
+# -------------------------------------------------------------------------------------------------------------- cameras
+
+
+def test_a_turned_camera_that_is_not_turned_sees_what_the_phone_sees(scene):
+    with open_scanner(scene, RenderSettings((32, 24), samples=1)) as scanner:
+        scanner.move_to(2)
+        own = scanner.acquire_environment_scan()
+        with turned_camera(scanner) as capture:
+            turned = capture(2, own.world_from_camera)
+        assert scanner.scene.camera == scene.camera
+    np.testing.assert_allclose(turned.world_from_camera, own.world_from_camera, atol=1e-6)
+    np.testing.assert_allclose(turned.plane_depth_m, own.plane_depth_m, rtol=1e-3)
+    assert turned.intrinsics == own.intrinsics and not [o for o in bpy.data.objects if o.name.startswith("Xihe Turned")]
+
+
+@pytest.fixture
+def away(scene, out):
+    return looked(scene, out).objects[0].look
+
+
+def test_the_better_camera_goes_the_path_looks_away_and_comes_back(scene, away):
+    scene.render.fps = 10
+    camera, last = add_better_camera(scene, replace(away, frame=2))
+    path = {frame: _pose(scene, scene.camera, frame) for frame in (1, 2, 3)}
+    poses = {frame: _pose(scene, camera, frame) for frame in range(1, last + 1)}
+    np.testing.assert_allclose(poses[1], path[1], atol=1e-4)
+    np.testing.assert_allclose(poses[2], path[2], atol=1e-4)
+    np.testing.assert_allclose(poses[last], path[3], atol=1e-4)
+    np.testing.assert_allclose(poses[last - 1], path[2], atol=1e-4)
+    ahead = np.array([-pose[:3, 2] for pose in poses.values()])
+    looking = (ahead @ np.array(away.direction) > 0.99).sum()
+    assert looking >= 10, "a second at 10 frames a second"
+    speed = np.degrees(np.arccos(np.clip((ahead[1:] * ahead[:-1]).sum(axis=1), -1, 1))) * 10
+    assert speed.max() < 120
+
+
+def test_remove_light_takes_the_better_camera_away(scene, away):
+    before = snapshot()
+    add_better_camera(scene, away)
+    add_better_camera(scene, away)
+    assert better_path_camera().name == BETTER_PATH and has_anything(scene)
+    remove_better_camera()
+    assert better_path_camera() is None and not has_anything(scene)
+    assert differences(before, snapshot()) == ({}, [])
+
+
+def test_a_copy_with_the_better_camera_is_saved_and_the_file_stays(scene, away, tmp_path):
+    before = snapshot()
+    save_better_path(scene, away, tmp_path / "better.blend")
+    assert differences(before, snapshot()) == ({}, []) and unfinished_files(tmp_path) == []
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "better.blend"), load_ui=False)
+    copy = bpy.context.scene
+    assert copy.camera.name == BETTER_PATH and copy.frame_end > 3
+
+
+def test_a_camera_file_must_be_another_blend(tmp_path):
+    with pytest.raises(UserError, match=r"is no \.blend"):
+        check_camera_file(tmp_path / "camera.mp4", tmp_path / "room.blend")
+    with pytest.raises(UserError, match="another file"):
+        check_camera_file(tmp_path / "room.blend", tmp_path / "room.blend")
+
+
+def test_a_look_takes_at_least_a_frame_each_way(away):
+    poses = poses_with_look([np.eye(4), np.eye(4)], 0, away, frames_per_s=0.1)
+    assert len(poses) >= 2 + 3
+    np.testing.assert_array_equal(poses[0], poses[-2])
+
+
+def _pose(scene, camera, frame):
+    scene.frame_set(frame)
+    return np.array(camera.matrix_world)

@@ -1,0 +1,78 @@
+"""Look Where? in the panel: the advice of the last run's frames, the camera that does it, and that both go again."""
+
+import bpy
+import pytest
+from addon_runs import registered_addon
+from previs_runs import counted_renders, run, walk
+from tiny_scenes import saved
+
+from xihe_blender.addon.look_operators import advice_for
+from xihe_blender.addon.overlay import arrow_corners
+from xihe_blender.addon.results_in_blender import show_results
+from xihe_blender.apply.datablocks import BETTER_PATH, better_path_camera
+from xihe_blender.jobs import run_blocking
+from xihe_blender.previs.better_path import looks_of_run
+from xihe_blender.scene.estimation_positions import named_positions
+
+
+@pytest.fixture(scope="module", autouse=True)
+def addon():
+    with registered_addon():
+        yield
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory):
+    """The folder of a run, and the file with its light."""
+    out = tmp_path_factory.mktemp("look") / "out"
+    scene = walk()
+    run(scene, out)
+    scene.xihe.run_folder = str(out)
+    show_results(scene, out)
+    saved(out / "after.blend")
+    return out
+
+
+@pytest.fixture
+def scene(ran):
+    bpy.ops.wm.open_mainfile(filepath=str(ran / "after.blend"), load_ui=False)
+    return bpy.context.scene
+
+
+def test_the_panel_says_what_the_function_says_without_a_render(scene, ran):
+    bpy.context.view_layer.objects.active = bpy.data.objects["Ball"]
+    with counted_renders() as renders:
+        assert bpy.ops.xihe.look_where() == {"FINISHED"}
+    places = list(named_positions(bpy.data.objects["Ball"], bpy.context.evaluated_depsgraph_get()).values())
+    (advice,) = run_blocking(looks_of_run(ran, {"Ball": places}))
+    (row,) = advice_for(bpy.context)
+    assert renders == [] and row.sentence == advice.sentence and row.frame == advice.look.frame
+    assert tuple(row.direction) == pytest.approx(advice.look.direction, abs=1e-6)
+
+
+def test_asking_again_replaces_the_advice_and_another_file_forgets_it(scene, ran):
+    for _ in range(2):
+        bpy.ops.xihe.look_where()
+    names = [row.name for row in advice_for(bpy.context)]
+    assert "Ball" in names and len(names) == len(set(names)) == len(bpy.context.window_manager.xihe.looks)
+    scene.xihe.run_folder = str(ran / "another")
+    assert advice_for(bpy.context) == []
+    bpy.ops.wm.open_mainfile(filepath=str(ran / "after.blend"), load_ui=False)
+    assert len(bpy.context.window_manager.xihe.looks) == 0
+
+
+def test_the_camera_comes_after_the_advice_and_goes_with_the_light(scene):
+    assert not bpy.ops.xihe.add_better_camera.poll()
+    bpy.ops.xihe.look_where()
+    own = scene.camera
+    assert bpy.ops.xihe.add_better_camera() == {"FINISHED"}
+    assert better_path_camera().name == BETTER_PATH and scene.camera == own
+    assert bpy.ops.xihe.remove_light() == {"FINISHED"}
+    assert better_path_camera() is None and BETTER_PATH not in bpy.data.cameras and BETTER_PATH not in bpy.data.actions
+
+
+def test_an_arrow_is_three_triangles_that_end_at_its_tip():
+    corners = arrow_corners((10.0, 10.0), (110.0, 10.0))
+    assert len(corners) == 9 and corners[-1] == (110.0, 10.0)
+    assert all(10.0 <= x <= 110.0 for x, _ in corners)
+    assert arrow_corners((5.0, 5.0), (5.0, 5.0)) == []

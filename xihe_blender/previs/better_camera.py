@@ -1,0 +1,121 @@
+"""The better camera: an animated camera that goes the path of the phone and does an advised look on the way.
+
+Every frame of the path is keyed. The look is put in after its frame, so that the path goes on later by as many frames
+as it takes; what else moves in the scene is not delayed. In a copy of the scene on request, or in the open file, where
+`datablocks.better_path_camera` finds it and Remove Light takes it away.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import bpy
+from mathutils import Matrix
+
+from xihe_blender.apply.datablocks import BETTER_PATH, better_path_camera
+from xihe_blender.capture.render import RenderSettings, working_scene
+from xihe_blender.capture.scanner import phone_camera
+from xihe_blender.errors import UserError
+from xihe_blender.io.look_results import LookAway
+from xihe_blender.io.outputs import written_whole
+from xihe_blender.scene.state import scene_kept
+from xihe_blender.scene.units import metres_per_unit
+from xihenet.looks import Look, turned_view
+from xihenet.records import ArrayF64
+
+
+def poses_with_look(path: Sequence[ArrayF64], index: int, away: LookAway, frames_per_s: float) -> list[ArrayF64]:
+    """World_from_camera, (4, 4), of every frame: those of `path`, and after the `index`-th the look there and back.
+
+    At least one frame is spent on the turn, on holding still and on the turn back, each.
+    """
+    start = path[index]
+    look = Look(away.frame, away.yaw_deg, away.pitch_deg, start, turned_view(start, away.yaw_deg, away.pitch_deg))
+    n_turn = max(1, math.ceil((away.whole_s - away.hold_s) / 2 * frames_per_s))
+    n_hold = max(1, round(away.hold_s * frames_per_s))
+    there = [look.pose(_softly(k / n_turn)) for k in range(1, n_turn + 1)]
+    return [*path[: index + 1], *there, *[look.end] * n_hold, *there[-2::-1], start, *path[index + 1 :]]
+
+
+def _softly(share: float) -> float:
+    """The share of the turn that is done after a share of its time: it starts and ends at rest."""
+    return share * share * (3 - 2 * share)
+
+
+def add_better_camera(scene: bpy.types.Scene, away: LookAway) -> tuple[bpy.types.Object, int]:
+    """The camera `Xihe Better Path` in the open file, in place of an earlier one, and its last frame.
+
+    The scene's own camera stays in use. UserError where the look's frame is not in the scene's range any more.
+    """
+    frames = range(scene.frame_start, scene.frame_end + 1)
+    if away.frame not in frames:
+        raise UserError(f"frame {away.frame} is outside the scene's range now: ask where to look again")
+    with scene_kept(), working_scene(scene, "Xihe Path", RenderSettings((64, 48), samples=1)) as working:
+        path = [_pose_at(working, frame) for frame in frames]
+    poses = poses_with_look(path, frames.index(away.frame), away, scene.render.fps / scene.render.fps_base)
+    remove_better_camera()
+    data = scene.camera.data.copy()
+    data.name = BETTER_PATH
+    camera = bpy.data.objects.new(BETTER_PATH, data)
+    camera[BETTER_PATH] = away.frame
+    scene.collection.objects.link(camera)
+    _key_poses(camera, poses, scene.frame_start, metres_per_unit(scene))
+    return camera, scene.frame_start + len(poses) - 1
+
+
+def _pose_at(scene: bpy.types.Scene, frame: int) -> ArrayF64:
+    scene.frame_set(frame)
+    return phone_camera(scene)[1]
+
+
+def _key_poses(camera: bpy.types.Object, poses: Sequence[ArrayF64], first: int, metres: float) -> None:
+    camera.rotation_mode = "QUATERNION"
+    before = None
+    for frame, pose in enumerate(poses, start=first):
+        turn = Matrix(pose[:3, :3]).to_quaternion()
+        if before is not None:
+            # Of the two that mean the same, the one that is near: between keys they are mixed.
+            turn.make_compatible(before)
+        camera.location, camera.rotation_quaternion = tuple(pose[:3, 3] / metres), turn
+        for name in ("location", "rotation_quaternion"):
+            camera.keyframe_insert(name, frame=frame)
+        before = turn
+
+
+def remove_better_camera() -> None:
+    """Take the camera away, with its data and its keys."""
+    camera = better_path_camera()
+    if camera is None:
+        return
+    action = None if camera.animation_data is None else camera.animation_data.action
+    bpy.data.cameras.remove(camera.data)  # With its data the object goes too.
+    if action is not None and not action.users:
+        bpy.data.actions.remove(action)
+
+
+def check_camera_file(path: Path, blend_file: Path) -> None:
+    """UserError unless `path` can be the copy of `blend_file` with the better camera."""
+    if path.suffix != ".blend":
+        raise UserError(f"{path} is no .blend: give --camera a file such as {path.with_suffix('.blend').name}")
+    if path.resolve() == blend_file.resolve():
+        raise UserError(f"{path} is the scene itself, which is not changed: give --camera another file")
+
+
+def save_better_path(scene: bpy.types.Scene, away: LookAway, path: Path) -> None:
+    """Save a copy of the open file whose scene goes the better path; the file itself stays as it is."""
+    switches = {marker: marker.camera for marker in scene.timeline_markers if marker.camera is not None}
+    own, last = scene.camera, scene.frame_end
+    try:
+        camera, scene.frame_end = add_better_camera(scene, away)
+        for marker in switches:  # They would take its place.
+            marker.camera = None
+        scene.camera = camera
+        with written_whole(path) as beside:
+            bpy.ops.wm.save_as_mainfile(filepath=str(beside), copy=True, compress=True)
+    finally:
+        scene.camera, scene.frame_end = own, last
+        for marker, before in switches.items():
+            marker.camera = before
+        remove_better_camera()

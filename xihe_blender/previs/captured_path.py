@@ -1,0 +1,89 @@
+"""A captured path: the camera path of a scene, rendered once without virtual objects, as the session of a phone.
+
+What asks about light at many places, or about other views, needs this and no ground truth. The captures are kept in the
+folder and taken up again there, for the same scene and settings, whatever is asked of them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from xihe_blender.capture.render import RenderSettings
+from xihe_blender.capture.scanner import sized_for
+from xihe_blender.io.folder_manifest import FolderManifest
+from xihe_blender.io.json_records import Parameters
+from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.jobs import Job
+from xihe_blender.previs.kept_session import KeptSession, kept_session
+from xihe_blender.previs.plan import DEFAULT_SIZE, PrevisPlan, check_nothing_is_missing, planned_frames
+from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
+from xihe_blender.previs.run_chain import walk_path
+from xihe_blender.previs.settings import PrevisSettings, load_estimators
+from xihenet import __version__
+
+SAMPLES = {"draft": 4, "balanced": 16, "accurate": 64}
+"""Per pixel of a capture, by preset: there is no position yet that a pilot could measure the noise at."""
+
+
+@dataclass(frozen=True, eq=False)
+class CapturedPath:
+    """The prepared run, and the session of its phone."""
+
+    run: PreparedRun
+    session: KeptSession
+
+    @property
+    def frames(self) -> tuple[int, ...]:
+        return tuple(one.seen.frame for one in self.session.frames)
+
+    @property
+    def parameters(self) -> Parameters:
+        """Of the capture, as results say them."""
+        names = ("estimator", "target", "preset", "samples", "seed", "phone", "n_anchors")
+        return {name: getattr(self.run.settings, name) for name in names} | {"size": self.session.size}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader has to know."""
+        return tuple(fault.said for fault in self.run.survey.faults)
+
+
+def capture_path(
+    scene: bpy.types.Scene, out: Path, settings: PrevisSettings, work: str, *, blend_file: Path
+) -> Job[CapturedPath]:
+    """A job: capture the path of `scene` in the folder `out`, which then is of this kind of `work` alone.
+
+    Renders change animated values in the scene: see `scene_kept`. UserError for a scene without a camera.
+    """
+    check_nothing_is_missing(scene)
+    settings = replace(settings, captured="path", samples=settings.samples or SAMPLES[settings.preset])
+    size = settings.size or sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1)).size
+    plan = PrevisPlan(tuple(planned_frames(scene, settings.frames)), size, (), ())
+    outputs, loaded = RunOutputs(out, blend_file.stem), load_estimators(settings)
+    manifest = FolderManifest(out, outputs.settings, work, _identity(scene, blend_file, settings, plan))
+    manifest.check()
+    survey = survey_run(scene, plan, outputs)
+    manifest.take()
+    run = yield from prepare_run(scene, plan, survey, outputs, settings, loaded)
+    yield from walk_path(run, keeps_session=True)
+    session = yield from kept_session(outputs, run.settings, size, run.exposure, sorted(run.needs.captured))
+    return CapturedPath(run, session)
+
+
+def _identity(scene: bpy.types.Scene, file: Path, settings: PrevisSettings, plan: PrevisPlan) -> dict[str, Any]:
+    """All that decides the captures, and nothing of what is asked of them."""
+    return {
+        "xihe": __version__,
+        "blender": bpy.app.version_string,
+        "blend_sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
+        "scene": scene.name,
+        "settings": asdict(replace(settings, objects=None)),
+        "phone": asdict(settings.profile),
+        "frames": plan.frames,
+        "size": plan.size,
+    }

@@ -1,0 +1,69 @@
+"""The room below the phone, seen from above with +Y up, as its frames show it: a picture to draw on.
+
+Points are painted in order of their height, as large as a few pixels, since they lie sparser than those.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from xihenet.camera import unproject_frame
+from xihenet.records import ArrayF64, RgbdFrame
+
+WIDTH_PX, HEIGHT_PX = 960, 720
+DIMMED = 0.7
+"""Of the room's own brightness, so that what is drawn stands out."""
+
+PIXELS_A_CELL = 3
+"""Across, of the room: points lie sparser than its pixels."""
+
+
+class RoomFromAbove:
+    """`picture` (H, W, 3), 0 to 255, of the room around `positions` (K, 3) and `rim_m` beyond them; world, metres."""
+
+    def __init__(self, frames: Sequence[RgbdFrame], positions: ArrayF64, rim_m: float) -> None:
+        low, high = positions[:, :2].min(axis=0) - rim_m, positions[:, :2].max(axis=0) + rim_m
+        self.pixels_per_m = float(min(WIDTH_PX / (high[0] - low[0]), HEIGHT_PX / (high[1] - low[1])))
+        self.width, self.height = (max(1, int(side)) for side in (high - low) * self.pixels_per_m)
+        self.low, self.high = low, high
+        self.picture = np.full((self.height, self.width, 3), 24.0)
+        self._paint(frames, float(positions[:, 2].max()))
+
+    def _paint(self, frames: Sequence[RgbdFrame], highest_m: float) -> None:
+        clouds = [unproject_frame(frame) for frame in frames]
+        eyes = float(np.mean([frame.world_from_camera[2, 3] for frame in frames]))
+        points = np.concatenate([cloud.points_m for cloud in clouds]).astype(np.float64)
+        srgb = np.concatenate([cloud.srgb for cloud in clouds])
+        kept = np.isfinite(points).all(axis=1) & (points[:, 2] < max(eyes, highest_m))
+        kept &= ((points[:, :2] > self.low) & (points[:, :2] < self.high)).all(axis=1)
+        points, srgb = points[kept], srgb[kept]
+        order = np.argsort(points[:, 2], kind="stable")
+        column, row = self.pixels(points[order])
+        for down in range(PIXELS_A_CELL):
+            for across in range(PIXELS_A_CELL):
+                at = np.minimum(row + down, self.height - 1), np.minimum(column + across, self.width - 1)
+                self.picture[at] = 255 * DIMMED * srgb[order]
+
+    def pixels(self, points: ArrayF64) -> tuple[ArrayF64, ArrayF64]:
+        """Column and row of points (K, 3), at the rim for those beyond it."""
+        column = ((points[:, 0] - self.low[0]) * self.pixels_per_m).astype(int).clip(0, self.width - 1)
+        row = ((self.high[1] - points[:, 1]) * self.pixels_per_m).astype(int).clip(0, self.height - 1)
+        return column, row
+
+    def square(self, place: ArrayF64, colour: ArrayLike, half: int) -> None:
+        """A square of 2 x `half` + 1 pixels."""
+        (x,), (y,) = self.pixels(place[None])
+        self.picture[max(0, y - half) : y + half + 1, max(0, x - half) : x + half + 1] = colour
+
+    def disc(self, place: ArrayF64, colour: ArrayLike, radius: float) -> None:
+        (x,), (y,) = self.pixels(place[None])
+        rows, columns = np.ogrid[: self.height, : self.width]
+        self.picture[(rows - y) ** 2 + (columns - x) ** 2 <= radius**2] = colour
+
+    def line(self, first: ArrayF64, last: ArrayF64, colour: ArrayLike, width: int) -> None:
+        n = max(2, int(2 * self.pixels_per_m * np.linalg.norm((last - first)[:2])))
+        for share in np.linspace(0, 1, n):
+            self.square(first + share * (last - first), colour, width // 2)
