@@ -153,8 +153,7 @@ def _hull_exit_m(support_m: ArrayF64, lattice: AnchorLattice) -> ArrayF64:
     A ray along d leaves the half-space of direction n at support(n) / (d . n); the first of all counts.
     """
     cosines = lattice.directions @ lattice.directions.T
-    with np.errstate(divide="ignore"):
-        exits = np.where(cosines > 0.05, np.maximum(support_m, 0.1) / np.maximum(cosines, 0.05), np.inf)
+    exits = np.where(cosines > 0.05, np.maximum(support_m, 0.1) / np.maximum(cosines, 0.05), np.inf)
     nearest: ArrayF64 = exits.min(axis=1)
     return np.where(np.isfinite(nearest), nearest, FAR_M).clip(0.1, FAR_M)
 

@@ -74,6 +74,7 @@ def _upward_points(frame: RgbdFrame, reach_m: float) -> ArrayF64:
     inner, right, left = points[1:-1, 1:-1], points[1:-1, 2:], points[1:-1, :-2]
     upper, lower = points[:-2, 1:-1], points[2:, 1:-1]
     known = is_valid[1:-1, 1:-1] & is_valid[1:-1, 2:] & is_valid[1:-1, :-2] & is_valid[:-2, 1:-1] & is_valid[2:, 1:-1]
+    # Pixels without a distance are not finite; `known` leaves them out.
     with np.errstate(invalid="ignore"):
         is_up = _looks_up(right - inner, upper - inner) & _looks_up(inner - left, inner - lower)
         is_near = np.linalg.norm(inner - frame.world_from_camera[:3, 3], axis=-1) <= reach_m

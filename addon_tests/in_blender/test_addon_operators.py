@@ -220,6 +220,11 @@ def test_grey_buttons_without_anything_say_what_to_do(tmp_path):
         "save_side_by_side": no_results,
         "open_report": no_results,
         "explain": "",
+        "look_where": no_results,
+        "add_better_camera": "Add a camera and animate it as the phone's path",
+        "map_places": no_results,
+        "go_to_place": "There is no map yet: press Map Room first",
+        "remove_map": "There is no map yet: press Map Room first",
         "remove_old_runs": f"There are no runs in {tmp_path}",
     }
 

@@ -88,7 +88,7 @@ class XIHE_OT_go_to_place(Action, bpy.types.Operator):
     bl_label = "Go to Place"
     bl_description = "Put the 3D cursor at this place and mark it. Shift S then moves the selected object there"
     bl_options = {"REGISTER", "UNDO"}
-    conditions = (polls.is_own_scene, has_map)
+    conditions = (polls.is_idle, polls.is_own_scene, has_map)
 
     index: bpy.props.IntProperty(name="Place", description="Number of the place on the map", min=0)
 
