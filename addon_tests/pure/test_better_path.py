@@ -34,6 +34,7 @@ def box_frame(pose, room=None, frame=1):
     room = np.eye(3) if room is None else room
     rays = pixel_rays(CAMERA) @ pose[:3, :3].T @ room
     place = room.T @ pose[:3, 3]
+    # A ray along a wall never meets it.
     with np.errstate(divide="ignore"):
         depth = np.where(rays > 0, (HALF_M - place) / rays, (-HALF_M - place) / rays).min(axis=-1)
     return frame_of(depth, CAMERA, pose, frame=frame)
