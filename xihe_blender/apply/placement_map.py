@@ -104,7 +104,9 @@ def _add_attributes(mesh: bpy.types.Mesh, places: Sequence[Place]) -> None:
 def _material() -> bpy.types.Material:
     """Shines in the colours of the attribute, whatever light there is."""
     material = bpy.data.materials.new(NAME)
-    material.use_nodes = True
+    # Blender 5 gives every material its nodes, and warns of the switch.
+    if material.node_tree is None:
+        material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
     nodes.clear()
     attribute, emission, output = (
