@@ -60,6 +60,12 @@ def wait_for_end(w):
     yield 0.5
 
 
+def wait_for_results(w, folder):
+    """Not merely for the end: on a busy machine a resumed run has not begun when its button was just clicked."""
+    yield from w.wait_until(lambda: run_folder() == folder and not job().is_running, "the run's results are shown")
+    yield 0.5
+
+
 def scenario(w):
     make_runs_short(bpy.context.scene)
     look_through_camera(w)
@@ -130,7 +136,7 @@ def left_and_found_again(w, file):
     yield from w.open_tab()
     yield from w.picture("found_again")
     yield from w.click_on("xihe.resume_run")
-    yield from wait_for_end(w)
+    yield from wait_for_results(w, folder)
     w.facts["found_again"] = {"error": job().error, "same": run_folder() == folder, "results": results()}
     w.facts["left"] = job().unshown_run
 
@@ -146,7 +152,7 @@ def stopped_and_resumed(w):
     w.facts["stopped"]["has_ended"] = (folder / "results.json").exists()
     yield from w.picture("stopped")
     yield from w.click_on("xihe.resume_run")
-    yield from wait_for_end(w)
+    yield from wait_for_results(w, folder)
     w.facts["resumed"] = {"error": job().error, "same": run_folder() == folder, "results": results()}
     yield from start(w)
     folder = Path(job().unshown_run)
