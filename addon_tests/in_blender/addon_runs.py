@@ -4,7 +4,8 @@ import contextlib
 
 import bpy
 import pytest
-from previs_runs import QuickPrevis, walk
+from previs_runs import QuickPrevis, run, walk
+from tiny_scenes import saved
 
 from xihe_blender import addon
 
@@ -55,6 +56,18 @@ def walk_for_the_panel(runs_folder, **settings):
     for name, value in settings.items():
         setattr(chosen, name, value)
     return scene
+
+
+def lit_walk(out):
+    """`out`, the folder of a run of `walk`, and in it `after.blend`, which shows its light. For a registered add-on."""
+    from xihe_blender.addon.results_in_blender import show_results
+
+    scene = walk()
+    run(scene, out)
+    scene.xihe.run_folder = str(out)
+    show_results(scene, out)
+    saved(out / "after.blend")
+    return out
 
 
 def poll_message(operator):

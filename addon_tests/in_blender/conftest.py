@@ -2,6 +2,7 @@
 
 import pytest
 from previs_runs import QuickPrevis, finished_run
+from tiny_scenes import room_with_a_virtual_sphere, saved
 
 
 @pytest.fixture(scope="module")
@@ -16,3 +17,17 @@ def small_light_probes():
 def finished(tmp_path_factory):
     """An undisturbed run of `walk`; nothing may change its folder."""
     return finished_run(tmp_path_factory.mktemp("finished") / "out")
+
+
+@pytest.fixture(scope="session")
+def room_file(tmp_path_factory):
+    """The file of a room with a ball, whose path has three frames."""
+    room_with_a_virtual_sphere(3)
+    return saved(tmp_path_factory.mktemp("room") / "room.blend")
+
+
+@pytest.fixture
+def out(room_file, tmp_path):
+    """A folder to be made, beside a copy of `room_file`."""
+    (tmp_path / "room.blend").write_bytes(room_file.read_bytes())
+    return tmp_path / "out"

@@ -32,6 +32,8 @@ if not can_denoise(bpy.context.scene):
     # Noise would trigger an estimate in every frame.
     DRAFT["noise_target"] = 0.01
 SMALL = QuickPrevis(**DRAFT)
+CAPTURED = QuickPrevis(size=(32, 24), preset="draft", samples=2, exposure=1.0)
+"""Of a path that is captured and asked about, without ground truth."""
 IPAD = replace(SMALL, phone="ipad_pro_lidar")
 N_FRAMES = 5
 LOOKS_AWAY = 3

@@ -5,13 +5,13 @@ import shutil
 import bpy
 import numpy as np
 import pytest
-from addon_runs import registered_addon
-from previs_runs import counted_renders, run, walk
+from addon_runs import lit_walk, registered_addon
+from previs_runs import counted_renders
 from shown_lights import keyed
-from tiny_scenes import key, saved, sphere
+from tiny_scenes import key, opened, sphere
 
 from xihe_blender.addon import live_light
-from xihe_blender.addon.results_in_blender import apply_results, show_results
+from xihe_blender.addon.results_in_blender import apply_results
 from xihe_blender.apply.datablocks import LightOf
 from xihe_blender.apply.sh_worlds import f_curves
 from xihe_blender.io.outputs import RunOutputs
@@ -30,20 +30,12 @@ def addon():
 
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory):
-    """The folder of a run, and the file with its light."""
-    out = tmp_path_factory.mktemp("live") / "out"
-    scene = walk()
-    run(scene, out)
-    scene.xihe.run_folder = str(out)
-    show_results(scene, out)
-    saved(out / "after.blend")
-    return out
+    return lit_walk(tmp_path_factory.mktemp("live") / "out")
 
 
 @pytest.fixture
 def scene(ran):
-    bpy.ops.wm.open_mainfile(filepath=str(ran / "after.blend"), load_ui=False)
-    return bpy.context.scene
+    return opened(ran / "after.blend")
 
 
 def misplaced(scene):

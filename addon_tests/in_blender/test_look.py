@@ -7,9 +7,9 @@ from dataclasses import replace
 import bpy
 import numpy as np
 import pytest
-from previs_runs import QuickPrevis, counted_renders, files_below, run, unfinished_files
+from previs_runs import CAPTURED, counted_renders, files_below, run, unfinished_files
 from scene_snapshot import differences, snapshot
-from tiny_scenes import room_with_a_virtual_sphere, saved
+from tiny_scenes import opened
 
 from xihe_blender.apply.datablocks import BETTER_PATH, better_path_camera, has_anything
 from xihe_blender.capture.render import RenderSettings
@@ -29,26 +29,10 @@ from xihe_blender.previs.better_camera import (
 from xihe_blender.previs.better_path import THE_MAP, LookWishes, better_path, find_looks
 from xihe_blender.previs.kept_session import open_kept_session
 
-CAPTURED = QuickPrevis(size=(32, 24), preset="draft", samples=2, exposure=1.0)
-
-
-@pytest.fixture(scope="module")
-def room(tmp_path_factory):
-    """The file of a room with a ball, whose path has three frames."""
-    room_with_a_virtual_sphere(3)
-    return saved(tmp_path_factory.mktemp("room") / "room.blend")
-
 
 @pytest.fixture
-def scene(room):
-    bpy.ops.wm.open_mainfile(filepath=str(room), load_ui=False)
-    return bpy.context.scene
-
-
-@pytest.fixture
-def out(room, tmp_path):
-    (tmp_path / "room.blend").write_bytes(room.read_bytes())
-    return tmp_path / "out"
+def scene(room_file):
+    return opened(room_file)
 
 
 def looked(scene, out, settings=CAPTURED, wishes=None):

@@ -2,13 +2,12 @@
 
 import bpy
 import pytest
-from addon_runs import registered_addon
-from previs_runs import counted_renders, run, walk
-from tiny_scenes import saved
+from addon_runs import lit_walk, registered_addon
+from previs_runs import counted_renders
+from tiny_scenes import opened
 
 from xihe_blender.addon.look_operators import advice_for
 from xihe_blender.addon.overlay import arrow_corners
-from xihe_blender.addon.results_in_blender import show_results
 from xihe_blender.apply.datablocks import BETTER_PATH, better_path_camera
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.better_path import looks_of_run
@@ -23,20 +22,12 @@ def addon():
 
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory):
-    """The folder of a run, and the file with its light."""
-    out = tmp_path_factory.mktemp("look") / "out"
-    scene = walk()
-    run(scene, out)
-    scene.xihe.run_folder = str(out)
-    show_results(scene, out)
-    saved(out / "after.blend")
-    return out
+    return lit_walk(tmp_path_factory.mktemp("look") / "out")
 
 
 @pytest.fixture
 def scene(ran):
-    bpy.ops.wm.open_mainfile(filepath=str(ran / "after.blend"), load_ui=False)
-    return bpy.context.scene
+    return opened(ran / "after.blend")
 
 
 def test_the_panel_says_what_the_function_says_without_a_render(scene, ran):

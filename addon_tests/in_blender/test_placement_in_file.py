@@ -6,9 +6,9 @@ import bpy
 import numpy as np
 import pytest
 from addon_runs import registered_addon
-from previs_runs import QuickPrevis, counted_renders, run, walk
+from previs_runs import CAPTURED, counted_renders, run, walk
 from scene_snapshot import differences, snapshot
-from tiny_scenes import saved
+from tiny_scenes import opened, saved
 
 from xihe_blender.addon.placement_map import Squares, format_place
 from xihe_blender.apply.placement_map import (
@@ -21,8 +21,6 @@ from xihe_blender.apply.placement_map import (
 from xihe_blender.io.placement_results import Place, error_range
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.placement import PlacementSettings, placement
-
-CAPTURED = QuickPrevis(size=(32, 24), preset="draft", samples=2, exposure=1.0)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -44,8 +42,7 @@ def ran(tmp_path_factory):
 
 @pytest.fixture
 def scene(ran):
-    bpy.ops.wm.open_mainfile(filepath=str(ran.parent / "room.blend"), load_ui=False)
-    return bpy.context.scene
+    return opened(ran.parent / "room.blend")
 
 
 def values(name):

@@ -8,9 +8,9 @@ from dataclasses import replace
 import bpy
 import numpy as np
 import pytest
-from previs_runs import SMALL, QuickPrevis, counted_renders, files_below, look_away, run, unfinished_files
+from previs_runs import CAPTURED, SMALL, counted_renders, files_below, look_away, run, unfinished_files
 from scene_snapshot import differences, snapshot
-from tiny_scenes import room_with_a_virtual_sphere, saved
+from tiny_scenes import opened
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import as_json, from_json
@@ -19,31 +19,16 @@ from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.placement import PlacementSettings, placement
 from xihe_blender.scene.virtual_objects import virtual_objects
 
-CAPTURED = QuickPrevis(size=(32, 24), preset="draft", samples=2, exposure=1.0)
 FEW = PlacementSettings(spacing_m=0.5)
 
 
-@pytest.fixture(scope="module")
-def room(tmp_path_factory):
-    """The file of a room with a ball, whose path has three frames."""
-    room_with_a_virtual_sphere(3)
-    return saved(tmp_path_factory.mktemp("room") / "room.blend")
-
-
 @pytest.fixture
-def scene(room):
-    bpy.ops.wm.open_mainfile(filepath=str(room), load_ui=False)
-    return bpy.context.scene
+def scene(room_file):
+    return opened(room_file)
 
 
 def mapped(scene, out, settings=CAPTURED, wanted=FEW):
     return run_blocking(placement(scene, out, settings, wanted, blend_file=out.parent / "room.blend"))
-
-
-@pytest.fixture
-def out(room, tmp_path):
-    (tmp_path / "room.blend").write_bytes(room.read_bytes())
-    return tmp_path / "out"
 
 
 def test_a_map_has_places_with_their_light_and_leaves_the_scene_as_it_was(scene, out):

@@ -178,3 +178,9 @@ def saved(path):
     """`path`, to which the open file was saved as a copy."""
     bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True)
     return path
+
+
+def opened(path):
+    """The scene of the file at `path`, which is opened."""
+    bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False)
+    return bpy.context.scene

@@ -23,10 +23,8 @@ from xihe_blender.addon.background_run import BackgroundRun
 from xihe_blender.addon.calibration import calibration_line
 from xihe_blender.addon.look_operators import advice_for
 from xihe_blender.addon.polls import doubts, has_camera, has_virtual_objects, shows_run
-from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.addon.runs_folder import last_run
 from xihe_blender.apply.datablocks import live_positions
-from xihe_blender.apply.placement_map import MapOf, placement_map
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.formats import format_duration
 
@@ -341,36 +339,6 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         row.operator("wm.path_open", text="", icon="FILE_FOLDER").filepath = settings.run_folder
 
 
-class XIHE_PT_placement(StagePanel, bpy.types.Panel):
-    bl_label = "Placement Map"
-    bl_parent_id = "XIHE_PT_results"
-    bl_options = {"DEFAULT_CLOSED"}
-
-    def draw(self, context: bpy.types.Context) -> None:
-        layout, settings, item = self.layout, context.scene.xihe, placement_map()
-        row = layout.row(align=True)
-        row.prop(settings, "maps_air")
-        height = row.row(align=True)
-        height.active = settings.maps_air
-        height.prop(settings, "map_height_m", text="")
-        row = layout.row(align=True)
-        row.operator("xihe.map_places", icon="MOD_HUE_SATURATION")
-        if item is None:
-            return
-        row.prop(settings, "show_map", text="", icon="HIDE_OFF")
-        row.operator("xihe.remove_map", text="", icon="TRASH")
-        shown = MapOf.read(item.data)
-        if Path(shown.folder) != last_run_folder(context.scene):
-            sentence(context, layout, "The map is of an earlier run: map the room again", icon="INFO")
-        row = layout.row()
-        for heading, indices in (("Best", shown.best), ("Worst", shown.worst)):
-            column = row.column(align=True)
-            column.label(text=heading)
-            for index in indices:
-                error = item.data.attributes["expected_error"].data[index].value
-                column.operator("xihe.go_to_place", text=f"{error:.3f}").index = index
-
-
 def _draw_moved(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
     """What is known of the light at objects that were moved since the run, and that all below is of the run."""
     moved = live_positions()
@@ -492,6 +460,5 @@ classes = (
     XIHE_PT_run,
     XIHE_PT_apply,
     XIHE_PT_results,
-    XIHE_PT_placement,
 )
 register, unregister = bpy.utils.register_classes_factory(classes)

@@ -8,6 +8,7 @@ watches the mouse, which keeps Blender from saving its own backups for as long a
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import bpy
@@ -16,6 +17,7 @@ from xihe_blender.addon import polls
 from xihe_blender.addon.failures import Action
 from xihe_blender.addon.modal_job import ModalJob
 from xihe_blender.addon.overlay import draw_text, text_width
+from xihe_blender.addon.panels import StagePanel, sentence
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.apply.placement_map import (
     COLOURS,
@@ -124,6 +126,36 @@ def format_place(item: bpy.types.Object, index: int) -> str:
     red, green, blue = place.irradiance
     light = f"irradiance {red:.2g} {green:.2g} {blue:.2g}"
     return f"expected error {place.expected_error:.3f}, coverage {place.coverage:.0%}, {light}"
+
+
+class XIHE_PT_placement(StagePanel, bpy.types.Panel):
+    bl_label = "Placement Map"
+    bl_parent_id = "XIHE_PT_results"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings, item = self.layout, context.scene.xihe, placement_map()
+        row = layout.row(align=True)
+        row.prop(settings, "maps_air")
+        height = row.row(align=True)
+        height.active = settings.maps_air
+        height.prop(settings, "map_height_m", text="")
+        row = layout.row(align=True)
+        row.operator("xihe.map_places", icon="MOD_HUE_SATURATION")
+        if item is None:
+            return
+        row.prop(settings, "show_map", text="", icon="HIDE_OFF")
+        row.operator("xihe.remove_map", text="", icon="TRASH")
+        shown = MapOf.read(item.data)
+        if Path(shown.folder) != last_run_folder(context.scene):
+            sentence(context, layout, "The map is of an earlier run: map the room again", icon="INFO")
+        row = layout.row()
+        for heading, indices in (("Best", shown.best), ("Worst", shown.worst)):
+            column = row.column(align=True)
+            column.label(text=heading)
+            for index in indices:
+                error = item.data.attributes["expected_error"].data[index].value
+                column.operator("xihe.go_to_place", text=f"{error:.3f}").index = index
 
 
 # -------------------------------------------------------------------------------------------------------- over the view
@@ -298,13 +330,13 @@ class XIHE_GGT_placement_map(bpy.types.GizmoGroup):
         self.gizmos.new(XIHE_GT_mouse.bl_idname)
 
 
-_operators = (XIHE_OT_map_places, XIHE_OT_go_to_place, XIHE_OT_remove_map)
+_classes = (XIHE_OT_map_places, XIHE_OT_go_to_place, XIHE_OT_remove_map, XIHE_PT_placement)
 _gizmos = (XIHE_GT_mouse, XIHE_GGT_placement_map)
 
 
 def register() -> None:
     global _view
-    for one in (*_operators, *(() if bpy.app.background else _gizmos)):
+    for one in (*_classes, *(() if bpy.app.background else _gizmos)):
         bpy.utils.register_class(one)
     if not bpy.app.background:
         _view = MapView()
@@ -315,5 +347,5 @@ def unregister() -> None:
     if _view is not None:
         _view.remove()
         _view = None
-    for one in reversed((*_operators, *(() if bpy.app.background else _gizmos))):
+    for one in reversed((*_classes, *(() if bpy.app.background else _gizmos))):
         bpy.utils.unregister_class(one)

@@ -33,6 +33,17 @@ def adder(parser: argparse._ActionsContainer) -> Callable[..., None]:
     return add
 
 
+def add_capture(add: Callable[..., None]) -> None:
+    """The arguments of all commands that capture the camera path of one scene and estimate light from it."""
+    add("--frames A:B[:S]", FRAMES, frame_range)
+    add("--estimator NAME", f"{ESTIMATORS}; default: {estimators.DEFAULT}", default=estimators.DEFAULT)
+    add("--preset NAME", "draft, balanced or accurate: how much is rendered", default="balanced")
+    add("--size WxH", SIZE, picture_size)
+    add("--exposure FACTOR", "exposure of the phone, locked; default: metered", float)
+    add("--phone NAME|FILE.toml", PHONES, default="perfect")
+    add("--seed N", "the same seed gives the same numbers", int, default=0)
+
+
 def settings_from(options: argparse.Namespace, kind: Callable[..., Settings], **others: Any) -> Settings:
     """The settings record `kind` with all options that are named as its fields are, and `others`."""
     fields = inspect.signature(kind).parameters
@@ -84,6 +95,7 @@ ESTIMATORS = one_of(estimators.names())
 FRAMES = "frames of the path; default: the scene's range and step"
 NETWORK = f"{one_of(LINKS)}: estimates arrive late; default: at once"
 PHONES = one_of([*profile_names(), "your own file"])
+SAMPLES = "samples of every capture; default: 4, 16 or 64, by preset"
 SCENE = "scene with an animated camera"
 SIZE = "size of captured pictures; default: 256x192, or 192x256 if the scene is upright"
 TARGET = "light to estimate and to compare with: all of it (hdr, the default) or clipped at white (ldr)"

@@ -9,7 +9,6 @@ from typing import Any
 from xihe_blender.cli import arguments
 from xihe_blender.cli.progress import progress_line
 from xihe_blender.jobs import run_blocking
-from xihenet import estimators
 
 MOMENTS = "frames in which errors are measured, evenly over those with the object in view; default: 4"
 
@@ -18,18 +17,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = arguments.adder(parser)
     add("scene SCENE.blend", arguments.SCENE, Path)
     add("--out DIR", "folder of the budget; what is rendered is kept in it and resumed", Path, required=True)
-    add("--frames A:B[:S]", arguments.FRAMES, arguments.frame_range)
+    arguments.add_capture(add)
     add("--objects A,B", "virtual objects; default: all", arguments.names)
     add("--moments N", MOMENTS, int, dest="n_moments", default=4)
-    add("--estimator NAME", f"{arguments.ESTIMATORS}; default: {estimators.DEFAULT}", default=estimators.DEFAULT)
-    add("--preset NAME", "draft, balanced or accurate: how much is rendered", default="balanced")
-    add("--size WxH", arguments.SIZE, arguments.picture_size)
     add("--samples N", "samples of every capture, and pictures of every light probe, whatever the noise", int)
-    add("--exposure FACTOR", "exposure of the phone, locked; default: metered", float)
     add("--metering NAME", "highlights, as phones do, or key; default: the phone's own")
-    add("--phone NAME|FILE.toml", arguments.PHONES, default="perfect")
     add("--network NAME", arguments.NETWORK)
-    add("--seed N", "the same seed gives the same numbers", int, default=0)
     add("--effect NAME=on|off|auto", arguments.EFFECT, dest="overrides", action="append", default=[])
 
 

@@ -10,13 +10,11 @@ from xihe_blender.cli import arguments
 from xihe_blender.cli.progress import progress_line
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihenet import estimators
 from xihenet.formats import format_percent
 
 OUT = "folder of the advice; captures in it are resumed, and used again for other objects"
 VERIFY = "render the advised look, random ones and a light probe at each object, and say the true errors"
 MAP = "one look for all places where an object could stand; needs no virtual object"
-SAMPLES = "samples of every capture; default: 4, 16 or 64, by preset"
 CAMERA = "save a copy of the scene whose camera does the look advised for the first object"
 
 
@@ -31,15 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--hold SECONDS", "for which the phone looks there; default: 1", float, dest="hold_s", default=1.0)
     add("--turn DEGREES", "that it may turn away at most; default: 90", float, dest="largest_turn_deg", default=90.0)
     add("--camera FILE.blend", CAMERA, Path)
-    add("--frames A:B[:S]", arguments.FRAMES, arguments.frame_range)
-    add("--estimator NAME", f"{arguments.ESTIMATORS}; default: {estimators.DEFAULT}", default=estimators.DEFAULT)
+    arguments.add_capture(add)
     add("--target", arguments.TARGET, choices=("ldr", "hdr"), default="hdr")
-    add("--preset NAME", "draft, balanced or accurate: how much is rendered", default="balanced")
-    add("--size WxH", arguments.SIZE, arguments.picture_size)
-    add("--samples N", SAMPLES, int)
-    add("--exposure FACTOR", "exposure of the phone, locked; default: metered", float)
-    add("--phone NAME|FILE.toml", arguments.PHONES, default="perfect")
-    add("--seed N", "the same seed gives the same numbers", int, default=0)
+    add("--samples N", arguments.SAMPLES, int)
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:

@@ -9,12 +9,10 @@ from typing import Any
 from xihe_blender.cli import arguments
 from xihe_blender.cli.progress import progress_line
 from xihe_blender.jobs import run_blocking
-from xihenet import estimators
 
 PLACES = "most places; default: 1000"
 VERIFY = "places whose light probe is rendered, to say how far the map is right; default: 0"
 OUT = "folder of the map; captures in it are resumed, and used again for other places"
-SAMPLES = "samples of every capture; default: 4, 16 or 64, by preset"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,15 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--reach METRES", "farthest from the camera that a place may be", float, dest="reach_m", default=5.0)
     add("--places N", PLACES, int, dest="most", default=1000)
     add("--verify N", VERIFY, int, dest="n_verified", default=0)
-    add("--frames A:B[:S]", arguments.FRAMES, arguments.frame_range)
-    add("--estimator NAME", f"{arguments.ESTIMATORS}; default: {estimators.DEFAULT}", default=estimators.DEFAULT)
+    arguments.add_capture(add)
     add("--target", arguments.TARGET, choices=("ldr", "hdr"), default="hdr")
-    add("--preset NAME", "draft, balanced or accurate: how much is rendered", default="balanced")
-    add("--size WxH", arguments.SIZE, arguments.picture_size)
-    add("--samples N", SAMPLES, int)
-    add("--exposure FACTOR", "exposure of the phone, locked; default: metered", float)
-    add("--phone NAME|FILE.toml", arguments.PHONES, default="perfect")
-    add("--seed N", "the same seed gives the same numbers", int, default=0)
+    add("--samples N", arguments.SAMPLES, int)
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 from xihe_blender.cli import arguments
 from xihe_blender.cli.progress import progress_line
 from xihe_blender.jobs import run_blocking
-from xihenet import estimators
 
 CAPTURED = "frames that are rendered: the whole path (default), or only those with a virtual object in view"
 NOISE_TARGET = "largest rendering noise, as a share of the light; default: 0.06, 0.03 or 0.015, by preset"
@@ -21,19 +20,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = arguments.adder(parser)
     add("scene SCENE.blend", arguments.SCENE, Path)
     add("--out DIR", "folder of the run; a stopped run in it is resumed", Path, required=True)
-    add("--frames A:B[:S]", arguments.FRAMES, arguments.frame_range)
+    arguments.add_capture(add)
     add("--captured path|in-view", CAPTURED, default="path")
     add("--objects A,B", "virtual objects; default: all", arguments.names)
-    add("--estimator NAME", f"{arguments.ESTIMATORS}; default: {estimators.DEFAULT}", default=estimators.DEFAULT)
     add("--others A,B", OTHERS, arguments.names, default=())
-    add("--preset NAME", "draft, balanced or accurate: how much is rendered", default="balanced")
-    add("--size WxH", arguments.SIZE, arguments.picture_size)
     add("--target", arguments.TARGET, choices=("ldr", "hdr"), default="hdr")
-    add("--exposure FACTOR", "exposure of the phone, locked; default: metered", float)
     add("--metering NAME", "highlights, as phones do, or key; default: the phone's own")
-    add("--phone NAME|FILE.toml", arguments.PHONES, default="perfect")
     add("--network NAME", arguments.NETWORK)
-    add("--seed N", "the same seed gives the same numbers", int, default=0)
     add("--effect NAME=on|off|auto", arguments.EFFECT, dest="overrides", action="append", default=[])
     add_one = arguments.adder(parser.add_mutually_exclusive_group())
     add_one("--noise-target SHARE", NOISE_TARGET, float)

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from xihe_blender.errors import UserError
-from xihe_blender.io.json_records import Parameters, Plain, from_json
+from xihe_blender.io.json_records import from_json
+from xihe_blender.io.path_results import PathResults
 from xihenet.formats import format_percent
 from xihenet.json_files import read_json
 
@@ -93,17 +94,10 @@ class ObjectBudget:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BudgetResults:
+class BudgetResults(PathResults):
     """The content of budget.json."""
 
-    software: dict[str, str]
-    machine: dict[str, Plain]
-    scene: Annotated[str, "file name"]
-    settings: Annotated[Parameters, "of the session"]
-    frames: Annotated[tuple[int, ...], "captured"]
-    exposure: Annotated[float, "of the session; errors carry it"]
     objects: tuple[ObjectBudget, ...]
-    notes: Annotated[tuple[str, ...], "what a reader has to know"] = ()
 
 
 def read_budget(folder: Path) -> BudgetResults:

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from xihe_blender.io.json_records import Parameters, Plain
+from xihe_blender.io.path_results import PathResults, Triple
 from xihenet.formats import format_percent
-
-Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,14 +80,7 @@ class ObjectAdvice:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LookResults:
+class LookResults(PathResults):
     """The content of look.json."""
 
-    software: dict[str, str]
-    machine: dict[str, Plain]
-    scene: Annotated[str, "file name"]
-    settings: Annotated[Parameters, "of the capture and of the looks"]
-    frames: Annotated[tuple[int, ...], "captured"]
-    exposure: Annotated[float, "of the session; errors carry it"]
     objects: tuple[ObjectAdvice, ...]
-    notes: Annotated[tuple[str, ...], "what a reader has to know"] = ()

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
-from xihe_blender.io.json_records import Parameters, Plain
+from xihe_blender.io.path_results import PathResults, Triple
 
 N_EXTREMES = 10
 """Places that are listed as the best, and as the worst."""
 
-Colour = tuple[float, float, float]
+Colour = Triple
 RAMP: tuple[Colour, ...] = ((46, 134, 222), (236, 226, 198), (214, 48, 49))
 """Red, green and blue, 0 to 255, from the least error to the largest. Nearly everyone tells blue from red."""
 
@@ -22,10 +22,10 @@ UNKNOWN: Colour = (128, 128, 128)
 class Place:
     """One place, and the light there after the last frame of the path."""
 
-    position_m: Annotated[tuple[float, float, float], "in the world"]
+    position_m: Annotated[Triple, "in the world"]
     coverage: Annotated[float, "share of the directions that were seen from there; 0 where it never was in view"]
     expected_error: Annotated[float | None, "SHC RMSE; None where nothing is known, or the estimator expects none"]
-    irradiance: Annotated[tuple[float, float, float] | None, "upwards, scene radiance x sr; None: unknown"]
+    irradiance: Annotated[Triple | None, "upwards, scene radiance x sr; None: unknown"]
     true_error: Annotated[float | None, "SHC RMSE against a rendered light probe; None without"] = None
 
     def colour(self, error_range: tuple[float, float]) -> Colour:
@@ -51,21 +51,14 @@ class Verified:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlacementResults:
+class PlacementResults(PathResults):
     """The content of placement.json."""
 
-    software: dict[str, str]
-    machine: dict[str, Plain]
-    scene: Annotated[str, "file name"]
-    settings: Annotated[Parameters, "of the capture and of the places"]
-    frames: Annotated[tuple[int, ...], "captured"]
-    exposure: Annotated[float, "of the session; errors carry it"]
     spacing_m: Annotated[float, "between places"]
     clearance_m: Annotated[float | None, "of places above their surface; None for places in free air"]
     n_unknown: Annotated[int, "places that were never in view, or whose light is not known"]
     places: tuple[Place, ...]
     verified: Annotated[Verified | None, "None where nothing was verified"] = None
-    notes: Annotated[tuple[str, ...], "what a reader has to know"] = ()
 
     @property
     def best_first(self) -> list[Place]:

@@ -24,9 +24,8 @@ from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.look_results import LookAway, LookResults, ObjectAdvice, TrueErrors
 from xihe_blender.io.outputs import write_json
-from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.previs.captured_path import CapturedPath, capture_path
+from xihe_blender.previs.captured_path import CapturedPath, capture_path, said_of_path
 from xihe_blender.previs.kept_session import KeptSession, open_kept_session
 from xihe_blender.previs.look_pictures import write_pictures
 from xihe_blender.previs.placement import PlacementSettings, find_places
@@ -105,14 +104,8 @@ def better_path(
         if wishes.is_verified:
             found = yield from verify_looks(captured, found, wishes)
     results = LookResults(
-        software=software(command),
-        machine={**machine()},
-        scene=blend_file.name,
-        settings={**captured.parameters, **asdict(wishes.looks)},
-        frames=captured.frames,
-        exposure=captured.session.exposure,
+        **said_of_path(captured.run, blend_file, command, asdict(wishes.looks)),
         objects=tuple(one.advice for one in found),
-        notes=captured.notes,
     )
     yield Progress(1, 1, "writing the report")
     pictures = write_pictures(out, [one.seen for one in captured.session.frames], results)

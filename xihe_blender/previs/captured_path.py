@@ -18,6 +18,7 @@ from xihe_blender.capture.scanner import sized_for
 from xihe_blender.io.folder_manifest import FolderManifest
 from xihe_blender.io.json_records import Parameters
 from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job
 from xihe_blender.previs.kept_session import KeptSession, kept_session
 from xihe_blender.previs.plan import DEFAULT_SIZE, PrevisPlan, check_nothing_is_missing, planned_frames
@@ -41,16 +42,20 @@ class CapturedPath:
     def frames(self) -> tuple[int, ...]:
         return tuple(one.seen.frame for one in self.session.frames)
 
-    @property
-    def parameters(self) -> Parameters:
-        """Of the capture, as results say them."""
-        names = ("estimator", "target", "preset", "samples", "seed", "phone", "n_anchors")
-        return {name: getattr(self.run.settings, name) for name in names} | {"size": self.session.size}
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What a reader has to know."""
-        return tuple(fault.said for fault in self.run.survey.faults)
+def said_of_path(run: PreparedRun, blend_file: Path, command: str, asked: Parameters) -> dict[str, Any]:
+    """The fields of `PathResults`, with what was `asked` among the settings."""
+    names = ("estimator", "target", "preset", "samples", "seed", "phone", "network", "n_anchors")
+    chosen = {name: getattr(run.settings, name) for name in names}
+    return {
+        "software": software(command),
+        "machine": {**machine()},
+        "scene": blend_file.name,
+        "settings": {**chosen, "size": run.plan.size, **asked},
+        "frames": tuple(sorted(run.needs.captured)),
+        "exposure": run.exposure,
+        "notes": tuple(fault.said for fault in run.survey.faults),
+    }
 
 
 def capture_path(

@@ -37,7 +37,6 @@ from xihe_blender.io.budget_results import PARTS, BudgetPart, BudgetResults, Obj
 from xihe_blender.io.folder_manifest import FolderManifest
 from xihe_blender.io.json_records import as_json
 from xihe_blender.io.outputs import RunOutputs, write_json
-from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.previs.budget_chain import (
     EVERY_FRAME,
@@ -61,6 +60,7 @@ from xihe_blender.previs.budget_looks import (
     place_of,
     view_outputs,
 )
+from xihe_blender.previs.captured_path import said_of_path
 from xihe_blender.previs.path_renders import capture_path
 from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.plan import PrevisPlan, Probe, plan_previs
@@ -124,14 +124,7 @@ def error_budget(
         budget = yield from _rendered(run, n_moments)
     yield Progress(CAPTURE_SHARE + LOOK_SHARE + BALL_SHARE, 1, "running the chain with each part perfect")
     results = BudgetResults(
-        software=software(command),
-        machine={**machine()},
-        scene=file.name,
-        settings=_of_session(run),
-        frames=tuple(sorted(run.needs.captured)),
-        exposure=run.exposure,
-        objects=tuple(budget.of_object(item.name) for item in run.plan.objects),
-        notes=tuple(fault.said for fault in survey.faults),
+        **said_of_path(run, file, command, {}), objects=tuple(budget.of_object(item.name) for item in run.plan.objects)
     )
     write_budget_report(out / "report.html", results)
     write_json(out / "budget.json", as_json(results))
@@ -151,11 +144,6 @@ def _identity(scene: bpy.types.Scene, file: Path, settings: PrevisSettings, plan
         "size": plan.size,
         "objects": [item.name for item in plan.objects],
     }
-
-
-def _of_session(run: PreparedRun) -> dict[str, Any]:
-    names = ("estimator", "target", "preset", "samples", "seed", "phone", "network", "n_anchors")
-    return {name: getattr(run.settings, name) for name in names} | {"size": run.plan.size}
 
 
 # ------------------------------------------------------------------------------------------------------------- renders

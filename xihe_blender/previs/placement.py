@@ -22,9 +22,8 @@ from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.placement_results import N_EXTREMES, Place, PlacementResults, Verified, best_first
-from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress, part_of
-from xihe_blender.previs.captured_path import capture_path
+from xihe_blender.previs.captured_path import capture_path, said_of_path
 from xihe_blender.previs.kept_session import FoundLight, KeptSession
 from xihe_blender.previs.placement_pictures import write_pictures
 from xihe_blender.previs.plan import evenly_chosen
@@ -99,18 +98,12 @@ def placement(
         mapped = yield from map_places(session, wanted)
         places, verified = yield from _verified(run, mapped, wanted.n_verified)
     results = PlacementResults(
-        software=software(command),
-        machine={**machine()},
-        scene=blend_file.name,
-        settings={**captured.parameters, **asdict(wanted)},
-        frames=captured.frames,
-        exposure=run.exposure,
+        **said_of_path(captured.run, blend_file, command, asdict(wanted)),
         spacing_m=mapped.spacing_m,
         clearance_m=wanted.clearance_m if wanted.height_m is None else None,
         n_unknown=sum(place.expected_error is None for place in places),
         places=places,
         verified=verified,
-        notes=captured.notes,
     )
     yield Progress(1, 1, "writing the report")
     pictures = write_pictures(out, [one.seen for one in session.frames], results)
