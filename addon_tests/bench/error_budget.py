@@ -10,8 +10,11 @@ six sides, with its normals. Errors are root mean squares over its surface, in p
     clipping        an exposure at which nothing of the path is clipped
     delay           no network, and an estimate in every frame
     order 2         the nine coefficients that fit the ball best are taken off it: the rest is what order 2 lacks
-    sampling, network, hidden lamps    pictures from the object with another seed and four times the pixels; with hidden
-                    lamps visible to cameras, and as they are: the difference is added
+    sampling, network, hidden lamps    pictures from the object with another seed and four times the samples; with
+                    hidden lamps visible to cameras and shades without a shadow hidden from them, and as they are: the
+                    difference is added
+
+What the ball shows is taken to order 8, as the budget's is: finer than that is mostly grain of a path-traced ball.
 
     python addon_tests/bench/error_budget.py OUT SCENE.blend... [--phone NAME] [--network NAME] [--step N] [--all]
 
@@ -63,6 +66,7 @@ from xihenet.sh_basis import basis, per_coefficient
 N_LOOKS = 7  # frames of the longer path for each of the real one: six directions, then the phone's own
 BALL_RADIUS_M, BALL_SAMPLES = 0.002, 64
 NEW_SEED = 1
+ALL_ORDERS = 8
 OF_PICTURES = ("sampling", "network", "hidden_lamps")
 Prepare = Callable[[bpy.types.Scene, Probe], None]
 
@@ -237,6 +241,13 @@ def under(light: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return basis(normals, 2) @ (light * per_coefficient(satin_factors(2))[:, None])
 
 
+def fit(normals: np.ndarray, shown: np.ndarray, weights: np.ndarray, order: int) -> np.ndarray:
+    """(P, 3) the harmonics up to `order` that come closest to what is shown."""
+    table, root = basis(normals, order), np.sqrt(weights)[:, None]
+    found: np.ndarray = table @ np.linalg.lstsq(table * root, shown * root, rcond=None)[0]
+    return found
+
+
 def mean_square(values: np.ndarray, weights: np.ndarray) -> float:
     return float((np.square(values).mean(axis=1) * weights).sum())
 
@@ -270,15 +281,21 @@ def rendered_anew(case: Case, part: str) -> dict[tuple[str, int], np.ndarray]:
 
 
 def show_lamps(scene: bpy.types.Scene) -> None:
+    """To cameras, and what would hide them there but casts no shadow on the object not."""
     for item in scene.objects:
         if item.type == "LIGHT":
             item.visible_camera = True
+        elif not item.visible_shadow:
+            item.visible_camera = False
 
 
 def of_pictures(case: Case, part: str, light: np.ndarray, position_m: np.ndarray, frame: int) -> np.ndarray:
-    """`light` with `part` perfect, by new pictures from the object, of more pixels."""
+    """`light` with `part` perfect, by new pictures from the object, of more samples.
+
+    Of as many pixels: what the nearest point in each direction makes of a picture depends on how fine it is.
+    """
     scene, size = opened(case.file), case.budget.settings["size"]
-    settings = RenderSettings((2 * size[0], 2 * size[1]), 4 * (case.settings.samples or 8), NEW_SEED)
+    settings = RenderSettings(tuple(size), 4 * (case.settings.samples or 8), NEW_SEED)
     exposure = case.budget.exposure
 
     def look() -> list[tuple[RgbdFrame, np.ndarray]]:
@@ -311,11 +328,8 @@ def measure(case: Case, parts: list[str]) -> dict[str, float]:
     for (name, frame), _ in lights[""].items():
         position_m = probes[name].at(frame)
         normals, shown, weights = true_ball(case, position_m, frame)
+        fitted, shown = fit(normals, shown, weights, 2), fit(normals, shown, weights, ALL_ORDERS)
         brightness.append(mean_square(shown, weights))
-        table = basis(normals, 2)
-        fitted = (
-            table @ np.linalg.lstsq(table * np.sqrt(weights)[:, None], shown * np.sqrt(weights)[:, None], rcond=None)[0]
-        )
         for part, found in lights.items():
             light = found[name, frame]
             if part in OF_PICTURES:

@@ -12,7 +12,7 @@ import bpy
 
 from xihe_blender.addon import polls
 from xihe_blender.addon.failures import Action
-from xihe_blender.addon.modal_job import ModalJob
+from xihe_blender.addon.modal_job import ModalJob, redraw
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.jobs import Job
 from xihe_blender.scene.virtual_objects import virtual_objects
@@ -67,6 +67,7 @@ class XIHE_OT_look_where(polls.Conditional, ModalJob, bpy.types.Operator):
             if advice.look is not None:
                 row.place_m, row.direction = advice.look.place_m, advice.look.direction
                 row.frame, row.look = advice.look.frame, json.dumps(as_json(advice.look))
+        redraw(context.window_manager, has_view_changed=True)
         self.report({"INFO"}, "; ".join(f"{advice.name}: {advice.sentence}" for advice in result))
         return {"FINISHED"}
 

@@ -115,12 +115,13 @@ class RunUnderWay:
         self.end()
 
 
-def redraw(window_manager: bpy.types.WindowManager) -> None:
-    """Have the panel drawn anew, in every window, and not the view beside it."""
+def redraw(window_manager: bpy.types.WindowManager, *, has_view_changed: bool = False) -> None:
+    """Have the panel drawn anew, in every window; the 3D view beside it only where what is drawn over it changed."""
+    kinds = {"UI", "WINDOW"} if has_view_changed else {"UI"}
     for window in window_manager.windows:
         for area in window.screen.areas:
             for region in area.regions:
-                if area.type == "VIEW_3D" and region.type == "UI":
+                if area.type == "VIEW_3D" and region.type in kinds:
                     region.tag_redraw()
 
 

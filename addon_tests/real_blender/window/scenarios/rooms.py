@@ -12,6 +12,7 @@ def room_to_light():
     bpy.data.collections.remove(bpy.data.collections["Xihe Virtual"])
     scene.collection.objects.link(ball)
     ball.select_set(True)
+    scene.frame_set(scene.frame_start)
     bpy.context.view_layer.objects.active = ball
     return scene
 
