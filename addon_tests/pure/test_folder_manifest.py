@@ -34,6 +34,8 @@ def test_a_folder_is_taken_once_and_known_again(tmp_path):
         ({"frames": (1,)}, "another frames:"),
         ({"xihe": "2.0", "frames": (1,)}, "another version of xihe:"),
         ({"blender": "5.2"}, "another version of Blender:"),
+        ({"blend_sha256": "0f"}, "another scene file:"),
+        ({"work": "a map"}, "holds something else, not a run:"),
     ],
 )
 def test_what_differs_is_named_and_the_claim_stays(tmp_path, changed, words):

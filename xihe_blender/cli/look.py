@@ -56,14 +56,20 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         print(f"{one.name}: {one.sentence}", file=stdout)
         true = one.true_errors
         if true is not None:
-            line = (
-                f"  true error {true.before:.3f}, with the look {true.after:.3f} ({format_percent(true.lowered)} lower)"
-            )
+            line = f"  true error {true.before:.3f}, with the look {true.after:.3f} ({_change(true.lowered)})"
             if true.lowered_by_random is not None:
-                line += f"; a random look: {format_percent(true.lowered_by_random)} lower"
+                line += f"; a random look: {_change(true.lowered_by_random)}"
             print(line, file=stdout)
     look = next((one.look for one in results.objects if one.look is not None), None)
-    if options.camera is not None and look is not None:
-        save_better_path(scene, look, options.camera)
-        print(options.camera, file=stdout)
+    if options.camera is not None:
+        if look is None:
+            print(f"no camera in {options.camera}: there is no look that it could do", file=stdout)
+        else:
+            save_better_path(scene, look, options.camera)
+            print(options.camera, file=stdout)
     print(options.out / "report.html", file=stdout)
+
+
+def _change(lowered: float) -> str:
+    """Such as "12 % lower", of the share that was taken off an error."""
+    return f"{format_percent(abs(lowered))} {'lower' if lowered >= 0 else 'higher'}"

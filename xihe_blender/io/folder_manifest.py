@@ -17,6 +17,8 @@ from xihe_blender.io.outputs import write_json
 from xihenet.json_files import read_json
 
 NOT_COMPARED = "software"  # written down for the reader alone
+WORK = "work"  # what kind of work it is, where several kinds keep the same files
+WORDS = {"blend_sha256": "scene file"}
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,12 @@ class FolderManifest:
                 f"{self.file} is damaged, so nobody can tell what {self.folder} holds: choose another folder for "
                 "--out, or delete that one"
             )
+        held = kept.get(WORK)
+        if held != self.provenance.get(WORK):
+            raise UserError(
+                f"{self.folder} holds {held or 'something else'}, not {self.what}: choose another folder for --out, "
+                "or delete that one"
+            )
         different = differences(kept, json.loads(json.dumps(self.provenance)))
         if different:
             raise UserError(
@@ -81,7 +89,7 @@ def differences(kept: dict[str, Any], wanted: dict[str, Any]) -> list[str]:
     of_kept = kept.get("settings")
     settings = _other_names(of_kept if isinstance(of_kept, dict) else {}, wanted.get("settings", {}))
     others = _other_names({**kept, "settings": None}, {**wanted, "settings": None})
-    return [name.replace("_", " ") for name in (*settings, *others)]
+    return [WORDS.get(name, name.replace("_", " ")) for name in (*settings, *others)]
 
 
 VERSIONS = {"xihe": "version of xihe", "format": "version of xihe", "blender": "version of Blender"}

@@ -75,7 +75,7 @@ class ObjectAdvice:
         if self.expected_error is not None and self.predicted_error is not None:
             if self.predicted_error < self.expected_error:
                 return said + f", expected error from {self.expected_error:.2f} to {self.predicted_error:.2f}"
-            said += f"; the expected error stays at {self.expected_error:.2f}"
+            said += f", but the estimator expects no smaller error than {self.expected_error:.2f}"
         return said
 
 

@@ -96,7 +96,7 @@ def better_path(
     check_sees_whole_path(settings)
     with scene_kept():
         objects = {} if wishes.is_for_map else object_positions(scene, settings, wishes.objects)
-        captured = yield from capture_path(scene, out, settings, "look", blend_file=blend_file)
+        captured = yield from capture_path(scene, out, settings, "a better path", blend_file=blend_file)
         if wishes.is_for_map:
             places_m, _ = yield from find_places(captured.session, PlacementSettings(most=MAP_PLACES))
             objects = {THE_MAP: list(places_m)}

@@ -15,7 +15,7 @@ import bpy
 
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import sized_for
-from xihe_blender.io.folder_manifest import FolderManifest
+from xihe_blender.io.folder_manifest import WORK, FolderManifest
 from xihe_blender.io.json_records import Parameters
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.provenance import machine, software
@@ -70,7 +70,7 @@ def capture_path(
     size = settings.size or sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1)).size
     plan = PrevisPlan(tuple(planned_frames(scene, settings.frames)), size, (), ())
     outputs, loaded = RunOutputs(out, blend_file.stem), load_estimators(settings)
-    manifest = FolderManifest(out, outputs.settings, work, _identity(scene, blend_file, settings, plan))
+    manifest = FolderManifest(out, outputs.settings, work, {WORK: work, **_identity(scene, blend_file, settings, plan)})
     manifest.check()
     survey = survey_run(scene, plan, outputs)
     manifest.take()

@@ -34,7 +34,7 @@ import numpy as np
 from xihe_blender.capture.all_around import light_of_views, means_of_anchors
 from xihe_blender.errors import UserError
 from xihe_blender.io.budget_results import PARTS, BudgetPart, BudgetResults, ObjectBudget
-from xihe_blender.io.folder_manifest import FolderManifest
+from xihe_blender.io.folder_manifest import WORK, FolderManifest
 from xihe_blender.io.json_records import as_json
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import Job, Progress, part_of
@@ -136,7 +136,8 @@ def _identity(scene: bpy.types.Scene, file: Path, settings: PrevisSettings, plan
     return {
         "xihe": __version__,
         "blender": bpy.app.version_string,
-        "budget_of_sha256": hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else None,
+        WORK: "an error budget",
+        "blend_sha256": hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else None,
         "scene": scene.name,
         "settings": asdict(settings),
         "phone": asdict(settings.profile),

@@ -93,7 +93,7 @@ def placement(
     The captures are kept there and resumed. UserError for a scene without a camera, or where nothing is to be placed.
     """
     with scene_kept():
-        captured = yield from capture_path(scene, out, settings, "placement", blend_file=blend_file)
+        captured = yield from capture_path(scene, out, settings, "a placement map", blend_file=blend_file)
         run, session = captured.run, captured.session
         mapped = yield from map_places(session, wanted)
         places, verified = yield from _verified(run, mapped, wanted.n_verified)
