@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from xihe_blender.lab.rooms.arrange import FLAT_M, blocks_hole, collide
+from xihe_blender.lab.rooms.light_plan import DARK
 from xihe_blender.lab.rooms.outline import Outline, Rect, alcove_plan, box_plan, l_plan, turned
 from xihe_blender.lab.rooms.room_data import Room
-from xihe_blender.lab.rooms.rooms import is_varied, room_generator, sample_room
+from xihe_blender.lab.rooms.rooms import is_by_day, is_varied, room_generator, sample_room
 from xihe_blender.lab.rooms.varied_rooms import CLUTTER, SIZES, sample_varied_room
 from xihenet.training.rooms import split_of
 
@@ -140,3 +141,18 @@ def test_walls_look_outwards():
 def test_a_plan_that_is_none_is_refused(corners):
     with pytest.raises(ValueError, match="Outline"):
         Outline(corners)
+
+
+def test_a_room_by_day_is_the_same_room_with_its_lamps_off_and_one_without_windows_keeps_them():
+    for i in range(60):
+        usual, by_day = (sample_room(room_generator(8, i), by_day=chosen) for chosen in (False, True))
+        assert (usual.pieces, usual.windows) == (by_day.pieces, by_day.windows)
+        if by_day.windows:
+            assert by_day.regime not in DARK and not any(lamp.watts for lamp in by_day.lamps)
+        else:
+            assert by_day == usual and any(lamp.watts for lamp in usual.lamps)
+
+
+def test_training_rooms_alone_are_by_day():
+    chosen = {i for i in range(500) if is_by_day(3, i, 1.0)}
+    assert chosen == {i for i in range(500) if split_of((3, i)) == "train"} and not is_by_day(3, min(chosen), 0.0)

@@ -30,6 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         float,
         default=0.0,
     )
+    by_day = "share of the training rooms whose lamps are off, by day, where they have windows"
+    add("--by-day SHARE", by_day, float, default=0.0)
     add("--split NAME", "make only the train, validation or test rooms; default: all")
     add("--scheduler ADDRESS", scheduler)
     scene = actions.add_parser("scene", help="store a scene with a camera path as one more room")

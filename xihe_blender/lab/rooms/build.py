@@ -45,6 +45,7 @@ class BuildSettings:
     render: tuple[int, ...] = (128, 96, 4, 160, 2, 80)  # as `RoomRenderSettings.numbers` has them
     walk: int | None = None  # frames of a walk in place of the free views; None for free views
     varied: float = 0.0  # share of the training rooms that are far more varied than homes and offices, 0 to 1
+    by_day: float = 0.0  # share of the training rooms whose lamps are off, by day, where they have windows
     split: Split | None = None  # make the rooms of this split alone; None for all
     scheduler: str | None = None  # of Dask, by its address, whose workers make the rooms; None for processes of our own
 
@@ -57,8 +58,9 @@ class BuildSettings:
             raise UserError(f"--workers {self.n_workers}: give 1 or more")
         if self.walk is not None and not 2 <= self.walk <= MAX_WALK:
             raise UserError(f"--walk {self.walk}: give 2 to {MAX_WALK} frames")
-        if not 0 <= self.varied <= 1:
-            raise UserError(f"--varied {self.varied:g}: give a share between 0 and 1")
+        for name, share in (("varied", self.varied), ("by-day", self.by_day)):
+            if not 0 <= share <= 1:
+                raise UserError(f"--{name} {share:g}: give a share between 0 and 1")
         if self.split is not None and self.split not in SPLITS:
             raise UserError(f"--split {self.split}: choose one of {', '.join(SPLITS)}")
         if not self.wanted():
@@ -71,7 +73,7 @@ class BuildSettings:
     def provenance(self) -> dict[str, Any]:
         """What all rooms of a folder share. What the first data sets did not know is named where it is used."""
         shared = {"format": FORMAT_VERSION, "seed": self.seed, "render": list(self.render), "metering": METERING}
-        optional = {"walk": self.walk, "varied": self.varied}
+        optional = {"walk": self.walk, "varied": self.varied, "by_day": self.by_day}
         return shared | {name: value for name, value in optional.items() if value}
 
 
@@ -155,4 +157,5 @@ def _arguments(folder: Path, settings: BuildSettings, indices: Sequence[int]) ->
     """What `worker` is told."""
     arguments = ["--out", str(folder), "--seed", str(settings.seed), "--rooms", ",".join(str(i) for i in indices)]
     arguments += ["--settings", *(str(n) for n in settings.render), "--varied", str(settings.varied)]
+    arguments += ["--by-day", str(settings.by_day)]
     return arguments if settings.walk is None else [*arguments, "--walk", str(settings.walk)]

@@ -45,6 +45,8 @@ REGIMES = {
     "night": Regime(0.07, (0.001, 0.01), ("night",), 0.0, 0.0),
 }
 
+DARK = ("evening", "night")
+
 
 def sample_regime(rng: Rng, *, has_window: bool) -> str:
     """A regime by its share; a room without a window has its lamps on."""

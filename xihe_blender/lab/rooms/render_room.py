@@ -5,6 +5,7 @@ The phone's exposure is metered on the views themselves, as a capture meters it 
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass
@@ -18,7 +19,7 @@ from xihe_blender.capture.render import RenderSettings, render_passes
 from xihe_blender.capture.scanner import first_layer, open_scanner, phone_camera
 from xihe_blender.errors import UserError
 from xihe_blender.lab.rooms.build_room import build_room
-from xihe_blender.lab.rooms.rooms import is_varied, room_generator, sample_room, walk_generator
+from xihe_blender.lab.rooms.rooms import is_by_day, is_varied, room_generator, sample_room, walk_generator
 from xihe_blender.lab.rooms.store import FORMAT_VERSION, METERING, ArrayF16, StoredRoom, as_float16
 from xihe_blender.lab.rooms.varied_rooms import sample_varied_room
 from xihe_blender.lab.rooms.views import PhoneView, RoomRays, RoomTooFull, sample_positions, sample_views
@@ -68,17 +69,25 @@ class RoomRenderSettings:
 
 
 def make_room(
-    seed: int, index: int, settings: RoomRenderSettings, *, walk: int | None = None, varied: float = 0.0
+    seed: int,
+    index: int,
+    settings: RoomRenderSettings,
+    *,
+    walk: int | None = None,
+    varied: float = 0.0,
+    by_day: float = 0.0,
 ) -> StoredRoom:
     """Sample, build and render room `index` of the data set with `seed`; the open file is replaced.
 
-    `varied` is the share of the training rooms that are varied. With `walk` the views are so many frames of a walk, and
+    `varied` and `by_day` are shares of the training rooms: far more varied, and lit through windows alone. With `walk` the views are so many frames of a walk, and
     room, positions and their light are the same as without: the free views are drawn all the same. A room that offers
     too few places is drawn again from the same generator.
     UserError if Cycles cannot render.
     """
     rng = room_generator(seed, index)
-    sample = sample_varied_room if is_varied(seed, index, varied) else sample_room
+    sample = functools.partial(sample_room, by_day=is_by_day(seed, index, by_day))
+    if is_varied(seed, index, varied):
+        sample = sample_varied_room
     for _ in range(MAX_REDRAWS):
         room = sample(rng)
         scene = build_room(room)

@@ -14,7 +14,7 @@ import numpy as np
 from xihe_blender.lab.rooms import palette
 from xihe_blender.lab.rooms.arrange import Floor, Rng
 from xihe_blender.lab.rooms.furnishing import furnish
-from xihe_blender.lab.rooms.light_plan import REGIMES, sample_daylight, sample_lamps, sample_regime
+from xihe_blender.lab.rooms.light_plan import DARK, REGIMES, sample_daylight, sample_lamps, sample_regime
 from xihe_blender.lab.rooms.outline import Outline, Point, alcove_plan, box_plan, l_plan, turned
 from xihe_blender.lab.rooms.room_data import Hole, Room, Shell, Slope
 from xihenet.training.rooms import split_of
@@ -45,21 +45,36 @@ def walk_generator(seed: int, index: int) -> Rng:
 
 def is_varied(seed: int, index: int, share: float) -> bool:
     """Whether a room is one of the `share` that are varied, of the training rooms alone; a larger share adds some."""
-    draw = np.random.default_rng(np.random.SeedSequence([seed, index], spawn_key=(2,))).random()
+    return _is_chosen(seed, index, share, 2)
+
+
+def is_by_day(seed: int, index: int, share: float) -> bool:
+    """The same for rooms that have no light but what comes through their windows."""
+    return _is_chosen(seed, index, share, 3)
+
+
+def _is_chosen(seed: int, index: int, share: float, key: int) -> bool:
+    draw = np.random.default_rng(np.random.SeedSequence([seed, index], spawn_key=(key,))).random()
     return split_of((seed, index)) == "train" and bool(draw < share)
 
 
-def sample_room(rng: Rng) -> Room:
+def sample_room(rng: Rng, *, by_day: bool = False) -> Room:
+    """A room of a home or an office; `by_day` has its lamps off and no dark hour, if it has windows."""
     kind = str(rng.choice(list(KIND_SHARES), p=list(KIND_SHARES.values())))
     shell = sample_shell(rng, kind)
     floor = Floor(**vars(shell))
     furnish(rng, floor, kind)
     regime_name = sample_regime(rng, has_window=bool(shell.windows))
+    by_day = by_day and bool(shell.windows)
+    if by_day and regime_name in DARK:
+        regime_name = "mixed"
     regime = REGIMES[regime_name]
     daylight = sample_daylight(rng, floor, regime)
     glass_share = sum((w.high - w.low) * (w.top - w.bottom) for w in shell.windows) / shell.outline.area
     sky = float(np.sqrt(regime.sky[0] * regime.sky[1]))
     lamps = sample_lamps(rng, floor, kind, regime, sky * glass_share * 6.0)
+    if by_day:
+        lamps = tuple(replace(lamp, watts=0.0) for lamp in lamps)
     return Room(
         **vars(shell),
         kind=kind,

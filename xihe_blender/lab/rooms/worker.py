@@ -27,7 +27,12 @@ def make_rooms(options: argparse.Namespace, is_stopped: Callable[[], bool]) -> N
             return
         path = room_path(options.out, index)
         if not path.exists():
-            save_room(path, make_room(options.seed, index, settings, walk=options.walk, varied=options.varied))
+            save_room(
+                path,
+                make_room(
+                    options.seed, index, settings, walk=options.walk, varied=options.varied, by_day=options.by_day
+                ),
+            )
 
 
 def main() -> int:
@@ -38,6 +43,7 @@ def main() -> int:
     parser.add_argument("--rooms", required=True, help="numbers, separated by commas")
     parser.add_argument("--settings", type=int, nargs=6, required=True, metavar="N", help="sizes and samples")
     parser.add_argument("--varied", type=float, default=0.0, help="share of the training rooms that are varied")
+    parser.add_argument("--by-day", type=float, default=0.0, help="share of the training rooms lit by windows alone")
     parser.add_argument("--walk", type=int, metavar="F", help="frames of a walk in place of free views")
     options = parser.parse_args()
     # Ctrl-C reaches the whole group of processes; the build decides what it means. Told to end, finish the room:
