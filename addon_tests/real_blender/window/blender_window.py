@@ -19,7 +19,8 @@ from typing import Any
 SCRIPT = Path(__file__).resolve().parent / "run_scenario.py"
 COMPLAINT = re.compile(r"Traceback|Error|rna_uiItem|uiItem|not found|unsupported|leak", re.IGNORECASE)
 HARMLESS = re.compile(
-    r"^Info: |XDG_RUNTIME_DIR|CUEW|ALSA|libEGL|EGL|audio|libdecor|color management|OCIO|MESA|sync required",
+    r"^Info: |operator +\| (?!ERROR|WARNING)|XDG_RUNTIME_DIR|CUEW|ALSA|libEGL|EGL|audio|libdecor|color management|OCIO|"
+    r"MESA|sync required",
     re.IGNORECASE,
 )
 
