@@ -13,6 +13,7 @@ the network.
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -186,14 +187,17 @@ def build_cache(
     done = out / "settings.json"
     if done.exists() and json.loads(done.read_text()) == wanted:
         return
-    beside = out.with_name(f".{out.name}.part")
-    shutil.rmtree(beside, ignore_errors=True)
-    for split in SPLITS:
-        members = {path: seeds[path] for path in seeds if splits[path] == split and split in settings.only}
-        _build_split(members, beside / split, split, settings, progress)
-    (beside / "settings.json").write_text(json.dumps(wanted))
-    shutil.rmtree(out, ignore_errors=True)
-    beside.rename(out)
+    # Of this process alone: two trainings may sample the same clouds at once.
+    beside = out.with_name(f".{out.name}.{os.getpid()}.part")
+    try:
+        for split in SPLITS:
+            members = {path: seeds[path] for path in seeds if splits[path] == split and split in settings.only}
+            _build_split(members, beside / split, split, settings, progress)
+        (beside / "settings.json").write_text(json.dumps(wanted))
+        shutil.rmtree(out, ignore_errors=True)
+        beside.rename(out)
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
 
 
 def open_split(cache: Path, split: Split) -> CloudSet:
