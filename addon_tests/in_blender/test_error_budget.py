@@ -112,7 +112,9 @@ def room_around_a_ball(*lamps, n_frames=2, walls=0.5):
 
 def test_a_lamp_far_above_white_in_view_puts_clipping_first(tmp_path):
     scene = room_around_a_ball(((0, 1.97, 0), (3, 0.02, 3), 40.0), walls=0.02)
-    found = gains(budget(scene, tmp_path, replace(QUICK, exposure=0.2), n_moments=1))
+    # `lattice` guesses how bright the lamp is, and may be right.
+    settings = replace(QUICK, exposure=0.2, estimator="projection")
+    found = gains(budget(scene, tmp_path, settings, n_moments=1))
     assert max(found, key=found.get) == "clipping"
 
 

@@ -28,6 +28,7 @@ from xihe_blender.previs.better_camera import (
 )
 from xihe_blender.previs.better_path import THE_MAP, LookWishes, better_path, find_looks
 from xihe_blender.previs.kept_session import open_kept_session
+from xihenet.looks import LookSettings
 
 
 @pytest.fixture
@@ -179,3 +180,9 @@ def test_a_look_takes_at_least_a_frame_each_way(away):
 def _pose(scene, camera, frame):
     scene.frame_set(frame)
     return np.array(camera.matrix_world)
+
+
+def test_a_turn_too_small_for_any_look_is_told(scene, out):
+    wishes = LookWishes(looks=LookSettings(largest_turn_deg=1.0))
+    with pytest.raises(UserError, match="no look is within 1 degrees of the path: give a larger --turn"):
+        looked(scene, out, wishes=wishes)

@@ -136,7 +136,7 @@ def test_what_is_known_of_a_place_is_read_off_the_mesh(by_hand):
         assert shown.expected_error == pytest.approx(place.expected_error) and shown.coverage == pytest.approx(
             place.coverage
         )
-    assert format_place(by_hand, 0) == "expected error 0.100, coverage 90%, irradiance 1 2 3"
+    assert format_place(by_hand, 0) == "expected error 0.100, coverage 90%, estimated irradiance 1 2 3"
     assert format_place(by_hand, 2) == "coverage 0%, light unknown"
 
 

@@ -123,3 +123,15 @@ def test_a_run_and_a_map_are_told_apart(scene, out):
     run(scene, out, SMALL)
     with pytest.raises(UserError, match="choose another folder for --out"):
         mapped(scene, out)
+
+
+def test_as_few_places_as_one_are_found(scene, out):
+    assert len(mapped(scene, out, wanted=PlacementSettings(most=1)).places) == 1
+
+
+def test_a_report_of_somebody_else_is_left_alone(scene, out):
+    out.mkdir()
+    (out / "report.html").write_text("mine")
+    with pytest.raises(UserError, match=r"report\.html is there and not from a placement map"):
+        mapped(scene, out)
+    assert (out / "report.html").read_text() == "mine" and len(list(out.iterdir())) == 1

@@ -124,7 +124,7 @@ def format_place(item: bpy.types.Object, index: int) -> str:
     if place.expected_error is None:
         return f"coverage {place.coverage:.0%}, light unknown"
     red, green, blue = place.irradiance
-    light = f"irradiance {red:.2g} {green:.2g} {blue:.2g}"
+    light = f"estimated irradiance {red:.2g} {green:.2g} {blue:.2g}"
     return f"expected error {place.expected_error:.3f}, coverage {place.coverage:.0%}, {light}"
 
 

@@ -10,6 +10,7 @@ from xihe_blender.cli import arguments
 from xihe_blender.cli.progress import progress_line
 from xihe_blender.jobs import run_blocking
 
+SPACING = "between places, however many that makes; default: the finest that --places allows"
 PLACES = "most places; default: 1000"
 VERIFY = "places whose light probe is rendered, to say how far the map is right; default: 0"
 OUT = "folder of the map; captures in it are resumed, and used again for other places"
@@ -20,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("scene SCENE.blend", arguments.SCENE, Path)
     add("--out DIR", OUT, Path, required=True)
     add("--height METRES", "a grid in free air at this height; default: upward surfaces", float, dest="height_m")
-    add("--spacing METRES", "between places; default: the finest that --places allows", float, dest="spacing_m")
+    add("--spacing METRES", SPACING, float, dest="spacing_m")
     add("--clearance METRES", "of a place above its surface; default: 0.1", float, dest="clearance_m", default=0.1)
     add("--reach METRES", "farthest from the camera that a place may be", float, dest="reach_m", default=5.0)
     add("--places N", PLACES, int, dest="most", default=1000)
@@ -31,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
+    from xihe_blender.io.placement_results import ENOUGH
     from xihe_blender.previs.placement import PlacementSettings, placement
     from xihe_blender.previs.settings import PrevisSettings
     from xihe_blender.scene.blend_file import open_blend
@@ -50,7 +52,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         low, high = found.interval or (float("nan"), float("nan"))
         print(
             f"rank correlation with the true error at {found.n_places} places: {found.rank_correlation:.2f} "
-            f"({low:.2f} to {high:.2f})",
+            f"({low:.2f} to {high:.2f})" + (", too few to tell much" if found.n_places < ENOUGH else ""),
             file=stdout,
         )
     print(options.out / "report.html", file=stdout)

@@ -73,9 +73,10 @@ class ObjectAdvice:
         said = f"look {look.words} for {seconds} at frame {look.frame}: "
         said += f"directions seen from {format_percent(self.coverage)} to {format_percent(self.predicted_coverage)}"
         if self.expected_error is not None and self.predicted_error is not None:
-            if self.predicted_error < self.expected_error:
-                return said + f", expected error from {self.expected_error:.2f} to {self.predicted_error:.2f}"
-            said += f", but the estimator expects no smaller error than {self.expected_error:.2f}"
+            now, then = f"{self.expected_error:.2f}", f"{self.predicted_error:.2f}"
+            if self.predicted_error < self.expected_error and now != then:
+                return said + f", expected error from {now} to {then}"
+            said += f", but the estimator expects no smaller error than {now}"
         return said
 
 

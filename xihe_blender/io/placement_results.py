@@ -8,6 +8,9 @@ from typing import Annotated
 
 from xihe_blender.io.path_results import PathResults, Triple
 
+ENOUGH = 20
+"""Of verified places: with fewer, chance rules the rank correlation."""
+
 N_EXTREMES = 10
 """Places that are listed as the best, and as the worst."""
 
@@ -25,7 +28,7 @@ class Place:
     position_m: Annotated[Triple, "in the world"]
     coverage: Annotated[float, "share of the directions that were seen from there; 0 where it never was in view"]
     expected_error: Annotated[float | None, "SHC RMSE; None where nothing is known, or the estimator expects none"]
-    irradiance: Annotated[Triple | None, "upwards, scene radiance x sr; None: unknown"]
+    irradiance: Annotated[Triple | None, "upwards, as it is estimated, scene radiance x sr; None: unknown"]
     true_error: Annotated[float | None, "SHC RMSE against a rendered light probe; None without"] = None
 
     def colour(self, error_range: tuple[float, float]) -> Colour:

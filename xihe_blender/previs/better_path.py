@@ -171,6 +171,8 @@ def find_looks(session: KeptSession, objects: Targets, settings: LookSettings) -
     hull_m = room.hull_m(lattice)
     path = [(one.seen.frame, one.seen.world_from_camera) for one in session.frames]
     looks, found = looks_of(path, settings), []
+    if not looks:
+        raise UserError(f"no look is within {settings.largest_turn_deg:g} degrees of the path: give a larger --turn")
     for number, (name, positions_m) in enumerate(objects.items()):
         yield Progress(1 + number, 1 + len(objects), f"trying {len(looks)} looks for {name}")
         sampled = [[sample_unit_sphere(one.points, place, lattice) for one in session.frames] for place in positions_m]

@@ -70,7 +70,8 @@ def capture_path(
     size = settings.size or sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1)).size
     plan = PrevisPlan(tuple(planned_frames(scene, settings.frames)), size, (), ())
     outputs, loaded = RunOutputs(out, blend_file.stem), load_estimators(settings)
-    manifest = FolderManifest(out, outputs.settings, work, {WORK: work, **_identity(scene, blend_file, settings, plan)})
+    identity = {WORK: work, **_identity(scene, blend_file, settings, plan)}
+    manifest = FolderManifest(out, outputs.settings, work, identity, (out / "report.html",))
     manifest.check()
     survey = survey_run(scene, plan, outputs)
     manifest.take()

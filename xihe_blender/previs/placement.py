@@ -159,6 +159,7 @@ def find_places(session: KeptSession, wanted: PlacementSettings) -> Job[tuple[Ar
     else:
         find, what = functools.partial(places_among, upward_points(frames, wanted.reach_m)), "an upward surface"
     best: tuple[ArrayF64, float] | None = None
+    fewest: tuple[ArrayF64, float] | None = None
     for spacing_m in _spacings(wanted):
         yield Progress(0, 1, "looking for places")
         found = find(spacing_m)
@@ -167,9 +168,14 @@ def find_places(session: KeptSession, wanted: PlacementSettings) -> Job[tuple[Ar
             break
         if len(found) and (len(found) <= wanted.most or wanted.spacing_m is not None):
             best = found, spacing_m
+        elif len(found):
+            fewest = found, spacing_m
+    if best is None and fewest is not None:
+        best = np.array(evenly_chosen(list(fewest[0]), wanted.most)), fewest[1]
     if best is None:
         raise UserError(
-            f"the phone sees nowhere to put an object: no frame of the path shows {what} within {wanted.reach_m:g} m"
+            f"the phone sees nowhere to put an object: no frame of the path shows {what} within {wanted.reach_m:g} m "
+            "of the camera; give a larger --reach, or another --height"
         )
     clearance_m = 0.0 if wanted.height_m is not None else wanted.clearance_m
     return best[0] + (0, 0, clearance_m), best[1]

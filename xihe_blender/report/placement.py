@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 
-from xihe_blender.io.placement_results import N_EXTREMES, RAMP, Place, PlacementResults
+from xihe_blender.io.placement_results import ENOUGH, N_EXTREMES, RAMP, Place, PlacementResults
 from xihe_blender.report.document import document, png_url, table, write_document
 from xihe_blender.report.values import escape
 from xihenet.formats import format_count
@@ -51,7 +51,7 @@ def _opening(results: PlacementResults) -> str:
 
 
 def _table(places: Sequence[Place]) -> str:
-    head = ["x, y, z (m)", "expected error", "coverage", "irradiance upwards", "true error"]
+    head = ["x, y, z (m)", "expected error", "coverage", "estimated irradiance, upwards", "true error"]
     rows = [
         [
             ", ".join(f"{c:.2f}" for c in place.position_m),
@@ -79,6 +79,8 @@ def _verified(results: PlacementResults) -> str:
     if found.rank_correlation is not None:
         said += f"The rank correlation of expected and true error is {found.rank_correlation:.2f}"
         said += f" ({found.interval[0]:.2f} to {found.interval[1]:.2f} with 95 %). " if found.interval else ". "
+    if found.n_places < ENOUGH:
+        said += f"So few tell little: give <code>--verify</code> {ENOUGH} places or more. "
     if found.mean_error_of_best is not None and found.mean_error_of_worst is not None:
         said += f"The best of them have a true error of {found.mean_error_of_best:.3f} in the mean, "
         said += f"the worst {found.mean_error_of_worst:.3f}."

@@ -79,15 +79,14 @@ def make_room(
 ) -> StoredRoom:
     """Sample, build and render room `index` of the data set with `seed`; the open file is replaced.
 
-    `varied` and `by_day` are shares of the training rooms: far more varied, and lit through windows alone. With `walk` the views are so many frames of a walk, and
-    room, positions and their light are the same as without: the free views are drawn all the same. A room that offers
-    too few places is drawn again from the same generator.
+    `varied` and `by_day` are shares of the training rooms: far more varied, and lit through windows alone. With `walk`
+    the views are so many frames of a walk, and room, positions and their light are the same as without: the free views
+    are drawn all the same. A room that offers too few places is drawn again from the same generator.
     UserError if Cycles cannot render.
     """
     rng = room_generator(seed, index)
-    sample = functools.partial(sample_room, by_day=is_by_day(seed, index, by_day))
-    if is_varied(seed, index, varied):
-        sample = sample_varied_room
+    usual = functools.partial(sample_room, by_day=is_by_day(seed, index, by_day))
+    sample = sample_varied_room if is_varied(seed, index, varied) else usual
     for _ in range(MAX_REDRAWS):
         room = sample(rng)
         scene = build_room(room)
