@@ -114,7 +114,7 @@ def test_other_settings_and_a_changed_scene_are_refused_in_the_same_folder(folde
     before = files_below(finished[1])
     assert_refused(previs(folder / "walk.blend", finished[1], "--seed", 3), "another seed", "--out")
     walk()
-    assert_refused(previs(saved(tmp_path / "walk.blend"), finished[1]), "another blend", "--out")
+    assert_refused(previs(saved(tmp_path / "walk.blend"), finished[1]), "another scene file", "--out")
     assert files_below(finished[1]) == before
 
 
