@@ -49,7 +49,7 @@ from xihe_blender.previs.budget_chain import (
     sights_of_path,
 )
 from xihe_blender.previs.error_budget import error_budget, lights_from_all_around
-from xihe_blender.previs.path_renders import capture_path
+from xihe_blender.previs.path_renders import render_captures
 from xihe_blender.previs.plan import Probe, plan_previs
 from xihe_blender.previs.prepare import prepare_run, survey_run
 from xihe_blender.previs.run_chain import phone_of_captures
@@ -101,7 +101,7 @@ class Case:
         survey = survey_run(scene, plan, outputs)
         with scene_kept():
             run = run_blocking(prepare_run(scene, plan, survey, outputs, settings, load_estimators(settings)))
-            run_blocking(capture_path(run))
+            run_blocking(render_captures(run))
         phone, found = phone_of_captures(run, {}), {}
         moments = {last_of(frame, n_looks): frame for frame in self.item.moments}
         parts = SessionParts(sights_of_path(run, phone), run.settings.trigger, phone.link_in_use, run.estimator, {})

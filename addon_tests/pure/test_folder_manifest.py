@@ -1,6 +1,7 @@
 """Whose folder is it? Nothing is taken up that was made otherwise, and nothing is overwritten."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -35,7 +36,6 @@ def test_a_folder_is_taken_once_and_known_again(tmp_path):
         ({"xihe": "2.0", "frames": (1,)}, "another version of xihe:"),
         ({"blender": "5.2"}, "another version of Blender:"),
         ({"blend_sha256": "0f"}, "another scene file:"),
-        ({"work": "a map"}, "holds something else, not a run:"),
     ],
 )
 def test_what_differs_is_named_and_the_claim_stays(tmp_path, changed, words):
@@ -44,6 +44,13 @@ def test_what_differs_is_named_and_the_claim_stays(tmp_path, changed, words):
     with pytest.raises(UserError, match=words):
         manifest_in(tmp_path, **changed).take()
     assert manifest_in(tmp_path).file.read_bytes() == before
+
+
+def test_a_folder_of_another_kind_of_work_is_refused_by_its_name(tmp_path):
+    manifest_in(tmp_path, work="a run").take()
+    assert manifest_in(tmp_path, work="a run").check()
+    with pytest.raises(UserError, match="holds a run, not a map: choose another folder"):
+        replace(manifest_in(tmp_path), what="a map").take()
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b"null", b"\xff\xfe", b'{"settings": []}', b"[" * 200_000])

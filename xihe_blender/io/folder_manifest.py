@@ -16,8 +16,8 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import write_json
 from xihenet.json_files import read_json
 
+WORK = "work"  # the kind of work, where several keep a file of the same name; missing in files of before
 NOT_COMPARED = "software"  # written down for the reader alone
-WORK = "work"  # what kind of work it is, where several kinds keep the same files
 WORDS = {"blend_sha256": "scene file"}
 
 
@@ -67,11 +67,10 @@ class FolderManifest:
                 f"{self.file} is damaged, so nobody can tell what {self.folder} holds: choose another folder for "
                 "--out, or delete that one"
             )
-        held = kept.get(WORK)
-        if held != self.provenance.get(WORK):
+        held = kept.get(WORK, self.what)
+        if held != self.what:
             raise UserError(
-                f"{self.folder} holds {held or 'something else'}, not {self.what}: choose another folder for --out, "
-                "or delete that one"
+                f"{self.folder} holds {held}, not {self.what}: choose another folder for --out, or delete that one"
             )
         different = differences(kept, json.loads(json.dumps(self.provenance)))
         if different:
@@ -96,4 +95,6 @@ VERSIONS = {"xihe": "version of xihe", "format": "version of xihe", "blender": "
 
 
 def _other_names(kept: dict[str, Any], wanted: dict[str, Any]) -> list[str]:
-    return [name for name in {**wanted, **kept} if name != NOT_COMPARED and kept.get(name) != wanted.get(name)]
+    return [
+        name for name in {**wanted, **kept} if name not in (NOT_COMPARED, WORK) and kept.get(name) != wanted.get(name)
+    ]

@@ -6,8 +6,7 @@ folder and taken up again there, for the same scene and settings, whatever is as
 
 from __future__ import annotations
 
-import hashlib
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +14,16 @@ import bpy
 
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import sized_for
-from xihe_blender.io.folder_manifest import WORK, FolderManifest
+from xihe_blender.io.folder_manifest import FolderManifest
 from xihe_blender.io.json_records import Parameters
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job
 from xihe_blender.previs.kept_session import KeptSession, kept_session
-from xihe_blender.previs.plan import DEFAULT_SIZE, PrevisPlan, check_nothing_is_missing, planned_frames
+from xihe_blender.previs.plan import DEFAULT_SIZE, PrevisPlan, check_nothing_is_missing, made_of, planned_frames
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
 from xihe_blender.previs.run_chain import walk_path
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
-from xihenet import __version__
 
 SAMPLES = {"draft": 4, "balanced": 16, "accurate": 64}
 """Per pixel of a capture, by preset: there is no position yet that a pilot could measure the noise at."""
@@ -70,8 +68,8 @@ def capture_path(
     size = settings.size or sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1)).size
     plan = PrevisPlan(tuple(planned_frames(scene, settings.frames)), size, (), ())
     outputs, loaded = RunOutputs(out, blend_file.stem), load_estimators(settings)
-    identity = {WORK: work, **_identity(scene, blend_file, settings, plan)}
-    manifest = FolderManifest(out, outputs.settings, work, identity, (out / "report.html",))
+    content = made_of(work, scene, blend_file, replace(settings, objects=None), plan)
+    manifest = FolderManifest(out, outputs.settings, work, content, (out / "report.html",))
     manifest.check()
     survey = survey_run(scene, plan, outputs)
     manifest.take()
@@ -79,17 +77,3 @@ def capture_path(
     yield from walk_path(run, keeps_session=True)
     session = yield from kept_session(outputs, run.settings, size, run.exposure, sorted(run.needs.captured))
     return CapturedPath(run, session)
-
-
-def _identity(scene: bpy.types.Scene, file: Path, settings: PrevisSettings, plan: PrevisPlan) -> dict[str, Any]:
-    """All that decides the captures, and nothing of what is asked of them."""
-    return {
-        "xihe": __version__,
-        "blender": bpy.app.version_string,
-        "blend_sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
-        "scene": scene.name,
-        "settings": asdict(replace(settings, objects=None)),
-        "phone": asdict(settings.profile),
-        "frames": plan.frames,
-        "size": plan.size,
-    }

@@ -22,11 +22,9 @@ at it or worse; what that is worth is told by `least_squares_error`.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import bpy
 import numpy as np
@@ -34,7 +32,7 @@ import numpy as np
 from xihe_blender.capture.all_around import light_of_views, means_of_anchors
 from xihe_blender.errors import UserError
 from xihe_blender.io.budget_results import PARTS, BudgetPart, BudgetResults, ObjectBudget
-from xihe_blender.io.folder_manifest import WORK, FolderManifest
+from xihe_blender.io.folder_manifest import FolderManifest
 from xihe_blender.io.json_records import as_json
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import Job, Progress, part_of
@@ -61,15 +59,15 @@ from xihe_blender.previs.budget_looks import (
     view_outputs,
 )
 from xihe_blender.previs.captured_path import said_of_path
-from xihe_blender.previs.path_renders import capture_path
+from xihe_blender.previs.path_renders import render_captures
 from xihe_blender.previs.phone_capture import SimulatedPhone
-from xihe_blender.previs.plan import PrevisPlan, Probe, plan_previs
+from xihe_blender.previs.plan import Probe, made_of, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
 from xihe_blender.previs.run_chain import phone_of_captures
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.report.budget import write_budget_report
 from xihe_blender.scene.state import scene_kept
-from xihenet import __version__, estimators
+from xihenet import estimators
 from xihenet.buffers import merge
 from xihenet.colour import linear_to_srgb
 from xihenet.estimators import EstimateContext, Estimator
@@ -78,6 +76,7 @@ from xihenet.sampling import sample_unit_sphere
 from xihenet.satin_ball import SatinBall
 from xihenet.sphere import AnchorLattice
 
+BUDGET = "an error budget"
 N_MOMENTS = 4
 CAPTURE_SHARE, LOOK_SHARE, BALL_SHARE = 0.5, 0.3, 0.15
 """Of the time, as a bar of progress shows it."""
@@ -112,8 +111,8 @@ def error_budget(
     plan, loaded = plan_previs(scene, settings), load_estimators(settings)
     file = blend_file or Path(bpy.data.filepath or "untitled.blend")
     outputs = RunOutputs(out, file.stem)
-    identity = _identity(scene, file, settings, plan)
-    manifest = FolderManifest(out, outputs.settings, "an error budget", identity, (out / "report.html",))
+    content = made_of(BUDGET, scene, file, settings, plan)
+    manifest = FolderManifest(out, outputs.settings, BUDGET, content, (out / "report.html",))
     manifest.check()
     yield Progress(0, 1, "surveying the path")
     survey = survey_run(scene, plan, outputs)
@@ -132,29 +131,13 @@ def error_budget(
     return results
 
 
-def _identity(scene: bpy.types.Scene, file: Path, settings: PrevisSettings, plan: PrevisPlan) -> dict[str, Any]:
-    """All that decides the renders; errors may be measured in other moments in the same folder."""
-    return {
-        "xihe": __version__,
-        "blender": bpy.app.version_string,
-        WORK: "an error budget",
-        "blend_sha256": hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else None,
-        "scene": scene.name,
-        "settings": asdict(settings),
-        "phone": asdict(settings.profile),
-        "frames": plan.frames,
-        "size": plan.size,
-        "objects": [item.name for item in plan.objects],
-    }
-
-
 # ------------------------------------------------------------------------------------------------------------- renders
 
 
 def _rendered(run: PreparedRun, n_moments: int) -> Job[_Budget]:
     """A job: render all that the budget needs and is not kept yet."""
     keeping = replace(run, needs=replace(run.needs, radiance=True))
-    yield from part_of(1, 0, CAPTURE_SHARE, capture_path(keeping))
+    yield from part_of(1, 0, CAPTURE_SHARE, render_captures(keeping))
     phone = phone_of_captures(run, {})
     budget = _Budget(run, phone, {probe.name: _moments(run, probe, n_moments) for probe in run.plan.probes})
     yield from part_of(1, CAPTURE_SHARE, LOOK_SHARE, look_around(run, budget.places()))

@@ -119,12 +119,12 @@ def _reference(run: PreparedRun, probe: Probe, frame: int) -> Path:
 
 def render_path(run: PreparedRun) -> Generator[Progress, None, dict[int, float]]:
     """A job: render and keep what is not kept yet; seconds of work beside rendering, by frame."""
-    work_s = yield from capture_path(run)
+    work_s = yield from render_captures(run)
     yield from _measure_missing(run, work_s)
     return work_s
 
 
-def capture_path(run: PreparedRun) -> Generator[Progress, None, dict[int, float]]:
+def render_captures(run: PreparedRun) -> Generator[Progress, None, dict[int, float]]:
     """A job: as `render_path`, the captures alone."""
     work_s: dict[int, float] = {}
     missing = [frame for frame in run.plan.frames if frame in run.needs.captured and not _is_captured(run, frame)]

@@ -5,19 +5,23 @@ What is wrong with the scene itself is found here, what is wrong with a frame of
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TypeVar
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
 
 import bpy
 
 from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import phone_camera, sized_for
 from xihe_blender.errors import UserError
+from xihe_blender.io.folder_manifest import WORK
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.estimation_positions import named_positions
 from xihe_blender.scene.virtual_objects import COLLECTION_NAME, collections_of, virtual_objects
+from xihenet import __version__
 from xihenet.camera import Intrinsics
 from xihenet.records import ArrayF64
 
@@ -135,3 +139,23 @@ def planned_objects(scene: bpy.types.Scene, wanted: Sequence[str] | None) -> lis
 def compared_frames(active: Sequence[int], step: int) -> list[int]:
     """Every `step`-th of the active frames, and the last of them; may be empty."""
     return sorted({*active[::step], *active[-1:]})
+
+
+def made_of(
+    work: str, scene: bpy.types.Scene, file: Path, settings: PrevisSettings, plan: PrevisPlan
+) -> dict[str, Any]:
+    """All that decides what is rendered for `plan`, and the numbers of a run, as a `FolderManifest` compares it."""
+    return {
+        WORK: work,
+        "xihe": __version__,
+        "blender": bpy.app.version_string,
+        "blend_sha256": hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else None,
+        "scene": scene.name,
+        "settings": asdict(settings),
+        # A file of the user's may have changed since.
+        "phone": asdict(settings.profile),
+        "preset": asdict(settings.preset_values),
+        "frames": plan.frames,
+        "size": plan.size,
+        "objects": [item.name for item in plan.objects],
+    }

@@ -9,10 +9,8 @@ are simply done again, so a resumed run has the numbers of an undisturbed one.
 from __future__ import annotations
 
 import functools
-import hashlib
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import bpy
 
@@ -25,13 +23,12 @@ from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs import results
 from xihe_blender.previs.compare_path import compare_path
 from xihe_blender.previs.lit_blend import apply_lights, light_changes, save_lit_blend
-from xihe_blender.previs.plan import PrevisPlan, plan_previs
+from xihe_blender.previs.plan import made_of, plan_previs
 from xihe_blender.previs.prepare import prepare_run, survey_run
 from xihe_blender.previs.run_chain import measure_phone, walk_path
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.report.page import write_report
 from xihe_blender.scene.state import scene_kept
-from xihenet import __version__
 
 
 def previs(
@@ -55,7 +52,8 @@ def previs(
     file = blend_file or Path(bpy.data.filepath or "untitled.blend")
     outputs = RunOutputs(out, file.stem)
     leaves = (outputs.results, outputs.report, outputs.lit_blend)
-    manifest = FolderManifest(outputs.folder, outputs.settings, "a run", _identity(scene, file, settings, plan), leaves)
+    decides = made_of("a run", scene, file, settings, plan)
+    manifest = FolderManifest(outputs.folder, outputs.settings, "a run", decides, leaves)
     is_whole = manifest.check() and all(path.exists() for path in leaves)
     finished = kept_json(outputs.results, functools.partial(from_json, RunResults)) if is_whole else None
     if finished is not None:
@@ -82,20 +80,3 @@ def previs(
     content = as_json(found)
     write_json(outputs.results, content)
     return content
-
-
-def _identity(scene: bpy.types.Scene, file: Path, settings: PrevisSettings, plan: PrevisPlan) -> dict[str, Any]:
-    """All that decides a run's numbers."""
-    return {
-        "xihe": __version__,
-        "blender": bpy.app.version_string,
-        "blend_sha256": hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else None,
-        "scene": scene.name,
-        "settings": asdict(settings),
-        # A file of the user's may have changed since.
-        "phone": asdict(settings.profile),
-        "preset": asdict(settings.preset_values),
-        "frames": plan.frames,
-        "size": plan.size,
-        "objects": [item.name for item in plan.objects],
-    }
