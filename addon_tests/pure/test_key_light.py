@@ -1,0 +1,154 @@
+"""The key light of an estimate: found where it is, none where there is none, and nothing is added or lost."""
+
+import numpy as np
+import pytest
+
+from addon_tests.pure.sh_samples import random_directions, random_light
+from xihenet.colour import linear_to_srgb
+from xihenet.light.key_light import KeyLight, bright_patches, split_light
+from xihenet.records import UnitSphereCloud
+from xihenet.sh import basis, irradiance, rotate
+from xihenet.sphere import AnchorLattice
+
+LATTICE = AnchorLattice(1280)
+FINE = AnchorLattice(60_000)
+
+
+def lamp(direction, strength=1.0, radius=0.0, colour=(1.0, 1.0, 1.0)):
+    """(9, 3) coefficients of a disc of that irradiance."""
+    return KeyLight(np.asarray(direction, float), strength * np.array(colour), radius, True).sh_radiance()
+
+
+def flat(radiance=0.1):
+    return np.sqrt(4 * np.pi) * radiance * np.eye(9)[0][:, None] * np.ones(3)
+
+
+def seen(*lamps, radius=0.14, wall=0.2, share=1.0):
+    """A cloud of a grey room in which discs are white, as far as `share` of the anchors from the top."""
+    white = np.zeros(len(LATTICE), bool)
+    for direction in lamps:
+        white |= LATTICE.directions @ direction > np.cos(radius)
+    is_set = np.arange(len(LATTICE)) < share * len(LATTICE)
+    srgb = np.where(white, 1.0, linear_to_srgb(np.array(wall)))[:, None] * np.ones(3)
+    return UnitSphereCloud(srgb * is_set[:, None], is_set * 2.0, is_set)
+
+
+def apart(a, b):
+    return np.degrees(np.arccos(np.clip(a @ b, -1, 1)))
+
+
+@pytest.mark.parametrize("radius_deg", [1, 10, 35])
+def test_the_coefficients_of_a_disc_are_those_of_its_radiance(radius_deg):
+    direction, radius = random_directions(1, radius_deg)[0], np.radians(radius_deg)
+    rim = np.linspace(0, radius, 4001)
+    middle = (rim[1:] + rim[:-1]) / 2
+    around = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    side = np.cross(direction, [0.6, 0.5, -0.62])
+    side /= np.linalg.norm(side)
+    ring = np.cos(around)[:, None] * side + np.sin(around)[:, None] * np.cross(direction, side)
+    weights = np.sin(middle) * np.diff(rim) * 2 * np.pi
+    rings = np.cos(middle)[:, None, None] * direction + np.sin(middle)[:, None, None] * ring
+    projected = weights @ basis(rings.reshape(-1, 3)).reshape(len(middle), 64, 9).mean(axis=1)
+    radiance = 1 / (np.pi * np.sin(radius) ** 2)
+    assert lamp(direction, 1.0, radius)[:, 0] == pytest.approx(radiance * projected, abs=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_key_light_and_rest_are_the_estimate(seed):
+    estimate = random_light(seed=seed)
+    split = split_light(estimate, seen(*random_directions(seed % 4, seed)), LATTICE)
+    together = split.rest + (0 if split.key is None else split.key.sh_radiance())
+    assert together == pytest.approx(estimate, rel=1e-12, abs=1e-12)
+    if split.key is not None:
+        assert (split.key.irradiance >= 0).all() and (split.rest[0][estimate[0] > 0] >= -1e-12).all()
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("ambient", [0.0, 0.3])
+def test_a_lamp_alone_is_found_whole(seed, ambient):
+    direction, colour = random_directions(1, seed)[0], np.array([1.0, 0.8, 0.5])
+    split = split_light(flat(ambient) + lamp(direction, 3.0, colour=colour))
+    assert apart(split.key.direction, direction) < 0.1
+    assert split.key.irradiance == pytest.approx(3 * colour, rel=0.01)
+    assert split.rest == pytest.approx(flat(ambient), abs=0.01)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_it_turns_with_the_room(seed):
+    estimate = flat(0.5) + 0.1 * random_light(seed=seed) + lamp(random_directions(1, seed)[0], 2.0)
+    turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+    turn *= np.linalg.det(turn)
+    before, after = split_light(estimate), split_light(rotate(estimate, turn))
+    assert apart(turn @ before.key.direction, after.key.direction) < 0.5
+    assert after.rest == pytest.approx(rotate(before.rest, turn), abs=0.02)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_lamp_that_was_seen_is_where_it_was_seen(seed):
+    """An estimate points beside it: by its noise, and by light from elsewhere."""
+    direction = random_directions(1, seed)[0]
+    estimate = flat(0.4) + lamp(direction, 2.0) + 0.15 * random_light(seed=seed)
+    split = split_light(estimate, seen(direction), LATTICE)
+    assert split.key.is_seen and apart(split.key.direction, direction) < 2
+    assert np.degrees(split.key.angular_radius) == pytest.approx(8, abs=1.7)
+
+
+def test_bright_patches_near_each_other_are_one_light():
+    lamps = [np.array([np.sin(a), 0, np.cos(a)]) for a in np.radians([0, 20])]
+    assert len(bright_patches(seen(*lamps, radius=np.radians(6)), LATTICE)) == 1
+    far = [np.array([np.sin(a), 0, np.cos(a)]) for a in np.radians([0, 60])]
+    assert len(bright_patches(seen(*far, radius=np.radians(6)), LATTICE)) == 2
+    assert bright_patches(UnitSphereCloud.empty(1280), LATTICE) == []
+
+
+@pytest.mark.parametrize(
+    ("angle_deg", "is_seen"), [(60, True), (90, True), (180, True), (90, False), (130, False), (180, False)]
+)
+def test_of_two_lamps_the_stronger_and_none_of_two_equal_ones(angle_deg, is_seen):
+    """Unseen lamps nearer than a right angle look like one to an estimate of order 2."""
+    angle = np.radians(angle_deg)
+    lamps = [np.array([0.0, 0, 1]), np.array([np.sin(angle), 0, np.cos(angle)])]
+    cloud = seen(*lamps) if is_seen else None
+    for strength in (0.95, 1.0, 1.06):
+        split = split_light(flat(0.1) + lamp(lamps[0]) + lamp(lamps[1], strength), cloud, LATTICE)
+        assert split.key is None and split.why_none == "two lights"
+    split = split_light(flat(0.1) + lamp(lamps[0]) + lamp(lamps[1], 1.5), cloud, LATTICE)
+    assert apart(split.key.direction, lamps[1]) < 5
+
+
+def test_it_stays_with_one_of_two_lamps_that_change_places():
+    lamps = random_directions(2, 3)
+    cloud, key, directions = seen(*lamps), None, []
+    for share in np.linspace(0.7, 1.3, 13):
+        key = split_light(flat() + lamp(lamps[0], 2 - share) + lamp(lamps[1], share), cloud, LATTICE, key).key
+        directions.append(key.direction)
+    at_second = [apart(direction, lamps[1]) < 5 for direction in directions]
+    assert at_second == sorted(at_second) and not at_second[6] and at_second[-1]
+
+
+@pytest.mark.parametrize(
+    ("light", "why"),
+    [(flat(), "flat"), (0 * flat(), "dark"), (-flat(), "dark"), (flat() + 0.01 * random_light(), "flat")],
+)
+def test_there_is_none_in_flat_light_and_in_the_dark(light, why):
+    split = split_light(light)
+    assert split.key is None and split.why_none == why and np.array_equal(split.rest, light)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_white_surface_has_the_irradiance_of_the_estimate_in_the_mean(seed):
+    """A key light shines on one side alone, and sharply: single normals differ, the sum of all does not."""
+    normals = FINE.directions
+    split = split_light(flat(0.3) + lamp(random_directions(1, seed)[0], 2.0))
+    lit = irradiance(split.rest, normals) + np.maximum(normals @ split.key.direction, 0)[:, None] * split.key.irradiance
+    whole = irradiance(split.rest + split.key.sh_radiance(), normals)
+    assert lit.mean() == pytest.approx(whole.mean(), rel=0.01)
+
+
+def test_nothing_that_is_not_light_is_taken_for_some():
+    with pytest.raises(ValueError):
+        split_light(np.full((9, 3), np.nan))
+    with pytest.raises(ValueError, match="order 2"):
+        split_light(np.ones((4, 3)))
+    with pytest.raises(ValueError, match="lattice"):
+        split_light(flat(), UnitSphereCloud.empty(1280), AnchorLattice(64))

@@ -1,0 +1,1 @@
+"""What is made of an estimate for those who light with more than spherical harmonics."""

@@ -1,0 +1,311 @@
+"""The key light of an estimate: its dominant light as a direction that casts a shadow, and the light that is left.
+
+A key light is a disc of even radiance far away. Its coefficients are its irradiance, on a surface that faces it, times
+the basis in its direction times (2 / (1 + c), 1, c) for l = 0, 1, 2, with c the cosine of its angular radius (the
+integral of Legendre's polynomials over the disc). What is left is the estimate without them, so that both together are
+the estimate, exactly.
+
+Where is it? Bright patches of the sphere that the phone has seen come first: nobody doubts a lamp in the picture, while
+bands 1 and 2 of an estimate point beside it as soon as there are two. What the pictures do not show, or show far too
+weak for what the estimate says, is looked for in the estimate: the two directions that explain its bands best, found in
+turns, each in what the other leaves. How strong each is, least squares say, none negative.
+
+There is none in flat light, in the dark, and where a second light elsewhere is as strong within a tenth. A key light
+stays where it was as long as what is there is nearly as strong as the strongest: it does not jump between two lamps.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from xihenet.colour import srgb_to_linear
+from xihenet.records import ArrayBool, ArrayF64, UnitSphereCloud
+from xihenet.sh_basis import basis, checked_sh
+from xihenet.sphere import AnchorLattice
+
+WhyNone = Literal["", "dark", "flat", "two lights"]
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
+BRIGHT_OF_BRIGHTEST, BRIGHT_OF_MEDIAN = 0.5, 2.5
+"""An anchor belongs to a bright patch from these shares of the brightest and of the median of what was seen on."""
+
+MOST_PATCHES = 6
+SAME_LIGHT_COSINE = float(np.cos(np.radians(25)))
+"""Two patches nearer than this are one light: lamps of one chandelier, panes of one window."""
+
+SEEN_IS_ENOUGH = 0.6
+"""Patches that explain this share of what the estimate's own directions explain are taken for them."""
+
+EQUAL = 0.9
+LEAST_FLUX = 0.08
+"""Share of all light that has to come from the key light: less is flat light."""
+
+STAYS_FROM = 0.75
+N_TURNS = 40
+N_ASCENT, N_STEPS = 40, 3
+SWEEPS = 60
+SMALLEST_RADIUS, LARGEST_RADIUS = float(np.radians(0.25)), float(np.radians(40))
+
+
+@dataclass(frozen=True, eq=False)
+class KeyLight:
+    """A disc of even radiance, far away.
+
+    Parameters
+    ----------
+    direction : (3,) float64, unit, world, towards the light
+    irradiance : (3,) float64, on a surface that faces it, linear Rec.709, carrying the estimate's exposure
+    angular_radius : radians, from its middle to its rim
+    is_seen : whether the phone saw it; else it is what the estimate implies
+    """
+
+    direction: ArrayF64
+    irradiance: ArrayF64
+    angular_radius: float
+    is_seen: bool
+
+    def sh_radiance(self) -> ArrayF64:
+        """Its radiance coefficients, (9, 3)."""
+        return _of_disc(self.direction, self.angular_radius)[:, None] * self.irradiance
+
+
+@dataclass(frozen=True, eq=False)
+class LightSplit:
+    """An estimate as a key light and what is left of it, (9, 3); `why_none` says why there is no key light."""
+
+    key: KeyLight | None
+    rest: ArrayF64
+    why_none: WhyNone = ""
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    direction: ArrayF64
+    angular_radius: float
+    is_seen: bool
+
+
+def split_light(
+    sh_radiance: ArrayLike,
+    cloud: UnitSphereCloud | None = None,
+    lattice: AnchorLattice | None = None,
+    previous: KeyLight | None = None,
+) -> LightSplit:
+    """Split an estimate into its key light and the rest.
+
+    Parameters
+    ----------
+    sh_radiance : (9, 3) radiance coefficients, linear
+    cloud, lattice : what was seen from the position, if anything was; the lattice is the cloud's
+    previous : the key light of the estimate before, which stays while it is nearly as strong as the strongest
+
+    ValueError for coefficients that are not finite or not of order 2, and for a cloud without its lattice.
+    """
+    coefficients, order = checked_sh(sh_radiance)
+    if order != 2:
+        raise ValueError(f"split_light: expected coefficients of order 2, got order {order}")
+    if cloud is not None and (lattice is None or len(lattice) != len(cloud)):
+        raise ValueError(f"split_light: expected the lattice of the cloud's {len(cloud)} anchors")
+    luminance = coefficients @ LUMINANCE
+    if luminance[0] <= 0 or not np.any(luminance[1:]):
+        return LightSplit(None, coefficients, "dark" if luminance[0] <= 0 else "flat")
+    candidates = _candidates(luminance, cloud, lattice)
+    strengths = _strengths(luminance, candidates)
+    chosen = _chosen(candidates, strengths, previous)
+    if chosen is None:
+        return LightSplit(None, coefficients, "two lights")
+    key = _fitted(coefficients, candidates[chosen], strengths[chosen])
+    flux = key.sh_radiance()[0] @ LUMINANCE
+    if flux < LEAST_FLUX * luminance[0]:
+        return LightSplit(None, coefficients, "flat")
+    return LightSplit(key, coefficients - key.sh_radiance())
+
+
+def _of_disc(direction: ArrayF64, angular_radius: float) -> ArrayF64:
+    """(9,) coefficients of a disc whose irradiance is 1."""
+    c = np.cos(angular_radius)
+    of_bands = np.repeat([2 / (1 + c), 1.0, c], [1, 3, 5])
+    return np.asarray(basis(direction[None])[0] * of_bands)
+
+
+def _candidates(luminance: ArrayF64, cloud: UnitSphereCloud | None, lattice: AnchorLattice | None) -> list[_Candidate]:
+    """Where the key light may be: bright patches that were seen, or else what the estimate implies."""
+    implied = [_Candidate(direction, SMALLEST_RADIUS, False) for direction in _two_directions(luminance)]
+    if cloud is None or lattice is None:
+        return implied
+    seen = bright_patches(cloud, lattice)
+    if not seen:
+        return implied
+    if _explained(luminance, seen) >= SEEN_IS_ENOUGH * _explained(luminance, implied):
+        return seen
+    return seen + [one for one in implied if not any(_is_same(one.direction, other.direction) for other in seen)]
+
+
+def bright_patches(cloud: UnitSphereCloud, lattice: AnchorLattice) -> list[_Candidate]:
+    """Bright patches of what was seen, the strongest first: lamps, windows, the sun on a floor.
+
+    Neighbouring bright anchors are a patch, and patches near each other are one light.
+    """
+    if not cloud.is_set.any():
+        return []
+    shown = srgb_to_linear(cloud.srgb.astype(np.float64)) @ LUMINANCE
+    seen = shown[cloud.is_set]
+    least = max(BRIGHT_OF_BRIGHTEST * seen.max(), BRIGHT_OF_MEDIAN * float(np.median(seen)))
+    found = []
+    for patch in _patches(cloud.is_set & (shown >= least) & (shown > 0), lattice):
+        weights = shown[patch]
+        found.append((weights @ lattice.directions[patch], float(weights.sum()), len(patch)))
+    found.sort(key=lambda one: -one[1])
+    lights: list[tuple[ArrayF64, int]] = []
+    for total, _, n in found:
+        place = next((i for i, other in enumerate(lights) if _is_same(_unit(total), _unit(other[0]))), None)
+        if place is None:
+            lights.append((total, n))
+        else:
+            lights[place] = (lights[place][0] + total, lights[place][1] + n)
+    solid_angle = 4 * np.pi / len(cloud)
+    return [
+        _Candidate(_unit(total), float(np.clip(_radius_of(n * solid_angle), SMALLEST_RADIUS, LARGEST_RADIUS)), True)
+        for total, n in lights[:MOST_PATCHES]
+    ]
+
+
+def _patches(is_bright: ArrayBool, lattice: AnchorLattice) -> list[list[int]]:
+    """Indices of the anchors of each connected patch."""
+    neighbours, left, patches = lattice.neighbours(min(7, len(lattice))), set(np.flatnonzero(is_bright)), []
+    while left:
+        patch, open_ones = [], [left.pop()]
+        while open_ones:
+            anchor = open_ones.pop()
+            patch.append(int(anchor))
+            around = left.intersection(neighbours[anchor])
+            left -= around
+            open_ones += around
+        patches.append(sorted(patch))
+    return patches
+
+
+def _radius_of(solid_angle: float) -> float:
+    return float(np.arccos(np.clip(1 - solid_angle / (2 * np.pi), -1, 1)))
+
+
+def _two_directions(luminance: ArrayF64) -> list[ArrayF64]:
+    """The directions of two point lights that explain bands 1 and 2 best, the stronger first, each found in what the
+    other leaves; one where a second adds nothing."""
+    bands = luminance[1:]
+    directions = np.array([_peak(bands), np.zeros(3)])
+    columns = np.zeros((2, 8))
+    columns[0] = _of_point(directions[0])
+    strengths = np.array([_strength(columns[0], bands), 0.0])
+    for turn in range(N_TURNS):
+        for one in (1, 0):
+            other = 1 - one
+            left = bands - strengths[other] * columns[other]
+            directions[one] = _peak(left, directions[one] if turn else None)
+            columns[one] = _of_point(directions[one])
+            strengths[one] = _strength(columns[one], left)
+    if strengths.min() <= 0 or _is_same(*directions):
+        return [directions[np.argmax(strengths)]]
+    return list(directions[np.argsort(-strengths)])
+
+
+def _of_point(direction: ArrayF64) -> ArrayF64:
+    """(8,) bands 1 and 2 of a point light whose irradiance is 1."""
+    x, y, z = direction
+    return np.array(
+        [
+            _Y1 * y,
+            _Y1 * z,
+            _Y1 * x,
+            *(_Y2 * np.array([x * y, y * z, (z * z - 1 / 3) * _ZZ, x * z, (x * x - y * y) / 2])),
+        ]
+    )
+
+
+def _strength(column: ArrayF64, bands: ArrayF64) -> float:
+    return max(0.0, float(column @ bands / (column @ column)))
+
+
+def _peak(bands: ArrayF64, start: ArrayF64 | None = None) -> ArrayF64:
+    """(3,) where the light of bands 1 and 2, (8,), is brightest; from `start` on, a few steps towards that.
+
+    In direction d it is v.d + d.M d, and d <- unit(v + 2 (M + s) d) never falls where s is at least the size of M.
+    """
+    linear = _Y1 * bands[[2, 0, 1]]
+    xy, yz, zz, xz, xx = _Y2 * bands[3:]
+    zz /= np.sqrt(12)
+    matrix = np.array([[xx / 2 - zz, xy / 2, xz / 2], [xy / 2, -xx / 2 - zz, yz / 2], [xz / 2, yz / 2, 2 * zz]])
+    n_steps, direction = N_STEPS, start
+    if direction is None:
+        shown = _STARTS @ linear + np.einsum("ni,ij,nj->n", _STARTS, matrix, _STARTS)
+        n_steps, direction = N_ASCENT, _STARTS[np.argmax(shown)]
+    shifted = 2 * (matrix + np.linalg.norm(matrix) * np.eye(3))
+    for _ in range(n_steps):
+        step = linear + shifted @ direction
+        if not np.any(step):
+            break
+        direction = _unit(step)
+    return direction
+
+
+_STARTS = AnchorLattice(128).directions
+_Y1, _Y2, _ZZ = np.sqrt(3 / (4 * np.pi)), np.sqrt(15 / (4 * np.pi)), np.sqrt(3) / 2
+
+
+def _strengths(luminance: ArrayF64, candidates: list[_Candidate]) -> ArrayF64:
+    """Irradiance of each candidate, least squares over bands 1 and 2, none negative: by coordinate descent."""
+    columns = np.array([_of_disc(one.direction, one.angular_radius)[1:] for one in candidates])
+    gram, right = columns @ columns.T, columns @ luminance[1:]
+    strengths = np.zeros(len(candidates))
+    for _ in range(SWEEPS):
+        before = strengths.copy()
+        for i in range(len(candidates)):
+            strengths[i] = max(0.0, strengths[i] + (right[i] - gram[i] @ strengths) / gram[i, i])
+        if np.allclose(strengths, before, rtol=1e-6, atol=0):
+            break
+    return strengths
+
+
+def _explained(luminance: ArrayF64, candidates: list[_Candidate]) -> float:
+    """Share of the energy of bands 1 and 2 that candidates explain together."""
+    columns = np.array([_of_disc(one.direction, one.angular_radius)[1:] for one in candidates])
+    left = luminance[1:] - _strengths(luminance, candidates) @ columns
+    return 1 - float(left @ left / (luminance[1:] @ luminance[1:]))
+
+
+def _chosen(candidates: list[_Candidate], strengths: ArrayF64, previous: KeyLight | None) -> int | None:
+    """Which candidate is the key light; None where two are as strong."""
+    strongest = int(np.argmax(strengths))
+    if previous is not None:
+        near = [i for i, one in enumerate(candidates) if _is_same(one.direction, previous.direction)]
+        before = max(near, key=lambda i: strengths[i], default=strongest)
+        if strengths[before] >= STAYS_FROM * strengths[strongest]:
+            return before
+    others = np.delete(strengths, strongest)
+    if len(others) and others.max() >= EQUAL * strengths[strongest]:
+        return None
+    return strongest
+
+
+def _fitted(coefficients: ArrayF64, one: _Candidate, strength: float) -> KeyLight:
+    """The candidate with its colour: as its share in each channel, and no more light than there is in any."""
+    column = _of_disc(one.direction, one.angular_radius)
+    fitted = np.maximum(column[1:] @ coefficients[1:] / (column[1:] @ column[1:]), 0)
+    alone = float(fitted @ LUMINANCE)
+    irradiance = fitted * (strength / alone if alone > 0 else 0.0)
+    most = np.maximum(coefficients[0], 0) / column[0]
+    return KeyLight(one.direction, np.minimum(irradiance, most), one.angular_radius, one.is_seen)
+
+
+def _is_same(a: ArrayF64, b: ArrayF64) -> bool:
+    return bool(a @ b > SAME_LIGHT_COSINE)
+
+
+def _unit(vector: ArrayF64) -> ArrayF64:
+    length = math.sqrt(vector @ vector)
+    return vector / length if length else np.array([0.0, 0.0, 1.0])
