@@ -88,6 +88,8 @@ def test_an_object_that_is_put_back_has_the_light_and_the_errors_of_the_run_agai
     again = keyed(world)[0]
     for frame, light in lights.items():
         np.testing.assert_allclose(again[max(known for known in again if known <= frame)], light, atol=1e-6)
+    assert bpy.ops.xihe.remove_light() == {"FINISHED"}
+    assert [action.name for action in bpy.data.actions if action.name.startswith("Xihe")] == []
 
 
 def test_an_object_that_is_added_is_lit_and_removed_with_the_rest(scene, ran):

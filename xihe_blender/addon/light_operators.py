@@ -6,6 +6,7 @@ import bpy
 
 from xihe_blender.addon import polls
 from xihe_blender.addon.failures import Action
+from xihe_blender.addon.live_light import read_ahead
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.apply.datablocks import ROOM
 
@@ -47,6 +48,7 @@ class XIHE_OT_show_lit(Action, bpy.types.Operator):
         lit = show_lit(scene, last_run_folder(scene), active.name if active else "")
         if context.window is not None:
             _enter(context, lit)
+            read_ahead(scene)
 
 
 class XIHE_OT_show_room(polls.Conditional, bpy.types.Operator):

@@ -50,6 +50,7 @@ class KeptFrames:
         if self.session is None or self.folder != folder:
             self.session = None
             self.session, self.folder = run_blocking(open_kept_session(folder)), folder
+            run_blocking(self.session.find_light({}))  # Loads the estimator.
         return {name: run_blocking(self.session.find_light(of_object)) for name, of_object in places.items()}
 
     def forget(self) -> None:
@@ -151,7 +152,8 @@ def _look() -> float | None:
         return None
     try:
         if task is not None and task.folder == last_run_folder(scene):
-            if task.error is not None:
+            # Of frames that were only read ahead nobody needs to know yet that they are gone.
+            if task.error is not None and task.places:
                 raise task.error
             show_found(scene, task.folder, task.places, task.found or {})
             redraw(window_manager)
@@ -171,6 +173,15 @@ def _send_after(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bool:
         _task = Task(last_run_folder(scene), places)
         _task.start()
     return bool(places)
+
+
+def read_ahead(scene: bpy.types.Scene) -> None:
+    """Read the last run's frames before anything in `scene` moves: the first light would wait a second for it."""
+    global _task
+    if not bpy.app.background and _task is None and follows(scene):
+        _task = Task(last_run_folder(scene), {})
+        _task.start()
+        _begin()
 
 
 def _begin() -> None:

@@ -35,6 +35,7 @@ from xihe_blender.apply.sh_worlds import (
     f_curves,
     key_light_changes,
     make_sh_world,
+    remove_animation,
     remove_applied_light,
     remove_trigger_markers,
     world_name,
@@ -121,7 +122,7 @@ def show_found_light(
     live = {name: (light.coverage[last], light.expected_error[last]) for name, light in found.items()}
     places = {name: place.tolist() for name, place in places_m.items()}
     LightOf(places, live={} if at_run.is_of(places) else live).write(world)
-    world.animation_data_clear()
+    remove_animation(world)
     if at_run.is_of(places):
         _key_curves(world, results, name)
     else:

@@ -59,12 +59,12 @@ def make_sh_world(name: str) -> bpy.types.World:
     decided before the first render.
     """
     world = _local(bpy.data.worlds, name) or bpy.data.worlds.new(name)
-    _remove_animation(world)
+    remove_animation(world)
     if bpy.app.version < (5, 0, 0):
         # From 5.0 on a world always has nodes, and the switch is deprecated.
         world.use_nodes = True
     tree = world.node_tree
-    _remove_animation(tree)
+    remove_animation(tree)
     tree.nodes.clear()
     group = tree.nodes.new("ShaderNodeGroup")
     group.name = group.label = NODE_GROUP_NAME
@@ -118,7 +118,7 @@ def key_sh_on_world(world: bpy.types.World, frame: int, sh_radiance: ArrayLike, 
 
 def key_light_changes(world: bpy.types.World, lights: Mapping[int, ArrayLike], exposure: float) -> None:
     """As `key_sh_on_world` at each frame of `lights`, (9, 3) each, in order, in place of all keys; at once."""
-    _remove_animation(world.node_tree)
+    remove_animation(world.node_tree)
     if not lights:
         return
     frames = np.array(list(lights), np.float32)
@@ -165,15 +165,15 @@ def remove_applied_light(scene: bpy.types.Scene) -> None:
     """Take everything away that applying left in the file: worlds, node group, markers."""
     remove_trigger_markers(scene)
     for world in [w for w in bpy.data.worlds if lights_by_sh(w) and w.library is None]:
-        _remove_animation(world)
-        _remove_animation(world.node_tree)
+        remove_animation(world)
+        remove_animation(world.node_tree)
         bpy.data.worlds.remove(world)
     group = _local(bpy.data.node_groups, NODE_GROUP_NAME)
     if group is not None:
         bpy.data.node_groups.remove(group)
 
 
-def _remove_animation(owner: bpy.types.ID) -> None:
+def remove_animation(owner: bpy.types.ID) -> None:
     """Take away the keys of `owner`, and their action if nothing else uses it."""
     action = owner.animation_data.action if owner.animation_data else None
     owner.animation_data_clear()
