@@ -41,6 +41,8 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     from xihe_blender.scene.blend_file import open_blend
     from xihenet.looks import LookSettings
 
+    if options.is_for_map and options.objects:
+        raise UserError("give either --objects, or --map for all places where an object could stand")
     settings = arguments.settings_from(options, PrevisSettings, objects=None)
     try:
         looks = arguments.settings_from(options, LookSettings)

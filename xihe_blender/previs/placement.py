@@ -239,7 +239,9 @@ def _true_errors(run: PreparedRun, places: Sequence[tuple[Place, ArrayF64]]) -> 
     positions_m = [place.position_m for place, _ in places]
     with open_reference_probe(run.scene, positions_m, run.reference) as probe:
         for index, (place, sh) in enumerate(places):
-            yield Progress(index, len(places), f"rendering the light probe of place {index + 1}")
+            n_left = len(places) - index
+            doing = f"rendering the light probe of place {index + 1} of {len(places)}"
+            yield Progress(index, len(places), doing, {"light probes": n_left})
             path = run.outputs.reference(index, "-".join(f"{c:.3f}" for c in place.position_m), frame)
             light = kept_json(path, read)
             if light is None:

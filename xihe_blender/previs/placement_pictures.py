@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from xihe_blender.io.outputs import write_picture
-from xihe_blender.io.placement_results import PlacementResults
+from xihe_blender.io.placement_results import N_EXTREMES, PlacementResults, best_first
 from xihenet.camera import project_points, unproject_frame, valid_plane_depth
 from xihenet.records import ArrayF64, ArrayInt, ArrayU8, RgbdFrame
 
@@ -29,6 +29,11 @@ AROUND_M = 0.4
 
 PIXELS_A_POINT = 3
 """Across, in the picture from above: points lie sparser than its pixels."""
+
+BEST_RING, WORST_RING, RING_PX = 255.0, 0.0, 10
+"""Grey, and the radius, of the rings around the ten best and the ten worst places in the picture from above."""
+
+EDGE_PX = 14
 
 SURFACE_M = 0.1
 """A point so far above or below a place is of another surface."""
@@ -49,6 +54,8 @@ class Painter:
     def __init__(self, results: PlacementResults) -> None:
         self.positions = np.array([place.position_m for place in results.places])
         self.colours = np.array([place.colour(results.error_range) for place in results.places])
+        ordered = best_first(results.places)
+        self.best, self.worst = ordered[:N_EXTREMES], ordered[::-1][:N_EXTREMES]
         self.spacing_m, self.clearance_m = results.spacing_m, results.clearance_m
         self.keys = self._cells(self.positions)
         self.order = np.lexsort((self.positions[:, 2], self.keys))
@@ -107,7 +114,25 @@ def _from_above(frames: Sequence[RgbdFrame], painter: Painter) -> ArrayU8:
         columns, rows = _pixels(positions, low, high, scale, (width, height))
         half = np.full(len(columns), max(1, int(0.28 * painter.spacing_m * scale)))
         _draw_squares(picture, np.stack([columns, rows], axis=1), half, painter.colours)
+    for ends, colour in ((painter.best, BEST_RING), (painter.worst, WORST_RING)):
+        for x, y in zip(*_pixels(positions[ends], low, high, scale, (width, height)), strict=True):
+            _draw_ring(picture, x, y, colour)
+    _draw_metre(picture, scale)
     return picture.round().astype(np.uint8)
+
+
+def _draw_ring(picture: ArrayF64, x: int, y: int, colour: float) -> None:
+    rows, columns = np.ogrid[: picture.shape[0], : picture.shape[1]]
+    away = np.hypot(rows - y, columns - x)
+    picture[np.abs(away - RING_PX) < 3.5] = 255 - colour
+    picture[np.abs(away - RING_PX) < 2] = colour
+
+
+def _draw_metre(picture: ArrayF64, scale: float) -> None:
+    """A bar of a metre at the lower left, white with a black rim."""
+    bottom, length = picture.shape[0] - EDGE_PX, int(scale)
+    picture[bottom - 8 : bottom, EDGE_PX - 3 : EDGE_PX + length + 3] = 0.0
+    picture[bottom - 6 : bottom - 2, EDGE_PX : EDGE_PX + length] = 255.0
 
 
 def _room_below_the_phone(

@@ -26,9 +26,10 @@ def write_placement_report(path: Path, results: PlacementResults, pictures: Sequ
     above, camera = (
         f'<img src="{png_url(file.read_bytes())}" alt="{file.stem}" style="max-width: 100%">' for file in pictures
     )
+    rings = f"<p>White rings: the {N_EXTREMES} best places; black: the {N_EXTREMES} worst. The bar is a metre.</p>"
     best = results.best_first
     sections = [
-        ("above", "From above", legend + above),
+        ("above", "From above", legend + above + rings),
         ("camera", "Through the phone", legend + camera),
         ("best", f"The {min(N_EXTREMES, len(best))} best places", _table(best[:N_EXTREMES])),
         ("worst", f"The {min(N_EXTREMES, len(best))} worst places", _table(best[::-1][:N_EXTREMES])),
