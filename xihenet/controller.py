@@ -23,6 +23,7 @@ from xihenet.camera import in_view, unproject_frame
 from xihenet.codec import EncodingMethod, encode_cloud, n_clamped_distances
 from xihenet.estimators.base import EstimateContext
 from xihenet.invalid import Counts, counted
+from xihenet.light.key_light import split_light
 from xihenet.light_change import LightFollowing, follow_light
 from xihenet.recording import SessionRecorder
 from xihenet.records import (
@@ -57,6 +58,8 @@ class ControllerSettings:
     following: LightFollowing | None = field(default_factory=LightFollowing)
     # Whether positions out of view see the frames as well; in the paper they cost nothing, and learn nothing.
     learns_out_of_view: bool = False
+    # Whether estimates say which part of their light is a key light, see `xihenet.light.key_light`.
+    has_key_light: bool = False
 
 
 class XiheController:
@@ -193,11 +196,11 @@ class XiheController:
             context = EstimateContext(frame, points, position.position_m, truth_sh, self.reference_exposure)
             with clock.stage("estimate"):
                 fired = followed.fired()
-                estimate = self._estimate(fired.persistent, context)
+                estimate = self._with_key(self._estimate(fired.persistent, context), fired.persistent, position.light)
             unknown_because = estimate.unknown_because
             invalid = {**invalid, **self._clamped(followed.temporary, fired.persistent)}
             if estimate.is_valid:
-                estimate = replace(estimate, others=self._others_say(fired.persistent, context))
+                estimate = self._with_others(estimate, fired.persistent, context, position.light)
                 # Else what was seen is still unanswered, and the trigger goes on to ask.
                 buffers, position.light, position.lit_at_m = fired, estimate, position.position_m
         position.buffers, position.decision = buffers, decision
@@ -223,11 +226,25 @@ class XiheController:
     def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> LightEstimate:
         return estimate_light(self.backend, cloud, context, self.reference_exposure or 1.0)
 
-    def _others_say(self, cloud: UnitSphereCloud, context: EstimateContext) -> dict[str, ArrayF64]:
-        """Without those for which the light cannot be known."""
+    def _with_key(self, estimate: LightEstimate, cloud: UnitSphereCloud, before: LightEstimate | None) -> LightEstimate:
+        if not (estimate.is_valid and self.settings.has_key_light):
+            return estimate
+        split = split_light(estimate.sh_radiance, cloud, self.lattice, before.key if before else None)
+        return replace(estimate, key=split.key)
+
+    def _with_others(
+        self, estimate: LightEstimate, cloud: UnitSphereCloud, context: EstimateContext, before: LightEstimate | None
+    ) -> LightEstimate:
+        """With what the other estimators say, those for which the light can be known."""
         exposure = self.reference_exposure or 1.0
         said = {other.name: estimate_light(other, cloud, context, exposure) for other in self.others}
-        return {name: light.sh_radiance for name, light in said.items() if light.is_valid}
+        lights = {name: light.sh_radiance for name, light in said.items() if light.is_valid}
+        if not self.settings.has_key_light:
+            return replace(estimate, others=lights)
+        previous = before.other_keys if before else {}
+        splits = {name: split_light(sh, cloud, self.lattice, previous.get(name)) for name, sh in lights.items()}
+        keys = {name: split.key for name, split in splits.items() if split.key is not None}
+        return replace(estimate, others=lights, other_keys=keys)
 
     def _clamped(self, sent: UnitSphereCloud, used: UnitSphereCloud) -> Counts:
         """Distances that the wire or the network takes for others."""

@@ -288,6 +288,32 @@ class TriggerDecision:
 
 
 @dataclass(frozen=True, eq=False)
+class KeyLight:
+    """A disc of even radiance, far away: the part of a light that casts a shadow.
+
+    Parameters
+    ----------
+    direction : (3,) float64, unit, world, towards the light
+    irradiance : (3,) float64, on a surface that faces it, linear Rec.709, carrying the estimate's exposure
+    angular_radius : radians, from its middle to its rim
+    is_seen : whether the phone saw it; else it is what the estimate implies
+    """
+
+    direction: ArrayF64
+    irradiance: ArrayF64
+    angular_radius: float
+    is_seen: bool
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectLight:
+    """What lights an object: `sh`, (9, 3) radiance coefficients, of which `key` is a part; None for no key light."""
+
+    sh: ArrayF64
+    key: KeyLight | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class LightEstimate:
     """The light at one position.
 
@@ -301,6 +327,8 @@ class LightEstimate:
     expected_error : SHC RMSE that the estimator expects of itself, or None
     unknown_because : reason of `xihenet.invalid.UNKNOWN` where the light could not be known, else empty
     others : (9, 3) by name, what other estimators say of the same cloud, those that know
+    key : the key light that is a part of it; None for none, and where the session asks for none
+    other_keys : the key lights that are a part of `others`, of those that have one
     """
 
     sh_radiance: ArrayF64
@@ -311,6 +339,8 @@ class LightEstimate:
     expected_error: float | None = None
     unknown_because: str = ""
     others: Mapping[str, ArrayF64] = field(default_factory=dict)
+    key: KeyLight | None = None
+    other_keys: Mapping[str, KeyLight] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         _keep(self, np.float64, sh_radiance=(9, 3))

@@ -42,6 +42,7 @@ from xihe_blender.previs.survey import SceneSurvey, survey_path
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
 from xihenet.effects import plan_effects
+from xihenet.records import ObjectLight
 
 SCENES = Path(__file__).resolve().parents[2] / "blend_scenes"
 METHODS = ("projection", "ambient", "truth")
@@ -134,7 +135,7 @@ def walk(stage: Stage, sample_count: SampleCount, reuse: RenderReuse) -> Walked:
             by_name = [light[name].tobytes() for name in sorted(light)]
             if made.setdefault(reuse.comparison(frame, str(source).encode(), *by_name), frame) == frame:
                 anywhere = next(iter(light.values()))
-                of_each = {item.name: light.get(item.name, anywhere) for item in plan.objects}
+                of_each = {item.name: ObjectLight(light.get(item.name, anywhere)) for item in plan.objects}
                 comparer.render_comparison(captured[source], dict.fromkeys(METHODS, of_each))
     return Walked(walk_s, time.process_time() - start, len(captured), n_probes, len(made))
 

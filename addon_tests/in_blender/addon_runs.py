@@ -1,10 +1,11 @@
 """The add-on registered for a test, with preferences, and a run from its panel on the tiny room."""
 
 import contextlib
+from dataclasses import replace
 
 import bpy
 import pytest
-from previs_runs import QuickPrevis, run, walk
+from previs_runs import SMALL, QuickPrevis, run, walk
 from tiny_scenes import saved
 
 from xihe_blender import addon
@@ -58,12 +59,12 @@ def walk_for_the_panel(runs_folder, **settings):
     return scene
 
 
-def lit_walk(out):
-    """`out`, the folder of a run of `walk`, and in it `after.blend`, which shows its light. For a registered add-on."""
+def lit_walk(out, **settings):
+    """`out`, with a small run of `walk`, and `after.blend`, which shows its light. For a registered add-on."""
     from xihe_blender.addon.results_in_blender import show_results
 
     scene = walk()
-    run(scene, out)
+    run(scene, out, replace(SMALL, **settings))
     scene.xihe.run_folder = str(out)
     show_results(scene, out)
     saved(out / "after.blend")

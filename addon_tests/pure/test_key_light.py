@@ -5,8 +5,8 @@ import pytest
 
 from addon_tests.pure.sh_samples import random_directions, random_light
 from xihenet.colour import linear_to_srgb
-from xihenet.light.key_light import KeyLight, bright_patches, split_light
-from xihenet.records import UnitSphereCloud
+from xihenet.light.key_light import UNSEEN_RADIUS, bright_patches, mean_light, rest_of, sh_of_key_light, split_light
+from xihenet.records import KeyLight, ObjectLight, UnitSphereCloud
 from xihenet.sh import basis, irradiance, rotate
 from xihenet.sphere import AnchorLattice
 
@@ -16,7 +16,7 @@ FINE = AnchorLattice(60_000)
 
 def lamp(direction, strength=1.0, radius=0.0, colour=(1.0, 1.0, 1.0)):
     """(9, 3) coefficients of a disc of that irradiance."""
-    return KeyLight(np.asarray(direction, float), strength * np.array(colour), radius, True).sh_radiance()
+    return sh_of_key_light(KeyLight(np.asarray(direction, float), strength * np.array(colour), radius, True))
 
 
 def flat(radiance=0.1):
@@ -57,7 +57,7 @@ def test_the_coefficients_of_a_disc_are_those_of_its_radiance(radius_deg):
 def test_key_light_and_rest_are_the_estimate(seed):
     estimate = random_light(seed=seed)
     split = split_light(estimate, seen(*random_directions(seed % 4, seed)), LATTICE)
-    together = split.rest + (0 if split.key is None else split.key.sh_radiance())
+    together = split.rest + (0 if split.key is None else sh_of_key_light(split.key))
     assert together == pytest.approx(estimate, rel=1e-12, abs=1e-12)
     if split.key is not None:
         assert (split.key.irradiance >= 0).all() and (split.rest[0][estimate[0] > 0] >= -1e-12).all()
@@ -67,10 +67,12 @@ def test_key_light_and_rest_are_the_estimate(seed):
 @pytest.mark.parametrize("ambient", [0.0, 0.3])
 def test_a_lamp_alone_is_found_whole(seed, ambient):
     direction, colour = random_directions(1, seed)[0], np.array([1.0, 0.8, 0.5])
-    split = split_light(flat(ambient) + lamp(direction, 3.0, colour=colour))
-    assert apart(split.key.direction, direction) < 0.1
-    assert split.key.irradiance == pytest.approx(3 * colour, rel=0.01)
-    assert split.rest == pytest.approx(flat(ambient), abs=0.01)
+    split = split_light(flat(ambient) + lamp(direction, 3.0, UNSEEN_RADIUS, colour))
+    assert apart(split.key.direction, direction) < 2
+    assert split.key.irradiance == pytest.approx(3 * colour, rel=0.03)
+    assert split.rest == pytest.approx(flat(ambient), abs=0.1)
+    point = split_light(flat(ambient) + lamp(direction, 3.0, colour=colour)).key
+    assert apart(point.direction, direction) < 0.1 and point.irradiance == pytest.approx(3 * colour, rel=0.05)
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -138,10 +140,13 @@ def test_there_is_none_in_flat_light_and_in_the_dark(light, why):
 @pytest.mark.parametrize("seed", range(5))
 def test_a_white_surface_has_the_irradiance_of_the_estimate_in_the_mean(seed):
     """A key light shines on one side alone, and sharply: single normals differ, the sum of all does not."""
-    normals = FINE.directions
+    normals = LATTICE.directions
     split = split_light(flat(0.3) + lamp(random_directions(1, seed)[0], 2.0))
-    lit = irradiance(split.rest, normals) + np.maximum(normals @ split.key.direction, 0)[:, None] * split.key.irradiance
-    whole = irradiance(split.rest + split.key.sh_radiance(), normals)
+    radius, direction = split.key.angular_radius, split.key.direction
+    disc = FINE.directions[FINE.directions @ direction > np.cos(radius)]
+    of_disc = np.maximum(normals @ disc.T, 0).sum(axis=1) / (disc @ direction).sum()
+    lit = irradiance(split.rest, normals) + of_disc[:, None] * split.key.irradiance
+    whole = irradiance(split.rest + sh_of_key_light(split.key), normals)
     assert lit.mean() == pytest.approx(whole.mean(), rel=0.01)
 
 
@@ -152,3 +157,16 @@ def test_nothing_that_is_not_light_is_taken_for_some():
         split_light(np.ones((4, 3)))
     with pytest.raises(ValueError, match="lattice"):
         split_light(flat(), UnitSphereCloud.empty(1280), AnchorLattice(64))
+
+
+def test_one_light_for_several_positions_is_their_mean_and_has_the_key_light_they_share():
+    up, beside, away = np.array([0, 0, 1.0]), np.array([0.2, 0, 0.98]), np.array([1.0, 0, 0])
+    keys = [KeyLight(d / np.linalg.norm(d), np.full(3, e), 0.1, False) for d, e in ((up, 3), (beside, 1), (away, 0.5))]
+    lights = [ObjectLight(flat(1.0) + sh_of_key_light(key), key) for key in (*keys, None)]
+    mean = mean_light(lights)
+    assert mean.sh == pytest.approx(np.mean([light.sh for light in lights], axis=0))
+    assert mean.key.irradiance == pytest.approx(1.0) and apart(mean.key.direction, up) < 4
+    assert rest_of(mean) + sh_of_key_light(mean.key) == pytest.approx(mean.sh)
+    assert mean_light([ObjectLight(flat())]).key is None
+    with pytest.raises(ValueError, match="at least one"):
+        mean_light([])

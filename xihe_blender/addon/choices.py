@@ -32,6 +32,14 @@ TARGETS = (
     ),
     ("ldr", "Clipped Light", "Estimate light clipped at white, as in a phone's picture, and as the paper does"),
 )
+LIGHT_PARTS = (
+    ("sh", "Soft Light", "All of it as spherical harmonics: light without a sharp shadow"),
+    (
+        "sh+key",
+        "Soft Light and Key Light",
+        "The dominant light as a sun with a shadow, the rest as soft light",
+    ),
+)
 PHONES_METERING = "PHONE"
 METERINGS = (
     (PHONES_METERING, "As the Phone", "Meter as the phone's profile says"),

@@ -228,6 +228,7 @@ class XIHE_PT_estimator_details(StagePanel, bpy.types.Panel):
         layout.use_property_decorate = False
         layout.column(align=True).prop(settings, "others")
         layout.prop(settings, "target")
+        layout.prop(settings, "light")
         layout.prop(settings, "seed")
 
 

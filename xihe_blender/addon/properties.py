@@ -119,6 +119,9 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
     target: bpy.props.EnumProperty(
         name="Target", description="Which light is estimated, and compared with the true one", items=choices.TARGETS
     )
+    light: bpy.props.EnumProperty(
+        name="Light", description="What the virtual objects are given of an estimate", items=choices.LIGHT_PARTS
+    )
     use_own_frames: bpy.props.BoolProperty(
         name="Own Frames",
         description="Run on frames other than the scene's range and step",

@@ -28,28 +28,30 @@ from xihe_blender.apply.datablocks import (
     our_images,
     trigger_markers,
 )
+from xihe_blender.apply.key_suns import key_suns, remove_key_sun
 from xihe_blender.apply.lit_scene import CapturedFrames, hide_behind_room, put_over_frames, remove_lit_scene
 from xihe_blender.apply.placement_map import remove_placement_map
 from xihe_blender.apply.sh_worlds import (
     applied_worlds,
     f_curves,
-    key_light_changes,
     make_sh_world,
     remove_animation,
     remove_applied_light,
     remove_trigger_markers,
     world_name,
 )
+from xihe_blender.compare.methods import bytes_of
 from xihe_blender.compare.side_by_side import middle_of_change, read_picture, wiped
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.previs.better_camera import remove_better_camera
 from xihe_blender.previs.kept_session import FoundLight
-from xihe_blender.previs.lit_blend import apply_lights, light_of, make_lit_scene
+from xihe_blender.previs.lit_blend import apply_lights, key_object_light, light_of, make_lit_scene
 from xihe_blender.scene.virtual_objects import virtual_objects
+from xihenet.light.key_light import mean_light
 from xihenet.panorama import evaluate_panorama
-from xihenet.records import ArrayF32, ArrayF64
+from xihenet.records import ArrayF32, ArrayF64, ObjectLight
 
 ERROR_CURVE, COVERAGE_CURVE, EXPECTED_CURVE = "Xihe SHC RMSE", "Xihe coverage", "Xihe expected error"
 LIGHT_HEIGHT = 64
@@ -112,11 +114,11 @@ def show_found_light(
     Its error is not known there: ground truth and reference light are of the run.
     """
     results, lights = read_results(folder), list(found.values())
-    of_frames = {frame: np.mean([light.sh[frame] for light in lights], axis=0) for frame in lights[0].sh}
+    of_frames = {frame: mean_light([light.lights[frame] for light in lights]) for frame in lights[0].lights}
     exposure, known = results.settings.reference_exposure, applied_worlds(scene).get(name)
     world = known or make_sh_world(world_name(name))
     world.use_fake_user = True
-    key_light_changes(world, _changes(of_frames), exposure)
+    key_object_light(world, name, _changes(of_frames), exposure)
     last = next(reversed(of_frames))
     at_run = light_of(name, results.frames)
     live = {name: (light.coverage[last], light.expected_error[last]) for name, light in found.items()}
@@ -134,14 +136,14 @@ def show_found_light(
                 _key(world, EXPECTED_CURVE, frame, expected)
         _hold(world)
     reached = max((frame for frame in of_frames if frame <= scene.frame_current), default=min(of_frames))
-    show_light(name, of_frames[reached] / exposure)
+    show_light(name, of_frames[reached].sh / exposure)
 
 
-def _changes(lights: Mapping[int, ArrayF64]) -> dict[int, ArrayF64]:
+def _changes(lights: Mapping[int, ObjectLight]) -> dict[int, ObjectLight]:
     """Those of `lights` that differ from the one before."""
-    kept: dict[int, ArrayF64] = {}
+    kept: dict[int, ObjectLight] = {}
     for frame, light in lights.items():
-        if not kept or not np.array_equal(light, next(reversed(kept.values()))):
+        if not kept or bytes_of(light) != bytes_of(next(reversed(kept.values()))):
             kept[frame] = light
     return kept
 
@@ -291,6 +293,8 @@ def remove_everything(scene: bpy.types.Scene) -> None:
     remove_lit_scene()
     remove_placement_map()
     remove_applied_light(scene)
+    for sun in key_suns():
+        remove_key_sun(sun)
     for other in [other for other in bpy.data.scenes if other.library is None]:
         remove_trigger_markers(other)
     for image in list(our_images()):

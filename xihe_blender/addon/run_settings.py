@@ -53,6 +53,7 @@ def choices_of_run(scene: bpy.types.Scene) -> dict[str, Any]:
         "estimator": chosen.estimator,
         "others": tuple(name for name in estimators.names() if name in chosen.others),
         "preset": chosen.preset,
+        "light": chosen.light,
         "target": chosen.target,
         "size": tuple(chosen.size) if chosen.use_own_size else None,
         "frames": chosen_frames(scene),

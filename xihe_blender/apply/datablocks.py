@@ -30,6 +30,10 @@ MADE_BY = "xihe_image"
 """Custom property of our images, so that one of the user's of the same name is left alone."""
 
 
+KEY_LIGHT = "xihe_key_light"
+"""Custom property of a sun of ours: its name, whatever Blender calls it now."""
+
+
 LIGHT_OF = "xihe_light_of"
 """Custom property of a world of ours: the places that its light is of, see `LightOf`."""
 
@@ -81,6 +85,7 @@ def live_positions() -> dict[str, tuple[float, float | None]]:
 def has_anything(scene: bpy.types.Scene) -> bool:
     """Whether there is something for `results_in_blender.remove_everything` to remove."""
     lit = any(lights_by_sh(world) and world.library is None for world in bpy.data.worlds)
+    lit |= any(KEY_LIGHT in item and item.library is None for item in bpy.data.objects)
     is_lit = lit or lit_scene() is not None or bool(trigger_markers(scene))
     return is_lit or next(our_images(), None) is not None or has_map() or better_path_camera() is not None
 

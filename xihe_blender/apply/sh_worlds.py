@@ -136,11 +136,15 @@ def key_light_changes(world: bpy.types.World, lights: Mapping[int, ArrayLike], e
 
 
 def world_name(virtual_object: str) -> str:
-    """Name of the world that lights a virtual object, in the 63 bytes that every Blender keeps of one.
+    """Name of the world that lights a virtual object, as `shortened` gives it."""
+    return shortened(f"{PREFIX}{virtual_object}")
+
+
+def shortened(name: str) -> str:
+    """`name` in the 63 bytes that every Blender keeps of one.
 
     A longer one is cut, and ends with a checksum of all of it: objects whose long names begin alike stay apart.
     """
-    name = f"{PREFIX}{virtual_object}"
     whole = name.encode()
     if len(whole) <= MAX_NAME_BYTES:
         return name

@@ -1,7 +1,8 @@
 """How close does an estimated light come to the real one, in the picture?
 
 Ground truth is the room and the virtual objects path-traced together. A method's picture is each virtual object under
-its own estimated light, over the captured frame: a view layer per method and object with a world override, the other
+its own estimated light, over the captured frame: a view layer per method and object with a world override and, where
+the run asks for it, a sun as key light; the other
 objects as holdouts, film transparent. The room is not in that scene at all, so these layers cost next to nothing. What
 stands in front of an object in the room hides it, by the captured plane depth, as an AR toolkit does it.
 
@@ -20,6 +21,7 @@ import bpy
 import numpy as np
 
 from xihe_blender.apply.datablocks import LIT_SCENE, PREFIX
+from xihe_blender.apply.key_suns import apply_key_to_sun, lit_by_suns, make_key_sun, remove_key_sun
 from xihe_blender.apply.lit_scene import remove_lit_collections, set_up_lit_scene
 from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world
 from xihe_blender.capture.render import RenderSettings, render_passes, stacked_rgb, working_scene
@@ -28,9 +30,10 @@ from xihe_blender.io.outputs import written_whole
 from xihe_blender.io.run_results import Metrics
 from xihenet.camera import MISS_PLANE_DEPTH_M, valid_plane_depth
 from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.light.key_light import rest_of
 from xihenet.metrics import angular_error, angular_error_deg, image_rmse, psnr, si_rmse, ssim
 from xihenet.npz_files import read_npz
-from xihenet.records import ArrayBool, ArrayF32, ArrayF64, RgbdFrame
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ObjectLight, RgbdFrame
 
 GROUND_TRUTH_SCENE = "Xihe Ground Truth"
 OCCLUSION_TOLERANCE = 2e-3
@@ -83,8 +86,10 @@ class Comparer:
     lit: bpy.types.Scene
     worlds: Mapping[tuple[str, str], bpy.types.World]
     layers: Mapping[tuple[str, str], str]
+    suns: Mapping[tuple[str, str], bpy.types.Object]
+    """Of the key lights; empty where all of a light is spherical harmonics."""
 
-    def render_comparison(self, captured: RgbdFrame, lights: Mapping[str, Mapping[str, ArrayF64]]) -> Comparison:
+    def render_comparison(self, captured: RgbdFrame, lights: Mapping[str, Mapping[str, ObjectLight]]) -> Comparison:
         """Ground truth and every method at the frame of `captured`; see `render_methods`."""
         return self.render_methods(captured, lights, self.render_ground_truth(captured.frame))
 
@@ -95,15 +100,20 @@ class Comparer:
         return GroundTruth(first_layer(rendered)[0], rendered.render_s)
 
     def render_methods(
-        self, captured: RgbdFrame, lights: Mapping[str, Mapping[str, ArrayF64]], truth: GroundTruth
+        self, captured: RgbdFrame, lights: Mapping[str, Mapping[str, ObjectLight]], truth: GroundTruth
     ) -> Comparison:
         """Every method at the frame of `captured`, beside `truth`, which is of the same frame.
 
-        The plane depth of `captured` hides what lies behind. `lights` are (9, 3) radiance coefficients that carry its
-        exposure, by method and virtual object.
+        The plane depth of `captured` hides what lies behind. `lights` carry its exposure, by method and
+        virtual object.
         """
-        for (method, name), world in self.worlds.items():
-            apply_sh_to_world(world, lights[method][name], captured.exposure)
+        for key, world in self.worlds.items():
+            light = lights[key[0]][key[1]]
+            if key in self.suns:
+                apply_sh_to_world(world, rest_of(light), captured.exposure)
+                apply_key_to_sun(self.suns[key], light.key, captured.exposure)
+            else:
+                apply_sh_to_world(world, light.sh, captured.exposure)
         self.lit.frame_set(captured.frame)
         lit = render_passes(self.lit)
         background = srgb_to_linear(captured.srgb_u8 / 255.0)
@@ -117,22 +127,39 @@ class Comparer:
 
 @contextlib.contextmanager
 def open_comparer(
-    scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], methods: Sequence[str], settings: RenderSettings
-) -> Iterator[Comparer]:
-    """Everything needed to compare `methods` on the virtual `objects` of `scene`; all of it is gone afterwards."""
+    scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], methods: Sequence[str], settings: RenderSettings,
+    *, has_key_light: bool = False,
+) -> Iterator[Comparer]:  # fmt: skip
+    """Everything needed to compare `methods` on the virtual `objects` of `scene`; all of it is gone afterwards.
+
+    With `has_key_light` the key light of each light is a sun, else a part of its spherical harmonics.
+    """
     keys = [(method, item.name) for method in methods for item in objects]
     # View layer names are cut at 63 bytes, so objects go by number.
     layers = {key: f"{key[0]} {number}" for number, key in enumerate(keys)}
     worlds: dict[tuple[str, str], bpy.types.World] = {}
+    suns: dict[tuple[str, str], bpy.types.Object] = {}
     with contextlib.ExitStack() as stack:
         for key, layer in layers.items():
             worlds[key] = make_sh_world(f"{PREFIX}{layer}")
             stack.callback(bpy.data.worlds.remove, worlds[key])
+            if has_key_light:
+                suns[key] = make_key_sun(f"{PREFIX}{layer} Key Light")
+                stack.callback(remove_key_sun, suns[key])
         truth = stack.enter_context(working_scene(scene, GROUND_TRUTH_SCENE, settings))
         stack.callback(remove_lit_collections)
         lit = stack.enter_context(working_scene(scene, LIT_SCENE, settings))
         set_up_lit_scene(lit, objects, {layer: (key[1], worlds[key]) for key, layer in layers.items()})
-        yield Comparer(truth, lit, worlds, layers)
+        lit_by_suns(lit, {layers[key]: sun for key, sun in suns.items()})
+        yield Comparer(truth, lit, worlds, layers, suns)
+
+
+def bytes_of(light: ObjectLight) -> bytes:
+    """All that decides what `light` looks like."""
+    if light.key is None:
+        return light.sh.tobytes()
+    key, radius = light.key, np.float64(light.key.angular_radius)
+    return b"".join(part.tobytes() for part in (light.sh, key.direction, key.irradiance, radius))
 
 
 def composite(

@@ -105,6 +105,7 @@ class RunSettings:
     preset: Annotated[str, "as in the command line"]
     others: Annotated[tuple[str, ...], "other estimators that were compared with it"] = ()
     target: Annotated[Literal["ldr", "hdr"], "as in the command line"]
+    light: Annotated[Literal["sh", "sh+key"], "what objects are lit with"] = "sh"
     size: Annotated[tuple[int, int], "of captures and comparisons, width and height"]
     frames: Annotated[tuple[int, ...], "of the path"]
     captured: Annotated[Literal["path", "in-view"], "which of them the phone took in"] = "in-view"
@@ -245,11 +246,22 @@ class FrameResult:
 
 
 @dataclass(frozen=True, kw_only=True)
+class KeyLightResult:
+    """The part of a light that casts a shadow: a disc of even radiance, far away."""
+
+    direction: Annotated[tuple[float, float, float], "unit, world, towards the light"]
+    irradiance: Annotated[Rgb, "on a surface that faces it, carrying `settings.reference_exposure`"]
+    angular_radius: Annotated[float, "radians, from its middle to its rim"]
+    is_seen: Annotated[bool, "whether the phone saw it; else it is what the estimate implies"]
+
+
+@dataclass(frozen=True, kw_only=True)
 class LightChange:
     """From a frame on, an object's light."""
 
     frame: Annotated[int, "from which on"]
-    sh: Annotated[Coefficients, "the mean over the object's positions"]
+    sh: Annotated[Coefficients, "the mean over the object's positions, the key light among it"]
+    key: Annotated[KeyLightResult | None, "None for no key light, and where `settings.light` has none"] = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -49,7 +49,9 @@ def _render_missing(run: PreparedRun, walked: WalkedPath, missing: Sequence[int]
     """All ground truths, then all methods, so that Cycles builds each of the two scenes once."""
     if not missing:
         return
-    with methods.open_comparer(run.scene, run.plan.objects, run.methods, run.comparison) as comparer:
+    with methods.open_comparer(
+        run.scene, run.plan.objects, run.methods, run.comparison, has_key_light=run.settings.has_key_light
+    ) as comparer:
         yield from render_ground_truths(run, missing, comparer)
         for done, frame in enumerate(missing):
             yield run.progress("methods", done / len(missing), f"comparing frame {frame}")
@@ -73,7 +75,7 @@ def comparison_sources(run: PreparedRun, lights: Mapping[int, Lights]) -> dict[i
 
 def _made_from(run: PreparedRun, frame: int, lights: Lights) -> tuple[Any, ...]:
     captured = load_frame(run.outputs.capture(frame))
-    of_all = [light.tobytes() for of_method in lights.values() for light in of_method.values()]
+    of_all = [methods.bytes_of(light) for of_method in lights.values() for light in of_method.values()]
     pixels = captured.srgb_u8.tobytes(), captured.plane_depth_m.tobytes()
     return run.reuse.comparison(frame, *pixels, ",".join(lights).encode(), *of_all)
 

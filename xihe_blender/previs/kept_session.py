@@ -24,7 +24,7 @@ from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihenet.camera import in_view, unproject_frame
 from xihenet.light_change import LightFollowing
 from xihenet.recording import load_frame
-from xihenet.records import ArrayF64, Intrinsics, PointCloud, RgbdFrame
+from xihenet.records import ArrayF64, Intrinsics, ObjectLight, PointCloud, RgbdFrame
 from xihenet.trigger import TriggerSettings
 
 
@@ -41,15 +41,20 @@ class SeenFrame:
 class FoundLight:
     """What a session comes to know of one position, by frame.
 
-    `sh` are (9, 3), the light in force, carrying the session's exposure: until the first estimate the ambient one.
+    `lights` are those in force, carrying the session's exposure: until the first estimate the ambient one.
     `coverage` is the share of the anchors that are known, `expected_error` SHC RMSE, None for an estimator that expects
     none or before there is an estimate. `was_in_view` says whether the position ever was.
     """
 
-    sh: dict[int, ArrayF64] = field(default_factory=dict)
+    lights: dict[int, ObjectLight] = field(default_factory=dict)
     coverage: dict[int, float] = field(default_factory=dict)
     expected_error: dict[int, float | None] = field(default_factory=dict)
     was_in_view: bool = False
+
+    @property
+    def sh(self) -> dict[int, ArrayF64]:
+        """(9, 3) coefficients of all of the light."""
+        return {frame: light.sh for frame, light in self.lights.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +84,7 @@ class KeptSession:
             session.step(one.seen, {}, active, one.points)
             for name, light in found.items():
                 frame, time_s = one.seen.frame, one.seen.time_s
-                light.sh[frame] = session.light(name, time_s)
+                light.lights[frame] = session.object_light([name], time_s)
                 light.coverage[frame] = session.controller.coverage(name)
                 light.expected_error[frame] = session.expected_error(name, time_s)
                 light.was_in_view |= name in active
@@ -133,6 +138,7 @@ def _settings_of(results: RunResults) -> PrevisSettings:
     return PrevisSettings(
         estimator=of_run.estimator,
         target=of_run.target,
+        light=of_run.light,
         n_anchors=of_run.n_anchors,
         seed=of_run.seed,
         captured=of_run.captured,

@@ -9,33 +9,34 @@ from __future__ import annotations
 import contextlib
 import errno
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
-import numpy as np
 
-from xihe_blender.apply import sh_worlds
+from xihe_blender.apply import key_suns, sh_worlds
 from xihe_blender.apply.datablocks import LIT_SCENE, LightOf
 from xihe_blender.apply.lit_scene import remove_lit_collections, remove_lit_scene, set_up_lit_scene
 from xihe_blender.capture.render import can_denoise
 from xihe_blender.io.outputs import written_whole
 from xihe_blender.io.run_results import FrameResult, LightChange
 from xihe_blender.previs.plan import PrevisPlan
-from xihe_blender.previs.results import as_coefficients
-from xihenet.records import ArrayF64
+from xihe_blender.previs.results import as_coefficients, as_key, light_of_change
+from xihenet.light.key_light import rest_of
+from xihenet.records import ObjectLight
 
 Changes = Mapping[str, Sequence[LightChange]]
 """By virtual object, as results.json has them."""
 
 
-def light_changes(plan: PrevisPlan, lights: Mapping[int, Mapping[str, ArrayF64]]) -> Changes:
-    """The light of each virtual object wherever it changes; `lights` are (9, 3) by frame and virtual object."""
+def light_changes(plan: PrevisPlan, lights: Mapping[int, Mapping[str, ObjectLight]]) -> Changes:
+    """The light of each virtual object wherever it changes; `lights` are by frame and virtual object."""
     changes: dict[str, tuple[LightChange, ...]] = {item.name: () for item in plan.objects}
     for frame, light in lights.items():
         for name, of_one in changes.items():
-            sh = as_coefficients(light[name])
-            if not of_one or of_one[-1].sh != sh:
-                changes[name] = (*of_one, LightChange(frame=frame, sh=sh))
+            change = LightChange(frame=frame, sh=as_coefficients(light[name].sh), key=as_key(light[name].key))
+            if not of_one or replace(of_one[-1], frame=frame) != change:
+                changes[name] = (*of_one, change)
     return changes
 
 
@@ -49,12 +50,27 @@ def apply_lights(scene: bpy.types.Scene, changes: Changes, frames: Sequence[Fram
     for name, of_one in changes.items():
         world = sh_worlds.make_sh_world(sh_worlds.world_name(name))
         world.use_fake_user = True
-        sh_worlds.key_light_changes(world, {change.frame: np.array(change.sh) for change in of_one}, exposure)
+        lights = {change.frame: light_of_change(change) for change in of_one}
+        key_object_light(world, name, lights, exposure)
         light_of(name, frames).write(world)
     for entry in frames:
         reasons = [probe.reason for probe in entry.probes if probe.fired]
         if reasons:
             sh_worlds.mark_trigger(scene, entry.frame, reasons)
+
+
+def key_object_light(world: bpy.types.World, name: str, lights: Mapping[int, ObjectLight], exposure: float) -> None:
+    """Key the light of virtual object `name`, by frame, onto its world and, where it has a key light, onto its sun.
+
+    Without any key light in `lights` a sun of an earlier run is taken away.
+    """
+    sh_worlds.key_light_changes(world, {frame: rest_of(light) for frame, light in lights.items()}, exposure)
+    if any(light.key is not None for light in lights.values()):
+        sun = key_suns.make_key_sun(key_suns.sun_name(name))
+        sun.use_fake_user = True
+        key_suns.key_sun_changes(sun, {frame: light.key for frame, light in lights.items()}, exposure)
+    else:
+        key_suns.remove_key_sun(key_suns.key_sun(key_suns.sun_name(name)))
 
 
 def light_of(name: str, frames: Sequence[FrameResult]) -> LightOf:
@@ -80,6 +96,8 @@ def make_lit_scene(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) 
     for layer in list(lit.view_layers)[1:]:
         lit.view_layers.remove(layer)
     set_up_lit_scene(lit, objects, {world.name: (name, world) for name, world in worlds.items()})
+    suns = key_suns.applied_suns(scene)
+    key_suns.lit_by_suns(lit, {worlds[name].name: sun for name, sun in suns.items() if name in worlds})
     lit.world = next(iter(worlds.values()))
     lit.render.engine = "CYCLES"
     # Denoised as the report's pictures are. A build without the denoiser would refuse to render with it.

@@ -16,8 +16,9 @@ from xihenet import estimators
 from xihenet.backend import LocalBackend
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.estimators import EstimateContext, Estimator
+from xihenet.light.key_light import mean_light
 from xihenet.phone import EstimatesUnderWay, Link, Request
-from xihenet.records import ArrayF64, PointCloud, RgbdFrame, StepReport, UnitSphereCloud
+from xihenet.records import ArrayF64, ObjectLight, PointCloud, RgbdFrame, StepReport, UnitSphereCloud
 
 
 class PhoneSession:
@@ -36,6 +37,7 @@ class PhoneSession:
             reference_exposure=exposure,
             following=settings.following,
             learns_out_of_view=settings.captured == "path",
+            has_key_light=settings.has_key_light,
         )
         self.controller = XiheController(LocalBackend(estimator), chain, others=[LocalBackend(one) for one in others])
         self.probes = {probe.name: probe for probe in plan.probes}
@@ -80,6 +82,19 @@ class PhoneSession:
         if request is None:
             return self.ambient_sh
         return request.estimate.sh_radiance if other is None else request.estimate.others.get(other, self.ambient_sh)
+
+    def object_light(self, names: Sequence[str], time_s: float, other: str | None = None) -> ObjectLight:
+        """The light in force of an object, of which `names` are the positions: their mean, and its key light.
+
+        `other` as of `light`; the ambient light has no key light.
+        """
+        lights = []
+        for name in names:
+            request, key = self.under_way.in_force(name, time_s), None
+            if request is not None:
+                key = request.estimate.key if other is None else request.estimate.other_keys.get(other)
+            lights.append(ObjectLight(self.light(name, time_s, other), key))
+        return mean_light(lights)
 
     def expected_error(self, name: str, time_s: float) -> float | None:
         """SHC RMSE that the estimator expects of the light in force; None for the ambient one, or if it says none."""

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from xihe_blender.capture.reference_probe import MeasuredLight
 from xihe_blender.compare.methods import ERROR_AT_FULL_SCALE
@@ -24,9 +25,9 @@ from xihenet.controller import ControllerSettings
 from xihenet.effects import Effect, Requirement, effects_as_json, plan_effects
 from xihenet.invalid import added, counted
 from xihenet.phone import Request, first_frame_after
-from xihenet.records import ArrayF64
+from xihenet.records import ArrayF64, KeyLight, ObjectLight
 
-AS_SET = ("estimator", "others", "preset", "target", "captured", "n_anchors", "seed", "phone", "network")
+AS_SET = ("estimator", "others", "preset", "target", "light", "captured", "n_anchors", "seed", "phone", "network")
 """Settings that results hold under the same names."""
 
 
@@ -70,6 +71,27 @@ def arrival(request: Request | None, times_s: Mapping[int, float]) -> tuple[int 
     index = int(first_frame_after([request.arrival_s], list(times_s.values()))[0])
     latency_s = request.latency_s
     return frames[index] if index < len(frames) else None, None if latency_s is None else 1e3 * latency_s
+
+
+def as_key(key: KeyLight | None) -> records.KeyLightResult | None:
+    """A key light as results.json has it."""
+    if key is None:
+        return None
+    return records.KeyLightResult(
+        direction=as_rgb(key.direction),
+        irradiance=as_rgb(key.irradiance),
+        angular_radius=float(key.angular_radius),
+        is_seen=bool(key.is_seen),
+    )
+
+
+def light_of_change(change: records.LightChange) -> ObjectLight:
+    """What `as_coefficients` and `as_key` were given."""
+    key, sh = change.key, np.array(change.sh, np.float64)
+    if key is None:
+        return ObjectLight(sh)
+    direction, irradiance = np.array(key.direction, np.float64), np.array(key.irradiance, np.float64)
+    return ObjectLight(sh, KeyLight(direction, irradiance, key.angular_radius, key.is_seen))
 
 
 def as_coefficients(light: ArrayF64) -> records.Coefficients:

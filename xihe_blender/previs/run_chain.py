@@ -31,16 +31,17 @@ from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.report.values import mean
 from xihenet.camera import invalid_pixels
 from xihenet.invalid import CLAMPED
+from xihenet.light.key_light import mean_light, split_light
 from xihenet.metrics import share_above_white, shc_rmse
 from xihenet.phone import NETWORK, Link, Request
 from xihenet.recording import load_frame, save_frame
-from xihenet.records import ArrayF64, RgbdFrame, StepReport
+from xihenet.records import ArrayF64, ObjectLight, RgbdFrame, StepReport
 
 NOT_REPEATED = "frame_rate"
 """Frames that the phone did not deliver were never captured."""
 
-Lights = dict[str, dict[str, ArrayF64]]
-"""(9, 3) coefficients by method and virtual object."""
+Lights = dict[str, dict[str, ObjectLight]]
+"""By method and virtual object."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,16 +157,21 @@ class _Walk:
         A position that was never in view has no light of its own yet and gets the ambient one.
         """
         ambient_sh, chosen, others = self.session.ambient_sh, self.run.settings.estimator, self.run.settings.others
-        lights: dict[str, dict[str, ArrayF64]] = {method: {} for method in self.run.methods}
+        lights: Lights = {method: {} for method in self.run.methods}
         for item in self.run.plan.objects:
             names = [probe.name for probe in self.run.plan.probes_of(item.name)]
             for method in (chosen, *others):
                 other = None if method == chosen else method
-                of_names = [self.session.light(name, time_s, other) for name in names]
-                lights[method][item.name] = np.mean(of_names, axis=0)
-            whole = [self.references[n].hdr if n in self.references else ambient_sh for n in names]
-            lights["ambient"][item.name], lights["truth"][item.name] = ambient_sh, np.mean(whole, axis=0)
+                lights[method][item.name] = self.session.object_light(names, time_s, other)
+            lights["ambient"][item.name] = ObjectLight(ambient_sh)
+            lights["truth"][item.name] = mean_light([self._true_light(name) for name in names])
         return lights
+
+    def _true_light(self, name: str) -> ObjectLight:
+        if name not in self.references:
+            return ObjectLight(self.session.ambient_sh)
+        sh = self.references[name].hdr
+        return ObjectLight(sh, split_light(sh).key if self.run.settings.has_key_light else None)
 
     def _other_lights(self, name: str, time_s: float, truth: ArrayF64) -> dict[str, OtherLight]:
         lights = {other: self.session.light(name, time_s, other) for other in self.run.settings.others}

@@ -31,7 +31,7 @@ from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.previs.survey import survey_path
 from xihe_blender.scene.state import scene_kept
 from xihenet.formats import format_duration
-from xihenet.records import RgbdFrame
+from xihenet.records import ObjectLight, RgbdFrame
 
 FEW_SAMPLES = 4
 LONGEST_S = 4.0
@@ -128,8 +128,10 @@ def _timed_comparison(
     run: PreparedRun, frames: Sequence[int], captured: Mapping[int, RgbdFrame]
 ) -> tuple[float, RenderTime]:
     """Under no light at all, which takes Cycles as long as any."""
-    dark = {method: {item.name: np.zeros((9, 3)) for item in run.plan.objects} for method in run.methods}
-    with open_comparer(run.scene, run.plan.objects, run.methods, run.comparison) as comparer:
+    dark = {method: {item.name: ObjectLight(np.zeros((9, 3))) for item in run.plan.objects} for method in run.methods}
+    with open_comparer(
+        run.scene, run.plan.objects, run.methods, run.comparison, has_key_light=run.settings.has_key_light
+    ) as comparer:
         truth: dict[int, GroundTruth] = {}
 
         def trace(frame: int) -> None:

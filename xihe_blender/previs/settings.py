@@ -30,6 +30,10 @@ Captured = Literal["path", "in-view"]
 """Frames that a phone of a run takes in: the whole path, or those in which an estimation position is in view."""
 
 
+LightParts = Literal["sh", "sh+key"]
+"""What objects are lit with: all of an estimate as spherical harmonics, or its key light as a sun and so the rest."""
+
+
 @dataclass(frozen=True)
 class Preset:
     """How much rendering effort a run spends.
@@ -77,6 +81,7 @@ class PrevisSettings:
     others : names of estimators that are compared with it, from the same clouds; `ambient` and `truth` always are
     preset : name of one of PRESETS
     target : which light is estimated and compared: "hdr" all of it, "ldr" light clipped at 1, as in the paper
+    light : what objects are lit with: "sh", or "sh+key", where the key light of an estimate is a sun
     size : of captures and comparisons; None takes 256x192, upright where the scene's picture is
     frames : frame numbers along the path; None takes the scene's range and step
     captured : "path" also captures frames in which no virtual object is in view, and learns from all that it captures
@@ -99,6 +104,7 @@ class PrevisSettings:
     others: tuple[str, ...] = ()
     preset: str = "balanced"
     target: Target = "hdr"
+    light: LightParts = "sh"
     size: tuple[int, int] | None = None
     frames: tuple[int, ...] | None = None
     captured: Captured = "path"
@@ -124,6 +130,7 @@ class PrevisSettings:
             ("preset", self.preset, PRESETS),
             ("metering", self.metering, METERINGS),
             ("captured", self.captured, get_args(Captured)),
+            ("light", self.light, get_args(LightParts)),
         ):
             if name is not None and name not in known:
                 raise UserError(f"there is no {kind} {name!r}: choose one of {', '.join(known)}")
@@ -174,6 +181,10 @@ class PrevisSettings:
     @property
     def metering_in_force(self) -> Metering:
         return self.profile.metering if self.metering is None else self.metering
+
+    @property
+    def has_key_light(self) -> bool:
+        return self.light != "sh"
 
     @property
     def link(self) -> Link | None:

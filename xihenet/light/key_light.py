@@ -17,6 +17,7 @@ stays where it was as long as what is there is nearly as strong as the strongest
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.colour import srgb_to_linear
-from xihenet.records import ArrayBool, ArrayF64, UnitSphereCloud
+from xihenet.records import ArrayBool, ArrayF64, KeyLight, ObjectLight, UnitSphereCloud
 from xihenet.sh_basis import basis, checked_sh
 from xihenet.sphere import AnchorLattice
 
@@ -49,29 +50,11 @@ STAYS_FROM = 0.75
 N_TURNS = 40
 N_ASCENT, N_STEPS = 40, 3
 SWEEPS = 60
+UNSEEN_RADIUS = float(np.radians(20))
+"""Of a light that only the estimate implies: nobody knows how large it is, and smaller ones draw glints that are not
+there (docs/key_light.md)."""
+
 SMALLEST_RADIUS, LARGEST_RADIUS = float(np.radians(0.25)), float(np.radians(40))
-
-
-@dataclass(frozen=True, eq=False)
-class KeyLight:
-    """A disc of even radiance, far away.
-
-    Parameters
-    ----------
-    direction : (3,) float64, unit, world, towards the light
-    irradiance : (3,) float64, on a surface that faces it, linear Rec.709, carrying the estimate's exposure
-    angular_radius : radians, from its middle to its rim
-    is_seen : whether the phone saw it; else it is what the estimate implies
-    """
-
-    direction: ArrayF64
-    irradiance: ArrayF64
-    angular_radius: float
-    is_seen: bool
-
-    def sh_radiance(self) -> ArrayF64:
-        """Its radiance coefficients, (9, 3)."""
-        return _of_disc(self.direction, self.angular_radius)[:, None] * self.irradiance
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,10 +103,44 @@ def split_light(
     if chosen is None:
         return LightSplit(None, coefficients, "two lights")
     key = _fitted(coefficients, candidates[chosen], strengths[chosen])
-    flux = key.sh_radiance()[0] @ LUMINANCE
+    flux = sh_of_key_light(key)[0] @ LUMINANCE
     if flux < LEAST_FLUX * luminance[0]:
         return LightSplit(None, coefficients, "flat")
-    return LightSplit(key, coefficients - key.sh_radiance())
+    return LightSplit(key, coefficients - sh_of_key_light(key))
+
+
+def sh_of_key_light(key: KeyLight | None) -> ArrayF64:
+    """Its radiance coefficients, (9, 3); zeros for None."""
+    if key is None:
+        return np.zeros((9, 3))
+    return _of_disc(key.direction, key.angular_radius)[:, None] * key.irradiance
+
+
+def rest_of(light: ObjectLight) -> ArrayF64:
+    """(9, 3) radiance coefficients of what is left of a light without its key light."""
+    return light.sh - sh_of_key_light(light.key)
+
+
+def mean_light(lights: Sequence[ObjectLight]) -> ObjectLight:
+    """One light for an object that has several positions.
+
+    Its key light is the strongest of theirs together with those from the same direction, as strong as it is in the
+    mean; the others are a part of what is left. ValueError for no light.
+    """
+    if not lights:
+        raise ValueError("mean_light: expected at least one light")
+    sh = np.mean([light.sh for light in lights], axis=0)
+    keys = [light.key for light in lights if light.key is not None]
+    if not keys:
+        return ObjectLight(sh)
+    strongest = max(keys, key=lambda key: float(key.irradiance @ LUMINANCE))
+    same = [key for key in keys if _is_same(key.direction, strongest.direction)]
+    weights = np.array([max(float(key.irradiance @ LUMINANCE), 1e-12) for key in same])
+    direction = _unit(weights @ np.array([key.direction for key in same]))
+    radius = float(np.average([key.angular_radius for key in same], weights=weights))
+    irradiance = np.sum([key.irradiance for key in same], axis=0) / len(lights)
+    most = np.maximum(sh[0], 0) / _of_disc(direction, radius)[0]
+    return ObjectLight(sh, KeyLight(direction, np.minimum(irradiance, most), radius, any(key.is_seen for key in same)))
 
 
 def _of_disc(direction: ArrayF64, angular_radius: float) -> ArrayF64:
@@ -135,7 +152,7 @@ def _of_disc(direction: ArrayF64, angular_radius: float) -> ArrayF64:
 
 def _candidates(luminance: ArrayF64, cloud: UnitSphereCloud | None, lattice: AnchorLattice | None) -> list[_Candidate]:
     """Where the key light may be: bright patches that were seen, or else what the estimate implies."""
-    implied = [_Candidate(direction, SMALLEST_RADIUS, False) for direction in _two_directions(luminance)]
+    implied = [_Candidate(direction, UNSEEN_RADIUS, False) for direction in _two_directions(luminance)]
     if cloud is None or lattice is None:
         return implied
     seen = bright_patches(cloud, lattice)

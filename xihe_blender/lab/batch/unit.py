@@ -56,6 +56,7 @@ from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
 from xihenet.metrics import shc_rmse
 from xihenet.recording import load_frame
+from xihenet.records import ObjectLight
 
 FACTORS = (0.0, 0.25, 1.0, 4.0, 16.0, 64.0)
 WITHOUT_ANCHORS = ("ambient", "truth")
@@ -150,7 +151,9 @@ def compare_unit(
     with contextlib.ExitStack() as stack:
         if missing:
             methods = [str(index) for index in range(len(runs))]
-            opened = open_comparer(first.scene, first.plan.objects, methods, first.comparison)
+            opened = open_comparer(
+                first.scene, first.plan.objects, methods, first.comparison, has_key_light=first.settings.has_key_light
+            )
             comparer = stack.enter_context(opened)
             yield from render_ground_truths(first, missing, comparer)
         for done, frame in enumerate(frames):
@@ -169,7 +172,7 @@ def _compared(
     run: PreparedRun, frame: int, lights: Lights, comparer: Comparer, so_far: Sequence[Mapping[int, Metrics]]
 ) -> ComparedTrials:
     """Metrics of each trial at `frame`; pictures are written of those that are worse than `so_far`."""
-    dark = {item.name: np.zeros((9, 3)) for item in run.plan.objects}
+    dark = {item.name: ObjectLight(np.zeros((9, 3))) for item in run.plan.objects}
     of_all = {method: lights.get(method, dark) for method, _ in comparer.worlds}
     truth = load_ground_truth(run.outputs.ground_truth(frame))
     compared = comparer.render_methods(load_frame(run.outputs.capture(frame)), of_all, truth)

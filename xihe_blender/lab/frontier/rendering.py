@@ -41,7 +41,7 @@ from xihe_blender.previs.survey import SceneSurvey
 from xihenet.json_files import read_json
 from xihenet.metrics import image_rmse
 from xihenet.recording import load_frame, save_frame
-from xihenet.records import ArrayF64, RgbdFrame
+from xihenet.records import ArrayF64, ObjectLight, RgbdFrame
 
 Kept = TypeVar("Kept")
 METHODS = tuple(ComputeChoice(estimator=name) for name in ("lattice", "projection", "ambient"))
@@ -339,12 +339,13 @@ def _set_up(comparer: Comparer, samples: int, seed: int, *, n_threads: int = 1) 
         use_threads(scene, n_threads)
 
 
-def _lights_of_objects(study: RenderStudy, by: ComputeChoice, captured: RgbdFrame) -> dict[str, ArrayF64]:
-    """(9, 3) by virtual object: the mean over its positions, from this frame alone."""
-    means: dict[str, ArrayF64] = {}
+def _lights_of_objects(study: RenderStudy, by: ComputeChoice, captured: RgbdFrame) -> dict[str, ObjectLight]:
+    """By virtual object: the mean over its positions, from this frame alone."""
+    means: dict[str, ObjectLight] = {}
     for item in study.plan.objects:
         positions_m = [probe.position_m for probe in study.plan.probes_of(item.name)]
-        means[item.name] = np.mean(_lights({by: ChoiceBackend(by)}, captured, positions_m)[by], axis=0)[:9]
+        of_positions = _lights({by: ChoiceBackend(by)}, captured, positions_m)[by]
+        means[item.name] = ObjectLight(np.mean(of_positions, axis=0)[:9])
     return means
 
 

@@ -1,0 +1,166 @@
+"""The key light in Blender: a sun beside the world, nothing lit twice, nothing of it left in the file."""
+
+import bpy
+import numpy as np
+import pytest
+from addon_runs import lit_walk, registered_addon
+from renders import rendered
+from shown_lights import keyed
+from tiny_scenes import empty_scene, material, opened, orthographic, sphere
+
+from xihe_blender.apply.datablocks import KEY_LIGHT
+from xihe_blender.apply.key_suns import (
+    applied_suns,
+    apply_key_to_sun,
+    key_sun_changes,
+    key_suns,
+    make_key_sun,
+    remove_key_sun,
+    sun_name,
+)
+from xihe_blender.apply.sh_worlds import applied_worlds, apply_sh_to_world, f_curves, make_sh_world
+from xihe_blender.capture.render import RenderSettings, render_passes
+from xihe_blender.compare.methods import open_comparer
+from xihe_blender.io.run_results import read_results
+from xihe_blender.jobs import run_blocking
+from xihe_blender.previs.kept_session import open_kept_session
+from xihe_blender.previs.lit_blend import key_object_light
+from xihe_blender.previs.results import light_of_change
+from xihe_blender.scene.virtual_objects import virtual_collection
+from xihenet import sh
+from xihenet.light.key_light import rest_of, sh_of_key_light
+from xihenet.records import KeyLight, ObjectLight
+
+SIDE = 48
+FLAT = np.sqrt(4 * np.pi) * 0.1 * np.eye(9)[0][:, None] * np.ones(3)
+
+
+def key_light(direction, irradiance=(3.0, 2.0, 1.0), radius=0.1):
+    direction = np.asarray(direction, float)
+    return KeyLight(direction / np.linalg.norm(direction), np.array(irradiance), radius, True)
+
+
+@pytest.mark.parametrize("radius", [0.005, 0.2, 0.6])
+@pytest.mark.parametrize("direction", [(0.3, -0.8, 0.6), (0, 0, 1), (0, -1, 0)])
+def test_a_white_sphere_is_as_bright_as_key_light_and_rest_make_it(direction, radius):
+    """Seen from -Y. Where the whole disc is above the horizon, its irradiance is that of a point in its middle."""
+    key, exposure = key_light(direction, radius=radius), 4.0
+    light = ObjectLight(FLAT + sh_of_key_light(key), key)
+    scene = empty_scene()
+    sphere(scene, "White", (0, 0, 0), 1.0, material("White", (1.0, 1.0, 1.0)))
+    world_from_camera = orthographic(scene, 2.2)
+    scene.world = make_sh_world("Xihe White")
+    apply_sh_to_world(scene.world, rest_of(light), exposure)
+    sun = make_key_sun("Xihe Key Light White")
+    scene.collection.objects.link(sun)
+    apply_key_to_sun(sun, key, exposure)
+    x = ((np.arange(SIDE) + 0.5) / SIDE - 0.5) * 2.2
+    right, up = np.meshgrid(x, -x)
+    inside = right**2 + up**2 < 0.85
+    in_camera = np.stack([right, up, np.sqrt(np.clip(1 - right**2 - up**2, 0, 1))], axis=-1)[inside]
+    shown, normals = rendered(scene, (SIDE, SIDE), 256)[inside], in_camera @ world_from_camera.T
+    cosine = normals @ key.direction
+    is_whole = cosine > np.sin(radius) + 0.05
+    expected = (sh.irradiance(rest_of(light), normals) + np.clip(cosine, 0, 1)[:, None] * key.irradiance) / np.pi
+    assert shown[is_whole].mean(axis=0) == pytest.approx(expected[is_whole].mean(axis=0) / exposure, rel=0.03)
+    is_below = cosine < -np.sin(radius) - 0.05
+    if is_below.any():
+        below = expected[is_below].mean(axis=0) / exposure
+        assert shown[is_below].mean(axis=0) == pytest.approx(below, rel=0.03, abs=0.002)
+
+
+def test_a_sun_is_keyed_and_shines_only_where_there_is_a_key_light():
+    scene, key = empty_scene(), key_light((1, 0, 0))
+    sun = make_key_sun("Xihe Key Light A")
+    scene.collection.objects.link(sun)
+    key_sun_changes(sun, {1: None, 5: key, 9: None}, 2.0)
+    energies = []
+    for frame in (1, 4, 5, 8, 9):
+        scene.frame_set(frame)
+        energies.append(sun.data.energy)
+    assert energies == pytest.approx([0, 0, 1.5, 1.5, 0])
+    scene.frame_set(6)
+    assert np.array(sun.matrix_world.col[2][:3]) == pytest.approx(key.direction, abs=1e-6)
+    assert tuple(sun.data.color) == pytest.approx((1, 2 / 3, 1 / 3)) and sun.data.angle == pytest.approx(0.2)
+    before = [a.name for a in bpy.data.actions]
+    assert before and make_key_sun("Xihe Key Light A").data.energy == 0 and len(key_suns()) == 1
+    remove_key_sun(key_suns()[0])
+    assert not key_suns() and not bpy.data.actions and not bpy.data.lights
+
+
+def test_a_sun_shines_on_its_own_object_alone_and_is_gone_after_the_comparison():
+    scene = empty_scene()
+    virtual = virtual_collection(scene, create=True)
+    objects = [sphere(scene, n, (x, 0, 0), 0.4, material(n, (1, 1, 1)), virtual) for n, x in (("A", -0.5), ("B", 0.5))]
+    orthographic(scene)
+    settings = RenderSettings((32, 32), 16, denoise=False)
+    with open_comparer(scene, objects, ["one", "two"], settings, has_key_light=True) as comparer:
+        for key, world in comparer.worlds.items():
+            apply_sh_to_world(world, FLAT)
+            apply_key_to_sun(comparer.suns[key], key_light((0, -1, 0)) if key == ("one", "A") else None)
+        layers = render_passes(comparer.lit).layers
+    shown = {key: layers[layer]["Combined.R"].max() for key, layer in comparer.layers.items()}
+    assert shown.pop(("one", "A")) > 0.8
+    assert max(shown.values()) == pytest.approx(0.1, rel=0.1)
+    assert not key_suns() and not bpy.data.lights
+    assert not [c for c in bpy.data.collections if c.name.startswith("Xihe Lit")]
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory):
+    with registered_addon():
+        yield lit_walk(tmp_path_factory.mktemp("key") / "out", light="sh+key")
+
+
+def test_a_run_says_its_key_lights_and_the_file_has_them(ran):
+    opened(ran / "after.blend")
+    results = read_results(ran)
+    assert results.settings.light == "sh+key"
+    keys = {name: [change.key for change in changes] for name, changes in results.lights.items()}
+    assert any(key is not None for of_one in keys.values() for key in of_one)
+    worlds, suns = applied_worlds(bpy.context.scene), applied_suns(bpy.context.scene)
+    for name, changes in results.lights.items():
+        assert (name in suns) == any(key is not None for key in keys[name])
+        for change in changes if name in suns else ():
+            light = light_of_change(change)
+            assert keyed(worlds[name])[0][change.frame] == pytest.approx(rest_of(light), abs=1e-5)
+            energy = 0 if light.key is None else light.key.irradiance.max() / results.settings.reference_exposure
+            # No scene holds the suns yet that could play their keys.
+            strength = next(curve for curve in f_curves(suns[name].data) if curve.data_path == "energy")
+            assert strength.evaluate(change.frame) == pytest.approx(energy, rel=1e-5)
+
+
+def test_the_kept_session_finds_the_same_key_lights(ran):
+    session = run_blocking(open_kept_session(ran))
+    results = read_results(ran)
+    places = {p.name: np.array(p.position_m) for entry in results.frames for p in entry.probes if p.object == "Ball"}
+    found = run_blocking(session.find_light(places))["Ball"].lights
+    for change in results.lights["Ball"]:
+        light, key = light_of_change(change), found[change.frame].key
+        assert (key is None) == (light.key is None)
+        if key is not None:
+            assert key.direction == pytest.approx(light.key.direction) and key.irradiance == pytest.approx(
+                light.key.irradiance
+            )
+
+
+def test_show_lit_has_the_suns_and_remove_light_takes_them_away(ran):
+    scene = opened(ran / "after.blend")
+    suns = applied_suns(scene)
+    assert suns and bpy.ops.xihe.show_lit() == {"FINISHED"}
+    lit = bpy.data.scenes["Xihe Lit"]
+    for name, sun in suns.items():
+        layers = [layer.name for layer in lit.view_layers if sun.name in layer.objects]
+        assert layers == [applied_worlds(scene)[name].name]
+    assert bpy.ops.xihe.remove_light() == {"FINISHED"}
+    assert not [item for item in bpy.data.objects if KEY_LIGHT in item]
+    blocks = (bpy.data.lights, bpy.data.worlds, bpy.data.collections, bpy.data.actions)
+    left = [block.name for kind in blocks for block in kind if block.name.startswith("Xihe")]
+    assert left == ["Xihe Virtual"]
+
+
+def test_another_run_without_key_lights_takes_them_away(ran):
+    scene = opened(ran / "after.blend")
+    assert sun_name("Ball") in [sun[KEY_LIGHT] for sun in key_suns()]
+    key_object_light(applied_worlds(scene)["Ball"], "Ball", {1: ObjectLight(FLAT)}, 1.0)
+    assert sun_name("Ball") not in [sun[KEY_LIGHT] for sun in key_suns()]

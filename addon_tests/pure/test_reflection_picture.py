@@ -1,0 +1,82 @@
+"""The picture that glossy things reflect: what was seen as it was seen, the estimate elsewhere, no seam between."""
+
+import numpy as np
+import pytest
+
+from addon_tests.pure.sh_samples import random_directions, random_light
+from xihenet.colour import linear_to_srgb
+from xihenet.light.key_light import sh_of_key_light
+from xihenet.light.reflections import fill_reflections, reflection_panorama
+from xihenet.panorama import panorama_directions, solid_angles
+from xihenet.records import KeyLight, ObjectLight, UnitSphereCloud
+from xihenet.sh import basis
+from xihenet.sphere import AnchorLattice
+
+LATTICE = AnchorLattice(2048)
+FLAT = np.sqrt(4 * np.pi) * 0.3 * np.eye(9)[0][:, None] * np.ones(3)
+
+
+def cloud_of(radiance, is_set):
+    srgb = linear_to_srgb(np.clip(radiance, 0, 1)) * is_set[:, None]
+    return UnitSphereCloud(srgb, is_set * 2.0, is_set)
+
+
+def half(axis=2):
+    return LATTICE.directions[:, axis] > 0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_was_seen_is_shown_as_it_was_seen(seed):
+    rng = np.random.default_rng(seed)
+    radiance, is_set = rng.random((len(LATTICE), 3)), rng.random(len(LATTICE)) < 0.4
+    found = fill_reflections(cloud_of(radiance, is_set), LATTICE, ObjectLight(random_light(seed=seed)))
+    assert found.radiance[is_set] == pytest.approx(radiance[is_set], abs=1e-5)
+    assert found.seen_share == pytest.approx(is_set.mean())
+    assert np.isfinite(found.radiance).all() and found.radiance.min() >= 0
+
+
+def test_what_was_never_seen_is_the_estimate():
+    light = random_light(seed=3)
+    nothing = UnitSphereCloud.empty(len(LATTICE))
+    found = fill_reflections(nothing, LATTICE, ObjectLight(light))
+    assert found.radiance == pytest.approx(np.maximum(basis(LATTICE.directions) @ light, 0), abs=1e-5)
+    assert found.seen_share == 0
+
+
+def test_there_is_no_seam_and_far_away_the_estimate_is_left():
+    """Seen half 0.8, estimate 0.3: neighbours across the border differ little, the far pole is the estimate."""
+    is_set = half()
+    found = fill_reflections(cloud_of(np.full((len(LATTICE), 3), 0.8), is_set), LATTICE, ObjectLight(FLAT)).radiance
+    steps = np.abs(found[LATTICE.neighbours(7)[:, 1:]] - found[:, None]).max(axis=(1, 2))
+    assert steps.max() < 0.15
+    assert found[LATTICE.directions[:, 2].argmin()] == pytest.approx(0.3, abs=0.02)
+
+
+def test_a_lamp_that_was_seen_gives_the_light_of_the_key_light():
+    direction, radius = random_directions(1, 5)[0], 0.2
+    cosine = LATTICE.directions @ direction
+    picture = np.where((cosine > np.cos(radius))[:, None], 1.0, 0.3 * np.ones(3))
+    key = KeyLight(direction, np.array([4.0, 3.0, 2.0]), radius, True)
+    cloud = cloud_of(picture, np.ones(len(LATTICE), bool))
+    found = fill_reflections(cloud, LATTICE, ObjectLight(FLAT + sh_of_key_light(key), key)).radiance
+    patch = cosine > np.cos(radius)
+    given = (found[patch] * cosine[patch, None]).sum(axis=0) * 4 * np.pi / len(LATTICE)
+    assert given == pytest.approx(key.irradiance, rel=1e-3)
+    unseen = KeyLight(direction, key.irradiance, radius, False)
+    assert fill_reflections(cloud, LATTICE, ObjectLight(FLAT, unseen)).radiance.max() == pytest.approx(1.0, abs=1e-5)
+
+
+def test_the_panorama_shows_the_same_light_where_it_comes_from():
+    light = random_light(seed=7)
+    shown = np.maximum(basis(LATTICE.directions) @ light, 0).astype(np.float32)
+    nothing = fill_reflections(UnitSphereCloud.empty(len(LATTICE)), LATTICE, ObjectLight(light))
+    panorama = reflection_panorama(nothing, LATTICE, 32)
+    expected = np.maximum(basis(panorama_directions(32, 64).reshape(-1, 3)) @ light, 0).reshape(32, 64, 3)
+    assert panorama == pytest.approx(expected, abs=0.05 * expected.max())
+    mean = (panorama * solid_angles(32, 64)[..., None]).sum(axis=(0, 1)) / (4 * np.pi)
+    assert mean == pytest.approx(shown.mean(axis=0), rel=0.01)
+
+
+def test_a_cloud_of_another_lattice_is_refused():
+    with pytest.raises(ValueError, match="2048 anchors, got 12"):
+        fill_reflections(UnitSphereCloud.empty(12), LATTICE, ObjectLight(FLAT))
