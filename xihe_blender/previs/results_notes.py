@@ -26,7 +26,7 @@ FAINTEST = 1e-3
 
 def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone) -> list[str]:
     return [
-        *frame_notes(run.scene, frames),
+        *frame_notes(run.scene, frames, has_key_light=run.settings.has_key_light),
         *faults_seen(run.survey.faults, frames, math.prod(run.plan.size)),
         *dim_notes(run.scene, run.exposure),
         *phone.notes(),
@@ -36,7 +36,7 @@ def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone
     ]
 
 
-def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult]) -> Iterator[str]:
+def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult], *, has_key_light: bool = False) -> Iterator[str]:
     """How the numbers came about, and which frames have none."""
     own = scene.view_settings.view_transform
     aside = "as the scene has it" if own == "Standard" else f"the scene's own, {own}, would distort the comparison"
@@ -46,6 +46,8 @@ def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult]) -> Iterat
         "sRGB-encoded colour, the others on linear colour at the session's exposure."
     )
     yield "The shadow that a virtual object casts on the room is in the ground truth but not in the methods' pictures."
+    if has_key_light:
+        yield "Objects are lit by the key light of each light as a sun, and by the rest as spherical harmonics."
     yield "In the pictures, `truth` is all the light of the rendered probe as order-2 spherical harmonics, not clipped."
     metres = metres_per_unit(scene)
     if metres != 1:
