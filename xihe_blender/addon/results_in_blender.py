@@ -34,9 +34,10 @@ from xihe_blender.apply.placement_map import remove_placement_map
 from xihe_blender.apply.sh_worlds import (
     applied_worlds,
     f_curves,
+    leave_animation,
     make_sh_world,
-    remove_animation,
     remove_applied_light,
+    remove_left_actions,
     remove_trigger_markers,
     world_name,
 )
@@ -124,7 +125,7 @@ def show_found_light(
     live = {name: (light.coverage[last], light.expected_error[last]) for name, light in found.items()}
     places = {name: place.tolist() for name, place in places_m.items()}
     LightOf(places, live={} if at_run.is_of(places) else live).write(world)
-    remove_animation(world)
+    leave_animation(world)
     if at_run.is_of(places):
         _key_curves(world, results, name)
     else:
@@ -295,6 +296,7 @@ def remove_everything(scene: bpy.types.Scene) -> None:
     remove_applied_light(scene)
     for sun in key_suns():
         remove_key_sun(sun)
+    remove_left_actions()
     for other in [other for other in bpy.data.scenes if other.library is None]:
         remove_trigger_markers(other)
     for image in list(our_images()):

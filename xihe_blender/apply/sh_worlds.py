@@ -27,6 +27,9 @@ from xihenet.sh import dering_for_display
 
 MAX_NAME_BYTES = 63
 GAIN = "Gain"
+LEFT = "xihe_left"
+"""Custom property of actions whose keys were taken off their world."""
+
 COEFFICIENTS = [
     f"l={level} m={m:+d}" if m else f"l={level} m=0" for level in range(3) for m in range(-level, level + 1)
 ]
@@ -182,6 +185,23 @@ def remove_animation(owner: bpy.types.ID) -> None:
     action = owner.animation_data.action if owner.animation_data else None
     owner.animation_data_clear()
     if action is not None and action.users == 0:
+        bpy.data.actions.remove(action)
+
+
+def leave_animation(owner: bpy.types.ID) -> None:
+    """Take the keys off `owner` and keep their action until `remove_left_actions`.
+
+    For what is done while a window draws: an action that goes at once may still be evaluated for a view or a render.
+    """
+    action = owner.animation_data.action if owner.animation_data else None
+    if action is not None:
+        action[LEFT] = True
+    owner.animation_data_clear()
+
+
+def remove_left_actions() -> None:
+    """Remove the actions that `leave_animation` kept and nothing uses."""
+    for action in [a for a in bpy.data.actions if LEFT in a and a.users == 0 and a.library is None]:
         bpy.data.actions.remove(action)
 
 
