@@ -29,6 +29,7 @@ from xihenet.recording import SessionRecorder
 from xihenet.records import (
     ArrayF64,
     Intrinsics,
+    KeyLight,
     LightEstimate,
     PointCloud,
     RgbdFrame,
@@ -227,10 +228,13 @@ class XiheController:
         return estimate_light(self.backend, cloud, context, self.reference_exposure or 1.0)
 
     def _with_key(self, estimate: LightEstimate, cloud: UnitSphereCloud, before: LightEstimate | None) -> LightEstimate:
-        if not (estimate.is_valid and self.settings.has_key_light):
+        if not estimate.is_valid:
             return estimate
-        split = split_light(estimate.sh_radiance, cloud, self.lattice, before.key if before else None)
-        return replace(estimate, key=split.key)
+        return replace(estimate, key=self._key_light(estimate.sh_radiance, cloud, before.key if before else None))
+
+    def _key_light(self, sh: ArrayF64, cloud: UnitSphereCloud, previous: KeyLight | None) -> KeyLight | None:
+        """Where the session asks for one."""
+        return split_light(sh, cloud, self.lattice, previous).key if self.settings.has_key_light else None
 
     def _with_others(
         self, estimate: LightEstimate, cloud: UnitSphereCloud, context: EstimateContext, before: LightEstimate | None
@@ -239,11 +243,9 @@ class XiheController:
         exposure = self.reference_exposure or 1.0
         said = {other.name: estimate_light(other, cloud, context, exposure) for other in self.others}
         lights = {name: light.sh_radiance for name, light in said.items() if light.is_valid}
-        if not self.settings.has_key_light:
-            return replace(estimate, others=lights)
         previous = before.other_keys if before else {}
-        splits = {name: split_light(sh, cloud, self.lattice, previous.get(name)) for name, sh in lights.items()}
-        keys = {name: split.key for name, split in splits.items() if split.key is not None}
+        found = {name: self._key_light(sh, cloud, previous.get(name)) for name, sh in lights.items()}
+        keys = {name: key for name, key in found.items() if key is not None}
         return replace(estimate, others=lights, other_keys=keys)
 
     def _clamped(self, sent: UnitSphereCloud, used: UnitSphereCloud) -> Counts:

@@ -33,15 +33,13 @@ from xihe_blender.apply.lit_scene import CapturedFrames, hide_behind_room, put_o
 from xihe_blender.apply.placement_map import remove_placement_map
 from xihe_blender.apply.sh_worlds import (
     applied_worlds,
+    clear_keys,
     f_curves,
-    leave_animation,
     make_sh_world,
     remove_applied_light,
-    remove_left_actions,
     remove_trigger_markers,
     world_name,
 )
-from xihe_blender.compare.methods import bytes_of
 from xihe_blender.compare.side_by_side import middle_of_change, read_picture, wiped
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
@@ -78,7 +76,8 @@ def apply_results(scene: bpy.types.Scene, folder: Path) -> None:
     missing = [name for name in results.lights if name not in here]
     if missing:
         raise UserError(f"virtual object {missing[0]!r} of the last run is not in this scene any more: run again")
-    apply_lights(scene, results.lights, results.frames, results.settings.reference_exposure)
+    made = results.settings
+    apply_lights(scene, results.lights, results.frames, made.reference_exposure, has_key_light=made.has_key_light)
     show_results(scene, folder)
 
 
@@ -119,13 +118,13 @@ def show_found_light(
     exposure, known = results.settings.reference_exposure, applied_worlds(scene).get(name)
     world = known or make_sh_world(world_name(name))
     world.use_fake_user = True
-    key_object_light(world, name, _changes(of_frames), exposure)
+    key_object_light(world, name, _changes(of_frames), exposure, has_key_light=results.settings.has_key_light)
     last = next(reversed(of_frames))
     at_run = light_of(name, results.frames)
     live = {name: (light.coverage[last], light.expected_error[last]) for name, light in found.items()}
     places = {name: place.tolist() for name, place in places_m.items()}
     LightOf(places, live={} if at_run.is_of(places) else live).write(world)
-    leave_animation(world)
+    clear_keys(world)
     if at_run.is_of(places):
         _key_curves(world, results, name)
     else:
@@ -144,7 +143,7 @@ def _changes(lights: Mapping[int, ObjectLight]) -> dict[int, ObjectLight]:
     """Those of `lights` that differ from the one before."""
     kept: dict[int, ObjectLight] = {}
     for frame, light in lights.items():
-        if not kept or bytes_of(light) != bytes_of(next(reversed(kept.values()))):
+        if not kept or light.tobytes() != next(reversed(kept.values())).tobytes():
             kept[frame] = light
     return kept
 
@@ -296,7 +295,6 @@ def remove_everything(scene: bpy.types.Scene) -> None:
     remove_applied_light(scene)
     for sun in key_suns():
         remove_key_sun(sun)
-    remove_left_actions()
     for other in [other for other in bpy.data.scenes if other.library is None]:
         remove_trigger_markers(other)
     for image in list(our_images()):

@@ -15,19 +15,21 @@ import bpy
 from mathutils import Vector
 
 from xihe_blender.apply.datablocks import KEY_LIGHT, PREFIX
-from xihe_blender.apply.sh_worlds import f_curves, remove_animation, shortened
+from xihe_blender.apply.sh_worlds import clear_keys, f_curves, remove_animation, shortened
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.records import KeyLight
 
 
 def make_key_sun(name: str) -> bpy.types.Object:
-    """A sun named `name` that does not shine yet, in no collection, in place of an older one of ours."""
-    remove_key_sun(key_sun(name))
-    light = bpy.data.lights.new(name, "SUN")
-    light.energy = 0.0
-    sun = bpy.data.objects.new(name, light)
-    sun[KEY_LIGHT] = name
-    sun.rotation_mode = "QUATERNION"
+    """A sun named `name` that does not shine yet; an older one of ours is set up anew and stays where it is linked."""
+    sun = key_sun(name)
+    if sun is None:
+        sun = bpy.data.objects.new(name, bpy.data.lights.new(name, "SUN"))
+        sun[KEY_LIGHT] = name
+        sun.rotation_mode = "QUATERNION"
+    clear_keys(sun)
+    clear_keys(sun.data)
+    apply_key_to_sun(sun, None)
     return sun
 
 
@@ -51,8 +53,8 @@ def apply_key_to_sun(sun: bpy.types.Object, key: KeyLight | None, exposure: floa
 
 def key_sun_changes(sun: bpy.types.Object, keys: Mapping[int, KeyLight | None], exposure: float) -> None:
     """As `apply_key_to_sun` at each frame of `keys`, in order, in place of all keys."""
-    remove_animation(sun)
-    remove_animation(sun.data)
+    clear_keys(sun)
+    clear_keys(sun.data)
     for frame, key in keys.items():
         apply_key_to_sun(sun, key, exposure)
         sun.keyframe_insert("rotation_quaternion", frame=frame)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import functools
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import bpy
@@ -27,9 +27,6 @@ from xihenet.sh import dering_for_display
 
 MAX_NAME_BYTES = 63
 GAIN = "Gain"
-LEFT = "xihe_left"
-"""Custom property of actions whose keys were taken off their world."""
-
 COEFFICIENTS = [
     f"l={level} m={m:+d}" if m else f"l={level} m=0" for level in range(3) for m in range(-level, level + 1)
 ]
@@ -62,12 +59,12 @@ def make_sh_world(name: str) -> bpy.types.World:
     decided before the first render.
     """
     world = _local(bpy.data.worlds, name) or bpy.data.worlds.new(name)
-    remove_animation(world)
+    clear_keys(world)
     if bpy.app.version < (5, 0, 0):
         # From 5.0 on a world always has nodes, and the switch is deprecated.
         world.use_nodes = True
     tree = world.node_tree
-    remove_animation(tree)
+    clear_keys(tree)
     tree.nodes.clear()
     group = tree.nodes.new("ShaderNodeGroup")
     group.name = group.label = NODE_GROUP_NAME
@@ -121,7 +118,7 @@ def key_sh_on_world(world: bpy.types.World, frame: int, sh_radiance: ArrayLike, 
 
 def key_light_changes(world: bpy.types.World, lights: Mapping[int, ArrayLike], exposure: float) -> None:
     """As `key_sh_on_world` at each frame of `lights`, (9, 3) each, in order, in place of all keys; at once."""
-    remove_animation(world.node_tree)
+    clear_keys(world.node_tree)
     if not lights:
         return
     frames = np.array(list(lights), np.float32)
@@ -188,21 +185,14 @@ def remove_animation(owner: bpy.types.ID) -> None:
         bpy.data.actions.remove(action)
 
 
-def leave_animation(owner: bpy.types.ID) -> None:
-    """Take the keys off `owner` and keep their action until `remove_left_actions`.
+def clear_keys(owner: bpy.types.ID) -> None:
+    """Take away the keys of `owner`; its action stays, empty, for those that follow.
 
-    For what is done while a window draws: an action that goes at once may still be evaluated for a view or a render.
+    An action that goes while a window is open may still be evaluated for a view or a render.
     """
-    action = owner.animation_data.action if owner.animation_data else None
-    if action is not None:
-        action[LEFT] = True
-    owner.animation_data_clear()
-
-
-def remove_left_actions() -> None:
-    """Remove the actions that `leave_animation` kept and nothing uses."""
-    for action in [a for a in bpy.data.actions if LEFT in a and a.users == 0 and a.library is None]:
-        bpy.data.actions.remove(action)
+    for curves in _curve_lists(owner):
+        for curve in list(curves):
+            curves.remove(curve)
 
 
 def applied_worlds(scene: bpy.types.Scene) -> dict[str, bpy.types.World]:
@@ -211,20 +201,22 @@ def applied_worlds(scene: bpy.types.Scene) -> dict[str, bpy.types.World]:
     return {name: world for name, world in found.items() if world is not None}
 
 
-def f_curves(owner: bpy.types.ID) -> Sequence[bpy.types.FCurve]:
-    """The F-curves that key `owner`, a world or a node tree.
+def f_curves(owner: bpy.types.ID) -> list[bpy.types.FCurve]:
+    """The F-curves that key `owner`, such as a world, a node tree, an object or a light."""
+    return [curve for curves in _curve_lists(owner) for curve in curves]
 
-    Blender 4.4 moved them into layers and slots, 5.0 left only those.
-    """
+
+def _curve_lists(owner: bpy.types.ID) -> list[Any]:
+    """What holds the F-curves of `owner`: Blender 4.4 moved them into layers and slots, 5.0 left only those."""
     animation = owner.animation_data
     if animation is None or animation.action is None:
         return []
     action = animation.action
     # From 4.4 to 4.5 an action also lists the curves of its first slot, which may be another owner's.
     if not hasattr(action, "layers"):
-        return list(action.fcurves)
+        return [action.fcurves]
     bags = (strip.channelbag(animation.action_slot) for layer in action.layers for strip in layer.strips)
-    return [curve for bag in bags if bag is not None for curve in bag.fcurves]
+    return [bag.fcurves for bag in bags if bag is not None]
 
 
 def _local(blocks: bpy.types.bpy_prop_collection, name: str) -> bpy.types.ID | None:

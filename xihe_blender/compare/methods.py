@@ -154,14 +154,6 @@ def open_comparer(
         yield Comparer(truth, lit, worlds, layers, suns)
 
 
-def bytes_of(light: ObjectLight) -> bytes:
-    """All that decides what `light` looks like."""
-    if light.key is None:
-        return light.sh.tobytes()
-    key, radius = light.key, np.float64(light.key.angular_radius)
-    return b"".join(part.tobytes() for part in (light.sh, key.direction, key.irradiance, radius))
-
-
 def composite(
     background: ArrayF64, layers: Sequence[Mapping[str, ArrayF32]], captured: RgbdFrame
 ) -> tuple[ArrayF64, ArrayF64]:

@@ -127,6 +127,11 @@ class RunSettings:
     comparison_view_transform: Annotated[str, "of the pictures"]
     error_map_full_scale: Annotated[float, "of the pictures"]
 
+    @property
+    def has_key_light(self) -> bool:
+        """Whether objects have a sun beside their world."""
+        return self.light != "sh"
+
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureRender:

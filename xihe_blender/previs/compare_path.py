@@ -75,7 +75,7 @@ def comparison_sources(run: PreparedRun, lights: Mapping[int, Lights]) -> dict[i
 
 def _made_from(run: PreparedRun, frame: int, lights: Lights) -> tuple[Any, ...]:
     captured = load_frame(run.outputs.capture(frame))
-    of_all = [methods.bytes_of(light) for of_method in lights.values() for light in of_method.values()]
+    of_all = [light.tobytes() for of_method in lights.values() for light in of_method.values()]
     pixels = captured.srgb_u8.tobytes(), captured.plane_depth_m.tobytes()
     return run.reuse.comparison(frame, *pixels, ",".join(lights).encode(), *of_all)
 

@@ -40,18 +40,20 @@ def light_changes(plan: PrevisPlan, lights: Mapping[int, Mapping[str, ObjectLigh
     return changes
 
 
-def apply_lights(scene: bpy.types.Scene, changes: Changes, frames: Sequence[FrameResult], exposure: float) -> None:
+def apply_lights(
+    scene: bpy.types.Scene, changes: Changes, frames: Sequence[FrameResult], exposure: float, *, has_key_light: bool
+) -> None:
     """Key a world per virtual object at every frame at which its light changes; mark the triggers.
 
     `changes` are as of `light_changes`, carrying `exposure`; the pictures of the comparison are made with the same.
-    Worlds of earlier runs are keyed anew. `frames` are those of results.json, for the triggers.
+    Worlds and suns of earlier runs are keyed anew. `frames` are those of results.json, for the triggers.
     """
     sh_worlds.remove_trigger_markers(scene)
     for name, of_one in changes.items():
         world = sh_worlds.make_sh_world(sh_worlds.world_name(name))
         world.use_fake_user = True
         lights = {change.frame: light_of_change(change) for change in of_one}
-        key_object_light(world, name, lights, exposure)
+        key_object_light(world, name, lights, exposure, has_key_light=has_key_light)
         light_of(name, frames).write(world)
     for entry in frames:
         reasons = [probe.reason for probe in entry.probes if probe.fired]
@@ -59,13 +61,15 @@ def apply_lights(scene: bpy.types.Scene, changes: Changes, frames: Sequence[Fram
             sh_worlds.mark_trigger(scene, entry.frame, reasons)
 
 
-def key_object_light(world: bpy.types.World, name: str, lights: Mapping[int, ObjectLight], exposure: float) -> None:
-    """Key the light of virtual object `name`, by frame, onto its world and, where it has a key light, onto its sun.
+def key_object_light(
+    world: bpy.types.World, name: str, lights: Mapping[int, ObjectLight], exposure: float, *, has_key_light: bool
+) -> None:
+    """Key the light of virtual object `name`, by frame, onto its world and, with `has_key_light`, onto its sun.
 
-    Without any key light in `lights` a sun of an earlier run is taken away.
+    Without it a sun of an earlier run is taken away.
     """
     sh_worlds.key_light_changes(world, {frame: rest_of(light) for frame, light in lights.items()}, exposure)
-    if any(light.key is not None for light in lights.values()):
+    if has_key_light:
         sun = key_suns.make_key_sun(key_suns.sun_name(name))
         sun.use_fake_user = True
         key_suns.key_sun_changes(sun, {frame: light.key for frame, light in lights.items()}, exposure)
