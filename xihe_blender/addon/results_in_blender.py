@@ -21,13 +21,13 @@ from xihe_blender.apply.datablocks import (
     COMPARISON_NAME,
     FRAME,
     LIGHT_PREFIX,
-    MADE_BY,
     ROOM,
     LightOf,
     image_named,
     our_images,
     trigger_markers,
 )
+from xihe_blender.apply.images import as_environment, write_image
 from xihe_blender.apply.key_suns import key_suns, remove_key_sun
 from xihe_blender.apply.lit_scene import CapturedFrames, hide_behind_room, put_over_frames, remove_lit_scene
 from xihe_blender.apply.placement_map import remove_placement_map
@@ -50,7 +50,7 @@ from xihe_blender.previs.lit_blend import apply_lights, key_object_light, light_
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.light.key_light import mean_light
 from xihenet.panorama import evaluate_panorama
-from xihenet.records import ArrayF32, ArrayF64, ObjectLight
+from xihenet.records import ArrayF64, ObjectLight
 
 ERROR_CURVE, COVERAGE_CURVE, EXPECTED_CURVE = "Xihe SHC RMSE", "Xihe coverage", "Xihe expected error"
 LIGHT_HEIGHT = 64
@@ -208,9 +208,7 @@ def show_light(name: str, sh_radiance: ArrayF64) -> bpy.types.Image:
     Laid out as Blender's Environment Texture reads it, so that it lights a world as it lit the object.
     """
     panorama = evaluate_panorama(sh_radiance, LIGHT_HEIGHT, 2 * LIGHT_HEIGHT)
-    # The panorama has +Y in its middle and +X a quarter to the right, an Environment Texture +X and -Y.
-    pixels = np.roll(panorama, -LIGHT_HEIGHT // 2, axis=1).astype(np.float32)
-    return _write_image(f"{LIGHT_PREFIX}{name}", pixels, is_float=True)
+    return write_image(f"{LIGHT_PREFIX}{name}", as_environment(panorama), is_float=True)
 
 
 def show_comparison(folder: Path, frame: int, wipe: float) -> bpy.types.Image | None:
@@ -224,7 +222,7 @@ def show_comparison(folder: Path, frame: int, wipe: float) -> bpy.types.Image | 
         return None
     pictures = results.compared_frames[nearest].pictures
     estimate, truth = (read_picture(folder / pictures[kind]) for kind in (results.settings.estimator, "ground_truth"))
-    image = _write_image(COMPARISON_NAME, wiped(estimate, truth, wipe), is_float=False)
+    image = write_image(COMPARISON_NAME, wiped(estimate, truth, wipe), is_float=False)
     image[FRAME] = nearest
     return image
 
@@ -247,23 +245,6 @@ def _remove_image(name: str) -> None:
     image = image_named(name)
     if image is not None:
         bpy.data.images.remove(image)
-
-
-def _write_image(name: str, picture: ArrayF32, *, is_float: bool) -> bpy.types.Image:
-    """Put (H, W, 3), row 0 at the top, into our image `name`, and pack it: what is only generated is not saved."""
-    height, width, _ = picture.shape
-    image = image_named(name)
-    if image is None:
-        image = bpy.data.images.new(name, width, height, float_buffer=is_float)
-        image[MADE_BY] = name
-        image.use_fake_user = True
-    if tuple(image.size) != (width, height):
-        image.scale(width, height)
-    opaque = np.concatenate([picture, np.ones((height, width, 1), np.float32)], axis=-1)
-    image.pixels.foreach_set(np.ascontiguousarray(opaque[::-1], np.float32).ravel())
-    image.update()
-    image.pack()
-    return image
 
 
 # ----------------------------------------------------------------------------------------------------------- timeline

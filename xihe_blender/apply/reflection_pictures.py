@@ -11,7 +11,8 @@ import bpy
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihe_blender.apply.datablocks import MADE_BY, NODE_GROUP_NAME
+from xihe_blender.apply.datablocks import NODE_GROUP_NAME
+from xihe_blender.apply.images import as_environment, write_image
 
 PICTURE = "Xihe Reflections"
 """Of the nodes in a world, and the beginning of its image's name."""
@@ -26,16 +27,8 @@ def reflect_in_world(world: bpy.types.World, panorama: ArrayLike, exposure: floa
     tree = world.node_tree
     node = tree.nodes.get(PICTURE) or _add_picture(world)
     forget_reflections(world)
-    pixels = np.asarray(panorama, np.float32) / np.float32(exposure)
-    height, width = pixels.shape[:2]
-    # The panorama has +Y in its middle and +X a quarter to the right, an Environment Texture +X and -Y.
-    turned = np.roll(pixels, -width // 4, axis=1)
-    image = bpy.data.images.new(f"{PICTURE} {world.name}", width, height, float_buffer=True, is_data=True)
-    image[MADE_BY] = image.name
-    opaque = np.concatenate([turned, np.ones((height, width, 1), np.float32)], axis=2)
-    image.pixels.foreach_set(np.ascontiguousarray(opaque[::-1]).ravel())
-    image.pack()
-    node.image = image
+    pixels = as_environment(np.asarray(panorama, np.float32)) / np.float32(exposure)
+    node.image = write_image(f"{PICTURE} {world.name}", pixels, is_float=True)
 
 
 def forget_reflections(world: bpy.types.World) -> None:

@@ -1,0 +1,92 @@
+"""A world that gives glossy rays a picture and all others its spherical harmonics."""
+
+import bpy
+import numpy as np
+import pytest
+from renders import rendered
+from tiny_scenes import empty_scene, material, orthographic, sphere
+
+from xihe_blender.apply.key_suns import apply_key_to_sun, make_key_sun
+from xihe_blender.apply.reflection_pictures import PICTURE, forget_reflections, reflect_in_world
+from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world
+from xihenet.panorama import panorama_directions
+from xihenet.records import KeyLight
+
+SIDE = 40
+FLAT = np.sqrt(4 * np.pi) * 0.2 * np.eye(9)[0][:, None] * np.ones(3)
+SIDES = {"+X": (1, 0, 0), "-X": (0, 1, 0), "+Z": (0, 0, 1)}
+
+
+def white():
+    return material("White", (1.0, 1.0, 1.0))
+
+
+def mirror():
+    made = bpy.data.materials.new("Mirror")
+    if made.node_tree is None:
+        made.use_nodes = True
+    tree = made.node_tree
+    tree.nodes.clear()
+    shader = tree.nodes.new("ShaderNodeBsdfGlossy")
+    shader.inputs["Color"].default_value, shader.inputs["Roughness"].default_value = (1, 1, 1, 1), 0.0
+    tree.links.new(shader.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
+    return made
+
+
+def coloured_panorama():
+    """Red from +X, green from -X, blue from above; 0.1 from elsewhere."""
+    directions = panorama_directions(32, 64)
+    picture = np.full((32, 64, 3), 0.1)
+    for axis, sign, colour in ((0, 1, "+X"), (0, -1, "-X"), (2, 1, "+Z")):
+        picture[sign * directions[..., axis] > 0.8] = SIDES[colour]
+    return picture
+
+
+def shown(look, exposure=1.0, samples=64):
+    """A sphere seen from -Y; at 45 degrees to a side its normal turns the view there."""
+    scene = empty_scene()
+    sphere(scene, "Ball", (0, 0, 0), 1.0, look())
+    orthographic(scene, 2.0)
+    scene.world = make_sh_world("Xihe Ball")
+    apply_sh_to_world(scene.world, exposure * FLAT, exposure)
+    reflect_in_world(scene.world, exposure * coloured_panorama(), exposure)
+    return scene, rendered(scene, (SIDE, SIDE), samples)
+
+
+def at(picture, x, z):
+    """Mean colour around a place on the sphere, -1 to 1."""
+    column, row = round((x + 1) / 2 * SIDE), round((1 - z) / 2 * SIDE)
+    return picture[row - 1 : row + 2, column - 1 : column + 2].mean(axis=(0, 1))
+
+
+@pytest.mark.parametrize("exposure", [1.0, 4.0])
+def test_a_mirror_shows_the_picture_from_where_it_comes(exposure):
+    _, picture = shown(mirror, exposure)
+    turned = np.sin(np.pi / 4)
+    for place, side in (((turned, 0), "+X"), ((-turned, 0), "-X"), ((0, turned), "+Z")):
+        assert at(picture, *place) == pytest.approx(SIDES[side], abs=0.03)
+
+
+def test_a_matt_sphere_is_lit_by_the_spherical_harmonics_alone():
+    _, picture = shown(white, samples=128)
+    assert at(picture, 0, 0) == pytest.approx([0.2] * 3, rel=0.02)
+    assert at(picture, 0.6, 0.3) == pytest.approx([0.2] * 3, rel=0.02)
+
+
+def test_a_mirror_shows_no_sun_beside_the_picture():
+    scene, before = shown(mirror)
+    sun = make_key_sun("Xihe Key Light Ball")
+    sun.visible_glossy = False
+    scene.collection.objects.link(sun)
+    apply_key_to_sun(sun, KeyLight(np.array([0, -1.0, 0]), np.full(3, 5.0), 0.2, True))
+    after = rendered(scene, (SIDE, SIDE), 64)
+    assert after == pytest.approx(before, abs=0.02)
+
+
+def test_a_new_picture_takes_the_place_of_the_old_one():
+    scene, _ = shown(mirror)
+    reflect_in_world(scene.world, np.full((16, 32, 3), 0.7))
+    assert at(rendered(scene, (SIDE, SIDE), 16), 0.5, 0.5) == pytest.approx([0.7] * 3, abs=0.02)
+    assert [image.name for image in bpy.data.images if image.name.startswith(PICTURE)] == [f"{PICTURE} Xihe Ball"]
+    forget_reflections(scene.world)
+    assert not [image for image in bpy.data.images if image.name.startswith(PICTURE)]

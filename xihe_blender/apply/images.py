@@ -1,0 +1,35 @@
+"""Pictures of ours as images of the open file, packed into it."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from xihe_blender.apply.datablocks import MADE_BY, image_named
+from xihenet.records import ArrayF32, ArrayF64
+
+
+def write_image(name: str, picture: ArrayF32, *, is_float: bool) -> bpy.types.Image:
+    """Put (H, W, 3), row 0 at the top, into our image `name`, and pack it: what is only generated is not saved."""
+    height, width, _ = picture.shape
+    image = image_named(name)
+    if image is None:
+        image = bpy.data.images.new(name, width, height, float_buffer=is_float)
+        image[MADE_BY] = name
+        image.use_fake_user = True
+    if tuple(image.size) != (width, height):
+        image.scale(width, height)
+    opaque = np.concatenate([picture, np.ones((height, width, 1), np.float32)], axis=-1)
+    image.pixels.foreach_set(np.ascontiguousarray(opaque[::-1], np.float32).ravel())
+    image.update()
+    image.pack()
+    return image
+
+
+def as_environment(panorama: ArrayF32 | ArrayF64) -> ArrayF32:
+    """(H, 2H, 3) float32, as Blender's Environment Texture reads it, of a panorama as in `xihenet.panorama`.
+
+    The panorama has +Y in its middle and +X a quarter to the right, an Environment Texture +X and -Y.
+    """
+    turned: ArrayF32 = np.roll(panorama, -panorama.shape[1] // 4, axis=1).astype(np.float32)
+    return turned
