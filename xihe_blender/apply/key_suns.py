@@ -96,7 +96,7 @@ def remove_key_sun(sun: bpy.types.Object | None) -> None:
 def lit_by_suns(lit: bpy.types.Scene, suns: Mapping[str, bpy.types.Object]) -> None:
     """Let each of `suns` shine in the view layer of `lit` that it is given by, and in no other."""
     for layer_name, sun in suns.items():
-        collection = bpy.data.collections.new(f"{lit.name} {sun.name}")
+        collection = bpy.data.collections.new(f"{lit.name} {sun.name.removeprefix(PREFIX)}")
         collection.objects.link(sun)
         lit.collection.children.link(collection)
         for layer in lit.view_layers:
