@@ -4,8 +4,8 @@ Each part in turn is made perfect while all else stays as it was, from the same 
 ball under the estimated light (`xihenet.satin_ball`), the root mean square over some moments of the path, for every
 part alike. Parts overlap: what the phone has never seen may be missing since its view is narrow and since it is hidden.
 
-    field of view   before the frame from which the light in force comes, the phone also looks all around from there
-    coverage        before that frame the room is seen from the object itself, all around, clipped at white
+    field of view   along the path the phone also looks all around from where it is
+    coverage        along the path the room is also seen from the object itself, all around, clipped at white
     range sensor    the perfect captures stand in place of what the phone saw
     clipping        what lies above white is known to the estimator (`budget_chain.Unclipped`)
     hidden lamps    to the light is added what arrives at the object and no camera ray there meets: lamps that Blender
@@ -78,6 +78,8 @@ from xihenet.sphere import AnchorLattice
 
 BUDGET = "an error budget"
 N_MOMENTS = 4
+MOST_LOOKS = 12
+"""Before so many frames of the path somebody looks around, evenly; and before those from which measured light comes."""
 CAPTURE_SHARE, LOOK_SHARE, BALL_SHARE = 0.5, 0.3, 0.15
 """Of the time, as a bar of progress shows it."""
 
@@ -179,18 +181,23 @@ class _Budget:
     def _lights(self, probe: Probe, parts: SessionParts) -> dict[int, LightInForce]:
         return lights_in_force(self.run, probe, parts, self.moments[probe.name])
 
-    def asked_from(self, probe: Probe) -> list[int]:
-        """The frames from which the light in force at the moments comes."""
+    def look_frames(self, probe: Probe) -> list[int]:
+        """The frames before which somebody looks around: along the path, and where the light in force comes from.
+
+        From several places: what one look cannot see, since a table is in the way, another one may.
+        """
         found = {light.light_frame for light in self.lights[probe.name].values()}
-        return sorted(frame for frame in found if frame is not None)
+        path = [one.seen.frame for one in self.sights if one.seen.frame <= max(self.moments[probe.name], default=-1)]
+        evenly = np.unique(np.linspace(0, len(path) - 1, min(len(path), MOST_LOOKS)).round().astype(int))
+        return sorted({path[i] for i in evenly} | {frame for frame in found if frame is not None})
 
     def places(self) -> dict[str, dict[int, ArrayF64]]:
         """From where somebody has to look around, by place and frame."""
         probes, at = self.run.plan.probes, {one.seen.frame: one.seen.world_from_camera[:3, 3] for one in self.sights}
-        asked = {frame for probe in probes for frame in self.asked_from(probe)}
-        places: dict[str, dict[int, ArrayF64]] = {FROM_PATH: {frame: at[frame] for frame in asked}}
+        looks = {frame for probe in probes for frame in self.look_frames(probe)}
+        places: dict[str, dict[int, ArrayF64]] = {FROM_PATH: {frame: at[frame] for frame in looks}}
         for probe in probes:
-            sources = {self._source(frame, probe) for frame in (*self.asked_from(probe), *self.moments[probe.name])}
+            sources = {self._source(frame, probe) for frame in (*self.look_frames(probe), *self.moments[probe.name])}
             places[place_of(self.run, probe)] = {frame: probe.at(frame) for frame in sources}
         return places
 
@@ -201,8 +208,14 @@ class _Budget:
         return sorted(needed, key=lambda one: (one[0], one[1].name))
 
     def _source(self, frame: int, probe: Probe) -> int:
-        """The first frame in which the light at `probe` is the same."""
-        return self.run.reuse.probes[frame, probe.name]
+        """The first frame of the path in which the light at `probe` is the same, whether it is in view or not."""
+        states, place_m = self.run.reuse.states, probe.at(frame)
+        same = (
+            one.seen.frame
+            for one in self.sights
+            if states[one.seen.frame].room == states[frame].room and np.array_equal(probe.at(one.seen.frame), place_m)
+        )
+        return next(same, frame)
 
     def of_object(self, name: str) -> ObjectBudget:
         """The budget of one object: root mean squares over its positions and moments."""
@@ -243,8 +256,8 @@ class _Budget:
         """The session with each part perfect that a session can have."""
         run, was = self.run, self.as_it_was
         unclipped = Unclipped(run.estimator, run, self.sights)
-        from_path = {frame: self._seen_views(frame) for frame in self.asked_from(probe)}
-        from_object = {frame: self._object_views(frame, probe) for frame in self.asked_from(probe)}
+        from_path = {frame: self._seen_views(frame) for frame in self.look_frames(probe)}
+        from_object = {frame: self._object_views(frame, probe) for frame in self.look_frames(probe)}
         sessions = {
             "field_of_view": replace(was, looks=from_path),
             "coverage": replace(was, looks=from_object),
