@@ -12,6 +12,7 @@ distortion, rolling shutter. Paper: section 4.1.1, `GeneratePointCloud`.
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -83,30 +84,59 @@ def unproject_frame(frame: RgbdFrame, *, reference_exposure: float | None = None
     """Every pixel of `frame` as a coloured point: H * W points in row order, world frame, metres.
 
     Colours are decoded, multiplied by `reference_exposure / frame.exposure`, clipped at 1 and encoded again; None
-    leaves the frame's own exposure. ValueError for a reference that is not positive and finite. Points of pixels
-    without a valid plane depth (0, negative, NaN, infinite, or a renderer's miss) are NaN and counted by reason. Unless
-    it is NaN, their colour still says what light comes from there: they are the `far` pixels of the cloud's grid. A
-    frame without any valid plane depth has none of them, since a sensor that sees nothing may be broken.
+    leaves the frame's own exposure. ValueError for a reference that is not positive and finite. Pixels without a valid
+    plane depth (0, negative, NaN, infinite, or a renderer's miss) still say what light comes from there, unless it is
+    NaN. Between two surfaces of their row they are an opening, such as a window: their points lie between both. The
+    others are the `far` pixels of the cloud's grid; their points are NaN, as where the depth is NaN, and counted by
+    reason. A frame without any valid plane depth has neither, since a sensor that sees nothing may be broken.
 
     float32 arithmetic: the error of a point is about 2e-7 of its distance from the camera plus that of storing it, 6e-8
     of its distance from the world's origin. A point beyond the range of float32 is infinite or NaN.
     """
-    points = _unprojected(frame)
+    depth_m = _with_openings(frame.plane_depth_m)
+    points = _unprojected(frame, depth_m)
     gain = 1.0 if reference_exposure is None else reference_exposure / frame.exposure
     if gain == 1.0:  # The same bits as the table's, in a quarter of the time of asking it.
         srgb = np.divide(frame.srgb_u8, np.float32(255), dtype=np.float32)
     else:
         srgb = _reencoded_bytes(gain).take(frame.srgb_u8)
-    grid = PixelGrid(
-        frame.intrinsics.height, frame.intrinsics.width, frame.world_from_camera[:3, 3], far=_far_pixels(frame)
-    )
-    return PointCloud(points.reshape(3, -1).T, srgb.reshape(-1, 3), invalid_pixels(frame), grid)
+    height, width, camera_m = frame.intrinsics.height, frame.intrinsics.width, frame.world_from_camera[:3, 3]
+    openings = None
+    if depth_m is not frame.plane_depth_m:
+        openings = np.flatnonzero(valid_plane_depth(depth_m) & ~valid_plane_depth(frame.plane_depth_m))
+    grid = PixelGrid(height, width, camera_m, _far_pixels(frame, depth_m), openings)
+    invalid = invalid_pixels(replace(frame, plane_depth_m=depth_m))
+    return PointCloud(points.reshape(3, -1).T, srgb.reshape(-1, 3), invalid, grid)
 
 
-def _far_pixels(frame: RgbdFrame) -> FarPixels | None:
+def _with_openings(plane_depth_m: ArrayF32) -> ArrayF32:
+    """(H, W) with a depth for what has none between two surfaces of its row: where its light comes through an opening.
+
+    Inverse depth is linear between both sides, as on a plane. The same array where there is nothing to fill.
+    """
+    valid = valid_plane_depth(plane_depth_m)
+    if valid.all() or not valid.any():
+        return plane_depth_m
+    rows = np.flatnonzero((~valid).any(axis=1))
+    seen, width = valid[rows], valid.shape[1]
+    column = np.broadcast_to(np.arange(width), seen.shape)
+    left = np.maximum.accumulate(np.where(seen, column, -1), axis=1)
+    right = np.minimum.accumulate(np.where(seen, column, width)[:, ::-1], axis=1)[:, ::-1]
+    is_between = ~seen & (left >= 0) & (right < width) & ~np.isnan(plane_depth_m[rows])
+    if not is_between.any():
+        return plane_depth_m
+    row, at = np.nonzero(is_between)
+    left, right, row = left[is_between], right[is_between], rows[row]
+    of_left, of_right = (1 / plane_depth_m[row, side].astype(np.float64) for side in (left, right))
+    filled = plane_depth_m.copy()
+    filled[row, at] = 1 / (of_left + (of_right - of_left) * (at - left) / (right - left))
+    return filled
+
+
+def _far_pixels(frame: RgbdFrame, depth_m: ArrayF32) -> FarPixels | None:
     """None where there are none."""
-    valid = valid_plane_depth(frame.plane_depth_m)
-    pixels = np.flatnonzero(~(valid | np.isnan(frame.plane_depth_m)))
+    valid = valid_plane_depth(depth_m)
+    pixels = np.flatnonzero(~(valid | np.isnan(depth_m)))
     if not len(pixels) or not valid.any():
         return None
     row, column = np.divmod(pixels, frame.intrinsics.width)
@@ -115,10 +145,10 @@ def _far_pixels(frame: RgbdFrame) -> FarPixels | None:
     return FarPixels(pixels, (rays / np.linalg.norm(rays, axis=0)).astype(np.float32))
 
 
-def _unprojected(frame: RgbdFrame) -> ArrayF32:
+def _unprojected(frame: RgbdFrame, depth_m: ArrayF32) -> ArrayF32:
     """(3, H, W): one contiguous plane per axis, since sampling reads the axes one at a time."""
     across, up = _ray_slopes(frame.intrinsics)
-    seen = np.where(valid_plane_depth(frame.plane_depth_m), frame.plane_depth_m, np.float32(np.nan))
+    seen = np.where(valid_plane_depth(depth_m), depth_m, np.float32(np.nan))
     points = np.empty((3, *seen.shape), np.float32)
     # A camera that float32 cannot hold gives points that are not finite; sampling skips and counts them.
     with np.errstate(over="ignore", invalid="ignore"):

@@ -148,6 +148,7 @@ class PixelGrid:
     width: int
     camera_m: ArrayF64  # (3,) world, metres: from where the points were seen
     far: FarPixels | None = None  # pixels whose points are NaN and whose colours still say what light comes from there
+    openings: ArrayInt | None = None  # (K,) pixels whose point is where light from far away comes through an opening
 
     def __post_init__(self) -> None:
         if self.height < 1 or self.width < 1:

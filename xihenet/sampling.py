@@ -4,7 +4,8 @@ Unit-sphere sampling, the paper's choice: every point is projected to the unit s
 nearest anchor, and the nearest point wins the anchor, since it hides what lies behind it. Distance and colour of an
 anchor always come from one and the same point. `sample_unit_sphere_reference` is the same in a readable loop. Where the
 pixels of a picture lie sparser than the anchors, as on a table at a flat angle, the patches of surface that they show
-compete as well, cut into points: see `patches`. All else is sampled as if there were none. Last come pixels whose
+compete as well, cut into points: see `patches`. All else is sampled as if there were none. What is seen through an
+opening such as a window competes where the opening is, and counts as far away. Last come the other pixels whose
 distance is not known (`PixelGrid.far`): where nothing else is seen, theirs is the light from far away.
 
 Distance and point number are packed into one 64-bit key, so that a single minimum per anchor yields the winner, and
@@ -91,6 +92,8 @@ def sample_unit_sphere(
             is_set, winners, surfaces = _with_far_light(
                 cloud, cloud.grid.far, camera, is_set, winners, nearest_m, surfaces, nearest
             )
+        if cloud.grid.openings is not None:
+            surfaces = _with_openings(cloud.grid.openings, is_set, winners, nearest_m, surfaces)
     nearest_m[~is_set] = 0
     srgb = np.zeros((lattice.n, 3), np.float32)
     srgb[is_set] = cloud.srgb.take(winners, axis=0).clip(0, 1)
@@ -140,6 +143,19 @@ def _with_far_light(
     pixel_of_anchor[is_set], pixel_of_anchor[is_new] = winners, far.pixels[reaching]
     is_set = is_set | is_new
     return is_set, pixel_of_anchor[is_set], _seen_from_afar(surfaces, is_new, far.rays.T[reaching])
+
+
+def _with_openings(
+    openings: ArrayInt, is_set: ArrayBool, winners: ArrayInt, distance_m: ArrayF32, surfaces: AnchorSurfaces
+) -> AnchorSurfaces:
+    """What anchors show through an opening is far away, though it competes where the opening is.
+
+    `distance_m` (N,) is changed in place; `winners` are the pixels of the anchors `is_set`, in order.
+    """
+    through = np.zeros(len(is_set), np.bool_)
+    through[is_set] = np.isin(winners, openings)
+    distance_m[through] = np.maximum(distance_m[through], np.float32(FAR_M))
+    return _seen_from_afar(surfaces, through, -surfaces.view_direction[through])
 
 
 def _seen_from_afar(surfaces: AnchorSurfaces, is_far: ArrayBool, rays: ArrayLike) -> AnchorSurfaces:
@@ -215,6 +231,10 @@ def sample_unit_sphere_reference(cloud: PointCloud, position_m: ArrayLike, latti
                 compete(pixel, point)
         is_far = (winner >= 0) & ~is_near
         surfaces = _seen_from_afar(surfaces, is_far, [rays[pixel] for pixel in winner[is_far].tolist()])
+    if surfaces is not None and cloud.grid is not None and cloud.grid.openings is not None:
+        through = np.isin(winner, cloud.grid.openings)
+        nearest_m = np.where(through, np.maximum(nearest_m, np.float32(FAR_M)), nearest_m)
+        surfaces = _seen_from_afar(surfaces, through, -surfaces.view_direction[through])
     is_set = winner >= 0
     srgb = np.zeros((lattice.n, 3), np.float32)
     srgb[is_set] = cloud.srgb[winner[is_set]].clip(0, 1)
