@@ -18,12 +18,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.backend import LightBackend, as_inference_backend, estimate_light
-from xihenet.buffers import PositionBuffers
+from xihenet.buffers import PositionBuffers, merge
 from xihenet.camera import in_view, unproject_frame
 from xihenet.codec import EncodingMethod, encode_cloud, n_clamped_distances
 from xihenet.estimators.base import EstimateContext
 from xihenet.invalid import Counts, counted
 from xihenet.light.key_light import split_light
+from xihenet.light.reflections import N_DIRECTIONS, thinned
 from xihenet.light_change import LightFollowing, follow_light
 from xihenet.recording import SessionRecorder
 from xihenet.records import (
@@ -37,7 +38,7 @@ from xihenet.records import (
     TriggerDecision,
     UnitSphereCloud,
 )
-from xihenet.sampling import checked_position, sample_unit_sphere
+from xihenet.sampling import checked_position, sample_again, sample_unit_sphere
 from xihenet.sphere import TABLE_SIZE, AnchorLattice, NearestMethod
 from xihenet.trigger import LastSeen, TriggerSettings, decide_trigger
 
@@ -61,6 +62,8 @@ class ControllerSettings:
     learns_out_of_view: bool = False
     # Whether estimates say which part of their light is a key light, see `xihenet.light.key_light`.
     has_key_light: bool = False
+    # Whether they say what was seen on the finer lattice of reflections, see `xihenet.light.reflections`.
+    has_reflections: bool = False
 
 
 class XiheController:
@@ -76,6 +79,7 @@ class XiheController:
         self.backend, self.others = as_inference_backend(backend), [as_inference_backend(other) for other in others]
         self.settings = settings or ControllerSettings()
         self.lattice = AnchorLattice(backend.n_anchors)
+        self.fine_lattice = AnchorLattice(N_DIRECTIONS) if self.settings.has_reflections else None
         self.reference_exposure = self.settings.reference_exposure
         # Tables are built on first use; built here, no frame pays for them.
         self.lattice.nearest(self.lattice.directions[:1], self.settings.nearest, self.settings.table_size)
@@ -91,13 +95,17 @@ class XiheController:
         position = np.asarray(position_m, np.float64)
         if position.shape != (3,) or not np.isfinite(position).all():
             raise ValueError(f"add_position {name!r}: expected three finite coordinates, got {position_m!r}")
-        self._positions[name] = _Position(position, PositionBuffers.empty(self.backend.n_anchors))
+        fine = None if self.fine_lattice is None else UnitSphereCloud.empty(self.fine_lattice.n)
+        self._positions[name] = _Position(position, PositionBuffers.empty(self.backend.n_anchors), reflected=fine)
 
     def move_position(self, name: str, position_m: ArrayLike) -> None:
         """Have position `name` at `position_m` ((3,), world, metres) from now on, with what is known of the room."""
         position, place = self._positions[name], checked_position(position_m)
         if not np.array_equal(place, position.position_m):
             position.buffers = position.buffers.moved(place - position.position_m, self.lattice)
+            if position.reflected is not None and self.fine_lattice is not None:
+                moved_m = place - position.position_m
+                position.reflected = sample_again(position.reflected, moved_m, self.fine_lattice)
             position.position_m = place
 
     @property
@@ -154,6 +162,7 @@ class XiheController:
         if points is None:
             with clock.stage("unproject"):
                 points = unproject_frame(frame, reference_exposure=self.reference_exposure)
+        self._reflect([*active, *learning], points, clock)
         reports = {}
         for name in active:
             reports[name] = self._step_position(name, frame, points, (truth or {}).get(name), clock)
@@ -162,6 +171,17 @@ class XiheController:
             self._learn(name, points, clock)
         self.out_of_view_ms = clock.stage_ms
         return reports
+
+    def _reflect(self, names: Sequence[str], points: PointCloud, clock: StageClock) -> None:
+        """Take the frame in on the finer lattice, where the session asks for it; nothing of it is sent."""
+        if self.fine_lattice is None:
+            return
+        with clock.stage("reflect"):
+            points = thinned(points)
+            for position in (self._positions[name] for name in names):
+                sampled = replace(sample_unit_sphere(points, position.position_m, self.fine_lattice), surfaces=None)
+                assert position.reflected is not None
+                position.reflected = merge(position.reflected, sampled)
 
     def _learn(self, name: str, points: PointCloud, clock: StageClock) -> None:
         position = self._positions[name]
@@ -202,6 +222,7 @@ class XiheController:
             invalid = {**invalid, **self._clamped(followed.temporary, fired.persistent)}
             if estimate.is_valid:
                 estimate = self._with_others(estimate, fired.persistent, context, position.light)
+                estimate = replace(estimate, reflected=position.reflected)
                 # Else what was seen is still unanswered, and the trigger goes on to ask.
                 buffers, position.light, position.lit_at_m = fired, estimate, position.position_m
         position.buffers, position.decision = buffers, decision
@@ -287,6 +308,8 @@ class _Position:
     light: LightEstimate | None = None
     lit_at_m: ArrayF64 | None = None
     """Where the light in force was estimated."""
+    reflected: UnitSphereCloud | None = None
+    """All that was seen, on the finer lattice of reflections."""
 
     @property
     def moved_m(self) -> float:

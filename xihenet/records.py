@@ -307,17 +307,41 @@ class KeyLight:
 
 
 @dataclass(frozen=True, eq=False)
+class Reflections:
+    """What glossy things reflect: the light from each direction of a lattice.
+
+    Parameters
+    ----------
+    radiance : (N, 3) float32, not negative, linear Rec.709, carrying the estimate's exposure
+    seen_share : of the directions that the phone has seen, 0 to 1
+    """
+
+    radiance: ArrayF32
+    seen_share: float
+
+
+@dataclass(frozen=True, eq=False)
 class ObjectLight:
-    """What lights an object: `sh`, (9, 3) radiance coefficients, of which `key` is a part; None for no key light."""
+    """What lights an object.
+
+    Parameters
+    ----------
+    sh : (9, 3) radiance coefficients of all of it
+    key : the key light, a part of it; None for none
+    reflections : the same light as glossy things show it; None shows them `sh` and `key`
+    """
 
     sh: ArrayF64
     key: KeyLight | None = None
+    reflections: Reflections | None = None
 
     def tobytes(self) -> bytes:
         """All that decides what it looks like: the same for lights that look the same."""
-        if self.key is None:
-            return self.sh.tobytes()
-        parts = self.sh, self.key.direction, self.key.irradiance, np.float64(self.key.angular_radius)
+        parts: list[Any] = [self.sh]
+        if self.key is not None:
+            parts += [self.key.direction, self.key.irradiance, np.float64(self.key.angular_radius)]
+        if self.reflections is not None:
+            parts.append(self.reflections.radiance)
         return b"".join(part.tobytes() for part in parts)
 
 
@@ -337,6 +361,7 @@ class LightEstimate:
     others : (9, 3) by name, what other estimators say of the same cloud, those that know
     key : the key light that is a part of it; None for none, and where the session asks for none
     other_keys : the key lights that are a part of `others`, of those that have one
+    reflected : what was seen so far, on the finer lattice of reflections; None where nobody asked for it
     """
 
     sh_radiance: ArrayF64
@@ -349,6 +374,7 @@ class LightEstimate:
     others: Mapping[str, ArrayF64] = field(default_factory=dict)
     key: KeyLight | None = None
     other_keys: Mapping[str, KeyLight] = field(default_factory=dict)
+    reflected: UnitSphereCloud | None = None
 
     def __post_init__(self) -> None:
         _keep(self, np.float64, sh_radiance=(9, 3))

@@ -13,7 +13,7 @@ from xihenet.phone import PHONE_EFFECTS
 
 FRAME_TIMES = {"render_s", "work_s", "stage_ms", "comparison_render_s"}
 SUMMARY_TIMES = {"render_s", "pilot_s", "comparison_render_s", "overhead_share", "mean_step_ms"}
-STAGES = {"unproject", "sample", "merge", "trigger", "encode", "estimate"}
+STAGES = {"unproject", "sample", "merge", "trigger", "encode", "estimate", "reflect"}
 SCHEMA = Draft202012Validator(json_schema(RunResults))
 
 

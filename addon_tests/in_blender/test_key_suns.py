@@ -18,9 +18,11 @@ from xihe_blender.apply.key_suns import (
     remove_key_sun,
     sun_name,
 )
+from xihe_blender.apply.reflection_pictures import reflects
 from xihe_blender.apply.sh_worlds import applied_worlds, apply_sh_to_world, f_curves, make_sh_world
 from xihe_blender.capture.render import RenderSettings, render_passes
 from xihe_blender.compare.methods import open_comparer
+from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.run_results import read_results
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.kept_session import open_kept_session
@@ -29,6 +31,7 @@ from xihe_blender.previs.results import light_of_change
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet import sh
 from xihenet.light.key_light import rest_of, sh_of_key_light
+from xihenet.panorama import solid_angles
 from xihenet.records import KeyLight, ObjectLight
 
 SIDE = 48
@@ -109,13 +112,13 @@ def test_a_sun_shines_on_its_own_object_alone_and_is_gone_after_the_comparison()
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory):
     with registered_addon():
-        yield lit_walk(tmp_path_factory.mktemp("key") / "out", light="sh+key")
+        yield lit_walk(tmp_path_factory.mktemp("key") / "out", light="sh+key+reflections")
 
 
 def test_a_run_says_its_key_lights_and_the_file_has_them(ran):
     opened(ran / "after.blend")
     results = read_results(ran)
-    assert results.settings.light == "sh+key"
+    assert results.settings.light == "sh+key+reflections"
     keys = {name: [change.key for change in changes] for name, changes in results.lights.items()}
     assert any(key is not None for of_one in keys.values() for key in of_one)
     worlds, suns = applied_worlds(bpy.context.scene), applied_suns(bpy.context.scene)
@@ -127,6 +130,24 @@ def test_a_run_says_its_key_lights_and_the_file_has_them(ran):
             # No scene holds the suns yet that could play their keys.
             strength = next(curve for curve in f_curves(suns[name].data) if curve.data_path == "energy")
             assert strength.evaluate(change.frame) == pytest.approx(energy, rel=1e-5)
+
+
+def test_a_run_keeps_what_is_reflected_and_the_file_shows_it_from_frame_to_frame(ran):
+    """The picture's light is about the estimate's, and its sun is hidden from the rays that see it."""
+    scene, results = opened(ran / "after.blend"), read_results(ran)
+    for name, changes in results.lights.items():
+        files = [ran / change.reflections.picture for change in changes]
+        assert len(set(files)) > 1 and any(change.reflections.seen_share > 0.1 for change in changes)
+        picture = read_radiance(files[-1])
+        assert picture.shape == (128, 256, 3) and np.isfinite(picture).all() and picture.min() >= 0
+        mean = (picture * solid_angles(128, 256)[..., None]).sum(axis=(0, 1)) / (4 * np.pi)
+        of_light = np.array(changes[-1].sh[0]) / np.sqrt(4 * np.pi) / results.settings.reference_exposure
+        assert 0.3 < mean.sum() / of_light.sum() < 3
+        world, sun = applied_worlds(scene)[name], applied_suns(scene)[name]
+        assert reflects(world) and not sun.visible_glossy and not sun.visible_transmission
+        curve = next(curve for curve in f_curves(world.node_tree) if curve.data_path.endswith("frame_offset"))
+        shown = [int(path.stem[-4:]) - 1 for path in files]
+        assert [curve.evaluate(change.frame) for change in changes] == shown
 
 
 def test_the_kept_session_finds_the_same_key_lights(ran):
@@ -153,7 +174,7 @@ def test_show_lit_has_the_suns_and_remove_light_takes_them_away(ran):
         assert layers == [applied_worlds(scene)[name].name]
     assert bpy.ops.xihe.remove_light() == {"FINISHED"}
     assert not [item for item in bpy.data.objects if KEY_LIGHT in item]
-    blocks = (bpy.data.lights, bpy.data.worlds, bpy.data.collections, bpy.data.actions)
+    blocks = (bpy.data.lights, bpy.data.worlds, bpy.data.collections, bpy.data.actions, bpy.data.images)
     left = [block.name for kind in blocks for block in kind if block.name.startswith("Xihe")]
     assert left == ["Xihe Virtual"]
 

@@ -6,9 +6,19 @@ import pytest
 from renders import rendered
 from tiny_scenes import empty_scene, material, orthographic, sphere
 
+from xihe_blender.apply.images import as_environment
 from xihe_blender.apply.key_suns import apply_key_to_sun, make_key_sun
-from xihe_blender.apply.reflection_pictures import PICTURE, forget_reflections, reflect_in_world
-from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world
+from xihe_blender.apply.reflection_pictures import (
+    PICTURE,
+    forget_reflections,
+    reflect_in_world,
+    reflect_on_timeline,
+    reflects,
+)
+from xihe_blender.apply.sh_worlds import apply_sh_to_world, f_curves, key_light_changes, make_sh_world
+from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
+from xihe_blender.io.exr import write_radiance
+from xihenet.mirror_ball import seen_in_ball
 from xihenet.panorama import panorama_directions
 from xihenet.records import KeyLight
 
@@ -90,3 +100,38 @@ def test_a_new_picture_takes_the_place_of_the_old_one():
     assert [image.name for image in bpy.data.images if image.name.startswith(PICTURE)] == [f"{PICTURE} Xihe Ball"]
     forget_reflections(scene.world)
     assert not [image for image in bpy.data.images if image.name.startswith(PICTURE)]
+    assert at(rendered(scene, (SIDE, SIDE), 16), 0.5, 0.5) == pytest.approx([0.2] * 3, abs=0.01)
+    assert not reflects(scene.world) and len(scene.world.node_tree.nodes) == 3
+
+
+def test_pictures_take_turns_on_the_timeline(tmp_path):
+    """The second file comes first; keys are constant, and go with the picture while those of the light stay."""
+    files = [tmp_path / f"0_Ball_{number:04d}.exr" for number in (1, 2)]
+    for path, side in zip(files, SIDES.values(), strict=False):
+        write_radiance(path, as_environment(np.broadcast_to(np.float32(side), (16, 32, 3))))
+    scene, _ = shown(mirror)
+    key_light_changes(scene.world, {1: FLAT, 7: 2 * FLAT}, 1.0)
+    reflect_on_timeline(scene.world, {3: files[1], 8: files[0]})
+    for frame, side in ((3, SIDES["-X"]), (7, SIDES["-X"]), (8, SIDES["+X"]), (20, SIDES["+X"])):
+        scene.frame_set(frame)
+        assert at(rendered(scene, (SIDE, SIDE), 16), 0.5, 0.5) == pytest.approx(side, abs=0.02)
+    n_curves = len(f_curves(scene.world.node_tree))
+    forget_reflections(scene.world)
+    assert len(f_curves(scene.world.node_tree)) == n_curves - 1 == 28
+    scene.frame_set(3)
+    assert at(rendered(scene, (SIDE, SIDE), 16), 0.5, 0.5) == pytest.approx([0.2] * 3, abs=0.01)
+
+
+def test_a_mirror_ball_shows_the_lamps_that_glossy_rays_see_and_the_scene_stays_as_it_was():
+    """A bulb above, hidden from cameras as Blender's lamps are, and a second one that glossy rays do not see."""
+    scene = empty_scene()
+    for name, place, is_glossy in (("Bulb", (0, 0, 2), True), ("Other", (2, 0, 0), False)):
+        bulb = bpy.data.objects.new(name, bpy.data.lights.new(name, "POINT"))
+        bulb.location, bulb.data.energy, bulb.data.shadow_soft_size = place, 20.0, 0.4
+        bulb.visible_camera, bulb.visible_glossy = not is_glossy, is_glossy
+        scene.collection.objects.link(bulb)
+    with open_reference_probe(scene, [(0, 0, 0)], ProbeSettings(size=64, max_samples=4)) as reference_probe:
+        ball = reference_probe.mirror_ball(0, 1)
+    straight_up, to_the_side = ball[30:34, 30:34].mean(), seen_in_ball(ball, np.array([[1.0, 0, 0]])).mean()
+    assert straight_up > 1 and to_the_side < 0.01
+    assert [(bulb.visible_camera, bulb.visible_glossy) for bulb in scene.objects] == [(False, True), (True, False)]

@@ -3,12 +3,16 @@
 import numpy as np
 import pytest
 
+from addon_tests.pure.made import frame_of
 from addon_tests.pure.sh_samples import random_directions, random_light
+from xihenet.camera import unproject_frame
 from xihenet.colour import linear_to_srgb
 from xihenet.light.key_light import sh_of_key_light
-from xihenet.light.reflections import fill_reflections, reflection_panorama
+from xihenet.light.reflections import fill_reflections, reflection_panorama, rendered_reflections, thinned
+from xihenet.mirror_ball import ball_directions
 from xihenet.panorama import panorama_directions, solid_angles
-from xihenet.records import KeyLight, ObjectLight, UnitSphereCloud
+from xihenet.records import Intrinsics, KeyLight, ObjectLight, PointCloud, UnitSphereCloud
+from xihenet.sampling import sample_unit_sphere
 from xihenet.sh import basis
 from xihenet.sphere import AnchorLattice
 
@@ -43,13 +47,62 @@ def test_what_was_never_seen_is_the_estimate():
     assert found.seen_share == 0
 
 
-def test_there_is_no_seam_and_far_away_the_estimate_is_left():
-    """Seen half 0.8, estimate 0.3: neighbours across the border differ little, the far pole is the estimate."""
+def test_there_is_no_seam_and_far_away_it_is_halfway_between_the_estimate_and_what_was_seen():
+    """Seen half 0.8, estimate 0.3: neighbours across the border differ little, the far pole has the mean of ratios."""
     is_set = half()
     found = fill_reflections(cloud_of(np.full((len(LATTICE), 3), 0.8), is_set), LATTICE, ObjectLight(FLAT)).radiance
     steps = np.abs(found[LATTICE.neighbours(7)[:, 1:]] - found[:, None]).max(axis=(1, 2))
-    assert steps.max() < 0.15
-    assert found[LATTICE.directions[:, 2].argmin()] == pytest.approx(0.3, abs=0.02)
+    assert steps.max() < 0.1
+    assert found[LATTICE.directions[:, 2].argmin()] == pytest.approx(np.sqrt(0.3 * 0.8), abs=0.02)
+
+
+def test_a_window_draws_no_streak_beyond_what_was_seen_of_it():
+    """The wall goes on in the dark half, a bright window at the border does not."""
+    radiance = np.full((len(LATTICE), 3), 0.1)
+    is_window = half() & (LATTICE.directions[:, 0] > 0.9) & (LATTICE.directions[:, 2] < 0.3)
+    radiance[is_window] = 1.0
+    light = ObjectLight(np.sqrt(4 * np.pi) * 0.1 * np.eye(9)[0][:, None] * np.ones(3))
+    found = fill_reflections(cloud_of(radiance, half()), LATTICE, light).radiance
+    assert is_window.sum() > 10 and found[~half()].max() < 0.12
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_thinned_frame_shows_the_same_in_a_third_of_the_directions_and_more(seed):
+    """Every other pixel of a picture: where both have seen something it is the same surface, and little is lost."""
+    rng = np.random.default_rng(seed)
+    camera = Intrinsics(256, 192, 220.0, 220.0, 128.0, 96.0)
+    depth = np.full((192, 256), 3.0, np.float32)
+    depth[60:90, 40:80], depth[100:, 200:] = 0, np.inf
+    colours = np.repeat((255 * (np.indices((192, 256))[1] / 255)).astype(np.uint8)[..., None], 3, axis=2)
+    cloud = unproject_frame(frame_of(depth, camera, np.eye(4), colours))
+    few = thinned(cloud)
+    assert len(few.points_m) * 4 == len(cloud.points_m) and (few.grid.height, few.grid.width) == (96, 128)
+    position_m, lattice = rng.uniform(-0.3, 0.3, 3), AnchorLattice(8192)
+    whole, thin = sample_unit_sphere(cloud, position_m, lattice), sample_unit_sphere(few, position_m, lattice)
+    both = whole.is_set & thin.is_set
+    assert both.sum() > 0.95 * whole.is_set.sum()
+    assert np.median(np.abs(whole.srgb - thin.srgb)[both]) < 0.02
+    assert ((whole.distance_m > 30) == (thin.distance_m > 30))[both].mean() > 0.97
+
+
+def test_a_frame_that_is_small_or_has_no_grid_is_not_thinned():
+    points = PointCloud(np.ones((5, 3)), np.ones((5, 3)))
+    assert thinned(points) is points
+    small = unproject_frame(frame_of(np.ones((8, 8)), Intrinsics(8, 8, 8.0, 8.0, 4.0, 4.0)))
+    assert thinned(small) is small
+
+
+def test_a_rendered_mirror_ball_gives_the_light_that_it_shows():
+    light = random_light(seed=2)
+    light[0] += 6
+    directions, on_ball = ball_directions(192)
+    shown = (basis(directions.reshape(-1, 3)) @ light).reshape(192, 192, 3)
+    ball = np.where(on_ball[..., None], shown, 0).astype(np.float32)
+    found = rendered_reflections(ball, LATTICE)
+    expected = np.maximum(basis(LATTICE.directions) @ light, 0)
+    # Straight down is the rim of the ball, of which little is known.
+    assert np.abs(found.radiance - expected)[LATTICE.directions[:, 2] > -0.92].max() < 0.02 * expected.max()
+    assert found.seen_share == 1
 
 
 def test_a_lamp_that_was_seen_gives_the_light_of_the_key_light():

@@ -39,6 +39,11 @@ LIGHT_PARTS = (
         "Soft Light and Key Light",
         "The dominant light as a sun with a shadow, the rest as soft light",
     ),
+    (
+        "sh+key+reflections",
+        "Soft Light, Key Light and Reflections",
+        "Metal and glass reflect what the phone has seen besides",
+    ),
 )
 PHONES_METERING = "PHONE"
 METERINGS = (

@@ -46,7 +46,7 @@ from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.previs.better_camera import remove_better_camera
 from xihe_blender.previs.kept_session import FoundLight
-from xihe_blender.previs.lit_blend import apply_lights, key_object_light, light_of, make_lit_scene
+from xihe_blender.previs.lit_blend import apply_lights, key_object_light, light_of, make_lit_scene, pictures_of
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.light.key_light import mean_light
 from xihenet.panorama import evaluate_panorama
@@ -77,7 +77,8 @@ def apply_results(scene: bpy.types.Scene, folder: Path) -> None:
     if missing:
         raise UserError(f"virtual object {missing[0]!r} of the last run is not in this scene any more: run again")
     made = results.settings
-    apply_lights(scene, results.lights, results.frames, made.reference_exposure, has_key_light=made.has_key_light)
+    exposure, has_key_light = made.reference_exposure, made.has_key_light
+    apply_lights(scene, results.lights, results.frames, exposure, folder, has_key_light=has_key_light)
     show_results(scene, folder)
 
 
@@ -118,9 +119,13 @@ def show_found_light(
     exposure, known = results.settings.reference_exposure, applied_worlds(scene).get(name)
     world = known or make_sh_world(world_name(name))
     world.use_fake_user = True
-    key_object_light(world, name, _changes(of_frames), exposure, has_key_light=results.settings.has_key_light)
     last = next(reversed(of_frames))
     at_run = light_of(name, results.frames)
+    pictures = {}
+    if name in results.lights and at_run.is_of({one: place.tolist() for one, place in places_m.items()}):
+        pictures = pictures_of(results.lights[name], folder)
+    has_key_light = results.settings.has_key_light
+    key_object_light(world, name, _changes(of_frames), exposure, pictures, has_key_light=has_key_light)
     live = {name: (light.coverage[last], light.expected_error[last]) for name, light in found.items()}
     places = {name: place.tolist() for name, place in places_m.items()}
     LightOf(places, live={} if at_run.is_of(places) else live).write(world)

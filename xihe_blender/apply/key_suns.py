@@ -66,6 +66,11 @@ def key_sun_changes(sun: bpy.types.Object, keys: Mapping[int, KeyLight | None], 
                 point.interpolation = "CONSTANT"
 
 
+def show_in_reflections(sun: bpy.types.Object, is_shown: bool) -> None:
+    """Whether glossy and transmission rays see `sun`: not where they see a picture that shows its lamp."""
+    sun.visible_glossy = sun.visible_transmission = is_shown
+
+
 def key_suns() -> list[bpy.types.Object]:
     """All suns of ours in the file itself."""
     return [item for item in bpy.data.objects if KEY_LIGHT in item and item.library is None]

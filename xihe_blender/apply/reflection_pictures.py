@@ -7,12 +7,16 @@ with MANUAL they were off by 1 and 5 %.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+
 import bpy
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihe_blender.apply.datablocks import NODE_GROUP_NAME
+from xihe_blender.apply.datablocks import MADE_BY, NODE_GROUP_NAME
 from xihe_blender.apply.images import as_environment, write_image
+from xihe_blender.apply.sh_worlds import curve_lists, f_curves
 
 PICTURE = "Xihe Reflections"
 """Of the nodes in a world, and the beginning of its image's name."""
@@ -24,17 +28,69 @@ def reflect_in_world(world: bpy.types.World, panorama: ArrayLike, exposure: floa
     `world` is one of `make_sh_world`; the panorama carries `exposure`. An earlier picture is taken away: where Cycles
     keeps its scene, it would not see that the pixels of an image have changed.
     """
-    tree = world.node_tree
-    node = tree.nodes.get(PICTURE) or _add_picture(world)
-    forget_reflections(world)
+    node = _picture(world) or _add_picture(world)
+    _remove_image(node)
     pixels = as_environment(np.asarray(panorama, np.float32)) / np.float32(exposure)
     node.image = write_image(f"{PICTURE} {world.name}", pixels, is_float=True)
 
 
+def reflect_on_timeline(world: bpy.types.World, pictures: Mapping[int, Path]) -> None:
+    """Show the glossy rays of `world` one of the files `pictures` from each of those frames on.
+
+    The files are laid out as Blender's Environment Texture reads them, in scene radiance, and end with a number of
+    four digits. Which one is shown is keyed, as the number that is added to the image's first frame. The file keeps
+    their paths and not their pixels: Blender does not pack a sequence.
+    """
+    forget_reflections(world)
+    if not pictures:
+        return
+    node = _add_picture(world)
+    # In order from the first on, whatever file comes first on the timeline.
+    files = sorted(pictures.values())
+    image = bpy.data.images.load(str(files[0]))
+    image.name = f"{PICTURE} {world.name}"
+    image[MADE_BY] = image.name
+    image.source, image.colorspace_settings.name = "SEQUENCE", "Linear Rec.709"
+    node.image, user = image, node.image_user
+    user.frame_start, user.frame_duration, user.use_auto_refresh = 1, 1, True
+    for frame, path in pictures.items():
+        user.frame_offset = int(path.stem[-4:]) - 1
+        user.keyframe_insert("frame_offset", frame=frame)
+    for curve in f_curves(world.node_tree):
+        if curve.data_path.endswith("frame_offset"):
+            for point in curve.keyframe_points:
+                point.interpolation = "CONSTANT"
+
+
 def forget_reflections(world: bpy.types.World) -> None:
-    """Remove the picture that `world` reflects; nothing where there is none."""
-    node = world.node_tree.nodes.get(PICTURE)
-    if node is not None and node.image is not None:
+    """Have glossy rays see what all others see; nothing where they do."""
+    picture = _picture(world)
+    if picture is None:
+        return
+    tree = world.node_tree
+    for curves in curve_lists(tree):
+        for curve in [curve for curve in curves if PICTURE in curve.data_path]:
+            curves.remove(curve)
+    _remove_image(picture)
+    mixed = next(node for node in tree.nodes if node.type == "MIX_SHADER")
+    seen_by_all, output = mixed.inputs[1].links[0].from_socket, mixed.outputs[0].links[0].to_socket
+    tree.links.new(seen_by_all, output)
+    for node in [node for node in tree.nodes if node.name.startswith(PICTURE)]:
+        tree.nodes.remove(node)
+    world.cycles.sampling_method = "MANUAL"
+
+
+def reflects(world: bpy.types.World) -> bool:
+    """Whether glossy rays see a picture."""
+    return _picture(world) is not None
+
+
+def _picture(world: bpy.types.World) -> bpy.types.Node | None:
+    return world.node_tree.nodes.get(PICTURE)
+
+
+def _remove_image(node: bpy.types.Node) -> None:
+    if node.image is not None:
         bpy.data.images.remove(node.image)
 
 
@@ -46,6 +102,8 @@ def _add_picture(world: bpy.types.World) -> bpy.types.Node:
     picture, shown, rays, either, mix = (
         add(f"ShaderNode{kind}") for kind in ("TexEnvironment", "Background", "LightPath", "Math", "MixShader")
     )
+    for node in (shown, rays, either, mix):
+        node.name = f"{PICTURE} {node.type}"
     picture.name = picture.label = PICTURE
     either.operation = "MAXIMUM"
     link(rays.outputs["Is Glossy Ray"], either.inputs[0])

@@ -190,7 +190,7 @@ def clear_keys(owner: bpy.types.ID) -> None:
 
     An action that goes while a window is open may still be evaluated for a view or a render.
     """
-    for curves in _curve_lists(owner):
+    for curves in curve_lists(owner):
         for curve in list(curves):
             curves.remove(curve)
 
@@ -203,10 +203,10 @@ def applied_worlds(scene: bpy.types.Scene) -> dict[str, bpy.types.World]:
 
 def f_curves(owner: bpy.types.ID) -> list[bpy.types.FCurve]:
     """The F-curves that key `owner`, such as a world, a node tree, an object or a light."""
-    return [curve for curves in _curve_lists(owner) for curve in curves]
+    return [curve for curves in curve_lists(owner) for curve in curves]
 
 
-def _curve_lists(owner: bpy.types.ID) -> list[Any]:
+def curve_lists(owner: bpy.types.ID) -> list[Any]:
     """What holds the F-curves of `owner`: Blender 4.4 moved them into layers and slots, 5.0 left only those."""
     animation = owner.animation_data
     if animation is None or animation.action is None:

@@ -67,6 +67,9 @@ ROUNDING = 1e-6
 SMALLEST_CLIP = 1e-6
 """Blender units: cameras have no nearer clip start, whatever a unit is."""
 
+MIRROR_SAMPLES = 16
+"""In each pixel of the picture of what is reflected: a pixel is a five hundredth of what a mirror shows."""
+
 FEWEST_SAMPLES = 6
 """By fewer nobody could tell the noise: with 4 a disc was off by up to 2.4 times what it told, in 20 seeds."""
 
@@ -225,6 +228,15 @@ class ReferenceProbe:
         self._look(index, (start_m, CLIP_END_M), samples, is_denoised=is_denoised)
         return self._render(number)
 
+    def mirror_ball(self, index: int, frame: int) -> ArrayF32:
+        """(N, N, 3) what glossy rays see at the `index`-th position in `frame`, as a mirror ball; scene radiance.
+
+        Lamps are hidden from cameras unless the user says otherwise, and from glossy rays are not.
+        """
+        self.scene.frame_set(frame)
+        with _seen_as_by_glossy_rays(self.scene):
+            return _rgb(self.view(index, 0, samples=MIRROR_SAMPLES, is_denoised=self.is_denoised).passes, "Combined")
+
     def _cones(self, index: int, number: int) -> Rendered:
         """All light; every other picture is turned over, since a picture tells little of what lies on its rim."""
         self.look_at_cones(index, is_turned=number % 2 == 1)
@@ -299,6 +311,22 @@ def cone_factors() -> ArrayF64:
     """
     c = math.cos(CONE * math.pi / 2)
     return np.repeat([1.0, -(1 + c) / 2, c * (1 + c) / 2], [1, 3, 5])
+
+
+@contextlib.contextmanager
+def _seen_as_by_glossy_rays(scene: bpy.types.Scene) -> Iterator[None]:
+    """Have camera rays see the objects and the world of `scene` that glossy rays see, and no others."""
+    seen: list[Any] = [*scene.objects, *([scene.world.cycles_visibility] if scene.world else [])]
+    names = {True: ("visible_camera", "visible_glossy"), False: ("camera", "glossy")}
+    were = [(one, *names[isinstance(one, bpy.types.Object)]) for one in seen]
+    changed = [(one, camera) for one, camera, glossy in were if getattr(one, camera) != getattr(one, glossy)]
+    try:
+        for one, camera in changed:
+            setattr(one, camera, not getattr(one, camera))
+        yield
+    finally:
+        for one, camera in changed:
+            setattr(one, camera, not getattr(one, camera))
 
 
 @contextlib.contextmanager

@@ -11,7 +11,9 @@ from xihe_blender.cli.progress import progress_line
 from xihe_blender.jobs import run_blocking
 
 CAPTURED = "frames that are rendered: the whole path (default), or only those with a virtual object in view"
-LIGHT = "what objects are lit with: sh, or sh+key with the dominant light as a sun that casts a shadow; default: sh"
+LIGHT = (
+    "what objects are lit with: sh, sh+key with the dominant light as a sun that casts a shadow, or sh+key+reflections"
+)
 NOISE_TARGET = "largest rendering noise, as a share of the light; default: 0.06, 0.03 or 0.015, by preset"
 OTHERS = "other estimators whose light and pictures are compared with it, from the same frames; default: none"
 SAMPLES = "samples of every capture, and pictures of every light probe, whatever the noise"

@@ -21,19 +21,28 @@ import bpy
 import numpy as np
 
 from xihe_blender.apply.datablocks import LIT_SCENE, PREFIX
-from xihe_blender.apply.key_suns import apply_key_to_sun, lit_by_suns, make_key_sun, remove_key_sun
+from xihe_blender.apply.key_suns import (
+    apply_key_to_sun,
+    lit_by_suns,
+    make_key_sun,
+    remove_key_sun,
+    show_in_reflections,
+)
 from xihe_blender.apply.lit_scene import remove_lit_collections, set_up_lit_scene
+from xihe_blender.apply.reflection_pictures import forget_reflections, reflect_in_world
 from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world
-from xihe_blender.capture.render import RenderSettings, render_passes, stacked_rgb, working_scene
+from xihe_blender.capture.render import Rendered, RenderSettings, render_passes, stacked_rgb, working_scene
 from xihe_blender.capture.scanner import first_layer
 from xihe_blender.io.outputs import written_whole
 from xihe_blender.io.run_results import Metrics
 from xihenet.camera import MISS_PLANE_DEPTH_M, valid_plane_depth
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.light.key_light import rest_of
+from xihenet.light.reflections import reflection_panorama
 from xihenet.metrics import angular_error, angular_error_deg, image_rmse, psnr, si_rmse, ssim
 from xihenet.npz_files import read_npz
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ObjectLight, RgbdFrame
+from xihenet.sphere import AnchorLattice
 
 GROUND_TRUTH_SCENE = "Xihe Ground Truth"
 OCCLUSION_TOLERANCE = 2e-3
@@ -107,15 +116,7 @@ class Comparer:
         The plane depth of `captured` hides what lies behind. `lights` carry its exposure, by method and
         virtual object.
         """
-        for key, world in self.worlds.items():
-            light = lights[key[0]][key[1]]
-            if key in self.suns:
-                apply_sh_to_world(world, rest_of(light), captured.exposure)
-                apply_key_to_sun(self.suns[key], light.key, captured.exposure)
-            else:
-                apply_sh_to_world(world, light.sh, captured.exposure)
-        self.lit.frame_set(captured.frame)
-        lit = render_passes(self.lit)
+        lit = self.render_layers(captured, lights)
         background = srgb_to_linear(captured.srgb_u8 / 255.0)
         methods, weights = {}, np.zeros(background.shape[:2])
         for method in lights:
@@ -123,6 +124,24 @@ class Comparer:
             methods[method], weights = composite(background, layers, captured)
         exposed = truth.radiance.astype(np.float64) * captured.exposure
         return Comparison(exposed, methods, weights, truth.render_s + lit.render_s)
+
+    def render_layers(self, captured: RgbdFrame, lights: Mapping[str, Mapping[str, ObjectLight]]) -> Rendered:
+        """Each object under each method's light, a view layer each (`layers`), at the frame of `captured`."""
+        for key, world in self.worlds.items():
+            light = lights[key[0]][key[1]]
+            if light.reflections is None:
+                forget_reflections(world)
+            else:
+                lattice = AnchorLattice(len(light.reflections.radiance))
+                reflect_in_world(world, reflection_panorama(light.reflections, lattice), captured.exposure)
+            if key in self.suns:
+                apply_sh_to_world(world, rest_of(light), captured.exposure)
+                apply_key_to_sun(self.suns[key], light.key, captured.exposure)
+                show_in_reflections(self.suns[key], light.reflections is None)
+            else:
+                apply_sh_to_world(world, light.sh, captured.exposure)
+        self.lit.frame_set(captured.frame)
+        return render_passes(self.lit)
 
 
 @contextlib.contextmanager
@@ -143,6 +162,7 @@ def open_comparer(
         for key, layer in layers.items():
             worlds[key] = make_sh_world(f"{PREFIX}{layer}")
             stack.callback(bpy.data.worlds.remove, worlds[key])
+            stack.callback(forget_reflections, worlds[key])
             if has_key_light:
                 suns[key] = make_key_sun(f"{PREFIX}{layer} Key Light")
                 stack.callback(remove_key_sun, suns[key])

@@ -80,6 +80,14 @@ class RunOutputs:
         """Radiance panorama of the light probe at one estimation position, the `index`-th of the run."""
         return self.folder / "radiance" / f"probe_{index}_{_file_stem(name)}_{frame:04d}.exr"
 
+    def mirror_ball(self, index: int, name: str, frame: int) -> Path:
+        """What glossy rays see at one estimation position, as a mirror ball's picture."""
+        return self.folder / "radiance" / f"mirror_{index}_{_file_stem(name)}_{frame:04d}.exr"
+
+    def reflections(self, index: int, name: str, number: int) -> Path:
+        """The `number`-th picture that the glossy parts of virtual object `name`, the `index`-th, reflect."""
+        return self.folder / "reflections" / f"{index}_{_file_stem(name)}_{number:04d}.exr"
+
     def reference(self, index: int, name: str, frame: int) -> Path:
         """Coefficients of the reference light at one estimation position, the `index`-th of the run."""
         return self.folder / "work" / f"reference_{index}_{_file_stem(name)}_{frame:04d}.json"

@@ -105,7 +105,7 @@ class RunSettings:
     preset: Annotated[str, "as in the command line"]
     others: Annotated[tuple[str, ...], "other estimators that were compared with it"] = ()
     target: Annotated[Literal["ldr", "hdr"], "as in the command line"]
-    light: Annotated[Literal["sh", "sh+key"], "what objects are lit with"] = "sh"
+    light: Annotated[Literal["sh", "sh+key", "sh+key+reflections"], "what objects are lit with"] = "sh"
     size: Annotated[tuple[int, int], "of captures and comparisons, width and height"]
     frames: Annotated[tuple[int, ...], "of the path"]
     captured: Annotated[Literal["path", "in-view"], "which of them the phone took in"] = "in-view"
@@ -261,12 +261,21 @@ class KeyLightResult:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ReflectionsResult:
+    """What the glossy parts of an object reflect."""
+
+    picture: Annotated[str, "a panorama in the run's folder, laid out as Blender reads one, scene radiance"]
+    seen_share: Annotated[float, "of its directions the phone has seen, 0 to 1; the rest is a guess"]
+
+
+@dataclass(frozen=True, kw_only=True)
 class LightChange:
     """From a frame on, an object's light."""
 
     frame: Annotated[int, "from which on"]
     sh: Annotated[Coefficients, "the mean over the object's positions, the key light among it"]
     key: Annotated[KeyLightResult | None, "None for no key light, and where `settings.light` has none"] = None
+    reflections: Annotated[ReflectionsResult | None, "None where `settings.light` has none"] = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,47 +13,86 @@ from dataclasses import replace
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from xihe_blender.apply import key_suns, sh_worlds
 from xihe_blender.apply.datablocks import LIT_SCENE, LightOf
+from xihe_blender.apply.images import as_environment
 from xihe_blender.apply.lit_scene import remove_lit_collections, remove_lit_scene, set_up_lit_scene
+from xihe_blender.apply.reflection_pictures import forget_reflections, reflect_on_timeline
 from xihe_blender.capture.render import can_denoise
-from xihe_blender.io.outputs import written_whole
-from xihe_blender.io.run_results import FrameResult, LightChange
+from xihe_blender.io.exr import write_radiance
+from xihe_blender.io.outputs import RunOutputs, written_whole
+from xihe_blender.io.run_results import FrameResult, LightChange, ReflectionsResult
 from xihe_blender.previs.plan import PrevisPlan
 from xihe_blender.previs.results import as_coefficients, as_key, light_of_change
 from xihenet.light.key_light import rest_of
-from xihenet.records import ObjectLight
+from xihenet.light.reflections import reflection_panorama
+from xihenet.records import ArrayF32, ObjectLight, Reflections
+from xihenet.sphere import AnchorLattice
 
 Changes = Mapping[str, Sequence[LightChange]]
 """By virtual object, as results.json has them."""
 
 
-def light_changes(plan: PrevisPlan, lights: Mapping[int, Mapping[str, ObjectLight]]) -> Changes:
-    """The light of each virtual object wherever it changes; `lights` are by frame and virtual object."""
-    changes: dict[str, tuple[LightChange, ...]] = {item.name: () for item in plan.objects}
-    for frame, light in lights.items():
-        for name, of_one in changes.items():
-            change = LightChange(frame=frame, sh=as_coefficients(light[name].sh), key=as_key(light[name].key))
+def light_changes(
+    plan: PrevisPlan, lights: Mapping[int, Mapping[str, ObjectLight]], outputs: RunOutputs, exposure: float
+) -> Changes:
+    """The light of each virtual object wherever it changes; what it reflects is written to `outputs`.
+
+    `lights` are by frame and virtual object, and carry `exposure`.
+    """
+    changes: dict[str, tuple[LightChange, ...]] = {}
+    for index, item in enumerate(plan.objects):
+        of_one: list[LightChange] = []
+        pictures: dict[bytes, ReflectionsResult] = {}
+        for frame, light in ((frame, of_all[item.name]) for frame, of_all in lights.items()):
+            reflected = None
+            if light.reflections is not None:
+                path = outputs.reflections(index, item.name, len(pictures) + 1)
+                pixels = light.reflections.radiance.tobytes()
+                if pixels not in pictures:
+                    write_radiance(path, reflected_picture(light.reflections, exposure))
+                    seen_share = float(light.reflections.seen_share)
+                    pictures[pixels] = ReflectionsResult(picture=outputs.relative(path), seen_share=seen_share)
+                reflected = pictures[pixels]
+            sh, key = as_coefficients(light.sh), as_key(light.key)
+            change = LightChange(frame=frame, sh=sh, key=key, reflections=reflected)
             if not of_one or replace(of_one[-1], frame=frame) != change:
-                changes[name] = (*of_one, change)
+                of_one.append(change)
+        changes[item.name] = tuple(of_one)
     return changes
 
 
+def reflected_picture(reflections: Reflections, exposure: float) -> ArrayF32:
+    """(H, 2H, 3) in scene radiance, laid out as Blender's Environment Texture reads it; they carry `exposure`."""
+    lattice = AnchorLattice(len(reflections.radiance))
+    return as_environment(reflection_panorama(reflections, lattice) / np.float32(exposure))
+
+
+def pictures_of(changes: Sequence[LightChange], folder: Path) -> dict[int, Path]:
+    """What is reflected from each frame of `changes` on, in the run's `folder`; nothing where a file is gone."""
+    pictures = {one.frame: folder / one.reflections.picture for one in changes if one.reflections is not None}
+    return pictures if all(path.is_file() for path in pictures.values()) else {}
+
+
 def apply_lights(
-    scene: bpy.types.Scene, changes: Changes, frames: Sequence[FrameResult], exposure: float, *, has_key_light: bool
-) -> None:
+    scene: bpy.types.Scene, changes: Changes, frames: Sequence[FrameResult], exposure: float, folder: Path,
+    *, has_key_light: bool,
+) -> None:  # fmt: skip
     """Key a world per virtual object at every frame at which its light changes; mark the triggers.
 
     `changes` are as of `light_changes`, carrying `exposure`; the pictures of the comparison are made with the same.
-    Worlds and suns of earlier runs are keyed anew. `frames` are those of results.json, for the triggers.
+    Worlds and suns of earlier runs are keyed anew. `frames` are those of results.json, for the triggers; `folder` is
+    the run's, with the pictures of reflections.
     """
     sh_worlds.remove_trigger_markers(scene)
     for name, of_one in changes.items():
         world = sh_worlds.make_sh_world(sh_worlds.world_name(name))
         world.use_fake_user = True
         lights = {change.frame: light_of_change(change) for change in of_one}
-        key_object_light(world, name, lights, exposure, has_key_light=has_key_light)
+        pictures = pictures_of(of_one, folder)
+        key_object_light(world, name, lights, exposure, pictures, has_key_light=has_key_light)
         light_of(name, frames).write(world)
     for entry in frames:
         reasons = [probe.reason for probe in entry.probes if probe.fired]
@@ -62,16 +101,20 @@ def apply_lights(
 
 
 def key_object_light(
-    world: bpy.types.World, name: str, lights: Mapping[int, ObjectLight], exposure: float, *, has_key_light: bool
-) -> None:
+    world: bpy.types.World, name: str, lights: Mapping[int, ObjectLight], exposure: float,
+    pictures: Mapping[int, Path] | None = None, *, has_key_light: bool,
+) -> None:  # fmt: skip
     """Key the light of virtual object `name`, by frame, onto its world and, with `has_key_light`, onto its sun.
 
-    Without it a sun of an earlier run is taken away.
+    Without it a sun of an earlier run is taken away; and so are its reflections without `pictures`, files by frame.
     """
+    forget_reflections(world)
     sh_worlds.key_light_changes(world, {frame: rest_of(light) for frame, light in lights.items()}, exposure)
+    reflect_on_timeline(world, pictures or {})
     if has_key_light:
         sun = key_suns.make_key_sun(key_suns.sun_name(name))
         sun.use_fake_user = True
+        key_suns.show_in_reflections(sun, not pictures)
         key_suns.key_sun_changes(sun, {frame: light.key for frame, light in lights.items()}, exposure)
     else:
         key_suns.remove_key_sun(key_suns.key_sun(key_suns.sun_name(name)))

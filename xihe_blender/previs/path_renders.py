@@ -27,8 +27,10 @@ from xihe_blender.jobs import Progress
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
 from xihenet.json_files import read_json
+from xihenet.light.reflections import rendered_reflections
 from xihenet.recording import load_frame, save_frame
-from xihenet.records import RgbdFrame
+from xihenet.records import Reflections, RgbdFrame
+from xihenet.sphere import AnchorLattice
 
 _kept_light = functools.partial(from_json, MeasuredLight)
 
@@ -106,11 +108,30 @@ def _measure(run: PreparedRun, frame: int, probe: Probe, reference_probe: Refere
         light = reference_probe.light_at(index, frame, run.exposure)
         measured = light.measured
         write_radiance(panorama(frame), light.panorama)
+        if run.settings.has_reflections:
+            write_radiance(run.outputs.mirror_ball(index, probe.name, frame), reference_probe.mirror_ball(index, frame))
     else:
         measured = replace(_kept_light(read_json(_reference(run, probe, source))), render_s=0.0)
         copy_whole(panorama(source), panorama(frame))
     write_json(_reference(run, probe, frame), as_json(measured))
     return measured.render_s
+
+
+def _is_measured(run: PreparedRun, frame: int, probe: Probe) -> bool:
+    """Whether each piece of a reference light can be read."""
+    if kept_json(_reference(run, probe, frame), _kept_light) is None:
+        return False
+    if not run.settings.has_reflections or run.reuse.probes[frame, probe.name] != frame:
+        return True
+    mirror_ball = run.outputs.mirror_ball(run.plan.probes.index(probe), probe.name, frame)
+    return read_kept(mirror_ball, read_radiance) is not None
+
+
+def true_reflections(run: PreparedRun, probe: Probe, frame: int, lattice: AnchorLattice) -> Reflections:
+    """What glossy things at `probe` reflect in `frame`, rendered, at the run's exposure."""
+    source, index = run.reuse.probes[frame, probe.name], run.plan.probes.index(probe)
+    ball = read_radiance(run.outputs.mirror_ball(index, probe.name, source))
+    return rendered_reflections(ball * np.float32(run.exposure), lattice)
 
 
 def _reference(run: PreparedRun, probe: Probe, frame: int) -> Path:
@@ -149,7 +170,7 @@ def render_captures(run: PreparedRun) -> Generator[Progress, None, dict[int, flo
 
 def _measure_missing(run: PreparedRun, work_s: dict[int, float]) -> Iterator[Progress]:
     asked = [(frame, probe) for frame in run.plan.frames for probe in run.probes_in_view(frame)]
-    missing = [(f, probe) for f, probe in asked if kept_json(_reference(run, probe, f), _kept_light) is None]
+    missing = [(frame, probe) for frame, probe in asked if not _is_measured(run, frame, probe)]
     if not missing:
         return
     probes, items = run.plan.probes, {item.name: item for item in run.plan.objects}

@@ -7,6 +7,7 @@ it, here alone. A run has one session; the report makes more of them, from the s
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,8 +18,9 @@ from xihenet.backend import LocalBackend
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.estimators import EstimateContext, Estimator
 from xihenet.light.key_light import mean_light
+from xihenet.light.reflections import fill_reflections
 from xihenet.phone import EstimatesUnderWay, Link, Request
-from xihenet.records import ArrayF64, ObjectLight, PointCloud, RgbdFrame, StepReport, UnitSphereCloud
+from xihenet.records import ArrayF64, ObjectLight, PointCloud, Reflections, RgbdFrame, StepReport, UnitSphereCloud
 
 
 class PhoneSession:
@@ -38,6 +40,7 @@ class PhoneSession:
             following=settings.following,
             learns_out_of_view=settings.captured == "path",
             has_key_light=settings.has_key_light,
+            has_reflections=settings.has_reflections,
         )
         self.controller = XiheController(LocalBackend(estimator), chain, others=[LocalBackend(one) for one in others])
         self.probes = {probe.name: probe for probe in plan.probes}
@@ -49,6 +52,8 @@ class PhoneSession:
         self.unseen = UnitSphereCloud.empty(settings.n_anchors)
         self.ambient_sh = np.zeros((9, 3))
         """Of the last frame."""
+        self._filled: dict[tuple[str, str | None], tuple[bytes, Reflections]] = {}
+        """The last reflections by position and other estimator, and what they were filled with."""
 
     def step(
         self, seen: RgbdFrame, truth: dict[str, ArrayF64], active: Sequence[str], points: PointCloud | None = None
@@ -86,7 +91,8 @@ class PhoneSession:
     def object_light(self, names: Sequence[str], time_s: float, other: str | None = None) -> ObjectLight:
         """The light in force of an object, of which `names` are the positions: their mean, and its key light.
 
-        `other` as of `light`; the ambient light has no key light.
+        `other` as of `light`; the ambient light has no key light. Reflections, where the session has them, are those at
+        the first of the positions.
         """
         lights = []
         for name in names:
@@ -94,7 +100,20 @@ class PhoneSession:
             if request is not None:
                 key = request.estimate.key if other is None else request.estimate.other_keys.get(other)
             lights.append(ObjectLight(self.light(name, time_s, other), key))
-        return mean_light(lights)
+        return self._with_reflections(mean_light(lights), names[0], time_s, other)
+
+    def _with_reflections(self, light: ObjectLight, name: str, time_s: float, other: str | None) -> ObjectLight:
+        lattice, request = self.controller.fine_lattice, self.under_way.in_force(name, time_s)
+        if lattice is None:
+            return light
+        cloud = UnitSphereCloud.empty(len(lattice))
+        if request is not None and request.estimate.reflected is not None:
+            cloud = request.estimate.reflected
+        made_of = light.tobytes() + (b"" if request is None else str(request.frame).encode())
+        kept = self._filled.get((name, other))
+        if kept is None or kept[0] != made_of:
+            kept = self._filled[name, other] = made_of, fill_reflections(cloud, lattice, light)
+        return replace(light, reflections=kept[1])
 
     def expected_error(self, name: str, time_s: float) -> float | None:
         """SHC RMSE that the estimator expects of the light in force; None for the ambient one, or if it says none."""

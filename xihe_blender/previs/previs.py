@@ -70,8 +70,8 @@ def previs(
         errors = yield from measure_phone(run, walked)
     yield run.progress("methods", 1, "applying the light and writing the report")
     estimated = {frame: methods[settings.estimator] for frame, methods in walked.lights.items()}
-    changes = light_changes(plan, estimated)
-    apply_lights(scene, changes, walked.frames, run.exposure, has_key_light=settings.has_key_light)
+    changes = light_changes(plan, estimated, outputs, run.exposure)
+    apply_lights(scene, changes, walked.frames, run.exposure, outputs.folder, has_key_light=settings.has_key_light)
     save_lit_blend(scene, plan, outputs.lit_blend)
     frames = [replace(frame, compared=compared.get(frame.frame)) for frame in walked.frames]
     found = results.assemble(run, frames, lights=changes, phone=walked.phone, errors=errors, file=file, command=command)

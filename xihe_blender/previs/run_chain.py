@@ -23,7 +23,7 @@ from xihe_blender.io.outputs import finite_or_none, write_picture
 from xihe_blender.io.run_results import FrameResult, OtherLight, PhoneErrors, ProbeResult
 from xihe_blender.jobs import Progress
 from xihe_blender.previs import results
-from xihe_blender.previs.path_renders import FrameRenders, kept_renders, render_path
+from xihe_blender.previs.path_renders import FrameRenders, kept_renders, render_path, true_reflections
 from xihe_blender.previs.phone_capture import CaptureFacts, SimulatedPhone, facts_of_capture, simulate_phone
 from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.plan import Probe
@@ -35,7 +35,7 @@ from xihenet.light.key_light import mean_light, split_light
 from xihenet.metrics import share_above_white, shc_rmse
 from xihenet.phone import NETWORK, Link, Request
 from xihenet.recording import load_frame, save_frame
-from xihenet.records import ArrayF64, ObjectLight, RgbdFrame, StepReport
+from xihenet.records import ArrayF64, ObjectLight, Reflections, RgbdFrame, StepReport
 
 NOT_REPEATED = "frame_rate"
 """Frames that the phone did not deliver were never captured."""
@@ -99,6 +99,8 @@ class _Walk:
         self.walked = WalkedPath(phone)
         self.references: dict[str, MeasuredLight] = {}
         """The last reference light of each probe."""
+        self.reflections: dict[str, tuple[int, Reflections]] = {}
+        """The last rendered reflections of each object's first probe, and their frame, where the run has any."""
 
     def step(self, frame: int) -> None:
         start = time.perf_counter()
@@ -116,6 +118,7 @@ class _Walk:
         """A frame, as the phone saw it, that goes through the chain; `stage_ms` adds up its positions."""
         run, target = self.run, self.run.settings.target
         self.references |= rendered.references
+        self._see_reflections(rendered)
         truth = {name: light.of(target) for name, light in rendered.references.items()}
         seen, n_lost = self.phone.see(rendered.captured, run.outputs)
         if seen is not rendered.captured and self.keeps_session:
@@ -164,8 +167,20 @@ class _Walk:
                 other = None if method == chosen else method
                 lights[method][item.name] = self.session.object_light(names, time_s, other)
             lights["ambient"][item.name] = ObjectLight(ambient_sh)
-            lights["truth"][item.name] = mean_light([self._true_light(name) for name in names])
+            true = mean_light([self._true_light(name) for name in names])
+            _, reflections = self.reflections.get(names[0], (None, None))
+            lights["truth"][item.name] = replace(true, reflections=reflections)
         return lights
+
+    def _see_reflections(self, rendered: FrameRenders) -> None:
+        lattice, frame = self.session.controller.fine_lattice, rendered.captured.frame
+        if lattice is None:
+            return
+        for probe in (self.run.plan.probes_of(item.name)[0] for item in self.run.plan.objects):
+            if probe.name in rendered.references:
+                source, kept = self.run.reuse.probes[frame, probe.name], self.reflections.get(probe.name)
+                if kept is None or kept[0] != source:
+                    self.reflections[probe.name] = source, true_reflections(self.run, probe, frame, lattice)
 
     def _true_light(self, name: str) -> ObjectLight:
         if name not in self.references:

@@ -30,7 +30,7 @@ Captured = Literal["path", "in-view"]
 """Frames that a phone of a run takes in: the whole path, or those in which an estimation position is in view."""
 
 
-LightParts = Literal["sh", "sh+key"]
+LightParts = Literal["sh", "sh+key", "sh+key+reflections"]
 """What objects are lit with: all of an estimate as spherical harmonics, or its key light as a sun and so the rest."""
 
 
@@ -81,7 +81,8 @@ class PrevisSettings:
     others : names of estimators that are compared with it, from the same clouds; `ambient` and `truth` always are
     preset : name of one of PRESETS
     target : which light is estimated and compared: "hdr" all of it, "ldr" light clipped at 1, as in the paper
-    light : what objects are lit with: "sh", or "sh+key", where the key light of an estimate is a sun
+    light : what objects are lit with: "sh"; "sh+key", where the key light of an estimate is a sun; or
+        "sh+key+reflections", where glossy things show a picture of what was seen besides
     size : of captures and comparisons; None takes 256x192, upright where the scene's picture is
     frames : frame numbers along the path; None takes the scene's range and step
     captured : "path" also captures frames in which no virtual object is in view, and learns from all that it captures
@@ -185,6 +186,10 @@ class PrevisSettings:
     @property
     def has_key_light(self) -> bool:
         return self.light != "sh"
+
+    @property
+    def has_reflections(self) -> bool:
+        return self.light == "sh+key+reflections"
 
     @property
     def link(self) -> Link | None:

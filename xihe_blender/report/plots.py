@@ -30,7 +30,8 @@ from xihenet import svg
 from xihenet.formats import format_bytes, format_number, format_percent, format_quantity
 from xihenet.svg import HEIGHT_PX, Axis, linear_axis
 
-STAGES = ("unproject", "sample", "merge", "trigger", "encode", "estimate")
+REFLECT = "reflect"
+STAGES = ("unproject", "sample", "merge", "trigger", "encode", "estimate", REFLECT)
 LANE_PX = 15
 _WIDEST_BAR_PERCENT = 10.0
 _MANY_FRAMES = 80
@@ -313,6 +314,8 @@ def _stage_legend(timeline: Timeline) -> str:
     entries = []
     for index, stage in enumerate(STAGES):
         known = [frame.stage_ms[stage] for frame in timeline.frames if stage in frame.stage_ms]
+        if stage == REFLECT and not known:
+            continue
         median = f"median {format_quantity(statistics.median(known), 'ms', 2)}" if known else "not measured"
         entries.append(f'<span class="swatch b{index}"></span>{stage} <span class="quiet">{median}</span>')
     return svg.legend(entries)

@@ -1,8 +1,11 @@
 """What glossy things reflect: a finer sphere of directions, filled from the same frames by the same sampling.
 
 An estimate of order 2 shows a mirror broad stripes. The phone has seen much of what the mirror would show, though: each
-frame is sampled into more anchors and merged as the estimate's are. What was never seen is the estimate itself, and the
-difference between both at the border fades into it, so that there is no seam.
+frame, thinned to as many pixels as that takes, is sampled into more anchors and merged as the estimate's are.
+
+What was never seen is halfway, as a ratio, between the estimate and the median of what was seen. The estimate alone has
+bright windows spread over dark ceilings, the median no lamp at all. What borders on it fades into it in ratios too, so
+that there is no seam; but for lamps and windows, which would draw streaks. Measured in docs/reflections.md.
 
 A phone's picture ends at white. Where the key light of the estimate was seen, its patch is made as bright as the key
 light is: a rough metal shows a lamp by its light and not by its picture.
@@ -10,18 +13,42 @@ light is: a rough metal shows a lamp by its light and not by its picture.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
 from xihenet.colour import srgb_to_linear
-from xihenet.panorama import panorama_directions
-from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, ObjectLight, UnitSphereCloud
+from xihenet.light.key_light import LUMINANCE
+from xihenet.mirror_ball import seen_in_ball
+from xihenet.panorama import panorama_directions, solid_angles
+from xihenet.records import (
+    ArrayBool,
+    ArrayF32,
+    ArrayF64,
+    ArrayInt,
+    FarPixels,
+    ObjectLight,
+    PointCloud,
+    Reflections,
+    UnitSphereCloud,
+)
 from xihenet.sh_basis import basis
 from xihenet.sphere import AnchorLattice
 
 N_DIRECTIONS = 8192
+N_PIXELS = 12_000
+"""Of a frame, at least: a pixel of a wide camera then covers a fifth of an anchor."""
+
+DARKEST = 0.003
+"""Radiance, carrying the exposure, below which ratios count no more."""
+
+LAMP_OF_USUAL = 2.5
+"""What is brighter than so many medians is a lamp or a window, and does not go on beyond what was seen of it."""
+
+FINE_HEIGHT = 256
+"""Of the grid of directions in which a rendered picture is looked at: 16 for each anchor."""
 
 N_NEIGHBOURS = 7
 FADES_OVER = float(np.radians(20))
@@ -34,35 +61,56 @@ SHARPNESS = 1.5
 """Of the picture between anchors: their distance over the width of the bell that weights them."""
 
 
-@dataclass(frozen=True, eq=False)
-class Reflections:
-    """What arrives from each direction of a lattice.
-
-    Parameters
-    ----------
-    radiance : (N, 3) float32, not negative, linear Rec.709, carrying the estimate's exposure
-    seen_share : of the directions that the phone has seen, 0 to 1
-    """
-
-    radiance: ArrayF32
-    seen_share: float
+def thinned(cloud: PointCloud) -> PointCloud:
+    """Every n-th row and column of a frame's points, as many as N_DIRECTIONS need; without a grid all of them."""
+    grid = cloud.grid
+    step = 1 if grid is None else math.isqrt(grid.height * grid.width // N_PIXELS)
+    if grid is None or step <= 1:
+        return cloud
+    number = np.arange(grid.height * grid.width).reshape(grid.height, grid.width)[::step, ::step]
+    new = np.full(grid.height * grid.width, -1)
+    new[number] = np.arange(number.size).reshape(number.shape)
+    far, openings = grid.far, grid.openings
+    if far is not None:
+        kept = new[far.pixels] >= 0
+        far = FarPixels(new[far.pixels[kept]], far.rays[:, kept]) if kept.any() else None
+    if openings is not None:
+        openings = new[openings][new[openings] >= 0]
+    chosen = number.ravel()
+    rest = replace(grid, height=number.shape[0], width=number.shape[1], far=far, openings=openings)
+    return PointCloud(cloud.points_m[chosen], cloud.srgb[chosen], grid=rest)
 
 
 def fill_reflections(cloud: UnitSphereCloud, lattice: AnchorLattice, light: ObjectLight) -> Reflections:
-    """What was seen, and the estimate `light` elsewhere; both carry the same exposure.
+    """What was seen, and a guess from it and the estimate `light` elsewhere; both carry the same exposure.
 
-    ValueError for a cloud that is not the lattice's.
+    Where nothing was seen at all it is the estimate. ValueError for a cloud that is not the lattice's.
     """
     if len(cloud) != len(lattice):
         raise ValueError(f"fill_reflections: expected a cloud of {len(lattice)} anchors, got {len(cloud)}")
-    estimated = np.maximum(basis(lattice.directions) @ light.sh, 0.0)
-    difference = np.zeros_like(estimated)
-    seen = cloud.is_set
-    difference[seen] = srgb_to_linear(cloud.srgb[seen].astype(np.float64)) - estimated[seen]
-    around = lattice.neighbours(min(N_NEIGHBOURS, len(lattice)))
-    radiance = estimated + _faded(difference, seen, around)
-    radiance = _with_lamp(np.maximum(radiance, 0.0), seen, lattice, light)
+    radiance, seen = np.maximum(basis(lattice.directions) @ light.sh, 0.0), cloud.is_set
+    if seen.any():
+        shown = srgb_to_linear(cloud.srgb[seen].astype(np.float64))
+        usual = np.median(shown, axis=0)
+        guess = (np.log(np.maximum(radiance, DARKEST)) + np.log(np.maximum(usual, DARKEST))) / 2
+        difference = np.zeros_like(radiance)
+        is_lamp = shown @ LUMINANCE > LAMP_OF_USUAL * (usual @ LUMINANCE)
+        difference[seen] = np.where(is_lamp[:, None], 0.0, np.log(np.maximum(shown, DARKEST)) - guess[seen])
+        around = lattice.neighbours(min(N_NEIGHBOURS, len(lattice)))
+        radiance = np.exp(guess + _faded(difference, seen, around))
+        radiance[seen] = shown
+        radiance = _with_lamp(radiance, seen, lattice, light)
     return Reflections(radiance.astype(np.float32), float(seen.mean()) if len(seen) else 0.0)
+
+
+def rendered_reflections(ball: ArrayF32, lattice: AnchorLattice) -> Reflections:
+    """Those of a mirror ball's picture (N, N, 3): the mean of what it shows in each anchor's directions."""
+    directions = panorama_directions(FINE_HEIGHT, 2 * FINE_HEIGHT).reshape(-1, 3)
+    weights, anchors = solid_angles(FINE_HEIGHT, 2 * FINE_HEIGHT).ravel(), lattice.nearest(directions)
+    shown = np.maximum(seen_in_ball(ball, directions), 0) * weights[:, None]
+    sums = np.stack([np.bincount(anchors, shown[:, c], len(lattice)) for c in range(3)], axis=1)
+    covered = np.bincount(anchors, weights, len(lattice))
+    return Reflections((sums / covered[:, None]).astype(np.float32), 1.0)
 
 
 def _faded(difference: ArrayF64, seen: ArrayBool, around: ArrayInt) -> ArrayF64:
