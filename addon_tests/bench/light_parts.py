@@ -7,7 +7,8 @@ clipped at white, as a display shows it.
 
     python addon_tests/bench/light_parts.py OUT SCENE.blend... [--estimator NAME] [--every N] [--preset NAME]
 
-A scene without virtual objects gets the three-sphere rig at its empty `placement_0`. Captures in OUT are used again.
+The three-sphere rig takes the place of a scene's first virtual object and of all others; without any it stands at the
+empty `placement_0`. Captures in OUT are used again.
 """
 
 from __future__ import annotations
@@ -42,8 +43,11 @@ PARTS = ("sh", "sh+key", "sh+key+reflections")
 
 def walked_scene(file: Path, out: Path, settings: PrevisSettings) -> tuple[PreparedRun, WalkedPath]:
     scene = open_blend(file)
-    if not virtual_objects(scene):
-        add_three_sphere_rig(scene, tuple(scene.objects[PLACE].matrix_world.translation))
+    objects = virtual_objects(scene)
+    place = tuple((objects[0] if objects else scene.objects[PLACE]).matrix_world.translation)
+    for item in objects:
+        bpy.data.objects.remove(item)
+    add_three_sphere_rig(scene, place)
     bpy.context.view_layer.update()
     plan = plan_previs(scene, settings)
     outputs = RunOutputs(out, file.stem)
