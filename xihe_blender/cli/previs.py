@@ -12,8 +12,8 @@ from xihe_blender.jobs import run_blocking
 
 CAPTURED = "frames that are rendered: the whole path (default), or only those with a virtual object in view"
 LIGHT = (
-    "what objects are lit with: sh, sh+key (the dominant light as a sun with a shadow), or sh+key+reflections (metal and "
-    "glass show what the phone saw besides)"
+    "what objects are lit with: sh, sh+key (the dominant light as a sun with a shadow), or sh+key+reflections (metal "
+    "and glass show what the phone saw besides)"
 )
 NOISE_TARGET = "largest rendering noise, as a share of the light; default: 0.06, 0.03 or 0.015, by preset"
 OTHERS = "other estimators whose light and pictures are compared with it, from the same frames; default: none"
