@@ -28,6 +28,9 @@ from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.kept_session import open_kept_session
 from xihe_blender.previs.lit_blend import key_object_light
 from xihe_blender.previs.results import light_of_change
+from xihe_blender.previs.results_notes import is_shiny, light_notes
+from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.scene.sphere_rig import add_three_sphere_rig
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet import sh
 from xihenet.light.key_light import rest_of, sh_of_key_light
@@ -148,6 +151,16 @@ def test_a_run_keeps_what_is_reflected_and_the_file_shows_it_from_frame_to_frame
         curve = next(curve for curve in f_curves(world.node_tree) if curve.data_path.endswith("frame_offset"))
         shown = [int(path.stem[-4:]) - 1 for path in files]
         assert [curve.evaluate(change.frame) for change in changes] == shown
+
+
+def test_a_run_says_what_its_objects_call_for(ran):
+    """The ball of the walk is matt; of the three spheres two are shiny."""
+    said = " ".join(read_results(ran).notes)
+    assert "Glossy parts reflect" in said and "No virtual object is shiny" in said
+    rig = add_three_sphere_rig(empty_scene(), (0, 0, 0))
+    assert [is_shiny(item) for item in rig] == [True, True, False]
+    said = " ".join(light_notes(PrevisSettings(), rig))
+    assert "Mirror Sphere, Xihe Matte Silver Sphere. With --light sh+key+reflections" in said
 
 
 def test_the_kept_session_finds_the_same_key_lights(ran):

@@ -9,7 +9,7 @@ ground truth.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -111,7 +111,12 @@ def open_kept_session(folder: Path) -> Job[KeptSession]:
 def kept_session(
     outputs: RunOutputs, settings: PrevisSettings, size: tuple[int, int], exposure: float, captured: Sequence[int]
 ) -> Job[KeptSession]:
-    """A job, a step per frame: the session of a run whose frames `captured` are in `outputs`; errors as above."""
+    """A job, a step per frame: the session of a run whose frames `captured` are in `outputs`; errors as above.
+
+    Without reflections: filling their sphere from all frames takes seconds, and a move has to be answered at once.
+    """
+    if settings.has_reflections:
+        settings = replace(settings, light="sh+key")
     if settings.estimator == "truth":
         raise UserError("the light of `truth` is rendered: run again, or choose another estimator")
     frames = []

@@ -9,6 +9,7 @@ import bpy
 
 from xihe_blender.apply.datablocks import PREFIX
 from xihe_blender.io.run_results import Fault, FrameResult, ProbeResult
+from xihe_blender.light_transport.nodes import smoothest_roughness
 from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.sample_count import SampleCount
@@ -20,13 +21,17 @@ from xihenet.invalid import format_reason
 WORTH_TELLING = 0.1
 """Share of the light above white from which on a reader is told."""
 
+SHINY_BELOW = 0.4
+"""Roughness of a surface that shows more of its surroundings than nine coefficients hold: matte silver has 0.3."""
+
 FAINTEST = 1e-3
 """Light of less than this, at the session's exposure, is none: the first code above black is 3e-4."""
 
 
 def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone) -> list[str]:
     return [
-        *frame_notes(run.scene, frames, has_key_light=run.settings.has_key_light),
+        *frame_notes(run.scene, frames),
+        *light_notes(run.settings, run.plan.objects),
         *faults_seen(run.survey.faults, frames, math.prod(run.plan.size)),
         *dim_notes(run.scene, run.exposure),
         *phone.notes(),
@@ -36,7 +41,29 @@ def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone
     ]
 
 
-def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult], *, has_key_light: bool = False) -> Iterator[str]:
+def light_notes(settings: PrevisSettings, objects: Sequence[bpy.types.Object]) -> Iterator[str]:
+    """What objects are lit with, and whether that is what they call for."""
+    said = "`truth` is all the light of the rendered probe as order-2 spherical harmonics, not clipped"
+    yield f"In the pictures, {said}{', and a rendered picture of what is reflected' * settings.has_reflections}."
+    if settings.has_key_light:
+        yield "Objects are lit by the key light of each light as a sun, and by the rest as spherical harmonics."
+    shiny = [item.name for item in objects if is_shiny(item)]
+    if settings.has_reflections:
+        yield "Glossy parts reflect what the phone saw of the room, and a guess where it saw nothing."
+        if not shiny:
+            yield "No virtual object is shiny, so that reflections change nothing: --light sh+key looks the same."
+    elif shiny:
+        them = ", ".join(shiny)
+        yield f"Shiny virtual objects: {them}. With --light sh+key+reflections they show the room that the phone saw."
+
+
+def is_shiny(item: bpy.types.Object) -> bool:
+    """Whether a part of a virtual object mirrors the room, as far as SHINY_BELOW can tell; an instance is not asked."""
+    roughness = [smoothest_roughness(slot.material) for slot in item.material_slots]
+    return any(value is not None and value < SHINY_BELOW for value in roughness)
+
+
+def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult]) -> Iterator[str]:
     """How the numbers came about, and which frames have none."""
     own = scene.view_settings.view_transform
     aside = "as the scene has it" if own == "Standard" else f"the scene's own, {own}, would distort the comparison"
@@ -46,9 +73,6 @@ def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult], *, has_ke
         "sRGB-encoded colour, the others on linear colour at the session's exposure."
     )
     yield "The shadow that a virtual object casts on the room is in the ground truth but not in the methods' pictures."
-    if has_key_light:
-        yield "Objects are lit by the key light of each light as a sun, and by the rest as spherical harmonics."
-    yield "In the pictures, `truth` is all the light of the rendered probe as order-2 spherical harmonics, not clipped."
     metres = metres_per_unit(scene)
     if metres != 1:
         said = "as the scene's units say (Scene > Units); all lengths here are metres."
