@@ -98,4 +98,8 @@ PHONES = one_of([*profile_names(), "your own file"])
 SAMPLES = "samples of every capture; default: 4, 16 or 64, by preset"
 SCENE = "scene with an animated camera"
 SIZE = "size of captured pictures; default: 256x192, or 192x256 if the scene is upright"
+LIGHT = (
+    "what objects are lit with: sh, sh+key (the dominant light as a sun with a shadow), or sh+key+reflections (metal "
+    "and glass show what the phone saw besides)"
+)
 TARGET = "light to estimate and to compare with: all of it (hdr, the default) or clipped at white (ldr)"

@@ -11,10 +11,6 @@ from xihe_blender.cli.progress import progress_line
 from xihe_blender.jobs import run_blocking
 
 CAPTURED = "frames that are rendered: the whole path (default), or only those with a virtual object in view"
-LIGHT = (
-    "what objects are lit with: sh, sh+key (the dominant light as a sun with a shadow), or sh+key+reflections (metal "
-    "and glass show what the phone saw besides)"
-)
 NOISE_TARGET = "largest rendering noise, as a share of the light; default: 0.06, 0.03 or 0.015, by preset"
 OTHERS = "other estimators whose light and pictures are compared with it, from the same frames; default: none"
 SAMPLES = "samples of every capture, and pictures of every light probe, whatever the noise"
@@ -29,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--objects A,B", "virtual objects; default: all", arguments.names)
     add("--others A,B", OTHERS, arguments.names, default=())
     add("--target", arguments.TARGET, choices=("ldr", "hdr"), default="hdr")
-    add("--light PARTS", LIGHT, default="sh")
+    add("--light PARTS", arguments.LIGHT, default="sh")
     add("--metering NAME", "highlights, as phones do, or key; default: the phone's own")
     add("--network NAME", arguments.NETWORK)
     add("--effect NAME=on|off|auto", arguments.EFFECT, dest="overrides", action="append", default=[])

@@ -19,6 +19,7 @@ from typing import Annotated, Literal
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import ABSENT, INLINE, Parameters, Plain, from_json, json_schema
 from xihenet.json_files import read_json
+from xihenet.records import LightParts
 
 SCHEMA_VERSION: Literal[1] = 1
 
@@ -105,7 +106,7 @@ class RunSettings:
     preset: Annotated[str, "as in the command line"]
     others: Annotated[tuple[str, ...], "other estimators that were compared with it"] = ()
     target: Annotated[Literal["ldr", "hdr"], "as in the command line"]
-    light: Annotated[Literal["sh", "sh+key", "sh+key+reflections"], "what objects are lit with"] = "sh"
+    light: Annotated[LightParts, "what objects are lit with"] = "sh"
     size: Annotated[tuple[int, int], "of captures and comparisons, width and height"]
     frames: Annotated[tuple[int, ...], "of the path"]
     captured: Annotated[Literal["path", "in-view"], "which of them the phone took in"] = "in-view"

@@ -24,13 +24,13 @@ from xihenet.estimators import Estimator, Target
 from xihenet.light_change import LightFollowing
 from xihenet.metering import METERINGS, Metering
 from xihenet.phone import LINKS, NETWORK, PHONE_EFFECTS, Link, PhoneProfile, load_profile
+from xihenet.records import LightParts
 from xihenet.trigger import TriggerSettings
 
 Captured = Literal["path", "in-view"]
 """Frames that a phone of a run takes in: the whole path, or those in which an estimation position is in view."""
 
 
-LightParts = Literal["sh", "sh+key", "sh+key+reflections"]
 """What objects are lit with: all of an estimate as spherical harmonics, or its key light as a sun and so the rest."""
 
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 from xihe_blender.errors import UserError
 from xihenet import estimators
 from xihenet.estimators import Target
+from xihenet.records import LightParts
 
 if TYPE_CHECKING:
     from xihe_blender.previs.settings import PrevisSettings
@@ -35,6 +36,7 @@ class BatchSettings:
     phones: Annotated[tuple[str, ...], NAMES] = ("perfect",)
     preset: Annotated[str, AS_IN_A_RUN] = "draft"
     target: Annotated[Target, AS_IN_A_RUN] = "hdr"
+    light: Annotated[LightParts, AS_IN_A_RUN] = "sh"
     size: Annotated[tuple[int, int] | None, AS_IN_A_RUN] = None
     frames: Annotated[tuple[int, ...] | None, AS_IN_A_RUN] = None
     noise_target: Annotated[float | None, AS_IN_A_RUN] = None

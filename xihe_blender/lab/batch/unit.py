@@ -245,7 +245,7 @@ def trigger_sweep(run: PreparedRun, walked: WalkedPath) -> list[TriggerFigures]:
         return []
     own, link = run.settings.trigger, walked.phone.link_in_use
     triggers = [replace(own, theta=f * own.theta, coverage_theta=min(1.0, f * own.coverage_theta)) for f in FACTORS]
-    settings = [replace(run.settings, trigger=trigger) for trigger in triggers]
+    settings = [replace(run.settings, trigger=trigger, light="sh") for trigger in triggers]
     sessions = [PhoneSession(run.plan, one, run.exposure, run.estimator, link) for one in settings]
     errors: list[list[float]] = [[] for _ in FACTORS]
     n_fired = [0] * len(FACTORS)
