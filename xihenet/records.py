@@ -320,10 +320,6 @@ class Reflections:
     seen_share: float
 
 
-LightParts = Literal["sh", "sh+key", "sh+key+reflections"]
-"""What an object is lit with: all of its light as spherical harmonics, its key light apart, and reflections besides."""
-
-
 @dataclass(frozen=True, eq=False)
 class ObjectLight:
     """What lights an object.

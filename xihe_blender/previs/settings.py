@@ -21,10 +21,10 @@ from xihe_blender.errors import UserError
 from xihe_blender.light_transport.overrides import checked
 from xihenet import estimators
 from xihenet.estimators import Estimator, Target
+from xihenet.light import LightParts
 from xihenet.light_change import LightFollowing
 from xihenet.metering import METERINGS, Metering
 from xihenet.phone import LINKS, NETWORK, PHONE_EFFECTS, Link, PhoneProfile, load_profile
-from xihenet.records import LightParts
 from xihenet.trigger import TriggerSettings
 
 Captured = Literal["path", "in-view"]

@@ -1,1 +1,6 @@
 """What is made of an estimate for those who light with more than spherical harmonics."""
+
+from typing import Literal
+
+LightParts = Literal["sh", "sh+key", "sh+key+reflections"]
+"""What an object is lit with: all of its light as spherical harmonics, its key light apart, and reflections besides."""

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 from xihe_blender.errors import UserError
 from xihenet import estimators
 from xihenet.estimators import Target
-from xihenet.records import LightParts
+from xihenet.light import LightParts
 
 if TYPE_CHECKING:
     from xihe_blender.previs.settings import PrevisSettings
