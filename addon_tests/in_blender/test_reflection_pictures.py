@@ -131,7 +131,7 @@ def test_a_mirror_ball_shows_the_lamps_that_glossy_rays_see_and_the_scene_stays_
         bulb.visible_camera, bulb.visible_glossy = not is_glossy, is_glossy
         scene.collection.objects.link(bulb)
     with open_reference_probe(scene, [(0, 0, 0)], ProbeSettings(size=64, max_samples=4)) as reference_probe:
-        ball = reference_probe.mirror_ball(0, 1)
+        ball, render_s = reference_probe.mirror_ball(0, 1)
     straight_up, to_the_side = ball[30:34, 30:34].mean(), seen_in_ball(ball, np.array([[1.0, 0, 0]])).mean()
-    assert straight_up > 1 and to_the_side < 0.01
+    assert render_s > 0 and straight_up > 1 and to_the_side < 0.01
     assert [(bulb.visible_camera, bulb.visible_glossy) for bulb in scene.objects] == [(False, True), (True, False)]

@@ -123,7 +123,7 @@ def test_the_panorama_shows_the_same_light_where_it_comes_from():
     light = random_light(seed=7)
     shown = np.maximum(basis(LATTICE.directions) @ light, 0).astype(np.float32)
     nothing = fill_reflections(UnitSphereCloud.empty(len(LATTICE)), LATTICE, ObjectLight(light))
-    panorama = reflection_panorama(nothing, LATTICE, 32)
+    panorama = reflection_panorama(nothing, 32)
     expected = np.maximum(basis(panorama_directions(32, 64).reshape(-1, 3)) @ light, 0).reshape(32, 64, 3)
     assert panorama == pytest.approx(expected, abs=0.05 * expected.max())
     mean = (panorama * solid_angles(32, 64)[..., None]).sum(axis=(0, 1)) / (4 * np.pi)

@@ -34,7 +34,7 @@ from xihe_blender.apply.placement_map import remove_placement_map
 from xihe_blender.apply.sh_worlds import (
     applied_worlds,
     clear_keys,
-    f_curves,
+    hold_keys,
     make_sh_world,
     remove_applied_light,
     remove_trigger_markers,
@@ -121,16 +121,15 @@ def show_found_light(
     world.use_fake_user = True
     last = next(reversed(of_frames))
     at_run = light_of(name, results.frames)
-    pictures = {}
-    if name in results.lights and at_run.is_of({one: place.tolist() for one, place in places_m.items()}):
-        pictures = pictures_of(results.lights[name], folder)
+    places = {name: place.tolist() for name, place in places_m.items()}
+    is_at_run = at_run.is_of(places)
+    pictures = pictures_of(results.lights.get(name, ()), folder) if is_at_run else {}
     has_key_light = results.settings.has_key_light
     key_object_light(world, name, _changes(of_frames), exposure, pictures, has_key_light=has_key_light)
     live = {name: (light.coverage[last], light.expected_error[last]) for name, light in found.items()}
-    places = {name: place.tolist() for name, place in places_m.items()}
-    LightOf(places, live={} if at_run.is_of(places) else live).write(world)
+    LightOf(places, live={} if is_at_run else live).write(world)
     clear_keys(world)
-    if at_run.is_of(places):
+    if is_at_run:
         _key_curves(world, results, name)
     else:
         world.pop(ERROR_CURVE, None)
@@ -139,7 +138,7 @@ def show_found_light(
             expected = [value for light in lights if (value := light.expected_error[frame]) is not None]
             if expected:
                 _key(world, EXPECTED_CURVE, frame, expected)
-        _hold(world)
+        hold_keys(world)
     reached = max((frame for frame in of_frames if frame <= scene.frame_current), default=min(of_frames))
     show_light(name, of_frames[reached].sh / exposure)
 
@@ -176,14 +175,7 @@ def _key_curves(world: bpy.types.World, results: RunResults, name: str) -> None:
         if probes:
             _key(world, ERROR_CURVE, entry.frame, [probe.shc_rmse for probe in probes])
             _key(world, COVERAGE_CURVE, entry.frame, [probe.coverage for probe in probes])
-    _hold(world)
-
-
-def _hold(world: bpy.types.World) -> None:
-    """Keep each value until the next key."""
-    for curve in f_curves(world):
-        for point in curve.keyframe_points:
-            point.interpolation = "CONSTANT"
+    hold_keys(world)
 
 
 def _key(world: bpy.types.World, curve: str, frame: int, values: list[float]) -> None:

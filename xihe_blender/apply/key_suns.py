@@ -15,7 +15,7 @@ import bpy
 from mathutils import Vector
 
 from xihe_blender.apply.datablocks import KEY_LIGHT, PREFIX
-from xihe_blender.apply.sh_worlds import clear_keys, f_curves, remove_animation, shortened
+from xihe_blender.apply.sh_worlds import clear_keys, hold_keys, remove_animation, shortened
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.records import KeyLight
 
@@ -60,10 +60,8 @@ def key_sun_changes(sun: bpy.types.Object, keys: Mapping[int, KeyLight | None], 
         sun.keyframe_insert("rotation_quaternion", frame=frame)
         for name in ("energy", "color", "angle"):
             sun.data.keyframe_insert(name, frame=frame)
-    for owner in (sun, sun.data):
-        for curve in f_curves(owner):
-            for point in curve.keyframe_points:
-                point.interpolation = "CONSTANT"
+    hold_keys(sun)
+    hold_keys(sun.data)
 
 
 def show_in_reflections(sun: bpy.types.Object, is_shown: bool) -> None:

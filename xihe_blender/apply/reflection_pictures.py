@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from xihe_blender.apply.datablocks import MADE_BY, NODE_GROUP_NAME
 from xihe_blender.apply.images import as_environment, write_image
-from xihe_blender.apply.sh_worlds import curve_lists, f_curves
+from xihe_blender.apply.sh_worlds import curve_lists, hold_keys
 
 PICTURE = "Xihe Reflections"
 """Of the nodes in a world, and the beginning of its image's name."""
@@ -56,10 +56,7 @@ def reflect_on_timeline(world: bpy.types.World, pictures: Mapping[int, Path]) ->
     for frame, path in pictures.items():
         user.frame_offset = int(path.stem[-4:]) - 1
         user.keyframe_insert("frame_offset", frame=frame)
-    for curve in f_curves(world.node_tree):
-        if curve.data_path.endswith("frame_offset"):
-            for point in curve.keyframe_points:
-                point.interpolation = "CONSTANT"
+    hold_keys(world.node_tree)
 
 
 def forget_reflections(world: bpy.types.World) -> None:

@@ -111,9 +111,7 @@ def key_sh_on_world(world: bpy.types.World, frame: int, sh_radiance: ArrayLike, 
     inputs = _inputs(world)
     for name in (*COEFFICIENTS, GAIN):
         inputs[name].keyframe_insert("default_value", frame=frame)
-    for curve in f_curves(world.node_tree):
-        for point in curve.keyframe_points:
-            point.interpolation = "CONSTANT"
+    hold_keys(world.node_tree)
 
 
 def key_light_changes(world: bpy.types.World, lights: Mapping[int, ArrayLike], exposure: float) -> None:
@@ -130,9 +128,8 @@ def key_light_changes(world: bpy.types.World, lights: Mapping[int, ArrayLike], e
         points = curve.keyframe_points
         points.add(len(frames) - 1)
         points.foreach_set("co", np.stack([frames, own], axis=1).astype(np.float32).ravel())
-        for point in points:
-            point.interpolation = "CONSTANT"
         curve.update()
+    hold_keys(world.node_tree)
 
 
 def world_name(virtual_object: str) -> str:
@@ -204,6 +201,13 @@ def applied_worlds(scene: bpy.types.Scene) -> dict[str, bpy.types.World]:
 def f_curves(owner: bpy.types.ID) -> list[bpy.types.FCurve]:
     """The F-curves that key `owner`, such as a world, a node tree, an object or a light."""
     return [curve for curves in curve_lists(owner) for curve in curves]
+
+
+def hold_keys(owner: bpy.types.ID) -> None:
+    """Keep each keyed value of `owner` until its next key."""
+    for curve in f_curves(owner):
+        for point in curve.keyframe_points:
+            point.interpolation = "CONSTANT"
 
 
 def curve_lists(owner: bpy.types.ID) -> list[Any]:

@@ -68,7 +68,7 @@ SMALLEST_CLIP = 1e-6
 """Blender units: cameras have no nearer clip start, whatever a unit is."""
 
 MIRROR_SAMPLES = 16
-"""In each pixel of the picture of what is reflected: a pixel is a five hundredth of what a mirror shows."""
+"""In each pixel of the picture of what is reflected, of which some four make one direction of the reflections."""
 
 FEWEST_SAMPLES = 6
 """By fewer nobody could tell the noise: with 4 a disc was off by up to 2.4 times what it told, in 20 seeds."""
@@ -228,14 +228,16 @@ class ReferenceProbe:
         self._look(index, (start_m, CLIP_END_M), samples, is_denoised=is_denoised)
         return self._render(number)
 
-    def mirror_ball(self, index: int, frame: int) -> ArrayF32:
+    def mirror_ball(self, index: int, frame: int) -> tuple[ArrayF32, float]:
         """(N, N, 3) what glossy rays see at the `index`-th position in `frame`, as a mirror ball; scene radiance.
 
-        Lamps are hidden from cameras unless the user says otherwise, and from glossy rays are not.
+        And the seconds of rendering. Lamps are hidden from cameras unless the user says otherwise, but not from
+        glossy rays.
         """
         self.scene.frame_set(frame)
         with _seen_as_by_glossy_rays(self.scene):
-            return _rgb(self.view(index, 0, samples=MIRROR_SAMPLES, is_denoised=self.is_denoised).passes, "Combined")
+            rendered = self.view(index, 0, samples=MIRROR_SAMPLES, is_denoised=self.is_denoised)
+        return _rgb(rendered.passes, "Combined"), rendered.render_s
 
     def _cones(self, index: int, number: int) -> Rendered:
         """All light; every other picture is turned over, since a picture tells little of what lies on its rim."""

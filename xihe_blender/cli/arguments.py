@@ -93,13 +93,13 @@ def one_of(names: Iterable[str]) -> str:
 EFFECT = "simulate an effect or leave it out, whatever the scene needs; may be repeated, is not saved"
 ESTIMATORS = one_of(estimators.names())
 FRAMES = "frames of the path; default: the scene's range and step"
+LIGHT = (
+    "what objects are lit with: sh, sh+key (the dominant light as a sun with a shadow), or sh+key+reflections (metal "
+    "and glass show what the phone saw besides)"
+)
 NETWORK = f"{one_of(LINKS)}: estimates arrive late; default: at once"
 PHONES = one_of([*profile_names(), "your own file"])
 SAMPLES = "samples of every capture; default: 4, 16 or 64, by preset"
 SCENE = "scene with an animated camera"
 SIZE = "size of captured pictures; default: 256x192, or 192x256 if the scene is upright"
-LIGHT = (
-    "what objects are lit with: sh, sh+key (the dominant light as a sun with a shadow), or sh+key+reflections (metal "
-    "and glass show what the phone saw besides)"
-)
 TARGET = "light to estimate and to compare with: all of it (hdr, the default) or clipped at white (ldr)"

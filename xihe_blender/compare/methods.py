@@ -42,7 +42,6 @@ from xihenet.light.reflections import reflection_panorama
 from xihenet.metrics import angular_error, angular_error_deg, image_rmse, psnr, si_rmse, ssim
 from xihenet.npz_files import read_npz
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ObjectLight, RgbdFrame
-from xihenet.sphere import AnchorLattice
 
 GROUND_TRUTH_SCENE = "Xihe Ground Truth"
 OCCLUSION_TOLERANCE = 2e-3
@@ -132,8 +131,7 @@ class Comparer:
             if light.reflections is None:
                 forget_reflections(world)
             else:
-                lattice = AnchorLattice(len(light.reflections.radiance))
-                reflect_in_world(world, reflection_panorama(light.reflections, lattice), captured.exposure)
+                reflect_in_world(world, reflection_panorama(light.reflections), captured.exposure)
             if key in self.suns:
                 apply_sh_to_world(world, rest_of(light), captured.exposure)
                 apply_key_to_sun(self.suns[key], light.key, captured.exposure)

@@ -13,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import bpy
-import numpy as np
 
 from xihe_blender.apply import key_suns, sh_worlds
 from xihe_blender.apply.datablocks import LIT_SCENE, LightOf
@@ -28,8 +27,7 @@ from xihe_blender.previs.plan import PrevisPlan
 from xihe_blender.previs.results import as_coefficients, as_key, light_of_change
 from xihenet.light.key_light import rest_of
 from xihenet.light.reflections import reflection_panorama
-from xihenet.records import ArrayF32, ObjectLight, Reflections
-from xihenet.sphere import AnchorLattice
+from xihenet.records import ObjectLight
 
 Changes = Mapping[str, Sequence[LightChange]]
 """By virtual object, as results.json has them."""
@@ -52,7 +50,7 @@ def light_changes(
                 path = outputs.reflections(index, item.name, len(pictures) + 1)
                 pixels = light.reflections.radiance.tobytes()
                 if pixels not in pictures:
-                    write_radiance(path, reflected_picture(light.reflections, exposure))
+                    write_radiance(path, as_environment(reflection_panorama(light.reflections) / exposure))
                     seen_share = float(light.reflections.seen_share)
                     pictures[pixels] = ReflectionsResult(picture=outputs.relative(path), seen_share=seen_share)
                 reflected = pictures[pixels]
@@ -62,12 +60,6 @@ def light_changes(
                 of_one.append(change)
         changes[item.name] = tuple(of_one)
     return changes
-
-
-def reflected_picture(reflections: Reflections, exposure: float) -> ArrayF32:
-    """(H, 2H, 3) in scene radiance, laid out as Blender's Environment Texture reads it; they carry `exposure`."""
-    lattice = AnchorLattice(len(reflections.radiance))
-    return as_environment(reflection_panorama(reflections, lattice) / np.float32(exposure))
 
 
 def pictures_of(changes: Sequence[LightChange], folder: Path) -> dict[int, Path]:

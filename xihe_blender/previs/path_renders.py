@@ -109,7 +109,9 @@ def _measure(run: PreparedRun, frame: int, probe: Probe, reference_probe: Refere
         measured = light.measured
         write_radiance(panorama(frame), light.panorama)
         if run.settings.has_reflections:
-            write_radiance(run.outputs.mirror_ball(index, probe.name, frame), reference_probe.mirror_ball(index, frame))
+            ball, render_s = reference_probe.mirror_ball(index, frame)
+            write_radiance(run.outputs.mirror_ball(index, probe.name, frame), ball)
+            measured = replace(measured, render_s=measured.render_s + render_s)
     else:
         measured = replace(_kept_light(read_json(_reference(run, probe, source))), render_s=0.0)
         copy_whole(panorama(source), panorama(frame))

@@ -260,7 +260,7 @@ def _mean_error(
 ) -> float | None:
     """Mean SHC RMSE over probes and frames of a session with `effects` over `link`; None without a frame."""
     phone = replace(phone, of_camera=effects - {NETWORK})
-    session = PhoneSession(run.plan, run.settings, run.exposure, run.estimator, link)
+    session = PhoneSession(run.plan, replace(run.settings, light="sh"), run.exposure, run.estimator, link)
     errors = []
     for entry in captured:
         seen, _ = phone.see(load_frame(run.outputs.capture(entry.frame)), run.outputs)
