@@ -3,12 +3,13 @@
 One walk along the path, and at every n-th of its frames the spheres under all of the estimate as spherical harmonics,
 under its key light and the rest, and under those with a picture for glossy rays; the same of `truth`. Errors are of
 linear colour at the session's exposure, inside each sphere, in the mean over frames; `shown_rmse` is that of colour
-clipped at white, as a display shows it.
+clipped at white, as a display shows it. In the ring around the spheres, where their shadow falls, all of them count at
+once, by RMSE of colour clipped at white; under spherical harmonics alone there is no shadow.
 
     python addon_tests/bench/light_parts.py OUT SCENE.blend... [--estimator NAME] [--every N] [--preset NAME]
 
-The three-sphere rig takes the place of a scene's first virtual object and of all others; without any it stands at the
-empty `placement_0`. Captures in OUT are used again.
+The three-sphere rig takes the place of a scene's first virtual object and of all others; without any it stands under
+the empty `placement_0`. Captures in OUT are used again.
 """
 
 from __future__ import annotations
@@ -20,16 +21,20 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from mathutils import Vector
 
 from xihe_blender.compare.methods import composite, load_ground_truth, measure, open_comparer, save_ground_truth
+from xihe_blender.compare.shadows import ring_around, ring_rmse, shadow_on
 from xihe_blender.io.kept_files import read_kept
 from xihe_blender.io.outputs import RunOutputs, write_picture
 from xihe_blender.jobs import run_blocking
+from xihe_blender.previs.compare_path import surfaces_known
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
 from xihe_blender.previs.run_chain import WalkedPath, walk_path
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.scene.blend_file import open_blend
+from xihe_blender.scene.estimation_positions import world_box_corners
 from xihe_blender.scene.sphere_rig import add_three_sphere_rig
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.colour import linear_to_srgb, srgb_to_linear
@@ -44,7 +49,7 @@ PARTS = ("sh", "sh+key", "sh+key+reflections")
 def walked_scene(file: Path, out: Path, settings: PrevisSettings) -> tuple[PreparedRun, WalkedPath]:
     scene = open_blend(file)
     objects = virtual_objects(scene)
-    place = tuple((objects[0] if objects else scene.objects[PLACE]).matrix_world.translation)
+    place = under(objects[0]) if objects else below(scene, scene.objects[PLACE].matrix_world.translation)
     for item in objects:
         bpy.data.objects.remove(item)
     add_three_sphere_rig(scene, place)
@@ -55,6 +60,19 @@ def walked_scene(file: Path, out: Path, settings: PrevisSettings) -> tuple[Prepa
         prepare_run(scene, plan, survey_run(scene, plan, outputs), outputs, settings, load_estimators(settings))
     )
     return run, run_blocking(walk_path(run))
+
+
+def under(item: bpy.types.Object) -> tuple[float, float, float]:
+    """The middle of the underside of its box, so that the rig stands where it stood."""
+    corners = world_box_corners(item, bpy.context.evaluated_depsgraph_get())
+    middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    return (float(middle[0]), float(middle[1]), float(corners[:, 2].min()))
+
+
+def below(scene: bpy.types.Scene, place: Vector) -> tuple[float, float, float]:
+    """Where one meets the room, straight down from a place in the air."""
+    is_hit, found, *_ = scene.ray_cast(bpy.context.evaluated_depsgraph_get(), place, (0, 0, -1))
+    return tuple(found if is_hit else place)
 
 
 def part_of(light: ObjectLight, parts: str) -> ObjectLight:
@@ -81,13 +99,20 @@ def measured(file: Path, out: Path, settings: PrevisSettings, every: int) -> dic
                 method: {name: part_of(light, parts) for name, light in of_all[who].items()}
                 for method, (who, parts) in methods.items()
             }
-            layers = comparer.render_layers(captured, lights).layers
+            surfaces = surfaces_known(run, frame, comparer)
+            layers = comparer.render_layers(captured, lights, surfaces).layers
             background = srgb_to_linear(captured.srgb_u8 / 255.0)
             exposed = truth.radiance.astype(np.float64) * captured.exposure
             row = [exposed]
             for method in methods:
                 passes = {item.name: layers[comparer.layers[method, item.name]] for item in run.plan.objects}
-                row.append(composite(background, list(passes.values()), captured)[0])
+                shaded = background.copy()
+                for name in passes if methods[method][1] != "sh" else ():
+                    shaded *= shadow_on(passes[name], captured, surfaces[name])
+                row.append(composite(shaded, list(passes.values()), captured)[0])
+                weights = composite(shaded, list(passes.values()), captured)[1]
+                if weights.sum() > 60:
+                    found["ring", method].append([ring_rmse(row[-1], exposed, ring_around(weights)) or 0.0])
                 for name, of_one in passes.items():
                     picture, weights = composite(background, [of_one], captured)
                     if weights.sum() > 20:
@@ -98,7 +123,7 @@ def measured(file: Path, out: Path, settings: PrevisSettings, every: int) -> dic
 
 def errors(picture: ArrayF64, truth: ArrayF64, weights: ArrayF64) -> list[float]:
     shown = image_rmse(np.clip(picture, 0, 1), np.clip(truth, 0, 1), weights)
-    of_picture = measure(picture, truth, weights)
+    of_picture = measure(picture, truth, weights, np.zeros(weights.shape, bool))
     return [of_picture.rmse or 0.0, of_picture.si_rmse or 0.0, of_picture.ssim or 0.0, shown or 0.0]
 
 
@@ -114,7 +139,7 @@ def main() -> None:
     for file in options.scenes:
         found = measured(file, options.out / file.stem, settings, options.every)
         for name, method in found:
-            means = zip(("rmse", "si_rmse", "ssim", "shown_rmse"), np.mean(found[name, method], axis=0), strict=True)
+            means = zip(("rmse", "si_rmse", "ssim", "shown_rmse"), np.mean(found[name, method], axis=0), strict=False)
             print(f"{file.stem:28} {name:12} {method:16}", *(f"{m} {v:.4f}" for m, v in means), flush=True)
 
 

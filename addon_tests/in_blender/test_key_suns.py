@@ -4,11 +4,11 @@ import bpy
 import numpy as np
 import pytest
 from addon_runs import lit_walk, registered_addon
-from renders import rendered
+from renders import pixels_of_file, rendered
 from shown_lights import keyed
 from tiny_scenes import empty_scene, material, opened, orthographic, sphere
 
-from xihe_blender.apply.datablocks import KEY_LIGHT
+from xihe_blender.apply.datablocks import KEY_LIGHT, SHADOW_CATCHER
 from xihe_blender.apply.key_suns import (
     applied_suns,
     apply_key_to_sun,
@@ -20,6 +20,7 @@ from xihe_blender.apply.key_suns import (
 )
 from xihe_blender.apply.reflection_pictures import reflects
 from xihe_blender.apply.sh_worlds import applied_worlds, apply_sh_to_world, f_curves, make_sh_world
+from xihe_blender.apply.shadow_catchers import catcher_name, shadow_catchers
 from xihe_blender.capture.render import RenderSettings, render_passes
 from xihe_blender.compare.methods import open_comparer
 from xihe_blender.io.exr import read_radiance
@@ -27,7 +28,7 @@ from xihe_blender.io.run_results import read_results
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.kept_session import open_kept_session
 from xihe_blender.previs.lit_blend import key_object_light
-from xihe_blender.previs.results import light_of_change
+from xihe_blender.previs.results import last_surfaces, light_of_change
 from xihe_blender.previs.results_notes import is_shiny, light_notes
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.sphere_rig import add_three_sphere_rig
@@ -185,11 +186,48 @@ def test_show_lit_has_the_suns_and_remove_light_takes_them_away(ran):
     for name, sun in suns.items():
         layers = [layer.name for layer in lit.view_layers if sun.name in layer.objects]
         assert layers == [applied_worlds(scene)[name].name]
+    caught = {name for name, found in last_surfaces(read_results(ran).frames).items() if found}
+    assert caught
+    for name in caught:
+        (catcher,) = [item for item in shadow_catchers(lit) if item.name == catcher_name(name)]
+        layers = [layer.name for layer in lit.view_layers if catcher.name in layer.objects]
+        assert catcher.is_shadow_catcher and layers == [applied_worlds(scene)[name].name]
     assert bpy.ops.xihe.remove_light() == {"FINISHED"}
-    assert not [item for item in bpy.data.objects if KEY_LIGHT in item]
-    blocks = (bpy.data.lights, bpy.data.worlds, bpy.data.collections, bpy.data.actions, bpy.data.images)
+    assert not [item for item in bpy.data.objects if KEY_LIGHT in item or SHADOW_CATCHER in item]
+    blocks = (
+        bpy.data.objects,
+        bpy.data.meshes,
+        bpy.data.materials,
+        bpy.data.lights,
+        bpy.data.worlds,
+        bpy.data.collections,
+        bpy.data.actions,
+        bpy.data.images,
+    )
     left = [block.name for kind in blocks for block in kind if block.name.startswith("Xihe")]
     assert left == ["Xihe Virtual"]
+
+
+def test_the_lit_scene_shows_the_shadows_of_the_comparison(ran, tmp_path):
+    results = read_results(ran)
+    frame, compared = max(results.compared_frames.items())
+    pictures = (ran / compared.pictures[kind] for kind in (results.settings.estimator, "captured"))
+    estimate, captured = (pixels_of_file(picture)[..., :3] for picture in pictures)
+    opened(ran / "after.blend")
+    assert bpy.ops.xihe.show_lit() == {"FINISHED"}
+    lit = bpy.data.scenes["Xihe Lit"]
+    lit.render.resolution_x, lit.render.resolution_y = results.settings.size
+    lit.cycles.samples = 64
+    lit.frame_set(frame)
+    lit.render.image_settings.file_format = "PNG"
+    lit.render.filepath = str(tmp_path / "lit.png")
+    bpy.ops.render.render(write_still=True, scene=lit.name)
+    shown = pixels_of_file(tmp_path / "lit.png")[..., :3]
+    change = (estimate - captured).mean(axis=-1)
+    is_shadow = (change < -0.02) & (change > -0.3)
+    assert is_shadow.sum() > 5
+    of_lit = (shown - captured).mean(axis=-1)[is_shadow].mean()
+    assert of_lit == pytest.approx(change[is_shadow].mean(), rel=0.3)
 
 
 def test_the_sun_of_an_object_that_is_moved_stays_in_the_lit_scene_and_follows(ran):

@@ -47,6 +47,7 @@ from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.previs.better_camera import remove_better_camera
 from xihe_blender.previs.kept_session import FoundLight
 from xihe_blender.previs.lit_blend import apply_lights, key_object_light, light_of, make_lit_scene, pictures_of
+from xihe_blender.previs.results import last_surfaces
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.light.key_light import mean_light
 from xihenet.panorama import evaluate_panorama
@@ -97,7 +98,7 @@ def show_lit(scene: bpy.types.Scene, folder: Path, active: str = "") -> bpy.type
         raise UserError(f"{gone[0]} is gone: run again" if gone else "no virtual object was ever in view: run again")
     remove_lit_scene()
     objects, lit_here = virtual_objects(scene), applied_worlds(scene)
-    lit = make_lit_scene(scene, [item for item in objects if item.name in lit_here])
+    lit = make_lit_scene(scene, [item for item in objects if item.name in lit_here], last_surfaces(results.frames))
     hide_behind_room(lit, scene, objects)
     lit[ROOM] = scene
     exposure = results.settings.reference_exposure

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -15,6 +16,7 @@ import bpy
 
 NODE_GROUP_NAME = "Xihe SH Radiance"
 PREFIX = "Xihe "
+MAX_NAME_BYTES = 63
 MARKER_PREFIX = "Xihe trigger"
 COMPARISON_NAME = "Xihe Comparison"
 LIGHT_PREFIX = "Xihe Light "
@@ -32,6 +34,10 @@ MADE_BY = "xihe_image"
 
 KEY_LIGHT = "xihe_key_light"
 """Custom property of a sun of ours: its name, whatever Blender calls it now."""
+
+
+SHADOW_CATCHER = "xihe_shadow_catcher"
+"""Custom property of a shadow catcher of ours: its name, whatever Blender calls it now."""
 
 
 LIGHT_OF = "xihe_light_of"
@@ -76,6 +82,17 @@ class LightOf:
         return bool(known) and all(math.dist(was, place) < SAME_PLACE_M for was, place in known)
 
 
+def shortened(name: str) -> str:
+    """`name` in the 63 bytes that every Blender keeps of one.
+
+    A longer one is cut, and ends with a checksum of all of it: objects whose long names begin alike stay apart.
+    """
+    whole = name.encode()
+    if len(whole) <= MAX_NAME_BYTES:
+        return name
+    return f"{whole[: MAX_NAME_BYTES - 9].decode(errors='ignore')} {zlib.crc32(whole):08x}"
+
+
 def live_positions() -> dict[str, tuple[float, float | None]]:
     """Coverage and expected error, by position, of all light in the file that was estimated after a run."""
     worlds = [world for world in bpy.data.worlds if LIGHT_OF in world and world.library is None]
@@ -85,7 +102,7 @@ def live_positions() -> dict[str, tuple[float, float | None]]:
 def has_anything(scene: bpy.types.Scene) -> bool:
     """Whether there is something for `results_in_blender.remove_everything` to remove."""
     lit = any(lights_by_sh(world) and world.library is None for world in bpy.data.worlds)
-    lit |= any(KEY_LIGHT in item and item.library is None for item in bpy.data.objects)
+    lit |= any((KEY_LIGHT in one or SHADOW_CATCHER in one) and one.library is None for one in bpy.data.objects)
     is_lit = lit or lit_scene() is not None or bool(trigger_markers(scene))
     return is_lit or next(our_images(), None) is not None or has_map() or better_path_camera() is not None
 

@@ -14,8 +14,8 @@ from collections.abc import Mapping
 import bpy
 from mathutils import Vector
 
-from xihe_blender.apply.datablocks import KEY_LIGHT, PREFIX
-from xihe_blender.apply.sh_worlds import clear_keys, hold_keys, remove_animation, shortened
+from xihe_blender.apply.datablocks import KEY_LIGHT, PREFIX, shortened
+from xihe_blender.apply.sh_worlds import clear_keys, hold_keys, remove_animation
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.records import KeyLight
 
@@ -94,13 +94,3 @@ def remove_key_sun(sun: bpy.types.Object | None) -> None:
             remove_animation(owner)
         bpy.data.objects.remove(sun)
         bpy.data.lights.remove(light)
-
-
-def lit_by_suns(lit: bpy.types.Scene, suns: Mapping[str, bpy.types.Object]) -> None:
-    """Let each of `suns` shine in the view layer of `lit` that it is given by, and in no other."""
-    for layer_name, sun in suns.items():
-        collection = bpy.data.collections.new(f"{lit.name} {sun.name.removeprefix(PREFIX)}")
-        collection.objects.link(sun)
-        lit.collection.children.link(collection)
-        for layer in lit.view_layers:
-            layer.layer_collection.children[collection.name].exclude = layer.name != layer_name

@@ -5,7 +5,7 @@ copy of the phone with the captured frames behind it; rendering puts all layers 
 the run's exposure and by the view transform Standard, as the pictures of the report are. What stands in front of an
 object in the room hides it: copies of the room's objects hold out, and no light meets them.
 
-Not here: no shadow falls on the room.
+Not here: shadows on the room fall on catchers that `shadow_catchers` makes.
 """
 
 from __future__ import annotations
@@ -13,13 +13,14 @@ from __future__ import annotations
 import math
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 
 from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, lit_scene
+from xihe_blender.apply.shadow_catchers import remove_shadow_catchers, shadow_catchers
 
 PHONE = "Xihe Phone"
 """Begins the names of the copied cameras."""
@@ -202,6 +203,7 @@ def remove_lit_scene() -> None:
         for window in manager.windows:
             if window.scene == lit and room is not None:
                 window.scene = room
+    remove_shadow_catchers(shadow_catchers(lit))
     own: set[bpy.types.ID | None] = {getattr(lit, "compositing_node_group", None)}
     for collection in lit.collection.children:
         if collection.name.startswith(ROOM_COPIES):
@@ -239,6 +241,15 @@ def set_up_lit_scene(
         for item, child in zip(objects, layer.layer_collection.children, strict=True):
             child.holdout = item.name != shown
     lit.view_layers.remove(placeholder)
+
+
+def show_only_in(lit: bpy.types.Scene, item: bpy.types.Object, layers: Container[str]) -> None:
+    """Link `item` to `lit`, in a collection that only the view layers named in `layers` include."""
+    collection = bpy.data.collections.new(f"{LIT_SCENE} {item.name}")
+    collection.objects.link(item)
+    lit.collection.children.link(collection)
+    for layer in lit.view_layers:
+        layer.layer_collection.children[collection.name].exclude = layer.name not in layers
 
 
 def remove_lit_collections() -> None:

@@ -13,7 +13,6 @@ lighting back and the Graph Editor shows it; timeline markers show the triggers.
 from __future__ import annotations
 
 import functools
-import zlib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -21,11 +20,17 @@ import bpy
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihe_blender.apply.datablocks import MARKER_PREFIX, NODE_GROUP_NAME, PREFIX, lights_by_sh, trigger_markers
+from xihe_blender.apply.datablocks import (
+    MARKER_PREFIX,
+    NODE_GROUP_NAME,
+    PREFIX,
+    lights_by_sh,
+    shortened,
+    trigger_markers,
+)
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.sh import dering_for_display
 
-MAX_NAME_BYTES = 63
 GAIN = "Gain"
 COEFFICIENTS = [
     f"l={level} m={m:+d}" if m else f"l={level} m=0" for level in range(3) for m in range(-level, level + 1)
@@ -135,17 +140,6 @@ def key_light_changes(world: bpy.types.World, lights: Mapping[int, ArrayLike], e
 def world_name(virtual_object: str) -> str:
     """Name of the world that lights a virtual object, as `shortened` gives it."""
     return shortened(f"{PREFIX}{virtual_object}")
-
-
-def shortened(name: str) -> str:
-    """`name` in the 63 bytes that every Blender keeps of one.
-
-    A longer one is cut, and ends with a checksum of all of it: objects whose long names begin alike stay apart.
-    """
-    whole = name.encode()
-    if len(whole) <= MAX_NAME_BYTES:
-        return name
-    return f"{whole[: MAX_NAME_BYTES - 9].decode(errors='ignore')} {zlib.crc32(whole):08x}"
 
 
 def mark_trigger(scene: bpy.types.Scene, frame: int, reasons: Iterable[str]) -> None:

@@ -7,7 +7,8 @@ objects as holdouts, film transparent. The room is not in that scene at all, so 
 stands in front of an object in the room hides it, by the captured plane depth, as an AR toolkit does it.
 
 Both sides share samples, bounces, clamps and denoising. Pictures are linear and carry the session's exposure; the
-metrics are weighted by how much of a pixel the objects cover. Not simulated: the shadow an object casts on the room.
+metrics are weighted by how much of a pixel the objects cover. With a key light the objects cast their shadow on what
+the phone has seen of the room around them, see `compare.shadows`.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 import bpy
 import numpy as np
@@ -23,18 +25,25 @@ import numpy as np
 from xihe_blender.apply.datablocks import LIT_SCENE, PREFIX
 from xihe_blender.apply.key_suns import (
     apply_key_to_sun,
-    lit_by_suns,
     make_key_sun,
     remove_key_sun,
     show_in_reflections,
 )
-from xihe_blender.apply.lit_scene import remove_lit_collections, set_up_lit_scene
+from xihe_blender.apply.lit_scene import remove_lit_collections, set_up_lit_scene, show_only_in
 from xihe_blender.apply.reflection_pictures import forget_reflections, reflect_in_world
 from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world
+from xihe_blender.apply.shadow_catchers import (
+    catch_shadows,
+    catcher_name,
+    make_shadow_catcher,
+    remove_shadow_catchers,
+)
 from xihe_blender.capture.render import Rendered, RenderSettings, render_passes, stacked_rgb, working_scene
 from xihe_blender.capture.scanner import first_layer
+from xihe_blender.compare.shadows import box_of, ring_around, ring_rmse, shadow_on, surfaces_seen
 from xihe_blender.io.outputs import written_whole
 from xihe_blender.io.run_results import Metrics
+from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import MISS_PLANE_DEPTH_M, valid_plane_depth
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.light.key_light import rest_of
@@ -42,6 +51,7 @@ from xihenet.light.reflections import reflection_panorama
 from xihenet.metrics import angular_error, angular_error_deg, image_rmse, psnr, si_rmse, ssim
 from xihenet.npz_files import read_npz
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ObjectLight, RgbdFrame
+from xihenet.surfaces import Surface
 
 GROUND_TRUTH_SCENE = "Xihe Ground Truth"
 OCCLUSION_TOLERANCE = 2e-3
@@ -57,12 +67,14 @@ _ERROR_STOPS = np.array([[0, 0, 4], [87, 16, 110], [188, 55, 84], [249, 142, 9],
 class Comparison:
     """Pictures of one frame, (H, W, 3) linear at the session's exposure: path-traced, and by method.
 
-    `weights` (H, W) are the share of each pixel that virtual objects cover, 0 to 1; Cycles took `render_s` for all.
+    `weights` (H, W) are the share of each pixel that virtual objects cover, 0 to 1, and `ring` (H, W) which pixels are
+    around them; Cycles took `render_s` for all.
     """
 
     ground_truth: ArrayF64
     methods: Mapping[str, ArrayF64]
     weights: ArrayF64
+    ring: ArrayBool
     render_s: float
 
 
@@ -96,6 +108,14 @@ class Comparer:
     layers: Mapping[tuple[str, str], str]
     suns: Mapping[tuple[str, str], bpy.types.Object]
     """Of the key lights; empty where all of a light is spherical harmonics."""
+    catchers: Mapping[str, bpy.types.Object]
+    """Of the shadows, by object; empty where there are no suns."""
+
+    def surfaces_around_objects(self, frames: Sequence[RgbdFrame]) -> dict[str, list[Surface]]:
+        """By object, what `frames` show of the room around it at the last of them; nothing without catchers."""
+        self.lit.frame_set(frames[-1].frame)
+        depsgraph = self.lit.view_layers[0].depsgraph
+        return {name: surfaces_seen(frames, box_of(bpy.data.objects[name], depsgraph)) for name in self.catchers}
 
     def render_comparison(self, captured: RgbdFrame, lights: Mapping[str, Mapping[str, ObjectLight]]) -> Comparison:
         """Ground truth and every method at the frame of `captured`; see `render_methods`."""
@@ -108,24 +128,39 @@ class Comparer:
         return GroundTruth(first_layer(rendered)[0], rendered.render_s)
 
     def render_methods(
-        self, captured: RgbdFrame, lights: Mapping[str, Mapping[str, ObjectLight]], truth: GroundTruth
+        self,
+        captured: RgbdFrame,
+        lights: Mapping[str, Mapping[str, ObjectLight]],
+        truth: GroundTruth,
+        surfaces: Mapping[str, Sequence[Surface]] = MappingProxyType({}),
     ) -> Comparison:
         """Every method at the frame of `captured`, beside `truth`, which is of the same frame.
 
         The plane depth of `captured` hides what lies behind. `lights` carry its exposure, by method and
-        virtual object.
+        virtual object. `surfaces` are those that catch shadows, by object.
         """
-        lit = self.render_layers(captured, lights)
+        lit = self.render_layers(captured, lights, surfaces)
         background = srgb_to_linear(captured.srgb_u8 / 255.0)
-        methods, weights = {}, np.zeros(background.shape[:2])
+        methods, weights, ring = {}, np.zeros(background.shape[:2]), np.zeros(background.shape[:2], bool)
         for method in lights:
-            layers = [lit.layers[self.layers[key]] for key in self.worlds if key[0] == method]
-            methods[method], weights = composite(background, layers, captured)
+            layers = {key[1]: lit.layers[self.layers[key]] for key in self.worlds if key[0] == method}
+            shaded = background.copy()
+            for name, passes in layers.items():
+                shaded *= shadow_on(passes, captured, surfaces.get(name, ()))
+            methods[method], weights = composite(shaded, list(layers.values()), captured)
+            ring = ring_around(weights)
         exposed = truth.radiance.astype(np.float64) * captured.exposure
-        return Comparison(exposed, methods, weights, truth.render_s + lit.render_s)
+        return Comparison(exposed, methods, weights, ring, truth.render_s + lit.render_s)
 
-    def render_layers(self, captured: RgbdFrame, lights: Mapping[str, Mapping[str, ObjectLight]]) -> Rendered:
+    def render_layers(
+        self,
+        captured: RgbdFrame,
+        lights: Mapping[str, Mapping[str, ObjectLight]],
+        surfaces: Mapping[str, Sequence[Surface]] = MappingProxyType({}),
+    ) -> Rendered:
         """Each object under each method's light, a view layer each (`layers`), at the frame of `captured`."""
+        for name, catcher in self.catchers.items():
+            catch_shadows(catcher, surfaces.get(name, ()), metres_per_unit(self.lit))
         for key, world in self.worlds.items():
             light = lights[key[0]][key[1]]
             if light.reflections is None:
@@ -156,6 +191,7 @@ def open_comparer(
     layers = {key: f"{key[0]} {number}" for number, key in enumerate(keys)}
     worlds: dict[tuple[str, str], bpy.types.World] = {}
     suns: dict[tuple[str, str], bpy.types.Object] = {}
+    catchers: dict[str, bpy.types.Object] = {}
     with contextlib.ExitStack() as stack:
         for key, layer in layers.items():
             worlds[key] = make_sh_world(f"{PREFIX}{layer}")
@@ -168,8 +204,15 @@ def open_comparer(
         stack.callback(remove_lit_collections)
         lit = stack.enter_context(working_scene(scene, LIT_SCENE, settings))
         set_up_lit_scene(lit, objects, {layer: (key[1], worlds[key]) for key, layer in layers.items()})
-        lit_by_suns(lit, {layers[key]: sun for key, sun in suns.items()})
-        yield Comparer(truth, lit, worlds, layers, suns)
+        for key, sun in suns.items():
+            show_only_in(lit, sun, [layers[key]])
+        for item in objects if has_key_light else ():
+            catchers[item.name] = make_shadow_catcher(catcher_name(item.name))
+            stack.callback(remove_shadow_catchers, [catchers[item.name]])
+            show_only_in(lit, catchers[item.name], [layers[key] for key in keys if key[1] == item.name])
+        for layer in lit.view_layers:
+            layer.cycles.use_pass_shadow_catcher = has_key_light
+        yield Comparer(truth, lit, worlds, layers, suns, catchers)
 
 
 def composite(
@@ -203,8 +246,11 @@ def in_front_of_room(object_plane_depth_m: ArrayF32, room_plane_depth_m: ArrayF3
     return unknown | (object_m <= reach)
 
 
-def measure(prediction: ArrayF64, ground_truth: ArrayF64, weights: ArrayF64) -> Metrics:
-    """The metrics of results.json for one picture, inside the objects' alpha; None where one is undefined."""
+def measure(prediction: ArrayF64, ground_truth: ArrayF64, weights: ArrayF64, ring: ArrayBool) -> Metrics:
+    """The metrics of results.json for one picture, inside the objects' alpha, and one in the ring around them.
+
+    None where one is undefined.
+    """
     shown, true = display(prediction), display(ground_truth)
     return Metrics(
         psnr=psnr(shown, true, weights),
@@ -212,6 +258,7 @@ def measure(prediction: ArrayF64, ground_truth: ArrayF64, weights: ArrayF64) -> 
         rmse=image_rmse(prediction, ground_truth, weights),
         si_rmse=si_rmse(prediction, ground_truth, weights),
         angular_deg=angular_error_deg(prediction, ground_truth, weights),
+        ring_rmse=ring_rmse(prediction, ground_truth, ring),
     )
 
 

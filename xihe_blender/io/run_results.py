@@ -213,9 +213,18 @@ class Metrics:
     rmse: Annotated[float | None, "root mean square error"]
     si_rmse: Annotated[float | None, "root mean square error at the best common scale"]
     angular_deg: Annotated[float | None, "mean angle between colours"]
+    ring_rmse: Annotated[float | None, "root mean square error around the objects, where their shadow falls"] = None
 
 
 METRICS = tuple(field.name for field in fields(Metrics))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceResult:
+    """A flat surface of the room that an object's shadow falls on, as the phone has seen it."""
+
+    outline_m: Annotated[tuple[Rgb, ...], "its corners in order, world, metres"]
+    normal: Annotated[Rgb, "unit, world, towards the object"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,6 +236,9 @@ class ComparedFrame:
     n_hueless_pixels: Annotated[Counts, "by method, black pixels that `angular_deg` leaves out"]
     comparison_render_s: Annotated[float, "0 where it was taken over"]
     comparison_same_as: Annotated[int | None, "the frame that it was taken over from, or None"]
+    surfaces: Annotated[dict[str, tuple[SurfaceResult, ...]], "by object, where its shadow falls"] = field(
+        default_factory=dict
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

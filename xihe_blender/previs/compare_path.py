@@ -24,9 +24,11 @@ from xihe_blender.io.run_results import ComparedFrame
 from xihe_blender.jobs import Progress
 from xihe_blender.previs.plan import compared_frames
 from xihe_blender.previs.prepare import PreparedRun
+from xihe_blender.previs.results import as_surface_result
 from xihe_blender.previs.run_chain import Lights, WalkedPath
 from xihenet.json_files import read_json
 from xihenet.recording import load_frame
+from xihenet.surfaces import Surface
 
 _compared_in = functools.partial(from_json, ComparedFrame)
 
@@ -94,10 +96,11 @@ def _take_over(outputs: RunOutputs, source: int, frame: int) -> None:
 
 def _compare_frame(run: PreparedRun, frame: int, lights: Lights, comparer: Comparer) -> None:
     truth = methods.load_ground_truth(run.outputs.ground_truth(frame))
-    compared = comparer.render_methods(load_frame(run.outputs.capture(frame)), lights, truth)
+    captured, surfaces = load_frame(run.outputs.capture(frame)), surfaces_known(run, frame, comparer)
+    compared = comparer.render_methods(captured, lights, truth, surfaces)
     metrics, n_hueless = {}, {}
     for name, picture in compared.methods.items():
-        metrics[name] = methods.measure(picture, compared.ground_truth, compared.weights)
+        metrics[name] = methods.measure(picture, compared.ground_truth, compared.weights, compared.ring)
         n_hueless[name] = methods.hueless_pixels(picture, compared.ground_truth, compared.weights)
     content = ComparedFrame(
         pictures=_write_pictures(run, frame, compared),
@@ -105,9 +108,18 @@ def _compare_frame(run: PreparedRun, frame: int, lights: Lights, comparer: Compa
         n_hueless_pixels=n_hueless,
         comparison_render_s=compared.render_s,
         comparison_same_as=None,
+        surfaces={name: tuple(map(as_surface_result, found)) for name, found in surfaces.items()},
     )
     write_json(run.outputs.compared(frame), as_json(content))
     run.outputs.ground_truth(frame).unlink()
+
+
+def surfaces_known(run: PreparedRun, frame: int, comparer: Comparer) -> dict[str, list[Surface]]:
+    """By object, the surfaces around it that the phone has seen up to `frame`; nothing where no shadow is caught."""
+    if not comparer.catchers:
+        return {}
+    until = [one for one in run.plan.frames if one <= frame and one in run.needs.captured]
+    return comparer.surfaces_around_objects([load_frame(run.outputs.capture(one)) for one in until])
 
 
 def _write_pictures(run: PreparedRun, frame: int, compared: Comparison) -> dict[str, str]:

@@ -17,17 +17,29 @@ import bpy
 from xihe_blender.apply import key_suns, sh_worlds
 from xihe_blender.apply.datablocks import LIT_SCENE, LightOf
 from xihe_blender.apply.images import as_environment
-from xihe_blender.apply.lit_scene import remove_lit_collections, remove_lit_scene, set_up_lit_scene
+from xihe_blender.apply.lit_scene import remove_lit_collections, remove_lit_scene, set_up_lit_scene, show_only_in
 from xihe_blender.apply.reflection_pictures import forget_reflections, reflect_on_timeline
+from xihe_blender.apply.shadow_catchers import (
+    catch_shadows,
+    catcher_name,
+    make_shadow_catcher,
+    remove_shadow_catchers,
+    shadow_catchers,
+)
 from xihe_blender.capture.render import can_denoise
 from xihe_blender.io.exr import write_radiance
 from xihe_blender.io.outputs import RunOutputs, written_whole
 from xihe_blender.io.run_results import FrameResult, LightChange, ReflectionsResult
 from xihe_blender.previs.plan import PrevisPlan
 from xihe_blender.previs.results import as_coefficients, as_key, light_of_change
+from xihe_blender.scene.units import metres_per_unit
 from xihenet.light.key_light import rest_of
 from xihenet.light.reflections import reflection_panorama
 from xihenet.records import ObjectLight
+from xihenet.surfaces import Surface
+
+LIFTED_M = 0.003
+"""Of a catcher: copies of the room's own surfaces hold out what is behind them, and it must not be."""
 
 Changes = Mapping[str, Sequence[LightChange]]
 """By virtual object, as results.json has them."""
@@ -121,10 +133,12 @@ def light_of(name: str, frames: Sequence[FrameResult]) -> LightOf:
     return LightOf(places, moves)
 
 
-def make_lit_scene(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> bpy.types.Scene:
+def make_lit_scene(
+    scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], surfaces: Mapping[str, Sequence[Surface]]
+) -> bpy.types.Scene:
     """A copy of `scene` with only `objects`, each in a view layer under the world that a run left for it.
 
-    KeyError for an object without one.
+    `surfaces` are those that catch shadows, by object. KeyError for an object without a world.
     """
     found = sh_worlds.applied_worlds(scene)
     worlds = {item.name: found[item.name] for item in objects}
@@ -136,7 +150,12 @@ def make_lit_scene(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) 
         lit.view_layers.remove(layer)
     set_up_lit_scene(lit, objects, {world.name: (name, world) for name, world in worlds.items()})
     suns = key_suns.applied_suns(scene)
-    key_suns.lit_by_suns(lit, {worlds[name].name: sun for name, sun in suns.items() if name in worlds})
+    for name in suns.keys() & worlds.keys():
+        show_only_in(lit, suns[name], [worlds[name].name])
+    for name in [name for name in worlds if surfaces.get(name)]:
+        catcher = make_shadow_catcher(catcher_name(name))
+        catch_shadows(catcher, surfaces[name], metres_per_unit(scene), LIFTED_M)
+        show_only_in(lit, catcher, [worlds[name].name])
     lit.world = next(iter(worlds.values()))
     lit.render.engine = "CYCLES"
     # Denoised as the report's pictures are. A build without the denoiser would refuse to render with it.
@@ -144,15 +163,18 @@ def make_lit_scene(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) 
     return lit
 
 
-def save_lit_blend(scene: bpy.types.Scene, plan: PrevisPlan, path: Path) -> None:
+def save_lit_blend(
+    scene: bpy.types.Scene, plan: PrevisPlan, surfaces: Mapping[str, Sequence[Surface]], path: Path
+) -> None:
     """Save a copy of the open file to `path`, whole or not at all, with the scene `Xihe Lit` in it; OSError if not."""
     remove_lit_scene()
-    lit = make_lit_scene(scene, plan.objects)
+    lit = make_lit_scene(scene, plan.objects, surfaces)
     try:
         with written_whole(path) as beside:
             bpy.ops.wm.save_as_mainfile(filepath=str(beside), copy=True, compress=True)
             _check_is_whole(beside, lit.name)
     finally:
+        remove_shadow_catchers(shadow_catchers(lit))
         bpy.data.scenes.remove(lit)
         remove_lit_collections()
 

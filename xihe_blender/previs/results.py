@@ -26,6 +26,7 @@ from xihenet.effects import Effect, Requirement, effects_as_json, plan_effects
 from xihenet.invalid import added, counted
 from xihenet.phone import Request, first_frame_after
 from xihenet.records import ArrayF64, KeyLight, ObjectLight
+from xihenet.surfaces import Surface
 
 AS_SET = ("estimator", "others", "preset", "target", "light", "captured", "n_anchors", "seed", "phone", "network")
 """Settings that results hold under the same names."""
@@ -92,6 +93,23 @@ def light_of_change(change: records.LightChange) -> ObjectLight:
         return ObjectLight(sh)
     direction, irradiance = np.array(key.direction, np.float64), np.array(key.irradiance, np.float64)
     return ObjectLight(sh, KeyLight(direction, irradiance, key.angular_radius, key.is_seen))
+
+
+def as_surface_result(surface: Surface) -> records.SurfaceResult:
+    """A surface that catches shadows as results.json has it."""
+    return records.SurfaceResult(
+        outline_m=tuple(as_rgb(corner) for corner in surface.outline_m.round(5)), normal=as_rgb(surface.normal)
+    )
+
+
+def last_surfaces(frames: Sequence[records.FrameResult]) -> dict[str, list[Surface]]:
+    """By object, where its shadow falls, as the last compared frame has it."""
+    compared = [frame.compared for frame in frames if frame.compared is not None]
+    found = compared[-1].surfaces if compared else {}
+    return {
+        name: [Surface(np.array(one.outline_m), np.array(one.normal), 0.0) for one in of_one]
+        for name, of_one in found.items()
+    }
 
 
 def as_coefficients(light: ArrayF64) -> records.Coefficients:

@@ -32,6 +32,7 @@ def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone
     return [
         *frame_notes(run.scene, frames),
         *light_notes(run.settings, run.plan.objects),
+        *shadow_notes(frames),
         *faults_seen(run.survey.faults, frames, math.prod(run.plan.size)),
         *dim_notes(run.scene, run.exposure),
         *phone.notes(),
@@ -55,6 +56,20 @@ def light_notes(settings: PrevisSettings, objects: Sequence[bpy.types.Object]) -
     elif shiny:
         them = ", ".join(shiny)
         yield f"Shiny virtual objects: {them}. With --light sh+key+reflections they show the room that the phone saw."
+
+
+def shadow_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
+    """Which objects have something to cast a shadow on; nothing where shadows are not in the pictures."""
+    found: dict[str, bool] = {}
+    for compared in [frame.compared for frame in frames if frame.compared is not None]:
+        for name, surfaces in compared.surfaces.items():
+            found[name] = found.get(name, False) or bool(surfaces)
+    if any(found.values()):
+        yield "Objects cast their shadow on the flat surfaces that the phone has seen around them."
+    in_the_air = [name for name, has_any in found.items() if not has_any]
+    if in_the_air:
+        them = ", ".join(in_the_air)
+        yield f"The phone has seen nothing flat near {them}: in the air an object calls for no shadow on the room."
 
 
 def is_shiny(item: bpy.types.Object) -> bool:

@@ -39,6 +39,7 @@ METRICS = (
     ("rmse", "down", ""),
     ("si_rmse", "down", ""),
     ("angular_deg", "down", ""),
+    ("ring_rmse", "down", ""),
 )
 _BETTER = {"up": "\N{UPWARDS ARROW} higher is better", "down": "\N{DOWNWARDS ARROW} lower is better"}
 

@@ -54,6 +54,7 @@ class TrialFrame:
     rmse: OfPicture
     si_rmse: OfPicture
     angular_deg: OfPicture
+    ring_rmse: OfPicture = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,6 +86,7 @@ class TrialFigures:
     rmse: OfPicture
     si_rmse: OfPicture
     angular_deg: OfPicture
+    ring_rmse: OfPicture = None
     payload_bytes: Annotated[int, "sent"]
     frames: Annotated[tuple[TrialFrame, ...], "see there"]
     thetas: Annotated[tuple[TriggerFigures, ...], "see there; none for estimators that the trigger does not matter to"]

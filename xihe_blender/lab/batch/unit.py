@@ -44,7 +44,7 @@ from xihe_blender.lab.batch.results import (
     worst_frame,
     worst_picture,
 )
-from xihe_blender.previs.compare_path import comparison_sources, render_ground_truths
+from xihe_blender.previs.compare_path import comparison_sources, render_ground_truths, surfaces_known
 from xihe_blender.previs.path_renders import render_path
 from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.plan import compared_frames, plan_previs
@@ -175,11 +175,12 @@ def _compared(
     dark = {item.name: ObjectLight(np.zeros((9, 3))) for item in run.plan.objects}
     of_all = {method: lights.get(method, dark) for method, _ in comparer.worlds}
     truth = load_ground_truth(run.outputs.ground_truth(frame))
-    compared = comparer.render_methods(load_frame(run.outputs.capture(frame)), of_all, truth)
+    surfaces = surfaces_known(run, frame, comparer)
+    compared = comparer.render_methods(load_frame(run.outputs.capture(frame)), of_all, truth, surfaces)
     metrics = {}
     for trial in lights:
         picture = compared.methods[trial]
-        metrics[trial] = measure(picture, compared.ground_truth, compared.weights)
+        metrics[trial] = measure(picture, compared.ground_truth, compared.weights, compared.ring)
         if worst_frame({**so_far[int(trial)], frame: metrics[trial]}) == frame:
             error = error_map(picture, compared.ground_truth, compared.weights)
             shown = (display(compared.ground_truth), display(picture), error)

@@ -1,0 +1,88 @@
+"""How does an object's shadow fall on the room, where the room is only a picture? On a catcher behind the picture.
+
+A catcher is a mesh of the flat surfaces that the phone has seen around a virtual object, in the view layer of that
+object alone. Cycles shades it with and without the object and gives the ratio, by which the picture is multiplied. It
+is seen by the camera and by nothing else: the light that comes from the table is in the object's estimate already.
+EEVEE knows no shadow catchers; there, and in Solid view, a catcher is not seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+import bpy
+
+from xihe_blender.apply.datablocks import PREFIX, SHADOW_CATCHER, shortened
+
+if TYPE_CHECKING:  # The panel, which asks for what is left of a run, must do without NumPy.
+    from xihenet.surfaces import Surface
+
+_OTHER_RAYS = ("diffuse", "glossy", "transmission", "volume_scatter", "shadow")
+
+
+def make_shadow_catcher(name: str) -> bpy.types.Object:
+    """A catcher named `name` without any surface yet."""
+    mesh = bpy.data.meshes.new(name)
+    mesh.materials.append(_unseen_in_eevee(name))
+    catcher = bpy.data.objects.new(name, mesh)
+    catcher[SHADOW_CATCHER] = name
+    catcher.display_type, catcher.hide_select = "WIRE", True
+    catcher.is_shadow_catcher = True
+    for ray in _OTHER_RAYS:
+        setattr(catcher, f"visible_{ray}", False)
+    return catcher
+
+
+def catcher_name(virtual_object: str) -> str:
+    """Name of the catcher of a virtual object, in the 63 bytes that every Blender keeps of one."""
+    return shortened(f"{PREFIX}Shadow {virtual_object}")
+
+
+def catch_shadows(
+    catcher: bpy.types.Object, surfaces: Sequence[Surface], unit_m: float = 1.0, lifted_m: float = 0.0
+) -> None:
+    """Let `catcher`, made by `make_shadow_catcher`, stand for `surfaces`, in place of others.
+
+    `unit_m` are metres in a Blender unit; by `lifted_m` they are moved along their normals.
+    """
+    corners: list[tuple[float, ...]] = []
+    faces = []
+    for surface in surfaces:
+        outline = (surface.outline_m + lifted_m * surface.normal) / unit_m
+        faces.append(list(range(len(corners), len(corners) + len(outline))))
+        corners += map(tuple, outline.tolist())
+    mesh = catcher.data
+    assert isinstance(mesh, bpy.types.Mesh)
+    mesh.clear_geometry()
+    mesh.from_pydata(corners, [], faces)
+    mesh.update()
+
+
+def _unseen_in_eevee(name: str) -> bpy.types.Material:
+    """White for Cycles, whatever the surface is: the ratio does not depend on it. Nothing at all for EEVEE."""
+    material = bpy.data.materials.new(name)
+    material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    for target, shader in (("CYCLES", "ShaderNodeBsdfDiffuse"), ("EEVEE", "ShaderNodeBsdfTransparent")):
+        output = tree.nodes.new("ShaderNodeOutputMaterial")
+        output.target = target
+        tree.links.new(tree.nodes.new(shader).outputs[0], output.inputs["Surface"])
+    return material
+
+
+def shadow_catchers(scene: bpy.types.Scene | None = None) -> list[bpy.types.Object]:
+    """All catchers of ours in `scene`; None for those in the file itself."""
+    among = bpy.data.objects if scene is None else scene.objects
+    return [item for item in among if SHADOW_CATCHER in item and item.library is None]
+
+
+def remove_shadow_catchers(catchers: Iterable[bpy.types.Object]) -> None:
+    """Take them away, with their meshes and materials."""
+    own: set[bpy.types.ID] = set()
+    for catcher in catchers:
+        mesh = catcher.data
+        assert isinstance(mesh, bpy.types.Mesh)
+        own |= {catcher, mesh, *mesh.materials}
+    bpy.data.batch_remove(own)

@@ -1,0 +1,104 @@
+"""How close does the shadow of an object come to the real one, in the picture?
+
+The captured frame is multiplied by what Cycles says of the catchers: the light on the surface with the object
+over that without it (differential rendering, after Debevec, 1998). It counts in a ring around the objects, where there
+is nothing of them but their shadow and the light that they throw on the room.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+
+import bpy
+import numpy as np
+
+from xihe_blender.scene.estimation_positions import world_box_corners
+from xihe_blender.scene.units import metres_per_unit
+from xihenet.camera import unproject_frame, valid_plane_depth
+from xihenet.metrics import image_rmse
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, RgbdFrame
+from xihenet.surfaces import Surface, clear_of, on_surfaces, points_within, surfaces_around
+
+REACH = 4.0
+"""Half diagonals of an object's box, from its middle: so far its shadow is looked for."""
+
+FARTHEST_M = 3.0
+MOST_FRAMES = 12
+"""Of those captured so far, evenly spread: more show no more of a table."""
+
+RING = 0.5
+"""Width of the ring, in roots of the area that an object covers in the picture."""
+
+BRIGHTEST = 2.0
+"""By so much an object may brighten the room with the light that it throws on it; above that it is noise."""
+
+COLOUR = 0.25
+"""By so much the ratio of a channel may differ from that of the middle one. Spherical harmonics can be near 0, or
+negative, in a channel and a direction, and a ratio to that says nothing."""
+
+SHADOW_PASS = "Shadow Catcher"
+
+
+def box_of(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> ArrayF64:
+    """(K, 3) the corners of an object's box at the frame of `depsgraph`: world, metres."""
+    corners_m: ArrayF64 = world_box_corners(item, depsgraph) * metres_per_unit(depsgraph.scene)
+    return corners_m
+
+
+def surfaces_seen(frames: Sequence[RgbdFrame], corners_m: ArrayF64) -> list[Surface]:
+    """The surfaces around the object whose box has these corners (K, 3), world, metres, as far as `frames` show them.
+
+    Where the object sinks into one a little, as measured ones are a little off, that is moved back below it.
+    Empty where they show none: in the air, or where nobody has looked.
+    """
+    low_m, high_m = corners_m.min(axis=0), corners_m.max(axis=0)
+    centre_m, reach_m = (low_m + high_m) / 2, min(REACH * float(np.linalg.norm(high_m - low_m)) / 2, FARTHEST_M)
+    if not reach_m > 0:
+        return []
+    chosen = np.unique(np.linspace(0, len(frames) - 1, MOST_FRAMES).round().astype(int)) if frames else []
+    points_m, seen_from_m = points_within([frames[k] for k in chosen], centre_m, reach_m)
+    found = surfaces_around(points_m, seen_from_m, centre_m, reach_m)
+    return [clear_of(surface, corners_m) for surface in found]
+
+
+def shadow_on(passes: Mapping[str, ArrayF32], captured: RgbdFrame, surfaces: Sequence[Surface]) -> ArrayF64:
+    """(H, W, 3) by what a layer with a catcher multiplies the captured frame: 1 where its surfaces are not seen."""
+    ratio = np.ones((*captured.plane_depth_m.shape, 3))
+    if f"{SHADOW_PASS}.R" not in passes or not surfaces:
+        return ratio
+    points_m = unproject_frame(captured).points_m.reshape(ratio.shape).astype(np.float64)
+    is_seen = on_surfaces(points_m, surfaces) & valid_plane_depth(captured.plane_depth_m) & (passes["Combined.A"] < 1)
+    caught = np.stack([passes[f"{SHADOW_PASS}.{channel}"] for channel in "RGB"], axis=-1).astype(np.float64)
+    middle = np.median(caught, axis=-1, keepdims=True)
+    caught = np.clip(caught, middle - COLOUR, middle + COLOUR).clip(0.0, BRIGHTEST)
+    ratio[is_seen] = _without_speckles(caught, is_seen)
+    return ratio
+
+
+def _without_speckles(ratio: ArrayF64, is_seen: ArrayBool) -> ArrayF64:
+    """(K, 3) of (H, W, 3) at the K pixels that are seen: the median of those among a pixel and its eight neighbours."""
+    known = np.pad(np.where(is_seen[..., None] & np.isfinite(ratio), ratio, np.nan), ((1, 1), (1, 1), (0, 0)), "edge")
+    around = np.lib.stride_tricks.sliding_window_view(known, (3, 3, 1))[is_seen].reshape(-1, 3, 9)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # Where Cycles gave no number at all.
+        medians = np.nanmedian(around, axis=-1)
+    smooth: ArrayF64 = np.nan_to_num(medians, nan=1.0)
+    return smooth
+
+
+def ring_around(weights: ArrayF64) -> ArrayBool:
+    """(H, W) which pixels are around an object that covers `weights` (H, W) of each: near it, and none of it."""
+    is_covered = weights > 0
+    width_px = max(2, round(RING * float(np.sqrt(weights.sum()))))
+    near = is_covered
+    for axis in (0, 1):
+        padded = np.pad(near, [(width_px,) * 2 if axis == own else (0, 0) for own in (0, 1)])
+        near = np.lib.stride_tricks.sliding_window_view(padded, 2 * width_px + 1, axis=axis).any(axis=-1)
+    ring: ArrayBool = near & ~is_covered if is_covered.any() else is_covered
+    return ring
+
+
+def ring_rmse(prediction: ArrayF64, ground_truth: ArrayF64, ring: ArrayBool) -> float | None:
+    """Root mean square error of linear colour as a display shows it, clipped at white, in `ring`; None if empty."""
+    return image_rmse(np.clip(prediction, 0.0, 1.0), np.clip(ground_truth, 0.0, 1.0), ring.astype(np.float64))
