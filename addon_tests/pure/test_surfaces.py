@@ -75,7 +75,9 @@ def test_nothing_flat_is_no_surface(points):
 
 def test_seed_decides():
     rng = np.random.default_rng(6)
-    points = np.concatenate([plane_points(rng, 9000, (0, 0, 1), 0.8, noise=0.003), CENTRE + rng.uniform(-0.4, 0.4, (900, 3))])
+    points = np.concatenate(
+        [plane_points(rng, 9000, (0, 0, 1), 0.8, noise=0.003), CENTRE + rng.uniform(-0.4, 0.4, (900, 3))]
+    )
     first, again = (surfaces_of(points, 0.6, seed=1)[0] for _ in range(2))
     np.testing.assert_array_equal(first.outline_m, again.outline_m)
 

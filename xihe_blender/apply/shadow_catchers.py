@@ -3,7 +3,7 @@
 A catcher is a mesh of the flat surfaces that the phone has seen around a virtual object, in the view layer of that
 object alone. Cycles shades it with and without the object and gives the ratio, by which the picture is multiplied. It
 is seen by the camera and by nothing else: the light that comes from the table is in the object's estimate already.
-EEVEE knows no shadow catchers; there, and in Solid view, a catcher is not seen.
+EEVEE knows no shadow catchers; there a catcher is not seen.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def make_shadow_catcher(name: str) -> bpy.types.Object:
     mesh.materials.append(_unseen_in_eevee(name))
     catcher = bpy.data.objects.new(name, mesh)
     catcher[SHADOW_CATCHER] = name
-    catcher.display_type, catcher.hide_select = "WIRE", True
+    catcher.hide_select = True
     catcher.is_shadow_catcher = True
     for ray in _OTHER_RAYS:
         setattr(catcher, f"visible_{ray}", False)
@@ -62,7 +62,8 @@ def catch_shadows(
 def _unseen_in_eevee(name: str) -> bpy.types.Material:
     """White for Cycles, whatever the surface is: the ratio does not depend on it. Nothing at all for EEVEE."""
     material = bpy.data.materials.new(name)
-    material.use_nodes = True
+    if material.node_tree is None:  # from 5.0 on a new material has its nodes, and asking for them warns
+        material.use_nodes = True
     tree = material.node_tree
     tree.nodes.clear()
     for target, shader in (("CYCLES", "ShaderNodeBsdfDiffuse"), ("EEVEE", "ShaderNodeBsdfTransparent")):

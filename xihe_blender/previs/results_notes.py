@@ -59,12 +59,14 @@ def light_notes(settings: PrevisSettings, objects: Sequence[bpy.types.Object]) -
 
 
 def shadow_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
-    """Which objects have something to cast a shadow on; nothing where shadows are not in the pictures."""
+    """Whether the pictures have shadows on the room, and which objects have nothing to cast one on."""
     found: dict[str, bool] = {}
     for compared in [frame.compared for frame in frames if frame.compared is not None]:
         for name, surfaces in compared.surfaces.items():
             found[name] = found.get(name, False) or bool(surfaces)
-    if any(found.values()):
+    if not any(found.values()):
+        yield "The shadow that a virtual object casts on the room is in the ground truth, not in the methods' pictures."
+    else:
         yield "Objects cast their shadow on the flat surfaces that the phone has seen around them."
     in_the_air = [name for name, has_any in found.items() if not has_any]
     if in_the_air:
@@ -87,7 +89,6 @@ def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult]) -> Iterat
         "Image metrics count the pixels that virtual objects cover, by how much they cover; psnr and ssim on "
         "sRGB-encoded colour, the others on linear colour at the session's exposure."
     )
-    yield "The shadow that a virtual object casts on the room is in the ground truth but not in the methods' pictures."
     metres = metres_per_unit(scene)
     if metres != 1:
         said = "as the scene's units say (Scene > Units); all lengths here are metres."

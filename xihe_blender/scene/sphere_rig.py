@@ -10,8 +10,9 @@ import numpy as np
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_collection
 
+MIRROR = "Xihe Mirror Sphere"
 RIG_LOOKS: dict[str, dict[str, Any]] = {
-    "Xihe Mirror Sphere": {"Base Color": (1.0, 1.0, 1.0, 1.0), "Metallic": 1.0, "Roughness": 0.0},
+    MIRROR: {"Base Color": (1.0, 1.0, 1.0, 1.0), "Metallic": 1.0, "Roughness": 0.0},
     "Xihe Matte Silver Sphere": {"Base Color": (0.9, 0.9, 0.9, 1.0), "Metallic": 1.0, "Roughness": 0.3271},
     "Xihe Diffuse Sphere": {"Base Color": (0.5, 0.5, 0.5, 1.0), "Roughness": 1.0, "Specular IOR Level": 0.0},
 }
@@ -40,7 +41,7 @@ def add_three_sphere_rig(
     spheres = []
     for step, (name, look) in zip((-1, 0, 1), RIG_LOOKS.items(), strict=True):
         sphere = bpy.data.objects.new(name, sphere_mesh(name, radius))
-        sphere.data.materials.append(_rig_material(name, look))
+        sphere.data.materials.append(rig_material(name, look))
         sphere.location = (x + 2.3 * radius * step, y, z + radius)
         collection.objects.link(sphere)
         spheres.append(sphere)
@@ -73,7 +74,7 @@ def _sphere_faces(n_around: int, n_rings: int) -> list[tuple[int, ...]]:
     return [tuple(face) for faces in (above, below, between) for face in faces.tolist()]
 
 
-def _rig_material(name: str, look: dict[str, Any]) -> bpy.types.Material:
+def rig_material(name: str, look: dict[str, Any]) -> bpy.types.Material:
     """The rig's material `name`, the existing one if a rig was added before."""
     known = bpy.data.materials.get(name)
     if known is not None:

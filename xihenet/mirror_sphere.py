@@ -1,0 +1,69 @@
+"""What does a mirror sphere at the estimation position tell the phone of the light there?
+
+The way of GLEAM (Prakash, Bahremand, Nguyen and LiKamWa, MobiSys 2019): a real mirror sphere stands where the virtual
+object will, and each of its pixels in the camera's picture is light from the direction that it reflects. It has to be
+in view, and shows nearly all directions at once; what is brighter than white is clipped as in any picture.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from xihenet.camera import MISS_PLANE_DEPTH_M
+from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.records import ArrayBool, ArrayF64, RgbdFrame, UnitSphereCloud
+from xihenet.sphere import AnchorLattice
+
+OUTERMOST = 0.97
+"""Of the sphere's radius: beyond it a pixel shows too much of the room at once, and what lies beside the sphere."""
+
+TOLERANCE = 0.02
+"""Of the sphere's distance: what is nearer than that before it hides it."""
+
+
+def reflected_directions(frame: RgbdFrame, centre_m: ArrayF64, radius_m: float) -> tuple[ArrayF64, ArrayF64, ArrayBool]:
+    """What each pixel of `frame` sees in a mirror sphere around `centre_m` (3,), world, metres.
+
+    Unit directions (H, W, 3), world, from which the light comes; the plane depth (H, W) of the sphere; and which pixels
+    (H, W) lie on it, within `OUTERMOST` of its radius. The others are NaN.
+    """
+    camera, rotation, place_m = frame.intrinsics, frame.world_from_camera[:3, :3], frame.world_from_camera[:3, 3]
+    right = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+    up = -(np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
+    in_camera = np.stack([*np.meshgrid(right, up), np.full((camera.height, camera.width), -1.0)], axis=-1)
+    rays = in_camera @ rotation.T
+    lengths = np.linalg.norm(rays, axis=-1, keepdims=True)
+    rays = rays / lengths
+    to_centre_m = centre_m - place_m
+    along_m = rays @ to_centre_m
+    beside_m = np.sqrt(np.maximum(to_centre_m @ to_centre_m - along_m**2, 0.0))
+    on_sphere = (along_m > radius_m) & (beside_m < OUTERMOST * radius_m)
+    distance_m = np.where(on_sphere, along_m - np.sqrt(np.maximum(radius_m**2 - beside_m**2, 0.0)), np.nan)
+    normals = (place_m + distance_m[..., None] * rays - centre_m) / radius_m
+    directions = rays - 2 * (rays * normals).sum(axis=-1, keepdims=True) * normals
+    return directions, distance_m / lengths[..., 0], on_sphere
+
+
+def mirror_sphere_cloud(
+    frame: RgbdFrame, centre_m: ArrayF64, radius_m: float, lattice: AnchorLattice
+) -> UnitSphereCloud:
+    """The light that `frame` shows in a mirror sphere: the mean of the pixels that reflect each anchor's directions.
+
+    Pixels in which something stands before the sphere, by the frame's plane depth, do not count; no anchor is set where
+    it is not in view. Distances are not known, and 1 m wherever an anchor is set. ValueError for a radius that is not
+    positive.
+    """
+    if not radius_m > 0:
+        raise ValueError(f"mirror_sphere_cloud: expected a positive radius, got {radius_m}")
+    directions, depth_m, on_sphere = reflected_directions(frame, centre_m, radius_m)
+    seen_m = np.where(frame.plane_depth_m > 0, frame.plane_depth_m, MISS_PLANE_DEPTH_M)
+    is_seen = on_sphere & (seen_m >= np.nan_to_num(depth_m) * (1 - TOLERANCE))
+    anchors = lattice.nearest(directions[is_seen])
+    colours = srgb_to_linear(frame.srgb_u8[is_seen] / 255.0)
+    counts = np.bincount(anchors, minlength=len(lattice))
+    sums = np.stack([np.bincount(anchors, colours[:, channel], len(lattice)) for channel in range(3)], axis=1)
+    is_set = counts > 0
+    means = np.where(is_set[:, None], sums / np.maximum(counts, 1)[:, None], 0.0)
+    return UnitSphereCloud(
+        np.where(is_set[:, None], linear_to_srgb(means), 0.0).astype(np.float32), is_set.astype(np.float32), is_set
+    )
