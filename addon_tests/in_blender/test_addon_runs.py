@@ -33,6 +33,8 @@ from xihe_blender.compare.side_by_side import middle_of_change, wiped
 from xihe_blender.errors import UserError
 from xihe_blender.io.run_results import read_results
 from xihe_blender.jobs import run_blocking
+from xihe_blender.previs.results import light_of_change
+from xihenet.light.key_light import rest_of
 from xihenet.panorama import evaluate_panorama
 
 
@@ -130,7 +132,9 @@ def test_the_light_of_the_results_is_the_one_that_the_run_put_on_the_timeline(sh
         assert interpolations == {"CONSTANT"} and len(coefficients) > 1
         for frame in results.settings.frames:
             on_timeline = coefficients[max(known for known in coefficients if known <= frame)]
-            np.testing.assert_allclose(light_in_force(results, name, frame), on_timeline, rtol=1e-6, atol=1e-7)
+            change = max((one for one in results.lights[name] if one.frame <= frame), key=lambda one: one.frame)
+            np.testing.assert_array_equal(light_in_force(results, name, frame), change.sh)
+            np.testing.assert_allclose(rest_of(light_of_change(change)), on_timeline, rtol=1e-6, atol=1e-6)
     with pytest.raises(ValueError, match=r"that the run lit \(Ball, Board\), got 'Chair'"):
         light_in_force(results, "Chair", 1)
 

@@ -27,9 +27,10 @@ from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.run_results import read_results
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.kept_session import open_kept_session
+from xihe_blender.previs.light_called_for import is_shiny, light_called_for
 from xihe_blender.previs.lit_blend import key_object_light
 from xihe_blender.previs.results import last_surfaces, light_of_change
-from xihe_blender.previs.results_notes import is_shiny, light_notes
+from xihe_blender.previs.results_notes import light_notes
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.sphere_rig import add_three_sphere_rig
 from xihe_blender.scene.virtual_objects import virtual_collection
@@ -160,7 +161,8 @@ def test_a_run_says_what_its_objects_call_for(ran):
     assert "Glossy parts reflect" in said and "No virtual object is shiny" in said
     rig = add_three_sphere_rig(empty_scene(), (0, 0, 0))
     assert [is_shiny(item) for item in rig] == [True, True, False]
-    said = " ".join(light_notes(PrevisSettings(), rig))
+    assert (light_called_for(rig), light_called_for(rig[2:])) == ("sh+key+reflections", "sh+key")
+    said = " ".join(light_notes(PrevisSettings(light="sh"), rig))
     assert "Mirror Sphere, Xihe Matte Silver Sphere. With --light sh+key+reflections" in said
 
 

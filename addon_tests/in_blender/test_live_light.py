@@ -20,6 +20,7 @@ from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.kept_session import open_kept_session
 from xihe_blender.scene.estimation_positions import named_positions
 from xihe_blender.scene.virtual_objects import virtual_collection
+from xihenet.light.key_light import rest_of
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -64,9 +65,9 @@ def test_an_object_that_is_moved_has_the_light_of_its_place_without_a_render(sce
     place = named_positions(ball)
     found = run_blocking(run_blocking(open_kept_session(ran)).find_light(place))["Ball"]
     lights = keyed(world)[0]
-    for frame, light in found.sh.items():
+    for frame, light in found.lights.items():
         in_force = lights[max(known for known in lights if known <= frame)]
-        np.testing.assert_allclose(in_force, light, atol=1e-6)
+        np.testing.assert_allclose(in_force, rest_of(light), atol=1e-6)
     last = max(found.sh)
     assert LightOf.read(world).live == {"Ball": [found.coverage[last], found.expected_error[last]]}
     # Its error there is not known, since the reference light is of the old place.

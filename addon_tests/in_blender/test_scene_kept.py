@@ -8,7 +8,7 @@ from previs_runs import SMALL, run, run_some_steps, walk
 from scene_snapshot import data_blocks, differences, snapshot
 from tiny_scenes import add_lamp, box, key, light_strength
 
-from xihe_blender.apply.sh_worlds import remove_applied_light
+from xihe_blender.addon.results_in_blender import remove_everything
 from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
 from xihe_blender.scene.state import scene_kept
 
@@ -130,7 +130,7 @@ def test_the_scene_is_as_it_was_after_runs_and_after_what_they_added_is_removed(
     assert once >= {"worlds/Xihe Ball", "worlds/Xihe Board", "node_groups/Xihe SH Radiance"}
     run(scene, tmp_path / "second", SHORT)
     assert data_blocks(snapshot()) == once
-    remove_applied_light(scene)
+    remove_everything(scene)
     assert data_blocks(snapshot()) == data_blocks(before)
     assert_kept(before)
     assert [marker.name for marker in scene.timeline_markers] == ["Mine"]

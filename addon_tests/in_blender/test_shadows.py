@@ -51,7 +51,7 @@ def compared(scene, ball, *, has_surfaces=True, blurred=0.0):
     noise = np.random.default_rng(0).normal(size=captured.plane_depth_m.shape) * blurred
     captured = replace(captured, plane_depth_m=(captured.plane_depth_m * (1 + noise)).astype(np.float32))
     with open_comparer(scene, [ball], ["one"], SETTINGS, has_key_light=True) as comparer:
-        found = comparer.surfaces_around_objects([captured]) if has_surfaces else {}
+        found = comparer.surfaces_around_objects([captured], 1) if has_surfaces else {}
         truth = comparer.render_ground_truth(1)
         result = comparer.render_methods(captured, {"one": {"Ball": light(captured.exposure)}}, truth, found)
     return result, found.get("Ball", [])

@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--frames A:B[:S]", "frames of each path; default: the scene's range and step", arguments.frame_range)
     add("--size WxH", arguments.SIZE, arguments.picture_size)
     add("--target", arguments.TARGET, choices=("ldr", "hdr"), default="hdr")
-    add("--light PARTS", arguments.LIGHT, default="sh")
+    add("--light PARTS", arguments.LIGHT + "; default: sh", default="sh")
     add("--samples N", samples, int)
     add("--network NAME", arguments.NETWORK)
     add("--workers N", "processes on this machine, one thread each; default: one per core", int)

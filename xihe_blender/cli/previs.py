@@ -12,6 +12,7 @@ from xihe_blender.jobs import run_blocking
 
 CAPTURED = "frames that are rendered: the whole path (default), or only those with a virtual object in view"
 NOISE_TARGET = "largest rendering noise, as a share of the light; default: 0.06, 0.03 or 0.015, by preset"
+AUTO = "; default: auto, sh+key+reflections where a virtual object is shiny, else sh+key"
 OTHERS = "other estimators whose light and pictures are compared with it, from the same frames; default: none"
 SAMPLES = "samples of every capture, and pictures of every light probe, whatever the noise"
 
@@ -25,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--objects A,B", "virtual objects; default: all", arguments.names)
     add("--others A,B", OTHERS, arguments.names, default=())
     add("--target", arguments.TARGET, choices=("ldr", "hdr"), default="hdr")
-    add("--light PARTS", arguments.LIGHT, default="sh")
+    add("--light PARTS", arguments.LIGHT + AUTO, default="auto")
     add("--metering NAME", "highlights, as phones do, or key; default: the phone's own")
     add("--network NAME", arguments.NETWORK)
     add("--effect NAME=on|off|auto", arguments.EFFECT, dest="overrides", action="append", default=[])

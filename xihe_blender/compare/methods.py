@@ -111,11 +111,11 @@ class Comparer:
     catchers: Mapping[str, bpy.types.Object]
     """Of the shadows, by object; empty where there are no suns."""
 
-    def surfaces_around_objects(self, frames: Sequence[RgbdFrame]) -> dict[str, list[Surface]]:
-        """By object, what `frames` show of the room around it at the last of them; nothing without catchers."""
-        self.lit.frame_set(frames[-1].frame)
+    def surfaces_around_objects(self, seen: Sequence[RgbdFrame], frame: int) -> dict[str, list[Surface]]:
+        """By object, what captures show of the room around the place where it is at `frame`; none without catchers."""
+        self.lit.frame_set(frame)
         depsgraph = self.lit.view_layers[0].depsgraph
-        return {name: surfaces_seen(frames, box_of(bpy.data.objects[name], depsgraph)) for name in self.catchers}
+        return {name: surfaces_seen(seen, box_of(bpy.data.objects[name], depsgraph)) for name in self.catchers}
 
     def render_comparison(self, captured: RgbdFrame, lights: Mapping[str, Mapping[str, ObjectLight]]) -> Comparison:
         """Ground truth and every method at the frame of `captured`; see `render_methods`."""
@@ -212,6 +212,9 @@ def open_comparer(
             show_only_in(lit, catchers[item.name], [layers[key] for key in keys if key[1] == item.name])
         for layer in lit.view_layers:
             layer.cycles.use_pass_shadow_catcher = has_key_light
+        # Kept between renders, the order of the suns and so their noise would depend on what was rendered before: a run
+        # that is resumed would end otherwise than one that was not stopped.
+        lit.render.use_persistent_data = not has_key_light
         yield Comparer(truth, lit, worlds, layers, suns, catchers)
 
 

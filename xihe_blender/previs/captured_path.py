@@ -64,7 +64,8 @@ def capture_path(
     Renders change animated values in the scene: see `scene_kept`. UserError for a scene without a camera.
     """
     check_nothing_is_missing(scene)
-    settings = replace(settings, captured="path", samples=settings.samples or SAMPLES[settings.preset])
+    samples = settings.samples or SAMPLES[settings.preset]
+    settings = replace(settings, captured="path", samples=samples, light="sh")
     size = settings.size or sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1)).size
     plan = PrevisPlan(tuple(planned_frames(scene, settings.frames)), size, (), ())
     outputs, loaded = RunOutputs(out, blend_file.stem), load_estimators(settings)

@@ -79,7 +79,8 @@ def _made_from(run: PreparedRun, frame: int, lights: Lights) -> tuple[Any, ...]:
     captured = load_frame(run.outputs.capture(frame))
     of_all = [light.tobytes() for of_method in lights.values() for light in of_method.values()]
     pixels = captured.srgb_u8.tobytes(), captured.plane_depth_m.tobytes()
-    return run.reuse.comparison(frame, *pixels, ",".join(lights).encode(), *of_all)
+    room = frames_seen(run, frame) if run.settings.has_key_light else ()
+    return run.reuse.comparison(frame, *pixels, ",".join(lights).encode(), repr(room).encode(), *of_all)
 
 
 def _take_over(outputs: RunOutputs, source: int, frame: int) -> None:
@@ -118,8 +119,14 @@ def surfaces_known(run: PreparedRun, frame: int, comparer: Comparer) -> dict[str
     """By object, the surfaces around it that the phone has seen up to `frame`; nothing where no shadow is caught."""
     if not comparer.catchers:
         return {}
-    until = [one for one in run.plan.frames if one <= frame and one in run.needs.captured]
-    return comparer.surfaces_around_objects([load_frame(run.outputs.capture(one)) for one in until])
+    seen = [load_frame(run.outputs.capture(one)) for one in frames_seen(run, frame)]
+    return comparer.surfaces_around_objects(seen, frame)
+
+
+def frames_seen(run: PreparedRun, frame: int) -> list[int]:
+    """The captures up to `frame`, without those that are the same as one before."""
+    sources = [run.reuse.captures[one] for one in run.plan.frames if one <= frame and one in run.needs.captured]
+    return list(dict.fromkeys(sources))
 
 
 def _write_pictures(run: PreparedRun, frame: int, compared: Comparison) -> dict[str, str]:

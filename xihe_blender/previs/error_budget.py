@@ -110,6 +110,7 @@ def error_budget(
         raise UserError(f"an error cannot be measured in {n_moments} moments: give --moments 1 or more")
     if settings.estimator == "truth":
         raise UserError("the light of `truth` is rendered and has no error to divide: choose another --estimator")
+    settings = replace(settings, light="sh")
     plan, loaded = plan_previs(scene, settings), load_estimators(settings)
     file = blend_file or Path(bpy.data.filepath or "untitled.blend")
     outputs = RunOutputs(out, file.stem)

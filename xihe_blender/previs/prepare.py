@@ -24,6 +24,7 @@ from xihe_blender.jobs import Progress
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.light_transport.render_reuse import RenderReuse, each_its_own, plan_render_reuse
+from xihe_blender.previs.light_called_for import light_called_for
 from xihe_blender.previs.phone_capture import CaptureNeeds, ChosenPhone, choose_phone
 from xihe_blender.previs.plan import PrevisPlan, Probe, compared_frames
 from xihe_blender.previs.sample_count import SampleCount, measure_sample_count
@@ -48,9 +49,9 @@ truth and of all methods, where a million samples of a capture are 1: measured i
 class PreparedRun:
     """All that is known of a run before its walk; the stages behind share it.
 
-    `settings` are the user's, with the trigger's theta above the noise of captures; `estimators` the chosen one, then
-    those that are compared with it. `needs` says what is captured, and
-    kept beside captures; `reuse` in which earlier frame a render would come out the same.
+    `settings` are the user's, with the trigger's theta above the noise of captures and the light that objects call for;
+    `estimators` the chosen one, then those that are compared with it. `needs` says what is captured, and kept beside
+    captures; `reuse` in which earlier frame a render would come out the same.
     """
 
     scene: bpy.types.Scene
@@ -163,7 +164,8 @@ def prepare_run(
         lambda content: from_json(SampleCount, content),
         lambda: as_json(measure_sample_count(scene, plan, survey, settings, exposure, transport)),
     )
-    settings = replace(settings, trigger=above_noise(settings.trigger, count.capture_change))
+    light = light_called_for(plan.objects) if settings.light == "auto" else settings.light
+    settings = replace(settings, light=light, trigger=above_noise(settings.trigger, count.capture_change))
     phone = choose_phone(scene, survey, settings)
     needs = phone.needs
     reuse = render_reuse(survey, effects, needs)

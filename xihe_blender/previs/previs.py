@@ -71,7 +71,7 @@ def previs(
     yield run.progress("methods", 1, "applying the light and writing the report")
     estimated = {frame: methods[settings.estimator] for frame, methods in walked.lights.items()}
     changes = light_changes(plan, estimated, outputs, run.exposure)
-    apply_lights(scene, changes, walked.frames, run.exposure, outputs.folder, has_key_light=settings.has_key_light)
+    apply_lights(scene, changes, walked.frames, run.exposure, outputs.folder, has_key_light=run.settings.has_key_light)
     frames = [replace(frame, compared=compared.get(frame.frame)) for frame in walked.frames]
     save_lit_blend(scene, plan, results.last_surfaces(frames), outputs.lit_blend)
     found = results.assemble(run, frames, lights=changes, phone=walked.phone, errors=errors, file=file, command=command)

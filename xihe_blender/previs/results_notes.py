@@ -9,7 +9,7 @@ import bpy
 
 from xihe_blender.apply.datablocks import PREFIX
 from xihe_blender.io.run_results import Fault, FrameResult, ProbeResult
-from xihe_blender.light_transport.nodes import smoothest_roughness
+from xihe_blender.previs.light_called_for import is_shiny
 from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.sample_count import SampleCount
@@ -20,9 +20,6 @@ from xihenet.invalid import format_reason
 
 WORTH_TELLING = 0.1
 """Share of the light above white from which on a reader is told."""
-
-SHINY_BELOW = 0.4
-"""Roughness of a surface that shows more of its surroundings than nine coefficients hold: matte silver has 0.3."""
 
 FAINTEST = 1e-3
 """Light of less than this, at the session's exposure, is none: the first code above black is 3e-4."""
@@ -48,14 +45,15 @@ def light_notes(settings: PrevisSettings, objects: Sequence[bpy.types.Object]) -
     yield f"In the pictures, {said}{', and a rendered picture of what is reflected' * settings.has_reflections}."
     if settings.has_key_light:
         yield "Objects are lit by the key light of each light as a sun, and by the rest as spherical harmonics."
-    shiny = [item.name for item in objects if is_shiny(item)]
+    shiny = ", ".join(item.name for item in objects if is_shiny(item))
     if settings.has_reflections:
         yield "Glossy parts reflect what the phone saw of the room, and a guess where it saw nothing."
         if not shiny:
             yield "No virtual object is shiny, so that reflections change nothing: --light sh+key looks the same."
     elif shiny:
-        them = ", ".join(shiny)
-        yield f"Shiny virtual objects: {them}. With --light sh+key+reflections they show the room that the phone saw."
+        yield f"Shiny virtual objects: {shiny}. With --light sh+key+reflections they show the room that the phone saw."
+    else:
+        yield "No virtual object is shiny, so that none calls for reflections."
 
 
 def shadow_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
@@ -72,12 +70,6 @@ def shadow_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
     if in_the_air:
         them = ", ".join(in_the_air)
         yield f"The phone has seen nothing flat near {them}: in the air an object calls for no shadow on the room."
-
-
-def is_shiny(item: bpy.types.Object) -> bool:
-    """Whether a part of a virtual object mirrors the room, as far as SHINY_BELOW can tell; an instance is not asked."""
-    roughness = [smoothest_roughness(slot.material) for slot in item.material_slots]
-    return any(value is not None and value < SHINY_BELOW for value in roughness)
 
 
 def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult]) -> Iterator[str]:

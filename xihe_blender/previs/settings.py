@@ -21,7 +21,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.light_transport.overrides import checked
 from xihenet import estimators
 from xihenet.estimators import Estimator, Target
-from xihenet.light import LightParts
+from xihenet.light import LightChoice
 from xihenet.light_change import LightFollowing
 from xihenet.metering import METERINGS, Metering
 from xihenet.phone import LINKS, NETWORK, PHONE_EFFECTS, Link, PhoneProfile, load_profile
@@ -82,7 +82,8 @@ class PrevisSettings:
     preset : name of one of PRESETS
     target : which light is estimated and compared: "hdr" all of it, "ldr" light clipped at 1, as in the paper
     light : what objects are lit with: "sh"; "sh+key", where the key light of an estimate is a sun; or
-        "sh+key+reflections", where glossy things show a picture of what was seen besides
+        "sh+key+reflections", where glossy things show a picture of what was seen besides. "auto" is the last where a
+        virtual object is shiny, else the second; a prepared run has no "auto" any more
     size : of captures and comparisons; None takes 256x192, upright where the scene's picture is
     frames : frame numbers along the path; None takes the scene's range and step
     captured : "path" also captures frames in which no virtual object is in view, and learns from all that it captures
@@ -105,7 +106,7 @@ class PrevisSettings:
     others: tuple[str, ...] = ()
     preset: str = "balanced"
     target: Target = "hdr"
-    light: LightParts = "sh"
+    light: LightChoice = "auto"
     size: tuple[int, int] | None = None
     frames: tuple[int, ...] | None = None
     captured: Captured = "path"
@@ -131,7 +132,7 @@ class PrevisSettings:
             ("preset", self.preset, PRESETS),
             ("metering", self.metering, METERINGS),
             ("captured", self.captured, get_args(Captured)),
-            ("light", self.light, get_args(LightParts)),
+            ("light", self.light, get_args(LightChoice)),
         ):
             if name is not None and name not in known:
                 raise UserError(f"there is no {kind} {name!r}: choose one of {', '.join(known)}")

@@ -4,3 +4,6 @@ from typing import Literal
 
 LightParts = Literal["sh", "sh+key", "sh+key+reflections"]
 """What an object is lit with: all of its light as spherical harmonics, its key light apart, and reflections besides."""
+
+LightChoice = Literal["auto", "sh", "sh+key", "sh+key+reflections"]
+"""What a user asks for; "auto" takes what the objects call for."""
