@@ -8,6 +8,8 @@ once, by RMSE of colour clipped at white; under spherical harmonics alone there 
 
     python addon_tests/bench/light_parts.py OUT SCENE.blend... [--estimator NAME] [--every N] [--preset NAME]
 
+OUT/SCENE has a picture of each compared frame: the ground truth, the estimate under each of the parts, and `truth`.
+
 The three-sphere rig takes the place of a scene's first virtual object and of all others; without any it stands under
 the empty `placement_0`. Captures in OUT are used again.
 """
@@ -23,6 +25,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
+from xihe_blender.cli.arguments import picture_size
 from xihe_blender.compare.methods import composite, load_ground_truth, measure, open_comparer, save_ground_truth
 from xihe_blender.compare.shadows import ring_around, ring_rmse, shadow_on
 from xihe_blender.io.kept_files import read_kept
@@ -134,8 +137,11 @@ def main() -> None:
     parser.add_argument("--estimator", default="lattice")
     parser.add_argument("--preset", default="draft")
     parser.add_argument("--every", type=int, default=4)
+    parser.add_argument("--size", type=picture_size, help="of captures and comparisons; default: 256x192")
     options = parser.parse_args()
-    settings = PrevisSettings(estimator=options.estimator, preset=options.preset, light="sh+key+reflections")
+    settings = PrevisSettings(
+        estimator=options.estimator, preset=options.preset, light="sh+key+reflections", size=options.size
+    )
     for file in options.scenes:
         found = measured(file, options.out / file.stem, settings, options.every)
         for name, method in found:
