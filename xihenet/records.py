@@ -329,15 +329,20 @@ class ObjectLight:
     sh : (9, 3) radiance coefficients of all of it
     key : the key light, a part of it; None for none
     reflections : the same light as glossy things show it; None shows them `sh` and `key`
+    at : of an object that is bigger than one position can stand for, where its positions are ((3,) world, metres) and
+        the light there, of which this is the mean; empty for an object with one
     """
 
     sh: ArrayF64
     key: KeyLight | None = None
     reflections: Reflections | None = None
+    at: tuple[tuple[ArrayF64, ObjectLight], ...] = ()
 
     def tobytes(self) -> bytes:
         """All that decides what it looks like: the same for lights that look the same."""
         parts: list[Any] = [self.sh]
+        for place_m, light in self.at:
+            parts += [place_m, np.frombuffer(light.tobytes(), np.uint8)]
         if self.key is not None:
             parts += [self.key.direction, self.key.irradiance, np.float64(self.key.angular_radius)]
         if self.reflections is not None:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -44,7 +44,7 @@ from xihe_blender.compare.shadows import box_of, ring_around, ring_rmse, shadow_
 from xihe_blender.io.outputs import written_whole
 from xihe_blender.io.run_results import Metrics
 from xihe_blender.scene.units import metres_per_unit
-from xihenet.camera import MISS_PLANE_DEPTH_M, valid_plane_depth
+from xihenet.camera import MISS_PLANE_DEPTH_M, unproject_frame, valid_plane_depth
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.light.key_light import rest_of
 from xihenet.light.reflections import reflection_panorama
@@ -56,6 +56,9 @@ from xihenet.surfaces import Surface
 GROUND_TRUTH_SCENE = "Xihe Ground Truth"
 OCCLUSION_TOLERANCE = 2e-3
 """An object this much (relative, and in metres) behind the room's surface still counts as in front of it."""
+
+NEAREST_M = 0.05
+"""From a position: nearer than this its light is not more of the mixture."""
 
 ERROR_AT_FULL_SCALE = 0.25
 """Difference of sRGB-encoded colour at which the error map reaches its brightest colour."""
@@ -158,23 +161,47 @@ class Comparer:
         lights: Mapping[str, Mapping[str, ObjectLight]],
         surfaces: Mapping[str, Sequence[Surface]] = MappingProxyType({}),
     ) -> Rendered:
-        """Each object under each method's light, a view layer each (`layers`), at the frame of `captured`."""
+        """Each object under each method's light, a view layer each (`layers`), at the frame of `captured`.
+
+        An object that has several positions is rendered under the light of each, and every point of it is lit as the
+        positions around it are; see `blended`.
+        """
         for name, catcher in self.catchers.items():
             catch_shadows(catcher, surfaces.get(name, ()), metres_per_unit(self.lit))
-        for key, world in self.worlds.items():
-            light = lights[key[0]][key[1]]
-            if light.reflections is None:
-                forget_reflections(world)
-            else:
-                reflect_in_world(world, reflection_panorama(light.reflections), captured.exposure)
-            if key in self.suns:
-                apply_sh_to_world(world, rest_of(light), captured.exposure)
-                apply_key_to_sun(self.suns[key], light.key, captured.exposure)
-                show_in_reflections(self.suns[key], light.reflections is None)
-            else:
-                apply_sh_to_world(world, light.sh, captured.exposure)
         self.lit.frame_set(captured.frame)
-        return render_passes(self.lit)
+        chosen = {key: lights[key[0]][key[1]] for key in self.worlds}
+        turns = max(len(light.at) for light in chosen.values()) or 1
+        rendered: list[Rendered] = []
+        for turn in range(turns):
+            for key, light in chosen.items():
+                layer = self.lit.view_layers[self.layers[key]]
+                layer.use = turn < max(1, len(light.at))
+                if layer.use:
+                    self._light(key, light.at[turn][1] if light.at else light, captured.exposure)
+            rendered.append(render_passes(self.lit))
+        for layer in self.lit.view_layers:
+            layer.use = True
+        layers = dict(rendered[0].layers)
+        for key, light in chosen.items():
+            if light.at:
+                name = self.layers[key]
+                of_each = [one.layers[name] for one in rendered[: len(light.at)]]
+                layers[name] = blended(of_each, [place_m for place_m, _ in light.at], captured)
+        return Rendered(layers, sum(one.render_s for one in rendered))
+
+    def _light(self, key: tuple[str, str], light: ObjectLight, exposure: float) -> None:
+        """Set world and sun of a method's object to `light`, which carries `exposure`."""
+        world = self.worlds[key]
+        if light.reflections is None:
+            forget_reflections(world)
+        else:
+            reflect_in_world(world, reflection_panorama(light.reflections), exposure)
+        if key in self.suns:
+            apply_sh_to_world(world, rest_of(light), exposure)
+            apply_key_to_sun(self.suns[key], light.key, exposure)
+            show_in_reflections(self.suns[key], light.reflections is None)
+        else:
+            apply_sh_to_world(world, light.sh, exposure)
 
 
 @contextlib.contextmanager
@@ -216,6 +243,29 @@ def open_comparer(
         # that is resumed would end otherwise than one that was not stopped.
         lit.render.use_persistent_data = not has_key_light
         yield Comparer(truth, lit, worlds, layers, suns, catchers)
+
+
+def blended(
+    layers: Sequence[Mapping[str, ArrayF32]], places_m: Sequence[ArrayF64], captured: RgbdFrame
+) -> dict[str, ArrayF32]:
+    """One view layer of those of an object under the light of each of its positions, `places_m` (3,) world, metres.
+
+    A point of the object has most of the light of the position that is nearest: weights fall with the fourth power of
+    the distance (Shepard, 1968). Where a layer has no plane depth, all have the same weight.
+    """
+    depth_m = layers[0]["Depth.Z"]
+    points_m = unproject_frame(replace(captured, plane_depth_m=depth_m)).points_m.reshape(*depth_m.shape, 3)
+    squared = np.stack([((points_m - place_m) ** 2).sum(axis=-1) for place_m in places_m])
+    weights = 1.0 / (squared + NEAREST_M**2) ** 2
+    is_known = np.isfinite(weights).all(axis=0) & valid_plane_depth(depth_m)
+    weights = np.where(is_known, weights, 1.0)
+    weights /= weights.sum(axis=0)
+    shared = {name: layers[0][name] for name in ("Depth.Z", "Combined.A")}
+    mixed = {
+        name: np.einsum("kij,kij->ij", weights, np.stack([layer[name] for layer in layers])).astype(np.float32)
+        for name in layers[0].keys() - shared.keys()
+    }
+    return shared | mixed
 
 
 def composite(

@@ -31,7 +31,7 @@ from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.report.values import mean
 from xihenet.camera import invalid_pixels
 from xihenet.invalid import CLAMPED
-from xihenet.light.key_light import mean_light, split_light
+from xihenet.light.key_light import mean_light, split_light, with_positions
 from xihenet.metrics import share_above_white, shc_rmse
 from xihenet.phone import NETWORK, Link, Request
 from xihenet.recording import load_frame, save_frame
@@ -111,7 +111,7 @@ class _Walk:
             is_delivered = frame in self.run.needs.delivered
             entry = FrameResult(frame=frame, time_s=time_s, active=False, is_delivered=is_delivered)
         if entry.active or self.walked.lights:
-            self.walked.lights[frame] = self._lights_in_force(time_s)
+            self.walked.lights[frame] = self._lights_in_force(frame, time_s)
         self.walked.frames.append(entry)
 
     def _captured_frame(self, rendered: FrameRenders, start: float) -> FrameResult:
@@ -153,8 +153,8 @@ class _Walk:
             rendering=results.rendering(seen.frame, rendered.references, run),
         )
 
-    def _lights_in_force(self, time_s: float) -> Lights:
-        """Light of every method on every virtual object: the mean over the object's estimation positions.
+    def _lights_in_force(self, frame: int, time_s: float) -> Lights:
+        """Light of every method on every virtual object: the mean over the object's estimation positions, and each.
 
         Truth here is the whole light, not clipped, whatever the target: it shows what order 2 can do in the picture.
         A position that was never in view has no light of its own yet and gets the ambient one.
@@ -162,14 +162,19 @@ class _Walk:
         ambient_sh, chosen, others = self.session.ambient_sh, self.run.settings.estimator, self.run.settings.others
         lights: Lights = {method: {} for method in self.run.methods}
         for item in self.run.plan.objects:
-            names = [probe.name for probe in self.run.plan.probes_of(item.name)]
+            places = {probe.name: probe.at(frame) for probe in self.run.plan.probes_of(item.name)}
             for method in (chosen, *others):
                 other = None if method == chosen else method
-                lights[method][item.name] = self.session.object_light(names, time_s, other)
+                light = self.session.object_light(list(places), time_s, other)
+                if len(places) > 1:
+                    each = {name: self.session.object_light([name], time_s, other) for name in places}
+                    light = with_positions(light, places, each)
+                lights[method][item.name] = light
             lights["ambient"][item.name] = ObjectLight(ambient_sh)
-            true = mean_light([self._true_light(name) for name in names])
-            _, reflections = self.reflections.get(names[0], (None, None))
-            lights["truth"][item.name] = replace(true, reflections=reflections)
+            each = {name: self._true_light(name) for name in places}
+            _, reflections = self.reflections.get(next(iter(places)), (None, None))
+            light = replace(mean_light(list(each.values())), reflections=reflections)
+            lights["truth"][item.name] = with_positions(light, places, each) if len(places) > 1 else light
         return lights
 
     def _see_reflections(self, rendered: FrameRenders) -> None:

@@ -17,8 +17,8 @@ stays where it was as long as what is there is nearly as strong as the strongest
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -141,6 +141,17 @@ def mean_light(lights: Sequence[ObjectLight]) -> ObjectLight:
     irradiance = np.sum([key.irradiance for key in same], axis=0) / len(lights)
     most = np.maximum(sh[0], 0) / _of_disc(direction, radius)[0]
     return ObjectLight(sh, KeyLight(direction, np.minimum(irradiance, most), radius, any(key.is_seen for key in same)))
+
+
+def with_positions(
+    light: ObjectLight, places_m: Mapping[str, ArrayF64], each: Mapping[str, ObjectLight]
+) -> ObjectLight:
+    """`light`, the mean of `each` at the positions `places_m` ((3,) world, metres) of one object, and each of them.
+
+    What is reflected is the mean's everywhere.
+    """
+    reflected = {name: replace(one, reflections=light.reflections) for name, one in each.items()}
+    return replace(light, at=tuple((places_m[name], reflected[name]) for name in places_m))
 
 
 def _of_disc(direction: ArrayF64, angular_radius: float) -> ArrayF64:
