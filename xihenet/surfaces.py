@@ -99,12 +99,28 @@ def surfaces_around(
 
 
 def on_surfaces(points_m: ArrayF64, surfaces: Sequence[Surface]) -> ArrayBool:
-    """Whether each point (..., 3) belongs to one of `surfaces`, however far from its outline; NaN does not."""
+    """Whether each point (..., 3) belongs to one of `surfaces` and lies within its outline; NaN does not."""
     is_on = np.zeros(points_m.shape[:-1], bool)
     for surface in surfaces:
         with np.errstate(invalid="ignore"):  # A NaN belongs to no surface.
-            is_on |= np.abs(points_m @ surface.normal - surface.offset_m) <= surface.tolerance_m
+            is_near = np.abs(points_m @ surface.normal - surface.offset_m) <= surface.tolerance_m
+        is_on[is_near] |= _inside(points_m[is_near] @ _axes(surface), surface.outline_m @ _axes(surface))
     return is_on
+
+
+def _axes(surface: Surface) -> ArrayF64:
+    """(3, 2) two directions along the surface, at a right angle."""
+    across = surface.outline_m[1] - surface.outline_m[0]
+    across = across / np.linalg.norm(across)
+    return np.stack([across, np.cross(surface.normal, across)], axis=1)
+
+
+def _inside(points: ArrayF64, corners: ArrayF64) -> ArrayBool:
+    """Whether each point (P, 2) is within a convex outline (K, 2), whichever way that turns."""
+    edges, to_points = np.roll(corners, -1, axis=0) - corners, points[:, None] - corners
+    sides = edges[:, 0] * to_points[..., 1] - edges[:, 1] * to_points[..., 0]
+    inside: ArrayBool = (sides >= 0).all(axis=1) | (sides <= 0).all(axis=1)
+    return inside
 
 
 def clear_of(surface: Surface, corners_m: ArrayF64) -> Surface:
@@ -146,17 +162,11 @@ def _surface_through(points_m: ArrayF64, centre_m: ArrayF64, tolerance_m: float)
 
 def _filled_share(points_m: ArrayF64, surface: Surface, side_m: float) -> float:
     """Share of the squares of `side_m` with their middle inside the outline of `surface` that points lie in."""
-    corners_m, normal = surface.outline_m, surface.normal
-    across = corners_m[1] - corners_m[0]
-    across /= np.linalg.norm(across)
-    flat = np.stack([across, np.cross(normal, across)], axis=1)
-    corners, cells = corners_m @ flat / side_m, np.unique(np.floor(points_m @ flat / side_m), axis=0)
+    axes = _axes(surface)
+    corners, cells = surface.outline_m @ axes / side_m, np.unique(np.floor(points_m @ axes / side_m), axis=0)
     low, high = np.floor(corners.min(axis=0)), np.floor(corners.max(axis=0))
     grid = np.stack(np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True))), axis=-1).reshape(-1, 2)
-    edges = np.roll(corners, -1, axis=0) - corners
-    to_middles = grid[:, None] + 0.5 - corners
-    sides = edges[:, 0] * to_middles[..., 1] - edges[:, 1] * to_middles[..., 0]
-    inside = grid[(sides >= 0).all(axis=1) | (sides <= 0).all(axis=1)]
+    inside = grid[_inside(grid + 0.5, corners)]
     if not len(inside):
         return 1.0
     is_filled = (inside[:, None] == cells).all(axis=-1).any(axis=1)

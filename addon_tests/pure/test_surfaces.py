@@ -89,8 +89,10 @@ def test_reach_must_be_positive():
 
 def test_points_on_a_plane():
     surface = Surface(np.array([[0.0, 0, 1], [1, 0, 1], [0, 1, 1]]), np.array([0.0, 0, 1]), 0.02)
-    points = np.array([[5.0, 5, 1.01], [0, 0, 1.1], [np.nan, 0, 1], [0, 0, np.inf]])
-    np.testing.assert_array_equal(on_surfaces(points, [surface]), [True, False, False, False])
+    points = np.array([[0.3, 0.3, 1.01], [0.3, 0.3, 1.1], [5, 5, 1], [np.nan, 0, 1], [0.3, 0.3, np.inf]])
+    np.testing.assert_array_equal(on_surfaces(points, [surface]), [True, False, False, False, False])
+    turned = Surface(surface.outline_m[::-1], surface.normal, 0.02)
+    np.testing.assert_array_equal(on_surfaces(points, [turned]), on_surfaces(points, [surface]))
     assert not on_surfaces(points, []).any()
 
 
