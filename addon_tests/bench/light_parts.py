@@ -27,7 +27,7 @@ from mathutils import Vector
 
 from xihe_blender.cli.arguments import picture_size
 from xihe_blender.compare.methods import composite, load_ground_truth, measure, open_comparer, save_ground_truth
-from xihe_blender.compare.shadows import ring_around, ring_rmse, shadow_on
+from xihe_blender.compare.shadows import ring_around, ring_rmse, shadow_of_all
 from xihe_blender.io.kept_files import read_kept
 from xihe_blender.io.outputs import RunOutputs, write_picture
 from xihe_blender.jobs import run_blocking
@@ -109,9 +109,8 @@ def measured(file: Path, out: Path, settings: PrevisSettings, every: int) -> dic
             row = [exposed]
             for method in methods:
                 passes = {item.name: layers[comparer.layers[method, item.name]] for item in run.plan.objects}
-                shaded = background.copy()
-                for name in passes if methods[method][1] != "sh" else ():
-                    shaded *= shadow_on(passes[name], captured, surfaces[name])
+                has_shadow = methods[method][1] != "sh"
+                shaded = background * (shadow_of_all(passes, captured, surfaces) if has_shadow else 1)
                 row.append(composite(shaded, list(passes.values()), captured)[0])
                 weights = composite(shaded, list(passes.values()), captured)[1]
                 if weights.sum() > 60:

@@ -44,24 +44,26 @@ def light(exposure):
     return ObjectLight(FLAT * exposure + sh_of_key_light(key), key)
 
 
-def compared(scene, ball, *, has_surfaces=True, blurred=0.0):
+def compared(scene, balls, *, has_surfaces=True, blurred=0.0):
     with open_scanner(scene, SETTINGS) as scanner:
         scanner.move_to(1)
         captured = scanner.acquire_environment_scan()
     noise = np.random.default_rng(0).normal(size=captured.plane_depth_m.shape) * blurred
     captured = replace(captured, plane_depth_m=(captured.plane_depth_m * (1 + noise)).astype(np.float32))
-    with open_comparer(scene, [ball], ["one"], SETTINGS, has_key_light=True) as comparer:
+    with open_comparer(scene, balls, ["one"], SETTINGS, has_key_light=True) as comparer:
         found = comparer.surfaces_around_objects([captured], 1) if has_surfaces else {}
         truth = comparer.render_ground_truth(1)
-        result = comparer.render_methods(captured, {"one": {"Ball": light(captured.exposure)}}, truth, found)
+        result = comparer.render_methods(
+            captured, {"one": {item.name: light(captured.exposure) for item in balls}}, truth, found
+        )
     return result, found.get("Ball", [])
 
 
 @pytest.mark.parametrize(("wall", "blurred"), [(False, 0.0), (True, 0.0), (False, 0.004)])
 def test_shadow_is_that_of_the_real_floor(wall, blurred):
     scene, ball = sunlit(wall=wall)
-    with_shadow, surfaces = compared(scene, ball, blurred=blurred)
-    without, _ = compared(scene, ball, has_surfaces=False)
+    with_shadow, surfaces = compared(scene, [ball], blurred=blurred)
+    without, _ = compared(scene, [ball], has_surfaces=False)
     assert len(surfaces) == 1 + wall and surfaces[0].normal[2] == pytest.approx(1.0, abs=0.01)
     left = ring_rmse(with_shadow.methods["one"], with_shadow.ground_truth, with_shadow.ring)
     all_of_it = ring_rmse(without.methods["one"], without.ground_truth, without.ring)
@@ -72,10 +74,22 @@ def test_shadow_is_that_of_the_real_floor(wall, blurred):
     assert columns[:32].sum() > 3 * columns[32:].sum()
 
 
+def test_two_balls_beside_each_other_cast_no_shadow_twice():
+    scene, ball = sunlit()
+    virtual = virtual_collection(scene)
+    other = sphere(scene, "Other", (-0.45, 0.1, 0.2), 0.2, material("White", (0.5, 0.5, 0.5)), virtual)
+    bpy.context.view_layer.update()
+    with_shadow, _ = compared(scene, [ball, other])
+    without, _ = compared(scene, [ball, other], has_surfaces=False)
+    left = ring_rmse(with_shadow.methods["one"], with_shadow.ground_truth, with_shadow.ring)
+    all_of_it = ring_rmse(without.methods["one"], without.ground_truth, without.ring)
+    assert all_of_it > 0.03 and left < 0.2 * all_of_it
+
+
 def test_ball_is_lit_as_without_a_catcher():
     scene, ball = sunlit()
-    with_shadow, _ = compared(scene, ball)
-    without, _ = compared(scene, ball, has_surfaces=False)
+    with_shadow, _ = compared(scene, [ball])
+    without, _ = compared(scene, [ball], has_surfaces=False)
     inside = with_shadow.weights > 0.99
     assert inside.sum() > 60
     difference = (with_shadow.methods["one"] - without.methods["one"])[inside]
@@ -85,7 +99,7 @@ def test_ball_is_lit_as_without_a_catcher():
 def test_nothing_is_around_a_ball_high_in_the_air_and_nothing_is_left_in_the_file():
     scene, ball = sunlit(height_m=2.5)
     phone(scene, (0, -1.8, 2.2), (0, 0, 2.5))
-    result, surfaces = compared(scene, ball)
+    result, surfaces = compared(scene, [ball])
     assert surfaces == [] and result.ring.any()
     assert not shadow_catchers() and not has_anything(scene)
     assert not [mesh for mesh in bpy.data.meshes if mesh.name.startswith("Xihe")]

@@ -40,7 +40,7 @@ from xihe_blender.apply.shadow_catchers import (
 )
 from xihe_blender.capture.render import Rendered, RenderSettings, render_passes, stacked_rgb, working_scene
 from xihe_blender.capture.scanner import first_layer
-from xihe_blender.compare.shadows import box_of, ring_around, ring_rmse, shadow_on, surfaces_seen
+from xihe_blender.compare.shadows import box_of, ring_around, ring_rmse, shadow_of_all, surfaces_seen
 from xihe_blender.io.outputs import written_whole
 from xihe_blender.io.run_results import Metrics
 from xihe_blender.scene.units import metres_per_unit
@@ -147,9 +147,7 @@ class Comparer:
         methods, weights, ring = {}, np.zeros(background.shape[:2]), np.zeros(background.shape[:2], bool)
         for method in lights:
             layers = {key[1]: lit.layers[self.layers[key]] for key in self.worlds if key[0] == method}
-            shaded = background.copy()
-            for name, passes in layers.items():
-                shaded *= shadow_on(passes, captured, surfaces.get(name, ()))
+            shaded = background * shadow_of_all(layers, captured, surfaces)
             methods[method], weights = composite(shaded, list(layers.values()), captured)
             ring = ring_around(weights)
         exposed = truth.radiance.astype(np.float64) * captured.exposure

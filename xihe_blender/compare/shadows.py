@@ -62,13 +62,28 @@ def surfaces_seen(frames: Sequence[RgbdFrame], corners_m: ArrayF64) -> list[Surf
     return [clear_of(surface, corners_m) for surface in found]
 
 
+def shadow_of_all(
+    layers: Mapping[str, Mapping[str, ArrayF32]], captured: RgbdFrame, surfaces: Mapping[str, Sequence[Surface]]
+) -> ArrayF64:
+    """(H, W, 3) by what the captured frame is multiplied for the shadows of all objects, by whose names the layers are.
+
+    Objects that hold out in a layer cast their shadow in it as well. So of the layers of all the darkest counts: in
+    their product one shadow would be there as often as there are objects.
+    """
+    each = [shadow_on(passes, captured, surfaces.get(name, ())) for name, passes in layers.items()]
+    darkest: ArrayF64 = np.min(each, axis=0)
+    return np.where(darkest < 1, darkest, np.max(each, axis=0))
+
+
 def shadow_on(passes: Mapping[str, ArrayF32], captured: RgbdFrame, surfaces: Sequence[Surface]) -> ArrayF64:
     """(H, W, 3) by what a layer with a catcher multiplies the captured frame: 1 where its surfaces are not seen."""
     ratio = np.ones((*captured.plane_depth_m.shape, 3))
     if f"{SHADOW_PASS}.R" not in passes or not surfaces:
         return ratio
     points_m = unproject_frame(captured).points_m.reshape(ratio.shape).astype(np.float64)
-    is_seen = on_surfaces(points_m, surfaces) & valid_plane_depth(captured.plane_depth_m) & (passes["Combined.A"] < 1)
+    # Where no catcher is rendered the denoiser makes up a ratio.
+    is_rendered = valid_plane_depth(passes["Depth.Z"]) & (passes["Combined.A"] < 1)
+    is_seen = on_surfaces(points_m, surfaces) & valid_plane_depth(captured.plane_depth_m) & is_rendered
     caught = np.stack([passes[f"{SHADOW_PASS}.{channel}"] for channel in "RGB"], axis=-1).astype(np.float64)
     middle = np.median(caught, axis=-1, keepdims=True)
     caught = np.clip(caught, middle - COLOUR, middle + COLOUR).clip(0.0, BRIGHTEST)
