@@ -45,8 +45,9 @@ def test_the_readme_is_short():
     assert len(README.split()) <= MOST_WORDS
 
 
-def test_the_readme_has_one_picture_and_one_table():
-    assert len(re.findall(r"!\[", README)) == 1
+def test_the_readme_has_two_pictures_and_one_table():
+    """The panel, and what objects look like."""
+    assert len(re.findall(r"!\[", README)) == 2
     assert len(re.findall(r"^\| ?---", README, re.MULTILINE)) == 1
 
 

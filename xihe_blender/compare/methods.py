@@ -40,7 +40,15 @@ from xihe_blender.apply.shadow_catchers import (
 )
 from xihe_blender.capture.render import Rendered, RenderSettings, render_passes, stacked_rgb, working_scene
 from xihe_blender.capture.scanner import first_layer
-from xihe_blender.compare.shadows import box_of, ring_around, ring_rmse, shadow_of_all, surfaces_seen
+from xihe_blender.compare.shadows import (
+    BRIGHTEST,
+    SHADOW_CHANNELS,
+    box_of,
+    ring_around,
+    ring_rmse,
+    shadow_of_all,
+    surfaces_seen,
+)
 from xihe_blender.io.outputs import written_whole
 from xihe_blender.io.run_results import Metrics
 from xihe_blender.scene.units import metres_per_unit
@@ -258,12 +266,13 @@ def blended(
     is_known = np.isfinite(weights).all(axis=0) & valid_plane_depth(depth_m)
     weights = np.where(is_known, weights, 1.0)
     weights /= weights.sum(axis=0)
-    shared = {name: layers[0][name] for name in ("Depth.Z", "Combined.A")}
-    mixed = {
-        name: np.einsum("kij,kij->ij", weights, np.stack([layer[name] for layer in layers])).astype(np.float32)
-        for name in layers[0].keys() - shared.keys()
-    }
-    return shared | mixed
+    mixed = {name: layers[0][name] for name in ("Depth.Z", "Combined.A")}
+    for name in layers[0].keys() - mixed.keys():
+        each = np.stack([layer[name] for layer in layers])
+        if name in SHADOW_CHANNELS:  # A ratio to hardly any light would outweigh all others.
+            each = np.clip(np.nan_to_num(each, nan=1.0), 0.0, BRIGHTEST)
+        mixed[name] = np.einsum("kij,kij->ij", weights, each).astype(np.float32)
+    return mixed
 
 
 def composite(

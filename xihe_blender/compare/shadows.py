@@ -30,14 +30,14 @@ MOST_FRAMES = 12
 RING = 0.5
 """Width of the ring, in roots of the area that an object covers in the picture."""
 
-BRIGHTEST = 2.0
+BRIGHTEST = 1.2
 """By so much an object may brighten the room with the light that it throws on it; above that it is noise."""
 
 COLOUR = 0.25
 """By so much the ratio of a channel may differ from that of the middle one. Spherical harmonics can be near 0, or
 negative, in a channel and a direction, and a ratio to that says nothing."""
 
-SHADOW_PASS = "Shadow Catcher"
+SHADOW_CHANNELS = tuple(f"Shadow Catcher.{channel}" for channel in "RGB")
 
 
 def box_of(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> ArrayF64:
@@ -78,13 +78,13 @@ def shadow_of_all(
 def shadow_on(passes: Mapping[str, ArrayF32], captured: RgbdFrame, surfaces: Sequence[Surface]) -> ArrayF64:
     """(H, W, 3) by what a layer with a catcher multiplies the captured frame: 1 where its surfaces are not seen."""
     ratio = np.ones((*captured.plane_depth_m.shape, 3))
-    if f"{SHADOW_PASS}.R" not in passes or not surfaces:
+    if SHADOW_CHANNELS[0] not in passes or not surfaces:
         return ratio
     points_m = unproject_frame(captured).points_m.reshape(ratio.shape).astype(np.float64)
     # Where no catcher is rendered the denoiser makes up a ratio.
     is_rendered = valid_plane_depth(passes["Depth.Z"]) & (passes["Combined.A"] < 1)
     is_seen = on_surfaces(points_m, surfaces) & valid_plane_depth(captured.plane_depth_m) & is_rendered
-    caught = np.stack([passes[f"{SHADOW_PASS}.{channel}"] for channel in "RGB"], axis=-1).astype(np.float64)
+    caught = np.stack([passes[name] for name in SHADOW_CHANNELS], axis=-1).astype(np.float64)
     middle = np.median(caught, axis=-1, keepdims=True)
     caught = np.clip(caught, middle - COLOUR, middle + COLOUR).clip(0.0, BRIGHTEST)
     ratio[is_seen] = _without_speckles(caught, is_seen)
