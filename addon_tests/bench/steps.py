@@ -3,9 +3,11 @@
     python addon_tests/bench/steps.py [--repeats 50]
 
 One synthetic frame of 256x192 points in a furnished box, 1280 anchors. Stages are timed one by one, then whole steps
-for one and for four probes, interleaved, so that the machine's drift hits all alike. Prints minimum and median, and
-what patches cost: unprojecting and sampling with them over the same without, minimum over minimum of interleaved
-repetitions. On 2026-11-22, on a busy machine: 1.3 to 1.4 here, and 1.5 to 1.7 in eight views of two furnished scenes.
+for one and for four probes, with a key light, and with reflections besides, interleaved, so that the machine's drift
+hits all alike; and the search for the surfaces that catch a shadow, once for each object and compared picture. Prints
+minimum and median, and what patches cost: unprojecting and sampling with them over the same without, minimum over
+minimum of interleaved repetitions. On 2026-11-22, on a busy machine: 1.3 to 1.4 here, and 1.5 to 1.7 in eight views of
+two furnished scenes.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from xihenet.light_change import LightFollowing, follow_light
 from xihenet.records import Intrinsics, RgbdFrame, TriggerDecision
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
+from xihenet.surfaces import points_within, surfaces_around
 from xihenet.trigger import LastSeen, TriggerSettings, decide_trigger
 
 CAMERA = Intrinsics(256, 192, 200.0, 200.0, 128.0, 96.0)
@@ -72,9 +75,9 @@ def main() -> None:
     buffers = PositionBuffers.empty(1280).with_frame(cloud).fired()
     projection = estimators.load("projection")
 
-    def whole(n_probes: int) -> XiheController:
+    def whole(n_probes: int, **parts: bool) -> XiheController:
         # Theta 0: every step fires, so every step pays for all stages.
-        controller = XiheController(LocalBackend(projection), ControllerSettings(TriggerSettings(theta=0.0)))
+        controller = XiheController(LocalBackend(projection), ControllerSettings(TriggerSettings(theta=0.0), **parts))
         for k, position in enumerate(PROBES[:n_probes]):
             controller.add_position(f"probe {k}", position)
         return controller
@@ -83,6 +86,8 @@ def main() -> None:
         seen = LastSeen(buffers.last_seen(), other)
         return decide_trigger(buffers.persistent, other, lattice, settings, last_seen=seen)
 
+    with_key, with_all = whole(1, has_key_light=True), whole(1, has_key_light=True, has_reflections=True)
+    around, twelve = np.array([0.0, 2.0, -1.4]), [frame_of_a_box(seed) for seed in range(12)]
     one, four, following, turn = whole(1), whole(4), LightFollowing(), itertools.count()
     candidates = {
         "unproject": lambda: unproject_frame(frames[0]),
@@ -98,6 +103,9 @@ def main() -> None:
         "estimate, projection": lambda: projection.estimate(cloud),
         "whole step, 1 probe": lambda: one.step(frames[next(turn) % 2]),
         "whole step, 4 probes": lambda: four.step(frames[next(turn) % 2]),
+        "whole step, key light": lambda: with_key.step(frames[next(turn) % 2]),
+        "whole step, reflections too": lambda: with_all.step(frames[next(turn) % 2]),
+        "surfaces for a shadow": lambda: surfaces_around(*points_within(twelve, around, 0.6), around, 0.6),
     }
     print(f"{'256x192 points, 1280 anchors':<28}{'min ms':>9}{'median':>9}{'budget':>9}")
     medians = {}
