@@ -22,7 +22,7 @@ from tiny_scenes import (
     set_world,
 )
 
-from xihe_blender.capture.render import RenderSettings
+from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import meter_exposure, open_scanner, phone_camera, sized_for
 from xihe_blender.errors import UserError
 from xihenet.camera import KEY_LUMINANCE, ray_distance_from_plane_depth, unproject_frame
@@ -152,8 +152,11 @@ def test_no_camera_and_one_that_is_not_perspective_or_scaled_to_zero_are_refused
     with pytest.raises(UserError, match="scale of 0"):
         phone_camera(scene)
     scene.camera = None
-    with pytest.raises(UserError, match="has no camera"):
-        phone_camera(scene)
+    with (
+        working_scene(scene, "Xihe Plan", RenderSettings((4, 4), samples=1)) as working,
+        pytest.raises(UserError, match=f"scene '{scene.name}' has no camera"),
+    ):
+        phone_camera(working)
 
 
 def test_sky_has_no_plane_depth_but_a_colour():

@@ -23,7 +23,7 @@ import bpy
 import numpy as np
 
 from xihe_blender.errors import UserError
-from xihe_blender.scene.state import WORKING
+from xihe_blender.scene.state import WORKING, users_name
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import MISS_PLANE_DEPTH_M
 from xihenet.exr import read_exr
@@ -81,7 +81,7 @@ def working_scene(scene: bpy.types.Scene, name: str, settings: RenderSettings) -
     copy = scene.copy()
     try:
         copy.name = name
-        copy[WORKING] = True
+        copy[WORKING] = scene.get(WORKING, scene.name)
         for layer in list(copy.view_layers)[1:]:
             copy.view_layers.remove(layer)
         set_up_cycles(copy, settings)
@@ -166,7 +166,7 @@ def render_passes(scene: bpy.types.Scene) -> Rendered:
             with bpy.context.temp_override(scene=scene):
                 bpy.ops.render.render()
         except RuntimeError as error:
-            raise UserError(f"Cycles could not render {scene.name!r}: {str(error).strip()}") from error
+            raise UserError(f"Cycles could not render {users_name(scene)!r}: {str(error).strip()}") from error
         result = next(image for image in bpy.data.images if image.type == "RENDER_RESULT")
         with contextlib.suppress(RuntimeError):  # Said below, where the file is read.
             result.save_render(str(path), scene=scene)

@@ -27,6 +27,7 @@ from xihe_blender.capture.render import (
     working_scene,
 )
 from xihe_blender.errors import UserError
+from xihe_blender.scene.state import users_name
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.camera import encode_exposed, sensed_ambient, sound_plane_depth
@@ -108,7 +109,7 @@ def phone_camera(scene: bpy.types.Scene) -> tuple[Intrinsics, ArrayF64]:
     """
     camera = scene.camera
     if camera is None:
-        raise UserError(f"scene {scene.name!r} has no camera: add one and animate it as the phone's path")
+        raise UserError(f"scene {users_name(scene)!r} has no camera: add one and animate it as the phone's path")
     if camera.type != "CAMERA" or camera.data.type != "PERSP":
         kind = camera.data.type.lower() if camera.type == "CAMERA" else camera.type.lower()
         raise UserError(f"camera {camera.name!r} is {kind}: a phone's camera must be perspective (camera data > Type)")

@@ -17,7 +17,15 @@ from typing import Any
 import bpy
 
 WORKING = "xihe_working"
-"""Custom property of working scenes, by which those are found that an Undo or a saved file brought back."""
+"""Custom property of working scenes, by which those are found that an Undo or a saved file brought back.
+
+It is the name of the scene that one is a copy of."""
+
+
+def users_name(scene: bpy.types.Scene) -> str:
+    """The name of `scene`, or of the user's scene that it is a working copy of: one that the user knows."""
+    name = scene.get(WORKING)
+    return name if isinstance(name, str) else scene.name
 
 
 @contextlib.contextmanager
