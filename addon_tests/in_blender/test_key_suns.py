@@ -6,7 +6,7 @@ import pytest
 from addon_runs import lit_walk, registered_addon
 from renders import pixels_of_file, rendered
 from shown_lights import keyed
-from tiny_scenes import empty_scene, material, opened, orthographic, sphere
+from tiny_scenes import box, empty_scene, material, opened, orthographic, phone, sphere
 
 from xihe_blender.apply.datablocks import KEY_LIGHT, SHADOW_CATCHER
 from xihe_blender.apply.key_suns import (
@@ -24,14 +24,18 @@ from xihe_blender.apply.shadow_catchers import catcher_name, shadow_catchers
 from xihe_blender.capture.render import RenderSettings, render_passes
 from xihe_blender.compare.methods import open_comparer
 from xihe_blender.io.exr import read_radiance
+from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import read_results
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.kept_session import open_kept_session
 from xihe_blender.previs.light_called_for import is_shiny, light_called_for
 from xihe_blender.previs.lit_blend import key_object_light
+from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.prepare import prepare_run, survey_run
 from xihe_blender.previs.results import last_surfaces, light_of_change
 from xihe_blender.previs.results_notes import light_notes
-from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.previs.run_chain import walk_path
+from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.scene.sphere_rig import add_three_sphere_rig
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet import sh
@@ -135,6 +139,23 @@ def test_a_run_says_its_key_lights_and_the_file_has_them(ran):
             # No scene holds the suns yet that could play their keys.
             strength = next(curve for curve in f_curves(suns[name].data) if curve.data_path == "energy")
             assert strength.evaluate(change.frame) == pytest.approx(energy, rel=1e-5)
+
+
+@pytest.mark.parametrize("light", ["sh+key", "sh+key+reflections"])
+def test_key_light_of_truth_points_at_the_lamp_that_nobody_looked_at(tmp_path, light):
+    scene, at = empty_scene(), np.array([0.8, 0.5, 2.3])
+    box(scene, "Room", (0, 0, 1.25), (4, 4, 2.5), material("Walls", (0.6, 0.5, 0.4)), inward=True)
+    box(scene, "Lamp", at, (0.2, 0.2, 0.05), material("Lamp", (1, 1, 1), 60.0))
+    box(scene, "Dim", (-1.5, -1.5, 1.0), (0.6, 0.6, 0.6), material("Dim", (1, 1, 1), 2.0))
+    ball = sphere(scene, "Ball", (0, 0, 1), 0.1, material("Ball", (1, 1, 1)), virtual_collection(scene, create=True))
+    phone(scene, (-0.5, -1.5, 1.2), (0, 0, 1.0))
+    settings = PrevisSettings(frames=(1,), size=(32, 24), samples=16, preset="draft", light=light)
+    outputs, plan = RunOutputs(tmp_path, "room"), plan_previs(scene, settings)
+    survey = survey_run(scene, plan, outputs)
+    run = run_blocking(prepare_run(scene, plan, survey, outputs, settings, load_estimators(settings)))
+    key = run_blocking(walk_path(run)).lights[1]["truth"]["Ball"].key
+    towards = (at - np.array(ball.location)) / np.linalg.norm(at - np.array(ball.location))
+    assert key.is_seen and key.direction @ towards > np.cos(np.radians(4))
 
 
 def test_a_run_keeps_what_is_reflected_and_the_file_shows_it_from_frame_to_frame(ran):

@@ -23,7 +23,7 @@ from xihe_blender.io.outputs import finite_or_none, write_picture
 from xihe_blender.io.run_results import FrameResult, OtherLight, PhoneErrors, ProbeResult
 from xihe_blender.jobs import Progress
 from xihe_blender.previs import results
-from xihe_blender.previs.path_renders import FrameRenders, kept_renders, render_path, true_reflections
+from xihe_blender.previs.path_renders import FrameRenders, kept_renders, render_path, true_reflections, true_view
 from xihe_blender.previs.phone_capture import CaptureFacts, SimulatedPhone, facts_of_capture, simulate_phone
 from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.plan import Probe
@@ -35,7 +35,7 @@ from xihenet.light.key_light import mean_light, split_light, with_positions
 from xihenet.metrics import share_above_white, shc_rmse
 from xihenet.phone import NETWORK, Link, Request
 from xihenet.recording import load_frame, save_frame
-from xihenet.records import ArrayF64, ObjectLight, Reflections, RgbdFrame, StepReport
+from xihenet.records import ArrayF64, KeyLight, ObjectLight, Reflections, RgbdFrame, StepReport
 
 NOT_REPEATED = "frame_rate"
 """Frames that the phone did not deliver were never captured."""
@@ -101,6 +101,8 @@ class _Walk:
         """The last reference light of each probe."""
         self.reflections: dict[str, tuple[int, Reflections]] = {}
         """The last rendered reflections of each object's first probe, and their frame, where the run has any."""
+        self.true_keys: dict[str, tuple[int, KeyLight | None]] = {}
+        """The last key light of `truth` at each probe, and the frame of its light, where the run has any."""
 
     def step(self, frame: int) -> None:
         start = time.perf_counter()
@@ -119,6 +121,8 @@ class _Walk:
         run, target = self.run, self.run.settings.target
         self.references |= rendered.references
         self._see_reflections(rendered)
+        if run.settings.has_key_light:
+            self._see_true_keys(rendered)
         truth = {name: light.of(target) for name, light in rendered.references.items()}
         seen, n_lost = self.phone.see(rendered.captured, run.outputs)
         if seen is not rendered.captured and self.keeps_session:
@@ -187,11 +191,21 @@ class _Walk:
                 if kept is None or kept[0] != source:
                     self.reflections[probe.name] = source, true_reflections(self.run, probe, frame, lattice)
 
+    def _see_true_keys(self, rendered: FrameRenders) -> None:
+        """The key lights of `truth`, from all that there is to see at each position."""
+        lattice, frame = self.session.controller.lattice, rendered.captured.frame
+        for probe in (one for one in self.run.plan.probes if one.name in rendered.references):
+            source, kept = self.run.reuse.probes[frame, probe.name], self.true_keys.get(probe.name)
+            if kept is None or kept[0] != source:
+                view, previous = true_view(self.run, probe, frame, lattice), kept[1] if kept else None
+                split = split_light(rendered.references[probe.name].hdr, view, lattice, previous)
+                self.true_keys[probe.name] = source, split.key
+
     def _true_light(self, name: str) -> ObjectLight:
         if name not in self.references:
             return ObjectLight(self.session.ambient_sh)
-        sh = self.references[name].hdr
-        return ObjectLight(sh, split_light(sh).key if self.run.settings.has_key_light else None)
+        _, key = self.true_keys.get(name, (None, None))
+        return ObjectLight(self.references[name].hdr, key)
 
     def _other_lights(self, name: str, time_s: float, truth: ArrayF64) -> dict[str, OtherLight]:
         lights = {other: self.session.light(name, time_s, other) for other in self.run.settings.others}
