@@ -46,7 +46,7 @@ EQUAL = 0.9
 LEAST_FLUX = 0.08
 """Share of all light that has to come from the key light: less is flat light."""
 
-STAYS_FROM = 0.75
+STAYS_FROM = 0.5
 N_TURNS = 40
 N_ASCENT, N_STEPS = 40, 3
 SWEEPS = 60
@@ -85,7 +85,7 @@ def split_light(
     ----------
     sh_radiance : (9, 3) radiance coefficients, linear
     cloud, lattice : what was seen from the position, if anything was; the lattice is the cloud's
-    previous : the key light of the estimate before, which stays while it is nearly as strong as the strongest
+    previous : the key light of the estimate before, which stays while it is at least half as strong as the strongest
 
     ValueError for coefficients that are not finite or not of order 2, and for a cloud without its lattice.
     """
