@@ -27,7 +27,7 @@ from mathutils import Vector
 
 from xihe_blender.cli.arguments import picture_size
 from xihe_blender.compare.methods import composite, load_ground_truth, measure, open_comparer, save_ground_truth
-from xihe_blender.compare.shadows import ring_around, ring_rmse, shadow_of_all
+from xihe_blender.compare.shadows import ring_around, ring_rmse, shadow_of_all, surfaces_in_view
 from xihe_blender.io.kept_files import read_kept
 from xihe_blender.io.outputs import RunOutputs, write_picture
 from xihe_blender.jobs import run_blocking
@@ -103,6 +103,7 @@ def measured(file: Path, out: Path, settings: PrevisSettings, every: int) -> dic
                 for method, (who, parts) in methods.items()
             }
             surfaces = surfaces_known(run, frame, comparer)
+            in_view = surfaces_in_view(captured, surfaces)
             layers = comparer.render_layers(captured, lights, surfaces).layers
             background = srgb_to_linear(captured.srgb_u8 / 255.0)
             exposed = truth.radiance.astype(np.float64) * captured.exposure
@@ -110,7 +111,7 @@ def measured(file: Path, out: Path, settings: PrevisSettings, every: int) -> dic
             for method in methods:
                 passes = {item.name: layers[comparer.layers[method, item.name]] for item in run.plan.objects}
                 has_shadow = methods[method][1] != "sh"
-                shaded = background * (shadow_of_all(passes, captured, surfaces) if has_shadow else 1)
+                shaded = background * (shadow_of_all(passes, in_view) if has_shadow else 1)
                 row.append(composite(shaded, list(passes.values()), captured)[0])
                 weights = composite(shaded, list(passes.values()), captured)[1]
                 if weights.sum() > 60:

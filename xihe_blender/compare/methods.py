@@ -47,6 +47,7 @@ from xihe_blender.compare.shadows import (
     ring_around,
     ring_rmse,
     shadow_of_all,
+    surfaces_in_view,
     surfaces_seen,
 )
 from xihe_blender.io.outputs import written_whole
@@ -152,14 +153,13 @@ class Comparer:
         """
         lit = self.render_layers(captured, lights, surfaces)
         background = srgb_to_linear(captured.srgb_u8 / 255.0)
-        methods, weights, ring = {}, np.zeros(background.shape[:2]), np.zeros(background.shape[:2], bool)
+        methods, weights, in_view = {}, np.zeros(background.shape[:2]), surfaces_in_view(captured, surfaces)
         for method in lights:
             layers = {key[1]: lit.layers[self.layers[key]] for key in self.worlds if key[0] == method}
-            shaded = background * shadow_of_all(layers, captured, surfaces)
+            shaded = background * shadow_of_all(layers, in_view)
             methods[method], weights = composite(shaded, list(layers.values()), captured)
-            ring = ring_around(weights)
         exposed = truth.radiance.astype(np.float64) * captured.exposure
-        return Comparison(exposed, methods, weights, ring, truth.render_s + lit.render_s)
+        return Comparison(exposed, methods, weights, ring_around(weights), truth.render_s + lit.render_s)
 
     def render_layers(
         self,

@@ -24,8 +24,6 @@ REACH = 4.0
 """Half diagonals of an object's box, from its middle: so far its shadow is looked for."""
 
 FARTHEST_M = 3.0
-MOST_FRAMES = 12
-"""Of those captured so far, evenly spread: more show no more of a table."""
 
 RING = 0.5
 """Width of the ring, in roots of the area that an object covers in the picture."""
@@ -56,34 +54,37 @@ def surfaces_seen(frames: Sequence[RgbdFrame], corners_m: ArrayF64) -> list[Surf
     centre_m, reach_m = (low_m + high_m) / 2, min(REACH * float(np.linalg.norm(high_m - low_m)) / 2, FARTHEST_M)
     if not reach_m > 0:
         return []
-    chosen = np.unique(np.linspace(0, len(frames) - 1, MOST_FRAMES).round().astype(int)) if frames else []
-    points_m, seen_from_m = points_within([frames[k] for k in chosen], centre_m, reach_m)
+    points_m, seen_from_m = points_within(frames, centre_m, reach_m)
     found = surfaces_around(points_m, seen_from_m, centre_m, reach_m)
     return [clear_of(surface, corners_m) for surface in found]
 
 
-def shadow_of_all(
-    layers: Mapping[str, Mapping[str, ArrayF32]], captured: RgbdFrame, surfaces: Mapping[str, Sequence[Surface]]
-) -> ArrayF64:
-    """(H, W, 3) by what the captured frame is multiplied for the shadows of all objects, by whose names the layers are.
+def surfaces_in_view(captured: RgbdFrame, surfaces: Mapping[str, Sequence[Surface]]) -> dict[str, ArrayBool]:
+    """By object, which pixels (H, W) of a frame show a surface that its shadow falls on; none for one without any."""
+    is_valid = valid_plane_depth(captured.plane_depth_m)
+    points_m = unproject_frame(captured).points_m.reshape(*is_valid.shape, 3).astype(np.float64)
+    return {name: on_surfaces(points_m, found) & is_valid for name, found in surfaces.items() if found}
 
-    Objects that hold out in a layer cast their shadow in it as well. So of the layers of all the darkest counts: in
-    their product one shadow would be there as often as there are objects.
+
+def shadow_of_all(layers: Mapping[str, Mapping[str, ArrayF32]], in_view: Mapping[str, ArrayBool]) -> ArrayF64 | float:
+    """(H, W, 3) by what the captured frame is multiplied for the shadows of all objects; 1 where there is none.
+
+    `layers` and `in_view`, as `surfaces_in_view` has it, are by object. Objects that hold out in a layer cast their
+    shadow in it as well. So of the layers of all the darkest counts: in their product one shadow would be there as
+    often as there are objects.
     """
-    each = [shadow_on(passes, captured, surfaces.get(name, ())) for name, passes in layers.items()]
+    each = [shadow_on(layers[name], is_in_view) for name, is_in_view in in_view.items() if name in layers]
+    if not each:
+        return 1.0
     darkest: ArrayF64 = np.min(each, axis=0)
     return np.where(darkest < 1, darkest, np.max(each, axis=0))
 
 
-def shadow_on(passes: Mapping[str, ArrayF32], captured: RgbdFrame, surfaces: Sequence[Surface]) -> ArrayF64:
-    """(H, W, 3) by what a layer with a catcher multiplies the captured frame: 1 where its surfaces are not seen."""
-    ratio = np.ones((*captured.plane_depth_m.shape, 3))
-    if SHADOW_CHANNELS[0] not in passes or not surfaces:
-        return ratio
-    points_m = unproject_frame(captured).points_m.reshape(ratio.shape).astype(np.float64)
+def shadow_on(passes: Mapping[str, ArrayF32], is_in_view: ArrayBool) -> ArrayF64:
+    """(H, W, 3) by what a layer with a catcher multiplies the captured frame: 1 where its surfaces are not in view."""
+    ratio = np.ones((*is_in_view.shape, 3))
     # Where no catcher is rendered the denoiser makes up a ratio.
-    is_rendered = valid_plane_depth(passes["Depth.Z"]) & (passes["Combined.A"] < 1)
-    is_seen = on_surfaces(points_m, surfaces) & valid_plane_depth(captured.plane_depth_m) & is_rendered
+    is_seen = is_in_view & valid_plane_depth(passes["Depth.Z"]) & (passes["Combined.A"] < 1)
     caught = np.stack([passes[name] for name in SHADOW_CHANNELS], axis=-1).astype(np.float64)
     middle = np.median(caught, axis=-1, keepdims=True)
     caught = np.clip(caught, middle - COLOUR, middle + COLOUR).clip(0.0, BRIGHTEST)

@@ -22,13 +22,16 @@ from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.outputs import RunOutputs, copy_whole, write_json, write_picture
 from xihe_blender.io.run_results import ComparedFrame
 from xihe_blender.jobs import Progress
-from xihe_blender.previs.plan import compared_frames
+from xihe_blender.previs.plan import compared_frames, evenly_chosen
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.results import as_surface_result
 from xihe_blender.previs.run_chain import Lights, WalkedPath
 from xihenet.json_files import read_json
 from xihenet.recording import load_frame
 from xihenet.surfaces import Surface
+
+MOST_SEEN = 12
+"""Captures in which surfaces are looked for, evenly spread: more show no more of a table."""
 
 _compared_in = functools.partial(from_json, ComparedFrame)
 
@@ -119,7 +122,8 @@ def surfaces_known(run: PreparedRun, frame: int, comparer: Comparer) -> dict[str
     """By object, the surfaces around it that the phone has seen up to `frame`; nothing where no shadow is caught."""
     if not comparer.catchers:
         return {}
-    seen = [load_frame(run.outputs.capture(one)) for one in frames_seen(run, frame)]
+    chosen = evenly_chosen(frames_seen(run, frame), MOST_SEEN)
+    seen = [load_frame(run.outputs.capture(one)) for one in chosen]
     return comparer.surfaces_around_objects(seen, frame)
 
 
