@@ -18,9 +18,10 @@ from xihe_blender.io.json_records import as_json, from_json, json_schema
 from xihe_blender.io.kept_files import DAMAGED
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.frontier.choices import render_choices
+from xihe_blender.lab.frontier.pictures import LIGHTS, kept_pictures, picture_choices
 from xihe_blender.lab.frontier.points import Measured, family, group, groups, kept_scene, points_of
 from xihe_blender.lab.frontier.records import ChoiceSettings, Frontier, FrontierSettings, RenderChoice, StudySize
-from xihe_blender.lab.frontier.rendering import kept_pictures, kept_round, picture_choices
+from xihe_blender.lab.frontier.rendering import kept_round
 from xihe_blender.lab.frontier.report import pareto_plot
 from xihe_blender.lab.frontier.study import frontier, kept_preparation, kept_truths, survey_scene
 from xihe_blender.scene.blend_file import open_blend
@@ -108,6 +109,9 @@ def test_a_small_frontier_keeps_its_contract(done):
         for kind in ("coefficients", "picture"):
             named = [p.preset for p in group(found.points, "room", front, kind) if p.preset]
             assert sorted(named) == ["accurate", "balanced", "draft"]
+        for kind in ("picture_truth", "ring_truth"):
+            own = family(group(found.points, "room", front, kind), ("light",))
+            assert tuple(p.settings.light for p in own) == LIGHTS
     assert found.software["command"] == "as typed" and found.answers
 
 
@@ -115,7 +119,11 @@ def test_table_and_report_hold_all_and_ask_for_nothing_else(done):
     lines = (done / "out" / "frontier.csv").read_text(encoding="utf-8").splitlines()
     assert len(lines) == 1 + len(read(done).points) and lines[0].startswith("scene,front,error_kind,label")
     page = (done / "out" / "report.html").read_text(encoding="utf-8")
-    assert "How many anchors?" in page and page.count('class="plot wide"') >= 8
+    assert (
+        "How many anchors?" in page
+        and "Do objects need a key light and reflections?" in page
+        and page.count('class="plot wide"') >= 8
+    )
     assert "http://" not in page and "src=" not in page
 
 
@@ -184,7 +192,7 @@ BROKEN = [
     *[("round", (0, "ms"), value) for value in (None, "1", -1.0, True)],
     *[("round", (0, "lights", "base"), value) for value in (None, [], 1.0, [[[1.0] * 3] * 9])],
     *[("pictures", ("choices", 0), value) for value in (None, 1.0)],
-    *[("pictures", ("choices", 0, "square_error"), value) for value in (None, -0.1, "0")],
+    *[("pictures", ("choices", 0, "square_errors", "ring_truth"), value) for value in (None, -0.1, "0")],
     *[("pictures", ("estimators", "base"), value) for value in (None, -0.1)],
 ]
 

@@ -16,6 +16,8 @@ HOW_MANY_ANCHORS = "How many anchors?"
 LAST_TENTH = "What does the last 10 % of accuracy cost?"
 """These two are asked by a batch as well."""
 
+WHAT_LIGHT = "Do objects need a key light and reflections?"
+
 GOOD_ENOUGH = 0.01
 """A difference of a hundredth of the light is hard to see."""
 
@@ -36,6 +38,7 @@ def answers(scenes: Sequence[str], points: Sequence[FrontierPoint]) -> list[Answ
             "How large a frame?": _frame_size(render),
             "How many bounces?": _bounces(render),
             "What do the presets cost?": _presets(total),
+            WHAT_LIGHT: _what_light(*(group(points, scene, "total", kind) for kind in ("picture_truth", "ring_truth"))),
             LAST_TENTH: f"{_last_tenth(render, 'Rendering')} {_last_tenth(compute, 'Computing')}",
         }
         told = [(question, answer) for question, answer in by_question.items() if answer.strip()]
@@ -118,6 +121,19 @@ def _bounces(points: Sequence[FrontierPoint]) -> str:
 def _presets(points: Sequence[FrontierPoint]) -> str:
     words = [f"{p.name} is {_light_and_time(p, 'off in')} a frame" for p in points if p.preset is not None]
     return f"{'; '.join(words)}." if words else ""
+
+
+def _what_light(inside: Sequence[FrontierPoint], around: Sequence[FrontierPoint]) -> str:
+    own = family(inside, ("light",))
+    if not own:
+        return ""
+    ring = {p.label: format_share(p.error) for p in around}
+    best = min(own, key=lambda p: p.error)
+    listed = "; ".join(f"{p.settings.light} {_light_and_time(p)}, {ring[p.label]} around them" for p in own)
+    return (
+        f"{best.settings.light} brings the objects closest to the path-traced picture. Off it, by what they are lit "
+        f"with: {listed}."
+    )
 
 
 def _last_tenth(points: Sequence[FrontierPoint], doing: str) -> str:

@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from xihe_blender.lab.frontier.records import ComputeChoice, RenderChoice, StudySize
+from xihenet.light import LightParts
 from xihenet.sphere import TABLE_SIZE
 
 EXHAUSTIVE = ComputeChoice(nearest="brute", theta=0.0)
@@ -29,17 +30,21 @@ QUICK = StudySize(6, 4, 16, 15, 1, 2, 96, (1, 4, 16), 0)
 class RenderCandidate:
     """A way to render that is measured: a preset's on the scene at hand, or one of the others (None).
 
-    With `picture_samples`, per pixel, it is the pictures of the comparison that are measured.
+    With `picture_samples`, per pixel, it is the pictures of the comparison that are measured, and `light` is what
+    objects in them are lit with.
     """
 
     choice: RenderChoice
     preset: str | None = None
     picture_samples: int | None = None
+    light: LightParts | None = None
 
     @property
     def label(self) -> str:
-        words = self.choice.label
-        return words if self.picture_samples is None else f"capture {words}; pictures {self.picture_samples} samples"
+        if self.picture_samples is None:
+            return self.choice.label
+        words = f"capture {self.choice.label}; pictures {self.picture_samples} samples"
+        return words if self.light == "sh" else f"{words}, {self.light}"
 
     @property
     def key(self) -> str:

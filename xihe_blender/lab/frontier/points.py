@@ -38,6 +38,7 @@ CHOICES = (
     ("Bounces", "render", ("max_bounces",)),
     ("Denoiser", "render", ("is_denoised",)),
     ("Samples of the pictures", "render", ("picture_samples",)),
+    ("What objects are lit with", "render", ("light",)),
 )
 """Title, front, and the settings that make the choice."""
 

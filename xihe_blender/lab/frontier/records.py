@@ -14,6 +14,7 @@ from xihe_blender.io.json_records import ABSENT, INLINE, json_schema
 from xihenet.codec import EncodingMethod
 from xihenet.estimators import DEFAULT
 from xihenet.formats import format_count
+from xihenet.light import LightParts
 from xihenet.sphere import TABLE_SIZE, NearestMethod
 
 SCHEMA_VERSION: Literal[1] = 1
@@ -116,6 +117,7 @@ class ChoiceSettings:
 
     rendering: RenderChoice | None = field(default=None, metadata=INLINE)
     picture_samples: Annotated[int | None, "per pixel of the pictures"] = field(default=None, metadata=ABSENT)
+    light: Annotated[LightParts | None, "of objects in the pictures"] = field(default=None, metadata=ABSENT)
     computing: ComputeChoice | None = field(default=None, metadata=INLINE)
     estimates: Annotated[int | None, "that a walk took"] = field(default=None, metadata=ABSENT)
     steps: Annotated[int | None, "in which it could have taken one"] = field(default=None, metadata=ABSENT)

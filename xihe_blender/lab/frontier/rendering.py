@@ -1,22 +1,16 @@
-"""Error and time of each way to render, in a few frames of a path, and of a few in the final picture.
+"""Error and time of each way to render, in a few frames of a path.
 
 Each frame is rendered exhaustively once, then by every choice in turn, with a few seeds; each render is timed and its
 light estimated, so that nothing is rendered for its time alone. Before a frame's first timed render comes a small one
 that loads the scene. One thread: two would be timed as waiting for each other. The exhaustive render, which nobody
 times, takes all.
-
-A picture costs several renders, so only a few choices are measured: the presets, and other numbers of samples for the
-comparison at the base's capture. The error of a choice is that of both pictures a comparison makes, the objects under
-the estimated light and the path-traced ground truth they are held against, each against its exhaustive self: root mean
-square of the displayed, sRGB-encoded colour inside the objects. Estimators are held against the exhaustive ground truth
-("picture_truth").
 """
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -25,27 +19,22 @@ import numpy as np
 
 from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.capture.scanner import CyclesScanner
-from xihe_blender.compare.methods import Comparer, Comparison, display, open_comparer
 from xihe_blender.io.json_records import Json, as_json, from_json
 from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.outputs import write_json
 from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.lab.frontier.choices import EXHAUSTIVE, FULL, QUICK, RenderCandidate
-from xihe_blender.lab.frontier.compute import N_COEFFICIENTS, ChoiceBackend, light_of_frame, square_errors
+from xihe_blender.lab.frontier.compute import N_COEFFICIENTS, ChoiceBackend, Walk, light_of_frame, square_errors
 from xihe_blender.lab.frontier.points import Measured
 from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice, FrontierSettings, RenderChoice, StudySize
 from xihe_blender.lab.frontier.timing import timed
 from xihe_blender.previs.plan import PrevisPlan
-from xihe_blender.previs.settings import PRESETS
 from xihe_blender.previs.survey import SceneSurvey
 from xihenet.json_files import read_json
-from xihenet.metrics import image_rmse
 from xihenet.recording import load_frame, save_frame
-from xihenet.records import ArrayF64, ObjectLight, RgbdFrame
+from xihenet.records import ArrayF64, RgbdFrame
 
 Kept = TypeVar("Kept")
-METHODS = tuple(ComputeChoice(estimator=name) for name in ("lattice", "projection", "ambient"))
-LADDER = (2, 8, 64)
 COMPUTED_BY = (ComputeChoice(), ComputeChoice(n_anchors=512), ComputeChoice(n_anchors=2048))
 """Ways to compute that are combined with every render; the first is what a render alone is judged by."""
 
@@ -69,12 +58,13 @@ class SceneStudy:
 class RenderStudy(SceneStudy):
     """What rendering is measured with: a scanner at the session's exposure, which captures as `capture` says.
 
-    `views` are frames of the path, at least one, with the positions (3,) in view of each; all choices are held against
-    `exhaustive`.
+    `views` are frames of the captured `walk`, at least one, with the positions (3,) in view of each; all choices are
+    held against `exhaustive`.
     """
 
     scanner: CyclesScanner
     capture: RenderSettings
+    walk: Walk
     views: Mapping[int, Sequence[ArrayF64]]
     choices: Sequence[RenderCandidate]
     exhaustive: RenderChoice
@@ -230,124 +220,3 @@ def _measured(
     words = candidate.label if is_base else f"{candidate.label}, {by.label}"
     settings = ChoiceSettings(rendering=candidate.choice, computing=None if is_alone else by)
     return Measured(words, settings, errors, times_ms, candidate.preset if is_base else None)
-
-
-# ------------------------------------------------------------------------------------- the final picture
-
-
-@dataclass(frozen=True)
-class PictureTaken:
-    """A choice at a view: its milliseconds, and the mean of both pictures' squared errors."""
-
-    ms: float
-    square_error: float
-
-
-@dataclass(frozen=True)
-class PicturesTaken:
-    """All choices at a view, by key, and by estimator the squared error of its picture."""
-
-    choices: dict[str, PictureTaken]
-    estimators: dict[str, float]
-
-
-def picture_choices(presets: Mapping[str, RenderChoice]) -> list[RenderCandidate]:
-    """The presets, and a ladder of samples for the pictures alone."""
-    own = [RenderCandidate(choice, name, PRESETS[name].comparison_samples) for name, choice in presets.items()]
-    others = [n for n in LADDER if n != PRESETS["balanced"].comparison_samples]
-    return [*own, *(RenderCandidate(presets["balanced"], picture_samples=n) for n in others)]
-
-
-def measure_pictures(
-    study: RenderStudy, choices: Sequence[RenderCandidate], rng: np.random.Generator
-) -> Job[tuple[list[Measured], dict[str, tuple[float, ...]]]]:
-    """The choices, and by estimator the squared errors of its pictures at the views."""
-    rounds: list[PicturesTaken] = []
-    frames = list(study.views)[: study.study_size.n_picture_views]
-    read = functools.partial(kept_pictures, choices)
-    for number, frame in enumerate(frames):
-        path = study.folder / f"pictures_{frame:04d}.json"
-        job = part_of(len(frames), number, 1, _view_measured(study, choices, frame, rng))
-        rounds.append((yield from kept_or_done(path, read, job)))
-    if not rounds:
-        return [], {}
-    measured = [
-        Measured(
-            choice.label,
-            ChoiceSettings(rendering=choice.choice, picture_samples=choice.picture_samples),
-            {"picture": tuple(one.choices[choice.key].square_error for one in rounds)},
-            tuple(one.choices[choice.key].ms for one in rounds),
-            choice.preset,
-        )
-        for choice in choices
-    ]
-    return measured, {by.label: tuple(one.estimators[by.label] for one in rounds) for by in METHODS}
-
-
-def kept_pictures(choices: Sequence[RenderCandidate], content: Json) -> PicturesTaken:
-    """What `measure_pictures` keeps of a view; TypeError or ValueError where it is of other choices."""
-    taken = from_json(PicturesTaken, content)
-    figures = [figure for one in taken.choices.values() for figure in (one.ms, one.square_error)]
-    names = {choice.key for choice in choices}, {by.label for by in METHODS}
-    if (set(taken.choices), set(taken.estimators)) != names or min(*figures, *taken.estimators.values()) < 0:
-        raise ValueError("pictures: expected times and squared errors of 0 or more, of the choices of this study")
-    return taken
-
-
-def _view_measured(
-    study: RenderStudy, choices: Sequence[RenderCandidate], frame: int, rng: np.random.Generator
-) -> Job[PicturesTaken]:
-    yield Progress(0, 1, f"comparing frame {frame} exhaustively")
-    captured = study.reference(frame)
-    study.scanner.move_to(frame)
-    lights = {by.label: _lights_of_objects(study, by, captured) for by in METHODS}
-    comparison = replace(study.capture, samples=1)
-    with open_comparer(study.scanner.scene, study.plan.objects, list(lights), comparison) as comparer:
-        # With all methods, on all cores, by another seed.
-        _set_up(comparer, study.exhaustive.samples, study.exhaustive_seed, n_threads=0)
-        truth = comparer.render_comparison(captured, lights)
-    of_estimators = {by: _square_rmse(truth.methods[by], truth.ground_truth, truth.weights) for by in lights}
-    taken: dict[str, PictureTaken] = {}
-    base = METHODS[0].label
-    with open_comparer(study.scanner.scene, study.plan.objects, [base], comparison) as comparer:
-        _set_up(comparer, 1, study.settings.seed)
-        comparer.render_comparison(captured, {base: lights[base]})
-        for number in rng.permutation(len(choices)):
-            choice = choices[number]
-            share = 0.4 + 0.6 * len(taken) / len(choices)
-            yield Progress(share, 1, f"comparing frame {frame}: {choice.label}")
-            made, ms = timed(_made, study, choice, comparer)
-            squares = [
-                _square_rmse(made.methods[base], truth.methods[base], truth.weights),
-                _square_rmse(made.ground_truth, truth.ground_truth, truth.weights),
-            ]
-            taken[choice.key] = PictureTaken(ms, float(np.mean(squares)))
-    return PicturesTaken(taken, of_estimators)
-
-
-def _made(study: RenderStudy, choice: RenderCandidate, comparer: Comparer) -> Comparison:
-    """All that a run does for one frame: the capture, its light, both pictures."""
-    captured = rendered(study.scanner, choice.choice, study.settings.seed)
-    assert choice.picture_samples is not None
-    _set_up(comparer, choice.picture_samples, study.settings.seed)
-    return comparer.render_comparison(captured, {METHODS[0].label: _lights_of_objects(study, METHODS[0], captured)})
-
-
-def _set_up(comparer: Comparer, samples: int, seed: int, *, n_threads: int = 1) -> None:
-    for scene in (comparer.ground_truth, comparer.lit):
-        scene.cycles.samples, scene.cycles.seed = samples, seed
-        use_threads(scene, n_threads)
-
-
-def _lights_of_objects(study: RenderStudy, by: ComputeChoice, captured: RgbdFrame) -> dict[str, ObjectLight]:
-    """By virtual object: the mean over its positions, from this frame alone."""
-    means: dict[str, ObjectLight] = {}
-    for item in study.plan.objects:
-        positions_m = [probe.position_m for probe in study.plan.probes_of(item.name)]
-        of_positions = _lights({by: ChoiceBackend(by)}, captured, positions_m)[by]
-        means[item.name] = ObjectLight(np.mean(of_positions, axis=0)[:9])
-    return means
-
-
-def _square_rmse(picture: ArrayF64, truth: ArrayF64, weights: ArrayF64) -> float:
-    return (image_rmse(display(picture), display(truth), weights) or 0.0) ** 2

@@ -29,6 +29,7 @@ KINDS = {
     "coefficients_truth": "coefficients to order 4, against the rendered light probe",
     "irradiance_truth": "irradiance on surfaces, against the rendered light probe",
     "picture_truth": "picture inside the objects (sRGB), against the path-traced one",
+    "ring_truth": "picture around the objects (linear), against the path-traced one",
 }
 
 ACROSS = "processor time of a frame"
@@ -79,7 +80,7 @@ def _choices(points: Sequence[FrontierPoint], scene: str) -> str:
     # Of two presets that are the same choice on the scene the faster one is told.
     slowest_first = sorted((p for p in points if p.scene == scene), key=lambda p: (p.time_ms, p.error), reverse=True)
     for title, front, names in CHOICES:
-        first = "picture" if names == ("picture_samples",) else "coefficients"
+        first = {"picture_samples": "picture", "light": "picture_truth"}.get(names[0], "coefficients")
         others = [kind for kind in KINDS if kind != first]
         own = max((family(group(points, scene, front, kind), names) for kind in (first, *others)), key=len)
         if not own:

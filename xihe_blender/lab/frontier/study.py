@@ -31,7 +31,8 @@ from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.lab.frontier.answers import answers
 from xihe_blender.lab.frontier.choices import compute_choices, render_choices
-from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, N_COEFFICIENTS, ORDER, ChoiceBackend, Walk, measure_compute
+from xihe_blender.lab.frontier.compute import N_COEFFICIENTS, ORDER, ChoiceBackend, Walk, measure_compute
+from xihe_blender.lab.frontier.pictures import OF_TRUTH, measure_pictures, picture_choices
 from xihe_blender.lab.frontier.points import MeasuredScene, kept_scene, points_of
 from xihe_blender.lab.frontier.records import (
     ComputeChoice,
@@ -46,9 +47,7 @@ from xihe_blender.lab.frontier.rendering import (
     SceneStudy,
     kept_capture,
     kept_or_done,
-    measure_pictures,
     measure_rendering,
-    picture_choices,
 )
 from xihe_blender.lab.frontier.report import report_page
 from xihe_blender.lab.frontier.timing import median_and_spread
@@ -164,6 +163,7 @@ def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[M
                 **vars(study),
                 scanner=scanner,
                 capture=capture,
+                walk=walk,
                 views={frame.frame: [walk.positions[name] for name in names] for frame, names in seen},
                 choices=render_choices(presets, size, study_size, is_quick=settings.is_quick),
                 exhaustive=RenderChoice(size, study_size.reference_samples),
@@ -173,7 +173,7 @@ def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[M
             rendered, together = yield from share("rendering", measure_rendering(renders, computing_ms, rng))
             job = measure_pictures(renders, picture_choices(presets), rng)
             pictured, estimators = yield from share("pictures", job)
-    of_pictures = {label: {"picture" + AGAINST_TRUTH: errors} for label, errors in estimators.items()}
+    of_pictures = {label: {OF_TRUTH[0]: errors} for label, errors in estimators.items()}
     computed = [replace(one, square_errors=one.square_errors | of_pictures.get(one.label, {})) for one in computed]
     added = computing_ms[ComputeChoice()]
     with_computing = [replace(one, times_ms=tuple(ms + added for ms in one.times_ms)) for one in pictured]
