@@ -74,9 +74,17 @@ def small_light_probes():
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory):
-    """A frontier of a tiny scene; its folder and its files."""
+    """A frontier of a tiny scene, whose virtual object glows so that it looks the same under any light."""
     folder = tmp_path_factory.mktemp("frontier")
     room_with_a_virtual_sphere()
+    glowing = bpy.data.materials.new("Glowing")
+    glowing.use_nodes = True
+    shader = glowing.node_tree.nodes["Principled BSDF"].inputs
+    shader["Base Color"].default_value, shader["Specular IOR Level"].default_value = (0, 0, 0, 1), 0.0
+    shader["Emission Color"].default_value, shader["Emission Strength"].default_value = (0.9, 0.2, 0.1, 1), 1.0
+    materials = bpy.data.objects["Ball"].data.materials
+    materials.clear()
+    materials.append(glowing)
     file = saved(folder / "room.blend")
     run_blocking(frontier([file], folder / "out", SMALL, command="as typed"))
     return folder
@@ -113,6 +121,11 @@ def test_a_small_frontier_keeps_its_contract(done):
             own = family(group(found.points, "room", front, kind), ("light",))
             assert tuple(p.settings.light for p in own) == LIGHTS
     assert found.software["command"] == "as typed" and found.answers
+
+
+def test_pictures_are_held_against_a_ground_truth_that_has_the_objects_in_it(done):
+    own = [p for p in read(done).points if p.kind == "picture_truth"]
+    assert own and max(p.error for p in own) < 0.1
 
 
 def test_table_and_report_hold_all_and_ask_for_nothing_else(done):

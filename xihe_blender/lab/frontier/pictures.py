@@ -120,7 +120,8 @@ def _view_measured(
     study.scanner.move_to(frame)
     lights = {by.label: Session(study, frame, by.estimator).lights_after(captured) for by in METHODS}
     comparison = replace(study.capture, samples=1)
-    with open_comparer(study.scanner.scene, study.plan.objects, list(lights), comparison) as comparer:
+    # Of the user's scene: in the scanner's there are no virtual objects.
+    with open_comparer(study.scene, study.plan.objects, list(lights), comparison) as comparer:
         # With all methods, on all cores, by another seed.
         _set_up(comparer, study.exhaustive.samples, study.exhaustive_seed, n_threads=0)
         truth = comparer.render_comparison(captured, lights)
@@ -130,7 +131,7 @@ def _view_measured(
     for has_key_light in (False, True):
         own = [choice for choice in choices if (choice.light != "sh") == has_key_light]
         with open_comparer(
-            study.scanner.scene, study.plan.objects, [base], comparison, has_key_light=has_key_light
+            study.scene, study.plan.objects, [base], comparison, has_key_light=has_key_light
         ) as comparer:
             _set_up(comparer, 1, study.settings.seed)
             comparer.render_comparison(captured, {base: lights[base]})
