@@ -15,7 +15,7 @@ BLENDER ?= blender
 BLENDER_PYTHON ?= 3.11
 TEST_PACKAGES ?= build/test_packages/$(BLENDER_PYTHON)
 
-.PHONY: previs test test-fast test-packages test-blender test-extension package hard-cases fuzz check format bench \
+.PHONY: previs test test-fast test-packages test-blender test-extension package hard-cases prove-exports fuzz check format bench \
 	scenes clean
 
 previs: $(VENV)/installed
@@ -30,6 +30,11 @@ test-fast: $(VENV)/installed
 
 hard-cases: $(VENV)/installed
 	$(BIN)/python -m pytest --quiet --catalogue addon_tests/pure/hard_cases addon_tests/in_blender/hard_cases
+
+# Needs node and Chromium; see CONTRIBUTING.md.
+prove-exports: $(VENV)/installed
+	npm install --prefix addon_tests/engines --no-package-lock --no-audit --no-fund --silent
+	$(BIN)/python addon_tests/engines/prove.py $(OUT)/prove
 
 fuzz: $(VENV)/installed
 	$(BIN)/python addon_tests/fuzz.py --minutes $(MINUTES)

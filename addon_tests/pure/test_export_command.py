@@ -1,0 +1,267 @@
+"""`xihe export` as a user types it, and the files that it writes, read by others where there is someone."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from addon_tests.pure.runs import content, frame, probe
+from addon_tests.pure.test_estimate_command import ROOT, WITHOUT_BLENDER, read_strictly
+from xihe_blender.cli.main import main
+from xihenet.exr import write_exr
+from xihenet.light.environments import (
+    disc_picture,
+    encode_hdr,
+    environment_picture,
+    laid_out,
+    laid_out_as_ours,
+    rgbe_of,
+)
+from xihenet.light.exports import CUBE_FACES, NamedLight, cube_faces, export_files, scaled, turn_from_minus_z
+from xihenet.light.platforms import PLATFORMS, coefficients_for, convention_of
+from xihenet.panorama import panorama_directions, project_panorama, solid_angles
+from xihenet.records import KeyLight, ObjectLight
+
+EXPOSURE = 1.7
+SH = np.random.default_rng(1).normal(size=(9, 3)) * 0.1 + np.eye(9)[0][:, None]
+KEY = {"direction": [0.0, -0.6, 0.8], "irradiance": [2.0, 1.0, 0.5], "angular_radius": 0.1, "is_seen": True}
+
+
+def light_from(number, **changes):
+    return {"frame": number, "sh": (SH * number).tolist(), "key": None, "reflections": None} | changes
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A run's folder: a light at frames 1 and 3, the later one with a key light and reflections."""
+    picture = panorama_directions(8, 16).astype(np.float32) + 1
+    write_exr(tmp_path / "seen.exr", dict(zip("RGB", np.moveaxis(laid_out(picture, "+X"), -1, 0), strict=True)))
+    reflected = {"picture": "seen.exr", "seen_share": 0.5}
+    lights = [light_from(1), light_from(3, key=KEY, reflections=reflected)]
+    frames = [frame(number, probe()) for number in (1, 2, 3, 4)]
+    whole = content(
+        frames, settings={"light": "sh+key+reflections"}, lights={"Ball": lights, "My Vase": [light_from(2)]}
+    )
+    (tmp_path / "results.json").write_text(json.dumps(whole))
+    return tmp_path
+
+
+def export(run, *arguments):
+    return main(["export", str(run), *map(str, arguments)])
+
+
+def written(run, target):
+    return read_strictly((run / "exports" / target / f"{target}.json").read_text())
+
+
+def test_it_needs_no_blender(run):
+    code = [sys.executable, "-W", "error", "-c", WITHOUT_BLENDER, "export", str(run / "results.json"), "--to", "three"]
+    done = subprocess.run(code, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, ""), done.stderr
+    assert str(run / "exports" / "three" / "three.json") in done.stdout
+
+
+def test_the_light_in_force_is_written_as_the_platform_has_it(run):
+    assert export(run, "--to", "three") == 0
+    ball, vase = written(run, "three")["lights"]
+    assert (ball["object"], ball["frame"], vase["object"], vase["frame"]) == ("Ball", 3, "My Vase", 2)
+    assert ball["mainLight"]["direction"] == pytest.approx([0, 0.8, 0.6]) and vase["mainLight"] is None
+    key = KeyLight(*(np.array(KEY[part]) for part in ("direction", "irradiance")), 0.1, True)
+    rest = ObjectLight(SH * 3, key)
+    expected = export_files([NamedLight("Ball", 3, 0, rest)], "three")
+    assert ball["sh"] == json.loads(expected["three.json"])["lights"][0]["sh"]
+
+
+@pytest.mark.parametrize(("frame", "force"), [(1, 1), (2, 1), (3, 3), (4, 3)])
+def test_a_frame_has_the_last_light_before_it(run, frame, force):
+    assert export(run, "--to", "filament", "--frame", frame, "--objects", "Ball") == 0
+    assert [light["frame"] for light in written(run, "filament")["lights"]] == [force]
+
+
+def test_all_lights_of_the_path_are_written(run):
+    assert export(run, "--to", "webxr", "--all") == 0
+    lights = written(run, "webxr")["lights"]
+    assert [(one["object"], one["frame"]) for one in lights] == [("Ball", 1), ("Ball", 3), ("My Vase", 2)]
+    assert lights[1]["time_s"] == pytest.approx(2 / 30)
+
+
+def test_the_scenes_radiance_is_without_the_exposure(run):
+    assert export(run, "--to", "three", "--light", "sh") == 0
+    picture = written(run, "three")
+    assert export(run, "--to", "three", "--light", "sh", "--units", "scene") == 0
+    scene = written(run, "three")
+    np.testing.assert_allclose(
+        np.array(picture["lights"][0]["sh"]), np.array(scene["lights"][0]["sh"]) * EXPOSURE, rtol=1e-9
+    )
+    assert "mainLight" in picture["lights"][0] and picture["lights"][0]["mainLight"] is None
+    expected = coefficients_for(SH * 3, convention_of("three"))
+    np.testing.assert_allclose(picture["lights"][0]["sh"], expected, rtol=1e-9)
+
+
+def test_reflections_are_written_turned_as_the_engine_reads_them(run):
+    assert export(run, "--to", "playcanvas", "--objects", "Ball") == 0
+    decoded = read_hdr(run / "exports" / "playcanvas" / "Ball_0003_reflections.hdr")
+    true = laid_out((panorama_directions(8, 16) + 1) * EXPOSURE, "-Y")
+    np.testing.assert_allclose(decoded, true, atol=EXPOSURE * 2 / 128)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--to", "threejs"), "invalid choice"),
+        (("--to", "three", "--frame", "9"), "has no frame 9: give one from 1 to 4"),
+        (("--to", "three", "--objects", "Vase"), "has no virtual object 'Vase'; it has Ball, My Vase"),
+        (("--to", "three", "--frame", "1"), "'My Vase' has no estimate yet at frame 1"),
+        (("--to", "three", "--reading", "x"), "three has no reading 'x'"),
+        (("--to", "model-viewer", "--reading", "x"), "takes a picture"),
+        (("--to", "three", "--frame", "1", "--all"), "not allowed with"),
+    ],
+)
+def test_what_cannot_be_written_is_one_line_and_no_file(run, capfd, arguments, words):
+    assert export(run, *arguments) == 2
+    said = capfd.readouterr()
+    assert words in said.err and said.err.count("\n") == 1 and said.out == ""
+    assert not (run / "exports").exists()
+
+
+def test_results_of_another_version_a_lost_picture_and_a_lesser_light_are_one_line(run, capfd):
+    (run / "seen.exr").unlink()
+    assert export(run, "--to", "three") == 2
+    assert "seen.exr cannot be read" in capfd.readouterr().err
+    lesser = content([frame(1, probe())], settings={"light": "sh"}, lights={"Ball": [light_from(1)]})
+    (run / "results.json").write_text(json.dumps(lesser))
+    assert export(run, "--to", "three", "--light", "sh+key") == 2
+    assert "run xihe previs again with --light sh+key" in capfd.readouterr().err
+    (run / "results.json").write_text(json.dumps(lesser | {"schema_version": 0}))
+    assert export(run, "--to", "three") == 2
+    said = capfd.readouterr().err
+    assert "is not from a run of this version" in said and said.count("\n") == 1
+    assert not (run / "exports").exists()
+
+
+def test_objects_whose_files_would_be_one_are_refused():
+    lights = [NamedLight(name, 1, 0.0, ObjectLight(SH)) for name in ("Vase 1", "Vase-1")]
+    with pytest.raises(ValueError, match="rename one"):
+        export_files(lights, "usd")
+    with pytest.raises(ValueError, match="at least one light"):
+        export_files([], "three")
+
+
+@pytest.mark.parametrize("platform", PLATFORMS)
+def test_every_file_is_written_for_a_light_with_all_its_parts(platform):
+    key = KeyLight(*(np.array(KEY[part]) for part in ("direction", "irradiance")), 0.1, True)
+    light = NamedLight("Ball", 3, 0.0, ObjectLight(SH, key), np.ones((8, 16, 3)))
+    files = export_files([light], platform)
+    entry = read_strictly(files[f"{platform}.json"].decode())["lights"][0]
+    assert {entry[part] for part in ("environment", "reflections") if part in entry} <= files.keys()
+    assert ("sh" in entry) != ("environment" in entry) and all(files.values())
+    again = scaled(light.light, 2.0)
+    assert again.sh.tolist() == (SH * 2).tolist() and again.key.irradiance.tolist() == [4.0, 2.0, 1.0]
+
+
+# ---------------------------------------------------------------------------------------------------------- pictures
+
+
+def read_hdr(path):
+    """A plain reader of what we write, as the format is described: runs of each channel of each row."""
+    data = path.read_bytes()
+    assert data.startswith(b"#?RADIANCE\n")
+    start = data.index(b"\n\n") + 2
+    end = data.index(b"\n", start)
+    _, height, _, width = data[start:end].split()
+    height, width, at = int(height), int(width), end + 1
+    rows = np.zeros((height, width, 4), np.uint8)
+    for row in rows:
+        assert data[at : at + 4] == bytes([2, 2, width >> 8, width & 255])
+        at += 4
+        for channel in range(4):
+            x = 0
+            while x < width:
+                n = data[at]
+                if n > 128:
+                    row[x : x + n - 128, channel] = data[at + 1]
+                    x, at = x + n - 128, at + 2
+                else:
+                    row[x : x + n, channel] = list(data[at + 1 : at + 1 + n])
+                    x, at = x + n, at + 1 + n
+    assert at == len(data)
+    exponent = rows[..., 3].astype(int)
+    return np.where(exponent[..., None] > 0, rows[..., :3] * 2.0 ** (exponent - 136)[..., None], 0)
+
+
+@pytest.mark.parametrize("width", [8, 127, 128, 129, 300])
+@pytest.mark.parametrize("seed", range(3))
+def test_an_hdr_picture_is_read_back_within_its_rounding(tmp_path, width, seed):
+    rng = np.random.default_rng(seed)
+    picture = np.exp(rng.normal(size=(3, width, 3)) * 4) * (rng.random((3, width, 1)) > 0.2)
+    picture[1, : width // 2] = picture[1, 0]
+    (tmp_path / "a.hdr").write_bytes(encode_hdr(picture))
+    error = np.abs(read_hdr(tmp_path / "a.hdr") - picture).max(axis=-1)
+    assert (error <= picture.max(axis=-1) / 128).all()
+
+
+def test_black_stays_black_and_the_brightest_channel_does_not_overflow():
+    assert rgbe_of(np.zeros((1, 3))).tolist() == [[0, 0, 0, 0]]
+    assert rgbe_of(np.array([[0.999999, 0, 0]])).tolist() == [[255, 0, 0, 128]]
+
+
+@pytest.mark.parametrize(
+    "wrong", [np.zeros((4, 4, 3)), np.zeros((4, 16)), np.full((2, 8, 3), np.inf), -np.ones((2, 8, 3))]
+)
+def test_what_is_no_hdr_picture_is_refused(wrong):
+    with pytest.raises(ValueError, match="encode_hdr"):
+        encode_hdr(wrong)
+
+
+def test_a_picture_has_the_light_of_the_coefficients_where_these_are_above_zero():
+    light = ObjectLight(np.eye(9)[0][:, None] * np.ones(3) + np.random.default_rng(0).normal(size=(9, 3)) * 0.05)
+    picture = environment_picture(light, PLATFORMS["three"])
+    np.testing.assert_allclose(project_panorama(picture), light.sh, atol=2e-3)
+
+
+@pytest.mark.parametrize("radius", [1e-4, 0.05, 0.5])
+@pytest.mark.parametrize("direction", [(0, 0, 1), (0.6, 0, -0.8), (0, 1, 0)])
+def test_a_disc_in_a_picture_has_the_key_lights_irradiance(direction, radius):
+    key = KeyLight(np.array(direction, float), np.array([2.0, 1.0, 0.5]), radius, True)
+    picture = disc_picture(key, 64)
+    facing = np.maximum(panorama_directions(64, 128) @ key.direction, 0) * solid_angles(64, 128)
+    np.testing.assert_allclose((picture * facing[..., None]).sum(axis=(0, 1)), key.irradiance)
+
+
+def test_pictures_turn_there_and_back():
+    picture = np.random.default_rng(0).random((4, 8, 3))
+    for layout in ("+X", "-Y"):
+        assert laid_out_as_ours(laid_out(picture, layout), layout).tolist() == picture.tolist()
+
+
+def test_the_faces_of_a_cube_show_the_way_they_face():
+    # The picture's colour is the direction itself: Y up, so that Blender's z is the cube's y.
+    faces = cube_faces(panorama_directions(256, 512) * 0.5 + 0.5, 8)
+    for face, (middle, _, _) in zip(faces, np.array(CUBE_FACES), strict=True):
+        x, y, z = middle
+        blender = np.array([x, -z, y]) * 0.5 + 0.5
+        shown = (face[3:5, 3:5].astype(float) / 255).mean(axis=(0, 1))
+        linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+        np.testing.assert_allclose(linear, blender, atol=0.08)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_light_is_turned_from_minus_z_to_where_it_shines(seed):
+    travel = np.random.default_rng(seed).normal(size=3)
+    travel = np.array([(0, 0, 1.0), (0, 0, -1.0)][seed]) if seed < 2 else travel / np.linalg.norm(travel)
+    w, *v = turn_from_minus_z(travel)
+    axis, start = np.array(v), np.array([0, 0, -1.0])
+    turned = start + 2 * np.cross(axis, np.cross(axis, start) + w * start)
+    np.testing.assert_allclose(turned, travel, atol=1e-9)
+    assert np.linalg.norm([w, *v]) == pytest.approx(1)
+
+
+def test_a_light_without_a_key_makes_documents_without_one():
+    files = export_files([NamedLight("Ball", 1, 0.0, ObjectLight(SH))], "usd")
+    assert b"DistantLight" not in files["Ball_0001.usda"]
+    document = read_strictly(
+        export_files([NamedLight("Ball", 1, 0.0, ObjectLight(SH))], "gltf")["Ball_0001.gltf"].decode()
+    )
+    assert "nodes" not in document and document["extensionsUsed"] == ["EXT_lights_image_based"]

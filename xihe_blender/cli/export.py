@@ -1,0 +1,137 @@
+"""`xihe export`: the light of a run as an engine takes it, without Blender."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+
+from xihe_blender.cli.arguments import adder, names, one_of
+from xihe_blender.errors import UserError
+from xihe_blender.io.outputs import written_whole
+from xihe_blender.io.run_results import LightChange, RunResults, read_results
+from xihenet.exr import read_exr
+from xihenet.light import LightParts
+from xihenet.light.environments import laid_out_as_ours
+from xihenet.light.exports import NamedLight, export_files, scaled
+from xihenet.light.platforms import PLATFORMS
+from xihenet.records import ArrayF64, KeyLight, ObjectLight
+
+UNITS = {
+    "picture": "radiance; 1 is white in the phone's picture",
+    "scene": "radiance of the scene in Blender",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = adder(parser)
+    readings = "; ".join(
+        f"{name}: {', '.join(one.readings)}" for name, one in PLATFORMS.items() if len(one.readings) > 1
+    )
+    add("results RESULTS.json", "of a run that is done, or its folder", Path)
+    add("--to TARGET", f"engine or file format: {one_of(PLATFORMS)}", choices=tuple(PLATFORMS), required=True)
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--frame", metavar="N", type=int, help="light in force at this frame; default: the last one")
+    which.add_argument("--all", action="store_true", help="every light of the path, from the frame on where it changes")
+    add("--objects A,B", "virtual objects; default: all", names)
+    parts = "what is written: spherical harmonics, a main light apart, pictures for reflections; default: as in the run"
+    add("--light PARTS", parts, choices=get_args(LightParts))
+    add(
+        "--reading NAME",
+        f"where sources of an engine disagree, which is followed; the first is the default. {readings}",
+    )
+    add(
+        "--units",
+        "picture: 1 is white in the phone's picture; scene: radiance in Blender",
+        choices=tuple(UNITS),
+        default="picture",
+    )
+    add("--out DIR", "folder for the files; default: exports/TARGET in the run's folder", Path)
+
+
+def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
+    folder = options.results.parent if options.results.name == "results.json" else options.results
+    results = read_results(folder)
+    lights = exported_lights(results, folder, options)
+    try:
+        files = export_files(lights, options.to, reading=options.reading, units=UNITS[options.units])
+    except ValueError as error:
+        raise UserError(str(error)) from error
+    for path in write_files(folder / "exports" / options.to if options.out is None else options.out, files):
+        print(path, file=stdout)
+
+
+def exported_lights(results: RunResults, folder: Path, options: argparse.Namespace) -> list[NamedLight]:
+    """Those that are asked for; UserError, naming the fix, where there are none."""
+    frames = {frame.frame: frame.time_s for frame in results.frames}
+    if options.frame is not None and options.frame not in frames:
+        raise UserError(
+            f"the run has no frame {options.frame}: give one from {min(frames)} to {max(frames)} of its path"
+        )
+    parts = options.light or results.settings.light
+    if get_args(LightParts).index(parts) > get_args(LightParts).index(results.settings.light):
+        made = results.settings.light
+        raise UserError(
+            f"the run was made with --light {made}: run xihe previs again with --light {parts}, or ask for {made}"
+        )
+    chosen = list(results.lights) if options.objects is None else list(options.objects)
+    if unknown := [name for name in chosen if name not in results.lights]:
+        raise UserError(f"the run has no virtual object {unknown[0]!r}; it has {', '.join(results.lights)}")
+    gain = 1.0 if options.units == "picture" else 1.0 / results.settings.reference_exposure
+    found = []
+    for name in chosen:
+        changes = _in_force(results.lights[name], options.frame, everything=options.all)
+        if not changes:
+            where = "" if options.frame is None else f" at frame {options.frame}"
+            raise UserError(
+                f"{name!r} has no estimate yet{where}: choose other objects with --objects, or a later frame"
+            )
+        for change in changes:
+            light, panorama = _light_of(change, parts, folder, gain * results.settings.reference_exposure)
+            found.append(NamedLight(name, change.frame, frames[change.frame], scaled(light, gain), panorama))
+    return found
+
+
+def _in_force(changes: Sequence[LightChange], frame: int | None, *, everything: bool) -> list[LightChange]:
+    """All of them, or the last one at or before the frame."""
+    if everything:
+        return list(changes)
+    return [change for change in changes if frame is None or change.frame <= frame][-1:]
+
+
+def _light_of(
+    change: LightChange, parts: LightParts, folder: Path, exposure: float
+) -> tuple[ObjectLight, ArrayF64 | None]:
+    """The light, carrying the session's exposure, and the panorama that glossy things reflect, times `exposure`."""
+    light, panorama = ObjectLight(np.array(change.sh, np.float64)), None
+    if parts != "sh" and change.key is not None:
+        key = change.key
+        direction, irradiance = np.array(key.direction), np.array(key.irradiance)
+        light = replace(light, key=KeyLight(direction, irradiance, key.angular_radius, key.is_seen))
+    if parts.endswith("reflections") and change.reflections is not None:
+        path = folder / change.reflections.picture
+        try:
+            channels = read_exr(path)
+            picture = np.stack([channels[channel] for channel in "RGB"], axis=-1)
+        except (OSError, ValueError, KeyError) as error:
+            raise UserError(f"{path} cannot be read ({error}): run xihe previs again, or add --light sh+key") from error
+        # A run writes it as Blender's Environment Texture reads it.
+        panorama = laid_out_as_ours(np.maximum(picture.astype(np.float64), 0.0) * exposure, "+X")
+    return light, panorama
+
+
+def write_files(folder: Path, files: dict[str, bytes]) -> list[Path]:
+    """Write all of the files or, if one cannot be written, none; UserError then. Their paths."""
+    paths = [folder / name for name in files]
+    try:
+        with contextlib.ExitStack() as stack:
+            for path, content in zip(paths, files.values(), strict=True):
+                stack.enter_context(written_whole(path)).write_bytes(content)
+    except OSError as error:
+        raise UserError(f"cannot write to {folder} ({error.strerror}): choose another folder for --out") from error
+    return paths

@@ -1,0 +1,73 @@
+// Lights objects by a light that `xihe export --to unity` has written. Put it on the object, with the JSON as its asset.
+// Not compiled by the project's own tests: they have no Unity. See docs/platforms.md.
+using System;
+using UnityEngine;
+using UnityEngine.Rendering;
+
+public class XiheLight : MonoBehaviour
+{
+    public TextAsset exported;
+    public Light mainLight;
+    public string objectName;
+    public int frame;
+
+    [Serializable]
+    class MainLight
+    {
+        public float[] direction, color;
+        public float intensity;
+    }
+
+    [Serializable]
+    class Entry
+    {
+        public string @object;
+        public int frame;
+        public float[] sh;
+        public MainLight mainLight;
+    }
+
+    [Serializable]
+    class Export
+    {
+        public Entry[] lights;
+    }
+
+    void Start()
+    {
+        Apply();
+    }
+
+    public void Apply()
+    {
+        // The light in force is the last one at or before the frame.
+        Entry found = null;
+        foreach (var entry in JsonUtility.FromJson<Export>(exported.text).lights)
+        {
+            var isOwn = objectName == "" || entry.@object == objectName;
+            if (isOwn && (found == null || entry.frame <= frame)) found = entry;
+        }
+        if (found == null) return;
+        var probe = new SphericalHarmonicsL2();
+        for (var channel = 0; channel < 3; channel++)
+            for (var i = 0; i < 9; i++)
+                probe[channel, i] = found.sh[9 * channel + i];
+        var properties = new MaterialPropertyBlock();
+        properties.CopySHCoefficientArraysFrom(new[] { probe });
+        foreach (var one in GetComponentsInChildren<Renderer>())
+        {
+            one.lightProbeUsage = LightProbeUsage.CustomProvided;
+            one.SetPropertyBlock(properties);
+        }
+        if (mainLight == null) return;
+        var main = found.mainLight;
+        mainLight.enabled = main != null && main.direction != null && main.direction.Length == 3;
+        if (!mainLight.enabled) return;
+        mainLight.type = LightType.Directional;
+        // Colours in the file are linear; Light.color is encoded as sRGB.
+        mainLight.color = new Color(main.color[0], main.color[1], main.color[2]).gamma;
+        mainLight.intensity = main.intensity;
+        mainLight.transform.rotation =
+            Quaternion.LookRotation(new Vector3(main.direction[0], main.direction[1], main.direction[2]));
+    }
+}

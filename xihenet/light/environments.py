@@ -1,0 +1,111 @@
+"""Pictures of a light for engines that take these: panoramas (latitude and longitude) with all of the sphere in them.
+
+A picture holds no light below zero, which spherical harmonics have where they ring: it is black there. A key light that
+the engine does not take apart is a disc in the picture, of the irradiance that it has.
+
+Radiance HDR (RGBE, Ward 1991) is what every engine reads; its colours are within half a percent of the brightest
+channel.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from xihenet.light.key_light import rest_of
+from xihenet.light.platforms import Platform
+from xihenet.light.reflections import reflection_panorama
+from xihenet.panorama import evaluate_panorama, panorama_directions, solid_angles
+from xihenet.records import ArrayF64, ArrayU8, KeyLight, ObjectLight
+
+HEIGHT = 128
+"""Of a picture: a texel is 1.4 degrees wide, as wide as the directions of reflections are apart."""
+
+Layout = Literal["+X", "-Y"]
+QUARTERS: dict[Layout, int] = {"+X": -1, "-Y": 2}
+"""Which of Blender's axes is in the middle, where ours have +Y, and the quarters of a turn by which columns move."""
+
+
+def environment_picture(light: ObjectLight, platform: Platform, height: int = HEIGHT) -> ArrayF64:
+    """(H, 2H, 3) radiance, none below zero, of what the engine does not take apart; laid out as ours are."""
+    picture = np.maximum(evaluate_panorama(rest_of(light), height, 2 * height), 0.0)
+    if light.key is not None and not platform.main_light_apart:
+        picture += disc_picture(light.key, height)
+    return picture
+
+
+def reflections_picture(light: ObjectLight, height: int = HEIGHT) -> ArrayF64 | None:
+    """(H, 2H, 3) radiance that glossy things reflect, or None for a light without reflections."""
+    return None if light.reflections is None else reflection_panorama(light.reflections, height).astype(np.float64)
+
+
+def disc_picture(key: KeyLight, height: int) -> ArrayF64:
+    """(H, 2H, 3) radiance of a key light alone; one texel at least, and its irradiance to rounding."""
+    cosine = panorama_directions(height, 2 * height) @ key.direction
+    is_inside = cosine >= min(np.cos(key.angular_radius), cosine.max())
+    weights = np.where(is_inside, np.maximum(cosine, 0.0), 0.0) * solid_angles(height, 2 * height)
+    radiance: ArrayF64 = is_inside[..., None] * np.maximum(key.irradiance, 0.0) / weights.sum()
+    return radiance
+
+
+def laid_out(picture: ArrayF64, layout: Layout) -> ArrayF64:
+    """One of our panoramas as an engine reads it; its width divides by four."""
+    return np.roll(picture, QUARTERS[layout] * picture.shape[1] // 4, axis=1)
+
+
+def laid_out_as_ours(picture: ArrayF64, layout: Layout) -> ArrayF64:
+    """The panorama that `laid_out` makes the picture of."""
+    return np.roll(picture, -QUARTERS[layout] * picture.shape[1] // 4, axis=1)
+
+
+def encode_hdr(picture: ArrayLike) -> bytes:
+    """A Radiance HDR file, run-length encoded, of (H, W, 3) radiance, none below zero or not finite: else ValueError.
+
+    W is 8 to 32767, as the format asks.
+    """
+    radiance = np.asarray(picture, np.float64)
+    height, width = radiance.shape[:2]
+    if radiance.shape[2:] != (3,) or not 8 <= width <= 32767:
+        raise ValueError(f"encode_hdr: expected (H, W, 3) with W from 8 to 32767, got {radiance.shape}")
+    if not (np.isfinite(radiance).all() and (radiance >= 0).all()):
+        raise ValueError("encode_hdr: expected finite radiance of 0 or more")
+    rgbe = rgbe_of(radiance)
+    start = bytes([2, 2, width >> 8, width & 255])
+    rows = b"".join(start + b"".join(_in_runs(row[:, channel]) for channel in range(4)) for row in rgbe)
+    return f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode() + rows
+
+
+def rgbe_of(radiance: ArrayF64) -> ArrayU8:
+    """(..., 4) uint8: mantissas of a common exponent, and the exponent."""
+    mantissa, exponent = np.frexp(radiance.max(axis=-1))
+    scale = np.where(mantissa > 0, np.ldexp(256.0, -exponent), 0.0)
+    # What rounds up to 256 is one less: the exponent is of the brightest channel before it was rounded.
+    colours = np.minimum(np.rint(radiance * scale[..., None]), 255)
+    exponents = np.where(mantissa > 0, exponent + 128, 0)[..., None]
+    rgbe: ArrayU8 = np.concatenate([colours, exponents], axis=-1).astype(np.uint8)
+    return rgbe
+
+
+def _in_runs(values: ArrayU8) -> bytes:
+    """One channel of a row: equal neighbours as a run where there are at least four, else as they are."""
+    packed, literal, at = bytearray(), bytearray(), 0
+    edges = np.append(np.flatnonzero(np.diff(values.astype(int))) + 1, len(values))
+
+    def flush() -> None:
+        for begin in range(0, len(literal), 128):
+            part = literal[begin : begin + 128]
+            packed.extend([len(part), *part])
+        literal.clear()
+
+    for end in map(int, edges):
+        while end - at >= 4:
+            n = min(end - at, 127)
+            flush()
+            packed.extend([128 + n, int(values[at])])
+            at += n
+        literal.extend(values[at:end].tolist())
+        at = end
+    flush()
+    return bytes(packed)

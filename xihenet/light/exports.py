@@ -1,0 +1,267 @@
+"""The files that carry a light into an engine: what `xihe export` writes, as names and bytes.
+
+Engines that take coefficients get one JSON with all lights, and what it says of axes, units and main light is what
+`xihenet.light.platforms` knows. glTF and USD get a document for each light, model-viewer and PlayCanvas a picture for
+each; Unity gets a script that reads its JSON. What glossy things reflect is a picture beside, where a light has one.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from xihenet import __version__
+from xihenet.colour import linear_to_srgb
+from xihenet.light.environments import Layout, encode_hdr, environment_picture, laid_out, reflections_picture
+from xihenet.light.platforms import (
+    PLATFORMS,
+    Y_UP,
+    Convention,
+    MainLight,
+    coefficients_for,
+    convention_of,
+    main_light_for,
+    soft_light,
+)
+from xihenet.png import encode_png
+from xihenet.records import ArrayF64, ObjectLight
+
+TAKE_PICTURES: Mapping[str, Layout] = {"model-viewer": "+X", "playcanvas": "-Y", "usd": "-Y"}
+"""Platforms whose soft light is a picture, and how it is laid out. Reflections for others are as in three.js."""
+
+CUBE_SIDE = 32
+# Of a cube map, in its order, Y up: the direction of the middle, of the right edge and of the upper one.
+CUBE_FACES = (
+    ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
+    ((-1, 0, 0), (0, 0, 1), (0, 1, 0)),
+    ((0, 1, 0), (1, 0, 0), (0, 0, -1)),
+    ((0, -1, 0), (1, 0, 0), (0, 0, 1)),
+    ((0, 0, 1), (1, 0, 0), (0, 1, 0)),
+    ((0, 0, -1), (-1, 0, 0), (0, 1, 0)),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class NamedLight:
+    """The light of a virtual object from a frame on, in the units of the export.
+
+    `panorama` (H, 2H, 3) is what glossy things reflect, for a light that has it as a picture and not by directions.
+    """
+
+    object_name: str
+    frame: int
+    time_s: float
+    light: ObjectLight
+    panorama: ArrayF64 | None = None
+
+    @property
+    def stem(self) -> str:
+        """Of its files: letters and digits of the object's name, and the frame."""
+        return f"{re.sub(r'[^A-Za-z0-9]+', '_', self.object_name).strip('_') or 'object'}_{self.frame:04d}"
+
+
+def scaled(light: ObjectLight, gain: float) -> ObjectLight:
+    """The light `gain` times as bright."""
+    key, reflections = light.key, light.reflections
+    return replace(
+        light,
+        sh=light.sh * gain,
+        key=None if key is None else replace(key, irradiance=key.irradiance * gain),
+        reflections=None
+        if reflections is None
+        else replace(reflections, radiance=(reflections.radiance * np.float32(gain))),
+    )
+
+
+def export_files(
+    lights: Sequence[NamedLight], platform: str, *, reading: str | None = None, units: str = "radiance"
+) -> dict[str, bytes]:
+    """The files for `platform`, by name; `units` says in words what radiance 1 is.
+
+    ValueError for an unknown platform or reading, for no light, and for two lights whose files would have one name.
+    """
+    if not lights:
+        raise ValueError("export_files: expected at least one light")
+    stems = [one.stem for one in lights]
+    if twice := [stem for stem in stems if stems.count(stem) > 1]:
+        raise ValueError(f"two lights would be written to files named {twice[0]!r}: rename one of the objects")
+    known = PLATFORMS.get(platform)
+    convention = convention_of(platform, reading) if known is None or known.readings else None
+    if convention is None and reading is not None:
+        convention_of(platform, reading)
+    files: dict[str, bytes] = {}
+    entries = []
+    for one in lights:
+        entry, of_one = _entry(one, platform, convention)
+        entries.append(entry)
+        files |= of_one
+    files[f"{platform}.json"] = _json(
+        {
+            "target": platform,
+            "for": PLATFORMS[platform].title,
+            **({} if convention is None else _facts(platform, convention, reading)),
+            "units": units,
+            "software": f"xihe {__version__}",
+            "lights": entries,
+        }
+    )
+    if platform == "unity":
+        files["XiheLight.cs"] = resources.files("xihenet.light").joinpath("XiheLight.cs").read_bytes()
+    return files
+
+
+def _facts(platform: str, convention: Convention, reading: str | None) -> dict[str, Any]:
+    of_main = {"direction": convention.direction, "intensity": convention.main_unit}
+    facts: dict[str, Any] = {"axes": convention.axes_in_words, "mainLight": of_main}
+    if platform not in TAKE_PICTURES:
+        facts["coefficients"] = "all of red, green, blue" if convention.by_colour else "red, green, blue of each"
+    if len(PLATFORMS[platform].readings) > 1:
+        facts["reading"] = reading or next(iter(PLATFORMS[platform].readings))
+    return facts
+
+
+def _entry(one: NamedLight, platform: str, convention: Convention | None) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """What the JSON says of a light, and the files beside it."""
+    known, files = PLATFORMS[platform], dict[str, bytes]()
+    entry: dict[str, Any] = {"object": one.object_name, "frame": one.frame, "time_s": one.time_s}
+    main = None
+    if convention is not None and known.main_light_apart:
+        main = main_light_for(one.light, convention)
+        entry["mainLight"] = None if main is None else _main_entry(main)
+    if platform in TAKE_PICTURES:
+        entry["environment"] = f"{one.stem}.hdr"
+        picture = environment_picture(one.light, known)
+        files[entry["environment"]] = encode_hdr(laid_out(picture, TAKE_PICTURES[platform]))
+    elif convention is not None:
+        entry["sh"] = coefficients_for(soft_light(one.light, known), convention).tolist()
+        if platform == "openxr":
+            entry["sh_total"] = coefficients_for(one.light.sh, convention).tolist()
+    reflected = reflections_picture(one.light) if one.panorama is None else one.panorama
+    if reflected is not None:
+        entry["reflections"] = f"{one.stem}_reflections.hdr"
+        files[entry["reflections"]] = encode_hdr(laid_out(reflected, TAKE_PICTURES.get(platform, "+X")))
+    if platform == "usd":
+        files[f"{one.stem}.usda"] = usd_document(entry["environment"], main).encode()
+    if platform == "gltf":
+        picture = environment_picture(one.light, known) if reflected is None else reflected
+        files[f"{one.stem}.gltf"] = _json(gltf_document(entry["sh"], main, picture))
+    return entry, files
+
+
+def _main_entry(main: MainLight) -> dict[str, Any]:
+    return {
+        "direction": list(main.direction),
+        "color": list(main.colour),
+        "intensity": main.intensity,
+        "angularDiameterDegrees": main.angular_diameter_deg,
+    }
+
+
+def _json(content: Mapping[str, Any]) -> bytes:
+    return (json.dumps(content, indent=1, allow_nan=False) + "\n").encode()
+
+
+def usd_document(texture: str, main: MainLight | None) -> str:
+    """A stage, Y up, with a DomeLight and the key light as a DistantLight: its intensity is the irradiance."""
+    distant = ""
+    if main is not None:
+        w, x, y, z = turn_from_minus_z(main.direction)
+        distant = f"""
+    def DistantLight "Key"
+    {{
+        float inputs:angle = {main.angular_diameter_deg:.9g}
+        color3f inputs:color = ({", ".join(f"{c:.9g}" for c in main.colour)})
+        float inputs:intensity = {main.intensity:.9g}
+        bool inputs:normalize = true
+        quatf xformOp:orient = ({w:.9g}, {x:.9g}, {y:.9g}, {z:.9g})
+        uniform token[] xformOpOrder = ["xformOp:orient"]
+    }}
+"""
+    return f"""#usda 1.0
+(
+    defaultPrim = "Light"
+    metersPerUnit = 1
+    upAxis = "Y"
+)
+
+def Xform "Light"
+{{
+    def DomeLight "Soft"
+    {{
+        float inputs:intensity = 1
+        asset inputs:texture:file = @./{texture}@
+        token inputs:texture:format = "latlong"
+    }}
+{distant}}}
+"""
+
+
+def gltf_document(coefficients: Sequence[float], main: MainLight | None, picture: ArrayF64) -> dict[str, Any]:
+    """A scene lit by EXT_lights_image_based, whose cube map is of the panorama, and by KHR_lights_punctual."""
+    faces = [base64.b64encode(encode_png(face)).decode() for face in cube_faces(picture)]
+    document: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": f"xihe {__version__}"},
+        "extensionsUsed": ["EXT_lights_image_based"],
+        "scene": 0,
+        "scenes": [{"nodes": [], "extensions": {"EXT_lights_image_based": {"light": 0}}}],
+        "images": [{"mimeType": "image/png", "uri": f"data:image/png;base64,{face}"} for face in faces],
+        "extensions": {
+            "EXT_lights_image_based": {
+                "lights": [
+                    {
+                        "name": "Soft",
+                        "intensity": 1.0,
+                        "rotation": [0, 0, 0, 1],
+                        "irradianceCoefficients": np.reshape(coefficients, (9, 3)).tolist(),
+                        "specularImageSize": CUBE_SIDE,
+                        "specularImages": [list(range(6))],
+                    }
+                ]
+            }
+        },
+    }
+    if main is not None:
+        w, x, y, z = turn_from_minus_z(main.direction)
+        light = {"name": "Key", "type": "directional", "color": list(main.colour), "intensity": main.intensity}
+        document["extensionsUsed"].append("KHR_lights_punctual")
+        document["extensions"]["KHR_lights_punctual"] = {"lights": [light]}
+        extension = {"KHR_lights_punctual": {"light": 0}}
+        document["nodes"] = [{"name": "Key", "rotation": [x, y, z, w], "extensions": extension}]
+        document["scenes"][0]["nodes"] = [0]
+    else:
+        del document["scenes"][0]["nodes"]
+    return document
+
+
+def cube_faces(picture: ArrayF64, side: int = CUBE_SIDE) -> list[ArrayF64]:
+    """Six uint8 sRGB pictures of a panorama laid out as ours, clipped at white, +X, -X, +Y, -Y, +Z, -Z with Y up."""
+    height, width = picture.shape[:2]
+    places = (np.arange(side) + 0.5) / side * 2 - 1
+    right, down = np.meshgrid(places, places)
+    faces = []
+    for middle, to_right, up in np.array(CUBE_FACES, float):
+        direction = middle + right[..., None] * to_right - down[..., None] * up
+        x, y, z = np.moveaxis(direction / np.linalg.norm(direction, axis=-1, keepdims=True) @ Y_UP, -1, 0)
+        row = np.clip((np.arccos(np.clip(z, -1, 1)) / np.pi * height).astype(int), 0, height - 1)
+        column = ((0.75 - np.arctan2(y, x) / (2 * np.pi)) % 1 * width).astype(int) % width
+        faces.append(np.rint(linear_to_srgb(np.clip(picture[row, column], 0, 1)) * 255).astype(np.uint8))
+    return faces
+
+
+def turn_from_minus_z(travel: Sequence[float]) -> tuple[float, float, float, float]:
+    """Unit quaternion (w, x, y, z) that turns -Z, where lights of glTF and USD shine, into the direction of travel."""
+    x, y, z = travel
+    if z > 1 - 1e-12:
+        return 0.0, 0.0, 1.0, 0.0
+    # Half the way between both directions: w = 1 + (-Z . travel), the axis is their cross product.
+    w, axis = 1 - z, (y, -x, 0.0)
+    length = math.sqrt(w * w + axis[0] ** 2 + axis[1] ** 2)
+    return w / length, axis[0] / length, axis[1] / length, 0.0
