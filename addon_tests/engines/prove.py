@@ -3,11 +3,11 @@
     make prove-exports                                   # or, once the packages are there:
     python addon_tests/engines/prove.py OUT [--engines three,filament]
 
-Needs node, `npm install --no-package-lock` in this folder, and a Chromium: `chromium` on the path, or the one that $CHROMIUM names. What an
-engine takes is written by `xihenet.light.exports`, read by the engine's page here, and drawn without tone mapping from
-the front and from the back. The error is the mean difference from Cycles over the sphere, relative to the mean of
-Cycles. Where an engine clamps what is below black, Cycles is clamped as well. Engines that take pictures are held
-against the picture that was exported, in Cycles.
+Needs node, `npm install --no-package-lock` in this folder, and a Chromium: `chromium` on the path, or the one that
+$CHROMIUM names. What an engine takes is written by `xihenet.light.exports`, read by the engine's page here, and drawn
+without tone mapping from the front and from the back. The error is the mean difference from Cycles over the sphere,
+relative to the mean of Cycles. Where an engine clamps what is below black, Cycles is clamped as well. Engines that take
+pictures are held against the picture that was exported, in Cycles.
 
 Then the lights are exported wrong on purpose, and each of these mistakes must be seen in every engine.
 """

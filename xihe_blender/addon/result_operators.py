@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from pathlib import Path
+
 import bpy
 
 from xihe_blender.addon import polls
 from xihe_blender.addon.failures import FAILURES, Action, format_error
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
+from xihe_blender.errors import UserError
 
 
 class XIHE_OT_explain(Action, bpy.types.Operator):
@@ -97,6 +102,45 @@ class XIHE_OT_save_side_by_side(Action, bpy.types.Operator):
         return f"Saved {save_side_by_side(read_results(folder), folder)}"
 
 
+class XIHE_OT_save_viewer(Action, bpy.types.Operator):
+    bl_idname = "xihe.save_viewer"
+    bl_label = "Save Viewer"
+    bl_description = (
+        "Write one HTML page into the run's folder, to be sent to others, and open it: the virtual objects live in the "
+        "captured pictures, the timeline, and a line that wipes to the ground truth"
+    )
+    bl_options = {"REGISTER"}
+    conditions = (polls.is_idle, polls.has_last_run)
+
+    def act(self, context: bpy.types.Context) -> str:
+        page = viewer_of_run(last_run_folder(context.scene))
+        if not bpy.app.background:
+            bpy.ops.wm.url_open(url=page.resolve().as_uri())
+        return f"Saved {page}"
+
+
+def viewer_of_run(folder: Path) -> Path:
+    """The viewer's page, written by a second Blender: exporting glTF would change what is selected in this one.
+
+    UserError with what it says, where it cannot.
+    """
+    paths = [str(Path(sys.modules[name].__file__ or "").parents[1]) for name in ("xihe_blender", "xihenet")]
+    code = (
+        f"import sys; sys.path[:0] = {paths!r}\n"
+        "from xihe_blender.cli.main import main\n"
+        f"sys.exit(main(['export', {str(folder)!r}, '--to', 'viewer']))"
+    )
+    program = [bpy.app.binary_path, "--background", "--factory-startup", "--python-expr", code]
+    done = subprocess.run(
+        program if bpy.app.binary_path else [sys.executable, "-c", code],
+        stdin=subprocess.DEVNULL, capture_output=True, text=True, encoding="utf-8", errors="replace", check=False,
+    )  # fmt: skip
+    if done.returncode != 0:
+        said = [line.removeprefix("xihe: ") for line in done.stderr.splitlines() if line.startswith("xihe: ")]
+        raise UserError(said[-1] if said else f"the viewer was not written (exit code {done.returncode})")
+    return folder / "viewer.html"
+
+
 class XIHE_OT_open_report(Action, bpy.types.Operator):
     bl_idname = "xihe.open_report"
     bl_label = "Open Report"
@@ -124,5 +168,12 @@ def _show_in_editor(context: bpy.types.Context, image: bpy.types.Image | None) -
 
 
 register, unregister = bpy.utils.register_classes_factory(
-    (XIHE_OT_explain, XIHE_OT_go_to_trigger, XIHE_OT_show_comparison, XIHE_OT_save_side_by_side, XIHE_OT_open_report)
+    (
+        XIHE_OT_explain,
+        XIHE_OT_go_to_trigger,
+        XIHE_OT_show_comparison,
+        XIHE_OT_save_side_by_side,
+        XIHE_OT_save_viewer,
+        XIHE_OT_open_report,
+    )
 )

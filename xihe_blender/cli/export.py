@@ -1,27 +1,23 @@
-"""`xihe export`: the light of a run as an engine takes it, without Blender."""
+"""`xihe export`: the light of a run as an engine takes it, without Blender; or a page that shows the run, with it."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
-import numpy as np
-
 from xihe_blender.cli.arguments import adder, names, one_of
 from xihe_blender.errors import UserError
-from xihe_blender.io.outputs import written_whole
+from xihe_blender.io.outputs import RunOutputs, written_whole
+from xihe_blender.io.run_lights import light_of_change
 from xihe_blender.io.run_results import LightChange, RunResults, read_results
-from xihenet.exr import read_exr
 from xihenet.light import LightParts
-from xihenet.light.environments import laid_out_as_ours
 from xihenet.light.exports import NamedLight, export_files, scaled
 from xihenet.light.platforms import PLATFORMS
-from xihenet.records import ArrayF64, KeyLight, ObjectLight
 
+VIEWER = "viewer"
 UNITS = {
     "picture": "radiance; 1 is white in the phone's picture",
     "scene": "radiance of the scene in Blender",
@@ -34,7 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"{name}: {', '.join(one.readings)}" for name, one in PLATFORMS.items() if len(one.readings) > 1
     )
     add("results RESULTS.json", "of a run that is done, or its folder", Path)
-    add("--to TARGET", f"engine or file format: {one_of(PLATFORMS)}", choices=tuple(PLATFORMS), required=True)
+    target = f"engine or file format, {one_of(PLATFORMS)}; or {VIEWER}, a page to send that shows the run"
+    add("--to TARGET", target, choices=(*PLATFORMS, VIEWER), required=True)
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--frame", metavar="N", type=int, help="light in force at this frame; default: the last one")
     which.add_argument("--all", action="store_true", help="every light of the path, from the frame on where it changes")
@@ -51,12 +48,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=tuple(UNITS),
         default="picture",
     )
-    add("--out DIR", "folder for the files; default: exports/TARGET in the run's folder", Path)
+    blend = f"for {VIEWER}: the file with the virtual objects; default: the lit one in the run's folder"
+    add("--blend FILE.blend", blend, Path)
+    out = f"folder for the files; default: exports/TARGET in the run's folder, for {VIEWER} the folder itself"
+    add("--out DIR", out, Path)
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     folder = options.results.parent if options.results.name == "results.json" else options.results
     results = read_results(folder)
+    if options.to == VIEWER:
+        print(_viewer(results, folder, options), file=stdout)
+        return
     lights = exported_lights(results, folder, options)
     try:
         files = export_files(lights, options.to, reading=options.reading, units=UNITS[options.units])
@@ -64,6 +67,35 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         raise UserError(str(error)) from error
     for path in write_files(folder / "exports" / options.to if options.out is None else options.out, files):
         print(path, file=stdout)
+
+
+def _viewer(results: RunResults, folder: Path, options: argparse.Namespace) -> Path:
+    """Write the page; its path."""
+    if options.frame is not None or options.reading is not None:
+        raise UserError(f"{VIEWER} shows the whole run: leave out --frame and --reading")
+    from xihe_blender.report.viewer import viewed_frames, viewer_page, write_viewer
+    from xihe_blender.scene.blend_file import open_blend
+    from xihe_blender.scene.gltf import viewed_objects
+
+    outputs = RunOutputs(folder, Path(results.scene.file).stem)
+    seen = viewed_frames(results, outputs)
+    blend = outputs.lit_blend if options.blend is None else options.blend
+    if not blend.is_file():
+        raise UserError(f"there is no {blend}: name the .blend with the virtual objects by --blend")
+    scene = open_blend(blend)
+    wanted = list(results.lights) if options.objects is None else list(options.objects)
+    there = {item.name: item for item in scene.objects}
+    lacking = [name for name in wanted if name not in there]
+    if lacking or not wanted:
+        named = f"no virtual object {lacking[0]!r}" if lacking else "no virtual objects"
+        raise UserError(f"{blend} has {named}: name another .blend by --blend")
+    objects = viewed_objects(scene, [there[name] for name in wanted], list(seen))
+    path = (folder if options.out is None else options.out) / f"{VIEWER}.html"
+    try:
+        write_viewer(path, viewer_page(results, outputs, seen, objects))
+    except OSError as error:
+        raise UserError(f"cannot write {path} ({error.strerror}): choose another folder for --out") from error
+    return path
 
 
 def exported_lights(results: RunResults, folder: Path, options: argparse.Namespace) -> list[NamedLight]:
@@ -92,7 +124,7 @@ def exported_lights(results: RunResults, folder: Path, options: argparse.Namespa
                 f"{name!r} has no estimate yet{where}: choose other objects with --objects, or a later frame"
             )
         for change in changes:
-            light, panorama = _light_of(change, parts, folder, gain * results.settings.reference_exposure)
+            light, panorama = light_of_change(change, parts, folder, gain * results.settings.reference_exposure)
             found.append(NamedLight(name, change.frame, frames[change.frame], scaled(light, gain), panorama))
     return found
 
@@ -102,27 +134,6 @@ def _in_force(changes: Sequence[LightChange], frame: int | None, *, everything: 
     if everything:
         return list(changes)
     return [change for change in changes if frame is None or change.frame <= frame][-1:]
-
-
-def _light_of(
-    change: LightChange, parts: LightParts, folder: Path, exposure: float
-) -> tuple[ObjectLight, ArrayF64 | None]:
-    """The light, carrying the session's exposure, and the panorama that glossy things reflect, times `exposure`."""
-    light, panorama = ObjectLight(np.array(change.sh, np.float64)), None
-    if parts != "sh" and change.key is not None:
-        key = change.key
-        direction, irradiance = np.array(key.direction), np.array(key.irradiance)
-        light = replace(light, key=KeyLight(direction, irradiance, key.angular_radius, key.is_seen))
-    if parts.endswith("reflections") and change.reflections is not None:
-        path = folder / change.reflections.picture
-        try:
-            channels = read_exr(path)
-            picture = np.stack([channels[channel] for channel in "RGB"], axis=-1)
-        except (OSError, ValueError, KeyError) as error:
-            raise UserError(f"{path} cannot be read ({error}): run xihe previs again, or add --light sh+key") from error
-        # A run writes it as Blender's Environment Texture reads it.
-        panorama = laid_out_as_ours(np.maximum(picture.astype(np.float64), 0.0) * exposure, "+X")
-    return light, panorama
 
 
 def write_files(folder: Path, files: dict[str, bytes]) -> list[Path]:

@@ -1,0 +1,121 @@
+"""The viewer of a run: what is in the page, and what cannot be shown.
+
+A browser looks at it in addon_tests/engines/prove_viewer.py.
+"""
+
+import base64
+import json
+import re
+import shutil
+import zlib
+
+import bpy
+import numpy as np
+import pytest
+from previs_runs import SMALL, run, walk
+
+from xihe_blender.addon.result_operators import viewer_of_run
+from xihe_blender.cli.main import main
+from xihe_blender.errors import UserError
+from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.io.run_results import read_results
+from xihenet.light.platforms import Y_UP, coefficients_for, convention_of
+from xihenet.recording import load_frame
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    """A run's folder, and its page."""
+    folder = tmp_path_factory.mktemp("viewer")
+    run(walk(), folder, SMALL)
+    assert main(["export", str(folder / "results.json"), "--to", "viewer"]) == 0
+    return folder, (folder / "viewer.html").read_text(encoding="utf-8")
+
+
+def data_of(page):
+    return json.loads(re.search(r'id="data">(.*?)</script>', page, re.DOTALL)[1])
+
+
+def test_the_page_is_one_file_that_asks_for_nothing(done):
+    _, page = done
+    assert "default-src 'none'" in page and "Permission is hereby granted" in page
+    assert not re.search(r'(src|href)="', page) and page.count("<script") == page.count("</script>") == 3
+    assert "$" not in re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
+
+
+def test_frames_have_what_the_phone_saw_and_where_it_was(done):
+    folder, page = done
+    data, results = data_of(page), read_results(folder)
+    outputs = RunOutputs(folder, "")
+    assert [frame["frame"] for frame in data["frames"]] == [frame.frame for frame in results.captured_frames]
+    for frame in data["frames"]:
+        seen = load_frame(outputs.capture(frame["frame"])) if outputs.capture(frame["frame"]).exists() else None
+        if seen is None:
+            continue
+        matrix = np.array(frame["camera"]["matrix"]).reshape(4, 4).T
+        np.testing.assert_allclose(matrix[:3, 3], Y_UP @ seen.world_from_camera[:3, 3], atol=1e-5)
+        depth_mm = np.frombuffer(zlib.decompress(base64.b64decode(data["depths"][frame["depth"]])), "<u2")
+        near = np.isfinite(seen.plane_depth_m) & (seen.plane_depth_m < 60) & (seen.plane_depth_m > 0)
+        shown_m = depth_mm.reshape(seen.plane_depth_m.shape)[near] / 1000
+        np.testing.assert_allclose(shown_m, seen.plane_depth_m[near], atol=6e-4)
+    compared = {frame["frame"] for frame in data["frames"] if frame["truth"] is not None}
+    assert compared == set(results.compared_frames)
+
+
+def test_lights_are_those_of_the_run(done):
+    folder, page = done
+    data, results = data_of(page), read_results(folder)
+    assert [one["name"] for one in data["methods"]] == [results.settings.estimator, "truth", "ambient"]
+    own = data["methods"][0]["lights"]
+    assert {name: [one["frame"] for one in lights] for name, lights in own.items()} == {
+        name: [change.frame for change in changes] for name, changes in results.lights.items()
+    }
+    truth = data["methods"][1]["lights"]["Ball"][0]
+    first = next(p for frame in results.frames for p in frame.probes if p.object == "Ball")
+    expected = coefficients_for(np.array(first.sh_truth), convention_of("three"))
+    np.testing.assert_allclose(truth["sh"], expected, atol=1e-5)
+
+
+def test_objects_are_gltf_and_stay_where_they_are(done):
+    _, page = done
+    for one in data_of(page)["objects"]:
+        assert base64.b64decode(one["glb"])[:4] == b"glTF" and one["radius"] > 0.05
+        assert [np.round(matrix, 5).tolist() for matrix in one["matrices"]] == [np.eye(4).ravel().tolist()]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--frame", "1"), "leave out --frame"),
+        (("--objects", "Nobody"), "no virtual object 'Nobody'"),
+        (("--blend", "nowhere.blend"), "there is no nowhere.blend"),
+    ],
+)
+def test_what_cannot_be_shown_is_one_line(done, tmp_path, capfd, arguments, words):
+    folder, _ = done
+    assert main(["export", str(folder), "--to", "viewer", "--out", str(tmp_path), *arguments]) == 2
+    said = capfd.readouterr().err
+    assert words in said and said.count("\n") == 1 and not list(tmp_path.iterdir())
+
+
+def test_lost_captures_and_too_many_triangles_are_one_line(done, tmp_path, capfd, monkeypatch):
+    folder = tmp_path / "run"
+    shutil.copytree(done[0], folder)
+    monkeypatch.setattr("xihe_blender.scene.gltf.MOST_TRIANGLES", 10)
+    assert main(["export", str(folder), "--to", "viewer"]) == 2
+    assert "triangles" in capfd.readouterr().err
+    shutil.rmtree(folder / "work")
+    assert main(["export", str(folder), "--to", "viewer"]) == 2
+    assert "is gone: run xihe previs again" in capfd.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_button_writes_the_same_page_and_leaves_the_open_file_alone(done):
+    folder, page = done
+    walk()
+    chosen = [item.name for item in bpy.context.selected_objects]
+    (folder / "viewer.html").unlink()
+    assert viewer_of_run(folder).read_text(encoding="utf-8") == page
+    assert [item.name for item in bpy.context.selected_objects] == chosen
+    with pytest.raises(UserError, match="cannot be read"):
+        viewer_of_run(folder / "nowhere")

@@ -1,0 +1,277 @@
+"""The viewer of a run: one HTML file in which its virtual objects stand in the captured pictures, live, in three.js.
+
+What it shows is in it, three.js among it (viewer_three.min.js, made by `npm run viewer` in addon_tests/engines), and
+the page asks for nothing else. Lights are those that `xihenet.light.platforms` gives three.js. Depth as captured hides
+what is behind; shadows fall on the surfaces that the run found around its objects.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+
+from xihe_blender.errors import UserError
+from xihe_blender.io.outputs import RunOutputs, written_whole
+from xihe_blender.io.run_lights import light_of_change
+from xihe_blender.io.run_results import FrameResult, RunResults
+from xihe_blender.report.values import escape
+from xihenet.formats import format_number, format_percent
+from xihenet.light.environments import encode_hdr, laid_out
+from xihenet.light.platforms import PLATFORMS, Y_UP, coefficients_for, convention_of, main_light_for, soft_light
+from xihenet.png import encode_png
+from xihenet.recording import load_frame
+from xihenet.records import ArrayF64, ObjectLight, RgbdFrame
+
+_HERE = Path(__file__).parent
+NOTHING_MM = 65535
+TITLES = {"truth": "the rendered light probe", "ambient": "the ambient light sensor"}
+
+
+@dataclass(frozen=True, eq=False)
+class ViewedObject:
+    """A virtual object as the viewer takes it.
+
+    Parameters
+    ----------
+    name : of the object
+    glb : its shape and materials, where it is at one frame, Y up
+    matrices : (4, 4) by which that is moved, Y up, metres; one for each frame of the viewer, or one for all
+    middle, radius : of a ball around `glb`: there, and in metres
+    """
+
+    name: str
+    glb: bytes
+    matrices: Sequence[ArrayF64]
+    middle: ArrayF64
+    radius: float
+
+
+@dataclass
+class _Stored:
+    """What several frames share, each once: its place by its content."""
+
+    contents: list[str] = field(default_factory=list)
+    places: dict[bytes, int] = field(default_factory=dict)
+
+    def place(self, content: bytes, prefix: str = "") -> int:
+        if content not in self.places:
+            self.places[content] = len(self.contents)
+            self.contents.append(prefix + base64.b64encode(content).decode())
+        return self.places[content]
+
+
+def viewed_frames(results: RunResults, outputs: RunOutputs) -> dict[int, RgbdFrame]:
+    """What the phone saw, by frame; UserError where the run's captures are gone or there are none."""
+    seen = {}
+    for frame in results.captured_frames:
+        capture = None if frame.rendering is None else frame.rendering.capture
+        source = frame.frame if capture is None or capture.same_as is None else capture.same_as
+        paths = [outputs.seen(frame.frame), outputs.seen(source), outputs.capture(source)]
+        path = next((path for path in paths if path.exists()), None)
+        if path is None:
+            raise UserError(f"{outputs.capture(source)} is gone: run xihe previs again, and keep the folder work")
+        try:
+            seen[frame.frame] = load_frame(path)
+        except (OSError, ValueError, KeyError) as error:
+            raise UserError(f"{path} cannot be read ({error}): run xihe previs again") from error
+    if not seen:
+        raise UserError("the run has captured no frame: nothing can be shown")
+    return seen
+
+
+def viewer_page(
+    results: RunResults, outputs: RunOutputs, seen: Mapping[int, RgbdFrame], objects: Sequence[ViewedObject]
+) -> str:
+    """The page. `seen` as of `viewed_frames`, all of one size; `objects` have a matrix for each of them, or one."""
+    pictures, depths, reflections = _Stored(), _Stored(), _Stored()
+    methods = _methods(results, outputs.folder, reflections)
+    by_number = {frame.frame: frame for frame in results.frames}
+    frames = [_frame(results, by_number[number], one, outputs, pictures, depths) for number, one in seen.items()]
+    first = next(iter(seen.values()))
+    content = {
+        "size": [first.intrinsics.width, first.intrinsics.height],
+        "frames": frames,
+        "methods": methods,
+        "objects": [_object(one) for one in objects],
+        "pictures": pictures.contents,
+        "depths": depths.contents,
+        "reflections": reflections.contents,
+    }
+    licence = (_HERE / "viewer_three.LICENSE.txt").read_text(encoding="utf-8")
+    three = (_HERE / "viewer_three.min.js").read_text(encoding="utf-8")
+    return Template((_HERE / "viewer.html").read_text(encoding="utf-8")).substitute(
+        title=escape(Path(results.scene.file).stem),
+        style=(_HERE / "viewer.css").read_text(encoding="utf-8"),
+        # No name in a scene can end the script.
+        data=json.dumps(content, allow_nan=False).replace("<", "\\u003c"),
+        three=f"/*\nthree.js\n\n{licence}*/\n{three}".replace("</script", "<\\/script"),
+        script=(_HERE / "viewer.js").read_text(encoding="utf-8"),
+    )
+
+
+def write_viewer(path: Path, page: str) -> None:
+    """Write it, whole or not at all; OSError where it cannot be written."""
+    with written_whole(path) as beside:
+        beside.write_text(page, encoding="utf-8")
+
+
+def _object(one: ViewedObject) -> dict[str, Any]:
+    same = all(np.allclose(matrix, one.matrices[0], atol=1e-6) for matrix in one.matrices)
+    return {
+        "name": one.name,
+        "glb": base64.b64encode(one.glb).decode(),
+        "matrices": [_by_column(matrix) for matrix in (one.matrices[:1] if same else one.matrices)],
+        "middle": one.middle.tolist(),
+        "radius": one.radius,
+    }
+
+
+def _by_column(matrix: ArrayF64) -> list[float]:
+    return [round(float(value), 7) for value in np.asarray(matrix).T.ravel()]
+
+
+def _frame(
+    results: RunResults, frame: FrameResult, seen: RgbdFrame, outputs: RunOutputs, pictures: _Stored, depths: _Stored
+) -> dict[str, Any]:
+    turned = np.eye(4)
+    turned[:3, :3] = Y_UP
+    depth_mm = np.nan_to_num(seen.plane_depth_m.astype(np.float64), nan=0.0, posinf=0.0) * 1000
+    packed = zlib.compress(np.where(depth_mm < NOTHING_MM, np.rint(depth_mm), 0).astype("<u2").tobytes(), 9)
+    k = seen.intrinsics
+    compared = results.compared_frames.get(frame.frame)
+    truth = None
+    if compared is not None and "ground_truth" in compared.pictures:
+        file = outputs.folder / compared.pictures["ground_truth"]
+        truth = pictures.place(file.read_bytes(), "data:image/png;base64,") if file.is_file() else None
+    coverage = [probe.coverage for probe in frame.probes]
+    return {
+        "frame": frame.frame,
+        "time_s": frame.time_s,
+        "captured": pictures.place(encode_png(seen.srgb_u8), "data:image/png;base64,"),
+        "truth": truth,
+        "depth": depths.place(packed),
+        "camera": {
+            "matrix": _by_column(turned @ seen.world_from_camera),
+            "fx": k.fx,
+            "fy": k.fy,
+            "cx": k.cx,
+            "cy": k.cy,
+        },
+        "surfaces": _surfaces(results, frame.frame),
+        "numbers": [["Sphere seen", format_percent(float(np.mean(coverage)), 2)]] if coverage else [],
+        "by_method": _numbers(results, frame),
+    }
+
+
+def _surfaces(results: RunResults, number: int) -> dict[str, list[dict[str, Any]]]:
+    """Those that were known in the last compared frame up to this one, or else in the first."""
+    compared = results.compared_frames
+    known = [frame for frame in compared if frame <= number] or sorted(compared)[:1]
+    if not known:
+        return {}
+    return {
+        name: [
+            {
+                "corners": [(Y_UP @ corner).round(6).tolist() for corner in np.array(one.outline_m)],
+                "normal": (Y_UP @ np.array(one.normal)).round(6).tolist(),
+            }
+            for one in surfaces
+        ]
+        for name, surfaces in compared[max(known)].surfaces.items()
+    }
+
+
+def _numbers(results: RunResults, frame: FrameResult) -> dict[str, list[list[str]]]:
+    """By method, name and value of each figure."""
+    own, compared, found = results.settings.estimator, results.compared_frames.get(frame.frame), {}
+    of_light: dict[str, list[float]] = {}
+    for probe in frame.probes:
+        of_light.setdefault(own, []).append(probe.shc_rmse)
+        if probe.ambient_shc_rmse is not None:
+            of_light.setdefault("ambient", []).append(probe.ambient_shc_rmse)
+        for name, other in probe.others.items():
+            of_light.setdefault(name, []).append(other.shc_rmse)
+    expected = [probe.expected_error for probe in frame.probes if probe.expected_error is not None]
+    for name in dict.fromkeys([own, *results.settings.others, *TITLES]):
+        figures = []
+        if name in of_light:
+            figures.append(["Error of the light (SHC RMSE)", format_number(float(np.mean(of_light[name])), 3)])
+        if name == own and expected:
+            figures.append(["Expected error", format_number(float(np.mean(expected)), 3)])
+        if compared is not None and name in compared.comparison:
+            of_picture = compared.comparison[name]
+            figures.append(["Error of the picture (RMSE)", format_number(of_picture.rmse, 3)])
+            figures.append(["Likeness of the picture (SSIM)", format_number(of_picture.ssim, 3)])
+        found[name] = figures
+    return found
+
+
+# ------------------------------------------------------------------------------------------------------------ lights
+
+
+def _methods(results: RunResults, folder: Path, reflections: _Stored) -> list[dict[str, Any]]:
+    """The run's estimator, with all parts of its light, then the others, as spherical harmonics alone."""
+    own, exposure = results.settings.estimator, results.settings.reference_exposure
+    made: dict[str, list[dict[str, Any]]] = {}
+    for name, changes in results.lights.items():
+        made[name] = []
+        for change in changes:
+            light, panorama = light_of_change(change, results.settings.light, folder, exposure)
+            place = None if panorama is None else reflections.place(encode_hdr(laid_out(panorama, "+X")))
+            made[name].append(_light(change.frame, light, place))
+    listed = [{"name": own, "title": own, "lights": made}]
+    for name in ("truth", "ambient", *results.settings.others):
+        listed.append({"name": name, "title": TITLES.get(name, name), "lights": _by_object(results, name)})
+    return listed
+
+
+def _by_object(results: RunResults, method: str) -> dict[str, list[dict[str, Any]]]:
+    """The mean light of each object's positions wherever it changes, as spherical harmonics."""
+    lights: dict[str, list[dict[str, Any]]] = {name: [] for name in results.lights}
+    exposure = results.settings.reference_exposure
+    for frame in results.frames:
+        of_objects: dict[str, list[ArrayF64]] = {}
+        if method == "ambient" and frame.ambient_radiance is not None:
+            grey = np.eye(9)[0][:, None] * np.array(frame.ambient_radiance) * exposure * np.sqrt(4 * np.pi)
+            of_objects = {name: [grey] for name in lights}
+        for probe in frame.probes:
+            other = probe.others.get(method)
+            sh = probe.sh_truth if method == "truth" else None if other is None else other.sh
+            if sh is not None:
+                of_objects.setdefault(probe.object, []).append(np.array(sh))
+        for name, each in of_objects.items():
+            entry = _light(frame.frame, ObjectLight(np.mean(each, axis=0)), None)
+            before = lights.setdefault(name, [])
+            if not before or before[-1]["sh"] != entry["sh"]:
+                before.append(entry)
+    return lights
+
+
+def _light(frame: int, light: ObjectLight, reflections: int | None) -> dict[str, Any]:
+    convention, three = convention_of("three"), PLATFORMS["three"]
+    main = main_light_for(light, convention)
+    return {
+        "frame": frame,
+        "sh": _rounded(coefficients_for(soft_light(light, three), convention)),
+        "mainLight": None
+        if main is None
+        else {
+            "direction": main.direction,
+            "color": main.colour,
+            "intensity": main.intensity,
+            "angularRadius": float(np.radians(main.angular_diameter_deg / 2)),
+        },
+        "reflections": reflections,
+    }
+
+
+def _rounded(values: ArrayF64) -> list[float]:
+    return [round(float(value), 6) for value in values]

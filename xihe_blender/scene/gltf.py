@@ -1,0 +1,96 @@
+"""Virtual objects as glTF, by Blender's own exporter, and how they move along the path."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import addon_utils
+import bpy
+import numpy as np
+
+from xihe_blender.errors import UserError
+from xihe_blender.report.viewer import ViewedObject
+from xihe_blender.scene.estimation_positions import world_box_corners
+from xihe_blender.scene.units import metres_per_unit
+from xihenet.light.platforms import Y_UP
+from xihenet.records import ArrayF64
+
+EXPORTER = "io_scene_gltf2"
+MOST_TRIANGLES = 200_000
+"""Of all objects: some 10 MB in a page."""
+
+
+def viewed_objects(
+    scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], frames: Sequence[int]
+) -> list[ViewedObject]:
+    """The `objects` of `scene`, shaped as they are at the first of `frames`, and where they are at each of them.
+
+    Changes the frame and the selection, for Blender's exporter: for a file that is not saved afterwards. (In a copy of
+    the scene, which would leave both alone, the exporter crashes Blender 4.5.) UserError for shapes with too many
+    triangles, for objects that are hidden, and where Blender has no exporter of glTF.
+    """
+    if addon_utils.enable(EXPORTER) is None:
+        raise UserError("this Blender has no exporter of glTF: use one that has the add-on io_scene_gltf2")
+    scene.frame_set(frames[0])
+    depsgraph, metres = scene.view_layers[0].depsgraph, metres_per_unit(scene)
+    for item in objects:
+        if not item.visible_get(view_layer=scene.view_layers[0]):
+            raise UserError(f"virtual object {item.name!r} is hidden: show it, save the file, and name it by --blend")
+    counts = {item.name: _n_triangles(item, depsgraph) for item in objects}
+    if sum(counts.values()) > MOST_TRIANGLES:
+        largest = max(counts, key=lambda name: counts[name])
+        raise UserError(
+            f"the virtual objects have {sum(counts.values())} triangles, {largest!r} the most, and the viewer takes "
+            f"{MOST_TRIANGLES}: add a Decimate modifier to it, and name the file by --blend"
+        )
+    shapes = {item.name: _exported(scene, item) for item in objects}
+    boxes = {item.name: world_box_corners(item, depsgraph) for item in objects}
+    start = {item.name: _place(item, scene) for item in objects}
+    moves: dict[str, list[ArrayF64]] = {item.name: [] for item in objects}
+    for frame in frames:
+        scene.frame_set(frame)
+        for item in objects:
+            moves[item.name].append(_y_up(_place(item, scene) @ np.linalg.pinv(start[item.name]), metres))
+    viewed = []
+    for name, corners in boxes.items():
+        middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
+        radius = float(np.linalg.norm(corners.max(axis=0) - middle)) * metres
+        viewed.append(ViewedObject(name, shapes[name], moves[name], Y_UP @ middle, radius))
+    return viewed
+
+
+def _place(item: bpy.types.Object, scene: bpy.types.Scene) -> ArrayF64:
+    return np.array(item.evaluated_get(scene.view_layers[0].depsgraph).matrix_world, np.float64)
+
+
+def _y_up(move: ArrayF64, metres: float) -> ArrayF64:
+    """A move in Blender's axes and units as one from what is in its units, Y up, to metres."""
+    turned = np.eye(4)
+    turned[:3, :3] = Y_UP
+    result: ArrayF64 = np.diag([metres, metres, metres, 1.0]) @ turned @ move @ turned.T
+    return result
+
+
+def _n_triangles(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> int:
+    evaluated = item.evaluated_get(depsgraph)
+    if evaluated.type not in ("MESH", "CURVE", "SURFACE", "META", "FONT"):
+        return 0
+    mesh = evaluated.to_mesh()
+    mesh.calc_loop_triangles()
+    n = len(mesh.loop_triangles)
+    evaluated.to_mesh_clear()
+    return n
+
+
+def _exported(scene: bpy.types.Scene, item: bpy.types.Object) -> bytes:
+    for other in scene.view_layers[0].objects:
+        other.select_set(other == item)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "object.glb"
+        bpy.ops.export_scene.gltf(
+            filepath=str(path), export_format="GLB", use_selection=True, export_yup=True, export_apply=True,
+            export_animations=False, export_cameras=False, export_lights=False,
+        )  # fmt: skip
+        return path.read_bytes()
