@@ -9,6 +9,8 @@ without tone mapping from the front and from the back. The error is the mean dif
 relative to the mean of Cycles. Where an engine clamps what is below black, Cycles is clamped as well. Engines that take
 pictures are held against the picture that was exported, in Cycles.
 
+An app of three.js in an emulated WebXR session gets two lights as `webxr_replay.js` gives them.
+
 Then the lights are exported wrong on purpose, and each of these mistakes must be seen in every engine.
 """
 
@@ -51,6 +53,9 @@ CLAMPS = {"babylon", "filament"}
 
 SIDE = 64
 SAMPLES = 256
+WEBXR_OFF = 1e-5
+"""Its numbers are float32."""
+
 RIM = 0.95
 """Of the sphere's radius: pixels beyond are at its edge."""
 
@@ -190,6 +195,29 @@ def written(out: Path, name: str, engine: str, light: ObjectLight, mistake: Call
         (folder / file).write_bytes(content_of)
 
 
+def wrong_in_webxr(out: Path, lights: dict[str, ObjectLight]) -> list[str]:
+    """What an app that asks for the light does not get of two lights, a second apart."""
+    folder, browser = out / "webxr", json.loads((out / "job.json").read_text())["browser"]
+    folder.mkdir(exist_ok=True)
+    names = ("living_room_key", "walk_around")
+    timed = [NamedLight("Sphere", 1 + number, float(number), lights[name]) for number, name in enumerate(names)]
+    for file, content in export_files(timed, "webxr").items():
+        (folder / file).write_bytes(content)
+    command = ["node", HERE / "webxr.mjs", folder, browser, "3"]
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
+    seen = json.loads(done.stdout or "[]")
+    if done.returncode != 0 or len(seen) < len(timed):
+        return [f"webxr: the app had {len(seen)} of {len(timed)} lights"]
+    wrong = []
+    for got, entry in zip(seen, json.loads((folder / "webxr.json").read_text())["lights"], strict=False):
+        main = entry["mainLight"] or {"direction": [0, 1, 0], "color": [0, 0, 0], "intensity": 0.0}
+        expected = [*entry["sh"], *main["direction"], *(c * main["intensity"] for c in main["color"])]
+        off = np.abs(np.array([*got["sh"], *got["direction"], *got["intensity"]]) - expected).max()
+        wrong += [f"webxr: the light of frame {entry['frame']} is {off:.2g} off"] * bool(off > WEBXR_OFF)
+    print(f"webxr: an app had {len(timed)} lights, each as exported" if not wrong else "webxr")
+    return wrong
+
+
 SIGNS = np.array([1, -1, 1, -1, 1, -1, 1, -1, 1.0])[:, None]
 UPSIDE_DOWN = np.array([1, -1, 1, 1, -1, -1, 1, 1, -1.0])[:, None]
 MISTAKES: dict[str, Callable[[Any, Any], Any]] = {
@@ -242,7 +270,7 @@ def main() -> None:
                 # Only black is left of what is below zero in a picture, so Cycles sees the picture.
                 truths[name, True] = drawn(light, np.maximum(radiance, 0))
     versions = versions_drawn(drawing)
-    failed = []
+    failed = wrong_in_webxr(out, lights)
     for engine in options.engines:
         is_picture = engine in TAKE_PICTURES
         own = [name for name in by_engine[engine] if name in lights]

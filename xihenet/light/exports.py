@@ -37,6 +37,9 @@ from xihenet.records import ArrayF64, ObjectLight
 TAKE_PICTURES: Mapping[str, Layout] = {"model-viewer": "+X", "playcanvas": "-Y", "usd": "-Y"}
 """Platforms whose soft light is a picture, and how it is laid out. Reflections for others are as in three.js."""
 
+SCRIPTS = {"unity": "XiheLight.cs", "webxr": "webxr_replay.js"}
+"""What reads the JSON there."""
+
 CUBE_SIDE = 32
 # Of a cube map, in its order, Y up: the direction of the middle, of the right edge and of the upper one.
 CUBE_FACES = (
@@ -113,8 +116,8 @@ def export_files(
             "lights": entries,
         }
     )
-    if platform == "unity":
-        files["XiheLight.cs"] = resources.files("xihenet.light").joinpath("XiheLight.cs").read_bytes()
+    if platform in SCRIPTS:
+        files[SCRIPTS[platform]] = resources.files("xihenet.light").joinpath(SCRIPTS[platform]).read_bytes()
     return files
 
 
