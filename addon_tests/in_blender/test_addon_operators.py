@@ -219,6 +219,7 @@ def test_grey_buttons_without_anything_say_what_to_do(tmp_path):
         "show_comparison": no_results,
         "save_side_by_side": no_results,
         "save_viewer": no_results,
+        "export_light": no_results,
         "open_report": no_results,
         "explain": "",
         "look_where": no_results,

@@ -12,6 +12,7 @@ import zlib
 import bpy
 import numpy as np
 import pytest
+from addon_runs import registered_addon
 from previs_runs import SMALL, run, walk
 
 from xihe_blender.addon.result_operators import viewer_of_run
@@ -119,3 +120,15 @@ def test_the_button_writes_the_same_page_and_leaves_the_open_file_alone(done):
     assert [item.name for item in bpy.context.selected_objects] == chosen
     with pytest.raises(UserError, match="cannot be read"):
         viewer_of_run(folder / "nowhere")
+
+
+def test_the_button_exports_what_the_command_does(done, tmp_path):
+    folder, _ = done
+    with registered_addon():
+        scene = walk()
+        scene.xihe.run_folder = str(folder)
+        scene.frame_set(2)
+        assert bpy.ops.xihe.export_light(target="three") == {"FINISHED"}
+    by_button = (folder / "exports" / "three" / "three.json").read_bytes()
+    assert main(["export", str(folder), "--to", "three", "--frame", "2", "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "three.json").read_bytes() == by_button

@@ -96,6 +96,10 @@ def network_items(_owner: object, _context: bpy.types.Context | None) -> list[It
     return _networks()
 
 
+def platform_items(_owner: object, _context: bpy.types.Context | None) -> list[Item]:
+    return _platforms()
+
+
 @functools.cache
 def _estimators() -> list[Item]:
     from xihenet.estimators import names
@@ -118,6 +122,13 @@ def _phones() -> list[Item]:
     profiles = [(name, load_profile(name)) for name in profile_names()]
     items = [_item(name, profile.name, profile.summary, "OUTLINER_DATA_CAMERA") for name, profile in profiles]
     return [*items, _item(FROM_FILE, "From File", "A phone of your own, described in a TOML file", "FILE")]
+
+
+@functools.cache
+def _platforms() -> list[Item]:
+    from xihenet.light.platforms import PLATFORMS
+
+    return [_item(name, one.title, "", "EXPORT") for name, one in PLATFORMS.items()]
 
 
 @functools.cache

@@ -338,6 +338,7 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         row.operator("xihe.save_side_by_side", text="Save Video")
         row.operator("xihe.save_viewer", text="Save Viewer")
         row = layout.row(align=True)
+        row.operator_menu_enum("xihe.export_light", "target", text="Export Light")
         row.operator("xihe.open_report", text="Open Report")
         row.operator("wm.path_open", text="", icon="FILE_FOLDER").filepath = settings.run_folder
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import bpy
 
-from xihe_blender.addon import polls
+from xihe_blender.addon import choices, polls
 from xihe_blender.addon.failures import FAILURES, Action, format_error
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
@@ -119,6 +119,34 @@ class XIHE_OT_save_viewer(Action, bpy.types.Operator):
         return f"Saved {page}"
 
 
+class XIHE_OT_export_light(Action, bpy.types.Operator):
+    bl_idname = "xihe.export_light"
+    bl_label = "Export Light"
+    bl_description = (
+        "Write the light at this frame for an engine, into the folder exports of the run: coefficients or a picture, "
+        "and the main light apart. What each engine gets is in the documentation, on the page Light for engines"
+    )
+    bl_options = {"REGISTER"}
+    conditions = (polls.is_idle, polls.has_last_run)
+
+    target: bpy.props.EnumProperty(
+        name="Engine",
+        description="Engine or file format that the light is written for",
+        items=choices.platform_items,
+    )
+
+    def act(self, context: bpy.types.Context) -> str:
+        from xihe_blender.io.run_lights import LightsAsked, export_lights
+        from xihe_blender.io.run_results import read_results
+
+        folder = last_run_folder(context.scene)
+        results = read_results(folder)
+        # Beyond the path's ends, and between its frames, the light is that of the frame before.
+        frames = [frame.frame for frame in results.frames]
+        frame = max((one for one in frames if one <= context.scene.frame_current), default=min(frames))
+        return f"Saved {export_lights(results, folder, self.target, LightsAsked(frame))[-1].parent}"
+
+
 def viewer_of_run(folder: Path) -> Path:
     """The viewer's page, written by a second Blender: exporting glTF would change what is selected in this one.
 
@@ -174,6 +202,7 @@ register, unregister = bpy.utils.register_classes_factory(
         XIHE_OT_show_comparison,
         XIHE_OT_save_side_by_side,
         XIHE_OT_save_viewer,
+        XIHE_OT_export_light,
         XIHE_OT_open_report,
     )
 )

@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, get_args
 
 from xihe_blender.cli.arguments import adder, names, one_of
 from xihe_blender.errors import UserError
-from xihe_blender.io.outputs import RunOutputs, written_whole
-from xihe_blender.io.run_lights import light_of_change
-from xihe_blender.io.run_results import LightChange, RunResults, read_results
+from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.io.run_lights import UNITS, LightsAsked, export_lights
+from xihe_blender.io.run_results import RunResults, read_results
 from xihenet.light import LightParts
-from xihenet.light.exports import NamedLight, export_files, scaled
 from xihenet.light.platforms import PLATFORMS
 
 VIEWER = "viewer"
-UNITS = {
-    "picture": "radiance; 1 is white in the phone's picture",
-    "scene": "radiance of the scene in Blender",
-}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,12 +53,8 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     if options.to == VIEWER:
         print(_viewer(results, folder, options), file=stdout)
         return
-    lights = exported_lights(results, folder, options)
-    try:
-        files = export_files(lights, options.to, reading=options.reading, units=UNITS[options.units])
-    except ValueError as error:
-        raise UserError(str(error)) from error
-    for path in write_files(folder / "exports" / options.to if options.out is None else options.out, files):
+    asked = LightsAsked(options.frame, options.all, options.objects, options.light, options.units)
+    for path in export_lights(results, folder, options.to, asked, reading=options.reading, out=options.out):
         print(path, file=stdout)
 
 
@@ -96,53 +85,3 @@ def _viewer(results: RunResults, folder: Path, options: argparse.Namespace) -> P
     except OSError as error:
         raise UserError(f"cannot write {path} ({error.strerror}): choose another folder for --out") from error
     return path
-
-
-def exported_lights(results: RunResults, folder: Path, options: argparse.Namespace) -> list[NamedLight]:
-    """Those that are asked for; UserError, naming the fix, where there are none."""
-    frames = {frame.frame: frame.time_s for frame in results.frames}
-    if options.frame is not None and options.frame not in frames:
-        raise UserError(
-            f"the run has no frame {options.frame}: give one from {min(frames)} to {max(frames)} of its path"
-        )
-    parts = options.light or results.settings.light
-    if get_args(LightParts).index(parts) > get_args(LightParts).index(results.settings.light):
-        made = results.settings.light
-        raise UserError(
-            f"the run was made with --light {made}: run xihe previs again with --light {parts}, or ask for {made}"
-        )
-    chosen = list(results.lights) if options.objects is None else list(options.objects)
-    if unknown := [name for name in chosen if name not in results.lights]:
-        raise UserError(f"the run has no virtual object {unknown[0]!r}; it has {', '.join(results.lights)}")
-    gain = 1.0 if options.units == "picture" else 1.0 / results.settings.reference_exposure
-    found = []
-    for name in chosen:
-        changes = _in_force(results.lights[name], options.frame, everything=options.all)
-        if not changes:
-            where = "" if options.frame is None else f" at frame {options.frame}"
-            raise UserError(
-                f"{name!r} has no estimate yet{where}: choose other objects with --objects, or a later frame"
-            )
-        for change in changes:
-            light, panorama = light_of_change(change, parts, folder, gain * results.settings.reference_exposure)
-            found.append(NamedLight(name, change.frame, frames[change.frame], scaled(light, gain), panorama))
-    return found
-
-
-def _in_force(changes: Sequence[LightChange], frame: int | None, *, everything: bool) -> list[LightChange]:
-    """All of them, or the last one at or before the frame."""
-    if everything:
-        return list(changes)
-    return [change for change in changes if frame is None or change.frame <= frame][-1:]
-
-
-def write_files(folder: Path, files: dict[str, bytes]) -> list[Path]:
-    """Write all of the files or, if one cannot be written, none; UserError then. Their paths."""
-    paths = [folder / name for name in files]
-    try:
-        with contextlib.ExitStack() as stack:
-            for path, content in zip(paths, files.values(), strict=True):
-                stack.enter_context(written_whole(path)).write_bytes(content)
-    except OSError as error:
-        raise UserError(f"cannot write to {folder} ({error.strerror}): choose another folder for --out") from error
-    return paths

@@ -1,17 +1,22 @@
-"""The lights of a run, read back from its results and pictures."""
+"""The lights of a run, read back from its results and pictures, and written for an engine."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
 from xihe_blender.errors import UserError
-from xihe_blender.io.run_results import LightChange
+from xihe_blender.io.outputs import written_whole
+from xihe_blender.io.run_results import LightChange, RunResults
 from xihenet.exr import read_exr
 from xihenet.light import LightParts
 from xihenet.light.environments import laid_out_as_ours
+from xihenet.light.exports import NamedLight, export_files, scaled
 from xihenet.records import ArrayF64, KeyLight, ObjectLight
 
 
@@ -38,3 +43,92 @@ def light_of_change(
         # A run writes it as Blender's Environment Texture reads it.
         panorama = laid_out_as_ours(np.maximum(picture.astype(np.float64), 0.0) * exposure, "+X")
     return light, panorama
+
+
+UNITS = {
+    "picture": "radiance; 1 is white in the phone's picture",
+    "scene": "radiance of the scene in Blender",
+}
+
+
+@dataclass(frozen=True)
+class LightsAsked:
+    """Which lights of a run are wanted, and how.
+
+    Parameters
+    ----------
+    frame : of the run, whose light in force is wanted; None takes the last light
+    everything : every light of the path instead
+    objects : names of virtual objects; None takes all that have a light
+    parts : what is written of a light; None takes what the run made
+    units : one of UNITS
+    """
+
+    frame: int | None = None
+    everything: bool = False
+    objects: tuple[str, ...] | None = None
+    parts: LightParts | None = None
+    units: str = "picture"
+
+
+def export_lights(
+    results: RunResults, folder: Path, platform: str, asked: LightsAsked, *, reading: str | None = None,
+    out: Path | None = None,
+) -> list[Path]:  # fmt: skip
+    """Write lights of the run in `folder` for one of `xihenet.light.platforms`: all files or none. Their paths.
+
+    UserError, naming the fix, for what the run does not have, an unknown reading, and a folder that cannot be written;
+    `out` None is exports/PLATFORM in the run's folder.
+    """
+    lights = lights_asked(results, folder, asked)
+    try:
+        files = export_files(lights, platform, reading=reading, units=UNITS[asked.units])
+    except ValueError as error:
+        raise UserError(str(error)) from error
+    return _written(folder / "exports" / platform if out is None else out, files)
+
+
+def lights_asked(results: RunResults, folder: Path, asked: LightsAsked) -> list[NamedLight]:
+    """Those lights of the run in `folder`; UserError, naming the fix, where there are none."""
+    frames = {frame.frame: frame.time_s for frame in results.frames}
+    if asked.frame is not None and asked.frame not in frames:
+        raise UserError(f"the run has no frame {asked.frame}: give one from {min(frames)} to {max(frames)} of its path")
+    made = results.settings.light
+    parts = asked.parts or made
+    if get_args(LightParts).index(parts) > get_args(LightParts).index(made):
+        raise UserError(
+            f"the run was made with --light {made}: run xihe previs again with --light {parts}, or ask for {made}"
+        )
+    chosen = list(results.lights) if asked.objects is None else list(asked.objects)
+    if unknown := [name for name in chosen if name not in results.lights]:
+        raise UserError(f"the run has no virtual object {unknown[0]!r}; it has {', '.join(results.lights)}")
+    gain = 1.0 if asked.units == "picture" else 1.0 / results.settings.reference_exposure
+    found = []
+    for name in chosen:
+        changes = _in_force(results.lights[name], asked)
+        if not changes:
+            where = "" if asked.frame is None else f" at frame {asked.frame}"
+            raise UserError(f"{name!r} has no estimate yet{where}: choose other objects, or a later frame")
+        for change in changes:
+            light, panorama = light_of_change(change, parts, folder, gain * results.settings.reference_exposure)
+            found.append(NamedLight(name, change.frame, frames[change.frame], scaled(light, gain), panorama))
+    return found
+
+
+def _in_force(changes: Sequence[LightChange], asked: LightsAsked) -> list[LightChange]:
+    """All of them, or the last one at or before the frame."""
+    if asked.everything:
+        return list(changes)
+    return [change for change in changes if asked.frame is None or change.frame <= asked.frame][-1:]
+
+
+def _written(folder: Path, files: dict[str, bytes]) -> list[Path]:
+    """Write all of the files or, if one cannot be written, none; UserError then. Their paths."""
+    paths = [folder / name for name in files]
+    try:
+        with contextlib.ExitStack() as stack:
+            for path, content in zip(paths, files.values(), strict=True):
+                stack.enter_context(written_whole(path)).write_bytes(content)
+    except OSError as error:
+        raise UserError(f"cannot write to {folder} ({error.strerror}): choose another folder") from error
+    return paths
