@@ -1,4 +1,4 @@
-// What the viewer takes of three.js; `npm run viewer` makes xihe_blender/report/viewer_three.min.js of it.
+// What the viewer takes of three.js; `npm run viewer` makes xihe_blender/viewer/three.min.js of it.
 export {
   ClampToEdgeWrapping, DataTexture, DirectionalLight, EquirectangularReflectionMapping, Float32BufferAttribute, BufferGeometry,
   FloatType, HalfFloatType, LightProbe, LinearFilter, Matrix4, Mesh, NearestFilter, NoColorSpace, NoToneMapping, OrthographicCamera,

@@ -4,6 +4,7 @@ import bpy
 import numpy as np
 import pytest
 from renders import rendered
+from tiny_scenes import material
 
 from xihenet.light.exports import NamedLight, export_files
 from xihenet.light.key_light import rest_of
@@ -18,14 +19,7 @@ KEY = KeyLight(np.array([-0.48, -0.6, 0.64]), np.array([0.5, 0.4, 0.2]), 1e-3, T
 def white_sphere(scene):
     bpy.ops.mesh.primitive_uv_sphere_add(segments=96, ring_count=48, radius=1)
     bpy.ops.object.shade_smooth()
-    white = bpy.data.materials.new("White")
-    white.use_nodes = True
-    nodes = white.node_tree.nodes
-    nodes.clear()
-    diffuse, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
-    diffuse.inputs["Color"].default_value = (1, 1, 1, 1)
-    white.node_tree.links.new(diffuse.outputs[0], output.inputs[0])
-    bpy.context.object.data.materials.append(white)
+    bpy.context.object.data.materials.append(material("White", (1, 1, 1)))
     scene.camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     scene.collection.objects.link(scene.camera)
     scene.camera.data.type, scene.camera.data.ortho_scale = "ORTHO", 2.0

@@ -10,7 +10,7 @@ import pytest
 from jsonschema import Draft202012Validator
 from results_schema import read_strictly
 from scene_snapshot import differences, snapshot
-from tiny_scenes import room_with_a_virtual_sphere, saved
+from tiny_scenes import material, room_with_a_virtual_sphere, saved
 
 from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.errors import UserError
@@ -77,14 +77,9 @@ def done(tmp_path_factory):
     """A frontier of a tiny scene, whose virtual object glows so that it looks the same under any light."""
     folder = tmp_path_factory.mktemp("frontier")
     room_with_a_virtual_sphere()
-    glowing = bpy.data.materials.new("Glowing")
-    glowing.use_nodes = True
-    shader = glowing.node_tree.nodes["Principled BSDF"].inputs
-    shader["Base Color"].default_value, shader["Specular IOR Level"].default_value = (0, 0, 0, 1), 0.0
-    shader["Emission Color"].default_value, shader["Emission Strength"].default_value = (0.9, 0.2, 0.1, 1), 1.0
     materials = bpy.data.objects["Ball"].data.materials
     materials.clear()
-    materials.append(glowing)
+    materials.append(material("Glowing", (0.9, 0.2, 0.1), emission=1.0))
     file = saved(folder / "room.blend")
     run_blocking(frontier([file], folder / "out", SMALL, command="as typed"))
     return folder

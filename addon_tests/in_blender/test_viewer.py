@@ -102,7 +102,7 @@ def test_what_cannot_be_shown_is_one_line(done, tmp_path, capfd, arguments, word
 def test_lost_captures_and_too_many_triangles_are_one_line(done, tmp_path, capfd, monkeypatch):
     folder = tmp_path / "run"
     shutil.copytree(done[0], folder)
-    monkeypatch.setattr("xihe_blender.scene.gltf.MOST_TRIANGLES", 10)
+    monkeypatch.setattr("xihe_blender.viewer.gltf.MOST_TRIANGLES", 10)
     assert main(["export", str(folder), "--to", "viewer"]) == 2
     assert "triangles" in capfd.readouterr().err
     shutil.rmtree(folder / "work")

@@ -26,6 +26,7 @@ MAY_IMPORT = {
     "apply": SCENE,
     "compare": {*SCENE, "capture", "apply"},
     "report": {"io"},
+    "viewer": {*SCENE, "report"},
     "previs": JOB,
     "packaging": {"errors", "io"},
     "lab.workers": {"errors", "io", "jobs"},
@@ -35,7 +36,7 @@ MAY_IMPORT = {
     "lab.batch": {*JOB, "previs", "lab.workers", "lab.frontier"},
     # Calibrate measures the presets by the frontier's means.
     "addon": {*JOB, "previs", "lab.frontier", "cli", "packaging"},
-    "cli": {*JOB, "previs", "packaging", "lab.rooms", "lab.frontier", "lab.batch"},
+    "cli": {*JOB, "viewer", "previs", "packaging", "lab.rooms", "lab.frontier", "lab.batch"},
     "__main__": {"cli"},
 }
 """Of `xihe_blender`: for each room, or loose file, those below it that it knows."""

@@ -8,9 +8,8 @@ from typing import Any, get_args
 
 from xihe_blender.cli.arguments import adder, names, one_of
 from xihe_blender.errors import UserError
-from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_lights import UNITS, LightsAsked, export_lights
-from xihe_blender.io.run_results import RunResults, read_results
+from xihe_blender.io.run_results import read_results
 from xihenet.light import LightParts
 from xihenet.light.platforms import PLATFORMS
 
@@ -51,37 +50,12 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     folder = options.results.parent if options.results.name == "results.json" else options.results
     results = read_results(folder)
     if options.to == VIEWER:
-        print(_viewer(results, folder, options), file=stdout)
+        if options.frame is not None or options.reading is not None:
+            raise UserError(f"{VIEWER} shows the whole run: leave out --frame and --reading")
+        from xihe_blender.viewer.save import save_viewer
+
+        print(save_viewer(results, folder, options.objects, blend=options.blend, out=options.out), file=stdout)
         return
     asked = LightsAsked(options.frame, options.all, options.objects, options.light, options.units)
     for path in export_lights(results, folder, options.to, asked, reading=options.reading, out=options.out):
         print(path, file=stdout)
-
-
-def _viewer(results: RunResults, folder: Path, options: argparse.Namespace) -> Path:
-    """Write the page; its path."""
-    if options.frame is not None or options.reading is not None:
-        raise UserError(f"{VIEWER} shows the whole run: leave out --frame and --reading")
-    from xihe_blender.report.viewer import viewed_frames, viewer_page, write_viewer
-    from xihe_blender.scene.blend_file import open_blend
-    from xihe_blender.scene.gltf import viewed_objects
-
-    outputs = RunOutputs(folder, Path(results.scene.file).stem)
-    seen = viewed_frames(results, outputs)
-    blend = outputs.lit_blend if options.blend is None else options.blend
-    if not blend.is_file():
-        raise UserError(f"there is no {blend}: name the .blend with the virtual objects by --blend")
-    scene = open_blend(blend)
-    wanted = list(results.lights) if options.objects is None else list(options.objects)
-    there = {item.name: item for item in scene.objects}
-    lacking = [name for name in wanted if name not in there]
-    if lacking or not wanted:
-        named = f"no virtual object {lacking[0]!r}" if lacking else "no virtual objects"
-        raise UserError(f"{blend} has {named}: name another .blend by --blend")
-    objects = viewed_objects(scene, [there[name] for name in wanted], list(seen))
-    path = (folder if options.out is None else options.out) / f"{VIEWER}.html"
-    try:
-        write_viewer(path, viewer_page(results, outputs, seen, objects))
-    except OSError as error:
-        raise UserError(f"cannot write {path} ({error.strerror}): choose another folder for --out") from error
-    return path

@@ -11,9 +11,9 @@ import bpy
 import numpy as np
 
 from xihe_blender.errors import UserError
-from xihe_blender.report.viewer import ViewedObject
 from xihe_blender.scene.estimation_positions import world_box_corners
 from xihe_blender.scene.units import metres_per_unit
+from xihe_blender.viewer.page import ViewedObject
 from xihenet.light.platforms import Y_UP
 from xihenet.records import ArrayF64
 

@@ -1,6 +1,6 @@
 """The viewer of a run: one HTML file in which its virtual objects stand in the captured pictures, live, in three.js.
 
-What it shows is in it, three.js among it (viewer_three.min.js, made by `npm run viewer` in addon_tests/engines), and
+What it shows is in it, three.js among it (three.min.js, made by `npm run viewer` in addon_tests/engines), and
 the page asks for nothing else. Lights are those that `xihenet.light.platforms` gives three.js. Depth as captured hides
 what is behind; shadows fall on the surfaces that the run found around its objects.
 """
@@ -105,8 +105,8 @@ def viewer_page(
         "depths": depths.contents,
         "reflections": reflections.contents,
     }
-    licence = (_HERE / "viewer_three.LICENSE.txt").read_text(encoding="utf-8")
-    three = (_HERE / "viewer_three.min.js").read_text(encoding="utf-8")
+    licence = (_HERE / "three.LICENSE.txt").read_text(encoding="utf-8")
+    three = (_HERE / "three.min.js").read_text(encoding="utf-8")
     return Template((_HERE / "viewer.html").read_text(encoding="utf-8")).substitute(
         title=escape(Path(results.scene.file).stem),
         style=(_HERE / "viewer.css").read_text(encoding="utf-8"),
