@@ -16,10 +16,13 @@ from addon_runs import registered_addon
 from previs_runs import SMALL, run, walk
 
 from xihe_blender.addon.result_operators import viewer_of_run
+from xihe_blender.apply.datablocks import LightOf
+from xihe_blender.apply.sh_worlds import applied_worlds, key_light_changes
 from xihe_blender.cli.main import main
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import read_results
+from xihe_blender.scene.blend_file import open_blend
 from xihenet.light.platforms import Y_UP, coefficients_for, convention_of
 from xihenet.recording import load_frame
 
@@ -132,3 +135,59 @@ def test_the_button_exports_what_the_command_does(done, tmp_path):
     by_button = (folder / "exports" / "three" / "three.json").read_bytes()
     assert main(["export", str(folder), "--to", "three", "--frame", "2", "--out", str(tmp_path)]) == 0
     assert (tmp_path / "three.json").read_bytes() == by_button
+
+
+def lights(folder):
+    return json.loads((folder / "three.json").read_text())["lights"]
+
+
+def test_a_lit_file_has_the_lights_of_its_run(done, tmp_path):
+    folder, _ = done
+    lit = next(folder.glob("*_lit.blend"))
+    assert (
+        main(["export", str(folder), "--to", "three", "--all", "--light", "sh+key", "--out", str(tmp_path / "a")]) == 0
+    )
+    assert main(["export", "--from", str(lit), "--to", "three", "--all", "--out", str(tmp_path / "b")]) == 0
+    of_run, of_file = lights(tmp_path / "a"), lights(tmp_path / "b")
+    of_run = [one for one in of_run if one["object"] in {other["object"] for other in of_file}]
+    assert [(one["object"], one["frame"]) for one in of_file] == [(one["object"], one["frame"]) for one in of_run]
+    for read, made in zip(of_file, of_run, strict=True):
+        np.testing.assert_allclose(read["sh"], made["sh"], atol=2e-5)
+        assert (read["mainLight"] is None) == (made["mainLight"] is None)
+        if read["mainLight"] is not None:
+            np.testing.assert_allclose(read["mainLight"]["direction"], made["mainLight"]["direction"], atol=1e-5)
+            assert read["mainLight"]["intensity"] == pytest.approx(made["mainLight"]["intensity"], rel=1e-5)
+        assert read["time_s"] == pytest.approx(made["time_s"])
+
+
+def test_an_object_that_was_moved_is_exported_with_the_light_of_its_new_place(done):
+    folder, _ = done
+    with registered_addon():
+        scene = open_blend(next(folder.glob("*_lit.blend")))
+        scene.xihe.run_folder = str(folder)
+        world = applied_worlds(scene)["Ball"]
+        LightOf({"Ball": (0.0, 0.0, 0.0)}, live={"Ball": (0.5, None)}).write(world)
+        moved = np.eye(9)[0][:, None] * (0.3, 0.2, 0.1)
+        key_light_changes(world, {1: moved}, 1.0)
+        assert bpy.ops.xihe.export_light(target="three") == {"FINISHED"}
+    ball = next(one for one in lights(folder / "exports" / "three") if one["object"] == "Ball")
+    sun = None if ball["mainLight"] is None else ball["mainLight"]["intensity"]
+    np.testing.assert_allclose(np.reshape(ball["sh"], (9, 3))[0], (0.3, 0.2, 0.1), atol=1e-5)
+    assert sun is None or sun > 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "give either RESULTS.json or --from"),
+        (("--from", "nowhere.blend"), "nowhere.blend"),
+        (("--from", "LIT", "--objects", "Nobody"), "has no lit virtual object 'Nobody'; it has B"),
+        (("--from", "LIT", "--light", "sh"), "--from has no viewer and no --light"),
+    ],
+)
+def test_what_a_file_does_not_have_is_one_line(done, tmp_path, capfd, arguments, words):
+    lit = str(next(done[0].glob("*_lit.blend")))
+    typed = [lit if one == "LIT" else one for one in arguments]
+    assert main(["export", *typed, "--to", "three", "--out", str(tmp_path)]) == 2
+    said = capfd.readouterr().err
+    assert words in said and said.count("\n") == 1 and not list(tmp_path.iterdir())

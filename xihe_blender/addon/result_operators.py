@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 
 from xihe_blender.addon import choices, polls
 from xihe_blender.addon.failures import FAILURES, Action, format_error
 from xihe_blender.addon.properties import last_run_folder
-from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
+from xihe_blender.apply.datablocks import COMPARISON_NAME, LightOf, image_named
 from xihe_blender.errors import UserError
+
+if TYPE_CHECKING:
+    from xihenet.light.exports import NamedLight
 
 
 class XIHE_OT_explain(Action, bpy.types.Operator):
@@ -136,15 +141,28 @@ class XIHE_OT_export_light(Action, bpy.types.Operator):
     )
 
     def act(self, context: bpy.types.Context) -> str:
-        from xihe_blender.io.run_lights import LightsAsked, export_lights
+        from xihe_blender.io.run_lights import LightsAsked, lights_asked, write_lights
         from xihe_blender.io.run_results import read_results
 
-        folder = last_run_folder(context.scene)
+        scene, folder = context.scene, last_run_folder(context.scene)
         results = read_results(folder)
         # Beyond the path's ends, and between its frames, the light is that of the frame before.
         frames = [frame.frame for frame in results.frames]
-        frame = max((one for one in frames if one <= context.scene.frame_current), default=min(frames))
-        return f"Saved {export_lights(results, folder, self.target, LightsAsked(frame))[-1].parent}"
+        frame = max((one for one in frames if one <= scene.frame_current), default=min(frames))
+        lights = lights_asked(results, folder, LightsAsked(frame))
+        lights = [_where_it_is_now(scene, light) for light in lights]
+        return f"Saved {write_lights(lights, self.target, folder / 'exports' / self.target)[-1].parent}"
+
+
+def _where_it_is_now(scene: bpy.types.Scene, light: NamedLight) -> NamedLight:
+    """The light of an object that was moved after the run, at its new place; else as it is."""
+    from xihe_blender.apply.applied_lights import applied_light
+    from xihe_blender.apply.sh_worlds import applied_worlds
+
+    world = applied_worlds(scene).get(light.object_name)
+    kept = None if world is None else LightOf.read(world)
+    found = applied_light(scene, light.object_name, light.frame) if kept is not None and kept.live else None
+    return light if found is None else replace(light, light=found[0], panorama=None)
 
 
 def viewer_of_run(folder: Path) -> Path:

@@ -100,7 +100,7 @@ def apply_sh_to_world(
         raise ValueError(f"expected a positive exposure, got {exposure}")
     if is_deringed:
         coefficients = dering_for_display(coefficients)
-    inputs = _inputs(world)
+    inputs = inputs_of_world(world)
     for name, coefficient in zip(COEFFICIENTS, coefficients, strict=True):
         inputs[name].default_value = coefficient
     inputs[GAIN].default_value = 1.0 / exposure
@@ -113,7 +113,7 @@ def key_sh_on_world(world: bpy.types.World, frame: int, sh_radiance: ArrayLike, 
     if animation.action is None:
         # Blender 4.3 names an action after the node tree, "Shader Nodetree": nobody would know whose it is.
         animation.action = bpy.data.actions.new(world.name)
-    inputs = _inputs(world)
+    inputs = inputs_of_world(world)
     for name in (*COEFFICIENTS, GAIN):
         inputs[name].keyframe_insert("default_value", frame=frame)
     hold_keys(world.node_tree)
@@ -222,7 +222,8 @@ def _local(blocks: bpy.types.bpy_prop_collection, name: str) -> bpy.types.ID | N
     return blocks.get((name, None))
 
 
-def _inputs(world: bpy.types.World) -> bpy.types.NodeInputs:
+def inputs_of_world(world: bpy.types.World) -> bpy.types.NodeInputs:
+    """Of the node group that lights `world`: the coefficients and the gain; ValueError where it has none."""
     node = world.node_tree.nodes.get(NODE_GROUP_NAME) if world.node_tree else None
     if node is None:
         raise ValueError(f"world {world.name!r} has no node {NODE_GROUP_NAME!r}: make it with make_sh_world")

@@ -81,11 +81,21 @@ def export_lights(
     `out` None is exports/PLATFORM in the run's folder.
     """
     lights = lights_asked(results, folder, asked)
+    return write_lights(lights, platform, folder / "exports" / platform if out is None else out, asked.units, reading)
+
+
+def write_lights(
+    lights: Sequence[NamedLight], platform: str, out: Path, units: str = "picture", reading: str | None = None
+) -> list[Path]:
+    """Write `lights`, in one of UNITS, for a platform into the folder `out`: all files or none. Their paths.
+
+    UserError, naming the fix, for no light, an unknown reading, and a folder that cannot be written.
+    """
     try:
-        files = export_files(lights, platform, reading=reading, units=UNITS[asked.units])
+        files = export_files(lights, platform, reading=reading, units=UNITS[units])
     except ValueError as error:
         raise UserError(str(error)) from error
-    return _written(folder / "exports" / platform if out is None else out, files)
+    return _written(out, files)
 
 
 def lights_asked(results: RunResults, folder: Path, asked: LightsAsked) -> list[NamedLight]:
