@@ -23,6 +23,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import read_results
 from xihe_blender.scene.blend_file import open_blend
+from xihe_blender.viewer.gltf import viewed_objects
 from xihenet.light.platforms import Y_UP, coefficients_for, convention_of
 from xihenet.recording import load_frame
 
@@ -111,6 +112,20 @@ def test_lost_captures_and_too_many_triangles_are_one_line(done, tmp_path, capfd
     shutil.rmtree(folder / "work")
     assert main(["export", str(folder), "--to", "viewer"]) == 2
     assert "is gone: run xihe previs again" in capfd.readouterr().err
+
+
+def material_of(glb):
+    """The first one of a GLB, or None."""
+    length = int.from_bytes(glb[12:16], "little")
+    return json.loads(glb[20 : 20 + length]).get("materials", [None])[0]
+
+
+def test_an_object_without_a_material_is_the_grey_that_cycles_has_for_it():
+    scene = walk()
+    ball = bpy.data.objects["Ball"]
+    ball.data.materials.clear()
+    grey = material_of(viewed_objects(scene, [ball], [1])[0].glb)["pbrMetallicRoughness"]
+    assert grey["metallicFactor"] == 0 and grey["baseColorFactor"][:3] == pytest.approx([0.8] * 3, abs=1e-3)
 
 
 @pytest.mark.slow

@@ -84,7 +84,27 @@ def _n_triangles(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> int:
     return n
 
 
+def _as_cycles_shows_it(item: bpy.types.Object) -> None:
+    """Give an object without a material the matt grey that Cycles has for it: in glTF it would be a metal."""
+    if not hasattr(item.data, "materials") or any(slot.material is not None for slot in item.material_slots):
+        return
+    grey = bpy.data.materials.new("Grey")
+    if grey.node_tree is None:
+        grey.use_nodes = True
+    tree = grey.node_tree
+    tree.nodes.clear()
+    shader = tree.nodes.new("ShaderNodeBsdfPrincipled")
+    shader.inputs["Base Color"].default_value = (0.8, 0.8, 0.8, 1)
+    shader.inputs["Roughness"].default_value, shader.inputs["Specular IOR Level"].default_value = 1.0, 0.0
+    tree.links.new(shader.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
+    if item.material_slots:
+        item.material_slots[0].material = grey
+    else:
+        item.data.materials.append(grey)
+
+
 def _exported(scene: bpy.types.Scene, item: bpy.types.Object) -> bytes:
+    _as_cycles_shows_it(item)
     for other in scene.view_layers[0].objects:
         other.select_set(other == item)
     with tempfile.TemporaryDirectory() as folder:
