@@ -113,12 +113,22 @@ def read_camera(path: Path) -> FrameCamera:
         _check_keys(content)
         width, height = (_whole_number(content, name) for name in ("width", "height"))
         intrinsics = Intrinsics(width, height, *(_number(content, name) for name in ("fx", "fy", "cx", "cy")))
-        pose = _pose(_entry(content, "world_from_camera"))
         is_opencv = _choice(content, "convention", ("blender", "opencv")) == "opencv"
-        blender_from_file = BLENDER_FROM_UP[_choice(content, "up", tuple(BLENDER_FROM_UP))]
+        up = _choice(content, "up", tuple(BLENDER_FROM_UP))
+        return frame_camera(intrinsics, _entry(content, "world_from_camera"), is_opencv=is_opencv, up=up)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    pose = pose @ (BLENDER_FROM_OPENCV_CAMERA if is_opencv else np.eye(4))
+
+
+def frame_camera(
+    intrinsics: Intrinsics, world_from_camera: Any, *, is_opencv: bool = False, up: str = "z"
+) -> FrameCamera:
+    """A camera as a file gives it: four rows of four, metres; `up` is one of BLENDER_FROM_UP.
+
+    ValueError where the pose is no finite rotation and translation.
+    """
+    pose = _pose(world_from_camera) @ (BLENDER_FROM_OPENCV_CAMERA if is_opencv else np.eye(4))
+    blender_from_file = BLENDER_FROM_UP[up]
     pose[:3] = blender_from_file @ pose[:3]
     return FrameCamera(intrinsics, pose, blender_from_file)
 

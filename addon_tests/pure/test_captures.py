@@ -1,0 +1,190 @@
+"""Recordings in the layouts of others: what is read is what was seen, and what is broken is one line."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from addon_tests.pure.recordings import LAYOUTS, as_nerfstudio, as_seven_scenes, as_tum, walk
+from addon_tests.pure.test_estimate_command import read_strictly
+from xihe_blender.cli.main import main
+from xihenet import estimators
+from xihenet.captures import open_capture
+from xihenet.captures.tum import rotation_of
+from xihenet.replay import replay
+
+AT = (0.4, 0.3, -0.5)
+
+
+@pytest.fixture(scope="module", params=LAYOUTS)
+def recorded(request, tmp_path_factory):
+    """Format, frames, and the folder in which they are."""
+    write, intrinsics = LAYOUTS[request.param]
+    folder = tmp_path_factory.mktemp("recorded")
+    frames = walk(intrinsics)
+    write(folder, frames)
+    return request.param, frames, folder
+
+
+def test_what_is_read_is_what_was_seen(recorded):
+    name, frames, folder = recorded
+    capture = open_capture(folder)
+    assert capture.format_name == name and len(capture.frames) == len(frames)
+    for read, made in zip(capture, frames, strict=True):
+        assert (read.srgb_u8 == made.srgb_u8).all() and read.frame == made.frame
+        np.testing.assert_allclose(read.plane_depth_m, made.plane_depth_m, atol=6e-4)
+        np.testing.assert_allclose(read.world_from_camera, made.world_from_camera, atol=1e-5)
+        assert vars(read.intrinsics) == vars(made.intrinsics) and read.time_s == pytest.approx(made.time_s, abs=1e-4)
+
+
+def test_the_light_is_that_of_the_session_itself(recorded, tmp_path):
+    name, frames, folder = recorded
+    at = open_capture(folder).blender_from_file.T @ AT
+    typed = ",".join(f"{value:.9g}" for value in at)
+    assert main(["replay", str(folder), "--at", typed, "--out", str(tmp_path), "--to", "three"]) == 0
+    written = read_strictly((tmp_path / "replay.json").read_text())
+    lights = written["positions"][0]["lights"]
+    # Depth as the format rounds it: a millimetre moves the edges of walls to other anchors, by 1.2 % of the light.
+    whole = open_capture(folder)
+    rounded = [replace(one, plane_depth_m=read.plane_depth_m) for one, read in zip(frames, whole, strict=True)]
+    lattice = estimators.load("lattice", target="hdr")
+    steps = list(replay(rounded, {"place_0": np.array(AT)}, lattice, has_key_light=True))
+    fired = [step.frame for step in steps if step.reports["place_0"].decision.fire]
+    assert written["format"] == name and [light["frame"] for light in lights] == fired
+    for light, step in zip(lights, [step for step in steps if step.frame in fired], strict=True):
+        true = step.reports["place_0"].estimate.sh_radiance
+        assert np.abs(np.array(light["sh_radiance"]) - true).max() < 1e-3 * np.abs(true).max()
+    exported = read_strictly((tmp_path / "three" / "three.json").read_text())["lights"]
+    assert [light["frame"] for light in exported] == fired and (tmp_path / "place_0.png").is_file()
+
+
+def test_frames_can_be_left_out_and_missing_pictures_are_counted(tmp_path):
+    frames = walk(LAYOUTS["Nerfstudio"][1])
+    as_nerfstudio(tmp_path, frames)
+    (tmp_path / "depth" / "2.png").unlink()
+    capture = open_capture(tmp_path)
+    assert [frame.number for frame in capture.frames] == [1, 3, 4, 5, 6]
+    assert "1 frame without colour or depth left out." in capture.notes
+    assert main(["replay", str(tmp_path), "--at", "0,0,0", "--out", str(tmp_path / "out"), "--every", "2"]) == 0
+    assert [one["frame"] for one in read_strictly((tmp_path / "out" / "replay.json").read_text())["frames"]] == [
+        1,
+        4,
+        6,
+    ]
+
+
+def test_colour_goes_with_the_depth_and_pose_next_to_it_in_time(tmp_path):
+    frames = walk(LAYOUTS["TUM RGB-D"][1], 3)
+    as_tum(tmp_path, frames)
+    late = (tmp_path / "groundtruth.txt").read_text().splitlines()[:3]
+    (tmp_path / "groundtruth.txt").write_text("\n".join(late))
+    capture = open_capture(tmp_path)
+    assert [frame.number for frame in capture.frames] == [1]
+    assert any("2 frames without colour, depth or a pose" in note for note in capture.notes)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_quaternion_is_a_rotation_whatever_its_length(seed):
+    quaternion = np.random.default_rng(seed).normal(size=4) * 3
+    rotation = rotation_of(quaternion)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1) and np.allclose(rotation, rotation_of(-quaternion))
+
+
+def change(content, **entries):
+    return {**content, **entries}
+
+
+def first(content, **entries):
+    frames = [{**content["frames"][0], **entries}, *content["frames"][1:]]
+    return {**content, "frames": frames}
+
+
+BROKEN = {
+    "no frames": (lambda c: change(c, frames=[]), "expected frames, a list with at least one"),
+    "frames are no list": (lambda c: change(c, frames={}), "expected frames"),
+    "a frame is a number": (lambda c: change(c, frames=[1]), "expected frames"),
+    "no size": (lambda c: change(c, w=None), "w: expected a number"),
+    "half a pixel": (lambda c: change(c, w=0.5), "w and h: expected whole numbers of pixels"),
+    "no focal length": (lambda c: change(c, fl_x="40"), "fl_x: expected a number"),
+    "negative focal length": (lambda c: change(c, fl_x=-40.0), "frame 1"),
+    "no pose": (lambda c: first(c, transform_matrix=None), "frame 1"),
+    "a pose of three rows": (lambda c: first(c, transform_matrix=np.eye(4)[:3].tolist()), "frame 1"),
+    "a pose that is not a number": (lambda c: first(c, transform_matrix=[["x"] * 4] * 4), "frame 1"),
+    "a left-handed pose": (lambda c: first(c, transform_matrix=np.diag([-1.0, 1, 1, 1]).tolist()), "frame 1"),
+    "a pose that scales": (lambda c: first(c, transform_matrix=np.diag([2.0, 2, 2, 1]).tolist()), "frame 1"),
+    "no colour": (lambda c: first(c, file_path=None), "file_path is missing"),
+    "a picture elsewhere": (lambda c: first(c, file_path="../../etc/passwd"), "lies outside"),
+    "depth elsewhere": (lambda c: first(c, depth_file_path="/etc/passwd"), "lies outside"),
+    "no depth at all": (
+        lambda c: change(c, frames=[{**f, "depth_file_path": None} for f in c["frames"]]),
+        "record with depth",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_what_is_broken_is_one_line_and_nothing_is_written(tmp_path, capfd, case):
+    broken, words = BROKEN[case]
+    as_nerfstudio(tmp_path / "in", walk(LAYOUTS["Nerfstudio"][1], 2))
+    path = tmp_path / "in" / "transforms.json"
+    path.write_text(json.dumps(broken(json.loads(path.read_text()))))
+    assert main(["replay", str(tmp_path / "in"), "--at", "0,0,0", "--out", str(tmp_path / "out")]) == 2
+    said = capfd.readouterr().err
+    assert words in said and said.count("\n") == 1 and not (tmp_path / "out").exists()
+
+
+def damaged_picture(folder):
+    (folder / "images" / "2.png").write_bytes(b"no picture")
+
+
+def cut_json(folder):
+    path = folder / "transforms.json"
+    path.write_text(path.read_text()[:100])
+
+
+def depth_of_eight_bits(folder):
+    Image.fromarray(np.zeros((48, 64), np.uint8)).save(folder / "depth" / "1.png")
+
+
+def no_recording(folder):
+    (folder / "transforms.json").unlink()
+
+
+@pytest.mark.parametrize("harm", [damaged_picture, cut_json, depth_of_eight_bits, no_recording])
+def test_damaged_files_are_one_line_and_nothing_is_written(tmp_path, capfd, harm):
+    as_nerfstudio(tmp_path / "in", walk(LAYOUTS["Nerfstudio"][1], 2))
+    harm(tmp_path / "in")
+    assert main(["replay", str(tmp_path / "in"), "--at", "0,0,0", "--out", str(tmp_path / "out")]) == 2
+    said = capfd.readouterr().err
+    assert said.startswith("xihe: ") and said.count("\n") == 1 and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("groundtruth.txt", "1 2 3\n"),
+        ("groundtruth.txt", "1 0 0 0 0 0 0 nan\n"),
+        ("groundtruth.txt", "1305031102.0 0 0 0 0 0 0 0\n"),
+        ("rgb.txt", "# nothing\n"),
+        ("rgb.txt", "soon rgb/1.png\n"),
+        ("rgb.txt", "1305031102.0 ../../x.png\n"),
+        ("depth.txt", "5 depth/1.png\n"),
+    ],
+)
+def test_broken_lists_are_one_line(tmp_path, capfd, name, text):
+    as_tum(tmp_path / "in", walk(LAYOUTS["TUM RGB-D"][1], 1))
+    (tmp_path / "in" / name).write_text(text)
+    assert main(["replay", str(tmp_path / "in"), "--at", "0,0,0", "--out", str(tmp_path / "out")]) == 2
+    assert capfd.readouterr().err.count("\n") == 1 and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("text", ["", "1 0 0 0\n", "x " * 16, "1 2 3 4\n" * 4])
+def test_a_broken_pose_is_one_line(tmp_path, capfd, text):
+    as_seven_scenes(tmp_path / "in", walk(LAYOUTS["7-Scenes"][1], 1))
+    (tmp_path / "in" / "frame-000001.pose.txt").write_text(text)
+    assert main(["replay", str(tmp_path / "in"), "--at", "0,0,0", "--out", str(tmp_path / "out")]) == 2
+    said = capfd.readouterr().err
+    assert "frame-000001.pose.txt" in said and said.count("\n") == 1 and not (tmp_path / "out").exists()

@@ -1,0 +1,177 @@
+"""`xihe replay`: the light at places in a recorded session, without Blender."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from xihe_blender.cli.arguments import adder, one_of
+from xihe_blender.cli.estimate import position
+from xihe_blender.errors import UserError
+from xihe_blender.io.outputs import finite_or_none, write_json, written_whole
+from xihe_blender.io.run_lights import write_lights
+from xihenet import __version__, estimators
+from xihenet.captures import READERS, open_capture
+from xihenet.captures.capture import Capture
+from xihenet.frame_files import BLENDER_FROM_UP
+from xihenet.invalid import added, n_left_out
+from xihenet.light.exports import NamedLight
+from xihenet.light.platforms import PLATFORMS
+from xihenet.light_picture import light_picture
+from xihenet.png import write_png
+from xihenet.records import ArrayF64
+from xihenet.replay import ReplayedStep, replay
+
+
+@dataclass
+class Place:
+    """A position of the session, in the recording's world, and what was found there."""
+
+    name: str
+    at: tuple[float, float, float]
+    lights: list[dict[str, Any]] = field(default_factory=list)
+    exported: list[NamedLight] = field(default_factory=list)
+    coverage: float = 0.0
+    invalid: Mapping[str, int] = field(default_factory=dict)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = adder(parser)
+    add("session DIR", f"folder of a recording: {one_of(READERS)}", Path)
+    places = "position in metres, in the recording's world; may be repeated"
+    add("--at X,Y,Z", places, position, action="append", required=True)
+    out = "folder for replay.json, and a picture of the last light of each position"
+    add("--out DIR", out, Path, required=True)
+    add(
+        "--up AXIS",
+        "axis of the recording's world that points up; default: as is usual for it",
+        choices=tuple(BLENDER_FROM_UP),
+    )
+    add("--every N", "take every N-th frame; default: 1", int, default=1)
+    add("--estimator NAME", one_of(n for n in estimators.names() if n != "truth"), default=estimators.DEFAULT)
+    add("--target", "hdr: all of the light; ldr: light clipped at white", choices=("ldr", "hdr"), default="hdr")
+    add("--to TARGET", "write the lights for an engine as well, as xihe export does", choices=tuple(PLATFORMS))
+
+
+def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
+    if options.every < 1:
+        raise UserError(f"--every: expected 1 or more, got {options.every}")
+    if options.estimator == "truth":
+        raise UserError("truth is a light probe rendered in Blender, which a recording does not have: choose another")
+    try:
+        estimator = estimators.load(options.estimator, target=options.target)
+        capture = open_capture(options.session, options.up)
+        places = [Place(f"place_{number}", at) for number, at in enumerate(options.at)]
+        steps = list(_replayed(capture, places, estimator, options.every))
+    except (ValueError, ImportError) as error:
+        raise UserError(str(error)) from error
+    except OSError as error:
+        raise UserError(f"cannot read {error.filename} ({error.strerror}): give a folder that can be read") from error
+    for note in capture.notes:
+        print(f"xihe: note: {note}", file=stderr)
+    for path in _write(options, capture, places, steps):
+        print(path, file=stdout)
+    for place in places:
+        print(_told(place, len(steps)), file=stdout)
+
+
+def _replayed(capture: Capture, places: Sequence[Place], estimator: Any, every: int) -> Any:
+    """Per frame what is written of it; fills the places."""
+    turned = capture.blender_from_file
+    positions: dict[str, ArrayF64] = {place.name: turned @ np.array(place.at) for place in places}
+    chosen = (frame.read() for frame in capture.frames[::every])
+    for step in replay(chosen, positions, estimator, has_key_light=True):
+        for place in places:
+            _note(place, step)
+        yield {
+            "frame": step.frame,
+            "time_s": step.time_s,
+            "stage_ms": _summed([report.stage_ms for report in step.reports.values()]),
+            "positions": {
+                name: {"fired": report.decision.fire, "reason": report.decision.reason, "coverage": report.coverage}
+                for name, report in step.reports.items()
+            },
+        }
+
+
+def _note(place: Place, step: ReplayedStep) -> None:
+    report = step.reports[place.name]
+    place.coverage, place.invalid = report.coverage, added([place.invalid, report.invalid])
+    estimate = report.estimate
+    if estimate is None or not estimate.is_valid:
+        return
+    key = estimate.key
+    place.lights.append(
+        {
+            "frame": step.frame,
+            "time_s": step.time_s,
+            "coverage": estimate.coverage,
+            "expected_error": finite_or_none(estimate.expected_error),
+            "sh_radiance": estimate.sh_radiance.tolist(),
+            "key_light": None
+            if key is None
+            else {"direction": key.direction.tolist(), "irradiance": key.irradiance.tolist(), "is_seen": key.is_seen},
+        }
+    )
+    place.exported.append(NamedLight(place.name, step.frame, step.time_s, step.lights[place.name]))
+
+
+def _summed(each: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    return {name: sum(one.get(name, 0.0) for one in each) for name in dict.fromkeys(n for one in each for n in one)}
+
+
+def _write(options: argparse.Namespace, capture: Capture, places: Sequence[Place], steps: Sequence[Any]) -> list[Path]:
+    """All that the command leaves; replay.json last."""
+    out, written = options.out, []
+    content = {
+        "schema_version": 1,
+        "software": {"xihe": __version__, "numpy": np.__version__},
+        "format": capture.format_name,
+        "notes": list(capture.notes),
+        "estimator": options.estimator,
+        "target": options.target,
+        "sh_axes": "right-handed, +Z up",
+        "positions": [
+            {
+                "name": place.name,
+                "at": list(place.at),
+                "coverage": place.coverage,
+                "n_invalid_points": n_left_out(place.invalid),
+                "invalid": dict(place.invalid),
+                "lights": place.lights,
+            }
+            for place in places
+        ],
+        "frames": steps,
+    }
+    try:
+        with contextlib.ExitStack() as stack:
+            for place in places:
+                if place.lights:
+                    path = out / f"{place.name}.png"
+                    picture = light_picture(np.array(place.lights[-1]["sh_radiance"]))
+                    write_png(stack.enter_context(written_whole(path)), picture)
+                    written.append(path)
+        if options.to is not None:
+            lights = [light for place in places for light in place.exported]
+            written += write_lights(lights, options.to, out / options.to)
+        write_json(out / "replay.json", content)
+    except OSError as error:
+        raise UserError(f"cannot write to {out} ({error.strerror}): choose another folder for --out") from error
+    return [*written, out / "replay.json"]
+
+
+def _told(place: Place, n_frames: int) -> str:
+    where = ",".join(f"{coordinate:g}" for coordinate in place.at)
+    if not place.lights:
+        return f"{where}: no light could be known in {n_frames} frames"
+    last = place.lights[-1]
+    expected = "" if last["expected_error"] is None else f", expected error {last['expected_error']:.3f}"
+    seen = f"{place.coverage:.0%} of the sphere seen"
+    return f"{where}: {len(place.lights)} estimates in {n_frames} frames, {seen}{expected}"

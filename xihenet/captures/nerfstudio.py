@@ -1,0 +1,81 @@
+"""Recordings as Nerfstudio has them: transforms.json beside pictures and depth.
+
+Camera to world, the camera looks along -Z with +Y up, the world has +Z up; depth is 16-bit, in millimetres. Polycam and
+other apps export this form. There are no times: frames are taken to follow each other FPS times a second.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from xihenet.captures.capture import Capture, CapturedFrame, inside, n_frames
+from xihenet.frame_files import BLENDER_FROM_UP, frame_camera
+from xihenet.json_files import read_json
+from xihenet.records import Intrinsics
+
+FILE = "transforms.json"
+FPS = 30.0
+DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
+
+
+def is_in(folder: Path) -> bool:
+    return (folder / FILE).is_file()
+
+
+def read(folder: Path, up: str | None) -> Capture:
+    """As of `xihenet.captures.open_capture`."""
+    path = folder / FILE
+    content = read_json(path)
+    entries = content.get("frames") if isinstance(content, dict) else None
+    if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
+        raise ValueError(f"{path}: expected frames, a list with at least one")
+    up = up or "z"
+    frames, n_without = [], 0
+    for number, entry in enumerate(entries, start=1):
+        try:
+            colour, plane_depth = _files(folder, entry)
+            if plane_depth is None:
+                n_without += 1
+                continue
+            camera = frame_camera(_intrinsics({**content, **entry}), entry.get("transform_matrix"), up=up)
+        except ValueError as error:
+            raise ValueError(f"{path}, frame {number}: {error}") from error
+        frames.append(CapturedFrame(number, (number - 1) / FPS, colour, plane_depth, 1e-3, camera))
+    if not frames:
+        raise ValueError(f"{path}: no frame has a depth_file_path that is there: record with depth")
+    notes = [f"Times are not known: {FPS:g} frames a second are assumed."]
+    if n_without:
+        notes.append(f"{n_frames(n_without)} without colour or depth left out.")
+    if any(_number(of, name, 0.0) != 0 for of in (content, *entries) for name in DISTORTION if name in of):
+        notes.append("The lens' distortion is not taken out.")
+    return Capture("Nerfstudio", frames, BLENDER_FROM_UP[up], tuple(notes))
+
+
+def _files(folder: Path, entry: dict[str, Any]) -> tuple[Path, Path | None]:
+    """Colour and depth; None for depth where one of the two is missing."""
+    named = entry.get("file_path"), entry.get("depth_file_path")
+    if not isinstance(named[0], str):
+        raise ValueError("file_path is missing")
+    colour = inside(folder, named[0])
+    plane_depth = inside(folder, named[1]) if isinstance(named[1], str) else None
+    is_there = colour.is_file() and plane_depth is not None and plane_depth.is_file()
+    return colour, plane_depth if is_there else None
+
+
+def _intrinsics(values: dict[str, Any]) -> Intrinsics:
+    """Of a frame: its own come before those of all."""
+    size = [_number(values, name) for name in ("w", "h")]
+    if any(side < 1 or side != int(side) for side in size):
+        raise ValueError(f"w and h: expected whole numbers of pixels, got {size[0]:g} and {size[1]:g}")
+    fx = _number(values, "fl_x")
+    return Intrinsics(
+        int(size[0]), int(size[1]), fx, _number(values, "fl_y", fx), _number(values, "cx"), _number(values, "cy")
+    )
+
+
+def _number(values: dict[str, Any], name: str, default: float | None = None) -> float:
+    value = values.get(name, default)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{name}: expected a number, got {value!r}")
+    return float(value)

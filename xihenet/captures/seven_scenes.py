@@ -1,0 +1,53 @@
+"""Recordings of 7-Scenes: frame-000000.color.png, .depth.png and .pose.txt.
+
+Poses are camera to world, the camera looks along +Z with +Y down. Depth is 16-bit, in millimetres; 65535 is a miss.
+Which way is up is not given: the world is that of the first camera, so that its -Y is taken. Depth is not registered to
+colour, since the two cameras are some centimetres apart.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from xihenet.captures.capture import Capture, CapturedFrame, n_frames
+from xihenet.frame_files import BLENDER_FROM_UP, frame_camera
+from xihenet.records import Intrinsics
+
+NAME = re.compile(r"frame-(\d+)\.pose\.txt")
+INTRINSICS = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
+FPS = 30.0
+
+
+def is_in(folder: Path) -> bool:
+    return any(folder.glob("frame-*.pose.txt"))
+
+
+def read(folder: Path, up: str | None) -> Capture:
+    """As of `xihenet.captures.open_capture`."""
+    numbers = sorted((int(found[1]), path) for path in folder.iterdir() if (found := NAME.fullmatch(path.name)))
+    frames, n_without, first = [], 0, numbers[0][0]
+    for number, path in numbers:
+        stem = path.name.removesuffix(".pose.txt")
+        colour, plane_depth = (folder / f"{stem}.{kind}.png" for kind in ("color", "depth"))
+        if not (colour.is_file() and plane_depth.is_file()):
+            n_without += 1
+            continue
+        try:
+            rows = [
+                [float(text) for text in line.split()]
+                for line in path.read_text(encoding="utf-8").splitlines()
+                if line.strip()
+            ]
+            camera = frame_camera(INTRINSICS, rows, is_opencv=True, up=up or "-y")
+        except (ValueError, UnicodeDecodeError) as error:
+            raise ValueError(f"{path}: {error}") from error
+        frames.append(CapturedFrame(number, (number - first) / FPS, colour, plane_depth, 1e-3, camera))
+    if not frames:
+        raise ValueError(f"{folder}: no pose has both pictures beside it")
+    notes = ["Depth is not registered to colour."]
+    if up is None:
+        notes.append("Which way is up is not given: -Y is taken.")
+    if n_without:
+        notes.append(f"{n_frames(n_without)} without colour or depth left out.")
+    return Capture("7-Scenes", frames, BLENDER_FROM_UP[up or "-y"], tuple(notes))

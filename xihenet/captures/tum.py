@@ -1,0 +1,108 @@
+"""Recordings of the TUM RGB-D benchmark: rgb.txt, depth.txt and groundtruth.txt beside pictures.
+
+Colour, depth and poses have times of their own. A colour picture goes with the depth next to it in time, and with the
+pose between those around it; more than AT_MOST_S away there is none. Poses are camera to world, the camera looks along
++Z with +Y down, the world has +Z up. Depth is 16-bit, 5,000 to a metre. Intrinsics are not in the folder: they are
+those that the benchmark's own tools take for all of its cameras.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from xihenet.captures.capture import Capture, CapturedFrame, inside, n_frames
+from xihenet.frame_files import BLENDER_FROM_UP, frame_camera
+from xihenet.records import ArrayF64, Intrinsics
+
+FILES = ("rgb.txt", "depth.txt", "groundtruth.txt")
+AT_MOST_S = 0.02
+METRES_PER_UNIT = 1 / 5000
+# The middle of the first pixel is at 0.5 here and at 0 there.
+INTRINSICS = Intrinsics(640, 480, 525.0, 525.0, 320.0, 240.0)
+
+
+def is_in(folder: Path) -> bool:
+    return all((folder / name).is_file() for name in FILES)
+
+
+def read(folder: Path, up: str | None) -> Capture:
+    """As of `xihenet.captures.open_capture`."""
+    up = up or "z"
+    colours, depths, poses = (_lines(folder / name, n) for name, n in zip(FILES, (1, 1, 7), strict=True))
+    depth_s = np.array([time_s for time_s, _ in depths])
+    pose_s = np.array([time_s for time_s, _ in poses])
+    values = np.array([_numbers(folder / FILES[2], row) for _, row in poses])
+    frames, n_without = [], 0
+    for number, (time_s, (name,)) in enumerate(colours, start=1):
+        nearest = int(np.abs(depth_s - time_s).argmin())
+        pose = _pose_at(time_s, pose_s, values)
+        colour, plane_depth = inside(folder, name), inside(folder, depths[nearest][1][0])
+        if (
+            abs(depth_s[nearest] - time_s) > AT_MOST_S
+            or pose is None
+            or not (colour.is_file() and plane_depth.is_file())
+        ):
+            n_without += 1
+            continue
+        camera = frame_camera(INTRINSICS, pose.tolist(), is_opencv=True, up=up)
+        frames.append(CapturedFrame(number, time_s - colours[0][0], colour, plane_depth, METRES_PER_UNIT, camera))
+    if not frames:
+        raise ValueError(f"{folder}: no colour picture has depth and a pose within {AT_MOST_S:g} s of it")
+    notes = ["Intrinsics are those that the benchmark takes for all of its cameras."]
+    if n_without:
+        notes.append(f"{n_frames(n_without)} without colour, depth or a pose left out.")
+    return Capture("TUM RGB-D", frames, BLENDER_FROM_UP[up], tuple(notes))
+
+
+def _lines(path: Path, n_values: int) -> list[tuple[float, list[str]]]:
+    """Time and the other values of each line, by rising time."""
+    rows = [line.split() for line in path.read_text(encoding="utf-8", errors="replace").splitlines()]
+    rows = [row for row in rows if row and not row[0].startswith("#")]
+    if not rows or any(len(row) != 1 + n_values for row in rows):
+        raise ValueError(f"{path}: expected lines of a time and {n_values} more, and at least one of them")
+    times = [_numbers(path, row[:1])[0] for row in rows]
+    return sorted(((time_s, row[1:]) for time_s, row in zip(times, rows, strict=True)), key=lambda one: one[0])
+
+
+def _numbers(path: Path, row: list[str]) -> list[float]:
+    try:
+        values = [float(text) for text in row]
+    except ValueError:
+        values = [float("nan")]
+    if not np.isfinite(values).all():
+        raise ValueError(f"{path}: expected finite numbers, got {' '.join(row)[:80]!r}")
+    return values
+
+
+def _pose_at(time_s: float, pose_s: ArrayF64, values: ArrayF64) -> ArrayF64 | None:
+    """(4, 4) between the poses around that time; None where one of them is too far away."""
+    after = int(np.searchsorted(pose_s, time_s))
+    around = [max(after - 1, 0), min(after, len(pose_s) - 1)]
+    if np.abs(pose_s[around] - time_s).min() > AT_MOST_S:
+        return None
+    first, second = values[around[0]], values[around[1]]
+    span = pose_s[around[1]] - pose_s[around[0]]
+    share = float(np.clip((time_s - pose_s[around[0]]) / span, 0, 1)) if span > 0 else 0.0
+    if second[3:] @ first[3:] < 0:
+        second = np.concatenate([second[:3], -second[3:]])
+    place = (1 - share) * first + share * second
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation_of(place[3:]), place[:3]
+    return pose
+
+
+def rotation_of(quaternion: ArrayF64) -> ArrayF64:
+    """(3, 3) of x, y, z, w of any length above 0; ValueError else."""
+    length = float(np.linalg.norm(quaternion))
+    if not length > 1e-6:
+        raise ValueError("pose: expected a quaternion, got one without length")
+    x, y, z, w = quaternion / length
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
