@@ -27,7 +27,7 @@ def seen(intrinsics, pose, number=1, time_s=0.0):
     k = intrinsics
     x, y = np.meshgrid((np.arange(k.width) + 0.5 - k.cx) / k.fx, (np.arange(k.height) + 0.5 - k.cy) / k.fy)
     rays = np.stack([x, -y, -np.ones_like(x)], axis=-1) @ pose[:3, :3].T
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore"):  # A ray along a wall never meets it: the infinite reach loses to another wall.
         reach = (np.where(rays > 0, HALF, -HALF) - pose[:3, 3]) / rays
     axis = reach.argmin(axis=-1)
     ends = (np.take_along_axis(rays, axis[..., None], -1)[..., 0] > 0).astype(int)
