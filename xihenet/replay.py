@@ -14,7 +14,7 @@ from xihenet.records import ArrayF64, ObjectLight, RgbdFrame, StepReport
 from xihenet.trigger import TriggerSettings
 
 REPLAY_TRIGGER = TriggerSettings(theta=0.005, ignored_share=0.25)
-"""As of a run, with room for the noise of a real sensor."""
+"""Of a run, with five times its theta, for the noise of a sensor; no recording of a real one was at hand to measure."""
 
 
 @dataclass(frozen=True, eq=False)

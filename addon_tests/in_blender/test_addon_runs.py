@@ -31,9 +31,9 @@ from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
 from xihe_blender.apply.sh_worlds import f_curves
 from xihe_blender.compare.side_by_side import middle_of_change, wiped
 from xihe_blender.errors import UserError
+from xihe_blender.io.run_lights import light_of_change
 from xihe_blender.io.run_results import read_results
 from xihe_blender.jobs import run_blocking
-from xihe_blender.previs.results import light_of_change
 from xihenet.light.key_light import rest_of
 from xihenet.panorama import evaluate_panorama
 

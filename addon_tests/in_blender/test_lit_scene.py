@@ -19,8 +19,8 @@ from xihe_blender.apply.datablocks import LIT_SCENE, has_anything, lit_scene
 from xihe_blender.apply.lit_scene import CapturedFrames
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.io.run_lights import light_of_change
 from xihe_blender.io.run_results import read_results
-from xihe_blender.previs.results import light_of_change
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.light.key_light import rest_of
 

@@ -92,8 +92,10 @@ def test_objects_are_gltf_and_stay_where_they_are(done):
     ("arguments", "words"),
     [
         (("--frame", "1"), "leave out --frame"),
+        (("--all",), "leave out --all"),
+        (("--units", "scene"), "leave out --units"),
         (("--objects", "Nobody"), "no virtual object 'Nobody'"),
-        (("--blend", "nowhere.blend"), "there is no nowhere.blend"),
+        (("--from", "nowhere.blend"), "there is no nowhere.blend"),
     ],
 )
 def test_what_cannot_be_shown_is_one_line(done, tmp_path, capfd, arguments, words):
@@ -197,7 +199,7 @@ def test_an_object_that_was_moved_is_exported_with_the_light_of_its_new_place(do
         ((), "give either RESULTS.json or --from"),
         (("--from", "nowhere.blend"), "nowhere.blend"),
         (("--from", "LIT", "--objects", "Nobody"), "has no lit virtual object 'Nobody'; it has B"),
-        (("--from", "LIT", "--light", "sh"), "--from has no viewer and no --light"),
+        (("--from", "LIT", "--light", "sh"), "leave out --light"),
     ],
 )
 def test_what_a_file_does_not_have_is_one_line(done, tmp_path, capfd, arguments, words):

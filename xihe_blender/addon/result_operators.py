@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import bpy
 
@@ -15,9 +13,6 @@ from xihe_blender.addon.failures import FAILURES, Action, format_error
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.apply.datablocks import COMPARISON_NAME, LightOf, image_named
 from xihe_blender.errors import UserError
-
-if TYPE_CHECKING:
-    from xihenet.light.exports import NamedLight
 
 
 class XIHE_OT_explain(Action, bpy.types.Operator):
@@ -141,6 +136,8 @@ class XIHE_OT_export_light(Action, bpy.types.Operator):
     )
 
     def act(self, context: bpy.types.Context) -> str:
+        from xihe_blender.apply.applied_lights import lights_of_scene
+        from xihe_blender.apply.sh_worlds import applied_worlds
         from xihe_blender.io.run_lights import LightsAsked, lights_asked, write_lights
         from xihe_blender.io.run_results import read_results
 
@@ -149,20 +146,10 @@ class XIHE_OT_export_light(Action, bpy.types.Operator):
         # Beyond the path's ends, and between its frames, the light is that of the frame before.
         frames = [frame.frame for frame in results.frames]
         frame = max((one for one in frames if one <= scene.frame_current), default=min(frames))
-        lights = lights_asked(results, folder, LightsAsked(frame))
-        lights = [_where_it_is_now(scene, light) for light in lights]
+        moved = [name for name, world in applied_worlds(scene).items() if (of := LightOf.read(world)) and of.live]
+        now = {light.object_name: light for light in lights_of_scene(scene, LightsAsked(frame, objects=tuple(moved)))}
+        lights = [now.get(light.object_name, light) for light in lights_asked(results, folder, LightsAsked(frame))]
         return f"Saved {write_lights(lights, self.target, folder / 'exports' / self.target)[-1].parent}"
-
-
-def _where_it_is_now(scene: bpy.types.Scene, light: NamedLight) -> NamedLight:
-    """The light of an object that was moved after the run, at its new place; else as it is."""
-    from xihe_blender.apply.applied_lights import applied_light
-    from xihe_blender.apply.sh_worlds import applied_worlds
-
-    world = applied_worlds(scene).get(light.object_name)
-    kept = None if world is None else LightOf.read(world)
-    found = applied_light(scene, light.object_name, light.frame) if kept is not None and kept.live else None
-    return light if found is None else replace(light, light=found[0], panorama=None)
 
 
 def viewer_of_run(folder: Path) -> Path:

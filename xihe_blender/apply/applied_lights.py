@@ -8,36 +8,34 @@ from mathutils import Quaternion
 
 from xihe_blender.apply.key_suns import applied_suns
 from xihe_blender.apply.sh_worlds import COEFFICIENTS, GAIN, applied_worlds, f_curves, inputs_of_world
+from xihe_blender.errors import UserError
+from xihe_blender.io.run_lights import LightsAsked
+from xihe_blender.scene.units import seconds_of
+from xihenet.light.exports import NamedLight, scaled
 from xihenet.light.key_light import sh_of_key_light
 from xihenet.records import KeyLight, ObjectLight
 
 
-def applied_light(scene: bpy.types.Scene, name: str, frame: int) -> tuple[ObjectLight, float] | None:
-    """The light of virtual object `name` of `scene` at `frame`, and the exposure that it carries; None for none.
+def lights_of_scene(scene: bpy.types.Scene, asked: LightsAsked) -> list[NamedLight]:
+    """The lights that are asked for of the lit virtual objects of `scene`; UserError, naming the fix, for none.
 
-    Its spherical harmonics and its key light, without reflections. Keys are read, so that the frame need not be shown.
+    Without `asked.frame` the last that is keyed. What parts a light has is what the file has.
     """
-    world, sun = applied_worlds(scene).get(name), applied_suns(scene).get(name)
-    if world is None:
-        return None
-    inputs = inputs_of_world(world)
-    rest = np.array([tuple(inputs[one].default_value) for one in COEFFICIENTS], np.float64)[:, :3]
-    gain = float(inputs[GAIN].default_value)
-    for curve in f_curves(world.node_tree):
-        index = int(curve.data_path.rsplit("[", 1)[1].split("]")[0])
-        if index < len(COEFFICIENTS):
-            rest[index, curve.array_index] = curve.evaluate(frame)
-        else:
-            gain = curve.evaluate(frame)
-    key = None if sun is None else _key_at(sun, frame, 1.0 / gain)
-    return ObjectLight(rest + sh_of_key_light(key), key), 1.0 / gain
-
-
-def key_frames(scene: bpy.types.Scene, name: str) -> list[int]:
-    """The frames from which on the light of virtual object `name` is another; empty where nothing keys it."""
     worlds = applied_worlds(scene)
-    curves = f_curves(worlds[name].node_tree) if name in worlds else []
-    return sorted({round(point.co[0]) for curve in curves for point in curve.keyframe_points})
+    chosen = list(worlds) if asked.objects is None else list(asked.objects)
+    if not chosen and asked.objects is None:
+        raise UserError(f"scene {scene.name!r} has no lit virtual object: give the lit .blend that a run leaves")
+    if unknown := [name for name in chosen if name not in worlds]:
+        raise UserError(f"the file has no lit virtual object {unknown[0]!r}; it has {', '.join(worlds)}")
+    found = []
+    for name in chosen:
+        keyed = {round(point.co[0]) for curve in f_curves(worlds[name].node_tree) for point in curve.keyframe_points}
+        keyed = keyed or {scene.frame_current}
+        for frame in sorted(keyed) if asked.everything else [max(keyed) if asked.frame is None else asked.frame]:
+            light, exposure = _light_at(worlds[name], applied_suns(scene).get(name), frame)
+            gain = 1.0 if asked.units == "picture" else 1.0 / exposure
+            found.append(NamedLight(name, frame, seconds_of(scene, frame), scaled(light, gain)))
+    return found
 
 
 def _key_at(sun: bpy.types.Object, frame: int, exposure: float) -> KeyLight | None:
@@ -58,3 +56,21 @@ def _key_at(sun: bpy.types.Object, frame: int, exposure: float) -> KeyLight | No
     # A sun shines along its -Z.
     direction = np.array(Quaternion(values["rotation_quaternion"]).normalized().to_matrix(), np.float64)[:, 2]
     return KeyLight(direction, irradiance, values["angle"][0] / 2, is_seen=False)
+
+
+def _light_at(world: bpy.types.World, sun: bpy.types.Object | None, frame: int) -> tuple[ObjectLight, float]:
+    """The light at `frame`, by its keys, so that the frame need not be shown, and the exposure that it carries.
+
+    Its spherical harmonics and its key light, without reflections.
+    """
+    inputs = inputs_of_world(world)
+    rest = np.array([tuple(inputs[one].default_value) for one in COEFFICIENTS], np.float64)[:, :3]
+    gain = float(inputs[GAIN].default_value)
+    for curve in f_curves(world.node_tree):
+        index = int(curve.data_path.rsplit("[", 1)[1].split("]")[0])
+        if index < len(COEFFICIENTS):
+            rest[index, curve.array_index] = curve.evaluate(frame)
+        else:
+            gain = curve.evaluate(frame)
+    key = None if sun is None else _key_at(sun, frame, 1.0 / gain)
+    return ObjectLight(rest + sh_of_key_light(key), key), 1.0 / gain

@@ -28,7 +28,7 @@ from xihe_blender.capture.render import (
 )
 from xihe_blender.errors import UserError
 from xihe_blender.scene.state import users_name
-from xihe_blender.scene.units import metres_per_unit
+from xihe_blender.scene.units import metres_per_unit, seconds_of
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.camera import encode_exposed, sensed_ambient, sound_plane_depth
 from xihenet.metering import Metering, metered_exposure
@@ -98,7 +98,7 @@ def first_layer(rendered: Rendered) -> tuple[ArrayF32, ArrayF32]:
 
 def session_time_s(scene: bpy.types.Scene) -> float:
     """Seconds of the session at the current frame."""
-    return float((scene.frame_current - scene.frame_start) * scene.render.fps_base / scene.render.fps)
+    return seconds_of(scene, scene.frame_current)
 
 
 def phone_camera(scene: bpy.types.Scene) -> tuple[Intrinsics, ArrayF64]:

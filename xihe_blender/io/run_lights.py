@@ -20,29 +20,30 @@ from xihenet.light.exports import NamedLight, export_files, scaled
 from xihenet.records import ArrayF64, KeyLight, ObjectLight
 
 
-def light_of_change(
-    change: LightChange, parts: LightParts, folder: Path, exposure: float
-) -> tuple[ObjectLight, ArrayF64 | None]:
-    """A light of results.json, carrying the session's exposure, and the panorama that glossy things reflect.
+def light_of_change(change: LightChange) -> ObjectLight:
+    """A light of results.json, carrying the session's exposure, without its reflections."""
+    key, sh = change.key, np.array(change.sh, np.float64)
+    if key is None:
+        return ObjectLight(sh)
+    direction, irradiance = np.array(key.direction, np.float64), np.array(key.irradiance, np.float64)
+    return ObjectLight(sh, KeyLight(direction, irradiance, key.angular_radius, key.is_seen))
 
-    The panorama, (H, 2H, 3) laid out as `xihenet.panorama`, is scene radiance times `exposure`; None where `parts` or
-    the light has none. UserError where its file in the run's `folder` cannot be read.
+
+def panorama_of_change(change: LightChange, folder: Path, exposure: float) -> ArrayF64 | None:
+    """What glossy things reflect, (H, 2H, 3) laid out as `xihenet.panorama`, scene radiance times `exposure`.
+
+    None for a light without reflections. UserError where its file in the run's `folder` cannot be read.
     """
-    light, panorama = ObjectLight(np.array(change.sh, np.float64)), None
-    if parts != "sh" and change.key is not None:
-        key = change.key
-        direction, irradiance = np.array(key.direction), np.array(key.irradiance)
-        light = replace(light, key=KeyLight(direction, irradiance, key.angular_radius, key.is_seen))
-    if parts.endswith("reflections") and change.reflections is not None:
-        path = folder / change.reflections.picture
-        try:
-            channels = read_exr(path)
-            picture = np.stack([channels[channel] for channel in "RGB"], axis=-1)
-        except (OSError, ValueError, KeyError) as error:
-            raise UserError(f"{path} cannot be read ({error}): run xihe previs again, or add --light sh+key") from error
-        # A run writes it as Blender's Environment Texture reads it.
-        panorama = laid_out_as_ours(np.maximum(picture.astype(np.float64), 0.0) * exposure, "+X")
-    return light, panorama
+    if change.reflections is None:
+        return None
+    path = folder / change.reflections.picture
+    try:
+        channels = read_exr(path)
+        picture = np.stack([channels[channel] for channel in "RGB"], axis=-1)
+    except (OSError, ValueError, KeyError) as error:
+        raise UserError(f"{path} cannot be read ({error}): run xihe previs again, or add --light sh+key") from error
+    # A run writes it as Blender's Environment Texture reads it.
+    return laid_out_as_ours(np.maximum(picture.astype(np.float64), 0.0) * exposure, "+X")
 
 
 UNITS = {
@@ -69,19 +70,6 @@ class LightsAsked:
     objects: tuple[str, ...] | None = None
     parts: LightParts | None = None
     units: str = "picture"
-
-
-def export_lights(
-    results: RunResults, folder: Path, platform: str, asked: LightsAsked, *, reading: str | None = None,
-    out: Path | None = None,
-) -> list[Path]:  # fmt: skip
-    """Write lights of the run in `folder` for one of `xihenet.light.platforms`: all files or none. Their paths.
-
-    UserError, naming the fix, for what the run does not have, an unknown reading, and a folder that cannot be written;
-    `out` None is exports/PLATFORM in the run's folder.
-    """
-    lights = lights_asked(results, folder, asked)
-    return write_lights(lights, platform, folder / "exports" / platform if out is None else out, asked.units, reading)
 
 
 def write_lights(
@@ -120,7 +108,11 @@ def lights_asked(results: RunResults, folder: Path, asked: LightsAsked) -> list[
             where = "" if asked.frame is None else f" at frame {asked.frame}"
             raise UserError(f"{name!r} has no estimate yet{where}: choose other objects, or a later frame")
         for change in changes:
-            light, panorama = light_of_change(change, parts, folder, gain * results.settings.reference_exposure)
+            light, panorama = light_of_change(change), None
+            if parts == "sh":
+                light = replace(light, key=None)
+            if parts.endswith("reflections"):
+                panorama = panorama_of_change(change, folder, gain * results.settings.reference_exposure)
             found.append(NamedLight(name, change.frame, frames[change.frame], scaled(light, gain), panorama))
     return found
 

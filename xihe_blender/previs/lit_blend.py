@@ -29,9 +29,10 @@ from xihe_blender.apply.shadow_catchers import (
 from xihe_blender.capture.render import can_denoise
 from xihe_blender.io.exr import write_radiance
 from xihe_blender.io.outputs import RunOutputs, written_whole
+from xihe_blender.io.run_lights import light_of_change
 from xihe_blender.io.run_results import FrameResult, LightChange, ReflectionsResult
 from xihe_blender.previs.plan import PrevisPlan
-from xihe_blender.previs.results import as_coefficients, as_key, light_of_change
+from xihe_blender.previs.results import as_coefficients, as_key
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.light.key_light import rest_of
 from xihenet.light.reflections import reflection_panorama

@@ -25,7 +25,7 @@ from xihenet.controller import ControllerSettings
 from xihenet.effects import Effect, Requirement, effects_as_json, plan_effects
 from xihenet.invalid import added, counted
 from xihenet.phone import Request, first_frame_after
-from xihenet.records import ArrayF64, KeyLight, ObjectLight
+from xihenet.records import ArrayF64, KeyLight
 from xihenet.surfaces import Surface
 
 AS_SET = ("estimator", "others", "preset", "target", "light", "captured", "n_anchors", "seed", "phone", "network")
@@ -84,15 +84,6 @@ def as_key(key: KeyLight | None) -> records.KeyLightResult | None:
         angular_radius=float(key.angular_radius),
         is_seen=bool(key.is_seen),
     )
-
-
-def light_of_change(change: records.LightChange) -> ObjectLight:
-    """What `as_coefficients` and `as_key` were given."""
-    key, sh = change.key, np.array(change.sh, np.float64)
-    if key is None:
-        return ObjectLight(sh)
-    direction, irradiance = np.array(key.direction, np.float64), np.array(key.irradiance, np.float64)
-    return ObjectLight(sh, KeyLight(direction, irradiance, key.angular_radius, key.is_seen))
 
 
 def as_surface_result(surface: Surface) -> records.SurfaceResult:

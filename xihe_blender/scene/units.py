@@ -17,3 +17,8 @@ import bpy
 def metres_per_unit(scene: bpy.types.Scene) -> float:
     units = scene.unit_settings
     return 1.0 if units.system == "NONE" else float(units.scale_length)
+
+
+def seconds_of(scene: bpy.types.Scene, frame: int) -> float:
+    """Seconds of the session at a frame: the scene's first one is at 0."""
+    return float((frame - scene.frame_start) * scene.render.fps_base / scene.render.fps)

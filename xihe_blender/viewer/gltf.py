@@ -13,7 +13,7 @@ import numpy as np
 from xihe_blender.errors import UserError
 from xihe_blender.scene.estimation_positions import world_box_corners
 from xihe_blender.scene.units import metres_per_unit
-from xihe_blender.viewer.page import ViewedObject
+from xihe_blender.viewer.page import TURNED, ViewedObject
 from xihenet.light.platforms import Y_UP
 from xihenet.records import ArrayF64
 
@@ -37,13 +37,13 @@ def viewed_objects(
     depsgraph, metres = scene.view_layers[0].depsgraph, metres_per_unit(scene)
     for item in objects:
         if not item.visible_get(view_layer=scene.view_layers[0]):
-            raise UserError(f"virtual object {item.name!r} is hidden: show it, save the file, and name it by --blend")
+            raise UserError(f"virtual object {item.name!r} is hidden: show it, save the file, and name it by --from")
     counts = {item.name: _n_triangles(item, depsgraph) for item in objects}
     if sum(counts.values()) > MOST_TRIANGLES:
         largest = max(counts, key=lambda name: counts[name])
         raise UserError(
             f"the virtual objects have {sum(counts.values())} triangles, {largest!r} the most, and the viewer takes "
-            f"{MOST_TRIANGLES}: add a Decimate modifier to it, and name the file by --blend"
+            f"{MOST_TRIANGLES}: add a Decimate modifier to it, and name the file by --from"
         )
     shapes = {item.name: _exported(scene, item) for item in objects}
     boxes = {item.name: world_box_corners(item, depsgraph) for item in objects}
@@ -67,9 +67,7 @@ def _place(item: bpy.types.Object, scene: bpy.types.Scene) -> ArrayF64:
 
 def _y_up(move: ArrayF64, metres: float) -> ArrayF64:
     """A move in Blender's axes and units as one from what is in its units, Y up, to metres."""
-    turned = np.eye(4)
-    turned[:3, :3] = Y_UP
-    result: ArrayF64 = np.diag([metres, metres, metres, 1.0]) @ turned @ move @ turned.T
+    result: ArrayF64 = np.diag([metres, metres, metres, 1.0]) @ TURNED @ move @ TURNED.T
     return result
 
 

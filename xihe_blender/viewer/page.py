@@ -20,7 +20,7 @@ import numpy as np
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs, written_whole
-from xihe_blender.io.run_lights import light_of_change
+from xihe_blender.io.run_lights import light_of_change, panorama_of_change
 from xihe_blender.io.run_results import FrameResult, RunResults
 from xihe_blender.report.values import escape
 from xihenet.formats import format_number, format_percent
@@ -31,6 +31,9 @@ from xihenet.recording import load_frame
 from xihenet.records import ArrayF64, ObjectLight, RgbdFrame
 
 _HERE = Path(__file__).parent
+TURNED = np.block([[Y_UP, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
+"""(4, 4) from Blender's axes to those of three.js and glTF."""
+
 NOTHING_MM = 65535
 TITLES = {"truth": "the rendered light probe", "ambient": "the ambient light sensor"}
 
@@ -141,8 +144,6 @@ def _by_column(matrix: ArrayF64) -> list[float]:
 def _frame(
     results: RunResults, frame: FrameResult, seen: RgbdFrame, outputs: RunOutputs, pictures: _Stored, depths: _Stored
 ) -> dict[str, Any]:
-    turned = np.eye(4)
-    turned[:3, :3] = Y_UP
     depth_mm = np.nan_to_num(seen.plane_depth_m.astype(np.float64), nan=0.0, posinf=0.0) * 1000
     packed = zlib.compress(np.where(depth_mm < NOTHING_MM, np.rint(depth_mm), 0).astype("<u2").tobytes(), 9)
     k = seen.intrinsics
@@ -159,7 +160,7 @@ def _frame(
         "truth": truth,
         "depth": depths.place(packed),
         "camera": {
-            "matrix": _by_column(turned @ seen.world_from_camera),
+            "matrix": _by_column(TURNED @ seen.world_from_camera),
             "fx": k.fx,
             "fy": k.fy,
             "cx": k.cx,
@@ -224,7 +225,7 @@ def _methods(results: RunResults, folder: Path, reflections: _Stored) -> list[di
     for name, changes in results.lights.items():
         made[name] = []
         for change in changes:
-            light, panorama = light_of_change(change, results.settings.light, folder, exposure)
+            light, panorama = light_of_change(change), panorama_of_change(change, folder, exposure)
             place = None if panorama is None else reflections.place(encode_hdr(laid_out(panorama, "+X")))
             made[name].append(_light(change.frame, light, place))
     listed = [{"name": own, "title": own, "lights": made}]

@@ -26,14 +26,14 @@ def save_viewer(
     seen = viewed_frames(results, outputs)
     blend = outputs.lit_blend if blend is None else blend
     if not blend.is_file():
-        raise UserError(f"there is no {blend}: name the .blend with the virtual objects by --blend")
+        raise UserError(f"there is no {blend}: name the .blend with the virtual objects by --from")
     scene = open_blend(blend)
     wanted = list(results.lights) if objects is None else list(objects)
     there = {item.name: item for item in scene.objects}
     lacking = [name for name in wanted if name not in there]
     if lacking or not wanted:
         named = f"no virtual object {lacking[0]!r}" if lacking else "no virtual objects"
-        raise UserError(f"{blend} has {named}: name another .blend by --blend")
+        raise UserError(f"{blend} has {named}: name another .blend by --from")
     viewed = viewed_objects(scene, [there[name] for name in wanted], list(seen))
     path = (folder if out is None else out) / "viewer.html"
     try:
