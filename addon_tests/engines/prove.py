@@ -283,6 +283,9 @@ def main() -> None:
         print(
             f"{engine} {versions[engine]}: {len(errors)} lights, mean {mean:.2%}, worst {errors[worst]:.2%} ({worst})"
         )
+        with_main = [error for name, error in errors.items() if name.endswith("_key")]
+        if with_main:
+            print(f"  with a main light apart at most {max(with_main):.2%}")
         print("  mistakes seen as", ", ".join(f"{name} {error:.0%}" for name, error in caught.items()))
         bound = BOUNDS.get(engine, BOUND)
         bounds = {name: EXCEPTIONS.get((engine, name), bound) for name in errors}
