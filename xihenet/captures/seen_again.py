@@ -1,0 +1,59 @@
+"""Which pixels of one frame show a surface that points of other frames lie on? For checks of a recording by itself.
+
+A point is compared with the pixel that it falls on, not with a mean of those around it: between a near and a far
+surface a mean is neither. Pixels at edges of depth are left out for the same reason: their colour is mixed, and half a
+pixel of error in a pose puts another surface there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from xihenet.camera import project_points, valid_plane_depth
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, Intrinsics
+
+EDGE_STEP = 0.1  # A pixel and its neighbour whose plane depth differs by more than this share are not of one surface
+
+
+def away_from_edges(plane_depth_m: ArrayF32) -> ArrayBool:
+    """(H, W) where plane depth (H, W), metres, is known and differs little from that of the four neighbours.
+
+    Neighbours without a depth (0, infinite, NaN) are not asked: sensors leave holes within surfaces too.
+    """
+    valid = valid_plane_depth(plane_depth_m)
+    inverse = np.divide(1.0, plane_depth_m, out=np.full(plane_depth_m.shape, np.nan), where=valid)
+    is_smooth = valid.copy()
+    for one, other in (
+        (np.s_[1:], np.s_[:-1]),
+        (np.s_[:, 1:], np.s_[:, :-1]),
+    ):
+        # NaN, which is a hole, is no step.
+        step = np.abs(inverse[one] - inverse[other]) > EDGE_STEP * np.minimum(inverse[one], inverse[other])
+        is_smooth[one] &= ~step
+        is_smooth[other] &= ~step
+    return is_smooth
+
+
+def thinned(pixels: ArrayInt, most: int) -> ArrayInt:
+    """At most that many of these pixels (K,), evenly over them all."""
+    if len(pixels) <= most:
+        return pixels
+    return pixels[np.linspace(0, len(pixels) - 1, most).astype(np.intp)]
+
+
+def pixels_of_points(
+    points_m: ArrayLike, intrinsics: Intrinsics, world_from_camera: ArrayLike
+) -> tuple[ArrayInt, ArrayInt, ArrayF64]:
+    """Points of the world (P, 3), metres, that a camera would see if nothing were in the way.
+
+    Returns
+    -------
+    points, pixels : (K,) which points lie in the picture and before the camera, and `row * width + column` of each
+    plane_depth_m : (K,) of each
+    """
+    pixels, plane_depth_m = project_points(points_m, intrinsics, world_from_camera)
+    size = [intrinsics.width, intrinsics.height]
+    points = np.flatnonzero((plane_depth_m > 0) & ((pixels >= 0) & (pixels < size)).all(axis=1))
+    column, row = pixels[points].astype(np.intp).T
+    return points, row * intrinsics.width + column, plane_depth_m[points]
