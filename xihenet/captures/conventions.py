@@ -26,7 +26,7 @@ from xihenet.frame_files import BLENDER_FROM_OPENCV_CAMERA
 from xihenet.records import ArrayF64, ArrayInt, Intrinsics, RgbdFrame
 
 MOST_FRAMES = 24  # Of the recording, evenly over it: 276 pairs tell more than enough
-MOST_POINTS = 200  # Of each of them
+MOST_POINTS = 120  # Of each of them
 AGREEING = 0.05  # Share of the measured plane depth by which a point may miss it: noise of 1 %, and half a pixel aslant
 SMALLEST_TURN = np.radians(10)  # Two frames are compared from here on, or from SMALLEST_STEP_M on: others always agree
 SMALLEST_STEP_M = 0.15
@@ -35,6 +35,7 @@ FEWEST_PAIRS = 3  # With at least FEWEST_OF_PAIR of them each
 FEWEST_OF_PAIR = 20
 SMALLEST_SHARE = 0.6  # Less is no good fit, whatever the others are: wrong conventions agree on 10 to 70 % by chance
 SMALLEST_LEAD = 0.15  # Over the recording as read, which must be left at least this much, and disagree twice as often
+AT_MOST_OF_TWO_MISTAKES = 0.5  # What agrees more often as read has no two of them
 LEAD_OVER_NEXT = 0.05  # Over all other conventions: two that fit as well cannot be told apart
 
 AS_READ = "as read"
@@ -108,7 +109,7 @@ def suspect(
 
     None if it was read rightly, and where nobody can say: no frame at all, none with a depth, frames that share no
     surface, a camera that hardly moves, or two conventions that fit alike. Two mistakes at once, of the poses and of the
-    depth, are looked for only where no single one explains the recording.
+    depth, are looked for only where no single one explains the recording. ValueError for a pose that cannot be inverted.
 
     Parameters
     ----------
@@ -122,7 +123,7 @@ def suspect(
         return None
     single = [(poses, AS_READ) for poses in POSES[1:]] + [(AS_READ, depth) for depth in DEPTHS if depth != AS_READ]
     double = [(poses, depth) for poses in POSES[1:] for depth in DEPTHS if depth != AS_READ]
-    for asked in (single, double):
+    for asked in (single, double) if as_read.share < AT_MOST_OF_TWO_MISTAKES else (single,):
         found = _best(recording, asked, as_read)
         if found is not None:
             (poses, depth), share = found

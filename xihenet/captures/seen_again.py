@@ -22,14 +22,11 @@ def away_from_edges(plane_depth_m: ArrayF32) -> ArrayBool:
     Neighbours without a depth (0, infinite, NaN) are not asked: sensors leave holes within surfaces too.
     """
     valid = valid_plane_depth(plane_depth_m)
-    inverse = np.divide(1.0, plane_depth_m, out=np.full(plane_depth_m.shape, np.nan), where=valid)
+    depth_m = np.where(valid, plane_depth_m, np.nan)
     is_smooth = valid.copy()
-    for one, other in (
-        (np.s_[1:], np.s_[:-1]),
-        (np.s_[:, 1:], np.s_[:, :-1]),
-    ):
+    for one, other in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1])):
         # NaN, which is a hole, is no step.
-        step = np.abs(inverse[one] - inverse[other]) > EDGE_STEP * np.minimum(inverse[one], inverse[other])
+        step = np.abs(depth_m[one] - depth_m[other]) > EDGE_STEP * np.minimum(depth_m[one], depth_m[other])
         is_smooth[one] &= ~step
         is_smooth[other] &= ~step
     return is_smooth

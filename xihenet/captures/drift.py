@@ -1,0 +1,216 @@
+"""By how much did the phone's exposure and white balance drift? What is seen again in another frame tells.
+
+Phones adapt both from frame to frame and seldom say so, so that a wall becomes darker because a window came into view.
+Points of earlier frames are projected into each new one; where the depth agrees it is the same surface, and the ratio of
+its linear colours is the ratio of the two frames' gains. Each pair of frames gives the weighted median of the ratios of
+each channel, and `gain_graph` the gains that fit all pairs. Pictures are 8-bit and clipped: pixels with a channel near
+black or white know no ratio and are left out, as are edges of depth, where colours are mixed.
+
+Chosen: each frame is held against the one before it and against a few keyframes, some of them the oldest that still
+show the same place, so that errors do not add up along a walk. Keyframes are thinned points, some 36 kB each; no
+picture is kept. Rejected: ratios of whole pictures' brightness, which follow what is in view; only frames next to each
+other, whose errors add up.
+
+A lamp that changes most of what is seen again changes its light as an exposure would: the gains follow it, and no
+picture could tell them apart. One that changes less than half leaves the median where it was, and a larger residual.
+Gloss and vignetting are taken to be small. An exposure that a file does give (`RgbdFrame.exposure`) is not divided out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from xihenet.camera import unproject_frame
+from xihenet.captures.gain_graph import Pair, solve_gains
+from xihenet.captures.seen_again import away_from_edges, pixels_of_points, thinned
+from xihenet.colour import srgb_to_linear
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, ArrayU8, RgbdFrame
+
+DARKEST_CODE, BRIGHTEST_CODE = 20, 244  # Of 255. Below, one step is more than 7 % of the light; above, noise clips
+MOST_POINTS = 1500  # Of a keyframe
+N_PROBES = 64  # Of these, projected into each frame to learn which keyframes it shows
+MOST_KEYFRAMES = 300  # 11 MB; of more the one that was out of view for the longest is dropped
+SAME_DEPTH = 0.04  # Share by which a point may miss the measured plane depth and still be of that surface
+FEWEST_SAMPLES = 40  # Points that a pair needs, to tell its ratio to a few per cent
+N_NEAREST, N_OLDEST = 3, 2  # Keyframes that a frame is held against: those it shows most of, and those seen first
+ENOUGH_SHOWN = 0.5  # A frame that shows less than this share of every keyframe becomes one
+SOME_SHOWN = 0.1
+SURE_TO = 0.003  # A pair's ratio is not trusted further, however many points it has; natural logarithm
+LOG_LINEAR = np.log(np.maximum(srgb_to_linear(np.arange(256) / 255.0), 1e-6))
+"""(256,) of the linear light of each code."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """Gains of a session of N frames: linear colour in a frame = gain * that under the reference frame's exposure and
+    white balance. The reference is the first frame whose colours can be read, and its gain 1; so is that of all
+    frames if there is none.
+
+    Parameters
+    ----------
+    frames : (N,) numbers of the frames
+    gains : (N, 3) float64, positive, linear R, G, B; of a frame that is not known that of the known one nearest in time
+    is_known : (N,) bool, whether surfaces seen again tie the frame to the reference
+    n_samples : (N,) points that the frame shares with those it was held against; 0 for none
+    residual : (N,) how far the frame's pairs are from the gains, root mean square of natural logarithms; NaN for none
+    """
+
+    frames: ArrayInt
+    gains: ArrayF64
+    is_known: ArrayBool
+    n_samples: ArrayInt
+    residual: ArrayF64
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    @property
+    def n_unknown(self) -> int:
+        """Frames that nothing ties to the reference."""
+        return int(np.count_nonzero(~self.is_known))
+
+
+@dataclass(eq=False)
+class _Seen:
+    """Points of a frame whose colours can be read."""
+
+    index: int  # of the frame, in the order of the session
+    points_m: ArrayF32  # (K, 3) world
+    codes: ArrayU8  # (K, 3)
+    shown_at: int  # index of the last frame that showed it
+
+
+class DriftFollower:
+    """Takes the frames of a session one by one, in order, and says at any time how they drifted so far.
+
+    Keeps at most MOST_KEYFRAMES keyframes, and numbers of some 100 bytes for each of the up to 6 pairs of a frame.
+    """
+
+    def __init__(self) -> None:
+        self._frames: list[int] = []
+        self._times_s: list[float] = []
+        self._keyframes: list[_Seen] = []
+        self._before: _Seen | None = None
+        self._pairs: list[Pair] = []
+        self._reference: int | None = None
+
+    def add(self, frame: RgbdFrame) -> None:
+        """The next frame, of any size; ValueError for a pose that cannot be inverted."""
+        index = len(self._frames)
+        self._frames.append(frame.frame)
+        self._times_s.append(frame.time_s)
+        is_readable = _readable(frame)
+        pixels = thinned(np.flatnonzero(is_readable), MOST_POINTS)
+        if len(pixels) < FEWEST_SAMPLES:
+            return
+        if self._reference is None:
+            self._reference = index
+        points_m = unproject_frame(frame).points_m[pixels]
+        seen = _Seen(index, points_m, frame.srgb_u8.reshape(-1, 3)[pixels], index)
+        shown = self._shown(frame, is_readable)
+        n_before = len(self._pairs)
+        for known in self._to_compare(shown):
+            pair = _compared(known, frame, is_readable, index)
+            if pair is not None:
+                known.shown_at = index
+                self._pairs.append(pair)
+        is_tied = len(self._pairs) > n_before
+        if not is_tied or shown.max(initial=0.0) < ENOUGH_SHOWN:
+            self._keep(seen)
+        self._before = seen
+
+    def drift(self) -> Drift:
+        """Of all frames so far; empty for none."""
+        n = len(self._frames)
+        logs, is_known, residual = solve_gains(n, self._pairs, self._reference or 0)
+        n_samples = np.zeros(n, np.intp)
+        for pair in self._pairs:
+            n_samples[pair.later] += pair.n_samples
+            n_samples[pair.earlier] += pair.n_samples
+        known = np.flatnonzero(is_known)
+        times_s = np.array(self._times_s)
+        for index in np.flatnonzero(~is_known):
+            # Frames of files without times all have the same one: then the nearest in order.
+            apart = np.abs(times_s[known] - times_s[index])
+            logs[index] = logs[known[np.lexsort((np.abs(known - index), apart))[0]]]
+        return Drift(np.array(self._frames, np.intp), np.exp(logs), is_known, n_samples, residual)
+
+    def _shown(self, frame: RgbdFrame, is_readable: ArrayBool) -> ArrayF64:
+        """(number of keyframes,) the share of each that the frame shows, by a few of its points."""
+        if not self._keyframes:
+            return np.zeros(0)
+        probes = [known.points_m[thinned(np.arange(len(known.points_m)), N_PROBES)] for known in self._keyframes]
+        owner = np.repeat(np.arange(len(probes)), [len(points) for points in probes])
+        again, _ = _same_surface(np.concatenate(probes), frame, is_readable)
+        n_shown: ArrayF64 = np.bincount(owner[again], minlength=len(probes)) / np.bincount(owner)
+        return n_shown
+
+    def _to_compare(self, shown: ArrayF64) -> list[_Seen]:
+        """The frame before, and a few keyframes; none twice."""
+        enough = np.flatnonzero(shown >= SOME_SHOWN)
+        nearest = enough[np.argsort(-shown[enough], kind="stable")[:N_NEAREST]]
+        asked = {known.index: known for known in (self._keyframes[i] for i in (*nearest, *enough[:N_OLDEST]))}
+        if self._before is not None:
+            asked[self._before.index] = self._before
+        return list(asked.values())
+
+    def _keep(self, seen: _Seen) -> None:
+        self._keyframes.append(seen)
+        if len(self._keyframes) > MOST_KEYFRAMES:
+            # The first of all stays: what is held against it is held against the reference itself.
+            del self._keyframes[1 + int(np.argmin([known.shown_at for known in self._keyframes[1:]]))]
+
+
+def follow_drift(frames: Iterable[RgbdFrame]) -> Drift:
+    """Of a whole session, whose frames are asked for one by one and in order."""
+    follower = DriftFollower()
+    for frame in frames:
+        follower.add(frame)
+    return follower.drift()
+
+
+def _readable(frame: RgbdFrame) -> ArrayBool:
+    """(H, W) where the depth is known and no edge, and no channel is near black or white."""
+    darkest, brightest = frame.srgb_u8.min(axis=2), frame.srgb_u8.max(axis=2)
+    readable: ArrayBool = (
+        away_from_edges(frame.plane_depth_m) & (darkest >= DARKEST_CODE) & (brightest <= BRIGHTEST_CODE)
+    )
+    return readable
+
+
+def _same_surface(points_m: ArrayF32, frame: RgbdFrame, is_readable: ArrayBool) -> tuple[ArrayInt, ArrayInt]:
+    """Which of points (P, 3) the frame shows where it is readable, and in which pixel each."""
+    points, pixels, expected_m = pixels_of_points(points_m, frame.intrinsics, frame.world_from_camera)
+    measured_m = frame.plane_depth_m.ravel()[pixels]
+    is_same = is_readable.ravel()[pixels]
+    is_same[is_same] = np.abs(expected_m - measured_m)[is_same] < SAME_DEPTH * measured_m[is_same]
+    return points[is_same], pixels[is_same]
+
+
+def _compared(known: _Seen, frame: RgbdFrame, is_readable: ArrayBool, index: int) -> Pair | None:
+    """The ratio of a frame's colours to those of an earlier one; None where too few surfaces are in both."""
+    points, pixels = _same_surface(known.points_m, frame, is_readable)
+    n = len(points)
+    if n < FEWEST_SAMPLES:
+        return None
+    before, after = known.codes[points], frame.srgb_u8.reshape(-1, 3)[pixels]
+    ratios = LOG_LINEAR[after] - LOG_LINEAR[before]
+    # A step of a code is some 2.4 / (code + 14) of the light, by the derivative of the sRGB curve.
+    weights = (np.minimum(before, after) + 14.0) ** 2
+    middle = _weighted_median(ratios, weights)
+    spread = 1.4826 * _weighted_median(np.abs(ratios - middle), weights)
+    # Of a normal distribution: 1.4826 makes a deviation of a median one, and a median's error is 1.2533 of a mean's.
+    sure_to = np.hypot(1.2533 * spread / np.sqrt(n), SURE_TO)
+    return Pair(known.index, index, middle, sure_to, n)
+
+
+def _weighted_median(values: ArrayF64, weights: ArrayF64) -> ArrayF64:
+    """(C,) of values (K, C) with weights (K, C), of which none is negative and some are not 0."""
+    order = np.argsort(values, axis=0)
+    summed = np.cumsum(np.take_along_axis(weights, order, 0), axis=0)
+    at = (summed < summed[-1] / 2).sum(axis=0)
+    median: ArrayF64 = np.take_along_axis(values, np.take_along_axis(order, at[None], 0), 0)[0]
+    return median
