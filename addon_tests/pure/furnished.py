@@ -10,7 +10,7 @@ PHONE = Intrinsics(64, 48, 50.0, 50.0, 32.0, 24.0)
 ROOM = np.array([[-3.0, -2.5, 0.0], [3.0, 2.5, 2.6]])
 
 
-def furniture(seed, n=7):
+def furniture(seed, n=5):
     """(n, 2, 3) lower and upper corners of boxes that stand along the walls, so that the middle is free to walk in."""
     rng = np.random.default_rng(seed)
     boxes = []

@@ -8,7 +8,8 @@ import pytest
 
 from addon_tests.pure.furnished import furniture, seen, walk_poses
 from xihenet.camera import ray_distance_from_plane_depth
-from xihenet.captures.conventions import AS_READ, fits, suspect
+from xihenet.captures.conventions import fits, suspect
+from xihenet.captures.self_fit import AS_READ
 from xihenet.frame_files import BLENDER_FROM_OPENCV_CAMERA, BLENDER_FROM_UP
 
 
@@ -100,10 +101,9 @@ def test_right_walks_are_not_accused(degrees):
 
 def test_the_sentence_says_what_fits_and_how_well():
     found = suspect([posed(np.linalg.inv)(frame) for frame in right(0)])
+    fits_twice = "The poses look like camera-from-world: their inverse fits 100 % of the surfaces seen twice"
     as_read = f"{found.share_as_read:.0%}".replace("%", " %")
-    assert found.sentence == (
-        f"The poses look like camera-from-world: their inverse fits 100 % of the surfaces seen twice, as read {as_read}."
-    )
+    assert found.sentence == f"{fits_twice}, as read {as_read}."
     turned = [WRONG["camera axes", AS_READ](frame) for frame in right(0)]
     assert suspect(turned).sentence.startswith("The cameras seem to look along +Z with +Y down: turned so they fit")
     assert suspect(turned, is_opencv=True).sentence.startswith("The cameras seem to look along -Z with +Y up")

@@ -1,8 +1,8 @@
 """By how much did the phone's exposure and white balance drift? What is seen again in another frame tells.
 
-Phones adapt both from frame to frame and seldom say so, so that a wall becomes darker because a window came into view.
-Points of earlier frames are projected into each new one; where the depth agrees it is the same surface, and the ratio of
-its linear colours is the ratio of the two frames' gains. Each pair of frames gives the weighted median of the ratios of
+Phones adapt both from frame to frame and seldom say so: a wall becomes darker because a window came into view. Points
+of earlier frames are projected into each new one. Where the depth agrees it is the same surface, and the ratio of its
+linear colours is the ratio of the two frames' gains. Each pair of frames gives the weighted median of the ratios of
 each channel, and `gain_graph` the gains that fit all pairs. Pictures are 8-bit and clipped: pixels with a channel near
 black or white know no ratio and are left out, as are edges of depth, where colours are mixed.
 

@@ -1,9 +1,9 @@
 """Which gain has each frame, if ratios are known for some pairs of frames?
 
-Least squares of logarithms over the graph of pairs, each channel by itself, with that of a reference held at 0. Pairs that
-contradict the others, such as those on both sides of a moved lamp, are weighed down as Huber does. Frames along the
-fewest pairs from it give the start, which is the answer where no pair closes a loop; conjugate gradients do the
-rest, in memory that grows with the pairs alone. Rejected: a dense solution, 800 MB for 10,000 frames.
+Least squares of logarithms over the graph of pairs, each channel by itself, with that of a reference held at 0. Pairs
+that contradict the others, such as those on both sides of a moved lamp, are weighed down as Huber does. Sums along the
+fewest pairs from the reference give the start, which is the answer where no pair closes a loop; conjugate gradients do
+the rest, in memory that grows with the pairs alone. Rejected: a dense solution, 800 MB for 10,000 frames.
 """
 
 from __future__ import annotations
@@ -64,17 +64,14 @@ def solve_gains(n: int, pairs: Sequence[Pair], reference: int = 0) -> tuple[Arra
                 logs[:, channel], reference, earlier, later, ratios[:, channel], weights[:, channel]
             )
     squares = ((logs[later] - logs[earlier] - ratios) ** 2).mean(axis=1)
-    sums, counts = (
-        np.bincount(earlier, of, minlength=n) + np.bincount(later, of, minlength=n)
-        for of in (squares, np.ones(len(squares)))
-    )
+    sums, counts = (_summed(earlier, of, n) + _summed(later, of, n) for of in (squares, np.ones(len(squares))))
     has_pair = counts > 0
     residual[has_pair] = np.sqrt(sums[has_pair] / counts[has_pair])
     return logs, is_known, residual
 
 
 def _along_fewest_pairs(n: int, pairs: Sequence[Pair], reference: int) -> tuple[ArrayF64, ArrayBool]:
-    """(n, 3) logarithms by adding ratios along the fewest pairs from the reference; (n,) bool whether any lead there."""
+    """(n, 3) logarithms, summed along the fewest pairs from the reference; (n,) bool whether any lead there."""
     logs, is_known = np.zeros((n, 3)), np.zeros(n, bool)
     neighbours: list[list[tuple[int, ArrayF64]]] = [[] for _ in range(n)]
     for pair in pairs:
@@ -91,7 +88,9 @@ def _along_fewest_pairs(n: int, pairs: Sequence[Pair], reference: int) -> tuple[
     return logs, is_known
 
 
-def _least_squares(start: ArrayF64, reference: int, earlier: ArrayInt, later: ArrayInt, ratios: ArrayF64, weights: ArrayF64) -> ArrayF64:
+def _least_squares(
+    start: ArrayF64, reference: int, earlier: ArrayInt, later: ArrayInt, ratios: ArrayF64, weights: ArrayF64
+) -> ArrayF64:
     """(n,) that minimises the sum of weights * (x[later] - x[earlier] - ratios)^2, with x[reference] as in `start`.
 
     Conjugate gradients with the diagonal as preconditioner: Shewchuk, An Introduction to the Conjugate Gradient Method
@@ -100,11 +99,11 @@ def _least_squares(start: ArrayF64, reference: int, earlier: ArrayInt, later: Ar
     n = len(start)
 
     def spread(of_pairs: ArrayF64) -> ArrayF64:
-        of_frames: ArrayF64 = np.bincount(later, of_pairs, minlength=n) - np.bincount(earlier, of_pairs, minlength=n)
+        of_frames = _summed(later, of_pairs, n) - _summed(earlier, of_pairs, n)
         of_frames[reference] = 0
         return of_frames
 
-    diagonal = np.bincount(later, weights, minlength=n) + np.bincount(earlier, weights, minlength=n)
+    diagonal = _summed(later, weights, n) + _summed(earlier, weights, n)
     scale = np.divide(1.0, diagonal, out=np.zeros(n), where=diagonal > 0)
     x = start.copy()
     left = spread(weights * (ratios - x[later] + x[earlier]))
@@ -121,3 +120,8 @@ def _least_squares(start: ArrayF64, reference: int, earlier: ArrayInt, later: Ar
         size, before = float(left @ scaled), size
         step = scaled + (size / before) * step
     return x
+
+
+def _summed(frames: ArrayInt, of_pairs: ArrayF64, n: int) -> ArrayF64:
+    """(n,) sums, by frame, of what the pairs have."""
+    return np.bincount(frames, of_pairs, minlength=n).astype(np.float64)
