@@ -29,7 +29,7 @@ from xihenet.captures.seen_again import away_from_edges, pixels_of_points, thinn
 from xihenet.colour import srgb_to_linear
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, ArrayU8, RgbdFrame
 
-DARKEST_CODE, BRIGHTEST_CODE = 20, 244  # Of 255. Below, one step is more than 7 % of the light; above, noise clips
+DARKEST_CODE, BRIGHTEST_CODE = 12, 244  # Of 255. Below, one step is more than 9 % of the light; above, noise clips
 MOST_POINTS = 1500  # Of a keyframe
 N_PROBES = 64  # Of these, projected into each frame to learn which keyframes it shows
 MOST_KEYFRAMES = 300  # 11 MB; of more the one that was out of view for the longest is dropped
