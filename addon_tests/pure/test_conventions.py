@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from addon_tests.pure.furnished import furniture, seen, walk_poses
+from addon_tests.pure.recordings import looking
 from xihenet.camera import ray_distance_from_plane_depth
 from xihenet.captures.conventions import fits, suspect
 from xihenet.captures.self_fit import AS_READ
@@ -164,6 +165,17 @@ def test_a_camera_that_turns_in_place_says_nothing_of_the_unit_of_depth():
     frames = [seen(pose, boxes, number) for number, pose in enumerate(poses)]
     for factor in (0.001, 0.1, 1, 10, 1000):
         assert suspect([scaled(factor)(frame) for frame in frames]) is None
+
+
+def test_a_camera_that_only_pitches_looks_the_same_with_either_axes():
+    """Half a turn about the camera's X axis, which is what it turns about, is no change."""
+    boxes, poses = furniture(6), []
+    for pitch in np.linspace(-1.2, 1.2, 12):
+        poses.append(looking(0.4, pitch, [0.2, 0.1, 1.3]))
+    frames = [seen(pose, boxes, number) for number, pose in enumerate(poses)]
+    turned = [WRONG["camera axes", AS_READ](frame) for frame in frames]
+    assert suspect(frames) is None and suspect(turned) is None
+    assert fits(turned)[AS_READ, AS_READ].share > 0.95
 
 
 def test_frames_that_share_nothing_in_a_square_room_are_not_accused():

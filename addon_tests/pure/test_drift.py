@@ -112,11 +112,8 @@ def test_frames_that_share_nothing_keep_the_gain_nearest_in_time():
     away = [replace(frame, world_from_camera=elsewhere @ frame.world_from_camera) for frame in frames[12:]]
     found = follow_drift(frames[:12] + away)
     assert found.is_known.tolist() == [True] * 12 + [False] * 8 and found.n_unknown == 8
-    assert (found.gains[12:] == found.gains[11]).all() and worst(replaced(found, 12), gains[:12]) < 0.02
-
-
-def replaced(drift, n):
-    return replace(drift, gains=drift.gains[:n])
+    assert (found.gains[12:] == found.gains[11]).all()
+    assert np.abs(found.gains[:12] / gains[:12] - 1).max() < 0.02
 
 
 def lamp(radius):
@@ -176,7 +173,7 @@ def test_keyframes_are_few_however_long_the_session(monkeypatch):
     follower = DriftFollower()
     for frame in session(3, gains, walk_poses(3, 60, 2 * np.pi, 1.8)):
         follower.add(frame)
-        assert len(follower._keyframes) <= 5
+        assert follower.n_keyframes <= 5
     assert follower.drift().is_known.all() and worst(follower.drift(), gains) < 0.03
 
 

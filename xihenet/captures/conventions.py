@@ -81,7 +81,7 @@ def suspect(
         return None
     single = [(poses, AS_READ) for poses in POSES[1:]] + [(AS_READ, depth) for depth in DEPTHS if depth != AS_READ]
     double = [(poses, depth) for poses in POSES[1:] for depth in DEPTHS if depth != AS_READ]
-    for asked in (single, double) if as_read.share < AT_MOST_OF_TWO_MISTAKES else (single,):
+    for asked in (single, single + double) if as_read.share < AT_MOST_OF_TWO_MISTAKES else (single,):
         found = _best(recording, asked, as_read)
         if found is not None:
             (poses, depth), share = found

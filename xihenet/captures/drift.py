@@ -86,7 +86,8 @@ class _Seen:
 class DriftFollower:
     """Takes the frames of a session one by one, in order, and says at any time how they drifted so far.
 
-    Keeps at most MOST_KEYFRAMES keyframes, and numbers of some 100 bytes for each of the up to 6 pairs of a frame.
+    Keeps at most MOST_KEYFRAMES keyframes, and some 500 bytes for each of the up to 6 pairs of a frame: 10,000 frames of
+    256x192 around one room took 26 MB.
     """
 
     def __init__(self) -> None:
@@ -96,6 +97,11 @@ class DriftFollower:
         self._before: _Seen | None = None
         self._pairs: list[Pair] = []
         self._reference: int | None = None
+
+    @property
+    def n_keyframes(self) -> int:
+        """That are kept now."""
+        return len(self._keyframes)
 
     def add(self, frame: RgbdFrame) -> None:
         """The next frame, of any size; ValueError for a pose that cannot be inverted."""

@@ -15,7 +15,7 @@ import numpy as np
 from xihenet.camera import pixel_rays
 from xihenet.captures.seen_again import away_from_edges, pixels_of_points, thinned
 from xihenet.frame_files import BLENDER_FROM_OPENCV_CAMERA
-from xihenet.records import ArrayBool, ArrayF64, ArrayInt, Intrinsics, RgbdFrame
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, Intrinsics, RgbdFrame
 
 MOST_FRAMES = 24  # Of the recording, evenly over it: 276 pairs tell more than enough
 MOST_POINTS = 120  # Of each of them
@@ -34,7 +34,10 @@ DEPTHS = {AS_READ: 1.0, "10 x": 10.0, "0.1 x": 0.1, "1000 x": 1000.0, "0.001 x":
 
 @dataclass(frozen=True)
 class Fit:
-    """How well a recording fits itself: of `n_points` that fell on a measured surface, the share that lies on it."""
+    """How well a recording fits itself: of `n_points` that fell on a measured surface, the share that lies on it.
+
+    `n_pairs` frames in pairs of at least FEWEST_OF_PAIR such points; 0 of all where nothing is seen twice.
+    """
 
     n_points: int
     n_pairs: int
@@ -51,10 +54,9 @@ class _View:
 
     intrinsics: Intrinsics
     pose: ArrayF64  # (4, 4) in the file's world, with the camera's axes as they were read
-    plane_depth_m: ArrayF64  # (H * W,), NaN where there is none, or an edge
-    rays: ArrayF64  # (H * W, 3) in the camera, at plane depth 1
-    lengths: ArrayF64  # (H * W,) of these
+    plane_depth_m: ArrayF32  # (H * W,) as it was read, NaN where there is none, or an edge
     picked: ArrayInt  # (K,) pixels whose points are compared
+    rays: ArrayF64  # (K, 3) through these, in the camera, at plane depth 1
 
 
 class Recording:
@@ -79,10 +81,9 @@ class Recording:
         if not has_steps:
             for camera in cameras:
                 camera[:3, 3] = 0
-        depths = [_corrected_depth(view, depth) for view in self.views]
         clouds = [
-            (view.rays[view.picked] * depth_m[view.picked, None]) @ camera[:3, :3].T + camera[:3, 3]
-            for view, depth_m, camera in zip(self.views, depths, cameras, strict=True)
+            (view.rays * _corrected_depth(view, view.picked, depth)[:, None]) @ camera[:3, :3].T + camera[:3, 3]
+            for view, camera in zip(self.views, cameras, strict=True)
         ]
         n_pairs, expected_m, measured_m = 0, [np.zeros(0)], [np.zeros(0)]
         for intrinsics, numbers in self.alike.items():
@@ -93,8 +94,10 @@ class Recording:
                 continue
             pair = np.repeat(np.arange(len(asked)), [len(points) for points in in_camera])
             points, pixels, depth_m = pixels_of_points(np.concatenate(in_camera), intrinsics, np.eye(4))
-            of_camera = np.array([numbers.index(i) for i, _ in asked])[pair[points]]
-            measured = np.stack([depths[i] for i in numbers])[of_camera, pixels]
+            camera_of = np.array([i for i, _ in asked])[pair[points]]
+            measured = np.empty(len(points))
+            for i in numbers:
+                measured[camera_of == i] = _corrected_depth(self.views[i], pixels[camera_of == i], depth)
             is_known = np.isfinite(measured)
             n_pairs += int(np.count_nonzero(np.bincount(pair[points][is_known]) >= FEWEST_OF_PAIR))
             expected_m.append(depth_m[is_known])
@@ -121,14 +124,13 @@ def _spread_views(frames: Iterable[RgbdFrame], file_from_blender: ArrayF64) -> l
 
 def _view(frame: RgbdFrame, file_from_blender: ArrayF64) -> _View:
     is_used = away_from_edges(frame.plane_depth_m)
-    rays = pixel_rays(frame.intrinsics).reshape(-1, 3)
+    picked = thinned(np.flatnonzero(is_used), MOST_POINTS)
     return _View(
         frame.intrinsics,
         file_from_blender @ frame.world_from_camera,
-        np.where(is_used, frame.plane_depth_m, np.nan).astype(np.float64).ravel(),
-        rays,
-        np.linalg.norm(rays, axis=1),
-        thinned(np.flatnonzero(is_used), MOST_POINTS),
+        np.where(is_used, frame.plane_depth_m, np.float32(np.nan)).ravel(),
+        picked,
+        pixel_rays(frame.intrinsics).reshape(-1, 3)[picked],
     )
 
 
@@ -145,6 +147,7 @@ def _far_enough_apart(poses: list[ArrayF64]) -> ArrayBool:
 
 
 def _corrected(pose: ArrayF64, poses: str) -> ArrayF64:
+    """(4, 4) camera to world, if the pose of the file holds what `poses` says; the camera's axes are as they were."""
     pose = pose.copy()
     if poses.startswith(("transposed", "inverse")):
         pose[:3, :3] = pose[:3, :3].T.copy()
@@ -153,7 +156,10 @@ def _corrected(pose: ArrayF64, poses: str) -> ArrayF64:
     return pose
 
 
-def _corrected_depth(view: _View, depth: str) -> ArrayF64:
+def _corrected_depth(view: _View, pixels: ArrayInt, depth: str) -> ArrayF64:
+    """(K,) plane depth of pixels (K,), metres, if the view's holds what `depth` says."""
+    read = view.plane_depth_m[pixels].astype(np.float64)
     if depth == "ray distance":
-        return view.plane_depth_m / view.lengths
-    return view.plane_depth_m / DEPTHS[depth]
+        lengths: ArrayF64 = np.linalg.norm(pixel_rays(view.intrinsics).reshape(-1, 3)[pixels], axis=1)
+        return read / lengths
+    return read / DEPTHS[depth]
