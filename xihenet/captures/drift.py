@@ -86,8 +86,8 @@ class _Seen:
 class DriftFollower:
     """Takes the frames of a session one by one, in order, and says at any time how they drifted so far.
 
-    Keeps at most MOST_KEYFRAMES keyframes, and some 500 bytes for each of the up to 6 pairs of a frame: 10,000 frames of
-    256x192 around one room took 26 MB.
+    Keeps at most MOST_KEYFRAMES keyframes, and some 500 bytes for each of the up to 6 pairs of a frame: 10,000 frames
+    of 256x192 around one room took 26 MB.
     """
 
     def __init__(self) -> None:
