@@ -83,12 +83,13 @@ def _reasons_by_value(plane_depth_m: ArrayF32, valid: ArrayBool) -> dict[str, in
 def unproject_frame(frame: RgbdFrame, *, reference_exposure: float | None = None) -> PointCloud:
     """Every pixel of `frame` as a coloured point: H * W points in row order, world frame, metres.
 
-    Colours are decoded, multiplied by `reference_exposure / frame.exposure`, clipped at 1 and encoded again; None
-    leaves the frame's own exposure. ValueError for a reference that is not positive and finite. Pixels without a valid
-    plane depth (0, negative, NaN, infinite, or a renderer's miss) still say what light comes from there, unless it is
-    NaN. Between two surfaces of their row they are an opening, such as a window: their points lie between both. The
-    others are the `far` pixels of the cloud's grid; their points are NaN, as where the depth is NaN, and counted by
-    reason. A frame without any valid plane depth has neither, since a sensor that sees nothing may be broken.
+    Colours are decoded, multiplied by `reference_exposure / frame.exposure`, divided by the frame's white balance,
+    clipped at 1 and encoded again; None leaves the frame's own exposure. ValueError for a reference that is not
+    positive and finite. Pixels without a valid plane depth (0, negative, NaN, infinite, or a renderer's miss) still say
+    what light comes from there, unless it is NaN. Between two surfaces of their row they are an opening, such as a
+    window: their points lie between both. The others are the `far` pixels of the cloud's grid; their points are NaN, as
+    where the depth is NaN, and counted by reason. A frame without any valid plane depth has neither, since a sensor
+    that sees nothing may be broken.
 
     float32 arithmetic: the error of a point is about 2e-7 of its distance from the camera plus that of storing it, 6e-8
     of its distance from the world's origin. A point beyond the range of float32 is infinite or NaN.
@@ -96,7 +97,10 @@ def unproject_frame(frame: RgbdFrame, *, reference_exposure: float | None = None
     depth_m = _with_openings(frame.plane_depth_m)
     points = _unprojected(frame, depth_m)
     gain = 1.0 if reference_exposure is None else reference_exposure / frame.exposure
-    if gain == 1.0:  # The same bits as the table's, in a quarter of the time of asking it.
+    if frame.white_balance is not None:
+        each = [_reencoded_bytes(gain / float(factor)) for factor in frame.white_balance]
+        srgb = np.stack([table.take(frame.srgb_u8[..., channel]) for channel, table in enumerate(each)], axis=-1)
+    elif gain == 1.0:  # The same bits as the table's, in a quarter of the time of asking it.
         srgb = np.divide(frame.srgb_u8, np.float32(255), dtype=np.float32)
     else:
         srgb = _reencoded_bytes(gain).take(frame.srgb_u8)

@@ -12,16 +12,16 @@ import contextlib
 import math
 import struct
 import zlib
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xihenet.picture_size import TooLarge, picked_pixels
-from xihenet.records import ArrayF32
+from xihenet.records import ArrayF32, ArrayF64
 
 MAGIC = b"\x76\x2f\x31\x01"
 PIXEL_TYPES: tuple[str, ...] = ("<u4", "<f2", "<f4")  # NumPy's names of UINT, HALF and FLOAT, by their numbers
@@ -39,6 +39,15 @@ LARGEST_UNPACKED, LARGEST_RATIO = 2**28, 100
 
 ZLIB_LEVEL = 4  # Of 256x192 pixels of noise, levels 1 to 4 take the same time and space
 
+HEADER_BYTES = 2**16
+"""As many are read of a file whose header alone is asked for; those with more are read whole."""
+
+Attribute = str | int | float | ArrayF64
+"""What a header says of its picture: text, a whole number of 32 bits, a float64, or an array of one of `SHAPES`."""
+
+SHAPES: Mapping[str, tuple[int, ...]] = {"v2d": (2,), "v3d": (3,), "m33d": (3, 3), "m44d": (4, 4)}
+
+_T = TypeVar("_T")
 _Channels = list[tuple[str, np.dtype[Any]]]
 
 
@@ -68,10 +77,35 @@ class _Part:
 
 def exr_sizes(path: Path) -> dict[str, tuple[int, int]]:
     """(H, W) of every channel by its full name, as the header says it, of any OpenEXR file; raises as `read_exr`."""
-    content = _content(path)
+    return _of_header(path, _sizes_of)
+
+
+def exr_attributes(path: Path) -> dict[str, Attribute]:
+    """What the first header says beside its channels, in the types of `Attribute`; others are left out.
+
+    Raises as `read_exr`.
+    """
+    return _of_header(path, _attributes_of)
+
+
+def _sizes_of(content: bytes) -> dict[str, tuple[int, int]]:
+    parts, _ = _parts(content)
+    return {name: (part.height, part.width) for part in parts for name, _ in part.channels}
+
+
+def _of_header(path: Path, read: Callable[[bytes], _T]) -> _T:
+    """What `read` finds in the first bytes of a file, or in all of them where these do not hold the whole header."""
+    with path.open("rb") as file:
+        content = file.read(HEADER_BYTES)
+        try:
+            with _errors_of(path):
+                return read(_checked(path, content))
+        except ValueError:
+            content += file.read()
+            if len(content) <= HEADER_BYTES:
+                raise
     with _errors_of(path):
-        parts, _ = _parts(content)
-        return {name: (part.height, part.width) for part in parts for name, _ in part.channels}
+        return read(content)
 
 
 def read_exr(
@@ -103,11 +137,19 @@ def read_exr(
         return channels
 
 
-def write_exr(path: Path, channels: Mapping[str, NDArray[Any]], *, compression: str = "ZIP") -> None:
+def write_exr(
+    path: Path,
+    channels: Mapping[str, NDArray[Any]],
+    *,
+    compression: str = "ZIP",
+    attributes: Mapping[str, Attribute] | None = None,
+) -> None:
     """Write channels (H, W) of float16, float32 or uint32 as one part; `compression` is "none", "ZIPS" or "ZIP".
 
-    ValueError without a channel, for other types or for sizes that differ; OSError if the file cannot be written.
+    `attributes` are put into the header, arrays as rows of float64. ValueError without a channel, for other types or
+    for sizes that differ; OSError if the file cannot be written.
     """
+    said = [(name, *_stored_attribute(name, value)) for name, value in (attributes or {}).items()]
     arrays = {name: np.asarray(values) for name, values in sorted(channels.items())}
     sizes = {values.shape for values in arrays.values()}
     if len(sizes) != 1 or len(next(iter(sizes))) != 2 or 0 in next(iter(sizes)):
@@ -116,11 +158,14 @@ def write_exr(path: Path, channels: Mapping[str, NDArray[Any]], *, compression: 
     kinds = [(name, _stored_kind(name, values)) for name, values in arrays.items()]
     rows = [np.ascontiguousarray(arrays[name], kind).view(np.uint8).reshape(height, -1) for name, kind in kinds]
     part = _Part(kinds, compression, width, height, 0)
-    path.write_bytes(_file(part, np.concatenate(rows, axis=1)))
+    path.write_bytes(_file(part, np.concatenate(rows, axis=1), said))
 
 
 def _content(path: Path) -> bytes:
-    content = path.read_bytes()
+    return _checked(path, path.read_bytes())
+
+
+def _checked(path: Path, content: bytes) -> bytes:
     if not content.startswith(MAGIC):
         raise ValueError(f"{path}: expected an OpenEXR file, it begins with {content[:4]!r}")
     return content
@@ -147,18 +192,53 @@ def _parts(content: bytes) -> tuple[list[_Part], int]:
     is_multi_part = bool(flags & MULTI_PART)
     parts: list[_Part] = []
     while not parts or (is_multi_part and content[at]):
-        attributes: dict[str, bytes] = {}
-        while content[at]:
-            name, at = _text(content, at)
-            _, at = _text(content, at)
-            size = struct.unpack_from("<i", content, at)[0]
-            if size < 0:
-                raise ValueError("an attribute has a negative size")
-            attributes[name] = content[at + 4 : at + 4 + size]
-            at += 4 + size
-        at += 1
-        parts.append(_part(attributes, flags))
+        stored, at = _header_at(content, at)
+        parts.append(_part({name: value for name, (_, value) in stored.items()}, flags))
     return parts, at + is_multi_part
+
+
+def _header_at(content: bytes, at: int) -> tuple[dict[str, tuple[str, bytes]], int]:
+    """The type and the bytes of each attribute by name, and where the header ends."""
+    stored: dict[str, tuple[str, bytes]] = {}
+    while content[at]:
+        name, at = _text(content, at)
+        kind, at = _text(content, at)
+        size = struct.unpack_from("<i", content, at)[0]
+        value = content[at + 4 : at + 4 + size]
+        if len(value) != size:
+            raise ValueError("an attribute has a negative size, or is cut short")
+        stored[name] = kind, value
+        at += 4 + size
+    return stored, at + 1
+
+
+def _attributes_of(content: bytes) -> dict[str, Attribute]:
+    stored, _ = _header_at(content, 8)
+    found: dict[str, Attribute] = {}
+    for name, (kind, value) in stored.items():
+        if kind == "string":
+            found[name] = value.decode()
+        elif kind in ("int", "double"):
+            found[name] = struct.unpack("<i" if kind == "int" else "<d", value)[0]
+        elif kind in SHAPES:
+            found[name] = np.frombuffer(value, "<f8").reshape(SHAPES[kind]).astype(np.float64)
+    return found
+
+
+def _stored_attribute(name: str, value: Attribute) -> tuple[str, bytes]:
+    """Its type and its bytes."""
+    if isinstance(value, str):
+        return "string", value.encode()
+    if isinstance(value, int):
+        return "int", struct.pack("<i", value)
+    if isinstance(value, float):
+        return "double", struct.pack("<d", value)
+    kind = next((kind for kind, shape in SHAPES.items() if shape == value.shape), None)
+    if kind is None:
+        raise ValueError(
+            f"write_exr: attribute {name} has shape {value.shape}, expected one of {list(SHAPES.values())}"
+        )
+    return kind, value.astype("<f8").tobytes()
 
 
 def _text(content: bytes, at: int) -> tuple[str, int]:
@@ -271,14 +351,15 @@ def _stored_kind(name: str, values: NDArray[Any]) -> np.dtype[Any]:
     return kind
 
 
-def _file(part: _Part, rows: NDArray[np.uint8]) -> bytes:
+def _file(part: _Part, rows: NDArray[np.uint8], said: list[tuple[str, str, bytes]]) -> bytes:
     n_together = ROWS_IN_CHUNK[part.compression]
     chunks = []
     for first in range(0, part.height, n_together):
         packed = _packed(rows[first : first + n_together].reshape(-1), part.compression)
         chunks.append(struct.pack("<2i", first, len(packed)) + packed)
-    has_long_names = any(len(name.encode()) > MAX_SHORT_NAME for name, _ in part.channels)
-    start = MAGIC + struct.pack("<i", 2 | (LONG_NAMES if has_long_names else 0)) + _header(part)
+    names = [*(name for name, _ in part.channels), *(name for name, _, _ in said)]
+    has_long_names = any(len(name.encode()) > MAX_SHORT_NAME for name in names)
+    start = MAGIC + struct.pack("<i", 2 | (LONG_NAMES if has_long_names else 0)) + _header(part, said)
     ends = np.cumsum([len(start) + 8 * len(chunks), *(len(chunk) for chunk in chunks)])
     return start + ends[:-1].astype("<u8").tobytes() + b"".join(chunks)
 
@@ -295,7 +376,7 @@ def _packed(pixels: NDArray[np.uint8], compression: str) -> bytes:
     return packed if len(packed) < len(pixels) else pixels.tobytes()
 
 
-def _header(part: _Part) -> bytes:
+def _header(part: _Part, said: list[tuple[str, str, bytes]]) -> bytes:
     kinds = b"".join(
         name.encode() + b"\0" + struct.pack("<4i", PIXEL_TYPES.index(kind.str), 0, 1, 1) for name, kind in part.channels
     )
@@ -309,6 +390,7 @@ def _header(part: _Part) -> bytes:
         ("pixelAspectRatio", "float", struct.pack("<f", 1)),
         ("screenWindowCenter", "v2f", struct.pack("<2f", 0, 0)),
         ("screenWindowWidth", "float", struct.pack("<f", 1)),
+        *said,
     ]
     written = [f"{name}\0{kind}\0".encode() + struct.pack("<i", len(value)) + value for name, kind, value in attributes]
     return b"".join(written) + b"\0"

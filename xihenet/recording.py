@@ -1,27 +1,39 @@
-"""How is a session kept, so that the same walk can be run again with other settings?
+"""How is a session kept, so that the same walk can be run again with other settings, here or by other tools?
 
-One compressed .npz per frame in a folder, whole or absent: colour, plane depth, intrinsics, pose, exposure, ambient,
-time, and how many pixels were invalid and why. Chosen over one big file because a recording that is cut short is still
-a recording, and a run can resume on it.
+One OpenEXR file per frame in a folder, whole or absent, and a session.json that says what the numbers mean. Chosen over
+one big file because a recording that is cut short is still a recording, and a run can resume on it. Of a frame:
+
+    R, G, B      half, linear Rec.709, clipped at white: the bytes of the picture, decoded, and no other numbers
+    Z            float, plane depth in metres, 0 where there is none, NaN where the colour is not to be used either
+    confidence   half, 0, 1 or 2, where the sensor says one
+    header       worldFromCamera, fx, fy, cx, cy, exposure, time, frame; ambient and whiteBalance where they are known;
+                 invalid, what was left out before, as "reason count, reason count"
+
 Paper: section 5, `XiheRecorder`; `EnvironmentScanner` is what a phone, a renderer or a recording can stand behind.
 """
 
 from __future__ import annotations
 
-import io
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+import functools
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xihenet.npz_files import read_npz
-from xihenet.records import Intrinsics, RgbdFrame
+from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.exr import Attribute, exr_attributes, exr_sizes, read_exr, write_exr
+from xihenet.invalid import Counts
+from xihenet.json_files import read_json
+from xihenet.records import ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
+from xihenet.trigger import TriggerSettings
 
-INVALID = "invalid_"  # Begins the name of the number that belongs to a reason
-FRAME_FILES = "frame_*.npz"
+SESSION_FILE, FORMAT, VERSION = "session.json", "xihe session", 1
+FRAME_FILES = "frame_*.exr"
+LARGEST_HALF = 65504.0
 
 
 class EnvironmentScanner(Protocol):
@@ -31,19 +43,29 @@ class EnvironmentScanner(Protocol):
 
 
 def save_frame(path: Path, frame: RgbdFrame) -> None:
-    """Write `frame` to `path` (.npz). OSError if it cannot be written; an older file then stays as it was."""
-    beside = path.with_name(f".{path.name}.part")
-    fields: dict[str, Any] = {f"intrinsics_{name}": value for name, value in asdict(frame.intrinsics).items()}
+    """Write `frame` to `path` (.exr). OSError if it cannot be written; an older file then stays as it was.
+
+    ValueError for a frame number that 32 bits do not hold.
+    """
+    channels: dict[str, Any] = dict(zip("RGB", np.moveaxis(_light_of_bytes()[frame.srgb_u8], 2, 0), strict=True))
+    channels["Z"] = frame.plane_depth_m
+    if frame.confidence is not None:
+        channels["confidence"] = frame.confidence.astype(np.float16)
+    if not -(2**31) <= frame.frame < 2**31:
+        raise ValueError(f"save_frame: expected a frame number of 32 bits, got {frame.frame}")
+    k = frame.intrinsics
+    header: dict[str, Attribute] = {"worldFromCamera": frame.world_from_camera}
+    header |= {"fx": float(k.fx), "fy": float(k.fy), "cx": float(k.cx), "cy": float(k.cy)}
+    header |= {"exposure": frame.exposure, "time": float(frame.time_s), "frame": int(frame.frame)}
     if frame.ambient is not None:
-        fields["ambient"] = frame.ambient
-    fields |= {f"{INVALID}{reason}": n for reason, n in frame.invalid.items()}
-    for name in ("srgb_u8", "plane_depth_m", "world_from_camera", "exposure", "time_s", "frame"):
-        fields[name] = getattr(frame, name)
+        header["ambient"] = frame.ambient
+    if frame.white_balance is not None:
+        header["whiteBalance"] = frame.white_balance
+    if frame.invalid:
+        header["invalid"] = ", ".join(f"{reason} {n}" for reason, n in frame.invalid.items())
+    beside = path.with_name(f".{path.name}.part")
     try:
-        # Through memory: a zip file that a full disk stops complains once more when it is collected.
-        content = io.BytesIO()
-        np.savez_compressed(content, **fields)
-        beside.write_bytes(content.getvalue())
+        write_exr(beside, channels, attributes=header)
         beside.replace(path)
     finally:
         beside.unlink(missing_ok=True)
@@ -51,44 +73,184 @@ def save_frame(path: Path, frame: RgbdFrame) -> None:
 
 def load_frame(path: Path) -> RgbdFrame:
     """Read what `save_frame` wrote. ValueError naming the file if it is no such file, OSError if it cannot be read."""
+    header = read_header(path)
     try:
-        fields = read_npz(path)
+        channels = read_exr(path)
+        srgb_u8 = _bytes_of_light(np.stack([channels[name] for name in "RGB"], axis=-1))
+        confidence = channels["confidence"].astype(np.uint8) if "confidence" in channels else None
         return RgbdFrame(
-            _numbers(fields, "srgb_u8", 3),
-            _numbers(fields, "plane_depth_m", 2),
-            Intrinsics(
-                int(_number(fields, "intrinsics_width")),
-                int(_number(fields, "intrinsics_height")),
-                *(float(_number(fields, f"intrinsics_{name}")) for name in ("fx", "fy", "cx", "cy")),
-            ),
-            _numbers(fields, "world_from_camera", 2),
-            float(_number(fields, "exposure")),
-            _numbers(fields, "ambient", 1) if "ambient" in fields else None,
-            float(_number(fields, "time_s")),
-            int(_number(fields, "frame")),
-            {name.removeprefix(INVALID): _count(fields, name) for name in fields if name.startswith(INVALID)},
+            srgb_u8,
+            channels["Z"],
+            header.intrinsics,
+            header.world_from_camera,
+            header.exposure,
+            header.ambient,
+            header.time_s,
+            header.frame,
+            header.invalid,
+            header.white_balance,
+            confidence,
+        )
+    except (LookupError, ValueError) as error:
+        raise ValueError(f"{path}: not a recorded frame ({error})") from None
+
+
+@dataclass(frozen=True, eq=False)
+class FrameHeader:
+    """What is known of a recorded frame before its pixels are read; the fields are those of `RgbdFrame`."""
+
+    intrinsics: Intrinsics
+    world_from_camera: ArrayF64
+    exposure: float
+    ambient: ArrayF64 | None
+    time_s: float
+    frame: int
+    invalid: Counts
+    white_balance: ArrayF64 | None
+
+
+def read_header(path: Path) -> FrameHeader:
+    """Of a recorded frame; raises as `load_frame`."""
+    try:
+        said, (height, width) = exr_attributes(path), exr_sizes(path)["Z"]
+        return FrameHeader(
+            Intrinsics(width, height, *(_number(said, name) for name in ("fx", "fy", "cx", "cy"))),
+            _finite(said["worldFromCamera"], "worldFromCamera"),
+            _number(said, "exposure"),
+            _finite(said["ambient"], "ambient") if "ambient" in said else None,
+            _number(said, "time"),
+            int(_number(said, "frame")),
+            _counts(str(said.get("invalid", ""))),
+            _finite(said["whiteBalance"], "whiteBalance") if "whiteBalance" in said else None,
         )
     except (LookupError, ValueError, OverflowError) as error:
         raise ValueError(f"{path}: not a recorded frame ({error})") from None
 
 
-def _numbers(fields: Mapping[str, NDArray[Any]], name: str, n_axes: int) -> NDArray[Any]:
-    """An array of real numbers of so many axes."""
-    array = fields[name]
-    if array.dtype.kind not in "iuf" or array.ndim != n_axes:
-        raise ValueError(f"{name}: expected numbers along {n_axes} axes, got {array.dtype} of {array.shape}")
-    return array
+def _number(said: Mapping[str, Attribute], name: str) -> float:
+    value = said[name]
+    if not isinstance(value, int | float) or not np.isfinite(value):
+        raise ValueError(f"{name}: expected a finite number, got {value!r:.80}")
+    return float(value)
 
 
-def _count(fields: Mapping[str, NDArray[Any]], name: str) -> int:
-    number = _number(fields, name)
-    if not isinstance(number, int) or number < 1:
-        raise ValueError(f"{name}: expected a count of 1 or more, got {number}")
-    return number
+def _finite(value: Attribute, name: str) -> ArrayF64:
+    if not isinstance(value, np.ndarray) or not np.isfinite(value).all():
+        raise ValueError(f"{name}: expected finite numbers, got {value!r:.80}")
+    return value
 
 
-def _number(fields: Mapping[str, NDArray[Any]], name: str) -> Any:
-    return _numbers(fields, name, 0).item()
+def _counts(text: str) -> dict[str, int]:
+    """By reason; ValueError for what is no count of 1 or more."""
+    counts = {}
+    for entry in filter(None, text.split(", ")):
+        reason, _, n = entry.rpartition(" ")
+        counts[reason] = int(n)
+        if counts[reason] < 1 or not reason:
+            raise ValueError(f"invalid: expected reasons with counts of 1 or more, got {entry!r:.80}")
+    return counts
+
+
+@functools.cache
+def _light_of_bytes() -> NDArray[np.float16]:
+    """(256,): no two bytes have the same."""
+    return srgb_to_linear(np.arange(256) / 255.0).astype(np.float16)
+
+
+@functools.cache
+def _bytes_of_halves() -> NDArray[np.uint8]:
+    """(65536,) the nearest byte by the bits of a half; what is below 0 is black, and 255 above white or infinite."""
+    with np.errstate(invalid="ignore"):  # NaN, of which there are two thousand
+        light = np.arange(2**16, dtype=np.uint16).view(np.float16).astype(np.float64)
+    bytes_of: NDArray[np.uint8] = np.rint(linear_to_srgb(np.nan_to_num(light, posinf=1.0).clip(0, 1)) * 255)
+    return bytes_of.astype(np.uint8)
+
+
+def _bytes_of_light(light: ArrayF32) -> ArrayU8:
+    """(H, W, 3) uint8 sRGB of linear light. ValueError for NaN."""
+    if np.isnan(light).any():
+        raise ValueError("a colour is NaN")
+    halves = light.clip(-LARGEST_HALF, LARGEST_HALF).astype(np.float16)
+    return np.asarray(_bytes_of_halves()[halves.view(np.uint16)])
+
+
+@dataclass(frozen=True)
+class SessionFacts:
+    """What session.json says beside the frames.
+
+    Parameters
+    ----------
+    source : where the frames come from, in words
+    not_known : what the source does not say, in sentences
+    reference_exposure : that light carries; None takes that of the first frame
+    trigger : with which the session was run first; None where it was not
+    files : names of the frames' files in order; empty takes all frame_*.exr, by name
+    """
+
+    source: str = ""
+    not_known: tuple[str, ...] = ()
+    reference_exposure: float | None = None
+    trigger: TriggerSettings | None = None
+    files: tuple[str, ...] = ()
+
+
+def session_as_json(facts: SessionFacts) -> dict[str, Any]:
+    """The content of session.json."""
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "source": facts.source,
+        "world": "right-handed, +Z up, metres; the origin is the source's",
+        "camera": "worldFromCamera: rows of a 4x4, applied to columns; the camera looks along -Z, +Y is up",
+        "pixels": "fx, fy, cx, cy in pixels of this file, pixel centres at +0.5, row 0 is the top",
+        "colour": "R, G, B: linear Rec.709 times exposure and whiteBalance, clipped at 1, of 8 bits in sRGB",
+        "depth": "Z: plane depth, metres; 0 or infinite: none; NaN: the colour is not to be used either",
+        "time": "seconds since the start",
+        "ambient": "linear radiance of the scene that the light sensor reports",
+        "not_known": list(facts.not_known),
+        "reference_exposure": facts.reference_exposure,
+        "trigger": None if facts.trigger is None else asdict(facts.trigger),
+        "files": list(facts.files),
+    }
+
+
+def read_session(path: Path) -> SessionFacts:
+    """Of a session.json. ValueError naming it for what is none, OSError if it cannot be read."""
+    content = read_json(path)
+    try:
+        if not isinstance(content, dict) or content.get("format") != FORMAT:
+            raise ValueError(f"expected a JSON object with format {FORMAT!r}")
+        if content.get("version") != VERSION:
+            raise ValueError(f"version: expected {VERSION}, got {content.get('version')!r:.80}")
+        exposure, trigger = content.get("reference_exposure"), content.get("trigger")
+        if exposure is not None and not (isinstance(exposure, int | float) and 0 < exposure < np.inf):
+            raise ValueError(f"reference_exposure: expected a positive factor, got {exposure!r:.80}")
+        return SessionFacts(
+            str(content.get("source", "")),
+            _texts(content, "not_known"),
+            None if exposure is None else float(exposure),
+            None if trigger is None else TriggerSettings(**trigger),
+            _texts(content, "files"),
+        )
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _texts(content: Mapping[str, Any], name: str) -> tuple[str, ...]:
+    texts = content.get(name, [])
+    if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
+        raise ValueError(f"{name}: expected a list of texts")
+    return tuple(texts)
+
+
+def write_session(folder: Path, facts: SessionFacts) -> None:
+    """Write session.json, whole or not at all. OSError if it cannot be written."""
+    path, beside = folder / SESSION_FILE, folder / f".{SESSION_FILE}.part"
+    try:
+        beside.write_text(json.dumps(session_as_json(facts), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
 
 
 class SessionRecorder:
@@ -97,16 +259,17 @@ class SessionRecorder:
     FileExistsError if the folder already holds a recording: nothing is overwritten.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, facts: SessionFacts = SessionFacts()) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.glob(FRAME_FILES)):
+        if (folder / SESSION_FILE).exists() or any(folder.glob(FRAME_FILES)):
             raise FileExistsError(f"{folder}: already holds a recording; choose another folder")
+        write_session(folder, facts)
         self.folder = folder
         self.n_frames = 0
 
     def record(self, frame: RgbdFrame) -> None:
         """Add one frame; the order of recording is the order of replay."""
-        save_frame(self.folder / f"frame_{self.n_frames:06d}.npz", frame)
+        save_frame(self.folder / f"frame_{self.n_frames:06d}.exr", frame)
         self.n_frames += 1
 
 
@@ -117,9 +280,9 @@ class ReplayScanner:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.files = sorted(folder.glob(FRAME_FILES))
+        self.files: Sequence[Path] = sorted(folder.glob(FRAME_FILES))
         if not self.files:
-            raise FileNotFoundError(f"{folder}: no recorded frames (frame_*.npz) in this folder")
+            raise FileNotFoundError(f"{folder}: no recorded frames ({FRAME_FILES}) in this folder")
         self._frames = iter(self)
 
     def __len__(self) -> int:

@@ -90,6 +90,8 @@ class RgbdFrame:
     time_s : seconds since the start of the session
     frame : number of the frame in its source
     invalid : how many pixels were left out or clamped before, by reason; see `xihenet.camera.invalid_pixels`
+    white_balance : (3,) factors that were applied beside `exposure`, one for each channel, positive; None stands for 1
+    confidence : (H, W) uint8 of plane depth as ARKit has it, 0 low, 1 medium, 2 high; None where the sensor says none
     """
 
     srgb_u8: ArrayU8
@@ -101,6 +103,8 @@ class RgbdFrame:
     time_s: float = 0.0
     frame: int = 0
     invalid: Counts = field(default_factory=dict)
+    white_balance: ArrayF64 | None = None
+    confidence: ArrayU8 | None = None
 
     def __post_init__(self) -> None:
         colour_type = np.asarray(self.srgb_u8).dtype
@@ -116,7 +120,13 @@ class RgbdFrame:
             _keep(self, np.float64, ambient=(3,))
             if not (np.isfinite(self.ambient).all() and (self.ambient >= 0).all()):
                 raise ValueError(f"RgbdFrame.ambient: expected finite radiance >= 0, got {self.ambient}")
+        if self.white_balance is not None:
+            _keep(self, np.float64, white_balance=(3,))
+            if not (np.isfinite(self.white_balance).all() and (self.white_balance > 0).all()):
+                raise ValueError(f"RgbdFrame.white_balance: expected positive factors, got {self.white_balance}")
         size = (self.intrinsics.height, self.intrinsics.width)
+        if self.confidence is not None:
+            _keep(self, np.uint8, confidence=size)
         _keep(self, np.uint8, srgb_u8=(*size, 3))
         _keep(self, np.float32, plane_depth_m=size)
 

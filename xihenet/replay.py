@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from xihenet.backend import LocalBackend
+from xihenet.camera import in_view
+from xihenet.captures.capture import Capture
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.estimators import Estimator
 from xihenet.records import ArrayF64, ObjectLight, RgbdFrame, StepReport
@@ -34,19 +36,35 @@ def replay(
     *,
     trigger: TriggerSettings = REPLAY_TRIGGER,
     has_key_light: bool = False,
+    reference_exposure: float | None = None,
+    never_in_view: Collection[str] = (),
 ) -> Iterator[ReplayedStep]:
     """The steps of a session over `frames`, read as they come, with positions (3,) in their world, metres, by name.
 
-    Every position is asked about in every frame. Light carries the exposure of the first frame.
+    A position is asked about where the camera sees it, as an app does, and learns from the other frames; those of
+    `never_in_view` are asked about in every frame, or they would have no light. Light carries `reference_exposure`,
+    that of the first frame if it is None.
     """
-    settings = ControllerSettings(trigger, learns_out_of_view=True, has_key_light=has_key_light)
+    settings = ControllerSettings(
+        trigger, reference_exposure=reference_exposure, learns_out_of_view=True, has_key_light=has_key_light
+    )
     session = XiheController(LocalBackend(estimator), settings)
     for name, position_m in positions_m.items():
         session.add_position(name, np.asarray(position_m, np.float64))
     lights: dict[str, ObjectLight] = {}
     for seen in frames:
-        reports = session.step(seen, active=list(positions_m))
+        in_view = session.active(seen.intrinsics, seen.world_from_camera)
+        reports = session.step(seen, active=[name for name in positions_m if name in in_view or name in never_in_view])
         for name, report in reports.items():
             if report.estimate is not None and report.estimate.is_valid:
                 lights[name] = ObjectLight(report.estimate.sh_radiance, report.estimate.key)
         yield ReplayedStep(seen.frame, seen.time_s, reports, dict(lights))
+
+
+def never_in_view(capture: Capture, positions_m: Mapping[str, ArrayF64], every: int = 1) -> list[str]:
+    """The positions, as of `replay`, that none of every `every`-th frame sees; no picture is read."""
+    names, points_m = list(positions_m), np.array(list(positions_m.values())).reshape(-1, 3)
+    was_seen = np.zeros(len(names), bool)
+    for frame in capture.frames[::every]:
+        was_seen |= in_view(points_m, frame.camera.intrinsics, frame.camera.world_from_camera)
+    return [name for name, is_seen in zip(names, was_seen, strict=True) if not is_seen]

@@ -53,7 +53,7 @@ def overhead_table(n_frames: int) -> str:
             scanner.move_to(frame)
             captured = scanner.acquire_environment_scan()
             controller.step(captured)
-            save_frame(Path(folder) / f"{frame}.npz", captured)
+            save_frame(Path(folder) / f"{frame}.exr", captured)
             walk_s.append(time.perf_counter() - start)
             render_s.append(scanner.rendered.render_s)
             start = time.perf_counter()

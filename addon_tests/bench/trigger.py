@@ -57,7 +57,7 @@ def read_run(folder: Path) -> Recorded:
     active = [entry for entry in results["frames"] if entry["active"]]
     return Recorded(
         folder.name,
-        [load_frame(folder / "work" / f"capture_{entry['frame']:04d}.npz") for entry in active],
+        [load_frame(folder / "work" / f"capture_{entry['frame']:04d}.exr") for entry in active],
         {probe["name"]: probe["position_m"] for entry in active for probe in entry["probes"]},
         [{probe["name"]: np.array(probe["sh_truth"]) for probe in entry["probes"]} for entry in active],
         results["settings"]["reference_exposure"],

@@ -258,7 +258,7 @@ def test_a_full_disk_is_refused_before_anything_is_rendered(folder, tmp_path):
         assert not files_below(tmp_path / "out")
 
 
-@pytest.mark.parametrize("full_at", ["work/capture_0002.npz", "radiance/probe_0_Ball_0001.exr", "walk_lit.blend"])
+@pytest.mark.parametrize("full_at", ["work/capture_0002.exr", "radiance/probe_0_Ball_0001.exr", "walk_lit.blend"])
 def test_a_disk_that_fills_up_leaves_nothing_half_written(folder, finished, tmp_path, tmp_path_factory, full_at):
     staged, out = tmp_path_factory.mktemp("staged"), tmp_path / "out"
     pages = sum(-(-(staged / path).stat().st_size // PAGE) for path in written_before(finished, full_at, staged))

@@ -220,12 +220,12 @@ def changed_header(draw: st.DrawFn) -> bytes:
 
 def readers() -> dict[str, tuple[st.SearchStrategy[bytes], Reader]]:
     """Every reader by name: what it is given, and the reader."""
-    frame, weights = written(write_frame, ".npz"), written(write_weights, ".npz")
+    frame, weights = written(write_frame, ".exr"), written(write_weights, ".npz")
     profile = sorted(PROFILES_FOLDER.glob("*.toml"))[0].read_bytes()
     cameras = broken_camera() | broken(json.dumps(CAMERA).encode())
     return {
         **{f"wire_{method}": (broken(some_payload(method)), wire_reader(method)) for method in METHODS},
-        "recorded_frame": (broken(frame) | changed_members(frame), from_file(load_frame, ".npz")),
+        "recorded_frame": (broken(frame), from_file(load_frame, ".exr")),
         "weights": (broken(weights) | changed_members(weights) | changed_header(), from_file(network_of, ".npz")),
         "camera": (cameras, from_file(camera_of, ".json")),
         "phone_profile": (broken(profile), from_file(load_profile, ".toml")),

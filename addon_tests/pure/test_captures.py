@@ -13,7 +13,7 @@ from xihe_blender.cli.main import main
 from xihenet import estimators
 from xihenet.captures import open_capture
 from xihenet.captures.tum import rotation_of
-from xihenet.replay import replay
+from xihenet.replay import never_in_view, replay
 
 AT = (0.4, 0.3, -0.5)
 
@@ -50,8 +50,10 @@ def test_the_light_is_that_of_the_session_itself(recorded, tmp_path):
     whole = open_capture(folder)
     rounded = [replace(one, plane_depth_m=read.plane_depth_m) for one, read in zip(frames, whole, strict=True)]
     lattice = estimators.load("lattice", target="hdr")
-    steps = list(replay(rounded, {"place_0": np.array(AT)}, lattice, has_key_light=True))
-    fired = [step.frame for step in steps if step.reports["place_0"].decision.fire]
+    positions_m = {"place_0": np.array(AT)}
+    unseen = never_in_view(whole, positions_m)
+    steps = list(replay(rounded, positions_m, lattice, has_key_light=True, never_in_view=unseen))
+    fired = [step.frame for step in steps if "place_0" in step.reports and step.reports["place_0"].decision.fire]
     assert written["format"] == name and [light["frame"] for light in lights] == fired
     for light, step in zip(lights, [step for step in steps if step.frame in fired], strict=True):
         true = step.reports["place_0"].estimate.sh_radiance

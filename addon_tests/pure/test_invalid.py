@@ -16,6 +16,7 @@ from xihenet.camera import invalid_pixels, sound_plane_depth, unproject_frame, v
 from xihenet.codec import METHODS, decode_cloud, encode_cloud, n_clamped_distances
 from xihenet.controller import XiheController
 from xihenet.estimators import EstimateContext, Estimator
+from xihenet.exr import exr_attributes, read_exr, write_exr
 from xihenet.invalid import CLAMPED, LEFT_OUT, UNKNOWN, added, counted, format_reason, left_out
 from xihenet.phone import PhoneCamera, load_profile
 from xihenet.recording import load_frame, save_frame
@@ -97,14 +98,17 @@ def test_what_the_phone_takes_is_told_by_the_effect_that_took_it(name):
     assert invalid_pixels(seen) == counted(**n_lost) | {"no_surface": WIDTH}
 
 
-@pytest.mark.parametrize("count", [0, -1, 1.5, np.nan, [1, 2], "one"])
-def test_a_recorded_count_that_is_none_is_refused(tmp_path, count):
-    save_frame(tmp_path / "frame.npz", frame())
-    with np.load(tmp_path / "frame.npz") as stored:
-        fields = dict(stored)
-    np.savez(tmp_path / "frame.npz", **fields, invalid_range=count)
-    with pytest.raises(ValueError, match=r"frame\.npz: not a recorded frame \(invalid_range"):
-        load_frame(tmp_path / "frame.npz")
+@pytest.mark.parametrize("said", ["range 0", "range -1", "range 1.5", "range nan", "range", "3", "range 1, "])
+def test_a_recorded_count_that_is_none_is_refused(tmp_path, said):
+    path = tmp_path / "frame.exr"
+    save_frame(path, frame())
+    channels, header = read_exr(path), exr_attributes(path)
+    write_exr(path, channels, attributes={**header, "invalid": said})
+    if said == "range 1, ":
+        assert load_frame(path).invalid == {"range": 1}
+    else:
+        with pytest.raises(ValueError, match=r"frame\.exr: not a recorded frame"):
+            load_frame(path)
 
 
 @pytest.mark.parametrize("method", METHODS)

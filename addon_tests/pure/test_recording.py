@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from xihenet.colour import srgb_to_linear
 from xihenet.recording import ReplayScanner, SessionRecorder, load_frame, save_frame
 from xihenet.records import Intrinsics, RgbdFrame
 
@@ -13,11 +14,24 @@ def random_frame(seed, ambient=None):
     depths[0, :3] = [0, np.nan, np.inf]
     colours = rng.integers(0, 256, (6, 8, 3), dtype=np.uint8)
     intrinsics = Intrinsics(8, 6, *rng.uniform(1, 9, 4))
-    return RgbdFrame(colours, depths, intrinsics, rng.normal(size=(4, 4)), 0.3, ambient, 1.5, seed, {"range": 3})
+    said = {} if ambient is None else {"white_balance": rng.uniform(0.5, 2, 3)}
+    said |= {} if ambient is None else {"confidence": rng.integers(0, 3, (6, 8), dtype=np.uint8)}
+    return RgbdFrame(
+        colours,
+        depths,
+        intrinsics,
+        rng.normal(size=(4, 4)),
+        0.3,
+        ambient,
+        1.5,
+        seed,
+        {"range": 3, "no_surface": 1},
+        **said,
+    )
 
 
 def assert_same(a, b):
-    for name in ("srgb_u8", "plane_depth_m", "world_from_camera", "ambient"):
+    for name in ("srgb_u8", "plane_depth_m", "world_from_camera", "ambient", "white_balance", "confidence"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
     for name in ("intrinsics", "exposure", "time_s", "frame", "invalid"):
         assert getattr(a, name) == getattr(b, name)
@@ -26,11 +40,28 @@ def assert_same(a, b):
 @pytest.mark.parametrize("ambient", [None, [0.1, 0.2, 0.3]])
 def test_a_frame_comes_back_bit_by_bit(tmp_path, ambient):
     frame = random_frame(1, ambient)
-    save_frame(tmp_path / "frame.npz", frame)
-    loaded = load_frame(tmp_path / "frame.npz")
+    save_frame(tmp_path / "frame.exr", frame)
+    loaded = load_frame(tmp_path / "frame.exr")
     assert_same(loaded, frame)
     assert (loaded.ambient is None) == (ambient is None)
-    assert [path.name for path in tmp_path.iterdir()] == ["frame.npz"]
+    assert [path.name for path in tmp_path.iterdir()] == ["frame.exr"]
+
+
+def test_every_byte_comes_back_and_others_read_its_light(tmp_path):
+    openexr = pytest.importorskip("OpenEXR")
+    every = np.arange(256, dtype=np.uint8).reshape(16, 16)
+    colours = np.stack([every, every.T, every[::-1]], axis=-1)
+    k = Intrinsics(16, 16, 9.0, 9.5, 8.25, 7.5)
+    frame = RgbdFrame(colours, np.full((16, 16), 2.5), k, np.eye(4), 0.7, frame=-3, invalid={"range": 2})
+    save_frame(tmp_path / "frame.exr", frame)
+    assert_same(load_frame(tmp_path / "frame.exr"), frame)
+    with openexr.File(str(tmp_path / "frame.exr"), separate_channels=True) as file:
+        header, channels = file.header(), file.channels()
+        light = np.stack([channels[name].pixels for name in "RGB"], axis=-1)
+        np.testing.assert_allclose(light, srgb_to_linear(colours / 255.0), rtol=1e-3)
+        np.testing.assert_array_equal(header["worldFromCamera"], np.eye(4))
+        assert (header["fy"], header["cx"], header["frame"], header["exposure"]) == (9.5, 8.25, -3, 0.7)
+        assert header["invalid"] == "range 2" and (channels["Z"].pixels == 2.5).all()
 
 
 def test_replay_gives_the_frames_in_the_order_of_recording(tmp_path):
@@ -54,8 +85,8 @@ def test_a_recording_is_never_overwritten(tmp_path):
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 but no archive", b"nonsense"])
 def test_a_file_that_is_no_frame_is_named(tmp_path, content):
-    (tmp_path / "frame_000000.npz").write_bytes(content)
-    with pytest.raises(ValueError, match=r"frame_000000\.npz: not a recorded frame"):
+    (tmp_path / "frame_000000.exr").write_bytes(content)
+    with pytest.raises(ValueError, match=r"frame_000000\.exr: not a recorded frame"):
         ReplayScanner(tmp_path).acquire_environment_scan()
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from xihenet.light.platforms import PLATFORMS
 from xihenet.light_picture import light_picture
 from xihenet.png import write_png
 from xihenet.records import ArrayF64
-from xihenet.replay import ReplayedStep, replay
+from xihenet.replay import REPLAY_TRIGGER, ReplayedStep, never_in_view, replay
 
 
 @dataclass
@@ -68,25 +68,42 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         estimator = estimators.load(options.estimator, target=options.target)
         capture = open_capture(options.session, options.up)
         places = [Place(f"place_{number}", at) for number, at in enumerate(options.at)]
-        steps = list(_replayed(capture, places, estimator, options.every))
+        unseen = never_in_view(capture, _positions(capture, places), options.every)
+        steps = list(_replayed(capture, places, unseen, estimator, options.every))
     except (ValueError, ImportError) as error:
         raise UserError(str(error)) from error
     except OSError as error:
         raise UserError(f"cannot read {error.filename} ({error.strerror}): give a folder that can be read") from error
     for note in capture.notes:
         print(f"xihe: note: {note}", file=stderr)
+    for place in places:
+        if place.name in unseen:
+            where = ",".join(f"{coordinate:g}" for coordinate in place.at)
+            print(f"xihe: note: No frame looks at {where}: it is asked about in every frame.", file=stderr)
     for path in _write(options, capture, places, steps):
         print(path, file=stdout)
     for place in places:
         print(_told(place, len(steps)), file=stdout)
 
 
-def _replayed(capture: Capture, places: Sequence[Place], estimator: Any, every: int) -> Any:
+def _positions(capture: Capture, places: Sequence[Place]) -> dict[str, ArrayF64]:
+    """In Blender's axes."""
+    return {place.name: capture.blender_from_file @ np.array(place.at) for place in places}
+
+
+def _replayed(
+    capture: Capture, places: Sequence[Place], unseen: Collection[str], estimator: Any, every: int
+) -> Iterator[dict[str, Any]]:
     """Per frame what is written of it; fills the places."""
-    turned = capture.blender_from_file
-    positions: dict[str, ArrayF64] = {place.name: turned @ np.array(place.at) for place in places}
-    chosen = (frame.read() for frame in capture.frames[::every])
-    for step in replay(chosen, positions, estimator, has_key_light=True):
+    for step in replay(
+        (frame.read() for frame in capture.frames[::every]),
+        _positions(capture, places),
+        estimator,
+        trigger=capture.trigger or REPLAY_TRIGGER,
+        has_key_light=True,
+        reference_exposure=capture.reference_exposure,
+        never_in_view=unseen,
+    ):
         for place in places:
             _note(place, step)
         yield {
@@ -101,7 +118,9 @@ def _replayed(capture: Capture, places: Sequence[Place], estimator: Any, every: 
 
 
 def _note(place: Place, step: ReplayedStep) -> None:
-    report = step.reports[place.name]
+    report = step.reports.get(place.name)
+    if report is None:  # Out of view
+        return
     place.coverage, place.invalid = report.coverage, added([place.invalid, report.invalid])
     estimate = report.estimate
     if estimate is None or not estimate.is_valid:
@@ -134,6 +153,7 @@ def _write(options: argparse.Namespace, capture: Capture, places: Sequence[Place
         "software": {"xihe": __version__, "numpy": np.__version__},
         "format": capture.format_name,
         "notes": list(capture.notes),
+        "reference_exposure": capture.reference_exposure,
         "estimator": options.estimator,
         "target": options.target,
         "sh_axes": "right-handed, +Z up",

@@ -46,6 +46,7 @@ class RunOutputs:
 
     results = _at("results.json")
     report = _at("report.html")
+    session = _at("session.json")  # what the phone saw, for `xihe replay`
     side_by_side = _at("side_by_side.mp4")  # on request
     settings = _at("work", "settings.json")  # of the work below: a run resumes only where they are the same
     # What a resumed run takes over: the exposure that was metered, the plan of effects that renders go by, the numbers
@@ -65,8 +66,8 @@ class RunOutputs:
     # meets in each pixel, only for phones that ask; the seconds that rendering the capture took; path-traced radiance
     # until it is compared; metrics. Times and metrics are written last, so that their presence says that the capture,
     # or its pictures, are whole.
-    capture = _of_frame("work", "capture", "npz")
-    seen = _of_frame("work", "seen", "npz")
+    capture = _of_frame("work", "capture", "exr")
+    seen = _of_frame("work", "seen", "exr")
     surfaces = _of_frame("work", "surfaces", "npz")
     times = _of_frame("work", "times", "json")
     ground_truth = _of_frame("work", "ground_truth", "npz")

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from xihenet.captures import nerfstudio, seven_scenes, tum
+from xihenet.captures import nerfstudio, seven_scenes, tum, xihe_session
 from xihenet.captures.capture import Capture
 
 READERS: dict[str, tuple[Callable[[Path], bool], Callable[[Path, str | None], Capture]]] = {
+    "Xihe session": (xihe_session.is_in, xihe_session.read),
     "Nerfstudio": (nerfstudio.is_in, nerfstudio.read),
     "TUM RGB-D": (tum.is_in, tum.read),
     "7-Scenes": (seven_scenes.is_in, seven_scenes.read),

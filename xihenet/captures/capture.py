@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from xihenet.frame_files import FrameCamera, read_frame
 from xihenet.records import ArrayF64, RgbdFrame
+from xihenet.trigger import TriggerSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,24 +18,30 @@ class CapturedFrame:
     Parameters
     ----------
     number, time_s : in the recording; seconds since its start
-    colour, plane_depth : image files, the second of 16 bits
-    metres_per_unit : of the 16-bit image
     camera : intrinsics and pose
+    load : reads the frame; OSError or ValueError, naming the file, for what is not there or broken, ImportError without
+        a package that it takes. What it says of number and time does not count
     """
 
     number: int
     time_s: float
-    colour: Path
-    plane_depth: Path
-    metres_per_unit: float
     camera: FrameCamera
+    load: Callable[[], RgbdFrame]
 
     def read(self) -> RgbdFrame:
-        """OSError or ValueError as of `read_frame`."""
-        frame = read_frame(
-            self.colour, self.camera, plane_depth=self.plane_depth, depth_scale=self.metres_per_unit, exposure=1.0
-        )
-        return replace(frame, frame=self.number, time_s=self.time_s)
+        """Raises as `load`."""
+        return replace(self.load(), frame=self.number, time_s=self.time_s)
+
+
+def picture_frame(
+    number: int, time_s: float, camera: FrameCamera, colour: Path, plane_depth: Path, metres_per_unit: float
+) -> CapturedFrame:
+    """A frame that is two image files, that of plane depth of 16 bits."""
+
+    def load() -> RgbdFrame:
+        return read_frame(colour, camera, plane_depth=plane_depth, depth_scale=metres_per_unit, exposure=1.0)
+
+    return CapturedFrame(number, time_s, camera, load)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,12 +54,16 @@ class Capture:
     frames : in order of time, at least one
     blender_from_file : (3, 3) from the recording's world to Blender's axes
     notes : what is missing, assumed or not known, in sentences
+    reference_exposure : that light carries; None takes that of the first frame
+    trigger : with which the session was run when it was recorded; None for one that was not
     """
 
     format_name: str
     frames: Sequence[CapturedFrame]
     blender_from_file: ArrayF64
     notes: tuple[str, ...] = ()
+    reference_exposure: float | None = None
+    trigger: TriggerSettings | None = None
 
     def __iter__(self) -> Iterator[RgbdFrame]:
         """The frames, one in memory at a time."""

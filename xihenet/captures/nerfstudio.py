@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from xihenet.captures.capture import Capture, CapturedFrame, inside, n_frames
+from xihenet.captures.capture import Capture, inside, n_frames, picture_frame
 from xihenet.frame_files import BLENDER_FROM_UP, frame_camera
 from xihenet.json_files import read_json
 from xihenet.records import Intrinsics
@@ -41,7 +41,7 @@ def read(folder: Path, up: str | None) -> Capture:
             camera = frame_camera(_intrinsics({**content, **entry}), entry.get("transform_matrix"), up=up)
         except ValueError as error:
             raise ValueError(f"{path}, frame {number}: {error}") from error
-        frames.append(CapturedFrame(number, (number - 1) / FPS, colour, plane_depth, 1e-3, camera))
+        frames.append(picture_frame(number, (number - 1) / FPS, camera, colour, plane_depth, 1e-3))
     if not frames:
         raise ValueError(f"{path}: no frame has a depth_file_path that is there: record with depth")
     notes = [f"Times are not known: {FPS:g} frames a second are assumed."]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from xihenet.captures.capture import Capture, CapturedFrame, n_frames
+from xihenet.captures.capture import Capture, n_frames, picture_frame
 from xihenet.frame_files import BLENDER_FROM_UP, frame_camera
 from xihenet.records import Intrinsics
 
@@ -42,7 +42,7 @@ def read(folder: Path, up: str | None) -> Capture:
             camera = frame_camera(INTRINSICS, rows, is_opencv=True, up=up or "-y")
         except (ValueError, UnicodeDecodeError) as error:
             raise ValueError(f"{path}: {error}") from error
-        frames.append(CapturedFrame(number, (number - first) / FPS, colour, plane_depth, 1e-3, camera))
+        frames.append(picture_frame(number, (number - first) / FPS, camera, colour, plane_depth, 1e-3))
     if not frames:
         raise ValueError(f"{folder}: no pose has both pictures beside it")
     notes = ["Depth is not registered to colour."]

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from xihenet.captures.capture import Capture, CapturedFrame, inside, n_frames
+from xihenet.captures.capture import Capture, inside, n_frames, picture_frame
 from xihenet.frame_files import BLENDER_FROM_UP, frame_camera
 from xihenet.records import ArrayF64, Intrinsics
 
@@ -47,7 +47,7 @@ def read(folder: Path, up: str | None) -> Capture:
             n_without += 1
             continue
         camera = frame_camera(INTRINSICS, pose.tolist(), is_opencv=True, up=up)
-        frames.append(CapturedFrame(number, time_s - colours[0][0], colour, plane_depth, METRES_PER_UNIT, camera))
+        frames.append(picture_frame(number, time_s - colours[0][0], camera, colour, plane_depth, METRES_PER_UNIT))
     if not frames:
         raise ValueError(f"{folder}: no colour picture has depth and a pose within {AT_MOST_S:g} s of it")
     notes = ["Intrinsics are those that the benchmark takes for all of its cameras."]

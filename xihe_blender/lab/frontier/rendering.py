@@ -77,7 +77,7 @@ class RenderStudy(SceneStudy):
     def reference(self, frame: int) -> RgbdFrame:
         """The exhaustive render, made where it is not kept."""
         render = functools.partial(rendered, self.scanner, self.exhaustive, self.exhaustive_seed, n_threads=0)
-        return kept_capture(self.folder / f"exhaustive_{frame:04d}.npz", self.scanner, frame, render)
+        return kept_capture(self.folder / f"exhaustive_{frame:04d}.exr", self.scanner, frame, render)
 
 
 @dataclass(frozen=True)

@@ -243,7 +243,7 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Job[
 
         for index, (frame, active) in enumerate(chosen):
             yield Progress(index, len(chosen), f"capturing frame {frame} and its light probes")
-            path = study.folder / f"walk_{frame:04d}.npz"
+            path = study.folder / f"walk_{frame:04d}.exr"
             frames.append(kept_capture(path, scanner, frame, scanner.acquire_environment_scan))
             path, read = study.folder / f"probes_{frame:04d}.json", functools.partial(kept_truths, active)
             truths.append(kept_or_made(path, read, functools.partial(measured, frame, active)))

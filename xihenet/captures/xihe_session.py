@@ -1,0 +1,41 @@
+"""Recordings of our own, as `xihenet.recording` has them: session.json beside one OpenEXR file per frame."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from xihenet.captures.capture import Capture, CapturedFrame, inside
+from xihenet.frame_files import BLENDER_FROM_UP, frame_camera
+from xihenet.recording import FRAME_FILES, SESSION_FILE, load_frame, read_header, read_session
+
+
+def is_in(folder: Path) -> bool:
+    return (folder / SESSION_FILE).is_file()
+
+
+def read(folder: Path, up: str | None) -> Capture:
+    """As of `xihenet.captures.open_capture`; files without a rotation for a pose are refused."""
+    if up not in (None, "z"):
+        raise ValueError(f"{folder}: +Z is up in a Xihe session: leave out --up")
+    facts = read_session(folder / SESSION_FILE)
+    paths = [inside(folder, name) for name in facts.files] or sorted(folder.glob(FRAME_FILES))
+    if not paths:
+        raise ValueError(f"{folder}: no frames ({FRAME_FILES}) beside {SESSION_FILE}: record again")
+    return Capture(
+        "Xihe session",
+        [_frame(path) for path in paths],
+        BLENDER_FROM_UP["z"],
+        facts.not_known,
+        facts.reference_exposure,
+        facts.trigger,
+    )
+
+
+def _frame(path: Path) -> CapturedFrame:
+    header = read_header(path)
+    try:
+        camera = frame_camera(header.intrinsics, header.world_from_camera.tolist())
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    return CapturedFrame(header.frame, header.time_s, camera, partial(load_frame, path))
