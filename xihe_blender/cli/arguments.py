@@ -33,10 +33,11 @@ def adder(parser: argparse._ActionsContainer) -> Callable[..., None]:
     return add
 
 
-def add_capture(add: Callable[..., None]) -> None:
-    """The arguments of all commands that capture the camera path of one scene and estimate light from it."""
+def add_capture(add: Callable[..., None], *, has_estimator: bool = True) -> None:
+    """The arguments of all commands that capture the camera path of one scene, and estimate light from it or not."""
     add("--frames A:B[:S]", FRAMES, frame_range)
-    add("--estimator NAME", f"{ESTIMATORS}; default: {estimators.DEFAULT}", default=estimators.DEFAULT)
+    if has_estimator:
+        add("--estimator NAME", f"{ESTIMATORS}; default: {estimators.DEFAULT}", default=estimators.DEFAULT)
     add("--preset NAME", "draft, balanced or accurate: how much is rendered", default="balanced")
     add("--size WxH", SIZE, picture_size)
     add("--exposure FACTOR", "exposure of the phone, locked; default: metered", float)

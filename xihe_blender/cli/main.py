@@ -30,6 +30,7 @@ COMMANDS = {
     "effects": "list the lighting and phone effects that a scene needs, and why",
     "frontier": "measure what accuracy costs in time, setting by setting",
     "estimate": "estimate the light in one RGB-D frame; needs no Blender",
+    "record": "record the camera path of a scene as a phone would store it, and the true light beside it",
     "replay": "follow the light at places in a recording of a phone or depth camera; needs no Blender",
     "export": "write the light of a run for an engine, such as three.js, Unity or USD; needs no Blender",
     "scenes": "build the example scenes",

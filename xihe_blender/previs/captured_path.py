@@ -56,6 +56,15 @@ def said_of_path(run: PreparedRun, blend_file: Path, command: str, asked: Parame
     }
 
 
+def path_plan(scene: bpy.types.Scene, settings: PrevisSettings) -> tuple[PrevisSettings, PrevisPlan]:
+    """`settings` with the samples of the preset, and the plan of the path alone. UserError as of `plan_previs`."""
+    check_nothing_is_missing(scene)
+    samples = settings.samples or SAMPLES[settings.preset]
+    settings = replace(settings, captured="path", samples=samples, light="sh")
+    size = settings.size or sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1)).size
+    return settings, PrevisPlan(tuple(planned_frames(scene, settings.frames)), size, (), ())
+
+
 def capture_path(
     scene: bpy.types.Scene, out: Path, settings: PrevisSettings, work: str, *, blend_file: Path
 ) -> Job[CapturedPath]:
@@ -63,11 +72,7 @@ def capture_path(
 
     Renders change animated values in the scene: see `scene_kept`. UserError for a scene without a camera.
     """
-    check_nothing_is_missing(scene)
-    samples = settings.samples or SAMPLES[settings.preset]
-    settings = replace(settings, captured="path", samples=samples, light="sh")
-    size = settings.size or sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1)).size
-    plan = PrevisPlan(tuple(planned_frames(scene, settings.frames)), size, (), ())
+    settings, plan = path_plan(scene, settings)
     outputs, loaded = RunOutputs(out, blend_file.stem), load_estimators(settings)
     content = made_of(work, scene, blend_file, replace(settings, objects=None), plan)
     manifest = FolderManifest(out, outputs.settings, work, content, (out / "report.html",))
@@ -76,5 +81,5 @@ def capture_path(
     manifest.take()
     run = yield from prepare_run(scene, plan, survey, outputs, settings, loaded)
     yield from walk_path(run, keeps_session=True)
-    session = yield from kept_session(outputs, run.settings, size, run.exposure, sorted(run.needs.captured))
+    session = yield from kept_session(outputs, run.settings, plan.size, run.exposure, sorted(run.needs.captured))
     return CapturedPath(run, session)

@@ -20,10 +20,11 @@ from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.plan import PrevisPlan, Probe
+from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihenet.camera import in_view, unproject_frame
 from xihenet.light_change import LightFollowing
-from xihenet.recording import load_frame
+from xihenet.recording import SessionFacts, load_frame
 from xihenet.records import ArrayF64, Intrinsics, ObjectLight, PointCloud, RgbdFrame
 from xihenet.trigger import TriggerSettings
 
@@ -124,6 +125,18 @@ def kept_session(
         yield Progress(done, len(captured), f"reading frame {frame}")
         frames.append(_seen_frame(outputs, frame, exposure))
     return KeptSession(settings, size, exposure, tuple(frames))
+
+
+def kept_facts(run: PreparedRun) -> SessionFacts:
+    """The session.json of a run: the frames that it keeps, as its phone saw them."""
+    outputs = run.outputs
+    paths = [(outputs.seen(frame), outputs.capture(frame)) for frame in sorted(run.needs.captured)]
+    return SessionFacts(
+        f"{outputs.scene}, rendered, as the phone {run.settings.phone} saw it",
+        reference_exposure=run.exposure,
+        trigger=run.settings.trigger,
+        files=tuple(outputs.relative(seen if seen.exists() else capture) for seen, capture in paths),
+    )
 
 
 def _seen_frame(outputs: RunOutputs, frame: int, exposure: float) -> SeenFrame:

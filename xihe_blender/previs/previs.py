@@ -22,6 +22,7 @@ from xihe_blender.io.run_results import RunResults
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs import results
 from xihe_blender.previs.compare_path import compare_path
+from xihe_blender.previs.kept_session import kept_facts
 from xihe_blender.previs.lit_blend import apply_lights, light_changes, save_lit_blend
 from xihe_blender.previs.plan import made_of, plan_previs
 from xihe_blender.previs.prepare import prepare_run, survey_run
@@ -29,6 +30,7 @@ from xihe_blender.previs.run_chain import measure_phone, walk_path
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.report.page import write_report
 from xihe_blender.scene.state import scene_kept
+from xihenet.recording import write_session
 
 
 def previs(
@@ -75,6 +77,7 @@ def previs(
     frames = [replace(frame, compared=compared.get(frame.frame)) for frame in walked.frames]
     save_lit_blend(scene, plan, results.last_surfaces(frames), outputs.lit_blend)
     found = results.assemble(run, frames, lights=changes, phone=walked.phone, errors=errors, file=file, command=command)
+    write_session(outputs.folder, kept_facts(run))
     # The results come last: their presence says that the run is done.
     write_report(found, outputs)
     content = as_json(found)

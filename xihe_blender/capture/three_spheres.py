@@ -1,0 +1,83 @@
+"""The field's three spheres at a place in the room, path-traced: what an app's light should make of them.
+
+Seen as `xihenet.light_picture` draws light: orthographic, horizontally along +Y, each filling its picture, and each
+reflecting all light, so that constant light of radiance L shows L everywhere. The sphere is a part of the room.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import bpy
+import numpy as np
+
+from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
+from xihe_blender.capture.scanner import first_layer, leave_out_virtual_objects
+from xihe_blender.scene.sphere_rig import RIG_LOOKS, rig_material, sphere_mesh
+from xihe_blender.scene.units import metres_per_unit
+from xihenet.light_picture import sphere_mask
+from xihenet.records import ArrayF32, ArrayF64
+
+NAME = "Xihe Three Spheres Seen"
+RADIUS_M = 0.06
+
+
+@dataclass
+class ThreeSpheres:
+    """Spheres in a working scene; made by `open_three_spheres`."""
+
+    scene: bpy.types.Scene
+    ball: bpy.types.Object
+    materials: list[bpy.types.Material]
+    radius_m: float
+
+    def seen_at(self, frame: int, centre_m: ArrayF64, exposure: float) -> ArrayF32:
+        """(S, 3 S, 3) radiance times `exposure` of mirror, matte silver and diffuse sphere, 0 around them.
+
+        `centre_m` (3,) is in the world, metres.
+        """
+        scene, camera = self.scene, self.scene.camera
+        metres = metres_per_unit(scene)
+        self.ball.location = tuple(centre_m / metres)
+        camera.location = tuple((centre_m - [0, 2 * self.radius_m, 0]) / metres)
+        scene.frame_set(frame)
+        pictures = []
+        for material in self.materials:
+            self.ball.data.materials.clear()
+            self.ball.data.materials.append(material)
+            radiance, _ = first_layer(render_passes(scene))
+            pictures.append(np.where(sphere_mask(len(radiance))[..., None], radiance, 0) * np.float32(exposure))
+        return np.concatenate(pictures, axis=1)
+
+
+@contextlib.contextmanager
+def open_three_spheres(
+    scene: bpy.types.Scene, settings: RenderSettings, size: int = 128, radius_m: float = RADIUS_M
+) -> Iterator[ThreeSpheres]:
+    """Three spheres, one at a time, in the room of `scene`, virtual objects left out, `size` pixels wide each."""
+    with (
+        working_scene(scene, NAME, replace(settings, size=(size, size))) as working,
+        contextlib.ExitStack() as stack,
+    ):
+        leave_out_virtual_objects(working, scene)
+        working.timeline_markers.clear()  # Those that switch the camera would take this one's place.
+        radius = radius_m / metres_per_unit(scene)
+        mesh = sphere_mesh(NAME, radius, 128, 64)
+        stack.callback(bpy.data.meshes.remove, mesh)
+        materials = []
+        for name, look in RIG_LOOKS.items():
+            materials.append(rig_material(f"{name} Seen", {**look, "Base Color": (1.0, 1.0, 1.0, 1.0)}))
+            stack.callback(bpy.data.materials.remove, materials[-1])
+        ball = bpy.data.objects.new(NAME, mesh)
+        camera_data = bpy.data.cameras.new(NAME)
+        stack.callback(bpy.data.cameras.remove, camera_data)
+        camera = bpy.data.objects.new(NAME, camera_data)
+        camera_data.type, camera_data.ortho_scale = "ORTHO", 2 * radius
+        camera_data.clip_start, camera_data.clip_end = 0.5 * radius, 4 * radius
+        camera.rotation_euler = (np.pi / 2, 0, 0)
+        for item in (ball, camera):
+            working.collection.objects.link(item)
+        working.camera = camera
+        yield ThreeSpheres(working, ball, materials, radius_m)

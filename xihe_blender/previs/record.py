@@ -1,0 +1,159 @@
+"""A recording: what the phone of a scene would have stored of its camera path, and beside it, if asked, the true light.
+
+The captures are a run's, kept in the folder's `work` and taken up again there. With virtual objects in the scene they
+are those of its run to the last bit, without any they take the samples of the preset.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from xihe_blender.capture.reference_probe import open_reference_probe
+from xihe_blender.capture.three_spheres import open_three_spheres
+from xihe_blender.errors import UserError
+from xihe_blender.io.exr import write_radiance
+from xihe_blender.io.folder_manifest import FolderManifest
+from xihe_blender.io.json_records import as_json
+from xihe_blender.io.outputs import RunOutputs, write_json, write_picture
+from xihe_blender.io.provenance import software
+from xihe_blender.jobs import Job, Progress
+from xihe_blender.light_transport.render_reuse import plan_render_reuse
+from xihe_blender.previs.captured_path import path_plan
+from xihe_blender.previs.kept_session import kept_facts
+from xihe_blender.previs.path_renders import render_captures
+from xihe_blender.previs.plan import PrevisPlan, Probe, made_of, plan_previs
+from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
+from xihe_blender.previs.run_chain import phone_of_captures
+from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.scene.state import scene_kept
+from xihe_blender.scene.virtual_objects import virtual_objects
+from xihenet.colour import linear_to_srgb
+from xihenet.recording import SESSION_FILE, load_frame, save_frame, write_session
+from xihenet.records import ArrayF64, RgbdFrame
+
+WORK = "a recording"
+TRUTH_FILE = "truth.json"
+
+
+@dataclass(frozen=True)
+class RecordWishes:
+    """What is recorded beside the frames.
+
+    Parameters
+    ----------
+    has_truth : whether the true light is rendered
+    at_m : (x, y, z) world, metres, of where; empty takes the virtual objects' estimation positions
+    """
+
+    has_truth: bool = False
+    at_m: Sequence[tuple[float, float, float]] = ()
+
+
+def record_session(
+    scene: bpy.types.Scene,
+    out: Path,
+    settings: PrevisSettings,
+    wishes: RecordWishes,
+    *,
+    blend_file: Path,
+    command: str = "",
+) -> Job[list[Path]]:
+    """A job: record the camera path of `scene` in the folder `out`; what it left, session.json last.
+
+    UserError for a scene without a camera, for a folder that holds something else, and where the true light is asked
+    for and there is no place to measure it.
+    """
+    settings = replace(settings, captured="path", light="sh")
+    if virtual_objects(scene):
+        plan = plan_previs(scene, settings)
+    else:
+        settings, plan = path_plan(scene, settings)
+    places = truth_places(plan, wishes) if wishes.has_truth else ()
+    outputs = RunOutputs(out, blend_file.stem)
+    decides = made_of(WORK, scene, blend_file, settings, plan)
+    manifest = FolderManifest(out, outputs.settings, WORK, decides, (out / SESSION_FILE,))
+    manifest.check()
+    survey = survey_run(scene, plan, outputs)
+    manifest.take()
+    written = []
+    with scene_kept():
+        run = yield from prepare_run(scene, plan, survey, outputs, settings, ())
+        work_s = yield from render_captures(run)
+        for path, seen in _frames(run, work_s, out):
+            yield Progress(1, 1, f"writing frame {seen.frame}")
+            save_frame(path, seen)
+            written.append(path)
+        if places:
+            written += yield from _measure_truth(run, places, out, command)
+    write_session(out, replace(kept_facts(run), files=()))
+    return [*written, out / SESSION_FILE]
+
+
+def _frames(run: PreparedRun, work_s: dict[int, float], out: Path) -> Iterator[tuple[Path, RgbdFrame]]:
+    phone = phone_of_captures(run, work_s)
+    for number, frame in enumerate(sorted(run.needs.captured)):
+        seen, _ = phone.see(load_frame(run.outputs.capture(frame)), run.outputs)
+        yield out / f"frame_{number:06d}.exr", seen
+
+
+def truth_places(plan: PrevisPlan, wishes: RecordWishes) -> tuple[Probe, ...]:
+    """Where the true light is measured. UserError where there is no place."""
+    if wishes.at_m:
+        return tuple(Probe(f"place_{k}", "", np.array(at)) for k, at in enumerate(wishes.at_m))
+    if not plan.probes:
+        raise UserError("there is no virtual object at which the true light could be measured: give --at X,Y,Z")
+    return plan.probes
+
+
+def _measure_truth(run: PreparedRun, places: Sequence[Probe], out: Path, command: str) -> Job[list[Path]]:
+    """Light probes and spheres at `places`, in the first frame and wherever the light or the place is another."""
+    frames = run.plan.frames
+    states = {frame: run.survey.frames[frame].state for frame in frames}
+    names = {frame: tuple(place.name for place in places) for frame in frames}
+    moved = {frame: run.survey.frames[frame].moved for frame in frames}
+    source = plan_render_reuse(states, names, moved).probes
+    asked = [(k, place, f) for f in frames for k, place in enumerate(places) if source[f, place.name] == f]
+    found, written = [], []
+    items = {item.name: item for item in run.plan.objects}
+    positions_m: list[ArrayF64] = [place.position_m for place in places]
+    objects = [items.get(place.object_name) for place in places]
+    for done, (k, place, frame) in enumerate(asked):
+        yield Progress(done, len(asked), f"measuring the true light at {place.name} in frame {frame}")
+        stem = f"truth/{k}_{frame:04d}"
+        with open_reference_probe(run.scene, positions_m, run.reference, objects) as probe:
+            probe.move(k, place.at(frame))
+            light = probe.light_at(k, frame, run.exposure)
+        with open_three_spheres(run.scene, run.comparison) as spheres:
+            shown = spheres.seen_at(frame, place.at(frame), run.exposure)
+        files = {"panorama": f"{stem}_panorama.exr", "spheres": f"{stem}_spheres.exr", "shown": f"{stem}_spheres.png"}
+        write_radiance(out / files["panorama"], light.panorama * np.float32(run.exposure))
+        write_radiance(out / files["spheres"], shown)
+        write_picture(out / files["shown"], linear_to_srgb(shown.clip(0, 1)))
+        written += [out / name for name in files.values()]
+        found.append(
+            {
+                "name": place.name,
+                "position_m": [float(x) for x in place.at(frame)],
+                "frame": frame,
+                "time_s": run.survey.frames[frame].time_s,
+                **as_json(light.measured),
+                "files": files,
+            }
+        )
+    content: dict[str, Any] = {
+        "schema_version": 1,
+        "software": software(command),
+        "axes": "right-handed, +Z up, metres; basis as in docs/sh.md",
+        "exposure": run.exposure,
+        "light": "hdr: all light that arrives; ldr: what a camera sees, clipped at white; both carry the exposure",
+        "valid": "from its frame on, until the next of its name",
+        "places": found,
+    }
+    write_json(out / TRUTH_FILE, content)
+    return [*written, out / TRUTH_FILE]
