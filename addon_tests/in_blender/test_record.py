@@ -1,0 +1,140 @@
+"""What a phone stores of a scene is what a run sees in it, and the true light beside it is the room's."""
+
+import contextlib
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from previs_runs import IPAD, LOOKS_AWAY, N_FRAMES, SMALL, counted_renders, run, unfinished_files, walk
+from results_schema import read_strictly
+from tiny_scenes import empty_scene, phone, room_with_a_virtual_sphere, saved, set_world
+
+from xihe_blender.capture.three_spheres import open_three_spheres
+from xihe_blender.cli.main import main
+from xihe_blender.errors import UserError
+from xihe_blender.io.exr import read_radiance
+from xihe_blender.jobs import run_blocking
+from xihe_blender.previs.record import RecordWishes, record_session
+from xihe_blender.scene.virtual_objects import virtual_objects
+from xihenet import estimators
+from xihenet.captures import open_capture
+from xihenet.light_picture import sphere_mask
+from xihenet.recording import load_frame
+from xihenet.replay import never_in_view, replay
+
+
+def record(scene, out, settings=SMALL, **wishes):
+    return run_blocking(record_session(scene, out, settings, RecordWishes(**wishes), blend_file=out / "none.blend"))
+
+
+def fired_by_position(results):
+    """(frame, coefficients) of the valid estimates of a run by position, and where these are."""
+    found, at = {}, {}
+    for entry in results["frames"]:
+        for probe in entry["probes"]:
+            at[probe["name"]] = np.array(probe["position_m"])
+            if probe["fired"] and probe["is_valid"]:
+                found.setdefault(probe["name"], []).append((entry["frame"], probe["sh"]))
+    return found, at
+
+
+def replayed(folder, positions_m):
+    capture, found = open_capture(folder), {}
+    lattice = estimators.load("lattice", target="hdr")
+    steps = replay(
+        capture,
+        positions_m,
+        lattice,
+        trigger=capture.trigger,
+        reference_exposure=capture.reference_exposure,
+        never_in_view=never_in_view(capture, positions_m),
+    )
+    for step in steps:
+        for name, report in step.reports.items():
+            if report.estimate is not None and report.estimate.is_valid:
+                found.setdefault(name, []).append((step.frame, report.estimate.sh_radiance.tolist()))
+    return found
+
+
+@pytest.mark.parametrize("settings", [SMALL, IPAD], ids=["perfect", "ipad"])
+def test_a_recorded_session_gives_the_light_of_the_run_to_the_last_bit(tmp_path, settings):
+    direct, at = fired_by_position(run(walk(), tmp_path / "run", settings))
+    written = record(walk(), tmp_path / "session", settings)
+    assert written[-1].name == "session.json" and not unfinished_files(tmp_path / "session")
+    assert len(written) == N_FRAMES + 1 and set(direct) == {"Ball", "Board 1", "Board 2"}
+    for folder in (tmp_path / "session", tmp_path / "run"):
+        assert replayed(folder, at) == direct
+
+
+def test_the_true_light_is_that_of_the_run_and_measured_again_where_the_light_changes(finished, tmp_path):
+    written = record(walk(), tmp_path, has_truth=True)
+    content = read_strictly(tmp_path / "truth.json")
+    of_run = {(e["frame"], p["name"]): p["sh_truth"] for e in finished.results["frames"] for p in e["probes"]}
+    assert content["exposure"] == finished.results["settings"]["reference_exposure"]
+    by_frame = {(one["frame"], one["name"]): one for one in content["places"]}
+    assert {frame for frame, _ in by_frame} == {1, LOOKS_AWAY + 1}
+    shared = [key for key in by_frame if key in of_run]
+    assert len(shared) >= 4
+    for key in shared:
+        np.testing.assert_allclose(by_frame[key]["hdr"], of_run[key], rtol=1e-9, atol=1e-12)
+        for name in by_frame[key]["files"].values():
+            assert tmp_path / name in written and (tmp_path / name).stat().st_size > 0
+    dimmed = [np.linalg.norm(by_frame[frame, "Ball"]["hdr"]) for frame in (1, LOOKS_AWAY + 1)]
+    spheres = [read_radiance(tmp_path / by_frame[frame, "Ball"]["files"]["spheres"]) for frame in (1, LOOKS_AWAY + 1)]
+    # The lamp is a sixth of what it was, and so is what the spheres show.
+    assert dimmed[0] / dimmed[1] == pytest.approx(spheres[0].mean() / spheres[1].mean(), rel=0.2) and dimmed[1] > 0
+
+
+def test_spheres_show_even_light_as_it_is():
+    scene = empty_scene()
+    phone(scene, (0, -2, 1), (0, 0, 1))
+    set_world(scene, (0.3, 0.4, 0.2))
+    with open_three_spheres(scene, SMALL.comparison((32, 32)), 32) as spheres:
+        shown = spheres.seen_at(1, np.array([0.0, 0.0, 1.0]), 2.0)
+    assert shown.shape == (32, 96, 3)
+    inside = np.tile(sphere_mask(32), (1, 3))
+    inner = inside & np.roll(inside, 2, axis=1) & np.roll(inside, -2, axis=1)
+    np.testing.assert_allclose(shown[inner].mean(axis=0), [0.6, 0.8, 0.4], rtol=0.03)
+    assert (shown[~inside] == 0).all()
+
+
+def test_a_room_without_virtual_objects_is_recorded_too_and_a_stopped_recording_goes_on(tmp_path):
+    def bare():
+        scene = room_with_a_virtual_sphere(3)
+        for item in virtual_objects(scene):
+            item.user_clear()
+            for home in list(item.users_collection):
+                home.objects.unlink(item)
+        return scene
+
+    settings = replace(SMALL, samples=1, exposure=1.0)
+    job = record_session(bare(), tmp_path / "out", settings, RecordWishes(), blend_file=tmp_path / "none.blend")
+    with contextlib.closing(job), counted_renders() as before:
+        while before.count("Xihe Capture") < 2:
+            next(job)
+    assert not (tmp_path / "out" / "session.json").exists()
+    scene = bare()
+    with counted_renders() as after:
+        record(scene, tmp_path / "out", settings)
+    assert (before + after).count("Xihe Capture") == 3
+    capture = open_capture(tmp_path / "out")
+    assert [frame.number for frame in capture.frames] == [1, 2, 3] and capture.trigger is not None
+    assert load_frame(tmp_path / "out" / "frame_000001.exr").frame == 2
+    with pytest.raises(UserError, match="give --at X,Y,Z"):
+        record(bare(), tmp_path / "other", settings, has_truth=True)
+    assert not (tmp_path / "other").exists()
+    record(bare(), tmp_path / "other", settings, has_truth=True, at_m=[(0.0, 0.0, 1.0)])
+    assert json.loads((tmp_path / "other" / "truth.json").read_text())["places"][0]["position_m"] == [0, 0, 1]
+
+
+def test_the_command_records_and_says_what_it_left(tmp_path, capfd, small_light_probes):
+    room_with_a_virtual_sphere(2)
+    room = saved(tmp_path / "room.blend")
+    typed = ["record", str(room), "--out", str(tmp_path / "out"), "--size", "32x24", "--samples", "1"]
+    assert main(typed) == 0
+    assert "2 frames in" in capfd.readouterr().out
+    assert main([*typed, "--at", "0,0,1"]) == 2
+    assert "give --truth as well" in capfd.readouterr().err
+    assert main([*typed, "--seed", "3"]) == 2
+    assert "holds a recording with another seed" in capfd.readouterr().err
