@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,18 @@ from xihenet.light_picture import light_picture
 from xihenet.png import write_png
 from xihenet.records import ArrayF64
 from xihenet.replay import REPLAY_TRIGGER, ReplayedStep, never_in_view, replay
+from xihenet.session_score import EstimatorScore, score_places, score_session
+
+SCORE = (
+    "say how well each estimator guesses what left-out frames show, at the positions given or at 16 of the room's own; "
+    "needs no true light"
+)
+SCORE_SAYS = (
+    "The score is the error in directions that only left-out frames show, of light clipped at white (--target ldr). It "
+    "compares estimators; it is no error of the light."
+)
+NOT_ASKED = "No place could be asked: every part of the recording shows what the others do."
+LEAST_FRAMES = 3
 
 
 @dataclass
@@ -45,7 +57,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = adder(parser)
     add("session DIR", f"folder of a recording: {one_of(READERS)}", Path)
     places = "position in metres, in the recording's world; may be repeated"
-    add("--at X,Y,Z", places, position, action="append", required=True)
+    add("--at X,Y,Z", places, position, action="append", default=[])
+    add("--score", SCORE, action="store_true")
     out = "folder for replay.json, and a picture of the last light of each position"
     add("--out DIR", out, Path, required=True)
     add(
@@ -62,6 +75,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     if options.every < 1:
         raise UserError(f"--every: expected 1 or more, got {options.every}")
+    if not (options.at or options.score):
+        raise UserError("say where: give --at X,Y,Z in metres, or --score for places of the room's own")
     if options.estimator == "truth":
         raise UserError("truth is a light probe rendered in Blender, which a recording does not have: choose another")
     try:
@@ -69,7 +84,8 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         capture = open_capture(options.session, options.up)
         places = [Place(f"place_{number}", at) for number, at in enumerate(options.at)]
         unseen = never_in_view(capture, _positions(capture, places), options.every)
-        steps = list(_replayed(capture, places, unseen, estimator, options.every))
+        steps = list(_replayed(capture, places, unseen, estimator, options.every)) if places else []
+        score = _score(capture, places, options) if options.score else None
     except (ValueError, ImportError) as error:
         raise UserError(str(error)) from error
     except OSError as error:
@@ -80,10 +96,35 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         if place.name in unseen:
             where = ",".join(f"{coordinate:g}" for coordinate in place.at)
             print(f"xihe: note: No frame looks at {where}: it is asked about in every frame.", file=stderr)
-    for path in _write(options, capture, places, steps):
+    for path in _write(options, capture, places, steps, score):
         print(path, file=stdout)
     for place in places:
         print(_told(place, len(steps)), file=stdout)
+    for one in score or ():
+        interval = "" if one.low is None else f" ({one.low:.3f} to {one.high:.3f})"
+        against = "" if one.estimator == "ambient" else f", better than ambient at {one.share_better:.0%} of them"
+        print(f"{one.estimator}: {one.rmse:.3f}{interval} at {one.n_places} places{against}", file=stdout)
+    if score is not None:
+        print(f"xihe: note: {SCORE_SAYS if score else NOT_ASKED}", file=stderr)
+
+
+def _score(capture: Capture, places: Sequence[Place], options: argparse.Namespace) -> list[EstimatorScore]:
+    chosen = capture.frames[:: options.every]
+    if len(chosen) < LEAST_FRAMES:
+        raise UserError(f"--score leaves frames out: give {LEAST_FRAMES} frames or more")
+    loaded = {name: estimators.load(name, target="ldr") for name in ("ambient", *_by_cloud())}
+    if places:
+        places_m = np.array(list(_positions(capture, places).values()))
+    else:
+        places_m = score_places([chosen[k].read() for k in np.linspace(0, len(chosen) - 1, 12).astype(int)])
+    frames = (frame.read() for frame in chosen)
+    rng = np.random.default_rng(0)
+    return score_session(frames, len(chosen), places_m, loaded, rng, reference_exposure=capture.reference_exposure)
+
+
+def _by_cloud() -> list[str]:
+    """Names of the estimators that need nothing but what was seen."""
+    return [name for name in estimators.names() if not estimators.load(name).needs]
 
 
 def _positions(capture: Capture, places: Sequence[Place]) -> dict[str, ArrayF64]:
@@ -145,7 +186,13 @@ def _summed(each: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return {name: sum(one.get(name, 0.0) for one in each) for name in dict.fromkeys(n for one in each for n in one)}
 
 
-def _write(options: argparse.Namespace, capture: Capture, places: Sequence[Place], steps: Sequence[Any]) -> list[Path]:
+def _write(
+    options: argparse.Namespace,
+    capture: Capture,
+    places: Sequence[Place],
+    steps: Sequence[Any],
+    score: Sequence[EstimatorScore] | None,
+) -> list[Path]:
     """All that the command leaves; replay.json last."""
     out, written = options.out, []
     content = {
@@ -169,6 +216,7 @@ def _write(options: argparse.Namespace, capture: Capture, places: Sequence[Place
             for place in places
         ],
         "frames": steps,
+        "score": None if score is None else {"says": SCORE_SAYS, "estimators": [asdict(one) for one in score]},
     }
     try:
         with contextlib.ExitStack() as stack:

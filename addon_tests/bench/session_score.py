@@ -1,0 +1,81 @@
+"""Does the score without truth order estimators as their true errors do? Recordings with the true light beside them.
+
+    xihe record ROOM.blend --out ROOM --truth        (for each room)
+    python addon_tests/bench/session_score.py ROOM ...
+
+For each recording the score of every estimator at places of the room's own, and its true error at the places of
+truth.json: SHC RMSE of light clipped at white, from all frames; then the rank correlation of both. At the end its mean
+over recordings, and in how many the estimator with the best score is also the one with the least error.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from functools import reduce
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import spearmanr
+
+from xihenet import estimators
+from xihenet.buffers import merge
+from xihenet.camera import unproject_frame
+from xihenet.captures import open_capture
+from xihenet.captures.capture import Capture
+from xihenet.metrics import shc_rmse
+from xihenet.records import ArrayF64
+from xihenet.sampling import sample_unit_sphere
+from xihenet.session_score import score_places, score_session
+from xihenet.sphere import AnchorLattice
+
+NAMES = ("ambient", "projection", "xihenet", "lattice")
+
+
+def true_errors(capture: Capture, folder: Path) -> dict[str, float]:
+    """Mean over the places whose light stays the same."""
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    by_name: dict[str, list[tuple[ArrayF64, ArrayF64]]] = {}
+    for one in truth["places"]:
+        by_name.setdefault(one["name"], []).append((np.array(one["position_m"]), np.array(one["ldr"])))
+    lattice, errors = AnchorLattice(1280), {name: [] for name in NAMES}
+    points = [unproject_frame(frame, reference_exposure=truth["exposure"]) for frame in capture]
+    for place_m, true in (found[0] for found in by_name.values() if len(found) == 1):
+        cloud = reduce(merge, [sample_unit_sphere(one, place_m, lattice) for one in points])
+        for name in NAMES:
+            errors[name].append(shc_rmse(estimators.load(name, target="ldr").estimate(cloud), true))
+    return {name: float(np.mean(found)) if found else np.nan for name, found in errors.items()}
+
+
+def scores(capture: Capture) -> dict[str, float]:
+    chosen = np.linspace(0, len(capture.frames) - 1, 12).astype(int)
+    places_m = score_places([capture.frames[k].read() for k in chosen])
+    loaded = {name: estimators.load(name, target="ldr") for name in NAMES}
+    found = score_session(
+        iter(capture), len(capture.frames), places_m, loaded, np.random.default_rng(0),
+        reference_exposure=capture.reference_exposure,
+    )  # fmt: skip
+    return {one.estimator: one.rmse for one in found}
+
+
+def main() -> None:
+    correlations, n_best = [], 0
+    print("| recording | " + " | ".join(f"{name}: score, error" for name in NAMES) + " | rank correlation |")
+    print("| --- |" + " --- |" * (len(NAMES) + 1))
+    for folder in map(Path, sys.argv[1:]):
+        capture = open_capture(folder)
+        found, errors = scores(capture), true_errors(capture, folder)
+        if not found or np.isnan(list(errors.values())).any():
+            print(f"| {folder.name} | nothing could be asked |", flush=True)
+            continue
+        correlations.append(float(spearmanr([found[n] for n in NAMES], [errors[n] for n in NAMES]).statistic))
+        n_best += min(found, key=found.__getitem__) == min(errors, key=errors.__getitem__)
+        cells = " | ".join(f"{found[name]:.3f}, {errors[name]:.3f}" for name in NAMES)
+        print(f"| {folder.name} | {cells} | {correlations[-1]:.2f} |", flush=True)
+    if correlations:
+        best = f"the best by score is the best in truth in {n_best} of {len(correlations)}"
+        print(f"mean rank correlation {np.mean(correlations):.2f}; {best}")
+
+
+if __name__ == "__main__":
+    main()

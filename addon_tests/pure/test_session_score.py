@@ -1,0 +1,79 @@
+"""Estimators are told apart by what left-out frames show, whichever places a recording has."""
+
+import numpy as np
+import pytest
+
+from addon_tests.pure.recordings import HALF, LAYOUTS, as_nerfstudio, walk
+from addon_tests.pure.test_estimate_command import read_strictly
+from xihe_blender.cli.main import main
+from xihenet import estimators
+from xihenet.records import Intrinsics
+from xihenet.session_score import score_places, score_session
+
+CAMERA = Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)
+
+
+class Knows:
+    """An estimator of constant light, of which the nearer to the room's mean the better."""
+
+    n_anchors, needs = 1280, frozenset()
+
+    def __init__(self, radiance):
+        self.radiance = radiance
+
+    def estimate(self, cloud, context=None):
+        sh = np.zeros((9, 3))
+        sh[0] = self.radiance * np.sqrt(4 * np.pi)
+        return sh
+
+
+def scored(frames, loaded, places_m, seed=0):
+    return score_session(iter(frames), len(frames), places_m, loaded, np.random.default_rng(seed))
+
+
+def test_the_better_guess_has_the_lower_score_and_the_same_seed_the_same_interval():
+    frames = walk(CAMERA, 12)
+    places_m = score_places(frames)
+    assert 4 <= len(places_m) <= 16 and (np.abs(places_m) < HALF).all()
+    loaded = {"black": Knows(0.0), "near": Knows(0.25), "white": Knows(1.0)}
+    scores = scored(frames, loaded, places_m)
+    by_name = {one.estimator: one for one in scores}
+    assert list(by_name) == list(loaded)
+    assert by_name["near"].rmse < by_name["black"].rmse < by_name["white"].rmse
+    assert by_name["near"].share_better == 1 and by_name["white"].share_better == 0
+    assert all(one.low <= one.rmse <= one.high and one.n_places == len(places_m) for one in scores)
+    assert scores == scored(frames, loaded, places_m) != scored(frames, loaded, places_m, seed=1)
+
+
+def test_what_the_room_shows_beats_one_colour():
+    frames = walk(CAMERA, 12)
+    loaded = {name: estimators.load(name, target="ldr") for name in ("ambient", "projection")}
+    ambient, projection = scored(frames, loaded, score_places(frames))
+    assert projection.rmse < ambient.rmse
+
+
+def test_where_every_part_shows_the_same_nothing_can_be_asked():
+    frames = walk(CAMERA, 1) * 6
+    assert scored(frames, {"black": Knows(0.0)}, np.zeros((1, 3))) == []
+    assert scored([], {"black": Knows(0.0)}, np.zeros((0, 3))) == []
+    assert score_places([]).shape == (0, 3)
+
+
+def test_estimators_of_different_sizes_are_refused():
+    other = Knows(0.0)
+    other.n_anchors = 512
+    with pytest.raises(ValueError, match="one number of anchors"):
+        scored([], {"a": Knows(0.0), "b": other}, np.zeros((0, 3)))
+
+
+def test_the_command_writes_the_table(tmp_path, capfd):
+    as_nerfstudio(tmp_path / "in", walk(LAYOUTS["Nerfstudio"][1], 9))
+    assert main(["replay", str(tmp_path / "in"), "--score", "--out", str(tmp_path / "out")]) == 0
+    said = capfd.readouterr()
+    assert "better than ambient at" in said.out and "it is no error of the light" in said.err
+    written = read_strictly((tmp_path / "out" / "replay.json").read_text())["score"]["estimators"]
+    assert [one["estimator"] for one in written] == ["ambient", "projection", "xihenet", "lattice"]
+    assert main(["replay", str(tmp_path / "in"), "--out", str(tmp_path / "out")]) == 2
+    assert "say where" in capfd.readouterr().err
+    assert main(["replay", str(tmp_path / "in"), "--score", "--every", "5", "--out", str(tmp_path / "out")]) == 2
+    assert "give 3 frames or more" in capfd.readouterr().err

@@ -1,0 +1,129 @@
+"""Which estimator suits a recording of which no true light is known? The score of `left_out`, over places in its room.
+
+The frames are three parts in time. The light at a place is estimated from two of them, and held against what only the
+third shows from there, each part in turn. A place's error is the root of the mean square over the three. It is no error
+of the light: it says how well unseen directions are guessed, and a lamp beyond white counts as white. So estimators are
+asked for light clipped at white, target "ldr": all of the light rings in order 2, by more than pictures can show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+
+from xihenet.buffers import merge
+from xihenet.camera import unproject_frame, valid_plane_depth
+from xihenet.estimators import Estimator
+from xihenet.left_out import N_PARTS, left_out_error
+from xihenet.paired import paired_difference
+from xihenet.placement import places_among, upward_points
+from xihenet.records import ArrayF64, RgbdFrame, UnitSphereCloud
+from xihenet.sampling import sample_unit_sphere
+from xihenet.sphere import AnchorLattice
+
+N_PLACES = 16
+ABOVE_M = 0.1
+SPACING_M = 0.4
+BEFORE = 0.7
+"""Where no upward surface was seen, places hang at this share of the way to what a frame shows in its middle."""
+
+
+@dataclass(frozen=True)
+class EstimatorScore:
+    """Of one estimator over the places that could be asked.
+
+    Parameters
+    ----------
+    estimator : its name
+    rmse : mean over places of the error of radiance, linear, at the session's exposure
+    low, high : 95 % confidence interval of that mean over places; None with fewer than two
+    share_better : of the places, in which its error is below that of the first estimator of the table
+    n_places : that could be asked: at others no part shows enough that the others do not
+    """
+
+    estimator: str
+    rmse: float
+    low: float | None
+    high: float | None
+    share_better: float
+    n_places: int
+
+
+def score_places(frames: Sequence[RgbdFrame], most: int = N_PLACES) -> ArrayF64:
+    """(K, 3) world, metres, at most `most`: places above seen upward surfaces, or in the air where there are few.
+
+    Empty where the frames have no valid plane depth.
+    """
+    places = places_among(upward_points(frames), SPACING_M) + (0, 0, ABOVE_M)
+    if len(places) < most // 2:
+        hung = [_before_middle(frame) for frame in frames if valid_plane_depth(frame.plane_depth_m).any()]
+        places = np.concatenate([places, np.array(hung).reshape(-1, 3)])
+    n = min(most, len(places))
+    chosen = [(2 * k + 1) * len(places) // (2 * n) for k in range(n)]
+    return np.asarray(places[chosen], np.float64)
+
+
+def _before_middle(frame: RgbdFrame) -> ArrayF64:
+    depth_m = np.median(frame.plane_depth_m[valid_plane_depth(frame.plane_depth_m)])
+    pose = frame.world_from_camera
+    return np.asarray(pose[:3, 3] - BEFORE * float(depth_m) * pose[:3, 2])
+
+
+def score_session(
+    frames: Iterable[RgbdFrame],
+    n_frames: int,
+    places_m: ArrayF64,
+    estimators: Mapping[str, Estimator],
+    rng: np.random.Generator,
+    *,
+    reference_exposure: float | None = None,
+) -> list[EstimatorScore]:
+    """The scores of `estimators`, which need nothing but a cloud, in their order; empty where no place could be asked.
+
+    Parameters
+    ----------
+    frames : in order of time, `n_frames` of them, read once and one at a time
+    places_m : (K, 3) world, metres
+    rng : of the intervals
+    reference_exposure : that errors carry; None takes that of the first frame
+
+    ValueError for estimators of different numbers of anchors, or none.
+    """
+    sizes = {one.n_anchors for one in estimators.values()}
+    if len(sizes) != 1:
+        raise ValueError(f"score_session: expected estimators of one number of anchors, got {sorted(sizes)}")
+    lattice = AnchorLattice(sizes.pop())
+    shown = [[UnitSphereCloud.empty(lattice.n)] * N_PARTS for _ in places_m]
+    for number, frame in enumerate(frames):
+        reference_exposure = reference_exposure or frame.exposure
+        points, part = unproject_frame(frame, reference_exposure=reference_exposure), number * N_PARTS // n_frames
+        for place_m, parts in zip(places_m, shown, strict=True):
+            parts[part] = merge(parts[part], sample_unit_sphere(points, place_m, lattice))
+    errors = {name: [_error_of_place(parts, one) for parts in shown] for name, one in estimators.items()}
+    first = next(iter(errors.values()))
+    asked = [k for k, error in enumerate(first) if error is not None]
+    if not asked:
+        return []
+    base = np.array([first[k] for k in asked])
+    return [_score(name, np.array([found[k] for k in asked]), base, rng) for name, found in errors.items()]
+
+
+def _error_of_place(parts: Sequence[UnitSphereCloud], estimator: Estimator) -> float | None:
+    """None where no part can be asked."""
+    squares = []
+    for number, left_out in enumerate(parts):
+        given = reduce(merge, [part for k, part in enumerate(parts) if k != number])
+        if given.is_set.any():
+            error = left_out_error(estimator.estimate(given), given, left_out)
+            squares += [] if error is None else [error**2]
+    return float(np.sqrt(np.mean(squares))) if squares else None
+
+
+def _score(name: str, errors: ArrayF64, first: ArrayF64, rng: np.random.Generator) -> EstimatorScore:
+    places = list(range(len(errors)))
+    mean = paired_difference(errors.tolist(), [0.0] * len(errors), places, rng)
+    share_better = float(np.mean(errors < first))
+    return EstimatorScore(name, mean.mean, mean.low, mean.high, share_better, len(errors))
