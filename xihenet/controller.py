@@ -121,6 +121,11 @@ class XiheController:
         """Share of a position's anchors that are known."""
         return self._positions[name].buffers.coverage()
 
+    def known(self, name: str) -> UnitSphereCloud:
+        """What the session knows of the light that arrives at a position, the last frame included."""
+        buffers = self._positions[name].buffers
+        return merge(buffers.persistent, buffers.temporary)
+
     def active(self, intrinsics: Intrinsics, world_from_camera: ArrayF64) -> list[str]:
         """Names of the positions inside a camera's view; the others cost nothing and keep their light."""
         if not self._positions:

@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.colour import linear_to_srgb, srgb_to_linear
-from xihenet.panorama import evaluate_panorama
-from xihenet.records import ArrayBool, ArrayF64, ArrayU8
+from xihenet.panorama import evaluate_panorama, panorama_directions
+from xihenet.records import ArrayBool, ArrayF64, ArrayU8, UnitSphereCloud
 from xihenet.sh import cosine_lobe
 from xihenet.sh_basis import basis, checked_sh, per_coefficient
+from xihenet.sphere import AnchorLattice
 
 SPHERES = ("mirror", "matte silver", "grey diffuse")
 SILVER_ROUGHNESS = 0.3271  # Of the usual three-sphere protocol
@@ -113,6 +114,18 @@ def light_picture(sh_radiance: ArrayLike, *, panorama_height: int = 256, margin:
         left = margin + round(place * (width - size) / 2)
         page[top : top + size, left : left + size] = sphere
     encoded: ArrayU8 = np.rint(linear_to_srgb(page) * 255).astype(np.uint8)
+    return encoded
+
+
+def seen_picture(cloud: UnitSphereCloud, height: int = 256) -> ArrayU8:
+    """(height, 2 height, 3) uint8 sRGB: a panorama of what a cloud knows, grey for anchors that are not set.
+
+    ValueError for a height below 1.
+    """
+    lattice = AnchorLattice(len(cloud))
+    anchors = lattice.nearest(panorama_directions(height, 2 * height).reshape(-1, 3))
+    shown = np.where(cloud.is_set[:, None], cloud.srgb, BACKGROUND)[anchors]
+    encoded: ArrayU8 = np.rint(shown.reshape(height, 2 * height, 3) * 255).astype(np.uint8)
     return encoded
 
 

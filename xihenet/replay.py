@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from xihenet.camera import in_view
 from xihenet.captures.capture import Capture
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.estimators import Estimator
-from xihenet.records import ArrayF64, ObjectLight, RgbdFrame, StepReport
+from xihenet.records import ArrayF64, ObjectLight, RgbdFrame, StepReport, UnitSphereCloud
 from xihenet.trigger import TriggerSettings
 
 REPLAY_TRIGGER = TriggerSettings(theta=0.005, ignored_share=0.25)
@@ -21,12 +21,17 @@ REPLAY_TRIGGER = TriggerSettings(theta=0.005, ignored_share=0.25)
 
 @dataclass(frozen=True, eq=False)
 class ReplayedStep:
-    """What one frame brought: reports by position, and the light in force there, none before the first valid one."""
+    """What one frame brought: reports by position, and what is known there after it.
+
+    `lights` are those in force, none before the first valid one; `known` gives what the session knows of a position
+    when it is asked, which may be after later steps.
+    """
 
     frame: int
     time_s: float
     reports: Mapping[str, StepReport]
-    lights: Mapping[str, ObjectLight] = field(default_factory=dict)
+    lights: Mapping[str, ObjectLight]
+    known: Callable[[str], UnitSphereCloud]
 
 
 def replay(
@@ -58,7 +63,7 @@ def replay(
         for name, report in reports.items():
             if report.estimate is not None and report.estimate.is_valid:
                 lights[name] = ObjectLight(report.estimate.sh_radiance, report.estimate.key)
-        yield ReplayedStep(seen.frame, seen.time_s, reports, dict(lights))
+        yield ReplayedStep(seen.frame, seen.time_s, reports, dict(lights), session.known)
 
 
 def never_in_view(capture: Capture, positions_m: Mapping[str, ArrayF64], every: int = 1) -> list[str]:

@@ -58,6 +58,8 @@ def test_the_light_is_that_of_the_session_itself(recorded, tmp_path):
     for light, step in zip(lights, [step for step in steps if step.frame in fired], strict=True):
         true = step.reports["place_0"].estimate.sh_radiance
         assert np.abs(np.array(light["sh_radiance"]) - true).max() < 1e-3 * np.abs(true).max()
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert name in page and "The sphere" not in page and page.count("data:image/png") == 2 + len(frames)
     exported = read_strictly((tmp_path / "three" / "three.json").read_text())["lights"]
     assert [light["frame"] for light in exported] == fired and (tmp_path / "place_0.png").is_file()
 

@@ -16,6 +16,7 @@ from xihe_blender.cli.estimate import position
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import finite_or_none, write_json, written_whole
 from xihe_blender.io.run_lights import write_lights
+from xihe_blender.report.replay import MOST_FRAMES_SHOWN, write_replay_report
 from xihenet import __version__, estimators
 from xihenet.captures import READERS, open_capture
 from xihenet.captures.capture import Capture
@@ -25,7 +26,7 @@ from xihenet.light.exports import NamedLight
 from xihenet.light.platforms import PLATFORMS
 from xihenet.light_picture import light_picture
 from xihenet.png import write_png
-from xihenet.records import ArrayF64
+from xihenet.records import ArrayF64, ArrayU8, UnitSphereCloud
 from xihenet.replay import REPLAY_TRIGGER, ReplayedStep, never_in_view, replay
 from xihenet.session_score import EstimatorScore, score_places, score_session
 
@@ -51,6 +52,7 @@ class Place:
     exported: list[NamedLight] = field(default_factory=list)
     coverage: float = 0.0
     invalid: Mapping[str, int] = field(default_factory=dict)
+    cloud: UnitSphereCloud | None = None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     places = "position in metres, in the recording's world; may be repeated"
     add("--at X,Y,Z", places, position, action="append", default=[])
     add("--score", SCORE, action="store_true")
-    out = "folder for replay.json, and a picture of the last light of each position"
+    out = "folder for report.html, replay.json, and a picture of the last light of each position"
     add("--out DIR", out, Path, required=True)
     add(
         "--up AXIS",
@@ -136,6 +138,7 @@ def _replayed(
     capture: Capture, places: Sequence[Place], unseen: Collection[str], estimator: Any, every: int
 ) -> Iterator[dict[str, Any]]:
     """Per frame what is written of it; fills the places."""
+    last: ReplayedStep | None = None
     for step in replay(
         (frame.read() for frame in capture.frames[::every]),
         _positions(capture, places),
@@ -145,6 +148,7 @@ def _replayed(
         reference_exposure=capture.reference_exposure,
         never_in_view=unseen,
     ):
+        last = step
         for place in places:
             _note(place, step)
         yield {
@@ -156,6 +160,10 @@ def _replayed(
                 for name, report in step.reports.items()
             },
         }
+
+    if last is not None:
+        for place in places:
+            place.cloud = last.known(place.name)
 
 
 def _note(place: Place, step: ReplayedStep) -> None:
@@ -229,10 +237,24 @@ def _write(
         if options.to is not None:
             lights = [light for place in places for light in place.exported]
             written += write_lights(lights, options.to, out / options.to)
+        clouds = {place.name: place.cloud for place in places if place.cloud is not None}
+        write_replay_report(out / "report.html", content, clouds, _shown_frames(options, capture, places))
+        written.append(out / "report.html")
         write_json(out / "replay.json", content)
     except OSError as error:
         raise UserError(f"cannot write to {out} ({error.strerror}): choose another folder for --out") from error
     return [*written, out / "replay.json"]
+
+
+def _shown_frames(options: argparse.Namespace, capture: Capture, places: Sequence[Place]) -> list[tuple[int, ArrayU8]]:
+    """Numbers and pictures of some frames: of those with an estimate, or of all where there are few."""
+    chosen = capture.frames[:: options.every]
+    fired = {light["frame"] for place in places for light in place.lights}
+    wanted = [frame for frame in chosen if frame.number in fired]
+    if len(wanted) < MOST_FRAMES_SHOWN:
+        wanted = list(chosen)
+    some = np.unique(np.linspace(0, len(wanted) - 1, MOST_FRAMES_SHOWN).astype(int))
+    return [(wanted[k].number, wanted[k].read().srgb_u8) for k in some]
 
 
 def _told(place: Place, n_frames: int) -> str:
