@@ -74,7 +74,7 @@ def test_the_command_writes_the_table(tmp_path, capfd):
     written = read_strictly((tmp_path / "out" / "replay.json").read_text())["score"]["estimators"]
     assert [one["estimator"] for one in written] == ["ambient", "projection", "xihenet", "lattice"]
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "Estimators without a true light" in page and "What the phone saw" in page and "http" not in page
+    assert "Estimators without a true light" in page and "What the phone saw" in page and 'src="http' not in page
     assert main(["replay", str(tmp_path / "in"), "--out", str(tmp_path / "out")]) == 2
     assert "say where" in capfd.readouterr().err
     assert main(["replay", str(tmp_path / "in"), "--score", "--every", "5", "--out", str(tmp_path / "out")]) == 2
