@@ -66,10 +66,10 @@ def replay(
         yield ReplayedStep(seen.frame, seen.time_s, reports, dict(lights), session.known)
 
 
-def never_in_view(capture: Capture, positions_m: Mapping[str, ArrayF64], every: int = 1) -> list[str]:
-    """The positions, as of `replay`, that none of every `every`-th frame sees; no picture is read."""
+def never_in_view(capture: Capture, positions_m: Mapping[str, ArrayF64]) -> list[str]:
+    """The positions, as of `replay`, that no frame sees; no picture is read."""
     names, points_m = list(positions_m), np.array(list(positions_m.values())).reshape(-1, 3)
     was_seen = np.zeros(len(names), bool)
-    for frame in capture.frames[::every]:
+    for frame in capture.frames:
         was_seen |= in_view(points_m, frame.camera.intrinsics, frame.camera.world_from_camera)
     return [name for name, is_seen in zip(names, was_seen, strict=True) if not is_seen]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,8 @@ from xihe_blender.report.replay import MOST_FRAMES_SHOWN, write_replay_report
 from xihenet import __version__, estimators
 from xihenet.captures import READERS, open_capture
 from xihenet.captures.capture import Capture
+from xihenet.captures.checks import steadied, suspicion
+from xihenet.captures.drift import Drift
 from xihenet.frame_files import BLENDER_FROM_UP
 from xihenet.invalid import added, n_left_out
 from xihenet.light.exports import NamedLight
@@ -33,6 +35,10 @@ from xihenet.session_score import EstimatorScore, score_places, score_session
 SCORE = (
     "say how well each estimator guesses what left-out frames show, at the positions given or at 16 of the room's own; "
     "needs no true light"
+)
+DRIFT = (
+    "exposure and white balance of a recording whose frames do not say theirs: followed over surfaces that are seen "
+    "again, or ignored"
 )
 SCORE_SAYS = (
     "The score is the error in directions that only left-out frames show, of light clipped at white (--target ldr). It "
@@ -68,6 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "axis of the recording's world that points up; default: as is usual for it",
         choices=tuple(BLENDER_FROM_UP),
     )
+    add("--drift", DRIFT, choices=("followed", "ignored"), default="followed")
     add("--every N", "take every N-th frame; default: 1", int, default=1)
     add("--estimator NAME", one_of(n for n in estimators.names() if n != "truth"), default=estimators.DEFAULT)
     add("--target", "hdr: all of the light; ldr: light clipped at white", choices=("ldr", "hdr"), default="hdr")
@@ -83,10 +90,10 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         raise UserError("truth is a light probe rendered in Blender, which a recording does not have: choose another")
     try:
         estimator = estimators.load(options.estimator, target=options.target)
-        capture = open_capture(options.session, options.up)
+        capture, drift = _prepared(open_capture(options.session, options.up), options)
         places = [Place(f"place_{number}", at) for number, at in enumerate(options.at)]
-        unseen = never_in_view(capture, _positions(capture, places), options.every)
-        steps = list(_replayed(capture, places, unseen, estimator, options.every)) if places else []
+        unseen = never_in_view(capture, _positions(capture, places))
+        steps = list(_replayed(capture, places, unseen, estimator)) if places else []
         score = _score(capture, places, options) if options.score else None
     except (ValueError, ImportError) as error:
         raise UserError(str(error)) from error
@@ -98,7 +105,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         if place.name in unseen:
             where = ",".join(f"{coordinate:g}" for coordinate in place.at)
             print(f"xihe: note: No frame looks at {where}: it is asked about in every frame.", file=stderr)
-    for path in _write(options, capture, places, steps, score):
+    for path in _write(options, capture, places, steps, score, drift):
         print(path, file=stdout)
     for place in places:
         print(_told(place, len(steps)), file=stdout)
@@ -110,8 +117,30 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         print(f"xihe: note: {SCORE_SAYS if score else NOT_ASKED}", file=stderr)
 
 
+def _prepared(capture: Capture, options: argparse.Namespace) -> tuple[Capture, Drift | None]:
+    """Every N-th frame, with a note where its conventions look wrong, and with its drift divided out."""
+    capture = replace(capture, frames=capture.frames[:: options.every])
+    suspected = suspicion(capture)
+    if suspected is not None:
+        capture = replace(capture, notes=(*capture.notes, suspected))
+    if capture.is_exposure_known or options.drift == "ignored":
+        return capture, None
+    return steadied(capture)
+
+
+def _as_json(drift: Drift) -> dict[str, Any]:
+    return {
+        "frames": drift.frames.tolist(),
+        "gains": drift.gains.tolist(),
+        "is_known": drift.is_known.tolist(),
+        "n_unknown": drift.n_unknown,
+        "n_samples": drift.n_samples.tolist(),
+        "residual": [finite_or_none(value) for value in drift.residual],
+    }
+
+
 def _score(capture: Capture, places: Sequence[Place], options: argparse.Namespace) -> list[EstimatorScore]:
-    chosen = capture.frames[:: options.every]
+    chosen = capture.frames
     if len(chosen) < LEAST_FRAMES:
         raise UserError(f"--score leaves frames out: give {LEAST_FRAMES} frames or more")
     loaded = {name: estimators.load(name, target="ldr") for name in ("ambient", *_by_cloud())}
@@ -119,9 +148,8 @@ def _score(capture: Capture, places: Sequence[Place], options: argparse.Namespac
         places_m = np.array(list(_positions(capture, places).values()))
     else:
         places_m = score_places([chosen[k].read() for k in np.linspace(0, len(chosen) - 1, 12).astype(int)])
-    frames = (frame.read() for frame in chosen)
     rng = np.random.default_rng(0)
-    return score_session(frames, len(chosen), places_m, loaded, rng, reference_exposure=capture.reference_exposure)
+    return score_session(capture, len(chosen), places_m, loaded, rng, reference_exposure=capture.reference_exposure)
 
 
 def _by_cloud() -> list[str]:
@@ -135,12 +163,12 @@ def _positions(capture: Capture, places: Sequence[Place]) -> dict[str, ArrayF64]
 
 
 def _replayed(
-    capture: Capture, places: Sequence[Place], unseen: Collection[str], estimator: Any, every: int
+    capture: Capture, places: Sequence[Place], unseen: Collection[str], estimator: Any
 ) -> Iterator[dict[str, Any]]:
     """Per frame what is written of it; fills the places."""
     last: ReplayedStep | None = None
     for step in replay(
-        (frame.read() for frame in capture.frames[::every]),
+        capture,
         _positions(capture, places),
         estimator,
         trigger=capture.trigger or REPLAY_TRIGGER,
@@ -200,6 +228,7 @@ def _write(
     places: Sequence[Place],
     steps: Sequence[Any],
     score: Sequence[EstimatorScore] | None,
+    drift: Drift | None,
 ) -> list[Path]:
     """All that the command leaves; replay.json last."""
     out, written = options.out, []
@@ -224,6 +253,7 @@ def _write(
             for place in places
         ],
         "frames": steps,
+        "drift": None if drift is None else _as_json(drift),
         "score": None if score is None else {"says": SCORE_SAYS, "estimators": [asdict(one) for one in score]},
     }
     try:
@@ -238,7 +268,7 @@ def _write(
             lights = [light for place in places for light in place.exported]
             written += write_lights(lights, options.to, out / options.to)
         clouds = {place.name: place.cloud for place in places if place.cloud is not None}
-        write_replay_report(out / "report.html", content, clouds, _shown_frames(options, capture, places))
+        write_replay_report(out / "report.html", content, clouds, _shown_frames(capture, places))
         written.append(out / "report.html")
         write_json(out / "replay.json", content)
     except OSError as error:
@@ -246,9 +276,9 @@ def _write(
     return [*written, out / "replay.json"]
 
 
-def _shown_frames(options: argparse.Namespace, capture: Capture, places: Sequence[Place]) -> list[tuple[int, ArrayU8]]:
+def _shown_frames(capture: Capture, places: Sequence[Place]) -> list[tuple[int, ArrayU8]]:
     """Numbers and pictures of some frames: of those with an estimate, or of all where there are few."""
-    chosen = capture.frames[:: options.every]
+    chosen = capture.frames
     fired = {light["frame"] for place in places for light in place.lights}
     wanted = [frame for frame in chosen if frame.number in fired]
     if len(wanted) < MOST_FRAMES_SHOWN:

@@ -56,6 +56,8 @@ class Capture:
     notes : what is missing, assumed or not known, in sentences
     reference_exposure : that light carries; None takes that of the first frame
     trigger : with which the session was run when it was recorded; None for one that was not
+    is_exposure_known : whether its frames say their own; else it is taken to be 1, and may drift
+    is_opencv : whether the axes of its cameras were turned from OpenCV's when it was read
     """
 
     format_name: str
@@ -64,6 +66,8 @@ class Capture:
     notes: tuple[str, ...] = ()
     reference_exposure: float | None = None
     trigger: TriggerSettings | None = None
+    is_exposure_known: bool = False
+    is_opencv: bool = False
 
     def __iter__(self) -> Iterator[RgbdFrame]:
         """The frames, one in memory at a time."""

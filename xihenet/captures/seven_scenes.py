@@ -50,4 +50,4 @@ def read(folder: Path, up: str | None) -> Capture:
         notes.append("Which way is up is not given: -Y is taken.")
     if n_without:
         notes.append(f"{n_frames(n_without)} without colour or depth left out.")
-    return Capture("7-Scenes", frames, BLENDER_FROM_UP[up or "-y"], tuple(notes))
+    return Capture("7-Scenes", frames, BLENDER_FROM_UP[up or "-y"], tuple(notes), is_opencv=True)

@@ -53,7 +53,7 @@ def read(folder: Path, up: str | None) -> Capture:
     notes = ["Intrinsics are those that the benchmark takes for all of its cameras."]
     if n_without:
         notes.append(f"{n_frames(n_without)} without colour, depth or a pose left out.")
-    return Capture("TUM RGB-D", frames, BLENDER_FROM_UP[up], tuple(notes))
+    return Capture("TUM RGB-D", frames, BLENDER_FROM_UP[up], tuple(notes), is_opencv=True)
 
 
 def _lines(path: Path, n_values: int) -> list[tuple[float, list[str]]]:

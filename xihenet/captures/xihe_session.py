@@ -29,6 +29,7 @@ def read(folder: Path, up: str | None) -> Capture:
         facts.not_known,
         facts.reference_exposure,
         facts.trigger,
+        is_exposure_known=True,
     )
 
 
