@@ -89,7 +89,8 @@ def read_frame(
     if not (np.isfinite(depth_scale) and depth_scale > 0):
         raise ValueError(f"depth scale: expected a positive number of metres per unit, got {depth_scale}")
     plane_depth_m, field = read_plane_depth(plane_depth, depth_scale)
-    srgb_u8 = read_colour(path, plane_depth, field, *plane_depth_m.shape)
+    height, width = plane_depth_m.shape
+    srgb_u8 = read_colour(path, plane_depth, field, height, width)
     fix = "0 and, in 16 bits, 65535 stand for none, check the image"
     taken_with = 1.0 if exposure is None else exposure
     return _frame(srgb_u8, sound_plane_depth(plane_depth_m), field, camera, taken_with, plane_depth, fix)
@@ -110,14 +111,22 @@ def read_camera(path: Path) -> FrameCamera:
     if not isinstance(content, dict):
         raise ValueError(f"{path}: expected a JSON object with width, height, fx, fy, cx, cy and world_from_camera")
     try:
-        _check_keys(content)
-        width, height = (_whole_number(content, name) for name in ("width", "height"))
-        intrinsics = Intrinsics(width, height, *(_number(content, name) for name in ("fx", "fy", "cx", "cy")))
-        is_opencv = _choice(content, "convention", ("blender", "opencv")) == "opencv"
-        up = _choice(content, "up", tuple(BLENDER_FROM_UP))
+        intrinsics, is_opencv, up = camera_facts(content, CAMERA_KEYS)
         return frame_camera(intrinsics, _entry(content, "world_from_camera"), is_opencv=is_opencv, up=up)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
+
+
+def camera_facts(content: dict[str, Any], keys: Collection[str]) -> tuple[Intrinsics, bool, str]:
+    """Intrinsics, whether camera axes are OpenCV's, and the axis that is up, as of `read_camera`.
+
+    ValueError for what is wrong with them, and for a key that is not one of `keys`.
+    """
+    _check_keys(content, keys)
+    width, height = (_whole_number(content, name) for name in ("width", "height"))
+    intrinsics = Intrinsics(width, height, *(_number(content, name) for name in ("fx", "fy", "cx", "cy")))
+    is_opencv = _choice(content, "convention", ("blender", "opencv")) == "opencv"
+    return intrinsics, is_opencv, _choice(content, "up", tuple(BLENDER_FROM_UP))
 
 
 def frame_camera(
@@ -133,11 +142,11 @@ def frame_camera(
     return FrameCamera(intrinsics, pose, blender_from_file)
 
 
-def _check_keys(content: dict[str, Any]) -> None:
+def _check_keys(content: dict[str, Any], keys: Collection[str]) -> None:
     """ValueError for a key that nothing would read, which would be a misspelt one that counts for nothing."""
-    for name in content.keys() - set(CAMERA_KEYS):
-        near = difflib.get_close_matches(name.lower(), CAMERA_KEYS, n=1)
-        fix = f"did you mean {near[0]!r}?" if near else f"leave it out; there are {', '.join(CAMERA_KEYS)}"
+    for name in content.keys() - set(keys):
+        near = difflib.get_close_matches(name.lower(), keys, n=1)
+        fix = f"did you mean {near[0]!r}?" if near else f"leave it out; there are {', '.join(keys)}"
         raise ValueError(f"{name[:80]!r}: there is no such key; {fix}")
 
 
@@ -193,7 +202,7 @@ def _pose(rows: Any) -> ArrayF64:
     return pose
 
 
-def _intrinsics_for(camera: Intrinsics, field: tuple[int, int], width: int, height: int) -> Intrinsics:
+def intrinsics_for(camera: Intrinsics, field: tuple[int, int], width: int, height: int) -> Intrinsics:
     """The same field of view in another number of pixels, of a file that has `field` (width, height).
 
     ValueError for another ratio of width to height.
@@ -229,7 +238,7 @@ def _frame(
     return RgbdFrame(
         srgb_u8,
         plane_depth_m,
-        _intrinsics_for(camera.intrinsics, field, width, height),
+        intrinsics_for(camera.intrinsics, field, width, height),
         camera.world_from_camera,
         exposure,
         sensed_ambient(srgb_u8, exposure),

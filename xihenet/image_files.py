@@ -8,6 +8,7 @@ megapixels is 200 MB, in the float64 that averages of linear light take it would
 from __future__ import annotations
 
 import contextlib
+import io
 import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -31,12 +32,13 @@ NONE_IN_16_BITS = 65535
 ORIENTATION_TAG = 0x0112
 
 
-def read_plane_depth(path: Path, depth_scale: float) -> tuple[ArrayF32, tuple[int, int]]:
+def read_plane_depth(path: Path, depth_scale: float, content: bytes | None = None) -> tuple[ArrayF32, tuple[int, int]]:
     """Plane depth (H, W) of a grey image of 16 or 32 bits, and the width and height of the whole image.
 
-    0 where there is none; thinned where there are more than MOST_POINTS. Raises as `_loading`.
+    0 where there is none; thinned where there are more than MOST_POINTS. `content` as of `_loading`, which says what is
+    raised.
     """
-    with _loading(path) as image:
+    with _loading(path, content) as image:
         if not image.mode.startswith("I"):
             raise ValueError(f"{path}: expected a grey image of 16 bits, got pixels of mode {image.mode}")
     rows, columns = picked_pixels(image.height, image.width, MOST_POINTS)
@@ -51,26 +53,52 @@ def read_plane_depth(path: Path, depth_scale: float) -> tuple[ArrayF32, tuple[in
     return (units * depth_scale).astype(np.float32), image.size
 
 
-def read_colour(path: Path, beside: Path, field: tuple[int, int], height: int, width: int) -> ArrayU8:
+def read_colour(
+    path: Path, beside: Path, field: tuple[int, int], height: int, width: int, content: bytes | None = None
+) -> ArrayU8:
     """(height, width, 3) sRGB of an image of the same field as `beside`, which has `field` (width, height) pixels.
 
-    Grey becomes equal channels, alpha is left out, and of 16 bits the upper 8 are taken. Raises as `_loading`, and
-    ValueError for another ratio of width to height.
+    Grey becomes equal channels, alpha is left out, and of 16 bits the upper 8 are taken. `content` as of `_loading`,
+    which says what is raised; and ValueError for another ratio of width to height.
     """
-    with _loading(path) as image:
+    with _loading(path, content) as image:
         if image.mode.startswith(("I", "F")):
             raise ValueError(f"{path}: expected a colour image of 8 bits, got pixels of mode {image.mode}")
-        if not same_field(image.width, image.height, *field):
-            raise ValueError(
-                f"{path} has {image.width}x{image.height} pixels and {beside} {field[0]}x{field[1]}: "
-                "expected the same ratio of width to height, of one field of view"
-            )
+        _check_field(path, image.size, beside, field)
     if image.size == (width, height):
         return np.asarray(image.convert("RGB"))
     strips = (LINEAR_BY_BYTE[strip] for strip in _strips(image, "RGB"))
     averaged = area_averaged(strips, image.height, height, width)
     del image, strips  # 200 MB of 50 megapixels, before encoding takes as much
     return encode_exposed(averaged, 1.0)
+
+
+def shrunk_colour(
+    path: Path, pixels: ArrayU8, beside: Path, field: tuple[int, int], height: int, width: int
+) -> ArrayU8:
+    """As `read_colour`, of pixels (H, W, 3) sRGB that are in memory, such as those of a video."""
+    _check_field(path, (pixels.shape[1], pixels.shape[0]), beside, field)
+    if pixels.shape[:2] == (height, width):
+        return pixels
+    tops = range(0, len(pixels), MOST_ROWS_IN_STRIP)
+    strips = (LINEAR_BY_BYTE[pixels[top : top + MOST_ROWS_IN_STRIP]] for top in tops)
+    return encode_exposed(area_averaged(strips, len(pixels), height, width), 1.0)
+
+
+def _check_field(path: Path, size: tuple[int, int], beside: Path, field: tuple[int, int]) -> None:
+    if not same_field(*size, *field):
+        raise ValueError(
+            f"{path} has {size[0]}x{size[1]} pixels and {beside} {field[0]}x{field[1]}: "
+            "expected the same ratio of width to height, of one field of view"
+        )
+
+
+def read_grey(path: Path, content: bytes | None = None) -> ArrayU8:
+    """(H, W) of a grey image of 8 bits. `content` as of `_loading`, which says what is raised."""
+    with _loading(path, content) as image:
+        if image.mode != "L":
+            raise ValueError(f"{path}: expected a grey image of 8 bits, got pixels of mode {image.mode}")
+    return np.asarray(image)
 
 
 def _strips(image: Any, mode: str | None = None) -> Iterator[NDArray[Any]]:
@@ -111,9 +139,10 @@ def _averaged_rows(image: NDArray[Any], n_rows: int) -> ArrayF64:
 
 
 @contextlib.contextmanager
-def _loading(path: Path) -> Iterator[Any]:
+def _loading(path: Path, content: bytes | None = None) -> Iterator[Any]:
     """A picture of which the block may judge the header; its pixels are in memory after it.
 
+    `content` is that of a file that lies in an archive; `path` then only names it.
     OSError if the file cannot be opened; ImportError without Pillow; ValueError if it is no image, is cut short, has
     too many pixels, or is stored turned.
     """
@@ -121,15 +150,16 @@ def _loading(path: Path) -> Iterator[Any]:
         from PIL import Image
     except ImportError as error:
         raise ImportError("colour images are read by pillow: pip install 'xihe-blender[images]'") from error
-    with path.open("rb") as content:
+    with path.open("rb") if content is None else io.BytesIO(content) as file:
         with _image_errors(path), warnings.catch_warnings():
             # Our own limit follows, which is said in one line.
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            image = Image.open(content, formats=IMAGE_FORMATS)
+            image = Image.open(file, formats=IMAGE_FORMATS)
         check_size(path, image.height, image.width)
         yield image
         # Each scan of a progressive JPEG goes over all pixels, and an empty one takes ten bytes.
-        if image.format in ("JPEG", "MPO") and path.read_bytes().count(START_OF_SCAN) > MOST_SCANS:
+        is_jpeg = image.format in ("JPEG", "MPO")
+        if is_jpeg and (content or path.read_bytes()).count(START_OF_SCAN) > MOST_SCANS:
             raise ValueError(f"{path}: it has more than {MOST_SCANS} scans: save it as a plain JPEG")
         with _image_errors(path):
             image.load()

@@ -15,6 +15,7 @@ Counts = Mapping[str, int]  # How many, by reason; none is 0
 LEFT_OUT: Mapping[str, str] = {
     "no_surface": "no surface there: open sky, a window, or beyond the camera's clip end",
     "no_distance": "no distance was measured: a plane depth of 0 or less",
+    "low_confidence": "the sensor itself says that its distance is not to be trusted",
     "not_finite": "a plane depth or a position that is NaN or infinite",
     "colour_not_finite": "a colour that is NaN or infinite",
     "at_probe": "the point lies at the estimation position itself and has no direction",

@@ -4,8 +4,8 @@
     python addon_tests/bench/drift.py ROOM ...
 
 Such a recording keeps the radiance of its captures. It is exposed anew, clipped at white and stored in 8 bits: once
-with one exposure, and in `N_WALKS` ways with one that walks over 1.5 stops and a white balance that walks over a quarter,
-which no frame says. The error is SHC RMSE against the rendered light probe, mean over places and walks.
+with one exposure, and in `N_WALKS` ways with one that walks over 1.5 stops and a white balance that walks over a
+quarter, which no frame says. The error is SHC RMSE against the rendered light probe, mean over places and walks.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from addon_tests.pure.test_estimate_command import read_strictly
 from xihe_blender.cli.main import main
 from xihenet import estimators
 from xihenet.captures import open_capture
-from xihenet.captures.tum import rotation_of
+from xihenet.captures.values import rotation_of
 from xihenet.replay import never_in_view, replay
 
 AT = (0.4, 0.3, -0.5)
@@ -111,7 +111,7 @@ BROKEN = {
     "frames are no list": (lambda c: change(c, frames={}), "expected frames"),
     "a frame is a number": (lambda c: change(c, frames=[1]), "expected frames"),
     "no size": (lambda c: change(c, w=None), "w: expected a number"),
-    "half a pixel": (lambda c: change(c, w=0.5), "w and h: expected whole numbers of pixels"),
+    "half a pixel": (lambda c: change(c, w=0.5), "w: expected a whole number of pixels"),
     "no focal length": (lambda c: change(c, fl_x="40"), "fl_x: expected a number"),
     "negative focal length": (lambda c: change(c, fl_x=-40.0), "frame 1"),
     "no pose": (lambda c: first(c, transform_matrix=None), "frame 1"),

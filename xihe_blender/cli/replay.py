@@ -63,7 +63,7 @@ class Place:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = adder(parser)
-    add("session DIR", f"folder of a recording: {one_of(READERS)}", Path)
+    add("session PATH", f"folder of a recording, or its .r3d file: {one_of(READERS)}", Path)
     places = "position in metres, in the recording's world; may be repeated"
     add("--at X,Y,Z", places, position, action="append", default=[])
     add("--score", SCORE, action="store_true")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from xihenet.captures.capture import Capture, inside, n_frames, picture_frame
+from xihenet.captures.values import number_in, side_in
 from xihenet.frame_files import BLENDER_FROM_UP, frame_camera
 from xihenet.json_files import read_json
 from xihenet.records import Intrinsics
@@ -47,7 +48,7 @@ def read(folder: Path, up: str | None) -> Capture:
     notes = [f"Times are not known: {FPS:g} frames a second are assumed."]
     if n_without:
         notes.append(f"{n_frames(n_without)} without colour or depth left out.")
-    if any(_number(of, name, 0.0) != 0 for of in (content, *entries) for name in DISTORTION if name in of):
+    if any(number_in(of, name, 0.0) != 0 for of in (content, *entries) for name in DISTORTION if name in of):
         notes.append("The lens' distortion is not taken out.")
     return Capture("Nerfstudio", frames, BLENDER_FROM_UP[up], tuple(notes))
 
@@ -65,17 +66,6 @@ def _files(folder: Path, entry: dict[str, Any]) -> tuple[Path, Path | None]:
 
 def _intrinsics(values: dict[str, Any]) -> Intrinsics:
     """Of a frame: its own come before those of all."""
-    size = [_number(values, name) for name in ("w", "h")]
-    if any(side < 1 or side != int(side) for side in size):
-        raise ValueError(f"w and h: expected whole numbers of pixels, got {size[0]:g} and {size[1]:g}")
-    fx = _number(values, "fl_x")
-    return Intrinsics(
-        int(size[0]), int(size[1]), fx, _number(values, "fl_y", fx), _number(values, "cx"), _number(values, "cy")
-    )
-
-
-def _number(values: dict[str, Any], name: str, default: float | None = None) -> float:
-    value = values.get(name, default)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{name}: expected a number, got {value!r}")
-    return float(value)
+    fx = number_in(values, "fl_x")
+    fy, cx, cy = number_in(values, "fl_y", fx), number_in(values, "cx"), number_in(values, "cy")
+    return Intrinsics(side_in(values, "w"), side_in(values, "h"), fx, fy, cx, cy)

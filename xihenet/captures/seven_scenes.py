@@ -1,7 +1,8 @@
 """Recordings of 7-Scenes: frame-000000.color.png, .depth.png and .pose.txt.
 
 Poses are camera to world, the camera looks along +Z with +Y down. Depth is 16-bit, in millimetres; 65535 is a miss.
-Which way is up is not given: the world is that of the first camera, so that its -Y is taken. Depth is not registered to
+Which way is up is not given: the world is that of the first camera, so that its -Y is about up, and the floor says how
+far it is from that. Depth is not registered to
 colour, since the two cameras are some centimetres apart.
 """
 
@@ -11,6 +12,7 @@ import re
 from pathlib import Path
 
 from xihenet.captures.capture import Capture, n_frames, picture_frame
+from xihenet.captures.floor import upright
 from xihenet.frame_files import BLENDER_FROM_UP, frame_camera
 from xihenet.records import Intrinsics
 
@@ -46,8 +48,7 @@ def read(folder: Path, up: str | None) -> Capture:
     if not frames:
         raise ValueError(f"{folder}: no pose has both pictures beside it")
     notes = ["Depth is not registered to colour."]
-    if up is None:
-        notes.append("Which way is up is not given: -Y is taken.")
     if n_without:
         notes.append(f"{n_frames(n_without)} without colour or depth left out.")
-    return Capture("7-Scenes", frames, BLENDER_FROM_UP[up or "-y"], tuple(notes), is_opencv=True)
+    capture = Capture("7-Scenes", frames, BLENDER_FROM_UP[up or "-y"], tuple(notes), is_opencv=True)
+    return upright(capture, "-y") if up is None else capture

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from xihenet.captures.capture import Capture, inside, n_frames, picture_frame
+from xihenet.captures.values import pose_of
 from xihenet.frame_files import BLENDER_FROM_UP, frame_camera
 from xihenet.records import ArrayF64, Intrinsics
 
@@ -88,21 +89,4 @@ def _pose_at(time_s: float, pose_s: ArrayF64, values: ArrayF64) -> ArrayF64 | No
     if second[3:] @ first[3:] < 0:
         second = np.concatenate([second[:3], -second[3:]])
     place = (1 - share) * first + share * second
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation_of(place[3:]), place[:3]
-    return pose
-
-
-def rotation_of(quaternion: ArrayF64) -> ArrayF64:
-    """(3, 3) of x, y, z, w of any length above 0; ValueError else."""
-    length = float(np.linalg.norm(quaternion))
-    if not length > 1e-6:
-        raise ValueError("pose: expected a quaternion, got one without length")
-    x, y, z, w = quaternion / length
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return pose_of(place[:3], place[3:])

@@ -1,0 +1,117 @@
+"""A folder that anyone can fill: camera.json, colour/ and depth/ with files of equal names, and poses.
+
+camera.json   width, height, fx, fy, cx, cy; if need be `convention` and `up`, as `xihenet.frame_files.read_camera`
+              has them; `metres_per_unit` of depth, by default 0.001, and `frames_per_second`, by default 30
+colour/       images of 8 bits, in the order of their names, numbers in names by their value
+depth/        grey images of 16 bits, 0 and 65535 where there is none; confidence/, if there is one, as 0, 1 and 2
+poses/        NAME.txt: camera to world, four rows of four; or, in place of the folder,
+poses.txt     a line for each picture of colour/: 16 numbers, row by row, or 8, which are time, place and
+              quaternion: t x y z qx qy qz qw
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from xihenet.captures.capture import Capture, CapturedFrame, n_frames
+from xihenet.captures.phone_frame import phone_frame, read_measured
+from xihenet.captures.values import FARTHEST_M, number_in, numbers, pose_of, times_go_back
+from xihenet.frame_files import BLENDER_FROM_UP, CAMERA_KEYS, FrameCamera, camera_facts, frame_camera
+from xihenet.json_files import read_json
+from xihenet.records import ArrayF64, RgbdFrame
+
+FILE, LINES = "camera.json", "poses.txt"
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".ppm", ".pgm")
+KEYS = (*(key for key in CAMERA_KEYS if key != "world_from_camera"), "metres_per_unit", "frames_per_second")
+
+
+def is_in(folder: Path) -> bool:
+    return (folder / FILE).is_file() and (folder / "colour").is_dir()
+
+
+def read(folder: Path, up: str | None) -> Capture:
+    """As of `xihenet.captures.open_capture`."""
+    content = read_json(folder / FILE)
+    try:
+        if not isinstance(content, dict):
+            raise ValueError("expected a JSON object with width, height, fx, fy, cx and cy")
+        intrinsics, is_opencv, said_up = camera_facts(content, KEYS)
+        metres_per_unit, fps = (
+            number_in(content, "metres_per_unit", 1e-3),
+            number_in(content, "frames_per_second", 30.0),
+        )
+        if not (1e-9 < metres_per_unit < 1e3 and 1e-6 < fps < 1e6):
+            raise ValueError("metres_per_unit and frames_per_second: expected positive numbers")
+    except ValueError as error:
+        raise ValueError(f"{folder / FILE}: {error}") from error
+    colours, depths = _images(folder / "colour"), {path.stem: path for path in _images(folder / "depth")}
+    poses, times_s = _poses(folder, colours)
+    frames = []
+    for i, (colour, pose) in enumerate(zip(colours, poses, strict=True)):
+        if pose is None or colour.stem not in depths:
+            continue
+        try:
+            camera = frame_camera(intrinsics, pose.tolist(), is_opencv=is_opencv, up=up or said_up)
+        except ValueError as error:
+            raise ValueError(f"{folder}, pose of {colour.name}: {error}") from error
+        time_s = i / fps if times_s is None else float(times_s[i] - times_s[0])
+        confidence = folder / "confidence" / f"{colour.stem}.png"
+        load = partial(_load, colour, depths[colour.stem], metres_per_unit, confidence, camera)
+        frames.append(CapturedFrame(i + 1, time_s, camera, load))
+    if not frames:
+        raise ValueError(f"{folder}: no picture of colour/ has depth and a pose of its name")
+    notes = times_go_back([frame.time_s for frame in frames])
+    if times_s is None:
+        notes += (f"Times are not known: {fps:g} frames a second are assumed.",)
+    if n_missing := len(colours) - len(frames):
+        notes += (f"{n_frames(n_missing)} without depth or a pose left out.",)
+    return Capture("plain folder", frames, BLENDER_FROM_UP[up or said_up], notes)
+
+
+def _images(folder: Path) -> list[Path]:
+    """By name, and numbers in names by their value: 2 comes before 10."""
+    found = (path for path in folder.glob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
+    return sorted(found, key=lambda path: [part.zfill(20) for part in re.split(r"(\d+)", path.name)])
+
+
+def _poses(folder: Path, colours: Sequence[Path]) -> tuple[list[ArrayF64 | None], ArrayF64 | None]:
+    """(4, 4) for each picture, None where it has none; and times in seconds, if they are known."""
+    if not (folder / LINES).is_file():
+        if not (folder / "poses").is_dir():
+            raise ValueError(f"{folder}: expected {LINES} or a folder poses/ beside {FILE}")
+        files = [folder / "poses" / f"{colour.stem}.txt" for colour in colours]
+        return [_matrix(_words(path), path) if path.is_file() else None for path in files], None
+    path = folder / LINES
+    lines = [line.split() for line in _words(path, "\n") if line.strip() and not line.startswith("#")]
+    if len(lines) != len(colours):
+        raise ValueError(f"{path}: expected a line for each of {len(colours)} pictures, got {len(lines)}")
+    if any(len(line) != 8 for line in lines):
+        return [_matrix(line, path) for line in lines], None
+    rows = [numbers(line, 8, str(path)) for line in lines]
+    try:
+        return [pose_of(row[1:4], row[4:]) for row in rows], np.array([row[0] for row in rows])
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _matrix(words: list[str], path: Path) -> ArrayF64:
+    pose = numbers(words, 16, str(path)).reshape(4, 4)
+    if np.abs(pose).max() > FARTHEST_M:
+        raise ValueError(f"{path}: expected a place within {FARTHEST_M:g} m of the origin")
+    return pose
+
+
+def _words(path: Path, separator: str | None = None) -> list[str]:
+    try:
+        return path.read_text(encoding="utf-8").split(separator)
+    except UnicodeDecodeError:
+        raise ValueError(f"{path}: expected numbers as text") from None
+
+
+def _load(colour: Path, plane_depth: Path, metres_per_unit: float, confidence: Path, camera: FrameCamera) -> RgbdFrame:
+    return phone_frame(colour, None, read_measured(plane_depth, metres_per_unit, confidence), camera)

@@ -1,0 +1,81 @@
+"""Raw data of the app Polycam: keyframes/images, cameras, depth and confidence, files of one picture having one name.
+
+A camera's file holds t_00 to t_23, row by row, camera to world: the camera looks along -Z with +Y up, the world is
+ARKit's, +Y up. Intrinsics are for the picture's size. Depth is 16-bit, in millimetres, smaller than colour; confidence
+is 0, 127 or 255. Where Polycam has corrected the cameras, those and their pictures are taken alone, since the two sets
+do not fit together. Names are times, taken to be in microseconds.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from xihenet.captures.capture import Capture, CapturedFrame, n_frames
+from xihenet.captures.phone_frame import phone_frame, read_measured
+from xihenet.captures.values import FARTHEST_M, number_in, side_in
+from xihenet.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
+from xihenet.json_files import read_json
+from xihenet.records import Intrinsics, RgbdFrame
+
+METRES_PER_UNIT, SECONDS_PER_UNIT = 1e-3, 1e-6
+SETS = ("corrected_", "")
+PICTURES = (".jpg", ".jpeg", ".png")
+SPAN_S = 0.5  # Between frames whose names are no times
+LONGEST_NAME = 18  # Digits of a name that is a time
+
+
+def is_in(folder: Path) -> bool:
+    return any((folder / "keyframes" / f"{which}cameras").is_dir() for which in SETS)
+
+
+def read(folder: Path, up: str | None) -> Capture:
+    """As of `xihenet.captures.open_capture`."""
+    up, keyframes = up or "y", folder / "keyframes"
+    which = next(one for one in SETS if (keyframes / f"{one}cameras").is_dir())
+    paths = list((keyframes / f"{which}cameras").glob("*.json"))
+    are_times = all(path.stem.isdecimal() and len(path.stem) <= LONGEST_NAME for path in paths)
+    paths.sort(key=lambda path: (int(path.stem) if are_times else 0, path.stem))
+    frames: list[CapturedFrame] = []
+    for i, path in enumerate(paths):
+        colour = _picture(keyframes / f"{which}images", path.stem)
+        plane_depth = keyframes / "depth" / f"{path.stem}.png"
+        if colour is None or not (plane_depth.is_file() and path.is_file()):
+            continue
+        time_s = (int(path.stem) - int(paths[0].stem)) * SECONDS_PER_UNIT if are_times else i * SPAN_S
+        camera = _camera(path, up)
+        load = partial(_load, colour, plane_depth, keyframes / "confidence" / f"{path.stem}.png", camera)
+        frames.append(CapturedFrame(i + 1, time_s, camera, load))
+    if not frames:
+        raise ValueError(f"{keyframes}: no camera has colour and depth: record with LiDAR, and export raw data")
+    notes = ["Cameras are those that Polycam has corrected."] if which else []
+    if not are_times:
+        notes.append(f"Times are not known: {SPAN_S:g} s between frames are assumed.")
+    if n_missing := len(paths) - len(frames):
+        notes.append(f"{n_frames(n_missing)} without colour or depth left out.")
+    return Capture("Polycam", frames, BLENDER_FROM_UP[up], tuple(notes))
+
+
+def _picture(folder: Path, stem: str) -> Path | None:
+    return next((path for suffix in PICTURES if (path := folder / f"{stem}{suffix}").is_file()), None)
+
+
+def _camera(path: Path, up: str) -> FrameCamera:
+    content = read_json(path)
+    try:
+        if not isinstance(content, dict):
+            raise ValueError("expected a JSON object")
+        k = (number_in(content, name) for name in ("fx", "fy", "cx", "cy"))
+        intrinsics = Intrinsics(side_in(content, "width"), side_in(content, "height"), *k)
+        rows = [[number_in(content, f"t_{row}{column}") for column in range(4)] for row in range(3)]
+        if np.abs(rows).max() > FARTHEST_M:
+            raise ValueError(f"expected a place within {FARTHEST_M:g} m of the origin")
+        return frame_camera(intrinsics, [*rows, [0, 0, 0, 1]], up=up)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _load(colour: Path, plane_depth: Path, confidence: Path, camera: FrameCamera) -> RgbdFrame:
+    return phone_frame(colour, None, read_measured(plane_depth, METRES_PER_UNIT, confidence), camera)

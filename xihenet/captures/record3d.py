@@ -1,0 +1,166 @@
+"""Recordings of the app Record3D: one .r3d file, a zip of `metadata` and of rgbd/N.jpg, N.depth and N.conf.
+
+Poses are camera to world as quaternion and place, the camera looks along -Z with +Y up. They begin at the first
+camera; `initPose` is where that one was in ARKit's world, which has +Y up. Without it up is not known: the floor is
+looked for. K, column by column, and the intrinsics of each frame are for the colour's size. Depth is float32 in metres
+and confidence 0, 1, 2, both packed by LZFSE, row by row; depth lies as the colour does, upright or not. Only captures
+with LiDAR have poses.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from xihenet.captures.archive import MAGIC, Archive, open_archive
+from xihenet.captures.capture import Capture, CapturedFrame, n_frames
+from xihenet.captures.floor import upright
+from xihenet.captures.lzfse_files import unpack_lzfse
+from xihenet.captures.phone_frame import confidence_levels, measured, phone_frame
+from xihenet.captures.values import intrinsics_of, number_in, numbers, pose_of, side_in, times_go_back
+from xihenet.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
+from xihenet.json_files import parse_json
+from xihenet.picture_size import MOST_PIXELS, same_field
+from xihenet.records import ArrayF64, Intrinsics, RgbdFrame
+
+METADATA, SUFFIX = "metadata", ".r3d"
+NAME = re.compile(r"rgbd/(\d{1,9})\.depth")
+MOST_METADATA, MOST_PICTURE = 2**26, 2**26  # Bytes; an hour at 60 frames a second has 50 MB of metadata
+PACKED_SLACK = 2**16  # Bytes by which what cannot be packed may grow
+USUAL_FPS = 60.0
+
+
+def is_in(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(2) == MAGIC or path.suffix.lower() == SUFFIX
+
+
+def read(path: Path, up: str | None) -> Capture:
+    """As of `xihenet.captures.open_capture`; ImportError without the package lzfse, where the floor is looked for."""
+    archive = open_archive(path)
+    content = _metadata(archive)
+    try:
+        size, depth_size, notes = _sizes(content)
+        poses, k, times_s = _by_frame(content, size)
+        start = np.eye(4)
+        if (first := content.get("initPose")) is not None:
+            start = _pose(numbers(first, 7, "initPose"))
+        assumed = up or "y"
+        cameras = [
+            frame_camera(intrinsics_of(*size, one), (start @ _pose(pose)).tolist(), up=assumed)
+            for one, pose in zip(k, poses, strict=True)
+        ]
+    except ValueError as error:
+        raise ValueError(f"{path}, {METADATA}: {error}") from error
+    numbers_of = sorted(int(found[1]) for name in archive.members if (found := NAME.fullmatch(name)))
+    there = [n for n in numbers_of if n < len(cameras) and f"rgbd/{n}.jpg" in archive.members]
+    if not there:
+        raise ValueError(f"{path}: no frame has colour, depth and a pose: record with LiDAR")
+    frames = [
+        CapturedFrame(
+            n, float(times_s[n] - times_s[there[0]]), cameras[n], partial(_load, archive, n, cameras[n], depth_size)
+        )
+        for n in there
+    ]
+    notes += times_go_back([frame.time_s for frame in frames])
+    if n_missing := max(len(cameras), len(numbers_of)) - len(there):
+        notes += (f"{n_frames(n_missing)} without colour, depth or a pose left out.",)
+    capture = Capture("Record3D", frames, BLENDER_FROM_UP[assumed], notes)
+    return capture if up is not None or first is not None else upright(capture, assumed)
+
+
+def _metadata(archive: Archive) -> dict[str, Any]:
+    content = archive.read(METADATA, MOST_METADATA)
+    try:
+        said = parse_json(content.decode("utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{archive.path}, {METADATA}: expected JSON, and could not read it ({error})") from None
+    if not isinstance(said, dict):
+        raise ValueError(f"{archive.path}, {METADATA}: expected a JSON object")
+    return said
+
+
+def _sizes(content: dict[str, Any]) -> tuple[tuple[int, int], tuple[int, int] | None, tuple[str, ...]]:
+    """Width and height of colour and, where they are given, of depth, which lies as colour does; and notes."""
+    size = side_in(content, "w"), side_in(content, "h")
+    if "dw" not in content or "dh" not in content:
+        return size, None, ()
+    depth = side_in(content, "dw"), side_in(content, "dh")
+    if depth[0] * depth[1] > MOST_PIXELS:
+        raise ValueError(f"dw and dh: {depth[0]}x{depth[1]} pixels of depth are more than are read")
+    if not same_field(*size, *depth) and same_field(*size, *depth[::-1]):
+        said = f"Depth of {depth[0]}x{depth[1]} pixels is taken as {depth[1]}x{depth[0]}, since colour lies so."
+        return size, depth[::-1], (said,)
+    return size, depth, ()
+
+
+def _by_frame(content: dict[str, Any], size: tuple[int, int]) -> tuple[ArrayF64, ArrayF64, ArrayF64]:
+    """Poses (N, 7), fx, fy, cx, cy (N, 4) and times (N,), seconds."""
+    poses = _table(content, "poses", 7)
+    if not len(poses):
+        raise ValueError("poses: there are none: record with LiDAR, the face sensor has no poses")
+    if content.get("perFrameIntrinsicCoeffs"):
+        k = _table(content, "perFrameIntrinsicCoeffs", 4)
+    else:
+        matrix = numbers(content.get("K"), 9, "K")
+        k = np.broadcast_to(matrix[[0, 4, 6, 7]], (len(poses), 4))
+    if content.get("frameTimestamps"):
+        times = content["frameTimestamps"]
+        times_s = numbers(times, len(times) if isinstance(times, list) else 0, "frameTimestamps")
+    else:
+        fps = number_in(content, "fps", USUAL_FPS)
+        if not 1e-3 <= fps <= 1e6:
+            raise ValueError(f"fps: expected frames a second, got {fps:g}")
+        times_s = np.arange(len(poses)) / fps
+    if not len(k) == len(times_s) == len(poses):
+        raise ValueError(f"expected intrinsics and times for {len(poses)} poses, got {len(k)} and {len(times_s)}")
+    Intrinsics(*size, *(float(value) for value in k[0]))
+    return poses, k, times_s
+
+
+def _table(content: dict[str, Any], name: str, n: int) -> ArrayF64:
+    rows = content.get(name)
+    if not isinstance(rows, list):
+        raise ValueError(f"{name}: expected a list, got {rows!r:.80}")
+    return np.array([numbers(row, n, f"{name}, frame {i}") for i, row in enumerate(rows)]).reshape(-1, n)
+
+
+def _pose(row: ArrayF64) -> ArrayF64:
+    """(4, 4) of qx, qy, qz, qw, x, y, z."""
+    return pose_of(row[4:], row[:4])
+
+
+def _load(archive: Archive, n: int, camera: FrameCamera, size: tuple[int, int] | None) -> RgbdFrame:
+    source = archive.path / "rgbd" / f"{n}.depth"  # Names it; there is no such file.
+    k = camera.intrinsics
+    most = size[0] * size[1] if size else min(k.width * k.height, MOST_PIXELS)
+    packed = archive.read(f"rgbd/{n}.depth", 4 * most + PACKED_SLACK)
+    unpacked = unpack_lzfse(packed, str(source), 4 * most)
+    width, height = size or _size_as(k, len(unpacked) // 4, source)
+    if len(unpacked) != 4 * width * height:
+        raise ValueError(f"{source}: expected {width}x{height} distances of 4 bytes, got {len(unpacked)} bytes")
+    plane_depth_m = np.frombuffer(unpacked, "<f4").reshape(height, width)
+    confidence = None
+    if (name := f"rgbd/{n}.conf") in archive.members:
+        levels = unpack_lzfse(archive.read(name, most + PACKED_SLACK), str(source.with_suffix(".conf")), most)
+        if len(levels) != width * height:
+            raise ValueError(f"{source.with_suffix('.conf')}: expected {width}x{height} bytes, got {len(levels)}")
+        confidence = confidence_levels(np.frombuffer(levels, np.uint8).reshape(height, width))
+    # The sensor's NaN is a distance that it has not got; the colour there is sound.
+    depth = measured(source, np.nan_to_num(plane_depth_m, nan=0.0, posinf=np.inf, neginf=0.0), confidence)
+    return phone_frame(source.with_suffix(".jpg"), archive.read(f"rgbd/{n}.jpg", MOST_PICTURE), depth, camera)
+
+
+def _size_as(k: Intrinsics, n: int, source: Path) -> tuple[int, int]:
+    """Width and height of `n` pixels that show the same field as colour. ValueError if there are none."""
+    width = round(math.sqrt(n * k.width / k.height))
+    if width < 1 or n % width or not same_field(width, n // width, k.width, k.height):
+        raise ValueError(f"{source}: {n} distances are no picture as wide and high as one of {k.width}x{k.height}")
+    return width, n // width

@@ -1,0 +1,132 @@
+"""Recordings of the app Stray Scanner: rgb.mp4, depth/000000.png, confidence/, camera_matrix.csv and odometry.csv.
+
+Poses are camera to world, the camera looks along +Z with +Y down; the world is ARKit's, +Y up. Depth is 16-bit, in
+millimetres, in older recordings as .npy. The number in odometry.csv is that of the picture in the video and of the
+files. Intrinsics are for the video's size: those of camera_matrix.csv, or, in newer recordings, of each line.
+"""
+
+from __future__ import annotations
+
+import csv
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from xihenet.captures.capture import Capture, CapturedFrame, n_frames
+from xihenet.captures.phone_frame import Measured, measured, phone_frame, read_confidence, read_measured
+from xihenet.captures.values import intrinsics_of, numbers, pose_of, times_go_back
+from xihenet.captures.video import Video
+from xihenet.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
+from xihenet.picture_size import check_size
+from xihenet.records import ArrayF64, RgbdFrame
+
+VIDEO, ODOMETRY, MATRIX = "rgb.mp4", "odometry.csv", "camera_matrix.csv"
+COLUMNS = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
+INTRINSICS = ("fx", "fy", "cx", "cy")
+METRES_PER_UNIT = 1e-3
+MOST_FRAMES = 10_000_000
+
+
+def is_in(folder: Path) -> bool:
+    return (folder / VIDEO).is_file() and (folder / ODOMETRY).is_file()
+
+
+def read(folder: Path, up: str | None) -> Capture:
+    """As of `xihenet.captures.open_capture`; ImportError without PyAV."""
+    up = up or "y"
+    rows = _odometry(folder / ODOMETRY)
+    of_all = None if len(rows[0]) > len(COLUMNS) else _matrix(folder / MATRIX)
+    video = Video(folder / VIDEO)
+    frames = []
+    for row in rows:
+        number = int(row[1])
+        plane_depth = _depth_file(folder, number)
+        if plane_depth is None or number >= video.n_frames:
+            continue
+        try:
+            k = row[9:] if of_all is None else of_all
+            pose = pose_of(row[2:5], row[5:9]).tolist()
+            camera = frame_camera(intrinsics_of(video.width, video.height, k), pose, is_opencv=True, up=up)
+        except ValueError as error:
+            raise ValueError(f"{folder / ODOMETRY}, frame {number}: {error}") from error
+        load = partial(_load, folder, number, plane_depth, camera, video)
+        frames.append(CapturedFrame(number, float(row[0] - rows[0][0]), camera, load))
+    if not frames:
+        raise ValueError(f"{folder}: no line of {ODOMETRY} has depth and a picture of {VIDEO}: record with depth")
+    notes = times_go_back([frame.time_s for frame in frames])
+    last = int(rows[-1][1])
+    if video.n_frames <= last:
+        notes += (f"The video ends early, after {n_frames(video.n_frames)} of {last + 1}.",)
+    if n_missing := len(rows) - len(frames):
+        notes += (f"{n_frames(n_missing)} without colour or depth left out.",)
+    return Capture("Stray Scanner", frames, BLENDER_FROM_UP[up], notes)
+
+
+def _odometry(path: Path) -> list[ArrayF64]:
+    """Per frame, by rising number, what COLUMNS and, in newer files, INTRINSICS name."""
+    found = _lines(path)
+    names = [name.strip() for name in found[0]] if found else []
+    if names[: len(COLUMNS)] == list(COLUMNS):
+        found = found[1:]
+    has_intrinsics = set(INTRINSICS) <= set(names)
+    columns = [*range(len(COLUMNS)), *(names.index(name) for name in INTRINSICS if has_intrinsics)]
+    rows = []
+    for number, line in enumerate(found, start=1):
+        if len(line) <= max(columns):
+            raise ValueError(f"{path}, line {number}: expected {', '.join(COLUMNS)}, got {line!r:.80}")
+        rows.append(numbers([line[column] for column in columns], len(columns), f"{path}, line {number}"))
+        if not (rows[-1][1].is_integer() and 0 <= rows[-1][1] < MOST_FRAMES):
+            raise ValueError(f"{path}, line {number}: expected a number of a frame, got {rows[-1][1]:g}")
+    if not rows:
+        raise ValueError(f"{path}: expected a line for each frame, with {', '.join(COLUMNS)}")
+    if len({row[1] for row in rows}) < len(rows):
+        raise ValueError(f"{path}: expected each frame once, and some come twice")
+    return sorted(rows, key=lambda row: float(row[1]))
+
+
+def _matrix(path: Path) -> ArrayF64:
+    """(4,) fx, fy, cx, cy of three lines of three numbers."""
+    lines = _lines(path)
+    if len(lines) != 3:
+        raise ValueError(f"{path}: expected three lines of three numbers, got {len(lines)}")
+    matrix = np.array([numbers(line, 3, str(path)) for line in lines])
+    return matrix[[0, 1, 0, 1], [0, 1, 2, 2]]
+
+
+def _lines(path: Path) -> list[list[str]]:
+    """Those that are not empty, split at commas. ValueError for what is no text."""
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            return [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: expected lines of numbers, and could not read it ({error})") from None
+
+
+def _depth_file(folder: Path, number: int) -> Path | None:
+    files = (folder / "depth" / f"{number:06d}{suffix}" for suffix in (".png", ".npy"))
+    return next((path for path in files if path.is_file()), None)
+
+
+def _load(folder: Path, number: int, plane_depth: Path, camera: FrameCamera, video: Video) -> RgbdFrame:
+    confidence = folder / "confidence" / f"{number:06d}.png"
+    if plane_depth.suffix == ".npy":
+        depth = _npy(plane_depth, confidence)
+    else:
+        depth = read_measured(plane_depth, METRES_PER_UNIT, confidence)
+    return phone_frame(video.path, video.read(number), depth, camera)
+
+
+def _npy(path: Path, confidence: Path) -> Measured:
+    """Depth of older recordings. Nothing is unpickled, and nothing read before its size is judged."""
+    try:
+        with path.open("rb"):
+            stored = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (ValueError, EOFError, SyntaxError, TypeError, MemoryError, OverflowError) as error:
+        raise ValueError(f"{path}: expected distances as .npy, and could not read it ({error})") from None
+    if not isinstance(stored, np.ndarray) or stored.ndim != 2 or stored.dtype.kind not in "uif" or not stored.size:
+        raise ValueError(f"{path}: expected distances in rows and columns, as .npy")
+    height, width = stored.shape
+    check_size(path, height, width)
+    levels = read_confidence(confidence, (width, height)) if confidence.is_file() else None
+    return measured(path, np.asarray(stored, np.float64) * METRES_PER_UNIT, levels)

@@ -1,0 +1,100 @@
+"""Numbers and places out of files that anyone may have written: what is not one is said in one line.
+
+Poses come as quaternions in most formats. Their order is x, y, z, w here, as it is in all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from xihenet.records import ArrayF64, Intrinsics
+
+LONGEST_SIDE = 1_000_000  # Pixels. No file has more, and products of two stay numbers that a float can hold.
+FARTHEST_M = 1e6  # From the origin of a recording; what is given in millimetres is still nearer
+SHORTEST, LONGEST = 1e-6, 1e6  # Of a quaternion that still says a direction
+
+
+def number_in(values: Mapping[str, Any], name: str, default: float | None = None) -> float:
+    """The finite number of that name. ValueError for anything else, and for none without a `default`."""
+    value = values.get(name, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise ValueError(f"{name}: expected a number, got {value!r:.80}")
+    return float(value)
+
+
+def side_in(values: Mapping[str, Any], name: str) -> int:
+    """A whole number of pixels, at least 1. ValueError else."""
+    value = number_in(values, name)
+    if not (value.is_integer() and 1 <= value <= LONGEST_SIDE):
+        raise ValueError(f"{name}: expected a whole number of pixels, got {value:g}")
+    return int(value)
+
+
+def numbers(values: Any, n: int, name: str) -> ArrayF64:
+    """(n,) finite numbers of a list or of texts. ValueError else."""
+    try:
+        if not isinstance(values, Sequence) or isinstance(values, str) or len(values) != n:
+            raise TypeError
+        array = np.array([float(value) for value in values])
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{name}: expected {n} numbers, got {values!r:.80}") from None
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name}: expected finite numbers, got {values!r:.80}")
+    return array
+
+
+def intrinsics_of(width: int, height: int, k: ArrayF64) -> Intrinsics:
+    """Of fx, fy, cx, cy in `k` (4,), pixels."""
+    return Intrinsics(width, height, *(float(value) for value in k))
+
+
+def pose_of(place_m: ArrayF64, quaternion: ArrayF64) -> ArrayF64:
+    """(4, 4) of a place (3,) and a rotation (4,). ValueError for a quaternion without length, or a place far away."""
+    if np.abs(place_m).max() > FARTHEST_M:
+        raise ValueError(f"pose: expected a place within {FARTHEST_M:g} m of the origin, got {place_m.tolist()}")
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation_of(quaternion), place_m
+    return pose
+
+
+def rotation_of(quaternion: ArrayF64) -> ArrayF64:
+    """(3, 3) of x, y, z, w of any length that is not about 0 or beyond measure; ValueError else."""
+    with np.errstate(over="ignore"):
+        length = float(np.linalg.norm(quaternion))
+    if not SHORTEST < length < LONGEST:
+        raise ValueError(f"pose: expected a quaternion of length 1, got one of {length:.3g}")
+    x, y, z, w = quaternion / length
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_of(rotation: ArrayF64) -> ArrayF64:
+    """(4,) x, y, z, w of length 1 of a rotation (3, 3): the largest eigenvector of Bar-Itzhack's matrix (2000)."""
+    r = rotation
+    k = np.array(
+        [
+            [r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]],
+            [r[0, 1] + r[1, 0], r[1, 1] - r[0, 0] - r[2, 2], r[1, 2] + r[2, 1], r[0, 2] - r[2, 0]],
+            [r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
+            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r.trace()],
+        ]
+    )
+    largest: ArrayF64 = np.linalg.eigh(k)[1][:, -1]
+    return largest
+
+
+def times_go_back(times_s: Sequence[float]) -> tuple[str, ...]:
+    """A note where times do not rise; frames then keep the order that they have."""
+    n = int(np.count_nonzero(np.diff(np.asarray(times_s, np.float64)) < 0))
+    if not n:
+        return ()
+    often = "once" if n == 1 else f"{n} times"
+    return (f"Times go back {often}: frames are taken in the order of their numbers.",)

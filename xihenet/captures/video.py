@@ -1,0 +1,124 @@
+"""Pictures of a video by their number, by PyAV: one after the other as they come, and never all in memory.
+
+Numbers are counted from the first picture, whatever times the file gives them. Going back begins anew at the first one:
+files say where they may be entered by time, not by number. A file that was cut short still says where each picture
+lies, so that those that are not in it any more are known before one is decoded.
+
+Only MP4 and MOV are opened, by their own demuxer and as a file: a list of files or addresses that calls itself a video
+is not followed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from xihenet.picture_size import check_size
+from xihenet.records import ArrayU8
+
+EXTRA = "pip install 'xihe-blender[captures]'"
+DEMUXER = "mov"
+
+
+class Video:
+    """An MP4 or MOV file.
+
+    OSError if it cannot be opened; ValueError, naming it, if it is no video that can be read; ImportError without PyAV.
+
+    Attributes
+    ----------
+    width, height : of its pictures, pixels
+    n_frames : pictures that lie in the file
+    n_said : pictures that it says it has
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        container = self._open()
+        try:
+            stream = self._stream(container)
+            self.width, self.height = int(stream.codec_context.width), int(stream.codec_context.height)
+            check_size(path, self.height, self.width)
+            self.n_said, self.n_frames = _n_frames(stream, path.stat().st_size)
+        finally:
+            container.close()
+        if not self.n_frames:
+            raise ValueError(f"{path}: it has no pictures: record again")
+        self._pictures: Iterator[Any] | None = None
+        self._next = 0
+
+    def read(self, number: int) -> ArrayU8:
+        """(height, width, 3) sRGB of the picture of that number; cheap for one that comes after the last one read.
+
+        ValueError, naming the file, if it cannot be decoded, or the video ends before it.
+        """
+        if self._pictures is None or number < self._next:
+            self.close()
+            self._pictures = self._decoded()
+        try:
+            for picture in self._pictures:
+                self._next += 1
+                if self._next > number:
+                    return self._pixels(picture)
+        except ValueError:
+            self.close()
+            raise
+        self.close()
+        raise ValueError(f"{self.path}: it ends before picture {number}: record again, or cut odometry.csv")
+
+    def close(self) -> None:
+        """Let go of the file; reading opens it again."""
+        if self._pictures is not None:
+            self._pictures.close()  # type: ignore[attr-defined]
+        self._pictures, self._next = None, 0
+
+    def _decoded(self) -> Iterator[Any]:
+        """Pictures as they are stored, from the first one on; ends where the file does."""
+        import av
+
+        container = self._open()
+        try:
+            stream = self._stream(container)
+            stream.thread_type = "AUTO"
+            yield from container.decode(stream)
+        except av.error.FFmpegError as error:
+            raise ValueError(f"{self.path}: a picture cannot be decoded ({error.strerror})") from None
+        finally:
+            container.close()
+
+    def _pixels(self, picture: Any) -> ArrayU8:
+        if (picture.width, picture.height) != (self.width, self.height):
+            raise ValueError(f"{self.path}: its pictures change their size, from {self.width}x{self.height}")
+        return np.asarray(picture.to_ndarray(format="rgb24"))
+
+    def _open(self) -> Any:
+        try:
+            import av
+        except ImportError as error:
+            raise ImportError(f"videos are read by PyAV: {EXTRA}") from error
+        with self.path.open("rb"):
+            pass  # What the file system says of it comes from there.
+        try:
+            return av.open(f"file:{self.path}", format=DEMUXER)
+        except av.error.FFmpegError as error:
+            raise ValueError(f"{self.path}: expected a video, MP4 or MOV ({error.strerror}): record again") from None
+
+    def _stream(self, container: Any) -> Any:
+        if not container.streams.video:
+            raise ValueError(f"{self.path}: expected a video, and it has no pictures: record again")
+        stream = container.streams.video[0]
+        if stream.codec_context is None:
+            raise ValueError(f"{self.path}: its codec is not known: save it as H.264 or HEVC")
+        return stream
+
+
+def _n_frames(stream: Any, n_bytes: int) -> tuple[int, int]:
+    """Pictures that the stream says it has, and those that lie within the `n_bytes` of its file."""
+    entries = getattr(stream, "index_entries", None)  # Of PyAV 15 and newer
+    if not entries:
+        return int(stream.frames), int(stream.frames)
+    kept = [entry for entry in entries if not entry.is_discard]
+    return len(kept), sum(entry.pos + entry.size <= n_bytes for entry in kept)
