@@ -30,7 +30,7 @@ def open_capture(path: Path, up: str | None = None) -> Capture:
     the extra, without a package that it takes.
     """
     if not path.exists():
-        raise ValueError(f"{path} is no folder: give one with a recording of {', '.join(READERS)}")
+        raise ValueError(f"{path} is not there: give a folder or file with a recording of {', '.join(READERS)}")
     for is_in, read in READERS.values():
         if is_in(path):
             return read(path, up)

@@ -70,7 +70,7 @@ def read(folder: Path, up: str | None) -> Capture:
         notes += (f"Times are not known: {fps:g} frames a second are assumed.",)
     if n_missing := len(colours) - len(frames):
         notes += (f"{n_frames(n_missing)} without depth or a pose left out.",)
-    return Capture("plain folder", frames, BLENDER_FROM_UP[up or said_up], notes)
+    return Capture("plain folder", frames, BLENDER_FROM_UP[up or said_up], notes, is_opencv=is_opencv)
 
 
 def _images(folder: Path) -> list[Path]:

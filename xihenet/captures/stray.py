@@ -60,7 +60,7 @@ def read(folder: Path, up: str | None) -> Capture:
         notes += (f"The video ends early, after {n_frames(video.n_frames)} of {last + 1}.",)
     if n_missing := len(rows) - len(frames):
         notes += (f"{n_frames(n_missing)} without colour or depth left out.",)
-    return Capture("Stray Scanner", frames, BLENDER_FROM_UP[up], notes)
+    return Capture("Stray Scanner", frames, BLENDER_FROM_UP[up], notes, is_opencv=True)
 
 
 def _odometry(path: Path) -> list[ArrayF64]:
