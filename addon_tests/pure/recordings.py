@@ -1,10 +1,15 @@
 """A walk through a room of coloured walls, ray-cast here, and recordings of it in the layouts that others write."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
+import pytest
 from PIL import Image
 
+from xihenet.captures.values import quaternion_of
+from xihenet.captures.writing import nerfstudio, record3d, stray, tum
+from xihenet.captures.writing.pictures import Form, confidence_of, enlarged, enlarged_intrinsics, in_y_up, save_depth
 from xihenet.records import Intrinsics, RgbdFrame
 
 HALF = np.array([2.0, 1.5, 1.2])
@@ -42,76 +47,141 @@ def walk(intrinsics, n=6):
     return [seen(intrinsics, pose, 1 + i, i / 30) for i, pose in enumerate(poses)]
 
 
-def write_depth(path, frame, units_per_metre):
-    units = np.where(np.isfinite(frame.plane_depth_m), np.rint(frame.plane_depth_m * units_per_metre), 0)
-    Image.fromarray(units.astype(np.uint16)).save(path)
-
-
 def opencv(pose):
     return pose @ np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def as_nerfstudio(folder, frames):
-    k, entries = frames[0].intrinsics, []
-    for frame in frames:
-        names = f"images/{frame.frame}.png", f"depth/{frame.frame}.png"
-        for name in names:
-            (folder / name).parent.mkdir(exist_ok=True, parents=True)
-        Image.fromarray(frame.srgb_u8).save(folder / names[0])
-        write_depth(folder / names[1], frame, 1000)
-        pose = frame.world_from_camera.tolist()
-        entries.append({"file_path": names[0], "depth_file_path": names[1], "transform_matrix": pose})
-    content = {"w": k.width, "h": k.height, "fl_x": k.fx, "fl_y": k.fy, "cx": k.cx, "cy": k.cy, "frames": entries}
-    (folder / "transforms.json").write_text(json.dumps(content))
+    nerfstudio.write(folder, frames)
+    return folder
 
 
-def quaternion(rotation):
-    """x, y, z, w of a rotation (3, 3), by the largest eigenvector of Bar-Itzhack's matrix."""
-    r = rotation
-    k = np.array(
-        [
-            [r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]],
-            [r[0, 1] + r[1, 0], r[1, 1] - r[0, 0] - r[2, 2], r[1, 2] + r[2, 1], r[0, 2] - r[2, 0]],
-            [r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
-            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r.trace()],
-        ]
-    )
-    values, vectors = np.linalg.eigh(k)
-    return vectors[:, values.argmax()]
+def as_record3d(folder, frames, **options):
+    record3d.write(folder / "walk.r3d", frames, Form(colour_scale=4), **options)
+    return folder / "walk.r3d"
+
+
+def as_stray(folder, frames, **options):
+    stray.write(folder, frames, Form(colour_scale=2), **options)
+    return folder
+
+
+def as_older_stray(folder, frames):
+    return as_stray(folder, frames, has_intrinsics=False, is_npy=True)
 
 
 def as_tum(folder, frames):
-    lists = {"rgb": [], "depth": [], "groundtruth": []}
-    for frame in frames:
-        time_s = 1305031102.0 + frame.time_s
-        for kind in ("rgb", "depth"):
-            (folder / kind).mkdir(exist_ok=True, parents=True)
-        Image.fromarray(frame.srgb_u8).save(folder / f"rgb/{time_s:.4f}.png")
-        write_depth(folder / f"depth/{time_s:.4f}.png", frame, 5000)
-        lists["rgb"].append(f"{time_s:.4f} rgb/{time_s:.4f}.png")
-        # Depth comes a little later than colour, and poses come more often than both.
-        lists["depth"].append(f"{time_s + 0.008:.4f} depth/{time_s:.4f}.png")
-        pose = opencv(frame.world_from_camera)
-        numbers = " ".join(f"{value:.9f}" for value in (*pose[:3, 3], *quaternion(pose[:3, :3])))
-        lists["groundtruth"] += [f"{time_s + shift:.4f} {numbers}" for shift in (-0.004, 0.004)]
-    for kind, lines in lists.items():
-        (folder / f"{kind}.txt").write_text("# as the benchmark writes it\n" + "\n".join(lines) + "\n")
+    """As the benchmark has it: depth comes a little later than colour, and poses come more often than both."""
+    tum.write(folder, frames)
+    later = {"depth.txt": (0.008,), "groundtruth.txt": (-0.004, 0.004)}
+    for name, shifts in later.items():
+        head, *lines = (folder / name).read_text().splitlines()
+        rows = [line.split(maxsplit=1) for line in lines]
+        shifted = [f"{float(time_s) + shift:.4f} {said}" for time_s, said in rows for shift in shifts]
+        (folder / name).write_text("\n".join([head, *shifted]) + "\n")
+    return folder
 
 
-def as_seven_scenes(folder, frames):
+def as_seven_scenes(folder, frames, down=None):
     folder.mkdir(exist_ok=True, parents=True)
-    # Its world is that of a camera: -Y is up there.
-    down = np.eye(4)
-    down[:3, :3] = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    if down is None:  # Its world is that of a camera: -Y is up there.
+        down = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     for frame in frames:
         stem = f"frame-{frame.frame:06d}"
         Image.fromarray(frame.srgb_u8).save(folder / f"{stem}.color.png")
-        write_depth(folder / f"{stem}.depth.png", frame, 1000)
-        np.savetxt(folder / f"{stem}.pose.txt", down @ opencv(frame.world_from_camera), fmt="%.8f")
+        save_depth(folder / f"{stem}.depth.png", frame, 1000)
+        pose = opencv(frame.world_from_camera)
+        pose[:3] = down @ pose[:3]
+        np.savetxt(folder / f"{stem}.pose.txt", pose, fmt="%.8f")
+    return folder
 
 
+def as_polycam(folder, frames, which="corrected_"):
+    """Raw data; with corrected cameras there are uncorrected ones as well, which are wrong."""
+    keyframes = folder / "keyframes"
+    for name in ("images", "cameras", "corrected_images", "corrected_cameras", "depth", "confidence"):
+        if which or not name.startswith("corrected_"):
+            (keyframes / name).mkdir(parents=True, exist_ok=True)
+    for frame in frames:
+        stem = str(60_829_387_374 + round(frame.time_s * 1e6))
+        for one in {which, ""}:
+            k = enlarged_intrinsics(frame.intrinsics, 4)
+            said = {"width": k.width, "height": k.height, "fx": k.fx, "fy": k.fy, "cx": k.cx, "cy": k.cy}
+            pose = in_y_up(frame.world_from_camera) if one == which else np.eye(4)
+            said |= {f"t_{row}{column}": pose[row, column] for row in range(3) for column in range(4)}
+            (keyframes / f"{one}cameras" / f"{stem}.json").write_text(json.dumps({**said, "blur_score": 81.5}))
+            Image.fromarray(enlarged(frame.srgb_u8, 4)).save(keyframes / f"{one}images" / f"{stem}.jpg", quality=95)
+        save_depth(keyframes / "depth" / f"{stem}.png", frame, 1000)
+        levels = np.array([0, 127, 255], np.uint8)[confidence_of(frame)]
+        Image.fromarray(levels).save(keyframes / "confidence" / f"{stem}.png")
+    return folder
+
+
+def as_polycam_uncorrected(folder, frames):
+    return as_polycam(folder, frames, "")
+
+
+def as_plain(folder, frames, has_lines=True):
+    """With OpenCV's axes, lossless, and poses in lines of 8 numbers or in files of 16."""
+    for name in ("colour", "depth", "confidence", "poses"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    lines = []
+    for frame in frames:
+        Image.fromarray(frame.srgb_u8).save(folder / "colour" / f"{frame.frame}.png")
+        Image.fromarray(confidence_of(frame)).save(folder / "confidence" / f"{frame.frame}.png")
+        save_depth(folder / "depth" / f"{frame.frame}.png", frame, 5000)
+        pose = opencv(frame.world_from_camera)
+        if not has_lines:
+            np.savetxt(folder / "poses" / f"{frame.frame}.txt", pose)
+        lines.append(" ".join(map(repr, [frame.time_s, *pose[:3, 3].tolist(), *quaternion_of(pose[:3, :3]).tolist()])))
+    if has_lines:
+        (folder / "poses.txt").write_text("# t x y z qx qy qz qw\n" + "\n".join(lines) + "\n")
+    k = frames[0].intrinsics
+    said = {"width": k.width, "height": k.height, "fx": k.fx, "fy": k.fy, "cx": k.cx, "cy": k.cy}
+    said |= {"convention": "opencv", "metres_per_unit": 0.0002}
+    (folder / "camera.json").write_text(json.dumps(said))
+    return folder
+
+
+def as_plain_files(folder, frames):
+    return as_plain(folder, frames, has_lines=False)
+
+
+SMALL = Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)
+UPRIGHT = Intrinsics(36, 48, 30.0, 30.0, 18.3, 24.0)
+TUM = Intrinsics(640, 480, 525.0, 525.0, 320.0, 240.0)
+SEVEN_SCENES = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
+VIDEO = pytest.mark.wheel_only("a whole Blender's Python has no PyAV, whose FFmpeg is not Blender's")
+PACKED = pytest.mark.wheel_only("a whole Blender's Python has no lzfse")
 LAYOUTS = {
-    "Nerfstudio": (as_nerfstudio, Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)),
-    "TUM RGB-D": (as_tum, Intrinsics(640, 480, 525.0, 525.0, 320.0, 240.0)),
-    "7-Scenes": (as_seven_scenes, Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)),
+    "Nerfstudio": (as_nerfstudio, SMALL),
+    "TUM RGB-D": (as_tum, TUM),
+    "7-Scenes": (as_seven_scenes, SEVEN_SCENES),
+    "Record3D": (as_record3d, SMALL),
+    "Record3D, upright": (as_record3d, UPRIGHT),
+    "Stray Scanner": (as_stray, SMALL),
+    "Stray Scanner, older": (as_older_stray, SMALL),
+    "Polycam": (as_polycam, SMALL),
+    "Polycam, not corrected, upright": (as_polycam_uncorrected, UPRIGHT),
+    "plain folder": (as_plain, SMALL),
+    "plain folder, upright, poses in files": (as_plain_files, UPRIGHT),
 }
+"""By format and what is odd of it: writes frames into a folder and returns what to open; and intrinsics for them."""
+
+
+def layouts(names=LAYOUTS):
+    """The names, each with the mark of what it takes."""
+    marks = {"Stray Scanner": VIDEO, "Record3D": PACKED}
+    return [pytest.param(name, marks=marks.get(name.split(",")[0], ())) for name in names]
+
+
+LOSSY = {"Record3D": 2.0, "Stray Scanner": 3.0, "Polycam": 2.0}
+"""Mean difference of colours that is legal, of 255, where a format packs them."""
+
+
+def doubted(frames):
+    """The frames with a confidence: low in the left quarter, medium in the second."""
+    levels = np.full((frames[0].intrinsics.height, frames[0].intrinsics.width), 2, np.uint8)
+    levels[:, : levels.shape[1] // 2] = 1
+    levels[:, : levels.shape[1] // 4] = 0
+    return [replace(frame, confidence=levels) for frame in frames]

@@ -55,8 +55,8 @@ def measured(source: Path, plane_depth_m: ArrayF32 | ArrayF64, confidence: Array
         )
     picked = np.ix_(*picked_pixels(height, width, MOST_POINTS))
     with np.errstate(over="ignore"):  # What float32 cannot hold is a miss.
-        some_m: ArrayF32 = plane_depth_m[picked].astype(np.float32)
-    return Measured(source, some_m, (width, height), None if confidence is None else confidence[picked])
+        kept = plane_depth_m[picked].astype(np.float32)
+    return Measured(source, kept, (width, height), None if confidence is None else confidence[picked])
 
 
 def read_measured(plane_depth: Path, metres_per_unit: float, confidence: Path | None) -> Measured:

@@ -1,0 +1,99 @@
+"""What all layouts share: colour as an image, plane depth in 16 bits, and what became of both."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from xihenet.camera import valid_plane_depth
+from xihenet.records import ArrayF64, ArrayU8, Intrinsics, RgbdFrame
+
+LARGEST_IN_16_BITS = 65534  # 65535 stands for a miss
+HIGH_CONFIDENCE = 2
+OPENCV_FROM_BLENDER_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])
+Y_UP_FROM_Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+
+
+@dataclass(frozen=True)
+class Form:
+    """How pictures are stored, where a layout leaves it open."""
+
+    colour_scale: int = 1
+    """Colour is so many times as wide and high as depth, by repeating pixels: that of a phone is larger."""
+
+    is_jpeg: bool = False
+    """Colour as JPEG where the layout may have PNG as well."""
+
+    jpeg_quality: int = 95
+
+
+USUAL = Form()
+
+
+@dataclass(frozen=True)
+class Written:
+    """What was written."""
+
+    n_frames: int
+    n_too_far: int = 0  # Pixels whose depth the layout cannot hold; they have none in the file
+
+
+def pillow() -> Any:
+    """The package's Image; ImportError, naming the extra, without it."""
+    try:
+        from PIL import Image
+    except ImportError as error:
+        raise ImportError("pictures are written by pillow: pip install 'xihe-blender[captures]'") from error
+    return Image
+
+
+def enlarged(image: ArrayU8, scale: int) -> ArrayU8:
+    """(H, W, 3) with each pixel `scale` times in a row and as many in a column."""
+    return image if scale == 1 else image.repeat(scale, axis=0).repeat(scale, axis=1)
+
+
+def enlarged_intrinsics(k: Intrinsics, scale: int) -> Intrinsics:
+    """Of the same field in `scale` times as many pixels along each side."""
+    return Intrinsics(k.width * scale, k.height * scale, k.fx * scale, k.fy * scale, k.cx * scale, k.cy * scale)
+
+
+def colour_bytes(frame: RgbdFrame, form: Form) -> bytes:
+    """Content of an image file, JPEG or PNG."""
+    image, file = pillow().fromarray(enlarged(frame.srgb_u8, form.colour_scale)), io.BytesIO()
+    if form.is_jpeg:
+        image.save(file, format="JPEG", quality=form.jpeg_quality)
+    else:
+        image.save(file, format="PNG", compress_level=1)
+    return file.getvalue()
+
+
+def save_depth(path: Path, frame: RgbdFrame, units_per_metre: float) -> int:
+    """Write a grey image of 16 bits, 0 where there is no depth; and how many pixels are too far for it."""
+    units, n_too_far = depth_units(frame, units_per_metre)
+    pillow().fromarray(units).save(path, compress_level=1)
+    return n_too_far
+
+
+def depth_units(frame: RgbdFrame, units_per_metre: float) -> tuple[np.ndarray[Any, np.dtype[np.uint16]], int]:
+    """(H, W) uint16, 0 where there is no depth, and how many pixels are too far for it."""
+    valid = valid_plane_depth(frame.plane_depth_m)
+    units = np.rint(np.where(valid, frame.plane_depth_m, 0).astype(np.float64) * units_per_metre)
+    is_too_far = units > LARGEST_IN_16_BITS
+    return np.where(is_too_far, 0, units).astype(np.uint16), int(np.count_nonzero(is_too_far))
+
+
+def confidence_of(frame: RgbdFrame) -> ArrayU8:
+    """(H, W) 0, 1, 2; where the frame has none, high for all that has a depth, as phones' files always have one."""
+    if frame.confidence is not None:
+        return frame.confidence
+    return (valid_plane_depth(frame.plane_depth_m) * HIGH_CONFIDENCE).astype(np.uint8)
+
+
+def in_y_up(pose: ArrayF64) -> ArrayF64:
+    """(4, 4) of a camera in ARKit's world."""
+    turned: ArrayF64 = Y_UP_FROM_Z_UP @ pose
+    return turned

@@ -1,0 +1,117 @@
+"""Frames as the app Stray Scanner has them; the layout is that of `xihenet.captures.stray`.
+
+The video is HEVC, as the app's is, or H.264 where PyAV has no encoder for that: pictures are near what they were, and
+not the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from xihenet.captures.stray import COLUMNS, INTRINSICS, MATRIX, ODOMETRY, VIDEO
+from xihenet.captures.values import quaternion_of
+from xihenet.captures.video import EXTRA
+from xihenet.captures.writing.pictures import (
+    OPENCV_FROM_BLENDER_CAMERA,
+    USUAL,
+    Form,
+    Written,
+    confidence_of,
+    depth_units,
+    enlarged,
+    enlarged_intrinsics,
+    in_y_up,
+    pillow,
+)
+from xihenet.records import RgbdFrame
+
+UNITS_PER_METRE, FPS = 1000, 30
+ENCODERS = {"libx265": {"x265-params": "log-level=none"}, "libx264": {}}
+QUALITY = "12"  # Constant rate factor: differences are hard to see
+BT709, LIMITED = 1, 1  # As phones say, in the numbers of ITU-T H.273
+
+
+def write(
+    folder: Path,
+    frames: Iterable[RgbdFrame],
+    form: Form = USUAL,
+    *,
+    has_intrinsics: bool = True,
+    is_npy: bool = False,
+) -> Written:
+    """A folder; `has_intrinsics` on each line is what newer recordings have, depth that `is_npy` what older ones have.
+
+    OSError if it cannot be written; ValueError for frames of several sizes or none, or with an odd number of pixels
+    along a side of the video; ImportError without PyAV.
+    """
+    for name in ("depth", "confidence"):
+        (folder / name).mkdir(exist_ok=True, parents=True)
+    n, n_too_far, k = 0, 0, None
+    with _video(folder / VIDEO) as encode, (folder / ODOMETRY).open("w", encoding="utf-8") as odometry:
+        odometry.write(", ".join(COLUMNS + INTRINSICS * has_intrinsics) + "\n")
+        for n, frame in enumerate(frames, start=1):
+            number = f"{n - 1:06d}"
+            encode(enlarged(frame.srgb_u8, form.colour_scale))
+            units, n_frame_too_far = depth_units(frame, UNITS_PER_METRE)
+            n_too_far += n_frame_too_far
+            if is_npy:
+                np.save(folder / "depth" / f"{number}.npy", units)
+            else:
+                pillow().fromarray(units).save(folder / "depth" / f"{number}.png", compress_level=1)
+            pillow().fromarray(confidence_of(frame)).save(folder / "confidence" / f"{number}.png")
+            pose = in_y_up(frame.world_from_camera) @ OPENCV_FROM_BLENDER_CAMERA
+            k = enlarged_intrinsics(frame.intrinsics, form.colour_scale)
+            values = [*pose[:3, 3], *quaternion_of(pose[:3, :3]), *(k.fx, k.fy, k.cx, k.cy)[: 4 * has_intrinsics]]
+            line = ", ".join(f"{value:.9f}" for value in values)
+            odometry.write(f"{frame.time_s:.6f}, {number}, {line}\n")
+    if k is None:
+        raise ValueError("Stray Scanner: expected at least one frame")
+    rows = np.array([[k.fx, 0, k.cx], [0, k.fy, k.cy], [0, 0, 1]])
+    text = "".join(", ".join(f"{value:.9f}" for value in row) + "\n" for row in rows)
+    (folder / MATRIX).write_text(text, encoding="utf-8")
+    return Written(n, n_too_far)
+
+
+@contextmanager
+def _video(path: Path) -> Iterator[Any]:
+    """What takes pictures (H, W, 3) sRGB, one after the other, into a file."""
+    try:
+        import av
+    except ImportError as error:
+        raise ImportError(f"videos are written by PyAV: {EXTRA}") from error
+    encoder = next((name for name in ENCODERS if name in av.codecs_available), None)
+    if encoder is None:
+        raise ValueError("Stray Scanner: PyAV has no encoder for HEVC or H.264 here: write another layout")
+    opened: Any = av.open(str(path), "w", format="mp4")
+    with opened as container:
+        stream = container.add_stream(encoder, rate=FPS, options={"crf": QUALITY, **ENCODERS[encoder]})
+        is_begun = False
+
+        def encode(pixels: Any) -> None:
+            nonlocal is_begun
+            height, width = pixels.shape[:2]
+            if not is_begun:
+                _begin(stream, width, height)
+                is_begun = True
+            if (stream.width, stream.height) != (width, height):
+                raise ValueError("Stray Scanner: expected frames of one size, as pictures of a video are")
+            picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")
+            container.mux(stream.encode(picture.reformat(format="yuv420p", dst_colorspace="ITU709")))
+
+        yield encode
+        if is_begun:
+            container.mux(stream.encode())
+
+
+def _begin(stream: Any, width: int, height: int) -> None:
+    if width % 2 or height % 2:
+        raise ValueError(f"Stray Scanner: a video has even sizes, got {width}x{height} pixels: double the colour's")
+    stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+    of_colour = stream.codec_context
+    of_colour.colorspace, of_colour.color_primaries, of_colour.color_trc = BT709, BT709, BT709
+    of_colour.color_range = LIMITED
