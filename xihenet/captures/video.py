@@ -42,7 +42,7 @@ class Video:
             stream = self._stream(container)
             self.width, self.height = int(stream.codec_context.width), int(stream.codec_context.height)
             check_size(path, self.height, self.width)
-            self.n_said, self.n_frames = _n_frames(stream, path.stat().st_size)
+            self.n_said, self.n_frames = _n_frames(container, stream, path.stat().st_size)
         finally:
             container.close()
         if not self.n_frames:
@@ -55,6 +55,8 @@ class Video:
 
         ValueError, naming the file, if it cannot be decoded, or the video ends before it.
         """
+        if number >= self.n_frames:
+            raise ValueError(f"{self.path}: it ends before picture {number}: record again, or cut odometry.csv")
         if self._pictures is None or number < self._next:
             self.close()
             self._pictures = self._decoded()
@@ -67,7 +69,7 @@ class Video:
             self.close()
             raise
         self.close()
-        raise ValueError(f"{self.path}: it ends before picture {number}: record again, or cut odometry.csv")
+        raise ValueError(f"{self.path}: picture {number} cannot be decoded: record again, or cut odometry.csv")
 
     def close(self) -> None:
         """Let go of the file; reading opens it again."""
@@ -83,7 +85,11 @@ class Video:
         try:
             stream = self._stream(container)
             stream.thread_type = "AUTO"
-            yield from container.decode(stream)
+            for packet in container.demux(stream):
+                if packet.is_corrupt:  # The file ends within it: what was decoded before comes out.
+                    yield from stream.decode(None)
+                    return
+                yield from stream.decode(packet)
         except av.error.FFmpegError as error:
             raise ValueError(f"{self.path}: a picture cannot be decoded ({error.strerror})") from None
         finally:
@@ -115,10 +121,19 @@ class Video:
         return stream
 
 
-def _n_frames(stream: Any, n_bytes: int) -> tuple[int, int]:
-    """Pictures that the stream says it has, and those that lie within the `n_bytes` of its file."""
+def _n_frames(container: Any, stream: Any, n_bytes: int) -> tuple[int, int]:
+    """Pictures that the stream says it has, and those that come out right of the `n_bytes` of its file.
+
+    Pictures are stored in the order of decoding. One that is missing may be shown before some that are there: before
+    as many as the stream decodes ahead. So many times of decoding lie before its first picture.
+    """
     entries = getattr(stream, "index_entries", None)  # Of PyAV 15 and newer
     if not entries:
         return int(stream.frames), int(stream.frames)
     kept = [entry for entry in entries if not entry.is_discard]
-    return len(kept), sum(entry.pos + entry.size <= n_bytes for entry in kept)
+    n_whole = next((i for i, entry in enumerate(kept) if entry.pos + entry.size > n_bytes), len(kept))
+    if n_whole == len(kept):
+        return n_whole, n_whole
+    shown = [packet.pts for packet in container.demux(stream) if packet.pts is not None and not packet.is_corrupt]
+    n_ahead = sum(entry.timestamp < min(shown) for entry in kept) if shown else 0
+    return len(kept), max(0, n_whole - n_ahead)

@@ -1,0 +1,510 @@
+"""What may be wrong with a recording, by format: how it is done to one that is sound, and what is said of it.
+
+A case is a function that changes the recording and a text: of the one line on stderr, or, after "note: ", of what is
+said of one that is read all the same; "read" where nothing is said.
+"""
+
+import json
+import shutil
+import struct
+import zipfile
+import zlib
+
+import lzfse
+import numpy as np
+from PIL import Image
+
+from addon_tests.pure.recordings import as_stray, walk
+from xihenet.records import Intrinsics
+
+SMALL = Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)
+READ, NOTE = "read", "note: "
+GARBAGE = bytes(range(256)) * 4
+DEEP = "[" * 100_000
+HUGE = "1e400"
+
+
+def put(name, content):
+    """A file of the recording with other content."""
+
+    def harm(path):
+        target = path / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if isinstance(content, bytes):
+            target.write_bytes(content)
+        else:
+            target.write_text(content)
+
+    return harm
+
+
+def remove(name):
+    return lambda path: (path / name).unlink()
+
+
+def cut(name, n=None):
+    def harm(path):
+        whole = (path / name).read_bytes()
+        (path / name).write_bytes(whole[: len(whole) // 2 if n is None else n])
+
+    return harm
+
+
+def replaced(name, old, new):
+    def harm(path):
+        text = (path / name).read_text()
+        assert old in text
+        (path / name).write_text(text.replace(old, new, 1))
+
+    return harm
+
+
+def folder_in_place_of(name):
+    def harm(path):
+        (path / name).unlink()
+        (path / name).mkdir()
+
+    return harm
+
+
+def said(name, **entries):
+    """JSON in which entries of an object are others; None leaves one out."""
+
+    def harm(path):
+        content = {**json.loads((path / name).read_text()), **entries}
+        (path / name).write_text(json.dumps({key: value for key, value in content.items() if value is not None}))
+
+    return harm
+
+
+def picture(name, pixels, **options):
+    return lambda path: Image.fromarray(pixels).save(path / name, **options)
+
+
+def other_units(name):
+    """Metres where millimetres are expected: all is a thousand times nearer."""
+
+    def harm(path):
+        units = np.asarray(Image.open(path / name))
+        Image.fromarray(np.maximum(1, units // 1000).astype(np.uint16)).save(path / name)
+
+    return harm
+
+
+def png_that_says(width, height):
+    """A grey PNG of 16 bits that has no pixels, of a size that it only says."""
+
+    def chunk(kind, content):
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0))
+    return b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
+
+
+def of_pictures(colour, plane_depth, confidence=None, missing="without colour or depth left out"):
+    """What may be wrong with pictures, in any format that has them as files. They are 48 pixels high, 64 wide."""
+    cases = {
+        "colour is garbage": (put(colour, GARBAGE), "expected an image"),
+        "colour is empty": (put(colour, b""), "expected an image"),
+        "colour is cut short": (cut(colour), "expected an image"),
+        "colour of another field": (picture(colour, np.zeros((64, 48, 3), np.uint8)), "the same ratio"),
+        "colour is a folder": (folder_in_place_of(colour), NOTE + missing),
+        "depth is garbage": (put(plane_depth, GARBAGE), "expected an image"),
+        "depth is text": (put(plane_depth, "1 2 3"), "expected an image"),
+        "depth is empty": (put(plane_depth, b""), "expected an image"),
+        "depth is cut short": (cut(plane_depth), "expected an image"),
+        "depth of 8 bits": (picture(plane_depth, np.ones((48, 64), np.uint8)), "a grey image of 16 bits"),
+        "depth of another field": (picture(plane_depth, np.ones((64, 48), np.uint16)), "the same ratio"),
+        "depth of another unit": (other_units(plane_depth), READ),
+        "depth says it is huge": (put(plane_depth, png_that_says(60_000, 60_000)), "50 megapixels"),
+        "depth is missing": (remove(plane_depth), NOTE + missing),
+    }
+    if confidence:
+        cases |= {
+            "confidence is garbage": (put(confidence, GARBAGE), "expected an image"),
+            "confidence of another size": (picture(confidence, np.ones((24, 32), np.uint8)), "as depth has"),
+            "confidence in colour": (picture(confidence, np.ones((48, 64, 3), np.uint8)), "a grey image of 8 bits"),
+            "confidence is missing": (remove(confidence), READ),
+            "depth of another field": (
+                picture(plane_depth, np.ones((64, 48), np.uint16)),
+                "expected 48x64, as depth has",
+            ),
+        }
+    return cases
+
+
+# ---------------------------------------------------------------------------------------------------------- Record3D
+
+
+def member(name, content):
+    """A member of the .r3d with other content, a function of what it had, or None for none."""
+
+    def harm(path):
+        with zipfile.ZipFile(path) as file:
+            members = {one: file.read(one) for one in file.namelist()}
+        if callable(content):
+            members[name] = content(members[name])
+        else:
+            members[name] = content
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+            for one, stored in members.items():
+                if stored is not None:
+                    file.writestr(one, stored)
+
+    return harm
+
+
+def metadata(**entries):
+    def changed(content):
+        return json.dumps(
+            {key: value for key, value in {**json.loads(content), **entries}.items() if value is not None}
+        )
+
+    return member("metadata", changed)
+
+
+def in_metadata(name, n, value):
+    """One entry of a list, such as a pose."""
+
+    def changed(content):
+        loaded = json.loads(content)
+        loaded[name][n] = value
+        return json.dumps(loaded)
+
+    return member("metadata", changed)
+
+
+def whole(change):
+    """The bytes of the file, changed."""
+    return lambda path: path.write_bytes(change(path.read_bytes()))
+
+
+def packed_by_lzma(path):
+    with zipfile.ZipFile(path) as file:
+        members = {one: file.read(one) for one in file.namelist()}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_LZMA) as file:
+        for one, stored in members.items():
+            file.writestr(one, stored)
+
+
+def marked_encrypted(content):
+    """Every member of the central directory has the flag of encryption."""
+    at, marked = content.find(b"PK\x01\x02"), bytearray(content)
+    while at >= 0:
+        marked[at + 8] |= 1
+        at = content.find(b"PK\x01\x02", at + 4)
+    return bytes(marked)
+
+
+def lying_lzfse(n_bytes):
+    """LZFSE whose block says that it unpacks to 10 bytes, and which unpacks to many more."""
+    stored = bytearray(lzfse.compress(bytes(n_bytes)))
+    stored[4:8] = struct.pack("<I", 10)
+    return bytes(stored)
+
+
+DEPTH, CONF = "rgbd/1.depth", "rgbd/1.conf"
+IDENTITY = [0.0, 0, 0, 1, 0, 0, 0]
+RECORD3D = {
+    "empty": (whole(lambda _: b""), "no whole zip file"),
+    "garbage": (whole(lambda _: GARBAGE), "no whole zip file"),
+    "text": (whole(lambda _: b"a recording"), "no whole zip file"),
+    "cut short": (whole(lambda content: content[: len(content) // 2]), "no whole zip file"),
+    "a broken member": (whole(lambda c: c.replace(b"bvx2", b"XXXX", 1)), "cannot be read"),
+    "another zip": (member("metadata", None), "metadata is missing"),
+    "metadata is no JSON": (member("metadata", GARBAGE), "expected JSON"),
+    "metadata is a list": (member("metadata", b"[]"), "expected a JSON object"),
+    "metadata is deep": (member("metadata", DEEP.encode()), "expected JSON"),
+    "metadata is a bomb": (member("metadata", bytes(2**26 + 1)), "expected at most"),
+    "depth is a bomb": (member(DEPTH, bytes(2**22)), "expected at most"),
+    "LZFSE is a bomb": (member(DEPTH, lzfse.compress(bytes(2**25))), "unpacks to"),
+    "LZFSE that lies": (member(DEPTH, lying_lzfse(2**20)), "another size than it says"),
+    "a path upwards": (member("../elsewhere", b"x"), "lies outside"),
+    "a path from the root": (member("/etc/elsewhere", b"x"), "lies outside"),
+    "a path of Windows": (member("C:\\elsewhere", b"x"), "lies outside"),
+    "packed by LZMA": (packed_by_lzma, "no method but deflate"),
+    "encrypted": (whole(marked_encrypted), "cannot be read"),
+    "a pose that is NaN": (in_metadata("poses", 1, [float("nan")] * 7), "poses, frame 1: expected finite"),
+    "a pose that is text": (in_metadata("poses", 1, ["x"] * 7), "poses, frame 1: expected 7 numbers"),
+    "a pose of six numbers": (in_metadata("poses", 1, [0.0] * 6), "poses, frame 1: expected 7 numbers"),
+    "a pose that is none": (in_metadata("poses", 1, None), "poses, frame 1: expected 7 numbers"),
+    "a quaternion of zeros": (in_metadata("poses", 1, [0.0] * 7), "a quaternion of length 1"),
+    "a quaternion that is huge": (in_metadata("poses", 1, [1e300] * 4 + [0.0] * 3), "a quaternion of length 1"),
+    "a place that is huge": (in_metadata("poses", 1, [0, 0, 0, 1, 1e300, 0, 0]), "within 1e+06 m"),
+    "no poses": (metadata(poses=[]), "record with LiDAR"),
+    "poses are an object": (metadata(poses={}), "poses: expected a list"),
+    "a start of zeros": (metadata(initPose=[0] * 7), "a quaternion of length 1"),
+    "a negative width": (metadata(w=-256), "w: expected a whole number of pixels"),
+    "half a pixel": (metadata(w=255.5), "w: expected a whole number of pixels"),
+    "a height that is text": (metadata(h="192"), "h: expected a number"),
+    "a depth that is huge": (metadata(dw=1e6, dh=1e6), "more than are read"),
+    "no intrinsics": (metadata(K=None, perFrameIntrinsicCoeffs=None), "K: expected 9 numbers"),
+    "a focal length below 0": (in_metadata("perFrameIntrinsicCoeffs", 1, [-1, 1, 1, 1]), "focal lengths must be"),
+    "intrinsics of too few": (metadata(perFrameIntrinsicCoeffs=[[1, 1, 1, 1]]), "expected intrinsics and times for"),
+    "times of too few": (metadata(frameTimestamps=[0.0]), "expected intrinsics and times for"),
+    "times that are text": (metadata(frameTimestamps="soon"), "frameTimestamps: expected"),
+    "no frames a second": (metadata(frameTimestamps=None, fps=0), "fps: expected"),
+    "no depth at all": (lambda path: [member(f"rgbd/{n}.depth", None)(path) for n in range(3)], "record with LiDAR"),
+    "depth is garbage": (member(DEPTH, GARBAGE), "expected LZFSE"),
+    "depth is empty": (member(DEPTH, b""), "expected LZFSE"),
+    "depth is cut short": (member(DEPTH, lambda content: content[:-50]), "expected LZFSE"),
+    "depth of another size": (member(DEPTH, lzfse.compress(bytes(400))), "expected 64x48 distances"),
+    "confidence is garbage": (member(CONF, GARBAGE), "expected LZFSE"),
+    "confidence of another size": (member(CONF, lzfse.compress(bytes(400))), "expected 64x48 bytes"),
+    "colour is garbage": (member("rgbd/1.jpg", GARBAGE), "expected an image"),
+    "colour is empty": (member("rgbd/1.jpg", b""), "expected an image"),
+    "colour that lies otherwise": (metadata(w=192, h=256, dw=48, dh=64), "the same ratio"),
+    "depth said otherwise": (metadata(dw=48, dh=64), NOTE + "is taken as 64x48, since colour lies so"),
+    "no size of depth": (metadata(dw=None, dh=None), READ),
+    "one K for all": (metadata(perFrameIntrinsicCoeffs=None), READ),
+    "colour is missing": (member("rgbd/1.jpg", None), NOTE + "1 frame without colour, depth or a pose"),
+    "depth is missing": (member(DEPTH, None), NOTE + "1 frame without colour, depth or a pose"),
+    "confidence is missing": (member(CONF, None), READ),
+    "times that go back": (metadata(frameTimestamps=[5.0, 4.0, 6.0]), NOTE + "Times go back once"),
+    "times that are not known": (metadata(frameTimestamps=None), READ),
+    "depth in millimetres": (
+        member(DEPTH, lzfse.compress(np.full(64 * 48, 2000, "<f4").tobytes())),
+        READ,
+    ),
+    "depth beyond all numbers": (member(DEPTH, lzfse.compress(np.full(64 * 48, np.inf, "<f4").tobytes())), READ),
+    "up is not known": (metadata(initPose=None), NOTE + "Which way is up is not given"),
+}
+
+# ------------------------------------------------------------------------------------------------------ Stray Scanner
+
+VIDEO, ODOMETRY, MATRIX = "rgb.mp4", "odometry.csv", "camera_matrix.csv"
+HEAD = "timestamp, frame, x, y, z, qx, qy, qz, qw\n"
+
+
+def another_codec(path):
+    content = (path / VIDEO).read_bytes()
+    assert any(name in content for name in (b"hev1", b"hvc1", b"avc1"))
+    for name in (b"hev1", b"hvc1", b"avc1"):
+        content = content.replace(name, b"zzzz")
+    (path / VIDEO).write_bytes(content)
+
+
+def video_that_ends(path):
+    """Of six pictures, and the header comes first, as for streaming; half of the last one is not there any more."""
+    shutil.rmtree(path)
+    as_stray(path, walk(SMALL, 6), has_intrinsics=False)
+    move_header_to_the_start(path / VIDEO)
+    cut(VIDEO, -10)(path)
+
+
+def move_header_to_the_start(path):
+    import av
+
+    beside = path.with_suffix(".part.mp4")
+    with av.open(str(path)) as video, av.open(str(beside), "w", options={"movflags": "faststart"}) as out:
+        stream = out.add_stream_from_template(video.streams.video[0])
+        for packet in video.demux(video.streams.video[0]):
+            if packet.size:
+                packet.stream = stream
+                out.mux(packet)
+    beside.replace(path)
+
+
+def npy(content):
+    def harm(path):
+        (path / "depth/000001.png").unlink()
+        if isinstance(content, bytes):
+            (path / "depth/000001.npy").write_bytes(content)
+        else:
+            np.save(path / "depth/000001.npy", content, allow_pickle=True)
+
+    return harm
+
+
+def odometry(*lines):
+    return put(ODOMETRY, HEAD + "\n".join(lines) + "\n")
+
+
+POSED = "0, 0, 0, 0, 0, 0, 1"
+NPY_THAT_SAYS = b"\x93NUMPY\x01\x00\x76\x00" + (
+    b"{'descr': '<u2', 'fortran_order': False, 'shape': (1000000000, 1000000000), }".ljust(117) + b"\n"
+)
+STRAY = {
+    **{
+        case: how
+        for case, how in of_pictures("depth/000001.png", "depth/000001.png", "confidence/000001.png").items()
+        if not case.startswith("colour")
+    },
+    "the video is empty": (put(VIDEO, b""), "expected a video"),
+    "the video is garbage": (put(VIDEO, GARBAGE), "expected a video"),
+    "the video is a list of others": (put(VIDEO, "#EXTM3U\n#EXTINF:1,\nfile:///etc/passwd\n"), "expected a video"),
+    "the video is cut short": (cut(VIDEO), "expected a video"),
+    "the codec is not known": (another_codec, "its codec is not known"),
+    "the video ends early": (video_that_ends, NOTE + "The video ends early, after 3 frames of 6"),
+    "the video is missing": (remove(VIDEO), "no recording that is known"),
+    "odometry is a folder": (folder_in_place_of(ODOMETRY), "no recording that is known"),
+    "odometry is empty": (put(ODOMETRY, ""), "expected a line for each frame"),
+    "odometry is only a head": (put(ODOMETRY, HEAD), "expected a line for each frame"),
+    "odometry is garbage": (put(ODOMETRY, GARBAGE), "expected lines of numbers"),
+    "a word": (odometry(f"0, 0, {POSED}", f"soon, 1, {POSED}"), "line 2: expected 9 numbers"),
+    "NaN": (odometry("0, 0, nan, 0, 0, 0, 0, 0, 1"), "expected finite numbers"),
+    "a huge number": (odometry(f"0, 0, {HUGE}, 0, 0, 0, 0, 0, 1"), "expected finite numbers"),
+    "a huge place": (odometry("0, 0, 1e300, 0, 0, 0, 0, 0, 1"), "within 1e+06 m"),
+    "a quaternion of zeros": (odometry("0, 0, 0, 0, 0, 0, 0, 0, 0"), "a quaternion of length 1"),
+    "a short line": (odometry("0, 0, 0, 0"), "line 1: expected timestamp"),
+    "a frame below 0": (odometry(f"0, -1, {POSED}"), "a number of a frame"),
+    "half a frame": (odometry(f"0, 0.5, {POSED}"), "a number of a frame"),
+    "a frame that comes twice": (odometry(f"0, 0, {POSED}", f"1, 0, {POSED}"), "some come twice"),
+    "frames that are not there": (odometry(f"0, 70, {POSED}"), "no line of odometry.csv has depth"),
+    "more lines than frames": (odometry(f"0, 0, {POSED}", f"1, 9, {POSED}"), NOTE + "after 3 frames of 10"),
+    "times that go back": (odometry(f"5, 0, {POSED}", f"4, 1, {POSED}"), NOTE + "Times go back once"),
+    "intrinsics of two lines": (put(MATRIX, "1, 0, 1\n0, 1, 1\n"), "expected three lines"),
+    "intrinsics that are text": (put(MATRIX, "a, b, c\n" * 3), "expected 3 numbers"),
+    "intrinsics below 0": (put(MATRIX, "-1, 0, 1\n0, -1, 1\n0, 0, 1\n"), "focal lengths must be positive"),
+    "intrinsics are missing": (remove(MATRIX), "cannot read"),
+    "depth is pickled": (npy(np.array([[{}]], object)), "could not read it"),
+    "depth that is garbage, as .npy": (npy(GARBAGE), "could not read it"),
+    "depth that is empty, as .npy": (npy(b""), "could not read it"),
+    "depth that says it is huge, as .npy": (npy(NPY_THAT_SAYS), "could not read it"),
+    "depth with three axes": (npy(np.zeros((2, 2, 2))), "in rows and columns"),
+    "depth that is text, as .npy": (npy(np.array([["far"]])), "in rows and columns"),
+    "depth with numbers beyond all": (npy(np.full((48, 64), 1e300)), READ),
+}
+
+# ------------------------------------------------------------------------------------------------------------ Polycam
+
+STEM = "60829420707"
+CAMERA = f"keyframes/corrected_cameras/{STEM}.json"
+
+
+def polycam(**entries):
+    return said(CAMERA, **entries)
+
+
+def gone(name):
+    """A folder with other a name."""
+    return lambda path: (path / name).rename(path / f"{name}_of_old")
+
+
+POLYCAM = {
+    **of_pictures(
+        f"keyframes/corrected_images/{STEM}.jpg",
+        f"keyframes/depth/{STEM}.png",
+        f"keyframes/confidence/{STEM}.png",
+    ),
+    "a camera is empty": (put(CAMERA, ""), "expected JSON"),
+    "a camera is garbage": (put(CAMERA, GARBAGE), "expected JSON"),
+    "a camera is cut short": (cut(CAMERA), "expected JSON"),
+    "a camera is deep": (put(CAMERA, DEEP), "expected JSON"),
+    "a camera is a list": (put(CAMERA, "[]"), "expected a JSON object"),
+    "a camera is a folder": (folder_in_place_of(CAMERA), NOTE + "1 frame without colour or depth"),
+    "a camera is missing": (remove(CAMERA), READ),
+    "no focal length": (polycam(fx=None), "fx: expected a number"),
+    "a focal length of 0": (polycam(fx=0), "focal lengths must be positive"),
+    "a focal length that is text": (polycam(fx="40"), "fx: expected a number"),
+    "a width below 0": (polycam(width=-1), "width: expected a whole number"),
+    "half a pixel": (polycam(height=0.5), "height: expected a whole number"),
+    "a huge width": (polycam(width=1e300), "width: expected a whole number"),
+    "a pose that is NaN": (polycam(t_00=float("nan")), "t_00: expected a number"),
+    "a pose that is text": (polycam(t_13="up"), "t_13: expected a number"),
+    "a pose that is missing": (polycam(t_23=None), "t_23: expected a number"),
+    "a huge place": (polycam(t_03=1e300), "within 1e+06 m"),
+    "a huge number": (replaced(CAMERA, '"t_03":', f'"t_03": {HUGE}, "t_99":'), "t_03: expected a number"),
+    "a pose that mirrors": (
+        polycam(
+            **{f"t_{row}{column}": float(row == column) * (-1) ** (row == 0) for row in range(3) for column in range(3)}
+        ),
+        "it mirrors",
+    ),
+    "a pose that scales": (
+        polycam(**{f"t_{row}{column}": 2.0 * (row == column) for row in range(3) for column in range(3)}),
+        "without scale or shear",
+    ),
+    "no depth": (gone("keyframes/depth"), "no camera has colour and depth"),
+    "no pictures": (gone("keyframes/corrected_images"), "no camera has colour and depth"),
+    "no cameras": (gone("keyframes"), "no recording that is known"),
+    "names that are no times": (put("keyframes/corrected_cameras/thumb.json", "{}"), NOTE + "Times are not known"),
+    "a name of many digits": (put(f"keyframes/corrected_cameras/{'9' * 99}.json", "{}"), NOTE + "Times are not known"),
+}
+
+# ------------------------------------------------------------------------------------------------------- plain folder
+
+CAMERA_FILE, POSES = "camera.json", "poses.txt"
+
+
+def plain(**entries):
+    return said(CAMERA_FILE, **entries)
+
+
+PLAIN = {
+    **of_pictures("colour/2.png", "depth/2.png", "confidence/2.png", "without depth or a pose left out"),
+    "colour is a folder": (folder_in_place_of("colour/2.png"), "expected a line for each of 2 pictures, got 3"),
+    "the camera is a list": (put(CAMERA_FILE, "[]"), "expected a JSON object"),
+    "the camera is empty": (put(CAMERA_FILE, ""), "expected JSON"),
+    "the camera is garbage": (put(CAMERA_FILE, GARBAGE), "expected JSON"),
+    "the camera is deep": (put(CAMERA_FILE, DEEP), "expected JSON"),
+    "a misspelt key": (plain(convnetion="opencv"), "did you mean 'convention'"),
+    "a pose in the camera": (plain(world_from_camera=np.eye(4).tolist()), "there is no such key"),
+    "a width below 0": (plain(width=-64), "at least one pixel"),
+    "a huge width": (plain(width=1e300), "a whole number of pixels"),
+    "a focal length that is text": (plain(fx="40"), "fx: expected a number"),
+    "axes of no tool": (plain(convention="maya"), "convention: expected"),
+    "an up that is none": (plain(up="w"), "up: expected"),
+    "units of 0": (plain(metres_per_unit=0), "expected positive numbers"),
+    "units that are infinite": (plain(metres_per_unit=float("inf")), "metres_per_unit: expected a number"),
+    "units that are large": (plain(metres_per_unit=10), READ),
+    "no frames a second": (plain(frames_per_second=0), "expected positive numbers"),
+    "no poses": (gone(POSES), "no picture of colour/ has depth and a pose"),
+    "poses are empty": (put(POSES, ""), "expected a line for each of 3 pictures, got 0"),
+    "poses are garbage": (put(POSES, b"\xff\xfe" + GARBAGE), "expected numbers as text"),
+    "poses of another number": (put(POSES, "0 0 0 0 0 0 0 1\n"), "expected a line for each of 3"),
+    "poses of nine numbers": (put(POSES, "1 2 3 4 5 6 7 8 9\n" * 3), "expected 16 numbers"),
+    "poses that are text": (put(POSES, "a b c d e f g h\n" * 3), "expected 8 numbers"),
+    "poses that are NaN": (put(POSES, "0 0 0 nan 0 0 0 1\n" * 3), "expected finite numbers"),
+    "a quaternion of zeros": (put(POSES, "0 0 0 0 0 0 0 0\n" * 3), "a quaternion of length 1"),
+    "a huge place": (put(POSES, "0 1e300 0 0 0 0 0 1\n" * 3), "within 1e+06 m"),
+    "a pose that mirrors": (put(POSES, "-1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 3), "it mirrors"),
+    "a pose on its side": (put(POSES, "1 0 0 0 0 1 0 0 0 0 1 0 1 2 3 1\n" * 3), "transpose it?"),
+    "times that go back": (put(POSES, "5 0 0 0 0 0 0 1\n4 0 0 0 0 0 0 1\n6 0 0 0 0 0 0 1\n"), NOTE + "Times go back"),
+    "no times": (put(POSES, "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 3), NOTE + "Times are not known"),
+}
+
+# ---------------------------------------------------------------------------------------- Nerfstudio, TUM and 7-Scenes
+
+TRANSFORMS, TRUTH = "transforms.json", "groundtruth.txt"
+NERFSTUDIO = {
+    **of_pictures("images/2.png", "depth/2.png"),
+    "empty": (put(TRANSFORMS, ""), "expected JSON"),
+    "garbage": (put(TRANSFORMS, GARBAGE), "expected JSON"),
+    "deep": (put(TRANSFORMS, DEEP), "expected JSON"),
+    "a list": (put(TRANSFORMS, "[]"), "expected frames"),
+    "a huge size": (said(TRANSFORMS, w=1e300), "w: expected a whole number"),
+    "a focal length that is NaN": (said(TRANSFORMS, fl_x=float("nan")), "fl_x: expected a number"),
+}
+TUM = {
+    **of_pictures("rgb/0.033333.png", "depth/0.033333.png", missing="without colour, depth or a pose left out"),
+    "no poses near": (put(TRUTH, "99 0 0 0 0 0 0 1\n"), "no colour picture has depth and a pose"),
+    "poses are garbage": (put(TRUTH, GARBAGE), "expected lines of a time"),
+    "a huge place": (put(TRUTH, "0 1e300 0 0 0 0 0 1\n"), "within 1e+06 m"),
+    "a huge number": (put(TRUTH, f"0 {HUGE} 0 0 0 0 0 1\n"), "expected finite numbers"),
+    "a quaternion of zeros": (put(TRUTH, "0 0 0 0 0 0 0 0\n"), "a quaternion of length 1"),
+    "a list is a folder": (folder_in_place_of("rgb.txt"), "no recording that is known"),
+}
+POSE = "frame-000002.pose.txt"
+SEVEN_SCENES = {
+    **of_pictures("frame-000002.color.png", "frame-000002.depth.png"),
+    "a pose is empty": (put(POSE, ""), "expected four rows"),
+    "a pose is garbage": (put(POSE, b"\xff\xfe" + GARBAGE), POSE),
+    "a pose is NaN": (put(POSE, "nan nan nan nan\n" * 4), "expected finite numbers"),
+    "a pose is huge": (put(POSE, "1 0 0 1e400\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"), "expected finite numbers"),
+    "a pose mirrors": (put(POSE, "-1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"), "it mirrors"),
+    "a pose is missing": (remove(POSE), READ),
+}
+
+SMALL_TUM = Intrinsics(64, 48, 52.5, 52.5, 32.0, 24.0)
+SMALL_SCENES = Intrinsics(64, 48, 58.5, 58.5, 32.0, 24.0)
+CASES = {
+    "Record3D": (RECORD3D, SMALL),
+    "Stray Scanner": (STRAY, SMALL),
+    "Polycam": (POLYCAM, SMALL),
+    "plain folder": (PLAIN, SMALL),
+    "Nerfstudio": (NERFSTUDIO, SMALL),
+    "TUM RGB-D": (TUM, SMALL_TUM),
+    "7-Scenes": (SEVEN_SCENES, SMALL_SCENES),
+}
+"""By format: cases, and intrinsics for a sound recording of 64x48 pixels."""
