@@ -11,7 +11,9 @@ from xihe_blender.cli.estimate import position
 from xihe_blender.cli.progress import progress_line
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
+from xihenet.captures.writing import WRITERS
 
+LAYOUT = "our own OpenEXR files (xihe, the default), or as another app or data set stores a recording"
 TRUTH = "render the true light as well: coefficients, a panorama and the three spheres, beside the recording"
 PLACES = "position of the true light in metres; may be repeated; default: at the virtual objects"
 
@@ -24,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--samples N", arguments.SAMPLES, int)
     add("--metering NAME", "highlights, as phones do, or key; default: the phone's own")
     add("--effect NAME=on|off|auto", arguments.EFFECT, dest="overrides", action="append", default=[])
+    add("--as LAYOUT", LAYOUT, choices=("xihe", *WRITERS), default="xihe", dest="layout")
     add("--truth", TRUTH, action="store_true", dest="has_truth")
     add("--at X,Y,Z", PLACES, position, action="append", dest="at_m", default=[])
 
@@ -38,8 +41,8 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         raise UserError("--at says where the true light is measured: give --truth as well")
     settings = arguments.settings_from(options, PrevisSettings, effect_choices=parsed_overrides(options.overrides))
     scene = open_blend(options.scene)
-    wishes = RecordWishes(options.has_truth, tuple(options.at_m))
+    wishes = RecordWishes(options.layout, options.has_truth, tuple(options.at_m))
     job = record_session(scene, options.out, settings, wishes, blend_file=options.scene, command=options.command_line)
-    written = run_blocking(job, progress_line(stderr))
-    n_frames = sum(path.name.startswith("frame_") for path in written)
-    print(f"{n_frames} frames in {options.out}; work in it can be deleted", file=stdout)
+    for line in run_blocking(job, progress_line(stderr)):
+        print(line, file=stdout)
+    print(f"{options.out / 'work'} is for resuming and can be deleted", file=stdout)

@@ -33,12 +33,18 @@ from xihe_blender.previs.run_chain import phone_of_captures
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.state import scene_kept
 from xihe_blender.scene.virtual_objects import virtual_objects
+from xihenet.captures.writing import WRITERS
+from xihenet.captures.writing.pictures import Form
 from xihenet.colour import linear_to_srgb
+from xihenet.formats import format_count
 from xihenet.recording import SESSION_FILE, load_frame, save_frame, write_session
 from xihenet.records import ArrayF64, RgbdFrame
 
 WORK = "a recording"
 TRUTH_FILE = "truth.json"
+OURS = "xihe"
+LAYOUTS = (OURS, *WRITERS)
+RECORD3D_FILE = "recording.r3d"
 
 
 @dataclass(frozen=True)
@@ -47,10 +53,12 @@ class RecordWishes:
 
     Parameters
     ----------
+    layout : one of LAYOUTS: our own, or that of another app or data set
     has_truth : whether the true light is rendered
     at_m : (x, y, z) world, metres, of where; empty takes the virtual objects' estimation positions
     """
 
+    layout: str = OURS
     has_truth: bool = False
     at_m: Sequence[tuple[float, float, float]] = ()
 
@@ -63,11 +71,11 @@ def record_session(
     *,
     blend_file: Path,
     command: str = "",
-) -> Job[list[Path]]:
-    """A job: record the camera path of `scene` in the folder `out`; what it left, session.json last.
+) -> Job[list[str]]:
+    """A job: record the camera path of `scene` in the folder `out`; in words what it left.
 
-    UserError for a scene without a camera, for a folder that holds something else, and where the true light is asked
-    for and there is no place to measure it.
+    UserError for a scene without a camera, for a folder that holds something else, where the true light is asked for
+    and there is no place to measure it, and without a package that the layout takes.
     """
     settings = replace(settings, captured="path", light="sh")
     if virtual_objects(scene):
@@ -81,25 +89,41 @@ def record_session(
     manifest.check()
     survey = survey_run(scene, plan, outputs)
     manifest.take()
-    written = []
     with scene_kept():
         run = yield from prepare_run(scene, plan, survey, outputs, settings, ())
         work_s = yield from render_captures(run)
-        for path, seen in _frames(run, work_s, out):
-            yield Progress(1, 1, f"writing frame {seen.frame}")
-            save_frame(path, seen)
-            written.append(path)
+        yield Progress(1, 1, "writing the recording")
+        said = _write(out, _frames(run, work_s), run, wishes.layout)
         if places:
-            written += yield from _measure_truth(run, places, out, command)
-    write_session(out, replace(kept_facts(run), files=()))
-    return [*written, out / SESSION_FILE]
+            yield from _measure_truth(run, places, out, command)
+            said.append(f"the true light at {format_count(len(places), 'place')} in {TRUTH_FILE}")
+    if wishes.layout == OURS:
+        # Last: it says that the recording is whole.
+        write_session(out, replace(kept_facts(run), files=()))
+    return said
 
 
-def _frames(run: PreparedRun, work_s: dict[int, float], out: Path) -> Iterator[tuple[Path, RgbdFrame]]:
+def _frames(run: PreparedRun, work_s: dict[int, float]) -> Iterator[RgbdFrame]:
     phone = phone_of_captures(run, work_s)
-    for number, frame in enumerate(sorted(run.needs.captured)):
+    for frame in sorted(run.needs.captured):
         seen, _ = phone.see(load_frame(run.outputs.capture(frame)), run.outputs)
-        yield out / f"frame_{number:06d}.exr", seen
+        yield seen
+
+
+def _write(out: Path, frames: Iterator[RgbdFrame], run: PreparedRun, layout: str) -> list[str]:
+    if layout == OURS:
+        for number, seen in enumerate(frames):
+            save_frame(out / f"frame_{number:06d}.exr", seen)
+        return [f"{format_count(len(run.needs.captured), 'frame')} in {out}"]
+    path = out / RECORD3D_FILE if layout == "record3d" else out
+    try:
+        written = WRITERS[layout](path, frames, Form())
+    except (ImportError, ValueError) as error:
+        raise UserError(f"--as {layout}: {error}") from error
+    said = [f"{format_count(written.n_frames, 'frame')} in {path}"]
+    if written.n_too_far:
+        said.append(f"{written.n_too_far} pixels were too far for this layout and have no depth")
+    return said
 
 
 def truth_places(plan: PrevisPlan, wishes: RecordWishes) -> tuple[Probe, ...]:
@@ -111,7 +135,7 @@ def truth_places(plan: PrevisPlan, wishes: RecordWishes) -> tuple[Probe, ...]:
     return plan.probes
 
 
-def _measure_truth(run: PreparedRun, places: Sequence[Probe], out: Path, command: str) -> Job[list[Path]]:
+def _measure_truth(run: PreparedRun, places: Sequence[Probe], out: Path, command: str) -> Job[None]:
     """Light probes and spheres at `places`, in the first frame and wherever the light or the place is another."""
     frames = run.plan.frames
     states = {frame: run.survey.frames[frame].state for frame in frames}
@@ -119,7 +143,7 @@ def _measure_truth(run: PreparedRun, places: Sequence[Probe], out: Path, command
     moved = {frame: run.survey.frames[frame].moved for frame in frames}
     source = plan_render_reuse(states, names, moved).probes
     asked = [(k, place, f) for f in frames for k, place in enumerate(places) if source[f, place.name] == f]
-    found, written = [], []
+    found = []
     items = {item.name: item for item in run.plan.objects}
     positions_m: list[ArrayF64] = [place.position_m for place in places]
     objects = [items.get(place.object_name) for place in places]
@@ -135,7 +159,6 @@ def _measure_truth(run: PreparedRun, places: Sequence[Probe], out: Path, command
         write_radiance(out / files["panorama"], light.panorama * np.float32(run.exposure))
         write_radiance(out / files["spheres"], shown)
         write_picture(out / files["shown"], linear_to_srgb(shown.clip(0, 1)))
-        written += [out / name for name in files.values()]
         found.append(
             {
                 "name": place.name,
@@ -156,4 +179,3 @@ def _measure_truth(run: PreparedRun, places: Sequence[Probe], out: Path, command
         "places": found,
     }
     write_json(out / TRUTH_FILE, content)
-    return [*written, out / TRUTH_FILE]

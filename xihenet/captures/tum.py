@@ -2,8 +2,9 @@
 
 Colour, depth and poses have times of their own. A colour picture goes with the depth next to it in time, and with the
 pose between those around it; more than AT_MOST_S away there is none. Poses are camera to world, the camera looks along
-+Z with +Y down, the world has +Z up. Depth is 16-bit, 5,000 to a metre. Intrinsics are not in the folder: they are
-those that the benchmark's own tools take for all of its cameras.
++Z with +Y down, the world has +Z up. Depth is 16-bit, 5,000 to a metre. Intrinsics are not among the
+benchmark's files: they are those that its own tools take for all of its cameras, unless a camera.json (`width`,
+`height`, `fx`, `fy`, `cx`, `cy`) lies beside them, as we write one for another camera.
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ import numpy as np
 
 from xihenet.captures.capture import Capture, inside, n_frames, picture_frame
 from xihenet.captures.values import pose_of
-from xihenet.frame_files import BLENDER_FROM_UP, frame_camera
+from xihenet.frame_files import BLENDER_FROM_UP, camera_facts, frame_camera
+from xihenet.json_files import read_json
 from xihenet.records import ArrayF64, Intrinsics
 
 FILES = ("rgb.txt", "depth.txt", "groundtruth.txt")
 AT_MOST_S = 0.02
 METRES_PER_UNIT = 1 / 5000
+CAMERA, CAMERA_KEYS = "camera.json", ("width", "height", "fx", "fy", "cx", "cy")
 # The middle of the first pixel is at 0.5 here and at 0 there.
 INTRINSICS = Intrinsics(640, 480, 525.0, 525.0, 320.0, 240.0)
 
@@ -35,6 +38,7 @@ def read(folder: Path, up: str | None) -> Capture:
     depth_s = np.array([time_s for time_s, _ in depths])
     pose_s = np.array([time_s for time_s, _ in poses])
     values = np.array([_numbers(folder / FILES[2], row) for _, row in poses])
+    intrinsics, note = _intrinsics(folder / CAMERA)
     frames, n_without = [], 0
     for number, (time_s, (name,)) in enumerate(colours, start=1):
         nearest = int(np.abs(depth_s - time_s).argmin())
@@ -47,14 +51,27 @@ def read(folder: Path, up: str | None) -> Capture:
         ):
             n_without += 1
             continue
-        camera = frame_camera(INTRINSICS, pose.tolist(), is_opencv=True, up=up)
+        camera = frame_camera(intrinsics, pose.tolist(), is_opencv=True, up=up)
         frames.append(picture_frame(number, time_s - colours[0][0], camera, colour, plane_depth, METRES_PER_UNIT))
     if not frames:
         raise ValueError(f"{folder}: no colour picture has depth and a pose within {AT_MOST_S:g} s of it")
-    notes = ["Intrinsics are those that the benchmark takes for all of its cameras."]
+    notes = [note] if note else []
     if n_without:
         notes.append(f"{n_frames(n_without)} without colour, depth or a pose left out.")
     return Capture("TUM RGB-D", frames, BLENDER_FROM_UP[up], tuple(notes), is_opencv=True)
+
+
+def _intrinsics(path: Path) -> tuple[Intrinsics, str]:
+    """Those of camera.json, or the benchmark's and a note that says so."""
+    if not path.is_file():
+        return INTRINSICS, "Intrinsics are those that the benchmark takes for all of its cameras."
+    content = read_json(path)
+    try:
+        if not isinstance(content, dict):
+            raise ValueError(f"expected a JSON object with {', '.join(CAMERA_KEYS)}")
+        return camera_facts(content, CAMERA_KEYS)[0], ""
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
 
 
 def _lines(path: Path, n_values: int) -> list[tuple[float, list[str]]]:

@@ -6,8 +6,9 @@ not the same.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from xihenet.records import RgbdFrame
 
 UNITS_PER_METRE, FPS = 1000, 30
 ENCODERS = {"libx265": {"x265-params": "log-level=none"}, "libx264": {}}
+SMALLEST_SIDE = {"libx265": 48, "libx264": 2}  # Of 32x24 pixels the first makes files that cannot be written, at times
 QUALITY = "12"  # Constant rate factor: differences are hard to see
 BT709, LIMITED = 1, 1  # As phones say, in the numbers of ITU-T H.273
 
@@ -84,34 +86,38 @@ def _video(path: Path) -> Iterator[Any]:
         import av
     except ImportError as error:
         raise ImportError(f"videos are written by PyAV: {EXTRA}") from error
-    encoder = next((name for name in ENCODERS if name in av.codecs_available), None)
-    if encoder is None:
-        raise ValueError("Stray Scanner: PyAV has no encoder for HEVC or H.264 here: write another layout")
     opened: Any = av.open(str(path), "w", format="mp4")
     with opened as container:
-        stream = container.add_stream(encoder, rate=FPS, options={"crf": QUALITY, **ENCODERS[encoder]})
-        is_begun = False
+        stream: Any = None
+        n = 0
 
         def encode(pixels: Any) -> None:
-            nonlocal is_begun
+            nonlocal stream, n
             height, width = pixels.shape[:2]
-            if not is_begun:
-                _begin(stream, width, height)
-                is_begun = True
+            stream = stream or _begun(container, width, height, av.codecs_available)
             if (stream.width, stream.height) != (width, height):
                 raise ValueError("Stray Scanner: expected frames of one size, as pictures of a video are")
             picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")
-            container.mux(stream.encode(picture.reformat(format="yuv420p", dst_colorspace="ITU709")))
+            picture = picture.reformat(format="yuv420p", dst_colorspace="ITU709")
+            picture.pts, picture.time_base = n, Fraction(1, FPS)
+            n += 1
+            container.mux(stream.encode(picture))
 
         yield encode
-        if is_begun:
+        if stream is not None:
             container.mux(stream.encode())
 
 
-def _begin(stream: Any, width: int, height: int) -> None:
+def _begun(container: Any, width: int, height: int, available: Collection[str]) -> Any:
+    """A stream of pictures of that size."""
     if width % 2 or height % 2:
         raise ValueError(f"Stray Scanner: a video has even sizes, got {width}x{height} pixels: double the colour's")
+    names = [name for name in ENCODERS if name in available and min(width, height) >= SMALLEST_SIDE[name]]
+    if not names:
+        raise ValueError("Stray Scanner: PyAV has no encoder for HEVC or H.264 here: write another layout")
+    stream = container.add_stream(names[0], rate=FPS, options={"crf": QUALITY, **ENCODERS[names[0]]})
     stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
     of_colour = stream.codec_context
     of_colour.colorspace, of_colour.color_primaries, of_colour.color_trc = BT709, BT709, BT709
     of_colour.color_range = LIMITED
+    return stream

@@ -1,16 +1,18 @@
 """Frames as the TUM RGB-D benchmark has them; the layout is that of `xihenet.captures.tum`.
 
-It has no place for intrinsics: whoever reads it takes those of the benchmark, so that no others can be written.
+It has no place for intrinsics. Those of another camera than the benchmark's are written beside it, in camera.json,
+which our reader takes; other tools have to be told.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
-from xihenet.captures.tum import FILES, INTRINSICS, METRES_PER_UNIT
+from xihenet.captures.tum import CAMERA, CAMERA_KEYS, FILES, INTRINSICS, METRES_PER_UNIT
 from xihenet.captures.values import quaternion_of
 from xihenet.captures.writing.pictures import OPENCV_FROM_BLENDER_CAMERA, USUAL, Form, Written, colour_bytes, save_depth
 from xihenet.records import Intrinsics, RgbdFrame
@@ -22,12 +24,14 @@ SHORTEST_S = 1e-4  # Between two frames, whose files are named by their times
 def write(folder: Path, frames: Iterable[RgbdFrame], form: Form = USUAL) -> Written:
     """Pictures by their time, and the lists at the end. OSError if it cannot be written.
 
-    ValueError for other intrinsics than the benchmark's, and for times that do not rise.
+    ValueError for intrinsics that change, and for times that do not rise.
     """
     lists: dict[str, list[str]] = {name: ["# timestamp and what it has"] for name in FILES}
-    last_s, n_too_far = -np.inf, 0
+    last_s, n_too_far, camera = -np.inf, 0, None
     for frame in frames:
-        _check(frame.intrinsics)
+        camera = camera or frame.intrinsics
+        if frame.intrinsics != camera:
+            raise ValueError("TUM RGB-D: expected one camera for all frames, and its intrinsics change")
         if frame.time_s - last_s < SHORTEST_S:
             raise ValueError(f"TUM RGB-D: expected times that rise by {SHORTEST_S:g} s, got {frame.time_s:g} s")
         last_s, time = frame.time_s, f"{frame.time_s:.6f}"
@@ -41,17 +45,16 @@ def write(folder: Path, frames: Iterable[RgbdFrame], form: Form = USUAL) -> Writ
         for file, said in zip(FILES, (*names, " ".join(f"{value:.9f}" for value in values)), strict=True):
             lists[file].append(f"{time} {said}")
     folder.mkdir(exist_ok=True, parents=True)
+    if camera is not None and not _is_the_benchmarks(camera):
+        content = {name: getattr(camera, name) for name in CAMERA_KEYS}
+        (folder / CAMERA).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     for file, lines in lists.items():
         (folder / file).write_text("\n".join(lines) + "\n", encoding="utf-8")
     return Written(len(lists[FILES[0]]) - 1, n_too_far)
 
 
-def _check(k: Intrinsics) -> None:
+def _is_the_benchmarks(k: Intrinsics) -> bool:
     scale = INTRINSICS.width / k.width
     scaled = np.array([k.height, k.fx, k.fy, k.cx, k.cy]) * scale
     expected = [INTRINSICS.height, INTRINSICS.fx, INTRINSICS.fy, INTRINSICS.cx, INTRINSICS.cy]
-    if not np.allclose(scaled, expected, rtol=TOLERANCE):
-        raise ValueError(
-            f"TUM RGB-D: the layout has no place for intrinsics other than {INTRINSICS}: write another, such as "
-            "nerfstudio"
-        )
+    return bool(np.allclose(scaled, expected, rtol=TOLERANCE))
