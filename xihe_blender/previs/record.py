@@ -44,6 +44,8 @@ WORK = "a recording"
 TRUTH_FILE = "truth.json"
 OURS = "xihe"
 LAYOUTS = (OURS, *WRITERS)
+LOSSY, COLOUR_SCALE = ("record3d", "stray"), 4
+"""JPEG and video mix the colours of neighbours: as on a phone, colour has more pixels than depth there."""
 RECORD3D_FILE = "recording.r3d"
 
 
@@ -117,7 +119,7 @@ def _write(out: Path, frames: Iterator[RgbdFrame], run: PreparedRun, layout: str
         return [f"{format_count(len(run.needs.captured), 'frame')} in {out}"]
     path = out / RECORD3D_FILE if layout == "record3d" else out
     try:
-        written = WRITERS[layout](path, frames, Form())
+        written = WRITERS[layout](path, frames, Form(colour_scale=COLOUR_SCALE if layout in LOSSY else 1))
     except (ImportError, ValueError) as error:
         raise UserError(f"--as {layout}: {error}") from error
     said = [f"{format_count(written.n_frames, 'frame')} in {path}"]

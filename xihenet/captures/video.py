@@ -21,6 +21,9 @@ from xihenet.records import ArrayU8
 
 EXTRA = "pip install 'xihe-blender[captures]'"
 DEMUXER = "mov"
+# Of FFmpeg's conversion: bicubic, with accurate rounding and colour at full width both ways. As it comes it cuts numbers
+# off, and every colour is darker by 1.1 of 255, which is 4 % of the light of a dark wall.
+EXACTLY = 0x4 | 0x40000 | 0x2000 | 0x4000
 
 
 class Video:
@@ -98,7 +101,7 @@ class Video:
     def _pixels(self, picture: Any) -> ArrayU8:
         if (picture.width, picture.height) != (self.width, self.height):
             raise ValueError(f"{self.path}: its pictures change their size, from {self.width}x{self.height}")
-        return np.asarray(picture.to_ndarray(format="rgb24"))
+        return np.asarray(picture.reformat(format="rgb24", interpolation=EXACTLY).to_ndarray())
 
     def _open(self) -> Any:
         try:

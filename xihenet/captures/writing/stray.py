@@ -16,7 +16,7 @@ import numpy as np
 
 from xihenet.captures.stray import COLUMNS, INTRINSICS, MATRIX, ODOMETRY, VIDEO
 from xihenet.captures.values import quaternion_of
-from xihenet.captures.video import EXTRA
+from xihenet.captures.video import EXACTLY, EXTRA
 from xihenet.captures.writing.pictures import (
     OPENCV_FROM_BLENDER_CAMERA,
     USUAL,
@@ -32,8 +32,8 @@ from xihenet.captures.writing.pictures import (
 from xihenet.records import RgbdFrame
 
 UNITS_PER_METRE, FPS = 1000, 30
-ENCODERS = {"libx265": {"x265-params": "log-level=none"}, "libx264": {}}
-SMALLEST_SIDE = {"libx265": 48, "libx264": 2}  # Of 32x24 pixels the first makes files that cannot be written, at times
+# Without pictures between pictures, as phones record: with them short videos could not be written, at times.
+ENCODERS = {"libx265": {"x265-params": "log-level=none:bframes=0"}, "libx264": {}}
 QUALITY = "12"  # Constant rate factor: differences are hard to see
 BT709, LIMITED = 1, 1  # As phones say, in the numbers of ITU-T H.273
 
@@ -98,7 +98,7 @@ def _video(path: Path) -> Iterator[Any]:
             if (stream.width, stream.height) != (width, height):
                 raise ValueError("Stray Scanner: expected frames of one size, as pictures of a video are")
             picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")
-            picture = picture.reformat(format="yuv420p", dst_colorspace="ITU709")
+            picture = picture.reformat(format="yuv420p", dst_colorspace="ITU709", interpolation=EXACTLY)
             picture.pts, picture.time_base = n, Fraction(1, FPS)
             n += 1
             container.mux(stream.encode(picture))
@@ -112,7 +112,7 @@ def _begun(container: Any, width: int, height: int, available: Collection[str]) 
     """A stream of pictures of that size."""
     if width % 2 or height % 2:
         raise ValueError(f"Stray Scanner: a video has even sizes, got {width}x{height} pixels: double the colour's")
-    names = [name for name in ENCODERS if name in available and min(width, height) >= SMALLEST_SIDE[name]]
+    names = [name for name in ENCODERS if name in available]
     if not names:
         raise ValueError("Stray Scanner: PyAV has no encoder for HEVC or H.264 here: write another layout")
     stream = container.add_stream(names[0], rate=FPS, options={"crf": QUALITY, **ENCODERS[names[0]]})

@@ -1,0 +1,98 @@
+"""What does another layout cost the light of a recorded session? Each is written from it, read again and replayed.
+
+    xihe record ROOM.blend --out ROOM --truth
+    python addon_tests/bench/round_trips.py ROOM
+
+For each layout the largest error of depth, in how many of the session's steps its trigger decides as for the session
+itself, and how far the light in force is from that of the session, as a share of it: mean and median over frames and
+places. First the same for the session whose depth is a ten-thousandth longer, which no sensor could tell.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from xihenet import estimators
+from xihenet.captures import open_capture
+from xihenet.captures.capture import Capture
+from xihenet.captures.writing import WRITERS
+from xihenet.captures.writing.pictures import Form
+from xihenet.records import ArrayF64, RgbdFrame
+from xihenet.replay import REPLAY_TRIGGER, ReplayedStep, never_in_view, replay
+
+WIDE = 4
+LAYOUTS = [(name, Form(colour_scale=scale)) for name in WRITERS for scale in (1, WIDE)]
+LAYOUTS += [("nerfstudio", Form(scale, is_jpeg=True)) for scale in (1, WIDE)]
+
+
+def steps(
+    frames: Iterable[RgbdFrame], capture: Capture, at_m: dict[str, ArrayF64], exposure: float | None
+) -> list[ReplayedStep]:
+    network = estimators.load("lattice", target="hdr")
+    unseen = never_in_view(capture, at_m)
+    return list(
+        replay(frames, at_m, network, trigger=REPLAY_TRIGGER, reference_exposure=exposure, never_in_view=unseen)
+    )
+
+
+def fired(found: Iterable[ReplayedStep]) -> list[tuple[str, ...]]:
+    return [tuple(sorted(n for n, r in one.reports.items() if r.decision.fire)) for one in found]
+
+
+def differences(first: list[ReplayedStep], second: list[ReplayedStep], gain: float) -> Iterator[float]:
+    for one, other in zip(first, second, strict=True):
+        for name in one.lights.keys() & other.lights.keys():
+            sh = one.lights[name].sh
+            yield float(np.linalg.norm(other.lights[name].sh * gain - sh) / np.linalg.norm(sh))
+
+
+def main() -> None:
+    folder = Path(sys.argv[1])
+    content = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    at_m = {one["name"]: np.array(one["position_m"]) for one in content["places"]}
+    ours = open_capture(folder)
+    frames = list(ours)
+    first = steps(frames, ours, at_m, ours.reference_exposure)
+    print(
+        "| layout | pixels too far | depth off by, mm | steps that trigger alike | light off by, mean | median |\n|"
+        + " --- |" * 6
+    )
+    longer = [replace(frame, plane_depth_m=frame.plane_depth_m * np.float32(1.0001)) for frame in frames]
+    again = steps(longer, ours, at_m, ours.reference_exposure)
+    off, alike = (
+        list(differences(first, again, 1.0)),
+        np.mean([a == b for a, b in zip(fired(first), fired(again), strict=True)]),
+    )
+    print(f"| depth 0.01 % longer | 0 | | {alike:.1%} | {np.mean(off):.2%} | {np.median(off):.2%} |", flush=True)
+    for layout, form in LAYOUTS:
+        with tempfile.TemporaryDirectory() as beside:
+            path = Path(beside) / ("recording.r3d" if layout == "record3d" else "recording")
+            n_too_far = WRITERS[layout](path, frames, form).n_too_far
+            theirs = open_capture(path)
+            read = list(theirs)
+        off_mm = 1e3 * max(
+            float(np.abs(np.where(b.plane_depth_m > 0, b.plane_depth_m - a.plane_depth_m, 0)).max())
+            for a, b in zip(frames, read, strict=True)
+        )
+        # Their frames say no exposure: 1 stands for that of the session.
+        again = steps(read, theirs, at_m, 1.0)
+        gain = (ours.reference_exposure or 1.0) / frames[0].exposure
+        alike = np.mean([a == b for a, b in zip(fired(first), fired(again), strict=True)])
+        off = list(differences(first, again, gain))
+        name = f"{layout}{', JPEG' if form.is_jpeg else ''}"
+        name += f", colour {WIDE} times as wide" if form.colour_scale > 1 else ""
+        print(
+            f"| {name} | {n_too_far} | {off_mm:.2f} | {alike:.1%} | {np.mean(off):.2%} | {np.median(off):.2%} |",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()
