@@ -188,7 +188,7 @@ def _pose(rows: Any) -> ArrayF64:
         raise ValueError(f"world_from_camera: expected four rows of four numbers, got an array of shape {pose.shape}")
     if not np.isfinite(pose).all():
         raise ValueError("world_from_camera: expected finite numbers, got NaN or infinity")
-    if not np.allclose(pose[3], [0, 0, 0, 1], rtol=0, atol=POSE_TOLERANCE):
+    if np.abs(pose[3] - [0, 0, 0, 1]).max() > POSE_TOLERANCE:
         raise ValueError(f"world_from_camera: expected the last row 0 0 0 1, got {pose[3].tolist()}: transpose it?")
     axes = pose[:3, :3]
     skew = float(np.abs(axes.T @ axes - np.eye(3)).max())

@@ -10,7 +10,6 @@ import struct
 import zipfile
 import zlib
 
-import lzfse
 import numpy as np
 from PIL import Image
 
@@ -196,11 +195,16 @@ def marked_encrypted(content):
     return bytes(marked)
 
 
-def lying_lzfse(n_bytes):
-    """LZFSE whose block says that it unpacks to 10 bytes, and which unpacks to many more."""
-    stored = bytearray(lzfse.compress(bytes(n_bytes)))
-    stored[4:8] = struct.pack("<I", 10)
-    return bytes(stored)
+def packed(content, says=None):
+    """LZFSE; `says` how many bytes its first block unpacks to, which may be a lie."""
+
+    def of(_):
+        import lzfse
+
+        stored = lzfse.compress(content)
+        return stored if says is None else stored[:4] + struct.pack("<I", says) + stored[8:]
+
+    return of
 
 
 DEPTH, CONF = "rgbd/1.depth", "rgbd/1.conf"
@@ -217,8 +221,8 @@ RECORD3D = {
     "metadata is deep": (member("metadata", DEEP.encode()), "expected JSON"),
     "metadata is a bomb": (member("metadata", bytes(2**26 + 1)), "expected at most"),
     "depth is a bomb": (member(DEPTH, bytes(2**22)), "expected at most"),
-    "LZFSE is a bomb": (member(DEPTH, lzfse.compress(bytes(2**25))), "unpacks to"),
-    "LZFSE that lies": (member(DEPTH, lying_lzfse(2**20)), "another size than it says"),
+    "LZFSE is a bomb": (member(DEPTH, packed(bytes(2**25))), "unpacks to"),
+    "LZFSE that lies": (member(DEPTH, packed(bytes(2**20), says=10)), "another size than it says"),
     "a path upwards": (member("../elsewhere", b"x"), "lies outside"),
     "a path from the root": (member("/etc/elsewhere", b"x"), "lies outside"),
     "a path of Windows": (member("C:\\elsewhere", b"x"), "lies outside"),
@@ -248,9 +252,9 @@ RECORD3D = {
     "depth is garbage": (member(DEPTH, GARBAGE), "expected LZFSE"),
     "depth is empty": (member(DEPTH, b""), "expected LZFSE"),
     "depth is cut short": (member(DEPTH, lambda content: content[:-50]), "expected LZFSE"),
-    "depth of another size": (member(DEPTH, lzfse.compress(bytes(400))), "expected 64x48 distances"),
+    "depth of another size": (member(DEPTH, packed(bytes(400))), "expected 64x48 distances"),
     "confidence is garbage": (member(CONF, GARBAGE), "expected LZFSE"),
-    "confidence of another size": (member(CONF, lzfse.compress(bytes(400))), "expected 64x48 bytes"),
+    "confidence of another size": (member(CONF, packed(bytes(400))), "expected 64x48 bytes"),
     "colour is garbage": (member("rgbd/1.jpg", GARBAGE), "expected an image"),
     "colour is empty": (member("rgbd/1.jpg", b""), "expected an image"),
     "colour that lies otherwise": (metadata(w=192, h=256, dw=48, dh=64), "the same ratio"),
@@ -263,10 +267,10 @@ RECORD3D = {
     "times that go back": (metadata(frameTimestamps=[5.0, 4.0, 6.0]), NOTE + "Times go back once"),
     "times that are not known": (metadata(frameTimestamps=None), READ),
     "depth in millimetres": (
-        member(DEPTH, lzfse.compress(np.full(64 * 48, 2000, "<f4").tobytes())),
+        member(DEPTH, packed(np.full(64 * 48, 2000, "<f4").tobytes())),
         READ,
     ),
-    "depth beyond all numbers": (member(DEPTH, lzfse.compress(np.full(64 * 48, np.inf, "<f4").tobytes())), READ),
+    "depth beyond all numbers": (member(DEPTH, packed(np.full(64 * 48, np.inf, "<f4").tobytes())), READ),
     "up is not known": (metadata(initPose=None), NOTE + "Which way is up is not given"),
 }
 

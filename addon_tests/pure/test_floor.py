@@ -54,7 +54,7 @@ def test_a_tilted_room_is_set_upright(tmp_path, axis, degrees, sigma_m):
     (note,) = (note for note in capture.notes if note.startswith("Up is the normal of the floor"))
     said = float(note.split(": ")[1].split()[0])
     assert said == pytest.approx(abs(degrees), abs=1.0) and note.endswith("degrees from -Y.")
-    assert "which 14 frames show" in note or "which 7 frames show" in note
+    assert 4 <= int(note.split("which ")[1].split()[0]) <= 12
     # Positions that are typed in the recording's world come to where its frames are.
     np.testing.assert_allclose(
         capture.blender_from_file @ down @ turned(axis, degrees) @ frames[3].world_from_camera[:3, 3],

@@ -1,0 +1,167 @@
+"""What is written in the layouts of others, read by other means than our readers: zip, CSV, JSON, Pillow, PyAV."""
+
+import csv
+import json
+import subprocess
+import sys
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from addon_tests.pure.recordings import PACKED, SMALL, TUM, UPRIGHT, VIDEO, doubted, walk
+from xihenet.camera import unproject_frame
+from xihenet.captures import open_capture
+from xihenet.captures.writing import WRITERS, nerfstudio, record3d, stray, tum
+from xihenet.captures.writing.pictures import Form
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def points_of(depth_m, fx, fy, cx, cy, pose, looks_down_z):
+    """(P, 3) in the pose's world, the long way: a loop over pixels, as a tool of others would do it."""
+    points = []
+    for row in range(depth_m.shape[0]):
+        for column in range(depth_m.shape[1]):
+            z = float(depth_m[row, column])
+            x, y = (column + 0.5 - cx) / fx * z, (row + 0.5 - cy) / fy * z
+            points.append(pose @ ([x, -y, -z, 1] if looks_down_z else [x, y, z, 1]))
+    return np.array(points)[:, :3]
+
+
+def turned_by(q, vector):
+    """A vector turned by x, y, z, w: v + 2 w (u x v) + 2 u x (u x v)."""
+    u, w = np.array(q[:3]), q[3]
+    return vector + 2 * w * np.cross(u, vector) + 2 * np.cross(u, np.cross(u, vector))
+
+
+def pose_of(place, q):
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([turned_by(q, axis) for axis in np.eye(3)], axis=1)
+    pose[:3, 3] = place
+    return pose
+
+
+def z_up(points):
+    """ARKit's world has +Y up."""
+    return points[:, [0, 2, 1]] * [1, -1, 1]
+
+
+@PACKED
+@pytest.mark.parametrize("intrinsics", [SMALL, UPRIGHT])
+def test_a_record3d_file_opens_by_hand(tmp_path, intrinsics):
+    import lzfse
+
+    frames = doubted(walk(intrinsics, 3))
+    assert record3d.write(tmp_path / "a.r3d", frames, Form(colour_scale=5)).n_frames == 3
+    with zipfile.ZipFile(tmp_path / "a.r3d") as file:
+        assert file.testzip() is None and not list(tmp_path.glob(".*"))
+        said = json.loads(file.read("metadata"))
+        k = np.array(said["K"]).reshape(3, 3).T
+        assert (said["w"], said["h"]) == (intrinsics.width * 5, intrinsics.height * 5)
+        assert said["poses"][0] == pytest.approx([0, 0, 0, 1, 0, 0, 0], abs=1e-6)
+        for n, frame in enumerate(frames):
+            depth = np.frombuffer(lzfse.decompress(file.read(f"rgbd/{n}.depth")), np.float32)
+            depth = depth.reshape(intrinsics.height, intrinsics.width)
+            conf = np.frombuffer(lzfse.decompress(file.read(f"rgbd/{n}.conf")), np.uint8)
+            assert (conf.reshape(depth.shape) == frame.confidence).all()
+            with file.open(f"rgbd/{n}.jpg") as stored:
+                assert Image.open(stored).size == (said["w"], said["h"])
+            start, pose = (pose_of(row[4:], row[:4]) for row in (said["initPose"], said["poses"][n]))
+            scale = depth.shape[1] / said["w"]
+            seen = points_of(depth, *(k[[0, 1, 0, 1], [0, 1, 2, 2]] * scale), start @ pose, looks_down_z=True)
+            np.testing.assert_allclose(z_up(seen), unproject_frame(frame).points_m, atol=1e-5)
+
+
+@VIDEO
+def test_a_folder_of_stray_scanner_opens_by_hand(tmp_path):
+    import av
+
+    frames = doubted(walk(SMALL, 3))
+    stray.write(tmp_path, frames, Form(colour_scale=2))
+    with (tmp_path / "odometry.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file, skipinitialspace=True))
+    with (tmp_path / "camera_matrix.csv").open(newline="") as file:
+        k = np.array([[float(cell) for cell in row] for row in csv.reader(file)])
+    with av.open(str(tmp_path / "rgb.mp4")) as video:
+        assert video.streams.video[0].codec_context.name in ("hevc", "h264")
+        pictures = [picture.to_ndarray(format="rgb24") for picture in video.decode(video=0)]
+    for row, frame, picture in zip(rows, frames, pictures, strict=True):
+        depth = np.asarray(Image.open(tmp_path / "depth" / f"{row['frame']}.png"))
+        assert depth.dtype == np.uint16
+        confidence = np.asarray(Image.open(tmp_path / "confidence" / f"{row['frame']}.png"))
+        assert (confidence == frame.confidence).all() and float(row["fx"]) == k[0, 0]
+        pose = pose_of(*([float(row[name]) for name in names] for names in (("x", "y", "z"), ("qx", "qy", "qz", "qw"))))
+        seen = points_of(depth / 1000, *(k[[0, 1, 0, 1], [0, 1, 2, 2]] / 2), pose, looks_down_z=False)
+        np.testing.assert_allclose(z_up(seen), unproject_frame(frame).points_m, atol=2e-3)
+        assert np.abs(picture[::2, ::2].astype(float) - frame.srgb_u8).mean() < 5
+
+
+def test_nerfstudio_and_tum_open_by_hand(tmp_path):
+    frames = walk(SMALL, 2)
+    nerfstudio.write(tmp_path / "n", frames, Form(colour_scale=3, is_jpeg=True))
+    said = json.loads((tmp_path / "n/transforms.json").read_text())
+    for entry, frame in zip(said["frames"], frames, strict=True):
+        with Image.open(tmp_path / "n" / entry["file_path"]) as colour:
+            assert colour.size == (said["w"], said["h"]) == (192, 144)
+        depth = np.asarray(Image.open(tmp_path / "n" / entry["depth_file_path"])) / 1000
+        k = np.array([said["fl_x"], said["fl_y"], said["cx"], said["cy"]]) / 3
+        seen = points_of(depth, *k, np.array(entry["transform_matrix"]), looks_down_z=True)
+        np.testing.assert_allclose(seen, unproject_frame(frame).points_m, atol=2e-3)
+    tum.write(tmp_path / "t", frames := walk(TUM, 1))
+    pose = np.loadtxt(tmp_path / "t/groundtruth.txt")[1:]
+    name = (tmp_path / "t/depth.txt").read_text().split()[-1]
+    depth = np.asarray(Image.open(tmp_path / "t" / name))[::40, ::40] / 5000
+    seen = points_of(
+        depth, 525 / 40, 525 / 40, 320 / 40 + 0.4875, 240 / 40 + 0.4875, pose_of(pose[:3], pose[3:]), False
+    )
+    whole = unproject_frame(frames[0]).points_m.reshape(480, 640, 3)[::40, ::40].reshape(-1, 3)
+    np.testing.assert_allclose(seen, whole, atol=2e-3)
+
+
+def test_intrinsics_may_change_from_frame_to_frame(tmp_path):
+    frames = [replace(f, intrinsics=replace(f.intrinsics, fx=40.0 + f.frame)) for f in walk(SMALL, 3)]
+    nerfstudio.write(tmp_path, frames)
+    assert [frame.camera.intrinsics.fx for frame in open_capture(tmp_path).frames] == [41.0, 42.0, 43.0]
+
+
+def test_depth_that_a_layout_cannot_hold_is_counted_and_left_out(tmp_path):
+    far = [replace(f, plane_depth_m=np.where(f.plane_depth_m > 1.5, 70.0, f.plane_depth_m)) for f in walk(SMALL, 1)]
+    n_far = int((far[0].plane_depth_m == 70).sum())
+    assert nerfstudio.write(tmp_path, far).n_too_far == n_far > 0
+    assert next(iter(open_capture(tmp_path))).invalid == {"no_distance": n_far}
+
+
+@pytest.mark.parametrize("name", [pytest.param("record3d", marks=PACKED), pytest.param("stray", marks=VIDEO)])
+def test_frames_of_several_sizes_or_none_are_refused(tmp_path, name):
+    with pytest.raises(ValueError, match="frames of one size"):
+        WRITERS[name](tmp_path / "a", [*walk(SMALL, 1), *walk(UPRIGHT, 1)], Form())
+    with pytest.raises(ValueError, match="at least one frame"):
+        WRITERS[name](tmp_path / "b", [], Form())
+    assert not (tmp_path / "a").is_file() and not (tmp_path / "b").is_file() and not list(tmp_path.glob(".*"))
+
+
+def test_what_tum_has_no_place_for_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="no place for intrinsics"):
+        tum.write(tmp_path, walk(SMALL, 1))
+    with pytest.raises(ValueError, match="times that rise"):
+        tum.write(tmp_path, [replace(frame, time_s=1.0) for frame in walk(TUM, 2)])
+
+
+@PACKED
+def test_without_their_packages_the_extra_to_install_is_named(tmp_path):
+    stray.write(tmp_path / "s", walk(SMALL, 1), Form(colour_scale=2))
+    record3d.write(tmp_path / "a.r3d", walk(SMALL, 1))
+    code = (
+        "import sys; sys.modules['av'] = sys.modules['lzfse'] = None\n"
+        "from xihe_blender.cli.main import main\n"
+        f"print(*(main(['replay', path, '--at', '0,0,0', '--out', {str(tmp_path / 'out')!r}])"
+        f" for path in {[str(tmp_path / 's'), str(tmp_path / 'a.r3d')]}))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    lines = done.stderr.splitlines()
+    assert done.stdout.split() == ["2", "2"] and len(lines) == 2
+    assert all("pip install 'xihe-blender[captures]'" in line for line in lines)

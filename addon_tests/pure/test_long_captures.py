@@ -1,0 +1,84 @@
+"""Sessions of 10,000 frames: opened and read one frame at a time, whatever their length, in little memory."""
+
+import json
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from addon_tests.pure.recordings import PACKED, as_nerfstudio, as_record3d, as_tum, walk
+from xihenet.captures.values import quaternion_of
+from xihenet.records import Intrinsics
+
+ROOT = Path(__file__).resolve().parents[2]
+N = 10_000
+MOST_MB = 500
+TINY = Intrinsics(16, 12, 10.0, 10.0, 8.0, 6.0)
+TINY_TUM = Intrinsics(16, 12, 525 / 40, 525 / 40, 8.0, 6.0)
+MEASURED = """
+import sys, time
+from pathlib import Path
+import numpy as np, PIL.Image
+from xihenet.captures import open_capture
+def most_mb():
+    # Of this process since it began; getrusage counts what the one that forked it had as well.
+    said = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    return int(said["VmHWM"].split()[0]) / 1024
+before = most_mb()
+start = time.perf_counter()
+capture = open_capture(Path(sys.argv[1]))
+opened_s = time.perf_counter() - start
+numbers = [frame.read().frame for frame in capture.frames[::100]]
+print(len(capture.frames), len(numbers), most_mb() - before, opened_s, time.perf_counter() - start)
+"""
+
+
+def long_nerfstudio(folder):
+    """One picture for all frames."""
+    as_nerfstudio(folder, walk(TINY, 1))
+    said = json.loads((folder / "transforms.json").read_text())
+    (folder / "transforms.json").write_text(json.dumps({**said, "frames": said["frames"] * N}))
+    return folder
+
+
+def long_tum(folder):
+    """One picture for all frames, and two poses for each."""
+    as_tum(folder, walk(TINY_TUM, 1))
+    for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
+        lines = (folder / name).read_text().splitlines()[1:]
+        rows = [(float(line.split()[0]), line.split(maxsplit=1)[1]) for line in lines]
+        (folder / name).write_text("".join(f"{at + i / 30:.4f} {said}\n" for i in range(N) for at, said in rows))
+    return folder
+
+
+def long_record3d(folder):
+    """A member for each file of each frame, as the app has it."""
+    path = as_record3d(folder, walk(TINY, 1))
+    with zipfile.ZipFile(path) as file:
+        members = {name: file.read(name) for name in file.namelist()}
+    said = json.loads(members["metadata"])
+    said["poses"] = [[*quaternion_of(np.eye(3)).tolist(), i * 1e-3, 0.0, 0.0] for i in range(N)]
+    said["frameTimestamps"] = [i / 60 for i in range(N)]
+    said["perFrameIntrinsicCoeffs"] *= N
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("metadata", json.dumps(said))
+        for i in range(N):
+            for kind in ("jpg", "depth", "conf"):
+                file.writestr(f"rgbd/{i}.{kind}", members[f"rgbd/0.{kind}"])
+    return path
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="only Linux says how much memory was most")
+@pytest.mark.wheel_only("its Python is not sys.executable with these packages")
+@pytest.mark.parametrize("make", [long_nerfstudio, long_tum, pytest.param(long_record3d, marks=PACKED)])
+def test_ten_thousand_frames_take_little_memory(tmp_path, make):
+    path = make(tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-c", MEASURED, str(path)], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    n, n_read, grown_mb, opened_s, read_s = map(float, done.stdout.split())
+    print(f"{make.__name__}: {grown_mb:.0f} MB, opened in {opened_s:.2f} s, read by {read_s:.2f} s")
+    assert (n, n_read) == (N, N / 100) and grown_mb < MOST_MB
