@@ -51,7 +51,7 @@ class Capture:
     Parameters
     ----------
     format_name : of its format
-    frames : in order of time, at least one
+    frames : in the order in which they were taken, at least one
     blender_from_file : (3, 3) from the recording's world to Blender's axes
     notes : what is missing, assumed or not known, in sentences
     reference_exposure : that light carries; None takes that of the first frame

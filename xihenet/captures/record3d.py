@@ -48,7 +48,7 @@ def read(path: Path, up: str | None) -> Capture:
     content = _metadata(archive)
     try:
         size, depth_size, notes = _sizes(content)
-        poses, k, times_s = _by_frame(content, size)
+        n_said, poses, k, times_s = _by_frame(content, size)
         start = np.eye(4)
         if (first := content.get("initPose")) is not None:
             start = _pose(numbers(first, 7, "initPose"))
@@ -70,7 +70,7 @@ def read(path: Path, up: str | None) -> Capture:
         for n in there
     ]
     notes += times_go_back([frame.time_s for frame in frames])
-    if n_missing := max(len(cameras), len(numbers_of)) - len(there):
+    if n_missing := max(n_said, len(numbers_of)) - len(there):
         notes += (f"{n_frames(n_missing)} without colour, depth or a pose left out.",)
     capture = Capture("Record3D", frames, BLENDER_FROM_UP[assumed], notes)
     return capture if up is not None or first is not None else upright(capture, assumed)
@@ -101,8 +101,8 @@ def _sizes(content: dict[str, Any]) -> tuple[tuple[int, int], tuple[int, int] | 
     return size, depth, ()
 
 
-def _by_frame(content: dict[str, Any], size: tuple[int, int]) -> tuple[ArrayF64, ArrayF64, ArrayF64]:
-    """Poses (N, 7), fx, fy, cx, cy (N, 4) and times (N,), seconds."""
+def _by_frame(content: dict[str, Any], size: tuple[int, int]) -> tuple[int, ArrayF64, ArrayF64, ArrayF64]:
+    """How many frames are spoken of; poses (N, 7), fx, fy, cx, cy (N, 4) and times (N,), seconds, of those with all."""
     poses = _table(content, "poses", 7)
     if not len(poses):
         raise ValueError("poses: there are none: record with LiDAR, the face sensor has no poses")
@@ -119,10 +119,9 @@ def _by_frame(content: dict[str, Any], size: tuple[int, int]) -> tuple[ArrayF64,
         if not 1e-3 <= fps <= 1e6:
             raise ValueError(f"fps: expected frames a second, got {fps:g}")
         times_s = np.arange(len(poses)) / fps
-    if not len(k) == len(times_s) == len(poses):
-        raise ValueError(f"expected intrinsics and times for {len(poses)} poses, got {len(k)} and {len(times_s)}")
-    Intrinsics(*size, *(float(value) for value in k[0]))
-    return poses, k, times_s
+    lengths = len(poses), len(k), len(times_s)
+    n = min(lengths)
+    return max(lengths), poses[:n], k[:n], times_s[:n]
 
 
 def _table(content: dict[str, Any], name: str, n: int) -> ArrayF64:
