@@ -21,8 +21,8 @@ from xihenet.records import ArrayU8
 
 EXTRA = "pip install 'xihe-blender[captures]'"
 DEMUXER = "mov"
-# Of FFmpeg's conversion: bicubic, with accurate rounding and colour at full width both ways. As it comes it cuts numbers
-# off, and every colour is darker by 1.1 of 255, which is 4 % of the light of a dark wall.
+# Of FFmpeg's conversion: bicubic, with accurate rounding and colour at full width both ways. As it comes it cuts
+# numbers off, and every colour is darker by 1.1 of 255, which is 4 % of the light of a dark wall.
 EXACTLY = 0x4 | 0x40000 | 0x2000 | 0x4000
 
 

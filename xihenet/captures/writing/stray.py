@@ -33,7 +33,8 @@ from xihenet.records import RgbdFrame
 
 UNITS_PER_METRE, FPS = 1000, 30
 # Without pictures between pictures, as phones record: with them short videos could not be written, at times.
-ENCODERS = {"libx265": {"x265-params": "log-level=none:bframes=0"}, "libx264": {}}
+ENCODERS = {"libx265": {"x265-params": "log-level=none:bframes=0:rc-lookahead=10:frame-threads=2"}, "libx264": {}}
+PRESET = "veryfast"  # The default takes nearly three times as long, 0.65 s for 1792x1344 on two busy cores
 QUALITY = "12"  # Constant rate factor: differences are hard to see
 BT709, LIMITED = 1, 1  # As phones say, in the numbers of ITU-T H.273
 
@@ -115,7 +116,7 @@ def _begun(container: Any, width: int, height: int, available: Collection[str]) 
     names = [name for name in ENCODERS if name in available]
     if not names:
         raise ValueError("Stray Scanner: PyAV has no encoder for HEVC or H.264 here: write another layout")
-    stream = container.add_stream(names[0], rate=FPS, options={"crf": QUALITY, **ENCODERS[names[0]]})
+    stream = container.add_stream(names[0], rate=FPS, options={"crf": QUALITY, "preset": PRESET, **ENCODERS[names[0]]})
     stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
     of_colour = stream.codec_context
     of_colour.colorspace, of_colour.color_primaries, of_colour.color_trc = BT709, BT709, BT709
