@@ -339,7 +339,7 @@ STRAY = {
     "the video is a list of others": (put(VIDEO, "#EXTM3U\n#EXTINF:1,\nfile:///etc/passwd\n"), "expected a video"),
     "the video is cut short": (cut(VIDEO), "expected a video"),
     "the codec is not known": (another_codec, "its codec is not known"),
-    "the video ends early": (video_that_ends, NOTE + "The video ends early, after 3 frames of 6"),
+    "the video ends early": (video_that_ends, NOTE + "The video ends early, after 5 frames of 6"),
     "the video is missing": (remove(VIDEO), "no recording that is known"),
     "odometry is a folder": (folder_in_place_of(ODOMETRY), "no recording that is known"),
     "odometry is empty": (put(ODOMETRY, ""), "expected a line for each frame"),

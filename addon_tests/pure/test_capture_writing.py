@@ -145,10 +145,21 @@ def test_frames_of_several_sizes_or_none_are_refused(tmp_path, name):
 
 
 def test_what_tum_has_no_place_for_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="no place for intrinsics"):
-        tum.write(tmp_path, walk(SMALL, 1))
+    with pytest.raises(ValueError, match="its intrinsics change"):
+        tum.write(tmp_path, [*walk(SMALL, 1), *walk(TUM, 1)])
     with pytest.raises(ValueError, match="times that rise"):
         tum.write(tmp_path, [replace(frame, time_s=1.0) for frame in walk(TUM, 2)])
+
+
+def test_the_camera_of_another_tum_recording_lies_beside_it(tmp_path):
+    frames = walk(SMALL, 2)
+    tum.write(tmp_path, frames)
+    capture = open_capture(tmp_path)
+    assert capture.frames[0].camera.intrinsics == SMALL and not capture.notes
+    np.testing.assert_allclose(capture.frames[1].read().plane_depth_m, frames[1].plane_depth_m, atol=1.1e-4)
+    (tmp_path / "camera.json").write_text("[]")
+    with pytest.raises(ValueError, match=r"camera\.json: expected a JSON object"):
+        open_capture(tmp_path)
 
 
 @PACKED

@@ -16,7 +16,7 @@ from xihe_blender.cli.estimate import position
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import finite_or_none, write_json, written_whole
 from xihe_blender.io.run_lights import write_lights
-from xihe_blender.report.replay import MOST_FRAMES_SHOWN, write_replay_report
+from xihe_blender.report.replay import write_replay_report
 from xihenet import __version__, estimators
 from xihenet.captures import READERS, open_capture
 from xihenet.captures.capture import Capture
@@ -26,9 +26,9 @@ from xihenet.frame_files import BLENDER_FROM_UP
 from xihenet.invalid import added, n_left_out
 from xihenet.light.exports import NamedLight
 from xihenet.light.platforms import PLATFORMS
-from xihenet.light_picture import light_picture
-from xihenet.png import write_png
-from xihenet.records import ArrayF64, ArrayU8, UnitSphereCloud
+from xihenet.light_picture import light_picture, seen_picture
+from xihenet.png import encode_png, write_png
+from xihenet.records import ArrayF64, UnitSphereCloud
 from xihenet.replay import REPLAY_TRIGGER, ReplayedStep, never_in_view, replay
 from xihenet.session_score import EstimatorScore, score_places, score_session
 
@@ -45,7 +45,7 @@ SCORE_SAYS = (
     "compares estimators; it is no error of the light."
 )
 NOT_ASKED = "No place could be asked: every part of the recording shows what the others do."
-LEAST_FRAMES = 3
+LEAST_FRAMES, MOST_FRAMES_SHOWN = 3, 8
 
 
 @dataclass
@@ -267,8 +267,8 @@ def _write(
         if options.to is not None:
             lights = [light for place in places for light in place.exported]
             written += write_lights(lights, options.to, out / options.to)
-        clouds = {place.name: place.cloud for place in places if place.cloud is not None}
-        write_replay_report(out / "report.html", content, clouds, _shown_frames(capture, places))
+        shown = {place.name: _pictures(place) for place in places if place.lights}
+        write_replay_report(out / "report.html", content, shown, _shown_frames(capture, places))
         written.append(out / "report.html")
         write_json(out / "replay.json", content)
     except OSError as error:
@@ -276,15 +276,22 @@ def _write(
     return [*written, out / "replay.json"]
 
 
-def _shown_frames(capture: Capture, places: Sequence[Place]) -> list[tuple[int, ArrayU8]]:
-    """Numbers and pictures of some frames: of those with an estimate, or of all where there are few."""
+def _pictures(place: Place) -> tuple[bytes, bytes]:
+    """PNG files of the sphere as it was seen, and of the last light."""
+    assert place.cloud is not None
+    light = np.array(place.lights[-1]["sh_radiance"])
+    return encode_png(seen_picture(place.cloud, 128)), encode_png(light_picture(light, panorama_height=128, margin=8))
+
+
+def _shown_frames(capture: Capture, places: Sequence[Place]) -> list[tuple[int, bytes]]:
+    """Numbers and PNG files of some frames: of those with an estimate, or of all where there are few."""
     chosen = capture.frames
     fired = {light["frame"] for place in places for light in place.lights}
     wanted = [frame for frame in chosen if frame.number in fired]
     if len(wanted) < MOST_FRAMES_SHOWN:
         wanted = list(chosen)
     some = np.unique(np.linspace(0, len(wanted) - 1, MOST_FRAMES_SHOWN).astype(int))
-    return [(wanted[k].number, wanted[k].read().srgb_u8) for k in some]
+    return [(wanted[k].number, encode_png(wanted[k].read().srgb_u8)) for k in some]
 
 
 def _told(place: Place, n_frames: int) -> str:

@@ -11,11 +11,7 @@ from xihe_blender.report.values import escape
 from xihenet import svg
 from xihenet.formats import format_count, format_percent
 from xihenet.invalid import format_reason
-from xihenet.light_picture import light_picture, seen_picture
-from xihenet.png import encode_png
-from xihenet.records import ArrayU8, UnitSphereCloud
 
-MOST_FRAMES_SHOWN = 8
 SIDE_BY_SIDE, HALF = "display: flex; flex-wrap: wrap; gap: 1rem; align-items: flex-start", "width: 24rem"
 COLOURS = ("red", "green", "blue")
 SPHERES = (
@@ -28,12 +24,19 @@ SPHERES = (
 def write_replay_report(
     path: Path,
     content: Mapping[str, Any],
-    clouds: Mapping[str, UnitSphereCloud],
-    frames: Sequence[tuple[int, ArrayU8]],
+    lights: Mapping[str, tuple[bytes, bytes]],
+    frames: Sequence[tuple[int, bytes]],
 ) -> None:
-    """One self-contained page. `content` is that of replay.json; `frames` are numbers and pictures of some."""
+    """One self-contained page.
+
+    Parameters
+    ----------
+    content : of replay.json
+    lights : by position PNG files of the sphere as it was seen, and of its last light
+    frames : numbers of some, and PNG files of what they show
+    """
     sections = [
-        ("light", "The light", _light(content, clouds)),
+        ("light", "The light", _light(content, lights)),
         ("frames", "What the phone saw", _frames(frames)),
         ("time", "When", _timeline(content)),
         ("exposure", "Exposure", _exposure(content)),
@@ -50,16 +53,15 @@ def _opening(content: Mapping[str, Any]) -> str:
     return f"<p>{said}. {' '.join(escape(note) for note in content['notes'])}</p>"
 
 
-def _light(content: Mapping[str, Any], clouds: Mapping[str, UnitSphereCloud]) -> str:
+def _light(content: Mapping[str, Any], lights: Mapping[str, tuple[bytes, bytes]]) -> str:
     head = ["position", "estimates", "last in frame", "seen of the sphere", "expected error", "key light from"]
     rows, pictures = [], ""
     for place in content["positions"]:
         where = ", ".join(f"{x:g}" for x in place["at"])
         rows.append([f"{escape(place['name'])} at {where} m", *_last(place)])
-        if not place["lights"]:
+        if place["name"] not in lights:
             continue
-        shown = encode_png(light_picture(place["lights"][-1]["sh_radiance"], panorama_height=128, margin=8))
-        seen = encode_png(seen_picture(clouds[place["name"]], 128))
+        seen, shown = lights[place["name"]]
         pictures += (
             f'<figure class="plot"><figcaption><h3>{escape(place["name"])}</h3></figcaption>'
             f'<div style="{SIDE_BY_SIDE}"><img src="{png_url(seen)}" alt="the sphere as seen" style="{HALF}">'
@@ -82,9 +84,9 @@ def _last(place: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _frames(frames: Sequence[tuple[int, ArrayU8]]) -> str:
+def _frames(frames: Sequence[tuple[int, bytes]]) -> str:
     return "".join(
-        f'<img src="{png_url(encode_png(picture))}" alt="frame {number}" title="frame {number}" '
+        f'<img src="{png_url(picture)}" alt="frame {number}" title="frame {number}" '
         'style="width: 24%; min-width: 160px">'
         for number, picture in frames
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 from xihenet.frame_files import FrameCamera, read_frame
@@ -75,11 +76,20 @@ class Capture:
 
 
 def inside(folder: Path, name: str) -> Path:
-    """The file of that name below `folder`; ValueError for one that lies elsewhere."""
+    """The file of that name below `folder`; ValueError for one that lies elsewhere, links followed."""
     path = folder / name
-    if not path.resolve().is_relative_to(folder.resolve()):
+    lies_at = _resolved(str(path.parent)) / path.name
+    if path.name == ".." or lies_at.is_symlink():
+        lies_at = lies_at.resolve()
+    if not lies_at.is_relative_to(_resolved(str(folder))):
         raise ValueError(f"{name!r} lies outside {folder}: a recording may name only what is in its folder")
     return path
+
+
+@lru_cache(maxsize=64)
+def _resolved(folder: str) -> Path:
+    """Kept, since it takes longer than reading a frame's line, and thousands of frames lie in one folder."""
+    return Path(folder).resolve()
 
 
 def n_frames(n: int) -> str:
