@@ -9,10 +9,15 @@ import argparse
 import inspect
 import re
 from collections.abc import Callable, Iterable
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from xihenet import estimators
+from xihenet.frame_files import BLENDER_FROM_UP
 from xihenet.phone import LINKS, profile_names
+
+if TYPE_CHECKING:
+    from xihenet.captures.capture import Capture
 
 MAX_FRAME = 1048574
 Settings = TypeVar("Settings")
@@ -43,6 +48,21 @@ def add_capture(add: Callable[..., None], *, has_estimator: bool = True) -> None
     add("--exposure FACTOR", "exposure of the phone, locked; default: metered", float)
     add("--phone NAME|FILE.toml", PHONES, default="perfect")
     add("--seed N", "the same seed gives the same numbers", int, default=0)
+
+
+def add_recording(add: Callable[..., None]) -> None:
+    """The arguments of all commands that read a recording: what it does not say of itself, or says wrongly."""
+    add("--up AXIS", UP, choices=tuple(BLENDER_FROM_UP))
+    add("--scale FACTOR", "what all lengths of the recording are multiplied by; default: 1", float, default=1.0)
+    add("--floor HEIGHT", "height of the floor in the scaled recording, in metres, which becomes 0", float, default=0.0)
+
+
+def recording_from(path: Path, options: argparse.Namespace) -> Capture:
+    """The recording at `path`, with what `add_recording` asks. Raises as `open_capture`."""
+    from xihenet.captures import open_capture
+    from xihenet.captures.by_hand import set_by_hand
+
+    return set_by_hand(open_capture(path, options.up), scale=options.scale, floor_m=options.floor)
 
 
 def settings_from(options: argparse.Namespace, kind: Callable[..., Settings], **others: Any) -> Settings:
@@ -103,4 +123,5 @@ PHONES = one_of([*profile_names(), "your own file"])
 SAMPLES = "samples of every capture; default: 4, 16 or 64, by preset"
 SCENE = "scene with an animated camera"
 SIZE = "size of captured pictures; default: 256x192, or 192x256 if the scene is upright"
+UP = "axis of the recording's world that points up; default: as is usual for it"
 TARGET = "light to estimate and to compare with: all of it (hdr, the default) or clipped at white (ldr)"

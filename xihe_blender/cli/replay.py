@@ -11,18 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from xihe_blender.cli.arguments import adder, one_of
+from xihe_blender.cli.arguments import add_recording, adder, one_of, recording_from
 from xihe_blender.cli.estimate import position
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import finite_or_none, write_json, written_whole
 from xihe_blender.io.run_lights import write_lights
 from xihe_blender.report.replay import write_replay_report
 from xihenet import __version__, estimators
-from xihenet.captures import READERS, open_capture
+from xihenet.captures import READERS
 from xihenet.captures.capture import Capture
 from xihenet.captures.checks import steadied, suspicion
 from xihenet.captures.drift import Drift
-from xihenet.frame_files import BLENDER_FROM_UP
 from xihenet.invalid import added, n_left_out
 from xihenet.light.exports import NamedLight
 from xihenet.light.platforms import PLATFORMS
@@ -69,11 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--score", SCORE, action="store_true")
     out = "folder for report.html, replay.json, and a picture of the last light of each position"
     add("--out DIR", out, Path, required=True)
-    add(
-        "--up AXIS",
-        "axis of the recording's world that points up; default: as is usual for it",
-        choices=tuple(BLENDER_FROM_UP),
-    )
+    add_recording(add)
     add("--drift", DRIFT, choices=("followed", "ignored"), default="followed")
     add("--every N", "take every N-th frame; default: 1", int, default=1)
     add("--estimator NAME", one_of(n for n in estimators.names() if n != "truth"), default=estimators.DEFAULT)
@@ -90,7 +85,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         raise UserError("truth is a light probe rendered in Blender, which a recording does not have: choose another")
     try:
         estimator = estimators.load(options.estimator, target=options.target)
-        capture, drift = _prepared(open_capture(options.session, options.up), options)
+        capture, drift = _prepared(recording_from(options.session, options), options)
         places = [Place(f"place_{number}", at) for number, at in enumerate(options.at)]
         unseen = never_in_view(capture, _positions(capture, places))
         steps = list(_replayed(capture, places, unseen, estimator)) if places else []

@@ -1,0 +1,55 @@
+"""Scale and floor of a recording, set by hand: the room is as large as said, and its floor at 0."""
+
+import numpy as np
+import pytest
+
+from addon_tests.pure.recordings import HALF, walk
+from addon_tests.pure.test_estimate_command import read_strictly
+from xihe_blender.cli.main import main
+from xihenet.camera import unproject_frame
+from xihenet.captures import open_capture
+from xihenet.captures.by_hand import set_by_hand
+from xihenet.captures.writing import WRITERS
+from xihenet.captures.writing.pictures import Form
+from xihenet.records import Intrinsics
+
+CAMERA = Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    WRITERS["nerfstudio"](tmp_path / "in", walk(CAMERA), Form())
+    return tmp_path / "in"
+
+
+def test_the_room_is_as_large_as_said_and_its_floor_at_0(folder):
+    placed = set_by_hand(open_capture(folder), scale=2.0, floor_m=-2 * HALF[2])
+    points_m = np.concatenate([unproject_frame(frame).points_m for frame in placed])
+    np.testing.assert_allclose(points_m.min(axis=0), (-2 * HALF[0], -2 * HALF[1], 0), atol=0.01)
+    np.testing.assert_allclose(points_m.max(axis=0), (2 * HALF[0], 2 * HALF[1], 4 * HALF[2]), atol=0.01)
+    for frame in placed.frames:
+        assert (frame.camera.world_from_camera == frame.read().world_from_camera).all()
+
+
+def test_nothing_by_hand_is_the_recording_itself(folder):
+    capture = open_capture(folder)
+    assert set_by_hand(capture) is capture
+
+
+@pytest.mark.parametrize(("typed", "said"), [("--scale=0", "positive factor"), ("--scale=nan", "positive factor"),
+                                             ("--floor=inf", "a height in metres")])  # fmt: skip
+def test_what_is_no_scale_and_no_floor_is_one_line(folder, tmp_path, capfd, typed, said):
+    assert main(["replay", str(folder), "--at", "0,0,0", "--out", str(tmp_path / "out"), typed]) == 2
+    err = capfd.readouterr().err
+    assert said in err and err.count("\n") == 1 and not (tmp_path / "out").exists()
+
+
+def test_light_does_not_depend_on_the_unit_of_length(folder, tmp_path):
+    """A place in the room of twice the size has the light of that place."""
+    lights = []
+    for name, at, more in (("one", "0.4,0.3,-0.5", []), ("two", "0.8,0.6,1.4", ["--scale", "2", "--floor", "-2.4"])):
+        assert main(["replay", str(folder), "--at", at, "--out", str(tmp_path / name), *more]) == 0
+        content = read_strictly((tmp_path / name / "replay.json").read_text())
+        lights.append(np.array(content["positions"][0]["lights"][-1]["sh_radiance"]))
+    # The network is told distances in metres, and so may say a little else.
+    assert np.linalg.norm(lights[1] - lights[0]) < 0.2 * np.linalg.norm(lights[0])
