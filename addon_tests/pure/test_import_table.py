@@ -15,7 +15,7 @@ import xihenet
 ROOT = Path(__file__).resolve().parents[2]
 SCENE = {"errors", "io", "scene"}
 RENDERED = {*SCENE, "jobs", "capture", "light_transport"}
-JOB = {*RENDERED, "apply", "compare", "report"}
+JOB = {*RENDERED, "apply", "compare", "footage", "report"}
 MAY_IMPORT = {
     "errors": set(),
     "jobs": set(),
@@ -24,6 +24,7 @@ MAY_IMPORT = {
     "capture": SCENE,
     "light_transport": {*SCENE, "jobs", "capture"},
     "apply": SCENE,
+    "footage": {*SCENE, "jobs", "apply"},
     "compare": {*SCENE, "capture", "apply"},
     "report": {"io"},
     "viewer": {*SCENE, "report"},

@@ -22,12 +22,14 @@ class CapturedFrame:
     camera : intrinsics and pose
     load : reads the frame; OSError or ValueError, naming the file, for what is not there or broken, ImportError without
         a package that it takes. What it says of number and time does not count
+    picture : image of 8 bits with the colour as it was taken, which may have more pixels than the frame; None for none
     """
 
     number: int
     time_s: float
     camera: FrameCamera
     load: Callable[[], RgbdFrame]
+    picture: Path | None = None
 
     def read(self) -> RgbdFrame:
         """Raises as `load`."""
@@ -42,7 +44,7 @@ def picture_frame(
     def load() -> RgbdFrame:
         return read_frame(colour, camera, plane_depth=plane_depth, depth_scale=metres_per_unit, exposure=1.0)
 
-    return CapturedFrame(number, time_s, camera, load)
+    return CapturedFrame(number, time_s, camera, load, colour)
 
 
 @dataclass(frozen=True, eq=False)

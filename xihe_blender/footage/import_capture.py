@@ -1,0 +1,198 @@
+"""A recording becomes a part of the open file: what File > Import > Phone Capture and `xihe import` do.
+
+One new collection holds a camera on the phone's path with the pictures behind it, a scan of what they show, and an
+empty where the phone looked first. Of the scene only what belongs to playing the recording is set: frames, rate, size
+of the picture, camera, transparent film. All else stays as it was. Gravity is down, as far as the recording knows it.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from xihe_blender.errors import UserError
+from xihe_blender.footage.camera import add_camera, pixel_aspect
+from xihe_blender.footage.pictures import Footage, new_footage_folder, show_behind
+from xihe_blender.footage.scan_object import add_scan, frames_to_scan
+from xihe_blender.jobs import Job, Progress
+from xihe_blender.scene.phone_capture import (
+    frames_a_second,
+    frames_of_times,
+    remember_capture,
+    remembered_capture,
+)
+from xihe_blender.scene.units import metres_per_unit
+from xihenet.camera import valid_plane_depth
+from xihenet.captures import open_capture
+from xihenet.captures.capture import Capture, CapturedFrame
+from xihenet.records import ArrayF64, RgbdFrame
+from xihenet.scan import FARTHEST_M, Scan
+
+COLLECTION, CAMERA, SCAN_NAME, LOOKED_AT = "Phone Capture", "Phone", "Phone Scan", "Xihe looked here first"
+LOOKED_AT_M = 1.0
+"""In front of the camera, where its first frame has no depth."""
+
+OUTSIDE = "this Blender cannot read it: run `xihe import` outside of Blender, with the package installed"
+
+
+@dataclass(frozen=True, eq=False)
+class ImportedCapture:
+    """What an import made: a collection with camera, scan (None without any depth) and empty; and sentences on it."""
+
+    collection: bpy.types.Collection
+    camera: bpy.types.Object
+    scan: bpy.types.Object | None
+    looked_at: bpy.types.Object
+    pictures: Path
+    said: tuple[str, ...]
+
+
+def opened_capture(folder: Path, up: str | None) -> Capture:
+    """The recording in `folder`, as of `open_capture`; UserError, in one line, for none and for one that is broken."""
+    try:
+        return open_capture(folder, up)
+    except ImportError as error:
+        raise UserError(f"{folder}: {OUTSIDE} ({error})") from error
+    except ValueError as error:
+        raise UserError(str(error)) from error
+
+
+def capture_of(scene: bpy.types.Scene) -> Capture | None:
+    """The recording that `scene` shows; None where captures are rendered. UserError where it is gone or broken."""
+    remembered = remembered_capture(scene)
+    if remembered is None:
+        return None
+    if not remembered.folder.is_dir():
+        raise UserError(
+            f"the recording of scene {scene.name!r} is gone from {remembered.folder}: put it back, or import it again"
+        )
+    return opened_capture(remembered.folder, remembered.up)
+
+
+def captured_frames(capture: Capture) -> dict[int, CapturedFrame]:
+    """The frames of a recording by frame of the timeline."""
+    places = frames_of_times([one.time_s for one in capture.frames])
+    return {number: capture.frames[place] for number, place in places.items()}
+
+
+def read_captured(captured: CapturedFrame) -> RgbdFrame:
+    """Its pixels; UserError, in one line, where they cannot be read."""
+    try:
+        return captured.read()
+    except ImportError as error:
+        raise UserError(f"{OUTSIDE} ({error})") from error
+    except ValueError as error:
+        raise UserError(str(error)) from error
+
+
+def import_capture(
+    scene: bpy.types.Scene, folder: Path, *, up: str | None = None, beside: Path | None = None
+) -> Job[ImportedCapture]:
+    """A job, a step per frame: bring the recording in `folder` into `scene`.
+
+    Parameters
+    ----------
+    up : axis of the recording's world that points up, as of `open_capture`
+    beside : folder in which that of the pictures is made; None takes the .blend's, or the recording's if it has none
+
+    UserError for a recording that cannot be read, with the scene as it was; OSError where no pictures can be written.
+    """
+    capture = opened_capture(folder, up)
+    numbered = captured_frames(capture)
+    blend = bpy.data.filepath
+    pictures = new_footage_folder(beside or (Path(blend).parent if blend else folder.resolve().parent), folder.name)
+    try:
+        footage = Footage(pictures, numbered)
+        scan, first = yield from _read(capture, numbered, footage)
+        yield Progress(len(numbered), len(numbered) + 1, "making the mesh")
+        imported = _build(scene, capture, numbered, footage, scan, first)
+    except BaseException:
+        shutil.rmtree(pictures, ignore_errors=True)
+        raise
+    remember_capture(scene, folder, up)
+    return imported
+
+
+def _read(capture: Capture, numbered: Mapping[int, CapturedFrame], footage: Footage) -> Job[tuple[Scan, RgbdFrame]]:
+    """A job: the pictures, the surfaces they show, and the first frame."""
+    chosen = {id(capture.frames[place]) for place in frames_to_scan(capture)}
+    first = read_captured(next(iter(numbered.values())))
+    scan = Scan(capture.reference_exposure or first.exposure)
+    for done, (number, captured) in enumerate(numbered.items()):
+        yield Progress(done, len(numbered) + 1, f"reading frame {number}")
+        is_scanned = id(captured) in chosen
+        frame = read_captured(captured) if is_scanned or not footage.links else None
+        if frame is not None and is_scanned:
+            scan.add(frame)
+        footage.add(number, frame)
+    footage.close_gaps()
+    return scan, first
+
+
+def _build(
+    scene: bpy.types.Scene, capture: Capture, numbered: Mapping[int, CapturedFrame], footage: Footage, scan: Scan,
+    first: RgbdFrame,
+) -> ImportedCapture:  # fmt: skip
+    unit_m = metres_per_unit(scene)
+    collection = bpy.data.collections.new(COLLECTION)
+    camera = add_camera(CAMERA, {number: one.camera for number, one in numbered.items()}, unit_m)
+    size = show_behind(camera.data, footage, f"{COLLECTION} Pictures")
+    mesh = scan.mesh()
+    scanned = add_scan(SCAN_NAME, mesh, unit_m) if len(mesh.quads) else None
+    looked_at = bpy.data.objects.new(LOOKED_AT, None)
+    looked_at.location, looked_at.empty_display_size = (first_looked_at_m(first) / unit_m).tolist(), 0.2 / unit_m
+    for item in (camera, scanned, looked_at):
+        if item is not None:
+            collection.objects.link(item)
+    scene.collection.children.link(collection)
+    changed = _play(scene, camera, capture, numbered, size)
+    said = [f"Imported {len(numbered)} frames of a {capture.format_name} recording as {collection.name!r}.", changed]
+    n_left_out = len(capture.frames) - len(numbered)
+    if n_left_out:
+        said.append(f"{n_left_out} that follow too closely for the timeline were left out.")
+    if scanned is None:
+        said.append(f"There is no scan: no surface within {FARTHEST_M:g} m was seen clearly.")
+    elif mesh.is_cut:
+        said.append("The scan ends where it had grown too large.")
+    said.append(f"Pictures are in {footage.folder}.")
+    return ImportedCapture(collection, camera, scanned, looked_at, footage.folder, (*said, *capture.notes))
+
+
+def _play(
+    scene: bpy.types.Scene, camera: bpy.types.Object, capture: Capture, numbered: Mapping[int, CapturedFrame],
+    size: tuple[int, int],
+) -> str:  # fmt: skip
+    """Set what playing the recording needs; a sentence that names it."""
+    render = scene.render
+    scene.frame_start, scene.frame_end, scene.frame_step = min(numbered), max(numbered), 1
+    render.fps, render.fps_base = frames_a_second([one.time_s for one in capture.frames]), 1.0
+    render.resolution_x, render.resolution_y = size
+    render.pixel_aspect_x, render.pixel_aspect_y = pixel_aspect([one.camera for one in numbered.values()])
+    render.film_transparent = True
+    scene.camera = camera
+    scene.frame_set(scene.frame_start)
+    aspect = ""
+    if render.pixel_aspect_x != render.pixel_aspect_y:
+        aspect = f" with a pixel aspect of {render.pixel_aspect_x:.4g} to {render.pixel_aspect_y:.4g}"
+    return (
+        f"Set for it: frames {scene.frame_start} to {scene.frame_end} at {render.fps} a second, {size[0]}x{size[1]} "
+        f"pixels{aspect}, its camera, a transparent film."
+    )
+
+
+def first_looked_at_m(frame: RgbdFrame) -> ArrayF64:
+    """(3,) world, metres: what is in the middle of the picture, at the depth that is known next to its middle."""
+    k, valid = frame.intrinsics, valid_plane_depth(frame.plane_depth_m)
+    depth_m = LOOKED_AT_M
+    if valid.any():
+        rows, columns = np.nonzero(valid)
+        nearest = ((rows + 0.5 - k.height / 2) ** 2 + (columns + 0.5 - k.width / 2) ** 2).argmin()
+        depth_m = float(frame.plane_depth_m[rows[nearest], columns[nearest]])
+    ray = np.array([(k.width / 2 - k.cx) / k.fx, (k.cy - k.height / 2) / k.fy, -1.0])
+    place_m: ArrayF64 = frame.world_from_camera[:3, :3] @ (ray * depth_m) + frame.world_from_camera[:3, 3]
+    return place_m

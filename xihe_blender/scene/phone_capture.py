@@ -1,0 +1,76 @@
+"""Which recording does a scene show, and at which of its frames is each moment of it?
+
+An imported scene remembers the recording's folder, relative to the .blend where that is saved, and the axis that points
+up in it. Each frame of the recording has a whole frame of the timeline: between two keys a camera would be somewhere
+between two pictures, and what is put into them would slide. The panel asks at every redraw, so nothing here needs
+NumPy.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+
+CAPTURE, CAPTURE_UP = "xihe_capture", "xihe_capture_up"
+"""Custom properties of a scene: the folder of its recording, and the axis that points up, empty for the usual one."""
+
+SCAN = "xihe_scan"
+"""Custom property of the mesh that was scanned by a recording: the name it was given."""
+
+FIRST_FRAME = 1
+MOST_FPS = 240
+IS_CAPTURED = "Captured by a phone: the session replaces rendered captures, and there is no ground truth."
+
+
+@dataclass(frozen=True)
+class RememberedCapture:
+    """The recording of a scene: its folder, absolute, and the axis of its world that points up; None for the usual."""
+
+    folder: Path
+    up: str | None
+
+
+def remember_capture(scene: bpy.types.Scene, folder: Path, up: str | None) -> None:
+    """Note that `scene` shows the recording in `folder`."""
+    path = str(folder.resolve())
+    if bpy.data.filepath:
+        try:
+            path = bpy.path.relpath(path)
+        except ValueError:  # On another drive.
+            pass
+    scene[CAPTURE], scene[CAPTURE_UP] = path, up or ""
+
+
+def remembered_capture(scene: bpy.types.Scene) -> RememberedCapture | None:
+    """What `remember_capture` noted; None for a scene whose captures are rendered."""
+    path = scene.get(CAPTURE)
+    if not isinstance(path, str) or not path:
+        return None
+    return RememberedCapture(Path(bpy.path.abspath(path)), str(scene.get(CAPTURE_UP, "")) or None)
+
+
+def scan_of(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    """The scanned mesh in `scene`, the last one that was imported; None without one."""
+    scans = [item for item in scene.objects if SCAN in item and item.type == "MESH"]
+    return scans[-1] if scans else None
+
+
+def frames_a_second(times_s: Sequence[float]) -> int:
+    """The rate of the timeline at which a recording plays as fast as it was taken; 24 for a single picture."""
+    steps_s = [after - before for before, after in zip(times_s, times_s[1:], strict=False) if after > before]
+    return min(max(1, round(1 / statistics.median(steps_s))), MOST_FPS) if steps_s else 24
+
+
+def frames_of_times(times_s: Sequence[float]) -> dict[int, int]:
+    """By frame of the timeline the place in `times_s`, which are in order, of what was taken then.
+
+    What follows so closely that it falls onto a frame with the one before is left out.
+    """
+    fps, places = frames_a_second(times_s), dict[int, int]()
+    for place, time_s in enumerate(times_s):
+        places.setdefault(FIRST_FRAME + round((time_s - times_s[0]) * fps), place)
+    return places
