@@ -17,6 +17,7 @@ MODULES = (
     "preferences",
     "leftovers",
     "object_operators",
+    "capture_operators",
     "planning_operators",
     "look_operators",
     "run_operators",

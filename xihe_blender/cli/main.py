@@ -32,6 +32,7 @@ COMMANDS = {
     "estimate": "estimate the light in one RGB-D frame; needs no Blender",
     "record": "record the camera path of a scene as a phone would store it, and the true light beside it",
     "replay": "follow the light at places in a recording of a phone or depth camera; needs no Blender",
+    "import": "make a .blend of a recording of a phone: its camera, its pictures and a scan of what they show",
     "export": "write the light of a run for an engine, such as three.js, Unity or USD; needs no Blender",
     "scenes": "build the example scenes",
     "dataset": "make rooms to train estimators on",
@@ -39,6 +40,9 @@ COMMANDS = {
     "evaluate": "compare estimators and phones over many scenes and seeds",
     "train": "train the estimators' networks and measure them; needs torch",
 }
+
+MODULES = {"import": "import_capture"}
+"""Files whose commands are words of Python."""
 
 NEEDS_BLENDER = (
     "this command needs Blender: with Python 3.11 or 3.13 pip install 'xihe-blender[blender]', or install the "
@@ -89,7 +93,7 @@ def _parser(command: str | None = None) -> argparse.ArgumentParser:
     for name, summary in COMMANDS.items():
         of_command = commands.add_parser(name, help=summary)
         if name != "train" and command in (None, name):
-            module = importlib.import_module(f"{__package__}.{name}")
+            module = importlib.import_module(f"{__package__}.{MODULES.get(name, name)}")
             module.add_arguments(of_command)
             of_command.set_defaults(run=module.run)
     return parser

@@ -28,7 +28,7 @@ from xihe_blender.scene.phone_capture import (
 )
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import valid_plane_depth
-from xihenet.captures import open_capture
+from xihenet.captures import READERS, open_capture
 from xihenet.captures.capture import Capture, CapturedFrame
 from xihenet.records import ArrayF64, RgbdFrame
 from xihenet.scan import FARTHEST_M, Scan
@@ -62,6 +62,12 @@ def opened_capture(folder: Path, up: str | None) -> Capture:
         raise UserError(str(error)) from error
 
 
+def recording_at(path: Path) -> Path:
+    """The recording that was chosen: a file in the folder of one stands for the folder."""
+    is_inside = path.is_file() and any(is_in(path.parent) for is_in, _ in READERS.values())
+    return path.parent if is_inside else path
+
+
 def capture_of(scene: bpy.types.Scene) -> Capture | None:
     """The recording that `scene` shows; None where captures are rendered. UserError where it is gone or broken."""
     remembered = remembered_capture(scene)
@@ -91,30 +97,32 @@ def read_captured(captured: CapturedFrame) -> RgbdFrame:
 
 
 def import_capture(
-    scene: bpy.types.Scene, folder: Path, *, up: str | None = None, beside: Path | None = None
+    scene: bpy.types.Scene, folder: Path, *, up: str | None = None, blend_folder: Path | None = None
 ) -> Job[ImportedCapture]:
     """A job, a step per frame: bring the recording in `folder` into `scene`.
 
     Parameters
     ----------
     up : axis of the recording's world that points up, as of `open_capture`
-    beside : folder in which that of the pictures is made; None takes the .blend's, or the recording's if it has none
+    blend_folder : where the .blend is or will be, and the folder of pictures beside it; None takes the open file's, or
+        for one that was never saved the place of the recording
 
     UserError for a recording that cannot be read, with the scene as it was; OSError where no pictures can be written.
     """
     capture = opened_capture(folder, up)
     numbered = captured_frames(capture)
-    blend = bpy.data.filepath
-    pictures = new_footage_folder(beside or (Path(blend).parent if blend else folder.resolve().parent), folder.name)
+    if blend_folder is None and bpy.data.filepath:
+        blend_folder = Path(bpy.data.filepath).parent
+    pictures = new_footage_folder(blend_folder or folder.resolve().parent, folder.resolve().stem)
     try:
         footage = Footage(pictures, numbered)
         scan, first = yield from _read(capture, numbered, footage)
         yield Progress(len(numbered), len(numbered) + 1, "making the mesh")
-        imported = _build(scene, capture, numbered, footage, scan, first)
+        imported = _build(scene, capture, numbered, footage, scan, first, blend_folder)
     except BaseException:
         shutil.rmtree(pictures, ignore_errors=True)
         raise
-    remember_capture(scene, folder, up)
+    remember_capture(scene, folder, up, blend_folder)
     return imported
 
 
@@ -136,12 +144,12 @@ def _read(capture: Capture, numbered: Mapping[int, CapturedFrame], footage: Foot
 
 def _build(
     scene: bpy.types.Scene, capture: Capture, numbered: Mapping[int, CapturedFrame], footage: Footage, scan: Scan,
-    first: RgbdFrame,
+    first: RgbdFrame, blend_folder: Path | None,
 ) -> ImportedCapture:  # fmt: skip
     unit_m = metres_per_unit(scene)
     collection = bpy.data.collections.new(COLLECTION)
     camera = add_camera(CAMERA, {number: one.camera for number, one in numbered.items()}, unit_m)
-    size = show_behind(camera.data, footage, f"{COLLECTION} Pictures")
+    size = show_behind(camera.data, footage, f"{COLLECTION} Pictures", blend_folder)
     mesh = scan.mesh()
     scanned = add_scan(SCAN_NAME, mesh, unit_m) if len(mesh.quads) else None
     looked_at = bpy.data.objects.new(LOOKED_AT, None)

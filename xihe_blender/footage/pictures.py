@@ -15,6 +15,7 @@ import bpy
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import write_picture
+from xihe_blender.scene.phone_capture import stored_path
 from xihenet.captures.capture import CapturedFrame
 from xihenet.records import RgbdFrame
 
@@ -76,10 +77,10 @@ def _link(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
 
 
-def show_behind(camera: bpy.types.Camera, footage: Footage, name: str) -> tuple[int, int]:
+def show_behind(camera: bpy.types.Camera, footage: Footage, name: str, blend_folder: Path | None) -> tuple[int, int]:
     """Show a finished sequence behind a camera, as it was taken; its width and height in pixels.
 
-    UserError if Blender cannot read it.
+    `blend_folder` as of `stored_path`. UserError if Blender cannot read it.
     """
     try:
         image = bpy.data.images.load(str(footage.first))
@@ -87,8 +88,7 @@ def show_behind(camera: bpy.types.Camera, footage: Footage, name: str) -> tuple[
         raise UserError(f"Blender cannot read {footage.first}: {str(error).strip()}") from error
     width, height = image.size  # Of a sequence it is not known before it is shown.
     image.name, image.source = name, "SEQUENCE"
-    if bpy.data.filepath:
-        image.filepath = bpy.path.relpath(str(footage.first))
+    image.filepath = stored_path(footage.first, blend_folder)
     camera.show_background_images = True
     behind = camera.background_images.new()
     behind.image, behind.alpha, behind.frame_method = image, 1.0, "STRETCH"

@@ -34,15 +34,20 @@ class RememberedCapture:
     up: str | None
 
 
-def remember_capture(scene: bpy.types.Scene, folder: Path, up: str | None) -> None:
-    """Note that `scene` shows the recording in `folder`."""
-    path = str(folder.resolve())
-    if bpy.data.filepath:
-        try:
-            path = bpy.path.relpath(path)
-        except ValueError:  # On another drive.
-            pass
-    scene[CAPTURE], scene[CAPTURE_UP] = path, up or ""
+def remember_capture(scene: bpy.types.Scene, folder: Path, up: str | None, blend_folder: Path | None) -> None:
+    """Note that `scene` shows the recording in `folder`; see `stored_path`."""
+    scene[CAPTURE], scene[CAPTURE_UP] = stored_path(folder, blend_folder), up or ""
+
+
+def stored_path(path: Path, blend_folder: Path | None) -> str:
+    """`path` as a .blend in `blend_folder` keeps it, relative to itself; None for a file that is not saved yet."""
+    whole = str(path.resolve())
+    if blend_folder is None:
+        return whole
+    try:
+        return str(bpy.path.relpath(whole, start=str(blend_folder.resolve())))
+    except ValueError:  # On another drive
+        return whole
 
 
 def remembered_capture(scene: bpy.types.Scene) -> RememberedCapture | None:

@@ -1,0 +1,48 @@
+"""`xihe import`: a recording of a phone as a new .blend."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from xihe_blender.cli import arguments
+from xihe_blender.cli.progress import progress_line
+from xihe_blender.errors import UserError
+from xihe_blender.jobs import run_blocking
+from xihenet.captures import READERS
+from xihenet.frame_files import BLENDER_FROM_UP
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = arguments.adder(parser)
+    add("recording DIR", f"folder of a recording: {arguments.one_of(READERS)}", Path)
+    add("--out SCENE.blend", "file to be made; a folder of the pictures is made beside it", Path, required=True)
+    add(
+        "--up AXIS",
+        "axis of the recording's world that points up; default: as is usual for it",
+        choices=tuple(BLENDER_FROM_UP),
+    )
+
+
+def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
+    import bpy
+
+    from xihe_blender.footage.import_capture import import_capture, recording_at
+    from xihe_blender.io.outputs import written_whole
+
+    out: Path = options.out
+    if out.suffix.lower() != ".blend":
+        raise UserError(f"--out {out}: give the name of a .blend file")
+    if out.exists():
+        raise UserError(f"{out} is there already: choose another --out, or import into it with File > Import in Blender")
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    scene = bpy.context.scene
+    # Cycles alone knows shadow catchers, and pictures are to look as they were taken.
+    scene.render.engine, scene.view_settings.view_transform = "CYCLES", "Standard"
+    job = import_capture(scene, recording_at(options.recording), up=options.up, blend_folder=out.parent)
+    imported = run_blocking(job, progress_line(stderr))
+    with written_whole(out) as beside:
+        bpy.ops.wm.save_as_mainfile(filepath=str(beside.resolve()), compress=True)
+    print(" ".join(imported.said), file=stdout)
+    print(out, file=stdout)
