@@ -1,5 +1,7 @@
 """A phone's recording in a Blender file: what it becomes there, and the light that comes of it."""
 
+import json
+from dataclasses import replace
 from itertools import pairwise
 
 import bpy
@@ -7,19 +9,30 @@ import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
-from addon_tests.pure.recordings import HALF, LAYOUTS, looking, seen, walk
-from tiny_scenes import empty_scene
+from previs_runs import counted_renders
+from results_schema import SCHEMA
+from tiny_scenes import box, empty_scene
 
+from addon_tests.pure.recordings import HALF, LAYOUTS, looking, seen, walk
 from xihe_blender.apply.sh_worlds import f_curves
 from xihe_blender.capture.scanner import phone_camera
+from xihe_blender.compare.side_by_side import read_picture
 from xihe_blender.errors import UserError
 from xihe_blender.footage.import_capture import import_capture
+from xihe_blender.io.json_records import as_json, from_json
+from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.jobs import run_blocking
-from xihe_blender.scene.phone_capture import frames_a_second, frames_of_times, remembered_capture
-from xihenet.camera import project_points
+from xihe_blender.previs.previs import previs
+from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.scene.phone_capture import IS_CAPTURED, frames_a_second, frames_of_times, remembered_capture
+from xihe_blender.scene.virtual_objects import virtual_collection
+from xihenet import estimators
+from xihenet.camera import project_points, unproject_frame
 from xihenet.captures import open_capture
-from xihenet.records import Intrinsics
+from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.recording import SessionFacts, SessionRecorder
+from xihenet.records import Intrinsics
+from xihenet.replay import REPLAY_TRIGGER, never_in_view, replay
 
 OFF_CENTRE = Intrinsics(64, 48, 50.0, 48.5, 30.2, 25.1)
 
@@ -237,3 +250,120 @@ def test_what_cannot_be_read_is_said_in_one_line_and_leaves_nothing(tmp_path, ma
 def break_a_frame(folder):
     path = folder / "frame_000003.exr"
     path.write_bytes(path.read_bytes()[:-200])
+
+
+# ---------------------------------------------------------------------------------------------------------------- runs
+
+LAMP_M = np.array([1.2, 0.0, HALF[2]])
+"""Middle of the lamp in the ceiling of `lamp_room`."""
+
+
+FOOT_M = np.array([-0.2, 0.5, -HALF[2]])
+"""Where the virtual pillar stands: on the floor, seen from -Y at the end of `lamp_walk`."""
+
+
+def lamp_room(k, pose, number, time_s, exposure):
+    """The room of coloured walls, dim, with a lamp in its ceiling on the side of +X, seen with an exposure."""
+    frame = seen(k, pose, number, time_s)
+    points_m = unproject_frame(frame).points_m.reshape(k.height, k.width, 3)
+    is_lamp = np.linalg.norm(points_m - LAMP_M, axis=-1) < 0.45
+    srgb = linear_to_srgb(srgb_to_linear(frame.srgb_u8 / 255) * 0.15 * exposure)
+    srgb_u8 = np.where(is_lamp[..., None], 255, srgb * 255).astype(np.uint8)
+    return replace(frame, srgb_u8=srgb_u8, exposure=exposure)
+
+
+def lamp_walk(k, n=8):
+    """A look around, at the lamp too, that ends on the floor; the exposure drifts at its end."""
+    turns = 2 * np.pi * np.arange(n - 2) / (n - 2)
+    poses = [looking(turn, 0.5 * np.cos(turn), (0.9, 0.1 * np.sin(turn), 0.4)) for turn in turns]
+    poses += [looking(np.pi / 2, pitch, (-0.2, -1.2, 0.1)) for pitch in (-0.6, -0.55)]
+    exposures = [1.0] * (n - 1) + [1.3]
+    together = enumerate(zip(poses, exposures, strict=True))
+    return [lamp_room(k, pose, 40 + i, 2.0 + i / 30, exposure) for i, (pose, exposure) in together]
+
+
+def with_a_pillar(scene):
+    """A virtual pillar on the floor, in view at the end of `lamp_walk`."""
+    middle_m = FOOT_M + [0, 0, 0.25]
+    return box(scene, "Pillar", tuple(middle_m), (0.2, 0.2, 0.5), collection=virtual_collection(scene, create=True))
+
+
+@pytest.fixture(scope="module")
+def recorded_run(tmp_path_factory):
+    """A run on a recording; its folder, results, and the recording's."""
+    folder = tmp_path_factory.mktemp("recorded")
+    recording = recorded(folder / "walk", lamp_walk(Intrinsics(64, 48, 50.0, 50.0, 32.0, 24.0)))
+    scene = empty_scene()
+    run_blocking(import_capture(scene, recording))
+    with_a_pillar(scene)
+    with counted_renders() as renders:
+        results = run_blocking(previs(scene, folder / "out", PrevisSettings(preset="draft")))
+    SCHEMA.validate(json.loads(json.dumps(results)))
+    assert as_json(from_json(RunResults, results)) == results
+    return folder / "out", results, recording, renders
+
+
+def test_a_run_has_the_light_of_replay_to_the_last_bit(recorded_run):
+    out, results, recording, _ = recorded_run
+    found = read_results(out)
+    positions = {probe.name: np.array(probe.position_m) for probe in found.probes}
+    capture = open_capture(recording)
+    steps = list(
+        replay(
+            capture,
+            positions,
+            estimators.load(found.settings.estimator, target=found.settings.target),
+            trigger=capture.trigger or REPLAY_TRIGGER,
+            has_key_light=True,
+            reference_exposure=capture.reference_exposure,
+            never_in_view=never_in_view(capture, positions),
+        )
+    )
+    by_time = {step.time_s: step.lights for step in steps}
+    n = 0
+    for entry in found.frames:
+        for probe in entry.probes:
+            if probe.light_frame is not None:
+                assert np.array_equal(np.array(probe.sh), by_time[entry.time_s][probe.name].sh)
+                n += 1
+    assert n > 0
+    assert found.settings.reference_exposure == 1.0
+    assert [entry.time_s for entry in found.frames] == [one.time_s for one in capture.frames]
+
+
+def test_a_run_renders_the_objects_alone_and_says_that_there_is_no_truth(recorded_run):
+    out, results, _, renders = recorded_run
+    found = read_results(out)
+    assert set(renders) <= {"Xihe Effects", "Xihe Lit", "Xihe Film"}
+    assert found.recording.said == IS_CAPTURED
+    assert IS_CAPTURED in found.notes
+    assert not found.comparison and not found.compared_frames
+    assert all(probe.sh_truth is None and probe.shc_rmse is None for probe in found.probes)
+    assert found.summary.mean_shc_rmse is None
+    page = (out / "report.html").read_text()
+    assert "there is no ground truth" in page
+    assert "nan" not in page.lower().replace("finance", "")
+    assert (out / "composited.mp4").stat().st_size > 1000
+    assert (out / "untitled_lit.blend").exists()
+
+
+def test_the_pillar_is_in_the_picture_with_its_shadow_away_from_the_lamp(recorded_run):
+    out, results, recording, _ = recorded_run
+    found = read_results(out)
+    captured = list(open_capture(recording))[-1]
+    picture = srgb_to_linear(read_picture(out / found.frames[-1].composited[found.settings.estimator]))
+    before = srgb_to_linear(captured.srgb_u8 / 255.0)
+
+    def around(point_m):
+        place, _ = project_points(np.array([point_m]), captured.intrinsics, captured.world_from_camera)[:2]
+        column, row = place[0].astype(int)
+        return slice(row - 1, row + 2), slice(column - 1, column + 2)
+
+    # The lamp is on the side of +X, so that the shadow falls towards -X.
+    away, toward = around(FOOT_M - [0.17, 0, 0]), around(FOOT_M + [0.22, 0, 0])
+    assert picture[away].mean() < 0.8 * before[away].mean()
+    assert picture[toward].mean() > 0.9 * before[toward].mean()
+    pillar = around(FOOT_M + [0, -0.1, 0.25])
+    assert np.abs(picture[pillar] / before[pillar] - 1).mean() > 0.2
+    # What is far from it is the recording, byte for byte.
+    assert np.array_equal(read_picture(out / found.frames[-1].composited["lattice"])[:8], np.float32(captured.srgb_u8[:8] / 255))

@@ -174,7 +174,9 @@ def _key_curves(world: bpy.types.World, results: RunResults, name: str) -> None:
     for entry in results.frames:
         probes = [probe for probe in entry.probes if probe.object == name]
         if probes:
-            _key(world, ERROR_CURVE, entry.frame, [probe.shc_rmse for probe in probes])
+            errors = [probe.shc_rmse for probe in probes if probe.shc_rmse is not None]
+            if errors:
+                _key(world, ERROR_CURVE, entry.frame, errors)
             _key(world, COVERAGE_CURVE, entry.frame, [probe.coverage for probe in probes])
     hold_keys(world)
 

@@ -21,6 +21,7 @@ import bpy
 
 from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, lit_scene
 from xihe_blender.apply.shadow_catchers import remove_shadow_catchers, shadow_catchers
+from xihe_blender.scene.phone_capture import CAPTURE, SCAN
 
 PHONE = "Xihe Phone"
 """Begins the names of the copied cameras."""
@@ -84,7 +85,8 @@ def put_over_frames(lit: bpy.types.Scene, frames: CapturedFrames) -> None:
     render, view = lit.render, lit.view_settings
     larger = max(render.resolution_x, render.resolution_y) / max(frames.size)
     render.resolution_x, render.resolution_y = (max(4, round(side * larger)) for side in frames.size)
-    render.pixel_aspect_x = render.pixel_aspect_y = 1.0
+    if CAPTURE not in lit:  # Renders have square pixels, a phone's need not be.
+        render.pixel_aspect_x = render.pixel_aspect_y = 1.0
     render.use_border = render.use_sequencer = False
     render.use_compositing = True
     lit.display_settings.display_device = "sRGB"
@@ -98,12 +100,15 @@ def hide_behind_room(lit: bpy.types.Scene, room: bpy.types.Scene, objects: Seque
 
     Metaballs, volumes, and copies that an object makes of its children, are not among them.
     """
-    holder = bpy.data.collections.new(ROOM_COPIES)
+    holder, has_catchers = bpy.data.collections.new(ROOM_COPIES), bool(shadow_catchers(lit))
     for item in dict.fromkeys(_seen_in(room.view_layers[0].layer_collection)):
         is_solid = item.type in _SOLID or item.instance_type == "COLLECTION"
+        if SCAN in item and has_catchers:  # It is a catcher there, which would catch no shadow behind a copy.
+            continue
         if is_solid and item.visible_camera and not item.is_holdout and item not in objects:
             copied = item.copy()
             copied.name, copied.is_holdout = f"{LIT_SCENE} {item.name}", True
+            copied.is_shadow_catcher &= SCAN not in item
             for ray in _RAYS:
                 setattr(copied, f"visible_{ray}", False)
             holder.objects.link(copied)

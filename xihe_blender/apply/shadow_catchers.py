@@ -59,6 +59,17 @@ def catch_shadows(
     mesh.update()
 
 
+def catch_shadows_of(catcher: bpy.types.Object, scan: bpy.types.Object) -> None:
+    """Let `catcher`, made by `make_shadow_catcher`, stand for a scanned mesh, of which it gets a copy."""
+    empty, mesh = catcher.data, scan.data.copy()
+    assert isinstance(empty, bpy.types.Mesh) and isinstance(mesh, bpy.types.Mesh)
+    mesh.materials.clear()
+    mesh.materials.append(empty.materials[0])
+    catcher.data = mesh
+    bpy.data.meshes.remove(empty)
+    catcher.matrix_world = scan.matrix_world
+
+
 def _unseen_in_eevee(name: str) -> bpy.types.Material:
     """White for Cycles, whatever the surface is: the ratio does not depend on it. Nothing at all for EEVEE."""
     material = bpy.data.materials.new(name)

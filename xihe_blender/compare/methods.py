@@ -34,6 +34,7 @@ from xihe_blender.apply.reflection_pictures import forget_reflections, reflect_i
 from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world
 from xihe_blender.apply.shadow_catchers import (
     catch_shadows,
+    catch_shadows_of,
     catcher_name,
     make_shadow_catcher,
     remove_shadow_catchers,
@@ -43,6 +44,7 @@ from xihe_blender.capture.scanner import first_layer
 from xihe_blender.compare.shadows import (
     BRIGHTEST,
     SHADOW_CHANNELS,
+    around_object,
     box_of,
     ring_around,
     ring_rmse,
@@ -65,6 +67,9 @@ from xihenet.surfaces import Surface
 GROUND_TRUTH_SCENE = "Xihe Ground Truth"
 OCCLUSION_TOLERANCE = 2e-3
 """An object this much (relative, and in metres) behind the room's surface still counts as in front of it."""
+
+RECORDED_TOLERANCE = 0.01
+"""The same behind what a range sensor measured, which is off by a centimetre or two."""
 
 NEAREST_M = 0.05
 """From a position: nearer than this its light is not more of the mixture."""
@@ -110,6 +115,18 @@ def load_ground_truth(path: Path) -> GroundTruth:
     return GroundTruth(content["radiance"], float(content["render_s"]))
 
 
+@dataclass(frozen=True, eq=False)
+class OverRecording:
+    """What is different where objects are put over a phone's recording in place of renders.
+
+    `exposure` is that of light, since each frame has its own; shadows fall on `scan`, or on the flat surfaces that
+    frames show where it is None.
+    """
+
+    exposure: float
+    scan: bpy.types.Object | None
+
+
 @dataclass
 class Comparer:
     """Renders comparisons; made by `open_comparer`. Worlds and view layers are found by (method, object)."""
@@ -122,6 +139,7 @@ class Comparer:
     """Of the key lights; empty where all of a light is spherical harmonics."""
     catchers: Mapping[str, bpy.types.Object]
     """Of the shadows, by object; empty where there are no suns."""
+    recording: OverRecording | None = None
 
     def surfaces_around_objects(self, seen: Sequence[RgbdFrame], frame: int) -> dict[str, list[Surface]]:
         """By object, what captures show of the room around the place where it is at `frame`; none without catchers."""
@@ -151,15 +169,37 @@ class Comparer:
         The plane depth of `captured` hides what lies behind. `lights` carry its exposure, by method and
         virtual object. `surfaces` are those that catch shadows, by object.
         """
+        methods, weights, render_s = self.render_over(captured, lights, surfaces)
+        exposed = truth.radiance.astype(np.float64) * captured.exposure
+        return Comparison(exposed, methods, weights, ring_around(weights), truth.render_s + render_s)
+
+    def render_over(
+        self,
+        captured: RgbdFrame,
+        lights: Mapping[str, Mapping[str, ObjectLight]],
+        surfaces: Mapping[str, Sequence[Surface]] = MappingProxyType({}),
+    ) -> tuple[dict[str, ArrayF64], ArrayF64, float]:
+        """Every method over `captured`, as `render_methods` takes them: pictures (H, W, 3) linear at its exposure, the
+        share (H, W) of each pixel that objects cover, and the seconds that Cycles took."""
         lit = self.render_layers(captured, lights, surfaces)
-        background = srgb_to_linear(captured.srgb_u8 / 255.0)
+        background, tolerance = srgb_to_linear(captured.srgb_u8 / 255.0), OCCLUSION_TOLERANCE
         methods, weights, in_view = {}, np.zeros(background.shape[:2]), surfaces_in_view(captured, surfaces)
+        if self.recording is not None:
+            tolerance = RECORDED_TOLERANCE
+        if self.has_scan:
+            depsgraph = self.lit.view_layers[0].depsgraph
+            in_view = {
+                name: around_object(captured, box_of(bpy.data.objects[name], depsgraph)) for name in self.catchers
+            }
         for method in lights:
             layers = {key[1]: lit.layers[self.layers[key]] for key in self.worlds if key[0] == method}
             shaded = background * shadow_of_all(layers, in_view)
-            methods[method], weights = composite(shaded, list(layers.values()), captured)
-        exposed = truth.radiance.astype(np.float64) * captured.exposure
-        return Comparison(exposed, methods, weights, ring_around(weights), truth.render_s + lit.render_s)
+            methods[method], weights = composite(shaded, list(layers.values()), captured, tolerance)
+        return methods, weights, lit.render_s
+
+    @property
+    def has_scan(self) -> bool:
+        return self.recording is not None and self.recording.scan is not None
 
     def render_layers(
         self,
@@ -172,8 +212,9 @@ class Comparer:
         An object that has several positions is rendered under the light of each, and every point of it is lit as the
         positions around it are; see `blended`.
         """
-        for name, catcher in self.catchers.items():
+        for name, catcher in self.catchers.items() if not self.has_scan else ():
             catch_shadows(catcher, surfaces.get(name, ()), metres_per_unit(self.lit))
+        exposure = captured.exposure if self.recording is None else self.recording.exposure
         self.lit.frame_set(captured.frame)
         chosen = {key: lights[key[0]][key[1]] for key in self.worlds}
         turns = max(len(light.at) for light in chosen.values()) or 1
@@ -183,7 +224,7 @@ class Comparer:
                 layer = self.lit.view_layers[self.layers[key]]
                 layer.use = turn < max(1, len(light.at))
                 if layer.use:
-                    self._light(key, light.at[turn][1] if light.at else light, captured.exposure)
+                    self._light(key, light.at[turn][1] if light.at else light, exposure)
             rendered.append(render_passes(self.lit))
         for layer in self.lit.view_layers:
             layer.use = True
@@ -213,11 +254,12 @@ class Comparer:
 @contextlib.contextmanager
 def open_comparer(
     scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], methods: Sequence[str], settings: RenderSettings,
-    *, has_key_light: bool = False,
+    *, has_key_light: bool = False, recording: OverRecording | None = None,
 ) -> Iterator[Comparer]:  # fmt: skip
     """Everything needed to compare `methods` on the virtual `objects` of `scene`; all of it is gone afterwards.
 
-    With `has_key_light` the key light of each light is a sun, else a part of its spherical harmonics.
+    With `has_key_light` the key light of each light is a sun, else a part of its spherical harmonics. `recording` says
+    what is different over one.
     """
     keys = [(method, item.name) for method in methods for item in objects]
     # View layer names are cut at 63 bytes, so objects go by number.
@@ -242,13 +284,17 @@ def open_comparer(
         for item in objects if has_key_light else ():
             catchers[item.name] = make_shadow_catcher(catcher_name(item.name))
             stack.callback(remove_shadow_catchers, [catchers[item.name]])
+            if recording is not None and recording.scan is not None:
+                catch_shadows_of(catchers[item.name], recording.scan)
             show_only_in(lit, catchers[item.name], [layers[key] for key in keys if key[1] == item.name])
         for layer in lit.view_layers:
             layer.cycles.use_pass_shadow_catcher = has_key_light
         # Kept between renders, the order of the suns and so their noise would depend on what was rendered before: a run
         # that is resumed would end otherwise than one that was not stopped.
         lit.render.use_persistent_data = not has_key_light
-        yield Comparer(truth, lit, worlds, layers, suns, catchers)
+        if recording is not None:  # Pixels of a phone need not be square.
+            lit.render.pixel_aspect_x, lit.render.pixel_aspect_y = scene.render.pixel_aspect_x, scene.render.pixel_aspect_y
+        yield Comparer(truth, lit, worlds, layers, suns, catchers, recording)
 
 
 def blended(
@@ -276,24 +322,29 @@ def blended(
 
 
 def composite(
-    background: ArrayF64, layers: Sequence[Mapping[str, ArrayF32]], captured: RgbdFrame
-) -> tuple[ArrayF64, ArrayF64]:
+    background: ArrayF64, layers: Sequence[Mapping[str, ArrayF32]], captured: RgbdFrame,
+    tolerance: float = OCCLUSION_TOLERANCE,
+) -> tuple[ArrayF64, ArrayF64]:  # fmt: skip
     """Objects over the captured frame: (H, W, 3) linear, exposed, and (H, W) the share of each pixel that they cover.
 
     `background` is (H, W, 3) linear, exposed; `layers` are passes of each object's view layer, scene radiance with
-    premultiplied alpha; `captured` gives exposure and plane depth.
+    premultiplied alpha; `captured` gives exposure, white balance and plane depth; `tolerance` is that of
+    `in_front_of_room`.
     """
+    exposed = captured.exposure * (1.0 if captured.white_balance is None else captured.white_balance)
     picture, weights = background.copy(), np.zeros(background.shape[:2])
     for passes in layers:
-        visible = in_front_of_room(passes["Depth.Z"], captured.plane_depth_m)
+        visible = in_front_of_room(passes["Depth.Z"], captured.plane_depth_m, tolerance)
         alpha = np.where(visible, passes["Combined.A"], 0.0)
         colour = stacked_rgb(passes).astype(np.float64)
-        picture += np.where(visible[..., None], colour * captured.exposure, 0.0) - alpha[..., None] * background
+        picture += np.where(visible[..., None], colour * exposed, 0.0) - alpha[..., None] * background
         weights += alpha
     return picture, np.clip(weights, 0.0, 1.0)
 
 
-def in_front_of_room(object_plane_depth_m: ArrayF32, room_plane_depth_m: ArrayF32) -> ArrayBool:
+def in_front_of_room(
+    object_plane_depth_m: ArrayF32, room_plane_depth_m: ArrayF32, tolerance: float = OCCLUSION_TOLERANCE
+) -> ArrayBool:
     """(H, W): where an object is nearer than the room, or either is unknown (beside no part of it, through a window).
 
     At a soft edge Cycles gives no plane depth of the object: there it is that of the nearest neighbour.
@@ -301,7 +352,7 @@ def in_front_of_room(object_plane_depth_m: ArrayF32, room_plane_depth_m: ArrayF3
     around = np.pad(object_plane_depth_m, 1, constant_values=np.inf)
     nearest_m = np.lib.stride_tricks.sliding_window_view(around, (3, 3)).min(axis=(2, 3))
     object_m = np.where(object_plane_depth_m >= MISS_PLANE_DEPTH_M, nearest_m, object_plane_depth_m)
-    reach = room_plane_depth_m * (1 + OCCLUSION_TOLERANCE) + OCCLUSION_TOLERANCE
+    reach = room_plane_depth_m * (1 + tolerance) + tolerance
     unknown = ~valid_plane_depth(room_plane_depth_m) | (object_m >= MISS_PLANE_DEPTH_M)
     return unknown | (object_m <= reach)
 

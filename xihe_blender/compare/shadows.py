@@ -59,6 +59,16 @@ def surfaces_seen(frames: Sequence[RgbdFrame], corners_m: ArrayF64) -> list[Surf
     return [clear_of(surface, corners_m) for surface in found]
 
 
+def around_object(captured: RgbdFrame, corners_m: ArrayF64) -> ArrayBool:
+    """(H, W) which pixels of a frame show what is so near the object in this box (K, 3) that its shadow counts."""
+    low_m, high_m = corners_m.min(axis=0), corners_m.max(axis=0)
+    reach_m = min(REACH * float(np.linalg.norm(high_m - low_m)) / 2, FARTHEST_M)
+    is_valid = valid_plane_depth(captured.plane_depth_m)
+    points_m = unproject_frame(captured).points_m.reshape(*is_valid.shape, 3).astype(np.float64)
+    away_m = np.linalg.norm(points_m - (low_m + high_m) / 2, axis=-1)
+    return is_valid & (away_m < reach_m)
+
+
 def surfaces_in_view(captured: RgbdFrame, surfaces: Mapping[str, Sequence[Surface]]) -> dict[str, ArrayBool]:
     """By object, which pixels (H, W) of a frame show a surface that its shadow falls on; none for one without any."""
     is_valid = valid_plane_depth(captured.plane_depth_m)

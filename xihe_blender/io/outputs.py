@@ -48,6 +48,7 @@ class RunOutputs:
     report = _at("report.html")
     session = _at("session.json")  # what the phone saw, for `xihe replay`
     side_by_side = _at("side_by_side.mp4")  # on request
+    composited = _at("composited.mp4")  # of a recording
     settings = _at("work", "settings.json")  # of the work below: a run resumes only where they are the same
     # What a resumed run takes over: the exposure that was metered, the plan of effects that renders go by, the numbers
     # of samples, and what is known of each frame before any is captured.

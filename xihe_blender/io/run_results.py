@@ -165,7 +165,7 @@ class OtherLight:
     """The light of another estimator, from the same clouds."""
 
     sh: Annotated[Coefficients, "the light in force"]
-    shc_rmse: Annotated[float, "root mean square difference of `sh` from `sh_truth`"]
+    shc_rmse: Annotated[float | None, "root mean square difference of `sh` from `sh_truth`; None without one"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,8 +192,8 @@ class ProbeResult:
     arrival_frame: Annotated[int | None, "first at or after the arrival; None also where the path ends before"] = None
     latency_ms: Annotated[float | None, "from trigger to arrival; None without an estimate or where it was lost"] = None
     sh: Annotated[Coefficients, "the light in force, the ambient one until a valid estimate has arrived"]
-    sh_truth: Annotated[Coefficients, "the light probe's, for `settings.target`"]
-    shc_rmse: Annotated[float, "root mean square difference of `sh` from it"]
+    sh_truth: Annotated[Coefficients | None, "the light probe's, for `settings.target`; None in a recording"]
+    shc_rmse: Annotated[float | None, "root mean square difference of `sh` from it; None without one"]
     expected_error: Annotated[float | None, "that the estimator expects of `sh`; None if it says none"] = None
     ambient_shc_rmse: Annotated[float | None, "the same of the ambient light"] = None
     share_above_white: Annotated[
@@ -260,7 +260,19 @@ class FrameResult:
     invalid: Annotated[Counts, "pixels that gave no point or were clamped, by reason"] = field(default_factory=dict)
     probes: Annotated[tuple[ProbeResult, ...], "see there"] = ()
     rendering: Annotated[Rendering | None, "see there"] = field(default=None, metadata=ABSENT)
+    composited: Annotated[dict[str, str], "pictures over a recording, by method: paths in the run's folder"] = field(
+        default_factory=dict
+    )
     compared: ComparedFrame | None = field(default=None, metadata=INLINE)  # its fields stand among these in the file
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingResult:
+    """The recording of a phone that was run in place of rendered captures, so that there is no ground truth."""
+
+    name: Annotated[str, "of its folder"]
+    format: Annotated[str, "as `xihe replay` names it"]
+    said: Annotated[str, "a sentence for the reader, also among the notes"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -364,6 +376,7 @@ class RunResults:
     ]
     summary: Annotated[Summary, "see there"]
     notes: Annotated[tuple[str, ...], "what a reader has to know, in sentences"] = ()
+    recording: Annotated[RecordingResult | None, "see there; None where captures were rendered"] = None
 
     @property
     def active_frames(self) -> list[FrameResult]:

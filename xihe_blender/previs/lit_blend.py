@@ -21,6 +21,7 @@ from xihe_blender.apply.lit_scene import remove_lit_collections, remove_lit_scen
 from xihe_blender.apply.reflection_pictures import forget_reflections, reflect_on_timeline
 from xihe_blender.apply.shadow_catchers import (
     catch_shadows,
+    catch_shadows_of,
     catcher_name,
     make_shadow_catcher,
     remove_shadow_catchers,
@@ -33,6 +34,7 @@ from xihe_blender.io.run_lights import light_of_change
 from xihe_blender.io.run_results import FrameResult, LightChange, ReflectionsResult
 from xihe_blender.previs.plan import PrevisPlan
 from xihe_blender.previs.results import as_coefficients, as_key
+from xihe_blender.scene.phone_capture import scan_of
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.light.key_light import rest_of
 from xihenet.light.reflections import reflection_panorama
@@ -139,7 +141,8 @@ def make_lit_scene(
 ) -> bpy.types.Scene:
     """A copy of `scene` with only `objects`, each in a view layer under the world that a run left for it.
 
-    `surfaces` are those that catch shadows, by object. KeyError for an object without a world.
+    `surfaces` are those that catch shadows, by object; the scan of a recording does in their place. KeyError for an
+    object without a world.
     """
     found = sh_worlds.applied_worlds(scene)
     worlds = {item.name: found[item.name] for item in objects}
@@ -153,9 +156,13 @@ def make_lit_scene(
     suns = key_suns.applied_suns(scene)
     for name in suns.keys() & worlds.keys():
         show_only_in(lit, suns[name], [worlds[name].name])
-    for name in [name for name in worlds if surfaces.get(name)]:
+    scan = scan_of(scene) if suns else None
+    for name in [name for name in worlds if scan is not None or surfaces.get(name)]:
         catcher = make_shadow_catcher(catcher_name(name))
-        catch_shadows(catcher, surfaces[name], metres_per_unit(scene), LIFTED_M)
+        if scan is not None:
+            catch_shadows_of(catcher, scan)
+        else:
+            catch_shadows(catcher, surfaces[name], metres_per_unit(scene), LIFTED_M)
         show_only_in(lit, catcher, [worlds[name].name])
     lit.world = next(iter(worlds.values()))
     lit.render.engine = "CYCLES"

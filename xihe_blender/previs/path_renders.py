@@ -57,7 +57,7 @@ def kept_renders(run: PreparedRun, frame: int) -> FrameRenders | None:
     """
     if frame not in run.needs.captured:
         return None
-    probes = run.probes_in_view(frame)
+    probes = run.probes_in_view(frame) if run.has_truth else []
     references = {probe.name: _kept_light(read_json(_reference(run, probe, frame))) for probe in probes}
     capture_s = float(read_json(run.outputs.times(frame))["render_s"])
     render_s = capture_s + sum(light.render_s for light in references.values())
@@ -165,9 +165,11 @@ def _reference(run: PreparedRun, probe: Probe, frame: int) -> Path:
 
 
 def render_path(run: PreparedRun) -> Generator[Progress, None, dict[int, float]]:
-    """A job: render and keep what is not kept yet; seconds of work beside rendering, by frame."""
+    """A job: render and keep what is not kept yet; seconds of work beside rendering, by frame. Of a recording, whose
+    frames are kept before, nothing is rendered."""
     work_s = yield from render_captures(run)
-    yield from _measure_missing(run, work_s)
+    if run.has_truth:
+        yield from _measure_missing(run, work_s)
     return work_s
 
 

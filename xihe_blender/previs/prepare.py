@@ -54,7 +54,8 @@ class PreparedRun:
 
     `settings` are the user's, with the trigger's theta above the noise of captures and the light that objects call for;
     `estimators` the chosen one, then those that are compared with it. `needs` says what is captured, and kept beside
-    captures; `reuse` in which earlier frame a render would come out the same.
+    captures; `reuse` in which earlier frame a render would come out the same. `has_truth` is false for a recording, of
+    which no light probe and no ground truth can be rendered.
     """
 
     scene: bpy.types.Scene
@@ -69,6 +70,7 @@ class PreparedRun:
     phone: ChosenPhone
     needs: CaptureNeeds
     reuse: RenderReuse
+    has_truth: bool = True
 
     def probes_in_view(self, frame: int) -> list[Probe]:
         """Those that the camera sees at `frame`; none if it is not captured."""
@@ -82,11 +84,14 @@ class PreparedRun:
     @property
     def methods(self) -> list[str]:
         """Names of the lights that are compared."""
-        return list(dict.fromkeys([self.settings.estimator, *self.settings.others, "ambient", "truth"]))
+        truth = ["truth"] * self.has_truth
+        return list(dict.fromkeys([self.settings.estimator, *self.settings.others, "ambient", *truth]))
 
     @property
     def work(self) -> dict[str, float]:
         """Units of work by stage, in order, as far as can be told from numbers of samples; see PROBE_WORK."""
+        if not self.has_truth:
+            return {"capture": 0.1 * len(self.plan.frames), "methods": float(len(self.plan.frames))}
         frames = [frame for frame in self.plan.frames if self.probes_in_view(frame)]
         n_captures = sum(source == frame for frame, source in self.reuse.captures.items())
         n_probes = sum(self.reuse.probes[f, p.name] == f for f in frames for p in self.probes_in_view(f))

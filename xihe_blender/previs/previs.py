@@ -18,15 +18,17 @@ from xihe_blender.io.folder_manifest import FolderManifest
 from xihe_blender.io.json_records import Json, as_json, from_json
 from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import RunOutputs, write_json
-from xihe_blender.io.run_results import RunResults
+from xihe_blender.io.run_results import FrameResult, RunResults
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs import results
 from xihe_blender.previs.compare_path import compare_path
+from xihe_blender.previs.composite_path import composite_path
 from xihe_blender.previs.kept_session import kept_facts
 from xihe_blender.previs.lit_blend import apply_lights, light_changes, save_lit_blend
 from xihe_blender.previs.plan import made_of, plan_previs
-from xihe_blender.previs.prepare import prepare_run, survey_run
-from xihe_blender.previs.run_chain import measure_phone, walk_path
+from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
+from xihe_blender.previs.recorded_run import prepare_recorded, recorded_session
+from xihe_blender.previs.run_chain import WalkedPath, measure_phone, walk_path
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.report.page import write_report
 from xihe_blender.scene.state import scene_kept
@@ -37,6 +39,9 @@ def previs(
     scene: bpy.types.Scene, out: Path, settings: PrevisSettings, *, blend_file: Path | None = None, command: str = ""
 ) -> Job[Json]:
     """Run the chain on `scene` and leave results.json, report.html, pictures and a lit .blend in the folder `out`.
+
+    A scene that shows a phone's recording is not rendered: the recording's frames are the captures, and in place of the
+    comparison with ground truth the virtual objects are put over them.
 
     Parameters
     ----------
@@ -49,12 +54,19 @@ def previs(
     -------
     the content of results.json
     """
+    recorded = recorded_session(scene, settings)
+    if recorded is not None:
+        settings = recorded.settings
     plan = plan_previs(scene, settings)
+    if recorded is not None:
+        recorded.check_camera(scene, plan)
     loaded = load_estimators(settings)
     file = blend_file or Path(bpy.data.filepath or "untitled.blend")
     outputs = RunOutputs(out, file.stem)
     leaves = (outputs.results, outputs.report, outputs.lit_blend)
     decides = made_of("a run", scene, file, settings, plan)
+    if recorded is not None:
+        decides |= {"recording": recorded.digest}
     manifest = FolderManifest(outputs.folder, outputs.settings, "a run", decides, leaves)
     is_whole = manifest.check() and all(path.exists() for path in leaves)
     finished = kept_json(outputs.results, functools.partial(from_json, RunResults)) if is_whole else None
@@ -66,20 +78,32 @@ def previs(
     # Not before: a scene that cannot be run leaves no folder.
     manifest.take()
     with scene_kept():
-        run = yield from prepare_run(scene, plan, survey, outputs, settings, loaded)
+        if recorded is None:
+            run = yield from prepare_run(scene, plan, survey, outputs, settings, loaded)
+        else:
+            run = yield from prepare_recorded(scene, plan, survey, outputs, recorded, loaded)
         walked = yield from walk_path(run, keeps_session=True)
-        compared = yield from compare_path(run, walked)
+        frames = yield from _with_pictures(run, walked)
         errors = yield from measure_phone(run, walked)
     yield run.progress("methods", 1, "applying the light and writing the report")
     estimated = {frame: methods[settings.estimator] for frame, methods in walked.lights.items()}
     changes = light_changes(plan, estimated, outputs, run.exposure)
     apply_lights(scene, changes, walked.frames, run.exposure, outputs.folder, has_key_light=run.settings.has_key_light)
-    frames = [replace(frame, compared=compared.get(frame.frame)) for frame in walked.frames]
     save_lit_blend(scene, plan, results.last_surfaces(frames), outputs.lit_blend)
-    found = results.assemble(run, frames, lights=changes, phone=walked.phone, errors=errors, file=file, command=command)
+    of = {"file": file, "command": command, "recording": None if recorded is None else recorded.said}
+    found = results.assemble(run, frames, lights=changes, phone=walked.phone, errors=errors, **of)
     write_session(outputs.folder, kept_facts(run))
     # The results come last: their presence says that the run is done.
     write_report(found, outputs)
     content = as_json(found)
     write_json(outputs.results, content)
     return content
+
+
+def _with_pictures(run: PreparedRun, walked: WalkedPath) -> Job[list[FrameResult]]:
+    """A job: the frames of a walk beside their ground truth or, where there is none, over the recording."""
+    if run.has_truth:
+        compared = yield from compare_path(run, walked)
+        return [replace(frame, compared=compared.get(frame.frame)) for frame in walked.frames]
+    composited = yield from composite_path(run, walked)
+    return [replace(frame, composited=composited.get(frame.frame, {})) for frame in walked.frames]

@@ -19,7 +19,7 @@ from xihe_blender.io.provenance import machine, software
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.prepare import PreparedRun
-from xihe_blender.previs.results_notes import notes
+from xihe_blender.previs.results_notes import notes, recorded_notes
 from xihe_blender.report.values import mean
 from xihenet.controller import ControllerSettings
 from xihenet.effects import Effect, Requirement, effects_as_json, plan_effects
@@ -122,6 +122,7 @@ def assemble(
     errors: records.PhoneErrors | None,
     file: Path,
     command: str,
+    recording: records.RecordingResult | None = None,
 ) -> records.RunResults:
     """The content of results.json.
 
@@ -131,6 +132,7 @@ def assemble(
     lights : what the timeline of each virtual object is keyed with
     errors : what the effects of `phone` do to the light; None without any
     file, command : where the scene comes from, and what the user typed
+    recording : that the run is on; None where captures were rendered
     """
     scene, profile = run.scene, run.phone.profile
     comparison = _mean_comparison(frames)
@@ -149,12 +151,17 @@ def assemble(
             faults=run.survey.faults,
         ),
         effects=tuple(from_json(records.EffectResult, row) for row in effects),
-        phone=records.PhoneResult(name=profile.name, summary=profile.summary, shc_rmse=errors),
+        phone=records.PhoneResult(
+            name=profile.name if recording is None else recording.name,
+            summary=profile.summary if recording is None else f"the phone that recorded it ({recording.format})",
+            shc_rmse=errors,
+        ),
         frames=tuple(frames),
         lights={name: tuple(of_one) for name, of_one in lights.items()},
         comparison=comparison,
         summary=_summary(frames, comparison, run.sample_count.pilot_s),
-        notes=tuple(notes(run, frames, phone)),
+        notes=tuple(notes(run, frames, phone) if recording is None else recorded_notes(run, frames, recording)),
+        recording=recording,
     )
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import bpy
 
 from xihe_blender.apply.datablocks import PREFIX
-from xihe_blender.io.run_results import Fault, FrameResult, ProbeResult
+from xihe_blender.io.run_results import Fault, FrameResult, ProbeResult, RecordingResult
 from xihe_blender.previs.light_called_for import is_shiny
 from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.prepare import PreparedRun
@@ -37,6 +37,19 @@ def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone
         *noise_notes(run.settings, run.sample_count, frames),
         *white_notes(frames),
     ]
+
+
+def recorded_notes(run: PreparedRun, frames: Sequence[FrameResult], recording: RecordingResult) -> Iterator[str]:
+    """Of a run on a recording, of which nothing was rendered but the objects."""
+    yield recording.said
+    yield "Pictures are the recording's, with the virtual objects over them; how far those are right is not measured."
+    if run.settings.has_key_light:
+        yield "Objects are lit by the key light of each light as a sun, and by the rest as spherical harmonics."
+        yield "Their shadows fall on the scan of the recording."
+    if run.settings.has_reflections:
+        yield "Glossy parts reflect what the phone saw of the room, and a guess where it saw nothing."
+    yield from unknown_light_notes(frames)
+    yield from (fault.said for fault in run.survey.faults)
 
 
 def light_notes(settings: PrevisSettings, objects: Sequence[bpy.types.Object]) -> Iterator[str]:
@@ -166,7 +179,7 @@ def _is_lit(entry: FrameResult) -> bool:
 
 
 def _is_probe_lit(probe: ProbeResult) -> bool:
-    return any(abs(channel) > FAINTEST for coefficient in probe.sh_truth for channel in coefficient)
+    return any(abs(channel) > FAINTEST for coefficient in probe.sh_truth or () for channel in coefficient)
 
 
 def exposure_notes(settings: PrevisSettings, exposure: float) -> Iterator[str]:

@@ -129,10 +129,11 @@ class _Walk:
             save_frame(run.outputs.seen(seen.frame), seen)
         if not np.array_equal(seen.srgb_u8, rendered.captured.srgb_u8):
             write_picture(run.outputs.picture("captured", seen.frame), seen.srgb_u8)
-        reports, requests = self.session.step(seen, truth, list(truth))
+        in_view = run.probes_in_view(seen.frame)
+        reports, requests = self.session.step(seen, truth, [probe.name for probe in in_view])
         probes = tuple(
             self._probe_result(probe, reports[probe.name], requests.get(probe.name), seen)
-            for probe in run.probes_in_view(seen.frame)
+            for probe in in_view
         )
         work_s = time.perf_counter() - start + self.captured_s.get(seen.frame, 0.0)
         stage_ms: dict[str, float] = defaultdict(float)
@@ -154,7 +155,7 @@ class _Walk:
             n_lost_pixels=n_lost,
             invalid=left_out | {reason: n for reason, n in seen.invalid.items() if reason in CLAMPED},
             probes=probes,
-            rendering=results.rendering(seen.frame, rendered.references, run),
+            rendering=results.rendering(seen.frame, rendered.references, run) if run.has_truth else None,
         )
 
     def _lights_in_force(self, frame: int, time_s: float) -> Lights:
@@ -175,6 +176,8 @@ class _Walk:
                     light = with_positions(light, places, each)
                 lights[method][item.name] = light
             lights["ambient"][item.name] = ObjectLight(ambient_sh)
+            if not self.run.has_truth:
+                continue
             each = {name: self._true_light(name) for name in places}
             _, reflections = self.reflections.get(next(iter(places)), (None, None))
             light = replace(mean_light(list(each.values())), reflections=reflections)
@@ -207,17 +210,18 @@ class _Walk:
         _, key = self.true_keys.get(name, (None, None))
         return ObjectLight(self.references[name].hdr, key)
 
-    def _other_lights(self, name: str, time_s: float, truth: ArrayF64) -> dict[str, OtherLight]:
+    def _other_lights(self, name: str, time_s: float, truth: ArrayF64 | None) -> dict[str, OtherLight]:
         lights = {other: self.session.light(name, time_s, other) for other in self.run.settings.others}
         return {
-            other: OtherLight(sh=results.as_coefficients(light), shc_rmse=shc_rmse(light, truth))
+            other: OtherLight(sh=results.as_coefficients(light), shc_rmse=_error(light, truth))
             for other, light in lights.items()
         }
 
     def _probe_result(self, probe: Probe, report: StepReport, request: Request | None, seen: RgbdFrame) -> ProbeResult:
         """What one step did at one position, and the light in force there after it."""
-        reference, time_s = self.references[probe.name], seen.time_s
-        light, truth = self.session.light(probe.name, time_s), reference.of(self.run.settings.target)
+        reference, time_s = self.references.get(probe.name), seen.time_s
+        light = self.session.light(probe.name, time_s)
+        truth = None if reference is None else reference.of(self.run.settings.target)
         arrival_frame, latency_ms = results.arrival(request, self.run.phone.times_s)
         return ProbeResult(
             name=probe.name,
@@ -240,13 +244,18 @@ class _Walk:
             arrival_frame=arrival_frame,
             latency_ms=latency_ms,
             sh=results.as_coefficients(light),
-            sh_truth=results.as_coefficients(truth),
-            shc_rmse=shc_rmse(light, truth),
+            sh_truth=None if truth is None else results.as_coefficients(truth),
+            shc_rmse=_error(light, truth),
             expected_error=finite_or_none(self.session.expected_error(probe.name, time_s)),
-            ambient_shc_rmse=shc_rmse(self.session.ambient_sh, truth),
+            ambient_shc_rmse=_error(self.session.ambient_sh, truth),
             others=self._other_lights(probe.name, time_s, truth),
-            share_above_white=share_above_white(reference.ldr, reference.hdr),
+            share_above_white=None if reference is None else share_above_white(reference.ldr, reference.hdr),
         )
+
+
+def _error(light: ArrayF64, truth: ArrayF64 | None) -> float | None:
+    """SHC RMSE of coefficients (9, 3); None where there is no truth."""
+    return None if truth is None else shc_rmse(light, truth)
 
 
 def measure_phone(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, None, PhoneErrors | None]:
@@ -256,10 +265,10 @@ def measure_phone(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, N
     difference is what a user would gain by a phone without that flaw; since triggers may fire in other frames then, a
     small one is chance. Rejected: errors of effects alone on a perfect phone, which say nothing of how they add up.
 
-    None for a phone without any effect; an error is None without an active frame.
+    None for a phone without any effect, and for a recording; an error is None without an active frame.
     """
     phone = walked.phone
-    if not phone.on:
+    if not phone.on or not run.has_truth:
         return None
     captured = [entry for entry in walked.frames if entry.captured]
     all_on = mean(probe.shc_rmse for entry in captured for probe in entry.probes)

@@ -65,6 +65,8 @@ def _what_was_done(results: RunResults) -> str:
 
 def _how_close(results: RunResults) -> str:
     comparison, estimator = results.comparison, results.settings.estimator
+    if results.recording is not None:
+        return escape(results.recording.said)
     if not comparison:
         return "No frame was compared with the ground truth."
     own, ambient = rmse_of(comparison, estimator), rmse_of(comparison, "ambient")

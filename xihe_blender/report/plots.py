@@ -189,7 +189,10 @@ def _limit(axis: Axis, value: float, words: str) -> tuple[str, str]:
 
 
 def _error_plot(timeline: Timeline, ambient: float | None) -> str:
-    axis = linear_axis(0, max([*(probe.shc_rmse for probe in timeline.probes), ambient or 0.0]))
+    known = timeline.known_values(lambda probe: probe.shc_rmse)
+    if not known:
+        return ""
+    axis = linear_axis(0, max([*known, ambient or 0.0]))
     drawing, below = _curves(timeline, axis, lambda probe: probe.shc_rmse), ""
     if drawing and ambient is not None:
         limit, below = _limit(axis, ambient, f"<code>ambient</code>, mean over the run: {format_number(ambient)}")

@@ -164,10 +164,11 @@ def _coefficients(name: str, last: ProbeResult) -> str:
     bands = [(degree, order) for degree in range(3) for order in range(-degree, degree + 1)]
     rows = [
         [f"l = {degree}, m = {order}", *(f"{value:.4f}" for value in estimate + truth)]
-        for (degree, order), estimate, truth in zip(bands, last.sh, last.sh_truth, strict=True)
+        for (degree, order), estimate, truth in zip(bands, last.sh, last.sh_truth or [()] * len(bands), strict=True)
     ]
     rows = [[cell.replace("-", MINUS) for cell in row] for row in rows]
-    head = ["", *(f"{what} {rgb}" for what in ("estimate", "truth") for rgb in ("R", "G", "B"))]
+    shown = ("estimate", "truth") if last.sh_truth else ("estimate",)
+    head = ["", *(f"{what} {rgb}" for what in shown for rgb in ("R", "G", "B"))]
     summary = f"Last spherical harmonics of {escape(name)}: radiance, real orthonormal basis, at the session's exposure"
     return f"<details><summary>{summary}</summary>{table(head, rows, 'coefficients')}</details>"
 

@@ -15,8 +15,9 @@ from pathlib import Path
 
 import bpy
 
-CAPTURE, CAPTURE_UP = "xihe_capture", "xihe_capture_up"
-"""Custom properties of a scene: the folder of its recording, and the axis that points up, empty for the usual one."""
+CAPTURE, CAPTURE_WAS, CAPTURE_UP = "xihe_capture", "xihe_capture_was", "xihe_capture_up"
+"""Custom properties of a scene: the folder of its recording as the .blend keeps it, where it was when it was imported,
+for a copy of the .blend elsewhere, and the axis that points up, empty for the usual one."""
 
 SCAN = "xihe_scan"
 """Custom property of the mesh that was scanned by a recording: the name it was given."""
@@ -36,7 +37,8 @@ class RememberedCapture:
 
 def remember_capture(scene: bpy.types.Scene, folder: Path, up: str | None, blend_folder: Path | None) -> None:
     """Note that `scene` shows the recording in `folder`; see `stored_path`."""
-    scene[CAPTURE], scene[CAPTURE_UP] = stored_path(folder, blend_folder), up or ""
+    scene[CAPTURE], scene[CAPTURE_WAS] = stored_path(folder, blend_folder), str(folder.resolve())
+    scene[CAPTURE_UP] = up or ""
 
 
 def stored_path(path: Path, blend_folder: Path | None) -> str:
@@ -55,7 +57,9 @@ def remembered_capture(scene: bpy.types.Scene) -> RememberedCapture | None:
     path = scene.get(CAPTURE)
     if not isinstance(path, str) or not path:
         return None
-    return RememberedCapture(Path(bpy.path.abspath(path)), str(scene.get(CAPTURE_UP, "")) or None)
+    here, was = Path(bpy.path.abspath(path)), Path(str(scene.get(CAPTURE_WAS, path)))
+    folder = was if was.exists() and not (path.startswith("//") and here.exists()) else here
+    return RememberedCapture(folder, str(scene.get(CAPTURE_UP, "")) or None)
 
 
 def scan_of(scene: bpy.types.Scene) -> bpy.types.Object | None:

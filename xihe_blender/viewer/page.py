@@ -195,11 +195,13 @@ def _numbers(results: RunResults, frame: FrameResult) -> dict[str, list[list[str
     own, compared, found = results.settings.estimator, results.compared_frames.get(frame.frame), {}
     of_light: dict[str, list[float]] = {}
     for probe in frame.probes:
-        of_light.setdefault(own, []).append(probe.shc_rmse)
+        if probe.shc_rmse is not None:
+            of_light.setdefault(own, []).append(probe.shc_rmse)
         if probe.ambient_shc_rmse is not None:
             of_light.setdefault("ambient", []).append(probe.ambient_shc_rmse)
         for name, other in probe.others.items():
-            of_light.setdefault(name, []).append(other.shc_rmse)
+            if other.shc_rmse is not None:
+                of_light.setdefault(name, []).append(other.shc_rmse)
     expected = [probe.expected_error for probe in frame.probes if probe.expected_error is not None]
     for name in dict.fromkeys([own, *results.settings.others, *TITLES]):
         figures = []
