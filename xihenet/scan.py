@@ -165,10 +165,8 @@ class Scan:
         n_around = np.bincount(quads.ravel(), minlength=len(keys))
         sums = [np.bincount(quads.ravel(), values.repeat(4), len(keys)) for values in of_edges.T]
         found = np.stack(sums, axis=1) / n_around[:, None] if len(keys) else np.zeros((0, 6))
-        points_m, colours = (found[:, :3] + OFFSET) * self.settings.voxel_m, found[:, 3:]
-        return _without_pieces(
-            ScanMesh(points_m.astype(np.float32), quads, colours.astype(np.float32), self.is_cut)
-        )
+        points_m, light = (found[:, :3] + OFFSET) * self.settings.voxel_m, found[:, 3:]
+        return _without_pieces(ScanMesh(points_m.astype(np.float32), quads, light.astype(np.float32), self.is_cut))
 
     def _crossings(self, axis: int, distances: ArrayF32, is_near: ArrayBool, colours: ArrayF32) -> _Crossings:
         """Where distances change their sign between a voxel and the next one along `axis`."""
@@ -228,9 +226,7 @@ class _Seen:
         step = int(np.ceil(np.sqrt(k.width * k.height / MOST_PIXELS)))
         depth_m, srgb = frame.plane_depth_m[::step, ::step], frame.srgb_u8[::step, ::step]
         height, width = depth_m.shape
-        k = Intrinsics(
-            width, height, k.fx / step, k.fy / step, *((c - 0.5) / step + 0.5 for c in (k.cx, k.cy))
-        )
+        k = Intrinsics(width, height, k.fx / step, k.fy / step, *((c - 0.5) / step + 0.5 for c in (k.cx, k.cy)))
         is_used = valid_plane_depth(depth_m) & (depth_m > NEAREST_M) & (depth_m < FARTHEST_M)
         if frame.confidence is not None:
             is_used &= frame.confidence[::step, ::step] > 0
@@ -247,9 +243,10 @@ class _Seen:
         step, k = int(np.ceil(np.sqrt(self.inverse.size / MOST_ALLOCATING))), self.intrinsics
         rows, columns = np.nonzero(np.isfinite(self.inverse[::step, ::step]))
         rows, columns = rows * step, columns * step
-        rays = np.stack(
-            [(columns + 0.5 - k.cx) / k.fx, (k.cy - rows - 0.5) / k.fy, -np.ones(len(rows))], axis=1
-        ) @ self.world_from_camera[:3, :3].T
+        rays = (
+            np.stack([(columns + 0.5 - k.cx) / k.fx, (k.cy - rows - 0.5) / k.fy, -np.ones(len(rows))], axis=1)
+            @ self.world_from_camera[:3, :3].T
+        )
         points_m = self.world_from_camera[:3, 3] + rays / self.inverse[rows, columns].astype(np.float64)[:, None]
         return points_m, rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
@@ -316,7 +313,7 @@ def _keys(blocks: ArrayInt) -> NDArray[np.int64]:
 
 def _unpacked(keys: NDArray[np.int64]) -> ArrayInt:
     mask = (1 << _BITS) - 1
-    return np.stack([keys >> 2 * _BITS, (keys >> _BITS) & mask, keys & mask], axis=-1) - _ZERO
+    return np.asarray(np.stack([keys >> 2 * _BITS, (keys >> _BITS) & mask, keys & mask], axis=-1) - _ZERO)
 
 
 def _without_pieces(mesh: ScanMesh) -> ScanMesh:
@@ -332,7 +329,7 @@ def _without_pieces(mesh: ScanMesh) -> ScanMesh:
 
 def _piece_of_points(n: int, quads: ArrayInt) -> NDArray[np.int64]:
     """(n,) the smallest number among the points that hang together with each."""
-    labels = np.arange(n)
+    labels: NDArray[np.int64] = np.arange(n)
     while True:
         least = labels[quads].min(axis=1)
         after = labels.copy()
@@ -341,5 +338,5 @@ def _piece_of_points(n: int, quads: ArrayInt) -> NDArray[np.int64]:
             np.minimum.at(after, quads[:, corner], least)
         after = after[after]
         if np.array_equal(after, labels):
-            return after
+            return labels
         labels = after

@@ -25,6 +25,7 @@ from xihe_blender.addon.look_operators import advice_for
 from xihe_blender.addon.polls import doubts, has_camera, has_virtual_objects, shows_run
 from xihe_blender.addon.runs_folder import last_run
 from xihe_blender.apply.datablocks import live_positions
+from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.formats import format_duration
 
@@ -117,6 +118,10 @@ class XIHE_PT_camera_path(StagePanel, bpy.types.Panel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         layout.prop(scene, "camera")
+        if remembered_capture(scene) is not None:
+            sentence(context, layout, IS_CAPTURED, icon="INFO")
+            layout.column().prop(settings, "network")
+            return
         column = layout.column()
         whole = column.row()
         # The name of a phone needs all of the width.
@@ -143,6 +148,8 @@ class XIHE_PT_picture(StagePanel, bpy.types.Panel):
             column.prop(settings, "frame_end")
             column.prop(settings, "frame_step")
         layout.prop(settings, "captures_path")
+        if remembered_capture(context.scene) is not None:  # Size and exposure are the recording's.
+            return
         layout.prop(settings, "use_own_size")
         column = layout.column(align=True)
         column.active = settings.use_own_size
@@ -312,6 +319,8 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
             sentence(context, layout, f"Of the scene as it was at {settings.run_made_of}", icon="INFO")
         if not run.summary.n_active_frames:
             sentence(context, layout, "No virtual object was in view of the camera in any frame", icon="ERROR")
+        if run.recording is not None:
+            sentence(context, layout, run.recording.said, icon="INFO")
         _draw_moved(context, layout)
         column = layout.column(align=True)
         for name, value, meaning in result_rows(run):
@@ -321,7 +330,7 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
             split.label(text=value, translate=False)
             # A label has no tooltip.
             row.operator("xihe.explain", text="", icon="QUESTION", emboss=False).meaning = meaning
-        if run.settings.others:
+        if run.settings.others and run.recording is None:
             _draw_methods(layout, run)
         split = layout.split(factor=LABEL_SHARE)
         split.label(text="Go to Trigger")
@@ -330,9 +339,10 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         row.scale_x = 2.5
         row.operator("xihe.go_to_trigger", text="", icon="PREV_KEYFRAME").direction = "PREVIOUS"
         row.operator("xihe.go_to_trigger", text="", icon="NEXT_KEYFRAME").direction = "NEXT"
-        row = layout.row(align=True)
-        row.operator("xihe.show_comparison", text="Compare")
-        row.prop(settings, "wipe", slider=True)
+        if run.recording is None:
+            row = layout.row(align=True)
+            row.operator("xihe.show_comparison", text="Compare")
+            row.prop(settings, "wipe", slider=True)
         _draw_looks(context, layout)
         row = layout.row(align=True)
         row.operator("xihe.save_side_by_side", text="Save Video")
@@ -402,12 +412,12 @@ def missing_run(folder: str) -> str:
 
 def result_rows(run: RunResults) -> list[tuple[str, str, str]]:
     """(label, value, what it means) of the last run; the first two are short enough for half the sidebar."""
-    summary = run.summary
+    summary, has_truth = run.summary, run.recording is None
     rows = [
         ("Estimates", f"{summary.n_estimates} in {summary.n_frames} frames", ESTIMATES),
-        ("Light Error", _number(summary.mean_shc_rmse, ".3f"), LIGHT_ERROR),
+        *[("Light Error", _number(summary.mean_shc_rmse, ".3f"), LIGHT_ERROR)] * has_truth,
         *_expected(summary.expected_error),
-        ("Ambient Error", _number(summary.ambient_shc_rmse, ".3f"), AMBIENT_ERROR),
+        *[("Ambient Error", _number(summary.ambient_shc_rmse, ".3f"), AMBIENT_ERROR)] * has_truth,
         ("Coverage", _number(summary.mean_coverage, ".0%"), COVERAGE),
         ("Chain", _number(summary.mean_step_ms, ".1f", " ms a frame"), CHAIN),
         ("Rendering", format_duration(summary.render_s + summary.comparison_render_s), RENDERING),

@@ -39,7 +39,14 @@ class Measuring(polls.Conditional, ModalJob):
 
     bl_options = {"REGISTER"}
     cancelled = "Nothing was measured"
-    conditions = (polls.is_idle, polls.is_room, polls.has_cycles, polls.has_virtual_objects, polls.has_camera)
+    conditions = (
+        polls.is_idle,
+        polls.is_room,
+        polls.has_cycles,
+        polls.captures_are_rendered,
+        polls.has_virtual_objects,
+        polls.has_camera,
+    )
 
 
 class XIHE_OT_measure_run(Measuring, bpy.types.Operator):

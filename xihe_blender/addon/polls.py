@@ -17,6 +17,7 @@ from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.addon.runs_folder import shown_runs
 from xihe_blender.apply.datablocks import ROOM, has_anything, trigger_markers
 from xihe_blender.io.old_runs import old_runs, runs_in
+from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
 from xihe_blender.scene.virtual_objects import has_renderable_geometry, virtual_objects
 
 Condition = Callable[[bpy.types.Context], str | None]
@@ -139,6 +140,10 @@ def has_selected_virtual_objects(context: bpy.types.Context) -> str | None:
     return None if is_one_selected else "Select virtual objects first"
 
 
+def captures_are_rendered(context: bpy.types.Context) -> str | None:
+    return None if remembered_capture(context.scene) is None else IS_CAPTURED
+
+
 def has_last_run(context: bpy.types.Context) -> str | None:
     if not context.scene.xihe.run_folder:
         return "There are no results yet: run first"
@@ -165,7 +170,10 @@ def has_report(context: bpy.types.Context) -> str | None:
 
 
 def has_comparison(context: bpy.types.Context) -> str | None:
-    has_it = any(last_run_folder(context.scene).joinpath("pictures").glob("ground_truth_*.png"))
+    folder = last_run_folder(context.scene)
+    if folder.joinpath("composited.mp4").is_file():
+        return IS_CAPTURED
+    has_it = any(folder.joinpath("pictures").glob("ground_truth_*.png"))
     return None if has_it else "The last run compared no frame: no virtual object was in view"
 
 

@@ -16,6 +16,7 @@ import bpy
 from xihe_blender.apply.datablocks import PREFIX, SHADOW_CATCHER, shortened
 
 if TYPE_CHECKING:  # The panel, which asks for what is left of a run, must do without NumPy.
+    from xihenet.records import ArrayF32, ArrayF64
     from xihenet.surfaces import Surface
 
 _OTHER_RAYS = ("diffuse", "glossy", "transmission", "volume_scatter", "shadow")
@@ -59,15 +60,48 @@ def catch_shadows(
     mesh.update()
 
 
-def catch_shadows_of(catcher: bpy.types.Object, scan: bpy.types.Object) -> None:
-    """Let `catcher`, made by `make_shadow_catcher`, stand for a scanned mesh, of which it gets a copy."""
-    empty, mesh = catcher.data, scan.data.copy()
-    assert isinstance(empty, bpy.types.Mesh) and isinstance(mesh, bpy.types.Mesh)
-    mesh.materials.clear()
-    mesh.materials.append(empty.materials[0])
-    catcher.data = mesh
-    bpy.data.meshes.remove(empty)
-    catcher.matrix_world = scan.matrix_world
+def catch_shadows_of(
+    catcher: bpy.types.Object, triangles: ArrayF32, around: tuple[ArrayF64, float] | None = None
+) -> None:
+    """Let `catcher`, made by `make_shadow_catcher`, stand for a scan, as `triangles_of` has it.
+
+    With `around`, a middle (3,) and a distance in Blender units, for what is no farther from there: a ray that meets a
+    catcher costs several times one that meets nothing.
+    """
+    import numpy as np
+
+    if around is not None:
+        middle, reach = around
+        away = np.linalg.norm(triangles - middle, axis=-1)
+        triangles = triangles[(away <= reach).all(axis=1)]
+    n, mesh = len(triangles), catcher.data
+    assert isinstance(mesh, bpy.types.Mesh)
+    mesh.clear_geometry()
+    points, corners = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+    mesh.vertices.add(len(points))
+    mesh.vertices.foreach_set("co", points.astype(np.float32).ravel())
+    mesh.loops.add(3 * n)
+    mesh.loops.foreach_set("vertex_index", corners.astype(np.int32).ravel())
+    mesh.polygons.add(n)
+    mesh.polygons.foreach_set("loop_start", 3 * np.arange(n, dtype=np.int32))
+    mesh.polygons.foreach_set("use_smooth", np.ones(n, bool))
+    mesh.update(calc_edges=True)
+
+
+def triangles_of(scan: bpy.types.Object) -> ArrayF32:
+    """(N, 3, 3) corners of the faces of a mesh, world, Blender units; of what its modifiers make nothing is known."""
+    import numpy as np
+
+    mesh = scan.data
+    assert isinstance(mesh, bpy.types.Mesh)
+    mesh.calc_loop_triangles()
+    points, corners = np.empty(3 * len(mesh.vertices), np.float32), np.empty(3 * len(mesh.loop_triangles), np.int32)
+    mesh.vertices.foreach_get("co", points)
+    mesh.loop_triangles.foreach_get("vertices", corners)
+    world_from_scan = np.array(scan.matrix_world, np.float64)
+    placed = points.reshape(-1, 3) @ world_from_scan[:3, :3].T + world_from_scan[:3, 3]
+    triangles: ArrayF32 = placed.astype(np.float32)[corners].reshape(-1, 3, 3)
+    return triangles
 
 
 def _unseen_in_eevee(name: str) -> bpy.types.Material:

@@ -35,7 +35,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     if out.suffix.lower() != ".blend":
         raise UserError(f"--out {out}: give the name of a .blend file")
     if out.exists():
-        raise UserError(f"{out} is there already: choose another --out, or import into it with File > Import in Blender")
+        raise UserError(f"{out} is there already: choose another --out, or open it and use File > Import")
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
     # Cycles alone knows shadow catchers, and pictures are to look as they were taken.

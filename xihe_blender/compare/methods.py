@@ -51,6 +51,8 @@ from xihe_blender.compare.shadows import (
     shadow_of_all,
     surfaces_in_view,
     surfaces_seen,
+    surroundings,
+    touches_view,
 )
 from xihe_blender.io.outputs import written_whole
 from xihe_blender.io.run_results import Metrics
@@ -119,12 +121,12 @@ def load_ground_truth(path: Path) -> GroundTruth:
 class OverRecording:
     """What is different where objects are put over a phone's recording in place of renders.
 
-    `exposure` is that of light, since each frame has its own; shadows fall on `scan`, or on the flat surfaces that
-    frames show where it is None.
+    `exposure` is that of light, since each frame has its own; shadows fall on `scan`, the corners (N, 3, 3) of its
+    faces in Blender units, or on the flat surfaces that frames show where it is None.
     """
 
     exposure: float
-    scan: bpy.types.Object | None
+    scan: ArrayF32 | None
 
 
 @dataclass
@@ -181,21 +183,36 @@ class Comparer:
     ) -> tuple[dict[str, ArrayF64], ArrayF64, float]:
         """Every method over `captured`, as `render_methods` takes them: pictures (H, W, 3) linear at its exposure, the
         share (H, W) of each pixel that objects cover, and the seconds that Cycles took."""
-        lit = self.render_layers(captured, lights, surfaces)
-        background, tolerance = srgb_to_linear(captured.srgb_u8 / 255.0), OCCLUSION_TOLERANCE
-        methods, weights, in_view = {}, np.zeros(background.shape[:2]), surfaces_in_view(captured, surfaces)
-        if self.recording is not None:
-            tolerance = RECORDED_TOLERANCE
+        in_view = surfaces_in_view(captured, surfaces)
         if self.has_scan:
-            depsgraph = self.lit.view_layers[0].depsgraph
-            in_view = {
-                name: around_object(captured, box_of(bpy.data.objects[name], depsgraph)) for name in self.catchers
-            }
+            in_view = self._catch_on_scan(captured)
+        lit = self.render_layers(captured, lights, surfaces)
+        background, weights = srgb_to_linear(captured.srgb_u8 / 255.0), np.zeros(captured.plane_depth_m.shape)
+        methods, tolerance = {}, OCCLUSION_TOLERANCE if self.recording is None else RECORDED_TOLERANCE
         for method in lights:
             layers = {key[1]: lit.layers[self.layers[key]] for key in self.worlds if key[0] == method}
             shaded = background * shadow_of_all(layers, in_view)
             methods[method], weights = composite(shaded, list(layers.values()), captured, tolerance)
         return methods, weights, lit.render_s
+
+    def _catch_on_scan(self, captured: RgbdFrame) -> dict[str, ArrayBool]:
+        """Let shadows fall on the scan around each object; by object, which pixels (H, W) show what is around it."""
+        assert self.recording is not None and self.recording.scan is not None
+        self.lit.frame_set(captured.frame)
+        depsgraph, unit_m = self.lit.view_layers[0].depsgraph, metres_per_unit(self.lit)
+        in_view = {}
+        for name, catcher in self.catchers.items():
+            middle_m, reach_m = surroundings(box_of(bpy.data.objects[name], depsgraph))
+            catch_shadows_of(catcher, self.recording.scan, (middle_m / unit_m, reach_m / unit_m))
+            in_view[name] = around_object(captured, middle_m, reach_m)
+        return in_view
+
+    def shows_an_object(self, captured: RgbdFrame) -> bool:
+        """Whether a frame may show any of the objects, or what is around one."""
+        self.lit.frame_set(captured.frame)
+        depsgraph = self.lit.view_layers[0].depsgraph
+        boxes = [box_of(bpy.data.objects[name], depsgraph) for _, name in self.worlds]
+        return any(touches_view(*surroundings(box), captured.intrinsics, captured.world_from_camera) for box in boxes)
 
     @property
     def has_scan(self) -> bool:
@@ -284,8 +301,6 @@ def open_comparer(
         for item in objects if has_key_light else ():
             catchers[item.name] = make_shadow_catcher(catcher_name(item.name))
             stack.callback(remove_shadow_catchers, [catchers[item.name]])
-            if recording is not None and recording.scan is not None:
-                catch_shadows_of(catchers[item.name], recording.scan)
             show_only_in(lit, catchers[item.name], [layers[key] for key in keys if key[1] == item.name])
         for layer in lit.view_layers:
             layer.cycles.use_pass_shadow_catcher = has_key_light
@@ -293,7 +308,8 @@ def open_comparer(
         # that is resumed would end otherwise than one that was not stopped.
         lit.render.use_persistent_data = not has_key_light
         if recording is not None:  # Pixels of a phone need not be square.
-            lit.render.pixel_aspect_x, lit.render.pixel_aspect_y = scene.render.pixel_aspect_x, scene.render.pixel_aspect_y
+            for name in ("pixel_aspect_x", "pixel_aspect_y"):
+                setattr(lit.render, name, getattr(scene.render, name))
         yield Comparer(truth, lit, worlds, layers, suns, catchers, recording)
 
 

@@ -17,7 +17,7 @@ from xihe_blender.scene.estimation_positions import world_box_corners
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import unproject_frame, valid_plane_depth
 from xihenet.metrics import image_rmse
-from xihenet.records import ArrayBool, ArrayF32, ArrayF64, RgbdFrame
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, Intrinsics, RgbdFrame
 from xihenet.surfaces import Surface, clear_of, on_surfaces, points_within, surfaces_around
 
 REACH = 4.0
@@ -50,8 +50,7 @@ def surfaces_seen(frames: Sequence[RgbdFrame], corners_m: ArrayF64) -> list[Surf
     Where the object sinks into one a little, as measured ones are a little off, that is moved back below it.
     Empty where they show none: in the air, or where nobody has looked.
     """
-    low_m, high_m = corners_m.min(axis=0), corners_m.max(axis=0)
-    centre_m, reach_m = (low_m + high_m) / 2, min(REACH * float(np.linalg.norm(high_m - low_m)) / 2, FARTHEST_M)
+    centre_m, reach_m = surroundings(corners_m)
     if not reach_m > 0:
         return []
     points_m, seen_from_m = points_within(frames, centre_m, reach_m)
@@ -59,14 +58,30 @@ def surfaces_seen(frames: Sequence[RgbdFrame], corners_m: ArrayF64) -> list[Surf
     return [clear_of(surface, corners_m) for surface in found]
 
 
-def around_object(captured: RgbdFrame, corners_m: ArrayF64) -> ArrayBool:
-    """(H, W) which pixels of a frame show what is so near the object in this box (K, 3) that its shadow counts."""
+def surroundings(corners_m: ArrayF64) -> tuple[ArrayF64, float]:
+    """Middle (3,) of an object whose box has these corners (K, 3), and how far from there its shadow is looked for."""
     low_m, high_m = corners_m.min(axis=0), corners_m.max(axis=0)
-    reach_m = min(REACH * float(np.linalg.norm(high_m - low_m)) / 2, FARTHEST_M)
+    return (low_m + high_m) / 2, min(REACH * float(np.linalg.norm(high_m - low_m)) / 2, FARTHEST_M)
+
+
+def around_object(captured: RgbdFrame, middle_m: ArrayF64, reach_m: float) -> ArrayBool:
+    """(H, W) which pixels of a frame show what is no farther than `reach_m` from `middle_m` (3,), world, metres."""
     is_valid = valid_plane_depth(captured.plane_depth_m)
     points_m = unproject_frame(captured).points_m.reshape(*is_valid.shape, 3).astype(np.float64)
-    away_m = np.linalg.norm(points_m - (low_m + high_m) / 2, axis=-1)
-    return is_valid & (away_m < reach_m)
+    is_around: ArrayBool = is_valid & (np.linalg.norm(points_m - middle_m, axis=-1) < reach_m)
+    return is_around
+
+
+def touches_view(middle_m: ArrayF64, reach_m: float, k: Intrinsics, world_from_camera: ArrayF64) -> bool:
+    """Whether a ball lies, at least in part, within the four sides of a camera's view and not all behind it.
+
+    Some that are beside a corner of the view count as well.
+    """
+    middle = world_from_camera[:3, :3].T @ (middle_m - world_from_camera[:3, 3])
+    sides = np.array(
+        [[k.fx, 0, -k.cx], [-k.fx, 0, k.cx - k.width], [0, -k.fy, -k.cy], [0, k.fy, k.cy - k.height], [0, 0, -1.0]]
+    )
+    return bool((sides @ middle >= -reach_m * np.linalg.norm(sides, axis=1)).all())
 
 
 def surfaces_in_view(captured: RgbdFrame, surfaces: Mapping[str, Sequence[Surface]]) -> dict[str, ArrayBool]:

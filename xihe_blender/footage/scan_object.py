@@ -15,7 +15,7 @@ MOVED_M, TURNED_RAD = 0.08, np.radians(6)
 
 
 def frames_to_scan(capture: Capture) -> set[int]:
-    """Places in the recording of the frames that are taken into the scan: those after the camera has moved or turned."""
+    """Places in the recording of the frames that are scanned: those after the camera has moved or turned."""
     chosen: set[int] = set()
     last = None
     for place, frame in enumerate(capture.frames):

@@ -273,6 +273,7 @@ class RecordingResult:
     name: Annotated[str, "of its folder"]
     format: Annotated[str, "as `xihe replay` names it"]
     said: Annotated[str, "a sentence for the reader, also among the notes"]
+    notes: Annotated[tuple[str, ...], "what is assumed or not known of it, also among the notes"] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,14 @@ from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job
 from xihe_blender.previs.kept_session import KeptSession, kept_session
-from xihe_blender.previs.plan import DEFAULT_SIZE, PrevisPlan, check_nothing_is_missing, made_of, planned_frames
+from xihe_blender.previs.plan import (
+    DEFAULT_SIZE,
+    PrevisPlan,
+    check_is_rendered,
+    check_nothing_is_missing,
+    made_of,
+    planned_frames,
+)
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
 from xihe_blender.previs.run_chain import walk_path
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
@@ -59,6 +66,7 @@ def said_of_path(run: PreparedRun, blend_file: Path, command: str, asked: Parame
 def path_plan(scene: bpy.types.Scene, settings: PrevisSettings) -> tuple[PrevisSettings, PrevisPlan]:
     """`settings` with the samples of the preset, and the plan of the path alone. UserError as of `plan_previs`."""
     check_nothing_is_missing(scene)
+    check_is_rendered(scene)
     samples = settings.samples or SAMPLES[settings.preset]
     settings = replace(settings, captured="path", samples=samples, light="sh")
     size = settings.size or sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1)).size

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from xihe_blender.apply.shadow_catchers import triangles_of
 from xihe_blender.compare import methods
 from xihe_blender.compare.film import save_film
 from xihe_blender.compare.methods import Comparer, OverRecording
@@ -42,8 +43,8 @@ def composite_path(run: PreparedRun, walked: WalkedPath) -> Job[dict[int, dict[s
 def _render_missing(run: PreparedRun, walked: WalkedPath, shown: list[str], missing: list[int]) -> Iterator[Progress]:
     if not missing:
         return
-    over = OverRecording(run.exposure, scan_of(run.scene))
-    has_key_light = run.settings.has_key_light
+    scan, has_key_light = scan_of(run.scene), run.settings.has_key_light
+    over = OverRecording(run.exposure, triangles_of(scan) if scan is not None and has_key_light else None)
     with methods.open_comparer(
         run.scene, run.plan.objects, shown, run.comparison, has_key_light=has_key_light, recording=over
     ) as comparer:
@@ -53,8 +54,13 @@ def _render_missing(run: PreparedRun, walked: WalkedPath, shown: list[str], miss
 
 
 def _composite(run: PreparedRun, walked: WalkedPath, shown: list[str], frame: int, comparer: Comparer) -> None:
+    captured = load_frame(run.outputs.capture(frame))
+    if not comparer.shows_an_object(captured):
+        for method in shown:
+            write_picture(run.outputs.picture(method, frame), captured.srgb_u8)
+        return
     lights = {method: walked.lights[frame][method] for method in shown}
     surfaces = {} if comparer.has_scan else surfaces_known(run, frame, comparer)
-    pictures, _, _ = comparer.render_over(load_frame(run.outputs.capture(frame)), lights, surfaces)
+    pictures, _, _ = comparer.render_over(captured, lights, surfaces)
     for method, picture in pictures.items():
         write_picture(run.outputs.picture(method, frame), methods.display(picture))

@@ -61,7 +61,7 @@ from xihe_blender.previs.budget_looks import (
 from xihe_blender.previs.captured_path import said_of_path
 from xihe_blender.previs.path_renders import render_captures
 from xihe_blender.previs.phone_capture import SimulatedPhone
-from xihe_blender.previs.plan import Probe, made_of, plan_previs
+from xihe_blender.previs.plan import Probe, check_is_rendered, made_of, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
 from xihe_blender.previs.run_chain import phone_of_captures
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
@@ -111,6 +111,7 @@ def error_budget(
     if settings.estimator == "truth":
         raise UserError("the light of `truth` is rendered and has no error to divide: choose another --estimator")
     settings = replace(settings, light="sh")
+    check_is_rendered(scene)
     plan, loaded = plan_previs(scene, settings), load_estimators(settings)
     file = blend_file or Path(bpy.data.filepath or "untitled.blend")
     outputs = RunOutputs(out, file.stem)

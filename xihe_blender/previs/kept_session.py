@@ -131,8 +131,9 @@ def kept_facts(run: PreparedRun) -> SessionFacts:
     """The session.json of a run: the frames that it keeps, as its phone saw them."""
     outputs = run.outputs
     paths = [(outputs.seen(frame), outputs.capture(frame)) for frame in sorted(run.needs.captured)]
+    seen_by = f"rendered, as the phone {run.settings.phone} saw it" if run.has_truth else "recorded by a phone"
     return SessionFacts(
-        f"{outputs.scene}, rendered, as the phone {run.settings.phone} saw it",
+        f"{outputs.scene}, {seen_by}",
         reference_exposure=run.exposure,
         trigger=run.settings.trigger,
         files=tuple(outputs.relative(seen if seen.exists() else capture) for seen, capture in paths),

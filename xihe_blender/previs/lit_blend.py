@@ -26,6 +26,7 @@ from xihe_blender.apply.shadow_catchers import (
     make_shadow_catcher,
     remove_shadow_catchers,
     shadow_catchers,
+    triangles_of,
 )
 from xihe_blender.capture.render import can_denoise
 from xihe_blender.io.exr import write_radiance
@@ -157,10 +158,11 @@ def make_lit_scene(
     for name in suns.keys() & worlds.keys():
         show_only_in(lit, suns[name], [worlds[name].name])
     scan = scan_of(scene) if suns else None
-    for name in [name for name in worlds if scan is not None or surfaces.get(name)]:
+    triangles = None if scan is None else triangles_of(scan)
+    for name in [name for name in worlds if triangles is not None or surfaces.get(name)]:
         catcher = make_shadow_catcher(catcher_name(name))
-        if scan is not None:
-            catch_shadows_of(catcher, scan)
+        if triangles is not None:
+            catch_shadows_of(catcher, triangles)
         else:
             catch_shadows(catcher, surfaces[name], metres_per_unit(scene), LIFTED_M)
         show_only_in(lit, catcher, [worlds[name].name])

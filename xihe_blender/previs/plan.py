@@ -20,6 +20,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import WORK
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.estimation_positions import named_positions
+from xihe_blender.scene.phone_capture import remembered_capture
 from xihe_blender.scene.virtual_objects import COLLECTION_NAME, collections_of, virtual_objects
 from xihenet import __version__
 from xihenet.camera import Intrinsics
@@ -90,6 +91,15 @@ def check_nothing_is_missing(scene: bpy.types.Scene) -> None:
         raise UserError(
             f"{missing[0].name!r} is missing, its library {missing[0].library.filepath} was not found: "
             "put it back, or relocate it in Blender's outliner"
+        )
+
+
+def check_is_rendered(scene: bpy.types.Scene) -> None:
+    """UserError where `scene` shows a phone's recording, which cannot be rendered from anywhere else."""
+    if remembered_capture(scene) is not None:
+        raise UserError(
+            f"scene {scene.name!r} shows a phone's recording, which cannot be rendered: only Run and `xihe previs` work "
+            "on it"
         )
 
 

@@ -90,8 +90,16 @@ def previs(
     changes = light_changes(plan, estimated, outputs, run.exposure)
     apply_lights(scene, changes, walked.frames, run.exposure, outputs.folder, has_key_light=run.settings.has_key_light)
     save_lit_blend(scene, plan, results.last_surfaces(frames), outputs.lit_blend)
-    of = {"file": file, "command": command, "recording": None if recorded is None else recorded.said}
-    found = results.assemble(run, frames, lights=changes, phone=walked.phone, errors=errors, **of)
+    found = results.assemble(
+        run,
+        frames,
+        lights=changes,
+        phone=walked.phone,
+        errors=errors,
+        file=file,
+        command=command,
+        recording=None if recorded is None else recorded.said,
+    )
     write_session(outputs.folder, kept_facts(run))
     # The results come last: their presence says that the run is done.
     write_report(found, outputs)

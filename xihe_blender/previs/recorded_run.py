@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import bpy
 import numpy as np
@@ -38,7 +37,7 @@ from xihenet.camera import in_view
 from xihenet.captures.capture import CapturedFrame
 from xihenet.effects import plan_effects
 from xihenet.estimators import Estimator
-from xihenet.recording import load_frame, save_frame
+from xihenet.recording import save_frame
 from xihenet.replay import REPLAY_TRIGGER
 
 MOVED_M, TURNED = 0.01, 0.02
@@ -56,7 +55,6 @@ class RecordedSession:
     frames: Mapping[int, CapturedFrame]
     settings: PrevisSettings
     said: RecordingResult
-    notes: tuple[str, ...]
 
     @property
     def digest(self) -> str:
@@ -107,8 +105,10 @@ def recorded_session(scene: bpy.types.Scene, settings: PrevisSettings) -> Record
         trigger=capture.trigger or REPLAY_TRIGGER,
         phone="perfect",
     )
-    said = RecordingResult(name=remembered.folder.name, format=capture.format_name, said=IS_CAPTURED)
-    return RecordedSession(frames, settings, said, capture.notes)
+    said = RecordingResult(
+        name=remembered.folder.name, format=capture.format_name, said=IS_CAPTURED, notes=capture.notes
+    )
+    return RecordedSession(frames, settings, said)
 
 
 def prepare_recorded(
@@ -178,11 +178,7 @@ def _keep_captures(run: PreparedRun, recorded: RecordedSession) -> Generator[Pro
                 f"frame {number} of the recording has {seen.intrinsics.width}x{seen.intrinsics.height} pixels and the "
                 f"first {run.plan.size[0]}x{run.plan.size[1]}: record all with one size"
             )
-        _keep(run.outputs.capture(number), run, seen)
+        run.outputs.capture(number).parent.mkdir(parents=True, exist_ok=True)
+        save_frame(run.outputs.capture(number), seen)
+        write_picture(run.outputs.picture("captured", number), seen.srgb_u8)
         write_json(run.outputs.times(number), {"render_s": 0.0})
-
-
-def _keep(path: Path, run: PreparedRun, seen) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save_frame(path, seen)
-    write_picture(run.outputs.picture("captured", seen.frame), load_frame(path).srgb_u8)

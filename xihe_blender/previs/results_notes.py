@@ -42,6 +42,7 @@ def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone
 def recorded_notes(run: PreparedRun, frames: Sequence[FrameResult], recording: RecordingResult) -> Iterator[str]:
     """Of a run on a recording, of which nothing was rendered but the objects."""
     yield recording.said
+    yield from recording.notes
     yield "Pictures are the recording's, with the virtual objects over them; how far those are right is not measured."
     if run.settings.has_key_light:
         yield "Objects are lit by the key light of each light as a sun, and by the rest as spherical harmonics."

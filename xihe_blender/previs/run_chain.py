@@ -132,8 +132,7 @@ class _Walk:
         in_view = run.probes_in_view(seen.frame)
         reports, requests = self.session.step(seen, truth, [probe.name for probe in in_view])
         probes = tuple(
-            self._probe_result(probe, reports[probe.name], requests.get(probe.name), seen)
-            for probe in in_view
+            self._probe_result(probe, reports[probe.name], requests.get(probe.name), seen) for probe in in_view
         )
         work_s = time.perf_counter() - start + self.captured_s.get(seen.frame, 0.0)
         stage_ms: dict[str, float] = defaultdict(float)

@@ -25,7 +25,7 @@ from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.compare.methods import GroundTruth, open_comparer
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.previs.plan import compared_frames, plan_previs
+from xihe_blender.previs.plan import check_is_rendered, compared_frames, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.previs.survey import survey_path
@@ -78,6 +78,7 @@ def format_run_time(seconds: float) -> str:
 
 def run_time_job(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[RunTime]:
     """Prepare a run on `scene` and render a little of it; the scene stays as it is. UserError as a run raises it."""
+    check_is_rendered(scene)
     plan, loaded = plan_previs(scene, settings), load_estimators(settings)
     start = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="xihe_") as folder, scene_kept():

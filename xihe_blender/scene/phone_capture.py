@@ -8,6 +8,7 @@ NumPy.
 
 from __future__ import annotations
 
+import itertools
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -70,7 +71,7 @@ def scan_of(scene: bpy.types.Scene) -> bpy.types.Object | None:
 
 def frames_a_second(times_s: Sequence[float]) -> int:
     """The rate of the timeline at which a recording plays as fast as it was taken; 24 for a single picture."""
-    steps_s = [after - before for before, after in zip(times_s, times_s[1:], strict=False) if after > before]
+    steps_s = [after - before for before, after in itertools.pairwise(times_s) if after > before]
     return min(max(1, round(1 / statistics.median(steps_s))), MOST_FPS) if steps_s else 24
 
 

@@ -47,7 +47,7 @@ from xihe_blender.lab.batch.results import (
 from xihe_blender.previs.compare_path import comparison_sources, render_ground_truths, surfaces_known
 from xihe_blender.previs.path_renders import render_path
 from xihe_blender.previs.phone_session import PhoneSession
-from xihe_blender.previs.plan import compared_frames, plan_previs
+from xihe_blender.previs.plan import check_is_rendered, compared_frames, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, render_reuse, survey_run
 from xihe_blender.previs.run_chain import Lights, WalkedPath, walk_path
 from xihe_blender.previs.settings import load_estimators
@@ -78,6 +78,7 @@ def evaluate_unit(file: Path, folder: Path, settings: BatchSettings, seed: int) 
     scene.render.threads_mode, scene.render.threads = "FIXED", 1
     outputs = RunOutputs(folder, file.stem)
     trials = settings.trials()
+    check_is_rendered(scene)
     plan = plan_previs(scene, settings.of_trial(*trials[0], seed))
     survey = survey_run(scene, plan, outputs)
     with scene_kept():

@@ -26,7 +26,7 @@ from xihe_blender.lab.frontier.compute import ChoiceBackend, light_of_frame
 from xihe_blender.lab.frontier.records import ComputeChoice
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
-from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.plan import check_is_rendered, plan_previs
 from xihe_blender.previs.run_time import FEW_SAMPLES, N_RENDERS, time_renders
 from xihe_blender.previs.sample_count import measure_captures, pilot_views, samples_taken
 from xihe_blender.previs.settings import PRESETS, PrevisSettings
@@ -59,6 +59,7 @@ def calibrate(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[Calibrati
 
     UserError as a run raises it, and where no virtual object is ever in view.
     """
+    check_is_rendered(scene)
     plan = plan_previs(scene, settings)
     with scene_kept():
         yield Progress(0, 3, "metering the exposure")

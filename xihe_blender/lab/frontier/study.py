@@ -53,7 +53,7 @@ from xihe_blender.lab.frontier.report import report_page
 from xihe_blender.lab.frontier.timing import median_and_spread
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
-from xihe_blender.previs.plan import PrevisPlan, evenly_chosen, plan_previs
+from xihe_blender.previs.plan import PrevisPlan, check_is_rendered, evenly_chosen, plan_previs
 from xihe_blender.previs.prepare import effects_kept, positive_exposure
 from xihe_blender.previs.sample_count import measure_sample_count, pilot_views
 from xihe_blender.previs.settings import PRESETS, PrevisSettings
@@ -261,5 +261,6 @@ def kept_truths(names: Sequence[str], content: Json) -> dict[str, ArrayF64]:
 
 def survey_scene(scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> tuple[PrevisPlan, SceneSurvey]:
     """What a run on `scene` would do, and what its path is like; UserError as a run raises it."""
+    check_is_rendered(scene)
     plan = plan_previs(scene, PrevisSettings(size=size))
     return plan, survey_path(scene, plan)
