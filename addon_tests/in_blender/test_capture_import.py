@@ -8,6 +8,7 @@ from itertools import pairwise
 import bpy
 import numpy as np
 import pytest
+from addon_runs import registered_addon
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 from previs_runs import counted_renders
@@ -15,17 +16,21 @@ from results_schema import SCHEMA
 from tiny_scenes import box, empty_scene
 
 from addon_tests.pure.recordings import HALF, LAYOUTS, looking, seen, walk
+from xihe_blender.addon.panels import result_rows
+from xihe_blender.addon.results_in_blender import remove_everything, show_lit, show_results
 from xihe_blender.apply.sh_worlds import f_curves
 from xihe_blender.capture.scanner import phone_camera
+from xihe_blender.cli.main import main
 from xihe_blender.compare.side_by_side import read_picture
 from xihe_blender.errors import UserError
 from xihe_blender.footage.import_capture import import_capture
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.jobs import run_blocking
+from xihe_blender.previs.captured_path import capture_path
 from xihe_blender.previs.previs import previs
 from xihe_blender.previs.settings import PrevisSettings
-from xihe_blender.scene.phone_capture import IS_CAPTURED, frames_a_second, frames_of_times, remembered_capture
+from xihe_blender.scene.phone_capture import IS_CAPTURED, frames_a_second, frames_of_times, remembered_capture, scan_of
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet import estimators
 from xihenet.camera import project_points, unproject_frame
@@ -370,3 +375,168 @@ def test_the_pillar_is_in_the_picture_with_its_shadow_away_from_the_lamp(recorde
     assert np.array_equal(
         read_picture(out / found.frames[-1].composited["lattice"])[:8], np.float32(captured.srgb_u8[:8] / 255)
     )
+
+
+def test_a_run_is_taken_up_again_and_then_done(recorded_run):
+    out, recording, _ = recorded_run
+    scene = scene_of(recording, out.parent / "again")
+    before = read_results(out)
+    with counted_renders() as renders:
+        results = run_blocking(previs(scene, out, PrevisSettings(preset="draft")))
+    assert not renders
+    assert results == as_json(before)
+
+
+def test_objects_that_no_frame_sees_are_asked_about_in_every_frame(tmp_path):
+    recording = recorded(tmp_path / "walk", lamp_walk(SMALL)[:2])
+    scene = scene_of(recording, tmp_path)
+    found = from_json(RunResults, run_blocking(previs(scene, tmp_path / "out", PrevisSettings(preset="draft"))))
+    assert [entry.active for entry in found.frames] == [True, True]
+
+
+def test_gaps_and_chosen_frames(tmp_path):
+    frames = [replace(frame, time_s=time_s) for frame, time_s in zip(lamp_walk(SMALL), GAPPED_S, strict=True)]
+    scene = scene_of(recorded(tmp_path / "walk", frames), tmp_path)
+    assert scene.frame_end == 10
+    found = from_json(
+        RunResults, run_blocking(previs(scene, tmp_path / "out", PrevisSettings(preset="draft", frames=(6, 7, 8, 9))))
+    )
+    assert [entry.frame for entry in found.frames] == [6, 9]
+    with pytest.raises(UserError, match="none of these frames"):
+        run_blocking(previs(scene, tmp_path / "out", PrevisSettings(frames=(7, 8))))
+
+
+GAPPED_S = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.8, 0.9]
+
+
+def test_a_recording_with_a_lens_off_centre_is_composited_where_it_should(tmp_path):
+    recording = recorded(tmp_path / "walk", lamp_walk(OFF_CENTRE))
+    scene = scene_of(recording, tmp_path)
+    found = from_json(RunResults, run_blocking(previs(scene, tmp_path / "out", PrevisSettings(preset="draft"))))
+    captured = list(open_capture(recording))[-1]
+    picture = read_picture(tmp_path / "out" / found.frames[-1].composited[found.settings.estimator])
+    changed = np.abs(picture - captured.srgb_u8 / 255.0).max(axis=-1) > 0.1
+    top_m = np.array([FOOT_M + [x, y, 0.5] for x in (-0.1, 0.1) for y in (-0.1, 0.1)])
+    foot_m = np.array([FOOT_M + [x, -0.1, 0] for x in (-0.1, 0.1)])
+    places, _ = project_points(np.concatenate([top_m, foot_m]), captured.intrinsics, captured.world_from_camera)[:2]
+    rows, columns = np.nonzero(changed)
+    # The top is bright; the foot may be as dark as the floor.
+    assert rows.min() == pytest.approx(places[:, 1].min(), abs=1.5)
+    assert np.median(columns[rows < places[:4, 1].max()]) + 0.5 == pytest.approx(places[:4, 0].mean(), abs=1.0)
+
+
+SMALL = Intrinsics(64, 48, 50.0, 50.0, 32.0, 24.0)
+
+
+def scene_of(recording, folder):
+    """A new scene with `recording` and a virtual pillar in it."""
+    scene = empty_scene()
+    folder.mkdir(exist_ok=True)
+    run_blocking(import_capture(scene, recording, blend_folder=folder))
+    with_a_pillar(scene)
+    return scene
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda scene: setattr(scene.camera, "parent", moved_empty(scene)), "is not where the phone was"),
+        (lambda scene: scene.__setitem__("xihe_capture_was", "/gone"), "gone from"),
+    ],
+)
+def test_what_does_not_fit_the_recording_is_said(tmp_path, spoil, said):
+    scene = scene_of(recorded(tmp_path / "walk", lamp_walk(SMALL)), tmp_path)
+    if "gone" in said:
+        scene["xihe_capture"] = "/gone"
+    spoil(scene)
+    with pytest.raises(UserError, match=said) as caught:
+        run_blocking(previs(scene, tmp_path / "out", PrevisSettings()))
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "out").exists()
+
+
+def moved_empty(scene):
+    empty = bpy.data.objects.new("Moved", None)
+    empty.location = (0.5, 0, 0)
+    scene.collection.objects.link(empty)
+    return empty
+
+
+def test_what_renders_a_room_refuses_a_recording(tmp_path):
+    scene = scene_of(recorded(tmp_path / "walk", lamp_walk(SMALL)), tmp_path)
+    with pytest.raises(UserError, match="cannot be rendered from elsewhere"):
+        run_blocking(capture_path(scene, tmp_path / "out", PrevisSettings(), "a map", blend_file=tmp_path / "a.blend"))
+    with pytest.raises(UserError, match="`truth` is rendered"):
+        run_blocking(previs(scene, tmp_path / "out", PrevisSettings(estimator="truth")))
+
+
+# ------------------------------------------------------------------------------------------- panel and command line
+
+
+def test_the_operator_imports_and_undo_takes_it_back(tmp_path):
+    recording = recorded(tmp_path / "walk", walk(SMALL))
+    scene = empty_scene()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "mine.blend"))
+    with registered_addon():
+        n_items = len(bpy.types.TOPBAR_MT_file_import._dyn_ui_initialize())
+        bpy.ops.ed.undo_push(message="Start")
+        assert bpy.ops.xihe.import_capture("EXEC_DEFAULT", True, filepath=str(recording / "session.json")) == {
+            "FINISHED"
+        }
+        scene = bpy.context.scene
+        assert scene["xihe_capture"] == "//walk"
+        assert scene.camera.data.background_images[0].image.filepath.startswith("//walk_footage")
+        assert bpy.context.active_object == scene.camera
+        # A copy of the file elsewhere, as a run in the background has one, still finds the recording.
+        (tmp_path / "runs").mkdir()
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "runs" / "copy.blend"))
+        assert remembered_capture(bpy.context.scene).folder == recording
+        bpy.ops.ed.undo()
+        scene = bpy.context.scene
+        assert not scene.objects and "xihe_capture" not in scene
+        assert not bpy.data.collections
+        with pytest.raises(RuntimeError, match="holds no recording that is known"):
+            bpy.ops.xihe.import_capture(filepath=str(tmp_path / "runs"))
+        assert not scene.objects
+    assert len(bpy.types.TOPBAR_MT_file_import._dyn_ui_initialize()) == n_items - 1
+
+
+def test_the_command_makes_a_file_that_previs_runs_on(tmp_path, capfd):
+    recording, blend = recorded(tmp_path / "walk", lamp_walk(SMALL)), tmp_path / "room.blend"
+    assert main(["import", str(recording), "--out", str(blend)]) == 0
+    assert "Imported 8 frames" in capfd.readouterr().out
+    assert main(["import", str(recording), "--out", str(blend)]) == 2
+    assert "is there already" in capfd.readouterr().err
+    assert main(["import", str(tmp_path), "--out", str(tmp_path / "other.blend")]) == 2
+    assert "holds no recording that is known" in capfd.readouterr().err
+    assert not (tmp_path / "other.blend").exists()
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    scene = bpy.context.scene
+    image = scene.camera.data.background_images[0].image
+    assert image.filepath == "//walk_footage/frame_0001.png"
+    assert (scene["xihe_capture"], scene.render.engine) == ("//walk", "CYCLES")
+    with_a_pillar(scene)
+    bpy.ops.wm.save_mainfile()
+    assert main(["previs", str(blend), "--out", str(tmp_path / "out"), "--preset", "draft"]) == 0
+    assert "8 frames" in capfd.readouterr().out
+    assert (tmp_path / "out" / "composited.mp4").exists()
+    assert main(["video", str(tmp_path / "out")]) == 2
+    assert "composited.mp4" in capfd.readouterr().err
+
+
+def test_the_light_is_shown_over_the_recording_with_its_shadow_on_the_scan(tmp_path):
+    recording = recorded(tmp_path / "walk", lamp_walk(SMALL))
+    with registered_addon():
+        scene = scene_of(recording, tmp_path)
+        run_blocking(previs(scene, tmp_path / "out", PrevisSettings(preset="draft")))
+        show_results(scene, tmp_path / "out")
+        lit = show_lit(scene, tmp_path / "out", "Pillar")
+        names = {item.name for item in lit.objects}
+        assert "Phone Scan" not in " ".join(names)
+        catcher = next(item for item in lit.objects if item.type == "MESH" and item.is_shadow_catcher)
+        n_faces = sum(len(face.vertices) - 2 for face in scan_of(scene).data.polygons)
+        assert len(catcher.data.polygons) == n_faces
+        assert scan_of(scene).data != catcher.data
+        remove_everything(lit)
+        assert scan_of(scene) is not None and len(scan_of(scene).data.polygons) > 0
+        assert result_rows(read_results(tmp_path / "out"))

@@ -98,8 +98,8 @@ def check_is_rendered(scene: bpy.types.Scene) -> None:
     """UserError where `scene` shows a phone's recording, which cannot be rendered from anywhere else."""
     if remembered_capture(scene) is not None:
         raise UserError(
-            f"scene {scene.name!r} shows a phone's recording, which cannot be rendered: only Run and `xihe previs` work "
-            "on it"
+            f"scene {scene.name!r} shows a phone's recording, which cannot be rendered from elsewhere: use Run, or "
+            "`xihe previs`"
         )
 
 

@@ -100,10 +100,15 @@ def _key_figures(results: RunResults) -> str:
     expected = "" if summary.expected_error is None else f"; {format_number(summary.expected_error)} was expected"
     around = "" if overhead is None else f", plus {format_percent(overhead)} for all other work"
     estimates = f"estimate{'' if summary.n_estimates == 1 else 's'} in {format_count(len(results.frames), 'frame')}"
-    figures = [
-        (str(summary.n_estimates), estimates),
+    errors = [
         (format_number(summary.mean_shc_rmse), f"mean coefficient error (SHC RMSE){expected}{against}"),
         _closeness_figure(results),
+    ]
+    if results.recording is not None:
+        errors = [(format_number(summary.expected_error), "mean coefficient error (SHC RMSE) that was expected")]
+    figures = [
+        (str(summary.n_estimates), estimates),
+        *errors,
         (format_quantity(summary.mean_step_ms, "ms"), "mean time of one step, without rendering"),
         (format_bytes(sum(probe.payload_bytes for probe in results.probes)), "sent to the estimator in total"),
         (format_quantity(summary.render_s, "s"), f"of rendering{around}"),

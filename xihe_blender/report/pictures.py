@@ -37,7 +37,7 @@ METHOD_MEANINGS = {
 
 def pictures_section(results: RunResults, outputs: RunOutputs) -> str:
     """The scrubber, a strip for each chosen frame, the wipe, and which frames and files are not here."""
-    timeline, compared = Timeline.of(results), results.compared_frames
+    timeline, compared = Timeline.of(results), results.compared_frames or _composited(results, outputs)
     if not compared:
         return "<p>This run made no pictures.</p>"
     frames = [frame for frame in timeline.frames if frame.frame in compared]
@@ -54,6 +54,21 @@ def pictures_section(results: RunResults, outputs: RunOutputs) -> str:
     viewer = f'{radios}{_scrubber(chosen)}<div class="moments">{strips}</div>{_wipe(kinds)}'
     notes = _left_out(frames, chosen) + _missing(compared, outputs)
     return f'{_choosing_rules(len(chosen))}<div class="viewer">{viewer}</div>{notes}'
+
+
+def _composited(results: RunResults, outputs: RunOutputs) -> dict[int, ComparedFrame]:
+    """The pictures over a recording as those of a comparison without a ground truth, by frame."""
+    return {
+        frame.frame: ComparedFrame(
+            pictures={"captured": outputs.relative(outputs.picture("captured", frame.frame)), **frame.composited},
+            comparison={},
+            n_hueless_pixels={},
+            comparison_render_s=0.0,
+            comparison_same_as=None,
+        )
+        for frame in results.frames
+        if frame.composited
+    }
 
 
 def choose_frames(frames: Sequence[FrameResult]) -> list[FrameResult]:
