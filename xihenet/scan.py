@@ -255,7 +255,7 @@ class _Seen:
         at most `reach_m` and no further behind it, the weights of these, and the pixels that show it."""
         k = self.intrinsics
         depth_m = -points[:, 2]
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):  # In the camera's own plane, which is not seen.
             x = points[:, 0] * np.float32(k.fx) / depth_m + np.float32(k.cx - 0.5)
             y = np.float32(k.cy - 0.5) - points[:, 1] * np.float32(k.fy) / depth_m
             is_seen = (depth_m > NEAREST_M) & (x >= 0) & (y >= 0) & (x < k.width - 1) & (y < k.height - 1)
@@ -292,7 +292,7 @@ def _clear(inverse: ArrayF32, k: Intrinsics) -> tuple[ArrayF32, ArrayF32]:
     right = ((np.arange(k.width) + 0.5 - k.cx) / k.fx)[None].astype(np.float32)
     down = ((np.arange(k.height) + 0.5 - k.cy) / k.fy)[:, None].astype(np.float32)
     toward = inverse - right * slopes[0] - down * slopes[1]
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore"):  # NaN, where there is no depth
         facing = inverse / np.sqrt(slopes[0] ** 2 + slopes[1] ** 2 + toward**2)
         is_clear &= facing > GRAZING * np.sqrt(1 + right**2 + down**2)
     return np.where(is_clear, inverse, np.nan).astype(np.float32), facing.astype(np.float32)

@@ -211,7 +211,7 @@ def test_what_is_undefined_is_a_dash_or_a_gap(tmp_path):
     [
         {"schema_version": 2},
         {"settings": None},
-        {"frames": [runs.frame(1, runs.probe(shc_rmse=None))]},
+        {"frames": [runs.frame(1, runs.probe(sh=None))]},
         {"frames": [runs.frame(1, runs.probe(coverage=math.nan))]},
         {"frames": [runs.frame(1, runs.probe(reason="boredom"))]},
         {"comparison": {"ambient": None}},

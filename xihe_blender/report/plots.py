@@ -190,7 +190,7 @@ def _limit(axis: Axis, value: float, words: str) -> tuple[str, str]:
 
 def _error_plot(timeline: Timeline, ambient: float | None) -> str:
     known = timeline.known_values(lambda probe: probe.shc_rmse)
-    if not known:
+    if timeline.probe_names and not known:  # Of a recording, which has no truth.
         return ""
     axis = linear_axis(0, max([*known, ambient or 0.0]))
     drawing, below = _curves(timeline, axis, lambda probe: probe.shc_rmse), ""
