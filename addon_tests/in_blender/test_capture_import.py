@@ -35,6 +35,7 @@ from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet import estimators
 from xihenet.camera import project_points, unproject_frame
 from xihenet.captures import open_capture
+from xihenet.captures.checks import steadied
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.recording import SessionFacts, SessionRecorder
 from xihenet.records import Intrinsics
@@ -176,6 +177,24 @@ def test_the_recordings_own_images_are_shown_where_it_has_some(tmp_path):
     assert any("30 frames a second are assumed" in sentence for sentence in made.said)
 
 
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_every_kind_of_recording_becomes_a_scan_with_gravity_down(tmp_path, name):
+    layout, k = LAYOUTS[name]
+    scene, path = empty_scene(), layout(tmp_path / "scan", walk(k))
+    made = run_blocking(import_capture(scene, path))
+    found, own = phone_camera(scene)[0], open_capture(path).frames[0].camera.intrinsics
+    assert found.width / found.height == own.width / own.height
+    assert (found.fx / found.width, found.cx / found.width, found.cy / found.height) == pytest.approx(
+        (own.fx / own.width, own.cx / own.width, own.cy / own.height), abs=1e-4
+    )
+    points = np.array([tuple(vertex.co) for vertex in made.scan.data.vertices])
+    # The world of 7-Scenes is that of a camera, whose height is not said.
+    assert np.quantile(points[:, 2], 0.98) - np.quantile(points[:, 2], 0.02) == pytest.approx(2 * HALF[2], abs=0.1)
+    floor = np.array([tuple(face.normal) for face in made.scan.data.polygons])[:, 2] > 0.9
+    low = np.array([face.center.z for face in made.scan.data.polygons])[floor]
+    assert np.median(low) < np.median(points[:, 2])
+
+
 def test_the_first_look_is_marked(tmp_path):
     k = Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)
     _, made, _ = imported(tmp_path, [seen(k, looking(0, 0, (0.5, 0.1, 0.2)))])
@@ -236,7 +255,7 @@ PLAIN = (bool, int, float, str, bpy.types.Object, bpy.types.World)
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda folder: None, "is no folder"),
+        (lambda folder: None, "is not there"),
         (lambda folder: folder.mkdir(), "holds no recording that is known"),
         (lambda folder: (folder.mkdir(), (folder / "session.json").write_text("{")), "session.json"),
         (lambda folder: break_a_frame(recorded(folder, walk(OFF_CENTRE))), "frame_000003.exr"),
@@ -335,6 +354,21 @@ def test_a_run_has_the_light_of_replay_to_the_last_bit(recorded_run):
     assert n > 0
     assert found.settings.reference_exposure == 1.0
     assert [entry.time_s for entry in found.frames] == [one.time_s for one in capture.frames]
+
+
+def test_what_drifted_unsaid_is_followed_as_replay_does_it(tmp_path):
+    layout, _ = LAYOUTS["Nerfstudio"]
+    layout(tmp_path / "scan", lamp_walk(SMALL))
+    scene = scene_of(tmp_path / "scan", tmp_path)
+    found = from_json(RunResults, run_blocking(previs(scene, tmp_path / "out", PrevisSettings(preset="draft"))))
+    capture, drift = steadied(open_capture(tmp_path / "scan"))
+    assert drift.gains[-1].mean() > 1.1
+    positions = {probe.name: np.array(probe.position_m) for probe in found.probes}
+    estimator = estimators.load(found.settings.estimator, target=found.settings.target)
+    unseen = never_in_view(capture, positions)
+    steps = list(replay(capture, positions, estimator, has_key_light=True, never_in_view=unseen))
+    last = found.frames[-1].probes[-1]
+    assert np.array_equal(np.array(last.sh), steps[-1].lights[last.name].sh)
 
 
 def test_a_run_renders_the_objects_alone_and_says_that_there_is_no_truth(recorded_run):

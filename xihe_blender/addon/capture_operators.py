@@ -30,7 +30,7 @@ class XIHE_OT_import_capture(Action, bpy.types.Operator):
     conditions = (polls.is_idle, polls.is_room, polls.is_in_object_mode)
 
     filepath: bpy.props.StringProperty(
-        name="Recording", description="Folder of the recording, or a file in it", subtype="FILE_PATH"
+        name="Recording", description="Folder of the recording, a file in it, or its .r3d file", subtype="FILE_PATH"
     )
     up: bpy.props.EnumProperty(name="Up", description="Axis of the recording's world that points up", items=UP)
 

@@ -16,7 +16,7 @@ from xihenet.frame_files import BLENDER_FROM_UP
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = arguments.adder(parser)
-    add("recording DIR", f"folder of a recording: {arguments.one_of(READERS)}", Path)
+    add("recording PATH", f"folder of a recording, or its .r3d file: {arguments.one_of(READERS)}", Path)
     add("--out SCENE.blend", "file to be made; a folder of the pictures is made beside it", Path, required=True)
     add(
         "--up AXIS",

@@ -7,8 +7,9 @@ of the picture, camera, transparent film. All else stays as it was. Gravity is d
 
 from __future__ import annotations
 
+import contextlib
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,6 +31,7 @@ from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import valid_plane_depth
 from xihenet.captures import READERS, open_capture
 from xihenet.captures.capture import Capture, CapturedFrame
+from xihenet.captures.checks import steadied, suspicion
 from xihenet.records import ArrayF64, RgbdFrame
 from xihenet.scan import FARTHEST_M, Scan
 
@@ -52,20 +54,29 @@ class ImportedCapture:
     said: tuple[str, ...]
 
 
-def opened_capture(folder: Path, up: str | None) -> Capture:
-    """The recording in `folder`, as of `open_capture`; UserError, in one line, for none and for one that is broken."""
+@contextlib.contextmanager
+def said_in_one_line(of: str = "") -> Iterator[None]:
+    """UserError, which begins with `of`, for a recording that is broken, or that this Python cannot read."""
     try:
-        return open_capture(folder, up)
+        yield
     except ImportError as error:
-        raise UserError(f"{folder}: {OUTSIDE} ({error})") from error
+        raise UserError(f"{of}{OUTSIDE} ({error})") from error
     except ValueError as error:
         raise UserError(str(error)) from error
 
 
+def opened_capture(path: Path, up: str | None) -> Capture:
+    """The recording in the folder or file `path`, as of `open_capture`; UserError for none and for a broken one."""
+    with said_in_one_line(f"{path}: "):
+        return open_capture(path, up)
+
+
 def recording_at(path: Path) -> Path:
-    """The recording that was chosen: a file in the folder of one stands for the folder."""
-    is_inside = path.is_file() and any(is_in(path.parent) for is_in, _ in READERS.values())
-    return path.parent if is_inside else path
+    """The recording that was chosen: a file in the folder of one stands for the folder, if it is none itself."""
+    for place in (path, path.parent) if path.is_file() else (path,):
+        if any(is_in(place) for is_in, _ in READERS.values()):
+            return place
+    return path
 
 
 def capture_of(scene: bpy.types.Scene) -> Capture | None:
@@ -73,7 +84,7 @@ def capture_of(scene: bpy.types.Scene) -> Capture | None:
     remembered = remembered_capture(scene)
     if remembered is None:
         return None
-    if not remembered.folder.is_dir():
+    if not remembered.folder.exists():
         raise UserError(
             f"the recording of scene {scene.name!r} is gone from {remembered.folder}: put it back, or import it again"
         )
@@ -87,13 +98,20 @@ def captured_frames(capture: Capture) -> dict[int, CapturedFrame]:
 
 
 def read_captured(captured: CapturedFrame) -> RgbdFrame:
-    """Its pixels; UserError, in one line, where they cannot be read."""
-    try:
+    """Its pixels; UserError where they cannot be read."""
+    with said_in_one_line():
         return captured.read()
-    except ImportError as error:
-        raise UserError(f"{OUTSIDE} ({error})") from error
-    except ValueError as error:
-        raise UserError(str(error)) from error
+
+
+def steadied_frames(capture: Capture) -> dict[int, CapturedFrame]:
+    """As `captured_frames`, with the drift of exposure and white balance followed where frames do not say theirs.
+
+    For that every frame is read once. UserError where one cannot be.
+    """
+    if capture.is_exposure_known:
+        return captured_frames(capture)
+    with said_in_one_line():
+        return captured_frames(steadied(capture)[0])
 
 
 def import_capture(
@@ -162,13 +180,16 @@ def _build(
     said = [f"Imported {len(numbered)} frames of a {capture.format_name} recording as {collection.name!r}.", changed]
     n_left_out = len(capture.frames) - len(numbered)
     if n_left_out:
-        said.append(f"{n_left_out} that follow too closely for the timeline were left out.")
+        said.append(f"{n_left_out} that follow too closely for the timeline, or go back in time, were left out.")
     if scanned is None:
         said.append(f"There is no scan: no surface within {FARTHEST_M:g} m was seen clearly.")
     elif mesh.is_cut:
         said.append("The scan ends where it had grown too large.")
     said.append(f"Pictures are in {footage.folder}.")
-    return ImportedCapture(collection, camera, scanned, looked_at, footage.folder, (*said, *capture.notes))
+    with said_in_one_line():
+        doubt = suspicion(capture)
+    notes = capture.notes if doubt is None else (*capture.notes, doubt)
+    return ImportedCapture(collection, camera, scanned, looked_at, footage.folder, (*said, *notes))
 
 
 def _play(

@@ -17,7 +17,7 @@ import numpy as np
 from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import phone_camera
 from xihe_blender.errors import UserError
-from xihe_blender.footage.import_capture import capture_of, captured_frames, read_captured
+from xihe_blender.footage.import_capture import capture_of, captured_frames, read_captured, steadied_frames
 from xihe_blender.io.json_records import as_json
 from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import RunOutputs, write_json, write_picture
@@ -34,7 +34,7 @@ from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.previs.survey import SceneSurvey
 from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
 from xihenet.camera import in_view
-from xihenet.captures.capture import CapturedFrame
+from xihenet.captures.capture import Capture, CapturedFrame
 from xihenet.effects import plan_effects
 from xihenet.estimators import Estimator
 from xihenet.recording import save_frame
@@ -48,10 +48,11 @@ MOVED_M, TURNED = 0.01, 0.02
 class RecordedSession:
     """The recording of a scene, and a run's settings on it.
 
-    `frames` are those of the path that the recording has, by number; `settings` the user's, with the recording's own
+    `frames` are those of the path that `capture` has, by number; `settings` the user's, with the recording's own
     size, frames, exposure and trigger, and a phone that adds no errors; `said` what results say of it.
     """
 
+    capture: Capture
     frames: Mapping[int, CapturedFrame]
     settings: PrevisSettings
     said: RecordingResult
@@ -108,7 +109,7 @@ def recorded_session(scene: bpy.types.Scene, settings: PrevisSettings) -> Record
     said = RecordingResult(
         name=remembered.folder.name, format=capture.format_name, said=IS_CAPTURED, notes=capture.notes
     )
-    return RecordedSession(frames, settings, said)
+    return RecordedSession(capture, frames, settings, said)
 
 
 def prepare_recorded(
@@ -166,13 +167,19 @@ def seen_by_phone(survey: SceneSurvey, plan: PrevisPlan, frames: Mapping[int, Ca
 
 
 def _keep_captures(run: PreparedRun, recorded: RecordedSession) -> Generator[Progress, None, None]:
-    """A job: the recording's frames as the captures of a run, where these are not kept yet."""
+    """A job: the recording's frames as the captures of a run, where these are not kept yet.
+
+    Exposure and white balance that drifted unsaid are followed over the whole recording, as `xihe replay` does it.
+    """
     numbers = [number for number in run.plan.frames if number in run.needs.captured]
-    for done, number in enumerate(numbers):
-        if kept_json(run.outputs.times(number), lambda content: float(content["render_s"])) is not None:
-            continue
-        yield run.progress("capture", done / len(numbers), f"reading frame {number} of the recording")
-        seen = replace(read_captured(recorded.frames[number]), frame=number)
+    missing = [n for n in numbers if kept_json(run.outputs.times(n), lambda said: float(said["render_s"])) is None]
+    frames = recorded.frames
+    if missing and not recorded.capture.is_exposure_known:
+        yield run.progress("capture", 0.0, "following exposure and white balance")
+        frames = steadied_frames(recorded.capture)
+    for done, number in enumerate(missing):
+        yield run.progress("capture", done / len(missing), f"reading frame {number} of the recording")
+        seen = replace(read_captured(frames[number]), frame=number)
         if (seen.intrinsics.width, seen.intrinsics.height) != run.plan.size:
             raise UserError(
                 f"frame {number} of the recording has {seen.intrinsics.width}x{seen.intrinsics.height} pixels and the "

@@ -76,11 +76,13 @@ def frames_a_second(times_s: Sequence[float]) -> int:
 
 
 def frames_of_times(times_s: Sequence[float]) -> dict[int, int]:
-    """By frame of the timeline the place in `times_s`, which are in order, of what was taken then.
+    """By frame of the timeline, in order, the place in `times_s` of what was taken then.
 
-    What follows so closely that it falls onto a frame with the one before is left out.
+    What follows so closely that it falls onto a frame with the one before, or goes back in time, is left out.
     """
-    fps, places = frames_a_second(times_s), dict[int, int]()
+    fps, places = frames_a_second(times_s), {FIRST_FRAME: 0}
     for place, time_s in enumerate(times_s):
-        places.setdefault(FIRST_FRAME + round((time_s - times_s[0]) * fps), place)
+        number = FIRST_FRAME + round((time_s - times_s[0]) * fps)
+        if number > next(reversed(places)):
+            places[number] = place
     return places

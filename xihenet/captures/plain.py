@@ -62,7 +62,7 @@ def read(folder: Path, up: str | None) -> Capture:
         time_s = i / fps if times_s is None else float(times_s[i] - times_s[0])
         confidence = folder / "confidence" / f"{colour.stem}.png"
         load = partial(_load, colour, depths[colour.stem], metres_per_unit, confidence, camera)
-        frames.append(CapturedFrame(i + 1, time_s, camera, load))
+        frames.append(CapturedFrame(i + 1, time_s, camera, load, colour))
     if not frames:
         raise ValueError(f"{folder}: no picture of colour/ has depth and a pose of its name")
     notes = times_go_back([frame.time_s for frame in frames])

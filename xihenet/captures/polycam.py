@@ -47,7 +47,7 @@ def read(folder: Path, up: str | None) -> Capture:
         time_s = (int(path.stem) - int(paths[0].stem)) * SECONDS_PER_UNIT if are_times else i * SPAN_S
         camera = _camera(path, up)
         load = partial(_load, colour, plane_depth, keyframes / "confidence" / f"{path.stem}.png", camera)
-        frames.append(CapturedFrame(i + 1, time_s, camera, load))
+        frames.append(CapturedFrame(i + 1, time_s, camera, load, colour))
     if not frames:
         raise ValueError(f"{keyframes}: no camera has colour and depth: record with LiDAR, and export raw data")
     notes = ["Cameras are those that Polycam has corrected."] if which else []
