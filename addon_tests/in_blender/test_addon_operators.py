@@ -200,6 +200,7 @@ def test_grey_buttons_without_anything_say_what_to_do(tmp_path):
     no_results = "There are no results yet: run first"
     assert {name: poll_message(getattr(bpy.ops.xihe, name)) for name in dir(bpy.ops.xihe)} == {
         "add_sphere_rig": "",
+        "import_capture": "",
         "plan_effects": "",
         "add_virtual_objects": "Select the objects that the phone should insert",
         "remove_virtual_objects": "Select virtual objects first",

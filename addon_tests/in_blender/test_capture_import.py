@@ -574,3 +574,17 @@ def test_the_light_is_shown_over_the_recording_with_its_shadow_on_the_scan(tmp_p
         remove_everything(lit)
         assert scan_of(scene) is not None and len(scan_of(scene).data.polygons) > 0
         assert result_rows(read_results(tmp_path / "out"))
+
+
+@pytest.mark.parametrize("light", ["sh", "sh+key+reflections"])
+def test_other_estimators_and_parts_of_light_are_composited_too(tmp_path, light):
+    scene = scene_of(recorded(tmp_path / "walk", lamp_walk(SMALL)), tmp_path)
+    settings = PrevisSettings(preset="draft", light=light, others=("projection",), captured="in-view", network="wifi")
+    found = from_json(RunResults, run_blocking(previs(scene, tmp_path / "out", settings)))
+    last = found.frames[-1]
+    assert set(last.composited) == {"lattice", "projection"}
+    pictures = [read_picture(tmp_path / "out" / last.composited[name]) for name in ("lattice", "projection")]
+    assert np.abs(pictures[0] - pictures[1]).max() > 0.01
+    assert found.settings.light == light
+    assert found.phone.shc_rmse is None
+    assert (found.lights["Pillar"][-1].reflections is not None) == (light == "sh+key+reflections")
