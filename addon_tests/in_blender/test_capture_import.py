@@ -23,14 +23,21 @@ from xihe_blender.capture.scanner import phone_camera
 from xihe_blender.cli.main import main
 from xihe_blender.compare.side_by_side import read_picture
 from xihe_blender.errors import UserError
-from xihe_blender.footage.import_capture import import_capture
+from xihe_blender.footage.import_capture import capture_of, import_capture
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.captured_path import capture_path
 from xihe_blender.previs.previs import previs
 from xihe_blender.previs.settings import PrevisSettings
-from xihe_blender.scene.phone_capture import IS_CAPTURED, frames_a_second, frames_of_times, remembered_capture, scan_of
+from xihe_blender.scene.phone_capture import (
+    IS_CAPTURED,
+    ChosenCapture,
+    frames_a_second,
+    frames_of_times,
+    remembered_capture,
+    scan_of,
+)
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet import estimators
 from xihenet.camera import project_points, unproject_frame
@@ -51,10 +58,10 @@ def recorded(folder, frames):
     return folder
 
 
-def imported(tmp_path, frames, **options):
+def imported(tmp_path, frames):
     folder = recorded(tmp_path / "walk", frames)
     scene = empty_scene()
-    return scene, run_blocking(import_capture(scene, folder, **options)), open_capture(folder)
+    return scene, run_blocking(import_capture(scene, ChosenCapture(folder))), open_capture(folder)
 
 
 # ------------------------------------------------------------------------------------------------------------- camera
@@ -170,7 +177,7 @@ def test_the_recordings_own_images_are_shown_where_it_has_some(tmp_path):
     layout, k = LAYOUTS["Nerfstudio"]
     layout(tmp_path / "scan", walk(k))
     scene = empty_scene()
-    made = run_blocking(import_capture(scene, tmp_path / "scan"))
+    made = run_blocking(import_capture(scene, ChosenCapture(tmp_path / "scan")))
     own = sorted((tmp_path / "scan" / "images").iterdir())
     assert [path.read_bytes() for path in sorted(made.pictures.iterdir())] == [path.read_bytes() for path in own]
     assert len(made.scan.data.polygons) > 5000
@@ -181,7 +188,7 @@ def test_the_recordings_own_images_are_shown_where_it_has_some(tmp_path):
 def test_every_kind_of_recording_becomes_a_scan_with_gravity_down(tmp_path, name):
     layout, k = LAYOUTS[name]
     scene, path = empty_scene(), layout(tmp_path / "scan", walk(k))
-    made = run_blocking(import_capture(scene, path))
+    made = run_blocking(import_capture(scene, ChosenCapture(path)))
     found, own = phone_camera(scene)[0], open_capture(path).frames[0].camera.intrinsics
     assert found.width / found.height == own.width / own.height
     assert (found.fx / found.width, found.cx / found.width, found.cy / found.height) == pytest.approx(
@@ -195,6 +202,16 @@ def test_every_kind_of_recording_becomes_a_scan_with_gravity_down(tmp_path, name
     assert np.median(low) < np.median(points[:, 2])
 
 
+def test_what_is_set_by_hand_is_remembered(tmp_path):
+    folder = recorded(tmp_path / "walk", walk(Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)))
+    scene, chosen = empty_scene(), ChosenCapture(folder, scale=0.5, floor_m=-HALF[2] / 2)
+    made = run_blocking(import_capture(scene, chosen))
+    heights = np.array([vertex.co.z for vertex in made.scan.data.vertices])
+    assert (heights.min(), heights.max()) == pytest.approx((0, HALF[2]), abs=0.02)
+    assert remembered_capture(scene) == chosen
+    np.testing.assert_allclose(phone_camera(scene)[1], capture_of(scene).frames[0].camera.world_from_camera, atol=1e-5)
+
+
 def test_the_first_look_is_marked(tmp_path):
     k = Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)
     _, made, _ = imported(tmp_path, [seen(k, looking(0, 0, (0.5, 0.1, 0.2)))])
@@ -206,7 +223,7 @@ def test_lengths_follow_the_scenes_units(tmp_path):
     folder = recorded(tmp_path / "walk", walk(Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)))
     scene = empty_scene()
     scene.unit_settings.system, scene.unit_settings.scale_length = "METRIC", 0.01
-    made = run_blocking(import_capture(scene, folder))
+    made = run_blocking(import_capture(scene, ChosenCapture(folder)))
     _, pose = phone_camera(scene)
     np.testing.assert_allclose(pose, open_capture(folder).frames[0].camera.world_from_camera, atol=1e-5)
     assert max(made.scan.dimensions) == pytest.approx(200 * HALF.max(), abs=5)
@@ -220,7 +237,7 @@ def test_what_was_there_stays(tmp_path):
     for item in (lamp, camera):
         scene.collection.objects.link(item)
     scene.camera, before = camera, settings_of(scene)
-    made = run_blocking(import_capture(scene, folder))
+    made = run_blocking(import_capture(scene, ChosenCapture(folder)))
     assert list(scene.collection.objects) == [lamp, camera]
     assert list(scene.collection.children) == [made.collection]
     assert camera.name == "Phone" and not camera.animation_data and camera.data.lens == 50
@@ -228,7 +245,7 @@ def test_what_was_there_stays(tmp_path):
     assert changed <= SET_BY_AN_IMPORT
     assert "Set for it" in " ".join(made.said)
     remembered = remembered_capture(scene)
-    assert (remembered.folder, remembered.up) == (folder.resolve(), None)
+    assert remembered == ChosenCapture(folder.resolve())
 
 
 SET_BY_AN_IMPORT = {
@@ -265,7 +282,7 @@ def test_what_cannot_be_read_is_said_in_one_line_and_leaves_nothing(tmp_path, ma
     make(tmp_path / "walk")
     scene = empty_scene()
     with pytest.raises(UserError, match=said) as caught:
-        run_blocking(import_capture(scene, tmp_path / "walk"))
+        run_blocking(import_capture(scene, ChosenCapture(tmp_path / "walk")))
     assert "\n" not in str(caught.value)
     assert not scene.objects and not bpy.data.collections and not bpy.data.meshes
     assert remembered_capture(scene) is None
@@ -319,7 +336,7 @@ def recorded_run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recorded")
     recording = recorded(folder / "walk", lamp_walk(Intrinsics(64, 48, 50.0, 50.0, 32.0, 24.0)))
     scene = empty_scene()
-    run_blocking(import_capture(scene, recording))
+    run_blocking(import_capture(scene, ChosenCapture(recording)))
     with_a_pillar(scene)
     with counted_renders() as renders:
         results = run_blocking(previs(scene, folder / "out", PrevisSettings(preset="draft")))
@@ -466,7 +483,7 @@ def scene_of(recording, folder):
     """A new scene with `recording` and a virtual pillar in it."""
     scene = empty_scene()
     folder.mkdir(exist_ok=True)
-    run_blocking(import_capture(scene, recording, blend_folder=folder))
+    run_blocking(import_capture(scene, ChosenCapture(recording), blend_folder=folder))
     with_a_pillar(scene)
     return scene
 
@@ -524,7 +541,7 @@ def test_the_operator_imports_and_undo_takes_it_back(tmp_path):
         # A copy of the file elsewhere, as a run in the background has one, still finds the recording.
         (tmp_path / "runs").mkdir()
         bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "runs" / "copy.blend"))
-        assert remembered_capture(bpy.context.scene).folder == recording
+        assert remembered_capture(bpy.context.scene).path == recording
         bpy.ops.ed.undo()
         scene = bpy.context.scene
         assert not scene.objects and "xihe_capture" not in scene

@@ -11,6 +11,7 @@ from xihe_blender.addon import polls
 from xihe_blender.addon.failures import Action
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
+from xihe_blender.scene.phone_capture import ChosenCapture
 
 UP = (
     ("USUAL", "As Usual", "As is usual for the kind of recording"),
@@ -33,6 +34,12 @@ class XIHE_OT_import_capture(Action, bpy.types.Operator):
         name="Recording", description="Folder of the recording, a file in it, or its .r3d file", subtype="FILE_PATH"
     )
     up: bpy.props.EnumProperty(name="Up", description="Axis of the recording's world that points up", items=UP)
+    scale: bpy.props.FloatProperty(
+        name="Scale", description="What all lengths of the recording are multiplied by", default=1.0, min=1e-6
+    )
+    floor_m: bpy.props.FloatProperty(
+        name="Floor", description="Height of the floor in the scaled recording, in metres, which becomes 0"
+    )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         context.window_manager.fileselect_add(self)
@@ -44,8 +51,9 @@ class XIHE_OT_import_capture(Action, bpy.types.Operator):
         if not self.filepath:
             raise UserError("No recording is chosen: choose its folder")
         manager = context.window_manager
-        folder = recording_at(Path(bpy.path.abspath(self.filepath)))
-        job = import_capture(context.scene, folder, up=None if self.up == "USUAL" else self.up)
+        path = recording_at(Path(bpy.path.abspath(self.filepath)))
+        chosen = ChosenCapture(path, None if self.up == "USUAL" else self.up, self.scale, self.floor_m)
+        job = import_capture(context.scene, chosen)
         manager.progress_begin(0, 1)
         try:
             imported = run_blocking(job, lambda progress, _: manager.progress_update(progress.done / progress.total))

@@ -11,18 +11,13 @@ from xihe_blender.cli.progress import progress_line
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihenet.captures import READERS
-from xihenet.frame_files import BLENDER_FROM_UP
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = arguments.adder(parser)
     add("recording PATH", f"folder of a recording, or its .r3d file: {arguments.one_of(READERS)}", Path)
     add("--out SCENE.blend", "file to be made; a folder of the pictures is made beside it", Path, required=True)
-    add(
-        "--up AXIS",
-        "axis of the recording's world that points up; default: as is usual for it",
-        choices=tuple(BLENDER_FROM_UP),
-    )
+    arguments.add_recording(add)
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
@@ -30,6 +25,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
 
     from xihe_blender.footage.import_capture import import_capture, recording_at
     from xihe_blender.io.outputs import written_whole
+    from xihe_blender.scene.phone_capture import ChosenCapture
 
     out: Path = options.out
     if out.suffix.lower() != ".blend":
@@ -40,7 +36,8 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     scene = bpy.context.scene
     # Cycles alone knows shadow catchers, and pictures are to look as they were taken.
     scene.render.engine, scene.view_settings.view_transform = "CYCLES", "Standard"
-    job = import_capture(scene, recording_at(options.recording), up=options.up, blend_folder=out.parent)
+    chosen = ChosenCapture(recording_at(options.recording), options.up, options.scale, options.floor)
+    job = import_capture(scene, chosen, blend_folder=out.parent)
     imported = run_blocking(job, progress_line(stderr))
     with written_whole(out) as beside:
         bpy.ops.wm.save_as_mainfile(filepath=str(beside.resolve()), compress=True)

@@ -22,6 +22,7 @@ from xihe_blender.footage.pictures import Footage, new_footage_folder, show_behi
 from xihe_blender.footage.scan_object import add_scan, frames_to_scan
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.scene.phone_capture import (
+    ChosenCapture,
     frames_a_second,
     frames_of_times,
     remember_capture,
@@ -30,6 +31,7 @@ from xihe_blender.scene.phone_capture import (
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import valid_plane_depth
 from xihenet.captures import READERS, open_capture
+from xihenet.captures.by_hand import set_by_hand
 from xihenet.captures.capture import Capture, CapturedFrame
 from xihenet.captures.checks import steadied, suspicion
 from xihenet.records import ArrayF64, RgbdFrame
@@ -65,10 +67,10 @@ def said_in_one_line(of: str = "") -> Iterator[None]:
         raise UserError(str(error)) from error
 
 
-def opened_capture(path: Path, up: str | None) -> Capture:
-    """The recording in the folder or file `path`, as of `open_capture`; UserError for none and for a broken one."""
-    with said_in_one_line(f"{path}: "):
-        return open_capture(path, up)
+def opened_capture(chosen: ChosenCapture) -> Capture:
+    """The recording that was chosen; UserError for none and for a broken one, as of `open_capture`."""
+    with said_in_one_line(f"{chosen.path}: "):
+        return set_by_hand(open_capture(chosen.path, chosen.up), scale=chosen.scale, floor_m=chosen.floor_m)
 
 
 def recording_at(path: Path) -> Path:
@@ -84,11 +86,11 @@ def capture_of(scene: bpy.types.Scene) -> Capture | None:
     remembered = remembered_capture(scene)
     if remembered is None:
         return None
-    if not remembered.folder.exists():
+    if not remembered.path.exists():
         raise UserError(
-            f"the recording of scene {scene.name!r} is gone from {remembered.folder}: put it back, or import it again"
+            f"the recording of scene {scene.name!r} is gone from {remembered.path}: put it back, or import it again"
         )
-    return opened_capture(remembered.folder, remembered.up)
+    return opened_capture(remembered)
 
 
 def captured_frames(capture: Capture) -> dict[int, CapturedFrame]:
@@ -115,23 +117,22 @@ def steadied_frames(capture: Capture) -> dict[int, CapturedFrame]:
 
 
 def import_capture(
-    scene: bpy.types.Scene, folder: Path, *, up: str | None = None, blend_folder: Path | None = None
+    scene: bpy.types.Scene, chosen: ChosenCapture, *, blend_folder: Path | None = None
 ) -> Job[ImportedCapture]:
-    """A job, a step per frame: bring the recording in `folder` into `scene`.
+    """A job, a step per frame: bring a recording into `scene`.
 
     Parameters
     ----------
-    up : axis of the recording's world that points up, as of `open_capture`
     blend_folder : where the .blend is or will be, and the folder of pictures beside it; None takes the open file's, or
         for one that was never saved the place of the recording
 
     UserError for a recording that cannot be read, with the scene as it was; OSError where no pictures can be written.
     """
-    capture = opened_capture(folder, up)
+    capture = opened_capture(chosen)
     numbered = captured_frames(capture)
     if blend_folder is None and bpy.data.filepath:
         blend_folder = Path(bpy.data.filepath).parent
-    pictures = new_footage_folder(blend_folder or folder.resolve().parent, folder.resolve().stem)
+    pictures = new_footage_folder(blend_folder or chosen.path.resolve().parent, chosen.path.resolve().stem)
     try:
         footage = Footage(pictures, numbered)
         scan, first = yield from _read(capture, numbered, footage)
@@ -140,7 +141,7 @@ def import_capture(
     except BaseException:
         shutil.rmtree(pictures, ignore_errors=True)
         raise
-    remember_capture(scene, folder, up, blend_folder)
+    remember_capture(scene, chosen, blend_folder)
     return imported
 
 

@@ -1,14 +1,14 @@
 """Which recording does a scene show, and at which of its frames is each moment of it?
 
-An imported scene remembers the recording's folder, relative to the .blend where that is saved, and the axis that points
-up in it. Each frame of the recording has a whole frame of the timeline: between two keys a camera would be somewhere
-between two pictures, and what is put into them would slide. The panel asks at every redraw, so nothing here needs
-NumPy.
+An imported scene remembers its recording, relative to the .blend where that is saved, and what was set of it by hand.
+Each frame of the recording has a whole frame of the timeline: between two keys a camera would be somewhere between two
+pictures, and what is put into them would slide. The panel asks at every redraw, so nothing here needs NumPy.
 """
 
 from __future__ import annotations
 
 import itertools
+import json
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ from pathlib import Path
 
 import bpy
 
-CAPTURE, CAPTURE_WAS, CAPTURE_UP = "xihe_capture", "xihe_capture_was", "xihe_capture_up"
-"""Custom properties of a scene: the folder of its recording as the .blend keeps it, where it was when it was imported,
-for a copy of the .blend elsewhere, and the axis that points up, empty for the usual one."""
+CAPTURE, CAPTURE_WAS, CAPTURE_SET = "xihe_capture", "xihe_capture_was", "xihe_capture_set"
+"""Custom properties of a scene: its recording as the .blend keeps it, where that was when it was imported, for a copy
+of the .blend elsewhere, and what was set by hand, as JSON."""
 
 SCAN = "xihe_scan"
 """Custom property of the mesh that was scanned by a recording: the name it was given."""
@@ -29,17 +29,23 @@ IS_CAPTURED = "Captured by a phone: the session replaces rendered captures, and 
 
 
 @dataclass(frozen=True)
-class RememberedCapture:
-    """The recording of a scene: its folder, absolute, and the axis of its world that points up; None for the usual."""
+class ChosenCapture:
+    """A recording: its folder or file, and what is set by hand as of `xihenet.captures`.
 
-    folder: Path
-    up: str | None
+    `up` is the axis of its world that points up, None for the usual one, `scale` what its lengths are multiplied by,
+    and `floor_m` the height of its floor after that, metres, which becomes 0.
+    """
+
+    path: Path
+    up: str | None = None
+    scale: float = 1.0
+    floor_m: float = 0.0
 
 
-def remember_capture(scene: bpy.types.Scene, folder: Path, up: str | None, blend_folder: Path | None) -> None:
-    """Note that `scene` shows the recording in `folder`; see `stored_path`."""
-    scene[CAPTURE], scene[CAPTURE_WAS] = stored_path(folder, blend_folder), str(folder.resolve())
-    scene[CAPTURE_UP] = up or ""
+def remember_capture(scene: bpy.types.Scene, chosen: ChosenCapture, blend_folder: Path | None) -> None:
+    """Note that `scene` shows the recording `chosen`; see `stored_path`."""
+    scene[CAPTURE], scene[CAPTURE_WAS] = stored_path(chosen.path, blend_folder), str(chosen.path.resolve())
+    scene[CAPTURE_SET] = json.dumps({"up": chosen.up, "scale": chosen.scale, "floor_m": chosen.floor_m})
 
 
 def stored_path(path: Path, blend_folder: Path | None) -> str:
@@ -53,14 +59,14 @@ def stored_path(path: Path, blend_folder: Path | None) -> str:
         return whole
 
 
-def remembered_capture(scene: bpy.types.Scene) -> RememberedCapture | None:
+def remembered_capture(scene: bpy.types.Scene) -> ChosenCapture | None:
     """What `remember_capture` noted; None for a scene whose captures are rendered."""
     path = scene.get(CAPTURE)
     if not isinstance(path, str) or not path:
         return None
     here, was = Path(bpy.path.abspath(path)), Path(str(scene.get(CAPTURE_WAS, path)))
-    folder = was if was.exists() and not (path.startswith("//") and here.exists()) else here
-    return RememberedCapture(folder, str(scene.get(CAPTURE_UP, "")) or None)
+    found = was if was.exists() and not (path.startswith("//") and here.exists()) else here
+    return ChosenCapture(found, **json.loads(scene.get(CAPTURE_SET, "{}")))
 
 
 def scan_of(scene: bpy.types.Scene) -> bpy.types.Object | None:
