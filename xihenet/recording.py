@@ -67,6 +67,8 @@ def save_frame(path: Path, frame: RgbdFrame) -> None:
     try:
         write_exr(beside, channels, attributes=header)
         beside.replace(path)
+    except OSError as error:  # A disk that is full does not say for which file.
+        raise OSError(error.errno, error.strerror, str(path)) from error
     finally:
         beside.unlink(missing_ok=True)
 
