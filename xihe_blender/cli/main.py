@@ -34,6 +34,7 @@ COMMANDS = {
     "replay": "follow the light at places in a recording of a phone or depth camera; needs no Blender",
     "import": "make a .blend of a recording of a phone: its camera, its pictures and a scan of what they show",
     "export": "write the light of a run for an engine, such as three.js, Unity or USD; needs no Blender",
+    "serve": "answer phones with the light of what they have seen, over HTTP; needs no Blender",
     "scenes": "build the example scenes",
     "dataset": "make rooms to train estimators on",
     "package": "build the Blender extension as a zip from a checkout; needs no Blender",

@@ -103,8 +103,12 @@ class Lattice(Estimator):
         light, raw_error = self._run(cloud.srgb[None], cloud.distance_m[None], cloud.is_set[None], facing)
         coverage = cloud.is_set.mean(keepdims=True)
         if context is not None and context.frame is not None:
-            light = lean_on_sensor(light, coverage, self._sensor.estimate(cloud, context)[None])
+            light = lean_on_sensor(light, coverage, self.sensed(cloud, context)[None])
         return self._checked(light[0]), float(self._calibration.expected(raw_error, coverage)[0])
+
+    def sensed(self, cloud: UnitSphereCloud, context: EstimateContext) -> ArrayF64:
+        """(9, 3) that a cloud of which next to nothing is set leans on: the phone's sensor, or the anchors' mean."""
+        return self._sensor.estimate(cloud, context)
 
     def estimate_batch(
         self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike, *, facing: ArrayLike | None = None

@@ -1,0 +1,118 @@
+"""`xihe serve`: the edge service, which answers phones with the light of what they have seen."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import logging
+import os
+from pathlib import Path
+from typing import Any
+
+from xihe_blender.cli.arguments import adder, one_of, whole_numbers
+from xihe_blender.errors import UserError
+from xihenet import estimators
+from xihenet.codec import MAX_STRIPPED_ANCHORS
+from xihenet.edge.batching import UNSERVED, Inference
+from xihenet.edge.http_settings import ServerSettings
+from xihenet.edge.protocol import PORT
+from xihenet.edge.service import PUBLISHED_SIZES, ServiceSettings
+from xihenet.edge.sessions import StoreLimits
+
+BEARER_VARIABLE = "XIHE_EDGE_BEARER"
+NEEDS_TORNADO = "the server needs Tornado: pip install 'xihe-blender[edge]'"
+SIZES = f"numbers of anchors that sessions may have; default: {', '.join(map(str, PUBLISHED_SIZES))}"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = adder(parser)
+    add("--host ADDRESS", "address to listen at; 0.0.0.0 for all of this machine's", default="127.0.0.1")
+    add("--port PORT", "port to listen at; 0 for a free one", int, default=PORT)
+    served = one_of(name for name in estimators.names() if name not in UNSERVED)
+    add("--estimator NAME", f"{served}; default: {estimators.DEFAULT}", default=estimators.DEFAULT)
+    add("--device NAME", "where the network runs", choices=("cpu",), default="cpu")
+    target = "light that published clients get: clipped at white (ldr, as in the paper) or all of it (hdr)"
+    add("--target", target, choices=("ldr", "hdr"), default="ldr")
+    add("--sizes N,M", SIZES, whole_numbers, default=PUBLISHED_SIZES)
+    add("--expire SECONDS", "forget a session that was idle for so long", float, default=StoreLimits.idle_s)
+    add("--sessions N", "sessions that may be open at a time", int, default=StoreLimits.n_sessions)
+    add("--allow-origin ORIGIN", "web pages that may ask, or *; may be repeated", action="append", default=[])
+    add("--certificate FILE.pem", "speak HTTPS, with this certificate", Path)
+    add("--key FILE.pem", "its private key, if that is in a file of its own", Path)
+    bearer = f"answer only those who send the token of this file, or of the variable {BEARER_VARIABLE}"
+    add("--bearer FILE", bearer, Path)
+    add("--log", "requests that are logged on stderr, a line of JSON each", choices=("faults", "all"), default="faults")
+
+
+def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
+    try:
+        from xihenet.edge.server import serve
+    except ModuleNotFoundError as error:
+        if error.name != "tornado":
+            raise
+        raise UserError(NEEDS_TORNADO) from error
+    settings = server_settings(options)
+    try:
+        inference = Inference(options.estimator)
+    except (ValueError, ImportError) as error:
+        raise UserError(f"--estimator {options.estimator}: {error}") from error
+    _log_to(stderr)
+    scheme = "http" if settings.certificate is None else "https"
+
+    def ready(port: int) -> None:
+        print(f"serving at {scheme}://{options.host}:{port}, Ctrl-C to stop", file=stdout, flush=True)
+
+    try:
+        asyncio.run(serve(inference, settings, ready))
+    except OSError as error:
+        reason = error.strerror or error
+        raise UserError(
+            f"cannot listen at {options.host}:{options.port} ({reason}): choose another --host or --port, or check "
+            "--certificate and --key"
+        ) from error
+
+
+def server_settings(options: argparse.Namespace) -> ServerSettings:
+    """The settings that the options say; UserError for those that cannot be."""
+    sizes = tuple(sorted(set(options.sizes)))
+    if not sizes or sizes[0] < 1 or sizes[-1] > min(MAX_STRIPPED_ANCHORS, PUBLISHED_SIZES[-1]):
+        raise UserError(f"--sizes: expected numbers from 1 to {PUBLISHED_SIZES[-1]}, got {options.sizes}")
+    if not 0 <= options.port <= 65535:
+        raise UserError(f"--port: expected 0 to 65535, got {options.port}")
+    if not (options.expire > 0 and options.sessions >= 1):
+        raise UserError("--expire and --sessions: expected more than 0")
+    if options.key is not None and options.certificate is None:
+        raise UserError("--key belongs to a certificate: give --certificate as well")
+    limits = StoreLimits(n_sessions=options.sessions, idle_s=options.expire)
+    return ServerSettings(
+        options.host,
+        options.port,
+        ServiceSettings(sizes, options.target, limits=limits),
+        tuple(options.allow_origin),
+        options.certificate,
+        options.key,
+        _bearer(options.bearer),
+        options.log,
+    )
+
+
+def _bearer(path: Path | None) -> str:
+    if path is None:
+        return os.environ.get(BEARER_VARIABLE, "")
+    try:
+        token = path.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"--bearer: cannot read {path} ({error}): give a file with a token in it") from error
+    if not token:
+        raise UserError(f"--bearer: {path} is empty: give a file with a token in it")
+    return token
+
+
+def _log_to(stream: Any) -> None:
+    """The service's lines of JSON go there as they are; those of Tornado only if they warn."""
+    handler = logging.StreamHandler(stream)
+    handler.setFormatter(logging.Formatter("%(message)s"))
+    logger = logging.getLogger("xihenet.edge")
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    logger.propagate = False

@@ -1,0 +1,195 @@
+"""Batching: requests of all clients wait in one queue, and one thread answers as many of them at a time as there are.
+
+While an inference runs, what arrives is the next batch; nobody waits for a batch to fill. One thread, since a network
+fills a core by itself, and NumPy leaves the other to the event loop for most of the time. The queue is bounded: a
+request that finds it full is refused at once, so that the ones in it are still answered in time.
+
+Clouds of one size with and without known facing go into different calls of `estimate_batch_with_error`, since unknown
+facing is not a facing of 0. An estimator without that method, or with a light sensor to lean on, is asked one by one.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import time
+from collections import deque
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from xihenet import estimators
+from xihenet.estimators.base import EstimateContext, Estimator, NotFinite, Target
+from xihenet.estimators.lattice import Lattice, lean_on_sensor
+from xihenet.records import ArrayF64, Intrinsics, RgbdFrame, UnitSphereCloud
+
+UNSERVED = {
+    "truth": "truth is a light probe rendered in Blender, which no client sends",
+    "pointar": "pointar draws from raw points, which clouds of anchors no longer hold",
+}
+"""Estimators that cannot answer clouds, and why."""
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """One cloud that wants its light; `ambient` (3,) is the phone's light sensor, carrying the cloud's exposure."""
+
+    cloud: UnitSphereCloud
+    target: Target
+    ambient: ArrayF64 | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """(9, 3) coefficients, and the SHC RMSE expected of them; where they cannot be known, 0 and the reason."""
+
+    sh_radiance: ArrayF64
+    expected_error: float | None = None
+    unknown_because: str = ""
+
+
+class QueueFull(Exception):
+    """More requests wait than can be answered in time."""
+
+
+class Inference:
+    """The networks, loaded when a size and target are first asked for; called by one thread.
+
+    ValueError for an unknown estimator and for one of `UNSERVED`.
+    """
+
+    def __init__(self, name: str = estimators.DEFAULT) -> None:
+        if name in UNSERVED:
+            raise ValueError(f"{UNSERVED[name]}: choose another estimator")
+        self.name = name
+        self.estimator(1280, "ldr")  # What cannot be loaded is found out at the start.
+
+    @functools.lru_cache(maxsize=32)  # noqa: B019  as many as there are sizes and targets, for as long as the process
+    def estimator(self, n_anchors: int, target: Target) -> Estimator:
+        return estimators.load(self.name, n_anchors, target)
+
+    def __call__(self, jobs: Sequence[Job]) -> list[Light]:
+        """The light of each, in order; none keeps another from being answered."""
+        groups: dict[tuple[int, Target, bool], list[int]] = {}
+        for number, job in enumerate(jobs):
+            key = len(job.cloud), job.target, job.cloud.surfaces is not None
+            groups.setdefault(key, []).append(number)
+        lights: dict[int, Light] = {}
+        for (n_anchors, target, _), numbers in groups.items():
+            estimator = self.estimator(n_anchors, target)
+            answers = estimate_together(estimator, [jobs[number] for number in numbers])
+            lights |= dict(zip(numbers, answers, strict=True))
+        return [lights[number] for number in range(len(jobs))]
+
+
+def estimate_together(estimator: Estimator, jobs: Sequence[Job]) -> list[Light]:
+    """The lights of jobs whose clouds all have surfaces or all have none, equal to those that each has alone."""
+    contexts = [_context_of(job) for job in jobs]
+    reasons = [estimator.unknown_because(job.cloud, context) for job, context in zip(jobs, contexts, strict=True)]
+    known = [number for number, reason in enumerate(reasons) if not reason]
+    lights = [Light(np.zeros((9, 3)), None, reason) for reason in reasons]
+    if isinstance(estimator, Lattice) and len(known) > 1:
+        try:
+            answers = _of_lattice(estimator, [jobs[number] for number in known])
+        except NotFinite:  # One of them spoils the batch, and nobody knows which.
+            answers = [_alone(estimator, jobs[number], contexts[number]) for number in known]
+    else:
+        answers = [_alone(estimator, jobs[number], contexts[number]) for number in known]
+    for number, light in zip(known, answers, strict=True):
+        lights[number] = light
+    return lights
+
+
+def _of_lattice(estimator: Lattice, jobs: Sequence[Job]) -> list[Light]:
+    clouds = [job.cloud for job in jobs]
+    facing = None if clouds[0].surfaces is None else np.stack([c.surfaces.facing for c in clouds if c.surfaces])
+    srgb, distance_m = np.stack([c.srgb for c in clouds]), np.stack([c.distance_m for c in clouds])
+    is_set = np.stack([c.is_set for c in clouds])
+    sh_radiance, errors = estimator.estimate_batch_with_error(srgb, distance_m, is_set, facing=facing)
+    leaning = [number for number, job in enumerate(jobs) if job.ambient is not None]
+    for number in leaning:
+        sensed = estimator.sensed(clouds[number], _context_of(jobs[number]))
+        coverage = is_set[number].mean(keepdims=True)
+        sh_radiance[number] = lean_on_sensor(sh_radiance[number][None], coverage, sensed[None])[0]
+    return [Light(sh, float(error)) for sh, error in zip(sh_radiance, errors, strict=True)]
+
+
+def _alone(estimator: Estimator, job: Job, context: EstimateContext) -> Light:
+    try:
+        sh_radiance, error = estimator.estimate_with_error(job.cloud, context)
+    except NotFinite:
+        return Light(np.zeros((9, 3)), None, "estimate_not_finite")
+    return Light(sh_radiance, error)
+
+
+def _context_of(job: Job) -> EstimateContext:
+    """A frame of one pixel that carries the light sensor, which is all that an estimator asks of a frame here."""
+    if job.ambient is None:
+        return EstimateContext()
+    pixel = np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), np.float32), Intrinsics(1, 1, 1.0, 1.0, 0.5, 0.5)
+    return EstimateContext(RgbdFrame(*pixel, np.eye(4), ambient=job.ambient), reference_exposure=1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Answered:
+    """A light, how long its request waited, how long the inference of its batch took, and how many were in it."""
+
+    light: Light
+    waited_s: float
+    inference_s: float
+    batch_size: int
+
+
+class Batcher:
+    """The queue and its thread, in the event loop in which it is made. `close` ends it."""
+
+    def __init__(self, inference: Inference, *, max_batch: int = 16, max_queue: int = 48) -> None:
+        self._inference, self.max_batch, self.max_queue = inference, max_batch, max_queue
+        self._waiting: deque[tuple[Job, asyncio.Future[Answered], float]] = deque()
+        self._thread = ThreadPoolExecutor(1, "xihe-inference")
+        self._running: asyncio.Task[None] | None = None
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    async def estimate(self, job: Job) -> Answered:
+        """The light of a cloud; `QueueFull` at once if too many wait."""
+        if len(self._waiting) >= self.max_queue:
+            raise QueueFull(f"{len(self._waiting)} requests wait for inference")
+        answer: asyncio.Future[Answered] = asyncio.get_running_loop().create_future()
+        self._waiting.append((job, answer, time.perf_counter()))
+        if self._running is None or self._running.done():
+            self._running = asyncio.create_task(self._run())
+        return await answer
+
+    async def _run(self) -> None:
+        """Answer batches until nobody waits."""
+        while self._waiting:
+            taken = [self._waiting.popleft() for _ in range(min(self.max_batch, len(self._waiting)))]
+            batch = [one for one in taken if not one[1].done()]  # Some have gone away meanwhile.
+            if batch:
+                await self._answer(batch)
+
+    async def _answer(self, batch: list[tuple[Job, asyncio.Future[Answered], float]]) -> None:
+        start = time.perf_counter()
+        try:
+            lights = await asyncio.get_running_loop().run_in_executor(
+                self._thread, self._inference, [job for job, _, _ in batch]
+            )
+        except Exception as error:  # noqa: BLE001  whatever it is, it belongs to those who wait, and the queue goes on
+            for _, answer, _ in batch:
+                if not answer.done():
+                    answer.set_exception(error)
+            return
+        took_s = time.perf_counter() - start
+        for (_, answer, asked_s), light in zip(batch, lights, strict=True):
+            if not answer.done():
+                answer.set_result(Answered(light, start - asked_s, took_s, len(batch)))
+
+    async def close(self) -> None:
+        """Answer what waits, and end the thread."""
+        if self._running is not None:
+            await self._running
+        self._thread.shutdown()

@@ -1,0 +1,126 @@
+"""The HTTP server, on Tornado: the published client's routes, and ours.
+
+Sessions of our own clients are at `/api/v3/sessions`, see `openapi`. Tornado was chosen over asyncio alone for its HTTP
+parser and time-outs, and over the ASGI frameworks since Dask brings it anyway.
+
+Slow clients: headers and body each have a time to be complete in, however the bytes trickle. A body that says or turns
+out to be longer than `MAX_BODY_BYTES` is answered by Tornado itself with 400 and a closed connection.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+import ssl
+from collections.abc import AsyncIterator, Callable, Mapping
+from typing import Any
+
+from tornado import httpserver, iostream, netutil, web
+
+from xihenet.edge import protocol
+from xihenet.edge.batching import Inference
+from xihenet.edge.handler import Handler, log_event
+from xihenet.edge.http_settings import MAX_BODY_BYTES, ServerSettings
+from xihenet.edge.published_routes import PublishedEstimationRoute, PublishedSessionRoute
+from xihenet.edge.service import EdgeService
+from xihenet.edge.service_routes import HealthRoute, MetricsRoute, OpenApiRoute, PageRoute, UnknownRoute
+from xihenet.edge.session_routes import ClientsRoute, PositionRoute, SessionRoute, SessionsRoute
+from xihenet.edge.sessions import MemoryStore
+
+EXPIRES_EVERY_S = 5.0
+
+ROUTES: Mapping[str, type[Handler]] = {
+    protocol.PUBLISHED_SESSION: PublishedSessionRoute,
+    protocol.PUBLISHED_ESTIMATION: PublishedEstimationRoute,
+    protocol.SESSIONS: SessionsRoute,
+    protocol.SESSIONS + "/([^/]+)": SessionRoute,
+    protocol.SESSIONS + "/([^/]+)/clients": ClientsRoute,
+    protocol.SESSIONS + "/([^/]+)/positions/([^/]+)": PositionRoute,
+    "/health": HealthRoute,
+    "/metrics": MetricsRoute,
+    "/openapi.json": OpenApiRoute,
+    "/": PageRoute,
+}
+
+
+class _Server(httpserver.HTTPServer):
+    """Closes connections beyond the limit at once; so a flood of them costs no memory."""
+
+    max_connections = 512
+
+    def handle_stream(self, stream: iostream.IOStream, address: tuple[Any, ...]) -> None:
+        if len(self._connections) >= self.max_connections:
+            stream.close()
+        else:
+            super().handle_stream(stream, address)
+
+    @property
+    def n_connections(self) -> int:
+        return len(self._connections)
+
+
+@contextlib.asynccontextmanager
+async def running(inference: Inference, settings: ServerSettings) -> AsyncIterator[tuple[EdgeService, int]]:
+    """The service, listening, and its port, for the length of the block.
+
+    OSError where the address cannot be had or a certificate cannot be read.
+    """
+    service = EdgeService(inference, settings.service)
+    routes = [
+        (pattern, handler, {"service": service, "settings": settings, "route": pattern.replace("([^/]+)", "*")})
+        for pattern, handler in ROUTES.items()
+    ]
+    unknown = {"service": service, "settings": settings, "route": "other"}
+    application = web.Application(routes, default_handler_class=UnknownRoute, default_handler_args=unknown)
+    server = _Server(
+        application,
+        ssl_options=_tls(settings),
+        max_body_size=MAX_BODY_BYTES,
+        max_buffer_size=2 * MAX_BODY_BYTES,
+        max_header_size=settings.max_header_bytes,
+        idle_connection_timeout=settings.header_s,
+        body_timeout=settings.body_s,
+    )
+    server.max_connections = settings.max_connections
+    application.settings["gauges"] = lambda: {"xihe_connections": server.n_connections}
+    sockets = netutil.bind_sockets(settings.port, settings.host)
+    server.add_sockets(sockets)
+    expiring = asyncio.create_task(_expire(service))
+    try:
+        yield service, sockets[0].getsockname()[1]
+    finally:
+        expiring.cancel()
+        server.stop()
+        await service.close()
+        await server.close_all_connections()
+
+
+async def serve(inference: Inference, settings: ServerSettings, when_ready: Callable[[int], None]) -> None:
+    """Run until SIGINT or SIGTERM; `when_ready` gets the port."""
+    stop, loop = asyncio.Event(), asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with contextlib.suppress(NotImplementedError):  # Windows, where Ctrl-C raises KeyboardInterrupt instead.
+            loop.add_signal_handler(number, stop.set)
+    async with running(inference, settings) as (_, port):
+        log_event(
+            "started", host=settings.host, port=port, estimator=inference.name, tls=settings.certificate is not None
+        )
+        when_ready(port)
+        await stop.wait()
+        log_event("stopping")
+
+
+async def _expire(service: EdgeService) -> None:
+    while True:
+        await asyncio.sleep(EXPIRES_EVERY_S)
+        if isinstance(service.store, MemoryStore):
+            service.store.expire()
+
+
+def _tls(settings: ServerSettings) -> ssl.SSLContext | None:
+    if settings.certificate is None:
+        return None
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    context.load_cert_chain(settings.certificate, settings.key)
+    return context

@@ -1,0 +1,269 @@
+"""The service without a network: sessions and clouds go in, answers come out as what will be JSON.
+
+`server` turns these into HTTP, and tests can call them without it. Whatever a client can do wrong, and whatever is
+full, is a `Refused` with the status that says so. Decoding and merging are done at once in the event loop, some 0.4 ms;
+inference waits in the `Batcher`; key light and reflections, which take many times as long, have a thread of their own
+and are made only if they are asked for.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any, NoReturn, TypeVar
+
+import numpy as np
+
+from xihenet.buffers import merge
+from xihenet.completeness import coverage
+from xihenet.edge.axes import coefficients_in, vector_in
+from xihenet.edge.batching import Answered, Batcher, Inference, Job, QueueFull
+from xihenet.edge.metrics import Metrics
+from xihenet.edge.protocol import CloudSent
+from xihenet.edge.sessions import MemoryStore, SeenPosition, Session, SessionStore, StoreFull, StoreLimits
+from xihenet.edge.sharing import re_exposed, with_others
+from xihenet.estimators.base import Target
+from xihenet.light.key_light import split_light
+from xihenet.light.reflections import fill_reflections
+from xihenet.records import ArrayF64, KeyLight, ObjectLight, Reflections, UnitSphereCloud
+from xihenet.sampling import sample_again
+from xihenet.sphere import AnchorLattice
+
+PUBLISHED_SIZES = (512, 768, 1024, 1280, 1536, 1792, 2048)
+"""Numbers of anchors in the paper."""
+
+DEFAULT_POSITION = "default"
+"""Of a published client's session, which has one."""
+
+MOST_EXTRAS = 16
+"""Key lights and reflections that may wait for their thread."""
+
+Made = TypeVar("Made")
+
+
+@dataclass(frozen=True)
+class ServiceSettings:
+    """How the service answers."""
+
+    sizes: tuple[int, ...] = PUBLISHED_SIZES
+    target: Target = "ldr"  # of published clients, as the paper trains, and of others that do not say theirs
+    max_batch: int = 16
+    max_queue: int = 48  # requests that wait for inference; a full queue is some 50 ms of `lattice`
+    retry_after_s: int = 1
+    limits: StoreLimits = field(default_factory=StoreLimits)
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What a client of the clean form may ask for."""
+
+    replaces: bool = False  # the cloud takes the place of what is known of the position, instead of being merged
+    is_shared: bool = False  # directions that were not seen are filled from other positions, see `sharing`
+    has_key_light: bool = False
+    has_reflections: bool = False
+
+
+class Refused(Exception):
+    """A request that is not answered: an HTTP status, a message, and when to come again if that helps."""
+
+    def __init__(self, status: int, message: str, retry_after_s: int | None = None) -> None:
+        super().__init__(message)
+        self.status, self.retry_after_s = status, retry_after_s
+
+
+class EdgeService:
+    """One service, in the event loop in which it is made. `close` ends its threads."""
+
+    def __init__(
+        self, inference: Inference, settings: ServiceSettings | None = None, store: SessionStore | None = None
+    ) -> None:
+        self.settings = settings or ServiceSettings()
+        self.inference, self.metrics = inference, Metrics()
+        self.store: SessionStore = store or MemoryStore(self.settings.limits)
+        self.batcher = Batcher(inference, max_batch=self.settings.max_batch, max_queue=self.settings.max_queue)
+        self._extras, self._n_extras = ThreadPoolExecutor(1, "xihe-extras"), 0
+
+    def open(self, session: Session) -> Session:
+        """Keep a new session."""
+        with self._room():
+            self.store.add(session)
+        self.metrics.count("xihe_sessions_total", happened="opened")
+        return session
+
+    def published_session(self, session_id: str) -> Session:
+        """The published client's session of that id; one of our own clients cannot be had without its token."""
+        session = self.store.session(session_id)
+        if session is None or not session.is_published:
+            raise Refused(404, "there is no such session, or it has expired: open a new one")
+        return session
+
+    def session_for(self, session_id: str, token: str, *, as_owner: bool = False) -> Session:
+        """The session, if the token's holder may use it or, `as_owner`, delete it."""
+        session = self.store.session(session_id)
+        if session is None:
+            raise Refused(404, "there is no such session, or it has expired: open a new one")
+        if not token:
+            raise Refused(401, "this needs the token that opening or joining the session gave")
+        if not (session.is_owned_by(token) if as_owner else session.admits(token)):
+            raise Refused(403, "the token is not of this session" + (" or not its owner's" if as_owner else ""))
+        return session
+
+    async def estimate_published(self, session: Session, sent: CloudSent) -> list[float]:
+        """27 numbers; of a light that cannot be known those of black, since the published answer has no other word."""
+        for quirk, n in sent.quirks.items():
+            self.metrics.count("xihe_records_total", n, quirk=quirk)
+        seen, session = self._seen(session, DEFAULT_POSITION, sent, Wishes())
+        answered = await self._inferred(Job(seen.cloud, session.target))
+        return coefficients_in(answered.light.sh_radiance, sent.axes)
+
+    async def estimate(self, session: Session, name: str, sent: CloudSent, wishes: Wishes) -> dict[str, Any]:
+        """The clean form's answer."""
+        seen, session = self._seen(session, name, sent, wishes)
+        cloud = seen.cloud
+        if wishes.is_shared:
+            cloud = self._shared(session, name, seen)
+        exposure = session.exposure or sent.exposure
+        ambient = None if sent.ambient is None else sent.ambient * (exposure / sent.exposure)
+        light = (await self._inferred(Job(cloud, session.target, ambient))).light
+        answer: dict[str, Any] = {
+            "ok": True,
+            "coefficients": coefficients_in(light.sh_radiance, sent.axes),
+            "exposure": exposure,
+            "expected_error": light.expected_error,
+            "coverage": coverage(cloud),
+            "is_valid": not light.unknown_because,
+            "unknown_because": light.unknown_because,
+            "estimator": self.inference.name,
+            "target": session.target,
+            "axes": sent.axes,
+            "n_shared_anchors": int(np.count_nonzero(cloud.is_set & ~seen.cloud.is_set)),
+        }
+        if not light.unknown_because and (wishes.has_key_light or wishes.has_reflections):
+            key, reflections = await self._extra(lambda: _extras(light.sh_radiance, cloud, seen.key, wishes))
+            self._remember_key(session, name, key)
+            answer |= _told(key, reflections, sent.axes, wishes)
+        return answer
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        """Measure the time of the block; not if it raises."""
+        start = time.perf_counter()
+        yield
+        self.metrics.measure("xihe_stage_seconds", time.perf_counter() - start, stage=stage)
+
+    def gauges(self) -> dict[str, float]:
+        """What there is now."""
+        n_sessions, n_positions = self.store.counts()
+        return {"xihe_sessions": n_sessions, "xihe_positions": n_positions, "xihe_queue": len(self.batcher)}
+
+    async def close(self) -> None:
+        """Answer what waits, and end the threads."""
+        await self.batcher.close()
+        self._extras.shutdown()
+
+    def _seen(self, session: Session, name: str, sent: CloudSent, wishes: Wishes) -> tuple[SeenPosition, Session]:
+        """What is known of a position with this cloud, which is kept; and the session, which has an exposure now."""
+        start = time.perf_counter()
+        if session.exposure is None:
+            session = replace(session, exposure=sent.exposure)
+            self.store.replace(session)
+        cloud = re_exposed(sent.cloud, (session.exposure or sent.exposure) / sent.exposure)
+        before = self.store.position(session.id, name)
+        if before is None or wishes.replaces:
+            after = SeenPosition(cloud, sent.position_m)
+        else:
+            after = self._moved(before, sent.position_m)
+            after = replace(after, cloud=merge(after.cloud, cloud))
+        after = replace(after, n_frames=(before.n_frames if before else 0) + 1, key=before.key if before else None)
+        with self._room():
+            self.store.put_position(session.id, name, after)
+        self.metrics.measure("xihe_stage_seconds", time.perf_counter() - start, stage="merge")
+        return after, session
+
+    def _moved(self, seen: SeenPosition, position_m: ArrayF64 | None) -> SeenPosition:
+        """What was seen, as it looks from `position_m`, if the client says that its position is there now."""
+        if position_m is None or seen.position_m is None or np.array_equal(position_m, seen.position_m):
+            return seen if position_m is None else replace(seen, position_m=position_m)
+        moved = sample_again(seen.cloud, position_m - seen.position_m, AnchorLattice(len(seen.cloud)))
+        return replace(seen, cloud=moved, position_m=position_m)
+
+    def _shared(self, session: Session, name: str, seen: SeenPosition) -> UnitSphereCloud:
+        if seen.position_m is None:
+            raise Refused(400, "sharing needs to know where the position is: send its header")
+        others = [other for label, other in self.store.positions(session.id).items() if label != name]
+        return with_others(seen.cloud, seen.position_m, others, AnchorLattice(session.n_anchors))
+
+    async def _inferred(self, job: Job) -> Answered:
+        try:
+            answered = await self.batcher.estimate(job)
+        except QueueFull as full:
+            self._refuse_full("queue", str(full))
+        self.metrics.measure("xihe_stage_seconds", answered.waited_s, stage="queue")
+        self.metrics.measure("xihe_stage_seconds", answered.inference_s, stage="inference")
+        self.metrics.measure("xihe_batch_size", answered.batch_size)
+        if answered.light.unknown_because:
+            self.metrics.count("xihe_unknown_lights_total", reason=answered.light.unknown_because)
+        return answered
+
+    async def _extra(self, make: Callable[[], Made]) -> Made:
+        if self._n_extras >= MOST_EXTRAS:
+            self._refuse_full("extras", f"{self._n_extras} key lights and reflections are being made")
+        self._n_extras += 1
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self._extras, make)
+        finally:
+            self._n_extras -= 1
+
+    def _remember_key(self, session: Session, name: str, key: KeyLight | None) -> None:
+        seen = self.store.position(session.id, name)
+        if seen is not None:
+            self.store.put_position(session.id, name, replace(seen, key=key))
+
+    @contextmanager
+    def _room(self) -> Iterator[None]:
+        try:
+            yield
+        except StoreFull as full:
+            self._refuse_full("store", str(full))
+
+    def _refuse_full(self, what: str, message: str) -> NoReturn:
+        self.metrics.count("xihe_refused_total", what=what)
+        raise Refused(503, f"{message}: try again later", self.settings.retry_after_s)
+
+
+def _extras(
+    sh_radiance: ArrayF64, cloud: UnitSphereCloud, before: KeyLight | None, wishes: Wishes
+) -> tuple[KeyLight | None, Reflections | None]:
+    lattice = AnchorLattice(len(cloud))
+    key = split_light(sh_radiance, cloud, lattice, before).key
+    if not wishes.has_reflections:
+        return key, None
+    return key, fill_reflections(cloud, lattice, ObjectLight(sh_radiance, key))
+
+
+def _told(key: KeyLight | None, reflections: Reflections | None, axes: str, wishes: Wishes) -> Mapping[str, Any]:
+    """What answers say of them: radiance by anchor in base64 of float16, little endian, red, green, blue."""
+    told: dict[str, Any] = {}
+    if wishes.has_key_light:
+        told["key_light"] = (
+            None
+            if key is None
+            else {
+                "direction": vector_in(key.direction, axes),
+                "irradiance": key.irradiance.tolist(),
+                "angular_radius": key.angular_radius,
+                "is_seen": key.is_seen,
+            }
+        )
+    if reflections is not None:
+        radiance = reflections.radiance.astype("<f2").tobytes()
+        told["reflections"] = {
+            "radiance_float16": base64.b64encode(radiance).decode(),
+            "seen_share": reflections.seen_share,
+        }
+    return told

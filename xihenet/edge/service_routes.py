@@ -1,0 +1,53 @@
+"""Routes about the service itself: health, metrics, the description of its routes, and a page that uses it."""
+
+from __future__ import annotations
+
+from importlib import resources
+
+from xihenet import __version__
+from xihenet.edge.handler import Handler
+from xihenet.edge.openapi import openapi_document
+from xihenet.edge.service import Refused
+
+
+class HealthRoute(Handler):
+    """GET: that the service is there."""
+
+    needs_bearer = False
+
+    def get(self) -> None:
+        self.tell({"ok": True, "software": f"xihe {__version__}", "estimator": self.service.inference.name})
+
+
+class MetricsRoute(Handler):
+    """GET: metrics for Prometheus."""
+
+    def get(self) -> None:
+        self.set_header("Content-Type", "text/plain; version=0.0.4; charset=utf-8")
+        self.finish(self.service.metrics.text(self.service.gauges() | self.application.settings["gauges"]()))
+
+
+class OpenApiRoute(Handler):
+    """GET: the description of all routes."""
+
+    def get(self) -> None:
+        self.tell(openapi_document(self.service.settings.sizes, has_bearer=bool(self.settings_of_server.bearer)))
+
+
+class PageRoute(Handler):
+    """GET: a page that shows the protocol in use."""
+
+    needs_bearer = False
+
+    def get(self) -> None:
+        self.set_header("Content-Type", "text/html; charset=utf-8")
+        self.set_header("Content-Security-Policy", "default-src 'self' 'unsafe-inline'; connect-src *")
+        self.finish(resources.files("xihenet.edge").joinpath("client.html").read_bytes())
+
+
+class UnknownRoute(Handler):
+    """Any other route."""
+
+    def prepare(self) -> None:
+        super().prepare()
+        raise Refused(404, "there is no such route; /openapi.json names those that there are")

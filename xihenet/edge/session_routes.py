@@ -1,0 +1,142 @@
+"""Routes of our own clients: sessions with tokens, several clients and positions, and clouds in the clean form."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from xihenet.edge import protocol
+from xihenet.edge.axes import OUR_AXES, checked_axes
+from xihenet.edge.handler import Handler, as_sent, begin_of
+from xihenet.edge.service import EdgeService, Refused, Wishes
+from xihenet.edge.sessions import Session, StoreFull, joined, new_session, new_token
+
+MAX_NAME = 64
+SWITCHES = {"": False, "no": False, "yes": True}
+
+
+class SessionsRoute(Handler):
+    """POST: a session of our own client. GET: those of the token's holder."""
+
+    def post(self) -> None:
+        with as_sent():
+            session, token = self._wanted_session()
+        self.service.open(session)
+        self.session_told = begin_of(session.id)
+        opened = {"session": session.id, "token": token, "n_anchors": session.n_anchors, "target": session.target}
+        self.tell({"ok": True, **opened}, 201)
+
+    def _wanted_session(self) -> tuple[Session, str]:
+        wanted, settings = self._wanted(), self.service.settings
+        n_anchors = protocol.anchors_wanted(str(wanted.get("n_anchors", 1280)), settings.sizes)
+        target, joinable = wanted.get("target", settings.target), wanted.get("joinable", True)
+        if target not in ("ldr", "hdr"):
+            raise ValueError(f"target: expected ldr or hdr, got {str(target)[:80]!r}")
+        if not isinstance(joinable, bool):
+            raise ValueError(f"joinable: expected true or false, got {str(joinable)[:80]!r}")
+        token = self.token() or new_token()
+        if not 16 <= len(token) <= 128:
+            raise ValueError(f"{protocol.TOKEN_HEADER}: expected 16 to 128 characters, got {len(token)}")
+        axes = checked_axes(self.request.headers.get(protocol.AXES_HEADER, OUR_AXES))
+        return new_session(n_anchors, target, axes, token, joinable=joinable), token
+
+    def _wanted(self) -> dict[str, Any]:
+        try:
+            wanted = json.loads(self.request.body or b"{}")
+        except (ValueError, RecursionError) as error:
+            raise ValueError(f"expected a JSON object as body ({type(error).__name__})") from None
+        if not isinstance(wanted, dict):
+            raise ValueError("expected a JSON object as body")
+        return wanted
+
+    def get(self) -> None:
+        if not self.token():
+            raise Refused(401, f"this needs the owner's token: send it as {protocol.TOKEN_HEADER}")
+        owned = self.service.store.owned_by(self.token())
+        self.tell({"ok": True, "sessions": [_described(self.service, session) for session in owned]})
+
+
+class SessionRoute(Handler):
+    """GET: what a session knows. DELETE: forget it."""
+
+    def get(self, session_id: str) -> None:
+        self.session_told = begin_of(session_id)
+        session = self.service.session_for(session_id, self.token())
+        self.tell({"ok": True, **_described(self.service, session)})
+
+    def delete(self, session_id: str) -> None:
+        self.session_told = begin_of(session_id)
+        session = self.service.session_for(session_id, self.token(), as_owner=True)
+        self.service.store.delete(session.id)
+        self.service.metrics.count("xihe_sessions_total", happened="deleted")
+        self.tell({"ok": True})
+
+
+class ClientsRoute(Handler):
+    """POST: join a session; who knows its id may, unless its owner forbids it."""
+
+    def post(self, session_id: str) -> None:
+        self.session_told = begin_of(session_id)
+        store, session = self.service.store, self.service.store.session(session_id)
+        if session is None:
+            raise Refused(404, "there is no such session, or it has expired")
+        if not session.is_joinable:
+            raise Refused(403, "the owner of this session lets nobody join")
+        token = new_token()
+        try:
+            store.replace(joined(session, token, self.service.settings.limits))
+        except StoreFull as full:
+            raise Refused(409, str(full)) from None
+        self.tell({"ok": True, "token": token, "n_anchors": session.n_anchors, "target": session.target}, 201)
+
+
+class PositionRoute(Handler):
+    """POST: the light at a position, of a cloud in the clean form. DELETE: forget the position."""
+
+    async def post(self, session_id: str, name: str) -> None:
+        self.session_told = begin_of(session_id)
+        session = self.service.session_for(session_id, self.token())
+        content_type = self.request.headers.get("Content-Type", "")
+        if not protocol.is_clean(content_type):
+            raise Refused(415, f"expected the content type {protocol.CLOUD_TYPE}, got {content_type[:80]!r}")
+        with self.service.timed("decode"), as_sent():
+            wishes = Wishes(*map(self._switch, ("replace", "share", "key_light", "reflections")))
+            name = _checked_name(name)
+            sent = protocol.read_clean(self.request.body, session.n_anchors, content_type, self.request.headers)
+        self.tell(await self.service.estimate(session, name, sent, wishes))
+
+    def delete(self, session_id: str, name: str) -> None:
+        self.session_told = begin_of(session_id)
+        session = self.service.session_for(session_id, self.token())
+        if not self.service.store.delete_position(session.id, name):
+            raise Refused(404, "the session has no such position")
+        self.tell({"ok": True})
+
+    def _switch(self, name: str) -> bool:
+        said = self.get_query_argument(name, "")
+        if said not in SWITCHES:
+            raise ValueError(f"{name}: expected yes or no, got {said[:80]!r}")
+        return SWITCHES[said]
+
+
+def _described(service: EdgeService, session: Session) -> dict[str, Any]:
+    positions = service.store.positions(session.id)
+    return {
+        "session": session.id,
+        "n_anchors": session.n_anchors,
+        "target": session.target,
+        "exposure": session.exposure,
+        "joinable": session.is_joinable,
+        "n_clients": len(session.clients),
+        "created_s": session.created_s,
+        "positions": {
+            name: {"n_frames": seen.n_frames, "coverage": float(seen.cloud.is_set.mean())}
+            for name, seen in positions.items()
+        },
+    }
+
+
+def _checked_name(name: str) -> str:
+    if not (0 < len(name) <= MAX_NAME and name.isprintable()):
+        raise ValueError(f"expected the name of a position, 1 to {MAX_NAME} printable characters, got {name[:80]!r}")
+    return name

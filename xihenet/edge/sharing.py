@@ -1,0 +1,52 @@
+"""Sharing: what one position has seen, as another one sees it, and clouds at another exposure.
+
+Where a position has seen nothing in a direction, points that were seen from a position nearby may lie there. They are
+the points of that cloud moved over, nearest first; what hid them from here may be seen by nobody, so a shared point can
+lie behind a wall. It is therefore asked for request by request, counts for that estimate alone, and is never stored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from xihenet.buffers import merge
+from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.edge.sessions import SeenPosition
+from xihenet.records import ArrayF64, UnitSphereCloud
+from xihenet.sampling import sample_again
+from xihenet.sphere import AnchorLattice
+
+FARTHEST_SHARED_M = 3.0
+"""Between two positions: from farther away a cloud of anchors leaves too many holes."""
+
+MOST_SHARED = 3
+"""Positions that one estimate borrows from; each takes some 0.7 ms."""
+
+
+def with_others(
+    own: UnitSphereCloud, position_m: ArrayF64, others: Iterable[SeenPosition], lattice: AnchorLattice
+) -> UnitSphereCloud:
+    """`own`, and in directions that it does not know, what `others` have seen; those nearest to `position_m` first.
+
+    Positions (3,) are in the session's world. Others without a position, or too far away, are left out.
+    """
+    near = [
+        (float(np.linalg.norm(other.position_m - position_m)), number, other)
+        for number, other in enumerate(others)
+        if other.position_m is not None and other.cloud.is_set.any()
+    ]
+    for distance_m, _, other in sorted(near)[:MOST_SHARED]:
+        if distance_m <= FARTHEST_SHARED_M and other.position_m is not None:
+            moved = sample_again(other.cloud, position_m - other.position_m, lattice)
+            own = merge(moved, own)
+    return own
+
+
+def re_exposed(cloud: UnitSphereCloud, gain: float) -> UnitSphereCloud:
+    """The cloud at an exposure `gain` times its own, clipped at white as a camera clips."""
+    if gain == 1.0:
+        return cloud
+    srgb = linear_to_srgb(srgb_to_linear(cloud.srgb) * np.float32(gain))
+    return UnitSphereCloud(srgb, cloud.distance_m, cloud.is_set, cloud.invalid, cloud.surfaces)
