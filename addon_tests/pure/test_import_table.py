@@ -142,6 +142,14 @@ def test_the_science_knows_no_blender_and_torch_stays_in_its_rooms():
         assert "torch" not in packages(path) or TORCH_ROOMS & set(path.parts), path
 
 
+def test_only_the_edge_server_knows_tornado():
+    knows = {path.name for path in ROOT.glob("xihe*/**/*.py") if "tornado" in packages(path)}
+    assert knows == {"server.py", "handler.py"}
+    code = "import sys, xihenet.edge.client, xihenet.edge.service, xihe_blender.cli.serve; print('tornado' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.strip() == "False"
+
+
 def test_only_what_spreads_the_work_knows_dask():
     knows = [path.name for path in (ROOT / "xihe_blender").rglob("*.py") if packages(path) & {"dask", "distributed"}]
     assert knows == ["dask_workers.py"]

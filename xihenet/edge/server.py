@@ -72,7 +72,10 @@ async def running(inference: Inference, settings: ServerSettings) -> AsyncIterat
         for pattern, handler in ROUTES.items()
     ]
     unknown = {"service": service, "settings": settings, "route": "other"}
-    application = web.Application(routes, default_handler_class=UnknownRoute, default_handler_args=unknown)
+    # Handlers log by themselves: Tornado's lines would hold the ids of sessions.
+    application = web.Application(
+        routes, default_handler_class=UnknownRoute, default_handler_args=unknown, log_function=lambda handler: None
+    )
     server = _Server(
         application,
         ssl_options=_tls(settings),

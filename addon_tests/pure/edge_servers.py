@@ -1,0 +1,99 @@
+"""A server in a thread of the test, requests to it over a socket, and the published client as its snapshot behaves."""
+
+import asyncio
+import contextlib
+import http.client
+import json
+import socket
+import struct
+import threading
+from dataclasses import replace
+
+import pytest
+
+from xihenet.edge.batching import Inference
+from xihenet.edge.http_settings import ServerSettings
+from xihenet.edge.protocol import content_type_of
+
+NEEDS_TORNADO = pytest.mark.wheel_only("a whole Blender has no Tornado")
+
+
+class EdgeServer:
+    """Listens at `port` from `start` to `stop`; can be started again at the same one."""
+
+    def __init__(self, settings=None, inference=None):
+        self.settings = settings or ServerSettings(port=0)
+        self.inference = inference or Inference("projection")
+        self.port = self.service = self._loop = self._stopping = self._thread = None
+
+    def start(self):
+        ready = threading.Event()
+
+        async def run():
+            from xihenet.edge.server import running
+
+            self._loop, self._stopping = asyncio.get_running_loop(), asyncio.Event()
+            async with running(self.inference, self.settings) as (self.service, self.port):
+                ready.set()
+                await self._stopping.wait()
+
+        self._thread = threading.Thread(target=asyncio.run, args=(run(),))
+        self._thread.start()
+        assert ready.wait(20)
+        self.settings = replace(self.settings, port=self.port)
+        return self
+
+    def stop(self):
+        self._loop.call_soon_threadsafe(self._stopping.set)
+        self._thread.join(20)
+        assert not self._thread.is_alive()
+
+    def __enter__(self):
+        return self.start()
+
+    def __exit__(self, *_):
+        self.stop()
+
+    def ask(self, method, path, body=b"", **headers):
+        """Status, answer (JSON, or text) and headers; underscores in names of headers stand for hyphens."""
+        with contextlib.closing(http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)) as connection:
+            connection.request(method, path, body, {name.replace("_", "-"): value for name, value in headers.items()})
+            response = connection.getresponse()
+            text = response.read()
+            is_json = response.headers.get("Content-Type") == "application/json"
+            return response.status, json.loads(text) if is_json else text.decode(), response.headers
+
+    def raw(self, sent, timeout_s=10):
+        """All that comes back until the connection closes, or nothing more comes."""
+        with socket.create_connection(("127.0.0.1", self.port), timeout=timeout_s) as connection:
+            connection.sendall(sent)
+            received = b""
+            with contextlib.suppress(ConnectionError, TimeoutError):
+                while part := connection.recv(65536):
+                    received += part
+            return received
+
+    def opened(self, **wanted):
+        """Id and token of a session of our own client."""
+        status, answer, _ = self.ask("POST", "/api/v3/sessions", json.dumps(wanted).encode())
+        assert status == 201, answer
+        return answer["session"], answer["token"]
+
+    def light(self, session, token, payload, *, position="vase", query="", method="float32_stripped", **headers):
+        """The clean form's status and answer."""
+        headers = {"Xihe-Token": token, "Content-Type": content_type_of(method), "Xihe-Exposure": "1"} | headers
+        status, answer, _ = self.ask(
+            "POST", f"/api/v3/sessions/{session}/positions/{position}{query}", payload, **headers
+        )
+        return status, answer
+
+
+def published_body(cloud):
+    """What the published client's snapshot sends of a cloud: dark anchors left out, and the tail lost."""
+    body, n_written = bytearray(7 * len(cloud)), 0
+    for anchor in range(len(cloud)):
+        if cloud.srgb[anchor].sum() >= 0.05:
+            codes = [round(255 * float(c)) for c in cloud.srgb[anchor]]
+            struct.pack_into("<HBBBe", body, 7 * anchor, anchor, *codes, float(cloud.distance_m[anchor]))
+            n_written += 1
+    return bytes(body[: 7 * n_written])

@@ -1,0 +1,376 @@
+"""The service over sockets: the published requests byte by byte, our own routes, and whoever does it wrong."""
+
+import base64
+import json
+import re
+import socket
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from addon_tests.pure.edge_servers import NEEDS_TORNADO, EdgeServer, published_body
+from addon_tests.pure.made import random_cloud
+from xihenet import estimators
+from xihenet.buffers import merge
+from xihenet.codec import decode_cloud, encode_cloud
+from xihenet.edge.axes import sh_from, vector_from
+from xihenet.edge.batching import Inference
+from xihenet.edge.http_settings import ServerSettings
+from xihenet.edge.protocol import read_published
+from xihenet.edge.service import ServiceSettings
+from xihenet.edge.sessions import StoreLimits
+from xihenet.light.key_light import split_light
+from xihenet.metrics import shc_rmse
+from xihenet.records import UnitSphereCloud
+from xihenet.sphere import AnchorLattice
+
+pytestmark = NEEDS_TORNADO
+N = 512
+UUID = r"[0-9a-f]{8}(?:-[0-9a-f]{4}){3}-[0-9a-f]{12}"
+
+
+@pytest.fixture(scope="module")
+def server():
+    with EdgeServer(inference=Inference("lattice")) as server:
+        yield server
+
+
+@pytest.fixture(scope="module")
+def lattice():
+    return estimators.load("lattice", N, "ldr")
+
+
+def cloud_of(seed, share=0.5):
+    return random_cloud(np.random.default_rng(seed), N, share)
+
+
+def published_light(server, session_id, body, **headers):
+    status, answer, said = server.ask("POST", "/api/v2/lighting-estimation/", body, Session_ID=session_id, **headers)
+    assert status == 200 and list(answer) == ["ok", "coefficients"], answer
+    return answer["coefficients"], said
+
+
+def test_the_published_requests_byte_by_byte(server, lattice):
+    head = b"POST /api/v2/session/ HTTP/1.1\r\nHost: xihe\r\nAnchor-Size: 512\r\nContent-Length: 0\r\n\r\n"
+    first, second = published_body(cloud_of(1)), published_body(cloud_of(2))
+
+    with socket.create_connection(("127.0.0.1", server.port), timeout=10) as connection:
+
+        def answered(sent):
+            connection.sendall(sent)
+            received = b""
+            while b"\r\n\r\n" not in received:
+                received += connection.recv(65536)
+            begin, _, body = received.partition(b"\r\n\r\n")
+            length = int(re.search(rb"Content-Length: (\d+)", begin)[1])
+            while len(body) < length:
+                body += connection.recv(65536)
+            assert begin.startswith(b"HTTP/1.1 200 OK")
+            return json.loads(body)
+
+        opened = answered(head)
+        assert set(opened) == {"ok", "sid"} and opened["ok"] is True and re.fullmatch(UUID, opened["sid"])
+        lights = []
+        for body in (first, second):
+            ask = "POST /api/v2/lighting-estimation/ HTTP/1.1\r\nHost: xihe\r\n"
+            ask += f"Session-ID: {opened['sid']}\r\nContent-Length: {len(body)}\r\n\r\n"
+            lights.append(answered(ask.encode() + body)["coefficients"])
+    seen = [read_published(body, N, "unity").cloud for body in (first, second)]
+    for light, cloud in zip(lights, (seen[0], merge(*seen)), strict=True):
+        assert shc_rmse(sh_from(light, "unity"), lattice.estimate(cloud)) < 1e-5
+
+
+def test_the_quirks_are_counted(server):
+    _, opened, _ = server.ask("POST", "/api/v2/session/", Anchor_Size=str(N))
+    cloud = cloud_of(3)
+    n_written = int((cloud.srgb.sum(axis=1) >= 0.05).sum())
+    before = server.service.metrics.counter("xihe_records_total", quirk="lost")
+    _, said = published_light(server, opened["sid"], published_body(cloud))
+    n_lost = n_written - int((cloud.srgb[:n_written].sum(axis=1) >= 0.05).sum())
+    assert n_lost > 50 and said["Xihe-Lost-Records"] == said["Xihe-Dropped-Records"] == str(n_lost)
+    assert server.service.metrics.counter("xihe_records_total", quirk="lost") == before + n_lost
+
+
+def test_the_clean_form_gives_the_same_light_for_the_same_frames(server):
+    _, opened, _ = server.ask("POST", "/api/v2/session/", Anchor_Size=str(N))
+    session, token = server.opened(n_anchors=N)
+    for seed in range(4):
+        payload = encode_cloud(cloud_of(seed, 0.2))
+        published, _ = published_light(server, opened["sid"], payload)
+        status, answer = server.light(session, token, payload, method="uint8_float16_stripped")
+        assert status == 200
+        ours = sh_from(answer["coefficients"], "z-up")
+        assert np.allclose(sh_from(published, "unity"), ours, atol=1e-6)
+
+
+def test_an_answer_says_what_is_known_of_the_light(server, lattice):
+    session, token = server.opened(n_anchors=N)
+    cloud = cloud_of(5)
+    status, answer = server.light(session, token, encode_cloud(cloud, "float32_stripped"), Xihe_Exposure="0.25")
+    light, error = lattice.estimate_with_error(cloud)
+    assert status == 200 and shc_rmse(sh_from(answer["coefficients"], "z-up"), light) < 1e-6
+    assert answer["expected_error"] == pytest.approx(error, rel=1e-4)
+    assert answer["coverage"] == cloud.is_set.mean() and answer["exposure"] == 0.25
+    assert answer["is_valid"] and answer["unknown_because"] == "" and answer["target"] == "ldr"
+    assert "key_light" not in answer and "reflections" not in answer
+
+
+def test_a_light_that_cannot_be_known_says_so(server):
+    session, token = server.opened(n_anchors=N)
+    status, answer = server.light(session, token, b"")
+    assert status == 200 and not answer["is_valid"] and answer["unknown_because"] == "nothing_seen"
+    assert answer["coefficients"] == [0.0] * 27 and answer["expected_error"] is None
+    coefficients, _ = published_light(
+        server, server.ask("POST", "/api/v2/session/", Anchor_Size=str(N))[1]["sid"], bytes(7 * 20)
+    )
+    assert coefficients == [0.0] * 27
+
+
+def test_key_light_and_reflections_are_made_if_asked_for(server):
+    directions = AnchorLattice(N).directions
+    srgb = np.where(directions @ [0.6, 0, 0.8] > 0.95, 1.0, 0.3)[:, None] * np.ones(3)
+    cloud = UnitSphereCloud(srgb, np.full(N, 2.0), np.ones(N, bool))
+    session, token = server.opened(n_anchors=N)
+    query = "?key_light=yes&reflections=yes"
+    payload = encode_cloud(cloud, "float32_stripped")
+    status, answer = server.light(session, token, payload, query=query, Xihe_Axes="y-up")
+    assert status == 200
+    key = split_light(sh_from(answer["coefficients"], "y-up"), cloud, AnchorLattice(N)).key
+    assert np.allclose(vector_from(answer["key_light"]["direction"], "y-up"), key.direction)
+    assert np.allclose(answer["key_light"]["irradiance"], key.irradiance) and answer["key_light"]["is_seen"]
+    radiance = np.frombuffer(base64.b64decode(answer["reflections"]["radiance_float16"]), "<f2")
+    assert radiance.shape == (3 * N,) and np.isfinite(radiance).all() and answer["reflections"]["seen_share"] == 1
+
+
+def test_clients_and_positions_share_a_session(server):
+    session, token = server.opened(n_anchors=N)
+    _, joined, _ = server.ask("POST", f"/api/v3/sessions/{session}/clients")
+    one, two = cloud_of(6, 0.3), cloud_of(7, 0.3)
+    place = {"Xihe_Position": "1,2,3"}
+    server.light(session, token, encode_cloud(one, "float32_stripped"), position="a", **place)
+    status, alone = server.light(session, joined["token"], encode_cloud(two, "float32_stripped"), position="b", **place)
+    assert status == 200 and alone["n_shared_anchors"] == 0 and alone["coverage"] == two.is_set.mean()
+    _, shared = server.light(session, joined["token"], b"", position="b", query="?share=yes", **place)
+    assert shared["n_shared_anchors"] > 0 and shared["coverage"] > alone["coverage"]
+    _, merged = server.light(session, joined["token"], encode_cloud(two, "float32_stripped"), position="a")
+    assert merged["coverage"] == (one.is_set | two.is_set).mean()
+    _, replaced = server.light(
+        session, token, encode_cloud(two, "float32_stripped"), position="a", query="?replace=yes"
+    )
+    assert replaced["coverage"] == two.is_set.mean()
+    _, described, _ = server.ask("GET", f"/api/v3/sessions/{session}", Xihe_Token=token)
+    assert described["n_clients"] == 1 and described["positions"]["a"]["n_frames"] == 3
+    status, _, _ = server.ask("DELETE", f"/api/v3/sessions/{session}/positions/b", Xihe_Token=joined["token"])
+    assert status == 200
+    status, refused, _ = server.ask("DELETE", f"/api/v3/sessions/{session}", Xihe_Token=joined["token"])
+    assert status == 403 and "owner" in refused["error"]
+    assert server.ask("DELETE", f"/api/v3/sessions/{session}", Xihe_Token=token)[0] == 200
+    assert server.ask("GET", f"/api/v3/sessions/{session}", Xihe_Token=token)[0] == 404
+
+
+def test_clouds_of_another_exposure_are_brought_to_the_sessions(server):
+    session, token = server.opened(n_anchors=N)
+    grey = UnitSphereCloud(np.full((N, 3), 0.4), np.full(N, 2.0), np.ones(N, bool))
+    payload = encode_cloud(grey, "float32_stripped")
+    _, first = server.light(session, token, payload, Xihe_Exposure="1")
+    _, second = server.light(session, token, payload, Xihe_Exposure="2")
+    assert second["exposure"] == 1 and np.allclose(second["coefficients"][0], first["coefficients"][0] / 2, rtol=1e-4)
+
+
+def test_a_position_that_moves_keeps_what_it_knows_of_the_room(server):
+    session, token = server.opened(n_anchors=N)
+    cloud = UnitSphereCloud(np.full((N, 3), 0.4), np.full(N, 2.0), np.ones(N, bool))
+    server.light(session, token, encode_cloud(cloud, "float32_stripped"), Xihe_Position="0,0,0")
+    _, moved = server.light(session, token, b"", Xihe_Position="0.5,0,0")
+    assert 0.5 < moved["coverage"] < 1 and moved["is_valid"]
+
+
+def test_an_owner_lists_its_sessions_and_nobody_elses(server):
+    first, token = server.opened(n_anchors=N)
+    status, second, _ = server.ask("POST", "/api/v3/sessions", b'{"joinable": false}', Xihe_Token=token)
+    assert status == 201 and second["token"] == token
+    server.opened()
+    listed = server.ask("GET", "/api/v3/sessions", Xihe_Token=token)[1]["sessions"]
+    assert [one["session"] for one in listed] == [first, second["session"]]
+    assert server.ask("GET", "/api/v3/sessions")[0] == 401
+    assert server.ask("POST", f"/api/v3/sessions/{second['session']}/clients")[0] == 403
+
+
+def test_nobody_uses_anothers_session(server):
+    session, token = server.opened(n_anchors=N)
+    _, stranger = server.opened(n_anchors=N)
+    payload = encode_cloud(cloud_of(8))
+    for wrong, expected in ((stranger, 403), ("", 401), ("x" * 40, 403)):
+        assert server.light(session, wrong, payload)[0] == expected
+        assert server.ask("GET", f"/api/v3/sessions/{session}", Xihe_Token=wrong)[0] == expected
+        assert server.ask("DELETE", f"/api/v3/sessions/{session}", Xihe_Token=wrong)[0] == expected
+        assert server.ask("DELETE", f"/api/v3/sessions/{session}/positions/vase", Xihe_Token=wrong)[0] == expected
+    # The published route has no tokens, so it must not open a session that has one.
+    assert server.ask("POST", "/api/v2/lighting-estimation/", payload, Session_ID=session)[0] == 404
+    assert server.service.store.positions(session) == {}
+    assert server.ask("GET", f"/api/v3/sessions/{session}", Xihe_Token=token)[0] == 200
+
+
+@pytest.mark.parametrize(
+    ("headers", "body", "status", "said"),
+    [
+        ({}, b"", 400, "Session-ID"),
+        ({"Session_ID": "nonsense"}, b"", 404, "open a new one"),
+        ({"Session_ID": "00000000-0000-0000-0000-000000000000"}, b"", 404, "open a new one"),
+        ({"Session_ID": "THIS"}, b"123", 400, "multiple of 7"),
+        ({"Session_ID": "THIS", "Xihe_Axes": "sideways"}, b"", 400, "unity, y-up, z-up"),
+    ],
+)
+def test_a_wrong_published_request_is_told_what_is_wrong(server, headers, body, status, said):
+    _, opened, _ = server.ask("POST", "/api/v2/session/", Anchor_Size=str(N))
+    headers = {name: opened["sid"] if value == "THIS" else value for name, value in headers.items()}
+    found, answer, _ = server.ask("POST", "/api/v2/lighting-estimation/", body, **headers)
+    assert found == status and answer["ok"] is False and said in answer["error"]
+
+
+@pytest.mark.parametrize(
+    ("wanted", "said"),
+    [
+        (b"{", "JSON object"),
+        (b"[1]", "JSON object"),
+        (b"\xff", "JSON object"),
+        (b"[" * 60000, "JSON object"),
+        (b'{"n_anchors": 3}', "choose one of 512"),
+        (b'{"n_anchors": [512]}', "number of anchors"),
+        (b'{"target": "x"}', "ldr or hdr"),
+        (b'{"joinable": 1}', "true or false"),
+    ],
+)
+def test_a_wrong_session_is_told_what_is_wrong(server, wanted, said):
+    status, answer, _ = server.ask("POST", "/api/v3/sessions", wanted)
+    assert status == 400 and said in answer["error"]
+
+
+def test_other_wrong_requests(server):
+    session, token = server.opened(n_anchors=N)
+    assert server.ask("POST", "/api/v2/session/")[0] == 400
+    assert server.ask("GET", "/api/v2/session/")[0] == 405
+    assert server.ask("GET", "/nowhere")[0] == 404
+    status, answer, _ = server.ask("POST", f"/api/v3/sessions/{session}/positions/a", b"", Xihe_Token=token)
+    assert status == 415 and "application/vnd.xihe.cloud" in answer["error"]
+    for query, said in (("?share=maybe", "yes or no"), ("?share=yes", "where the position is")):
+        status, answer = server.light(session, token, b"", query=query)
+        assert status == 400 and said in answer["error"]
+    assert server.light(session, token, b"", position="a" * 65)[0] == 400
+    assert server.light(session, token, b"", position="%0A")[0] == 400
+    assert server.ask("POST", "/api/v3/sessions", Xihe_Token="short")[0] == 400
+
+
+def test_health_metrics_page_and_openapi_are_there(server):
+    assert server.ask("GET", "/health")[1]["estimator"] == "lattice"
+    status, text, _ = server.ask("GET", "/metrics")
+    assert status == 200 and "xihe_connections 1" in text and 'stage="inference"' in text
+    assert "<html" in server.ask("GET", "/")[1]
+    _, document, _ = server.ask("GET", "/openapi.json")
+    served = {re.sub(r"\(\[\^/\]\+\)", "{}", pattern) for pattern in _routes()} - {"/metrics", "/openapi.json", "/"}
+    assert {re.sub(r"\{\w+\}", "{}", path) for path in document["paths"]} == served
+
+
+def _routes():
+    from xihenet.edge.server import ROUTES
+
+    return ROUTES
+
+
+def test_web_pages_may_ask_if_their_origin_is_allowed():
+    settings = ServerSettings(port=0, origins=("https://app.example",))
+    with EdgeServer(settings) as server:
+        status, _, said = server.ask("OPTIONS", "/api/v2/session/", Origin="https://app.example")
+        assert status == 204 and said["Access-Control-Allow-Origin"] == "https://app.example"
+        assert "Anchor-Size" in said["Access-Control-Allow-Headers"]
+        _, _, said = server.ask("POST", "/api/v2/session/", Origin="https://app.example")
+        assert said["Access-Control-Allow-Origin"] == "https://app.example"  # Also of an error
+        assert "Access-Control-Allow-Origin" not in server.ask("GET", "/health", Origin="https://other.example")[2]
+
+
+def test_a_bearer_token_is_asked_of_all_routes_but_health():
+    with EdgeServer(ServerSettings(port=0, bearer="secret")) as server:
+        assert server.ask("GET", "/health")[0] == 200
+        assert server.ask("GET", "/metrics")[0] == server.ask("POST", "/api/v2/session/", Anchor_Size="512")[0] == 401
+        assert server.ask("POST", "/api/v2/session/", Anchor_Size="512", Authorization="Bearer guess")[0] == 401
+        assert server.ask("POST", "/api/v2/session/", Anchor_Size="512", Authorization="Bearer secret")[0] == 200
+
+
+def test_full_stores_and_queues_answer_503_and_when_to_come_again():
+    limits = StoreLimits(n_sessions=2, n_clients_of_session=1)
+    with EdgeServer(ServerSettings(port=0, service=ServiceSettings(limits=limits, max_queue=0))) as server:
+        session, token = server.opened(n_anchors=N)
+        server.opened()
+        status, answer, said = server.ask("POST", "/api/v2/session/", Anchor_Size="512")
+        assert status == 503 and said["Retry-After"] == "1" and "2 sessions" in answer["error"]
+        assert server.light(session, token, b"")[0] == 503
+        assert server.ask("POST", f"/api/v3/sessions/{session}/clients")[0] == 201
+        assert server.ask("POST", f"/api/v3/sessions/{session}/clients")[0] == 409
+
+
+def test_an_expired_session_is_gone():
+    limits = StoreLimits(idle_s=0.2)
+    with EdgeServer(ServerSettings(port=0, service=ServiceSettings(limits=limits))) as server:
+        _, opened, _ = server.ask("POST", "/api/v2/session/", Anchor_Size="512")
+        time.sleep(0.3)
+        assert server.ask("POST", "/api/v2/lighting-estimation/", Session_ID=opened["sid"])[0] == 404
+
+
+def test_bodies_that_are_too_long_are_refused(server):
+    head = f"POST /api/v2/lighting-estimation/ HTTP/1.1\r\nHost: xihe\r\nContent-Length: {10**7}\r\n\r\n"
+    assert server.raw(head.encode() + bytes(1000)).startswith(b"HTTP/1.1 400")
+    chunks = b"".join(b"8000\r\n" + bytes(0x8000) + b"\r\n" for _ in range(20))
+    head = b"POST /api/v2/lighting-estimation/ HTTP/1.1\r\nHost: xihe\r\nTransfer-Encoding: chunked\r\n\r\n"
+    assert server.raw(head + chunks)[:12] in (b"HTTP/1.1 400", b"")  # The answer may be lost with the connection.
+    assert server.raw(b"GET / HTTP/1.1\r\nA: " + b"a" * 100_000 + b"\r\n\r\n")[:12] in (b"HTTP/1.1 400", b"")
+    assert server.ask("GET", "/health")[0] == 200
+
+
+def test_slow_clients_are_cut_off_and_others_answered_meanwhile():
+    settings = ServerSettings(port=0, header_s=0.5, body_s=0.5)
+    with EdgeServer(settings) as server:
+        slow = [socket.create_connection(("127.0.0.1", server.port), timeout=10) for _ in range(40)]
+        beginnings = (b"POST /api/v2/ses", b"POST /api/v2/session/ HTTP/1.1\r\nHost: x\r\nContent-Length: 70\r\n\r\n1")
+        for number, connection in enumerate(slow):
+            connection.sendall(beginnings[number % 2])
+        assert server.ask("GET", "/health")[0] == 200
+        started = time.monotonic()
+        for connection in slow:
+            with connection:
+                assert connection.recv(100) == b""
+        assert time.monotonic() - started < 5
+        assert "xihe_connections 1" in server.ask("GET", "/metrics")[1]
+
+
+def test_a_connection_that_is_cut_within_a_body_leaves_nothing(server):
+    session, token = server.opened(n_anchors=N)
+    for _ in range(5):
+        with socket.create_connection(("127.0.0.1", server.port), timeout=10) as connection:
+            head = f"POST /api/v3/sessions/{session}/positions/a HTTP/1.1\r\nHost: x\r\nXihe-Token: {token}\r\n"
+            connection.sendall(head.encode() + b"Content-Length: 700\r\n\r\n" + bytes(300))
+    assert server.ask("GET", f"/api/v3/sessions/{session}", Xihe_Token=token)[1]["positions"] == {}
+
+
+def test_too_many_connections_are_closed_at_once():
+    with EdgeServer(replace(ServerSettings(port=0), max_connections=4)) as server:
+        kept = [socket.create_connection(("127.0.0.1", server.port), timeout=10) for _ in range(4)]
+        time.sleep(0.1)
+        assert server.raw(b"GET /health HTTP/1.1\r\nHost: x\r\n\r\n") == b""
+        for connection in kept:
+            connection.close()
+        time.sleep(0.1)
+        assert server.ask("GET", "/health")[0] == 200
+
+
+def test_random_bytes_are_refused_and_the_service_goes_on(server):
+    rng = np.random.default_rng(9)
+    for _ in range(30):
+        sent = rng.bytes(int(rng.integers(1, 2000)))
+        assert server.raw(sent + b"\r\n\r\n", timeout_s=5)[:12] in (b"", b"HTTP/1.1 400")
+    session, token = server.opened(n_anchors=N)
+    for _ in range(30):
+        status, _ = server.light(session, token, rng.bytes(18 * int(rng.integers(1, 20))))
+        assert status in (200, 400)
+    assert decode_cloud(b"", N) is not None and server.ask("GET", "/health")[0] == 200

@@ -1,0 +1,167 @@
+"""Sessions are kept as long as they are used, within bounds, for those who hold their tokens."""
+
+import numpy as np
+import pytest
+
+from addon_tests.pure.made import random_cloud
+from xihenet.buffers import merge
+from xihenet.edge.metrics import Metrics
+from xihenet.edge.sessions import (
+    MemoryStore,
+    SeenPosition,
+    StoreFull,
+    StoreLimits,
+    hash_of,
+    joined,
+    new_session,
+    new_token,
+)
+from xihenet.edge.sharing import re_exposed, with_others
+from xihenet.records import UnitSphereCloud
+from xihenet.sphere import AnchorLattice
+
+SEEN = SeenPosition(UnitSphereCloud.empty(8))
+
+
+class Clock:
+    def __init__(self):
+        self.now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+def store_of(**limits):
+    clock = Clock()
+    return MemoryStore(StoreLimits(**limits), clock), clock
+
+
+def session(owner=""):
+    return new_session(8, "ldr", "unity", owner)
+
+
+def test_a_token_opens_its_own_session_alone():
+    mine, other = new_token(), new_token()
+    kept = session(mine)
+    assert kept.admits(mine) and kept.is_owned_by(mine) and not kept.is_published
+    assert not kept.admits(other) and not kept.admits("") and not kept.is_owned_by("")
+    assert mine not in repr(kept)
+
+
+def test_who_joined_may_estimate_but_does_not_own():
+    token = new_token()
+    kept = joined(session(new_token()), token, StoreLimits())
+    assert kept.admits(token) and not kept.is_owned_by(token)
+    with pytest.raises(StoreFull, match="0 clients"):
+        joined(kept, token, StoreLimits(n_clients_of_session=0))
+
+
+def test_a_published_session_admits_no_token():
+    assert session().is_published and not session().admits("") and not session().is_owned_by("")
+    assert not session().admits(hash_of(""))
+
+
+def test_an_idle_session_is_forgotten_and_a_used_one_kept():
+    store, clock = store_of(idle_s=10)
+    idle, used = session(), session()
+    store.add(idle)
+    store.add(used)
+    clock.now = 8
+    assert store.session(used.id) == used
+    clock.now = 12
+    assert store.session(idle.id) is None and store.session(used.id) == used
+    assert store.counts() == (1, 0) and store.n_expired == 1
+
+
+def test_a_full_store_refuses_unless_a_session_was_idle_long():
+    store, clock = store_of(n_sessions=2, least_idle_s=5)
+    first, second = session(), session()
+    store.add(first)
+    store.add(second)
+    with pytest.raises(StoreFull, match="2 sessions"):
+        store.add(session())
+    clock.now = 6
+    store.session(first.id)
+    store.add(session())
+    assert store.session(first.id) == first and store.session(second.id) is None and store.n_evicted == 1
+
+
+def test_positions_are_bounded_per_session_and_in_all():
+    store, clock = store_of(n_positions=3, n_positions_of_session=2, least_idle_s=5)
+    one, two = session(), session()
+    store.add(one)
+    store.add(two)
+    store.put_position(one.id, "a", SEEN)
+    store.put_position(one.id, "b", SEEN)
+    store.put_position(one.id, "b", SEEN)
+    with pytest.raises(StoreFull, match="2 positions at most"):
+        store.put_position(one.id, "c", SEEN)
+    store.put_position(two.id, "a", SEEN)
+    with pytest.raises(StoreFull, match="3 positions are known"):
+        store.put_position(two.id, "b", SEEN)
+    clock.now = 6
+    store.put_position(two.id, "b", SEEN)
+    assert store.session(one.id) is None and store.counts() == (1, 2)
+    assert store.delete_position(two.id, "a") and not store.delete_position(two.id, "a")
+    store.delete(two.id)
+    assert store.counts() == (0, 0)
+
+
+def test_a_position_of_a_session_that_is_gone_is_not_kept():
+    store, _ = store_of()
+    store.put_position("nobody", "a", SEEN)
+    assert store.counts() == (0, 0) and store.positions("nobody") == {} and not store.delete_position("nobody", "a")
+
+
+def test_an_owner_lists_its_own_sessions():
+    store, _ = store_of()
+    mine = new_token()
+    kept = [session(mine), session(mine)]
+    for one in [*kept, session(new_token()), session()]:
+        store.add(one)
+    assert store.owned_by(mine) == kept and store.owned_by("") == []
+
+
+def test_what_another_position_has_seen_fills_what_this_one_has_not():
+    lattice, rng = AnchorLattice(512), np.random.default_rng(0)
+    own, other = random_cloud(rng, 512, 0.3), random_cloud(rng, 512, 0.9)
+    here = np.array([1.0, 2, 3])
+    shared = with_others(own, here, [SeenPosition(other, here)], lattice)
+    expected = merge(other, own)
+    assert np.array_equal(shared.srgb[own.is_set], own.srgb[own.is_set])
+    assert np.mean(shared.is_set == expected.is_set) > 0.99  # A point on a border may go to the anchor beside.
+    too_far = SeenPosition(other, here + [9, 0, 0])
+    assert with_others(own, here, [too_far, SeenPosition(other)], lattice) is own
+
+
+def test_a_shared_point_lies_where_it_is_from_here():
+    lattice = AnchorLattice(2048)
+    ahead = int(lattice.nearest([[0, 1, 0]])[0])
+    is_set = np.arange(2048) == ahead
+    other = UnitSphereCloud(0.5 * np.outer(is_set, np.ones(3)), 2.0 * is_set, is_set)
+    shared = with_others(
+        UnitSphereCloud.empty(2048), np.array([2.0, 0, 0]), [SeenPosition(other, np.zeros(3))], lattice
+    )
+    (found,) = np.flatnonzero(shared.is_set)
+    assert lattice.directions[found] @ [-np.sqrt(0.5), np.sqrt(0.5), 0] > 0.995
+    assert np.isclose(shared.distance_m[found], np.sqrt(8), rtol=0.05)
+
+
+def test_re_exposing_clips_at_white_and_keeps_black():
+    cloud = random_cloud(np.random.default_rng(5), 64)
+    assert re_exposed(cloud, 1.0) is cloud
+    assert np.isclose(re_exposed(cloud, 1e6).srgb.max(), 1) and not re_exposed(cloud, 4.0).srgb[~cloud.is_set].any()
+    assert np.allclose(re_exposed(re_exposed(cloud, 0.25), 4.0).srgb, cloud.srgb, atol=1e-6)
+
+
+def test_metrics_are_prometheus_text():
+    metrics = Metrics()
+    metrics.count("xihe_requests_total", route="/", status="200")
+    metrics.count("xihe_requests_total", 2, route="/", status="200")
+    metrics.measure("xihe_stage_seconds", 0.003, stage="decode")
+    lines = metrics.text({"xihe_queue": 4}).splitlines()
+    assert 'xihe_requests_total{route="/",status="200"} 3' in lines
+    assert 'xihe_stage_seconds_bucket{stage="decode",le="0.002"} 0' in lines
+    assert 'xihe_stage_seconds_bucket{stage="decode",le="0.005"} 1' in lines
+    assert 'xihe_stage_seconds_bucket{stage="decode",le="+Inf"} 1' in lines
+    assert "xihe_queue 4" in lines and metrics.counter("xihe_requests_total", route="/", status="200") == 3
