@@ -16,6 +16,10 @@ from xihenet.estimators.base import EstimateContext, Estimator, NotFinite
 from xihenet.records import ArrayF64, LightEstimate, UnitSphereCloud
 
 
+class NoAnswer(ValueError):
+    """A backend elsewhere did not answer in time, which says nothing of the cloud."""
+
+
 class LightBackend(Protocol):
     """The least that the controller can work with: a name, a number of anchors, and (9, 3) from a cloud."""
 
@@ -80,7 +84,7 @@ def estimate_light(
 ) -> LightEstimate:
     """The light that `cloud` and `context` show, carrying `exposure`; where it cannot be known, 0, not valid, and why.
 
-    ValueError as the backend raises it, but for a result that is not finite.
+    ValueError as the backend raises it, but for a result that is not finite and an answer that does not come.
     """
     sh_radiance, expected_error = np.zeros((9, 3)), None
     reason = backend.unknown_because(cloud, context)
@@ -88,10 +92,11 @@ def estimate_light(
         try:
             found, error = backend.estimate_with_error(cloud, context)
             is_finite = np.isfinite(found).all() and (error is None or np.isfinite(error))
+            reason = "" if is_finite else "estimate_not_finite"
         except NotFinite:
-            is_finite = False
-        if is_finite:
-            sh_radiance, expected_error = found, error
-        else:
             reason = "estimate_not_finite"
+        except NoAnswer:
+            reason = "no_answer"
+        if not reason:
+            sh_radiance, expected_error = found, error
     return LightEstimate(sh_radiance, exposure, coverage(cloud), backend.name, not reason, expected_error, reason)

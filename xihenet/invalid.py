@@ -36,6 +36,7 @@ UNKNOWN: Mapping[str, str] = {
     "nothing_seen": "no surface was seen from there",
     "no_points": "the frame has no point to draw from",
     "estimate_not_finite": "the estimate was not finite",
+    "no_answer": "the edge service did not answer",
 }
 """Why the light at a position could not be known."""
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from xihenet.backend import LocalBackend
+from xihenet.backend import InferenceBackend, LocalBackend
 from xihenet.camera import in_view
 from xihenet.captures.capture import Capture
 from xihenet.controller import ControllerSettings, XiheController
@@ -37,7 +37,7 @@ class ReplayedStep:
 def replay(
     frames: Iterable[RgbdFrame],
     positions_m: Mapping[str, ArrayF64],
-    estimator: Estimator,
+    estimator: Estimator | InferenceBackend,
     *,
     trigger: TriggerSettings = REPLAY_TRIGGER,
     has_key_light: bool = False,
@@ -53,7 +53,8 @@ def replay(
     settings = ControllerSettings(
         trigger, reference_exposure=reference_exposure, learns_out_of_view=True, has_key_light=has_key_light
     )
-    session = XiheController(LocalBackend(estimator), settings)
+    backend = LocalBackend(estimator) if isinstance(estimator, Estimator) else estimator
+    session = XiheController(backend, settings)
     for name, position_m in positions_m.items():
         session.add_position(name, np.asarray(position_m, np.float64))
     lights: dict[str, ObjectLight] = {}

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from xihenet.codec import MAX_DISTANCE_M, METHODS, MIN_DISTANCE_M, decode_cloud, encode_cloud
-from xihenet.records import UnitSphereCloud
+from xihenet.records import AnchorSurfaces, UnitSphereCloud
 
 ALL = pytest.mark.parametrize("method", list(METHODS))
 
@@ -39,6 +39,10 @@ def test_every_format_is_what_struct_writes_with_the_sizes_of_the_papers_table()
     assert encode_cloud(cloud, "float32_stripped") == struct.pack("<H4f", 258, 0.25, 0.5, 1, 2.5)
     assert encode_cloud(cloud, "uint8_float16") == bytes(258 * 5) + struct.pack("<3Be", 64, 128, 255, 2.5)
     assert encode_cloud(cloud, "uint8_float16_stripped") == struct.pack("<H3Be", 258, 64, 128, 255, 2.5)
+    facing = dataclasses.replace(cloud, surfaces=AnchorSurfaces.of_facing(np.full(259, -1.0)))
+    eight, sixteen = struct.pack("<H3Beb", 258, 64, 128, 255, 2.5, -127), (258, 16384, 32768, 65535, 2.5, -32767)
+    assert encode_cloud(facing, "uint8_float16_facing_stripped") == eight
+    assert encode_cloud(facing, "uint16_float16_facing_stripped") == struct.pack("<4Heh", *sixteen)
 
 
 @ALL
@@ -51,7 +55,8 @@ def test_a_round_trip_keeps_set_anchors_and_is_within_a_rounding_step(method, cl
         np.testing.assert_array_equal(again.srgb, cloud.srgb)
         np.testing.assert_array_equal(again.distance_m, clipped.astype(np.float32))
     else:
-        assert np.abs(again.srgb - cloud.srgb).max(initial=0) <= 0.5 / 255 + 1e-7
+        codes = 65535 if method.startswith("uint16") else 255
+        assert np.abs(again.srgb - cloud.srgb).max(initial=0) <= 0.5 / codes + 1e-7
         assert (np.abs(again.distance_m - clipped) <= np.maximum(clipped * 2.0**-11, 2.0**-25)).all()
 
 

@@ -170,7 +170,7 @@ def test_clients_and_positions_share_a_session(server):
     assert server.ask("GET", f"/api/v3/sessions/{session}", Xihe_Token=token)[0] == 404
 
 
-def test_clouds_of_another_exposure_are_brought_to_the_sessions(server):
+def test_clouds_of_another_exposure_are_brought_to_that_of_the_position(server):
     session, token = server.opened(n_anchors=N)
     grey = UnitSphereCloud(np.full((N, 3), 0.4), np.full(N, 2.0), np.ones(N, bool))
     payload = encode_cloud(grey, "float32_stripped")

@@ -126,12 +126,15 @@ def test_what_another_position_has_seen_fills_what_this_one_has_not():
     lattice, rng = AnchorLattice(512), np.random.default_rng(0)
     own, other = random_cloud(rng, 512, 0.3), random_cloud(rng, 512, 0.9)
     here = np.array([1.0, 2, 3])
-    shared = with_others(own, here, [SeenPosition(other, here)], lattice)
+    seen = SeenPosition(own, position_m=here)
+    shared = with_others(seen, [SeenPosition(other, position_m=here)], lattice)
     expected = merge(other, own)
     assert np.array_equal(shared.srgb[own.is_set], own.srgb[own.is_set])
     assert np.mean(shared.is_set == expected.is_set) > 0.99  # A point on a border may go to the anchor beside.
-    too_far = SeenPosition(other, here + [9, 0, 0])
-    assert with_others(own, here, [too_far, SeenPosition(other)], lattice) is own
+    too_far = SeenPosition(other, position_m=here + [9, 0, 0])
+    assert with_others(seen, [too_far, SeenPosition(other)], lattice) is own
+    darker = with_others(seen, [SeenPosition(other, 2.0, here)], lattice)
+    assert (darker.srgb <= shared.srgb + 1e-6).all() and darker.srgb.sum() < shared.srgb.sum()
 
 
 def test_a_shared_point_lies_where_it_is_from_here():
@@ -139,9 +142,8 @@ def test_a_shared_point_lies_where_it_is_from_here():
     ahead = int(lattice.nearest([[0, 1, 0]])[0])
     is_set = np.arange(2048) == ahead
     other = UnitSphereCloud(0.5 * np.outer(is_set, np.ones(3)), 2.0 * is_set, is_set)
-    shared = with_others(
-        UnitSphereCloud.empty(2048), np.array([2.0, 0, 0]), [SeenPosition(other, np.zeros(3))], lattice
-    )
+    here = SeenPosition(UnitSphereCloud.empty(2048), position_m=np.array([2.0, 0, 0]))
+    shared = with_others(here, [SeenPosition(other, position_m=np.zeros(3))], lattice)
     (found,) = np.flatnonzero(shared.is_set)
     assert lattice.directions[found] @ [-np.sqrt(0.5), np.sqrt(0.5), 0] > 0.995
     assert np.isclose(shared.distance_m[found], np.sqrt(8), rtol=0.05)

@@ -100,7 +100,7 @@ def test_facing_travels_in_one_more_byte_and_the_papers_records_stay_as_they_are
     assert METHODS[OURS].bytes_per_record == 8
     again = decode_cloud(encode_cloud(cloud, OURS), 1280, OURS)
     assert np.abs(again.surfaces.facing - cloud.surfaces.facing).max() <= 0.5 / 127 + 1e-6
-    for method in set(METHODS) - {OURS}:
+    for method in set(METHODS) - {OURS, "uint16_float16_facing_stripped"}:
         assert encode_cloud(cloud, method) == encode_cloud(without_surfaces(cloud), method)
         assert decode_cloud(encode_cloud(cloud, method), 1280, method).surfaces is None
 

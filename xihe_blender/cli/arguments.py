@@ -111,6 +111,9 @@ def one_of(names: Iterable[str]) -> str:
     return f"{', '.join(most)} or {last}"
 
 
+BACKEND = (
+    "estimate by the edge service at this address, such as http://127.0.0.1:8550, in place of here; see xihe serve"
+)
 EFFECT = "simulate an effect or leave it out, whatever the scene needs; may be repeated, is not saved"
 ESTIMATORS = one_of(estimators.names())
 FRAMES = "frames of the path; default: the scene's range and step"

@@ -23,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--out DIR", "folder of the run; a stopped run in it is resumed", Path, required=True)
     arguments.add_capture(add)
     add("--captured path|in-view", CAPTURED, default="path")
+    add("--backend URL", arguments.BACKEND)
     add("--objects A,B", "virtual objects; default: all", arguments.names)
     add("--others A,B", OTHERS, arguments.names, default=())
     add("--target", arguments.TARGET, choices=("ldr", "hdr"), default="hdr")

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from xihe_blender.cli.arguments import add_recording, adder, one_of, recording_from
+from xihe_blender.cli.arguments import BACKEND, add_recording, adder, one_of, recording_from
 from xihe_blender.cli.estimate import position
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import finite_or_none, write_json, written_whole
@@ -22,6 +22,8 @@ from xihenet.captures import READERS
 from xihenet.captures.capture import Capture
 from xihenet.captures.checks import steadied, suspicion
 from xihenet.captures.drift import Drift
+from xihenet.edge.client import EdgeBackend, backend_at
+from xihenet.estimators import Estimator
 from xihenet.invalid import added, n_left_out
 from xihenet.light.exports import NamedLight
 from xihenet.light.platforms import PLATFORMS
@@ -72,6 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--drift", DRIFT, choices=("followed", "ignored"), default="followed")
     add("--every N", "take every N-th frame; default: 1", int, default=1)
     add("--estimator NAME", one_of(n for n in estimators.names() if n != "truth"), default=estimators.DEFAULT)
+    add("--backend URL", BACKEND)
     add("--target", "hdr: all of the light; ldr: light clipped at white", choices=("ldr", "hdr"), default="hdr")
     add("--to TARGET", "write the lights for an engine as well, as xihe export does", choices=tuple(PLATFORMS))
 
@@ -84,7 +87,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     if options.estimator == "truth":
         raise UserError("truth is a light probe rendered in Blender, which a recording does not have: choose another")
     try:
-        estimator = estimators.load(options.estimator, target=options.target)
+        estimator = _estimator(options)
         capture, drift = _prepared(recording_from(options.session, options), options)
         places = [Place(f"place_{number}", at) for number, at in enumerate(options.at)]
         unseen = never_in_view(capture, _positions(capture, places))
@@ -104,6 +107,9 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         print(path, file=stdout)
     for place in places:
         print(_told(place, len(steps)), file=stdout)
+    if isinstance(estimator, EdgeBackend):
+        print(f"xihe: note: {estimator.state()}", file=stderr)
+        estimator.close()
     for one in score or ():
         interval = "" if one.low is None else f" ({one.low:.3f} to {one.high:.3f})"
         against = "" if one.estimator == "ambient" else f", better than ambient at {one.share_better:.0%} of them"
@@ -134,6 +140,12 @@ def _as_json(drift: Drift) -> dict[str, Any]:
     }
 
 
+def _estimator(options: argparse.Namespace) -> Estimator | EdgeBackend:
+    if options.backend is None:
+        return estimators.load(options.estimator, target=options.target)
+    return backend_at(options.backend, options.estimator, 1280, options.target)
+
+
 def _score(capture: Capture, places: Sequence[Place], options: argparse.Namespace) -> list[EstimatorScore]:
     chosen = capture.frames
     if len(chosen) < LEAST_FRAMES:
@@ -158,7 +170,7 @@ def _positions(capture: Capture, places: Sequence[Place]) -> dict[str, ArrayF64]
 
 
 def _replayed(
-    capture: Capture, places: Sequence[Place], unseen: Collection[str], estimator: Any
+    capture: Capture, places: Sequence[Place], unseen: Collection[str], estimator: Estimator | EdgeBackend
 ) -> Iterator[dict[str, Any]]:
     """Per frame what is written of it; fills the places."""
     last: ReplayedStep | None = None
@@ -234,6 +246,7 @@ def _write(
         "notes": list(capture.notes),
         "reference_exposure": capture.reference_exposure,
         "estimator": options.estimator,
+        "backend": options.backend,
         "target": options.target,
         "sh_axes": "right-handed, +Z up",
         "positions": [

@@ -14,12 +14,12 @@ from xihe_blender.errors import UserError
 from xihenet import estimators
 from xihenet.codec import MAX_STRIPPED_ANCHORS
 from xihenet.edge.batching import UNSERVED, Inference
+from xihenet.edge.client import BEARER_VARIABLE
 from xihenet.edge.http_settings import ServerSettings
 from xihenet.edge.protocol import PORT
 from xihenet.edge.service import PUBLISHED_SIZES, ServiceSettings
 from xihenet.edge.sessions import StoreLimits
 
-BEARER_VARIABLE = "XIHE_EDGE_BEARER"
 NEEDS_TORNADO = "the server needs Tornado: pip install 'xihe-blender[edge]'"
 SIZES = f"numbers of anchors that sessions may have; default: {', '.join(map(str, PUBLISHED_SIZES))}"
 

@@ -115,6 +115,7 @@ class RunSettings:
     seed: Annotated[int, "as in the command line"]
     phone: Annotated[str, "as in the command line"] = "perfect"
     network: Annotated[str | None, "as in the command line; None for none"] = None
+    backend: Annotated[str | None, "address of the edge service that estimated; None for none"] = None
     effect_choices: Annotated[dict[str, str], "on or off by effect, where the user chose"] = field(default_factory=dict)
     reference_exposure: Annotated[float, "of the session; coefficients carry it"]
     metering: Annotated[str | None, "how it was found; None where it was given"] = None

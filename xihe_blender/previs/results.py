@@ -28,7 +28,9 @@ from xihenet.phone import Request, first_frame_after
 from xihenet.records import ArrayF64, KeyLight
 from xihenet.surfaces import Surface
 
-AS_SET = ("estimator", "others", "preset", "target", "light", "captured", "n_anchors", "seed", "phone", "network")
+AS_SET = (
+    "estimator", "others", "preset", "target", "light", "captured", "n_anchors", "seed", "phone", "network", "backend",
+)  # fmt: skip
 """Settings that results hold under the same names."""
 
 

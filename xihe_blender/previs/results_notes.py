@@ -15,6 +15,7 @@ from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.sample_count import SampleCount
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.units import metres_per_unit
+from xihenet.edge.client import EdgeBackend
 from xihenet.formats import format_frames
 from xihenet.invalid import format_reason
 
@@ -28,6 +29,7 @@ FAINTEST = 1e-3
 def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone) -> list[str]:
     return [
         *frame_notes(run.scene, frames),
+        *backend_notes(run),
         *light_notes(run.settings, run.plan.objects),
         *shadow_notes(frames),
         *faults_seen(run.survey.faults, frames, math.prod(run.plan.size)),
@@ -51,6 +53,14 @@ def recorded_notes(run: PreparedRun, frames: Sequence[FrameResult], recording: R
         yield "Glossy parts reflect what the phone saw of the room, and a guess where it saw nothing."
     yield from unknown_light_notes(frames)
     yield from (fault.said for fault in run.survey.faults)
+
+
+def backend_notes(run: PreparedRun) -> Iterator[str]:
+    """Which edge service estimated, and how it went."""
+    backend: object = run.estimator
+    if isinstance(backend, EdgeBackend):
+        yield f"Estimates came from an edge service: {backend.state()}."
+        yield "When they arrive is what --network says, or at once: the time that the service took does not count."
 
 
 def light_notes(settings: PrevisSettings, objects: Sequence[bpy.types.Object]) -> Iterator[str]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Literal, cast, get_args
 
 from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.capture.render import MAX_SEED, RenderSettings
@@ -20,6 +20,7 @@ from xihe_blender.capture.scanner import METERING_SAMPLES
 from xihe_blender.errors import UserError
 from xihe_blender.light_transport.overrides import checked
 from xihenet import estimators
+from xihenet.edge.client import backend_at
 from xihenet.estimators import Estimator, Target
 from xihenet.light import LightChoice
 from xihenet.light_change import LightFollowing
@@ -99,6 +100,7 @@ class PrevisSettings:
     following : how what is out of view follows a change of the light; None lets it be
     phone : name of a profile, or path of a user's TOML file; see docs/phone.md
     network : name of one of LINKS, over which estimates are asked for; None lets them arrive in their own frame
+    backend : address of an edge service that estimates in place of this process; None for none
     effect_choices : effect: "auto", "on" or "off"; wins over what the .blend remembers, which wins over the scene
     """
 
@@ -121,6 +123,7 @@ class PrevisSettings:
     following: LightFollowing | None = field(default_factory=LightFollowing)
     phone: str = "perfect"
     network: str | None = None
+    backend: str | None = None
     effect_choices: Mapping[str, str] = field(default_factory=dict)
 
     metering_samples = METERING_SAMPLES
@@ -220,9 +223,20 @@ def load_estimators(settings: PrevisSettings) -> list[Estimator]:
     """The estimator of a run, then the others; UserError if a package or a file of weights is missing."""
     loaded = []
     for name in (settings.estimator, *settings.others):
+        is_elsewhere = settings.backend is not None and name == settings.estimator
         try:
-            loaded.append(estimators.load(name, settings.n_anchors, settings.target))
+            loaded.append(
+                _at_backend(settings) if is_elsewhere else estimators.load(name, settings.n_anchors, settings.target)
+            )
         except (ImportError, ValueError) as error:
             option = "estimator" if name == settings.estimator else "others"
+            if is_elsewhere:
+                raise UserError(f"--backend: {error}") from error
             raise UserError(f"--{option} {name}: {error}") from error
     return loaded
+
+
+def _at_backend(settings: PrevisSettings) -> Estimator:
+    """The edge service's estimator, with all that a session asks of one of its own: it cannot estimate batches."""
+    assert settings.backend is not None
+    return cast(Estimator, backend_at(settings.backend, settings.estimator, settings.n_anchors, settings.target))

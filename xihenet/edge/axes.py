@@ -40,7 +40,7 @@ def _coefficient_matrix(axes: str) -> ArrayF64:
     """(9, 9) orthogonal: our coefficients to the client's."""
     columns = [in_axes(np.eye(9)[:, first : first + 3], AXES[axes]) for first in (0, 3, 6)]
     # Band 2 mixes where z becomes another axis, so the entries are not all 0 and 1.
-    return np.asarray(np.concatenate(columns, axis=1), np.float64)
+    return np.asarray(np.round(np.concatenate(columns, axis=1), 14), np.float64)
 
 
 def coefficients_in(sh_radiance: ArrayF64, axes: str) -> list[float]:

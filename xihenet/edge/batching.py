@@ -64,7 +64,8 @@ class Inference:
         if name in UNSERVED:
             raise ValueError(f"{UNSERVED[name]}: choose another estimator")
         self.name = name
-        self.estimator(1280, "ldr")  # What cannot be loaded is found out at the start.
+        # What cannot be loaded is found out at the start.
+        self.farthest_m = self.estimator(1280, "ldr").farthest_m
 
     @functools.lru_cache(maxsize=32)  # noqa: B019  as many as there are sizes and targets, for as long as the process
     def estimator(self, n_anchors: int, target: Target) -> Estimator:

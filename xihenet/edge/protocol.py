@@ -35,7 +35,7 @@ PUBLISHED_SESSION, PUBLISHED_ESTIMATION = "/api/v2/session/", "/api/v2/lighting-
 SESSIONS = "/api/v3/sessions"
 
 CLOUD_TYPE = "application/vnd.xihe.cloud"
-DEFAULT_METHOD: EncodingMethod = "uint8_float16_facing_stripped"
+DEFAULT_METHOD: EncodingMethod = "uint16_float16_facing_stripped"
 
 AXES_HEADER, TOKEN_HEADER, EXPOSURE_HEADER = "Xihe-Axes", "Xihe-Token", "Xihe-Exposure"
 POSITION_HEADER, AMBIENT_HEADER = "Xihe-Position", "Xihe-Ambient"

@@ -117,23 +117,22 @@ class EdgeService:
         """27 numbers; of a light that cannot be known those of black, since the published answer has no other word."""
         for quirk, n in sent.quirks.items():
             self.metrics.count("xihe_records_total", n, quirk=quirk)
-        seen, session = self._seen(session, DEFAULT_POSITION, sent, Wishes())
+        seen = self._seen(session, DEFAULT_POSITION, sent, Wishes())
         answered = await self._inferred(Job(seen.cloud, session.target))
         return coefficients_in(answered.light.sh_radiance, sent.axes)
 
     async def estimate(self, session: Session, name: str, sent: CloudSent, wishes: Wishes) -> dict[str, Any]:
         """The clean form's answer."""
-        seen, session = self._seen(session, name, sent, wishes)
+        seen = self._seen(session, name, sent, wishes)
         cloud = seen.cloud
         if wishes.is_shared:
             cloud = self._shared(session, name, seen)
-        exposure = session.exposure or sent.exposure
-        ambient = None if sent.ambient is None else sent.ambient * (exposure / sent.exposure)
+        ambient = None if sent.ambient is None else sent.ambient * (seen.exposure / sent.exposure)
         light = (await self._inferred(Job(cloud, session.target, ambient))).light
         answer: dict[str, Any] = {
             "ok": True,
             "coefficients": coefficients_in(light.sh_radiance, sent.axes),
-            "exposure": exposure,
+            "exposure": seen.exposure,
             "expected_error": light.expected_error,
             "coverage": coverage(cloud),
             "is_valid": not light.unknown_because,
@@ -166,24 +165,20 @@ class EdgeService:
         await self.batcher.close()
         self._extras.shutdown()
 
-    def _seen(self, session: Session, name: str, sent: CloudSent, wishes: Wishes) -> tuple[SeenPosition, Session]:
-        """What is known of a position with this cloud, which is kept; and the session, which has an exposure now."""
+    def _seen(self, session: Session, name: str, sent: CloudSent, wishes: Wishes) -> SeenPosition:
+        """What is known of a position with this cloud, which is kept."""
         start = time.perf_counter()
-        if session.exposure is None:
-            session = replace(session, exposure=sent.exposure)
-            self.store.replace(session)
-        cloud = re_exposed(sent.cloud, (session.exposure or sent.exposure) / sent.exposure)
         before = self.store.position(session.id, name)
         if before is None or wishes.replaces:
-            after = SeenPosition(cloud, sent.position_m)
+            after = SeenPosition(sent.cloud, sent.exposure, sent.position_m)
         else:
             after = self._moved(before, sent.position_m)
-            after = replace(after, cloud=merge(after.cloud, cloud))
+            after = replace(after, cloud=merge(after.cloud, re_exposed(sent.cloud, after.exposure / sent.exposure)))
         after = replace(after, n_frames=(before.n_frames if before else 0) + 1, key=before.key if before else None)
         with self._room():
             self.store.put_position(session.id, name, after)
         self.metrics.measure("xihe_stage_seconds", time.perf_counter() - start, stage="merge")
-        return after, session
+        return after
 
     def _moved(self, seen: SeenPosition, position_m: ArrayF64 | None) -> SeenPosition:
         """What was seen, as it looks from `position_m`, if the client says that its position is there now."""
@@ -196,7 +191,7 @@ class EdgeService:
         if seen.position_m is None:
             raise Refused(400, "sharing needs to know where the position is: send its header")
         others = [other for label, other in self.store.positions(session.id).items() if label != name]
-        return with_others(seen.cloud, seen.position_m, others, AnchorLattice(session.n_anchors))
+        return with_others(seen, others, AnchorLattice(session.n_anchors))
 
     async def _inferred(self, job: Job) -> Answered:
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import Any
 
 from xihenet.edge import protocol
@@ -23,8 +24,19 @@ class SessionsRoute(Handler):
             session, token = self._wanted_session()
         self.service.open(session)
         self.session_told = begin_of(session.id)
-        opened = {"session": session.id, "token": token, "n_anchors": session.n_anchors, "target": session.target}
-        self.tell({"ok": True, **opened}, 201)
+        inference = self.service.inference
+        self.tell(
+            {
+                "ok": True,
+                "session": session.id,
+                "token": token,
+                "n_anchors": session.n_anchors,
+                "target": session.target,
+                "estimator": inference.name,
+                "farthest_m": inference.farthest_m if math.isfinite(inference.farthest_m) else None,
+            },
+            201,
+        )
 
     def _wanted_session(self) -> tuple[Session, str]:
         wanted, settings = self._wanted(), self.service.settings
@@ -125,12 +137,15 @@ def _described(service: EdgeService, session: Session) -> dict[str, Any]:
         "session": session.id,
         "n_anchors": session.n_anchors,
         "target": session.target,
-        "exposure": session.exposure,
         "joinable": session.is_joinable,
         "n_clients": len(session.clients),
         "created_s": session.created_s,
         "positions": {
-            name: {"n_frames": seen.n_frames, "coverage": float(seen.cloud.is_set.mean())}
+            name: {
+                "n_frames": seen.n_frames,
+                "coverage": float(seen.cloud.is_set.mean()),
+                "exposure": seen.exposure,
+            }
             for name, seen in positions.items()
         },
     }

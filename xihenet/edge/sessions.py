@@ -51,7 +51,6 @@ class Session:
     owner: str = ""  # SHA-256 of the token
     clients: frozenset[str] = frozenset()  # of the tokens of those who joined
     is_joinable: bool = True
-    exposure: float | None = None  # that all its clouds and lights carry: that of the first cloud
     created_s: float = 0.0  # Unix time
 
     @property
@@ -71,7 +70,8 @@ class Session:
 class SeenPosition:
     """What a session knows of one estimation position."""
 
-    cloud: UnitSphereCloud  # merged from all frames, at the session's exposure
+    cloud: UnitSphereCloud  # merged from all frames
+    exposure: float = 1.0  # that the cloud's colours and the light carry: that of the first frame, or the one replacing
     position_m: ArrayF64 | None = None  # (3,) in the session's world, our axes
     key: KeyLight | None = None  # of the last answer that was asked for one
     n_frames: int = 0

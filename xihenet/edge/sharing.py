@@ -14,7 +14,7 @@ import numpy as np
 from xihenet.buffers import merge
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.edge.sessions import SeenPosition
-from xihenet.records import ArrayF64, UnitSphereCloud
+from xihenet.records import UnitSphereCloud
 from xihenet.sampling import sample_again
 from xihenet.sphere import AnchorLattice
 
@@ -25,23 +25,24 @@ MOST_SHARED = 3
 """Positions that one estimate borrows from; each takes some 0.7 ms."""
 
 
-def with_others(
-    own: UnitSphereCloud, position_m: ArrayF64, others: Iterable[SeenPosition], lattice: AnchorLattice
-) -> UnitSphereCloud:
-    """`own`, and in directions that it does not know, what `others` have seen; those nearest to `position_m` first.
+def with_others(seen: SeenPosition, others: Iterable[SeenPosition], lattice: AnchorLattice) -> UnitSphereCloud:
+    """What a position has seen, and in directions that it does not know what `others` have, the nearest of them first.
 
-    Positions (3,) are in the session's world. Others without a position, or too far away, are left out.
+    At the position's exposure. Others without a place, or too far away, are left out; ValueError if it has none itself.
     """
+    if seen.position_m is None:
+        raise ValueError("with_others: expected a position that is somewhere")
     near = [
-        (float(np.linalg.norm(other.position_m - position_m)), number, other)
+        (float(np.linalg.norm(other.position_m - seen.position_m)), number, seen.position_m - other.position_m, other)
         for number, other in enumerate(others)
         if other.position_m is not None and other.cloud.is_set.any()
     ]
-    for distance_m, _, other in sorted(near)[:MOST_SHARED]:
-        if distance_m <= FARTHEST_SHARED_M and other.position_m is not None:
-            moved = sample_again(other.cloud, position_m - other.position_m, lattice)
-            own = merge(moved, own)
-    return own
+    cloud = seen.cloud
+    for distance_m, _, moved_m, other in sorted(near, key=lambda one: one[:2])[:MOST_SHARED]:
+        if distance_m <= FARTHEST_SHARED_M:
+            shared = sample_again(re_exposed(other.cloud, seen.exposure / other.exposure), moved_m, lattice)
+            cloud = merge(shared, cloud)
+    return cloud
 
 
 def re_exposed(cloud: UnitSphereCloud, gain: float) -> UnitSphereCloud:

@@ -1,0 +1,276 @@
+"""The backend at the other end: the light of here and there are one, and a lost server costs no light."""
+
+import contextlib
+import json
+import socket
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from addon_tests.pure.edge_servers import NEEDS_TORNADO, EdgeServer
+from addon_tests.pure.made import frame_of, random_cloud
+from addon_tests.pure.recordings import seen, walk
+from xihenet import estimators
+from xihenet.backend import InferenceBackend, LocalBackend, NoAnswer, estimate_light
+from xihenet.camera import unproject_frame
+from xihenet.controller import ControllerSettings, XiheController
+from xihenet.edge.batching import Inference
+from xihenet.edge.client import EdgeBackend, EdgeRefused, Patience, backend_at
+from xihenet.edge.http_settings import ServerSettings
+from xihenet.estimators import EstimateContext
+from xihenet.metrics import shc_rmse
+from xihenet.records import AnchorSurfaces, Intrinsics, PointCloud, UnitSphereCloud
+from xihenet.trigger import TriggerSettings
+
+pytestmark = NEEDS_TORNADO
+N = 512
+QUICK = Patience(timeout_s=2.0, n_tries=3, first_wait_s=0.01, longest_wait_s=0.05, rest_s=0.2)
+SMALL = Intrinsics(32, 24, 18.0, 18.0, 16.0, 12.0)
+
+
+@pytest.fixture(scope="module")
+def server():
+    with EdgeServer(inference=Inference("lattice")) as server:
+        yield server
+
+
+@pytest.fixture
+def backend_to():
+    """Makes backends to a server, closed at the end."""
+    with contextlib.ExitStack() as stack:
+
+        def make(server, **settings):
+            settings = {"n_anchors": N, "patience": QUICK} | settings
+            return stack.enter_context(contextlib.closing(EdgeBackend(f"http://127.0.0.1:{server.port}", **settings)))
+
+        yield make
+
+
+def with_facing(cloud, rng):
+    surfaces = AnchorSurfaces.of_facing(rng.uniform(-1, 1, len(cloud)))
+    return UnitSphereCloud(cloud.srgb, cloud.distance_m, cloud.is_set, surfaces=surfaces)
+
+
+@pytest.mark.parametrize("target", ["ldr", "hdr"])
+@pytest.mark.parametrize("share", [0.005, 0.5, 1.0])
+def test_here_and_there_the_same_cloud_gives_the_same_light(server, backend_to, target, share):
+    rng = np.random.default_rng(0)
+    backend, local = backend_to(server, target=target), estimators.load("lattice", N, target)
+    frame = frame_of(np.ones((2, 2)), exposure=0.5, ambient=[0.2, 0.3, 0.4])
+    assert isinstance(backend, InferenceBackend) and backend.name == "lattice" and backend.farthest_m == 100
+    for context in (
+        EstimateContext(),
+        EstimateContext(frame, position_m=np.zeros(3), reference_exposure=0.7),
+        EstimateContext(frame_of(np.ones((2, 2))), reference_exposure=0.7),
+    ):
+        cloud = with_facing(random_cloud(rng, N, share), rng)
+        here, there = local.estimate_with_error(cloud, context), backend.estimate_with_error(cloud, context)
+        assert shc_rmse(here[0], there[0]) < 1e-3 and here[1] == pytest.approx(there[1], rel=0.01)
+
+
+def test_without_rounding_the_lights_are_equal(server, backend_to):
+    backend, local = backend_to(server, method="float32"), estimators.load("lattice", N, "ldr")
+    cloud = random_cloud(np.random.default_rng(1), N)
+    assert np.allclose(backend.estimate(cloud), local.estimate(cloud), atol=1e-6)
+
+
+def test_a_session_of_1000_frames_loses_nothing_and_equals_the_local_one(server, backend_to):
+    backend, local = backend_to(server, target="hdr"), LocalBackend(estimators.load("lattice", N, "hdr"))
+    eager = ControllerSettings(TriggerSettings(theta=0.0, coverage_theta=0.0))
+    session = XiheController(backend, eager, others=[local])
+    session.add_position("vase", (0.0, 1.0, 0.0))
+    largest, n_estimates = 0.0, 0
+    # As points alone, without the surfaces that a picture's points lie on, which take most of the time.
+    frames = [(frame, replace(unproject_frame(frame), grid=None)) for frame in walk(SMALL, 50)]
+    for number in range(1000):
+        frame, points = frames[number % len(frames)]
+        # The light of the whole room goes up and down, so that every frame is worth an estimate.
+        dimmed = PointCloud(points.points_m, points.srgb * (0.8 + 0.2 * np.sin(number)))
+        report = session.step(frame, active=["vase"], points=dimmed)["vase"]
+        if report.estimate is not None:
+            assert report.estimate.is_valid
+            n_estimates += 1
+            largest = max(largest, shc_rmse(report.estimate.sh_radiance, report.estimate.others["lattice"]))
+    assert n_estimates > 900 and largest < 1e-3
+    assert backend.n_answered == n_estimates and backend.n_retries == backend.n_failed == 0 and backend.n_opened == 1
+    print(f"{n_estimates} estimates, largest SHC RMSE {largest:.1e}, {backend.state()}")
+
+
+def test_a_server_that_was_restarted_gets_a_new_session_and_the_light_goes_on(backend_to):
+    server = EdgeServer().start()
+    backend = backend_to(server, patience=Patience(n_tries=60, first_wait_s=0.02, longest_wait_s=0.1))
+    cloud = random_cloud(np.random.default_rng(2), N)
+    before = backend.estimate(cloud)
+    server.stop()
+    restart = threading.Timer(0.3, server.start)
+    restart.start()
+    try:
+        assert np.array_equal(backend.estimate(cloud), before)
+    finally:
+        restart.join()
+        server.stop()
+    assert backend.n_opened == 2 and backend.n_retries > 0 and "1 sessions lost and opened anew" in backend.state()
+
+
+def test_while_the_server_is_lost_the_last_light_stays_and_the_trigger_asks_again(backend_to):
+    server = EdgeServer().start()
+    backend = backend_to(server)
+    session = XiheController(backend, ControllerSettings(TriggerSettings(theta=0.0)))
+    session.add_position("vase", (0.0, 1.0, 0.0))
+    first, second = walk(SMALL, 2)
+    session.step(first, active=["vase"])
+    light = session.light("vase")
+    server.stop()
+    report = session.step(second, active=["vase"])["vase"]
+    assert report.unknown_because == "no_answer" and not report.estimate.is_valid
+    assert session.light("vase") is light and np.array_equal(backend.last_light[0], light.sh_radiance)
+    assert "no answer from" in backend.state() and "the last light is kept" in backend.state()
+    started = time.monotonic()
+    assert session.step(second, active=["vase"])["vase"].unknown_because == "no_answer"
+    assert time.monotonic() - started < 0.5  # It rests, and no frame waits for it.
+    server.start()
+    try:
+        time.sleep(QUICK.rest_s)
+        report = session.step(second, active=["vase"])["vase"]
+        assert report.estimate.is_valid and session.light("vase") is report.estimate
+        assert "no answer" not in backend.state()
+    finally:
+        server.stop()
+
+
+def test_an_expired_session_is_opened_anew(server, backend_to):
+    backend = backend_to(server)
+    cloud = random_cloud(np.random.default_rng(3), N)
+    light = backend.estimate(cloud)
+    server.service.store.delete(backend._session["session"])
+    assert np.array_equal(backend.estimate(cloud), light) and backend.n_opened == 2
+
+
+def test_closing_deletes_the_session(server):
+    n_before = server.service.store.counts()[0]
+    backend = EdgeBackend(f"http://127.0.0.1:{server.port}", N)
+    assert server.service.store.counts()[0] == n_before + 1
+    backend.close()
+    assert server.service.store.counts()[0] == n_before
+
+
+class BadServer:
+    """Answers connection after connection with the bytes of `answers`, then closes it; the last one for ever."""
+
+    def __init__(self, *answers):
+        self.answers, self.requests = list(answers), []
+        self._listening = socket.create_server(("127.0.0.1", 0))
+        self.port = self._listening.getsockname()[1]
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def _run(self):
+        while True:
+            try:
+                connection, _ = self._listening.accept()
+            except OSError:
+                return
+            with connection, contextlib.suppress(OSError):
+                self.requests.append(connection.recv(65536))
+                answer = self.answers.pop(0) if len(self.answers) > 1 else self.answers[0]
+                if answer is None:
+                    time.sleep(0.5)
+                else:
+                    connection.sendall(answer)
+
+    def close(self):
+        self._listening.close()
+
+
+def answer_of(status, content, *headers):
+    body = content if isinstance(content, bytes) else json.dumps(content).encode()
+    lines = [f"HTTP/1.1 {status} X", f"Content-Length: {len(body)}", "Connection: close", *headers]
+    return "\r\n".join(lines).encode() + b"\r\n\r\n" + body
+
+
+OPENED = answer_of(201, {"ok": True, "session": "s", "token": "t", "estimator": "lattice", "farthest_m": 100})
+LIGHT = answer_of(200, {"ok": True, "coefficients": [0.5] * 27, "exposure": 1, "expected_error": 0.1, "is_valid": True})
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        b"",
+        LIGHT[:-20],
+        b"\x00\xff nonsense\r\n\r\n",
+        answer_of(200, b"not JSON"),
+        answer_of(503, {"ok": False, "error": "full"}, "Retry-After: 0"),
+        answer_of(500, b"<html>"),
+        answer_of(429, {"error": "slow down"}, "Retry-After: Wed, 21 Oct 2026 07:28:00 GMT"),
+        None,
+    ],
+)
+def test_what_may_pass_is_tried_again(bad):
+    with contextlib.closing(BadServer(OPENED, bad, LIGHT)) as server:
+        backend = EdgeBackend(f"http://127.0.0.1:{server.port}", N, patience=Patience(0.3, 3, 0.01))
+        assert backend.estimate(random_cloud(np.random.default_rng(4), N))[0, 0] == 0.5
+        assert backend.n_retries == 1 and backend.n_answered == 1
+
+
+def test_what_will_not_pass_is_said_at_once():
+    with contextlib.closing(BadServer(answer_of(401, {"error": "this service needs its bearer token"}))) as server:
+        with pytest.raises(EdgeRefused, match="bearer token"):
+            EdgeBackend(f"http://127.0.0.1:{server.port}", N, patience=QUICK)
+        assert len(server.requests) == 1
+
+
+@pytest.mark.parametrize("url", ["127.0.0.1:8550", "ftp://a", "http://", "http://a/b", ""])
+def test_an_address_that_is_none_is_refused(url):
+    with pytest.raises(ValueError, match="address of an edge service"):
+        EdgeBackend(url)
+
+
+def test_a_server_that_is_not_there_is_said():
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    with pytest.raises(NoAnswer, match="does not answer: ConnectionRefusedError"):
+        EdgeBackend(f"http://127.0.0.1:{port}", patience=QUICK)
+
+
+def test_a_command_says_which_estimator_the_server_has(server):
+    with pytest.raises(ValueError, match="give --estimator lattice"):
+        backend_at(f"http://127.0.0.1:{server.port}", "projection", N, "ldr")
+
+
+def test_the_bearer_token_is_sent(backend_to):
+    with EdgeServer(ServerSettings(port=0, bearer="secret")) as server:
+        assert backend_to(server, bearer="secret").estimate(random_cloud(np.random.default_rng(5), N)).any()
+
+
+def test_nothing_seen_is_not_asked(server, backend_to):
+    backend = backend_to(server)
+    light = estimate_light(backend, UnitSphereCloud.empty(N), EstimateContext(), 1.0)
+    assert light.unknown_because == "nothing_seen" and backend.n_answered == 0
+    with pytest.raises(ValueError, match="512 anchors"):
+        backend.estimate(UnitSphereCloud.empty(8))
+
+
+def test_the_ambient_estimator_knows_by_the_sensor_alone(backend_to):
+    with EdgeServer(inference=Inference("ambient")) as server:
+        backend = backend_to(server)
+        frame = frame_of(np.ones((2, 2)), exposure=0.5, ambient=[0.2, 0.3, 0.4])
+        context, empty = EstimateContext(frame), UnitSphereCloud.empty(N)
+        local = LocalBackend(estimators.load("ambient", N))
+        here, there = (estimate_light(one, empty, context, 0.5) for one in (local, backend))
+        assert here.is_valid and there.is_valid and np.allclose(here.sh_radiance, there.sh_radiance, atol=1e-9)
+
+
+def test_positions_of_one_session_do_not_mix(server, backend_to):
+    backend, local = backend_to(server), LocalBackend(estimators.load("lattice", N, "ldr"))
+    sessions = [XiheController(one, ControllerSettings(TriggerSettings(theta=0.0))) for one in (backend, local)]
+    for session in sessions:
+        session.add_position("a", (0.0, 1.0, 0.0))
+        session.add_position("b", (0.5, 0.8, 0.3))
+    for number in range(4):
+        frame = seen(SMALL, walk(SMALL, 4)[number].world_from_camera)
+        for session in sessions:
+            session.step(frame, active=["a", "b"])
+    for name in "ab":
+        assert shc_rmse(*(session.light(name).sh_radiance for session in sessions)) < 1e-3
