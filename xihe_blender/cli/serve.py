@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import logging
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ from xihe_blender.errors import UserError
 from xihenet import estimators
 from xihenet.codec import MAX_STRIPPED_ANCHORS
 from xihenet.edge.batching import UNSERVED, Inference
+from xihenet.edge.bench import bench_lines
 from xihenet.edge.client import BEARER_VARIABLE
 from xihenet.edge.http_settings import ServerSettings
 from xihenet.edge.protocol import PORT
@@ -41,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--key FILE.pem", "its private key, if that is in a file of its own", Path)
     bearer = f"answer only those who send the token of this file, or of the variable {BEARER_VARIABLE}"
     add("--bearer FILE", bearer, Path)
+    add("--bench", "measure what estimates cost on this machine, print the tables and stop", action="store_true")
     add("--log", "requests that are logged on stderr, a line of JSON each", choices=("faults", "all"), default="faults")
 
 
@@ -56,14 +60,18 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         inference = Inference(options.estimator)
     except (ValueError, ImportError) as error:
         raise UserError(f"--estimator {options.estimator}: {error}") from error
-    _log_to(stderr)
+    if options.bench:
+        for line in bench_lines(inference):
+            print(line, file=stdout, flush=True)
+        return
     scheme = "http" if settings.certificate is None else "https"
 
     def ready(port: int) -> None:
         print(f"serving at {scheme}://{options.host}:{port}, Ctrl-C to stop", file=stdout, flush=True)
 
     try:
-        asyncio.run(serve(inference, settings, ready))
+        with _logged_to(stderr):
+            asyncio.run(serve(inference, settings, ready))
     except OSError as error:
         reason = error.strerror or error
         raise UserError(
@@ -108,11 +116,19 @@ def _bearer(path: Path | None) -> str:
     return token
 
 
-def _log_to(stream: Any) -> None:
-    """The service's lines of JSON go there as they are; those of Tornado only if they warn."""
+@contextlib.contextmanager
+def _logged_to(stream: Any) -> Iterator[None]:
+    """In the block the service's lines of JSON go there as they are."""
     handler = logging.StreamHandler(stream)
     handler.setFormatter(logging.Formatter("%(message)s"))
     logger = logging.getLogger("xihenet.edge")
+    level, propagates = logger.level, logger.propagate
     logger.addHandler(handler)
     logger.setLevel(logging.INFO)
     logger.propagate = False
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+        logger.propagate = propagates

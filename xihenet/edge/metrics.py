@@ -61,6 +61,11 @@ class Metrics:
             self._histograms[key] = _Histogram(SECONDS if name.endswith("_seconds") else SIZES)
         self._histograms[key].add(value)
 
+    def total(self, name: str, **labels: str) -> float:
+        """The sum of what a histogram was given."""
+        histogram = self._histograms.get((name, tuple(labels.items())))
+        return 0.0 if histogram is None else histogram.total
+
     def text(self, gauges: Mapping[str, float]) -> str:
         """All of them, and `gauges`, which the caller reads off what it counts."""
         lines: list[str] = []

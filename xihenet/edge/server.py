@@ -12,11 +12,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import signal
+import socket
 import ssl
 from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Any
 
-from tornado import httpserver, iostream, netutil, web
+from tornado import httpserver, iostream, web
 
 from xihenet.edge import protocol
 from xihenet.edge.batching import Inference
@@ -87,11 +88,11 @@ async def running(inference: Inference, settings: ServerSettings) -> AsyncIterat
     )
     server.max_connections = settings.max_connections
     application.settings["gauges"] = lambda: {"xihe_connections": server.n_connections}
-    sockets = netutil.bind_sockets(settings.port, settings.host)
-    server.add_sockets(sockets)
+    listening = _listening(settings)
+    server.add_socket(listening)
     expiring = asyncio.create_task(_expire(service))
     try:
-        yield service, sockets[0].getsockname()[1]
+        yield service, listening.getsockname()[1]
     finally:
         expiring.cancel()
         server.stop()
@@ -119,6 +120,14 @@ async def _expire(service: EdgeService) -> None:
         await asyncio.sleep(EXPIRES_EVERY_S)
         if isinstance(service.store, MemoryStore):
             service.store.expire()
+
+
+def _listening(settings: ServerSettings) -> socket.socket:
+    """At the first address that the host's name has. Tornado's own function leaves a socket open where it fails."""
+    family, *_, address = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)[0]
+    listening = socket.create_server(address[:2], family=family, backlog=128)
+    listening.setblocking(False)
+    return listening
 
 
 def _tls(settings: ServerSettings) -> ssl.SSLContext | None:

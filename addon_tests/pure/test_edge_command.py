@@ -1,0 +1,112 @@
+"""`xihe serve` as a process that starts, stops and is killed, and `xihe replay --backend` that estimates by it."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+from contextlib import closing, contextmanager
+
+import numpy as np
+import pytest
+
+from addon_tests.pure.edge_servers import NEEDS_TORNADO, EdgeServer
+from addon_tests.pure.made import random_cloud
+from addon_tests.pure.recordings import LAYOUTS, walk
+from xihe_blender.cli.main import main
+from xihenet.edge.batching import Inference
+from xihenet.edge.client import EdgeBackend, Patience
+from xihenet.metrics import shc_rmse
+
+pytestmark = NEEDS_TORNADO
+
+
+@contextmanager
+def serving(*options):
+    """The process of `xihe serve`, and its port."""
+    command = [sys.executable, "-m", "xihe_blender", "serve", "--estimator", "projection", *options]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        said = process.stdout.readline()
+        found = re.search(r"serving at http://127\.0\.0\.1:(\d+), Ctrl-C to stop", said)
+        assert found, process.stderr.read()
+        yield process, int(found[1])
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
+def test_it_serves_until_it_is_told_to_stop_and_logs_json(how):
+    with serving("--port", "0", "--log", "all") as (process, port):
+        with closing(EdgeBackend(f"http://127.0.0.1:{port}", 512)) as backend:
+            assert backend.estimate(random_cloud(np.random.default_rng(0), 512)).any()
+            token, session = backend._session["token"], backend._session["session"]
+        process.send_signal(how)
+        _, logged = process.communicate(timeout=20)
+        assert process.returncode == 0
+    lines = [json.loads(line) for line in logged.splitlines()]
+    assert [line["event"] for line in lines] == ["started", "request", "request", "request", "stopping"]
+    assert lines[2]["status"] == 200 and lines[2]["body_bytes"] > 1000
+    assert token not in logged and session not in logged
+
+
+def test_a_server_that_is_killed_and_started_again_costs_no_light():
+    cloud = random_cloud(np.random.default_rng(1), 512)
+    with serving("--port", "0") as (process, port):
+        backend = EdgeBackend(f"http://127.0.0.1:{port}", 512, patience=Patience(n_tries=3, first_wait_s=0.01))
+        before = backend.estimate(cloud)
+        process.kill()
+        process.wait()
+    with serving("--port", str(port)), closing(backend):
+        assert np.array_equal(backend.estimate(cloud), before) and backend.n_opened == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--estimator", "truth"], "choose another estimator"),
+        (["--estimator", "magic"], "choose one of ambient"),
+        (["--sizes", "0"], "--sizes: expected numbers from 1 to 2048"),
+        (["--port", "70000"], "--port: expected 0 to 65535"),
+        (["--expire", "0"], "expected more than 0"),
+        (["--key", "k.pem"], "give --certificate as well"),
+        (["--bearer", "missing.txt"], "give a file with a token in it"),
+        (["--port", "0", "--certificate", "missing.pem"], "check --certificate and --key"),
+        (["--host", "192.0.2.1"], "choose another --host or --port"),
+    ],
+)
+def test_a_mistake_is_one_line_that_names_the_fix(options, said, capfd):
+    assert main(["serve", *options]) == 2
+    error = capfd.readouterr().err.strip().splitlines()
+    assert len([line for line in error if line.startswith("xihe: ")]) == 1 and said in error[-1]
+
+
+def test_a_replay_over_the_service_is_the_local_one(tmp_path, capfd):
+    write, intrinsics = LAYOUTS["Nerfstudio"]
+    write(tmp_path / "session", walk(intrinsics, 4))
+    ask = ["replay", str(tmp_path / "session"), "--at", "0.3,0.2,0.1"]
+    assert main([*ask, "--out", str(tmp_path / "here")]) == 0
+    with EdgeServer(inference=Inference("lattice")) as server:
+        url = f"http://127.0.0.1:{server.port}"
+        assert main([*ask, "--out", str(tmp_path / "there"), "--backend", url]) == 0
+        assert f"note: lattice at {url}" in capfd.readouterr().err
+        assert server.service.store.counts() == (0, 0)
+        assert main([*ask, "--out", str(tmp_path / "x"), "--backend", url, "--estimator", "projection"]) == 2
+        assert "give --estimator lattice" in capfd.readouterr().err
+    here, there = (json.loads((tmp_path / name / "replay.json").read_text()) for name in ("here", "there"))
+    assert here["backend"] is None and there["backend"] == url
+    pairs = list(zip(here["positions"][0]["lights"], there["positions"][0]["lights"], strict=True))
+    assert len(pairs) > 1
+    assert all(shc_rmse(np.array(a["sh_radiance"]), np.array(b["sh_radiance"])) < 1e-3 for a, b in pairs)
+
+
+def test_a_service_that_is_not_there_is_said(tmp_path, capfd, monkeypatch):
+    write, intrinsics = LAYOUTS["Nerfstudio"]
+    write(tmp_path, walk(intrinsics, 2))
+    monkeypatch.setattr("xihenet.edge.client.time.sleep", lambda _: None)
+    ask = ["replay", str(tmp_path), "--at", "0,0,0", "--out", str(tmp_path / "out")]
+    assert main([*ask, "--backend", "http://127.0.0.1:9"]) == 2
+    assert "does not answer" in capfd.readouterr().err
+    assert main([*ask, "--backend", "127.0.0.1:8550"]) == 2
+    assert "such as http://127.0.0.1:8550" in capfd.readouterr().err
