@@ -214,6 +214,8 @@ def _checked_anchors(stored: NDArray[Any], n_anchors: int) -> ArrayInt:
     """Anchor indices, each in range and there once."""
     anchor = stored.astype(np.intp)
     _refuse(anchor >= n_anchors, f"an anchor below {n_anchors}", anchor)
+    if (anchor[1:] > anchor[:-1]).all():  # As encoders write them, and then none is repeated.
+        return anchor
     _, first = np.unique(anchor, return_index=True)
     if len(first) < len(anchor):
         is_repeated = np.ones(len(anchor), np.bool_)

@@ -79,19 +79,19 @@ def read_published(body: bytes, n_anchors: int, axes: str) -> CloudSent:
     if len(body) % RECORD_BYTES or len(body) > RECORD_BYTES * n_anchors:
         limits = f"a multiple of {RECORD_BYTES} and at most {RECORD_BYTES * n_anchors}"
         raise ValueError(f"expected a body whose bytes are {limits}, got {len(body)}")
-    rows = np.frombuffer(body, np.uint8).reshape(-1, RECORD_BYTES)
-    written = rows.any(axis=1)
-    records = np.frombuffer(rows[written].tobytes(), METHODS[_PUBLISHED_METHOD].record)
+    records, quirks = np.frombuffer(body, METHODS[_PUBLISHED_METHOD].record), {}
     distance = records["distance_m"]
-    is_far = np.isposinf(distance)
-    is_placed = distance != 0
-    kept = records[is_placed].copy()
-    kept["distance_m"][is_far[is_placed]] = MAX_DISTANCE_M
-    n_dropped = int(np.count_nonzero(~written))
-    quirks = counted(
-        dropped=n_dropped, lost=n_dropped, uninitialised=np.count_nonzero(~is_placed), too_far=np.count_nonzero(is_far)
-    )
-    return CloudSent(decode_cloud(kept.tobytes(), n_anchors, _PUBLISHED_METHOD), 1.0, checked_axes(axes), quirks=quirks)
+    is_zero, is_far = distance == 0, distance == np.inf
+    if is_zero.any() or is_far.any():
+        is_dropped = is_zero & (records["anchor"] == 0) & ~records["srgb"].any(axis=1)
+        n_dropped, n_zero = int(np.count_nonzero(is_dropped)), int(np.count_nonzero(is_zero))
+        quirks = counted(
+            dropped=n_dropped, lost=n_dropped, uninitialised=n_zero - n_dropped, too_far=np.count_nonzero(is_far)
+        )
+        records = records.copy()
+        records["distance_m"][is_far] = MAX_DISTANCE_M
+        body = records[~is_zero].tobytes()
+    return CloudSent(decode_cloud(body, n_anchors, _PUBLISHED_METHOD), 1.0, checked_axes(axes), quirks=quirks)
 
 
 def read_clean(body: bytes, n_anchors: int, content_type: str, headers: Mapping[str, str]) -> CloudSent:

@@ -32,6 +32,7 @@ class PublishedEstimationRoute(Handler):
             raise Refused(400, "Session-ID: expected the id that opening a session gave, got no such header")
         self.session_told = begin_of(session_id)
         session = self.service.published_session(session_id)
+        self.service.check_room()
         with self.service.timed("decode"), as_sent():
             axes = headers.get(protocol.AXES_HEADER, session.axes)
             sent = protocol.read_published(self.request.body, session.n_anchors, axes)

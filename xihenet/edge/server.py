@@ -14,6 +14,7 @@ import contextlib
 import signal
 import socket
 import ssl
+import sys
 from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Any
 
@@ -30,6 +31,9 @@ from xihenet.edge.session_routes import ClientsRoute, PositionRoute, SessionRout
 from xihenet.edge.sessions import MemoryStore
 
 EXPIRES_EVERY_S = 5.0
+
+SWITCH_S = 0.0005
+"""After so long the inference lets the event loop have the interpreter. Python's 5 ms are waited for at each `send`."""
 
 ROUTES: Mapping[str, type[Handler]] = {
     protocol.PUBLISHED_SESSION: PublishedSessionRoute,
@@ -101,7 +105,8 @@ async def running(inference: Inference, settings: ServerSettings) -> AsyncIterat
 
 
 async def serve(inference: Inference, settings: ServerSettings, when_ready: Callable[[int], None]) -> None:
-    """Run until SIGINT or SIGTERM; `when_ready` gets the port."""
+    """Run until SIGINT or SIGTERM; `when_ready` gets the port. The process is the server's own."""
+    sys.setswitchinterval(SWITCH_S)
     stop, loop = asyncio.Event(), asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         with contextlib.suppress(NotImplementedError):  # Windows, where Ctrl-C raises KeyboardInterrupt instead.

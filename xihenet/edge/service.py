@@ -113,6 +113,11 @@ class EdgeService:
             raise Refused(403, "the token is not of this session" + (" or not its owner's" if as_owner else ""))
         return session
 
+    def check_room(self) -> None:
+        """Refuse a request whose inference would be refused, before it costs more than its bytes."""
+        if len(self.batcher) >= self.batcher.max_queue:
+            self._refuse_full("queue", f"{len(self.batcher)} requests wait for inference")
+
     async def estimate_published(self, session: Session, sent: CloudSent) -> list[float]:
         """27 numbers; of a light that cannot be known those of black, since the published answer has no other word."""
         for quirk, n in sent.quirks.items():

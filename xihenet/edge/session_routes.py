@@ -111,6 +111,7 @@ class PositionRoute(Handler):
         content_type = self.request.headers.get("Content-Type", "")
         if not protocol.is_clean(content_type):
             raise Refused(415, f"expected the content type {protocol.CLOUD_TYPE}, got {content_type[:80]!r}")
+        self.service.check_room()
         with self.service.timed("decode"), as_sent():
             wishes = Wishes(*map(self._switch, ("replace", "share", "key_light", "reflections")))
             name = _checked_name(name)
