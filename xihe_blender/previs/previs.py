@@ -29,7 +29,7 @@ from xihe_blender.previs.plan import made_of, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
 from xihe_blender.previs.recorded_run import prepare_recorded, recorded_session
 from xihe_blender.previs.run_chain import WalkedPath, measure_phone, walk_path
-from xihe_blender.previs.settings import PrevisSettings, load_estimators
+from xihe_blender.previs.settings import PrevisSettings, close_backends, load_estimators
 from xihe_blender.report.page import write_report
 from xihe_blender.scene.state import scene_kept
 from xihenet.recording import write_session
@@ -85,6 +85,7 @@ def previs(
         walked = yield from walk_path(run, keeps_session=True)
         frames = yield from _with_pictures(run, walked)
         errors = yield from measure_phone(run, walked)
+    close_backends(loaded)
     yield run.progress("methods", 1, "applying the light and writing the report")
     estimated = {frame: methods[settings.estimator] for frame, methods in walked.lights.items()}
     changes = light_changes(plan, estimated, outputs, run.exposure)

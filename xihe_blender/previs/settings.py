@@ -10,7 +10,7 @@ noise of 6, 3 and 1.5 % adds, in quadrature, 2 %, 0.5 % and 0.1 % of that.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, cast, get_args
 
@@ -20,7 +20,7 @@ from xihe_blender.capture.scanner import METERING_SAMPLES
 from xihe_blender.errors import UserError
 from xihe_blender.light_transport.overrides import checked
 from xihenet import estimators
-from xihenet.edge.client import backend_at
+from xihenet.edge.client import EdgeBackend, backend_at
 from xihenet.estimators import Estimator, Target
 from xihenet.light import LightChoice
 from xihenet.light_change import LightFollowing
@@ -234,6 +234,13 @@ def load_estimators(settings: PrevisSettings) -> list[Estimator]:
                 raise UserError(f"--backend: {error}") from error
             raise UserError(f"--{option} {name}: {error}") from error
     return loaded
+
+
+def close_backends(loaded: Sequence[object]) -> None:
+    """Have edge services forget the sessions of a run that is done."""
+    for one in loaded:
+        if isinstance(one, EdgeBackend):
+            one.close()
 
 
 def _at_backend(settings: PrevisSettings) -> Estimator:

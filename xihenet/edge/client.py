@@ -166,6 +166,12 @@ class EdgeBackend:
             self._session = None
             self._drop_connection()
 
+    def __del__(self) -> None:
+        """Without `close` the connection is closed all the same, and the session expires on the server."""
+        connection = getattr(self, "_connection", None)
+        if connection is not None:
+            connection.close()
+
     def _headers(self, cloud: UnitSphereCloud, context: EstimateContext, exposure: float) -> dict[str, str]:
         headers = {
             "Content-Type": protocol.content_type_of(self.method),
