@@ -67,6 +67,7 @@ def test_a_server_that_is_killed_and_started_again_costs_no_light():
     [
         (["--estimator", "truth"], "choose another estimator"),
         (["--estimator", "magic"], "choose one of ambient"),
+        (["--estimator", "ambient", "--device", "cuda"], "--device"),
         (["--sizes", "0"], "--sizes: expected numbers from 1 to 2048"),
         (["--port", "70000"], "--port: expected 0 to 65535"),
         (["--expire", "0"], "expected more than 0"),

@@ -251,7 +251,8 @@ def test_a_wrong_session_is_told_what_is_wrong(server, wanted, said):
 def test_other_wrong_requests(server):
     session, token = server.opened(n_anchors=N)
     assert server.ask("POST", "/api/v2/session/")[0] == 400
-    assert server.ask("GET", "/api/v2/session/")[0] == 405
+    status, _, said = server.ask("GET", "/api/v2/session/")
+    assert status == 405 and said["Allow"] == "POST, OPTIONS"
     assert server.ask("GET", "/nowhere")[0] == 404
     status, answer, _ = server.ask("POST", f"/api/v3/sessions/{session}/positions/a", b"", Xihe_Token=token)
     assert status == 415 and "application/vnd.xihe.cloud" in answer["error"]
@@ -261,6 +262,7 @@ def test_other_wrong_requests(server):
     assert server.light(session, token, b"", position="a" * 65)[0] == 400
     assert server.light(session, token, b"", position="%0A")[0] == 400
     assert server.ask("POST", "/api/v3/sessions", Xihe_Token="short")[0] == 400
+    assert server.ask("POST", "/api/v3/sessions", Xihe_Token="")[0] == 400
 
 
 def test_health_metrics_page_and_openapi_are_there(server):

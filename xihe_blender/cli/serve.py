@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--port PORT", "port to listen at; 0 for a free one", int, default=PORT)
     served = one_of(name for name in estimators.names() if name not in UNSERVED)
     add("--estimator NAME", f"{served}; default: {estimators.DEFAULT}", default=estimators.DEFAULT)
-    add("--device NAME", "where the network runs", choices=("cpu",), default="cpu")
+    add("--device", "where the network runs: cpu, or cuda in torch", choices=("cpu", "cuda"), default="cpu")
     target = "light that published clients get: clipped at white (ldr, as in the paper) or all of it (hdr)"
     add("--target", target, choices=("ldr", "hdr"), default="ldr")
     add("--sizes N,M", SIZES, whole_numbers, default=PUBLISHED_SIZES)
@@ -57,9 +57,11 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         raise UserError(NEEDS_TORNADO) from error
     settings = server_settings(options)
     try:
-        inference = Inference(options.estimator)
-    except (ValueError, ImportError) as error:
+        inference = Inference(options.estimator, options.device)
+    except ValueError as error:
         raise UserError(f"--estimator {options.estimator}: {error}") from error
+    except ImportError as error:
+        raise UserError(f"--device {options.device} needs torch: pip install 'xihe-blender[edge,train]'") from error
     if options.bench:
         for line in bench_lines(inference):
             print(line, file=stdout, flush=True)

@@ -57,19 +57,25 @@ class QueueFull(Exception):
 class Inference:
     """The networks, loaded when a size and target are first asked for; called by one thread.
 
-    ValueError for an unknown estimator and for one of `UNSERVED`.
+    On a `device` other than "cpu" they run in torch, see `torch_networks`. ValueError for an unknown estimator, for one
+    of `UNSERVED`, and for a device that it cannot run on; ImportError without torch.
     """
 
-    def __init__(self, name: str = estimators.DEFAULT) -> None:
+    def __init__(self, name: str = estimators.DEFAULT, device: str = "cpu") -> None:
         if name in UNSERVED:
             raise ValueError(f"{UNSERVED[name]}: choose another estimator")
-        self.name = name
+        self.name, self.device = name, device
         # What cannot be loaded is found out at the start.
         self.farthest_m = self.estimator(1280, "ldr").farthest_m
 
     @functools.lru_cache(maxsize=32)  # noqa: B019  as many as there are sizes and targets, for as long as the process
     def estimator(self, n_anchors: int, target: Target) -> Estimator:
-        return estimators.load(self.name, n_anchors, target)
+        estimator = estimators.load(self.name, n_anchors, target)
+        if self.device != "cpu":
+            from xihenet.edge.torch_networks import put_on
+
+            put_on(estimator, self.device)
+        return estimator
 
     def __call__(self, jobs: Sequence[Job]) -> list[Light]:
         """The light of each, in order; none keeps another from being answered."""

@@ -87,9 +87,16 @@ class Handler(web.RequestHandler):
             status_code = error.status
             if error.retry_after_s is not None:
                 self.set_header("Retry-After", str(error.retry_after_s))
+        elif status_code == 405:
+            self.set_header("Allow", ", ".join(self._methods()))
         said = str(error) if isinstance(error, Refused) else HTTPStatus(status_code).phrase
         self.allow_origin()  # An error has cleared the headers.
         self.tell(protocol.failure(said), status_code)
+
+    def _methods(self) -> list[str]:
+        """That this route has."""
+        has_none = web.RequestHandler._unimplemented_method
+        return [name for name in self.SUPPORTED_METHODS if getattr(type(self), name.lower()) is not has_none]
 
     def on_finish(self) -> None:
         took_s, status = time.perf_counter() - self.start, self.get_status()

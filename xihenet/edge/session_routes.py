@@ -46,7 +46,8 @@ class SessionsRoute(Handler):
             raise ValueError(f"target: expected ldr or hdr, got {str(target)[:80]!r}")
         if not isinstance(joinable, bool):
             raise ValueError(f"joinable: expected true or false, got {str(joinable)[:80]!r}")
-        token = self.token() or new_token()
+        token = self.request.headers.get(protocol.TOKEN_HEADER)
+        token = new_token() if token is None else token
         if not 16 <= len(token) <= 128:
             raise ValueError(f"{protocol.TOKEN_HEADER}: expected 16 to 128 characters, got {len(token)}")
         axes = checked_axes(self.request.headers.get(protocol.AXES_HEADER, OUR_AXES))

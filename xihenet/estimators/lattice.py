@@ -21,7 +21,7 @@ every step runs along contiguous memory; directions, biases and what is not set 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -90,9 +90,13 @@ class Lattice(Estimator):
     def __init__(self, n_anchors: int = 1280, target: Target = "ldr", *, weights: Path | None = None) -> None:
         super().__init__(n_anchors, target)
         loaded = loaded_for(self, weights, load_weights)
-        self._network = LatticeNetwork(loaded, n_anchors)
+        self._network: _Runs = LatticeNetwork(loaded, n_anchors)
         self._calibration = Calibration.from_figures(loaded.figures)
         self._sensor = Ambient(n_anchors, target)
+
+    def use_network(self, network: _Runs) -> None:
+        """Ask this network of the same weights from now on, one that runs elsewhere."""
+        self._network = network
 
     def estimate_with_error(
         self, cloud: UnitSphereCloud, context: EstimateContext | None = None
@@ -174,6 +178,14 @@ def lean_on_sensor(sh_radiance: ArrayF64, coverage: ArrayF64, sensed: ArrayF64) 
     share = -np.expm1(-coverage / SEEN_ENOUGH)[:, None, None]
     mixed: ArrayF64 = share * sh_radiance + (1 - share) * sensed
     return mixed
+
+
+class _Runs(Protocol):
+    """What the estimator asks of its network, see `LatticeNetwork`."""
+
+    def run(
+        self, srgb: ArrayF32, distance_m: ArrayF32, is_set: ArrayBool, facing: ArrayF32 | None = None
+    ) -> tuple[ArrayF64, ArrayF64]: ...
 
 
 class LatticeNetwork:

@@ -7,6 +7,7 @@ takes NumPy (`pointconv_network`), training torch (`xihenet.nets.pointconv`).
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +21,12 @@ from xihenet.sampling import has_usable_points, sample_uniform
 from xihenet.sphere import AnchorLattice
 
 DRAWING_SEED = 0
+
+
+class _GivesLight(Protocol):
+    """What the estimators ask of their network, see `PointConvNetwork`."""
+
+    def light(self, points_m: ArrayF32, srgb: ArrayF32) -> ArrayF32: ...
 
 
 class _PointConv(Estimator):
@@ -36,7 +43,11 @@ class _PointConv(Estimator):
         loaded = loaded_for(self, weights, lambda path: load_pointconv_weights(path, self.name))
         self._n_points_trained_with = loaded.n_points
         self._keeps_unset_at_origin = loaded.architecture.keeps_unset_at_origin
-        self._network = PointConvNetwork(loaded)
+        self._network: _GivesLight = PointConvNetwork(loaded)
+
+    def use_network(self, network: _GivesLight) -> None:
+        """Ask this network of the same weights from now on, one that runs elsewhere."""
+        self._network = network
 
     def _light(self, points_m: ArrayF32, srgb: ArrayF32, is_set: ArrayBool) -> ArrayF64:
         """(9, 3) from points (N, 3) relative to the position, their colours, and which of them there are."""
