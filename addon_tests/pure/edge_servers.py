@@ -88,6 +88,44 @@ class EdgeServer:
         return status, answer
 
 
+class DelayingProxy:
+    """Hands on what comes to a server and back, each byte `delay_s` later, as a network does."""
+
+    def __init__(self, port, delay_s):
+        self._to, self._delay_s, self.port, self._writers = port, delay_s, None, []
+        self._ready = threading.Event()
+        self._thread = threading.Thread(target=asyncio.run, args=(self._run(),))
+
+    async def _run(self):
+        self._loop, self._stopping = asyncio.get_running_loop(), asyncio.Event()
+        server = await asyncio.start_server(self._connected, "127.0.0.1", 0)
+        self.port = server.sockets[0].getsockname()[1]
+        self._ready.set()
+        async with server:
+            await self._stopping.wait()
+        for writer in self._writers:
+            writer.close()
+        await asyncio.gather(*(writer.wait_closed() for writer in self._writers), return_exceptions=True)
+
+    async def _connected(self, reader, writer):
+        there, back = await asyncio.open_connection("127.0.0.1", self._to)
+        self._writers += [writer, back]
+        await asyncio.gather(self._handed_on(reader, back), self._handed_on(there, writer))
+
+    async def _handed_on(self, reader, writer):
+        while part := await reader.read(65536):
+            self._loop.call_later(self._delay_s, writer.write, part)
+
+    def __enter__(self):
+        self._thread.start()
+        assert self._ready.wait(20)
+        return self
+
+    def __exit__(self, *_):
+        self._loop.call_soon_threadsafe(self._stopping.set)
+        self._thread.join(20)
+
+
 def published_body(cloud):
     """What the published client's snapshot sends of a cloud: dark anchors left out, and the tail lost."""
     body, n_written = bytearray(7 * len(cloud)), 0

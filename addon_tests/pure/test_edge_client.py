@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from addon_tests.pure.edge_servers import NEEDS_TORNADO, EdgeServer
+from addon_tests.pure.edge_servers import NEEDS_TORNADO, DelayingProxy, EdgeServer
 from addon_tests.pure.made import frame_of, random_cloud
 from addon_tests.pure.recordings import seen, walk
 from xihenet import estimators
@@ -22,6 +22,7 @@ from xihenet.edge.client import EdgeBackend, EdgeRefused, Patience, backend_at
 from xihenet.edge.http_settings import ServerSettings
 from xihenet.estimators import EstimateContext
 from xihenet.metrics import shc_rmse
+from xihenet.phone.network import LINKS, arrival_frames
 from xihenet.records import AnchorSurfaces, Intrinsics, PointCloud, UnitSphereCloud
 from xihenet.trigger import TriggerSettings
 
@@ -242,6 +243,25 @@ def test_a_command_says_which_estimator_the_server_has(server):
 def test_the_bearer_token_is_sent(backend_to):
     with EdgeServer(ServerSettings(port=0, bearer="secret")) as server:
         assert backend_to(server, bearer="secret").estimate(random_cloud(np.random.default_rng(5), N)).any()
+
+
+def test_the_simulated_network_tells_what_a_delayed_one_takes(server, backend_to):
+    cloud, delay_s = random_cloud(np.random.default_rng(6), N), 0.04
+    direct = backend_to(server)
+    with (
+        DelayingProxy(server.port, delay_s) as proxy,
+        contextlib.closing(EdgeBackend(f"http://127.0.0.1:{proxy.port}", N, patience=QUICK)) as delayed,
+    ):
+        for _ in range(12):
+            direct.estimate(cloud)
+            delayed.estimate(cloud)
+    # The link says what comes beside the work on the server: here a delay on the way there and one on the way back.
+    link = replace(
+        LINKS["wifi"], processing_s=float(np.median(direct.times_s)), median_s=2 * delay_s, floor_s=2 * delay_s,
+        spread=0.0, loss=0.0,
+    )  # fmt: skip
+    simulated_s = arrival_frames([0.0], 4249, link, np.random.default_rng(0))[0]
+    assert min(delayed.times_s) >= 2 * delay_s and np.median(delayed.times_s) == pytest.approx(simulated_s, rel=0.3)
 
 
 def test_nothing_seen_is_not_asked(server, backend_to):
