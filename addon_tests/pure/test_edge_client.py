@@ -18,7 +18,8 @@ from xihenet.backend import InferenceBackend, LocalBackend, NoAnswer, estimate_l
 from xihenet.camera import unproject_frame
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.edge.batching import Inference
-from xihenet.edge.client import EdgeBackend, EdgeRefused, Patience, backend_at
+from xihenet.edge.client import EdgeBackend, backend_at
+from xihenet.edge.connection import EdgeRefused, Patience
 from xihenet.edge.http_settings import ServerSettings
 from xihenet.estimators import EstimateContext
 from xihenet.metrics import shc_rmse
@@ -96,7 +97,11 @@ def test_a_session_of_1000_frames_loses_nothing_and_equals_the_local_one(server,
             n_estimates += 1
             largest = max(largest, shc_rmse(report.estimate.sh_radiance, report.estimate.others["lattice"]))
     assert n_estimates > 900 and largest < 1e-3
-    assert backend.n_answered == n_estimates and backend.n_retries == backend.n_failed == 0 and backend.n_opened == 1
+    assert (
+        backend.n_answered == n_estimates
+        and backend.connection.n_retries == backend.connection.n_failed == 0
+        and backend.n_opened == 1
+    )
     print(f"{n_estimates} estimates, largest SHC RMSE {largest:.1e}, {backend.state()}")
 
 
@@ -113,7 +118,11 @@ def test_a_server_that_was_restarted_gets_a_new_session_and_the_light_goes_on(ba
     finally:
         restart.join()
         server.stop()
-    assert backend.n_opened == 2 and backend.n_retries > 0 and "1 sessions lost and opened anew" in backend.state()
+    assert (
+        backend.n_opened == 2
+        and backend.connection.n_retries > 0
+        and "1 sessions lost and opened anew" in backend.state()
+    )
 
 
 def test_while_the_server_is_lost_the_last_light_stays_and_the_trigger_asks_again(backend_to):
@@ -212,7 +221,7 @@ def test_what_may_pass_is_tried_again(bad):
     with contextlib.closing(BadServer(OPENED, bad, LIGHT)) as server:
         backend = EdgeBackend(f"http://127.0.0.1:{server.port}", N, patience=Patience(0.3, 3, 0.01))
         assert backend.estimate(random_cloud(np.random.default_rng(4), N))[0, 0] == 0.5
-        assert backend.n_retries == 1 and backend.n_answered == 1
+        assert backend.connection.n_retries == 1 and backend.n_answered == 1
 
 
 def test_what_will_not_pass_is_said_at_once():
@@ -222,7 +231,7 @@ def test_what_will_not_pass_is_said_at_once():
         assert len(server.requests) == 1
 
 
-@pytest.mark.parametrize("url", ["127.0.0.1:8550", "ftp://a", "http://", "http://a/b", ""])
+@pytest.mark.parametrize("url", ["127.0.0.1:8550", "ftp://a", "http://", "http://a/b", "http://a:b", "http://[1", ""])
 def test_an_address_that_is_none_is_refused(url):
     with pytest.raises(ValueError, match="address of an edge service"):
         EdgeBackend(url)

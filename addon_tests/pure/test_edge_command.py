@@ -15,7 +15,8 @@ from addon_tests.pure.made import random_cloud
 from addon_tests.pure.recordings import LAYOUTS, walk
 from xihe_blender.cli.main import main
 from xihenet.edge.batching import Inference
-from xihenet.edge.client import EdgeBackend, Patience
+from xihenet.edge.client import EdgeBackend
+from xihenet.edge.connection import Patience
 from xihenet.metrics import shc_rmse
 
 pytestmark = NEEDS_TORNADO
@@ -83,6 +84,16 @@ def test_a_mistake_is_one_line_that_names_the_fix(options, said, capfd):
     assert len([line for line in error if line.startswith("xihe: ")]) == 1 and said in error[-1]
 
 
+def test_without_tornado_the_extra_is_named(capfd, monkeypatch):
+    for name in [name for name in sys.modules if name.startswith(("tornado", "xihenet.edge.server"))]:
+        monkeypatch.delitem(sys.modules, name)
+    for name in ("handler", "published_routes", "session_routes", "service_routes"):
+        monkeypatch.delitem(sys.modules, f"xihenet.edge.{name}", raising=False)
+    monkeypatch.setitem(sys.modules, "tornado", None)
+    assert main(["serve"]) == 2
+    assert "pip install 'xihe-blender[edge]'" in capfd.readouterr().err
+
+
 def test_a_replay_over_the_service_is_the_local_one(tmp_path, capfd):
     write, intrinsics = LAYOUTS["Nerfstudio"]
     write(tmp_path / "session", walk(intrinsics, 4))
@@ -105,7 +116,7 @@ def test_a_replay_over_the_service_is_the_local_one(tmp_path, capfd):
 def test_a_service_that_is_not_there_is_said(tmp_path, capfd, monkeypatch):
     write, intrinsics = LAYOUTS["Nerfstudio"]
     write(tmp_path, walk(intrinsics, 2))
-    monkeypatch.setattr("xihenet.edge.client.time.sleep", lambda _: None)
+    monkeypatch.setattr("xihenet.edge.connection.time.sleep", lambda _: None)
     ask = ["replay", str(tmp_path), "--at", "0,0,0", "--out", str(tmp_path / "out")]
     assert main([*ask, "--backend", "http://127.0.0.1:9"]) == 2
     assert "does not answer" in capfd.readouterr().err

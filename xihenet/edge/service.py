@@ -9,9 +9,8 @@ and are made only if they are asked for.
 from __future__ import annotations
 
 import asyncio
-import base64
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -21,16 +20,15 @@ import numpy as np
 
 from xihenet.buffers import merge
 from xihenet.completeness import coverage
-from xihenet.edge.axes import coefficients_in, vector_in
+from xihenet.edge.axes import coefficients_in
 from xihenet.edge.batching import Answered, Batcher, Inference, Job, QueueFull
+from xihenet.edge.extras import Wishes, extras_of, format_extras
 from xihenet.edge.metrics import Metrics
 from xihenet.edge.protocol import CloudSent
 from xihenet.edge.sessions import MemoryStore, SeenPosition, Session, SessionStore, StoreFull, StoreLimits
 from xihenet.edge.sharing import re_exposed, with_others
 from xihenet.estimators.base import Target
-from xihenet.light.key_light import split_light
-from xihenet.light.reflections import fill_reflections
-from xihenet.records import ArrayF64, KeyLight, ObjectLight, Reflections, UnitSphereCloud
+from xihenet.records import ArrayF64, KeyLight, UnitSphereCloud
 from xihenet.sampling import sample_again
 from xihenet.sphere import AnchorLattice
 
@@ -56,16 +54,6 @@ class ServiceSettings:
     max_queue: int = 48  # requests that wait for inference; a full queue is some 50 ms of `lattice`
     retry_after_s: int = 1
     limits: StoreLimits = field(default_factory=StoreLimits)
-
-
-@dataclass(frozen=True)
-class Wishes:
-    """What a client of the clean form may ask for."""
-
-    replaces: bool = False  # the cloud takes the place of what is known of the position, instead of being merged
-    is_shared: bool = False  # directions that were not seen are filled from other positions, see `sharing`
-    has_key_light: bool = False
-    has_reflections: bool = False
 
 
 class Refused(Exception):
@@ -148,9 +136,9 @@ class EdgeService:
             "n_shared_anchors": int(np.count_nonzero(cloud.is_set & ~seen.cloud.is_set)),
         }
         if not light.unknown_because and (wishes.has_key_light or wishes.has_reflections):
-            key, reflections = await self._extra(lambda: _extras(light.sh_radiance, cloud, seen.key, wishes))
+            key, reflections = await self._extra(lambda: extras_of(light.sh_radiance, cloud, seen.key, wishes))
             self._remember_key(session, name, key)
-            answer |= _told(key, reflections, sent.axes, wishes)
+            answer |= format_extras(key, reflections, sent.axes, wishes)
         return answer
 
     @contextmanager
@@ -234,36 +222,3 @@ class EdgeService:
     def _refuse_full(self, what: str, message: str) -> NoReturn:
         self.metrics.count("xihe_refused_total", what=what)
         raise Refused(503, f"{message}: try again later", self.settings.retry_after_s)
-
-
-def _extras(
-    sh_radiance: ArrayF64, cloud: UnitSphereCloud, before: KeyLight | None, wishes: Wishes
-) -> tuple[KeyLight | None, Reflections | None]:
-    lattice = AnchorLattice(len(cloud))
-    key = split_light(sh_radiance, cloud, lattice, before).key
-    if not wishes.has_reflections:
-        return key, None
-    return key, fill_reflections(cloud, lattice, ObjectLight(sh_radiance, key))
-
-
-def _told(key: KeyLight | None, reflections: Reflections | None, axes: str, wishes: Wishes) -> Mapping[str, Any]:
-    """What answers say of them: radiance by anchor in base64 of float16, little endian, red, green, blue."""
-    told: dict[str, Any] = {}
-    if wishes.has_key_light:
-        told["key_light"] = (
-            None
-            if key is None
-            else {
-                "direction": vector_in(key.direction, axes),
-                "irradiance": key.irradiance.tolist(),
-                "angular_radius": key.angular_radius,
-                "is_seen": key.is_seen,
-            }
-        )
-    if reflections is not None:
-        radiance = reflections.radiance.astype("<f2").tobytes()
-        told["reflections"] = {
-            "radiance_float16": base64.b64encode(radiance).decode(),
-            "seen_share": reflections.seen_share,
-        }
-    return told

@@ -8,8 +8,9 @@ from typing import Any
 
 from xihenet.edge import protocol
 from xihenet.edge.axes import OUR_AXES, checked_axes
+from xihenet.edge.extras import Wishes
 from xihenet.edge.handler import Handler, as_sent, begin_of
-from xihenet.edge.service import EdgeService, Refused, Wishes
+from xihenet.edge.service import EdgeService, Refused
 from xihenet.edge.sessions import Session, StoreFull, joined, new_session, new_token
 
 MAX_NAME = 64
