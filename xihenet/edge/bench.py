@@ -145,7 +145,7 @@ def _seen(number: int) -> RgbdFrame:
     pose[:3, :3] = np.stack([np.cross(ahead, [0, 0, 1.0]), [0, 0, 1.0], -ahead], axis=1)
     x, y = np.meshgrid((np.arange(k.width) + 0.5 - k.cx) / k.fx, (np.arange(k.height) + 0.5 - k.cy) / k.fy)
     rays = np.stack([x, -y, -np.ones_like(x)], axis=-1) @ pose[:3, :3].T
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore"):  # A ray along a wall never meets it: the infinite reach loses to another wall.
         reach_m = HALF_ROOM_M / np.abs(rays)
     side = reach_m.argmin(axis=-1)
     colours = np.array([[190, 150, 120], [120, 160, 190], [210, 210, 200]]) * (0.8 + 0.2 * np.sin(number))
