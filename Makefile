@@ -21,12 +21,13 @@ TEST_PACKAGES ?= build/test_packages/$(BLENDER_PYTHON)
 previs: $(VENV)/installed
 	$(BIN)/xihe previs blend_scenes/living_room.blend --out $(OUT) --preset draft
 
-# A process per core; a file's tests stay together, since they share what its fixtures made.
+# A process per core, and in each one thread for matrices, or they wait for each other. A file's tests stay together, since
+# they share what its fixtures made.
 test: $(VENV)/installed
-	$(BIN)/python -m pytest -n auto --dist loadfile
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
 
 test-fast: $(VENV)/installed
-	$(BIN)/python -m pytest -n auto --dist loadfile -m "not slow"
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile -m "not slow"
 
 hard-cases: $(VENV)/installed
 	$(BIN)/python -m pytest --quiet --catalogue addon_tests/pure/hard_cases addon_tests/in_blender/hard_cases

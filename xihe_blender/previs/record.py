@@ -174,7 +174,7 @@ def _measure_truth(run: PreparedRun, places: Sequence[Probe], out: Path, command
     content: dict[str, Any] = {
         "schema_version": 1,
         "software": software(command),
-        "axes": "right-handed, +Z up, metres; basis as in docs/sh.md",
+        "axes": "right-handed, +Z up, metres; the basis of docs/conventions.md",
         "exposure": run.exposure,
         "light": "hdr: all light that arrives; ldr: what a camera sees, clipped at white; both carry the exposure",
         "valid": "from its frame on, until the next of its name",

@@ -62,7 +62,7 @@ def pose_of(place_m: ArrayF64, quaternion: ArrayF64) -> ArrayF64:
 
 def rotation_of(quaternion: ArrayF64) -> ArrayF64:
     """(3, 3) of x, y, z, w of any length that is not about 0 or beyond measure; ValueError else."""
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore"):  # Numbers whose squares overflow have an infinite length, and are refused.
         length = float(np.linalg.norm(quaternion))
     if not SHORTEST < length < LONGEST:
         raise ValueError(f"pose: expected a quaternion of length 1, got one of {length:.3g}")

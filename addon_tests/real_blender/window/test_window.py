@@ -7,7 +7,10 @@ import pytest
 from blender_window import run_in_window
 from results_schema import without_times
 
+from addon_tests.pure.recordings import HALF, walk
 from addon_tests.real_blender.whole_blender import MODULE
+from xihenet.recording import SessionRecorder
+from xihenet.records import Intrinsics
 
 ROOT = Path(__file__).resolve().parents[3]
 pytestmark = pytest.mark.timeout(1200)
@@ -55,6 +58,20 @@ def test_the_tab_draws_without_an_error_in_a_fresh_scene(tmp_path):
 @pytest.mark.parametrize("scenario", ["look", "unfolded", "long_words"])
 def test_all_of_the_tab_draws_without_an_error_in_a_room(tmp_path, scenario):
     played(scenario, tmp_path, blend=CORNELL_BOX)
+
+
+def test_a_recording_becomes_a_lit_object_over_its_pictures(tmp_path, monkeypatch):
+    session = SessionRecorder(tmp_path / "session")
+    for frame in walk(Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0), 5):
+        session.record(frame)
+    monkeypatch.setenv("XIHE_RECORDING", str(session.folder))
+    monkeypatch.setenv("XIHE_AT", "1.0,0.4,-0.8")
+    facts = played("phone_capture", tmp_path / "out").facts
+    assert facts["imported"] == ["FINISHED"] and facts["error"] == ""
+    assert facts["objects"] == ["Phone", "Phone Scan", "Xihe looked here first"]
+    assert facts["stands_on"] == pytest.approx([1.0, 0.4, -HALF[2]], abs=0.02)
+    assert {"composited.mp4", "report.html", "results.json", "session.json"} <= set(facts["left"])
+    assert facts["lit_scene"] == "Xihe Lit"
 
 
 def test_where_to_look_is_said_after_a_run_and_a_camera_does_it(tmp_path):
