@@ -125,7 +125,7 @@ def _surfaces(number: int, frame: RgbdFrame) -> tuple[ArrayF64, ...]:
     # An edge between a near and a far surface has a normal too: there, both halves of a step differ.
     bends = np.abs(points[np.ix_(rows, columns + reach)] + points[np.ix_(rows, columns - reach)] - 2 * at)
     bends += np.abs(points[np.ix_(rows + reach, columns)] + points[np.ix_(rows - reach, columns)] - 2 * at)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore"):  # Where there is no depth, which is not flat
         is_flat = (bends.max(axis=-1) < THICK_M) & (areas > 0)
     at, normals, areas = at[is_flat], normals[is_flat] / areas[is_flat, None], areas[is_flat]
     faces = np.sign(((frame.world_from_camera[:3, 3] - at) * normals).sum(axis=-1))
