@@ -327,16 +327,19 @@ def _channels_of(
     """Unpacked chunk by chunk, so that no more is in memory than is asked for."""
     rows, columns = picked_pixels(part.height, part.width, most_pixels)
     channels = {name: np.empty((len(rows), len(columns)), np.float32) for name in wanted}
+    is_whole = (len(rows), len(columns)) == (part.height, part.width)  # Then nothing is picked, which takes a copy.
     for first, n_rows, packed in chunks:
-        start, end = np.searchsorted(rows, [first, first + n_rows])
+        start, end = (first, first + n_rows) if is_whole else np.searchsorted(rows, [first, first + n_rows])
         if start == end:
             continue
-        lines = _unpacked(packed, n_rows * part.row_bytes).reshape(n_rows, part.row_bytes)[rows[start:end] - first]
+        lines = _unpacked(packed, n_rows * part.row_bytes).reshape(n_rows, part.row_bytes)
+        lines = lines if is_whole else lines[rows[start:end] - first]
         at = 0
         for name, kind in part.channels:
             after = at + part.width * kind.itemsize
             if name in channels:
-                channels[name][start:end] = np.ascontiguousarray(lines[:, at:after]).view(kind)[:, columns]
+                values = np.ascontiguousarray(lines[:, at:after]).view(kind)
+                channels[name][start:end] = values if is_whole else values[:, columns]
             at = after
     for pixels in channels.values():
         # The same for every NaN: one that signals would warn at the first cast, far from here.
