@@ -262,7 +262,9 @@ def settings_of(scene):
         f"{name}.{described.identifier}": value
         for name, owner in owners.items()
         for described in owner.bl_rna.properties
-        if described.type != "COLLECTION" and isinstance(value := getattr(owner, described.identifier), PLAIN)
+        # Blender 5 warns of the latter, which it will drop.
+        if described.type != "COLLECTION" and described.identifier != "use_nodes"
+        if isinstance(value := getattr(owner, described.identifier), PLAIN)
     } | {"scene.camera": scene.camera}
 
 
