@@ -3,14 +3,15 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from blender_window import run_in_window
 from results_schema import without_times
 
-from addon_tests.pure.recordings import HALF, walk
+from addon_tests.pure.furnished import seen
+from addon_tests.pure.recordings import looking
 from addon_tests.real_blender.whole_blender import MODULE
 from xihenet.recording import SessionRecorder
-from xihenet.records import Intrinsics
 
 ROOT = Path(__file__).resolve().parents[3]
 pytestmark = pytest.mark.timeout(1200)
@@ -20,6 +21,7 @@ LONGEST_FREEZE_S = 0.6
 LONGEST_FOLLOW_S = 3.0
 """Six small frames: 0.3 s on a quiet machine, much of it for two draws of a view rendered in software."""
 
+NO_BOXES = np.zeros((0, 2, 3))
 CORNELL_BOX = ROOT / "blend_scenes" / "cornell_box.blend"
 LOWEST_PRIORITY = 19
 KINDS = ("worlds", "images", "node_groups", "actions", "scenes", "meshes", "materials", "markers")
@@ -62,14 +64,14 @@ def test_all_of_the_tab_draws_without_an_error_in_a_room(tmp_path, scenario):
 
 def test_a_recording_becomes_a_lit_object_over_its_pictures(tmp_path, monkeypatch):
     session = SessionRecorder(tmp_path / "session")
-    for frame in walk(Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0), 5):
-        session.record(frame)
+    for number, azimuth in enumerate(np.linspace(-0.3, 0.3, 5), start=1):
+        session.record(seen(looking(azimuth, -0.6, (-1.0, 0.0, 1.4)), NO_BOXES, number))
     monkeypatch.setenv("XIHE_RECORDING", str(session.folder))
-    monkeypatch.setenv("XIHE_AT", "1.0,0.4,-0.8")
+    monkeypatch.setenv("XIHE_AT", "0.9,0.0,0.3")
     facts = played("phone_capture", tmp_path / "out").facts
     assert facts["imported"] == ["FINISHED"] and facts["error"] == ""
     assert facts["objects"] == ["Phone", "Phone Scan", "Xihe looked here first"]
-    assert facts["stands_on"] == pytest.approx([1.0, 0.4, -HALF[2]], abs=0.02)
+    assert facts["stands_on"] == pytest.approx([0.9, 0.0, 0.0], abs=0.02)
     assert {"composited.mp4", "report.html", "results.json", "session.json"} <= set(facts["left"])
     assert facts["lit_scene"] == "Xihe Lit"
 
