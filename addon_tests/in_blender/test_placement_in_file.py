@@ -1,6 +1,7 @@
 """The placement map in the open file: made from the last run's frames, removed with its light, never in a render."""
 
 import json
+from functools import partial
 
 import bpy
 import numpy as np
@@ -26,6 +27,17 @@ from xihe_blender.previs.placement import PlacementSettings, placement
 @pytest.fixture(scope="module", autouse=True)
 def addon():
     with registered_addon():
+        yield
+
+
+FEW = PlacementSettings(most=120)
+"""Places: what is asked here is not how fine a map is."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_places():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("xihe_blender.previs.placement.PlacementSettings", partial(PlacementSettings, most=FEW.most))
         yield
 
 
@@ -57,9 +69,7 @@ def test_the_map_of_a_run_is_that_of_the_command_line_and_costs_no_render(scene,
         assert bpy.ops.xihe.map_places() == {"FINISHED"}
     assert renders == []
     errors, coverage = values("expected_error"), values("coverage")
-    results = run_blocking(
-        placement(scene, tmp_path, CAPTURED, PlacementSettings(), blend_file=ran.parent / "room.blend")
-    )
+    results = run_blocking(placement(scene, tmp_path, CAPTURED, FEW, blend_file=ran.parent / "room.blend"))
     expected = [-1 if place.expected_error is None else place.expected_error for place in results.places]
     np.testing.assert_allclose(errors, expected, atol=1e-6)
     np.testing.assert_allclose(coverage, [place.coverage for place in results.places], atol=1e-6)

@@ -73,7 +73,14 @@ def long_record3d(folder):
 
 
 @pytest.mark.wheel_only("its Python is not sys.executable with these packages")
-@pytest.mark.parametrize("make", [long_nerfstudio, long_tum, pytest.param(long_record3d, marks=PACKED)])
+@pytest.mark.parametrize(
+    "make",
+    [
+        pytest.param(long_nerfstudio, marks=pytest.mark.slow),
+        pytest.param(long_tum, marks=pytest.mark.slow),
+        pytest.param(long_record3d, marks=PACKED),
+    ],
+)
 def test_ten_thousand_frames_take_little_memory(tmp_path, make):
     path = make(tmp_path)
     done = subprocess.run(
