@@ -78,7 +78,9 @@ def load_frame(path: Path) -> RgbdFrame:
     header = read_header(path)
     try:
         channels = read_exr(path)
-        srgb_u8 = _bytes_of_light(np.stack([channels[name] for name in "RGB"], axis=-1))
+        srgb_u8 = np.empty((*channels["R"].shape, 3), np.uint8)
+        for channel, name in enumerate("RGB"):
+            srgb_u8[..., channel] = _bytes_of_light(channels[name])
         confidence = channels["confidence"].astype(np.uint8) if "confidence" in channels else None
         return RgbdFrame(
             srgb_u8,
@@ -169,11 +171,13 @@ def _bytes_of_halves() -> NDArray[np.uint8]:
 
 
 def _bytes_of_light(light: ArrayF32) -> ArrayU8:
-    """(H, W, 3) uint8 sRGB of linear light. ValueError for NaN."""
-    if np.isnan(light).any():
+    """(H, W) uint8 sRGB of linear light. ValueError for NaN."""
+    low, high = float(light.min()), float(light.max())
+    if np.isnan(high):
         raise ValueError("a colour is NaN")
-    halves = light.clip(-LARGEST_HALF, LARGEST_HALF).astype(np.float16)
-    return np.asarray(_bytes_of_halves()[halves.view(np.uint16)])
+    if low < -LARGEST_HALF or high > LARGEST_HALF:
+        light = light.clip(-LARGEST_HALF, LARGEST_HALF)
+    return np.asarray(_bytes_of_halves().take(light.astype(np.float16).view(np.uint16)))
 
 
 @dataclass(frozen=True)
