@@ -9,15 +9,11 @@ import argparse
 import inspect
 import re
 from collections.abc import Callable, Iterable
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from xihenet import estimators
 from xihenet.frame_files import BLENDER_FROM_UP
 from xihenet.phone import LINKS, profile_names
-
-if TYPE_CHECKING:
-    from xihenet.captures.capture import Capture
 
 MAX_FRAME = 1048574
 Settings = TypeVar("Settings")
@@ -55,14 +51,6 @@ def add_recording(add: Callable[..., None]) -> None:
     add("--up AXIS", UP, choices=tuple(BLENDER_FROM_UP))
     add("--scale FACTOR", "what all lengths of the recording are multiplied by; default: 1", float, default=1.0)
     add("--floor HEIGHT", "height of the floor in the scaled recording, in metres, which becomes 0", float, default=0.0)
-
-
-def recording_from(path: Path, options: argparse.Namespace) -> Capture:
-    """The recording at `path`, with what `add_recording` asks. Raises as `open_capture`."""
-    from xihenet.captures import open_capture
-    from xihenet.captures.by_hand import set_by_hand
-
-    return set_by_hand(open_capture(path, options.up), scale=options.scale, floor_m=options.floor)
 
 
 def settings_from(options: argparse.Namespace, kind: Callable[..., Settings], **others: Any) -> Settings:

@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from xihe_blender.cli.arguments import BACKEND, add_recording, adder, one_of, recording_from
+from xihe_blender.cli.arguments import BACKEND, add_recording, adder, one_of
 from xihe_blender.cli.estimate import position
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import finite_or_none, write_json, written_whole
 from xihe_blender.io.run_lights import write_lights
 from xihe_blender.report.replay import write_replay_report
 from xihenet import __version__, estimators
-from xihenet.captures import READERS
+from xihenet.captures import READERS, open_capture
 from xihenet.captures.capture import Capture
 from xihenet.captures.checks import steadied, suspicion
 from xihenet.captures.drift import Drift
@@ -88,7 +88,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         raise UserError("truth is a light probe rendered in Blender, which a recording does not have: choose another")
     try:
         estimator = _estimator(options)
-        capture, drift = _prepared(recording_from(options.session, options), options)
+        capture, drift = _prepared(options)
         places = [Place(f"place_{number}", at) for number, at in enumerate(options.at)]
         unseen = never_in_view(capture, _positions(capture, places))
         steps = list(_replayed(capture, places, unseen, estimator)) if places else []
@@ -118,9 +118,12 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         print(f"xihe: note: {SCORE_SAYS if score else NOT_ASKED}", file=stderr)
 
 
-def _prepared(capture: Capture, options: argparse.Namespace) -> tuple[Capture, Drift | None]:
+def _prepared(options: argparse.Namespace) -> tuple[Capture, Drift | None]:
     """Every N-th frame, with a note where its conventions look wrong, and with its drift divided out."""
+    capture = open_capture(options.session, options.up, scale=options.scale, floor_m=options.floor)
     capture = replace(capture, frames=capture.frames[:: options.every])
+    if options.score and len(capture.frames) < LEAST_FRAMES:
+        raise UserError(f"--score leaves frames out: give {LEAST_FRAMES} frames or more")
     suspected = suspicion(capture)
     if suspected is not None:
         capture = replace(capture, notes=(*capture.notes, suspected))
@@ -148,8 +151,6 @@ def _estimator(options: argparse.Namespace) -> Estimator | EdgeBackend:
 
 def _score(capture: Capture, places: Sequence[Place], options: argparse.Namespace) -> list[EstimatorScore]:
     chosen = capture.frames
-    if len(chosen) < LEAST_FRAMES:
-        raise UserError(f"--score leaves frames out: give {LEAST_FRAMES} frames or more")
     loaded = {name: estimators.load(name, target="ldr") for name in ("ambient", *_by_cloud())}
     if places:
         places_m = np.array(list(_positions(capture, places).values()))

@@ -31,7 +31,6 @@ from xihe_blender.scene.phone_capture import (
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import valid_plane_depth
 from xihenet.captures import READERS, open_capture
-from xihenet.captures.by_hand import set_by_hand
 from xihenet.captures.capture import Capture, CapturedFrame
 from xihenet.captures.checks import steadied, suspicion
 from xihenet.records import ArrayF64, RgbdFrame
@@ -70,7 +69,7 @@ def said_in_one_line(of: str = "") -> Iterator[None]:
 def opened_capture(chosen: ChosenCapture) -> Capture:
     """The recording that was chosen; UserError for none and for a broken one, as of `open_capture`."""
     with said_in_one_line(f"{chosen.path}: "):
-        return set_by_hand(open_capture(chosen.path, chosen.up), scale=chosen.scale, floor_m=chosen.floor_m)
+        return open_capture(chosen.path, chosen.up, scale=chosen.scale, floor_m=chosen.floor_m)
 
 
 def recording_at(path: Path) -> Path:

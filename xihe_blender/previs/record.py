@@ -86,7 +86,7 @@ def record_session(
         settings, plan = path_plan(scene, settings)
     places = truth_places(plan, wishes) if wishes.has_truth else ()
     outputs = RunOutputs(out, blend_file.stem)
-    decides = made_of(WORK, scene, blend_file, settings, plan)
+    decides = made_of(WORK, scene, blend_file, settings, plan) | {"layout": wishes.layout}
     manifest = FolderManifest(out, outputs.settings, WORK, decides, (out / SESSION_FILE,))
     manifest.check()
     survey = survey_run(scene, plan, outputs)
@@ -149,18 +149,23 @@ def _measure_truth(run: PreparedRun, places: Sequence[Probe], out: Path, command
     items = {item.name: item for item in run.plan.objects}
     positions_m: list[ArrayF64] = [place.position_m for place in places]
     objects = [items.get(place.object_name) for place in places]
-    for done, (k, place, frame) in enumerate(asked):
-        yield Progress(done, len(asked), f"measuring the true light at {place.name} in frame {frame}")
-        stem = f"truth/{k}_{frame:04d}"
-        with open_reference_probe(run.scene, positions_m, run.reference, objects) as probe:
+    lights, shown = [], []
+    # All of one kind before the other: Cycles keeps a room's geometry between the renders of one scene.
+    with open_reference_probe(run.scene, positions_m, run.reference, objects) as probe:
+        for done, (k, place, frame) in enumerate(asked):
+            yield Progress(done, 2 * len(asked), f"measuring the true light at {place.name} in frame {frame}")
             probe.move(k, place.at(frame))
-            light = probe.light_at(k, frame, run.exposure)
-        with open_three_spheres(run.scene, run.comparison) as spheres:
-            shown = spheres.seen_at(frame, place.at(frame), run.exposure)
+            lights.append(probe.light_at(k, frame, run.exposure))
+    with open_three_spheres(run.scene, run.comparison) as spheres:
+        for done, (_, place, frame) in enumerate(asked, start=len(asked)):
+            yield Progress(done, 2 * len(asked), f"rendering three spheres at {place.name} in frame {frame}")
+            shown.append(spheres.seen_at(frame, place.at(frame), run.exposure))
+    for (k, place, frame), light, seen in zip(asked, lights, shown, strict=True):
+        stem = f"truth/{k}_{frame:04d}"
         files = {"panorama": f"{stem}_panorama.exr", "spheres": f"{stem}_spheres.exr", "shown": f"{stem}_spheres.png"}
         write_radiance(out / files["panorama"], light.panorama * np.float32(run.exposure))
-        write_radiance(out / files["spheres"], shown)
-        write_picture(out / files["shown"], linear_to_srgb(shown.clip(0, 1)))
+        write_radiance(out / files["spheres"], seen)
+        write_picture(out / files["shown"], linear_to_srgb(seen.clip(0, 1)))
         found.append(
             {
                 "name": place.name,

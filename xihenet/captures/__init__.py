@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from xihenet.captures import nerfstudio, plain, polycam, record3d, seven_scenes, stray, tum, xihe_session
+from xihenet.captures.by_hand import set_by_hand
 from xihenet.captures.capture import Capture
 
 READERS: dict[str, tuple[Callable[[Path], bool], Callable[[Path, str | None], Capture]]] = {
@@ -21,17 +22,17 @@ READERS: dict[str, tuple[Callable[[Path], bool], Callable[[Path, str | None], Ca
 """By name, whether a folder, or for Record3D a file, holds one, and how it is read."""
 
 
-def open_capture(path: Path, up: str | None = None) -> Capture:
+def open_capture(path: Path, up: str | None = None, *, scale: float = 1.0, floor_m: float = 0.0) -> Capture:
     """The session in the folder or file `path`; its pictures are read one by one, when they are asked for.
 
     `up` is the axis of the recording's world that points up, "z", "y", "x", or one of these after a minus; None takes
-    what is usual for the format, or looks for the floor in some frames where it says nothing. ValueError, naming the
-    fix, for what is no known format, and for what is broken in it; OSError if it cannot be read; ImportError, naming
-    the extra, without a package that it takes.
+    what is usual for the format, or looks for the floor in some frames where it says nothing. `scale` and `floor_m` are
+    as of `set_by_hand`. ValueError, naming the fix, for what is no known format, and for what is broken in it; OSError
+    if it cannot be read; ImportError, naming the extra, without a package that it takes.
     """
     if not path.exists():
         raise ValueError(f"{path} is not there: give a folder or file with a recording of {', '.join(READERS)}")
     for is_in, read in READERS.values():
         if is_in(path):
-            return read(path, up)
+            return set_by_hand(read(path, up), scale=scale, floor_m=floor_m)
     raise ValueError(f"{path} holds no recording that is known: expected one of {', '.join(READERS)}")
