@@ -177,7 +177,10 @@ def _build(
             collection.objects.link(item)
     scene.collection.children.link(collection)
     changed = _play(scene, camera, capture, numbered, size)
-    said = [f"Imported {len(numbered)} frames of a {capture.format_name} recording as {collection.name!r}.", changed]
+    said = [
+        f"Imported {len(numbered)} frames as {collection.name!r}; the recording is: {capture.format_name}.",
+        changed,
+    ]
     n_left_out = len(capture.frames) - len(numbered)
     if n_left_out:
         said.append(f"{n_left_out} that follow too closely for the timeline, or go back in time, were left out.")
