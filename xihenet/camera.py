@@ -209,12 +209,18 @@ def _inverse_3x3(matrix: ArrayF64) -> ArrayF64:
     axes = matrix / largest
     lengths = np.sqrt(np.einsum("ij,ij->j", axes, axes))
     x, y, z = (axes / lengths).T
-    volume = float(np.dot(x, np.cross(y, z)))
+    across = np.array([_cross(y, z), _cross(z, x), _cross(x, y)])
+    volume = float(np.dot(x, across[0]))
     if abs(volume) < SMALLEST_VOLUME:
         raise ValueError("project_points: world_from_camera cannot be inverted; its axes lie in one plane")
-    unscaled = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)]) / volume
-    inverse: ArrayF64 = unscaled / (largest * lengths)[:, None]
+    inverse: ArrayF64 = across / volume / (largest * lengths)[:, None]
     return inverse
+
+
+def _cross(a: ArrayF64, b: ArrayF64) -> tuple[float, float, float]:
+    """numpy.cross takes ten times as long for three numbers."""
+    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
 def in_view(points_m: ArrayLike, intrinsics: Intrinsics, world_from_camera: ArrayLike) -> ArrayBool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from xihe_blender.previs.plan import PrevisPlan, Probe
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihenet.camera import in_view, unproject_frame
+from xihenet.estimators import Estimator
 from xihenet.light_change import LightFollowing
 from xihenet.recording import SessionFacts, load_frame
 from xihenet.records import ArrayF64, Intrinsics, ObjectLight, PointCloud, RgbdFrame
@@ -67,6 +69,10 @@ class KeptSession:
     exposure: float
     frames: tuple[SeenFrame, ...]
 
+    @cached_property
+    def _estimator(self) -> Estimator:
+        return load_estimators(self.settings)[0]
+
     def find_light(self, places_m: Mapping[str, ArrayF64]) -> Job[dict[str, FoundLight]]:
         """A job, a step per frame: the light at positions ((3,) world, metres) that stay where they are, by name.
 
@@ -75,8 +81,7 @@ class KeptSession:
         probes = tuple(Probe(name, name, np.asarray(place, np.float64)) for name, place in places_m.items())
         numbers = tuple(one.seen.frame for one in self.frames)
         plan = PrevisPlan(numbers, self.size, (), probes)
-        estimator, *_ = load_estimators(self.settings)
-        session = PhoneSession(plan, self.settings, self.exposure, estimator, self.settings.link)
+        session = PhoneSession(plan, self.settings, self.exposure, self._estimator, self.settings.link)
         found, positions_m = {name: FoundLight() for name in places_m}, np.array(list(places_m.values())).reshape(-1, 3)
         for done, one in enumerate(self.frames):
             yield Progress(done, len(self.frames), f"estimating the light from frame {one.seen.frame}")

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 
 from xihenet.colour import srgb_to_linear
 from xihenet.records import ArrayBool, ArrayF64, KeyLight, ObjectLight, UnitSphereCloud
-from xihenet.sh_basis import basis, checked_sh
+from xihenet.sh_basis import checked_sh
 from xihenet.sphere import AnchorLattice
 
 WhyNone = Literal["", "dark", "flat", "two lights"]
@@ -129,6 +129,8 @@ def mean_light(lights: Sequence[ObjectLight]) -> ObjectLight:
     """
     if not lights:
         raise ValueError("mean_light: expected at least one light")
+    if len(lights) == 1:
+        return ObjectLight(lights[0].sh, lights[0].key)
     sh = np.mean([light.sh for light in lights], axis=0)
     keys = [light.key for light in lights if light.key is not None]
     if not keys:
@@ -156,9 +158,10 @@ def with_positions(
 
 def _of_disc(direction: ArrayF64, angular_radius: float) -> ArrayF64:
     """(9,) coefficients of a disc whose irradiance is 1."""
-    c = np.cos(angular_radius)
-    of_bands = np.repeat([2 / (1 + c), 1.0, c], [1, 3, 5])
-    return np.asarray(basis(direction[None])[0] * of_bands)
+    c = math.cos(angular_radius)
+    column = np.concatenate([[_Y0 * 2 / (1 + c)], _of_point(direction)])
+    column[4:] *= c
+    return column
 
 
 def _candidates(luminance: ArrayF64, cloud: UnitSphereCloud | None, lattice: AnchorLattice | None) -> list[_Candidate]:
@@ -244,15 +247,10 @@ def _two_directions(luminance: ArrayF64) -> list[ArrayF64]:
 
 def _of_point(direction: ArrayF64) -> ArrayF64:
     """(8,) bands 1 and 2 of a point light whose irradiance is 1."""
-    x, y, z = direction
-    return np.array(
-        [
-            _Y1 * y,
-            _Y1 * z,
-            _Y1 * x,
-            *(_Y2 * np.array([x * y, y * z, (z * z - 1 / 3) * _ZZ, x * z, (x * x - y * y) / 2])),
-        ]
-    )
+    x, y, z = direction.tolist()
+    band1 = _Y1 * y, _Y1 * z, _Y1 * x
+    band2 = x * y, y * z, (z * z - 1 / 3) * _ZZ, x * z, (x * x - y * y) / 2
+    return np.array([*band1, *(_Y2 * one for one in band2)])
 
 
 def _strength(column: ArrayF64, bands: ArrayF64) -> float:
@@ -264,39 +262,47 @@ def _peak(bands: ArrayF64, start: ArrayF64 | None = None) -> ArrayF64:
 
     In direction d it is v.d + d.M d, and d <- unit(v + 2 (M + s) d) never falls where s is at least the size of M.
     """
-    linear = _Y1 * bands[[2, 0, 1]]
-    xy, yz, zz, xz, xx = _Y2 * bands[3:]
-    zz /= np.sqrt(12)
-    matrix = np.array([[xx / 2 - zz, xy / 2, xz / 2], [xy / 2, -xx / 2 - zz, yz / 2], [xz / 2, yz / 2, 2 * zz]])
+    # Plain numbers: arrays of three take ten times as long, and this is most of the time of a split.
+    along_y, along_z, along_x = (_Y1 * bands[:3]).tolist()
+    xy, yz, zz, xz, xx = (_Y2 * bands[3:]).tolist()
+    zz /= math.sqrt(12)
+    m = ((xx / 2 - zz, xy / 2, xz / 2), (xy / 2, -xx / 2 - zz, yz / 2), (xz / 2, yz / 2, 2 * zz))
     n_steps, direction = N_STEPS, start
     if direction is None:
-        shown = _STARTS @ linear + np.einsum("ni,ij,nj->n", _STARTS, matrix, _STARTS)
+        shown = _STARTS @ np.array([along_x, along_y, along_z])
+        shown += np.einsum("ni,ij,nj->n", _STARTS, np.array(m), _STARTS)
         n_steps, direction = N_ASCENT, _STARTS[np.argmax(shown)]
-    shifted = 2 * (matrix + np.linalg.norm(matrix) * np.eye(3))
+    size = math.hypot(*m[0], *m[1], *m[2])
+    x, y, z = direction.tolist()
     for _ in range(n_steps):
-        step = linear + shifted @ direction
-        if not np.any(step):
+        to_x = along_x + 2 * (m[0][0] * x + m[0][1] * y + m[0][2] * z + size * x)
+        to_y = along_y + 2 * (m[1][0] * x + m[1][1] * y + m[1][2] * z + size * y)
+        to_z = along_z + 2 * (m[2][0] * x + m[2][1] * y + m[2][2] * z + size * z)
+        length = math.hypot(to_x, to_y, to_z)
+        if length == 0:
             break
-        direction = _unit(step)
-    return direction
+        x, y, z = to_x / length, to_y / length, to_z / length
+    return np.array([x, y, z])
 
 
 _STARTS = AnchorLattice(128).directions
-_Y1, _Y2, _ZZ = np.sqrt(3 / (4 * np.pi)), np.sqrt(15 / (4 * np.pi)), np.sqrt(3) / 2
+_Y0, _Y1, _Y2 = (math.sqrt(n / (4 * math.pi)) for n in (1, 3, 15))
+_ZZ = math.sqrt(3) / 2
 
 
 def _strengths(luminance: ArrayF64, candidates: list[_Candidate]) -> ArrayF64:
     """Irradiance of each candidate, least squares over bands 1 and 2, none negative: by coordinate descent."""
     columns = np.array([_of_disc(one.direction, one.angular_radius)[1:] for one in candidates])
-    gram, right = columns @ columns.T, columns @ luminance[1:]
-    strengths = np.zeros(len(candidates))
+    gram, right = (columns @ columns.T).tolist(), (columns @ luminance[1:]).tolist()
+    strengths = [0.0] * len(candidates)
     for _ in range(SWEEPS):
-        before = strengths.copy()
-        for i in range(len(candidates)):
-            strengths[i] = max(0.0, strengths[i] + (right[i] - gram[i] @ strengths) / gram[i, i])
-        if np.allclose(strengths, before, rtol=1e-6, atol=0):
+        before = list(strengths)
+        for i, row in enumerate(gram):
+            left = right[i] - sum(one * strength for one, strength in zip(row, strengths, strict=True))
+            strengths[i] = max(0.0, strengths[i] + left / row[i])
+        if all(abs(now - then) <= 1e-6 * then for now, then in zip(strengths, before, strict=True)):
             break
-    return strengths
+    return np.array(strengths)
 
 
 def _explained(luminance: ArrayF64, candidates: list[_Candidate]) -> float:
