@@ -18,13 +18,13 @@ from xihe_blender.scene.virtual_objects import virtual_collection
 
 @dataclass(frozen=True)
 class QuickPrevis(PrevisSettings):
-    """Light probes of a fortieth of the rays, and metering of a sixteenth, for tests that are about neither."""
+    """Light probes of a fortieth of the rays, not denoised, and metering of a sixteenth: for tests about neither."""
 
     metering_samples = 2
 
     @property
     def reference(self):
-        return replace(super().reference, size=48, max_samples=2)
+        return replace(super().reference, size=48, max_samples=2, denoise=False)
 
 
 DRAFT = {"preset": "draft", "size": (32, 24)}

@@ -30,7 +30,7 @@ def addon():
         yield
 
 
-FEW = PlacementSettings(most=120)
+FEW = PlacementSettings(most=40)
 """Places: what is asked here is not how fine a map is."""
 
 
