@@ -1,4 +1,4 @@
-"""Sessions are kept as long as they are used, within bounds, for those who hold their tokens."""
+"""Sessions are for those who hold their tokens, and what a position shares looks right from another."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,6 @@ from addon_tests.pure.made import random_cloud
 from xihenet.buffers import merge
 from xihenet.edge.metrics import Metrics
 from xihenet.edge.sessions import (
-    MemoryStore,
     SeenPosition,
     StoreFull,
     StoreLimits,
@@ -19,21 +18,6 @@ from xihenet.edge.sessions import (
 from xihenet.edge.sharing import re_exposed, with_others
 from xihenet.records import UnitSphereCloud
 from xihenet.sphere import AnchorLattice
-
-SEEN = SeenPosition(UnitSphereCloud.empty(8))
-
-
-class Clock:
-    def __init__(self):
-        self.now = 0.0
-
-    def __call__(self):
-        return self.now
-
-
-def store_of(**limits):
-    clock = Clock()
-    return MemoryStore(StoreLimits(**limits), clock), clock
 
 
 def session(owner=""):
@@ -59,67 +43,6 @@ def test_who_joined_may_estimate_but_does_not_own():
 def test_a_published_session_admits_no_token():
     assert session().is_published and not session().admits("") and not session().is_owned_by("")
     assert not session().admits(hash_of(""))
-
-
-def test_an_idle_session_is_forgotten_and_a_used_one_kept():
-    store, clock = store_of(idle_s=10)
-    idle, used = session(), session()
-    store.add(idle)
-    store.add(used)
-    clock.now = 8
-    assert store.session(used.id) == used
-    clock.now = 12
-    assert store.session(idle.id) is None and store.session(used.id) == used
-    assert store.counts() == (1, 0) and store.n_expired == 1
-
-
-def test_a_full_store_refuses_unless_a_session_was_idle_long():
-    store, clock = store_of(n_sessions=2, least_idle_s=5)
-    first, second = session(), session()
-    store.add(first)
-    store.add(second)
-    with pytest.raises(StoreFull, match="2 sessions"):
-        store.add(session())
-    clock.now = 6
-    store.session(first.id)
-    store.add(session())
-    assert store.session(first.id) == first and store.session(second.id) is None and store.n_evicted == 1
-
-
-def test_positions_are_bounded_per_session_and_in_all():
-    store, clock = store_of(n_positions=3, n_positions_of_session=2, least_idle_s=5)
-    one, two = session(), session()
-    store.add(one)
-    store.add(two)
-    store.put_position(one.id, "a", SEEN)
-    store.put_position(one.id, "b", SEEN)
-    store.put_position(one.id, "b", SEEN)
-    with pytest.raises(StoreFull, match="2 positions at most"):
-        store.put_position(one.id, "c", SEEN)
-    store.put_position(two.id, "a", SEEN)
-    with pytest.raises(StoreFull, match="3 positions are known"):
-        store.put_position(two.id, "b", SEEN)
-    clock.now = 6
-    store.put_position(two.id, "b", SEEN)
-    assert store.session(one.id) is None and store.counts() == (1, 2)
-    assert store.delete_position(two.id, "a") and not store.delete_position(two.id, "a")
-    store.delete(two.id)
-    assert store.counts() == (0, 0)
-
-
-def test_a_position_of_a_session_that_is_gone_is_not_kept():
-    store, _ = store_of()
-    store.put_position("nobody", "a", SEEN)
-    assert store.counts() == (0, 0) and store.positions("nobody") == {} and not store.delete_position("nobody", "a")
-
-
-def test_an_owner_lists_its_own_sessions():
-    store, _ = store_of()
-    mine = new_token()
-    kept = [session(mine), session(mine)]
-    for one in [*kept, session(new_token()), session()]:
-        store.add(one)
-    assert store.owned_by(mine) == kept and store.owned_by("") == []
 
 
 def test_what_another_position_has_seen_fills_what_this_one_has_not():

@@ -5,9 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
-import logging
 import os
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +19,12 @@ from xihenet.edge.client import BEARER_VARIABLE
 from xihenet.edge.http_settings import ServerSettings
 from xihenet.edge.protocol import PORT
 from xihenet.edge.service import PUBLISHED_SIZES, ServiceSettings
-from xihenet.edge.sessions import StoreLimits
+from xihenet.edge.sessions import StoreLimits, StoreLost
 
 NEEDS_TORNADO = "the server needs Tornado: pip install 'xihe-blender[edge]'"
+NEEDS_REDIS = "--store needs redis-py: pip install 'xihe-blender[edge]'"
+STORE_VARIABLE = "XIHE_EDGE_STORE"
+NO_FILE = "note: the store's append-only file is off, so that sessions are lost when it restarts"
 SIZES = f"numbers of anchors that sessions may have; default: {', '.join(map(str, PUBLISHED_SIZES))}"
 
 
@@ -39,6 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--sizes N,M", SIZES, whole_numbers, default=PUBLISHED_SIZES)
     add("--expire SECONDS", "forget a session that was idle for so long", float, default=StoreLimits.idle_s)
     add("--sessions N", "sessions that may be open at a time", int, default=StoreLimits.n_sessions)
+    store = f"keep sessions in Redis, redis://HOST:PORT/DB, which outlives the server; or the variable {STORE_VARIABLE}"
+    add("--store URL", store, default=os.environ.get(STORE_VARIABLE, ""))
+    add("--workers N", "processes that share the port; more than one need --store", int, default=1)
     add("--allow-origin ORIGIN", "web pages that may ask, or *; may be repeated", action="append", default=[])
     add("--certificate FILE.pem", "speak HTTPS, with this certificate", Path)
     add("--key FILE.pem", "its private key, if that is in a file of its own", Path)
@@ -50,7 +54,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     try:
+        from xihenet.edge.handler import logged_to
         from xihenet.edge.server import serve
+        from xihenet.edge.workers import CannotStart, serve_by_workers
     except ModuleNotFoundError as error:
         if error.name != "tornado":
             raise
@@ -66,14 +72,21 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         for line in bench_lines(inference):
             print(line, file=stdout, flush=True)
         return
+    if settings.store:
+        _check_store(settings.store, stderr)
     scheme = "http" if settings.certificate is None else "https"
 
     def ready(port: int) -> None:
         print(f"serving at {scheme}://{options.host}:{port}, Ctrl-C to stop", file=stdout, flush=True)
 
     try:
-        with _logged_to(stderr):
-            asyncio.run(serve(inference, settings, ready))
+        with logged_to(stderr):
+            if options.workers > 1:
+                serve_by_workers(inference, settings, options.workers, ready, log_to=stderr.fileno())
+            else:
+                asyncio.run(serve(inference, settings, ready))
+    except CannotStart as error:
+        raise UserError(f"--workers {options.workers}: {error}") from error
     except OSError as error:
         reason = error.strerror or error
         raise UserError(
@@ -93,17 +106,40 @@ def server_settings(options: argparse.Namespace) -> ServerSettings:
         raise UserError("--expire and --sessions: expected more than 0")
     if options.key is not None and options.certificate is None:
         raise UserError("--key belongs to a certificate: give --certificate as well")
+    if options.workers < 1:
+        raise UserError(f"--workers: expected 1 or more, got {options.workers}")
+    if options.workers > 1 and not options.store:
+        raise UserError("--workers above 1 share their sessions in a store: give --store redis://HOST:PORT/DB as well")
     limits = StoreLimits(n_sessions=options.sessions, idle_s=options.expire)
     return ServerSettings(
         options.host,
         options.port,
-        ServiceSettings(sizes, options.target, limits=limits),
-        tuple(options.allow_origin),
-        options.certificate,
-        options.key,
-        _bearer(options.bearer),
-        options.log,
+        options.store,
+        service=ServiceSettings(sizes, options.target, limits=limits),
+        origins=tuple(options.allow_origin),
+        certificate=options.certificate,
+        key=options.key,
+        bearer=_bearer(options.bearer),
+        log=options.log,
     )
+
+
+def _check_store(url: str, stderr: Any) -> None:
+    """UserError for a store that cannot be or does not answer; a note if it forgets. The URL may hold a password."""
+    try:
+        from xihenet.edge.redis_store import RedisStore
+
+        with contextlib.closing(RedisStore(url)) as store:
+            if not store.keeps_a_file():
+                print(NO_FILE, file=stderr)
+    except ModuleNotFoundError as error:
+        if error.name != "redis":
+            raise
+        raise UserError(NEEDS_REDIS) from error
+    except ValueError as error:
+        raise UserError(f"--store: expected redis://HOST:PORT/DB ({error})") from error
+    except StoreLost as error:
+        raise UserError(f"--store: {error.__cause__}: start redis-server there, or give its address") from error
 
 
 def _bearer(path: Path | None) -> str:
@@ -116,21 +152,3 @@ def _bearer(path: Path | None) -> str:
     if not token:
         raise UserError(f"--bearer: {path} is empty: give a file with a token in it")
     return token
-
-
-@contextlib.contextmanager
-def _logged_to(stream: Any) -> Iterator[None]:
-    """In the block the service's lines of JSON go there as they are."""
-    handler = logging.StreamHandler(stream)
-    handler.setFormatter(logging.Formatter("%(message)s"))
-    logger = logging.getLogger("xihenet.edge")
-    level, propagates = logger.level, logger.propagate
-    logger.addHandler(handler)
-    logger.setLevel(logging.INFO)
-    logger.propagate = False
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        logger.setLevel(level)
-        logger.propagate = propagates

@@ -21,6 +21,7 @@ from xihenet import __version__
 from xihenet.edge import protocol
 from xihenet.edge.http_settings import ServerSettings
 from xihenet.edge.service import EdgeService, Refused
+from xihenet.edge.sessions import StoreLost
 
 logger = logging.getLogger("xihenet.edge")
 
@@ -76,13 +77,15 @@ class Handler(web.RequestHandler):
         return self.request.headers.get(protocol.TOKEN_HEADER, "")
 
     def log_exception(self, kind: Any, error: Any, trace: Any) -> None:
-        if not isinstance(error, (Refused, web.HTTPError)):
+        if not isinstance(error, (Refused, StoreLost, web.HTTPError)):
             log_event("fault", route=self.route, error=repr(error))
             logger.debug("fault", exc_info=(kind, error, trace))
 
     def write_error(self, status_code: int, **kwargs: Any) -> None:
         """What is refused with its message, anything else without."""
         error = kwargs.get("exc_info", (None, None, None))[1]
+        if isinstance(error, StoreLost):
+            error = self.service.lost(error)
         if isinstance(error, Refused):
             status_code = error.status
             if error.retry_after_s is not None:
@@ -131,3 +134,20 @@ def begin_of(session_id: str) -> str:
 def log_event(event: str, **fields: Any) -> None:
     """One line of JSON."""
     logger.info(json.dumps({"time": round(time.time(), 3), "event": event, **fields}))
+
+
+@contextmanager
+def logged_to(stream: Any) -> Iterator[None]:
+    """In the block the service's lines of JSON go there as they are."""
+    handler = logging.StreamHandler(stream)
+    handler.setFormatter(logging.Formatter("%(message)s"))
+    level, propagates = logger.level, logger.propagate
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    logger.propagate = False
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+        logger.propagate = propagates

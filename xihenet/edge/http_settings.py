@@ -19,6 +19,8 @@ class ServerSettings:
 
     host: str = "127.0.0.1"
     port: int = PORT  # 0 takes a free one
+    store: str = ""  # address of a Redis that keeps the sessions, see `redis_store`; without one they are in memory
+    worker: int | None = None  # which of several processes that share the port this is; None for one alone
     service: ServiceSettings = field(default_factory=ServiceSettings)
     origins: tuple[str, ...] = ()  # of web pages that may ask, besides the server's own; "*" for all
     certificate: Path | None = None  # PEM, with `key` beside

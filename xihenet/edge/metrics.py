@@ -24,6 +24,8 @@ HELP = {
     "xihe_sessions": "Sessions open now.",
     "xihe_positions": "Positions known now, of all sessions.",
     "xihe_queue": "Requests that wait for inference now.",
+    "xihe_store_up": "Whether the store of sessions answers.",
+    "xihe_store_unreadable": "Records in the store that could not be read.",
     "xihe_connections": "Connections open now.",
 }
 
@@ -40,9 +42,10 @@ class _Histogram:
 
 
 class Metrics:
-    """What has been counted and measured since the start."""
+    """What has been counted and measured since the start, each line with the number of the `worker`, if it has one."""
 
-    def __init__(self) -> None:
+    def __init__(self, worker: int | None = None) -> None:
+        self._worker: Labels = () if worker is None else (("worker", str(worker)),)
         self._counters: dict[tuple[str, Labels], int] = defaultdict(int)
         self._histograms: dict[tuple[str, Labels], _Histogram] = {}
 
@@ -73,14 +76,14 @@ class Metrics:
         for name in names:
             lines.append(f"# HELP {name} {HELP[name]}")
             if name in gauges:
-                lines += [f"# TYPE {name} gauge", f"{name} {gauges[name]:g}"]
+                lines += [f"# TYPE {name} gauge", f"{name}{_labelled(self._worker)} {gauges[name]:g}"]
                 continue
             counters = [(labels, n) for (other, labels), n in self._counters.items() if other == name]
             lines.append(f"# TYPE {name} {'counter' if counters else 'histogram'}")
-            lines += [f"{name}{_labelled(labels)} {n}" for labels, n in counters]
+            lines += [f"{name}{_labelled(self._worker + labels)} {n}" for labels, n in counters]
             for (other, labels), histogram in self._histograms.items():
                 if other == name:
-                    lines += _histogram_lines(name, labels, histogram)
+                    lines += _histogram_lines(name, self._worker + labels, histogram)
         return "\n".join([*lines, ""])
 
 

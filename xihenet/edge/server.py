@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import multiprocessing
 import signal
 import socket
 import ssl
@@ -28,7 +29,7 @@ from xihenet.edge.published_routes import PublishedEstimationRoute, PublishedSes
 from xihenet.edge.service import EdgeService
 from xihenet.edge.service_routes import HealthRoute, MetricsRoute, OpenApiRoute, PageRoute, UnknownRoute
 from xihenet.edge.session_routes import ClientsRoute, PositionRoute, SessionRoute, SessionsRoute
-from xihenet.edge.sessions import MemoryStore
+from xihenet.edge.sessions import MemoryStore, SessionStore
 
 EXPIRES_EVERY_S = 5.0
 
@@ -71,7 +72,7 @@ async def running(inference: Inference, settings: ServerSettings) -> AsyncIterat
 
     OSError where the address cannot be had or a certificate cannot be read.
     """
-    service = EdgeService(inference, settings.service)
+    service = EdgeService(inference, settings.service, _store(settings), settings.worker)
     routes = [
         (pattern, handler, {"service": service, "settings": settings, "route": pattern.replace("([^/]+)", "*")})
         for pattern, handler in ROUTES.items()
@@ -83,7 +84,7 @@ async def running(inference: Inference, settings: ServerSettings) -> AsyncIterat
     )
     server = _Server(
         application,
-        ssl_options=_tls(settings),
+        ssl_options=tls_of(settings),
         max_body_size=MAX_BODY_BYTES,
         max_buffer_size=2 * MAX_BODY_BYTES,
         max_header_size=settings.max_header_bytes,
@@ -92,7 +93,8 @@ async def running(inference: Inference, settings: ServerSettings) -> AsyncIterat
     )
     server.max_connections = settings.max_connections
     application.settings["gauges"] = lambda: {"xihe_connections": server.n_connections}
-    listening = _listening(settings)
+    listening = bound(settings)
+    listening.listen(128)
     server.add_socket(listening)
     expiring = asyncio.create_task(_expire(service))
     try:
@@ -111,9 +113,17 @@ async def serve(inference: Inference, settings: ServerSettings, when_ready: Call
     for number in (signal.SIGINT, signal.SIGTERM):
         with contextlib.suppress(NotImplementedError):  # Windows, where Ctrl-C raises KeyboardInterrupt instead.
             loop.add_signal_handler(number, stop.set)
+    starter = multiprocessing.parent_process()
+    if settings.worker is not None and starter is not None:
+        loop.add_reader(starter.sentinel, stop.set)  # Nobody is left to end it.
     async with running(inference, settings) as (_, port):
         log_event(
-            "started", host=settings.host, port=port, estimator=inference.name, tls=settings.certificate is not None
+            "started",
+            host=settings.host,
+            port=port,
+            estimator=inference.name,
+            tls=settings.certificate is not None,
+            worker=settings.worker,
         )
         when_ready(port)
         await stop.wait()
@@ -127,15 +137,34 @@ async def _expire(service: EdgeService) -> None:
             service.store.expire()
 
 
-def _listening(settings: ServerSettings) -> socket.socket:
-    """At the first address that the host's name has. Tornado's own function leaves a socket open where it fails."""
+def _store(settings: ServerSettings) -> SessionStore:
+    if not settings.store:
+        return MemoryStore(settings.service.limits)
+    from xihenet.edge.redis_store import RedisStore
+
+    return RedisStore(settings.store, settings.service.limits)
+
+
+def bound(settings: ServerSettings) -> socket.socket:
+    """A socket that does not listen yet, at the first address that the host's name has; workers share the address."""
     family, *_, address = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)[0]
-    listening = socket.create_server(address[:2], family=family, backlog=128)
-    listening.setblocking(False)
-    return listening
+    at_address = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        if sys.platform != "win32":  # Where it would let two servers have one address.
+            at_address.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if settings.worker is not None:
+            at_address.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
+        if family == socket.AF_INET6:
+            at_address.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+        at_address.setblocking(False)
+        at_address.bind(address[:2])
+    except OSError:
+        at_address.close()
+        raise
+    return at_address
 
 
-def _tls(settings: ServerSettings) -> ssl.SSLContext | None:
+def tls_of(settings: ServerSettings) -> ssl.SSLContext | None:
     if settings.certificate is None:
         return None
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)

@@ -25,7 +25,15 @@ from xihenet.edge.batching import Answered, Batcher, Inference, Job, QueueFull
 from xihenet.edge.extras import Wishes, extras_of, format_extras
 from xihenet.edge.metrics import Metrics
 from xihenet.edge.protocol import CloudSent
-from xihenet.edge.sessions import MemoryStore, SeenPosition, Session, SessionStore, StoreFull, StoreLimits
+from xihenet.edge.sessions import (
+    MemoryStore,
+    SeenPosition,
+    Session,
+    SessionStore,
+    StoreFull,
+    StoreLimits,
+    StoreLost,
+)
 from xihenet.edge.sharing import re_exposed, with_others
 from xihenet.estimators.base import Target
 from xihenet.records import ArrayF64, KeyLight, UnitSphereCloud
@@ -65,13 +73,17 @@ class Refused(Exception):
 
 
 class EdgeService:
-    """One service, in the event loop in which it is made. `close` ends its threads."""
+    """One service, in the event loop in which it is made. `close` ends its threads, and closes its store."""
 
     def __init__(
-        self, inference: Inference, settings: ServiceSettings | None = None, store: SessionStore | None = None
+        self,
+        inference: Inference,
+        settings: ServiceSettings | None = None,
+        store: SessionStore | None = None,
+        worker: int | None = None,
     ) -> None:
         self.settings = settings or ServiceSettings()
-        self.inference, self.metrics = inference, Metrics()
+        self.inference, self.metrics = inference, Metrics(worker)
         self.store: SessionStore = store or MemoryStore(self.settings.limits)
         self.batcher = Batcher(inference, max_batch=self.settings.max_batch, max_queue=self.settings.max_queue)
         self._extras, self._n_extras = ThreadPoolExecutor(1, "xihe-extras"), 0
@@ -150,28 +162,42 @@ class EdgeService:
 
     def gauges(self) -> dict[str, float]:
         """What there is now."""
-        n_sessions, n_positions = self.store.counts()
-        return {"xihe_sessions": n_sessions, "xihe_positions": n_positions, "xihe_queue": len(self.batcher)}
+        told = {"xihe_queue": len(self.batcher), "xihe_store_unreadable": self.store.n_unreadable}
+        try:
+            n_sessions, n_positions = self.store.counts()
+        except StoreLost:
+            return {**told, "xihe_store_up": 0}
+        return {**told, "xihe_store_up": 1, "xihe_sessions": n_sessions, "xihe_positions": n_positions}
+
+    def lost(self, error: StoreLost) -> Refused:
+        """What a request is told whose store does not answer."""
+        self.metrics.count("xihe_refused_total", what="store_lost")
+        return Refused(503, f"{error}: try again later", self.settings.retry_after_s)
 
     async def close(self) -> None:
         """Answer what waits, and end the threads."""
         await self.batcher.close()
         self._extras.shutdown()
+        self.store.close()
 
     def _seen(self, session: Session, name: str, sent: CloudSent, wishes: Wishes) -> SeenPosition:
-        """What is known of a position with this cloud, which is kept."""
-        start = time.perf_counter()
-        before = self.store.position(session.id, name)
+        """What is known of a position with this cloud, which is kept; merged again if another worker was faster."""
+        start, is_kept = time.perf_counter(), False
+        while not is_kept:
+            before = self.store.position(session.id, name)
+            after = self._merged(before, sent, wishes)
+            with self._room():
+                is_kept = self.store.put_position(session.id, name, after, before.n_frames if before else 0)
+        self.metrics.measure("xihe_stage_seconds", time.perf_counter() - start, stage="merge")
+        return after
+
+    def _merged(self, before: SeenPosition | None, sent: CloudSent, wishes: Wishes) -> SeenPosition:
         if before is None or wishes.replaces:
             after = SeenPosition(sent.cloud, sent.exposure, sent.position_m)
         else:
             after = self._moved(before, sent.position_m)
             after = replace(after, cloud=merge(after.cloud, re_exposed(sent.cloud, after.exposure / sent.exposure)))
-        after = replace(after, n_frames=(before.n_frames if before else 0) + 1, key=before.key if before else None)
-        with self._room():
-            self.store.put_position(session.id, name, after)
-        self.metrics.measure("xihe_stage_seconds", time.perf_counter() - start, stage="merge")
-        return after
+        return replace(after, n_frames=(before.n_frames if before else 0) + 1, key=before.key if before else None)
 
     def _moved(self, seen: SeenPosition, position_m: ArrayF64 | None) -> SeenPosition:
         """What was seen, as it looks from `position_m`, if the client says that its position is there now."""
@@ -210,7 +236,8 @@ class EdgeService:
     def _remember_key(self, session: Session, name: str, key: KeyLight | None) -> None:
         seen = self.store.position(session.id, name)
         if seen is not None:
-            self.store.put_position(session.id, name, replace(seen, key=key))
+            # Not kept if a frame has come meanwhile: its answer has a key light of its own.
+            self.store.put_position(session.id, name, replace(seen, key=key), seen.n_frames)
 
     @contextmanager
     def _room(self) -> Iterator[None]:

@@ -8,15 +8,24 @@ from xihenet import __version__
 from xihenet.edge.handler import Handler
 from xihenet.edge.openapi import openapi_document
 from xihenet.edge.service import Refused
+from xihenet.edge.sessions import StoreLost
 
 
 class HealthRoute(Handler):
-    """GET: that the service is there."""
+    """GET: that the service is there; 503 while its store does not answer."""
 
     needs_bearer = False
 
     def get(self) -> None:
-        self.tell({"ok": True, "software": f"xihe {__version__}", "estimator": self.service.inference.name})
+        store, answers = self.service.store, True
+        try:
+            store.check()
+        except StoreLost:
+            answers = False
+            self.set_header("Retry-After", str(self.service.settings.retry_after_s))
+        software, estimator = f"xihe {__version__}", self.service.inference.name
+        told = {"ok": answers, "software": software, "estimator": estimator, "store": store.name}
+        self.tell({**told, "store_answers": answers}, 200 if answers else 503)
 
 
 class MetricsRoute(Handler):

@@ -91,17 +91,24 @@ class ClientsRoute(Handler):
 
     def post(self, session_id: str) -> None:
         self.session_told = begin_of(session_id)
-        store, session = self.service.store, self.service.store.session(session_id)
+        token = new_token()
+        while not self._joined(session_id, token):
+            pass  # Another client joined by another worker at that very moment.
+
+    def _joined(self, session_id: str, token: str) -> bool:
+        session = self.service.store.session(session_id)
         if session is None:
             raise Refused(404, "there is no such session, or it has expired")
         if not session.is_joinable:
             raise Refused(403, "the owner of this session lets nobody join")
-        token = new_token()
         try:
-            store.replace(joined(session, token, self.service.settings.limits))
+            with_client = joined(session, token, self.service.settings.limits)
         except StoreFull as full:
             raise Refused(409, str(full)) from None
+        if not self.service.store.replace(with_client, session):
+            return False
         self.tell({"ok": True, "token": token, "n_anchors": session.n_anchors, "target": session.target}, 201)
+        return True
 
 
 class PositionRoute(Handler):

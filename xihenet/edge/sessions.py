@@ -1,7 +1,7 @@
 """Sessions: which clouds belong together, who may use them, and how long they are kept.
 
 All state of the service stands behind `SessionStore`, which knows nothing of HTTP or of inference: `MemoryStore` keeps
-it in this process. Records are immutable and replaced whole, so another store can write them elsewhere.
+it in this process, `redis_store` outside of it. Records are immutable and replaced whole.
 
 A session of the published client has no owner, and its id is all that protects it. Sessions of our own clients have
 tokens, of which the store keeps SHA-256 alone: one of the owner, who may list and delete, and one for each client that
@@ -38,6 +38,10 @@ class StoreLimits:
 
 class StoreFull(Exception):
     """There is no room; the message says for what."""
+
+
+class StoreLost(Exception):
+    """The store does not answer, and may again in a moment."""
 
 
 @dataclass(frozen=True)
@@ -78,15 +82,30 @@ class SeenPosition:
 
 
 class SessionStore(Protocol):
-    """Where sessions are. A session that is unknown or has expired is None; whatever finds one keeps it alive."""
+    """Where sessions are. A session that is unknown or has expired is None; whatever finds one keeps it alive.
+
+    Anything that is asked of a store outside the process may be a `StoreLost`.
+    """
+
+    name: str
+    n_unreadable: int  # records that could not be read, and count as sessions that are gone
+
+    def check(self) -> None:
+        """`StoreLost` if the store does not answer."""
+
+    def close(self) -> None:
+        """Let go of what it takes to ask; sessions stay."""
 
     def add(self, session: Session) -> None:
         """Keep a new session; `StoreFull` where there is no room."""
 
     def session(self, session_id: str) -> Session | None: ...
 
-    def replace(self, session: Session) -> None:
-        """Keep a session that has changed; nothing if it is gone."""
+    def replace(self, session: Session, before: Session) -> bool:
+        """Keep a session that has changed; nothing if it is gone.
+
+        False, and nothing is kept, if it is no longer as it was `before`: look again, since another was faster.
+        """
 
     def delete(self, session_id: str) -> None: ...
 
@@ -98,8 +117,12 @@ class SessionStore(Protocol):
     def positions(self, session_id: str) -> dict[str, SeenPosition]:
         """By name; empty for a session that is not there."""
 
-    def put_position(self, session_id: str, name: str, seen: SeenPosition) -> None:
-        """Keep what is known of a position; nothing if the session is gone. `StoreFull` for a new one without room."""
+    def put_position(self, session_id: str, name: str, seen: SeenPosition, n_before: int | None = None) -> bool:
+        """Keep what is known of a position; nothing if the session is gone. `StoreFull` for a new one without room.
+
+        False, and nothing is kept, if the position has no longer the `n_before` frames that `seen` was merged with (0
+        for a new one; None for whatever is there): look and merge again, since another was faster.
+        """
 
     def delete_position(self, session_id: str, name: str) -> bool:
         """Forget a position; whether there was one."""
@@ -136,12 +159,20 @@ class _Kept:
 class MemoryStore:
     """Sessions in this process. Not safe between threads: the event loop alone calls it."""
 
+    name, n_unreadable = "memory", 0
+
     def __init__(self, limits: StoreLimits | None = None, clock: Callable[[], float] = time.monotonic) -> None:
         self.limits, self._clock = limits or StoreLimits(), clock
         # Least recently used first, as dictionaries keep their order and a session that is used moves to the end.
         self._kept: dict[str, _Kept] = {}
         self._n_positions = 0
         self.n_expired = self.n_evicted = 0
+
+    def check(self) -> None:
+        """It is always there."""
+
+    def close(self) -> None:
+        """Nothing is held."""
 
     def add(self, session: Session) -> None:
         if len(self._kept) >= self.limits.n_sessions:
@@ -152,10 +183,13 @@ class MemoryStore:
         kept = self._used(session_id)
         return None if kept is None else kept.session
 
-    def replace(self, session: Session) -> None:
+    def replace(self, session: Session, before: Session) -> bool:
         kept = self._used(session.id)
+        if kept is not None and kept.session != before:
+            return False
         if kept is not None:
             kept.session = session
+        return True
 
     def delete(self, session_id: str) -> None:
         kept = self._kept.pop(session_id, None)
@@ -174,17 +208,21 @@ class MemoryStore:
         kept = self._used(session_id)
         return {} if kept is None else dict(kept.positions)
 
-    def put_position(self, session_id: str, name: str, seen: SeenPosition) -> None:
+    def put_position(self, session_id: str, name: str, seen: SeenPosition, n_before: int | None = None) -> bool:
         kept = self._used(session_id)
         if kept is None:
-            return
-        if name not in kept.positions:
+            return True
+        known = kept.positions.get(name)
+        if n_before is not None and n_before != (known.n_frames if known else 0):
+            return False
+        if known is None:
             if len(kept.positions) >= self.limits.n_positions_of_session:
                 raise StoreFull(f"a session has {self.limits.n_positions_of_session} positions at most")
             if self._n_positions >= self.limits.n_positions:
                 self._make_room(f"{self.limits.n_positions} positions are known", but=session_id)
             self._n_positions += 1
         kept.positions[name] = seen
+        return True
 
     def delete_position(self, session_id: str, name: str) -> bool:
         kept = self._used(session_id)

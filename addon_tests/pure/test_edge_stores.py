@@ -1,0 +1,359 @@
+"""What every store of sessions promises, held against the one in memory and against a real Redis alike."""
+
+from contextlib import closing
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from addon_tests.pure.made import random_cloud
+from addon_tests.pure.redis_servers import RedisServer
+from xihenet.edge.sessions import (
+    MemoryStore,
+    SeenPosition,
+    StoreFull,
+    StoreLimits,
+    StoreLost,
+    joined,
+    new_session,
+    new_token,
+)
+from xihenet.edge.stored import (
+    position_from_bytes,
+    position_to_bytes,
+    session_from_bytes,
+    session_to_bytes,
+)
+from xihenet.records import AnchorSurfaces, KeyLight, UnitSphereCloud
+
+NEEDS_REDIS = pytest.mark.wheel_only("a whole Blender has no redis-py")
+SEEN = SeenPosition(UnitSphereCloud.empty(8), n_frames=1)
+
+
+class InMemory:
+    def __init__(self):
+        self.now = 0.0
+
+    def store(self, **limits):
+        return MemoryStore(StoreLimits(**limits), lambda: self.now)
+
+    def pass_time(self, seconds):
+        self.now += seconds
+
+
+class InRedis:
+    """As if time had passed: what would expire later expires sooner, and what was used was used before."""
+
+    def __init__(self, server):
+        self._server, self._stores = server, []
+
+    def store(self, **limits):
+        from xihenet.edge.redis_store import RedisStore
+
+        self._stores.append(RedisStore(self._server.url, StoreLimits(**limits)))
+        return self._stores[-1]
+
+    def pass_time(self, seconds):
+        with self._server.client() as client:
+            for key in client.keys("xihe:1:session:*") + client.keys("xihe:1:owner:*"):
+                client.pexpire(key, client.pttl(key) - round(1000 * seconds))
+            for session_id in client.zrange("xihe:1:used", 0, -1):
+                client.zincrby("xihe:1:used", -1000 * seconds, session_id)
+
+    def close(self):
+        for store in self._stores:
+            store.close()
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    with RedisServer(tmp_path_factory.mktemp("redis")) as server:
+        yield server
+
+
+@pytest.fixture
+def redis_server(server):
+    """An empty one."""
+    with server.client() as client:
+        client.flushall()
+    return server
+
+
+@pytest.fixture(params=["memory", pytest.param("redis", marks=NEEDS_REDIS)])
+def kept(request):
+    if request.param == "memory":
+        yield InMemory()
+    else:
+        with closing(InRedis(request.getfixturevalue("redis_server"))) as kept:
+            yield kept
+
+
+def session(owner=""):
+    return new_session(8, "ldr", "unity", owner)
+
+
+def added(store, n=1, **options):
+    sessions = [session(**options) for _ in range(n)]
+    for one in sessions:
+        store.add(one)
+    return sessions
+
+
+def test_an_idle_session_is_forgotten_and_a_used_one_kept(kept):
+    store = kept.store(idle_s=100)
+    idle, used = added(store, 2)
+    kept.pass_time(80)
+    assert store.session(used.id) == used
+    kept.pass_time(40)
+    assert store.session(idle.id) is None and store.session(used.id) == used
+    assert store.counts() == (1, 0)
+
+
+def test_whatever_asks_for_a_session_keeps_it_alive(kept):
+    store = kept.store(idle_s=100)
+    (one,) = added(store)
+    store.put_position(one.id, "a", SEEN)
+    uses = [
+        lambda: store.position(one.id, "a"),
+        lambda: store.positions(one.id),
+        lambda: store.put_position(one.id, "a", SEEN),
+        lambda: store.delete_position(one.id, "b"),
+        lambda: store.replace(one, one),
+    ]
+    for use in uses:
+        kept.pass_time(80)
+        use()
+    assert store.session(one.id) == one
+
+
+def test_a_full_store_refuses_unless_a_session_was_idle_long(kept):
+    store = kept.store(n_sessions=2, least_idle_s=50)
+    first, second = added(store, 2)
+    with pytest.raises(StoreFull, match="2 sessions"):
+        store.add(session())
+    kept.pass_time(60)
+    store.session(first.id)
+    store.add(session())
+    assert store.session(first.id) == first and store.session(second.id) is None
+
+
+def test_expired_sessions_make_room(kept):
+    store = kept.store(n_sessions=2, idle_s=100)
+    added(store, 2)
+    kept.pass_time(120)
+    assert added(store, 2) and store.counts() == (2, 0)
+
+
+def test_positions_are_bounded_per_session_and_in_all(kept):
+    store = kept.store(n_positions=3, n_positions_of_session=2, least_idle_s=50)
+    one, two = added(store, 2)
+    for name in "abb":
+        assert store.put_position(one.id, name, SEEN)
+    with pytest.raises(StoreFull, match="2 positions at most"):
+        store.put_position(one.id, "c", SEEN)
+    store.put_position(two.id, "a", SEEN)
+    with pytest.raises(StoreFull, match="3 positions are known"):
+        store.put_position(two.id, "b", SEEN)
+    kept.pass_time(60)
+    store.put_position(two.id, "b", SEEN)
+    assert store.session(one.id) is None and store.counts() == (1, 2)
+    assert store.delete_position(two.id, "a") and not store.delete_position(two.id, "a")
+    assert set(store.positions(two.id)) == {"b"} and store.counts() == (1, 1)
+    store.delete(two.id)
+    assert store.counts() == (0, 0) and store.session(two.id) is None
+
+
+def test_what_is_not_there_is_not_kept_or_found(kept):
+    store = kept.store()
+    for nobody in ("nobody", "", "x" * 10_000, "\udcff", session().id):
+        assert store.put_position(nobody, "a", SEEN) and store.positions(nobody) == {}
+        assert store.session(nobody) is None and store.position(nobody, "a") is None
+        assert not store.delete_position(nobody, "a")
+        store.delete(nobody)
+    gone = session()
+    assert store.replace(gone, gone) and store.counts() == (0, 0)
+
+
+def test_an_owner_lists_its_own_sessions(kept):
+    store, mine = kept.store(idle_s=100), new_token()
+    owned = added(store, 2, owner=mine)
+    added(store, owner=new_token())
+    added(store)
+    assert sorted(store.owned_by(mine), key=owned.index) == owned
+    assert store.owned_by("") == store.owned_by(new_token()) == []
+    kept.pass_time(80)
+    assert store.session(owned[1].id) == owned[1]
+    kept.pass_time(40)
+    assert store.owned_by(mine) == owned[1:]
+
+
+def test_of_two_who_join_at_once_none_is_lost(kept):
+    store, tokens = kept.store(), [new_token(), new_token()]
+    (before,) = added(store, owner=new_token())
+    first, second = (joined(before, token, StoreLimits()) for token in tokens)
+    assert store.replace(first, before) and not store.replace(second, before)
+    assert store.session(before.id) == first
+    assert store.replace(joined(first, tokens[1], StoreLimits()), first)
+    assert all(store.session(before.id).admits(token) for token in tokens)
+
+
+def test_of_two_who_merge_at_once_the_second_merges_again(kept):
+    store = kept.store()
+    (one,) = added(store)
+    frame = [SeenPosition(random_cloud(np.random.default_rng(n), 8), n_frames=n) for n in range(4)]
+    assert store.put_position(one.id, "a", frame[1], 0) and not store.put_position(one.id, "a", frame[2], 0)
+    assert store.put_position(one.id, "a", frame[2], 1) and not store.put_position(one.id, "a", frame[3], 1)
+    assert store.position(one.id, "a").n_frames == 2
+    assert store.put_position(one.id, "a", frame[3]) and store.position(one.id, "a").n_frames == 3
+    store.delete_position(one.id, "a")
+    assert not store.put_position(one.id, "a", frame[3], 3) and store.positions(one.id) == {}
+
+
+def test_positions_come_back_whole(kept):
+    store, seen = kept.store(), made_position(np.random.default_rng(0), 8)
+    (one,) = added(store)
+    for name in ("vase", "the big ✓", "session"):
+        store.put_position(one.id, name, seen)
+        assert_equal(store.position(one.id, name), seen)
+    assert set(store.positions(one.id)) == {"vase", "the big ✓", "session"} and store.session(one.id) == one
+
+
+@NEEDS_REDIS
+@pytest.mark.parametrize(("field", "stored"), [("session", b"\x80\x04pickle"), ("at:a", b"\x02"), ("at:a", b"")])
+def test_bytes_that_are_not_ours_are_no_session(field, stored, redis_server):
+    with closing(InRedis(redis_server)) as kept, redis_server.client() as client:
+        store = kept.store()
+        (one,) = added(store)
+        store.put_position(one.id, "a", SEEN)
+        client.hset(f"xihe:1:session:{one.id}", field, stored)
+        assert (store.session(one.id) if field == "session" else store.position(one.id, "a")) is None
+        assert store.n_unreadable == 1 and store.put_position(one.id, "a", SEEN, 0) and store.session(one.id) is None
+        client.set(f"xihe:1:session:{one.id}", b"not a hash")
+        assert store.session(one.id) is None and store.n_unreadable == 2
+
+
+@NEEDS_REDIS
+def test_a_store_that_hangs_or_was_killed_is_lost_for_a_moment(redis_server, monkeypatch):
+    from xihenet.edge import redis_store
+
+    monkeypatch.setattr(redis_store, "PAUSE_S", 0.0)
+    with closing(InRedis(redis_server)) as kept:
+        store = kept.store()
+        (one,) = added(store)
+        store.put_position(one.id, "a", SEEN)
+        redis_server.hang()
+        with pytest.raises(StoreLost):
+            store.session(one.id)
+        redis_server.wake()
+        assert store.session(one.id) == one
+        redis_server.kill()
+        for ask in (store.check, store.counts, lambda: store.session(one.id)):
+            with pytest.raises(StoreLost):
+                ask()
+        redis_server.start()
+        assert store.session(one.id) == one and set(store.positions(one.id)) == {"a"} and store.keeps_a_file()
+
+
+def made_position(rng, n, *, is_bare=False):
+    cloud = random_cloud(rng, n)
+    if is_bare:
+        return SeenPosition(cloud)
+    facing = AnchorSurfaces.of_facing(rng.uniform(-1, 1, n) * cloud.is_set)
+    cloud = UnitSphereCloud(cloud.srgb, cloud.distance_m, cloud.is_set, surfaces=facing)
+    key = KeyLight(rng.normal(size=3), rng.random(3), float(rng.random()), bool(rng.integers(2)))
+    return SeenPosition(cloud, float(rng.uniform(1e-6, 1e6)), rng.normal(size=3), key, int(rng.integers(2**32)))
+
+
+def assert_equal(a, b):
+    for name in ("srgb", "distance_m", "is_set"):
+        assert np.array_equal(getattr(a.cloud, name), getattr(b.cloud, name))
+    assert (a.exposure, a.n_frames, a.key is None) == (b.exposure, b.n_frames, b.key is None)
+    assert (a.position_m is None) == (b.position_m is None) and (a.cloud.surfaces is None) == (b.cloud.surfaces is None)
+    if a.position_m is not None:
+        assert np.array_equal(a.position_m, b.position_m)
+    if a.cloud.surfaces is not None:
+        assert np.array_equal(a.cloud.surfaces.facing, b.cloud.surfaces.facing)
+    if a.key is not None:
+        assert np.array_equal(a.key.direction, b.key.direction) and np.array_equal(a.key.irradiance, b.key.irradiance)
+        assert (a.key.angular_radius, a.key.is_seen) == (b.key.angular_radius, b.key.is_seen)
+
+
+@given(seed=st.integers(0, 2**32), n=st.integers(0, 70), is_bare=st.booleans())
+@settings(max_examples=100, deadline=None)
+def test_a_position_is_the_same_after_its_bytes(seed, n, is_bare):
+    seen = made_position(np.random.default_rng(seed), n, is_bare=is_bare)
+    assert_equal(position_from_bytes(position_to_bytes(seen)), seen)
+
+
+@given(seed=st.integers(0, 2**32), at=st.integers(0, 10_000), put=st.binary(max_size=8), cut=st.booleans())
+@settings(max_examples=200, deadline=None)
+def test_bytes_that_were_changed_are_refused_or_a_legal_position(seed, at, put, cut):
+    stored = position_to_bytes(made_position(np.random.default_rng(seed), 9))
+    at %= len(stored)
+    changed = stored[:at] + put + (b"" if cut else stored[at + len(put) :])
+    try:
+        seen = position_from_bytes(changed)
+    except ValueError:
+        return
+    assert_equal(position_from_bytes(position_to_bytes(seen)), seen)
+
+
+NOT_FINITE = [np.nan, np.inf, -np.inf]
+
+
+@pytest.mark.parametrize("value", NOT_FINITE)
+def test_a_number_that_is_not_finite_is_refused(value):
+    seen = made_position(np.random.default_rng(1), 9)
+    bare = position_to_bytes(SeenPosition(seen.cloud))
+    for stored, at, kind in [
+        (position_to_bytes(seen), 10, "<f8"),  # exposure
+        (position_to_bytes(seen), 18, "<f8"),  # position
+        (position_to_bytes(seen), 42, "<f8"),  # key light
+        (bare, 20, "<f4"),  # colour of the first set anchor
+        (bare, len(bare) - 4 * (1 + int(seen.cloud.is_set.sum())), "<f4"),  # distance of the last one
+        (bare, len(bare) - 4, "<f4"),  # facing of the last one
+    ]:
+        changed = bytearray(stored)
+        changed[at : at + np.dtype(kind).itemsize] = np.array([value], kind).tobytes()
+        with pytest.raises(ValueError, match="expected"):
+            position_from_bytes(bytes(changed))
+
+
+@given(
+    n_clients=st.integers(0, 16),
+    is_joinable=st.booleans(),
+    is_owned=st.booleans(),
+    axes=st.sampled_from(["unity", "z-up"]),
+)
+@settings(max_examples=30, deadline=None)
+def test_a_session_is_the_same_after_its_bytes(n_clients, is_joinable, is_owned, axes):
+    one = new_session(1280, "hdr", axes, new_token() if is_owned else "", joinable=is_joinable)
+    for _ in range(n_clients):
+        one = joined(one, new_token(), StoreLimits())
+    assert session_from_bytes(one.id, session_to_bytes(one)) == one
+
+
+WRONG_SESSIONS = [
+    b"",
+    b'\x02[8,"ldr","unity","",[],true,1.0]',
+    b'\x01[8,"ldr","unity","",[],true]',
+    b'\x01["8","ldr","unity","",[],true,1.0]',
+    b'\x01[8,"dim","unity","",[],true,1.0]',
+    b'\x01[8,"ldr","unity","mine",[],true,1.0]',
+    b'\x01[8,"ldr","unity","",[1],true,1.0]',
+    b'\x01[8,"ldr","sideways","",[],true,1.0]',
+    b'\x01[8,["ldr"],{},"",[],true,1.0]',
+    b"\x01" + b"[" * 100_000,
+    b"\x01null",
+    b"\x01\xff",
+    b'\x01[8,"ldr",{},"",[],true,1.0]',
+    b'\x01[8,"ldr","unity",null,[],true,1.0]',
+    b'\x01[8,"ldr","unity","",[],true,NaN]',
+]
+
+
+@pytest.mark.parametrize("stored", WRONG_SESSIONS, ids=lambda stored: repr(stored[:20]))
+def test_a_session_with_wrong_fields_is_refused(stored):
+    with pytest.raises(ValueError):
+        session_from_bytes("", stored)

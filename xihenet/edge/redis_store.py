@@ -1,0 +1,279 @@
+"""Sessions in Redis, so that several server processes share them and they outlive each of these.
+
+A session is one hash, with its own record and one field for each position, and Redis itself forgets it when nobody has
+used it for `StoreLimits.idle_s`. Each operation is one Lua script: one round trip, and nothing comes between its
+steps. A sorted set of sessions by last use, with the number of positions of each, keeps the limits; since it learns of
+what Redis forgot only when room is needed or counts are asked for, they hold approximately.
+
+Calls wait for Redis in the event loop, a tenth of a millisecond on the same machine, and never longer than `TIMEOUT_S`;
+`redis.asyncio` was rejected, since it costs more processor time than the wait. A store that failed is left alone for
+`PAUSE_S`, in which every call is a `StoreLost` at once, and then asked again.
+
+Not for Redis Cluster: the scripts find their keys by themselves.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import redis
+from redis.backoff import NoBackoff
+from redis.retry import Retry
+
+from xihenet.edge.sessions import SeenPosition, Session, StoreFull, StoreLimits, StoreLost, hash_of
+from xihenet.edge.stored import position_from_bytes, position_to_bytes, session_from_bytes, session_to_bytes
+
+TIMEOUT_S = 0.25
+PAUSE_S = 1.0
+
+Read = TypeVar("Read")
+
+_ID = re.compile(r"[0-9a-f-]{36}")
+_POSITION = b"at:"
+
+# What all scripts begin with. Times are milliseconds; the 1 in the keys is the version of all that lies there. Use is
+# noted when a hundredth of the time to live has gone by, so that the three calls of one request write it once.
+_SHARED = """
+local id, idle, least_idle = ARGV[1], tonumber(ARGV[2]), tonumber(ARGV[3])
+local most_sessions, most_positions, most_of_session = tonumber(ARGV[4]), tonumber(ARGV[5]), tonumber(ARGV[6])
+local field, new, before = ARGV[7], ARGV[8], ARGV[9]
+local time = redis.call('TIME')
+local now = time[1] * 1000 + math.floor(time[2] / 1000)
+local used, sizes, total = 'xihe:1:used', 'xihe:1:sizes', 'xihe:1:positions'
+
+local function key_of(id) return 'xihe:1:session:' .. id end
+local function owner_key(owner) return 'xihe:1:owner:' .. owner end
+
+local function use(id)
+    local last = tonumber(redis.call('ZSCORE', used, id) or 0)
+    if now - last < idle / 100 then return end
+    redis.call('ZADD', used, now, id)
+    redis.call('PEXPIRE', key_of(id), idle)
+    local owner = redis.call('HGET', key_of(id), 'owner')
+    if owner then redis.call('PEXPIRE', owner_key(owner), idle) end
+end
+
+local function find(id)
+    local found = redis.call('HGET', key_of(id), 'session')
+    if found then use(id) end
+    return found
+end
+
+local function forget(id)
+    redis.call('DECRBY', total, redis.call('HGET', sizes, id) or 0)
+    redis.call('HDEL', sizes, id)
+    redis.call('ZREM', used, id)
+    redis.call('DEL', key_of(id))
+end
+
+local function expire()
+    local gone = redis.call('ZRANGEBYSCORE', used, '-inf', now - idle, 'LIMIT', 0, 1000)
+    for _, one in ipairs(gone) do forget(one) end
+    return #gone
+end
+
+local function make_room(but)
+    if expire() > 0 then return true end
+    local oldest = redis.call('ZRANGE', used, 0, 1, 'WITHSCORES')
+    local at = oldest[1] == but and 3 or 1
+    if not oldest[at] or now - oldest[at + 1] < least_idle then return false end
+    forget(oldest[at])
+    return true
+end
+"""
+
+_SCRIPTS = {
+    "add": """
+if redis.call('ZCARD', used) >= most_sessions and not make_room('') then return 'full' end
+redis.call('HSET', key_of(id), 'session', new)
+if field ~= '' then
+    redis.call('HSET', key_of(id), 'owner', field)
+    redis.call('SADD', owner_key(field), id)
+end
+use(id)
+""",
+    "session": "return find(id)",
+    "replace": """
+local found = find(id)
+if found and found ~= before then return 'overtaken' end
+if found then redis.call('HSET', key_of(id), 'session', new) end
+""",
+    "delete": "forget(id)",
+    "owned_by": """
+local owned = {}
+for _, one in ipairs(redis.call('SMEMBERS', owner_key(field))) do
+    local found = redis.call('HGET', key_of(one), 'session')
+    if found then
+        owned[#owned + 1] = one
+        owned[#owned + 1] = found
+    else
+        redis.call('SREM', owner_key(field), one)
+    end
+end
+return owned
+""",
+    "position": "return find(id) and redis.call('HGET', key_of(id), field)",
+    "positions": "return find(id) and redis.call('HGETALL', key_of(id)) or {}",
+    "put_position": """
+if not find(id) then return end
+local known = redis.call('HGET', key_of(id), field)
+local n_frames = known and #known > 4 and struct.unpack('<I4', known, 2) or 0
+if before ~= '' and tonumber(before) ~= n_frames then return 'overtaken' end
+if not known then
+    if tonumber(redis.call('HGET', sizes, id) or 0) >= most_of_session then return 'session is full' end
+    if tonumber(redis.call('GET', total) or 0) >= most_positions and not make_room(id) then return 'full' end
+    redis.call('HINCRBY', sizes, id, 1)
+    redis.call('INCR', total)
+end
+redis.call('HSET', key_of(id), field, new)
+""",
+    "delete_position": """
+if not find(id) or redis.call('HDEL', key_of(id), field) == 0 then return 0 end
+redis.call('HINCRBY', sizes, id, -1)
+redis.call('DECR', total)
+return 1
+""",
+    "counts": """
+expire()
+return {redis.call('ZCARD', used), tonumber(redis.call('GET', total) or 0)}
+""",
+}
+
+
+class RedisStore:
+    """Sessions in the Redis at an address such as redis://127.0.0.1:6379/0.
+
+    ValueError for an address that is none. Nothing is asked before the first call. Bytes that are not ours count as no
+    session, which is then deleted, and in `n_unreadable`.
+    """
+
+    name = "redis"
+
+    def __init__(self, url: str, limits: StoreLimits | None = None) -> None:
+        self.limits = limits or StoreLimits()
+        # A connection that broke is made anew, once, so that a store that was restarted costs no request.
+        once = Retry(NoBackoff(), 1, supported_errors=(redis.ConnectionError,))
+        self._client = redis.Redis.from_url(
+            url,
+            socket_timeout=TIMEOUT_S,
+            socket_connect_timeout=TIMEOUT_S,
+            retry=once,
+            single_connection_client=True,
+        )
+        self._scripts = {name: self._client.register_script(_SHARED + text) for name, text in _SCRIPTS.items()}
+        kept = self.limits
+        self._limits = (
+            max(1, round(1e3 * kept.idle_s)),
+            round(1e3 * kept.least_idle_s),
+            kept.n_sessions,
+            kept.n_positions,
+            kept.n_positions_of_session,
+        )
+        self._silent_until_s = 0.0
+        self.n_unreadable = 0
+
+    def add(self, session: Session) -> None:
+        if self._run("add", session.id, session.owner, session_to_bytes(session)) == b"full":
+            raise StoreFull(f"{self.limits.n_sessions} sessions are open")
+
+    def session(self, session_id: str) -> Session | None:
+        stored = self._run("session", session_id)
+        return None if stored is None else self._read(session_id, session_from_bytes, session_id, stored)
+
+    def replace(self, session: Session, before: Session) -> bool:
+        new, was = session_to_bytes(session), session_to_bytes(before)
+        return bool(self._run("replace", session.id, "", new, was) != b"overtaken")
+
+    def delete(self, session_id: str) -> None:
+        self._run("delete", session_id)
+
+    def owned_by(self, token: str) -> list[Session]:
+        stored = self._run("owned_by", "", hash_of(token))
+        ids = [one.decode() for one in stored[::2]]
+        read = [self._read(one, session_from_bytes, one, kept) for one, kept in zip(ids, stored[1::2], strict=True)]
+        owned = [session for session in read if session is not None and session.is_owned_by(token)]
+        return sorted(owned, key=lambda session: session.created_s)
+
+    def position(self, session_id: str, name: str) -> SeenPosition | None:
+        stored = self._run("position", session_id, _field(name))
+        return None if stored is None else self._read(session_id, position_from_bytes, stored)
+
+    def positions(self, session_id: str) -> dict[str, SeenPosition]:
+        stored = self._run("positions", session_id) or []
+        fields = [pair for pair in zip(stored[::2], stored[1::2], strict=True) if pair[0].startswith(_POSITION)]
+        return self._read(session_id, _positions_from, fields) or {}
+
+    def put_position(self, session_id: str, name: str, seen: SeenPosition, n_before: int | None = None) -> bool:
+        before = "" if n_before is None else n_before
+        said = self._run("put_position", session_id, _field(name), position_to_bytes(seen), before)
+        if said == b"session is full":
+            raise StoreFull(f"a session has {self.limits.n_positions_of_session} positions at most")
+        if said == b"full":
+            raise StoreFull(f"{self.limits.n_positions} positions are known")
+        return bool(said != b"overtaken")
+
+    def delete_position(self, session_id: str, name: str) -> bool:
+        return bool(self._run("delete_position", session_id, _field(name)))
+
+    def counts(self) -> tuple[int, int]:
+        n_sessions, n_positions = self._run("counts")
+        return n_sessions, n_positions
+
+    def keeps_a_file(self) -> bool:
+        """Whether what it holds outlives it: its append-only file is on."""
+        info: dict[str, Any] = self._asked(lambda: self._client.info("persistence"))
+        return bool(info["aof_enabled"])
+
+    def check(self) -> None:
+        self._asked(self._client.ping)
+
+    def close(self) -> None:
+        self._client.close()
+
+    def _run(
+        self, script: str, session_id: str = "", field: str | bytes = "", new: bytes = b"", before: Any = ""
+    ) -> Any:
+        """What the script answers; None for a session that cannot be, since its id is none."""
+        if session_id and not _ID.fullmatch(session_id):
+            return None
+        arguments = [session_id, *self._limits, field, new, before]
+        try:
+            return self._asked(lambda: self._scripts[script](args=arguments))
+        except redis.OutOfMemoryError:
+            raise StoreFull("the store's memory is full") from None
+        except redis.ResponseError as error:
+            if "WRONGTYPE" not in str(error):
+                raise
+            self._forget_unreadable(session_id)
+            return None
+
+    def _asked(self, ask: Callable[[], Any]) -> Any:
+        if time.monotonic() < self._silent_until_s:
+            raise StoreLost("the store of sessions does not answer")
+        try:
+            return ask()
+        except (redis.ConnectionError, redis.TimeoutError, redis.ReadOnlyError) as error:
+            self._silent_until_s = time.monotonic() + PAUSE_S
+            raise StoreLost("the store of sessions does not answer") from error
+
+    def _read(self, session_id: str, read: Callable[..., Read], *stored: Any) -> Read | None:
+        try:
+            return read(*stored)
+        except ValueError:
+            self._forget_unreadable(session_id)
+            return None
+
+    def _forget_unreadable(self, session_id: str) -> None:
+        self.n_unreadable += 1
+        self._asked(lambda: self._client.delete(f"xihe:1:session:{session_id}"))
+
+
+def _field(name: str) -> bytes:
+    return _POSITION + name.encode()
+
+
+def _positions_from(fields: list[tuple[bytes, bytes]]) -> dict[str, SeenPosition]:
+    return {name[len(_POSITION) :].decode(): position_from_bytes(stored) for name, stored in fields}
