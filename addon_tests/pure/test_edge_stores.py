@@ -38,6 +38,9 @@ class InMemory:
     def store(self, **limits):
         return MemoryStore(StoreLimits(**limits), lambda: self.now)
 
+    def stores(self, n, **limits):
+        return [self.store(**limits)] * n
+
     def pass_time(self, seconds):
         self.now += seconds
 
@@ -53,6 +56,9 @@ class InRedis:
 
         self._stores.append(RedisStore(self._server.url, StoreLimits(**limits)))
         return self._stores[-1]
+
+    def stores(self, n, **limits):
+        return [self.store(**limits) for _ in range(n)]
 
     def pass_time(self, seconds):
         with self._server.client() as client:
@@ -100,6 +106,11 @@ def added(store, n=1, **options):
     return sessions
 
 
+def put(store, session_id, name, seen):
+    """Whatever is there, as one that nobody overtakes."""
+    return store.put_position(session_id, name, seen, store.position(session_id, name))
+
+
 def test_an_idle_session_is_forgotten_and_a_used_one_kept(kept):
     store = kept.store(idle_s=100)
     idle, used = added(store, 2)
@@ -113,11 +124,10 @@ def test_an_idle_session_is_forgotten_and_a_used_one_kept(kept):
 def test_whatever_asks_for_a_session_keeps_it_alive(kept):
     store = kept.store(idle_s=100)
     (one,) = added(store)
-    store.put_position(one.id, "a", SEEN)
+    put(store, one.id, "a", SEEN)
     uses = [
-        lambda: store.position(one.id, "a"),
         lambda: store.positions(one.id),
-        lambda: store.put_position(one.id, "a", SEEN),
+        lambda: put(store, one.id, "a", SEEN),
         lambda: store.delete_position(one.id, "b"),
         lambda: store.replace(one, one),
     ]
@@ -149,14 +159,14 @@ def test_positions_are_bounded_per_session_and_in_all(kept):
     store = kept.store(n_positions=3, n_positions_of_session=2, least_idle_s=50)
     one, two = added(store, 2)
     for name in "abb":
-        assert store.put_position(one.id, name, SEEN)
+        assert put(store, one.id, name, SEEN)
     with pytest.raises(StoreFull, match="2 positions at most"):
-        store.put_position(one.id, "c", SEEN)
-    store.put_position(two.id, "a", SEEN)
+        put(store, one.id, "c", SEEN)
+    put(store, two.id, "a", SEEN)
     with pytest.raises(StoreFull, match="3 positions are known"):
-        store.put_position(two.id, "b", SEEN)
+        put(store, two.id, "b", SEEN)
     kept.pass_time(60)
-    store.put_position(two.id, "b", SEEN)
+    put(store, two.id, "b", SEEN)
     assert store.session(one.id) is None and store.counts() == (1, 2)
     assert store.delete_position(two.id, "a") and not store.delete_position(two.id, "a")
     assert set(store.positions(two.id)) == {"b"} and store.counts() == (1, 1)
@@ -167,7 +177,7 @@ def test_positions_are_bounded_per_session_and_in_all(kept):
 def test_what_is_not_there_is_not_kept_or_found(kept):
     store = kept.store()
     for nobody in ("nobody", "", "x" * 10_000, "\udcff", session().id):
-        assert store.put_position(nobody, "a", SEEN) and store.positions(nobody) == {}
+        assert put(store, nobody, "a", SEEN) and store.positions(nobody) == {}
         assert store.session(nobody) is None and store.position(nobody, "a") is None
         assert not store.delete_position(nobody, "a")
         store.delete(nobody)
@@ -201,20 +211,35 @@ def test_of_two_who_join_at_once_none_is_lost(kept):
 def test_of_two_who_merge_at_once_the_second_merges_again(kept):
     store = kept.store()
     (one,) = added(store)
-    frame = [SeenPosition(random_cloud(np.random.default_rng(n), 8), n_frames=n) for n in range(4)]
-    assert store.put_position(one.id, "a", frame[1], 0) and not store.put_position(one.id, "a", frame[2], 0)
-    assert store.put_position(one.id, "a", frame[2], 1) and not store.put_position(one.id, "a", frame[3], 1)
-    assert store.position(one.id, "a").n_frames == 2
-    assert store.put_position(one.id, "a", frame[3]) and store.position(one.id, "a").n_frames == 3
-    store.delete_position(one.id, "a")
-    assert not store.put_position(one.id, "a", frame[3], 3) and store.positions(one.id) == {}
+    first, second, third = (SeenPosition(random_cloud(np.random.default_rng(n), 8)) for n in range(3))
+    assert store.put_position(one.id, "a", first, None) and not store.put_position(one.id, "a", second, None)
+    assert store.put_position(one.id, "a", second, first) and not store.put_position(one.id, "a", third, first)
+    assert_equal(store.position(one.id, "a"), second)
+    assert store.delete_position(one.id, "a")
+    assert not store.put_position(one.id, "a", third, second) and store.positions(one.id) == {}
+
+
+def test_what_another_worker_changed_is_merged_again(kept):
+    one, two = kept.stores(2)
+    (here,) = added(one)
+    assert two.session(here.id) == here
+    first, second, third = (SeenPosition(random_cloud(np.random.default_rng(n), 8)) for n in range(3))
+    assert put(one, here.id, "a", first) and put(two, here.id, "a", second)
+    before = one.position(here.id, "a")
+    if before.mark != second.mark:  # As it was, of the store that remembers.
+        assert not one.put_position(here.id, "a", third, before)
+    assert_equal(one.position(here.id, "a"), second)
+    assert put(one, here.id, "a", third) and two.delete_position(here.id, "a")
+    assert put(two, here.id, "a", first)
+    if not one.put_position(here.id, "a", second, one.position(here.id, "a")):
+        assert_equal(one.position(here.id, "a"), first)
 
 
 def test_positions_come_back_whole(kept):
     store, seen = kept.store(), made_position(np.random.default_rng(0), 8)
     (one,) = added(store)
     for name in ("vase", "the big ✓", "session"):
-        store.put_position(one.id, name, seen)
+        put(store, one.id, name, seen)
         assert_equal(store.position(one.id, name), seen)
     assert set(store.positions(one.id)) == {"vase", "the big ✓", "session"} and store.session(one.id) == one
 
@@ -223,14 +248,17 @@ def test_positions_come_back_whole(kept):
 @pytest.mark.parametrize(("field", "stored"), [("session", b"\x80\x04pickle"), ("at:a", b"\x02"), ("at:a", b"")])
 def test_bytes_that_are_not_ours_are_no_session(field, stored, redis_server):
     with closing(InRedis(redis_server)) as kept, redis_server.client() as client:
-        store = kept.store()
-        (one,) = added(store)
-        store.put_position(one.id, "a", SEEN)
+        writer, store = kept.stores(2)
+        (one,) = added(writer)
+        put(writer, one.id, "a", SEEN)
         client.hset(f"xihe:1:session:{one.id}", field, stored)
         assert (store.session(one.id) if field == "session" else store.position(one.id, "a")) is None
-        assert store.n_unreadable == 1 and store.put_position(one.id, "a", SEEN, 0) and store.session(one.id) is None
+        assert store.n_unreadable == 1 and put(writer, one.id, "a", SEEN) and writer.session(one.id) is None
         client.set(f"xihe:1:session:{one.id}", b"not a hash")
         assert store.session(one.id) is None and store.n_unreadable == 2
+        assert store.counts() == (1, 1)  # Until it would have expired.
+        kept.pass_time(1000)
+        assert store.counts() == (0, 0)
 
 
 @NEEDS_REDIS
@@ -241,7 +269,7 @@ def test_a_store_that_hangs_or_was_killed_is_lost_for_a_moment(redis_server, mon
     with closing(InRedis(redis_server)) as kept:
         store = kept.store()
         (one,) = added(store)
-        store.put_position(one.id, "a", SEEN)
+        put(store, one.id, "a", SEEN)
         redis_server.hang()
         with pytest.raises(StoreLost):
             store.session(one.id)
@@ -268,7 +296,7 @@ def made_position(rng, n, *, is_bare=False):
 def assert_equal(a, b):
     for name in ("srgb", "distance_m", "is_set"):
         assert np.array_equal(getattr(a.cloud, name), getattr(b.cloud, name))
-    assert (a.exposure, a.n_frames, a.key is None) == (b.exposure, b.n_frames, b.key is None)
+    assert (a.mark, a.exposure, a.n_frames, a.key is None) == (b.mark, b.exposure, b.n_frames, b.key is None)
     assert (a.position_m is None) == (b.position_m is None) and (a.cloud.surfaces is None) == (b.cloud.surfaces is None)
     if a.position_m is not None:
         assert np.array_equal(a.position_m, b.position_m)
@@ -307,10 +335,10 @@ def test_a_number_that_is_not_finite_is_refused(value):
     seen = made_position(np.random.default_rng(1), 9)
     bare = position_to_bytes(SeenPosition(seen.cloud))
     for stored, at, kind in [
-        (position_to_bytes(seen), 10, "<f8"),  # exposure
-        (position_to_bytes(seen), 18, "<f8"),  # position
-        (position_to_bytes(seen), 42, "<f8"),  # key light
-        (bare, 20, "<f4"),  # colour of the first set anchor
+        (position_to_bytes(seen), 18, "<f8"),  # exposure
+        (position_to_bytes(seen), 26, "<f8"),  # position
+        (position_to_bytes(seen), 50, "<f8"),  # key light
+        (bare, 28, "<f4"),  # colour of the first set anchor
         (bare, len(bare) - 4 * (1 + int(seen.cloud.is_set.sum())), "<f4"),  # distance of the last one
         (bare, len(bare) - 4, "<f4"),  # facing of the last one
     ]:

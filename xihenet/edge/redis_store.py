@@ -5,6 +5,9 @@ used it for `StoreLimits.idle_s`. Each operation is one Lua script: one round tr
 steps. A sorted set of sessions by last use, with the number of positions of each, keeps the limits; since it learns of
 what Redis forgot only when room is needed or counts are asked for, they hold approximately.
 
+Each worker remembers the positions that it read or wrote last, so that a phone whose requests come to one worker costs
+it no reading: should another have changed the position, what follows from the old one is refused when it is put.
+
 Calls wait for Redis in the event loop, a tenth of a millisecond on the same machine, and never longer than `TIMEOUT_S`;
 `redis.asyncio` was rejected, since it costs more processor time than the wait. A store that failed is left alone for
 `PAUSE_S`, in which every call is a `StoreLost` at once, and then asked again.
@@ -16,6 +19,7 @@ from __future__ import annotations
 
 import re
 import time
+from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -24,7 +28,10 @@ from redis.backoff import NoBackoff
 from redis.retry import Retry
 
 from xihenet.edge.sessions import SeenPosition, Session, StoreFull, StoreLimits, StoreLost, hash_of
-from xihenet.edge.stored import position_from_bytes, position_to_bytes, session_from_bytes, session_to_bytes
+from xihenet.edge.stored import mark_bytes, position_from_bytes, position_to_bytes, session_from_bytes, session_to_bytes
+
+MOST_REMEMBERED = 512
+"""Positions, of some 60 kB at most."""
 
 TIMEOUT_S = 0.25
 PAUSE_S = 1.0
@@ -120,8 +127,7 @@ return owned
     "put_position": """
 if not find(id) then return end
 local known = redis.call('HGET', key_of(id), field)
-local n_frames = known and #known > 4 and struct.unpack('<I4', known, 2) or 0
-if before ~= '' and tonumber(before) ~= n_frames then return 'overtaken' end
+if string.sub(known or '', 1, 9) ~= before then return 'overtaken' end
 if not known then
     if tonumber(redis.call('HGET', sizes, id) or 0) >= most_of_session then return 'session is full' end
     if tonumber(redis.call('GET', total) or 0) >= most_positions and not make_room(id) then return 'full' end
@@ -129,6 +135,7 @@ if not known then
     redis.call('INCR', total)
 end
 redis.call('HSET', key_of(id), field, new)
+return 'kept'
 """,
     "delete_position": """
 if not find(id) or redis.call('HDEL', key_of(id), field) == 0 then return 0 end
@@ -172,6 +179,7 @@ class RedisStore:
             kept.n_positions,
             kept.n_positions_of_session,
         )
+        self._remembered: OrderedDict[tuple[str, str], SeenPosition] = OrderedDict()
         self._silent_until_s = 0.0
         self.n_unreadable = 0
 
@@ -198,17 +206,22 @@ class RedisStore:
         return sorted(owned, key=lambda session: session.created_s)
 
     def position(self, session_id: str, name: str) -> SeenPosition | None:
-        stored = self._run("position", session_id, _field(name))
-        return None if stored is None else self._read(session_id, position_from_bytes, stored)
+        seen = self._remembered.get((session_id, name))
+        if seen is None:
+            stored = self._run("position", session_id, _field(name))
+            seen = None if stored is None else self._read(session_id, position_from_bytes, stored)
+        self._remember(session_id, name, seen)
+        return seen
 
     def positions(self, session_id: str) -> dict[str, SeenPosition]:
         stored = self._run("positions", session_id) or []
         fields = [pair for pair in zip(stored[::2], stored[1::2], strict=True) if pair[0].startswith(_POSITION)]
         return self._read(session_id, _positions_from, fields) or {}
 
-    def put_position(self, session_id: str, name: str, seen: SeenPosition, n_before: int | None = None) -> bool:
-        before = "" if n_before is None else n_before
-        said = self._run("put_position", session_id, _field(name), position_to_bytes(seen), before)
+    def put_position(self, session_id: str, name: str, seen: SeenPosition, before: SeenPosition | None) -> bool:
+        was = b"" if before is None else mark_bytes(before)
+        said = self._run("put_position", session_id, _field(name), position_to_bytes(seen), was)
+        self._remember(session_id, name, seen if said == b"kept" else None)
         if said == b"session is full":
             raise StoreFull(f"a session has {self.limits.n_positions_of_session} positions at most")
         if said == b"full":
@@ -216,6 +229,7 @@ class RedisStore:
         return bool(said != b"overtaken")
 
     def delete_position(self, session_id: str, name: str) -> bool:
+        self._remember(session_id, name, None)
         return bool(self._run("delete_position", session_id, _field(name)))
 
     def counts(self) -> tuple[int, int]:
@@ -232,6 +246,13 @@ class RedisStore:
 
     def close(self) -> None:
         self._client.close()
+
+    def _remember(self, session_id: str, name: str, seen: SeenPosition | None) -> None:
+        self._remembered.pop((session_id, name), None)
+        if seen is not None:
+            self._remembered[session_id, name] = seen
+        if len(self._remembered) > MOST_REMEMBERED:
+            self._remembered.popitem(last=False)
 
     def _run(
         self, script: str, session_id: str = "", field: str | bytes = "", new: bytes = b"", before: Any = ""

@@ -187,7 +187,7 @@ class EdgeService:
             before = self.store.position(session.id, name)
             after = self._merged(before, sent, wishes)
             with self._room():
-                is_kept = self.store.put_position(session.id, name, after, before.n_frames if before else 0)
+                is_kept = self.store.put_position(session.id, name, after, before)
         self.metrics.measure("xihe_stage_seconds", time.perf_counter() - start, stage="merge")
         return after
 
@@ -237,7 +237,7 @@ class EdgeService:
         seen = self.store.position(session.id, name)
         if seen is not None:
             # Not kept if a frame has come meanwhile: its answer has a key light of its own.
-            self.store.put_position(session.id, name, replace(seen, key=key), seen.n_frames)
+            self.store.put_position(session.id, name, replace(seen, key=key), seen)
 
     @contextmanager
     def _room(self) -> Iterator[None]:

@@ -72,13 +72,14 @@ class Session:
 
 @dataclass(frozen=True, eq=False)
 class SeenPosition:
-    """What a session knows of one estimation position."""
+    """What a session knows of one estimation position. Each record, a changed copy too, has a `mark` of its own."""
 
     cloud: UnitSphereCloud  # merged from all frames
     exposure: float = 1.0  # that the cloud's colours and the light carry: that of the first frame, or the one replacing
     position_m: ArrayF64 | None = None  # (3,) in the session's world, our axes
     key: KeyLight | None = None  # of the last answer that was asked for one
     n_frames: int = 0
+    mark: int = field(init=False, default_factory=lambda: secrets.randbits(64))
 
 
 class SessionStore(Protocol):
@@ -112,16 +113,21 @@ class SessionStore(Protocol):
     def owned_by(self, token: str) -> list[Session]:
         """Sessions of an owner, oldest first; looking does not keep them alive."""
 
-    def position(self, session_id: str, name: str) -> SeenPosition | None: ...
+    def position(self, session_id: str, name: str) -> SeenPosition | None:
+        """What is known of it.
+
+        A store may answer from memory, which does not keep the session alive. If another worker has changed the
+        position since, `put_position` refuses what is merged with it, and the next answer is new.
+        """
 
     def positions(self, session_id: str) -> dict[str, SeenPosition]:
         """By name; empty for a session that is not there."""
 
-    def put_position(self, session_id: str, name: str, seen: SeenPosition, n_before: int | None = None) -> bool:
+    def put_position(self, session_id: str, name: str, seen: SeenPosition, before: SeenPosition | None) -> bool:
         """Keep what is known of a position; nothing if the session is gone. `StoreFull` for a new one without room.
 
-        False, and nothing is kept, if the position has no longer the `n_before` frames that `seen` was merged with (0
-        for a new one; None for whatever is there): look and merge again, since another was faster.
+        False, and nothing is kept, if what is there is not `before` (None: there is nothing), which `seen` was merged
+        with: look and merge again, since another was faster.
         """
 
     def delete_position(self, session_id: str, name: str) -> bool:
@@ -208,14 +214,13 @@ class MemoryStore:
         kept = self._used(session_id)
         return {} if kept is None else dict(kept.positions)
 
-    def put_position(self, session_id: str, name: str, seen: SeenPosition, n_before: int | None = None) -> bool:
+    def put_position(self, session_id: str, name: str, seen: SeenPosition, before: SeenPosition | None) -> bool:
         kept = self._used(session_id)
         if kept is None:
             return True
-        known = kept.positions.get(name)
-        if n_before is not None and n_before != (known.n_frames if known else 0):
+        if _mark_of(kept.positions.get(name)) != _mark_of(before):
             return False
-        if known is None:
+        if name not in kept.positions:
             if len(kept.positions) >= self.limits.n_positions_of_session:
                 raise StoreFull(f"a session has {self.limits.n_positions_of_session} positions at most")
             if self._n_positions >= self.limits.n_positions:
@@ -266,6 +271,10 @@ class MemoryStore:
             raise StoreFull(full)
         self.delete(oldest)
         self.n_evicted += 1
+
+
+def _mark_of(seen: SeenPosition | None) -> int | None:
+    return None if seen is None else seen.mark
 
 
 def joined(session: Session, token: str, limits: StoreLimits) -> Session:

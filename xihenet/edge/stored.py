@@ -3,7 +3,7 @@
 No pickle, which would run what it reads: a store may hold anything. Reading trusts nothing, and a ValueError says that
 the bytes are none of ours. A session is JSON behind its version, a position packed little endian:
 
-    version (1 byte), frames (4), flags (1), anchors (4), exposure (8), position if known (3 x 8),
+    version (1 byte), mark (8), frames (4), flags (1), anchors (4), exposure (8), position if known (3 x 8),
     key light if known (7 x 8 and 1), a bit for each anchor that says whether it is set, and for the set ones colours
     (12 each), distances (4) and, where surfaces are known, facing (4)
 
@@ -13,6 +13,7 @@ left out (`invalid`) and surfaces other than facing are not kept: no cloud that 
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import re
@@ -26,7 +27,7 @@ from xihenet.edge.sessions import SeenPosition, Session
 from xihenet.records import AnchorSurfaces, ArrayF64, KeyLight, UnitSphereCloud
 
 VERSION = 1
-_HEAD, _VECTOR, _KEY = struct.Struct("<BIBId"), struct.Struct("<3d"), struct.Struct("<7d?")
+_HEAD, _VECTOR, _KEY = struct.Struct("<BQIBId"), struct.Struct("<3d"), struct.Struct("<7d?")
 _HAS_POSITION, _HAS_KEY, _HAS_SURFACES = 1, 2, 4
 _HASH = re.compile("[0-9a-f]{64}")
 
@@ -45,6 +46,7 @@ def session_to_bytes(session: Session) -> bytes:
     return bytes([VERSION]) + json.dumps(fields, separators=(",", ":"), allow_nan=False).encode()
 
 
+@functools.lru_cache(maxsize=4096)  # A session is read for every request, and hardly ever changes.
 def session_from_bytes(session_id: str, stored: bytes) -> Session:
     """The session that `session_to_bytes` wrote; ValueError for other bytes."""
     if stored[:1] != bytes([VERSION]):
@@ -70,14 +72,14 @@ def session_from_bytes(session_id: str, stored: bytes) -> Session:
 
 
 def position_to_bytes(seen: SeenPosition) -> bytes:
-    """A position, its number of frames at byte 1."""
+    """A position, which begins with what `mark_bytes` gives."""
     cloud, key = seen.cloud, seen.key
     flags = (
         _HAS_POSITION * (seen.position_m is not None)
         + _HAS_KEY * (key is not None)
         + _HAS_SURFACES * (cloud.surfaces is not None)
     )
-    parts = [_HEAD.pack(VERSION, seen.n_frames, flags, len(cloud), seen.exposure)]
+    parts = [_HEAD.pack(VERSION, seen.mark, seen.n_frames, flags, len(cloud), seen.exposure)]
     if seen.position_m is not None:
         parts.append(_VECTOR.pack(*seen.position_m))
     if key is not None:
@@ -91,7 +93,7 @@ def position_to_bytes(seen: SeenPosition) -> bytes:
 def position_from_bytes(stored: bytes) -> SeenPosition:
     """The position that `position_to_bytes` wrote; ValueError for other bytes."""
     try:
-        version, n_frames, flags, n_anchors, exposure = _HEAD.unpack_from(stored)
+        version, mark, n_frames, flags, n_anchors, exposure = _HEAD.unpack_from(stored)
         at, position_m, key = _HEAD.size, None, None
         if flags & _HAS_POSITION:
             position_m = _finite(_VECTOR.unpack_from(stored, at))
@@ -105,9 +107,16 @@ def position_from_bytes(stored: bytes) -> SeenPosition:
         raise ValueError(f"position: {error}") from None
     if version != VERSION or flags > 7 or n_anchors > MAX_STRIPPED_ANCHORS or not 0 < exposure < math.inf:
         raise ValueError(f"position: expected version {VERSION} and its fields, got others")
-    return SeenPosition(
+    seen = SeenPosition(
         _cloud_from(stored, at, n_anchors, bool(flags & _HAS_SURFACES)), exposure, position_m, key, n_frames
     )
+    object.__setattr__(seen, "mark", mark)
+    return seen
+
+
+def mark_bytes(seen: SeenPosition) -> bytes:
+    """What the bytes of this record begin with, and those of no other."""
+    return struct.pack("<BQ", VERSION, seen.mark)
 
 
 def _cloud_from(stored: bytes, at: int, n_anchors: int, has_surfaces: bool) -> UnitSphereCloud:
