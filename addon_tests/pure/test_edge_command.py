@@ -72,6 +72,11 @@ def test_a_server_that_is_killed_and_started_again_costs_no_light():
         (["--sizes", "0"], "--sizes: expected numbers from 1 to 2048"),
         (["--port", "70000"], "--port: expected 0 to 65535"),
         (["--expire", "0"], "expected more than 0"),
+        (["--workers", "0"], "--workers: expected 1 or more"),
+        (["--workers", "2"], "give --store redis://HOST:PORT/DB as well"),
+        (["--store", "127.0.0.1:6379"], "--store: expected redis://HOST:PORT/DB"),
+        (["--store", "redis://127.0.0.1:x/0"], "--store: expected redis://HOST:PORT/DB"),
+        (["--store", "redis://:secret@127.0.0.1:9/0"], "start redis-server there"),
         (["--key", "k.pem"], "give --certificate as well"),
         (["--bearer", "missing.txt"], "give a file with a token in it"),
         (["--port", "0", "--certificate", "missing.pem"], "check --certificate and --key"),
@@ -82,6 +87,7 @@ def test_a_mistake_is_one_line_that_names_the_fix(options, said, capfd):
     assert main(["serve", *options]) == 2
     error = capfd.readouterr().err.strip().splitlines()
     assert len([line for line in error if line.startswith("xihe: ")]) == 1 and said in error[-1]
+    assert "secret" not in " ".join(error)
 
 
 def test_without_tornado_the_extra_is_named(capfd, monkeypatch):
@@ -92,6 +98,13 @@ def test_without_tornado_the_extra_is_named(capfd, monkeypatch):
     monkeypatch.setitem(sys.modules, "tornado", None)
     assert main(["serve"]) == 2
     assert "pip install 'xihe-blender[edge]'" in capfd.readouterr().err
+
+
+def test_without_redis_py_the_extra_is_named(capfd, monkeypatch):
+    monkeypatch.delitem(sys.modules, "xihenet.edge.redis_store", raising=False)
+    monkeypatch.setitem(sys.modules, "redis", None)
+    assert main(["serve", "--store", "redis://127.0.0.1:9/0"]) == 2
+    assert "--store needs redis-py: pip install 'xihe-blender[edge]'" in capfd.readouterr().err
 
 
 def test_a_replay_over_the_service_is_the_local_one(tmp_path, capfd):

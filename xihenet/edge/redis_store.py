@@ -17,6 +17,7 @@ Not for Redis Cluster: the scripts find their keys by themselves.
 
 from __future__ import annotations
 
+import functools
 import re
 import time
 from collections import OrderedDict
@@ -163,14 +164,9 @@ class RedisStore:
         self.limits = limits or StoreLimits()
         # A connection that broke is made anew, once, so that a store that was restarted costs no request.
         once = Retry(NoBackoff(), 1, supported_errors=(redis.ConnectionError,))
-        self._client = redis.Redis.from_url(
-            url,
-            socket_timeout=TIMEOUT_S,
-            socket_connect_timeout=TIMEOUT_S,
-            retry=once,
-            single_connection_client=True,
+        self._connections = redis.ConnectionPool.from_url(
+            url, socket_timeout=TIMEOUT_S, socket_connect_timeout=TIMEOUT_S, retry=once
         )
-        self._scripts = {name: self._client.register_script(_SHARED + text) for name, text in _SCRIPTS.items()}
         kept = self.limits
         self._limits = (
             max(1, round(1e3 * kept.idle_s)),
@@ -182,6 +178,15 @@ class RedisStore:
         self._remembered: OrderedDict[tuple[str, str], SeenPosition] = OrderedDict()
         self._silent_until_s = 0.0
         self.n_unreadable = 0
+
+    @functools.cached_property
+    def _client(self) -> redis.Redis:
+        """Connects at once, so it is made with the first call. One connection, since one event loop asks."""
+        return redis.Redis(connection_pool=self._connections, single_connection_client=True)
+
+    @functools.cached_property
+    def _scripts(self) -> dict[str, Callable[..., Any]]:
+        return {name: self._client.register_script(_SHARED + text) for name, text in _SCRIPTS.items()}
 
     def add(self, session: Session) -> None:
         if self._run("add", session.id, session.owner, session_to_bytes(session)) == b"full":
@@ -242,10 +247,12 @@ class RedisStore:
         return bool(info["aof_enabled"])
 
     def check(self) -> None:
-        self._asked(self._client.ping)
+        self._asked(lambda: self._client.ping())
 
     def close(self) -> None:
-        self._client.close()
+        if "_client" in vars(self):
+            self._client.close()
+        self._connections.close()
 
     def _remember(self, session_id: str, name: str, seen: SeenPosition | None) -> None:
         self._remembered.pop((session_id, name), None)
