@@ -126,9 +126,9 @@ async def recovery_s(client):
     return time.perf_counter() - start
 
 
-def cpu_s(process):
+def cpu_s(pid):
     """Processor time that the server has taken, of all its threads."""
-    fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
@@ -152,10 +152,10 @@ async def run(process, port, options):
     print(f"{options.clients} clients x {options.rate}/s for {options.seconds} s: {held}")
     print(f"memory of the server: {before:.1f} MB before, {rss_mb(process):.1f} MB after")
     more = await opened(port, 24, 100)
-    spent_s = cpu_s(process)
+    spent_s = cpu_s(process.pid)
     capacity = await as_many_as_go(more, options.seconds / 4)
     n_lights = len(capacity.latencies_s) / capacity.seconds
-    per_cpu_s = len(capacity.latencies_s) / (cpu_s(process) - spent_s)
+    per_cpu_s = len(capacity.latencies_s) / (cpu_s(process.pid) - spent_s)
     print(f"as many as go, 24 clients: {capacity}; {per_cpu_s:.0f} lights per second of processor time")
     many = [*clients, *more, *await opened(port, MOST_CONNECTIONS - len(clients) - len(more), 200)]
     overload = await hold_rate(many, 2 * n_lights / len(many), options.seconds / 4)
