@@ -43,7 +43,8 @@ _ID = re.compile(r"[0-9a-f-]{36}")
 _POSITION = b"at:"
 
 # What all scripts begin with. Times are milliseconds; the 1 in the keys is the version of all that lies there. Use is
-# noted when a hundredth of the time to live has gone by, so that the three calls of one request write it once.
+# noted when a hundredth of the time to live has gone by, so that the calls of one request write it once. A position's
+# mark has a field of its own, so that telling whether it changed does not copy it.
 _SHARED = """
 local id, idle, least_idle = ARGV[1], tonumber(ARGV[2]), tonumber(ARGV[3])
 local most_sessions, most_positions, most_of_session = tonumber(ARGV[4]), tonumber(ARGV[5]), tonumber(ARGV[6])
@@ -53,6 +54,7 @@ local now = time[1] * 1000 + math.floor(time[2] / 1000)
 local used, sizes, total = 'xihe:1:used', 'xihe:1:sizes', 'xihe:1:positions'
 
 local function key_of(id) return 'xihe:1:session:' .. id end
+local function mark_of(field) return 'mark of ' .. field end
 local function owner_key(owner) return 'xihe:1:owner:' .. owner end
 
 local function use(id)
@@ -127,19 +129,19 @@ return owned
     "positions": "return find(id) and redis.call('HGETALL', key_of(id)) or {}",
     "put_position": """
 if not find(id) then return end
-local known = redis.call('HGET', key_of(id), field)
-if string.sub(known or '', 1, 9) ~= before then return 'overtaken' end
+local known = redis.call('HGET', key_of(id), mark_of(field))
+if (known or '') ~= before then return 'overtaken' end
 if not known then
     if tonumber(redis.call('HGET', sizes, id) or 0) >= most_of_session then return 'session is full' end
     if tonumber(redis.call('GET', total) or 0) >= most_positions and not make_room(id) then return 'full' end
     redis.call('HINCRBY', sizes, id, 1)
     redis.call('INCR', total)
 end
-redis.call('HSET', key_of(id), field, new)
+redis.call('HSET', key_of(id), field, new, mark_of(field), string.sub(new, 1, 9))
 return 'kept'
 """,
     "delete_position": """
-if not find(id) or redis.call('HDEL', key_of(id), field) == 0 then return 0 end
+if not find(id) or redis.call('HDEL', key_of(id), field, mark_of(field)) == 0 then return 0 end
 redis.call('HINCRBY', sizes, id, -1)
 redis.call('DECR', total)
 return 1
