@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--expire SECONDS", "forget a session that was idle for so long", float, default=StoreLimits.idle_s)
     add("--sessions N", "sessions that may be open at a time", int, default=StoreLimits.n_sessions)
     store = f"keep sessions in Redis, redis://HOST:PORT/DB, which outlives the server; or the variable {STORE_VARIABLE}"
-    add("--store URL", store, default=os.environ.get(STORE_VARIABLE, ""))
+    add("--store URL", store)
     add("--workers N", "processes that share the port; more than one need --store", int, default=1)
     add("--allow-origin ORIGIN", "web pages that may ask, or *; may be repeated", action="append", default=[])
     add("--certificate FILE.pem", "speak HTTPS, with this certificate", Path)
@@ -108,13 +108,15 @@ def server_settings(options: argparse.Namespace) -> ServerSettings:
         raise UserError("--key belongs to a certificate: give --certificate as well")
     if options.workers < 1:
         raise UserError(f"--workers: expected 1 or more, got {options.workers}")
-    if options.workers > 1 and not options.store:
+    store = options.store or os.environ.get(STORE_VARIABLE, "")
+    if options.workers > 1 and not store:
         raise UserError("--workers above 1 share their sessions in a store: give --store redis://HOST:PORT/DB as well")
-    limits = StoreLimits(n_sessions=options.sessions, idle_s=options.expire)
+    n_positions = max(StoreLimits.n_positions, 4 * options.sessions)
+    limits = StoreLimits(options.sessions, n_positions, idle_s=options.expire)
     return ServerSettings(
         options.host,
         options.port,
-        options.store,
+        store,
         service=ServiceSettings(sizes, options.target, limits=limits),
         origins=tuple(options.allow_origin),
         certificate=options.certificate,

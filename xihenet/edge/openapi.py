@@ -66,7 +66,9 @@ def openapi_document(sizes: tuple[int, ...], *, has_bearer: bool = False) -> dic
                 "post": _estimate(),
                 "delete": _of_token("Forget a position", [_SESSION, _POSITION]),
             },
-            "/health": {"get": _operation("That the service is there", [], 200, _object("estimator"), ())},
+            "/health": {
+                "get": _operation("That the service is there, with its store", [], 200, _object("estimator"), ())
+            },
         },
     }
     if has_bearer:
@@ -84,7 +86,7 @@ def _published_session(sizes: tuple[int, ...]) -> dict[str, Any]:
 def _published_estimation() -> dict[str, Any]:
     session = _header("Session-ID", _UUID, "As opening gave it.", required=True)
     answer = {"type": "object", "required": ["ok", "coefficients"], "properties": {"coefficients": _COEFFICIENTS}}
-    operation = _operation("Light, of the published records", [session, _axes("unity")], 200, answer, (400, 404, 503))
+    operation = _operation("Light, of the published records", [session, _axes("unity")], 200, answer, (400, 404))
     return operation | {"requestBody": _binary("application/octet-stream", "Records of seven bytes.")}
 
 
@@ -125,9 +127,8 @@ def _estimate() -> dict[str, Any]:
         _header(protocol.AMBIENT_HEADER, numbers, "Radiance of the light sensor, carrying the exposure."),
         _axes("z-up"),
     ]
-    operation = _operation(
-        "The light at a position, of a cloud", parameters, 200, _ESTIMATE, (400, 401, 403, 404, 415, 503)
-    )
+    refused = (400, 401, 403, 404, 415)
+    operation = _operation("The light at a position, of a cloud", parameters, 200, _ESTIMATE, refused)
     words = f"A payload of xihenet.codec, in the method that the content type names: {', '.join(METHODS)}."
     return operation | {"requestBody": _binary(protocol.CLOUD_TYPE, words)}
 
@@ -142,10 +143,10 @@ def _operation(
     parameters: list[dict[str, Any]],
     status: int,
     answer: dict[str, Any],
-    refused: tuple[int, ...] = (400, 503),
+    refused: tuple[int, ...] = (400,),
 ) -> dict[str, Any]:
     responses = {str(status): {"description": "Done.", "content": {"application/json": {"schema": answer}}}}
-    for one in refused:
+    for one in sorted({*refused, 503}):  # Any of them may need a store that does not answer.
         content = {"application/json": {"schema": _FAILURE}}
         responses[str(one)] = {"description": "Refused, and why.", "content": content}
     return {"summary": summary, "parameters": parameters, "responses": responses}

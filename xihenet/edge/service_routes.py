@@ -7,6 +7,7 @@ from importlib import resources
 from xihenet import __version__
 from xihenet.edge.handler import Handler
 from xihenet.edge.openapi import openapi_document
+from xihenet.edge.protocol import failure
 from xihenet.edge.service import Refused
 from xihenet.edge.sessions import StoreLost
 
@@ -17,15 +18,15 @@ class HealthRoute(Handler):
     needs_bearer = False
 
     def get(self) -> None:
-        store, answers = self.service.store, True
+        store, estimator = self.service.store, self.service.inference.name
+        told = {"ok": True, "software": f"xihe {__version__}", "estimator": estimator, "store": store.name}
         try:
             store.check()
-        except StoreLost:
-            answers = False
+        except StoreLost as error:
             self.set_header("Retry-After", str(self.service.settings.retry_after_s))
-        software, estimator = f"xihe {__version__}", self.service.inference.name
-        told = {"ok": answers, "software": software, "estimator": estimator, "store": store.name}
-        self.tell({**told, "store_answers": answers}, 200 if answers else 503)
+            self.tell(told | failure(str(error)), 503)
+        else:
+            self.tell(told)
 
 
 class MetricsRoute(Handler):
