@@ -26,18 +26,18 @@ from edge_load import as_many_as_go, cpu_s, opened
 class Served:
     """A server process with its workers, and the totals of its rounds."""
 
-    def __init__(self, name, options, store=None):
+    def __init__(self, name, options, store=None, n_workers=1):
         command = [sys.executable, "-m", "xihe_blender", "serve", "--port", "0", *options]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         self.port = int(re.search(r":(\d+),", self.process.stdout.readline())[1])
-        self.name, self.store, self.rounds = name, store, []
+        self.name, self.store, self.n_workers, self.rounds = name, store, n_workers, []
 
     def cpu_s(self):
         children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
         return sum(cpu_s(pid) for pid in [self.process.pid, *children])
 
     async def measure(self, n_clients, seconds):
-        clients = await opened(self.port, n_clients)
+        clients = await opened(self.port, n_clients * self.n_workers)
         await as_many_as_go(clients, 1)
         before = self.cpu_s(), self.store.told() if self.store else None
         answers = await as_many_as_go(clients, seconds)
@@ -92,7 +92,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=10)
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--clients", type=int, default=24)
+    parser.add_argument("--clients", type=int, default=24, help="of each worker")
     parser.add_argument("--estimator", default="lattice")
     options = parser.parse_args()
     print(f"load of the machine before: {Path('/proc/loadavg').read_text().split()[0]}")
@@ -102,12 +102,12 @@ def main():
         ending.callback(store.process.kill)
         choice = ["--estimator", options.estimator]
         servers = []
-        for name, more in [
-            ("1 worker, in memory", []),
-            ("1 worker, Redis", ["--store", store.url]),
-            ("2 workers, Redis", ["--store", store.url, "--workers", "2"]),
+        for name, more, n_workers in [
+            ("1 worker, in memory", [], 1),
+            ("1 worker, Redis", ["--store", store.url], 1),
+            ("2 workers, Redis", ["--store", store.url, "--workers", "2"], 2),
         ]:
-            servers.append(Served(name, choice + more, store if more else None))
+            servers.append(Served(name, choice + more, store if more else None, n_workers))
             ending.callback(servers[-1].process.wait)
             ending.callback(servers[-1].process.terminate)
         for _ in range(options.rounds):

@@ -12,6 +12,7 @@ from addon_tests.pure.redis_servers import RedisServer
 from xihenet.edge.sessions import (
     MemoryStore,
     SeenPosition,
+    SessionGone,
     StoreFull,
     StoreLimits,
     StoreLost,
@@ -177,7 +178,9 @@ def test_positions_are_bounded_per_session_and_in_all(kept):
 def test_what_is_not_there_is_not_kept_or_found(kept):
     store = kept.store()
     for nobody in ("nobody", "", "x" * 10_000, "\udcff", session().id):
-        assert put(store, nobody, "a", SEEN) and store.positions(nobody) == {}
+        with pytest.raises(SessionGone):
+            put(store, nobody, "a", SEEN)
+        assert store.positions(nobody) == {} and store.session(nobody, is_fresh=False) is None
         assert store.session(nobody) is None and store.position(nobody, "a") is None
         assert not store.delete_position(nobody, "a")
         store.delete(nobody)
@@ -244,6 +247,17 @@ def test_positions_come_back_whole(kept):
     assert set(store.positions(one.id)) == {"vase", "the big ✓", "session"} and store.session(one.id) == one
 
 
+def test_a_session_that_another_worker_deleted_refuses_positions(kept):
+    one, two = kept.stores(2)
+    (here,) = added(one)
+    assert put(one, here.id, "a", SEEN) and one.session(here.id, is_fresh=False) == here
+    two.delete(here.id)
+    one.session(here.id, is_fresh=False)
+    with pytest.raises(SessionGone):
+        put(one, here.id, "a", SEEN)
+    assert one.session(here.id, is_fresh=False) is None and one.session(here.id) is None
+
+
 @NEEDS_REDIS
 @pytest.mark.parametrize(("field", "stored"), [("session", b"\x80\x04pickle"), ("at:a", b"\x02"), ("at:a", b"")])
 def test_bytes_that_are_not_ours_are_no_session(field, stored, redis_server):
@@ -253,7 +267,10 @@ def test_bytes_that_are_not_ours_are_no_session(field, stored, redis_server):
         put(writer, one.id, "a", SEEN)
         client.hset(f"xihe:1:session:{one.id}", field, stored)
         assert (store.session(one.id) if field == "session" else store.position(one.id, "a")) is None
-        assert store.n_unreadable == 1 and put(writer, one.id, "a", SEEN) and writer.session(one.id) is None
+        assert store.n_unreadable == 1
+        with pytest.raises(SessionGone):
+            put(writer, one.id, "a", SEEN)
+        assert writer.session(one.id) is None
         client.set(f"xihe:1:session:{one.id}", b"not a hash")
         assert store.session(one.id) is None and store.n_unreadable == 2
         assert store.counts() == (1, 1)  # Until it would have expired.

@@ -5,8 +5,9 @@ used it for `StoreLimits.idle_s`. Each operation is one Lua script: one round tr
 steps. A sorted set of sessions by last use, with the number of positions of each, keeps the limits; since it learns of
 what Redis forgot only when room is needed or counts are asked for, they hold approximately.
 
-Each worker remembers the positions that it read or wrote last, so that a phone whose requests come to one worker costs
-it no reading: should another have changed the position, what follows from the old one is refused when it is put.
+Each worker remembers the sessions and positions that it read or wrote last, so that a request of a phone that stays at
+one worker is one call, which puts the position: if the session is gone, or another worker has changed the position,
+that call says so and keeps nothing.
 
 Calls wait for Redis in the event loop, a tenth of a millisecond on the same machine, and never longer than `TIMEOUT_S`;
 `redis.asyncio` was rejected, since it costs more processor time than the wait. A store that failed is left alone for
@@ -28,16 +29,17 @@ import redis
 from redis.backoff import NoBackoff
 from redis.retry import Retry
 
-from xihenet.edge.sessions import SeenPosition, Session, StoreFull, StoreLimits, StoreLost, hash_of
+from xihenet.edge.sessions import SeenPosition, Session, SessionGone, StoreFull, StoreLimits, StoreLost, hash_of
 from xihenet.edge.stored import mark_bytes, position_from_bytes, position_to_bytes, session_from_bytes, session_to_bytes
 
 MOST_REMEMBERED = 512
-"""Positions, of some 60 kB at most."""
+"""Sessions, and positions of some 60 kB at most."""
 
 TIMEOUT_S = 0.25
 PAUSE_S = 1.0
 
 Read = TypeVar("Read")
+Key = TypeVar("Key")
 
 _ID = re.compile(r"[0-9a-f-]{36}")
 _POSITION = b"at:"
@@ -177,7 +179,8 @@ class RedisStore:
             kept.n_positions,
             kept.n_positions_of_session,
         )
-        self._remembered: OrderedDict[tuple[str, str], SeenPosition] = OrderedDict()
+        self._sessions: OrderedDict[str, Session] = OrderedDict()
+        self._positions: OrderedDict[tuple[str, str], SeenPosition] = OrderedDict()
         self._silent_until_s = 0.0
         self.n_unreadable = 0
 
@@ -194,9 +197,13 @@ class RedisStore:
         if self._run("add", session.id, session.owner, session_to_bytes(session)) == b"full":
             raise StoreFull(f"{self.limits.n_sessions} sessions are open")
 
-    def session(self, session_id: str) -> Session | None:
-        stored = self._run("session", session_id)
-        return None if stored is None else self._read(session_id, session_from_bytes, session_id, stored)
+    def session(self, session_id: str, *, is_fresh: bool = True) -> Session | None:
+        session = None if is_fresh else self._sessions.get(session_id)
+        if session is None:
+            stored = self._run("session", session_id)
+            session = None if stored is None else self._read(session_id, session_from_bytes, session_id, stored)
+        _remember(self._sessions, session_id, session)
+        return session
 
     def replace(self, session: Session, before: Session) -> bool:
         new, was = session_to_bytes(session), session_to_bytes(before)
@@ -213,11 +220,11 @@ class RedisStore:
         return sorted(owned, key=lambda session: session.created_s)
 
     def position(self, session_id: str, name: str) -> SeenPosition | None:
-        seen = self._remembered.get((session_id, name))
+        seen = self._positions.get((session_id, name))
         if seen is None:
             stored = self._run("position", session_id, _field(name))
             seen = None if stored is None else self._read(session_id, position_from_bytes, stored)
-        self._remember(session_id, name, seen)
+        _remember(self._positions, (session_id, name), seen)
         return seen
 
     def positions(self, session_id: str) -> dict[str, SeenPosition]:
@@ -228,7 +235,10 @@ class RedisStore:
     def put_position(self, session_id: str, name: str, seen: SeenPosition, before: SeenPosition | None) -> bool:
         was = b"" if before is None else mark_bytes(before)
         said = self._run("put_position", session_id, _field(name), position_to_bytes(seen), was)
-        self._remember(session_id, name, seen if said == b"kept" else None)
+        _remember(self._positions, (session_id, name), seen if said == b"kept" else None)
+        if said is None:
+            _remember(self._sessions, session_id, None)
+            raise SessionGone
         if said == b"session is full":
             raise StoreFull(f"a session has {self.limits.n_positions_of_session} positions at most")
         if said == b"full":
@@ -236,7 +246,7 @@ class RedisStore:
         return bool(said != b"overtaken")
 
     def delete_position(self, session_id: str, name: str) -> bool:
-        self._remember(session_id, name, None)
+        _remember(self._positions, (session_id, name), None)
         return bool(self._run("delete_position", session_id, _field(name)))
 
     def counts(self) -> tuple[int, int]:
@@ -255,13 +265,6 @@ class RedisStore:
         if "_client" in vars(self):
             self._client.close()
         self._connections.close()
-
-    def _remember(self, session_id: str, name: str, seen: SeenPosition | None) -> None:
-        self._remembered.pop((session_id, name), None)
-        if seen is not None:
-            self._remembered[session_id, name] = seen
-        if len(self._remembered) > MOST_REMEMBERED:
-            self._remembered.popitem(last=False)
 
     def _run(
         self, script: str, session_id: str = "", field: str | bytes = "", new: bytes = b"", before: Any = ""
@@ -299,6 +302,15 @@ class RedisStore:
     def _forget_unreadable(self, session_id: str) -> None:
         self.n_unreadable += 1
         self._asked(lambda: self._client.delete(f"xihe:1:session:{session_id}"))
+
+
+def _remember(memory: OrderedDict[Key, Read], key: Key, value: Read | None) -> None:
+    """As what was used last; None forgets."""
+    memory.pop(key, None)
+    if value is not None:
+        memory[key] = value
+    if len(memory) > MOST_REMEMBERED:
+        memory.popitem(last=False)
 
 
 def _field(name: str) -> bytes:

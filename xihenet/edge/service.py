@@ -12,7 +12,7 @@ import asyncio
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, NoReturn, TypeVar
 
@@ -29,6 +29,7 @@ from xihenet.edge.sessions import (
     MemoryStore,
     SeenPosition,
     Session,
+    SessionGone,
     SessionStore,
     StoreFull,
     StoreLimits,
@@ -45,6 +46,8 @@ PUBLISHED_SIZES = (512, 768, 1024, 1280, 1536, 1792, 2048)
 
 DEFAULT_POSITION = "default"
 """Of a published client's session, which has one."""
+
+GONE = "there is no such session, or it has expired: open a new one"
 
 MOST_EXTRAS = 16
 """Key lights and reflections that may wait for their thread."""
@@ -90,23 +93,25 @@ class EdgeService:
 
     def open(self, session: Session) -> Session:
         """Keep a new session."""
-        with self._room():
+        with self._kept():
             self.store.add(session)
         self.metrics.count("xihe_sessions_total", happened="opened")
         return session
 
     def published_session(self, session_id: str) -> Session:
         """The published client's session of that id; one of our own clients cannot be had without its token."""
-        session = self.store.session(session_id)
+        session = self.store.session(session_id, is_fresh=False)
         if session is None or not session.is_published:
-            raise Refused(404, "there is no such session, or it has expired: open a new one")
+            raise Refused(404, GONE)
         return session
 
-    def session_for(self, session_id: str, token: str, *, as_owner: bool = False) -> Session:
-        """The session, if the token's holder may use it or, `as_owner`, delete it."""
-        session = self.store.session(session_id)
+    def session_for(self, session_id: str, token: str, *, as_owner: bool = False, is_fresh: bool = True) -> Session:
+        """The session, if the token's holder may use it or, `as_owner`, delete it; `is_fresh` as of the store."""
+        session = self.store.session(session_id, is_fresh=is_fresh)
+        if session is not None and not is_fresh and not session.admits(token):
+            session = self.store.session(session_id)  # Who joined by another worker is not known here.
         if session is None:
-            raise Refused(404, "there is no such session, or it has expired: open a new one")
+            raise Refused(404, GONE)
         if not token:
             raise Refused(401, "this needs the token that opening or joining the session gave")
         if not (session.is_owned_by(token) if as_owner else session.admits(token)):
@@ -186,7 +191,7 @@ class EdgeService:
         while not is_kept:
             before = self.store.position(session.id, name)
             after = self._merged(before, sent, wishes)
-            with self._room():
+            with self._kept():
                 is_kept = self.store.put_position(session.id, name, after, before)
         self.metrics.measure("xihe_stage_seconds", time.perf_counter() - start, stage="merge")
         return after
@@ -237,12 +242,16 @@ class EdgeService:
         seen = self.store.position(session.id, name)
         if seen is not None:
             # Not kept if a frame has come meanwhile: its answer has a key light of its own.
-            self.store.put_position(session.id, name, replace(seen, key=key), seen)
+            with suppress(SessionGone):
+                self.store.put_position(session.id, name, replace(seen, key=key), seen)
 
     @contextmanager
-    def _room(self) -> Iterator[None]:
+    def _kept(self) -> Iterator[None]:
+        """Refuse what the store does not keep in the block."""
         try:
             yield
+        except SessionGone:
+            raise Refused(404, GONE) from None
         except StoreFull as full:
             self._refuse_full("store", str(full))
 

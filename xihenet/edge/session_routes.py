@@ -116,7 +116,7 @@ class PositionRoute(Handler):
 
     async def post(self, session_id: str, name: str) -> None:
         self.session_told = begin_of(session_id)
-        session = self.service.session_for(session_id, self.token())
+        session = self.service.session_for(session_id, self.token(), is_fresh=False)
         content_type = self.request.headers.get("Content-Type", "")
         if not protocol.is_clean(content_type):
             raise Refused(415, f"expected the content type {protocol.CLOUD_TYPE}, got {content_type[:80]!r}")

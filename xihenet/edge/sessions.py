@@ -40,6 +40,10 @@ class StoreFull(Exception):
     """There is no room; the message says for what."""
 
 
+class SessionGone(Exception):
+    """There is no such session, or it has expired."""
+
+
 class StoreLost(Exception):
     """The store does not answer, and may again in a moment."""
 
@@ -100,7 +104,12 @@ class SessionStore(Protocol):
     def add(self, session: Session) -> None:
         """Keep a new session; `StoreFull` where there is no room."""
 
-    def session(self, session_id: str) -> Session | None: ...
+    def session(self, session_id: str, *, is_fresh: bool = True) -> Session | None:
+        """The session.
+
+        If it need not be fresh a store may answer from memory, which does not keep the session alive, and may be wrong
+        of one that has changed or is gone: for callers that put a position next, which a session that is gone refuses.
+        """
 
     def replace(self, session: Session, before: Session) -> bool:
         """Keep a session that has changed; nothing if it is gone.
@@ -116,15 +125,15 @@ class SessionStore(Protocol):
     def position(self, session_id: str, name: str) -> SeenPosition | None:
         """What is known of it.
 
-        A store may answer from memory, which does not keep the session alive. If another worker has changed the
-        position since, `put_position` refuses what is merged with it, and the next answer is new.
+        A store may answer from memory, as above. If another worker has changed the position since, `put_position`
+        refuses what is merged with it, and the next answer is new.
         """
 
     def positions(self, session_id: str) -> dict[str, SeenPosition]:
         """By name; empty for a session that is not there."""
 
     def put_position(self, session_id: str, name: str, seen: SeenPosition, before: SeenPosition | None) -> bool:
-        """Keep what is known of a position; nothing if the session is gone. `StoreFull` for a new one without room.
+        """Keep what is known of a position. `StoreFull` for a new one without room, `SessionGone` without its session.
 
         False, and nothing is kept, if what is there is not `before` (None: there is nothing), which `seen` was merged
         with: look and merge again, since another was faster.
@@ -185,7 +194,7 @@ class MemoryStore:
             self._make_room(f"{self.limits.n_sessions} sessions are open")
         self._kept[session.id] = _Kept(session, self._clock())
 
-    def session(self, session_id: str) -> Session | None:
+    def session(self, session_id: str, *, is_fresh: bool = True) -> Session | None:
         kept = self._used(session_id)
         return None if kept is None else kept.session
 
@@ -217,7 +226,7 @@ class MemoryStore:
     def put_position(self, session_id: str, name: str, seen: SeenPosition, before: SeenPosition | None) -> bool:
         kept = self._used(session_id)
         if kept is None:
-            return True
+            raise SessionGone
         if _mark_of(kept.positions.get(name)) != _mark_of(before):
             return False
         if name not in kept.positions:
