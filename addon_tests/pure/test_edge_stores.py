@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from addon_tests.pure.made import random_cloud
 from addon_tests.pure.redis_servers import RedisServer
+from xihenet.codec import METHODS, decode_cloud, encode_cloud
 from xihenet.edge.sessions import (
     MemoryStore,
     SeenPosition,
@@ -329,6 +330,18 @@ def assert_equal(a, b):
 def test_a_position_is_the_same_after_its_bytes(seed, n, is_bare):
     seen = made_position(np.random.default_rng(seed), n, is_bare=is_bare)
     assert_equal(position_from_bytes(position_to_bytes(seen)), seen)
+
+
+@given(seed=st.integers(0, 2**32), n=st.integers(0, 70), method=st.sampled_from(list(METHODS)))
+@settings(max_examples=60, deadline=None)
+def test_a_cloud_as_phones_send_it_is_the_same_after_its_bytes_and_short(seed, n, method):
+    cloud = decode_cloud(encode_cloud(random_cloud(np.random.default_rng(seed), n), method), n, method)
+    seen, n_set = SeenPosition(cloud), int(cloud.is_set.sum())
+    stored = position_to_bytes(seen)
+    assert_equal(position_from_bytes(stored), seen)
+    if "16" in method and n:
+        each = 8 if cloud.surfaces is None else 12
+        assert len(stored) == len(position_to_bytes(SeenPosition(UnitSphereCloud.empty(n)))) + each * n_set
 
 
 @given(seed=st.integers(0, 2**32), at=st.integers(0, 10_000), put=st.binary(max_size=8), cut=st.booleans())

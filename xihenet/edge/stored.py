@@ -5,9 +5,10 @@ the bytes are none of ours. A session is JSON behind its version, a position pac
 
     version (1 byte), mark (8), frames (4), flags (1), anchors (4), exposure (8), position if known (3 x 8),
     key light if known (7 x 8 and 1), a bit for each anchor that says whether it is set, and for the set ones colours
-    (12 each), distances (4) and, where surfaces are known, facing (4)
+    (6 each, or 12), distances (2, or 4) and, where surfaces are known, facing (4)
 
-Colours and distances keep all bits of float32, so that the light is what one process would give. What a cloud's frame
+Colours and distances lose nothing, so that the light is what one process would give: as they come from phones, 16 bits
+hold them, and they are float32 where they were moved or re-exposed. What a cloud's frame
 left out (`invalid`) and surfaces other than facing are not kept: no cloud that arrives has them, and nothing asks.
 """
 
@@ -18,17 +19,20 @@ import json
 import math
 import re
 import struct
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from xihenet.codec import MAX_STRIPPED_ANCHORS
 from xihenet.edge.axes import checked_axes
 from xihenet.edge.sessions import SeenPosition, Session
-from xihenet.records import AnchorSurfaces, ArrayF64, KeyLight, UnitSphereCloud
+from xihenet.records import AnchorSurfaces, ArrayF32, ArrayF64, KeyLight, UnitSphereCloud
 
 VERSION = 1
 _HEAD, _VECTOR, _KEY = struct.Struct("<BQIBId"), struct.Struct("<3d"), struct.Struct("<7d?")
-_HAS_POSITION, _HAS_KEY, _HAS_SURFACES = 1, 2, 4
+_HAS_POSITION, _HAS_KEY, _HAS_SURFACES, _IS_SHORT = 1, 2, 4, 8
+_CODES = np.float32(65535)
 _HASH = re.compile("[0-9a-f]{64}")
 
 
@@ -74,8 +78,10 @@ def session_from_bytes(session_id: str, stored: bytes) -> Session:
 def position_to_bytes(seen: SeenPosition) -> bytes:
     """A position, which begins with what `mark_bytes` gives."""
     cloud, key = seen.cloud, seen.key
+    columns, is_short = _columns(cloud.srgb[cloud.is_set], cloud.distance_m[cloud.is_set])
     flags = (
-        _HAS_POSITION * (seen.position_m is not None)
+        _IS_SHORT * is_short
+        + _HAS_POSITION * (seen.position_m is not None)
         + _HAS_KEY * (key is not None)
         + _HAS_SURFACES * (cloud.surfaces is not None)
     )
@@ -85,9 +91,20 @@ def position_to_bytes(seen: SeenPosition) -> bytes:
     if key is not None:
         parts.append(_KEY.pack(*key.direction, *key.irradiance, key.angular_radius, key.is_seen))
     parts.append(np.packbits(cloud.is_set).tobytes())
-    columns = [cloud.srgb, cloud.distance_m] + ([cloud.surfaces.facing] if cloud.surfaces else [])
-    parts += [column[cloud.is_set].astype("<f4", copy=False).tobytes() for column in columns]
+    parts += [column.tobytes() for column in columns]
+    if cloud.surfaces is not None:
+        parts.append(cloud.surfaces.facing[cloud.is_set].astype("<f4", copy=False).tobytes())
     return b"".join(parts)
+
+
+def _columns(srgb: ArrayF32, distance_m: ArrayF32) -> tuple[list[NDArray[Any]], bool]:
+    """(K, 3) colours and (K,) distances as they are stored, and whether 16 bits hold them."""
+    codes = np.rint(srgb * _CODES).astype("<u2")
+    with np.errstate(over="ignore"):
+        half = distance_m.astype("<f2")
+    if (codes / _CODES == srgb).all() and (half == distance_m).all():
+        return [codes, half], True
+    return [srgb.astype("<f4", copy=False), distance_m.astype("<f4", copy=False)], False
 
 
 def position_from_bytes(stored: bytes) -> SeenPosition:
@@ -105,11 +122,9 @@ def position_from_bytes(stored: bytes) -> SeenPosition:
             at += _KEY.size
     except struct.error as error:
         raise ValueError(f"position: {error}") from None
-    if version != VERSION or flags > 7 or n_anchors > MAX_STRIPPED_ANCHORS or not 0 < exposure < math.inf:
+    if version != VERSION or flags > 15 or n_anchors > MAX_STRIPPED_ANCHORS or not 0 < exposure < math.inf:
         raise ValueError(f"position: expected version {VERSION} and its fields, got others")
-    seen = SeenPosition(
-        _cloud_from(stored, at, n_anchors, bool(flags & _HAS_SURFACES)), exposure, position_m, key, n_frames
-    )
+    seen = SeenPosition(_cloud_from(stored, at, n_anchors, flags), exposure, position_m, key, n_frames)
     object.__setattr__(seen, "mark", mark)
     return seen
 
@@ -119,20 +134,27 @@ def mark_bytes(seen: SeenPosition) -> bytes:
     return struct.pack("<BQ", VERSION, seen.mark)
 
 
-def _cloud_from(stored: bytes, at: int, n_anchors: int, has_surfaces: bool) -> UnitSphereCloud:
+def _cloud_from(stored: bytes, at: int, n_anchors: int, flags: int) -> UnitSphereCloud:
     n_bits = -(-n_anchors // 8)
     bits = np.frombuffer(stored[at : at + n_bits], np.uint8)
     is_set = np.unpackbits(bits, count=n_anchors).astype(bool)
-    n_set, n_columns = int(np.count_nonzero(is_set)), 5 if has_surfaces else 4
-    if len(bits) != n_bits or len(stored) != at + n_bits + 4 * n_columns * n_set:
+    n_set, has_surfaces = int(np.count_nonzero(is_set)), bool(flags & _HAS_SURFACES)
+    colour, distance = ("<u2", "<f2") if flags & _IS_SHORT else ("<f4", "<f4")
+    record = np.dtype(
+        [("srgb", colour, (3 * n_set,)), ("distance_m", distance, (n_set,)), ("facing", "<f4", (n_set * has_surfaces,))]
+    )
+    at += n_bits
+    if len(stored) != at + record.itemsize:
         raise ValueError(f"position: expected the bytes of {n_set} anchors, got {len(stored)} in all")
-    values = np.frombuffer(stored, "<f4", n_columns * n_set, at + n_bits)
     srgb, distance_m = np.zeros((n_anchors, 3), np.float32), np.zeros(n_anchors, np.float32)
-    srgb[is_set], distance_m[is_set] = values[: 3 * n_set].reshape(-1, 3), values[3 * n_set : 4 * n_set]
+    if n_set:
+        columns = np.frombuffer(stored, record, 1, at)[0]
+        srgb[is_set] = columns["srgb"].reshape(-1, 3) / (_CODES if flags & _IS_SHORT else np.float32(1))
+        distance_m[is_set] = columns["distance_m"]
     surfaces = None
     if has_surfaces:
         facing = np.zeros(n_anchors, np.float32)
-        facing[is_set] = _finite(values[4 * n_set :])
+        facing[is_set] = _finite(columns["facing"]) if n_set else 0
         surfaces = AnchorSurfaces.of_facing(facing)
     return UnitSphereCloud(srgb, distance_m, is_set, surfaces=surfaces)
 
