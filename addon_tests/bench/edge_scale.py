@@ -22,6 +22,9 @@ import numpy as np
 import redis
 from edge_load import as_many_as_go, cpu_s, opened
 
+PHONES, LIGHTS_A_MINUTE = 100_000, 27
+"""For `docs/edge.md`: what the walks of `docs/trigger.md` ask for, at two frames a second."""
+
 
 class Served:
     """A server process with its workers, and the totals of its rounds."""
@@ -52,9 +55,11 @@ class Served:
         for client in clients:
             client.close()
 
+    def median(self):
+        return {name: np.median([one[name] for one in self.rounds]) for name in self.rounds[0]}
+
     def __str__(self):
-        told = {name: np.median([one[name] for one in self.rounds]) for name in self.rounds[0]}
-        return f"{self.name}: " + ", ".join(f"{value:.0f} {name}" for name, value in told.items())
+        return f"{self.name}: " + ", ".join(f"{value:.3g} {name}" for name, value in self.median().items())
 
 
 class Store:
@@ -88,6 +93,18 @@ class Store:
         return np.mean([self.client.memory_usage(key, samples=0) for key in keys])
 
 
+def print_on_paper(figures, bytes_of_a_position):
+    """What many phones would take, from the figures of the two workers."""
+    per_s, own_s = PHONES * LIGHTS_A_MINUTE / 60, 1 / figures["lights per CPU s"]
+    redis_s = 1 / figures["with Redis"] - own_s
+    print(f"a light: {1e3 * own_s:.2f} ms of a worker, {1e3 * redis_s:.2f} ms of Redis; one Redis {1 / redis_s:.0f}/s")
+    print(
+        f"{PHONES} phones, {per_s:.0f} lights/s: {per_s * own_s:.0f} cores of workers, {per_s * redis_s:.0f} of Redis, "
+        f"{1e-6 * per_s * figures['bytes in a light']:.0f} MB/s to Redis, "
+        f"{1e-9 * PHONES * bytes_of_a_position:.1f} GB in it ({bytes_of_a_position:.0f} bytes a phone)"
+    )
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=10)
@@ -113,7 +130,8 @@ def main():
         for _ in range(options.rounds):
             for server in servers:
                 asyncio.run(server.measure(options.clients, options.seconds))
-        print(*servers, f"Redis keeps {store.bytes_of_a_position():.0f} bytes a session with one position", sep="\n")
+        print(*servers, sep="\n")
+        print_on_paper(servers[2].median(), store.bytes_of_a_position())
         for number, than in ((2, 1), (2, 0), (1, 0)):
             for figure in ("lights per CPU s", "with Redis"):
                 ratios = [
