@@ -18,7 +18,7 @@ Not for Redis Cluster: the scripts find their keys by themselves.
 
 from __future__ import annotations
 
-import functools
+import hashlib
 import re
 import time
 from collections import OrderedDict
@@ -26,8 +26,6 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import redis
-from redis.backoff import NoBackoff
-from redis.retry import Retry
 
 from xihenet.edge.sessions import SeenPosition, Session, SessionGone, StoreFull, StoreLimits, StoreLost, hash_of
 from xihenet.edge.stored import mark_bytes, position_from_bytes, position_to_bytes, session_from_bytes, session_to_bytes
@@ -37,6 +35,7 @@ MOST_REMEMBERED = 512
 
 TIMEOUT_S = 0.25
 PAUSE_S = 1.0
+LOST = "the store of sessions does not answer"
 
 Read = TypeVar("Read")
 Key = TypeVar("Key")
@@ -154,6 +153,8 @@ return {redis.call('ZCARD', used), tonumber(redis.call('GET', total) or 0)}
 """,
 }
 
+_HASHES = {name: hashlib.sha1((_SHARED + text).encode()).hexdigest() for name, text in _SCRIPTS.items()}
+
 
 class RedisStore:
     """Sessions in the Redis at an address such as redis://127.0.0.1:6379/0.
@@ -166,11 +167,9 @@ class RedisStore:
 
     def __init__(self, url: str, limits: StoreLimits | None = None) -> None:
         self.limits = limits or StoreLimits()
-        # A connection that broke is made anew, once, so that a store that was restarted costs no request.
-        once = Retry(NoBackoff(), 1, supported_errors=(redis.ConnectionError,))
-        self._connections = redis.ConnectionPool.from_url(
-            url, socket_timeout=TIMEOUT_S, socket_connect_timeout=TIMEOUT_S, retry=once
-        )
+        connections = redis.ConnectionPool.from_url(url, socket_timeout=TIMEOUT_S, socket_connect_timeout=TIMEOUT_S)
+        # One connection, since one event loop asks; redis-py's `Redis` around it would take as long again.
+        self._connection: Any = connections.make_connection()
         kept = self.limits
         self._limits = (
             max(1, round(1e3 * kept.idle_s)),
@@ -183,15 +182,6 @@ class RedisStore:
         self._positions: OrderedDict[tuple[str, str], SeenPosition] = OrderedDict()
         self._silent_until_s = 0.0
         self.n_unreadable = 0
-
-    @functools.cached_property
-    def _client(self) -> redis.Redis:
-        """Connects at once, so it is made with the first call. One connection, since one event loop asks."""
-        return redis.Redis(connection_pool=self._connections, single_connection_client=True)
-
-    @functools.cached_property
-    def _scripts(self) -> dict[str, Callable[..., Any]]:
-        return {name: self._client.register_script(_SHARED + text) for name, text in _SCRIPTS.items()}
 
     def add(self, session: Session) -> None:
         if self._run("add", session.id, session.owner, session_to_bytes(session)) == b"full":
@@ -255,16 +245,13 @@ class RedisStore:
 
     def keeps_a_file(self) -> bool:
         """Whether what it holds outlives it: its append-only file is on."""
-        info: dict[str, Any] = self._asked(lambda: self._client.info("persistence"))
-        return bool(info["aof_enabled"])
+        return b"aof_enabled:1" in self._asked("INFO", "persistence")
 
     def check(self) -> None:
-        self._asked(lambda: self._client.ping())
+        self._asked("PING")
 
     def close(self) -> None:
-        if "_client" in vars(self):
-            self._client.close()
-        self._connections.close()
+        self._connection.disconnect()
 
     def _run(
         self, script: str, session_id: str = "", field: str | bytes = "", new: bytes = b"", before: Any = ""
@@ -272,9 +259,12 @@ class RedisStore:
         """What the script answers; None for a session that cannot be, since its id is none."""
         if session_id and not _ID.fullmatch(session_id):
             return None
-        arguments = [session_id, *self._limits, field, new, before]
+        arguments = (0, session_id, *self._limits, field, new, before)
         try:
-            return self._asked(lambda: self._scripts[script](args=arguments))
+            try:
+                return self._asked("EVALSHA", _HASHES[script], *arguments)
+            except redis.exceptions.NoScriptError:  # It is new to this Redis, which keeps it from here on.
+                return self._asked("EVAL", _SHARED + _SCRIPTS[script], *arguments)
         except redis.OutOfMemoryError:
             raise StoreFull("the store's memory is full") from None
         except redis.ResponseError as error:
@@ -283,14 +273,22 @@ class RedisStore:
             self._forget_unreadable(session_id)
             return None
 
-    def _asked(self, ask: Callable[[], Any]) -> Any:
+    def _asked(self, *command: Any) -> Any:
         if time.monotonic() < self._silent_until_s:
-            raise StoreLost("the store of sessions does not answer")
+            raise StoreLost(LOST)
         try:
-            return ask()
+            try:
+                return self._answer(command)
+            except redis.ConnectionError:  # Once more, so that a store that was restarted costs no request.
+                return self._answer(command)
         except (redis.ConnectionError, redis.TimeoutError, redis.ReadOnlyError) as error:
             self._silent_until_s = time.monotonic() + PAUSE_S
-            raise StoreLost("the store of sessions does not answer") from error
+            raise StoreLost(LOST) from error
+
+    def _answer(self, command: tuple[Any, ...]) -> Any:
+        """A connection that is not there is made, and one that failed is closed."""
+        self._connection.send_command(*command)
+        return self._connection.read_response()
 
     def _read(self, session_id: str, read: Callable[..., Read], *stored: Any) -> Read | None:
         try:
@@ -301,7 +299,7 @@ class RedisStore:
 
     def _forget_unreadable(self, session_id: str) -> None:
         self.n_unreadable += 1
-        self._asked(lambda: self._client.delete(f"xihe:1:session:{session_id}"))
+        self._asked("DEL", f"xihe:1:session:{session_id}")
 
 
 def _remember(memory: OrderedDict[Key, Read], key: Key, value: Read | None) -> None:

@@ -78,7 +78,8 @@ def session_from_bytes(session_id: str, stored: bytes) -> Session:
 def position_to_bytes(seen: SeenPosition) -> bytes:
     """A position, which begins with what `mark_bytes` gives."""
     cloud, key = seen.cloud, seen.key
-    columns, is_short = _columns(cloud.srgb[cloud.is_set], cloud.distance_m[cloud.is_set])
+    anchors = np.flatnonzero(cloud.is_set)
+    columns, is_short = _columns(cloud.srgb.take(anchors, axis=0), cloud.distance_m.take(anchors))
     flags = (
         _IS_SHORT * is_short
         + _HAS_POSITION * (seen.position_m is not None)
@@ -93,7 +94,7 @@ def position_to_bytes(seen: SeenPosition) -> bytes:
     parts.append(np.packbits(cloud.is_set).tobytes())
     parts += [column.tobytes() for column in columns]
     if cloud.surfaces is not None:
-        parts.append(cloud.surfaces.facing[cloud.is_set].astype("<f4", copy=False).tobytes())
+        parts.append(cloud.surfaces.facing[anchors].astype("<f4", copy=False).tobytes())
     return b"".join(parts)
 
 
