@@ -141,7 +141,9 @@ def _check_store(url: str, stderr: Any) -> None:
     except ValueError as error:
         raise UserError(f"--store: expected redis://HOST:PORT/DB ({error})") from error
     except StoreLost as error:
-        raise UserError(f"--store: {error.__cause__}: start redis-server there, or give its address") from error
+        raise UserError(
+            f"--store: {str(error.__cause__).rstrip('.')}: start redis-server there, or give its address"
+        ) from error
 
 
 def _bearer(path: Path | None) -> str:
