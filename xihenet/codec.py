@@ -20,6 +20,7 @@ record. NumPy's structured types write and read records without a loop; `struct`
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -128,6 +129,7 @@ def _facing_steps(facing: ArrayF32, steps: int) -> NDArray[Any]:
     return codes
 
 
+@functools.cache
 def _largest_code(stored: np.dtype[Any]) -> int:
     """What stands for 1 in integers of this kind."""
     return int(np.iinfo(stored).max)
@@ -174,7 +176,7 @@ def decode_cloud(
     surfaces = (
         _decoded_facing(records["facing"], anchor, n_anchors) if "facing" in (records.dtype.names or ()) else None
     )
-    return UnitSphereCloud(all_srgb, all_distance_m, is_set, surfaces=surfaces)
+    return UnitSphereCloud.trusted(all_srgb, all_distance_m, is_set, {}, surfaces)
 
 
 def _records_of(payload: bytes | bytearray | memoryview, n_anchors: int, method: EncodingMethod) -> NDArray[Any]:

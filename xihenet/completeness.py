@@ -21,7 +21,7 @@ ENTROPY_SIZES = tuple(2**k for k in range(1, 13))
 
 def coverage(cloud: UnitSphereCloud) -> float:
     """Share of the anchors that are set, 0 to 1; 0 for a cloud without anchors."""
-    return float(cloud.is_set.mean()) if len(cloud) else 0.0
+    return int(np.count_nonzero(cloud.is_set)) / len(cloud) if len(cloud) else 0.0
 
 
 def joint_entropy(points_m: ArrayLike, position_m: ArrayLike) -> float:

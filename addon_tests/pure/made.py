@@ -27,6 +27,15 @@ def pose_of(axes=None, place_m=(0, 0, 0)):
     return pose
 
 
+def looked_at(cloud):
+    """The cloud, if it passes its own checks: ValueError for what `UnitSphereCloud.trusted` should not have got."""
+    anew = UnitSphereCloud(cloud.srgb, cloud.distance_m, cloud.is_set, cloud.invalid, cloud.surfaces)
+    for name in ("srgb", "distance_m", "is_set"):
+        one, other = getattr(cloud, name), getattr(anew, name)
+        assert one.dtype == other.dtype and not one.flags.writeable
+    return cloud
+
+
 def frame_of(plane_depth_m, intrinsics=None, pose=None, srgb_u8=128, **fields):
     """A frame of plane depths (H, W), at the origin and of one grey unless it is said."""
     plane_depth_m = np.asarray(plane_depth_m)

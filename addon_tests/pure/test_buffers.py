@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from addon_tests.pure.made import random_cloud
+from addon_tests.pure.made import looked_at, random_cloud
 from xihenet.buffers import PositionBuffers, merge
 from xihenet.records import AnchorSurfaces, PointCloud, UnitSphereCloud
 from xihenet.sampling import sample_again, sample_unit_sphere
@@ -42,7 +42,7 @@ def test_surfaces_go_with_their_anchors_and_are_unknown_where_nobody_looked(has_
     rng = np.random.default_rng(7)
     old, new = random_cloud(rng, N), random_cloud(rng, N)
     old, new = (with_surfaces(cloud, rng) if has else cloud for cloud, has in ((old, has_old), (new, has_new)))
-    merged = merge(old, new)
+    merged = looked_at(merge(old, new))
     if not (has_old or has_new):
         assert merged.surfaces is None
         return

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from addon_tests.pure.made import looked_at
 from xihenet.codec import MAX_DISTANCE_M, METHODS, MIN_DISTANCE_M, decode_cloud, encode_cloud
 from xihenet.records import AnchorSurfaces, UnitSphereCloud
 
@@ -48,7 +49,7 @@ def test_every_format_is_what_struct_writes_with_the_sizes_of_the_papers_table()
 @ALL
 @given(cloud=clouds())
 def test_a_round_trip_keeps_set_anchors_and_is_within_a_rounding_step(method, cloud):
-    again = decode_cloud(encode_cloud(cloud, method), len(cloud), method)
+    again = looked_at(decode_cloud(encode_cloud(cloud, method), len(cloud), method))
     clipped = np.where(cloud.is_set, np.clip(cloud.distance_m.astype(float), MIN_DISTANCE_M, MAX_DISTANCE_M), 0)
     np.testing.assert_array_equal(again.is_set, cloud.is_set)
     if method.startswith("float32"):
