@@ -4,8 +4,11 @@ import asyncio
 import contextlib
 import http.client
 import json
+import re
 import socket
 import struct
+import subprocess
+import sys
 import threading
 from dataclasses import replace
 
@@ -16,6 +19,31 @@ from xihenet.edge.http_settings import ServerSettings
 from xihenet.edge.protocol import content_type_of
 
 NEEDS_TORNADO = pytest.mark.wheel_only("a whole Blender has no Tornado")
+
+
+def asked(port, method, path, body=b"", **headers):
+    """Status, answer (JSON, or text) and headers; underscores in names of headers stand for hyphens."""
+    with contextlib.closing(http.client.HTTPConnection("127.0.0.1", port, timeout=20)) as connection:
+        connection.request(method, path, body, {name.replace("_", "-"): value for name, value in headers.items()})
+        response = connection.getresponse()
+        text = response.read()
+        is_json = response.headers.get("Content-Type") == "application/json"
+        return response.status, json.loads(text) if is_json else text.decode(), response.headers
+
+
+@contextlib.contextmanager
+def serving(*options, stderr=subprocess.PIPE):
+    """The process of `xihe serve`, and its port."""
+    command = [sys.executable, "-m", "xihe_blender", "serve", *options]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True)
+    try:
+        said = process.stdout.readline()
+        found = re.search(r"serving at https?://127\.0\.0\.1:(\d+), Ctrl-C to stop", said)
+        assert found, process.stderr and process.stderr.read()
+        yield process, int(found[1])
+    finally:
+        process.kill()
+        process.communicate()
 
 
 class EdgeServer:
@@ -55,13 +83,8 @@ class EdgeServer:
         self.stop()
 
     def ask(self, method, path, body=b"", **headers):
-        """Status, answer (JSON, or text) and headers; underscores in names of headers stand for hyphens."""
-        with contextlib.closing(http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)) as connection:
-            connection.request(method, path, body, {name.replace("_", "-"): value for name, value in headers.items()})
-            response = connection.getresponse()
-            text = response.read()
-            is_json = response.headers.get("Content-Type") == "application/json"
-            return response.status, json.loads(text) if is_json else text.decode(), response.headers
+        """As `asked`."""
+        return asked(self.port, method, path, body, **headers)
 
     def raw(self, sent, timeout_s=10):
         """All that comes back until the connection closes, or nothing more comes."""

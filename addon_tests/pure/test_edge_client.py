@@ -3,12 +3,14 @@
 import contextlib
 import json
 import socket
+import ssl
 import threading
 import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import trustme
 
 from addon_tests.pure.edge_servers import NEEDS_TORNADO, DelayingProxy, EdgeServer
 from addon_tests.pure.made import frame_of, random_cloud
@@ -252,6 +254,28 @@ def test_a_command_says_which_estimator_the_server_has(server):
 def test_the_bearer_token_is_sent(backend_to):
     with EdgeServer(ServerSettings(port=0, bearer="secret")) as server:
         assert backend_to(server, bearer="secret").estimate(random_cloud(np.random.default_rng(5), N)).any()
+
+
+def test_over_tls_a_client_that_trusts_the_certificate_gets_light_and_another_says_why_not(tmp_path):
+    authority, certificate, key = trustme.CA(), tmp_path / "certificate.pem", tmp_path / "key.pem"
+    issued = authority.issue_cert("127.0.0.1")
+    issued.private_key_pem.write_to_path(key)
+    certificate.write_bytes(b"".join(one.bytes() for one in issued.cert_chain_pems))
+    settings = ServerSettings(port=0, certificate=certificate, key=key, bearer="secret", header_s=0.4)
+    cloud = random_cloud(np.random.default_rng(8), N)
+    with EdgeServer(settings) as server:
+        url, local = f"https://127.0.0.1:{server.port}", estimators.load("projection", N)
+        trusting = ssl.create_default_context()
+        authority.configure_trust(trusting)
+        with contextlib.closing(EdgeBackend(url, N, patience=QUICK, bearer="secret", tls=trusting)) as backend:
+            assert shc_rmse(backend.estimate(cloud), local.estimate(cloud)) < 1e-3
+        with pytest.raises(NoAnswer, match="CERTIFICATE_VERIFY_FAILED"):
+            EdgeBackend(url, N, patience=QUICK, bearer="secret")
+        with pytest.raises(NoAnswer):  # It speaks no TLS.
+            EdgeBackend(url.replace("https", "http"), N, patience=QUICK, bearer="secret")
+        # Who connects and never shakes hands is cut off like any other who is late.
+        with socket.create_connection(("127.0.0.1", server.port), timeout=10) as silent:
+            assert silent.recv(100) == b""
 
 
 def test_the_simulated_network_tells_what_a_delayed_one_takes(server, backend_to):

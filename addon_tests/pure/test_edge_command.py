@@ -1,16 +1,14 @@
 """`xihe serve` as a process that starts, stops and is killed, and `xihe replay --backend` that estimates by it."""
 
 import json
-import re
 import signal
-import subprocess
 import sys
-from contextlib import closing, contextmanager
+from contextlib import closing
 
 import numpy as np
 import pytest
 
-from addon_tests.pure.edge_servers import NEEDS_TORNADO, EdgeServer
+from addon_tests.pure.edge_servers import NEEDS_TORNADO, EdgeServer, serving
 from addon_tests.pure.made import random_cloud
 from addon_tests.pure.recordings import LAYOUTS, walk
 from xihe_blender.cli.main import main
@@ -22,24 +20,12 @@ from xihenet.metrics import shc_rmse
 pytestmark = NEEDS_TORNADO
 
 
-@contextmanager
-def serving(*options):
-    """The process of `xihe serve`, and its port."""
-    command = [sys.executable, "-m", "xihe_blender", "serve", "--estimator", "projection", *options]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        said = process.stdout.readline()
-        found = re.search(r"serving at http://127\.0\.0\.1:(\d+), Ctrl-C to stop", said)
-        assert found, process.stderr.read()
-        yield process, int(found[1])
-    finally:
-        process.kill()
-        process.communicate()
+PROJECTION = ("--estimator", "projection", "--port")
 
 
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
 def test_it_serves_until_it_is_told_to_stop_and_logs_json(how):
-    with serving("--port", "0", "--log", "all") as (process, port):
+    with serving(*PROJECTION, "0", "--log", "all") as (process, port):
         with closing(EdgeBackend(f"http://127.0.0.1:{port}", 512)) as backend:
             assert backend.estimate(random_cloud(np.random.default_rng(0), 512)).any()
             token, session = backend._session["token"], backend._session["session"]
@@ -54,12 +40,12 @@ def test_it_serves_until_it_is_told_to_stop_and_logs_json(how):
 
 def test_a_server_that_is_killed_and_started_again_costs_no_light():
     cloud = random_cloud(np.random.default_rng(1), 512)
-    with serving("--port", "0") as (process, port):
+    with serving(*PROJECTION, "0") as (process, port):
         backend = EdgeBackend(f"http://127.0.0.1:{port}", 512, patience=Patience(n_tries=3, first_wait_s=0.01))
         before = backend.estimate(cloud)
         process.kill()
         process.wait()
-    with serving("--port", str(port)), closing(backend):
+    with serving(*PROJECTION, str(port)), closing(backend):
         assert np.array_equal(backend.estimate(cloud), before) and backend.n_opened == 2
 
 
@@ -93,7 +79,7 @@ def test_a_mistake_is_one_line_that_names_the_fix(options, said, capfd):
 def test_without_tornado_the_extra_is_named(capfd, monkeypatch):
     for name in [name for name in sys.modules if name.startswith(("tornado", "xihenet.edge.server"))]:
         monkeypatch.delitem(sys.modules, name)
-    for name in ("handler", "published_routes", "session_routes", "service_routes"):
+    for name in ("handler", "requests", "session_routes", "service_routes"):
         monkeypatch.delitem(sys.modules, f"xihenet.edge.{name}", raising=False)
     monkeypatch.setitem(sys.modules, "tornado", None)
     assert main(["serve"]) == 2

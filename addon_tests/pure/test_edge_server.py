@@ -1,6 +1,7 @@
 """The service over sockets: the published requests byte by byte, our own routes, and whoever does it wrong."""
 
 import base64
+import contextlib
 import json
 import re
 import socket
@@ -320,13 +321,40 @@ def test_an_expired_session_is_gone():
         assert server.ask("POST", "/api/v2/lighting-estimation/", Session_ID=opened["sid"])[0] == 404
 
 
-def test_bodies_that_are_too_long_are_refused(server):
-    head = f"POST /api/v2/lighting-estimation/ HTTP/1.1\r\nHost: xihe\r\nContent-Length: {10**7}\r\n\r\n"
-    assert server.raw(head.encode() + bytes(1000)).startswith(b"HTTP/1.1 400")
-    chunks = b"".join(b"8000\r\n" + bytes(0x8000) + b"\r\n" for _ in range(20))
-    head = b"POST /api/v2/lighting-estimation/ HTTP/1.1\r\nHost: xihe\r\nTransfer-Encoding: chunked\r\n\r\n"
-    assert server.raw(head + chunks)[:12] in (b"HTTP/1.1 400", b"")  # The answer may be lost with the connection.
+LONG = b"POST /api/v2/lighting-estimation/ HTTP/1.1\r\nHost: xihe\r\n"
+CHUNK = b"8000\r\n" + bytes(0x8000) + b"\r\n"
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        LONG + b"Content-Length: 10000000\r\n\r\n" + bytes(10**7),
+        LONG + b"Transfer-Encoding: chunked\r\n\r\n" + 300 * CHUNK + b"0\r\n\r\n",
+        LONG + b"Content-Length: 10000000\r\nExpect: 100-continue\r\n\r\n",
+        LONG + b"Content-Length: 99999999999999999999\r\n\r\n",
+    ],
+)
+def test_a_body_that_is_too_long_is_refused_where_its_client_can_read_it(server, sent):
+    is_last = b"Expect" in sent or b"9999" in sent
+    with socket.create_connection(("127.0.0.1", server.port), timeout=10) as connection:
+        connection.sendall(sent)
+        received = connection.recv(65536)
+        if not is_last:
+            # The connection is as good as before, since all of the body has been read.
+            connection.sendall(b"GET /health HTTP/1.1\r\nHost: xihe\r\nConnection: close\r\n\r\n")
+        while part := connection.recv(65536):
+            received += part
+    head, _, body = received.partition(b"\r\n\r\n")
+    assert head.startswith(b"HTTP/1.1 413") and b"application/json" in head
+    assert b"expected a body of at most 65536 bytes" in body
+    assert (b"Connection: close" in head) == is_last and (b'"estimator": "lattice"' in body) != is_last
+
+
+def test_headers_and_bodies_that_do_not_end_are_cut_off(server):
     assert server.raw(b"GET / HTTP/1.1\r\nA: " + b"a" * 100_000 + b"\r\n\r\n")[:12] in (b"HTTP/1.1 400", b"")
+    endless = LONG + b"Transfer-Encoding: chunked\r\n\r\n" + 600 * CHUNK
+    with contextlib.suppress(ConnectionError):
+        assert server.raw(endless).startswith(b"HTTP/1.1 413")
     assert server.ask("GET", "/health")[0] == 200
 
 
@@ -344,6 +372,36 @@ def test_slow_clients_are_cut_off_and_others_answered_meanwhile():
                 assert connection.recv(100) == b""
         assert time.monotonic() - started < 5
         assert "xihe_connections 1" in server.ask("GET", "/metrics")[1]
+
+
+def test_a_client_whose_bytes_trickle_is_cut_off_all_the_same():
+    with EdgeServer(ServerSettings(port=0, header_s=0.4, body_s=0.4)) as server:
+        for whole in (b"GET /health HTTP/1.1\r\nHost: x\r\nA: ", LONG + b"Content-Length: 100\r\n\r\n"):
+            started = time.monotonic()
+            with (
+                socket.create_connection(("127.0.0.1", server.port), timeout=10) as connection,
+                contextlib.suppress(ConnectionError),
+            ):
+                connection.sendall(whole)
+                connection.settimeout(0.05)
+                while time.monotonic() - started < 5:
+                    connection.sendall(b"a")
+                    with contextlib.suppress(TimeoutError):
+                        assert connection.recv(100) == b""
+                        break
+            assert 0.3 < time.monotonic() - started < 2
+
+
+def test_a_connection_that_is_kept_may_rest_between_requests_and_is_closed_in_the_end():
+    with EdgeServer(ServerSettings(port=0, header_s=0.6, body_s=0.6)) as server:
+        started = time.monotonic()
+        with socket.create_connection(("127.0.0.1", server.port), timeout=10) as connection:
+            for _ in range(4):  # In all longer than a request may take
+                time.sleep(0.25)
+                connection.sendall(b"GET /health HTTP/1.1\r\nHost: x\r\n\r\n")
+                assert connection.recv(4096).startswith(b"HTTP/1.1 200")
+            assert connection.recv(100) == b""
+        assert 1.5 < time.monotonic() - started < 4
 
 
 def test_a_connection_that_is_cut_within_a_body_leaves_nothing(server):

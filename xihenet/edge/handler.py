@@ -6,115 +6,196 @@ is wrong, is a `Refused` and becomes the status that it says; any other exceptio
 
 from __future__ import annotations
 
+import asyncio
+import functools
 import json
 import logging
+import re
 import secrets
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from http import HTTPStatus
 from typing import Any
+from urllib.parse import parse_qs, unquote_to_bytes
 
-from tornado import web
+from tornado import httputil
 
 from xihenet import __version__
 from xihenet.edge import protocol
-from xihenet.edge.http_settings import ServerSettings
+from xihenet.edge.http_settings import MAX_BODY_BYTES, ServerSettings
+from xihenet.edge.requests import Request
 from xihenet.edge.service import EdgeService, Refused
 from xihenet.edge.sessions import StoreLost
 
 logger = logging.getLogger("xihenet.edge")
 
+OF_ALL_ANSWERS = {
+    "Server": f"xihe/{__version__}",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",
+}
 
-class Handler(web.RequestHandler):
-    """What all routes share: CORS, the bearer token, JSON, metrics and logs."""
+OF_ALLOWED_ORIGINS = {
+    "Vary": "Origin",
+    "Access-Control-Allow-Headers": ", ".join(
+        (*protocol.OUR_HEADERS, "Content-Type", "Authorization", "Anchor-Size", "Session-ID")
+    ),
+    "Access-Control-Allow-Methods": "GET, POST, DELETE, OPTIONS",
+    "Access-Control-Expose-Headers": "Retry-After, Xihe-Dropped-Records, Xihe-Lost-Records",
+    "Access-Control-Max-Age": "600",
+}
+
+_as_json = json.JSONEncoder(allow_nan=False).encode
+
+
+class Site:
+    """Which handler answers which path, and what all of them share; `gauges` are those of the server."""
+
+    def __init__(self, service: EdgeService, settings: ServerSettings, routes: Mapping[str, type[Handler]]) -> None:
+        self.service, self.settings = service, settings
+        self.gauges: Callable[[], dict[str, float]] = dict
+        self._exact = {path: handler for path, handler in routes.items() if "(" not in path}
+        self._patterns = [
+            (re.compile(pattern), handler, pattern.replace("([^/]+)", "*"))
+            for pattern, handler in routes.items()
+            if "(" in pattern
+        ]
+        self._waiting: set[asyncio.Future[None]] = set()
+
+    def answer(self, request: Request) -> None:
+        """Have it answered, at once or later."""
+        exact = self._exact.get(request.path)
+        if exact is not None:
+            exact(request, self, request.path).run(())
+            return
+        for pattern, handler, route in self._patterns:
+            found = pattern.fullmatch(request.path)
+            if found:
+                handler(request, self, route).run(found.groups())
+                return
+        UnknownRoute(request, self, "other").run(())
+
+    def keep(self, task: asyncio.Future[None]) -> None:
+        """Until it is done: the event loop alone does not."""
+        self._waiting.add(task)
+        task.add_done_callback(self._waiting.discard)
+
+
+class Handler:
+    """One request and its answer. A route has a method for each of HTTP's that it knows, a coroutine where it waits."""
 
     needs_bearer = True
+    METHODS = ("GET", "POST", "DELETE", "OPTIONS")
 
-    def initialize(self, service: EdgeService, settings: ServerSettings, route: str) -> None:
-        self.service, self.settings_of_server, self.route = service, settings, route
+    def __init__(self, request: Request, site: Site, route: str) -> None:
+        self.request, self.site, self.service, self.route = request, site, site.service, route
+        self.headers: dict[str, str] = {}
         self.session_told = ""
-        self.start = time.perf_counter()
+        self._start = time.perf_counter()
 
-    def set_default_headers(self) -> None:
-        self.set_header("Server", f"xihe/{__version__}")
-        self.set_header("X-Content-Type-Options", "nosniff")
-        self.set_header("Cache-Control", "no-store")
+    def run(self, sent: Sequence[str]) -> None:
+        """Answer, at once or when the method is done; `sent` are the parts of the path that the route leaves open."""
+        try:
+            self.prepare()
+            going = self._method()(*(_unquoted(part) for part in sent))
+            if going is not None:
+                self.site.keep(asyncio.ensure_future(self._waited_for(going)))
+        except Exception as error:  # noqa: BLE001  whatever it is, it is answered, and logged if it is a fault of ours
+            self.refuse(error)
+
+    async def _waited_for(self, going: Awaitable[None]) -> None:
+        try:
+            await going
+        except Exception as error:  # noqa: BLE001  as in `run`
+            self.refuse(error)
 
     def prepare(self) -> None:
-        self.allow_origin()
-        bearer = self.settings_of_server.bearer
-        if not bearer or not self.needs_bearer or self.request.method == "OPTIONS":
-            return
-        sent = self.request.headers.get("Authorization", "")
-        if not secrets.compare_digest(sent.encode(), f"Bearer {bearer}".encode()):
-            self.set_header("WWW-Authenticate", "Bearer")
-            raise Refused(401, "this service needs its bearer token: send it as Authorization: Bearer TOKEN")
+        """Refuse what no route answers."""
+        bearer, request = self.site.settings.bearer, self.request
+        if bearer and self.needs_bearer and request.method != "OPTIONS":
+            sent = request.headers.get("Authorization", "")
+            if not secrets.compare_digest(sent.encode(), f"Bearer {bearer}".encode()):
+                self.headers["WWW-Authenticate"] = "Bearer"
+                raise Refused(401, "this service needs its bearer token: send it as Authorization: Bearer TOKEN")
+        if request.is_too_long:
+            raise Refused(413, f"expected a body of at most {MAX_BODY_BYTES} bytes, got {request.n_bytes}")
 
-    def allow_origin(self) -> None:
-        origin, allowed = self.request.headers.get("Origin"), self.settings_of_server.origins
-        if origin is None or not allowed:
-            return
-        self.set_header("Vary", "Origin")
-        if "*" in allowed or origin in allowed:
-            self.set_header("Access-Control-Allow-Origin", "*" if "*" in allowed else origin)
-            names = (*protocol.OUR_HEADERS, "Content-Type", "Authorization", "Anchor-Size", "Session-ID")
-            self.set_header("Access-Control-Allow-Headers", ", ".join(names))
-            self.set_header("Access-Control-Allow-Methods", "GET, POST, DELETE, OPTIONS")
-            self.set_header("Access-Control-Expose-Headers", "Retry-After, Xihe-Dropped-Records, Xihe-Lost-Records")
-            self.set_header("Access-Control-Max-Age", "600")
+    def _method(self) -> Callable[..., Awaitable[None] | None]:
+        method: Callable[..., Awaitable[None] | None] | None = None
+        if self.request.method in self.METHODS:
+            method = getattr(self, self.request.method.lower(), None)
+        if method is None:
+            self.headers["Allow"] = ", ".join(name for name in self.METHODS if hasattr(self, name.lower()))
+            raise Refused(405, HTTPStatus(405).phrase)
+        return method
 
     def options(self, *_: str) -> None:
-        self.set_status(204)
-        self.finish()
+        self.finish(204)
 
     def tell(self, answer: Mapping[str, Any], status: int = 200) -> None:
-        self.set_status(status)
-        self.set_header("Content-Type", "application/json")
-        self.finish(json.dumps(answer, allow_nan=False))
+        self.finish(status, _as_json(answer).encode(), "application/json")
 
-    def token(self) -> str:
-        return self.request.headers.get(protocol.TOKEN_HEADER, "")
-
-    def log_exception(self, kind: Any, error: Any, trace: Any) -> None:
-        if not isinstance(error, (Refused, StoreLost, web.HTTPError)):
-            log_event("fault", route=self.route, error=repr(error))
-            logger.debug("fault", exc_info=(kind, error, trace))
-
-    def write_error(self, status_code: int, **kwargs: Any) -> None:
-        """What is refused with its message, anything else without."""
-        error = kwargs.get("exc_info", (None, None, None))[1]
+    def refuse(self, error: Exception) -> None:
+        """Tell what is refused with its message, and a fault of ours without."""
         if isinstance(error, StoreLost):
             error = self.service.lost(error)
-        if isinstance(error, Refused):
-            status_code = error.status
-            if error.retry_after_s is not None:
-                self.set_header("Retry-After", str(error.retry_after_s))
-        elif status_code == 405:
-            self.set_header("Allow", ", ".join(self._methods()))
-        said = str(error) if isinstance(error, Refused) else HTTPStatus(status_code).phrase
-        self.allow_origin()  # An error has cleared the headers.
-        self.tell(protocol.failure(said), status_code)
+        refused = error if isinstance(error, Refused) else Refused(500, HTTPStatus(500).phrase)
+        if refused is not error:
+            log_event("fault", route=self.route, error=repr(error))
+            logger.debug("fault", exc_info=error)
+        if refused.retry_after_s is not None:
+            self.headers["Retry-After"] = str(refused.retry_after_s)
+        self.tell(protocol.failure(str(refused)), refused.status)
 
-    def _methods(self) -> list[str]:
-        """That this route has."""
-        has_none = web.RequestHandler._unimplemented_method
-        return [name for name in self.SUPPORTED_METHODS if getattr(type(self), name.lower()) is not has_none]
+    def finish(self, status: int, body: bytes = b"", content_type: str = "") -> None:
+        """Send the answer, count it and log it."""
+        headers = {**OF_ALL_ANSWERS, "Date": _date(int(time.time())), **self._for_origin(), **self.headers}
+        if status != 204:
+            headers |= {"Content-Type": content_type, "Content-Length": str(len(body))}
+        self.request.send(HTTPStatus(status), headers, body)
+        self._count(status)
 
-    def on_finish(self) -> None:
-        took_s, status = time.perf_counter() - self.start, self.get_status()
+    def _for_origin(self) -> Mapping[str, str]:
+        """What a browser needs to be told before it lets a page have the answer."""
+        origin, allowed = self.request.headers.get("Origin"), self.site.settings.origins
+        if origin is None or not allowed:
+            return {}
+        if "*" not in allowed and origin not in allowed:
+            return {"Vary": "Origin"}
+        return {**OF_ALLOWED_ORIGINS, "Access-Control-Allow-Origin": "*" if "*" in allowed else origin}
+
+    def _count(self, status: int) -> None:
+        took_s = time.perf_counter() - self._start
         self.service.metrics.count("xihe_requests_total", route=self.route, status=str(status))
         self.service.metrics.measure("xihe_stage_seconds", took_s, stage="request")
-        if self.settings_of_server.log == "all" or (status >= 400 and status != 503):
+        if self.site.settings.log == "all" or (status >= 400 and status != 503):
             log_event(
                 "request",
                 method=self.request.method,
                 route=self.route,
                 status=status,
                 ms=round(1e3 * took_s, 3),
-                body_bytes=len(self.request.body),
+                body_bytes=self.request.n_bytes,
                 session=self.session_told,
             )
+
+    def token(self) -> str:
+        return str(self.request.headers.get(protocol.TOKEN_HEADER, ""))
+
+    def query(self, name: str) -> str:
+        """What the query says of `name`; empty without it."""
+        if not self.request.query:
+            return ""
+        return parse_qs(self.request.query, keep_blank_values=True).get(name, [""])[-1]
+
+
+class UnknownRoute(Handler):
+    """Any other route."""
+
+    def prepare(self) -> None:
+        super().prepare()
+        raise Refused(404, "there is no such route; /openapi.json names those that there are")
 
 
 @contextmanager
@@ -151,3 +232,17 @@ def logged_to(stream: Any) -> Iterator[None]:
         logger.removeHandler(handler)
         logger.setLevel(level)
         logger.propagate = propagates
+
+
+@functools.lru_cache(maxsize=1)
+def _date(second: int) -> str:
+    date: str = httputil.format_timestamp(second)
+    return date
+
+
+def _unquoted(part: str) -> str:
+    """Of a path; 400 unless it is UTF-8."""
+    try:
+        return unquote_to_bytes(part.encode("latin1")).decode()
+    except ValueError:
+        raise Refused(400, "expected a path in UTF-8") from None

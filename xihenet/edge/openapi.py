@@ -86,7 +86,7 @@ def _published_session(sizes: tuple[int, ...]) -> dict[str, Any]:
 def _published_estimation() -> dict[str, Any]:
     session = _header("Session-ID", _UUID, "As opening gave it.", required=True)
     answer = {"type": "object", "required": ["ok", "coefficients"], "properties": {"coefficients": _COEFFICIENTS}}
-    operation = _operation("Light, of the published records", [session, _axes("unity")], 200, answer, (400, 404))
+    operation = _operation("Light, of the published records", [session, _axes("unity")], 200, answer, (400, 404, 413))
     return operation | {"requestBody": _binary("application/octet-stream", "Records of seven bytes.")}
 
 
@@ -102,7 +102,7 @@ def _open(sizes: tuple[int, ...]) -> dict[str, Any]:
     own = _header(
         protocol.TOKEN_HEADER, {"type": "string", "minLength": 16, "maxLength": 128}, "A token to own it by, or none."
     )
-    operation = _operation("Open a session", [own], 201, _object("session"))
+    operation = _operation("Open a session", [own], 201, _object("session"), (400, 413))
     return operation | {"requestBody": {"content": {"application/json": {"schema": wanted}}}}
 
 
@@ -127,7 +127,7 @@ def _estimate() -> dict[str, Any]:
         _header(protocol.AMBIENT_HEADER, numbers, "Radiance of the light sensor, carrying the exposure."),
         _axes("z-up"),
     ]
-    refused = (400, 401, 403, 404, 415)
+    refused = (400, 401, 403, 404, 413, 415)
     operation = _operation("The light at a position, of a cloud", parameters, 200, _ESTIMATE, refused)
     words = f"A payload of xihenet.codec, in the method that the content type names: {', '.join(METHODS)}."
     return operation | {"requestBody": _binary(protocol.CLOUD_TYPE, words)}

@@ -42,6 +42,7 @@ POSITION_HEADER, AMBIENT_HEADER = "Xihe-Position", "Xihe-Ambient"
 OUR_HEADERS = (AXES_HEADER, TOKEN_HEADER, EXPOSURE_HEADER, POSITION_HEADER, AMBIENT_HEADER)
 
 _PUBLISHED_METHOD: EncodingMethod = "uint8_float16_stripped"
+_INFINITE = 0x7C00  # As float16; above it are NaN and whatever has a sign
 RECORD_BYTES = METHODS[_PUBLISHED_METHOD].bytes_per_record
 MAX_EXPOSURE = 1e6
 """And its inverse: the limits of what is believed to be an exposure."""
@@ -80,9 +81,10 @@ def read_published(body: bytes, n_anchors: int, axes: str) -> CloudSent:
         limits = f"a multiple of {RECORD_BYTES} and at most {RECORD_BYTES * n_anchors}"
         raise ValueError(f"expected a body whose bytes are {limits}, got {len(body)}")
     records, quirks = np.frombuffer(body, METHODS[_PUBLISHED_METHOD].record), {}
-    distance = records["distance_m"]
-    is_zero, is_far = distance == 0, distance == np.inf
-    if is_zero.any() or is_far.any():
+    # Zero and infinity are the smallest and the largest codes of float16 but for those that `decode_cloud` refuses.
+    codes = records["distance_m"].view("<u2")
+    if len(codes) and (codes.min() == 0 or codes.max() >= _INFINITE):
+        is_zero, is_far = records["distance_m"] == 0, records["distance_m"] == np.inf
         is_dropped = is_zero & (records["anchor"] == 0) & ~records["srgb"].any(axis=1)
         n_dropped, n_zero = int(np.count_nonzero(is_dropped)), int(np.count_nonzero(is_zero))
         quirks = counted(

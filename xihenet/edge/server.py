@@ -1,34 +1,37 @@
 """The HTTP server, on Tornado: the published client's routes, and ours.
 
 Sessions of our own clients are at `/api/v3/sessions`, see `openapi`. Tornado was chosen over asyncio alone for its HTTP
-parser and time-outs, and over the ASGI frameworks since Dask brings it anyway.
-
-Slow clients: headers and body each have a time to be complete in, however the bytes trickle. A body that says or turns
-out to be longer than `MAX_BODY_BYTES` is answered by Tornado itself with 400 and a closed connection.
+parser and TLS, and over the ASGI frameworks since Dask brings it anyway. `requests` is what it hands over, `handler`
+what becomes of that.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import multiprocessing
 import signal
 import socket
 import ssl
 import sys
 from collections.abc import AsyncIterator, Callable, Mapping
-from typing import Any
-
-from tornado import httpserver, iostream, web
 
 from xihenet.edge import protocol
 from xihenet.edge.batching import Inference
-from xihenet.edge.handler import Handler, log_event
-from xihenet.edge.http_settings import MAX_BODY_BYTES, ServerSettings
-from xihenet.edge.published_routes import PublishedEstimationRoute, PublishedSessionRoute
+from xihenet.edge.handler import Handler, Site, log_event
+from xihenet.edge.http_settings import ServerSettings
+from xihenet.edge.requests import Server
 from xihenet.edge.service import EdgeService
-from xihenet.edge.service_routes import HealthRoute, MetricsRoute, OpenApiRoute, PageRoute, UnknownRoute
-from xihenet.edge.session_routes import ClientsRoute, PositionRoute, SessionRoute, SessionsRoute
+from xihenet.edge.service_routes import HealthRoute, MetricsRoute, OpenApiRoute, PageRoute
+from xihenet.edge.session_routes import (
+    ClientsRoute,
+    PositionRoute,
+    PublishedEstimationRoute,
+    PublishedSessionRoute,
+    SessionRoute,
+    SessionsRoute,
+)
 from xihenet.edge.sessions import MemoryStore, SessionStore
 
 EXPIRES_EVERY_S = 5.0
@@ -50,22 +53,6 @@ ROUTES: Mapping[str, type[Handler]] = {
 }
 
 
-class _Server(httpserver.HTTPServer):
-    """Closes connections beyond the limit at once; so a flood of them costs no memory."""
-
-    max_connections = 512
-
-    def handle_stream(self, stream: iostream.IOStream, address: tuple[Any, ...]) -> None:
-        if len(self._connections) >= self.max_connections:
-            stream.close()
-        else:
-            super().handle_stream(stream, address)
-
-    @property
-    def n_connections(self) -> int:
-        return len(self._connections)
-
-
 @contextlib.asynccontextmanager
 async def running(inference: Inference, settings: ServerSettings) -> AsyncIterator[tuple[EdgeService, int]]:
     """The service, listening, and its port, for the length of the block.
@@ -73,34 +60,18 @@ async def running(inference: Inference, settings: ServerSettings) -> AsyncIterat
     OSError where the address cannot be had or a certificate cannot be read.
     """
     service = EdgeService(inference, settings.service, _store(settings), settings.worker)
-    routes = [
-        (pattern, handler, {"service": service, "settings": settings, "route": pattern.replace("([^/]+)", "*")})
-        for pattern, handler in ROUTES.items()
-    ]
-    unknown = {"service": service, "settings": settings, "route": "other"}
-    # Handlers log by themselves: Tornado's lines would hold the ids of sessions.
-    application = web.Application(
-        routes, default_handler_class=UnknownRoute, default_handler_args=unknown, log_function=lambda handler: None
-    )
-    server = _Server(
-        application,
-        ssl_options=tls_of(settings),
-        max_body_size=MAX_BODY_BYTES,
-        max_buffer_size=2 * MAX_BODY_BYTES,
-        max_header_size=settings.max_header_bytes,
-        idle_connection_timeout=settings.header_s,
-        body_timeout=settings.body_s,
-    )
-    server.max_connections = settings.max_connections
-    application.settings["gauges"] = lambda: {"xihe_connections": server.n_connections}
+    site = Site(service, settings, ROUTES)
+    server = Server.made(settings, site.answer, tls_of(settings))
+    site.gauges = lambda: {"xihe_connections": server.n_connections}
     listening = bound(settings)
     listening.listen(128)
     server.add_socket(listening)
-    expiring = asyncio.create_task(_expire(service))
+    beside = [asyncio.create_task(one) for one in (_expire(service), server.close_late())]
     try:
         yield service, listening.getsockname()[1]
     finally:
-        expiring.cancel()
+        for task in beside:
+            task.cancel()
         server.stop()
         await service.close()
         await server.close_all_connections()
@@ -117,6 +88,9 @@ async def serve(inference: Inference, settings: ServerSettings, when_ready: Call
     if settings.worker is not None and starter is not None:
         loop.add_reader(starter.sentinel, stop.set)  # Nobody is left to end it.
     async with running(inference, settings) as (_, port):
+        # What there is stays: looking through it for garbage, now and then, holds up all requests for 20 ms.
+        gc.collect()
+        gc.freeze()
         log_event(
             "started",
             host=settings.host,

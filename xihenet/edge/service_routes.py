@@ -8,7 +8,6 @@ from xihenet import __version__
 from xihenet.edge.handler import Handler
 from xihenet.edge.openapi import openapi_document
 from xihenet.edge.protocol import failure
-from xihenet.edge.service import Refused
 from xihenet.edge.sessions import StoreLost
 
 
@@ -23,7 +22,7 @@ class HealthRoute(Handler):
         try:
             store.check()
         except StoreLost as error:
-            self.set_header("Retry-After", str(self.service.settings.retry_after_s))
+            self.headers["Retry-After"] = str(self.service.settings.retry_after_s)
             self.tell(told | failure(str(error)), 503)
         else:
             self.tell(told)
@@ -33,15 +32,15 @@ class MetricsRoute(Handler):
     """GET: metrics for Prometheus."""
 
     def get(self) -> None:
-        self.set_header("Content-Type", "text/plain; version=0.0.4; charset=utf-8")
-        self.finish(self.service.metrics.text(self.service.gauges() | self.application.settings["gauges"]()))
+        text = self.service.metrics.text(self.service.gauges() | self.site.gauges())
+        self.finish(200, text.encode(), "text/plain; version=0.0.4; charset=utf-8")
 
 
 class OpenApiRoute(Handler):
     """GET: the description of all routes."""
 
     def get(self) -> None:
-        self.tell(openapi_document(self.service.settings.sizes, has_bearer=bool(self.settings_of_server.bearer)))
+        self.tell(openapi_document(self.service.settings.sizes, has_bearer=bool(self.site.settings.bearer)))
 
 
 class PageRoute(Handler):
@@ -50,14 +49,6 @@ class PageRoute(Handler):
     needs_bearer = False
 
     def get(self) -> None:
-        self.set_header("Content-Type", "text/html; charset=utf-8")
-        self.set_header("Content-Security-Policy", "default-src 'self' 'unsafe-inline'; connect-src *")
-        self.finish(resources.files("xihenet.edge").joinpath("client.html").read_bytes())
-
-
-class UnknownRoute(Handler):
-    """Any other route."""
-
-    def prepare(self) -> None:
-        super().prepare()
-        raise Refused(404, "there is no such route; /openapi.json names those that there are")
+        self.headers["Content-Security-Policy"] = "default-src 'self' 'unsafe-inline'; connect-src *"
+        page = resources.files("xihenet.edge").joinpath("client.html").read_bytes()
+        self.finish(200, page, "text/html; charset=utf-8")

@@ -1,4 +1,6 @@
-"""Routes of our own clients: sessions with tokens, several clients and positions, and clouds in the clean form."""
+"""Routes of sessions: the published client's, exactly as it calls them, with the session's id as the only secret, and
+those of our own clients, with tokens, several clients and positions, and clouds in the clean form.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,7 @@ import math
 from typing import Any
 
 from xihenet.edge import protocol
-from xihenet.edge.axes import OUR_AXES, checked_axes
+from xihenet.edge.axes import OUR_AXES, PUBLISHED_AXES, checked_axes
 from xihenet.edge.extras import Wishes
 from xihenet.edge.handler import Handler, as_sent, begin_of
 from xihenet.edge.service import EdgeService, Refused
@@ -15,6 +17,39 @@ from xihenet.edge.sessions import Session, StoreFull, joined, new_session, new_t
 
 MAX_NAME = 64
 SWITCHES = {"": False, "no": False, "yes": True}
+
+
+class PublishedSessionRoute(Handler):
+    """POST: a session of the published client."""
+
+    def post(self) -> None:
+        sizes, headers = self.service.settings.sizes, self.request.headers
+        with as_sent():
+            n_anchors = protocol.anchors_wanted(headers.get("Anchor-Size"), sizes)
+            axes = checked_axes(headers.get(protocol.AXES_HEADER, PUBLISHED_AXES))
+        session = self.service.open(new_session(n_anchors, self.service.settings.target, axes))
+        self.session_told = begin_of(session.id)
+        self.tell({"ok": True, "sid": session.id})
+
+
+class PublishedEstimationRoute(Handler):
+    """POST: the light of a published client's records."""
+
+    async def post(self) -> None:
+        headers = self.request.headers
+        session_id = headers.get("Session-ID")
+        if session_id is None:
+            raise Refused(400, "Session-ID: expected the id that opening a session gave, got no such header")
+        self.session_told = begin_of(session_id)
+        session = self.service.published_session(session_id)
+        self.service.check_room()
+        with self.service.timed("decode"), as_sent():
+            axes = headers.get(protocol.AXES_HEADER, session.axes)
+            sent = protocol.read_published(self.request.body, session.n_anchors, axes)
+        coefficients = await self.service.estimate_published(session, sent)
+        self.headers["Xihe-Dropped-Records"] = str(sent.quirks.get("dropped", 0))
+        self.headers["Xihe-Lost-Records"] = str(sent.quirks.get("lost", 0))
+        self.tell({"ok": True, "coefficients": coefficients})
 
 
 class SessionsRoute(Handler):
@@ -135,7 +170,7 @@ class PositionRoute(Handler):
         self.tell({"ok": True})
 
     def _switch(self, name: str) -> bool:
-        said = self.get_query_argument(name, "")
+        said = self.query(name)
         if said not in SWITCHES:
             raise ValueError(f"{name}: expected yes or no, got {said[:80]!r}")
         return SWITCHES[said]
