@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from addon_tests.fuzz import some_examples
 from addon_tests.pure.edge_servers import published_body
 from addon_tests.pure.made import random_cloud, random_rotation
 from xihenet.codec import METHODS, encode_cloud
@@ -68,6 +69,7 @@ def test_a_distance_of_0_is_not_initialised_and_infinity_is_the_farthest():
         (record(1) + record(1), "each anchor once"),
         (record(1, distance_m=-1.0), "finite distance"),
         (record(1, distance_m=np.nan), "finite distance"),
+        (bytes(7) + b"\0\0\0\0\0\0\x7d", "finite distance"),  # A NaN at which processors complain
     ],
 )
 def test_what_is_wrong_in_records_is_said(body, said):
@@ -75,6 +77,7 @@ def test_what_is_wrong_in_records_is_said(body, said):
         protocol.read_published(body, 8, "unity")
 
 
+@some_examples()
 @given(st.binary(max_size=7 * 12), st.integers(1, 12))
 def test_any_bytes_are_a_legal_cloud_or_a_value_error(body, n):
     try:
@@ -84,6 +87,7 @@ def test_any_bytes_are_a_legal_cloud_or_a_value_error(body, n):
     assert len(sent.cloud) == n and set(sent.quirks) <= {"dropped", "lost", "uninitialised", "too_far"}
 
 
+@some_examples()
 @given(
     st.binary(max_size=200),
     st.sampled_from(list(METHODS)),
