@@ -1,18 +1,23 @@
 """Load on `xihe serve` in a process of its own: a held rate, then twice what it can bear, and whether it recovers.
 
-    python addon_tests/bench/edge_load.py [--seconds 60] [--clients 8] [--rate 30] [--estimator lattice]
+    python addon_tests/bench/edge_load.py [--seconds 60] [--clients 8] [--rate 30] [--estimator lattice] [--form clean]
 
-Each client has a connection of its own and asks at fixed times, with the published protocol. Latencies are counted from
-those times and not from when a request could be sent, so that a server that stalls is not spared. Clients and server
-share the machine: the figures are of both.
+The server has one core to itself, and the clients have the others. Each client has a connection and a session of its
+own and asks at fixed times. Latencies are counted from those times and not from when a request could be sent, so that a
+server that stalls is not spared. Where `hey` is installed (`apt install hey`), the held rate and the overload are
+repeated by it, which knows nothing of the service: its clients share one session, and its latencies are from when it
+sent.
 """
 
 import argparse
 import asyncio
+import json
 import os
 import re
+import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from collections import Counter
 from dataclasses import dataclass, field
@@ -22,6 +27,7 @@ import numpy as np
 
 from xihenet.codec import encode_cloud
 from xihenet.edge.batching import Inference, Job
+from xihenet.edge.protocol import DEFAULT_METHOD, content_type_of
 from xihenet.records import UnitSphereCloud
 
 N_ANCHORS, SEEN_SHARE = 1280, 0.5
@@ -51,29 +57,38 @@ def cloud_of(rng):
 
 
 class Client:
-    """One phone: its connection and session."""
+    """One phone: its connection and session, in the published or the clean form."""
 
-    def __init__(self, port, seed):
-        self.port, rng = port, np.random.default_rng(seed)
-        self.bodies = [encode_cloud(cloud_of(rng)) for _ in range(8)]
+    def __init__(self, port, seed, form="published"):
+        self.port, self.form, rng = port, form, np.random.default_rng(seed)
+        method = DEFAULT_METHOD if form == "clean" else "uint8_float16_stripped"
+        self.bodies = [encode_cloud(cloud_of(rng), method) for _ in range(8)]
         self.n_asked = 0
 
     async def open(self):
         self.reader, self.writer = await asyncio.open_connection("127.0.0.1", self.port)
-        head = f"POST /api/v2/session/ HTTP/1.1\r\nHost: x\r\nAnchor-Size: {N_ANCHORS}\r\nContent-Length: 0\r\n\r\n"
-        _, body = await self._exchange(head.encode())
-        self.session = re.search(rb'"sid": "([^"]+)"', body)[1].decode()
+        if self.form == "clean":
+            opened = await self._opened("/api/v3/sessions", {}, b'{"n_anchors": %d}' % N_ANCHORS)
+            self.path = f"/api/v3/sessions/{opened['session']}/positions/vase"
+            self.headers = {"Xihe-Token": opened["token"], "Xihe-Exposure": "0.5", "Xihe-Position": "1,2,3"}
+            self.headers["Content-Type"] = content_type_of(DEFAULT_METHOD)
+        else:
+            opened = await self._opened("/api/v2/session/", {"Anchor-Size": str(N_ANCHORS)}, b"")
+            self.path, self.headers = "/api/v2/lighting-estimation/", {"Session-ID": opened["sid"]}
+
+    async def _opened(self, path, headers, body):
+        _, answer = await self._exchange(path, headers, body)
+        return json.loads(answer)
 
     async def ask(self):
-        body = self.bodies[self.n_asked % len(self.bodies)]
         self.n_asked += 1
-        head = "POST /api/v2/lighting-estimation/ HTTP/1.1\r\nHost: x\r\n"
-        head += f"Session-ID: {self.session}\r\nContent-Length: {len(body)}\r\n\r\n"
-        status, _ = await self._exchange(head.encode() + body)
+        status, _ = await self._exchange(self.path, self.headers, self.bodies[self.n_asked % len(self.bodies)])
         return status
 
-    async def _exchange(self, sent):
-        self.writer.write(sent)
+    async def _exchange(self, path, headers, body):
+        lines = [f"POST {path} HTTP/1.1", "Host: x", f"Content-Length: {len(body)}"]
+        lines += [f"{name}: {value}" for name, value in headers.items()]
+        self.writer.write("\r\n".join([*lines, "\r\n"]).encode() + body)
         head = await self.reader.readuntil(b"\r\n\r\n")
         length = int(re.search(rb"Content-Length: (\d+)", head)[1])
         return int(head[9:12]), await self.reader.readexactly(length)
@@ -117,6 +132,26 @@ async def as_many_as_go(clients, seconds):
     return answers
 
 
+def by_hey(client, n_clients, rate, seconds):
+    """The load of `hold_rate` by hey, or None where it is not installed."""
+    if shutil.which("hey") is None:
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        body = Path(folder) / "cloud.bin"
+        body.write_bytes(client.bodies[0])
+        command = ["hey", "-z", f"{seconds:g}s", "-c", str(n_clients), "-q", f"{rate:g}", "-m", "POST", "-o", "csv"]
+        for name, value in client.headers.items():
+            command += ["-T", value] if name == "Content-Type" else ["-H", f"{name}: {value}"]
+        command += ["-D", str(body), f"http://127.0.0.1:{client.port}{client.path}"]
+        start = time.perf_counter()
+        told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    rows = [row.split(",") for row in told.splitlines()[1:]]
+    answers = Answers(seconds=time.perf_counter() - start)
+    answers.statuses.update(int(row[6]) for row in rows)
+    answers.latencies_s = [float(row[0]) for row in rows if row[6] == "200"]
+    return answers
+
+
 async def recovery_s(client):
     """From now until three answers in a row come within 50 ms."""
     start, n_good = time.perf_counter(), 0
@@ -137,37 +172,46 @@ def rss_mb(process):
     return int(re.search(r"VmRSS:\s+(\d+) kB", text)[1]) / 1024
 
 
-async def opened(port, n, first_seed=0):
-    clients = [Client(port, first_seed + number) for number in range(n)]
+async def opened(port, n, first_seed=0, form="published"):
+    clients = [Client(port, first_seed + number, form) for number in range(n)]
     for client in clients:
         await client.open()
     return clients
 
 
 async def run(process, port, options):
-    clients = await opened(port, options.clients)
+    """Lights per second of the server's processor time."""
+    form, seconds = options.form, options.seconds
+    clients = await opened(port, options.clients, 0, form)
     await hold_rate(clients, options.rate, 2)
     before = rss_mb(process)
-    held = await hold_rate(clients, options.rate, options.seconds)
-    print(f"{options.clients} clients x {options.rate}/s for {options.seconds} s: {held}")
+    held = f"{options.clients} clients x {options.rate:g}/s for {seconds:g} s"
+    print(f"{held}: {await hold_rate(clients, options.rate, seconds)}")
+    print(f"the same by hey: {by_hey(clients[0], options.clients, options.rate, seconds) or 'not installed'}")
     print(f"memory of the server: {before:.1f} MB before, {rss_mb(process):.1f} MB after")
-    more = await opened(port, 24, 100)
+    more = await opened(port, 24, 100, form)
     spent_s = cpu_s(process.pid)
-    capacity = await as_many_as_go(more, options.seconds / 4)
+    capacity = await as_many_as_go(more, seconds / 4)
     n_lights = len(capacity.latencies_s) / capacity.seconds
     per_cpu_s = len(capacity.latencies_s) / (cpu_s(process.pid) - spent_s)
     print(f"as many as go, 24 clients: {capacity}; {per_cpu_s:.0f} lights per second of processor time")
-    many = [*clients, *more, *await opened(port, MOST_CONNECTIONS - len(clients) - len(more), 200)]
-    overload = await hold_rate(many, 2 * n_lights / len(many), options.seconds / 4)
-    print(f"twice that, {len(many)} clients: {overload}")
+    many = [*clients, *more, *await opened(port, MOST_CONNECTIONS - len(clients) - len(more), 200, form)]
+    twice = 2 * n_lights / len(many)
+    print(f"twice that, {len(many)} clients: {await hold_rate(many, twice, seconds / 4)}")
     print(f"recovery: {await recovery_s(clients[0]):.2f} s; memory {rss_mb(process):.1f} MB")
+    overload = by_hey(clients[0], MOST_CONNECTIONS, twice, seconds / 4)
+    if overload:
+        print(f"twice that by hey: {overload}")
+        print(f"recovery: {await recovery_s(clients[0]):.2f} s; memory {rss_mb(process):.1f} MB")
     for client in many:
         client.close()
     return per_cpu_s
 
 
-def batches_alone(name, seconds=3.0):
-    """Lights per second of processor time, of batches of 16 without a network, in this process."""
+def batches_alone(name, cores, seconds=5.0):
+    """Lights per second of processor time, of batches of 16 without a network, in this process on these cores."""
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, cores)
     inference, rng = Inference(name), np.random.default_rng(0)
     jobs, n = [Job(cloud_of(rng), "ldr") for _ in range(16)], 0
     inference(jobs)
@@ -175,7 +219,16 @@ def batches_alone(name, seconds=3.0):
     while time.process_time() - start < seconds:
         inference(jobs)
         n += len(jobs)
-    return n / (time.process_time() - start)
+    rate = n / (time.process_time() - start)
+    os.sched_setaffinity(0, before)
+    return rate
+
+
+def on_a_core_of_their_own():
+    """Cores for the server and for the clients, this process; all for both where there is one alone."""
+    cores = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, cores[1:] or cores)
+    return set(cores[:1]), set(cores[1:] or cores)
 
 
 def main():
@@ -184,21 +237,26 @@ def main():
     parser.add_argument("--clients", type=int, default=8)
     parser.add_argument("--rate", type=float, default=30)
     parser.add_argument("--estimator", default="lattice")
+    parser.add_argument("--form", choices=("published", "clean"), default="published")
     options = parser.parse_args()
+    print(f"load of the machine before: {Path('/proc/loadavg').read_text().split()[0]}")
+    of_server, of_clients = on_a_core_of_their_own()
+    alone = [batches_alone(options.estimator, of_server)]
+    os.sched_setaffinity(0, of_server)  # The server inherits it.
     command = [sys.executable, "-m", "xihe_blender", "serve", "--port", "0", "--estimator", options.estimator]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    os.sched_setaffinity(0, of_clients)
     try:
         port = int(re.search(r":(\d+),", process.stdout.readline())[1])
-        print(f"load of the machine before: {Path('/proc/loadavg').read_text().split()[0]}")
         through_http = asyncio.run(run(process, port, options))
         assert process.poll() is None, "the server is gone"
     finally:
         process.kill()
         process.wait()
-    alone = batches_alone(options.estimator)
-    print(
-        f"batches of 16 alone: {alone:.0f} lights per second of processor time, through HTTP {through_http / alone:.0%}"
-    )
+    alone.append(batches_alone(options.estimator, of_server))
+    told = " and ".join(f"{rate:.0f}" for rate in alone)
+    print(f"batches of 16 alone, before and after: {told} lights per second of processor time")
+    print(f"through HTTP {through_http / np.mean(alone):.0%} of that")
 
 
 if __name__ == "__main__":
