@@ -8,7 +8,7 @@ import pytest
 
 from addon_tests.pure.made import frame_of, random_cloud
 from xihenet import estimators
-from xihenet.edge.batching import Batcher, Inference, Job, Light, QueueFull, estimate_together
+from xihenet.edge.batching import STEPS_TO_QUEUE, Batcher, Inference, Job, Light, QueueFull, estimate_together
 from xihenet.estimators.base import EstimateContext, NotFinite
 from xihenet.records import AnchorSurfaces, UnitSphereCloud
 
@@ -104,6 +104,48 @@ def test_what_arrives_meanwhile_is_the_next_batch_and_answers_find_their_request
     slow = Slow()
     assert asyncio.run(run()) == list(range(7))
     assert slow.batches == [1, 4, 2]
+
+
+def test_in_the_event_loop_itself_what_has_arrived_is_one_batch():
+    """Requests of which each takes as many steps of the loop to be read as those over a socket do."""
+    batches = []
+
+    def lights_of(jobs):
+        batches.append(len(jobs))
+        return [Light(np.full((9, 3), job.ambient[0])) for job in jobs]
+
+    async def arriving(batcher, number):
+        for _ in range(number % (STEPS_TO_QUEUE + 1)):
+            await asyncio.sleep(0)
+        return await batcher.estimate(job(number))
+
+    async def run():
+        batcher = Batcher(lights_of, max_batch=16, in_thread=False)
+        answers = await asyncio.gather(*(arriving(batcher, number) for number in range(12)))
+        more = await asyncio.gather(*(batcher.estimate(job(number)) for number in range(20)))
+        await batcher.close()
+        return [[answer.light.sh_radiance[0, 0] for answer in some] for some in (answers, more)]
+
+    assert asyncio.run(run()) == [list(range(12)), list(range(20))]
+    assert batches == [12, 16, 4]
+
+
+def test_a_fault_in_the_event_loop_itself_reaches_those_who_wait_alone():
+    def broken(jobs):
+        raise RuntimeError("a fault of ours")
+
+    async def run():
+        batcher = Batcher(broken, in_thread=False)
+        for _ in range(2):
+            with pytest.raises(RuntimeError, match="a fault of ours"):
+                await batcher.estimate(job(0))
+        await batcher.close()
+
+    asyncio.run(run())
+
+
+def test_what_is_slow_has_a_thread_of_its_own(inference):
+    assert inference.is_quick and not Inference("xihenet").is_quick
 
 
 def test_a_full_queue_refuses_at_once_and_recovers():

@@ -1,8 +1,11 @@
-"""Batching: requests of all clients wait in one queue, and one thread answers as many of them at a time as there are.
+"""Batching: requests of all clients wait in one queue, and as many of them at a time as there are get one inference.
 
-While an inference runs, what arrives is the next batch; nobody waits for a batch to fill. One thread, since a network
-fills a core by itself, and NumPy leaves the other to the event loop for most of the time. The queue is bounded: a
+While an inference runs, what arrives is the next batch; nobody waits for a batch to fill. The queue is bounded: a
 request that finds it full is refused at once, so that the ones in it are still answered in time.
+
+What estimates in a few milliseconds does so in the event loop itself. A thread beside it took a tenth more processor
+time on one core, where the two hand the interpreter to and fro at every product, half as much again on two, and gave
+no more lights a second. What takes longer, or runs on a GPU, has a thread of its own, one, since it fills a core.
 
 Clouds of one size with and without known facing go into different calls of `estimate_batch_with_error`, since unknown
 facing is not a facing of 0. An estimator without that method, or with a light sensor to lean on, is asked one by one.
@@ -30,6 +33,12 @@ UNSERVED = {
     "pointar": "pointar draws from raw points, which clouds of anchors no longer hold",
 }
 """Estimators that cannot answer clouds, and why."""
+
+QUICK = frozenset({"lattice", "projection", "ambient"})
+"""Estimators whose batch of 16 holds up the event loop for some 15 ms at most."""
+
+STEPS_TO_QUEUE = 3
+"""Of the event loop, from bytes that have arrived to a request that waits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +74,7 @@ class Inference:
         if name in UNSERVED:
             raise ValueError(f"{UNSERVED[name]}: choose another estimator")
         self.name, self.device = name, device
+        self.is_quick = device == "cpu" and name in QUICK
         # What cannot be loaded is found out at the start.
         self.farthest_m = self.estimator(1280, "ldr").farthest_m
 
@@ -150,12 +160,14 @@ class Answered:
 
 
 class Batcher:
-    """The queue and its thread, in the event loop in which it is made. `close` ends it."""
+    """The queue and who answers it, in the event loop in which it is made: a thread, or the loop. `close` ends it."""
 
-    def __init__(self, inference: Inference, *, max_batch: int = 16, max_queue: int = 48) -> None:
+    def __init__(
+        self, inference: Inference, *, max_batch: int = 16, max_queue: int = 48, in_thread: bool = True
+    ) -> None:
         self._inference, self.max_batch, self.max_queue = inference, max_batch, max_queue
         self._waiting: deque[tuple[Job, asyncio.Future[Answered], float]] = deque()
-        self._thread = ThreadPoolExecutor(1, "xihe-inference")
+        self._thread = ThreadPoolExecutor(1, "xihe-inference") if in_thread else None
         self._running: asyncio.Task[None] | None = None
 
     def __len__(self) -> int:
@@ -174,17 +186,25 @@ class Batcher:
     async def _run(self) -> None:
         """Answer batches until nobody waits."""
         while self._waiting:
+            if self._thread is None:
+                await self._arrived()
             taken = [self._waiting.popleft() for _ in range(min(self.max_batch, len(self._waiting)))]
             batch = [one for one in taken if not one[1].done()]  # Some have gone away meanwhile.
             if batch:
                 await self._answer(batch)
 
+    async def _arrived(self) -> None:
+        """Until all that has arrived waits here: it would have to wait for the batch, and may as well be in it."""
+        n_before = -1
+        while n_before < len(self._waiting) < self.max_batch:
+            n_before = len(self._waiting)
+            for _ in range(STEPS_TO_QUEUE):
+                await asyncio.sleep(0)
+
     async def _answer(self, batch: list[tuple[Job, asyncio.Future[Answered], float]]) -> None:
         start = time.perf_counter()
         try:
-            lights = await asyncio.get_running_loop().run_in_executor(
-                self._thread, self._inference, [job for job, _, _ in batch]
-            )
+            lights = await self._lights([job for job, _, _ in batch])
         except Exception as error:  # noqa: BLE001  whatever it is, it belongs to those who wait, and the queue goes on
             for _, answer, _ in batch:
                 if not answer.done():
@@ -195,8 +215,14 @@ class Batcher:
             if not answer.done():
                 answer.set_result(Answered(light, start - asked_s, took_s, len(batch)))
 
+    async def _lights(self, jobs: list[Job]) -> list[Light]:
+        if self._thread is None:
+            return self._inference(jobs)
+        return await asyncio.get_running_loop().run_in_executor(self._thread, self._inference, jobs)
+
     async def close(self) -> None:
         """Answer what waits, and end the thread."""
         if self._running is not None:
             await self._running
-        self._thread.shutdown()
+        if self._thread is not None:
+            self._thread.shutdown()

@@ -37,7 +37,7 @@ from xihenet.edge.sessions import MemoryStore, SessionStore
 EXPIRES_EVERY_S = 5.0
 
 SWITCH_S = 0.0005
-"""After so long the inference lets the event loop have the interpreter. Python's 5 ms are waited for at each `send`."""
+"""After so long another thread lets the event loop have the interpreter. Python's 5 ms would pass at each `send`."""
 
 ROUTES: Mapping[str, type[Handler]] = {
     protocol.PUBLISHED_SESSION: PublishedSessionRoute,

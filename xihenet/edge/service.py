@@ -88,7 +88,12 @@ class EdgeService:
         self.settings = settings or ServiceSettings()
         self.inference, self.metrics = inference, Metrics(worker)
         self.store: SessionStore = store or MemoryStore(self.settings.limits)
-        self.batcher = Batcher(inference, max_batch=self.settings.max_batch, max_queue=self.settings.max_queue)
+        self.batcher = Batcher(
+            inference,
+            max_batch=self.settings.max_batch,
+            max_queue=self.settings.max_queue,
+            in_thread=not inference.is_quick,
+        )
         self._extras, self._n_extras = ThreadPoolExecutor(1, "xihe-extras"), 0
 
     def open(self, session: Session) -> Session:
