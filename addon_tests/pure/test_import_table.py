@@ -142,9 +142,9 @@ def test_the_science_knows_no_blender_and_torch_stays_in_its_rooms():
         assert "torch" not in packages(path) or TORCH_ROOMS & set(path.parts), path
 
 
-def test_only_the_edge_server_knows_tornado():
+def test_only_the_edge_servers_requests_know_tornado():
     knows = {path.name for path in ROOT.glob("xihe*/**/*.py") if "tornado" in packages(path)}
-    assert knows == {"server.py", "handler.py"}
+    assert knows == {"requests.py"}
     imports = "import sys, xihenet.edge.client, xihenet.edge.service, xihe_blender.cli.serve"
     code = f"{imports}; print('tornado' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)

@@ -15,11 +15,10 @@ import secrets
 import time
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from email.utils import formatdate
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import parse_qs, unquote_to_bytes
-
-from tornado import httputil
 
 from xihenet import __version__
 from xihenet.edge import protocol
@@ -236,8 +235,7 @@ def logged_to(stream: Any) -> Iterator[None]:
 
 @functools.lru_cache(maxsize=1)
 def _date(second: int) -> str:
-    date: str = httputil.format_timestamp(second)
-    return date
+    return formatdate(second, usegmt=True)
 
 
 def _unquoted(part: str) -> str:
