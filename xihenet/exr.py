@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from xihenet.picture_size import TooLarge, picked_pixels
+from xihenet.picture_size import LONGEST_SIDE, TooLarge, picked_pixels
 from xihenet.records import ArrayF32, ArrayF64
 
 MAGIC = b"\x76\x2f\x31\x01"
@@ -325,6 +325,8 @@ def _channels_of(
     part: _Part, chunks: Iterable[_Chunk], wanted: Collection[str], most_pixels: int | None
 ) -> dict[str, ArrayF32]:
     """Unpacked chunk by chunk, so that no more is in memory than is asked for."""
+    if max(part.height, part.width) > LONGEST_SIDE:  # Without channels a file of any size may say so.
+        raise TooLarge(f"it has {part.width}x{part.height} pixels: save it with at most {LONGEST_SIDE} along a side")
     rows, columns = picked_pixels(part.height, part.width, most_pixels)
     channels = {name: np.empty((len(rows), len(columns)), np.float32) for name in wanted}
     is_whole = (len(rows), len(columns)) == (part.height, part.width)  # Then nothing is picked, which takes a copy.
