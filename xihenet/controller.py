@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +21,7 @@ from numpy.typing import ArrayLike
 from xihenet.backend import LightBackend, as_inference_backend, estimate_light
 from xihenet.buffers import PositionBuffers, merge
 from xihenet.camera import in_view, unproject_frame
+from xihenet.carried_light import BetweenEstimates, CarriedLight
 from xihenet.codec import EncodingMethod, encode_cloud, n_clamped_distances
 from xihenet.estimators.base import EstimateContext
 from xihenet.invalid import Counts, counted
@@ -64,6 +66,15 @@ class ControllerSettings:
     has_key_light: bool = False
     # Whether they say what was seen on the finer lattice of reflections, see `xihenet.light.reflections`.
     has_reflections: bool = False
+    # What becomes of the light in force until the next estimate: carried on as the room's light changes, see
+    # `xihenet.carried_light`, or kept as it was estimated, as in the paper.
+    between_estimates: BetweenEstimates = "kept"
+
+    def __post_init__(self) -> None:
+        if self.between_estimates not in get_args(BetweenEstimates):
+            raise ValueError(
+                f"ControllerSettings.between_estimates: expected 'carried' or 'kept', got {self.between_estimates!r}"
+            )
 
 
 class XiheController:
@@ -106,6 +117,7 @@ class XiheController:
             if position.reflected is not None and self.fine_lattice is not None:
                 moved_m = place - position.position_m
                 position.reflected = sample_again(position.reflected, moved_m, self.fine_lattice)
+            position.carried, position.seen = position.carried and position.carried.moved(), None
             position.position_m = place
 
     @property
@@ -114,8 +126,21 @@ class XiheController:
         return {name: position.position_m for name, position in self._positions.items()}
 
     def light(self, name: str) -> LightEstimate | None:
-        """The light in force at a position: its last valid estimate, or None before there is one."""
-        return self._positions[name].light
+        """The light in force at a position: its last valid estimate, or None before there is one.
+
+        Carried on to the last frame that the position has learned from, where the settings say so.
+        """
+        position = self._positions[name]
+        return position.light if position.carried is None else position.carried.light
+
+    def gain(self, name: str) -> ArrayF64:
+        """(3,) what the last estimate is multiplied by to be the light in force; 1 without one, and where kept."""
+        carried = self._positions[name].carried
+        return np.ones(3) if carried is None else carried.gain
+
+    def seen(self, name: str) -> UnitSphereCloud | None:
+        """What the last frame that a position has learned from showed of it; None before there was one."""
+        return self._positions[name].seen
 
     def coverage(self, name: str) -> float:
         """Share of a position's anchors that are known."""
@@ -193,7 +218,9 @@ class XiheController:
         with clock.stage("sample"):
             sampled = self._sample(points, position.position_m)
         with clock.stage("merge"):
-            position.buffers = position.buffers.with_frame(position.buffers.in_sight(sampled))
+            sampled = position.buffers.in_sight(sampled)
+            position.buffers = position.buffers.with_frame(sampled)
+            position.see(sampled, self.lattice)
 
     def _step_position(
         self, name: str, frame: RgbdFrame, points: PointCloud, truth_sh: ArrayF64 | None, clock: StageClock
@@ -212,6 +239,7 @@ class XiheController:
             )
             if not decision.fire and position.moved_m > MOVED_M and sampled.is_set.any():
                 decision = TriggerDecision(True, "moved", position.moved_m, MOVED_M)
+            position.see(sampled, self.lattice)
         estimate, payload, unknown_because = None, b"", "" if sampled.is_set.any() else "nothing_seen"
         invalid, n_followed = sampled.invalid, 0
         if decision.fire:
@@ -227,9 +255,10 @@ class XiheController:
             invalid = {**invalid, **self._clamped(followed.temporary, fired.persistent)}
             if estimate.is_valid:
                 estimate = self._with_others(estimate, fired.persistent, context, position.light)
-                estimate = replace(estimate, reflected=position.reflected)
+                estimate = replace(estimate, reflected=position.reflected, seen=sampled)
                 # Else what was seen is still unanswered, and the trigger goes on to ask.
                 buffers, position.light, position.lit_at_m = fired, estimate, position.position_m
+                position.carried = CarriedLight(estimate) if settings.between_estimates == "carried" else None
         position.buffers, position.decision = buffers, decision
         return StepReport(
             decision, estimate, clock.stage_ms, len(payload), buffers.coverage(), invalid, unknown_because, n_followed
@@ -315,6 +344,16 @@ class _Position:
     """Where the light in force was estimated."""
     reflected: UnitSphereCloud | None = None
     """All that was seen, on the finer lattice of reflections."""
+    carried: CarriedLight | None = None
+    """The light in force, where the session carries it on to the next estimate."""
+    seen: UnitSphereCloud | None = None
+    """The last frame, of which a position has learned."""
+
+    def see(self, sampled: UnitSphereCloud, lattice: AnchorLattice) -> None:
+        """Have the light in force go on to a frame."""
+        before, self.seen = self.seen, sampled
+        if self.carried is not None:
+            self.carried = self.carried.after(sampled, before, lattice.directions)
 
     @property
     def moved_m(self) -> float:

@@ -392,6 +392,7 @@ class LightEstimate:
     key : the key light that is a part of it; None for none, and where the session asks for none
     other_keys : the key lights that are a part of `others`, of those that have one
     reflected : what was seen so far, on the finer lattice of reflections; None where nobody asked for it
+    seen : what the estimate's frame alone showed, see `xihenet.carried_light`; None where nobody knows
     """
 
     sh_radiance: ArrayF64
@@ -405,6 +406,7 @@ class LightEstimate:
     key: KeyLight | None = None
     other_keys: Mapping[str, KeyLight] = field(default_factory=dict)
     reflected: UnitSphereCloud | None = None
+    seen: UnitSphereCloud | None = None
 
     def __post_init__(self) -> None:
         _keep(self, np.float64, sh_radiance=(9, 3))

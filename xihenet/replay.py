@@ -10,6 +10,7 @@ import numpy as np
 from xihenet.backend import InferenceBackend, LocalBackend
 from xihenet.camera import in_view
 from xihenet.captures.capture import Capture
+from xihenet.carried_light import BetweenEstimates
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.estimators import Estimator
 from xihenet.records import ArrayF64, ObjectLight, RgbdFrame, StepReport, UnitSphereCloud
@@ -23,14 +24,16 @@ REPLAY_TRIGGER = TriggerSettings(theta=0.005, ignored_share=0.25)
 class ReplayedStep:
     """What one frame brought: reports by position, and what is known there after it.
 
-    `lights` are those in force, none before the first valid one; `known` gives what the session knows of a position
-    when it is asked, which may be after later steps.
+    `lights` are those in force, none before the first valid one, and `gains` (3,) what their estimates were multiplied
+    by to carry them here, see `xihenet.carried_light`; `known` gives what the session knows of a position when it is
+    asked, which may be after later steps.
     """
 
     frame: int
     time_s: float
     reports: Mapping[str, StepReport]
     lights: Mapping[str, ObjectLight]
+    gains: Mapping[str, ArrayF64]
     known: Callable[[str], UnitSphereCloud]
 
 
@@ -43,6 +46,7 @@ def replay(
     has_key_light: bool = False,
     reference_exposure: float | None = None,
     never_in_view: Collection[str] = (),
+    between_estimates: BetweenEstimates = "carried",
 ) -> Iterator[ReplayedStep]:
     """The steps of a session over `frames`, read as they come, with positions (3,) in their world, metres, by name.
 
@@ -51,20 +55,23 @@ def replay(
     that of the first frame if it is None.
     """
     settings = ControllerSettings(
-        trigger, reference_exposure=reference_exposure, learns_out_of_view=True, has_key_light=has_key_light
+        trigger,
+        reference_exposure=reference_exposure,
+        learns_out_of_view=True,
+        has_key_light=has_key_light,
+        between_estimates=between_estimates,
     )
     backend = LocalBackend(estimator) if isinstance(estimator, Estimator) else estimator
     session = XiheController(backend, settings)
     for name, position_m in positions_m.items():
         session.add_position(name, np.asarray(position_m, np.float64))
-    lights: dict[str, ObjectLight] = {}
     for seen in frames:
         in_view = session.active(seen.intrinsics, seen.world_from_camera)
         reports = session.step(seen, active=[name for name in positions_m if name in in_view or name in never_in_view])
-        for name, report in reports.items():
-            if report.estimate is not None and report.estimate.is_valid:
-                lights[name] = ObjectLight(report.estimate.sh_radiance, report.estimate.key)
-        yield ReplayedStep(seen.frame, seen.time_s, reports, dict(lights), session.known)
+        lights = {name: light for name in positions_m if (light := session.light(name)) is not None}
+        gains = {name: session.gain(name) for name in lights}
+        in_force = {name: ObjectLight(light.sh_radiance, light.key) for name, light in lights.items()}
+        yield ReplayedStep(seen.frame, seen.time_s, reports, in_force, gains, session.known)
 
 
 def never_in_view(capture: Capture, positions_m: Mapping[str, ArrayF64]) -> list[str]:

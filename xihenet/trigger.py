@@ -203,7 +203,7 @@ def _change_of_light(
     common, change = previous.is_set & current.is_set, _mean_square(current.srgb - previous.srgb)
     if settings.theta == 0:  # Any change at all: this is how a chain is made to estimate in every frame.
         return common, change
-    turned = common & _seen_from_another_angle(previous, current, directions, settings.view_angle_deg)
+    turned = common & seen_from_another_angle(previous, current, directions, settings.view_angle_deg)
     if not turned.any():
         return common, change
     change[turned] = _change_by_the_light(previous, current, settings, last_seen)[turned]
@@ -212,7 +212,7 @@ def _change_of_light(
     return common & (~turned | is_same_surface), change
 
 
-def _seen_from_another_angle(
+def seen_from_another_angle(
     previous: UnitSphereCloud, current: UnitSphereCloud, directions: ArrayF64, angle_deg: float
 ) -> ArrayBool:
     """(N,) surfaces of `current` around which the camera went by more than `angle_deg` since `previous`.

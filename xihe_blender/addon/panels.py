@@ -130,6 +130,7 @@ class XIHE_PT_camera_path(StagePanel, bpy.types.Panel):
         if settings.phone == "FILE":
             column.prop(settings, "phone_file", text="File")
         column.prop(settings, "network")
+        column.prop(settings, "carries_light")
 
 
 class XIHE_PT_picture(StagePanel, bpy.types.Panel):

@@ -141,6 +141,11 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         description="Capture frames with no virtual object in view as well: the phone sees the room's lights there",
         default=True,
     )
+    carries_light: bpy.props.BoolProperty(
+        name="Carry Light",
+        description="Until the next estimate, change the light in force as the light in view changes; else keep it",
+        default=True,
+    )
     phone_name: bpy.props.StringProperty(
         name="Phone Name", description="Phone chosen for this scene; empty for that of the preferences"
     )

@@ -58,6 +58,7 @@ def choices_of_run(scene: bpy.types.Scene) -> dict[str, Any]:
         "size": tuple(chosen.size) if chosen.use_own_size else None,
         "frames": chosen_frames(scene),
         "captured": "path" if chosen.captures_path else "in-view",
+        "between_estimates": "carried" if chosen.carries_light else "kept",
         "exposure": chosen.exposure if chosen.use_own_exposure else None,
         "metering": None if chosen.metering == PHONES_METERING else chosen.metering,
         "seed": chosen.seed,

@@ -102,6 +102,9 @@ def one_of(names: Iterable[str]) -> str:
 BACKEND = (
     "estimate by the edge service at this address, such as http://127.0.0.1:8550, in place of here; see xihe serve"
 )
+BETWEEN = (
+    "light in force until the next estimate: carried, as the light in view changes (default), or kept as estimated"
+)
 EFFECT = "simulate an effect or leave it out, whatever the scene needs; may be repeated, is not saved"
 ESTIMATORS = one_of(estimators.names())
 FRAMES = "frames of the path; default: the scene's range and step"

@@ -29,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--target", arguments.TARGET, choices=("ldr", "hdr"), default="hdr")
     add("--light PARTS", arguments.LIGHT + AUTO, default="auto")
     add("--metering NAME", "highlights, as phones do, or key; default: the phone's own")
+    add("--between-estimates carried|kept", arguments.BETWEEN, default="carried")
     add("--network NAME", arguments.NETWORK)
     add("--effect NAME=on|off|auto", arguments.EFFECT, dest="overrides", action="append", default=[])
     add_one = arguments.adder(parser.add_mutually_exclusive_group())

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from xihe_blender.cli.arguments import BACKEND, add_recording, adder, one_of
+from xihe_blender.cli.arguments import BACKEND, BETWEEN, add_recording, adder, one_of
 from xihe_blender.cli.estimate import position
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import finite_or_none, write_json, written_whole
@@ -22,6 +22,7 @@ from xihenet.captures import READERS, open_capture
 from xihenet.captures.capture import Capture
 from xihenet.captures.checks import steadied, suspicion
 from xihenet.captures.drift import Drift
+from xihenet.carried_light import BetweenEstimates
 from xihenet.edge.client import EdgeBackend, backend_at
 from xihenet.estimators import Estimator
 from xihenet.invalid import added, n_left_out
@@ -75,6 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--every N", "take every N-th frame; default: 1", int, default=1)
     add("--estimator NAME", one_of(n for n in estimators.names() if n != "truth"), default=estimators.DEFAULT)
     add("--backend URL", BACKEND)
+    add("--between-estimates", BETWEEN, choices=("carried", "kept"), default="carried")
     add("--target", "hdr: all of the light; ldr: light clipped at white", choices=("ldr", "hdr"), default="hdr")
     add("--to TARGET", "write the lights for an engine as well, as xihe export does", choices=tuple(PLATFORMS))
 
@@ -91,7 +93,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         capture, drift = _prepared(options)
         places = [Place(f"place_{number}", at) for number, at in enumerate(options.at)]
         unseen = never_in_view(capture, _positions(capture, places))
-        steps = list(_replayed(capture, places, unseen, estimator)) if places else []
+        steps = list(_replayed(capture, places, unseen, estimator, options.between_estimates)) if places else []
         score = _score(capture, places, options) if options.score else None
     except (ValueError, ImportError) as error:
         raise UserError(str(error)) from error
@@ -171,7 +173,11 @@ def _positions(capture: Capture, places: Sequence[Place]) -> dict[str, ArrayF64]
 
 
 def _replayed(
-    capture: Capture, places: Sequence[Place], unseen: Collection[str], estimator: Estimator | EdgeBackend
+    capture: Capture,
+    places: Sequence[Place],
+    unseen: Collection[str],
+    estimator: Estimator | EdgeBackend,
+    between_estimates: BetweenEstimates,
 ) -> Iterator[dict[str, Any]]:
     """Per frame what is written of it; fills the places."""
     last: ReplayedStep | None = None
@@ -183,6 +189,7 @@ def _replayed(
         has_key_light=True,
         reference_exposure=capture.reference_exposure,
         never_in_view=unseen,
+        between_estimates=between_estimates,
     ):
         last = step
         for place in places:
@@ -192,7 +199,12 @@ def _replayed(
             "time_s": step.time_s,
             "stage_ms": _summed([report.stage_ms for report in step.reports.values()]),
             "positions": {
-                name: {"fired": report.decision.fire, "reason": report.decision.reason, "coverage": report.coverage}
+                name: {
+                    "fired": report.decision.fire,
+                    "reason": report.decision.reason,
+                    "coverage": report.coverage,
+                    "light_gain": step.gains[name].tolist() if name in step.gains else None,
+                }
                 for name, report in step.reports.items()
             },
         }
@@ -248,6 +260,7 @@ def _write(
         "reference_exposure": capture.reference_exposure,
         "estimator": options.estimator,
         "backend": options.backend,
+        "between_estimates": options.between_estimates,
         "target": options.target,
         "sh_axes": "right-handed, +Z up",
         "positions": [

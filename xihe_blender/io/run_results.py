@@ -18,6 +18,7 @@ from typing import Annotated, Literal
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import ABSENT, INLINE, Parameters, Plain, from_json, json_schema
+from xihenet.carried_light import BetweenEstimates
 from xihenet.json_files import read_json
 from xihenet.light import LightParts
 
@@ -121,6 +122,7 @@ class RunSettings:
     metering: Annotated[str | None, "how it was found; None where it was given"] = None
     trigger: Annotated[dict[str, Plain], "numbers of the trigger, with noise added to theta"]
     following: Annotated[dict[str, Plain] | None, "numbers of light that follows; None where none does"] = None
+    between_estimates: Annotated[BetweenEstimates, "as in the command line"] = "kept"
     samples: Annotated[SampleCounts, "see there"]
     noise_target: Annotated[float | None, "what was aimed at; None where the number of samples was given"] = None
     noise: Annotated[NoiseLevels, "see there"]
@@ -189,6 +191,9 @@ class ProbeResult:
     unknown_because: Annotated[str | None, "why, else None"] = None
     light_frame: Annotated[int | None, "whose estimate is in force; None for the ambient light"] = None
     n_followed_anchors: Annotated[int, "directions out of view that were changed as the light in view was"] = 0
+    light_gain: Annotated[
+        Rgb, "what that estimate is multiplied by, by channel, as the light in view has changed since its frame"
+    ] = (1.0, 1.0, 1.0)
     payload_bytes: Annotated[int, "sent; 0 where nothing fired"]
     arrival_frame: Annotated[int | None, "first at or after the arrival; None also where the path ends before"] = None
     latency_ms: Annotated[float | None, "from trigger to arrival; None without an estimate or where it was lost"] = None
@@ -345,6 +350,7 @@ class Summary:
     n_invalid_pixels: Annotated[int, "sum"] = 0
     n_invalid_points: Annotated[int, "sum"] = 0
     n_followed_anchors: Annotated[int, "sum"] = 0
+    n_carried_lights: Annotated[int, "with a `light_gain`, over positions and frames"] = 0
     n_unknown_lights: Annotated[int, "sum"] = 0
     invalid: Annotated[InvalidCounts, "sums"]
     render_s: Annotated[float, "of captures and light probes"]

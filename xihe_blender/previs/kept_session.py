@@ -168,5 +168,6 @@ def _settings_of(results: RunResults) -> PrevisSettings:
         captured=of_run.captured,
         trigger=TriggerSettings(**of_run.trigger),  # type: ignore[arg-type]
         following=following,
+        between_estimates=of_run.between_estimates,
         network=of_run.network,
     )

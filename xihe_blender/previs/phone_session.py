@@ -15,6 +15,7 @@ from xihe_blender.previs.plan import PrevisPlan
 from xihe_blender.previs.settings import PrevisSettings
 from xihenet import estimators
 from xihenet.backend import LocalBackend
+from xihenet.carried_light import BLEND_S, CarriedLight, blended
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.estimators import EstimateContext, Estimator
 from xihenet.light.key_light import mean_light
@@ -52,6 +53,11 @@ class PhoneSession:
         self.unseen = UnitSphereCloud.empty(settings.n_anchors)
         self.ambient_sh = np.zeros((9, 3))
         """Of the last frame."""
+        self.is_carried = settings.between_estimates == "carried"
+        self._carried: dict[str, dict[int, CarriedLight]] = {probe.name: {} for probe in plan.probes}
+        """By position and frame of the estimate, of those in force or still under way; empty where light is kept."""
+        self._seen: dict[str, UnitSphereCloud] = {}
+        """What the lights of a position have been carried on to."""
         self._filled: dict[tuple[str, str | None], tuple[bytes, Reflections]] = {}
         """The last reflections by position and other estimator, and what they were filled with."""
 
@@ -66,59 +72,107 @@ class PhoneSession:
         """
         for name, probe in self.probes.items():
             if name in active or self.controller.settings.learns_out_of_view:
-                self.controller.move_position(name, probe.at(seen.frame))
+                self._move(name, probe.at(seen.frame))
         reports = self.controller.step(seen, truth, active=active, points=points)
+        self._carry(seen.time_s)
         requests = {}
         for name, report in reports.items():
             if report.estimate is not None:
                 requests[name] = self.under_way.ask(
                     name, report.estimate, frame=seen.frame, asked_s=seen.time_s, payload_bytes=report.payload_bytes
                 )
+                if self.is_carried and report.estimate.is_valid:
+                    self._carried[name][seen.frame] = CarriedLight(report.estimate)
         context = EstimateContext(frame=seen, reference_exposure=self.exposure)
         self.ambient_sh = self.ambient.estimate(self.unseen, context)
         return reports, requests
 
+    def _move(self, name: str, place_m: ArrayF64) -> None:
+        if not np.array_equal(place_m, self.controller.positions[name]):
+            self._carried[name] = {frame: one.moved() for frame, one in self._carried[name].items()}
+            self._seen.pop(name, None)
+        self.controller.move_position(name, place_m)
+
+    def _carry(self, time_s: float) -> None:
+        """Have the light of all positions that the last frame was sampled at go on to it."""
+        directions = self.controller.lattice.directions
+        for name, lights in self._carried.items():
+            last, seen = self.under_way.in_force(name, time_s), self.controller.seen(name)
+            if seen is None or seen is self._seen.get(name):
+                continue
+            before, self._seen[name] = self._seen.get(name), seen
+            wanted = {request.frame for _, request in self.under_way.shares(name, time_s, BLEND_S)}
+            since = last.frame if last else None
+            kept = {f: one for f, one in lights.items() if f in wanted or since is None or f > since}
+            self._carried[name] = {frame: one.after(seen, before, directions) for frame, one in kept.items()}
+
     def light(self, name: str, time_s: float, other: str | None = None) -> ArrayF64:
         """(9, 3) the light in force at a position: its last valid estimate that arrived, until then the ambient one.
 
-        With `other`, what the estimator of that name said beside it, ambient where it could not know.
+        With `other`, what the estimator of that name said beside it, ambient where it could not know. Where light is
+        carried between estimates it has gone on to the last frame, and a late one blends in, see `carried_light`.
         """
-        request = self.under_way.in_force(name, time_s)
-        if request is None:
-            return self.ambient_sh
-        return request.estimate.sh_radiance if other is None else request.estimate.others.get(other, self.ambient_sh)
+        return self._light_at(name, time_s, other).sh
 
     def object_light(self, names: Sequence[str], time_s: float, other: str | None = None) -> ObjectLight:
         """The light in force of an object, of which `names` are the positions: their mean, and its key light.
 
         `other` as of `light`; the ambient light has no key light. Reflections, where the session has them, are those at
-        the first of the positions.
+        the first of the positions; they are carried, and of a late estimate they come at once.
         """
-        lights = []
-        for name in names:
-            request, key = self.under_way.in_force(name, time_s), None
-            if request is not None:
-                key = request.estimate.key if other is None else request.estimate.other_keys.get(other)
-            lights.append(ObjectLight(self.light(name, time_s, other), key))
-        return self._with_reflections(mean_light(lights), names[0], time_s, other)
+        light = mean_light([self._light_at(name, time_s, other) for name in names])
+        return self._with_reflections(light, names, time_s, other)
 
-    def _with_reflections(self, light: ObjectLight, name: str, time_s: float, other: str | None) -> ObjectLight:
-        lattice, request = self.controller.fine_lattice, self.under_way.in_force(name, time_s)
+    def _light_at(self, name: str, time_s: float, other: str | None) -> ObjectLight:
+        if not self.is_carried:
+            return self._light_of(self.under_way.in_force(name, time_s), other)
+        shares = self.under_way.shares(name, time_s, BLEND_S)
+        if not shares:
+            return ObjectLight(self.ambient_sh)
+        each = [replace(one, estimate=self._carried[name][one.frame].light) for _, one in shares]
+        return blended([(share, self._light_of(one, other)) for (share, _), one in zip(shares, each, strict=True)])
+
+    def _light_of(self, request: Request | None, other: str | None) -> ObjectLight:
+        """What a request brought."""
+        if request is None:
+            return ObjectLight(self.ambient_sh)
+        estimate = request.estimate
+        if other is None:
+            return ObjectLight(estimate.sh_radiance, estimate.key)
+        return ObjectLight(estimate.others.get(other, self.ambient_sh), estimate.other_keys.get(other))
+
+    def _with_reflections(
+        self, light: ObjectLight, names: Sequence[str], time_s: float, other: str | None
+    ) -> ObjectLight:
+        """Filled once for each estimate, and carried from there."""
+        lattice, name = self.controller.fine_lattice, names[0]
         if lattice is None:
             return light
+        request = self.under_way.in_force(name, time_s)
+        estimated = mean_light([self._light_of(self.under_way.in_force(one, time_s), other) for one in names])
         cloud = UnitSphereCloud.empty(len(lattice))
         if request is not None and request.estimate.reflected is not None:
             cloud = request.estimate.reflected
-        made_of = light.tobytes() + (b"" if request is None else str(request.frame).encode())
+        made_of = estimated.tobytes() + (b"" if request is None else str(request.frame).encode())
         kept = self._filled.get((name, other))
         if kept is None or kept[0] != made_of:
-            kept = self._filled[name, other] = made_of, fill_reflections(cloud, lattice, light)
-        return replace(light, reflections=kept[1])
+            kept = self._filled[name, other] = made_of, fill_reflections(cloud, lattice, estimated)
+        gain, reflections = self.gain(name, time_s), kept[1]
+        if (gain != 1).any():
+            reflections = replace(reflections, radiance=reflections.radiance * gain.astype(np.float32))
+        return replace(light, reflections=reflections)
+
+    def gain(self, name: str, time_s: float) -> ArrayF64:
+        """(3,) by what the last estimate that arrived at a position is multiplied; 1 without one, and where kept."""
+        request = self.under_way.in_force(name, time_s)
+        return self._carried[name][request.frame].gain if request is not None and self.is_carried else np.ones(3)
 
     def expected_error(self, name: str, time_s: float) -> float | None:
         """SHC RMSE that the estimator expects of the light in force; None for the ambient one, or if it says none."""
         request = self.under_way.in_force(name, time_s)
-        return None if request is None else request.estimate.expected_error
+        if request is None or not self.is_carried:
+            return None if request is None else request.estimate.expected_error
+        return self._carried[name][request.frame].light.expected_error
 
     def light_frame(self, name: str, time_s: float) -> int | None:
         """The frame from which the light in force comes; None for the ambient one."""

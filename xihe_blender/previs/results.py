@@ -30,6 +30,7 @@ from xihenet.surfaces import Surface
 
 AS_SET = (
     "estimator", "others", "preset", "target", "light", "captured", "n_anchors", "seed", "phone", "network", "backend",
+    "between_estimates",
 )  # fmt: skip
 """Settings that results hold under the same names."""
 
@@ -261,6 +262,7 @@ def _summary(
         n_invalid_pixels=sum(frame.n_invalid_pixels for frame in captured),
         n_invalid_points=sum(probe.n_invalid_points for probe in probes),
         n_followed_anchors=sum(probe.n_followed_anchors for probe in probes),
+        n_carried_lights=sum(set(probe.light_gain) != {1.0} for probe in probes),
         n_unknown_lights=sum(not probe.is_valid for probe in probes),
         invalid=records.InvalidCounts(
             pixels=added(frame.invalid for frame in captured),

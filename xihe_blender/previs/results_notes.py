@@ -135,6 +135,19 @@ def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult]) -> Iterat
             f"At {format_frames(followed)} the light in view changed as a whole; directions out of view were scaled by "
             "the same factor, which is a guess."
         )
+    yield from carried_light_notes(frames)
+
+
+def carried_light_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
+    """When the light in force went on from its estimate, and how far."""
+    gains = {entry.frame: [gain for one in entry.probes for gain in one.light_gain] for entry in frames}
+    numbers = [frame for frame, of_frame in gains.items() if set(of_frame) - {1.0}]
+    if numbers:
+        least, most = (extreme(extreme(gains[frame]) for frame in numbers) for extreme in (min, max))
+        yield (
+            f"At {format_frames(numbers)} the light in view had changed since the frame of the estimate in force; that "
+            f"was carried on by the same factor, {least:.2f} to {most:.2f} by channel, until the next one was there."
+        )
 
 
 def unknown_light_notes(frames: Sequence[FrameResult]) -> Iterator[str]:

@@ -239,6 +239,7 @@ class _Walk:
             unknown_because=report.unknown_because or None,
             light_frame=self.session.light_frame(probe.name, time_s),
             n_followed_anchors=report.n_followed_anchors,
+            light_gain=results.as_rgb(self.session.gain(probe.name, time_s)),
             payload_bytes=report.payload_bytes,
             arrival_frame=arrival_frame,
             latency_ms=latency_ms,

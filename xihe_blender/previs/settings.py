@@ -20,6 +20,7 @@ from xihe_blender.capture.scanner import METERING_SAMPLES
 from xihe_blender.errors import UserError
 from xihe_blender.light_transport.overrides import checked
 from xihenet import estimators
+from xihenet.carried_light import BetweenEstimates
 from xihenet.edge.client import EdgeBackend, backend_at
 from xihenet.estimators import Estimator, Target
 from xihenet.light import LightChoice
@@ -98,6 +99,8 @@ class PrevisSettings:
     n_anchors : of the unit sphere
     trigger : when a new estimate is worth its cost
     following : how what is out of view follows a change of the light; None lets it be
+    between_estimates : "carried", so that the light in force changes as the light in view does until the next
+        estimate is there, or "kept" as it was estimated
     phone : name of a profile, or path of a user's TOML file; see docs/phone.md
     network : name of one of LINKS, over which estimates are asked for; None lets them arrive in their own frame
     backend : address of an edge service that estimates in place of this process; None for none
@@ -121,6 +124,7 @@ class PrevisSettings:
     samples: int | None = None
     trigger: TriggerSettings = field(default_factory=lambda: PREVIS_TRIGGER)
     following: LightFollowing | None = field(default_factory=LightFollowing)
+    between_estimates: BetweenEstimates = "carried"
     phone: str = "perfect"
     network: str | None = None
     backend: str | None = None
@@ -136,6 +140,7 @@ class PrevisSettings:
             ("metering", self.metering, METERINGS),
             ("captured", self.captured, get_args(Captured)),
             ("light", self.light, get_args(LightChoice)),
+            ("between-estimates", self.between_estimates, get_args(BetweenEstimates)),
         ):
             if name is not None and name not in known:
                 raise UserError(f"there is no {kind} {name!r}: choose one of {', '.join(known)}")

@@ -50,6 +50,11 @@ def write_replay_report(
 def _opening(content: Mapping[str, Any]) -> str:
     said = f"{format_count(len(content['frames']), 'frame')}, light by <code>{escape(content['estimator'])}</code>, "
     said += "all of it" if content["target"] == "hdr" else "clipped at white"
+    moments = [one["light_gain"] for frame in content["frames"] for one in frame["positions"].values()]
+    n_carried = sum(gain is not None and set(gain) != {1.0} for gain in moments)
+    if n_carried:
+        said += f". {format_count(n_carried, 'time')} the light in view had changed since the last estimate, which was "
+        said += "carried on by the same factor until the next one was there"
     return f"<p>{said}. {' '.join(escape(note) for note in content['notes'])}</p>"
 
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -159,6 +159,34 @@ class EstimatesUnderWay:
         """What lights a position at `time_s`: the valid estimate that was asked for last, of those there, or None."""
         there = [r for r in self._requests.get(name, ()) if r.estimate.is_valid and r.arrival_s <= time_s]
         return max(there, key=lambda request: request.asked_s) if there else None
+
+    def shares(self, name: str, time_s: float, blend_s: float) -> list[tuple[float, Request]]:
+        """What lights a position at `time_s` where late estimates take `blend_s` to replace those before: with shares.
+
+        The youngest comes first, and all shares add up to 1; none before there is a valid estimate. An estimate that
+        arrives in its own frame, and the first one, has all of it at once; after `blend_s` every one has.
+        """
+        left, found = 1.0, []
+        for request in self._there(name, time_s):
+            is_there = request.arrival_s <= request.asked_s or blend_s == 0
+            share = left if is_there else left * min(1.0, (time_s - request.arrival_s) / blend_s)
+            found.append((share, request))
+            left -= share
+            if left <= 0:
+                return found
+        if found:  # Before the first one there was none to blend with.
+            share, first = found.pop()
+            found.append((share + left, first))
+        return [(share, request) for share, request in found if share > 0]
+
+    def _there(self, name: str, time_s: float) -> Iterator[Request]:
+        """The valid estimates that have been in force up to `time_s`, the last one first."""
+        there = [r for r in self._requests.get(name, ()) if r.estimate.is_valid and r.arrival_s <= time_s]
+        earliest_s = math.inf
+        for request in sorted(there, key=lambda request: request.asked_s, reverse=True):
+            if request.arrival_s < earliest_s:  # Else a younger one was there before it.
+                earliest_s = request.arrival_s
+                yield request
 
     def _rng(self, name: str, frame: int) -> np.random.Generator:
         """By the position's name, so that one position more leaves the others' luck alone."""
