@@ -18,7 +18,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihenet.backend import LightBackend, as_inference_backend, estimate_light
+from xihenet.backend import LightBackend, as_inference_backend, estimate_light, estimate_lights
 from xihenet.buffers import PositionBuffers, merge
 from xihenet.camera import in_view, unproject_frame
 from xihenet.carried_light import BetweenEstimates, CarriedLight
@@ -193,10 +193,12 @@ class XiheController:
             with clock.stage("unproject"):
                 points = unproject_frame(frame, reference_exposure=self.reference_exposure)
         self._reflect([*active, *learning], points, clock)
-        reports = {}
+        looks = []
         for name in active:
-            reports[name] = self._step_position(name, frame, points, (truth or {}).get(name), clock)
+            looks.append(self._look(name, frame, points, (truth or {}).get(name), clock))
             clock = StageClock()
+        self._ask([look for look in looks if look.context is not None])
+        reports = {name: self._answered(look) for name, look in zip(active, looks, strict=True)}
         for name in learning:
             self._learn(name, points, clock)
         self.out_of_view_ms = clock.stage_ms
@@ -222,9 +224,10 @@ class XiheController:
             position.buffers = position.buffers.with_frame(sampled)
             position.see(sampled, self.lattice)
 
-    def _step_position(
+    def _look(
         self, name: str, frame: RgbdFrame, points: PointCloud, truth_sh: ArrayF64 | None, clock: StageClock
-    ) -> StepReport:
+    ) -> _Look:
+        """Take the frame in at an active position, and get ready to ask for its light if the trigger fires."""
         position, settings = self._positions[name], self.settings
         with clock.stage("sample"):
             sampled = self._sample(points, position.position_m)
@@ -240,28 +243,53 @@ class XiheController:
             if not decision.fire and position.moved_m > MOVED_M and sampled.is_set.any():
                 decision = TriggerDecision(True, "moved", position.moved_m, MOVED_M)
             position.see(sampled, self.lattice)
-        estimate, payload, unknown_because = None, b"", "" if sampled.is_set.any() else "nothing_seen"
-        invalid, n_followed = sampled.invalid, 0
+        look = _Look(position, sampled, decision, clock, buffers)
         if decision.fire:
             with clock.stage("merge"):
-                followed, n_followed = self._following(position.buffers, sampled)
+                look.followed, look.n_followed = self._following(position.buffers, sampled)
             with clock.stage("encode"):
-                payload = encode_cloud(followed.temporary, settings.codec)
-            context = EstimateContext(frame, points, position.position_m, truth_sh, self.reference_exposure)
-            with clock.stage("estimate"):
-                fired = followed.fired()
-                estimate = self._with_key(self._estimate(fired.persistent, context), fired.persistent, position.light)
-            unknown_because = estimate.unknown_because
-            invalid = {**invalid, **self._clamped(followed.temporary, fired.persistent)}
-            if estimate.is_valid:
-                estimate = self._with_others(estimate, fired.persistent, context, position.light)
-                estimate = replace(estimate, reflected=position.reflected, seen=sampled)
-                # Else what was seen is still unanswered, and the trigger goes on to ask.
-                buffers, position.light, position.lit_at_m = fired, estimate, position.position_m
-                position.carried = CarriedLight(estimate) if settings.between_estimates == "carried" else None
+                look.payload = encode_cloud(look.followed.temporary, settings.codec)
+            look.context = EstimateContext(frame, points, position.position_m, truth_sh, self.reference_exposure)
+            look.fired = look.followed.fired()
         position.buffers, position.decision = buffers, decision
+        return look
+
+    def _ask(self, looks: Sequence[_Look]) -> None:
+        """Ask for the light of all positions that fired in a frame, together; each has its share of the time."""
+        whole = StageClock()
+        with whole.stage("estimate"):
+            clouds = [look.fired.persistent for look in looks]
+            contexts = [look.context for look in looks if look.context is not None]
+            lights = estimate_lights(self.backend, clouds, contexts, self.reference_exposure or 1.0)
+        for look, light in zip(looks, lights, strict=True):
+            look.clock.stage_ms["estimate"] = whole.stage_ms["estimate"] / len(looks)
+            look.estimate = light
+
+    def _answered(self, look: _Look) -> StepReport:
+        """After the answer, if one was asked for: the light in force, and what was done."""
+        position, invalid = look.position, look.sampled.invalid
+        estimate, unknown_because = look.estimate, "" if look.sampled.is_set.any() else "nothing_seen"
+        if estimate is not None and look.context is not None:
+            cloud = look.fired.persistent
+            with look.clock.stage("estimate"):
+                estimate = self._with_key(estimate, cloud, position.light)
+            unknown_because = estimate.unknown_because
+            invalid = {**invalid, **self._clamped(look.followed.temporary, cloud)}
+            if estimate.is_valid:
+                estimate = self._with_others(estimate, cloud, look.context, position.light)
+                estimate = replace(estimate, reflected=position.reflected, seen=look.sampled)
+                position.buffers, position.light, position.lit_at_m = look.fired, estimate, position.position_m
+                position.carried = CarriedLight(estimate) if self.settings.between_estimates == "carried" else None
+            # Else what was seen is still unanswered, and the trigger goes on to ask.
         return StepReport(
-            decision, estimate, clock.stage_ms, len(payload), buffers.coverage(), invalid, unknown_because, n_followed
+            look.decision,
+            estimate,
+            look.clock.stage_ms,
+            len(look.payload),
+            position.buffers.coverage(),
+            invalid,
+            unknown_because,
+            look.n_followed,
         )
 
     def _sample(self, points: PointCloud, position_m: ArrayLike) -> UnitSphereCloud:
@@ -359,6 +387,27 @@ class _Position:
     def moved_m(self) -> float:
         """How far that is from here; 0 without a light."""
         return 0.0 if self.lit_at_m is None else float(np.linalg.norm(self.position_m - self.lit_at_m))
+
+
+@dataclass
+class _Look:
+    """A frame at one active position: what it showed, whether it calls for an estimate, and that."""
+
+    position: _Position
+    sampled: UnitSphereCloud
+    decision: TriggerDecision
+    clock: StageClock
+    followed: PositionBuffers
+    """With the frame, and as it is with what is out of view changed as the light did where the trigger fired."""
+    n_followed: int = 0
+    payload: bytes = b""
+    context: EstimateContext | None = None
+    """None where nothing is asked for."""
+    fired: PositionBuffers = field(init=False)
+    estimate: LightEstimate | None = None
+
+    def __post_init__(self) -> None:
+        self.fired = self.followed
 
 
 class StageClock:

@@ -16,7 +16,7 @@ from addon_tests.pure.edge_servers import NEEDS_TORNADO, DelayingProxy, EdgeServ
 from addon_tests.pure.made import frame_of, random_cloud
 from addon_tests.pure.recordings import seen, walk
 from xihenet import estimators
-from xihenet.backend import InferenceBackend, LocalBackend, NoAnswer, estimate_light
+from xihenet.backend import InferenceBackend, LocalBackend, NoAnswer, estimate_light, estimate_lights
 from xihenet.camera import unproject_frame
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.edge.batching import Inference
@@ -327,3 +327,57 @@ def test_positions_of_one_session_do_not_mix(server, backend_to):
             session.step(frame, active=["a", "b"])
     for name in "ab":
         assert shc_rmse(*(session.light(name).sh_radiance for session in sessions)) < 1e-3
+
+
+# ------------------------------------------------------------------------------------------------------------ together
+
+
+@pytest.mark.parametrize("n", [1, 2, 4, 7])
+def test_what_is_asked_for_together_is_what_comes_one_after_the_other(server, backend_to, n):
+    rng, backend = np.random.default_rng(n), backend_to(server)
+    clouds = [random_cloud(rng, N, share) for share in rng.uniform(0.1, 1, n)]
+    clouds[-1] = UnitSphereCloud.empty(N) if n == 7 else clouds[-1]
+    contexts = [EstimateContext(reference_exposure=1.0)] * n
+    together = estimate_lights(backend, clouds, contexts, 1.0)
+    for cloud, context, light in zip(clouds, contexts, together, strict=True):
+        alone = estimate_light(backend, cloud, context, 1.0)
+        np.testing.assert_allclose(light.sh_radiance, alone.sh_radiance, rtol=0, atol=1e-6)
+        assert (light.is_valid, light.unknown_because) == (alone.is_valid, alone.unknown_because)
+    assert light.is_valid == (n != 7)
+
+
+def test_several_positions_have_the_light_of_a_local_session_and_leave_no_session_behind(server):
+    before = server.service.store.counts()[0]
+    backend = EdgeBackend(f"http://127.0.0.1:{server.port}", N, patience=QUICK)
+    eager = ControllerSettings(TriggerSettings(theta=0.0, coverage_theta=0.0))
+    sessions = [XiheController(one, eager) for one in (backend, LocalBackend(estimators.load("lattice", N)))]
+    frames = walk(SMALL, 4)
+    names = [f"place {number}" for number in range(4)]
+    for session in sessions:
+        for number, name in enumerate(names):
+            session.add_position(name, (0.2 * number, 0.5, 0.8))
+    for i in range(4):
+        there, here = (session.step(frames[i], active=names) for session in sessions)
+        for name in names:
+            assert shc_rmse(there[name].estimate.sh_radiance, here[name].estimate.sh_radiance) < 1e-3
+            assert there[name].stage_ms["estimate"] > 0
+    assert server.service.store.counts()[0] == before + 4 and "16 answers" in backend.state()
+    backend.close()
+    assert server.service.store.counts()[0] == before
+
+
+def test_without_a_server_every_position_keeps_its_light():
+    with EdgeServer(inference=Inference("projection")) as server:
+        backend = EdgeBackend(f"http://127.0.0.1:{server.port}", N, patience=replace(QUICK, n_tries=1))
+        eager = ControllerSettings(TriggerSettings(theta=0.0, coverage_theta=0.0))
+        session = XiheController(backend, eager)
+        for number in range(3):
+            session.add_position(str(number), (0.2 * number, 0.5, 0.8))
+        frames = walk(SMALL, 2)
+        session.step(frames[0], active=["0", "1", "2"])
+        lights = {name: session.light(name) for name in session.positions}
+    for _ in range(2):
+        for report in session.step(frames[1], active=["0", "1", "2"]).values():
+            assert report.unknown_because == "no_answer"
+    assert all(session.light(name) is light for name, light in lights.items())
+    assert "the last light is kept" in backend.state()

@@ -1,6 +1,7 @@
 """`EdgeBackend`: an `InferenceBackend` whose light comes from an edge service.
 
-It speaks the clean form with the standard library's HTTP client, over one connection that stays open. Each request
+It speaks the clean form with the standard library's HTTP client, over one connection that stays open, and further ones
+where several positions ask in the same frame. Each request
 carries the whole cloud of the position and takes the place of what the server knew of it, so that the light is that of
 this cloud and of no other, a request can be sent again without harm, and a server that has forgotten everything needs
 no more than a new session. Rejected: sending what changed since the last answer, which saves bytes and loses all three.
@@ -19,11 +20,13 @@ import ssl
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
-from xihenet.backend import NoAnswer
+from xihenet.backend import Answer, NoAnswer
 from xihenet.codec import EncodingMethod, encode_cloud
 from xihenet.edge import protocol
 from xihenet.edge.axes import OUR_AXES, sh_from
@@ -34,6 +37,9 @@ from xihenet.records import ArrayF64, UnitSphereCloud
 
 POSITION = "phone"
 MOST_KEPT_TIMES = 1000
+MOST_TOGETHER = 4
+"""Requests under way at once: the server batches those of all clients, and a phone has few positions in view."""
+
 CONSTANT = 2 * np.sqrt(np.pi)  # The first coefficient of light of 1 from everywhere
 
 BEARER_VARIABLE = "XIHE_EDGE_BEARER"
@@ -63,6 +69,9 @@ class EdgeBackend:
     ) -> None:
         self.n_anchors, self.target, self.method = n_anchors, target, method
         self.connection = PatientConnection(url, patience or Patience(), bearer, tls)
+        self._bearer, self._tls = bearer, tls
+        self._beside: list[EdgeBackend] = []
+        """Others of its kind, for estimates that are asked for at the same time."""
         self._lock = threading.Lock()
         self._session: dict[str, str] | None = None
         self._sensor = Ambient(n_anchors, target)
@@ -103,6 +112,38 @@ class EdgeBackend:
             self.last_light = light
             return light
 
+    def estimate_together(
+        self, clouds: Sequence[UnitSphereCloud], contexts: Sequence[EstimateContext]
+    ) -> list[Answer | NoAnswer | NotFinite]:
+        """Of each cloud what `estimate_with_error` gives, or `NoAnswer` or `NotFinite`: requests are under way at once.
+
+        Each beyond the first goes over a connection, and by a session, of its own, which stay. ValueError as there,
+        after all have been answered.
+        """
+        n_beside = min(len(clouds), MOST_TOGETHER) - 1
+        if self.connection.is_resting() or n_beside < 1:
+            return [_answer(self, *one) for one in zip(clouds, contexts, strict=True)]
+        missing = n_beside - len(self._beside)
+        with ThreadPoolExecutor(n_beside + 1) as pool:
+            self._beside += [one for one in pool.map(lambda _: self._another(), range(missing)) if one is not None]
+            lines = [self, *self._beside[:n_beside]]
+            each = [lines[number % len(lines)] for number in range(len(clouds))]
+            return list(pool.map(_answer, each, clouds, contexts))
+
+    def _another(self) -> EdgeBackend | None:
+        """A backend like this one; None while the server does not answer, or has no room for more sessions."""
+        with contextlib.suppress(NoAnswer):
+            return EdgeBackend(
+                self.connection.url,
+                self.n_anchors,
+                self.target,
+                method=self.method,
+                patience=self.connection.patience,
+                bearer=self._bearer,
+                tls=self._tls,
+            )
+        return None
+
     def unknown_because(self, cloud: UnitSphereCloud, context: EstimateContext) -> str:
         """As the estimators say it, without asking the server."""
         sensed = context.frame is not None and context.frame.ambient is not None and self.name == "ambient"
@@ -114,17 +155,24 @@ class EdgeBackend:
         if link.lost_since is not None:
             lost_s = time.monotonic() - link.lost_since
             return f"no answer from {link.url} for {lost_s:.0f} s ({link.last_failure}); the last light is kept"
-        words = f"{self.name} at {link.url}, {self.n_answered} answers"
-        if self.times_s:
-            words += f" in {1e3 * float(np.median(self.times_s)):.1f} ms each"
-        if link.n_retries:
-            words += f", {link.n_retries} tries repeated"
-        if self.n_opened > 1:
-            words += f", {self.n_opened - 1} sessions lost and opened anew"
-        return words + (f", {link.n_failed} estimates without an answer" if link.n_failed else "")
+        lines = [self, *self._beside]
+        times_s = [time_s for line in lines for time_s in line.times_s]
+        n_retries, n_failed = (sum(getattr(o.connection, kind) for o in lines) for kind in ("n_retries", "n_failed"))
+        n_lost = sum(line.n_opened - 1 for line in lines)
+        words = f"{self.name} at {link.url}, {sum(line.n_answered for line in lines)} answers"
+        if times_s:
+            words += f" in {1e3 * float(np.median(times_s)):.1f} ms each"
+        if n_retries:
+            words += f", {n_retries} tries repeated"
+        if n_lost:
+            words += f", {n_lost} sessions lost and opened anew"
+        return words + (f", {n_failed} estimates without an answer" if n_failed else "")
 
     def close(self) -> None:
         """Have the server forget the session, if it can be reached, and close the connection."""
+        for one in self._beside:
+            one.close()
+        self._beside = []
         with self._lock:
             if self._session is not None and self.connection.lost_since is None:
                 path = f"{protocol.SESSIONS}/{self._session['session']}"
@@ -188,6 +236,13 @@ def backend_at(url: str, estimator: str, n_anchors: int, target: Target) -> Edge
         backend.close()
         raise ValueError(f"the server at {url} estimates with {backend.name}: give --estimator {backend.name}")
     return backend
+
+
+def _answer(backend: EdgeBackend, cloud: UnitSphereCloud, context: EstimateContext) -> Answer | NoAnswer | NotFinite:
+    try:
+        return backend.estimate_with_error(cloud, context)
+    except (NoAnswer, NotFinite) as error:
+        return error
 
 
 def _light_of(answer: dict[str, Any]) -> tuple[ArrayF64, float | None]:
