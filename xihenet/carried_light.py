@@ -24,7 +24,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 
@@ -33,9 +32,6 @@ from xihenet.light.key_light import LUMINANCE, mean_light
 from xihenet.light_change import ENCODED_BRIGHTEST, ENCODED_DARKEST, LightFollowing, light_change
 from xihenet.records import ArrayBool, ArrayF64, KeyLight, LightEstimate, ObjectLight, UnitSphereCloud
 from xihenet.trigger import MOST_UNCHANGED, SMALLEST_STOPS, seen_from_another_angle
-
-BetweenEstimates = Literal["carried", "kept"]
-"""What becomes of the light in force between estimates."""
 
 CHANGE = LightFollowing(smallest_stops=0.02, agreeing_share=0.8, same_distance=0.05)
 """Which change of the light is followed: docs/trigger.md says what it was chosen by."""

@@ -21,10 +21,11 @@ from numpy.typing import ArrayLike
 from xihenet.backend import LightBackend, as_inference_backend, estimate_light, estimate_lights
 from xihenet.buffers import PositionBuffers, merge
 from xihenet.camera import in_view, unproject_frame
-from xihenet.carried_light import BetweenEstimates, CarriedLight
+from xihenet.carried_light import CarriedLight
 from xihenet.codec import EncodingMethod, encode_cloud, n_clamped_distances
 from xihenet.estimators.base import EstimateContext
 from xihenet.invalid import Counts, counted
+from xihenet.light import BetweenEstimates
 from xihenet.light.key_light import split_light
 from xihenet.light.reflections import N_DIRECTIONS, thinned
 from xihenet.light_change import LightFollowing, follow_light

@@ -10,9 +10,9 @@ import numpy as np
 from xihenet.backend import InferenceBackend, LocalBackend
 from xihenet.camera import in_view
 from xihenet.captures.capture import Capture
-from xihenet.carried_light import BetweenEstimates
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.estimators import Estimator
+from xihenet.light import BetweenEstimates
 from xihenet.records import ArrayF64, ObjectLight, RgbdFrame, StepReport, UnitSphereCloud
 from xihenet.trigger import TriggerSettings
 

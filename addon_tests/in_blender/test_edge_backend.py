@@ -1,13 +1,18 @@
 """`xihe previs --backend`: a run whose light comes from an edge service is the run without one."""
 
 from dataclasses import replace
+from pathlib import Path
 
+import bpy
 import numpy as np
 import pytest
+from addon_runs import registered_addon, small_panel_runs, walk_for_the_panel
 from previs_runs import SMALL, run, walk
 
 from addon_tests.pure.edge_servers import NEEDS_TORNADO, EdgeServer
+from xihe_blender.addon.run_settings import previs_settings
 from xihe_blender.errors import UserError
+from xihe_blender.io.run_results import read_results
 from xihe_blender.previs.settings import load_estimators
 from xihenet.edge.batching import Inference
 from xihenet.metrics import shc_rmse
@@ -37,3 +42,32 @@ def test_a_run_over_the_service_is_the_local_one(tmp_path):
 def test_a_service_that_estimates_otherwise_is_a_mistake_of_the_users():
     with EdgeServer() as server, pytest.raises(UserError, match=r"--backend: .* give --estimator projection"):
         load_estimators(replace(SMALL, backend=f"http://127.0.0.1:{server.port}"))
+
+
+@pytest.fixture
+def addon_for_small_runs():
+    with registered_addon(), small_panel_runs():
+        yield
+
+
+def test_the_panels_edge_server_estimates_and_its_state_is_in_the_results(tmp_path, addon_for_small_runs):
+    from xihe_blender.addon.panels import result_rows
+
+    with EdgeServer(inference=Inference("lattice")) as server:
+        url = f"http://127.0.0.1:{server.port}"
+        scene = walk_for_the_panel(tmp_path, estimator="lattice", uses_edge_server=True, edge_server=url)
+        assert previs_settings(scene).backend == url
+        assert bpy.ops.xihe.run() == {"FINISHED"}
+    (row,) = [row for row in result_rows(read_results(Path(scene.xihe.run_folder))) if row[0] == "Edge Server"]
+    assert row[1] == f"127.0.0.1:{server.port}" and "lattice at" in row[2] and "answers" in row[2]
+    scene.xihe.uses_edge_server = False
+    assert previs_settings(scene).backend is None
+
+
+def test_an_edge_server_that_is_not_there_is_one_line(tmp_path, addon_for_small_runs):
+    with EdgeServer() as server:
+        url = f"http://127.0.0.1:{server.port}"
+    walk_for_the_panel(tmp_path / "runs", estimator="lattice", uses_edge_server=True, edge_server=url)
+    with pytest.raises(RuntimeError, match=f"{url} does not answer") as told:
+        bpy.ops.xihe.run()
+    assert len(str(told.value).strip().splitlines()) == 1

@@ -120,7 +120,9 @@ class XIHE_PT_camera_path(StagePanel, bpy.types.Panel):
         layout.prop(scene, "camera")
         if remembered_capture(scene) is not None:
             sentence(context, layout, IS_CAPTURED, icon="INFO")
-            layout.column().prop(settings, "network")
+            column = layout.column()
+            column.prop(settings, "network")
+            column.prop(settings, "carries_light")
             return
         column = layout.column()
         whole = column.row()
@@ -211,6 +213,9 @@ class XIHE_PT_estimator(StagePanel, bpy.types.Panel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         layout.prop(settings, "estimator")
+        layout.prop(settings, "uses_edge_server")
+        if settings.uses_edge_server:
+            layout.prop(settings, "edge_server")
         layout.prop(settings, "preset")
         costs = calibration_line()
         text = "Calibrate Again" if costs else "Calibrate"
@@ -423,6 +428,9 @@ def result_rows(run: RunResults) -> list[tuple[str, str, str]]:
         ("Chain", _number(summary.mean_step_ms, ".1f", " ms a frame"), CHAIN),
         ("Rendering", format_duration(summary.render_s + summary.comparison_render_s), RENDERING),
     ]
+    if run.settings.backend is not None:
+        state = next((note for note in run.notes if run.settings.backend in note), "")
+        rows.append(("Edge Server", run.settings.backend.partition("//")[2], state))
     if summary.n_invalid_points:
         rows.append(("No Depth", f"{summary.n_invalid_points:,} points", NO_DEPTH))
     if summary.n_unknown_lights:

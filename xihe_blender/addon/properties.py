@@ -104,6 +104,13 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         items=choices.estimator_items,
         default=choices.number_of(choices.DEFAULT_ESTIMATOR),
     )
+    uses_edge_server: bpy.props.BoolProperty(
+        name="Edge Server",
+        description="Have this estimator answer on another machine or process: the one that runs xihe serve",
+    )
+    edge_server: bpy.props.StringProperty(
+        name="Address", description="Where xihe serve listens", default="http://127.0.0.1:8550"
+    )
     others: bpy.props.EnumProperty(
         name="Compare With",
         description="Other estimators, whose light and pictures are compared with it, from the same frames",

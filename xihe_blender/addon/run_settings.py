@@ -51,6 +51,7 @@ def choices_of_run(scene: bpy.types.Scene) -> dict[str, Any]:
     chosen = scene.xihe
     return {
         "estimator": chosen.estimator,
+        "backend": chosen.edge_server.strip() if chosen.uses_edge_server else None,
         "others": tuple(name for name in estimators.names() if name in chosen.others),
         "preset": chosen.preset,
         "light": chosen.light,

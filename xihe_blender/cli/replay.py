@@ -22,10 +22,10 @@ from xihenet.captures import READERS, open_capture
 from xihenet.captures.capture import Capture
 from xihenet.captures.checks import steadied, suspicion
 from xihenet.captures.drift import Drift
-from xihenet.carried_light import BetweenEstimates
 from xihenet.edge.client import EdgeBackend, backend_at
 from xihenet.estimators import Estimator
 from xihenet.invalid import added, n_left_out
+from xihenet.light import BetweenEstimates
 from xihenet.light.exports import NamedLight
 from xihenet.light.platforms import PLATFORMS
 from xihenet.light_picture import light_picture, seen_picture

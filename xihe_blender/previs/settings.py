@@ -20,10 +20,9 @@ from xihe_blender.capture.scanner import METERING_SAMPLES
 from xihe_blender.errors import UserError
 from xihe_blender.light_transport.overrides import checked
 from xihenet import estimators
-from xihenet.carried_light import BetweenEstimates
 from xihenet.edge.client import EdgeBackend, backend_at
 from xihenet.estimators import Estimator, Target
-from xihenet.light import LightChoice
+from xihenet.light import BetweenEstimates, LightChoice
 from xihenet.light_change import LightFollowing
 from xihenet.metering import METERINGS, Metering
 from xihenet.phone import LINKS, NETWORK, PHONE_EFFECTS, Link, PhoneProfile, load_profile
