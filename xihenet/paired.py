@@ -84,9 +84,14 @@ def _interval(difference: ArrayF64, groups: ArrayInt, rng: np.random.Generator) 
     sums, counts = np.bincount(groups, difference), np.bincount(groups)
     draws = rng.integers(n_groups, size=(N_DRAWS, n_groups))
     means = sums[draws].sum(axis=1) / counts[draws].sum(axis=1)
-    tail = NormalDist().cdf(-math.sqrt(n_groups / (n_groups - 1)) * _t_975(n_groups - 1))
+    tail = expanded_tail(n_groups)
     low, high = np.quantile(means, [tail, 1 - tail])
     return float(low), float(high)
+
+
+def expanded_tail(n_groups: int) -> float:
+    """Share of the bootstrap's draws below the 95 % interval, and as much above it; for two groups or more."""
+    return NormalDist().cdf(-math.sqrt(n_groups / (n_groups - 1)) * _t_975(n_groups - 1))
 
 
 def _t_975(degrees: int) -> float:

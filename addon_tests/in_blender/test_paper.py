@@ -1,0 +1,144 @@
+"""The evaluation of the paper: figures have intervals, a study that was measured is kept, and what is wrong is said."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from xihe_blender.cli.main import main
+from xihe_blender.errors import UserError
+from xihe_blender.jobs import run_blocking
+from xihe_blender.lab.paper import run as paper
+from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, counted, measured
+from xihe_blender.lab.paper.report import paper_markdown, report_page
+
+SETTINGS = paper.PaperSettings(quick=True)
+
+
+def rows_of_mean(sessions, options):
+    for session in sessions:
+        values = options.rng.normal(5.0, 1.0, 40)
+        what = f"mean in {session.name}"
+        yield Row(what, "ms", *measured(values, options.rng), "same work", "Alike.", 5.5, "draws", "all", 1.0)
+
+
+STUDY = Study("mean", "A mean", 1, "The paper took a mean.", rows_of_mean, "room", "Mean, ms")
+SESSION = Session("room", (), 1.0, ())
+
+
+def test_intervals_hold_the_mean_in_nineteen_of_twenty_cases():
+    rng, n_held = np.random.default_rng(1), 0
+    for _ in range(60):
+        found = measured(rng.normal(3.0, 2.0, 20), rng)
+        n_held += found.low <= 3.0 <= found.high
+    assert 52 <= n_held
+
+
+def test_rooms_are_drawn_whole_so_that_frames_alike_add_no_certainty():
+    rooms = np.repeat(np.random.default_rng(2).normal(size=8), 50)
+    by_room = measured(rooms, np.random.default_rng(3), groups=np.repeat(range(8), 50).tolist())
+    by_frame = measured(rooms, np.random.default_rng(3))
+    assert by_room.high - by_room.low > 4 * (by_frame.high - by_frame.low)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"unit": ""},
+        {"n": 0},
+        {"low": 2.0},
+        {"high": float("nan")},
+        {"work": "much the same"},
+        {"series": "a line without a place"},
+    ],
+)
+def test_a_figure_without_unit_interval_or_cases_is_refused(wrong):
+    whole = {"what": "time", "unit": "ms", "value": 1.0, "low": 0.5, "high": 1.5, "n": 3}
+    with pytest.raises(ValueError, match="Row 'time'"):
+        Row(**({**whole, "work": "same work", "sentence": "Alike."} | wrong))
+
+
+def test_one_case_has_no_interval():
+    with pytest.raises(ValueError, match="two cases"):
+        measured([1.0], np.random.default_rng(0))
+    assert counted(16) == (16, 16, 16, 1)
+
+
+def test_a_study_is_measured_once_and_again_for_another_seed(tmp_path):
+    outputs, calls = paper.PaperOutputs(tmp_path), []
+
+    def measure(sessions, options):
+        calls.append(options.seed)
+        yield from rows_of_mean(sessions, options)
+
+    study = Study("mean", "A mean", 1, "The paper took a mean.", measure)
+    for seed, inputs in ((0, "a"), (0, "a"), (1, "b")):
+        settings = paper.PaperSettings(quick=True, seed=seed)
+        run_blocking(paper.measure_studies([study], [SESSION], outputs, settings, inputs))
+    assert calls == [0, 1]
+    assert (tmp_path / "mean.csv").read_text().count("\n") == 2
+
+
+def test_a_study_that_is_stopped_leaves_nothing_and_the_next_run_measures_it(tmp_path):
+    outputs = paper.PaperOutputs(tmp_path)
+    sessions = [SESSION, Session("other", (), 1.0, ())]
+    with contextlib.closing(paper.measure_studies([STUDY], sessions, outputs, SETTINGS, "a")) as job:
+        next(job), next(job)
+    assert not outputs.result("mean").exists()
+    run_blocking(paper.measure_studies([STUDY], sessions, outputs, SETTINGS, "a"))
+    assert len(json.loads(outputs.result("mean").read_text())["rows"]) == 2
+
+
+def test_a_study_that_cannot_be_measured_says_why_and_is_tried_again(tmp_path):
+    def measure(sessions, options):
+        raise UserError("torch is missing")
+        yield
+
+    outputs = paper.PaperOutputs(tmp_path)
+    run_blocking(paper.measure_studies([Study("net", "Net", 1, "It ran.", measure)], [], outputs, SETTINGS, "a"))
+    study = Study("net", "Net", 1, "It ran.", measure)
+    assert paper.kept_result(outputs, study, "a").failed_because == "torch is missing"
+
+
+def test_report_and_page_show_every_figure_beside_the_papers(tmp_path):
+    outputs = paper.PaperOutputs(tmp_path)
+    run_blocking(paper.measure_studies([STUDY], [SESSION], outputs, SETTINGS, "a"))
+    results = [paper.kept_result(outputs, STUDY, "a")]
+    page = report_page([STUDY], results, outputs.pictures, "xihe paper --quick")
+    words = paper_markdown([STUDY], results, "xihe paper --quick")
+    for text in (page.replace("\N{NARROW NO-BREAK SPACE}", " "), words):
+        assert all(said in text for said in ("mean in room", "5.50 ms", "40 draws", "same work", "xihe paper --quick"))
+    assert "<svg" in page and "://" not in page
+
+
+def test_studies_have_names_of_their_own_in_the_order_of_the_paper():
+    names = [study.name for study in paper.all_studies()]
+    assert len(set(names)) == len(names) > 0
+    assert [study.name for study in paper.chosen_studies([names[-1]])] == names[-1:]
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        (["--only", "nonsense"], "no study 'nonsense'"),
+        (["--scenes", "missing.blend"], "no such file"),
+        (["--seed", "-1"], "--seed -1"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, capfd, typed, said):
+    assert main(["paper", "--out", str(tmp_path / "out"), *typed]) == 2
+    error = capfd.readouterr().err
+    assert said in error and error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_acceleration_grid_is_the_papers_to_a_fifth_of_a_per_cent(tmp_path):
+    study = paper.chosen_studies(["acceleration_grid"])[0]
+    rows = list(itertools.islice(study.measure([], StudyOptions(True, 0, Path(tmp_path))), 5))
+    assert max(abs(row.value - row.paper) for row in rows if row.paper is not None) < 0.002
+    assert [row.value for row in rows if row.paper is None] == [1]

@@ -1,0 +1,210 @@
+"""What is a figure that can be trusted? A number with its unit, its interval, its cases, and what it is held against.
+
+A `Study` is one table or figure of the paper; measuring it yields rows, so that long ones can be stopped between two. A
+`Session` is what studies measure on: a walk through a room as a phone recorded it, and the true light at places there.
+Nothing here needs Blender.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from xihenet.paired import expanded_tail
+from xihenet.records import ArrayF64, RgbdFrame
+
+Work = Literal["same work", "other data", "other machine", "cannot be compared"]
+N_DRAWS = 2000
+
+
+class Measured(NamedTuple):
+    """A figure, its 95 % interval, and of how many cases it is."""
+
+    value: float
+    low: float
+    high: float
+    n: int
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure of a study; ValueError where it lacks what makes it one.
+
+    Parameters
+    ----------
+    what : was measured, in words
+    unit : of all four numbers; "share" and "ratio" are units
+    value, low, high : and the 95 % interval, which holds it; what is counted and not drawn has no width
+    n : number of cases
+    work : how the figure stands beside the paper's: the "same work"; the same on "other data", or on an "other
+        machine"; or one that "cannot be compared"
+    sentence : what is the same and what is not
+    paper : the paper's figure in the same unit; None where it has none
+    cases : what was counted: "rooms", "pairs"
+    series, at : line and place across in the study's drawing; without a series it is in none
+    """
+
+    what: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    n: int
+    work: Work
+    sentence: str
+    paper: float | None = None
+    cases: str = "cases"
+    series: str = ""
+    at: float | None = None
+
+    def __post_init__(self) -> None:
+        if not (self.what and self.unit and self.sentence):
+            raise ValueError(f"Row {self.what!r}: expected words for what it is, a unit and a sentence")
+        if self.work not in get_args(Work):
+            raise ValueError(f"Row {self.what!r}: expected work out of {get_args(Work)}, got {self.work!r}")
+        if self.n < 1 or not self.low <= self.value <= self.high or not math.isfinite(self.high - self.low):
+            raise ValueError(f"Row {self.what!r}: expected {self.value} within [{self.low}, {self.high}] of {self.n}")
+        if bool(self.series) != (self.at is not None):
+            raise ValueError(f"Row {self.what!r}: a drawing takes a series and a place across")
+
+
+@dataclass(frozen=True)
+class StudyOptions:
+    """How a study is run.
+
+    Parameters
+    ----------
+    quick : whether all studies together are to take minutes and not hours
+    seed : of all that is random
+    folder : where the study may leave pictures (.png), which the report shows by name
+    """
+
+    quick: bool
+    seed: int
+    folder: Path
+
+    @property
+    def rng(self) -> np.random.Generator:
+        """A new one, always the same."""
+        return np.random.default_rng(self.seed)
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Where the light of a room is asked for: (3,) world, metres.
+
+    `ldr` and `hdr` are the true light there, (9, 3) each, clipped at white and all of it, at the session's exposure;
+    None in a session whose light changes.
+    """
+
+    name: str
+    position_m: ArrayF64
+    ldr: ArrayF64 | None = None
+    hdr: ArrayF64 | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """A walk through a room.
+
+    Parameters
+    ----------
+    name : of the room
+    frames : in order of time
+    exposure : that all light carries
+    places : where the light is asked for
+    blend_file : of the room; None for one that was made in memory
+    capture_change : the trigger's change between two captures of one and the same view, which is render noise
+    """
+
+    name: str
+    frames: Sequence[RgbdFrame]
+    exposure: float
+    places: Sequence[Place]
+    blend_file: Path | None = None
+    capture_change: float | None = None
+
+    @property
+    def has_truth(self) -> bool:
+        return bool(self.places) and all(place.ldr is not None for place in self.places)
+
+
+Measure = Callable[[Sequence[Session], StudyOptions], Iterable[Row]]
+
+
+@dataclass(frozen=True)
+class Study:
+    """One table or figure of the paper.
+
+    Parameters
+    ----------
+    name : as it is typed, and of its files
+    title : in words
+    place : in the order of the paper
+    paper_did : what the paper did, in a sentence or two
+    measure : yields the rows
+    across, up : names of the axes of its drawing, with units; empty for a study without
+    caption : of its pictures
+    """
+
+    name: str
+    title: str
+    place: int
+    paper_did: str
+    measure: Measure
+    across: str = ""
+    up: str = ""
+    caption: str = ""
+
+
+def measured(
+    cases: ArrayLike,
+    rng: np.random.Generator,
+    *,
+    groups: Sequence[Hashable] | None = None,
+    statistic: Callable[[NDArray[Any]], float] = np.mean,
+) -> Measured:
+    """`statistic` of the N cases, rows of an array, and its interval by bootstrap.
+
+    Cases of one of the `groups`, such as the frames of one room, are drawn together; one group alone is drawn case by
+    case, which says nothing of other rooms. Fewer than two cases have no interval: ValueError. Percentiles are moved
+    outwards as in `xihenet.paired`, and the interval always holds the value.
+    """
+    rows = np.asarray(cases)
+    if len(rows) < 2 or (groups is not None and len(groups) != len(rows)):
+        raise ValueError(f"measured: expected two cases or more and a group for each, got {len(rows)}")
+    numbers = {group: number for number, group in enumerate(dict.fromkeys(groups or ()))}
+    drawn = np.array([numbers[group] for group in groups]) if groups and len(numbers) > 1 else np.arange(len(rows))
+    members = [np.flatnonzero(drawn == number) for number in range(int(drawn.max()) + 1)]
+    draws = rng.integers(len(members), size=(N_DRAWS, len(members)))
+    values = [statistic(rows[np.concatenate([members[k] for k in draw])]) for draw in draws]
+    tail, value = expanded_tail(len(members)), float(statistic(rows))
+    low, high = np.quantile(values, [tail, 1 - tail])
+    return Measured(value, min(float(low), value), max(float(high), value), len(rows))
+
+
+def counted(value: float, n: int = 1) -> Measured:
+    """What is known without a doubt, such as the bytes of a record."""
+    return Measured(value, value, value, n)
+
+
+def ratio_of_means(pairs: NDArray[Any]) -> float:
+    """A `statistic` of cases (N, 2): the mean of the first over that of the second."""
+    first, second = pairs.mean(axis=0)
+    return float(first / second)
+
+
+def ratio_of_medians(pairs: NDArray[Any]) -> float:
+    """As `ratio_of_means`, for times."""
+    first, second = np.median(pairs, axis=0)
+    return float(first / second)
+
+
+def root_mean_square(errors: NDArray[Any]) -> float:
+    return float(np.sqrt(np.mean(np.square(errors))))

@@ -1,0 +1,162 @@
+"""The evaluation as a page, and as Markdown: by study what the paper did, the drawing, and every figure beside its own.
+
+Made from results alone, so that both say the same. A drawing has a line per series with its intervals, and the paper's
+figures as hollow marks on it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from xihe_blender.lab.paper.records import Row, Study
+from xihe_blender.report.document import block, document, png_url, table
+from xihe_blender.report.values import escape
+from xihenet import svg
+from xihenet.formats import DASH, format_count, format_duration, format_list, format_number
+
+if TYPE_CHECKING:
+    from xihe_blender.lab.paper.run import StudyResult
+
+LAB_STYLE = Path(__file__).parents[1] / "lab.css"
+HEAD = ("what", "ours", "95 % interval", "cases", "the paper", "work", "what is the same")
+SHAPES = tuple(svg.SHAPES)
+HEIGHT_PX = 260
+TITLE = "The paper's evaluation, made anew"
+N_COLOURS = 6
+
+
+def report_page(
+    studies: Sequence[Study], results: Sequence[StudyResult], pictures: Callable[[str], Path], command: str
+) -> str:
+    by_name = {one.name: one for one in results}
+    sections = [
+        (study.name, escape(study.title), _section(study, by_name[study.name], pictures(study.name)))
+        for study in studies
+        if study.name in by_name
+    ]
+    opening = f'<p class="lead">{escape(_lead(results))}</p>{block("How it was made", _how(results, command))}'
+    return document(TITLE, opening, sections, style=LAB_STYLE)
+
+
+def _lead(results: Sequence[StudyResult]) -> str:
+    rows = [row for one in results for row in one.rows]
+    works = Counter(row.work for row in rows if row.paper is not None)
+    counts = format_list([f"{n} on {work}" if work.startswith("other") else f"{n} {work}" for work, n in works.items()])
+    made = f"{format_count(len(rows), 'figure')}, by {len(results)} of the evaluation's tables and figures"
+    return f"{made}. Of those that the paper has as well: {counts or 'none'}."
+
+
+def _how(results: Sequence[StudyResult], command: str) -> str:
+    days = sorted({one.measured_on for one in results})
+    machines = sorted({one.machine for one in results})
+    seconds = format_duration(sum(one.elapsed_s for one in results))
+    return (
+        f"<p>Measured on {format_list(days)} on {escape(format_list(machines))}, in {seconds} without recording. "
+        "The paper: Xihe, a 3D vision-based lighting estimation framework for mobile augmented reality, Zhao and Guo, "
+        f"MobiSys 2021.</p><pre>{escape(command)}</pre>"
+    )
+
+
+def _section(study: Study, result: StudyResult, pictures: Path) -> str:
+    told = f"<p>{escape(study.paper_did)}</p>"
+    if result.failed_because:
+        return told + f"<p><strong>Could not be measured:</strong> {escape(result.failed_because)}.</p>"
+    shown = "".join(
+        f'<figure><img src="{png_url(file.read_bytes())}" alt="{escape(study.caption)}">'
+        f"<figcaption>{escape(study.caption)}</figcaption></figure>"
+        for file in sorted(pictures.glob("*.png"))
+    )
+    rows = [[escape(cell) for cell in _cells(row)] for row in result.rows]
+    return f'{told}<div class="plots">{drawing(study, result.rows)}</div>{shown}{table(HEAD, rows, "stacking words")}'
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    """As in HEAD."""
+    of_paper = DASH if row.paper is None else f"{format_number(row.paper)} {row.unit}"
+    return (
+        row.what,
+        f"{format_number(row.value)} {row.unit}",
+        "counted" if row.low == row.high else f"{format_number(row.low)} to {format_number(row.high)}",
+        f"{row.n:,} {row.cases}",
+        of_paper,
+        row.work,
+        row.sentence,
+    )
+
+
+def drawing(study: Study, rows: Sequence[Row]) -> str:
+    """SVG of the rows that belong to a series; empty where there is none."""
+    drawn = [row for row in rows if row.series and row.at is not None]
+    if not drawn:
+        return ""
+    numbers = [number for row in drawn for number in (row.low, row.high, row.paper) if number is not None]
+    upright = svg.linear_axis(min(0.0, *numbers), max(numbers))
+    places = sorted({row.at for row in drawn if row.at is not None})
+    across = {place: 100 * (number + 0.5) / len(places) for number, place in enumerate(places)}
+    names = list(dict.fromkeys(row.series for row in drawn))
+    body = svg.grid_across(upright, HEIGHT_PX)
+    body += svg.axis_below(across.values(), [f"{place:g}" for place in places], study.across, HEIGHT_PX)
+    for number, name in enumerate(names):
+        body += _series([row for row in drawn if row.series == name], across, upright, number)
+    icons = [
+        f"{svg.icon(SHAPES[k % len(SHAPES)], f'choice s{k % N_COLOURS}')} {escape(n)}" for k, n in enumerate(names)
+    ]
+    if any(row.paper is not None for row in drawn):
+        icons.append(f"{svg.icon('circle', 'choice aside')} the paper's figure, hollow in the shape of the series")
+    title, about, below = escape(study.title), escape(study.up), svg.legend(icons)
+    return svg.figure(body, title=title, about=about, below=below, height_px=HEIGHT_PX, is_wide=True)
+
+
+def _series(rows: Sequence[Row], across: dict[float, float], upright: svg.Axis, number: int) -> str:
+    shape, colour = SHAPES[number % len(SHAPES)], f"s{number % N_COLOURS}"
+    rows = sorted(rows, key=lambda row: row.at or 0.0)
+    spots = [(across[row.at or 0.0], row) for row in rows]
+    parts = [svg.line([(x, upright.y(row.value, HEIGHT_PX)) for x, row in spots], colour, HEIGHT_PX)]
+    for x, row in spots:
+        low, high, y = (upright.y(v, HEIGHT_PX) for v in (row.low, row.high, row.value))
+        told = escape(" ".join(_cells(row)[:4]))
+        parts += [svg.straight(x, low, x, high, f"span {colour}"), svg.mark(x, y, shape, f"choice {colour}", told)]
+        if row.paper is not None:
+            told = f"the paper: {format_number(row.paper)} {escape(row.unit)}"
+            parts.append(svg.mark(x, upright.y(row.paper, HEIGHT_PX), shape, "choice aside", told))
+    return "".join(parts)
+
+
+def paper_markdown(studies: Sequence[Study], results: Sequence[StudyResult], command: str) -> str:
+    """The same as a page of the documentation."""
+    return "\n".join(_markdown_lines(studies, {one.name: one for one in results}, command)) + "\n"
+
+
+def _markdown_lines(studies: Sequence[Study], results: dict[str, StudyResult], command: str) -> Iterator[str]:
+    yield from (f"# {TITLE}", "")
+    yield from (
+        "Tables and figures of the evaluation in Xihe (Zhao and Guo, MobiSys 2021) that a simulation can answer, "
+        f"measured with our rooms, networks and server. {_lead(list(results.values()))} "
+        "[How this differs from the paper](differences.md).",
+        "",
+    )
+    yield from ("```sh", command, "```", "")
+    days = sorted({one.measured_on for one in results.values()})
+    machines = sorted({one.machine for one in results.values()})
+    yield from (f"This page was made by that command. Measured on {format_list(days)} on {format_list(machines)}.", "")
+    yield from ("Intervals are 95 % by bootstrap over cases, or over rooms where cases of a room are alike.", "")
+    for study in studies:
+        if study.name in results:
+            yield from _markdown_of(study, results[study.name])
+
+
+def _markdown_of(study: Study, result: StudyResult) -> Iterator[str]:
+    yield from (f"## {study.title}", "", f"`--only {study.name}`. {study.paper_did}", "")
+    if result.failed_because:
+        yield from (f"Could not be measured: {result.failed_because}.", "")
+        return
+    head = HEAD[:-1]
+    yield from (f"| {' | '.join(head)} |", "| --- " * len(head) + "|")
+    yield from (f"| {' | '.join(_cells(row)[:-1])} |" for row in result.rows)
+    yield ""
+    # Once where several rows share it.
+    yield from (f"- {sentence}" for sentence in dict.fromkeys(row.sentence for row in result.rows))
+    yield ""

@@ -1,0 +1,128 @@
+"""Which walks are the studies measured on? Rooms that are recorded once, as a phone would, and the true light in them.
+
+A room is recorded as by `xihe record`; then, if its light stays the same, again from the kept captures with the true
+light at places that the walk shows: its virtual objects first, then above upward surfaces all over the room.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from xihe_blender.errors import UserError
+from xihe_blender.io.json_records import Json
+from xihe_blender.io.kept_files import kept_json
+from xihe_blender.io.outputs import write_json
+from xihe_blender.jobs import Job, part_of
+from xihe_blender.lab.paper.records import Place, Session
+from xihenet.captures import open_capture
+from xihenet.json_files import read_json
+from xihenet.records import RgbdFrame
+from xihenet.session_score import score_places
+
+SCENES = Path(__file__).parents[3] / "blend_scenes"
+QUICK = ("living_room", "bedroom_night", "walk_around", "light_temperature", "light_intensity")
+WHOLE = (*QUICK, "cornell_box", "courtyard")
+FACTS_FILE = "facts.json"
+
+
+@dataclass(frozen=True)
+class WalkSettings:
+    """How much of each room is recorded: the most frames, their size, the preset of renders, places of the truth."""
+
+    n_frames: int = 48
+    size: tuple[int, int] = (256, 192)
+    preset: str = "balanced"
+    n_places: int = 12
+
+
+QUICK_WALK = WalkSettings(16, (192, 144), "draft", 6)
+
+
+def scene_files(given: Sequence[Path], *, quick: bool) -> tuple[Path, ...]:
+    """The user's scenes, or else ours. UserError for two of one name, and where ours are not there."""
+    files = tuple(given) or tuple(SCENES / f"{name}.blend" for name in (QUICK if quick else WHOLE))
+    if missing := [file for file in files if not file.exists()]:
+        fix = "no such file" if given else "run it from a checkout of the project, or give --scenes"
+        raise UserError(f"{missing[0]}: {fix}")
+    names = [file.stem for file in files]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise UserError(f"two scenes are named {twice[0]!r}: results go by name, so rename one")
+    return files
+
+
+def recorded_session(file: Path, folder: Path, walk: WalkSettings, seed: int) -> Job[Session]:
+    """A job: the session of the scene in `file`, recorded in `folder` unless it is there.
+
+    UserError for a scene that cannot be recorded.
+    """
+    facts = kept_json(folder / FACTS_FILE, lambda content: content if _is_whole(content) else None)
+    if facts is None:
+        facts = yield from _record(file, folder, walk, seed)
+    return load_session(file, folder, facts)
+
+
+def _is_whole(facts: Json) -> bool:
+    return isinstance(facts, dict) and {"positions_m", "names", "is_steady", "exposure", "capture_change"} <= set(facts)
+
+
+def _record(file: Path, folder: Path, walk: WalkSettings, seed: int) -> Job[Json]:
+    from xihe_blender.light_transport.render_reuse import plan_render_reuse
+    from xihe_blender.previs.captured_path import path_plan
+    from xihe_blender.previs.plan import evenly_chosen, plan_previs
+    from xihe_blender.previs.record import RecordWishes, record_session
+    from xihe_blender.previs.settings import PrevisSettings
+    from xihe_blender.previs.survey import survey_path
+    from xihe_blender.scene.blend_file import open_blend
+    from xihe_blender.scene.virtual_objects import virtual_objects
+
+    scene = open_blend(file)
+    settings = PrevisSettings(preset=walk.preset, size=walk.size, seed=seed)
+    has_objects = bool(virtual_objects(scene))
+    plan = plan_previs(scene, settings) if has_objects else path_plan(scene, settings)[1]
+    frames = tuple(evenly_chosen(list(plan.frames), walk.n_frames))
+    settings = PrevisSettings(preset=walk.preset, size=walk.size, seed=seed, frames=frames)
+    survey = survey_path(scene, plan)
+    names = {frame: tuple(probe.name for probe in plan.probes) or ("room",) for frame in frames}
+    moved = {frame: survey.frames[frame].moved for frame in frames}
+    probes = plan_render_reuse({f: survey.frames[f].state for f in frames}, names, moved).probes
+    is_steady = all(made_in == frames[0] for made_in in probes.values())
+    record = record_session(scene, folder, settings, RecordWishes(), blend_file=file)
+    yield from part_of(2, 0, 1, record)
+    objects = {probe.name: probe.at(frames[0]) for probe in plan.probes}
+    found = score_places([one.read() for one in open_capture(folder).frames], max(0, walk.n_places - len(objects)))
+    places = objects | {f"place_{k}": place_m for k, place_m in enumerate(found)}
+    if not places:
+        raise UserError(f"{file}: the walk shows no surface and no virtual object where light could be asked for")
+    positions_m = [(float(x), float(y), float(z)) for x, y, z in places.values()]
+    if is_steady:
+        scene = open_blend(file)
+        wishes = RecordWishes(has_truth=True, at_m=positions_m)
+        yield from part_of(2, 1, 1, record_session(scene, folder, settings, wishes, blend_file=file))
+    noise = kept_json(folder / "work" / "sample_count.json", dict) or {}
+    facts = {
+        "positions_m": positions_m,
+        "names": list(places),
+        "is_steady": is_steady,
+        "exposure": open_capture(folder).reference_exposure,
+        "capture_change": noise.get("capture_change"),
+    }
+    write_json(folder / FACTS_FILE, facts)
+    return facts
+
+
+def load_session(file: Path | None, folder: Path, facts: Json) -> Session:
+    """What was recorded in `folder`, with the true light of a steady room."""
+    frames: list[RgbdFrame] = [one.read() for one in open_capture(folder).frames]
+    positions = [np.array(position_m) for position_m in facts["positions_m"]]
+    lights: list[dict[str, Json]] = (
+        read_json(folder / "truth.json")["places"] if facts["is_steady"] else [{}] * len(positions)
+    )
+    places = [
+        Place(name, position_m, **{kind: np.array(light[kind]) for kind in ("ldr", "hdr") if kind in light})
+        for name, position_m, light in zip(facts["names"], positions, lights, strict=True)
+    ]
+    return Session(file.stem if file else folder.name, frames, facts["exposure"], places, file, facts["capture_change"])
