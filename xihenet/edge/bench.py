@@ -24,11 +24,11 @@ from xihenet.edge.batching import Inference, Job
 from xihenet.edge.client import EdgeBackend
 from xihenet.edge.http_settings import ServerSettings
 from xihenet.edge.protocol import DEFAULT_METHOD
-from xihenet.records import Intrinsics, RgbdFrame, UnitSphereCloud
+from xihenet.records import ArrayF64, Intrinsics, RgbdFrame, UnitSphereCloud
 from xihenet.trigger import TriggerSettings
 
 BATCHES, SIZES, POSITIONS = (1, 2, 4, 8, 16), (512, 1280, 2048), (1, 2, 4)
-PAPER_MS = {512: "0.23 / 0.01 / 3.99", 1280: "0.30 / 0.01 / 5.91", 2048: "0.32 / 0.01 / 10.80"}
+PAPER_MS = {512: (0.23, 0.01, 3.99), 1280: (0.30, 0.01, 5.91), 2048: (0.32, 0.01, 10.80)}
 """Decode, merge and inference on an RTX 2080Ti; no estimate of it is faster than 250 a second."""
 
 STAGES = ("unproject", "sample", "merge", "trigger", "encode", "estimate")
@@ -52,8 +52,8 @@ def bench_lines(inference: Inference, settings: BenchSettings | None = None) -> 
     yield "| clouds in a batch | ms a cloud | clouds/s |"
     yield "| --- | --- | --- |"
     for size in BATCHES:
-        jobs = [Job(_random_cloud(rng, 1280), "ldr") for _ in range(size)]
-        ms = _median_ms(partial(inference, jobs), how.repeats) / size
+        jobs = [Job(random_cloud(rng, 1280), "ldr") for _ in range(size)]
+        ms = float(np.median(times_ms(partial(inference, jobs), how.repeats))) / size
         yield f"| {size} | {ms:.2f} | {1e3 / ms:.0f} |"
     yield ""
     yield "| anchors | decode, ms | merge, ms | inference, ms | the paper's three, ms |"
@@ -63,7 +63,7 @@ def bench_lines(inference: Inference, settings: BenchSettings | None = None) -> 
     yield ""
     yield f"| positions | {' | '.join(f'{stage}, ms' for stage in STAGES)} | of that network and JSON, ms | step, ms |"
     yield "| --- " * (len(STAGES) + 3) + "|"
-    with _served(inference) as (port, server_ms):
+    with served(inference) as (port, server_ms):
         for n in POSITIONS:
             yield _step(port, server_ms, n, how.frames)
     yield ""
@@ -71,18 +71,33 @@ def bench_lines(inference: Inference, settings: BenchSettings | None = None) -> 
 
 
 def _by_anchors(inference: Inference, rng: np.random.Generator, n: int, repeats: int) -> str:
-    one, other = _random_cloud(rng, n), _random_cloud(rng, n)
+    timed = server_times_ms(inference, rng, n, repeats).values()
+    of_paper = " / ".join(f"{ms:.2f}" for ms in PAPER_MS[n])
+    return f"| {n} | {' | '.join(f'{np.median(ms):.2f}' for ms in timed)} | {of_paper} |"
+
+
+def server_times_ms(inference: Inference, rng: np.random.Generator, n: int, repeats: int) -> dict[str, list[float]]:
+    """What decoding, merging and inference of clouds of `n` anchors took, each time that it was done."""
+    one, other = random_cloud(rng, n), random_cloud(rng, n)
     payload = encode_cloud(one, DEFAULT_METHOD)
-    timed = (
-        _median_ms(lambda: decode_cloud(payload, n, DEFAULT_METHOD), repeats),
-        _median_ms(lambda: merge(one, other), repeats),
-        _median_ms(lambda: inference([Job(one, "ldr")]), repeats),
-    )
-    return f"| {n} | {' | '.join(f'{ms:.2f}' for ms in timed)} | {PAPER_MS[n]} |"
+    return {
+        "decode": times_ms(lambda: decode_cloud(payload, n, DEFAULT_METHOD), repeats),
+        "merge": times_ms(lambda: merge(one, other), repeats),
+        "inference": times_ms(lambda: inference([Job(one, "ldr")]), repeats),
+    }
 
 
 def _step(port: int, server_ms: Callable[[], float], n_positions: int, n_frames: int) -> str:
     """A row: the stages' medians, of all positions of a frame together."""
+    steps = step_times_ms(port, server_ms, n_positions, n_frames)
+    return f"| {n_positions} | {' | '.join(f'{np.median(ms):.2f}' for ms in steps.values())} |"
+
+
+def step_times_ms(port: int, server_ms: Callable[[], float], n_positions: int, n_frames: int) -> dict[str, ArrayF64]:
+    """(F,) each: STAGES, of all positions of a frame together; of the estimate's what is "network"; the whole "step".
+
+    `port` and `server_ms` are those of `served`. Every frame asks for the light of every position.
+    """
     eager = ControllerSettings(TriggerSettings(theta=0.0, coverage_theta=0.0), codec=DEFAULT_METHOD)
     rows, network, whole = [], [], []
     with contextlib.closing(EdgeBackend(f"http://127.0.0.1:{port}")) as backend:
@@ -90,19 +105,18 @@ def _step(port: int, server_ms: Callable[[], float], n_positions: int, n_frames:
         for number in range(n_positions):
             session.add_position(str(number), (0.3 * number, 0.5, -0.5))
         for number in range(n_frames):
-            frame, before_ms = _seen(number), server_ms()
+            frame, before_ms = seen_frame(number), server_ms()
             start = time.perf_counter()
             reports = session.step(frame, active=list(session.positions)).values()
             whole.append(1e3 * (time.perf_counter() - start))
             rows.append([sum(report.stage_ms.get(stage, 0.0) for report in reports) for stage in STAGES])
             network.append(rows[-1][-1] - (server_ms() - before_ms))
-    stages = np.median(rows, axis=0)
-    numbers = [*stages, float(np.median(network)), float(np.median(whole))]
-    return f"| {n_positions} | {' | '.join(f'{ms:.2f}' for ms in numbers)} |"
+    by_stage = dict(zip(STAGES, np.array(rows).T, strict=True))
+    return by_stage | {"network": np.array(network), "step": np.array(whole)}
 
 
 @contextlib.contextmanager
-def _served(inference: Inference) -> Iterator[tuple[int, Callable[[], float]]]:
+def served(inference: Inference) -> Iterator[tuple[int, Callable[[], float]]]:
     """The port of a server in a thread, and what says how many milliseconds it has merged, decoded and inferred."""
     from xihenet.edge.server import running
 
@@ -131,13 +145,13 @@ def _served(inference: Inference) -> Iterator[tuple[int, Callable[[], float]]]:
         thread.join()
 
 
-def _random_cloud(rng: np.random.Generator, n: int) -> UnitSphereCloud:
+def random_cloud(rng: np.random.Generator, n: int) -> UnitSphereCloud:
     """Half of the anchors, which is what the paper's views show of them."""
     is_set = rng.random(n) < 0.5
     return UnitSphereCloud(rng.random((n, 3)) * is_set[:, None], rng.uniform(0.5, 5, n) * is_set, is_set)
 
 
-def _seen(number: int) -> RgbdFrame:
+def seen_frame(number: int) -> RgbdFrame:
     """What the phone sees on its way around: walls by their side, dimmed from frame to frame."""
     turn, k = 2 * np.pi * number / 30, PICTURE
     ahead = np.array([np.cos(turn), np.sin(turn), 0.0])
@@ -152,11 +166,12 @@ def _seen(number: int) -> RgbdFrame:
     return RgbdFrame(colours[side].astype(np.uint8), reach_m.min(axis=-1).astype(np.float32), k, pose, frame=number)
 
 
-def _median_ms(call: Callable[[], object], repeats: int) -> float:
+def times_ms(call: Callable[[], object], repeats: int) -> list[float]:
+    """Milliseconds of each of so many calls, after one that is not counted."""
     call()
     times = []
     for _ in range(repeats):
         start = time.perf_counter()
         call()
         times.append(1e3 * (time.perf_counter() - start))
-    return float(np.median(times))
+    return times

@@ -108,6 +108,13 @@ class Place:
     ldr: ArrayF64 | None = None
     hdr: ArrayF64 | None = None
 
+    @property
+    def true_ldr(self) -> ArrayF64:
+        """ValueError where the truth is not known."""
+        if self.ldr is None:
+            raise ValueError(f"{self.name}: the true light is not known here")
+        return self.ldr
+
 
 @dataclass(frozen=True, eq=False)
 class Session:
@@ -181,10 +188,13 @@ def measured(
         raise ValueError(f"measured: expected two cases or more and a group for each, got {len(rows)}")
     numbers = {group: number for number, group in enumerate(dict.fromkeys(groups or ()))}
     drawn = np.array([numbers[group] for group in groups]) if groups and len(numbers) > 1 else np.arange(len(rows))
-    members = [np.flatnonzero(drawn == number) for number in range(int(drawn.max()) + 1)]
-    draws = rng.integers(len(members), size=(N_DRAWS, len(members)))
-    values = [statistic(rows[np.concatenate([members[k] for k in draw])]) for draw in draws]
-    tail, value = expanded_tail(len(members)), float(statistic(rows))
+    n_drawn = int(drawn.max()) + 1
+    members = [np.flatnonzero(drawn == number) for number in range(n_drawn)]
+    values = []
+    for _ in range(N_DRAWS):
+        draw = rng.integers(n_drawn, size=n_drawn)
+        values.append(statistic(rows[draw if n_drawn == len(rows) else np.concatenate([members[k] for k in draw])]))
+    tail, value = expanded_tail(n_drawn), float(statistic(rows))
     low, high = np.quantile(values, [tail, 1 - tail])
     return Measured(value, min(float(low), value), max(float(high), value), len(rows))
 

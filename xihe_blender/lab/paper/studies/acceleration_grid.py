@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import reduce
 
 import numpy as np
 
-from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured
+from xihe_blender.lab.paper.clouds import walked, with_truth
+from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, ratio_of_means
 from xihenet import estimators
-from xihenet.buffers import merge
-from xihenet.camera import unproject_frame
 from xihenet.metrics import shc_rmse
 from xihenet.records import ArrayF32, ArrayF64, ArrayInt
-from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice, NearestMethod
 
 N_POINTS = 1_000_000
@@ -61,30 +58,25 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
 
 def effect_on_light(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]:
     """The error of the light by table over the error without, room by room."""
-    steady = [session for session in sessions if session.has_truth]
+    steady = with_truth(sessions)
     if not steady:
         return
     exact = np.array(_errors(steady, "exact", TABLES[0]))
     rooms = [session.name for session in steady for _ in session.places]
     for size in TABLES:
         pairs = np.stack([_errors(steady, "table", size), exact], axis=1)
-        found = measured(pairs, options.rng, groups=rooms, statistic=lambda both: float(np.divide(*both.mean(axis=0))))
+        found = measured(pairs, options.rng, groups=rooms, statistic=ratio_of_means)
         what = f"SHC RMSE of projection by table {size[0]}x{size[1]} over that without"
         yield Row(what, "times", *found, "cannot be compared", LIGHT, cases="places")
 
 
 def _errors(sessions: Sequence[Session], method: NearestMethod, size: tuple[int, int]) -> list[float]:
     lattice, projection = AnchorLattice(1280), estimators.load("projection", 1280, "ldr")
-    errors = []
-    for session in sessions:
-        clouds = [unproject_frame(frame, reference_exposure=session.exposure) for frame in session.frames]
-        for place in session.places:
-            seen = [
-                sample_unit_sphere(cloud, place.position_m, lattice, method=method, table_size=size) for cloud in clouds
-            ]
-            assert place.ldr is not None
-            errors.append(shc_rmse(projection.estimate(reduce(merge, seen)), place.ldr))
-    return errors
+    return [
+        shc_rmse(projection.estimate(cloud), place.true_ldr)
+        for session in sessions
+        for cloud, place in zip(walked(session, lattice, method=method, table_size=size), session.places, strict=True)
+    ]
 
 
 STUDY = Study(

@@ -1,0 +1,53 @@
+"""What does each step on the phone take?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, ratio_of_medians
+from xihenet import estimators
+from xihenet.backend import LocalBackend
+from xihenet.controller import ControllerSettings, XiheController
+from xihenet.edge.bench import seen_frame
+from xihenet.records import ArrayF64
+from xihenet.trigger import TriggerSettings
+
+PAPER_MS = {"unproject": 0.221, "sample": 0.063, "merge": 0.029 + 0.062, "trigger": 3.040, "encode": 2.832}
+WHOLE = "the five steps together"
+TIME = "The same steps of 49,152 points and 1280 anchors: theirs on the GPU of an iPad Pro, ours in NumPy on one core."
+SHARE = "Which step weighs most is comparable: theirs trigger and encode wait for the GPU to hand data to the CPU."
+
+
+def stage_times_ms(n_frames: int) -> dict[str, ArrayF64]:
+    """(F,) milliseconds of each step and of all, every frame asking for an estimate."""
+    eager = ControllerSettings(TriggerSettings(theta=0.0, coverage_theta=0.0))
+    controller = XiheController(LocalBackend(estimators.load("projection")), eager)
+    controller.add_position("place", (0.0, 0.5, -0.5))
+    reports = [controller.step(seen_frame(k), active=["place"])["place"] for k in range(n_frames + 1)][1:]
+    by_stage = {stage: np.array([one.stage_ms.get(stage, 0.0) for one in reports]) for stage in PAPER_MS}
+    return by_stage | {WHOLE: np.sum(list(by_stage.values()), axis=0)}
+
+
+def measure(_sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]:
+    times = stage_times_ms(60 if options.quick else 600)
+    paper = PAPER_MS | {WHOLE: sum(PAPER_MS.values())}
+    for stage, ms in times.items():
+        found = measured(ms, options.rng, statistic=np.median)
+        yield Row(f"{stage}, median", "ms", *found, "other machine", TIME, paper[stage], "frames")
+    for stage in PAPER_MS:
+        pairs = np.stack([times[stage], times[WHOLE]], axis=1)
+        found = measured(pairs, options.rng, statistic=ratio_of_medians)
+        of_paper = paper[stage] / paper[WHOLE]
+        yield Row(f"{stage}, of all five", "of the time", *found, "other machine", SHARE, of_paper, "frames")
+
+
+STUDY = Study(
+    "phone_steps",
+    "On the phone: time of each step",
+    20,
+    "The paper times each step on three devices with the profiler of Unity, five runs; here its iPad Pro, without "
+    "acquiring the scan (1.458 ms).",
+    measure,
+)
