@@ -7,8 +7,9 @@ reflecting all light, so that constant light of radiance L shows L everywhere. T
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import bpy
 import numpy as np
@@ -54,9 +55,16 @@ class ThreeSpheres:
 
 @contextlib.contextmanager
 def open_three_spheres(
-    scene: bpy.types.Scene, settings: RenderSettings, size: int = 128, radius_m: float = RADIUS_M
+    scene: bpy.types.Scene,
+    settings: RenderSettings,
+    size: int = 128,
+    radius_m: float = RADIUS_M,
+    looks: Mapping[str, Mapping[str, Any]] = RIG_LOOKS,
 ) -> Iterator[ThreeSpheres]:
-    """Three spheres, one at a time, in the room of `scene`, virtual objects left out, `size` pixels wide each."""
+    """Three spheres, one at a time, in the room of `scene`, virtual objects left out, `size` pixels wide each.
+
+    Other `looks`, inputs of the shader by name, take the place of the three, in their order; all are white.
+    """
     with (
         working_scene(scene, NAME, replace(settings, size=(size, size))) as working,
         contextlib.ExitStack() as stack,
@@ -67,7 +75,7 @@ def open_three_spheres(
         mesh = sphere_mesh(NAME, radius, 128, 64)
         stack.callback(bpy.data.meshes.remove, mesh)
         materials = []
-        for name, look in RIG_LOOKS.items():
+        for name, look in looks.items():
             materials.append(rig_material(f"{name} Seen", {**look, "Base Color": (1.0, 1.0, 1.0, 1.0)}))
             stack.callback(bpy.data.materials.remove, materials[-1])
         ball = bpy.data.objects.new(NAME, mesh)

@@ -23,6 +23,7 @@ class View:
     place: Place
     frame: RgbdFrame
     points: PointCloud
+    exposure: float
 
 
 def views(sessions: Sequence[Session], most: int) -> Iterator[View]:
@@ -36,7 +37,8 @@ def views(sessions: Sequence[Session], most: int) -> Iterator[View]:
         ]
         n = min(most, len(found))
         for frame, place in (found[(2 * k + 1) * len(found) // (2 * n)] for k in range(n)):
-            yield View(session.name, place, frame, unproject_frame(frame, reference_exposure=session.exposure))
+            points = unproject_frame(frame, reference_exposure=session.exposure)
+            yield View(session.name, place, frame, points, session.exposure)
 
 
 def walked(session: Session, lattice: AnchorLattice, **sampling: Any) -> list[UnitSphereCloud]:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xihenet.paired import expanded_tail
-from xihenet.records import ArrayF64, RgbdFrame
+from xihenet.records import ArrayF32, ArrayF64, RgbdFrame
 
 Work = Literal["same work", "other data", "other machine", "cannot be compared"]
 N_DRAWS = 2000
@@ -100,13 +100,15 @@ class Place:
     """Where the light of a room is asked for: (3,) world, metres.
 
     `ldr` and `hdr` are the true light there, (9, 3) each, clipped at white and all of it, at the session's exposure;
-    None in a session whose light changes.
+    None in a session whose light changes. `spheres` (S, 3 S, 3) are a mirror, a matte silver and a diffuse one there,
+    path-traced, at that exposure.
     """
 
     name: str
     position_m: ArrayF64
     ldr: ArrayF64 | None = None
     hdr: ArrayF64 | None = None
+    spheres: ArrayF32 | None = None
 
     @property
     def true_ldr(self) -> ArrayF64:

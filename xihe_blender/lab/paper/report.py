@@ -6,6 +6,7 @@ figures as hollow marks on it.
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -70,6 +71,8 @@ def _section(study: Study, result: StudyResult, pictures: Path) -> str:
         for file in sorted(pictures.glob("*.png"))
     )
     rows = [[escape(cell) for cell in _cells(row)] for row in result.rows]
+    for before, row in reversed(list(itertools.pairwise(rows))):
+        row[-1] = "as above" if row[-1] == before[-1] else row[-1]
     return f'{told}<div class="plots">{drawing(study, result.rows)}</div>{shown}{table(HEAD, rows, "stacking words")}'
 
 

@@ -19,8 +19,9 @@ from xihe_blender.io.outputs import write_json
 from xihe_blender.jobs import Job, part_of
 from xihe_blender.lab.paper.records import Place, Session
 from xihenet.captures import open_capture
+from xihenet.exr import read_exr
 from xihenet.json_files import read_json
-from xihenet.records import RgbdFrame
+from xihenet.records import ArrayF64, RgbdFrame
 from xihenet.session_score import score_places
 
 SCENES = Path(__file__).parents[3] / "blend_scenes"
@@ -39,7 +40,7 @@ class WalkSettings:
     n_places: int = 12
 
 
-QUICK_WALK = WalkSettings(16, (192, 144), "draft", 6)
+QUICK_WALK = WalkSettings(16, (192, 144), "draft", 4)
 
 
 def scene_files(given: Sequence[Path], *, quick: bool) -> tuple[Path, ...]:
@@ -121,8 +122,13 @@ def load_session(file: Path | None, folder: Path, facts: Json) -> Session:
     lights: list[dict[str, Json]] = (
         read_json(folder / "truth.json")["places"] if facts["is_steady"] else [{}] * len(positions)
     )
-    places = [
-        Place(name, position_m, **{kind: np.array(light[kind]) for kind in ("ldr", "hdr") if kind in light})
-        for name, position_m, light in zip(facts["names"], positions, lights, strict=True)
-    ]
+    places = [_place(*one, folder) for one in zip(facts["names"], positions, lights, strict=True)]
     return Session(file.stem if file else folder.name, frames, facts["exposure"], places, file, facts["capture_change"])
+
+
+def _place(name: str, position_m: ArrayF64, light: dict[str, Json], folder: Path) -> Place:
+    if not light:
+        return Place(name, position_m)
+    spheres = read_exr(folder / light["files"]["spheres"])
+    seen = np.stack([spheres[channel] for channel in "RGB"], axis=-1)
+    return Place(name, position_m, np.array(light["ldr"]), np.array(light["hdr"]), seen)

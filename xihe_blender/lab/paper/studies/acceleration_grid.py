@@ -17,9 +17,9 @@ N_POINTS = 1_000_000
 N_BLOCKS = 20
 TABLES = ((512, 256), (1024, 512), (1536, 768), (2048, 1024))
 PAPER = {
-    512: (0.9670, 0.9835, 0.9889, 0.9918),
-    1280: (0.9477, 0.9742, 0.9828, 0.9869),
-    2048: (0.9350, 0.9670, 0.9780, 0.9838),
+    512: (3.30, 1.65, 1.11, 0.82),
+    1280: (5.23, 2.58, 1.72, 1.31),
+    2048: (6.50, 3.30, 2.20, 1.62),
 }
 SAME = "As many points, drawn alike in a cube of 10 m, and a table of as many cells; right is the largest cosine."
 OURS = "Ours finds the nearest anchor exactly, and takes 1.2 to 1.4 times as long as the table."
@@ -39,20 +39,25 @@ def is_wrong(lattice: AnchorLattice, points: ArrayF32, anchors: ArrayInt, best: 
     return wrong
 
 
+def _per_cent_of_blocks(wrong: ArrayF64) -> ArrayF64:
+    """Which are independent, and as many as a bootstrap needs."""
+    return 100 * wrong.reshape(N_BLOCKS, -1).mean(axis=1)
+
+
 def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]:
     points = in_cube(N_POINTS, options.rng)
     for n, of_paper in PAPER.items():
         lattice = AnchorLattice(n)
         best = lattice.nearest(points)
         for size, paper in zip(TABLES, of_paper, strict=True):
-            right = 1 - is_wrong(lattice, points, lattice.nearest(points, "table", size), best)
-            shares = right.reshape(N_BLOCKS, -1).mean(axis=1)
-            what = f"{n} anchors, table {size[0]}x{size[1]}: points at their nearest anchor"
-            found = measured(shares, options.rng)._replace(n=N_POINTS)
-            yield Row(what, "of all", *found, "same work", SAME, paper, "points", f"{n} anchors", size[0])
-        exact = is_wrong(lattice, points[:100_000], best[:100_000], lattice.nearest(points[:100_000], "brute"))
-        found = measured(1 - exact.reshape(N_BLOCKS, -1).mean(axis=1), options.rng)._replace(n=100_000)
-        yield Row(f"{n} anchors, ours", "of all", *found, "same work", OURS, None, "points")
+            wrong = is_wrong(lattice, points, lattice.nearest(points, "table", size), best)
+            found = measured(_per_cent_of_blocks(wrong), options.rng)._replace(n=N_POINTS)
+            what = f"{n} anchors, table {size[0]}x{size[1]}: points at another anchor than the nearest"
+            yield Row(what, "%", *found, "same work", SAME, paper, "points", f"{n} anchors", size[0])
+        few = points[:100_000]
+        wrong = is_wrong(lattice, few, best[:100_000], lattice.nearest(few, "brute"))
+        found = measured(_per_cent_of_blocks(wrong), options.rng)._replace(n=len(few))
+        yield Row(f"{n} anchors, ours", "%", *found, "same work", OURS, None, "points")
     yield from effect_on_light(sessions, options)
 
 
@@ -81,11 +86,11 @@ def _errors(sessions: Sequence[Session], method: NearestMethod, size: tuple[int,
 
 STUDY = Study(
     "acceleration_grid",
-    "Acceleration grid: points that reach their true nearest anchor",
+    "Acceleration grid: points at another anchor than the nearest",
     70,
     "The paper sorts points into anchors by a table over azimuth and polar angle, and counts how many of 1,000,000 "
-    "points in a cube of 10 m reach their true nearest anchor, by size of the table.",
+    "points in a cube of 10 m reach the nearest anchor, by size of the table; here those that do not.",
     measure,
     "width of the table, cells",
-    "Share of points at their nearest anchor.",
+    "Points at another anchor than the nearest, per cent.",
 )

@@ -1,0 +1,120 @@
+"""Why spread anchors evenly? The same number on a grid of latitude and longitude, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from xihe_blender.errors import UserError
+from xihe_blender.lab.paper.clouds import views, walked, with_truth
+from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, ratio_of_means
+from xihenet.metrics import shc_rmse
+from xihenet.records import ArrayF64, ArrayInt
+from xihenet.sampling import sample_unit_sphere
+from xihenet.sh import project_anchors
+from xihenet.sh_basis import basis
+from xihenet.sphere import AnchorLattice
+
+ROWS, COLUMNS = 32, 40
+N_ANCHORS = ROWS * COLUMNS
+N_DIRECTIONS = 200_000
+BLOCK = 2**13
+AREA = (
+    "The paper shows one picture of each and no figure: here each anchor's share of the sphere, by random directions."
+)
+COMPLETENESS = (
+    "The paper's completeness is the share of anchors that are set; that is a share of the sphere only for even ones."
+)
+WHOLE = "Light of order 2 seen from everywhere, each anchor weighing the same, as even anchors allow."
+ERROR = "Regularised least squares on the set anchors of every fourth frame, for both alike."
+
+
+@dataclass(frozen=True)
+class GridAnchors(AnchorLattice):
+    """Anchors at the middle of the cells of a grid over polar angle and azimuth: dense at the poles."""
+
+    n: int = N_ANCHORS
+
+    @property
+    def directions(self) -> ArrayF64:
+        polar = np.repeat(np.pi * (np.arange(ROWS) + 0.5) / ROWS, COLUMNS)
+        azimuth = np.tile(2 * np.pi * np.arange(COLUMNS) / COLUMNS, ROWS)
+        across = np.sin(polar)
+        return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.cos(polar)], axis=1)
+
+    def nearest_to_columns(self, columns: NDArray[Any], *_: Any, **__: Any) -> ArrayInt:
+        """By brute force; which length a direction has changes nothing."""
+        blocks = [columns[:, start : start + BLOCK] for start in range(0, columns.shape[1], BLOCK)]
+        found = [(self.directions @ np.nan_to_num(block)).argmax(axis=0) for block in blocks]
+        return np.concatenate(found) if found else np.zeros(0, np.intp)
+
+
+ANCHORS: dict[str, AnchorLattice] = {"even": AnchorLattice(N_ANCHORS), "grid": GridAnchors()}
+
+
+def areas(lattice: AnchorLattice, rng: np.random.Generator) -> ArrayF64:
+    """(n,) the share of the sphere that is nearest to each anchor."""
+    found = lattice.nearest(rng.normal(size=(N_DIRECTIONS, 3)))
+    return np.asarray(np.bincount(found, minlength=lattice.n) / N_DIRECTIONS)
+
+
+def relative_spread(shares: NDArray[Any]) -> float:
+    return float(shares.std() / shares.mean())
+
+
+def equally_weighted(light: ArrayLike, lattice: AnchorLattice) -> ArrayF64:
+    """(9, 3) what anchors of equal weight make of light of order 2."""
+    table = basis(lattice.directions)
+    return np.asarray(4 * np.pi / lattice.n * table.T @ (table @ np.asarray(light)))
+
+
+def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]:
+    steady, rng = with_truth(sessions), options.rng
+    found = list(views(sessions, 8 if options.quick else 40))
+    if len(found) < 2 or sum(len(session.places) for session in steady) < 2:
+        raise UserError("fewer than two places of steady rooms are in view")
+    own = {name: areas(lattice, rng) for name, lattice in ANCHORS.items()}
+    rooms = [session.name for session in steady for _ in session.places]
+    lights = [place.true_ldr for session in steady for place in session.places]
+    for name, lattice in ANCHORS.items():
+        spread = measured(own[name], rng, statistic=relative_spread)
+        yield Row(
+            f"{name}, spread of area over mean", "of the mean", *spread, "cannot be compared", AREA, cases="anchors"
+        )
+        clouds = [sample_unit_sphere(view.points, view.place.position_m, lattice) for view in found]
+        off = [100 * abs(cloud.is_set.mean() - own[name][cloud.is_set].sum()) for cloud in clouds]
+        wrong = measured(off, rng, groups=[view.room for view in found])
+        what = f"{name}, share of set anchors off the share of the sphere"
+        yield Row(what, "percentage points", *wrong, "cannot be compared", COMPLETENESS, cases="views")
+        errors = measured([shc_rmse(equally_weighted(one, lattice), one) for one in lights], rng, groups=rooms)
+        yield Row(f"{name}, all seen, equal weights", "SHC RMSE", *errors, "cannot be compared", WHOLE, cases="places")
+    pairs = np.stack([_errors(steady, ANCHORS["grid"]), _errors(steady, ANCHORS["even"])], axis=1)
+    ratio = measured(pairs, rng, groups=rooms, statistic=ratio_of_means)
+    yield Row("grid over even, error of the walk", "times", *ratio, "cannot be compared", ERROR, cases="places")
+
+
+def thinned(session: Session) -> Session:
+    """Brute force takes long, and neighbouring frames show much the same."""
+    return replace(session, frames=session.frames[::4])
+
+
+def _errors(sessions: Sequence[Session], lattice: AnchorLattice) -> list[float]:
+    return [
+        shc_rmse(project_anchors(cloud, lattice), place.true_ldr)
+        for session in sessions
+        for cloud, place in zip(walked(thinned(session), lattice), session.places, strict=True)
+    ]
+
+
+STUDY = Study(
+    "anchors_uniform",
+    "Even anchors beside a grid of latitude and longitude",
+    60,
+    "The paper shows one view's anchors, evenly spread and grouped, and takes even ones, since completeness depends on "
+    "them.",
+    measure,
+)
