@@ -41,7 +41,7 @@ def is_wrong(lattice: AnchorLattice, points: ArrayF32, anchors: ArrayInt, best: 
 
 def _per_cent_of_blocks(wrong: ArrayF64) -> ArrayF64:
     """Which are independent, and as many as a bootstrap needs."""
-    return 100 * wrong.reshape(N_BLOCKS, -1).mean(axis=1)
+    return np.asarray(100 * wrong.reshape(N_BLOCKS, -1).mean(axis=1))
 
 
 def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]:
