@@ -14,8 +14,11 @@ from xihe_blender.cli.main import main
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.paper import run as paper
-from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, counted, measured
+from xihe_blender.lab.paper.records import Place, Row, Session, Study, StudyOptions, counted, measured
 from xihe_blender.lab.paper.report import paper_markdown, report_page
+from xihe_blender.lab.paper.studies.anchors_uniform import GridAnchors
+from xihe_blender.lab.paper.studies.probes import inside_rim
+from xihenet.edge.bench import seen_frame
 
 SETTINGS = paper.PaperSettings(quick=True)
 
@@ -142,3 +145,44 @@ def test_acceleration_grid_is_the_papers_to_a_fifth_of_a_per_cent(tmp_path):
     rows = list(itertools.islice(study.measure([], StudyOptions(True, 0, Path(tmp_path))), 5))
     assert max(abs(row.value - row.paper) for row in rows if row.paper is not None) < 0.2
     assert [row.value for row in rows if row.paper is None] == [0]
+
+
+@pytest.fixture(scope="module")
+def walk():
+    """A look around in a room of plain walls, with two places in view and a light that is known."""
+    light = np.zeros((9, 3))
+    light[0], light[1:] = 1.5, 0.2
+    places = [Place(f"place {k}", np.array([x, 0.4, -0.3]), light, light) for k, x in enumerate((0.6, -0.6))]
+    return Session("walls", [seen_frame(k) for k in range(0, 30, 3)], 1.0, places)
+
+
+def test_bytes_are_counted_on_the_clouds_of_a_walk(walk, tmp_path):
+    study = paper.chosen_studies(["encodings"])[0]
+    rows = {row.what: row for row in study.measure([walk], StudyOptions(True, 0, tmp_path))}
+    assert rows["float32, mean"].value == rows["float32, mean"].paper == 20480
+    n_set = rows["uint8_float16_stripped, mean"].value / 7
+    assert 0 < n_set < 1280 and rows["float32_stripped, mean"].value == pytest.approx(18 * n_set)
+
+
+def test_even_anchors_share_the_sphere_and_those_of_a_grid_do_not(walk, tmp_path):
+    study = paper.chosen_studies(["anchors_uniform"])[0]
+    rows = {row.what: row.value for row in study.measure([walk], StudyOptions(True, 0, tmp_path))}
+    assert rows["even, spread of area over mean"] < 0.1 < rows["grid, spread of area over mean"]
+    assert rows["even, all seen, equal weights"] < 0.002 < rows["grid, all seen, equal weights"]
+
+
+def test_anchors_of_a_grid_are_found_as_the_largest_cosine_says():
+    anchors, directions = GridAnchors(), np.random.default_rng(4).normal(size=(5_000, 3))
+    assert (anchors.nearest(directions) == (directions @ anchors.directions.T).argmax(axis=1)).all()
+
+
+@pytest.mark.parametrize("name", ["encodings", "anchors_uniform", "anchor_count", "estimators", "probes", "materials"])
+def test_studies_of_rooms_say_what_they_lack(tmp_path, name):
+    study = paper.chosen_studies([name])[0]
+    with pytest.raises(UserError, match="fewer than two"):
+        list(study.measure([SESSION], StudyOptions(True, 0, tmp_path)))
+
+
+def test_the_rim_of_a_sphere_is_left_out_of_its_picture():
+    inside = inside_rim(64)
+    assert not inside[0].any() and inside[32, 32] and inside.mean() == pytest.approx(np.pi / 4 * 0.95**2, abs=0.01)

@@ -12,11 +12,15 @@ import functools
 import hashlib
 import importlib
 import inspect
+import os
 import pkgutil
+import platform
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+
+import numpy as np
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import FolderManifest
@@ -181,11 +185,6 @@ def _made_from(study: Study, inputs: str) -> str:
 
 def machine_words() -> str:
     """What it ran on; nothing that names the user."""
-    import os
-    import platform
-
-    import numpy as np
-
     return (
         f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, "
         f"NumPy {np.__version__}"
