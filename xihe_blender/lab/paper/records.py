@@ -160,6 +160,7 @@ class Study:
     measure : yields the rows
     across, up : names of the axes of its drawing, with units; empty for a study without
     caption : of its pictures
+    needs_rooms : whether it is measured on sessions; else they are not recorded for it alone
     """
 
     name: str
@@ -170,6 +171,7 @@ class Study:
     across: str = ""
     up: str = ""
     caption: str = ""
+    needs_rooms: bool = True
 
 
 def measured(

@@ -126,7 +126,8 @@ def evaluate_paper(out: Path, settings: PaperSettings, command: str = "") -> Job
     decides = {"xihe": __version__, "scenes": hashes, "settings": {"quick": settings.quick, "seed": settings.seed}}
     FolderManifest(out, out / "settings.json", "an evaluation of the paper", decides, (outputs.report,)).take()
     sessions = []
-    for number, file in enumerate(files):
+    needs_rooms = any(study.needs_rooms for study in chosen)
+    for number, file in enumerate(files if needs_rooms else ()):
         job = recorded_session(file, outputs.session(file.stem), walk, settings.seed)
         share = SHARE_OF_RECORDING / len(files)
         sessions.append((yield from part_of(1, number * share, share, job, file.stem)))

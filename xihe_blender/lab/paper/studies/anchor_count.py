@@ -21,7 +21,9 @@ ERROR = (
     "Light clipped at white from one view, in other rooms, by one set of weights of ours; the paper trains a network "
     "for each number. Comparable is how little the number matters."
 )
-SHARE = "The paper's mean is of 607 anchors of 1280; how much one view shows depends on its angle and the room."
+SHARE = (
+    "The paper's mean is 607 of 1280: more than half are empty. How many are depends on the angle of view and the room."
+)
 
 
 def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]:

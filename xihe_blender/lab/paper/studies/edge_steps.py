@@ -44,4 +44,5 @@ STUDY = Study(
     measure,
     "anchors",
     "Inference of one cloud, ms.",
+    needs_rooms=False,
 )
