@@ -35,9 +35,10 @@ MAY_IMPORT = {
     "lab.rooms": {*JOB, "previs", "lab.workers", "lab.props"},
     "lab.frontier": {*JOB, "previs"},
     "lab.batch": {*JOB, "previs", "lab.workers", "lab.frontier"},
+    "lab.paper": {*JOB, "previs"},
     # Calibrate measures the presets by the frontier's means.
     "addon": {*JOB, "previs", "lab.frontier", "cli", "packaging"},
-    "cli": {*JOB, "viewer", "previs", "packaging", "lab.rooms", "lab.frontier", "lab.batch"},
+    "cli": {*JOB, "viewer", "previs", "packaging", "lab.rooms", "lab.frontier", "lab.batch", "lab.paper"},
     "__main__": {"cli"},
 }
 """Of `xihe_blender`: for each room, or loose file, those below it that it knows."""

@@ -174,6 +174,19 @@ class Study:
     needs_rooms: bool = True
 
 
+@dataclass(frozen=True)
+class StudyResult:
+    """The file of a study: its rows, or in one sentence why there are none."""
+
+    name: str
+    made_from: str
+    measured_on: str
+    elapsed_s: float
+    machine: str
+    rows: tuple[Row, ...] = ()
+    failed_because: str = ""
+
+
 def measured(
     cases: ArrayLike,
     rng: np.random.Generator,

@@ -10,21 +10,23 @@ import itertools
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from xihe_blender.lab.paper.records import Row, Study
+from xihe_blender.lab.paper.records import Row, Study, StudyResult, Work
 from xihe_blender.report.document import block, document, png_url, table
 from xihe_blender.report.values import escape
 from xihenet import svg
 from xihenet.formats import DASH, format_count, format_duration, format_list, format_number
 
-if TYPE_CHECKING:
-    from xihe_blender.lab.paper.run import StudyResult
-
 LAB_STYLE = Path(__file__).parents[1] / "lab.css"
 HEAD = ("what", "ours", "95 % interval", "cases", "the paper", "work", "what is the same")
 SHAPES = tuple(svg.SHAPES)
 HEIGHT_PX = 260
+WORDS: dict[Work, str] = {
+    "same work": "of the same work",
+    "other data": "on other data",
+    "other machine": "on another machine",
+    "cannot be compared": "that cannot be compared",
+}
 TITLE = "The paper's evaluation, made anew"
 N_COLOURS = 6
 
@@ -45,7 +47,7 @@ def report_page(
 def _lead(results: Sequence[StudyResult]) -> str:
     rows = [row for one in results for row in one.rows]
     works = Counter(row.work for row in rows if row.paper is not None)
-    counts = format_list([f"{n} on {work}" if work.startswith("other") else f"{n} {work}" for work, n in works.items()])
+    counts = format_list([f"{n} {WORDS[work]}" for work, n in works.items()])
     made = f"{format_count(len(rows), 'figure')}, by {len(results)} of the evaluation's tables and figures"
     return f"{made}. Of those that the paper has as well: {counts or 'none'}."
 

@@ -29,7 +29,7 @@ from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.lab.paper import studies
-from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions
+from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, StudyResult
 from xihe_blender.lab.paper.report import paper_markdown, report_page
 from xihe_blender.lab.paper.sessions import QUICK_WALK, WalkSettings, recorded_session, scene_files
 from xihe_blender.report.document import write_document
@@ -57,19 +57,6 @@ class PaperSettings:
     scenes: tuple[Path, ...] = ()
     seed: int = 0
     document: Path | None = None
-
-
-@dataclass(frozen=True)
-class StudyResult:
-    """The file of a study: its rows, or in one sentence why there are none."""
-
-    name: str
-    made_from: str
-    measured_on: str
-    elapsed_s: float
-    machine: str
-    rows: tuple[Row, ...] = ()
-    failed_because: str = ""
 
 
 @dataclass(frozen=True)
